@@ -1,0 +1,1 @@
+//! The FMI model description: read, checked, completed.

@@ -1,0 +1,9 @@
+//! Planar five-bar mechanism as an FMI 2.0 co-simulation unit.
+//!
+//! The rooms and the arrows between them are described in `ARCHITECTURE.md`.
+
+pub mod effects;
+pub mod integrator;
+pub mod mechanism;
+pub mod observers;
+pub mod simulation;
