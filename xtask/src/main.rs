@@ -1,2 +1,46 @@
-//! The commands of this repository.
-fn main() {}
+//! The commands of this repository, started as `cargo xtask`: one file per command.
+
+mod package;
+mod paths;
+mod process;
+mod run;
+mod scenes;
+mod test;
+mod venv;
+
+use anyhow::Result;
+use clap::{Parser, Subcommand};
+
+/// The commands of this repository
+#[derive(Parser)]
+#[command(name = "cargo xtask", bin_name = "cargo xtask", arg_required_else_help = true)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Build and pack the FMU, drive it through FMPy over a scene, write CSV and pictures to target/run/
+    Run {
+        /// A file of scenes/, without its ending
+        #[arg(long, default_value = "paper_free_fall")]
+        scene: String,
+    },
+    /// Check everything: format, lints, Rust tests, documentation, packaging, Python tests
+    Test {
+        /// Also check what needs Debian packages (installed by .ci/setup): the page in a browser, memory with valgrind
+        #[arg(long)]
+        full: bool,
+    },
+    /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
+    Package,
+}
+
+fn main() -> Result<()> {
+    match Arguments::parse().command {
+        Command::Run { scene } => run::run(&scene),
+        Command::Test { full } => test::test(full),
+        Command::Package => package::package().map(drop),
+    }
+}

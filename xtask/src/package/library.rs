@@ -1,0 +1,102 @@
+//! The release library, built so that no path of the building machine is inside it.
+
+use super::linked::{LIBRARY_CRATE, Linked};
+use crate::{paths, process};
+use anyhow::{Context, Result, bail};
+use cargo_metadata::Message;
+use std::env::consts::{ARCH, DLL_EXTENSION, OS};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Name of the folder under `binaries/` for the machine that builds: FMI 2.0's own names (section 2.3) where it has
+/// one, the tuples of FMI 3.0 (section 2.5.1.1) for the rest.
+pub(super) fn fmi_platform() -> String {
+    match (OS, ARCH) {
+        ("linux", "x86_64") => "linux64".into(),
+        ("linux", "x86") => "linux32".into(),
+        ("windows", "x86_64") => "win64".into(),
+        ("windows", "x86") => "win32".into(),
+        ("macos", "x86_64") => "darwin64".into(),
+        ("macos", arch) => format!("{arch}-darwin"),
+        (os, arch) => format!("{arch}-{os}"),
+    }
+}
+
+/// Builds the library and gives back its bytes.
+pub(super) fn build(linked: &Linked) -> Result<Vec<u8>> {
+    // Only as cdylib: cargo does no link-time optimisation where an rlib is built along.
+    let messages = process::run_for_output(
+        process::cargo()
+            .args(["rustc", "--release", "--locked", "--package", LIBRARY_CRATE])
+            .args(["--lib", "--crate-type", "cdylib"])
+            .arg("--message-format=json-render-diagnostics")
+            .env("CARGO_ENCODED_RUSTFLAGS", flags(linked)?.join("\u{1f}")),
+    )?;
+    let file = built_library(&messages)?;
+    let bytes = fs::read(&file).with_context(|| format!("{} cannot be read", file.display()))?;
+    for path in [paths::root(), &linked.target, &cargo_home()?] {
+        if contains(&bytes, path.as_os_str().as_encoded_bytes()) {
+            bail!(
+                "the library contains the path {} of this machine, although it was to be remapped",
+                path.display()
+            );
+        }
+    }
+    Ok(bytes)
+}
+
+/// The caller's flags, followed by those that keep this machine's paths out of the library.
+fn flags(linked: &Linked) -> Result<Vec<String>> {
+    let mut flags = match std::env::var("CARGO_ENCODED_RUSTFLAGS") {
+        Ok(flags) if flags.is_empty() => Vec::new(),
+        Ok(flags) => flags.split('\u{1f}').map(String::from).collect(),
+        Err(_) => std::env::var("RUSTFLAGS")
+            .unwrap_or_default()
+            .split_whitespace()
+            .map(String::from)
+            .collect(),
+    };
+    // Where several fit, rustc takes the last one: the particular after the general.
+    let mut remap = |from: &Path, to: &str| {
+        flags.push(format!("--remap-path-prefix={}={to}", from.display()));
+    };
+    remap(&cargo_home()?, "/cargo");
+    remap(paths::root(), "/fivebar");
+    remap(&linked.target, "/fivebar/target");
+    for crate_ in &linked.crates {
+        // The registry's folder above it is named after the registry's address, which may be a mirror's.
+        remap(&crate_.folder, &format!("/crates/{}", crate_.title));
+    }
+    Ok(flags)
+}
+
+fn cargo_home() -> Result<PathBuf> {
+    std::env::var_os("CARGO_HOME")
+        .map(PathBuf::from)
+        .or_else(|| std::env::home_dir().map(|home| home.join(".cargo")))
+        .context("neither CARGO_HOME nor a home folder is known")
+}
+
+/// The file of the library, out of cargo's messages.
+fn built_library(messages: &str) -> Result<PathBuf> {
+    for message in Message::parse_stream(messages.as_bytes()) {
+        if let Message::CompilerArtifact(artifact) = message?
+            && artifact.target.name == LIBRARY_CRATE
+            && artifact.target.is_cdylib()
+        {
+            let file = artifact
+                .filenames
+                .into_iter()
+                .find(|file| file.extension() == Some(DLL_EXTENSION));
+            return file
+                .map(Into::into)
+                .with_context(|| format!("cargo built no .{DLL_EXTENSION} file"));
+        }
+    }
+    bail!("cargo built no library `{LIBRARY_CRATE}`")
+}
+
+/// Whether `bytes` has `part` somewhere.
+pub(super) fn contains(bytes: &[u8], part: &[u8]) -> bool {
+    bytes.windows(part.len()).any(|window| window == part)
+}

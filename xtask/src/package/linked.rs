@@ -1,0 +1,116 @@
+//! The crates that are linked into the library, and what is installed to build it.
+
+use crate::{paths, process};
+use anyhow::{Context, Result};
+use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, Package, PackageId, TargetKind};
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+/// The crate that becomes the library.
+pub(super) const LIBRARY_CRATE: &str = "fivebar";
+
+/// What the library is made of.
+pub(super) struct Linked {
+    /// The crates that are linked into the library, but not the library's own: sorted by name and version.
+    pub(super) crates: Vec<LinkedCrate>,
+    /// Cargo's folder for what it builds.
+    pub(super) target: PathBuf,
+    /// First line of `rustc --version`: whose standard library is linked.
+    pub(super) rustc: String,
+}
+
+/// A crate that is linked into the library.
+pub(super) struct LinkedCrate {
+    /// Name and version, e.g. `libm-0.2.16`.
+    pub(super) title: String,
+    /// SPDX expression of its licence.
+    pub(super) license: String,
+    /// The folder with its sources.
+    pub(super) folder: PathBuf,
+}
+
+impl Linked {
+    /// Asks cargo and rustc.
+    pub(super) fn read() -> Result<Self> {
+        let rustc = process::output(process::program(rustc()).arg("--version"))?;
+        let host = process::output(process::program(rustc()).args(["--print", "host-tuple"]))?;
+        let metadata = MetadataCommand::new()
+            .manifest_path(paths::in_root("Cargo.toml"))
+            .other_options(["--locked", "--filter-platform", host.trim()].map(String::from))
+            .exec()
+            .context("`cargo metadata` failed")?;
+        Ok(Self {
+            crates: linked_crates(&metadata)?,
+            target: metadata.target_directory.clone().into_std_path_buf(),
+            rustc: rustc.trim().to_owned(),
+        })
+    }
+}
+
+fn rustc() -> std::ffi::OsString {
+    std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into())
+}
+
+/// Follows the normal dependencies of the library's crate; procedural macros run in the compiler and are not linked.
+fn linked_crates(metadata: &Metadata) -> Result<Vec<LinkedCrate>> {
+    let library = metadata
+        .workspace_packages()
+        .into_iter()
+        .find(|package| package.name == LIBRARY_CRATE)
+        .with_context(|| format!("the workspace has no crate `{LIBRARY_CRATE}`"))?;
+    let mut seen = BTreeSet::from([library.id.clone()]);
+    let mut waiting = vec![library.id.clone()];
+    let mut crates = Vec::new();
+    while let Some(id) = waiting.pop() {
+        for next in normal_dependencies(metadata, &id)? {
+            let package = &metadata[&next];
+            let is_macro = package
+                .targets
+                .iter()
+                .any(|target| target.is_kind(TargetKind::ProcMacro));
+            if !is_macro && seen.insert(next.clone()) {
+                crates.push(linked_crate(package)?);
+                waiting.push(next);
+            }
+        }
+    }
+    crates.sort_by(|a, b| a.title.cmp(&b.title));
+    Ok(crates)
+}
+
+fn normal_dependencies(metadata: &Metadata, id: &PackageId) -> Result<Vec<PackageId>> {
+    let resolve = metadata
+        .resolve
+        .as_ref()
+        .context("`cargo metadata` resolved no dependencies")?;
+    Ok(resolve[id]
+        .deps
+        .iter()
+        .filter(|dependency| {
+            dependency
+                .dep_kinds
+                .iter()
+                .any(|kind| kind.kind == DependencyKind::Normal)
+        })
+        .map(|dependency| dependency.pkg.clone())
+        .collect())
+}
+
+fn linked_crate(package: &Package) -> Result<LinkedCrate> {
+    let title = format!("{}-{}", package.name, package.version);
+    let license = package
+        .license
+        .clone()
+        .with_context(|| format!("crate {title} states no licence"))?;
+    let folder = package
+        .manifest_path
+        .parent()
+        .with_context(|| format!("crate {title} lies in no folder"))?
+        .to_path_buf()
+        .into_std_path_buf();
+    Ok(LinkedCrate {
+        title,
+        license,
+        folder,
+    })
+}

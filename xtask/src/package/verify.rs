@@ -1,0 +1,231 @@
+//! Looks into the finished archive with other eyes than those that packed it.
+
+use super::library::contains;
+use anyhow::{Context, Result, bail, ensure};
+use object::elf::FileHeader64;
+use object::read::elf::{FileHeader, SectionHeader};
+use object::{Endianness, Object};
+use std::collections::BTreeSet;
+use std::fmt;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+use zip::{CompressionMethod, ZipArchive};
+
+/// Largest library that is shipped, bytes.
+const LARGEST_LIBRARY: usize = 1_000_000;
+
+/// All that a co-simulation library exports: FMI 2.0.4, section 2.1 (common functions) and 4.2 (co-simulation).
+#[rustfmt::skip]
+const EXPORTS: [&str; 34] = [
+    "fmi2GetTypesPlatform", "fmi2GetVersion", "fmi2SetDebugLogging",
+    "fmi2Instantiate", "fmi2FreeInstance", "fmi2SetupExperiment",
+    "fmi2EnterInitializationMode", "fmi2ExitInitializationMode", "fmi2Terminate", "fmi2Reset",
+    "fmi2GetReal", "fmi2GetInteger", "fmi2GetBoolean", "fmi2GetString",
+    "fmi2SetReal", "fmi2SetInteger", "fmi2SetBoolean", "fmi2SetString",
+    "fmi2GetFMUstate", "fmi2SetFMUstate", "fmi2FreeFMUstate",
+    "fmi2SerializedFMUstateSize", "fmi2SerializeFMUstate", "fmi2DeSerializeFMUstate",
+    "fmi2GetDirectionalDerivative",
+    "fmi2SetRealInputDerivatives", "fmi2GetRealOutputDerivatives", "fmi2DoStep", "fmi2CancelStep",
+    "fmi2GetStatus", "fmi2GetRealStatus", "fmi2GetIntegerStatus", "fmi2GetBooleanStatus", "fmi2GetStringStatus",
+];
+
+/// Files that every .fmu of this project has.
+const REQUIRED: [&str; 4] = [
+    "modelDescription.xml",
+    "model.png",
+    "documentation/index.html",
+    "documentation/licenses/license.txt",
+];
+
+/// What was found, for people.
+pub(super) struct Report {
+    archive: u64,
+    guid: String,
+    libraries: Vec<Library>,
+}
+
+struct Library {
+    name: String,
+    size: usize,
+    glibc: Option<String>,
+}
+
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "verified, {} kB, GUID {}", self.archive / 1000, self.guid)?;
+        for library in &self.libraries {
+            write!(f, "; {} {} kB", library.name, library.size / 1000)?;
+            if let Some(version) = &library.glibc {
+                write!(f, ", needs glibc {version}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Opens the archive and checks what a host relies on.
+pub(super) fn verify(fmu: &Path) -> Result<Report> {
+    let file = File::open(fmu)?;
+    let size = file.metadata()?.len();
+    let mut archive = ZipArchive::new(file)?;
+    let names: Vec<String> = archive.file_names().map(String::from).collect();
+    for required in REQUIRED {
+        ensure!(names.iter().any(|name| name == required), "{required} is missing");
+    }
+    let (guid, identifier) = identity(&String::from_utf8(read(&mut archive, "modelDescription.xml")?)?)?;
+    let mut libraries = Vec::new();
+    for name in names.iter().filter(|name| name.starts_with("binaries/")) {
+        let stem = Path::new(name).file_stem().unwrap_or_default();
+        ensure!(
+            stem == identifier.as_str(),
+            "{name} is not named after the modelIdentifier {identifier}"
+        );
+        let bytes = read(&mut archive, name)?;
+        libraries.push(library(name, &bytes, &guid).with_context(|| name.clone())?);
+    }
+    ensure!(!libraries.is_empty(), "binaries/ is empty");
+    Ok(Report {
+        archive: size,
+        guid,
+        libraries,
+    })
+}
+
+fn read(archive: &mut ZipArchive<File>, name: &str) -> Result<Vec<u8>> {
+    let mut entry = archive.by_name(name)?;
+    ensure!(
+        entry.compression() == CompressionMethod::Deflated,
+        "{name} is not packed with deflate"
+    );
+    let mut bytes = Vec::new();
+    entry.read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
+
+/// GUID and modelIdentifier out of the finished modelDescription.xml.
+fn identity(xml: &str) -> Result<(String, String)> {
+    let document = roxmltree::Document::parse(xml).context("modelDescription.xml is not well-formed")?;
+    let root = document.root_element();
+    ensure!(
+        root.has_tag_name("fmiModelDescription") && root.attribute("fmiVersion") == Some("2.0"),
+        "modelDescription.xml is not one of FMI 2.0"
+    );
+    let guid = root.attribute("guid").unwrap_or_default();
+    ensure!(!guid.is_empty(), "modelDescription.xml has no guid");
+    let identifier = root
+        .children()
+        .find(|child| child.has_tag_name("CoSimulation"))
+        .and_then(|element| element.attribute("modelIdentifier"))
+        .context("modelDescription.xml has no modelIdentifier for co-simulation")?;
+    Ok((guid.to_owned(), identifier.to_owned()))
+}
+
+fn library(name: &str, bytes: &[u8], guid: &str) -> Result<Library> {
+    ensure!(
+        bytes.len() < LARGEST_LIBRARY,
+        "{} bytes are too many: the limit is {LARGEST_LIBRARY}",
+        bytes.len()
+    );
+    ensure!(
+        contains(bytes, guid.as_bytes()),
+        "the library does not know the GUID {guid} of modelDescription.xml"
+    );
+    check_exports(exports(bytes)?)?;
+    Ok(Library {
+        name: name.to_owned(),
+        size: bytes.len(),
+        glibc: needed_glibc(bytes)?,
+    })
+}
+
+fn exports(bytes: &[u8]) -> Result<BTreeSet<String>> {
+    let file = object::File::parse(bytes)?;
+    // Mach-O puts an underscore before every C name.
+    let prefix = if file.format() == object::BinaryFormat::MachO { "_" } else { "" };
+    let mut names = BTreeSet::new();
+    for export in file.exports()? {
+        match export?.name() {
+            object::read::NameOrOrdinal::Name(name) => {
+                let name = String::from_utf8_lossy(name);
+                names.insert(name.strip_prefix(prefix).unwrap_or(&name).to_owned());
+            }
+            object::read::NameOrOrdinal::Ordinal(ordinal) => bail!("export {ordinal} has no name"),
+        }
+    }
+    Ok(names)
+}
+
+fn check_exports(found: BTreeSet<String>) -> Result<()> {
+    let wanted = BTreeSet::from(EXPORTS.map(String::from));
+    let list = |names: Vec<&String>| names.into_iter().cloned().collect::<Vec<_>>().join(", ");
+    let missing = list(wanted.difference(&found).collect());
+    ensure!(missing.is_empty(), "not exported: {missing}");
+    let extra = list(found.difference(&wanted).collect());
+    ensure!(extra.is_empty(), "exported, but no function of FMI 2.0 co-simulation: {extra}");
+    Ok(())
+}
+
+/// The newest glibc version that an ELF library asks for; none for other formats.
+fn needed_glibc(bytes: &[u8]) -> Result<Option<String>> {
+    if object::FileKind::parse(bytes)? != object::FileKind::Elf64 {
+        return Ok(None);
+    }
+    let header = FileHeader64::<Endianness>::parse(bytes)?;
+    let endian = header.endian()?;
+    let sections = header.sections(endian, bytes)?;
+    let Some((mut needs, link)) = sections.gnu_verneed(endian, bytes)? else {
+        return Ok(None);
+    };
+    let strings = sections.strings(endian, bytes, link)?;
+    let mut newest = None;
+    while let Some((_, mut versions)) = needs.next()? {
+        while let Some(version) = versions.next()? {
+            let name = String::from_utf8_lossy(version.name(endian, strings)?);
+            newest = newest.max(name.strip_prefix("GLIBC_").and_then(numbers));
+        }
+    }
+    Ok(newest.map(|version| version.iter().map(u32::to_string).collect::<Vec<_>>().join(".")))
+}
+
+/// `2.34` as numbers, so that 2.4 comes before 2.34; none for GLIBC_PRIVATE and its like.
+fn numbers(version: &str) -> Option<Vec<u32>> {
+    version.split('.').map(|part| part.parse().ok()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exports_must_be_the_list_and_nothing_else() {
+        let all = BTreeSet::from(EXPORTS.map(String::from));
+        assert_eq!(all.len(), EXPORTS.len());
+        assert!(check_exports(all.clone()).is_ok());
+
+        let mut fewer = all.clone();
+        fewer.remove("fmi2DoStep");
+        let error = check_exports(fewer).unwrap_err().to_string();
+        assert_eq!(error, "not exported: fmi2DoStep");
+
+        let mut more = all;
+        more.insert("rust_panic".into());
+        let error = check_exports(more).unwrap_err().to_string();
+        assert!(error.ends_with(": rust_panic"), "{error}");
+    }
+
+    #[test]
+    fn identity_is_read_from_the_xml() {
+        let xml = r#"<fmiModelDescription fmiVersion="2.0" guid="{1}"><CoSimulation modelIdentifier="M"/></fmiModelDescription>"#;
+        assert_eq!(identity(xml).unwrap(), ("{1}".into(), "M".into()));
+        let error = identity(&xml.replace("{1}", "")).unwrap_err().to_string();
+        assert_eq!(error, "modelDescription.xml has no guid");
+    }
+
+    #[test]
+    fn glibc_versions_compare_as_numbers() {
+        assert!(numbers("2.34") > numbers("2.4"));
+        assert!(numbers("2.2.5") < numbers("2.3"));
+        assert_eq!(numbers("PRIVATE"), None);
+    }
+}

@@ -1,0 +1,38 @@
+//! Where things are, relative to the workspace root.
+
+use std::path::{Path, PathBuf};
+
+/// The workspace root: the folder above this crate's.
+pub(crate) fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .expect("xtask lies in a folder of the workspace")
+}
+
+/// A file or folder of the repository.
+pub(crate) fn in_root(path: impl AsRef<Path>) -> PathBuf {
+    root().join(path)
+}
+
+/// A path as a person reads it: relative to the workspace root where it lies below it.
+pub(crate) fn short(path: &Path) -> String {
+    path.strip_prefix(root())
+        .unwrap_or(path)
+        .display()
+        .to_string()
+}
+
+/// The packed unit.
+pub(crate) fn fmu() -> PathBuf {
+    in_root("target/fmu/FiveBar.fmu")
+}
+
+/// The private Python environment.
+pub(crate) fn venv() -> PathBuf {
+    in_root("target/venv")
+}
+
+/// The folder with one JSON file per scene.
+pub(crate) fn scenes() -> PathBuf {
+    in_root("scenes")
+}

@@ -1,0 +1,94 @@
+//! Other programs: shown before they run, and an error that names them when they fail.
+
+use crate::paths;
+use anyhow::{Context, Result, bail};
+use std::path::Path;
+use std::process::{Command, ExitStatus, Stdio};
+
+/// The cargo that runs this xtask, so that a toolchain chosen on the command line stays chosen.
+pub(crate) fn cargo() -> Command {
+    program(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+}
+
+/// A program that starts in the workspace root.
+pub(crate) fn program(name: impl AsRef<std::ffi::OsStr>) -> Command {
+    let mut command = Command::new(name);
+    command.current_dir(paths::root());
+    command
+}
+
+/// Shows the command, runs it with this process' input and output, and fails if it fails.
+pub(crate) fn run(command: &mut Command) -> Result<()> {
+    println!("$ {}", short_form(command));
+    let status = command
+        .status()
+        .with_context(|| format!("`{}` could not be started", short_form(command)))?;
+    check(command, status)
+}
+
+/// Shows the command and gives back what it wrote to its standard output.
+pub(crate) fn run_for_output(command: &mut Command) -> Result<String> {
+    println!("$ {}", short_form(command));
+    output(command)
+}
+
+/// Runs the command unseen and gives back what it wrote to its standard output; its errors stay visible.
+pub(crate) fn output(command: &mut Command) -> Result<String> {
+    let output = command
+        .stderr(Stdio::inherit())
+        .output()
+        .with_context(|| format!("`{}` could not be started", short_form(command)))?;
+    check(command, output.status)?;
+    String::from_utf8(output.stdout)
+        .with_context(|| format!("`{}` wrote no UTF-8", short_form(command)))
+}
+
+fn check(command: &Command, status: ExitStatus) -> Result<()> {
+    match status.code() {
+        Some(0) => Ok(()),
+        Some(code) => bail!("`{}` failed with exit code {code}", short_form(command)),
+        None => bail!("`{}` was ended by a signal", short_form(command)),
+    }
+}
+
+/// The command as one would type it in the workspace root.
+fn short_form(command: &Command) -> String {
+    let program = Path::new(command.get_program());
+    let name = match program.strip_prefix(paths::root()) {
+        Ok(own) => own.display().to_string(),
+        Err(_) => program.file_name().map_or_else(
+            || program.display().to_string(),
+            |name| name.to_string_lossy().into_owned(),
+        ),
+    };
+    let arguments = command
+        .get_args()
+        .map(|argument| paths::short(Path::new(argument)));
+    std::iter::once(name)
+        .chain(arguments)
+        .collect::<Vec<_>>()
+        .join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_command_is_shown_relative_to_the_root() {
+        let mut command = program(paths::venv().join("bin/python"));
+        command.arg("run.py").arg(paths::fmu());
+        assert_eq!(
+            short_form(&command),
+            "target/venv/bin/python run.py target/fmu/FiveBar.fmu"
+        );
+    }
+
+    #[test]
+    fn a_failure_names_the_command_and_its_exit_code() {
+        let error = run(cargo().arg("no-such-command-of-cargo")).unwrap_err();
+        let text = error.to_string();
+        assert!(text.contains("cargo no-such-command-of-cargo"), "{text}");
+        assert!(text.contains("exit code 101"), "{text}");
+    }
+}

@@ -1,0 +1,21 @@
+//! `cargo xtask run`: the packed unit, driven through FMPy over a scene.
+
+use crate::{package, paths, process, scenes, venv};
+use anyhow::Result;
+
+/// Packs the unit and runs a scene; CSV, pictures and the page go to `target/run/NAME/`.
+pub(crate) fn run(scene: &str) -> Result<()> {
+    // First of all, so that a misspelt name does not cost a build.
+    let file = scenes::find(scene)?;
+    let fmu = package::package()?;
+    process::run(
+        venv::python()?
+            .arg("xtask/python/run.py")
+            .arg("--fmu")
+            .arg(fmu)
+            .arg("--scene")
+            .arg(file)
+            .arg("--out")
+            .arg(paths::in_root("target/run").join(scene)),
+    )
+}
