@@ -86,7 +86,10 @@ mod tests {
 
     #[test]
     fn a_failure_names_the_command_and_its_exit_code() {
-        let error = run(cargo().arg("no-such-command-of-cargo")).unwrap_err();
+        let error = run(cargo()
+            .arg("no-such-command-of-cargo")
+            .stderr(Stdio::null()))
+        .unwrap_err();
         let text = error.to_string();
         assert!(text.contains("cargo no-such-command-of-cargo"), "{text}");
         assert!(text.contains("exit code 101"), "{text}");

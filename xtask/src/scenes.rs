@@ -15,7 +15,10 @@ fn find_in(folder: &Path, name: &str) -> Result<PathBuf> {
     let scenes = list(folder)?;
     match scenes.iter().find(|scene| scene.name == name) {
         Some(scene) => Ok(scene.file.clone()),
-        None => bail!("there is no scene `{name}`; the scenes are:\n{}", table(&scenes)),
+        None => bail!(
+            "there is no scene `{name}`; the scenes are:\n{}",
+            table(&scenes)
+        ),
     }
 }
 
@@ -27,8 +30,12 @@ struct Scene {
 
 /// All scenes of a folder, by name.
 fn list(folder: &Path) -> Result<Vec<Scene>> {
-    let entries = fs::read_dir(folder)
-        .with_context(|| format!("the folder of scenes {} cannot be read", paths::short(folder)))?;
+    let entries = fs::read_dir(folder).with_context(|| {
+        format!(
+            "the folder of scenes {} cannot be read",
+            paths::short(folder)
+        )
+    })?;
     let mut scenes = Vec::new();
     for entry in entries {
         let file = entry?.path();
@@ -62,7 +69,11 @@ fn description(file: &Path) -> Result<String> {
 }
 
 fn table(scenes: &[Scene]) -> String {
-    let width = scenes.iter().map(|scene| scene.name.len()).max().unwrap_or(0);
+    let width = scenes
+        .iter()
+        .map(|scene| scene.name.len())
+        .max()
+        .unwrap_or(0);
     let mut table = String::new();
     for scene in scenes {
         writeln!(table, "  {:width$}  {}", scene.name, scene.description)
@@ -111,6 +122,9 @@ mod tests {
     fn a_scene_without_description_is_named() {
         let folder = folder(&[("fall.json", "{}")]);
         let error = find_in(folder.path(), "fall").unwrap_err().to_string();
-        assert!(error.contains("fall.json has no text `description`"), "{error}");
+        assert!(
+            error.contains("fall.json has no text `description`"),
+            "{error}"
+        );
     }
 }

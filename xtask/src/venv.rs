@@ -42,7 +42,11 @@ fn make(folder: &Path, python: &PathBuf) -> Result<()> {
     );
     need_python()?;
     // --clear: packages that are no longer required go, and a broken venv is made anew.
-    let made = process::output(process::program(PYTHON).args(["-m", "venv", "--clear"]).arg(folder));
+    let made = process::output(
+        process::program(PYTHON)
+            .args(["-m", "venv", "--clear"])
+            .arg(folder),
+    );
     if made.is_err() {
         bail!(
             "`{PYTHON} -m venv` failed: Python's module venv (with ensurepip) is needed; \
@@ -51,7 +55,14 @@ fn make(folder: &Path, python: &PathBuf) -> Result<()> {
     }
     process::run(
         process::program(python)
-            .args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"])
+            .args([
+                "-m",
+                "pip",
+                "install",
+                "--quiet",
+                "--disable-pip-version-check",
+                "--no-input",
+            ])
             .arg("--requirement")
             .arg(paths::in_root(REQUIREMENTS)),
     )

@@ -3,7 +3,8 @@
 use super::linked::{LIBRARY_CRATE, Linked};
 use crate::{paths, process};
 use anyhow::{Context, Result, bail};
-use cargo_metadata::Message;
+use cargo_metadata::{Message, PackageId};
+use std::collections::HashSet;
 use std::env::consts::{ARCH, DLL_EXTENSION, OS};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,8 +23,16 @@ pub(super) fn fmi_platform() -> String {
     }
 }
 
-/// Builds the library and gives back its bytes.
-pub(super) fn build(linked: &Linked) -> Result<Vec<u8>> {
+/// The built library.
+pub(super) struct Library {
+    /// The file's content.
+    pub(super) bytes: Vec<u8>,
+    /// Every crate that cargo built on the way, build scripts' and macros' included.
+    pub(super) built: HashSet<PackageId>,
+}
+
+/// Builds the library.
+pub(super) fn build(linked: &Linked) -> Result<Library> {
     // Only as cdylib: cargo does no link-time optimisation where an rlib is built along.
     let messages = process::run_for_output(
         process::cargo()
@@ -32,7 +41,7 @@ pub(super) fn build(linked: &Linked) -> Result<Vec<u8>> {
             .arg("--message-format=json-render-diagnostics")
             .env("CARGO_ENCODED_RUSTFLAGS", flags(linked)?.join("\u{1f}")),
     )?;
-    let file = built_library(&messages)?;
+    let (file, built) = artifacts(&messages)?;
     let bytes = fs::read(&file).with_context(|| format!("{} cannot be read", file.display()))?;
     for path in [paths::root(), &linked.target, &cargo_home()?] {
         if contains(&bytes, path.as_os_str().as_encoded_bytes()) {
@@ -42,7 +51,7 @@ pub(super) fn build(linked: &Linked) -> Result<Vec<u8>> {
             );
         }
     }
-    Ok(bytes)
+    Ok(Library { bytes, built })
 }
 
 /// The caller's flags, followed by those that keep this machine's paths out of the library.
@@ -77,23 +86,25 @@ fn cargo_home() -> Result<PathBuf> {
         .context("neither CARGO_HOME nor a home folder is known")
 }
 
-/// The file of the library, out of cargo's messages.
-fn built_library(messages: &str) -> Result<PathBuf> {
+/// The file of the library and all crates built, out of cargo's messages.
+fn artifacts(messages: &str) -> Result<(PathBuf, HashSet<PackageId>)> {
+    let mut library = None;
+    let mut built = HashSet::new();
     for message in Message::parse_stream(messages.as_bytes()) {
-        if let Message::CompilerArtifact(artifact) = message?
-            && artifact.target.name == LIBRARY_CRATE
-            && artifact.target.is_cdylib()
-        {
-            let file = artifact
+        let Message::CompilerArtifact(artifact) = message? else {
+            continue;
+        };
+        built.insert(artifact.package_id);
+        if artifact.target.name == LIBRARY_CRATE && artifact.target.is_cdylib() {
+            library = artifact
                 .filenames
                 .into_iter()
                 .find(|file| file.extension() == Some(DLL_EXTENSION));
-            return file
-                .map(Into::into)
-                .with_context(|| format!("cargo built no .{DLL_EXTENSION} file"));
         }
     }
-    bail!("cargo built no library `{LIBRARY_CRATE}`")
+    let library =
+        library.with_context(|| format!("cargo built no .{DLL_EXTENSION} of `{LIBRARY_CRATE}`"))?;
+    Ok((library.into(), built))
 }
 
 /// Whether `bytes` has `part` somewhere.

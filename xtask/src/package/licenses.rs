@@ -17,13 +17,17 @@ const OWN: [&str; 2] = ["LICENSE-APACHE", "LICENSE-MIT"];
 pub(super) fn collect(linked: &Linked) -> Result<Files> {
     let mut files = Files::new();
     for name in OWN {
-        let text = fs::read(paths::in_root(name)).with_context(|| format!("{name} cannot be read"))?;
+        let text =
+            fs::read(paths::in_root(name)).with_context(|| format!("{name} cannot be read"))?;
         files.insert(format!("{FOLDER}/{name}.txt"), text);
     }
     for crate_ in &linked.crates {
         files.extend(of_crate(crate_)?);
     }
-    files.insert(format!("{FOLDER}/license.txt"), summary(linked).into_bytes());
+    files.insert(
+        format!("{FOLDER}/license.txt"),
+        summary(linked).into_bytes(),
+    );
     Ok(files)
 }
 
@@ -54,7 +58,14 @@ fn of_crate(crate_: &LinkedCrate) -> Result<Files> {
 }
 
 fn is_license(file: &Path) -> bool {
-    const STARTS: [&str; 6] = ["LICENSE", "LICENCE", "UNLICENSE", "COPYING", "COPYRIGHT", "NOTICE"];
+    const STARTS: [&str; 6] = [
+        "LICENSE",
+        "LICENCE",
+        "UNLICENSE",
+        "COPYING",
+        "COPYRIGHT",
+        "NOTICE",
+    ];
     let name = file
         .file_name()
         .unwrap_or_default()
@@ -89,10 +100,17 @@ fn summary(linked: &Linked) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use cargo_metadata::PackageId;
 
     #[test]
     fn licence_files_are_told_by_their_names() {
-        for name in ["LICENSE", "LICENSE-MIT.md", "license.txt", "COPYING", "NOTICE"] {
+        for name in [
+            "LICENSE",
+            "LICENSE-MIT.md",
+            "license.txt",
+            "COPYING",
+            "NOTICE",
+        ] {
             assert!(is_license(Path::new(name)), "{name}");
         }
         for name in ["README.md", "Cargo.toml", "my-license"] {
@@ -104,6 +122,9 @@ mod tests {
     fn a_crate_without_a_licence_file_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let crate_ = LinkedCrate {
+            id: PackageId {
+                repr: "bare".into(),
+            },
             title: "bare-1.0.0".into(),
             license: "MIT".into(),
             folder: folder.path().into(),

@@ -5,13 +5,15 @@ use anyhow::{Context, Result};
 use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, Package, PackageId, TargetKind};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
+use std::process::Command;
 
 /// The crate that becomes the library.
 pub(super) const LIBRARY_CRATE: &str = "fivebar";
 
 /// What the library is made of.
 pub(super) struct Linked {
-    /// The crates that are linked into the library, but not the library's own: sorted by name and version.
+    /// The crates that may be linked into the library, but not the library's own: sorted by name and version. Optional
+    /// ones that no enabled feature asks for are among them; what cargo builds tells those apart.
     pub(super) crates: Vec<LinkedCrate>,
     /// Cargo's folder for what it builds.
     pub(super) target: PathBuf,
@@ -19,8 +21,10 @@ pub(super) struct Linked {
     pub(super) rustc: String,
 }
 
-/// A crate that is linked into the library.
+/// A crate that may be linked into the library.
 pub(super) struct LinkedCrate {
+    /// Cargo's name for it.
+    pub(super) id: PackageId,
     /// Name and version, e.g. `libm-0.2.16`.
     pub(super) title: String,
     /// SPDX expression of its licence.
@@ -32,8 +36,8 @@ pub(super) struct LinkedCrate {
 impl Linked {
     /// Asks cargo and rustc.
     pub(super) fn read() -> Result<Self> {
-        let rustc = process::output(process::program(rustc()).arg("--version"))?;
-        let host = process::output(process::program(rustc()).args(["--print", "host-tuple"]))?;
+        let version = process::output(rustc().arg("--version"))?;
+        let host = process::output(rustc().args(["--print", "host-tuple"]))?;
         let metadata = MetadataCommand::new()
             .manifest_path(paths::in_root("Cargo.toml"))
             .other_options(["--locked", "--filter-platform", host.trim()].map(String::from))
@@ -42,13 +46,13 @@ impl Linked {
         Ok(Self {
             crates: linked_crates(&metadata)?,
             target: metadata.target_directory.clone().into_std_path_buf(),
-            rustc: rustc.trim().to_owned(),
+            rustc: version.trim().to_owned(),
         })
     }
 }
 
-fn rustc() -> std::ffi::OsString {
-    std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into())
+fn rustc() -> Command {
+    process::program(std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into()))
 }
 
 /// Follows the normal dependencies of the library's crate; procedural macros run in the compiler and are not linked.
@@ -109,6 +113,7 @@ fn linked_crate(package: &Package) -> Result<LinkedCrate> {
         .to_path_buf()
         .into_std_path_buf();
     Ok(LinkedCrate {
+        id: package.id.clone(),
         title,
         license,
         folder,

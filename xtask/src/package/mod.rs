@@ -12,6 +12,7 @@ use crate::paths;
 use anyhow::{Context, Result};
 use model_description::ModelDescription;
 use std::collections::BTreeMap;
+use std::fs;
 use std::path::PathBuf;
 
 /// What goes into the archive: name in the archive (`/` separators) to content, sorted by name.
@@ -20,8 +21,11 @@ type Files = BTreeMap<String, Vec<u8>>;
 /// Builds, packs, verifies; gives back the file of the packed unit.
 pub(crate) fn package() -> Result<PathBuf> {
     let description = ModelDescription::read().context("modelDescription/modelDescription.xml")?;
-    let linked = linked::Linked::read()?;
+    let mut linked = linked::Linked::read()?;
     let library = library::build(&linked)?;
+    linked
+        .crates
+        .retain(|crate_| library.built.contains(&crate_.id));
     let picture = icon::picture()?;
 
     let mut files = Files::new();
@@ -42,13 +46,18 @@ pub(crate) fn package() -> Result<PathBuf> {
             description.model_identifier,
             std::env::consts::DLL_EXTENSION
         ),
-        library,
+        library.bytes,
     );
 
     let fmu = paths::fmu();
-    archive::write(&fmu, &files)?;
-    let report = verify::verify(&fmu)
-        .with_context(|| format!("{} does not hold what it must", paths::short(&fmu)))?;
+    fs::create_dir_all(fmu.parent().context("the .fmu lies in a folder")?)?;
+    // A unit that is not fit for use never gets the name under which one is looked for.
+    let unverified = fmu.with_extension("unverified");
+    archive::write(&unverified, &files)?;
+    let report = verify::verify(&unverified)
+        .with_context(|| format!("{} is not fit for use", paths::short(&unverified)))?;
+    fs::rename(&unverified, &fmu)
+        .with_context(|| format!("{} cannot be written", paths::short(&fmu)))?;
     println!("{}: {report}", paths::short(&fmu));
     Ok(fmu)
 }

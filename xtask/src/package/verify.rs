@@ -3,7 +3,7 @@
 use super::library::contains;
 use anyhow::{Context, Result, bail, ensure};
 use object::elf::FileHeader64;
-use object::read::elf::{FileHeader, SectionHeader};
+use object::read::elf::FileHeader;
 use object::{Endianness, Object};
 use std::collections::BTreeSet;
 use std::fmt;
@@ -53,7 +53,12 @@ struct Library {
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "verified, {} kB, GUID {}", self.archive / 1000, self.guid)?;
+        write!(
+            f,
+            "verified, {} kB, GUID {}",
+            self.archive / 1000,
+            self.guid
+        )?;
         for library in &self.libraries {
             write!(f, "; {} {} kB", library.name, library.size / 1000)?;
             if let Some(version) = &library.glibc {
@@ -69,11 +74,20 @@ pub(super) fn verify(fmu: &Path) -> Result<Report> {
     let file = File::open(fmu)?;
     let size = file.metadata()?.len();
     let mut archive = ZipArchive::new(file)?;
-    let names: Vec<String> = archive.file_names().map(String::from).collect();
+    let names = archive
+        .file_names()
+        .map(|name| Ok(name?.into_owned()))
+        .collect::<Result<Vec<_>>>()?;
     for required in REQUIRED {
-        ensure!(names.iter().any(|name| name == required), "{required} is missing");
+        ensure!(
+            names.iter().any(|name| name == required),
+            "{required} is missing"
+        );
     }
-    let (guid, identifier) = identity(&String::from_utf8(read(&mut archive, "modelDescription.xml")?)?)?;
+    let (guid, identifier) = identity(&String::from_utf8(read(
+        &mut archive,
+        "modelDescription.xml",
+    )?)?)?;
     let mut libraries = Vec::new();
     for name in names.iter().filter(|name| name.starts_with("binaries/")) {
         let stem = Path::new(name).file_stem().unwrap_or_default();
@@ -105,7 +119,8 @@ fn read(archive: &mut ZipArchive<File>, name: &str) -> Result<Vec<u8>> {
 
 /// GUID and modelIdentifier out of the finished modelDescription.xml.
 fn identity(xml: &str) -> Result<(String, String)> {
-    let document = roxmltree::Document::parse(xml).context("modelDescription.xml is not well-formed")?;
+    let document =
+        roxmltree::Document::parse(xml).context("modelDescription.xml is not well-formed")?;
     let root = document.root_element();
     ensure!(
         root.has_tag_name("fmiModelDescription") && root.attribute("fmiVersion") == Some("2.0"),
@@ -142,7 +157,11 @@ fn library(name: &str, bytes: &[u8], guid: &str) -> Result<Library> {
 fn exports(bytes: &[u8]) -> Result<BTreeSet<String>> {
     let file = object::File::parse(bytes)?;
     // Mach-O puts an underscore before every C name.
-    let prefix = if file.format() == object::BinaryFormat::MachO { "_" } else { "" };
+    let prefix = if file.format() == object::BinaryFormat::MachO {
+        "_"
+    } else {
+        ""
+    };
     let mut names = BTreeSet::new();
     for export in file.exports()? {
         match export?.name() {
@@ -162,7 +181,10 @@ fn check_exports(found: BTreeSet<String>) -> Result<()> {
     let missing = list(wanted.difference(&found).collect());
     ensure!(missing.is_empty(), "not exported: {missing}");
     let extra = list(found.difference(&wanted).collect());
-    ensure!(extra.is_empty(), "exported, but no function of FMI 2.0 co-simulation: {extra}");
+    ensure!(
+        extra.is_empty(),
+        "exported, but no function of FMI 2.0 co-simulation: {extra}"
+    );
     Ok(())
 }
 
@@ -185,7 +207,13 @@ fn needed_glibc(bytes: &[u8]) -> Result<Option<String>> {
             newest = newest.max(name.strip_prefix("GLIBC_").and_then(numbers));
         }
     }
-    Ok(newest.map(|version| version.iter().map(u32::to_string).collect::<Vec<_>>().join(".")))
+    Ok(newest.map(|version| {
+        version
+            .iter()
+            .map(u32::to_string)
+            .collect::<Vec<_>>()
+            .join(".")
+    }))
 }
 
 /// `2.34` as numbers, so that 2.4 comes before 2.34; none for GLIBC_PRIVATE and its like.

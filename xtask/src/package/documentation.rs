@@ -1,0 +1,177 @@
+//! `documentation/index.html`: the page of `modelDescription/documentation/`, with the picture and the table of
+//! variables put in.
+
+use crate::paths;
+use anyhow::{Context, Result, ensure};
+use model_description::{Causality, Kind, ModelDescription, TypeKind, Variability, Variable};
+use std::fmt::{Display, Write};
+use std::fs;
+
+const SOURCE: &str = "modelDescription/documentation/index.html";
+
+/// Where the page takes the picture, the table of variables and the list of enumerations.
+const PLACES: [&str; 3] = [
+    "<!-- picture -->",
+    "<!-- variables -->",
+    "<!-- enumerations -->",
+];
+
+/// The finished page; it refers to nothing outside itself.
+pub(super) fn page(description: &ModelDescription, picture: &str) -> Result<String> {
+    let mut page = fs::read_to_string(paths::in_root(SOURCE))
+        .with_context(|| format!("{SOURCE} cannot be read"))?;
+    let contents = [
+        inline(picture).to_owned(),
+        variables(description),
+        enumerations(description),
+    ];
+    for (place, content) in PLACES.iter().zip(contents) {
+        ensure!(
+            page.matches(place).count() == 1,
+            "{SOURCE} must have {place} once"
+        );
+        page = page.replace(place, &content);
+    }
+    Ok(page)
+}
+
+/// The SVG without the XML declaration and comments before it, which HTML does not have.
+fn inline(svg: &str) -> &str {
+    &svg[svg.find("<svg").unwrap_or(0)..]
+}
+
+fn variables(description: &ModelDescription) -> String {
+    let mut rows = String::new();
+    for variable in &description.variables {
+        let (start, min, max) = values(description, variable);
+        let cells = [
+            &variable.description,
+            variable.unit.as_deref().unwrap_or(""),
+            role(variable),
+            &start,
+            &min,
+            &max,
+        ];
+        write!(
+            rows,
+            "<tr><td><code>{}</code></td>",
+            escape(&variable.name.full)
+        )
+        .expect("writing to a string does not fail");
+        for cell in cells {
+            write!(rows, "<td>{}</td>", escape(cell)).expect("writing to a string does not fail");
+        }
+        rows.push_str("</tr>\n");
+    }
+    rows
+}
+
+/// What a user does with a variable.
+fn role(variable: &Variable) -> &'static str {
+    match (variable.causality, variable.variability) {
+        (Causality::Parameter, Variability::Tunable) => "parameter, tunable",
+        (Causality::Parameter, _) => "parameter",
+        (Causality::Input, _) => "input",
+        (Causality::Output, _) => "output",
+        (Causality::Local, _) => "local",
+    }
+}
+
+/// Start, smallest and largest value as text; empty where there is none.
+fn values(description: &ModelDescription, variable: &Variable) -> (String, String, String) {
+    fn text<T: Display>(value: &Option<T>) -> String {
+        value.as_ref().map(T::to_string).unwrap_or_default()
+    }
+    match &variable.kind {
+        Kind::Real { start, bounds } => (
+            start.map(real).unwrap_or_default(),
+            bounds.min.map(real).unwrap_or_default(),
+            bounds.max.map(real).unwrap_or_default(),
+        ),
+        Kind::Integer { start, bounds } => (text(start), text(&bounds.min), text(&bounds.max)),
+        Kind::Boolean { start } => (text(start), String::new(), String::new()),
+        Kind::Enumeration { start } => {
+            let name = start.and_then(|value| item(description, variable, value));
+            (name.unwrap_or_default(), String::new(), String::new())
+        }
+    }
+}
+
+/// A real number as people write it: `6.23e-5`, not `0.0000623`.
+fn real(value: f64) -> String {
+    if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
+        format!("{value:e}")
+    } else {
+        value.to_string()
+    }
+}
+
+/// Name of the item that a number of the variable's enumeration stands for.
+fn item(description: &ModelDescription, variable: &Variable, value: i32) -> Option<String> {
+    let type_ = description
+        .types
+        .iter()
+        .find(|type_| Some(&type_.name) == variable.declared_type.as_ref())?;
+    match &type_.kind {
+        TypeKind::Enumeration(enumeration) => enumeration
+            .items
+            .iter()
+            .find(|item| item.value == value)
+            .map(|item| item.name.clone()),
+        _ => None,
+    }
+}
+
+fn enumerations(description: &ModelDescription) -> String {
+    let mut rows = String::new();
+    for type_ in &description.types {
+        let TypeKind::Enumeration(enumeration) = &type_.kind else {
+            continue;
+        };
+        for item in &enumeration.items {
+            writeln!(
+                rows,
+                "<tr><td>{}</td><td>{}</td><td><code>{}</code></td><td>{}</td></tr>",
+                escape(&type_.name),
+                item.value,
+                escape(&item.name),
+                escape(&item.description)
+            )
+            .expect("writing to a string does not fail");
+        }
+    }
+    rows
+}
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::package::icon;
+
+    #[test]
+    fn the_page_names_every_variable_and_needs_nothing_outside_itself() {
+        let description = ModelDescription::read().unwrap();
+        let page = page(&description, &icon::picture().unwrap()).unwrap();
+        for variable in &description.variables {
+            let name = format!("<code>{}</code>", variable.name.full);
+            assert!(page.contains(&name), "{name} is missing");
+        }
+        for outside in ["<link", "<script", "<img", "src=", "url(http", "@import"] {
+            assert!(!page.contains(outside), "the page has {outside}");
+        }
+    }
+
+    #[test]
+    fn numbers_are_short() {
+        assert_eq!(real(0.21), "0.21");
+        assert_eq!(real(6.23e-5), "6.23e-5");
+        assert_eq!(real(1e12), "1e12");
+        assert_eq!(real(0.0), "0");
+    }
+}

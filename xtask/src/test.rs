@@ -1,0 +1,162 @@
+//! `cargo xtask test`: everything that CI checks, step by step; the first failure ends it.
+
+use crate::{package, paths, process, venv};
+use anyhow::{Context, Result, bail, ensure};
+use cargo_metadata::Message;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// What `--full` adds, for the last line of the short form.
+const LEFT_OUT: &str = "the page in a real browser, memory errors and leaks with valgrind";
+
+/// Programs that `--full` needs, and the Debian package of each.
+const FULL_NEEDS: [(&str, &str); 3] = [
+    ("chromium", "chromium"),
+    ("chromedriver", "chromium-driver"),
+    ("valgrind", "valgrind"),
+];
+
+/// The Rust tests that go through the C functions; the same names are run once more under valgrind.
+const C_TESTS: (&str, &str) = ("integration", "fmi_");
+
+/// Checks everything that needs Rust and Python only; with `full` also what needs Debian packages.
+pub(crate) fn test(full: bool) -> Result<()> {
+    if full {
+        check_programs()?;
+    }
+    let mut steps = Steps::default();
+    steps.run("format", || {
+        process::run(process::cargo().args(["fmt", "--all", "--check"]))
+    })?;
+    steps.run("lints", || {
+        process::run(
+            process::cargo()
+                .args(["clippy", "--locked", "--workspace", "--all-targets"])
+                .args(["--", "-D", "warnings"]),
+        )
+    })?;
+    steps.run("Rust tests", || {
+        process::run(process::cargo().args(["test", "--locked", "--workspace"]))
+    })?;
+    steps.run("Rust documentation", || {
+        process::run(
+            process::cargo()
+                .args(["doc", "--locked", "--workspace", "--no-deps"])
+                .env("RUSTDOCFLAGS", "-D warnings"),
+        )
+    })?;
+    if full {
+        steps.run("memory", valgrind)?;
+    }
+    let fmu = steps.run("package", package::package)?;
+    steps.run("Python tests", || pytest(&fmu, full))?;
+    steps.summary();
+    if !full {
+        println!("left out, `cargo xtask test --full` has it: {LEFT_OUT}");
+    }
+    Ok(())
+}
+
+/// The steps done so far, with their times.
+#[derive(Default)]
+struct Steps {
+    done: Vec<(&'static str, Duration)>,
+}
+
+impl Steps {
+    fn run<T>(&mut self, name: &'static str, step: impl FnOnce() -> Result<T>) -> Result<T> {
+        println!("\n== {name} ==");
+        let start = Instant::now();
+        let result = step();
+        let time = start.elapsed();
+        match result {
+            Ok(value) => {
+                println!("== {name}: {:.1} s ==", time.as_secs_f64());
+                self.done.push((name, time));
+                Ok(value)
+            }
+            Err(error) => {
+                self.summary();
+                println!("  {name:20} FAILED after {:.1} s", time.as_secs_f64());
+                Err(error.context(format!("step `{name}` failed")))
+            }
+        }
+    }
+
+    fn summary(&self) {
+        println!("\n== summary ==");
+        for (name, time) in &self.done {
+            println!("  {name:20} ok {:7.1} s", time.as_secs_f64());
+        }
+    }
+}
+
+fn check_programs() -> Result<()> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let missing: Vec<&str> = FULL_NEEDS
+        .iter()
+        .filter(|(program, _)| {
+            !std::env::split_paths(&path).any(|folder| folder.join(program).is_file())
+        })
+        .map(|(_, package)| *package)
+        .collect();
+    ensure!(
+        missing.is_empty(),
+        "`cargo xtask test --full` needs the Debian packages {}, which `.ci/setup` installs",
+        missing.join(", ")
+    );
+    Ok(())
+}
+
+/// Runs the tests that go through the C functions under valgrind's memory checker.
+fn valgrind() -> Result<()> {
+    let (target, filter) = C_TESTS;
+    let executable = test_executable(target)?;
+    let names = process::output(process::program(&executable).args([filter, "--list"]))?;
+    ensure!(
+        names.lines().any(|line| line.ends_with(": test")),
+        "tests/{target} has no test with `{filter}` in its name"
+    );
+    process::run(
+        process::program("valgrind")
+            .args(["--quiet", "--error-exitcode=1", "--leak-check=full"])
+            // What is still reachable at the end belongs to Rust's test harness and its threads.
+            .args([
+                "--show-leak-kinds=definite,indirect",
+                "--errors-for-leak-kinds=definite,indirect",
+            ])
+            .arg(executable)
+            .args([filter, "--test-threads=1"]),
+    )
+}
+
+/// Builds an integration test and gives back its program.
+fn test_executable(target: &str) -> Result<PathBuf> {
+    let messages = process::run_for_output(
+        process::cargo()
+            .args(["test", "--locked", "--no-run", "--test", target])
+            .arg("--message-format=json-render-diagnostics"),
+    )?;
+    for message in Message::parse_stream(messages.as_bytes()) {
+        if let Message::CompilerArtifact(artifact) = message?
+            && artifact.target.name == target
+            && let Some(executable) = artifact.executable
+        {
+            return Ok(executable.into());
+        }
+    }
+    bail!("cargo built no program for tests/{target}")
+}
+
+/// Runs the Python tests on the packed unit; without `full` those that need a browser are left out.
+fn pytest(fmu: &Path, full: bool) -> Result<()> {
+    let mut command = venv::python()?;
+    command
+        .args(["-m", "pytest", "tests/python"])
+        .args(["-o", "cache_dir=target/pytest"])
+        .env("FIVEBAR_FMU", fmu);
+    if !full {
+        command.args(["-m", "not full"]);
+    }
+    process::run(&mut command).with_context(|| format!("tests/python on {}", paths::short(fmu)))
+}
