@@ -95,9 +95,13 @@ impl Call {
     pub fn stages(self) -> &'static [Stage] {
         use Stage::{InitializationMode, Instantiated, StepComplete, StepFailed, Terminated};
         match self {
-            Self::SetDebugLogging | Self::Reset => {
-                &[Instantiated, InitializationMode, StepComplete, StepFailed, Terminated]
-            }
+            Self::SetDebugLogging | Self::Reset => &[
+                Instantiated,
+                InitializationMode,
+                StepComplete,
+                StepFailed,
+                Terminated,
+            ],
             Self::SetupExperiment | Self::EnterInitializationMode => &[Instantiated],
             Self::ExitInitializationMode => &[InitializationMode],
             Self::Terminate => &[StepComplete, StepFailed],
@@ -137,13 +141,18 @@ impl Call {
             return Ok(());
         }
         let names: Vec<String> = allowed.iter().map(Stage::to_string).collect();
-        Err(Rejection::error(format!("the state is \"{stage}\", allowed is: {}", names.join(", "))))
+        Err(Rejection::error(format!(
+            "the state is \"{stage}\", allowed is: {}",
+            names.join(", ")
+        )))
     }
 
     /// The refusal of a function whose capability flag is false.
     pub fn unsupported(self) -> Rejection {
         let (flag, value) = match self {
-            Self::GetFMUstate | Self::SetFMUstate | Self::FreeFMUstate => ("canGetAndSetFMUstate", "false"),
+            Self::GetFMUstate | Self::SetFMUstate | Self::FreeFMUstate => {
+                ("canGetAndSetFMUstate", "false")
+            }
             Self::SerializedFMUstateSize | Self::SerializeFMUstate | Self::DeSerializeFMUstate => {
                 ("canSerializeFMUstate", "false")
             }
