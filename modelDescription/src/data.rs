@@ -201,20 +201,18 @@ pub enum Causality {
     Local,
 }
 
-/// When a variable may change (FMI 2.0.4, section 2.2.7).
+/// When a variable may change (FMI 2.0.4, section 2.2.7); only what this project uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Variability {
     /// Fixed after initialisation.
     Fixed,
-    /// Constant between changes by the master.
-    Tunable,
     /// Constant between communication points.
     Discrete,
     /// Unrestricted.
     Continuous,
 }
 
-/// How the start value is found (FMI 2.0.4, section 2.2.7).
+/// How the start value is found (FMI 2.0.4, section 2.2.7); only what this project uses.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Initial {
     /// The start value is the value.

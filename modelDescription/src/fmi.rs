@@ -47,9 +47,7 @@ impl ModelDescription {
             };
             write(&mut writer, event);
         }
-        let mut text = String::from_utf8(writer.into_inner()).expect("the source is UTF-8");
-        text.push('\n');
-        text
+        String::from_utf8(writer.into_inner()).expect("the source is UTF-8")
     }
 
     /// 1-based position of a variable in ModelVariables.

@@ -162,7 +162,6 @@ fn variable(element: &Element, types: &[SimpleType]) -> Result<Variable, Error> 
             "variability",
             &[
                 ("fixed", Variability::Fixed),
-                ("tunable", Variability::Tunable),
                 ("discrete", Variability::Discrete),
                 ("continuous", Variability::Continuous),
             ],
