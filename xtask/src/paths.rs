@@ -4,9 +4,7 @@ use std::path::{Path, PathBuf};
 
 /// The workspace root: the folder above this crate's.
 pub(crate) fn root() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .parent()
-        .expect("xtask lies in a folder of the workspace")
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("xtask lies in a folder of the workspace")
 }
 
 /// A file or folder of the repository.
@@ -16,10 +14,7 @@ pub(crate) fn in_root(path: impl AsRef<Path>) -> PathBuf {
 
 /// A path as a person reads it: relative to the workspace root where it lies below it.
 pub(crate) fn short(path: &Path) -> String {
-    path.strip_prefix(root())
-        .unwrap_or(path)
-        .display()
-        .to_string()
+    path.strip_prefix(root()).unwrap_or(path).display().to_string()
 }
 
 /// The packed unit.

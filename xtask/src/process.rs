@@ -20,9 +20,7 @@ pub(crate) fn program(name: impl AsRef<std::ffi::OsStr>) -> Command {
 /// Shows the command, runs it with this process' input and output, and fails if it fails.
 pub(crate) fn run(command: &mut Command) -> Result<()> {
     println!("$ {}", short_form(command));
-    let status = command
-        .status()
-        .with_context(|| format!("`{}` could not be started", short_form(command)))?;
+    let status = command.status().with_context(|| format!("`{}` could not be started", short_form(command)))?;
     check(command, status)
 }
 
@@ -34,13 +32,10 @@ pub(crate) fn run_for_output(command: &mut Command) -> Result<String> {
 
 /// Runs the command unseen and gives back what it wrote to its standard output; its errors stay visible.
 pub(crate) fn output(command: &mut Command) -> Result<String> {
-    let output = command
-        .stderr(Stdio::inherit())
-        .output()
-        .with_context(|| format!("`{}` could not be started", short_form(command)))?;
+    let output =
+        command.stderr(Stdio::inherit()).output().with_context(|| format!("`{}` could not be started", short_form(command)))?;
     check(command, output.status)?;
-    String::from_utf8(output.stdout)
-        .with_context(|| format!("`{}` wrote no UTF-8", short_form(command)))
+    String::from_utf8(output.stdout).with_context(|| format!("`{}` wrote no UTF-8", short_form(command)))
 }
 
 fn check(command: &Command, status: ExitStatus) -> Result<()> {
@@ -56,18 +51,10 @@ fn short_form(command: &Command) -> String {
     let program = Path::new(command.get_program());
     let name = match program.strip_prefix(paths::root()) {
         Ok(own) => own.display().to_string(),
-        Err(_) => program.file_name().map_or_else(
-            || program.display().to_string(),
-            |name| name.to_string_lossy().into_owned(),
-        ),
+        Err(_) => program.file_name().map_or_else(|| program.display().to_string(), |name| name.to_string_lossy().into_owned()),
     };
-    let arguments = command
-        .get_args()
-        .map(|argument| paths::short(Path::new(argument)));
-    std::iter::once(name)
-        .chain(arguments)
-        .collect::<Vec<_>>()
-        .join(" ")
+    let arguments = command.get_args().map(|argument| paths::short(Path::new(argument)));
+    std::iter::once(name).chain(arguments).collect::<Vec<_>>().join(" ")
 }
 
 #[cfg(test)]
@@ -78,18 +65,12 @@ mod tests {
     fn a_command_is_shown_relative_to_the_root() {
         let mut command = program(paths::venv().join("bin/python"));
         command.arg("run.py").arg(paths::fmu());
-        assert_eq!(
-            short_form(&command),
-            "target/venv/bin/python run.py target/fmu/FiveBar.fmu"
-        );
+        assert_eq!(short_form(&command), "target/venv/bin/python run.py target/fmu/FiveBar.fmu");
     }
 
     #[test]
     fn a_failure_names_the_command_and_its_exit_code() {
-        let error = run(cargo()
-            .arg("no-such-command-of-cargo")
-            .stderr(Stdio::null()))
-        .unwrap_err();
+        let error = run(cargo().arg("no-such-command-of-cargo").stderr(Stdio::null())).unwrap_err();
         let text = error.to_string();
         assert!(text.contains("cargo no-such-command-of-cargo"), "{text}");
         assert!(text.contains("exit code 101"), "{text}");

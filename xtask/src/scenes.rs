@@ -15,10 +15,7 @@ fn find_in(folder: &Path, name: &str) -> Result<PathBuf> {
     let scenes = list(folder)?;
     match scenes.iter().find(|scene| scene.name == name) {
         Some(scene) => Ok(scene.file.clone()),
-        None => bail!(
-            "there is no scene `{name}`; the scenes are:\n{}",
-            table(&scenes)
-        ),
+        None => bail!("there is no scene `{name}`; the scenes are:\n{}", table(&scenes)),
     }
 }
 
@@ -30,38 +27,25 @@ struct Scene {
 
 /// All scenes of a folder, by name.
 fn list(folder: &Path) -> Result<Vec<Scene>> {
-    let entries = fs::read_dir(folder).with_context(|| {
-        format!(
-            "the folder of scenes {} cannot be read",
-            paths::short(folder)
-        )
-    })?;
+    let entries = fs::read_dir(folder).with_context(|| format!("the folder of scenes {} cannot be read", paths::short(folder)))?;
     let mut scenes = Vec::new();
     for entry in entries {
         let file = entry?.path();
         if file.extension().is_none_or(|extension| extension != "json") {
             continue;
         }
-        let name = file
-            .file_stem()
-            .map(|stem| stem.to_string_lossy().into_owned())
-            .unwrap_or_default();
+        let name = file.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         let description = description(&file)?;
-        scenes.push(Scene {
-            name,
-            file,
-            description,
-        });
+        scenes.push(Scene { name, file, description });
     }
     scenes.sort_by(|a, b| a.name.cmp(&b.name));
     Ok(scenes)
 }
 
 fn description(file: &Path) -> Result<String> {
-    let text = fs::read_to_string(file)
-        .with_context(|| format!("scene {} cannot be read", paths::short(file)))?;
-    let scene: serde_json::Value = serde_json::from_str(&text)
-        .with_context(|| format!("scene {} is not valid JSON", paths::short(file)))?;
+    let text = fs::read_to_string(file).with_context(|| format!("scene {} cannot be read", paths::short(file)))?;
+    let scene: serde_json::Value =
+        serde_json::from_str(&text).with_context(|| format!("scene {} is not valid JSON", paths::short(file)))?;
     match scene.get("description").and_then(|text| text.as_str()) {
         Some(text) => Ok(text.to_owned()),
         None => bail!("scene {} has no text `description`", paths::short(file)),
@@ -69,15 +53,10 @@ fn description(file: &Path) -> Result<String> {
 }
 
 fn table(scenes: &[Scene]) -> String {
-    let width = scenes
-        .iter()
-        .map(|scene| scene.name.len())
-        .max()
-        .unwrap_or(0);
+    let width = scenes.iter().map(|scene| scene.name.len()).max().unwrap_or(0);
     let mut table = String::new();
     for scene in scenes {
-        writeln!(table, "  {:width$}  {}", scene.name, scene.description)
-            .expect("writing to a string does not fail");
+        writeln!(table, "  {:width$}  {}", scene.name, scene.description).expect("writing to a string does not fail");
     }
     table.truncate(table.trim_end().len());
     table
@@ -98,10 +77,7 @@ mod tests {
     #[test]
     fn a_known_scene_is_found() {
         let folder = folder(&[("fall.json", r#"{"description": "Falls"}"#)]);
-        assert_eq!(
-            find_in(folder.path(), "fall").unwrap(),
-            folder.path().join("fall.json")
-        );
+        assert_eq!(find_in(folder.path(), "fall").unwrap(), folder.path().join("fall.json"));
     }
 
     #[test]
@@ -112,19 +88,13 @@ mod tests {
             ("notes.txt", "not a scene"),
         ]);
         let error = find_in(folder.path(), "fly").unwrap_err().to_string();
-        assert_eq!(
-            error,
-            "there is no scene `fly`; the scenes are:\n  fall    Falls\n  torque  Turns"
-        );
+        assert_eq!(error, "there is no scene `fly`; the scenes are:\n  fall    Falls\n  torque  Turns");
     }
 
     #[test]
     fn a_scene_without_description_is_named() {
         let folder = folder(&[("fall.json", "{}")]);
         let error = find_in(folder.path(), "fall").unwrap_err().to_string();
-        assert!(
-            error.contains("fall.json has no text `description`"),
-            "{error}"
-        );
+        assert!(error.contains("fall.json has no text `description`"), "{error}");
     }
 }

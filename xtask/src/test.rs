@@ -10,11 +10,7 @@ use std::time::{Duration, Instant};
 const LEFT_OUT: &str = "the page in a real browser, memory errors and leaks with valgrind";
 
 /// Programs that `--full` needs, and the Debian package of each.
-const FULL_NEEDS: [(&str, &str); 3] = [
-    ("chromium", "chromium"),
-    ("chromedriver", "chromium-driver"),
-    ("valgrind", "valgrind"),
-];
+const FULL_NEEDS: [(&str, &str); 3] = [("chromium", "chromium"), ("chromedriver", "chromium-driver"), ("valgrind", "valgrind")];
 
 /// The Rust tests that go through the C functions; the same names are run once more under valgrind.
 const C_TESTS: (&str, &str) = ("integration", "fmi_");
@@ -25,25 +21,13 @@ pub(crate) fn test(full: bool) -> Result<()> {
         check_programs()?;
     }
     let mut steps = Steps::default();
-    steps.run("format", || {
-        process::run(process::cargo().args(["fmt", "--all", "--check"]))
-    })?;
+    steps.run("format", || process::run(process::cargo().args(["fmt", "--all", "--check"])))?;
     steps.run("lints", || {
-        process::run(
-            process::cargo()
-                .args(["clippy", "--locked", "--workspace", "--all-targets"])
-                .args(["--", "-D", "warnings"]),
-        )
+        process::run(process::cargo().args(["clippy", "--locked", "--workspace", "--all-targets"]).args(["--", "-D", "warnings"]))
     })?;
-    steps.run("Rust tests", || {
-        process::run(process::cargo().args(["test", "--locked", "--workspace"]))
-    })?;
+    steps.run("Rust tests", || process::run(process::cargo().args(["test", "--locked", "--workspace"])))?;
     steps.run("Rust documentation", || {
-        process::run(
-            process::cargo()
-                .args(["doc", "--locked", "--workspace", "--no-deps"])
-                .env("RUSTDOCFLAGS", "-D warnings"),
-        )
+        process::run(process::cargo().args(["doc", "--locked", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
     })?;
     if full {
         steps.run("memory", valgrind)?;
@@ -95,9 +79,7 @@ fn check_programs() -> Result<()> {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let missing: Vec<&str> = FULL_NEEDS
         .iter()
-        .filter(|(program, _)| {
-            !std::env::split_paths(&path).any(|folder| folder.join(program).is_file())
-        })
+        .filter(|(program, _)| !std::env::split_paths(&path).any(|folder| folder.join(program).is_file()))
         .map(|(_, package)| *package)
         .collect();
     ensure!(
@@ -113,18 +95,12 @@ fn valgrind() -> Result<()> {
     let (target, filter) = C_TESTS;
     let executable = test_executable(target)?;
     let names = process::output(process::program(&executable).args([filter, "--list"]))?;
-    ensure!(
-        names.lines().any(|line| line.ends_with(": test")),
-        "tests/{target} has no test with `{filter}` in its name"
-    );
+    ensure!(names.lines().any(|line| line.ends_with(": test")), "tests/{target} has no test with `{filter}` in its name");
     process::run(
         process::program("valgrind")
             .args(["--quiet", "--error-exitcode=1", "--leak-check=full"])
             // What is still reachable at the end belongs to Rust's test harness and its threads.
-            .args([
-                "--show-leak-kinds=definite,indirect",
-                "--errors-for-leak-kinds=definite,indirect",
-            ])
+            .args(["--show-leak-kinds=definite,indirect", "--errors-for-leak-kinds=definite,indirect"])
             .arg(executable)
             .args([filter, "--test-threads=1"]),
     )
@@ -133,9 +109,7 @@ fn valgrind() -> Result<()> {
 /// Builds an integration test and gives back its program.
 fn test_executable(target: &str) -> Result<PathBuf> {
     let messages = process::run_for_output(
-        process::cargo()
-            .args(["test", "--locked", "--no-run", "--test", target])
-            .arg("--message-format=json-render-diagnostics"),
+        process::cargo().args(["test", "--locked", "--no-run", "--test", target]).arg("--message-format=json-render-diagnostics"),
     )?;
     for message in Message::parse_stream(messages.as_bytes()) {
         if let Message::CompilerArtifact(artifact) = message?
@@ -148,15 +122,16 @@ fn test_executable(target: &str) -> Result<PathBuf> {
     bail!("cargo built no program for tests/{target}")
 }
 
-/// Runs the Python tests on the packed unit; without `full` those that need a browser are left out.
+/// Runs the Python tests on the packed unit; pytest.ini leaves those out that need a browser, unless asked for.
 fn pytest(fmu: &Path, full: bool) -> Result<()> {
     let mut command = venv::python()?;
     command
         .args(["-m", "pytest", "tests/python"])
-        .args(["-o", "cache_dir=target/pytest"])
+        .arg("--override-ini")
+        .arg(format!("cache_dir={}", paths::in_root("target/pytest").display()))
         .env("FIVEBAR_FMU", fmu);
-    if !full {
-        command.args(["-m", "not full"]);
+    if full {
+        command.args(["-m", "full or not full"]);
     }
     process::run(&mut command).with_context(|| format!("tests/python on {}", paths::short(fmu)))
 }

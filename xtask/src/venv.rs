@@ -15,19 +15,14 @@ const PYTHON: &str = if cfg!(windows) { "python" } else { "python3" };
 /// Python of the private environment, which is made or renewed first where the requirements ask for it.
 pub(crate) fn python() -> Result<Command> {
     let folder = paths::venv();
-    let python = folder.join(if cfg!(windows) {
-        "Scripts/python.exe"
-    } else {
-        "bin/python"
-    });
-    let requirements = fs::read_to_string(paths::in_root(REQUIREMENTS))
-        .with_context(|| format!("{REQUIREMENTS} cannot be read"))?;
+    let python = folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" });
+    let requirements =
+        fs::read_to_string(paths::in_root(REQUIREMENTS)).with_context(|| format!("{REQUIREMENTS} cannot be read"))?;
     // The stamp is a copy of the requirements, written last: a venv that was interrupted while it was made has none.
     let stamp = folder.join("requirements.stamp");
     if fs::read_to_string(&stamp).ok().as_deref() != Some(&requirements) {
         make(&folder, &python)?;
-        fs::write(&stamp, &requirements)
-            .with_context(|| format!("{} cannot be written", paths::short(&stamp)))?;
+        fs::write(&stamp, &requirements).with_context(|| format!("{} cannot be written", paths::short(&stamp)))?;
     }
     let mut command = process::program(python);
     // Python's own settings of the caller must not reach into the private environment.
@@ -36,17 +31,10 @@ pub(crate) fn python() -> Result<Command> {
 }
 
 fn make(folder: &Path, python: &PathBuf) -> Result<()> {
-    println!(
-        "installing the Python packages of {REQUIREMENTS} into {} (first run, or the file changed)",
-        paths::short(folder)
-    );
+    println!("installing the Python packages of {REQUIREMENTS} into {} (first run, or the file changed)", paths::short(folder));
     need_python()?;
     // --clear: packages that are no longer required go, and a broken venv is made anew.
-    let made = process::output(
-        process::program(PYTHON)
-            .args(["-m", "venv", "--clear"])
-            .arg(folder),
-    );
+    let made = process::output(process::program(PYTHON).args(["-m", "venv", "--clear"]).arg(folder));
     if made.is_err() {
         bail!(
             "`{PYTHON} -m venv` failed: Python's module venv (with ensurepip) is needed; \
@@ -55,14 +43,7 @@ fn make(folder: &Path, python: &PathBuf) -> Result<()> {
     }
     process::run(
         process::program(python)
-            .args([
-                "-m",
-                "pip",
-                "install",
-                "--quiet",
-                "--disable-pip-version-check",
-                "--no-input",
-            ])
+            .args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"])
             .arg("--requirement")
             .arg(paths::in_root(REQUIREMENTS)),
     )

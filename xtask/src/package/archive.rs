@@ -37,10 +37,7 @@ mod tests {
     use std::io::Read;
 
     fn files() -> Files {
-        Files::from([
-            ("b/text.txt".to_owned(), b"text ".repeat(100)),
-            ("a.bin".to_owned(), (0..=255).collect()),
-        ])
+        Files::from([("b/text.txt".to_owned(), b"text ".repeat(100)), ("a.bin".to_owned(), (0..=255).collect())])
     }
 
     #[test]

@@ -3,33 +3,21 @@
 
 use crate::paths;
 use anyhow::{Context, Result, ensure};
-use model_description::{Causality, Kind, ModelDescription, TypeKind, Variability, Variable};
+use model_description::{Causality, Kind, ModelDescription, TypeKind, Variable};
 use std::fmt::{Display, Write};
 use std::fs;
 
 const SOURCE: &str = "modelDescription/documentation/index.html";
 
 /// Where the page takes the picture, the table of variables and the list of enumerations.
-const PLACES: [&str; 3] = [
-    "<!-- picture -->",
-    "<!-- variables -->",
-    "<!-- enumerations -->",
-];
+const PLACES: [&str; 3] = ["<!-- picture -->", "<!-- variables -->", "<!-- enumerations -->"];
 
 /// The finished page; it refers to nothing outside itself.
 pub(super) fn page(description: &ModelDescription, picture: &str) -> Result<String> {
-    let mut page = fs::read_to_string(paths::in_root(SOURCE))
-        .with_context(|| format!("{SOURCE} cannot be read"))?;
-    let contents = [
-        inline(picture).to_owned(),
-        variables(description),
-        enumerations(description),
-    ];
+    let mut page = fs::read_to_string(paths::in_root(SOURCE)).with_context(|| format!("{SOURCE} cannot be read"))?;
+    let contents = [inline(picture).to_owned(), variables(description), enumerations(description)];
     for (place, content) in PLACES.iter().zip(contents) {
-        ensure!(
-            page.matches(place).count() == 1,
-            "{SOURCE} must have {place} once"
-        );
+        ensure!(page.matches(place).count() == 1, "{SOURCE} must have {place} once");
         page = page.replace(place, &content);
     }
     Ok(page)
@@ -44,20 +32,8 @@ fn variables(description: &ModelDescription) -> String {
     let mut rows = String::new();
     for variable in &description.variables {
         let (start, min, max) = values(description, variable);
-        let cells = [
-            &variable.description,
-            variable.unit.as_deref().unwrap_or(""),
-            role(variable),
-            &start,
-            &min,
-            &max,
-        ];
-        write!(
-            rows,
-            "<tr><td><code>{}</code></td>",
-            escape(&variable.name.full)
-        )
-        .expect("writing to a string does not fail");
+        let cells = [&variable.description, variable.unit.as_deref().unwrap_or(""), role(variable), &start, &min, &max];
+        write!(rows, "<tr><td><code>{}</code></td>", escape(&variable.name.full)).expect("writing to a string does not fail");
         for cell in cells {
             write!(rows, "<td>{}</td>", escape(cell)).expect("writing to a string does not fail");
         }
@@ -68,12 +44,11 @@ fn variables(description: &ModelDescription) -> String {
 
 /// What a user does with a variable.
 fn role(variable: &Variable) -> &'static str {
-    match (variable.causality, variable.variability) {
-        (Causality::Parameter, Variability::Tunable) => "parameter, tunable",
-        (Causality::Parameter, _) => "parameter",
-        (Causality::Input, _) => "input",
-        (Causality::Output, _) => "output",
-        (Causality::Local, _) => "local",
+    match variable.causality {
+        Causality::Parameter => "parameter",
+        Causality::Input => "input",
+        Causality::Output => "output",
+        Causality::Local => "local",
     }
 }
 
@@ -99,25 +74,16 @@ fn values(description: &ModelDescription, variable: &Variable) -> (String, Strin
 
 /// A real number as people write it: `6.23e-5`, not `0.0000623`.
 fn real(value: f64) -> String {
-    if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) {
-        format!("{value:e}")
-    } else {
-        value.to_string()
-    }
+    if value != 0.0 && !(1e-3..1e5).contains(&value.abs()) { format!("{value:e}") } else { value.to_string() }
 }
 
 /// Name of the item that a number of the variable's enumeration stands for.
 fn item(description: &ModelDescription, variable: &Variable, value: i32) -> Option<String> {
-    let type_ = description
-        .types
-        .iter()
-        .find(|type_| Some(&type_.name) == variable.declared_type.as_ref())?;
+    let type_ = description.types.iter().find(|type_| Some(&type_.name) == variable.declared_type.as_ref())?;
     match &type_.kind {
-        TypeKind::Enumeration(enumeration) => enumeration
-            .items
-            .iter()
-            .find(|item| item.value == value)
-            .map(|item| item.name.clone()),
+        TypeKind::Enumeration(enumeration) => {
+            enumeration.items.iter().find(|item| item.value == value).map(|item| item.name.clone())
+        }
         _ => None,
     }
 }
@@ -144,9 +110,7 @@ fn enumerations(description: &ModelDescription) -> String {
 }
 
 fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[cfg(test)]

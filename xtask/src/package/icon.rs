@@ -14,19 +14,11 @@ pub(super) fn picture() -> Result<String> {
 
 /// The picture as PNG, at the size that the SVG states.
 pub(super) fn render(svg: &str) -> Result<Vec<u8>> {
-    let tree = usvg::Tree::from_str(svg, &usvg::Options::default())
-        .with_context(|| format!("{SOURCE} cannot be drawn"))?;
+    let tree = usvg::Tree::from_str(svg, &usvg::Options::default()).with_context(|| format!("{SOURCE} cannot be drawn"))?;
     let size = tree.size().to_int_size();
-    let mut pixels = tiny_skia::Pixmap::new(size.width(), size.height())
-        .with_context(|| format!("{SOURCE} states no size"))?;
-    resvg::render(
-        &tree,
-        tiny_skia::Transform::identity(),
-        &mut pixels.as_mut(),
-    );
-    pixels
-        .encode_png()
-        .with_context(|| format!("{SOURCE} cannot be written as PNG"))
+    let mut pixels = tiny_skia::Pixmap::new(size.width(), size.height()).with_context(|| format!("{SOURCE} states no size"))?;
+    resvg::render(&tree, tiny_skia::Transform::identity(), &mut pixels.as_mut());
+    pixels.encode_png().with_context(|| format!("{SOURCE} cannot be written as PNG"))
 }
 
 #[cfg(test)]
@@ -38,11 +30,8 @@ mod tests {
         let png = render(&picture().unwrap()).unwrap();
         let pixels = tiny_skia::Pixmap::decode_png(&png).unwrap();
         assert!(pixels.width() >= 300 && pixels.height() >= 200);
-        let colours: std::collections::HashSet<_> = pixels
-            .pixels()
-            .iter()
-            .map(|pixel| (pixel.red(), pixel.green(), pixel.blue()))
-            .collect();
+        let colours: std::collections::HashSet<_> =
+            pixels.pixels().iter().map(|pixel| (pixel.red(), pixel.green(), pixel.blue())).collect();
         assert!(colours.len() > 50, "only {} colours", colours.len());
     }
 }

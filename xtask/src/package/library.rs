@@ -45,10 +45,7 @@ pub(super) fn build(linked: &Linked) -> Result<Library> {
     let bytes = fs::read(&file).with_context(|| format!("{} cannot be read", file.display()))?;
     for path in [paths::root(), &linked.target, &cargo_home()?] {
         if contains(&bytes, path.as_os_str().as_encoded_bytes()) {
-            bail!(
-                "the library contains the path {} of this machine, although it was to be remapped",
-                path.display()
-            );
+            bail!("the library contains the path {} of this machine, although it was to be remapped", path.display());
         }
     }
     Ok(Library { bytes, built })
@@ -59,11 +56,7 @@ fn flags(linked: &Linked) -> Result<Vec<String>> {
     let mut flags = match std::env::var("CARGO_ENCODED_RUSTFLAGS") {
         Ok(flags) if flags.is_empty() => Vec::new(),
         Ok(flags) => flags.split('\u{1f}').map(String::from).collect(),
-        Err(_) => std::env::var("RUSTFLAGS")
-            .unwrap_or_default()
-            .split_whitespace()
-            .map(String::from)
-            .collect(),
+        Err(_) => std::env::var("RUSTFLAGS").unwrap_or_default().split_whitespace().map(String::from).collect(),
     };
     // Where several fit, rustc takes the last one: the particular after the general.
     let mut remap = |from: &Path, to: &str| {
@@ -96,14 +89,10 @@ fn artifacts(messages: &str) -> Result<(PathBuf, HashSet<PackageId>)> {
         };
         built.insert(artifact.package_id);
         if artifact.target.name == LIBRARY_CRATE && artifact.target.is_cdylib() {
-            library = artifact
-                .filenames
-                .into_iter()
-                .find(|file| file.extension() == Some(DLL_EXTENSION));
+            library = artifact.filenames.into_iter().find(|file| file.extension() == Some(DLL_EXTENSION));
         }
     }
-    let library =
-        library.with_context(|| format!("cargo built no .{DLL_EXTENSION} of `{LIBRARY_CRATE}`"))?;
+    let library = library.with_context(|| format!("cargo built no .{DLL_EXTENSION} of `{LIBRARY_CRATE}`"))?;
     Ok((library.into(), built))
 }
 

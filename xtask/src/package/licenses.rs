@@ -17,60 +17,38 @@ const OWN: [&str; 2] = ["LICENSE-APACHE", "LICENSE-MIT"];
 pub(super) fn collect(linked: &Linked) -> Result<Files> {
     let mut files = Files::new();
     for name in OWN {
-        let text =
-            fs::read(paths::in_root(name)).with_context(|| format!("{name} cannot be read"))?;
+        let text = fs::read(paths::in_root(name)).with_context(|| format!("{name} cannot be read"))?;
         files.insert(format!("{FOLDER}/{name}.txt"), text);
     }
     for crate_ in &linked.crates {
         files.extend(of_crate(crate_)?);
     }
-    files.insert(
-        format!("{FOLDER}/license.txt"),
-        summary(linked).into_bytes(),
-    );
+    files.insert(format!("{FOLDER}/license.txt"), summary(linked).into_bytes());
     Ok(files)
 }
 
 /// The licence files in the sources of a crate; one that brings none is refused, since its text could not be passed on.
 fn of_crate(crate_: &LinkedCrate) -> Result<Files> {
     let mut files = Files::new();
-    for entry in fs::read_dir(&crate_.folder)
-        .with_context(|| format!("the sources of crate {} cannot be read", crate_.title))?
-    {
+    for entry in fs::read_dir(&crate_.folder).with_context(|| format!("the sources of crate {} cannot be read", crate_.title))? {
         let path = entry?.path();
         if path.is_file() && is_license(&path) {
             let name = path.file_name().unwrap_or_default().to_string_lossy();
             files.insert(
                 format!("{FOLDER}/{}/{name}", crate_.title),
-                fs::read(&path)
-                    .with_context(|| format!("{name} of crate {} cannot be read", crate_.title))?,
+                fs::read(&path).with_context(|| format!("{name} of crate {} cannot be read", crate_.title))?,
             );
         }
     }
     if files.is_empty() {
-        bail!(
-            "crate {} ({}) brings no licence file",
-            crate_.title,
-            crate_.license
-        );
+        bail!("crate {} ({}) brings no licence file", crate_.title, crate_.license);
     }
     Ok(files)
 }
 
 fn is_license(file: &Path) -> bool {
-    const STARTS: [&str; 6] = [
-        "LICENSE",
-        "LICENCE",
-        "UNLICENSE",
-        "COPYING",
-        "COPYRIGHT",
-        "NOTICE",
-    ];
-    let name = file
-        .file_name()
-        .unwrap_or_default()
-        .to_string_lossy()
-        .to_uppercase();
+    const STARTS: [&str; 6] = ["LICENSE", "LICENCE", "UNLICENSE", "COPYING", "COPYRIGHT", "NOTICE"];
+    let name = file.file_name().unwrap_or_default().to_string_lossy().to_uppercase();
     STARTS.iter().any(|start| name.starts_with(start))
 }
 
@@ -83,8 +61,7 @@ fn summary(linked: &Linked) -> String {
          \n",
     );
     for crate_ in &linked.crates {
-        writeln!(text, "    {:24} {}", crate_.title, crate_.license)
-            .expect("writing to a string does not fail");
+        writeln!(text, "    {:24} {}", crate_.title, crate_.license).expect("writing to a string does not fail");
     }
     write!(
         text,
@@ -104,13 +81,7 @@ mod tests {
 
     #[test]
     fn licence_files_are_told_by_their_names() {
-        for name in [
-            "LICENSE",
-            "LICENSE-MIT.md",
-            "license.txt",
-            "COPYING",
-            "NOTICE",
-        ] {
+        for name in ["LICENSE", "LICENSE-MIT.md", "license.txt", "COPYING", "NOTICE"] {
             assert!(is_license(Path::new(name)), "{name}");
         }
         for name in ["README.md", "Cargo.toml", "my-license"] {
@@ -122,9 +93,7 @@ mod tests {
     fn a_crate_without_a_licence_file_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let crate_ = LinkedCrate {
-            id: PackageId {
-                repr: "bare".into(),
-            },
+            id: PackageId { repr: "bare".into() },
             title: "bare-1.0.0".into(),
             license: "MIT".into(),
             folder: folder.path().into(),

@@ -68,10 +68,7 @@ fn linked_crates(metadata: &Metadata) -> Result<Vec<LinkedCrate>> {
     while let Some(id) = waiting.pop() {
         for next in normal_dependencies(metadata, &id)? {
             let package = &metadata[&next];
-            let is_macro = package
-                .targets
-                .iter()
-                .any(|target| target.is_kind(TargetKind::ProcMacro));
+            let is_macro = package.targets.iter().any(|target| target.is_kind(TargetKind::ProcMacro));
             if !is_macro && seen.insert(next.clone()) {
                 crates.push(linked_crate(package)?);
                 waiting.push(next);
@@ -83,39 +80,23 @@ fn linked_crates(metadata: &Metadata) -> Result<Vec<LinkedCrate>> {
 }
 
 fn normal_dependencies(metadata: &Metadata, id: &PackageId) -> Result<Vec<PackageId>> {
-    let resolve = metadata
-        .resolve
-        .as_ref()
-        .context("`cargo metadata` resolved no dependencies")?;
+    let resolve = metadata.resolve.as_ref().context("`cargo metadata` resolved no dependencies")?;
     Ok(resolve[id]
         .deps
         .iter()
-        .filter(|dependency| {
-            dependency
-                .dep_kinds
-                .iter()
-                .any(|kind| kind.kind == DependencyKind::Normal)
-        })
+        .filter(|dependency| dependency.dep_kinds.iter().any(|kind| kind.kind == DependencyKind::Normal))
         .map(|dependency| dependency.pkg.clone())
         .collect())
 }
 
 fn linked_crate(package: &Package) -> Result<LinkedCrate> {
     let title = format!("{}-{}", package.name, package.version);
-    let license = package
-        .license
-        .clone()
-        .with_context(|| format!("crate {title} states no licence"))?;
+    let license = package.license.clone().with_context(|| format!("crate {title} states no licence"))?;
     let folder = package
         .manifest_path
         .parent()
         .with_context(|| format!("crate {title} lies in no folder"))?
         .to_path_buf()
         .into_std_path_buf();
-    Ok(LinkedCrate {
-        id: package.id.clone(),
-        title,
-        license,
-        folder,
-    })
+    Ok(LinkedCrate { id: package.id.clone(), title, license, folder })
 }

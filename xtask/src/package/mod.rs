@@ -23,29 +23,16 @@ pub(crate) fn package() -> Result<PathBuf> {
     let description = ModelDescription::read().context("modelDescription/modelDescription.xml")?;
     let mut linked = linked::Linked::read()?;
     let library = library::build(&linked)?;
-    linked
-        .crates
-        .retain(|crate_| library.built.contains(&crate_.id));
+    linked.crates.retain(|crate_| library.built.contains(&crate_.id));
     let picture = icon::picture()?;
 
     let mut files = Files::new();
-    files.insert(
-        "modelDescription.xml".into(),
-        description.to_fmi(env!("CARGO_PKG_VERSION")).into_bytes(),
-    );
+    files.insert("modelDescription.xml".into(), description.to_fmi(env!("CARGO_PKG_VERSION")).into_bytes());
     files.insert("model.png".into(), icon::render(&picture)?);
-    files.insert(
-        "documentation/index.html".into(),
-        documentation::page(&description, &picture)?.into_bytes(),
-    );
+    files.insert("documentation/index.html".into(), documentation::page(&description, &picture)?.into_bytes());
     files.extend(licenses::collect(&linked)?);
     files.insert(
-        format!(
-            "binaries/{}/{}.{}",
-            library::fmi_platform(),
-            description.model_identifier,
-            std::env::consts::DLL_EXTENSION
-        ),
+        format!("binaries/{}/{}.{}", library::fmi_platform(), description.model_identifier, std::env::consts::DLL_EXTENSION),
         library.bytes,
     );
 
@@ -54,10 +41,8 @@ pub(crate) fn package() -> Result<PathBuf> {
     // A unit that is not fit for use never gets the name under which one is looked for.
     let unverified = fmu.with_extension("unverified");
     archive::write(&unverified, &files)?;
-    let report = verify::verify(&unverified)
-        .with_context(|| format!("{} is not fit for use", paths::short(&unverified)))?;
-    fs::rename(&unverified, &fmu)
-        .with_context(|| format!("{} cannot be written", paths::short(&fmu)))?;
+    let report = verify::verify(&unverified).with_context(|| format!("{} is not fit for use", paths::short(&unverified)))?;
+    fs::rename(&unverified, &fmu).with_context(|| format!("{} cannot be written", paths::short(&fmu)))?;
     println!("{}: {report}", paths::short(&fmu));
     Ok(fmu)
 }

@@ -31,12 +31,7 @@ const EXPORTS: [&str; 34] = [
 ];
 
 /// Files that every .fmu of this project has.
-const REQUIRED: [&str; 4] = [
-    "modelDescription.xml",
-    "model.png",
-    "documentation/index.html",
-    "documentation/licenses/license.txt",
-];
+const REQUIRED: [&str; 4] = ["modelDescription.xml", "model.png", "documentation/index.html", "documentation/licenses/license.txt"];
 
 /// What was found, for people.
 pub(super) struct Report {
@@ -53,12 +48,7 @@ struct Library {
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "verified, {} kB, GUID {}",
-            self.archive / 1000,
-            self.guid
-        )?;
+        write!(f, "verified, {} kB, GUID {}", self.archive / 1000, self.guid)?;
         for library in &self.libraries {
             write!(f, "; {} {} kB", library.name, library.size / 1000)?;
             if let Some(version) = &library.glibc {
@@ -74,44 +64,25 @@ pub(super) fn verify(fmu: &Path) -> Result<Report> {
     let file = File::open(fmu)?;
     let size = file.metadata()?.len();
     let mut archive = ZipArchive::new(file)?;
-    let names = archive
-        .file_names()
-        .map(|name| Ok(name?.into_owned()))
-        .collect::<Result<Vec<_>>>()?;
+    let names = archive.file_names().map(|name| Ok(name?.into_owned())).collect::<Result<Vec<_>>>()?;
     for required in REQUIRED {
-        ensure!(
-            names.iter().any(|name| name == required),
-            "{required} is missing"
-        );
+        ensure!(names.iter().any(|name| name == required), "{required} is missing");
     }
-    let (guid, identifier) = identity(&String::from_utf8(read(
-        &mut archive,
-        "modelDescription.xml",
-    )?)?)?;
+    let (guid, identifier) = identity(&String::from_utf8(read(&mut archive, "modelDescription.xml")?)?)?;
     let mut libraries = Vec::new();
     for name in names.iter().filter(|name| name.starts_with("binaries/")) {
         let stem = Path::new(name).file_stem().unwrap_or_default();
-        ensure!(
-            stem == identifier.as_str(),
-            "{name} is not named after the modelIdentifier {identifier}"
-        );
+        ensure!(stem == identifier.as_str(), "{name} is not named after the modelIdentifier {identifier}");
         let bytes = read(&mut archive, name)?;
         libraries.push(library(name, &bytes, &guid).with_context(|| name.clone())?);
     }
     ensure!(!libraries.is_empty(), "binaries/ is empty");
-    Ok(Report {
-        archive: size,
-        guid,
-        libraries,
-    })
+    Ok(Report { archive: size, guid, libraries })
 }
 
 fn read(archive: &mut ZipArchive<File>, name: &str) -> Result<Vec<u8>> {
     let mut entry = archive.by_name(name)?;
-    ensure!(
-        entry.compression() == CompressionMethod::Deflated,
-        "{name} is not packed with deflate"
-    );
+    ensure!(entry.compression() == CompressionMethod::Deflated, "{name} is not packed with deflate");
     let mut bytes = Vec::new();
     entry.read_to_end(&mut bytes)?;
     Ok(bytes)
@@ -119,8 +90,7 @@ fn read(archive: &mut ZipArchive<File>, name: &str) -> Result<Vec<u8>> {
 
 /// GUID and modelIdentifier out of the finished modelDescription.xml.
 fn identity(xml: &str) -> Result<(String, String)> {
-    let document =
-        roxmltree::Document::parse(xml).context("modelDescription.xml is not well-formed")?;
+    let document = roxmltree::Document::parse(xml).context("modelDescription.xml is not well-formed")?;
     let root = document.root_element();
     ensure!(
         root.has_tag_name("fmiModelDescription") && root.attribute("fmiVersion") == Some("2.0"),
@@ -137,31 +107,16 @@ fn identity(xml: &str) -> Result<(String, String)> {
 }
 
 fn library(name: &str, bytes: &[u8], guid: &str) -> Result<Library> {
-    ensure!(
-        bytes.len() < LARGEST_LIBRARY,
-        "{} bytes are too many: the limit is {LARGEST_LIBRARY}",
-        bytes.len()
-    );
-    ensure!(
-        contains(bytes, guid.as_bytes()),
-        "the library does not know the GUID {guid} of modelDescription.xml"
-    );
+    ensure!(bytes.len() < LARGEST_LIBRARY, "{} bytes are too many: the limit is {LARGEST_LIBRARY}", bytes.len());
+    ensure!(contains(bytes, guid.as_bytes()), "the library does not know the GUID {guid} of modelDescription.xml");
     check_exports(exports(bytes)?)?;
-    Ok(Library {
-        name: name.to_owned(),
-        size: bytes.len(),
-        glibc: needed_glibc(bytes)?,
-    })
+    Ok(Library { name: name.to_owned(), size: bytes.len(), glibc: needed_glibc(bytes)? })
 }
 
 fn exports(bytes: &[u8]) -> Result<BTreeSet<String>> {
     let file = object::File::parse(bytes)?;
     // Mach-O puts an underscore before every C name.
-    let prefix = if file.format() == object::BinaryFormat::MachO {
-        "_"
-    } else {
-        ""
-    };
+    let prefix = if file.format() == object::BinaryFormat::MachO { "_" } else { "" };
     let mut names = BTreeSet::new();
     for export in file.exports()? {
         match export?.name() {
@@ -181,10 +136,7 @@ fn check_exports(found: BTreeSet<String>) -> Result<()> {
     let missing = list(wanted.difference(&found).collect());
     ensure!(missing.is_empty(), "not exported: {missing}");
     let extra = list(found.difference(&wanted).collect());
-    ensure!(
-        extra.is_empty(),
-        "exported, but no function of FMI 2.0 co-simulation: {extra}"
-    );
+    ensure!(extra.is_empty(), "exported, but no function of FMI 2.0 co-simulation: {extra}");
     Ok(())
 }
 
@@ -207,13 +159,7 @@ fn needed_glibc(bytes: &[u8]) -> Result<Option<String>> {
             newest = newest.max(name.strip_prefix("GLIBC_").and_then(numbers));
         }
     }
-    Ok(newest.map(|version| {
-        version
-            .iter()
-            .map(u32::to_string)
-            .collect::<Vec<_>>()
-            .join(".")
-    }))
+    Ok(newest.map(|version| version.iter().map(u32::to_string).collect::<Vec<_>>().join(".")))
 }
 
 /// `2.34` as numbers, so that 2.4 comes before 2.34; none for GLIBC_PRIVATE and its like.
