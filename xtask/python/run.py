@@ -1,0 +1,99 @@
+"""Runs a scene through FMPy and shows what happened: CSV, pictures, an animation and a summary.
+
+python run.py --fmu target/fmu/FiveBar.fmu --scene scenes/paper_free_fall.json --out target/run/paper_free_fall
+"""
+
+import argparse
+import re
+import shutil
+import sys
+from pathlib import Path
+
+import fmpy
+
+import page
+import pictures
+import singularities
+import summary
+import table
+from drive import Progress, Run, StartRefused, drive
+from scene import Scene, SceneError, read
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs one scene; the exit code: 0 done, 1 the scene or one of its steps failed."""
+    parser = argparse.ArgumentParser(description="Runs a scene of the five-bar through FMPy.")
+    parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
+    parser.add_argument("--scene", type=Path, required=True, help="the scene, a JSON file")
+    parser.add_argument("--out", type=Path, required=True, help="folder for everything that is written")
+    options = parser.parse_args(arguments)
+    if not options.fmu.is_file():
+        print(f"There is no .fmu at {options.fmu}; `cargo xtask package` makes it.", file=sys.stderr)
+        return 1
+    directory = fmpy.extract(str(options.fmu))
+    try:
+        model = fmpy.read_model_description(directory, validate=False)
+        scene = read(options.scene, model)
+        runs, refused = _drive_all(model, directory, scene)
+    except (SceneError, StartRefused) as error:
+        print(error, file=sys.stderr)
+        return 1
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
+    report(scene, runs, refused, options.out)
+    return 1 if runs[0].failed else 0
+
+
+def _drive_all(model: fmpy.model_description.ModelDescription, directory: str, scene: Scene) -> tuple[list[Run], list[str]]:
+    """The scene's own run and its overlays; an overlay that cannot start is a sentence, not an error."""
+    runs: list[Run] = []
+    refused: list[str] = []
+    for variant in scene.variants:
+        label = f"{scene.name} ({variant.label})"
+        try:
+            runs.append(drive(model, directory, scene, variant, Progress(label, scene.stop_time)))
+        except StartRefused as sentence:
+            if not runs:
+                raise
+            refused.append(f"{variant.label} did not start: {sentence}")
+    return runs, refused
+
+
+def report(scene: Scene, runs: list[Run], refused: list[str], out: Path) -> None:
+    """Writes all files of a scene to `out` and prints the summary."""
+    out.mkdir(parents=True, exist_ok=True)
+    events = [singularities.find(run) for run in runs]
+    print(f"{scene.name}: {scene.description}")
+    for i, run in enumerate(runs):
+        print(f"\n{run.label}")
+        print("\n".join(summary.lines(run, events[i])))
+        if i > 0:
+            print(summary.difference(runs[0], run))
+    for sentence in refused:
+        print(f"\n{sentence}")
+
+    files = []
+    for i, run in enumerate(runs):
+        files.append(out / (f"{scene.name}.csv" if i == 0 else f"{scene.name}.{slug(run.label)}.csv"))
+        table.write(files[-1], run)
+    files.append(out / "singularities.csv")
+    singularities.write(files[-1], events[0])
+    files += pictures.draw_all(out, scene, runs, events[0])
+    files.append(out / f"{scene.name}.html")
+    page.write(files[-1], scene, runs, events[0])
+    print("\nWritten:")
+    for file in files:
+        print(f"  {file}  ({_size(file.stat().st_size)})")
+
+
+def slug(label: str) -> str:
+    """`label` as a part of a file name."""
+    return re.sub(r"[^a-z0-9]+", "-", label.lower()).strip("-")
+
+
+def _size(size: int) -> str:
+    return f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{max(size / 1e3, 0.1):.1f} kB"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

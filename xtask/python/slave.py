@@ -1,0 +1,79 @@
+"""An instance of the FMU through FMPy, with its log kept in a list."""
+
+from dataclasses import dataclass, field
+
+from fmpy import fmi2
+from fmpy.model_description import ModelDescription
+
+STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
+
+
+@dataclass(frozen=True)
+class Message:
+    """One call of the FMU's logger."""
+
+    instance: str
+    status: int
+    category: str
+    text: str
+
+    def __str__(self) -> str:
+        return f"{STATUS[self.status]}: {self.text}"
+
+
+@dataclass
+class Log:
+    """Everything that an instance told its logger."""
+
+    messages: list[Message] = field(default_factory=list)
+
+    def callbacks(self) -> fmi2.fmi2CallbackFunctions:
+        """Callbacks that append to this log. FMPy keeps them alive as long as the instance."""
+
+        def append(_environment: int | None, instance: bytes, status: int, category: bytes, text: bytes) -> None:
+            # The text is a printf format by contract: a percent sign comes doubled.
+            message = Message(instance.decode(), status, category.decode(), text.decode().replace("%%", "%"))
+            self.messages.append(message)
+
+        callbacks = fmi2.fmi2CallbackFunctions()
+        callbacks.logger = fmi2.fmi2CallbackLoggerTYPE(append)
+        callbacks.allocateMemory = fmi2.fmi2CallbackAllocateMemoryTYPE(fmi2.calloc)
+        callbacks.freeMemory = fmi2.fmi2CallbackFreeMemoryTYPE(fmi2.free)
+        return callbacks
+
+    def last(self) -> str:
+        """The last sentence of a warning or worse, or "" if there is none."""
+        return next((m.text for m in reversed(self.messages) if m.status > fmi2.fmi2OK), "")
+
+    def warnings(self) -> list[str]:
+        """The sentences of all warnings."""
+        return [m.text for m in self.messages if m.status == fmi2.fmi2Warning]
+
+
+def instantiate(
+    model: ModelDescription, directory: str, log: Log, name: str = "fivebar", logging_on: bool = False, guid: str | None = None
+) -> fmi2.FMU2Slave:
+    """A fresh instance of the FMU extracted to `directory`; its logger fills `log`."""
+    slave = fmi2.FMU2Slave(
+        guid=model.guid if guid is None else guid,
+        unzipDirectory=directory,
+        modelIdentifier=model.coSimulation.modelIdentifier,
+        instanceName=name,
+    )
+    slave.instantiate(callbacks=log.callbacks(), loggingOn=logging_on)
+    return slave
+
+
+def set_values(slave: fmi2.FMU2Slave, model: ModelDescription, values: dict[str, float | int | bool]) -> None:
+    """Sets variables by name."""
+    setters = {"Real": slave.setReal, "Integer": slave.setInteger, "Enumeration": slave.setInteger, "Boolean": slave.setBoolean}
+    variables = {v.name: v for v in model.modelVariables}
+    for name, value in values.items():
+        setters[variables[name].type]([variables[name].valueReference], [value])
+
+
+def get_values(slave: fmi2.FMU2Slave, model: ModelDescription, names: list[str]) -> dict[str, float | int | bool]:
+    """Reads variables by name."""
+    getters = {"Real": slave.getReal, "Integer": slave.getInteger, "Enumeration": slave.getInteger, "Boolean": slave.getBoolean}
+    variables = {v.name: v for v in model.modelVariables}
+    return {name: getters[variables[name].type]([variables[name].valueReference])[0] for name in names}
