@@ -1,14 +1,64 @@
-//! Gravity.
+//! Gravity: a constant acceleration g·sin(tilt) in the plane of the mechanism, in a given direction.
+//!
+//! Q = m g⃗ at each centre of mass, potential −Σ m g⃗·r (0 at the left motor axis). K = C = 0; conservative.
+//! Defaults: standard gravity rounded as in the paper (9.81 m/s²), an upright mechanism, pulling along −y.
+//! Limits: none within Newtonian mechanics; components out of the plane do no work and are carried by the bearings.
 
-/// Gravity's parameters.
+use crate::mechanism::coordinates::{D_X, D_Y, P_X, P_Y, set_legs};
+use crate::mechanism::legs::both;
+use crate::mechanism::{COORDINATES, Coordinates, Mechanism, Refusal, finite};
+
+/// The `gravity.*` variables.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Parameters {
     /// Whether the scene has gravity.
     pub enabled: bool,
     /// Gravitational acceleration, m/s².
     pub g: f64,
-    /// Tilt of the mechanism's plane, rad: 0 = flat.
+    /// Angle of the mechanism's plane against the horizontal, rad: 0 = lies flat, π/2 = upright.
     pub tilt: f64,
-    /// Direction of the in-plane part, rad from +x.
+    /// Direction of the in-plane part, rad, counter-clockwise from +x.
     pub direction: f64,
+}
+
+/// Gravity ready to act: its constant generalised force.
+#[derive(Clone, Debug)]
+pub struct Gravity {
+    weight: Coordinates,
+}
+
+impl Gravity {
+    /// Gravity on the links of a mechanism.
+    pub fn new(parameters: &Parameters, mechanism: &Mechanism) -> Result<Self, Refusal> {
+        let Parameters { g, tilt, direction, .. } = *parameters;
+        for (name, value, unit) in [("g", g, "m/s2"), ("tilt", tilt, "rad"), ("direction", direction, "rad")] {
+            finite(&format!("gravity.{name}"), value, unit)?;
+        }
+        if g < 0.0 {
+            return Err(Refusal(format!(
+                "gravity.g = {g} m/s2 is not allowed: it must be 0 or positive; gravity.direction turns it round."
+            )));
+        }
+        let (sin, cos) = libm::sincos(direction);
+        let in_plane = g * libm::sin(tilt);
+        let mut weight = [0.0; COORDINATES];
+        for (x, y, mass) in [(P_X, P_Y, mechanism.mass_p), (D_X, D_Y, mechanism.mass_d)] {
+            set_legs(&mut weight, x, mass * both(in_plane * cos));
+            set_legs(&mut weight, y, mass * both(in_plane * sin));
+        }
+        Ok(Self { weight })
+    }
+
+    /// Adds the weights.
+    #[inline(always)]
+    pub fn add_forces(&self, forces: &mut Coordinates) {
+        for (force, weight) in forces.iter_mut().zip(&self.weight) {
+            *force += weight;
+        }
+    }
+
+    /// Potential energy, J.
+    pub fn potential(&self, q: &Coordinates) -> f64 {
+        -q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum::<f64>()
+    }
 }

@@ -1,19 +1,15 @@
 //! i3-ALP and its companions, generic over the [`System`] they integrate.
+//!
+//! Invariant: knows neither mechanism nor FMI; does no input or output, allocates nothing, reads no clock.
 
-use std::fmt;
+mod equilibrium;
+pub mod i3alp;
+pub mod i3alp_printed;
+pub mod rk4;
+mod system;
 
-/// Why a step could not be done.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Failure {
-    /// Placeholder of the skeleton.
-    NotConverged,
-}
-
-impl fmt::Display for Failure {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("did not converge")
-    }
-}
+pub use equilibrium::equilibrium;
+pub use system::{Failure, Kkt, Power, System};
 
 /// What the integrator has done since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -26,4 +22,53 @@ pub struct Counters {
     pub iterations: u64,
     /// Rejected sub-steps.
     pub rejected: u64,
+}
+
+/// Everything that changes during a run: a copy of it is a complete snapshot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct State<const N: usize, const M: usize> {
+    /// Coordinates q.
+    pub q: [f64; N],
+    /// Velocities q̇.
+    pub v: [f64; N],
+    /// Accelerations q̈, from equilibrium.
+    pub a: [f64; N],
+    /// Multipliers λ, from equilibrium.
+    pub lambda: [f64; M],
+    /// (q̈ₙ − q̈ₙ₋₁)/h of the last sub-step, for the predictor; 0 after a restart.
+    pub jerk: [f64; N],
+    /// The sub-step that the local error last asked for, s; infinite before the first.
+    pub substep: f64,
+    /// Local error of the last accepted sub-step; see [`System::angle_norm`].
+    pub error_estimate: f64,
+    /// Work since the start, J: along the path, by the order of the method.
+    pub work: Power,
+    /// Counters since the start.
+    pub counters: Counters,
+}
+
+impl<const N: usize, const M: usize> State<N, M> {
+    /// The state at the start, with q̈ and λ from equilibrium (minimum norm where the constraints lose rank).
+    pub fn start(system: &impl System<N, M>, q: [f64; N], v: [f64; N], softness: f64) -> Self {
+        let (a, lambda) = equilibrium(system, &q, &v, softness);
+        Self {
+            q,
+            v,
+            a,
+            lambda,
+            jerk: [0.0; N],
+            substep: f64::INFINITY,
+            error_estimate: 0.0,
+            work: Power::default(),
+            counters: Counters::default(),
+        }
+    }
+
+    /// The forces have changed at once: q̈ and λ follow from equilibrium, the predictor starts anew.
+    ///
+    /// Without it a new input would act half a step late and every driven scene would be first order only.
+    pub fn restart(&mut self, system: &impl System<N, M>, softness: f64) {
+        (self.a, self.lambda) = equilibrium(system, &self.q, &self.v, softness);
+        self.jerk = [0.0; N];
+    }
 }

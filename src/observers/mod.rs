@@ -1,14 +1,17 @@
-//! Pure functions of (model, state); never called by a step.
+//! What a user looks at: pure functions of (model, state). Never called by a step.
 
 use nalgebra::Vector2;
 
-use crate::mechanism::Assembly;
+use crate::mechanism::coordinates::{E_X, G_X, THETA, TIP_X, X};
+use crate::mechanism::{Coordinates, Link};
 use crate::simulation::{Model, State};
+
+pub use crate::mechanism::singularity::{Singularity, SingularityKind};
 
 /// Angles, rates and accelerations of the links, and the points that a user sees.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
-    /// Absolute link angles (left proximal, left distal, right distal, right proximal), rad.
+    /// Absolute angles of links 1 to 4 (left proximal, left distal, right distal, right proximal), rad, not wrapped.
     pub theta: [f64; 4],
     /// Their rates, rad/s.
     pub omega: [f64; 4],
@@ -35,72 +38,84 @@ pub struct Energies {
     pub input: f64,
     /// Energy dissipated since the start.
     pub dissipated: f64,
-    /// kinetic + potential + dissipated − input, minus its value at the start.
+    /// Balance residual: kinetic + potential + dissipated − input, minus its value at the start.
     pub error: f64,
 }
 
-/// The gravest singularity within reach.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SingularityKind {
-    /// Regular posture.
-    None,
-    /// Distal links in line.
-    Direct,
-    /// A leg stretched or folded.
-    Inverse,
-    /// Both.
-    Combined,
-    /// The constraint Jacobian loses rank.
-    Constraint,
-}
-
-/// Distance to the singularities, and the modes.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Singularity {
-    /// det J_x, m².
-    pub det_jx: f64,
-    /// det J_q, m⁴.
-    pub det_jq: f64,
-    /// Smallest singular value of J_x, m.
-    pub sigma_jx: f64,
-    /// Smallest singular value of J_q, m².
-    pub sigma_jq: f64,
-    /// Smallest singular value of Φ_q.
-    pub sigma_phi: f64,
-    /// The gravest singularity within reach.
-    pub kind: SingularityKind,
-    /// Side on which the tip lies now.
-    pub assembly: Assembly,
-    /// Whether the left and the right leg bend counter-clockwise.
-    pub working: [bool; 2],
-}
-
-/// Largest constraint violations: position (m) and velocity (m/s).
+/// Largest constraint violations.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConstraintNorms {
     /// max |Φ|, m.
     pub position: f64,
     /// max |Φ_q q̇|, m/s.
     pub velocity: f64,
+    /// max |Φ_q q̈ + Φ̇_q q̇|, m/s².
+    pub acceleration: f64,
+}
+
+/// Position, velocity and acceleration of a point on a link, `arm` m beyond its centre of mass.
+fn point(state: &State, link: usize, arm: f64) -> [Vector2<f64>; 3] {
+    let core = &state.core;
+    let centre = |x: &Coordinates| Vector2::new(x[X[link]], x[X[link] + 2]);
+    let (sin, cos) = libm::sincos(core.q[THETA[link]]);
+    let (radial, across) = (Vector2::new(cos, sin) * arm, Vector2::new(-sin, cos) * arm);
+    let (omega, alpha) = (core.v[THETA[link]], core.a[THETA[link]]);
+    [centre(&core.q) + radial, centre(&core.v) + across * omega, centre(&core.a) + across * alpha - radial * (omega * omega)]
 }
 
 /// Motion of the links.
-pub fn motion(_model: &Model, _state: &State) -> Motion {
-    todo!()
+pub fn motion(model: &Model, state: &State) -> Motion {
+    let core = &state.core;
+    let end = |link: usize| {
+        let Link { length, com, .. } = model.mechanism.geometry.links[link];
+        point(state, link, length - com)
+    };
+    let [tip, tip_velocity, tip_acceleration] = end(1);
+    Motion {
+        theta: THETA.map(|i| core.q[i]),
+        omega: THETA.map(|i| core.v[i]),
+        alpha: THETA.map(|i| core.a[i]),
+        tip,
+        tip_velocity,
+        tip_acceleration,
+        elbows: [end(0)[0], end(3)[0]],
+    }
 }
-/// Forces of the joints on their first-named links, N.
-pub fn reactions(_model: &Model, _state: &State) -> [Vector2<f64>; 5] {
-    todo!()
+
+/// Forces of joints 1 to 5 (left base, left elbow, tip, right elbow, right base) on their first-named links (1, 2, 2, 3, 4), N.
+///
+/// M q̈ = Q − Φ_qᵀλ: each constraint pulls with −λ on the link that enters it with a plus.
+pub fn reactions(_model: &Model, state: &State) -> [Vector2<f64>; 5] {
+    let lambda = &state.core.lambda;
+    let pull = |i: usize| -Vector2::new(lambda[i], lambda[i + 2]);
+    let tip = -Vector2::new(lambda[TIP_X], lambda[TIP_X + 1]);
+    [pull(2 * G_X), pull(2 * E_X), tip, pull(2 * E_X + 1), pull(2 * G_X + 1)]
 }
-/// Energies.
-pub fn energies(_model: &Model, _state: &State) -> Energies {
-    todo!()
+
+/// Energies and their balance.
+pub fn energies(model: &Model, state: &State) -> Energies {
+    let core = &state.core;
+    let momentum = model.mechanism.mass_times(&core.v);
+    let kinetic = momentum.iter().zip(&core.v).map(|(p, v)| p * v).sum::<f64>() / 2.0;
+    let potential = model.effects.iter().map(|effect| effect.potential(&core.q)).sum();
+    let (input, dissipated) = (core.work.input, core.work.dissipated);
+    Energies { kinetic, potential, input, dissipated, error: kinetic + potential + dissipated - input - state.energy_at_start }
 }
-/// Singularities.
-pub fn singularity(_model: &Model, _state: &State) -> Singularity {
-    todo!()
+
+/// Distance to the singularities, and the modes.
+pub fn singularity(model: &Model, state: &State) -> Singularity {
+    model.mechanism.singularity(&model.mechanism.pose(&state.core.q))
 }
-/// Constraint norms.
-pub fn constraint_norms(_model: &Model, _state: &State) -> ConstraintNorms {
-    todo!()
+
+/// Constraint violations.
+pub fn constraint_norms(model: &Model, state: &State) -> ConstraintNorms {
+    let core = &state.core;
+    let pose = model.mechanism.pose(&core.q);
+    let largest = |values: [f64; 10]| values.into_iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
+    let (acceleration, centripetal) = (pose.phi_q_times(&core.a), pose.phi_q_dot_times(&core.v));
+    ConstraintNorms {
+        position: largest(model.mechanism.phi(&core.q, &pose)),
+        velocity: largest(pose.phi_q_times(&core.v)),
+        acceleration: largest(std::array::from_fn(|i| acceleration[i] + centripetal[i])),
+    }
 }

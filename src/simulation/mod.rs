@@ -1,116 +1,137 @@
-//! A scene made ready: constant model, active effects and state; advances by internal steps.
+//! A scene made ready: constant [`Model`], active effects and [`State`]; advances by internal steps.
+//!
+//! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held while it
+//! advances.
+
+pub mod coupled;
+pub mod model;
+pub mod system;
+pub mod two_leg;
 
 use std::fmt;
 
+use crate::integrator::{self, Failure, Power, System, i3alp, i3alp_printed, rk4};
+use crate::mechanism::{self, COORDINATES, MULTIPLIERS, Refusal};
+use crate::observers;
+
 pub use crate::effects::Inputs;
-use crate::integrator::{Counters, Failure};
-pub use crate::mechanism::{Assembly, Geometry, Link, Refusal, Start};
+pub use crate::integrator::Counters;
+use model::Stepper;
+pub use model::{Method, Model, Parameters, Settings};
+use system::{AnyCoupling, FiveBar, LinearSolve, Uncoupled};
 
-/// How the equations of motion are integrated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Method {
-    /// Index-3 augmented Lagrangian with projections, dual form, sub-steps.
-    I3alp,
-    /// The same with the paper's parameters and approximate tangent.
-    I3alpPrinted,
-    /// Runge-Kutta of order 4 on the index-1 form with projection.
-    Rk4,
+/// Everything that changes during a run. A copy is a complete snapshot.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct State {
+    /// Coordinates, velocities, accelerations, multipliers, predictor, sub-step memory, work, counters.
+    pub core: integrator::State<COORDINATES, MULTIPLIERS>,
+    /// The inputs to which q̈ and λ belong.
+    pub inputs: Inputs,
+    /// Kinetic plus potential energy at the start, J.
+    pub energy_at_start: f64,
 }
 
-/// The solver's settings; see the `solver.*` variables.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Settings {
-    /// Method.
-    pub method: Method,
-    /// Macro step h, s.
-    pub step_size: f64,
-    /// Whether macro steps are divided where the local error asks.
-    pub adaptive: bool,
-    /// Local error per sub-step, rad.
-    pub error_tolerance: f64,
-    /// Newton tolerance relative to the machine's size, at h = 1 ms.
-    pub tolerance: f64,
-    /// Most Newton iterations per sub-step.
-    pub max_iterations: u32,
-    /// α of the printed method, N/m.
-    pub penalty: f64,
-    /// κ of the default method.
-    pub penalty_scale: f64,
-}
-
-/// Everything that defines a scene, before it is made ready.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Parameters {
-    /// Geometry of the mechanism.
-    pub geometry: Geometry,
-    /// Start.
-    pub start: Start,
-    /// Solver.
-    pub settings: Settings,
-    /// Effects.
-    pub effects: crate::effects::Parameters,
-}
-
-/// The constant part of a scene made ready.
-#[derive(Debug)]
-pub struct Model {}
-
-/// Everything that changes during a run.
-#[derive(Clone, Debug, PartialEq)]
-pub struct State {}
-
-/// A failed call of [`Simulation::advance`].
+/// Why [`Simulation::advance`] gave up. The state is as it was before the call.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepFailure {
-    /// How far the call came before it gave up, s after its beginning.
+    /// How far the call had come, s after its beginning.
     pub elapsed: f64,
-    /// Why it gave up.
+    /// Why it went no further.
     pub cause: Failure,
 }
 
 impl fmt::Display for StepFailure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.cause)
+        write!(f, "{} s into the call, {}", self.elapsed, self.cause)
     }
 }
+
+impl std::error::Error for StepFailure {}
 
 /// A scene made ready.
 #[derive(Debug)]
 pub struct Simulation {
-    /// The constant part.
-    pub model: Model,
-    /// Everything that changes.
-    pub state: State,
+    model: Model,
+    state: State,
 }
 
 impl Simulation {
-    /// Validates the parameters, closes the loop, fixes the list of effects and the linear solve.
-    pub fn new(_parameters: &Parameters, _inputs: &Inputs) -> Result<Self, Refusal> {
-        todo!()
+    /// Checks the parameters, closes the loop, fixes the list of effects and the linear solve, finds q̈ and λ of the start.
+    pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, Refusal> {
+        let model = Model::new(parameters)?;
+        let (q, v) = mechanism::close(&parameters.geometry, &parameters.start)?;
+        let core = integrator::State::start(&FiveBar::<Uncoupled>::new(&model, inputs), q, v, model.softness);
+        let mut state = State { core, inputs: *inputs, energy_at_start: 0.0 };
+        let energies = observers::energies(&model, &state);
+        state.energy_at_start = energies.kinetic + energies.potential;
+        if !state.core.a.iter().chain(&state.core.lambda).all(|x| x.is_finite()) || !state.energy_at_start.is_finite() {
+            return Err(Refusal(
+                "init.theta and init.omega with these masses, inertias and loads give accelerations that are not finite: \
+                 the values are too large or too small for double precision."
+                    .into(),
+            ));
+        }
+        Ok(Self { model, state })
     }
 
-    /// `steps` macro steps of `h` seconds with `inputs` held. On failure the state is as before the call. Allocates nothing.
-    pub fn advance(&mut self, _inputs: &Inputs, _h: f64, _steps: u64) -> Result<(), StepFailure> {
-        todo!()
+    /// `steps` macro steps of `h` seconds with `inputs` held.
+    ///
+    /// On failure the state is as it was before the call. Allocates nothing.
+    pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+        let before = self.state;
+        let done = if self.model.coupled {
+            run::<AnyCoupling>(&self.model, &mut self.state, inputs, h, steps)
+        } else {
+            run::<Uncoupled>(&self.model, &mut self.state, inputs, h, steps)
+        };
+        done.inspect_err(|_| self.state = before)
     }
 
-    /// The present state with the accelerations and multipliers that belong to `inputs` (observers answer for these).
-    pub fn state_for(&self, _inputs: &Inputs) -> State {
-        todo!()
+    /// The constant part.
+    pub fn model(&self) -> &Model {
+        &self.model
     }
 
-    /// What the integrator has done since the start.
-    pub fn counters(&self) -> Counters {
-        todo!()
+    /// Everything that changes; q̈ and λ belong to the inputs of the last step.
+    pub fn state(&self) -> &State {
+        &self.state
     }
 
-    /// Local error of the last accepted sub-step over the link angles, rad.
-    pub fn error_estimate(&self) -> f64 {
-        todo!()
+    /// The present state with the q̈ and λ that belong to `inputs`: what observers answer for.
+    pub fn state_for(&self, inputs: &Inputs) -> State {
+        let mut state = self.state;
+        state.hold(&self.model, &FiveBar::<Uncoupled>::new(&self.model, inputs), inputs);
+        state
     }
 
-    /// Names of the active effects, e.g. `["gravity"]`.
-    pub fn active_effects(&self) -> Vec<&'static str> {
-        todo!()
+    /// Names of the active effects, e.g. `gravity`.
+    pub fn active_effects(&self) -> impl Iterator<Item = &'static str> {
+        self.model.effects.iter().map(|effect| effect.name())
     }
+}
+
+impl State {
+    /// Holds `inputs` from now on; if they differ from the present ones, q̈, λ and the predictor start anew.
+    fn hold(&mut self, model: &Model, system: &impl System<COORDINATES, MULTIPLIERS>, inputs: &Inputs) {
+        if self.inputs != *inputs {
+            self.inputs = *inputs;
+            self.core.restart(system, model.softness);
+        }
+    }
+}
+
+fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+    let system = FiveBar::<L>::new(model, inputs);
+    state.hold(model, &system, inputs);
+    let state = &mut state.core;
+    let mut power = if system.follows_work() { system.power(&state.q, &system.pose(&state.q), &state.v) } else { Power::default() };
+    for step in 0..steps {
+        match &model.stepper {
+            Stepper::I3alp(settings) => i3alp::advance(&system, settings, state, h, &mut power),
+            Stepper::I3alpPrinted(settings) => i3alp_printed::advance(&system, settings, state, h, &mut power),
+            Stepper::Rk4(settings) => rk4::advance(&system, settings, state, h, &mut power),
+        }
+        .map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
+    }
+    Ok(())
 }

@@ -1,0 +1,73 @@
+//! Where forces put their tangents K = −∂Q/∂q and C = −∂Q/∂q̇, weighted as a step of h needs them: h/2 C + h²/4 K.
+
+use nalgebra::SMatrix;
+
+use crate::mechanism::coordinates::THETA;
+use crate::mechanism::{COORDINATES, Coordinates};
+
+/// Takes the tangents of forces.
+pub trait Tangents {
+    /// Adds K[row][column], N/m, N or N·m/rad by coordinate.
+    fn stiffness(&mut self, row: usize, column: usize, value: f64);
+    /// Adds C[row][column], N·s/m, N·s or N·m·s/rad by coordinate.
+    fn damping(&mut self, row: usize, column: usize, value: f64);
+}
+
+/// Tangents of scenes without coupled links: only the diagonal, and only of the link angles.
+#[derive(Clone, Copy, Debug)]
+pub struct DiagonalTangents {
+    half_step: f64,
+    /// h/2 C + h²/4 K, kg·m².
+    pub weighted: Coordinates,
+}
+
+/// Tangents of any kind.
+#[derive(Clone, Copy, Debug)]
+pub struct FullTangents {
+    half_step: f64,
+    /// h/2 C + h²/4 K.
+    pub weighted: SMatrix<f64, COORDINATES, COORDINATES>,
+}
+
+impl DiagonalTangents {
+    /// None yet, for a step of h seconds.
+    #[inline(always)]
+    pub fn new(h: f64) -> Self {
+        Self { half_step: h / 2.0, weighted: [0.0; COORDINATES] }
+    }
+
+    #[inline(always)]
+    fn add(&mut self, row: usize, column: usize, value: f64) {
+        debug_assert!(row == column && THETA.contains(&row), "an effect that couples links must say so");
+        self.weighted[row] += value;
+    }
+}
+
+impl Tangents for DiagonalTangents {
+    #[inline(always)]
+    fn stiffness(&mut self, row: usize, column: usize, value: f64) {
+        self.add(row, column, self.half_step * self.half_step * value);
+    }
+
+    #[inline(always)]
+    fn damping(&mut self, row: usize, column: usize, value: f64) {
+        self.add(row, column, self.half_step * value);
+    }
+}
+
+impl FullTangents {
+    /// None yet, for a step of h seconds.
+    pub fn new(h: f64) -> Self {
+        Self { half_step: h / 2.0, weighted: SMatrix::zeros() }
+    }
+}
+
+impl Tangents for FullTangents {
+    fn stiffness(&mut self, row: usize, column: usize, value: f64) {
+        self.weighted[(row, column)] += self.half_step * self.half_step * value;
+    }
+
+    fn damping(&mut self, row: usize, column: usize, value: f64) {
+        self.weighted[(row, column)] += self.half_step * value;
+    }
+}

@@ -1,0 +1,211 @@
+//! The default method: index-3 augmented Lagrangian with velocity and acceleration projections, in dual form.
+//!
+//! `docs/method.md` derives it from the paper's equations. With A₀ the tangent without penalty and e = 1/(αβ), the penalty step
+//! (A₀ + αβ Φ_qᵀΦ_q) Δq = −f, λ* ← λ* + αΦ is the saddle-point system
+//!
+//! ```text
+//! [ A₀   Φ_qᵀ ] [ Δq ]   [ β Q − M (β q̈ₙ + δ) ]
+//! [ Φ_q   −e  ] [ βλ ] = [ −Φ − e β λ*         ]        β = h²/4
+//! ```
+//!
+//! in which the unknown is the total multiplier: nothing large enters a diagonal, nothing winds up.
+
+use super::equilibrium::equilibrium_at;
+use super::system::max_norm;
+use super::{Failure, Kkt, Power, State, System};
+
+/// Settings of the method.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Whether a macro step is divided into as many sub-steps as the local error asks.
+    pub adaptive: bool,
+    /// Local error allowed per sub-step, over the link angles, rad.
+    pub error_tolerance: f64,
+    /// Newton: constraint violation relative to the system's size, at h = 1 ms.
+    pub tolerance: f64,
+    /// Most Newton iterations per sub-step.
+    pub max_iterations: u32,
+    /// e = 1/(αβ) = 1/(κ m̄), 1/kg, for a penalty α of κ times m̄/β: the same at every h.
+    pub softness: f64,
+}
+
+/// More sub-steps than this in one macro step, rejected ones included, end it with a status: a call never hangs.
+const MOST_SUBSTEPS: u32 = 100_000;
+/// The step at which [`Settings::tolerance`] holds, s. Multiplier noise is Φ/β, so the tolerance falls with h².
+const TOLERANCE_STEP: f64 = 1e-3;
+/// A last Newton correction below this leaves, by quadratic convergence, an error below round-off.
+const LAST_CORRECTION: f64 = 1e-5;
+
+/// A sub-step that converged, not yet accepted.
+struct Attempt<const N: usize, const M: usize> {
+    q: [f64; N],
+    v: [f64; N],
+    a: [f64; N],
+    lambda: [f64; M],
+    error: f64,
+    power: Power,
+}
+
+/// One step of h: predictor, Newton on positions and total multipliers, velocity projection, acceleration from equilibrium.
+#[inline(always)]
+fn attempt<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    settings: &Settings,
+    state: &mut State<N, M>,
+    h: f64,
+) -> Result<Attempt<N, M>, Failure> {
+    let beta = h * h / 4.0;
+    let softness = settings.softness;
+    let tolerance = constraint_tolerance(settings, system.size(), h);
+
+    // Predict. δ is the increment against q + h q̇ + h²/2 q̈: an unknown without the round-off of q̈ = 4/h² (q − …).
+    let mut predicted = [0.0; N];
+    let mut delta = [0.0; N];
+    for i in 0..N {
+        predicted[i] = state.q[i] + h * (state.v[i] + h / 2.0 * state.a[i]);
+        delta[i] = beta * h * state.jerk[i];
+    }
+    let mut q = add(&predicted, &delta);
+    let mut lambda = state.lambda;
+    let mut pose = system.pose(&q);
+    let mut phi = system.phi(&q, &pose);
+    let mut violation = max_norm(&phi);
+
+    // Newton.
+    let mut iterations = 0;
+    loop {
+        iterations += 1;
+        state.counters.iterations += 1;
+        let v = trapezoidal_velocity(state, &delta, h);
+        let force = system.forces(&q, &pose, &v);
+        let inertia = system.mass_times(&pose, &std::array::from_fn(|i| beta * state.a[i] + delta[i]));
+        let b = std::array::from_fn(|i| beta * force[i] - inertia[i]);
+        let c = std::array::from_fn(|i| -phi[i] - softness * beta * lambda[i]);
+        let (correction, y) = system.factor_tangent(&q, &pose, &v, &lambda, h, softness)?.solve(&b, &c);
+        lambda = y.map(|y| y / beta);
+        delta = add(&delta, &correction);
+        q = add(&predicted, &delta);
+        pose = system.pose(&q);
+        phi = system.phi(&q, &pose);
+
+        let previous = violation;
+        violation = max_norm(&phi);
+        let at_round_off = violation >= previous && violation < 64.0 * f64::EPSILON * system.size();
+        if (violation < tolerance || at_round_off) && max_norm(&correction) < LAST_CORRECTION {
+            break;
+        }
+        if iterations == settings.max_iterations {
+            return Err(Failure::NotConverged { iterations, violation, tolerance });
+        }
+    }
+
+    // Project the velocity, then the acceleration and the multipliers from equilibrium: one factor serves both.
+    let mut v = trapezoidal_velocity(state, &delta, h);
+    let mass = system.factor_mass(&pose, softness);
+    let drift = system.phi_q_times(&pose, &v).map(|x| -x);
+    let (projection, _) = mass.solve(&[0.0; N], &drift);
+    v = add(&v, &projection);
+    let (a, lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
+
+    let jump: [f64; N] = std::array::from_fn(|i| a[i] - state.a[i]);
+    let error = max_norm(&[h * h / 12.0 * system.angle_norm(&jump), h / 2.0 * system.angle_norm(&projection)]);
+    if !(error + a.iter().sum::<f64>()).is_finite() {
+        return Err(Failure::NotFinite);
+    }
+    let power = if system.follows_work() { system.power(&q, &pose, &v) } else { Power::default() };
+    Ok(Attempt { q, v, a, lambda, error, power })
+}
+
+/// q̇ of the trapezoidal rule for q = predicted + δ.
+#[inline(always)]
+fn trapezoidal_velocity<const N: usize, const M: usize>(state: &State<N, M>, delta: &[f64; N], h: f64) -> [f64; N] {
+    let rate = 2.0 / h;
+    std::array::from_fn(|i| state.v[i] + h * state.a[i] + rate * delta[i])
+}
+
+/// Newton's bound on max |Φ|, m: scaled with the machine and with h², never below round-off.
+fn constraint_tolerance(settings: &Settings, size: f64, h: f64) -> f64 {
+    let scaled = settings.tolerance * (h / TOLERANCE_STEP) * (h / TOLERANCE_STEP);
+    let round_off = 16.0 * f64::EPSILON;
+    size * scaled.clamp(round_off.min(settings.tolerance), settings.tolerance)
+}
+
+#[inline(always)]
+fn add<const N: usize>(x: &[f64; N], y: &[f64; N]) -> [f64; N] {
+    std::array::from_fn(|i| x[i] + y[i])
+}
+
+impl<const N: usize, const M: usize> Attempt<N, M> {
+    /// Makes the attempt the new state. `power` is that at the beginning of the sub-step and becomes that at its end.
+    #[inline(always)]
+    fn accept(self, state: &mut State<N, M>, h: f64, power: &mut Power) {
+        for i in 0..N {
+            state.jerk[i] = (self.a[i] - state.a[i]) / h;
+        }
+        // Trapezoidal rule, of the order of the method.
+        state.work = state.work.plus(h / 2.0, *power).plus(h / 2.0, self.power);
+        *power = self.power;
+        state.q = self.q;
+        state.v = self.v;
+        state.a = self.a;
+        state.lambda = self.lambda;
+        state.error_estimate = self.error;
+        state.counters.substeps += 1;
+    }
+}
+
+/// One macro step of `duration` seconds. On failure the state is undefined: the caller keeps a copy.
+pub fn advance<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    settings: &Settings,
+    state: &mut State<N, M>,
+    duration: f64,
+    power: &mut Power,
+) -> Result<(), Failure> {
+    if settings.adaptive {
+        divided(system, settings, state, duration, power)?;
+    } else {
+        attempt(system, settings, state, duration)?.accept(state, duration, power);
+    }
+    state.counters.steps += 1;
+    Ok(())
+}
+
+/// A macro step in equal parts, as many as the remembered sub-step asks, asked anew after each.
+fn divided<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    settings: &Settings,
+    state: &mut State<N, M>,
+    duration: f64,
+    power: &mut Power,
+) -> Result<(), Failure> {
+    let mut rest = duration;
+    for _ in 0..MOST_SUBSTEPS {
+        let parts = (rest / state.substep).ceil().max(1.0);
+        let h = rest / parts;
+        match attempt(system, settings, state, h) {
+            Ok(attempt) if attempt.error <= settings.error_tolerance => {
+                state.substep = h * growth(settings, attempt.error).clamp(0.5, 2.0);
+                attempt.accept(state, h, power);
+                if parts == 1.0 {
+                    return Ok(());
+                }
+                rest -= h;
+            }
+            Ok(attempt) => {
+                state.substep = h * growth(settings, attempt.error).clamp(0.1, 0.7);
+                state.counters.rejected += 1;
+            }
+            Err(_) => {
+                state.substep = 0.35 * h;
+                state.counters.rejected += 1;
+            }
+        }
+    }
+    Err(Failure::TooManySubsteps { most: MOST_SUBSTEPS })
+}
+
+/// By how much the sub-step may change so that its error, of third order, meets the tolerance with a margin.
+fn growth(settings: &Settings, error: f64) -> f64 {
+    0.85 * libm::cbrt(settings.error_tolerance / error)
+}

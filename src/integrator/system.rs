@@ -1,0 +1,127 @@
+//! What the integrator asks of a mechanical system, and nothing else.
+
+use std::fmt;
+
+/// A constrained mechanical system M q̈ + Φ_qᵀ λ = Q(q, q̇), Φ(q) = 0 with N coordinates and M constraint equations.
+///
+/// Inputs are part of the system: they are held while it is stepped. Constraints do not depend on time.
+pub trait System<const N: usize, const M: usize> {
+    /// What depends on q only and is computed once per q (directions, arms).
+    type Pose;
+    /// The factorised saddle-point matrix with the mass matrix in its corner.
+    type Mass: Kkt<N, M>;
+    /// The same with the tangent matrix A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
+    type Tangent: Kkt<N, M>;
+
+    /// Pose at q.
+    fn pose(&self, q: &[f64; N]) -> Self::Pose;
+    /// Φ(q).
+    fn phi(&self, q: &[f64; N], pose: &Self::Pose) -> [f64; M];
+    /// Φ_q v.
+    fn phi_q_times(&self, pose: &Self::Pose, v: &[f64; N]) -> [f64; M];
+    /// Φ_qᵀ λ.
+    fn phi_q_transposed_times(&self, pose: &Self::Pose, lambda: &[f64; M]) -> [f64; N];
+    /// Φ̇_q q̇.
+    fn phi_q_dot_times(&self, pose: &Self::Pose, v: &[f64; N]) -> [f64; M];
+    /// M x.
+    fn mass_times(&self, pose: &Self::Pose, x: &[f64; N]) -> [f64; N];
+    /// Generalised applied forces Q(q, q̇).
+    fn forces(&self, q: &[f64; N], pose: &Self::Pose, v: &[f64; N]) -> [f64; N];
+    /// (M + h/2 C + h²/4 K) x with K = −∂Q/∂q and C = −∂Q/∂q̇: the weight of the printed projections.
+    fn weight_times(&self, q: &[f64; N], pose: &Self::Pose, v: &[f64; N], h: f64, x: &[f64; N]) -> [f64; N];
+
+    /// Factorises [M Φ_qᵀ; Φ_q −e].
+    fn factor_mass(&self, pose: &Self::Pose, softness: f64) -> Self::Mass;
+    /// Factorises [A₀ Φ_qᵀ; Φ_q −e]; [`Failure::IndefiniteTangent`] where the step is too long for A₀ to be a minimum.
+    fn factor_tangent(
+        &self,
+        q: &[f64; N],
+        pose: &Self::Pose,
+        v: &[f64; N],
+        lambda: &[f64; M],
+        h: f64,
+        softness: f64,
+    ) -> Result<Self::Tangent, Failure>;
+
+    /// Whether any force does work that must be followed along the path.
+    fn follows_work(&self) -> bool;
+    /// Power of the inputs and of dissipation, W. Asked only if [`System::follows_work`].
+    fn power(&self, q: &[f64; N], pose: &Self::Pose, v: &[f64; N]) -> Power;
+
+    /// Largest magnitude among those coordinates of x in which the local error is measured (link angles).
+    fn angle_norm(&self, x: &[f64; N]) -> f64;
+    /// The largest magnitude a coordinate in m can have: what round-off in Φ is proportional to.
+    fn size(&self) -> f64;
+}
+
+/// A factorised saddle-point matrix [A Φ_qᵀ; Φ_q −e].
+pub trait Kkt<const N: usize, const M: usize> {
+    /// Solves A x + Φ_qᵀ y = b, Φ_q x − e y = c.
+    fn solve(&self, b: &[f64; N], c: &[f64; M]) -> ([f64; N], [f64; M]);
+}
+
+/// Work or power of the forces that are followed along the path, J or W.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Power {
+    /// Of the inputs, positive into the system.
+    pub input: f64,
+    /// Of dissipative forces, positive out of the system.
+    pub dissipated: f64,
+}
+
+impl Power {
+    /// self + duration·other.
+    pub(super) fn plus(self, duration: f64, other: Self) -> Self {
+        Self { input: self.input + duration * other.input, dissipated: self.dissipated + duration * other.dissipated }
+    }
+}
+
+/// Why a step could not be done. The state is as it was before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Failure {
+    /// Newton did not meet its tolerance.
+    NotConverged {
+        /// Iterations spent.
+        iterations: u32,
+        /// Largest constraint violation left, m.
+        violation: f64,
+        /// What was asked for, m.
+        tolerance: f64,
+    },
+    /// The tangent matrix is not positive: the step is too long for this posture and load.
+    IndefiniteTangent,
+    /// A value became NaN or infinite.
+    NotFinite,
+    /// The local error asked for more sub-steps than one macro step may have.
+    TooManySubsteps {
+        /// The bound.
+        most: u32,
+    },
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotConverged { iterations, violation, tolerance } => write!(
+                f,
+                "the iteration did not converge: after {iterations} iterations the constraints are violated by {violation:.3e} m, allowed is {tolerance:.3e} m"
+            ),
+            Self::IndefiniteTangent => {
+                f.write_str("the tangent matrix is not positive definite: the step is too long for this posture and load")
+            }
+            Self::NotFinite => f.write_str("a coordinate, velocity or acceleration is not finite"),
+            Self::TooManySubsteps { most } => write!(f, "the local error asks for more than {most} sub-steps in one macro step"),
+        }
+    }
+}
+
+impl std::error::Error for Failure {}
+
+/// Largest magnitude; NaN if any value is.
+#[inline(always)]
+pub(super) fn max_norm<const K: usize>(x: &[f64; K]) -> f64 {
+    x.iter().fold(0.0, |largest, value| {
+        let value = value.abs();
+        if value > largest || value.is_nan() { value } else { largest }
+    })
+}

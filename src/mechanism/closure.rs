@@ -1,0 +1,181 @@
+//! Closing the loop: q and q̇ from the proximal angles and rates and the choice of assembly.
+
+use nalgebra::Vector2;
+
+use super::coordinates::{THETA, X};
+use super::model::finite;
+use super::{Coordinates, Geometry, Link, Refusal};
+
+/// Side of the arrow from left elbow to right elbow on which the tip lies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Assembly {
+    /// To the left of the arrow.
+    Plus,
+    /// To the right of the arrow.
+    Minus,
+}
+
+impl Assembly {
+    fn sign(self) -> f64 {
+        match self {
+            Self::Plus => 1.0,
+            Self::Minus => -1.0,
+        }
+    }
+}
+
+/// What a run starts from: the proximal links (left, right) and the choice of closure.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Start {
+    /// Proximal angles, rad.
+    pub theta: [f64; 2],
+    /// Proximal rates, rad/s.
+    pub omega: [f64; 2],
+    /// The way to close the loop.
+    pub assembly: Assembly,
+}
+
+/// Within this part of a length, the distal links count as in line, coinciding or parallel.
+const IN_LINE: f64 = 1e-9;
+
+/// A unit vector û(θ) and its derivative n̂(θ).
+fn direction(theta: f64) -> (Vector2<f64>, Vector2<f64>) {
+    let (sin, cos) = libm::sincos(theta);
+    (Vector2::new(cos, sin), Vector2::new(-sin, cos))
+}
+
+/// The elbows of a start posture, and how the distal links span them.
+struct Span {
+    /// From the left to the right elbow, m.
+    arrow: Vector2<f64>,
+    /// Its length, m.
+    distance: f64,
+    /// Whether the distal links are in line (direct singularity).
+    in_line: bool,
+}
+
+impl Span {
+    fn new(geometry: &Geometry, theta: [f64; 2]) -> Result<Self, Refusal> {
+        let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
+        let arrow = Vector2::new(geometry.base_distance, 0.0) + direction(theta[1]).0 * l4 - direction(theta[0]).0 * l1;
+        let distance = libm::hypot(arrow.x, arrow.y);
+        let (shortest, longest) = ((l2 - l3).abs(), l2 + l3);
+        let start = format!("init.theta = ({}, {}) rad", theta[0], theta[1]);
+        if distance < IN_LINE * longest {
+            return Err(Refusal(format!(
+                "{start} puts both elbows on the same point, {distance:.3e} m apart: the direction to the tip is undetermined, the elbows must be apart."
+            )));
+        }
+        // Round-off of the elbows' positions must not make a fully stretched start unreachable.
+        let slack = 8.0 * f64::EPSILON * geometry.size();
+        if distance > longest + slack || distance < shortest - slack {
+            return Err(Refusal(format!(
+                "{start} cannot be closed: the elbows are {distance:.6} m apart, link[2].length and link[3].length allow {shortest:.6} to {longest:.6} m."
+            )));
+        }
+        let in_line = distance > longest - IN_LINE * longest || distance < shortest + IN_LINE * longest;
+        Ok(Self { arrow, distance, in_line })
+    }
+}
+
+/// q and q̇ (with all constraints met) of a start, or a sentence why it is not possible.
+///
+/// Regular postures and their rates are unique. At a direct singularity (distal links in line) rates that closure cannot meet
+/// are refused and the tip's rate across the line, which they leave open, is 0. With all links on one line (a vertex of the
+/// configuration space) the passive rates are a root of the tangent cone's quadratic, the one that moves the tip to the side of
+/// the assembly.
+pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordinates), Refusal> {
+    for i in 0..2 {
+        finite(&format!("init.theta[{}]", i + 1), start.theta[i], "rad")?;
+        finite(&format!("init.omega[{}]", i + 1), start.omega[i], "rad/s")?;
+    }
+    let [_, l2, l3, _] = geometry.links.map(|link| link.length);
+    let span = Span::new(geometry, start.theta)?;
+
+    // The tip at distance `along` on the arrow and `across` it, without cancellation where it comes close to the line.
+    let Span { arrow, distance, .. } = span;
+    let along = ((l2 - l3) * (l2 + l3) + distance * distance) / (2.0 * distance);
+    let across_squared = (l2 + l3 - distance) * (l3 + distance - l2) * (l2 + along) / (2.0 * distance);
+    let across = start.assembly.sign() * across_squared.max(0.0).sqrt();
+    let unit = arrow / distance;
+    let from_left = unit * along + Vector2::new(-unit.y, unit.x) * across;
+    let from_right = from_left - arrow;
+    let theta = [start.theta[0], libm::atan2(from_left.y, from_left.x), libm::atan2(from_right.y, from_right.x), start.theta[1]];
+    let omega = rates(geometry, &span, theta, start)?;
+    Ok(assemble(geometry, theta, omega))
+}
+
+/// Rates of the four links from those of the proximal ones.
+fn rates(geometry: &Geometry, span: &Span, theta: [f64; 4], start: &Start) -> Result<[f64; 4], Refusal> {
+    let [w1, w4] = start.omega;
+    let [(_, n1), (u2, n2), (u3, n3), (_, n4)] = theta.map(direction);
+    let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
+    let (left_elbow, right_elbow) = (n1 * (l1 * w1), n4 * (l4 * w4));
+    let parting = right_elbow - left_elbow;
+    if !span.in_line {
+        let sine = u2.x * u3.y - u2.y * u3.x;
+        // From l2 ω2 n̂2 − l3 ω3 n̂3 = parting, by products with û3 and û2.
+        return Ok([w1, parting.dot(&u3) / (l2 * sine), parting.dot(&u2) / (l3 * sine), w4]);
+    }
+    let speed = (l1 * w1).abs() + (l4 * w4).abs();
+    // All links on one line: the x axis, or with coaxial motors any line through them.
+    let line = span.arrow / span.distance;
+    if [n1, n2, n3, n4].iter().all(|n| n.dot(&line).abs() <= IN_LINE) {
+        return vertex_rates(geometry, line, theta, start);
+    }
+    let opening = parting.dot(&line);
+    if opening.abs() > IN_LINE * speed {
+        return Err(Refusal(format!(
+            "init.omega = ({w1}, {w4}) rad/s cannot be met: the distal links are in line (direct singularity) and the elbows would part at {opening:.6e} m/s, allowed is 0."
+        )));
+    }
+    Ok([w1, -left_elbow.dot(&n2) / l2, -right_elbow.dot(&n3) / l3, w4])
+}
+
+/// Passive rates with all links on one line: with the signed lengths s along it, s ω summed around the loop is 0, and so is s ω²
+/// (closure to second order).
+fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start: &Start) -> Result<[f64; 4], Refusal> {
+    let [w1, w4] = start.omega;
+    let mut arm = [0.0; 4];
+    for (i, arm) in arm.iter_mut().enumerate() {
+        *arm = direction(theta[i]).0.dot(&line).signum() * geometry.links[i].length;
+    }
+    let [c1, c2, c3, c4] = arm;
+    // c2 ω2 − c3 ω3 = first, c2 ω2² − c3 ω3² = second.
+    let first = c4 * w4 - c1 * w1;
+    let second = c4 * w4 * w4 - c1 * w1 * w1;
+    let discriminant = c2 * c3 * (first * first + second * (c3 - c2));
+    let scale = c2.abs().max(c3.abs()).powi(2) * (c1 * w1).abs().max((c4 * w4).abs()).powi(2);
+    if discriminant < -IN_LINE * scale {
+        return Err(Refusal(format!(
+            "init.omega = ({w1}, {w4}) rad/s cannot be met: with all links on one line no rates of the distal links keep the loop closed to second order."
+        )));
+    }
+    let root = discriminant.max(0.0).sqrt();
+    let roots = [root, -root].map(|root| {
+        let w3 = (root - first * c3) / (c3 * (c3 - c2));
+        let w2 = (first + c3 * w3) / c2;
+        (w2, w3)
+    });
+    // Rate with which the tip leaves the line through the elbows, times the arrow: its sign is the side.
+    let side = |(w2, _): (f64, f64)| start.assembly.sign() * c2 * ((c2 - c3) * w2 - first);
+    let (w2, w3) = if side(roots[0]) >= side(roots[1]) { roots[0] } else { roots[1] };
+    Ok([w1, w2, w3, w4])
+}
+
+/// q and q̇ of all links from their angles and rates, each leg built up from its motor axis.
+pub fn assemble(geometry: &Geometry, theta: [f64; 4], omega: [f64; 4]) -> (Coordinates, Coordinates) {
+    let (mut q, mut v) = ([0.0; 12], [0.0; 12]);
+    for (base, [proximal, distal]) in [(0.0, [0, 1]), (geometry.base_distance, [3, 2])] {
+        let mut joint = (Vector2::new(base, 0.0), Vector2::zeros());
+        for i in [proximal, distal] {
+            let (u, n) = direction(theta[i]);
+            let Link { length, com, .. } = geometry.links[i];
+            let (centre, velocity) = (joint.0 + u * com, joint.1 + n * (com * omega[i]));
+            (q[X[i]], q[X[i] + 2], q[THETA[i]]) = (centre.x, centre.y, theta[i]);
+            (v[X[i]], v[X[i] + 2], v[THETA[i]]) = (velocity.x, velocity.y, omega[i]);
+            joint = (joint.0 + u * length, joint.1 + n * (length * omega[i]));
+        }
+    }
+    (q, v)
+}

@@ -1,0 +1,148 @@
+//! The five revolute joints: Φ(q) = 0 and its derivatives.
+//!
+//! Per leg (σ = +1 left, −1 right), with û = (cos θ, sin θ) of each link, n̂ = û turned by +90°, c the centre of mass:
+//!
+//! ```text
+//! G:  c_P − a_P û_P − ground               = 0     proximal link on its motor axis
+//! E:  c_D − a_D û_D − c_P − b_P û_P        = 0     distal link on the elbow
+//! Q:  Σ σ (c_D + b_D û_D)                  = 0     both distal links meet in the tip
+//! ```
+//!
+//! Φ_q follows with dû/dθ = n̂, Φ̇_q q̇ with n̂ω turned on to −û ω², the geometric stiffness with d²û/dθ² = −û.
+//! The constraints do not depend on time: Φ_t = 0.
+
+use nalgebra::SMatrix;
+
+use super::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
+use super::legs::{Legs, Legs2, SIGMA, both, sin_cos, sum};
+use super::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers};
+
+/// The directions of the links at one q, and the arms from the centres of mass to the joints.
+#[derive(Clone, Copy, Debug)]
+pub struct Pose {
+    /// û of the proximal links.
+    pub(crate) u_p: Legs2,
+    /// û of the distal links.
+    pub(crate) u_d: Legs2,
+    /// Motor axis to centre of mass, a_P û_P.
+    pub(crate) a_p: Legs2,
+    /// Centre of mass to elbow, b_P û_P.
+    pub(crate) b_p: Legs2,
+    /// Elbow to centre of mass, a_D û_D.
+    pub(crate) a_d: Legs2,
+    /// Centre of mass to tip, with the leg's sign, σ b_D û_D.
+    pub(crate) sigma_b_d: Legs2,
+}
+
+/// λ by joints: ground and elbow per leg, tip with the leg's sign, as the legs feel it.
+#[derive(Clone, Copy)]
+struct ByJoint {
+    ground: Legs2,
+    elbow: Legs2,
+    tip: Legs2,
+}
+
+#[inline(always)]
+fn by_joint(lambda: &Multipliers) -> ByJoint {
+    ByJoint {
+        ground: Legs2 { x: legs_of(lambda, G_X), y: legs_of(lambda, G_Y) },
+        elbow: Legs2 { x: legs_of(lambda, E_X), y: legs_of(lambda, E_Y) },
+        tip: Legs2 { x: both(lambda[TIP_X]), y: both(lambda[TIP_Y]) },
+    }
+}
+
+impl Mechanism {
+    /// Directions and arms at q.
+    #[inline(always)]
+    pub fn pose(&self, q: &Coordinates) -> Pose {
+        let (sin_p, cos_p) = sin_cos(legs_of(q, P_THETA));
+        let (sin_d, cos_d) = sin_cos(legs_of(q, D_THETA));
+        let (u_p, u_d) = (Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d });
+        Pose {
+            u_p,
+            u_d,
+            a_p: u_p.scaled(self.a_p),
+            b_p: u_p.scaled(self.b_p),
+            a_d: u_d.scaled(self.a_d),
+            sigma_b_d: u_d.scaled(self.sigma_b_d),
+        }
+    }
+
+    /// Φ(q), m.
+    #[inline(always)]
+    pub fn phi(&self, q: &Coordinates, pose: &Pose) -> Multipliers {
+        let mut phi = [0.0; MULTIPLIERS];
+        set_legs(&mut phi, G_X, legs_of(q, P_X) - pose.a_p.x - self.ground_x);
+        set_legs(&mut phi, G_Y, legs_of(q, P_Y) - pose.a_p.y);
+        set_legs(&mut phi, E_X, legs_of(q, D_X) - pose.a_d.x - legs_of(q, P_X) - pose.b_p.x);
+        set_legs(&mut phi, E_Y, legs_of(q, D_Y) - pose.a_d.y - legs_of(q, P_Y) - pose.b_p.y);
+        phi[TIP_X] = sum(SIGMA * legs_of(q, D_X) + pose.sigma_b_d.x);
+        phi[TIP_Y] = sum(SIGMA * legs_of(q, D_Y) + pose.sigma_b_d.y);
+        phi
+    }
+}
+
+impl Pose {
+    /// Φ_q v.
+    #[inline(always)]
+    pub fn phi_q_times(&self, v: &Coordinates) -> Multipliers {
+        let (w_p, w_d) = (legs_of(v, P_THETA), legs_of(v, D_THETA));
+        let (a_p, b_p) = (self.a_p.turned(), self.b_p.turned());
+        let (a_d, sigma_b_d) = (self.a_d.turned(), self.sigma_b_d.turned());
+        let mut product = [0.0; MULTIPLIERS];
+        set_legs(&mut product, G_X, legs_of(v, P_X) - a_p.x * w_p);
+        set_legs(&mut product, G_Y, legs_of(v, P_Y) - a_p.y * w_p);
+        set_legs(&mut product, E_X, legs_of(v, D_X) - a_d.x * w_d - legs_of(v, P_X) - b_p.x * w_p);
+        set_legs(&mut product, E_Y, legs_of(v, D_Y) - a_d.y * w_d - legs_of(v, P_Y) - b_p.y * w_p);
+        product[TIP_X] = sum(SIGMA * legs_of(v, D_X) + sigma_b_d.x * w_d);
+        product[TIP_Y] = sum(SIGMA * legs_of(v, D_Y) + sigma_b_d.y * w_d);
+        product
+    }
+
+    /// Φ_qᵀ λ.
+    #[inline(always)]
+    pub fn phi_q_transposed_times(&self, lambda: &Multipliers) -> Coordinates {
+        let at = by_joint(lambda);
+        let mut product = [0.0; COORDINATES];
+        set_legs(&mut product, P_X, at.ground.x - at.elbow.x);
+        set_legs(&mut product, P_Y, at.ground.y - at.elbow.y);
+        set_legs(&mut product, P_THETA, -self.a_p.turned().dot(at.ground) - self.b_p.turned().dot(at.elbow));
+        set_legs(&mut product, D_X, at.elbow.x + SIGMA * at.tip.x);
+        set_legs(&mut product, D_Y, at.elbow.y + SIGMA * at.tip.y);
+        set_legs(&mut product, D_THETA, self.sigma_b_d.turned().dot(at.tip) - self.a_d.turned().dot(at.elbow));
+        product
+    }
+
+    /// Φ̇_q q̇, m/s²: the centripetal accelerations of the arms.
+    #[inline(always)]
+    pub fn phi_q_dot_times(&self, v: &Coordinates) -> Multipliers {
+        let (w_p, w_d) = (legs_of(v, P_THETA), legs_of(v, D_THETA));
+        let (w_p, w_d) = (w_p * w_p, w_d * w_d);
+        let mut product = [0.0; MULTIPLIERS];
+        set_legs(&mut product, G_X, self.a_p.x * w_p);
+        set_legs(&mut product, G_Y, self.a_p.y * w_p);
+        set_legs(&mut product, E_X, self.a_d.x * w_d + self.b_p.x * w_p);
+        set_legs(&mut product, E_Y, self.a_d.y * w_d + self.b_p.y * w_p);
+        product[TIP_X] = -sum(self.sigma_b_d.x * w_d);
+        product[TIP_Y] = -sum(self.sigma_b_d.y * w_d);
+        product
+    }
+
+    /// The geometric stiffness ∂(Φ_qᵀλ)/∂q, N·m/rad: diagonal, and only in the angles (proximal, distal).
+    #[inline(always)]
+    pub fn geometric_stiffness(&self, lambda: &Multipliers) -> (Legs, Legs) {
+        let at = by_joint(lambda);
+        (self.a_p.dot(at.ground) + self.b_p.dot(at.elbow), self.a_d.dot(at.elbow) - self.sigma_b_d.dot(at.tip))
+    }
+
+    /// Φ_q as a matrix, for observers and tests; a step uses the products above.
+    pub fn phi_q(&self) -> SMatrix<f64, MULTIPLIERS, COORDINATES> {
+        let mut matrix = SMatrix::<f64, MULTIPLIERS, COORDINATES>::zeros();
+        for j in 0..COORDINATES {
+            let mut unit = [0.0; COORDINATES];
+            unit[j] = 1.0;
+            matrix.column_mut(j).copy_from_slice(&self.phi_q_times(&unit));
+        }
+        matrix
+    }
+}

@@ -1,0 +1,151 @@
+//! The constant mechanism: what a user gives, checked, and the same arranged by legs.
+
+use std::fmt;
+
+use super::Coordinates;
+use super::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
+use super::legs::{Legs, SIGMA, both};
+
+/// One link: a rigid bar between two revolute joints.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Link {
+    /// Distance between the link's two joints, m.
+    pub length: f64,
+    /// Mass, kg.
+    pub mass: f64,
+    /// Moment of inertia about the centre of mass, kg·m².
+    pub inertia: f64,
+    /// Centre of mass, measured along the link from its motor axis (proximal) or elbow (distal), m. May lie outside the link.
+    pub com: f64,
+}
+
+/// What defines the mechanism: links in the order left proximal, left distal, right distal, right proximal.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Geometry {
+    /// Distance between the motor axes, both on the x axis, the left one at the origin, m. 0 = coaxial motors.
+    pub base_distance: f64,
+    /// The four moving links.
+    pub links: [Link; 4],
+}
+
+/// A value that cannot be simulated: one sentence naming the variable, its value and what is allowed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Refusal(pub String);
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for Refusal {}
+
+/// Refuses a value that is not finite and positive.
+pub(crate) fn positive(name: &str, value: f64, unit: &str) -> Result<(), Refusal> {
+    finite(name, value, unit)?;
+    if value > 0.0 { Ok(()) } else { Err(Refusal(format!("{name} = {value} {unit} is not allowed: it must be positive."))) }
+}
+
+/// Refuses NaN and infinities.
+pub(crate) fn finite(name: &str, value: f64, unit: &str) -> Result<(), Refusal> {
+    if value.is_finite() { Ok(()) } else { Err(Refusal(format!("{name} = {value} {unit} is not allowed: it must be finite."))) }
+}
+
+impl Geometry {
+    /// Checks every length, mass and inertia by name.
+    pub fn check(&self) -> Result<(), Refusal> {
+        finite("base.distance", self.base_distance, "m")?;
+        if self.base_distance < 0.0 {
+            return Err(Refusal(format!("base.distance = {} m is not allowed: it must be 0 or positive.", self.base_distance)));
+        }
+        for (i, link) in self.links.iter().enumerate() {
+            let name = |what: &str| format!("link[{}].{what}", i + 1);
+            positive(&name("length"), link.length, "m")?;
+            positive(&name("mass"), link.mass, "kg")?;
+            positive(&name("inertia"), link.inertia, "kg.m2")?;
+            finite(&name("com"), link.com, "m")?;
+        }
+        Ok(())
+    }
+
+    /// The largest coordinate magnitude that the machine can have, m: what round-off in Φ is proportional to.
+    pub fn size(&self) -> f64 {
+        let [left_proximal, left_distal, right_distal, right_proximal] = self.links;
+        let arm = |link: Link| link.length.max(link.com.abs()).max((link.length - link.com).abs());
+        self.base_distance + (arm(left_proximal) + arm(left_distal)).max(arm(right_proximal) + arm(right_distal))
+    }
+
+    /// Mean mass of the links, kg.
+    pub fn mean_mass(&self) -> f64 {
+        self.links.iter().map(|link| link.mass).sum::<f64>() / 4.0
+    }
+}
+
+/// The mechanism by legs: `P` the proximal, `D` the distal links.
+///
+/// Along each link, a is the arm from its first joint (motor axis, elbow) to the centre of mass and b the rest of its length.
+#[derive(Clone, Copy, Debug)]
+pub struct Mechanism {
+    /// What it was made from.
+    pub geometry: Geometry,
+    /// x of the motor axes, m.
+    pub(crate) ground_x: Legs,
+    /// Motor axis to the centre of mass of the proximal link, m.
+    pub(crate) a_p: Legs,
+    /// Centre of mass of the proximal link to the elbow, m.
+    pub(crate) b_p: Legs,
+    /// Elbow to the centre of mass of the distal link, m.
+    pub(crate) a_d: Legs,
+    /// Centre of mass of the distal link to the tip, with the sign of the leg in the tip's closure, m.
+    pub(crate) sigma_b_d: Legs,
+    /// Masses, kg, and inertias about the centres of mass, kg·m²: the diagonal of M.
+    pub(crate) mass_p: Legs,
+    pub(crate) mass_d: Legs,
+    pub(crate) inertia_p: Legs,
+    pub(crate) inertia_d: Legs,
+}
+
+impl Mechanism {
+    /// Checks the geometry and arranges it by legs.
+    pub fn new(geometry: &Geometry) -> Result<Self, Refusal> {
+        geometry.check()?;
+        let [left_proximal, left_distal, right_distal, right_proximal] = geometry.links;
+        let proximal = |of: fn(Link) -> f64| Legs::new([of(left_proximal), of(right_proximal)]);
+        let distal = |of: fn(Link) -> f64| Legs::new([of(left_distal), of(right_distal)]);
+        Ok(Self {
+            geometry: *geometry,
+            ground_x: Legs::new([0.0, geometry.base_distance]),
+            a_p: proximal(|link| link.com),
+            b_p: proximal(|link| link.length - link.com),
+            a_d: distal(|link| link.com),
+            sigma_b_d: SIGMA * distal(|link| link.length - link.com),
+            mass_p: proximal(|link| link.mass),
+            mass_d: distal(|link| link.mass),
+            inertia_p: proximal(|link| link.inertia),
+            inertia_d: distal(|link| link.inertia),
+        })
+    }
+
+    /// M x, with the diagonal and constant mass matrix of centre-of-mass coordinates.
+    #[inline(always)]
+    pub fn mass_times(&self, x: &Coordinates) -> Coordinates {
+        let mut product = [0.0; 12];
+        for (i, m) in self.mass_diagonal().into_iter().enumerate() {
+            set_legs(&mut product, i, m * legs_of(x, i));
+        }
+        product
+    }
+
+    /// The diagonal of M by legs, in the order of the coordinates.
+    #[inline(always)]
+    pub fn mass_diagonal(&self) -> [Legs; 6] {
+        let mut diagonal = [both(0.0); 6];
+        diagonal[P_X] = self.mass_p;
+        diagonal[P_Y] = self.mass_p;
+        diagonal[P_THETA] = self.inertia_p;
+        diagonal[D_X] = self.mass_d;
+        diagonal[D_Y] = self.mass_d;
+        diagonal[D_THETA] = self.inertia_d;
+        diagonal
+    }
+}

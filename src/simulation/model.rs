@@ -1,0 +1,128 @@
+//! The constant part of a scene made ready, and what it is made from.
+
+use crate::effects::{self, Effect};
+use crate::integrator::{i3alp, i3alp_printed, rk4};
+use crate::mechanism::{Geometry, Mechanism, Refusal, Start};
+
+/// How the equations of motion are integrated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Method {
+    /// Index-3 augmented Lagrangian with projections in dual form.
+    I3alp,
+    /// The same with the paper's parameters and approximate tangent.
+    I3alpPrinted,
+    /// Runge–Kutta of order 4 on the index-1 form with projection.
+    Rk4,
+}
+
+/// The solver's settings: the `solver.*` variables of the same names.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings {
+    /// Method.
+    pub method: Method,
+    /// Macro step h, s.
+    pub step_size: f64,
+    /// Whether macro steps are divided where the local error asks ([`Method::I3alp`] only).
+    pub adaptive: bool,
+    /// Local error allowed per sub-step, rad.
+    pub error_tolerance: f64,
+    /// Constraint violation allowed, relative to the machine's size, at h = 1 ms.
+    pub tolerance: f64,
+    /// Most Newton iterations per sub-step.
+    pub max_iterations: u32,
+    /// α of the printed method, N/m.
+    pub penalty: f64,
+    /// κ of the default method.
+    pub penalty_scale: f64,
+}
+
+/// Everything that defines a scene, before it is made ready.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    /// The mechanism.
+    pub geometry: Geometry,
+    /// Where it starts.
+    pub start: Start,
+    /// How it is integrated.
+    pub settings: Settings,
+    /// What acts on it.
+    pub effects: effects::Parameters,
+}
+
+/// The integrator with the settings it reads.
+#[derive(Clone, Copy, Debug)]
+pub enum Stepper {
+    /// The default.
+    I3alp(i3alp::Settings),
+    /// As printed in the paper.
+    I3alpPrinted(i3alp_printed::Settings),
+    /// Runge–Kutta.
+    Rk4(rk4::Settings),
+}
+
+/// The constant part of a scene made ready.
+#[derive(Debug)]
+pub struct Model {
+    /// The mechanism by legs.
+    pub mechanism: Mechanism,
+    /// The active effects, and no others.
+    pub effects: Vec<Effect>,
+    /// What round-off in Φ is proportional to, m.
+    pub size: f64,
+    /// e of the saddle-point systems outside the printed method, 1/kg.
+    pub softness: f64,
+    /// The integrator.
+    pub stepper: Stepper,
+    /// Whether an active effect asks for the general linear solve.
+    pub coupled: bool,
+}
+
+impl Model {
+    /// Checks the parameters and fixes everything that stays constant.
+    pub fn new(parameters: &Parameters) -> Result<Self, Refusal> {
+        let settings = &parameters.settings;
+        settings.check()?;
+        let mechanism = Mechanism::new(&parameters.geometry)?;
+        let effects = parameters.effects.active(&mechanism)?;
+        // e = 1/(αβ) with α = κ m̄/β.
+        let softness = 1.0 / (settings.penalty_scale * parameters.geometry.mean_mass());
+        let Settings { tolerance, max_iterations, .. } = *settings;
+        let stepper = match settings.method {
+            Method::I3alp => Stepper::I3alp(i3alp::Settings {
+                adaptive: settings.adaptive,
+                error_tolerance: settings.error_tolerance,
+                tolerance,
+                max_iterations,
+                softness,
+            }),
+            Method::I3alpPrinted => Stepper::I3alpPrinted(i3alp_printed::Settings { penalty: settings.penalty, max_iterations }),
+            Method::Rk4 => Stepper::Rk4(rk4::Settings { projection: true, softness, tolerance, max_iterations }),
+        };
+        Ok(Self {
+            coupled: effects.iter().any(Effect::couples_links),
+            size: parameters.geometry.size(),
+            mechanism,
+            effects,
+            softness,
+            stepper,
+        })
+    }
+}
+
+impl Settings {
+    fn check(&self) -> Result<(), Refusal> {
+        for (name, value, unit) in [
+            ("stepSize", self.step_size, "s"),
+            ("errorTolerance", self.error_tolerance, "rad"),
+            ("tolerance", self.tolerance, "(relative)"),
+            ("penalty", self.penalty, "N/m"),
+            ("penaltyScale", self.penalty_scale, "(relative)"),
+        ] {
+            crate::mechanism::positive(&format!("solver.{name}"), value, unit)?;
+        }
+        if self.max_iterations == 0 {
+            return Err(Refusal("solver.maxIterations = 0 is not allowed: it must be 1 or more.".into()));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,208 @@
+//! The five-bar with its active effects and held inputs, as the integrator sees it.
+
+use std::marker::PhantomData;
+
+use nalgebra::{SMatrix, SVector};
+
+use super::coupled::Coupled;
+use super::model::Model;
+use super::two_leg::TwoLeg;
+use crate::effects::{DiagonalTangents, FullTangents, Inputs, Tangents};
+use crate::integrator::{Failure, Kkt, Power, System};
+use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
+use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
+
+/// The tangent must keep at least this part of the mass matrix; below it the step is too long for a Newton step to be a descent.
+const LEAST_INERTIA: f64 = 0.1;
+
+/// How the tangent is factorised: chosen once, when the scene is made ready.
+pub trait LinearSolve {
+    /// The factorised saddle-point matrix with A₀.
+    type Factor: Kkt<COORDINATES, MULTIPLIERS>;
+
+    /// Factorises with A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
+    fn factor(
+        five_bar: &FiveBar<'_, Self>,
+        pose: &Pose,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+    ) -> Result<Self::Factor, Failure>
+    where
+        Self: Sized;
+}
+
+/// Fast: no active effect couples links.
+#[derive(Debug)]
+pub enum Uncoupled {}
+
+impl LinearSolve for Uncoupled {
+    type Factor = TwoLeg;
+
+    #[inline(always)]
+    fn factor(five_bar: &FiveBar<'_, Self>, pose: &Pose, lambda: &Multipliers, h: f64, softness: f64) -> Result<TwoLeg, Failure> {
+        let mechanism = &five_bar.model.mechanism;
+        let mut tangents = DiagonalTangents::new(h);
+        five_bar.add_tangents(pose, &mut tangents);
+        let beta = h * h / 4.0;
+        let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
+        let inertia_p = mechanism.inertia_p + beta * stiffness_p + legs_of(&tangents.weighted, P_THETA);
+        let inertia_d = mechanism.inertia_d + beta * stiffness_d + legs_of(&tangents.weighted, D_THETA);
+        let margin_p = inertia_p - LEAST_INERTIA * mechanism.inertia_p;
+        let margin_d = inertia_d - LEAST_INERTIA * mechanism.inertia_d;
+        let [left, right] = margin_p.fast_min(margin_d).to_array();
+        if left > 0.0 && right > 0.0 {
+            Ok(TwoLeg::factor(mechanism, pose, [inertia_p, inertia_d], softness))
+        } else {
+            Err(Failure::IndefiniteTangent)
+        }
+    }
+}
+
+/// General: K and C may couple any links.
+#[derive(Debug)]
+pub enum AnyCoupling {}
+
+impl LinearSolve for AnyCoupling {
+    type Factor = Coupled;
+
+    fn factor(five_bar: &FiveBar<'_, Self>, pose: &Pose, lambda: &Multipliers, h: f64, softness: f64) -> Result<Coupled, Failure> {
+        let mass = five_bar.mass_matrix();
+        let mut a0 = mass + five_bar.full_tangents(pose, h);
+        let beta = h * h / 4.0;
+        let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
+        let ([p_left, p_right], [d_left, d_right]) = (stiffness_p.to_array(), stiffness_d.to_array());
+        for (i, stiffness) in THETA.into_iter().zip([p_left, d_left, d_right, p_right]) {
+            a0[(i, i)] += beta * stiffness;
+        }
+        let margin = (a0 + a0.transpose()) / 2.0 - mass * LEAST_INERTIA;
+        if margin.cholesky().is_none() {
+            return Err(Failure::IndefiniteTangent);
+        }
+        Coupled::factor(pose, &a0, softness)
+    }
+}
+
+/// A model with the inputs that are held while it is stepped.
+#[derive(Debug)]
+pub struct FiveBar<'a, L> {
+    model: &'a Model,
+    inputs: &'a Inputs,
+    follows_work: bool,
+    linear_solve: PhantomData<L>,
+}
+
+impl<'a, L> FiveBar<'a, L> {
+    /// `model` under `inputs`.
+    pub fn new(model: &'a Model, inputs: &'a Inputs) -> Self {
+        Self { model, inputs, follows_work: inputs.any(), linear_solve: PhantomData }
+    }
+
+    #[inline(always)]
+    fn add_tangents(&self, pose: &Pose, tangents: &mut impl Tangents) {
+        self.inputs.add_tangents(pose, tangents);
+        for effect in &self.model.effects {
+            effect.add_tangents(tangents);
+        }
+    }
+
+    fn full_tangents(&self, pose: &Pose, h: f64) -> SMatrix<f64, COORDINATES, COORDINATES> {
+        let mut tangents = FullTangents::new(h);
+        self.add_tangents(pose, &mut tangents);
+        tangents.weighted
+    }
+
+    fn mass_matrix(&self) -> SMatrix<f64, COORDINATES, COORDINATES> {
+        SMatrix::from_diagonal(&SVector::from(self.model.mechanism.mass_times(&[1.0; COORDINATES])))
+    }
+}
+
+impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
+    type Pose = Pose;
+    type Mass = TwoLeg;
+    type Tangent = L::Factor;
+
+    #[inline(always)]
+    fn pose(&self, q: &Coordinates) -> Pose {
+        self.model.mechanism.pose(q)
+    }
+
+    #[inline(always)]
+    fn phi(&self, q: &Coordinates, pose: &Pose) -> Multipliers {
+        self.model.mechanism.phi(q, pose)
+    }
+
+    #[inline(always)]
+    fn phi_q_times(&self, pose: &Pose, v: &Coordinates) -> Multipliers {
+        pose.phi_q_times(v)
+    }
+
+    #[inline(always)]
+    fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {
+        pose.phi_q_transposed_times(lambda)
+    }
+
+    #[inline(always)]
+    fn phi_q_dot_times(&self, pose: &Pose, v: &Coordinates) -> Multipliers {
+        pose.phi_q_dot_times(v)
+    }
+
+    #[inline(always)]
+    fn mass_times(&self, _pose: &Pose, x: &Coordinates) -> Coordinates {
+        self.model.mechanism.mass_times(x)
+    }
+
+    #[inline(always)]
+    fn forces(&self, _q: &Coordinates, pose: &Pose, _v: &Coordinates) -> Coordinates {
+        let mut forces = [0.0; COORDINATES];
+        self.inputs.add_forces(pose, &mut forces);
+        for effect in &self.model.effects {
+            effect.add_forces(&mut forces);
+        }
+        forces
+    }
+
+    fn weight_times(&self, _q: &Coordinates, pose: &Pose, _v: &Coordinates, h: f64, x: &Coordinates) -> Coordinates {
+        let weight = self.mass_matrix() + self.full_tangents(pose, h);
+        (weight * SVector::from(*x)).into()
+    }
+
+    #[inline(always)]
+    fn factor_mass(&self, pose: &Pose, softness: f64) -> TwoLeg {
+        TwoLeg::factor_mass(&self.model.mechanism, pose, softness)
+    }
+
+    #[inline(always)]
+    fn factor_tangent(
+        &self,
+        _q: &Coordinates,
+        pose: &Pose,
+        _v: &Coordinates,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+    ) -> Result<L::Factor, Failure> {
+        L::factor(self, pose, lambda, h, softness)
+    }
+
+    #[inline(always)]
+    fn follows_work(&self) -> bool {
+        self.follows_work
+    }
+
+    #[inline(always)]
+    fn power(&self, _q: &Coordinates, pose: &Pose, v: &Coordinates) -> Power {
+        Power { input: self.inputs.power(pose, v), dissipated: 0.0 }
+    }
+
+    #[inline(always)]
+    fn angle_norm(&self, x: &Coordinates) -> f64 {
+        let [left, right] = legs_of(x, P_THETA).abs().fast_max(legs_of(x, D_THETA).abs()).to_array();
+        if left > right { left } else { right }
+    }
+
+    #[inline(always)]
+    fn size(&self) -> f64 {
+        self.model.size
+    }
+}
