@@ -1,0 +1,56 @@
+"""The FMU under test: FIVEBAR_FMU, or what `cargo xtask package` wrote. It is extracted once per session."""
+
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import fmpy
+import pytest
+from fmpy.model_description import ModelDescription
+
+from instance import Instance
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(scope="session")
+def fmu() -> Path:
+    """The packed .fmu."""
+    path = Path(os.environ.get("FIVEBAR_FMU", REPOSITORY / "target" / "fmu" / "FiveBar.fmu")).resolve()
+    assert path.is_file(), f"there is no .fmu at {path}: run `cargo xtask package` or set FIVEBAR_FMU"
+    return path
+
+
+@pytest.fixture(scope="session")
+def directory(fmu: Path) -> Iterator[str]:
+    """The folder the .fmu is extracted to."""
+    folder = fmpy.extract(str(fmu))
+    yield folder
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+@pytest.fixture(scope="session")
+def model(directory: str) -> ModelDescription:
+    """The model description, as FMPy reads it."""
+    return fmpy.read_model_description(directory)
+
+
+@pytest.fixture(scope="session")
+def scenes() -> Path:
+    """The folder of the scenes."""
+    return REPOSITORY / "scenes"
+
+
+@pytest.fixture
+def new(model: ModelDescription, directory: str) -> Iterator[Callable[..., Instance]]:
+    """Makes instances and frees them after the test."""
+    made: list[Instance] = []
+
+    def make(name: str = "fivebar", logging_on: bool = False) -> Instance:
+        made.append(Instance(model, directory, name, logging_on))
+        return made[-1]
+
+    yield make
+    for instance in made:
+        instance.slave.freeInstance()

@@ -1,0 +1,166 @@
+"""The packed .fmu and its model description: what FMPy checks, and what validators miss."""
+
+import math
+import zipfile
+from pathlib import Path
+
+import fmpy.validation
+import pytest
+from lxml import etree
+
+TYPES = ("Real", "Integer", "Boolean", "String", "Enumeration")
+
+
+@pytest.fixture(scope="module")
+def root(fmu: Path) -> etree._Element:
+    """The root of modelDescription.xml as it lies in the .fmu."""
+    with zipfile.ZipFile(fmu) as archive:
+        return etree.fromstring(archive.read("modelDescription.xml"))
+
+
+@pytest.fixture(scope="module")
+def variables(root: etree._Element) -> list[etree._Element]:
+    """All ScalarVariable elements."""
+    return list(root.find("ModelVariables"))
+
+
+def value_element(variable: etree._Element) -> etree._Element:
+    """The Real, Integer, ... of a variable."""
+    return next(child for child in variable if child.tag in TYPES)
+
+
+def simple_type(root: etree._Element, name: str) -> etree._Element:
+    """The Real, Integer, ... of the type definition `name`."""
+    (found,) = [t for t in root.find("TypeDefinitions") if t.get("name") == name]
+    return found[0]
+
+
+def attribute(root: etree._Element, variable: etree._Element, name: str) -> str | None:
+    """An attribute of a variable, from its type if it has none itself."""
+    own = value_element(variable)
+    if own.get(name) is None and own.get("declaredType") is not None:
+        return simple_type(root, own.get("declaredType")).get(name)
+    return own.get(name)
+
+
+def test_fmpy_finds_no_problem(fmu: Path) -> None:
+    assert fmpy.validation.validate_fmu(str(fmu)) == []
+
+
+def test_a_broken_description_is_noticed(fmu: Path, tmp_path: Path) -> None:
+    """The validator runs: an unknown unit in a copy is reported."""
+    broken = tmp_path / "FiveBar.fmu"
+    with zipfile.ZipFile(fmu) as source, zipfile.ZipFile(broken, "w") as target:
+        for item in source.infolist():
+            content = source.read(item)
+            if item.filename == "modelDescription.xml":
+                content = content.replace(b'unit="kg.m2"', b'unit="stone"')
+            target.writestr(item, content)
+    assert fmpy.validation.validate_fmu(str(broken)) != []
+
+
+def test_archive(fmu: Path) -> None:
+    with zipfile.ZipFile(fmu) as archive:
+        assert archive.testzip() is None
+        names = archive.namelist()
+        text = archive.read("modelDescription.xml").decode("utf-8")
+        assert {item.compress_type for item in archive.infolist()} <= {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
+    assert not [name for name in names if "\\" in name or name.startswith("/") or ".." in name]
+    assert len(names) == len(set(names))
+    assert text.startswith('<?xml version="1.0" encoding="UTF-8"?>')
+    for needed in ("documentation/index.html", "model.png"):
+        assert needed in names
+    assert any(name.startswith("licenses/") or name.startswith("documentation/licenses/") for name in names)
+
+
+def test_head(root: etree._Element) -> None:
+    for name in ("guid", "version", "author", "copyright", "license", "generationTool", "generationDateAndTime", "description"):
+        assert root.get(name), f"{name} is empty"
+    assert root.get("modelName") == root.find("CoSimulation").get("modelIdentifier") == "FiveBar"
+    assert root.find("ModelExchange") is None
+
+
+def test_names_and_references(variables: list[etree._Element]) -> None:
+    names = [v.get("name") for v in variables]
+    assert len(names) == len(set(names))
+    assert all(v.get("description") for v in variables)
+    outside_derivatives = [v for v in variables if not v.get("name").startswith("der(")]
+    keys = [(value_element(v).tag, v.get("valueReference")) for v in outside_derivatives]
+    assert len(keys) == len(set(keys)), "two variables share a reference"
+
+
+def test_type_names_differ_from_variable_names(root: etree._Element, variables: list[etree._Element]) -> None:
+    assert {t.get("name") for t in root.find("TypeDefinitions")}.isdisjoint(v.get("name") for v in variables)
+
+
+def test_starts_and_bounds(root: etree._Element, variables: list[etree._Element]) -> None:
+    for variable in variables:
+        name, own = variable.get("name"), value_element(variable)
+        if variable.get("causality") in ("parameter", "input"):
+            assert own.get("start") is not None, f"{name} has no start"
+        else:
+            assert own.get("start") is None, f"{name} is calculated and has a start"
+        if own.tag not in ("Real", "Integer"):
+            continue
+        low, high, start, nominal = (attribute(root, variable, key) for key in ("min", "max", "start", "nominal"))
+        low, high = float(low or -math.inf), float(high or math.inf)
+        assert low <= high, f"{name}: min > max"
+        assert start is None or (math.isfinite(float(start)) and low <= float(start) <= high), f"{name}: start outside min and max"
+        assert nominal is None or float(nominal) > 0, f"{name}: nominal"
+
+
+def test_causality_and_variability(variables: list[etree._Element]) -> None:
+    allowed = {
+        "parameter": {("fixed", "exact"), ("tunable", "exact")},
+        "input": {("continuous", None), ("discrete", None)},
+        "output": {("continuous", "calculated"), ("discrete", "calculated")},
+        "local": {("continuous", "calculated")},
+    }
+    for variable in variables:
+        assert (variable.get("variability"), variable.get("initial")) in allowed[variable.get("causality")], variable.get("name")
+        if value_element(variable).tag != "Real":
+            assert variable.get("variability") != "continuous", variable.get("name")
+
+
+def test_units(root: etree._Element, variables: list[etree._Element]) -> None:
+    units = {u.get("name"): [d.get("name") for d in u.iter("DisplayUnit")] for u in root.find("UnitDefinitions")}
+    for variable in variables:
+        if value_element(variable).tag == "Real":
+            unit = attribute(root, variable, "unit")
+            assert unit in units, f"{variable.get('name')}: unit {unit} is not defined"
+            display = attribute(root, variable, "displayUnit")
+            assert display is None or display in units[unit]
+            assert attribute(root, variable, "quantity"), f"{variable.get('name')} has no quantity"
+
+
+def test_enumerations(root: etree._Element, variables: list[etree._Element]) -> None:
+    for variable in variables:
+        own = value_element(variable)
+        if own.tag == "Enumeration":
+            items = list(simple_type(root, own.get("declaredType")))
+            assert len({i.get("name") for i in items}) == len({i.get("value") for i in items}) == len(items)
+            assert own.get("start") is None or own.get("start") in {i.get("value") for i in items}
+
+
+def test_structure(root: etree._Element, variables: list[etree._Element]) -> None:
+    structure = root.find("ModelStructure")
+    outputs = [i for i, v in enumerate(variables, start=1) if v.get("causality") == "output"]
+    assert [int(u.get("index")) for u in structure.find("Outputs")] == outputs
+    derivatives = {i: int(value_element(v).get("derivative")) for i, v in enumerate(variables, 1) if value_element(v).get("derivative")}
+    assert [int(u.get("index")) for u in structure.find("Derivatives")] == sorted(derivatives)
+    # Every calculated output, continuous state and derivative is an initial unknown, once.
+    initial = [int(u.get("index")) for u in structure.find("InitialUnknowns")]
+    assert sorted(initial) == sorted({*outputs, *derivatives, *derivatives.values()})
+    inputs_and_states = {i for i, v in enumerate(variables, 1) if v.get("causality") == "input"} | set(derivatives.values())
+    for section in ("Outputs", "Derivatives"):
+        for unknown in structure.find(section):
+            dependencies = [int(d) for d in unknown.get("dependencies", "").split()]
+            assert unknown.get("dependencies") is not None, "no declaration means: depends on everything"
+            assert set(dependencies) <= inputs_and_states and len(set(dependencies)) == len(dependencies)
+            kinds = unknown.get("dependenciesKind")
+            assert kinds is None or len(kinds.split()) == len(dependencies)
+
+
+def test_log_categories(root: etree._Element) -> None:
+    declared = {c.get("name") for c in root.find("LogCategories")}
+    assert declared == {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logAll"}

@@ -1,0 +1,142 @@
+"""The animation page in a real browser: Debian's Chromium, headless, the page opened from disk."""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.full
+
+FLAGS = (
+    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync --window-size=1280,900"
+)
+
+
+@pytest.fixture(scope="module")
+def page(fmu: Path, scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a shipped scene, made by run.py."""
+    import run
+
+    out = tmp_path_factory.mktemp("page")
+    assert run.main(["--fmu", str(fmu), "--scene", str(scenes / "fall_90_120.json"), "--out", str(out)]) == 0
+    return out / "fall_90_120.html"
+
+
+@pytest.fixture
+def browser(page: Path, tmp_path: Path) -> Iterator[object]:
+    """A browser that has the page open."""
+    from selenium import webdriver
+    from selenium.webdriver.chrome.service import Service
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = "/usr/bin/chromium"
+    for flag in (*FLAGS.split(), f"--user-data-dir={tmp_path / 'profile'}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
+    driver = webdriver.Chrome(options=options, service=Service("/usr/bin/chromedriver"))
+    driver.get(page.as_uri())
+    yield driver
+    problems = driver.get_log("browser")
+    driver.quit()
+    assert problems == []
+
+
+def clock(browser: object) -> float:
+    """The simulated time that the page shows."""
+    return float(browser.find_element("id", "clock").text)
+
+
+def click(browser: object, name: str) -> None:
+    """Clicks the element with the id `name`."""
+    browser.find_element("id", name).click()
+
+
+def pixels(browser: object) -> int:
+    """A checksum over the canvas, 0 if it is blank."""
+    return browser.execute_script(
+        """const c = document.getElementById("canvas");
+           const data = c.getContext("2d").getImageData(0, 0, c.width, c.height).data;
+           let sum = 0; for (let i = 0; i < data.length; i++) sum = (sum * 31 + data[i]) % 1000003; return sum;"""
+    )
+
+
+def test_opens_and_draws(browser: object) -> None:
+    assert "fall_90_120" in browser.title
+    assert clock(browser) == 0.0
+    assert pixels(browser) != 0
+
+
+def test_play_and_pause(browser: object) -> None:
+    before = pixels(browser)
+    click(browser, "play")
+    time.sleep(0.6)
+    click(browser, "play")
+    reached = clock(browser)
+    assert 0.1 < reached < 2.0
+    assert pixels(browser) != before
+    time.sleep(0.3)
+    assert clock(browser) == reached
+
+
+def test_it_stops_at_the_end_and_plays_again(browser: object) -> None:
+    browser.execute_script('document.getElementById("speed").value = "4"')
+    click(browser, "play")
+    deadline = time.monotonic() + 10
+    while browser.find_element("id", "play").get_attribute("aria-label") == "Pause" and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert clock(browser) == pytest.approx(2.0)
+    click(browser, "play")
+    time.sleep(0.2)
+    assert clock(browser) < 2.0
+
+
+def test_scrub(browser: object) -> None:
+    browser.execute_script(
+        'const s = document.getElementById("scrub"); s.value = 1.25; s.dispatchEvent(new Event("input", { bubbles: true }))'
+    )
+    assert clock(browser) == pytest.approx(1.25, abs=1e-3)
+
+
+def test_marks_jump(browser: object) -> None:
+    marks = browser.find_elements("css selector", ".mark")
+    kinds = {kind for kind in ("direct", "inverse") for mark in marks if kind in mark.get_attribute("class")}
+    assert kinds == {"direct", "inverse"}
+    mark = browser.find_element("css selector", ".mark.direct")
+    met = float(mark.get_attribute("title").split(" ")[0])
+    mark.click()
+    assert clock(browser) == pytest.approx(met, abs=1e-3)
+    assert "direct singularity" in browser.find_element("id", "event").text
+    click(browser, "next")
+    assert clock(browser) > met
+
+
+def test_steps_and_keys(browser: object) -> None:
+    from selenium.webdriver.common.action_chains import ActionChains
+    from selenium.webdriver.common.keys import Keys
+
+    click(browser, "forward")
+    click(browser, "forward")
+    click(browser, "back")
+    assert clock(browser) == pytest.approx(1 / 60, abs=1e-3)
+    browser.execute_script("document.activeElement.blur()")
+    ActionChains(browser).send_keys(Keys.ARROW_RIGHT).perform()
+    assert clock(browser) == pytest.approx(2 / 60, abs=1e-3)
+    ActionChains(browser).send_keys(Keys.END).perform()
+    assert clock(browser) == pytest.approx(2.0)
+    ActionChains(browser).send_keys(Keys.HOME).send_keys(Keys.SPACE).perform()
+    time.sleep(0.3)
+    ActionChains(browser).send_keys(Keys.SPACE).perform()
+    assert 0 < clock(browser) < 2.0
+
+
+def test_small_dark_screen(browser: object) -> None:
+    """A phone at night: nothing sticks out, the canvas follows the screen's pixels."""
+    light = pixels(browser)
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True})
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": "dark"}]})
+    time.sleep(0.3)
+    assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
+    assert browser.execute_script('const c = document.getElementById("canvas"); return c.width / c.clientWidth') == pytest.approx(2, rel=0.01)
+    assert pixels(browser) not in (0, light)

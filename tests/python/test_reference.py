@@ -1,0 +1,104 @@
+"""Both scenes of the paper and the asymmetric fall, against values computed outside this repository.
+
+i3-ALP is of second order: halving h quarters the error. The tolerances are for a fixed h = 10 us and stand in
+`TOLERANCE`, each about three times the error seen when the test was written.
+"""
+
+import csv
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import scene
+from conftest import REPOSITORY
+from instance import Instance, Values
+
+New = Callable[..., Instance]
+REFERENCE = REPOSITORY / "tests" / "data" / "reference"
+
+FINE: Values = {"solver.adaptive": False, "solver.stepSize": 1e-5}
+TORQUE: Values = {"tau[1]": 0.25, "gravity.enabled": False}
+TORQUE_AND_GRAVITY: Values = {"tau[1]": 0.25}
+FALL_90_120: Values = {"init.theta[2]": 2.0943951023931953}
+
+
+def reference(name: str) -> list[tuple[float, float, float]]:
+    """(t, x, y) of the tip."""
+    lines = [line for line in (REFERENCE / name).read_text().splitlines() if not line.startswith("#")]
+    return [(float(row["t"]), float(row["Qx"]), float(row["Qy"])) for row in csv.DictReader(lines)]
+
+
+def deviations(instance: Instance, points: list[tuple[float, float, float]]) -> list[float]:
+    """Distance of the tip from the reference at every point, m."""
+    found, now = [], 0.0
+    for time, x, y in points:
+        if time > now:
+            instance.slave.doStep(now, time - now)
+            now = time
+        found.append(float(np.hypot(instance.get("tip.x") - x, instance.get("tip.y") - y)))
+    return found
+
+
+def test_torque(new: New) -> None:
+    """Up to 0.5 s, through 26 passes of singularities."""
+    assert max(deviations(new().initialise(TORQUE | FINE), reference("torque.csv"))) < 5e-6
+
+
+def test_torque_with_gravity(new: New) -> None:
+    """Values of two independent codes, quoted to 1e-10 m or better."""
+    points = [
+        (0.1, 0.078433863496, 0.175929580074),
+        (0.25, 0.205216577760, 0.229845936506),
+        (0.5, 0.14401959796, 0.25300751720),
+        (1.0, 0.0324568264, 0.0209364594),
+    ]
+    assert max(deviations(new().initialise(TORQUE_AND_GRAVITY | FINE), points)) < 5e-6
+
+
+def test_symmetric_fall(new: New) -> None:
+    """The paper's free fall while it is still symmetric: x stays at L, y is known. It starts in a direct singularity."""
+    heights = [(0.1, 0.139683115991), (0.2, -0.002207456994), (0.3, -0.187645224894), (0.5, 0.090746650258)]
+    points = [(time, 0.21, y) for time, y in heights]
+    assert max(deviations(new().initialise(FINE), points)) < 5e-6
+
+
+def test_fall_90_120(new: New) -> None:
+    assert max(deviations(new().initialise(FALL_90_120 | FINE), reference("fall-90-120.csv"))) < 5e-6
+
+
+def test_second_order(new: New) -> None:
+    """The error at 0.5 s falls by four with half the step."""
+    points = [p for p in reference("fall-90-120.csv") if p[0] <= 0.5]
+    errors = [
+        deviations(new().initialise(FALL_90_120 | FINE | {"solver.stepSize": h}), points)[-1] for h in (4e-5, 2e-5)
+    ]
+    assert 3.5 < errors[0] / errors[1] < 4.5
+
+
+def test_rk4(new: New) -> None:
+    """Another method, another error: fourth order at 0.1 ms."""
+    values = FALL_90_120 | {"solver.method": 3, "solver.stepSize": 1e-4}
+    assert max(deviations(new().initialise(values), reference("fall-90-120.csv"))) < 1e-7
+
+
+def test_default_settings(new: New) -> None:
+    """What a user gets who changes nothing: 1 ms, divided where the local error asks."""
+    assert max(deviations(new().initialise(FALL_90_120), reference("fall-90-120.csv"))) < 1e-3
+
+
+@pytest.mark.parametrize("name", ["paper_free_fall", "paper_torque", "paper_torque_gravity", "fall_90_120", "flat_table"])
+def test_scenes_keep_their_energy(new: New, scenes: Path, name: str) -> None:
+    """Every scene to its end at its own settings: finite, |energy.error| <= 1e-2 mgL, constraints kept."""
+    instance = new()
+    ready = scene.read(scenes / f"{name}.json", instance.model)
+    instance.initialise(ready.variants[0].values, stop_time=ready.stop_time)
+    mgl = 0.017 * 9.81 * 0.21
+    size = 0.01
+    for i in range(round(ready.stop_time / size)):
+        instance.slave.doStep(i * size, size)
+        assert abs(instance.get("energy.error")) <= 1e-2 * mgl, f"at {(i + 1) * size} s"
+        assert instance.get("solver.positionError") <= 1e-12
+        assert instance.get("solver.velocityError") <= 1e-8
+    assert np.isfinite(instance.tip()).all()

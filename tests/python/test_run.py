@@ -1,0 +1,115 @@
+"""run.py from the outside: a short scene, every file it writes, its summary and its exit code."""
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from conftest import REPOSITORY
+
+RUN = REPOSITORY / "xtask" / "python" / "run.py"
+SHORT = {
+    "description": "A short trial </script> of everything.",
+    "experiment": {"stopTime": 0.2, "stepSize": 0.002},
+    "tau[1]": 0.25,
+    "overlay": [{"label": "RK4, fine", "solver.method": "rk4", "solver.stepSize": 2e-4}],
+}
+
+
+def run(fmu: Path, folder: Path, content: dict[str, object]) -> subprocess.CompletedProcess[str]:
+    """Runs the scene `content`; everything is written to `folder`/out."""
+    scene = folder / "short.json"
+    scene.write_text(json.dumps(content), encoding="utf-8")
+    command = [sys.executable, str(RUN), "--fmu", str(fmu), "--scene", str(scene), "--out", str(folder / "out")]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def done(fmu: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """The short scene, run once."""
+    folder = tmp_path_factory.mktemp("run")
+    return folder / "out", run(fmu, folder, SHORT)
+
+
+def test_summary(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    _, process = done
+    assert process.returncode == 0, process.stderr
+    for fact in (
+        "tip at the end", "energy drift", "mgL", "constraint violation", "smallest singular value", "singularities met",
+        "100 steps", "sub-steps", "iterations", "rejected", "wall time", "fmi2DoStep", "real-time factor", "against i3-ALP", "Written:",
+    ):  # fmt: skip
+        assert fact in process.stdout, fact
+    # Not a terminal: a line every 10 % and no control characters.
+    assert process.stderr.count("short (i3-ALP)") == 10 and "\x1b" not in process.stderr
+
+
+def test_files(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    out, process = done
+    pictures = {"tip", "path", "energy", "constraints", "singularity", "substeps", "difference"}
+    expected = {f"{p}.png" for p in pictures} | {"short.csv", "short.rk4-fine.csv", "singularities.csv", "short.html"}
+    assert {file.name for file in out.iterdir()} == expected
+    assert all(str(out / name) in process.stdout for name in expected)
+
+
+def test_csv(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    out, _ = done
+    with (out / "short.csv").open(encoding="utf-8") as file:
+        rows = list(csv.reader(file))
+    header = rows[0]
+    assert header[0] == "time [s]" and {"tip.x [m]", "energy.error [J]", "singular.detJq [m4]", "solver.steps [1]"} <= set(header)
+    table = np.array(rows[1:], dtype=float)
+    assert table.shape == (101, len(header)) and np.isfinite(table).all()
+    assert table[-1, 0] == 0.2 and table[-1, header.index("solver.steps [1]")] == 200
+
+
+def test_pictures(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    out, _ = done
+    for path in out.glob("*.png"):
+        assert path.stat().st_size < 400_000
+        with Image.open(path) as picture:
+            assert min(picture.size) > 300 and sum(n > 0 for n in picture.convert("L").histogram()) > 20, f"{path.name} is blank"
+
+
+def test_page(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
+    out, _ = done
+    page = (out / "short.html").read_text(encoding="utf-8")
+    assert "http://" not in page and "https://" not in page
+    assert "{{" not in page
+    # The description cannot end the script element that holds the data.
+    data = page.split('<script type="application/json" id="data">')[1].split("</script>")[0]
+    assert json.loads(data)["description"] == SHORT["description"]
+    assert len(json.loads(data)["runs"]) == 2
+
+
+def test_a_run_that_fails_writes_what_it_has(fmu: Path, tmp_path: Path) -> None:
+    """The printed method without sub-steps does not survive a violent torque; exit code 1 and the FMU's sentence."""
+    hopeless = {"experiment": {"stopTime": 0.2}, "tau[1]": 50, "solver.adaptive": False, "solver.maxIterations": 1}
+    process = run(fmu, tmp_path, hopeless)
+    assert process.returncode == 1
+    assert "ended early" in process.stdout and "0.2 s" in process.stdout
+    assert (tmp_path / "out" / "short.csv").is_file() and (tmp_path / "out" / "short.html").is_file()
+
+
+def test_an_overlay_that_fails_is_part_of_the_summary(fmu: Path, tmp_path: Path) -> None:
+    overlay = {"label": "hopeless", "tau[1]": 50, "solver.adaptive": False, "solver.maxIterations": 1}
+    unreachable = {"label": "unreachable", "init.theta[1]": 3.141592653589793, "init.theta[2]": 0}
+    process = run(fmu, tmp_path, {"experiment": {"stopTime": 0.05}, "overlay": [overlay, unreachable]})
+    assert process.returncode == 0, process.stderr
+    assert "ended early" in process.stdout and "unreachable did not start" in process.stdout
+
+
+@pytest.mark.parametrize(
+    ("content", "word"),
+    [({"gravity.enable": True}, "gravity.enabled"), ({"init.theta[1]": 3.141592653589793, "init.theta[2]": 0}, "0.84")],
+)
+def test_refused(fmu: Path, tmp_path: Path, content: dict[str, object], word: str) -> None:
+    """A scene that cannot be read or started: one sentence, exit code 1, no traceback, nothing written."""
+    process = run(fmu, tmp_path, content)
+    assert process.returncode == 1
+    assert word in process.stderr and "Traceback" not in process.stderr
+    assert not (tmp_path / "out").exists()

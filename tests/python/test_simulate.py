@@ -1,0 +1,46 @@
+"""The plain way: simulate_fmu, and the script that the README quotes."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmpy import simulate_fmu
+
+from conftest import REPOSITORY
+
+
+def test_five_lines(fmu: Path) -> None:
+    result = simulate_fmu(
+        str(fmu),
+        stop_time=0.3,
+        output_interval=0.01,
+        start_values={"init.theta[2]": 2.0943951023931953},
+        output=["tip.x", "tip.y", "energy.error"],
+    )
+    assert len(result) == 31 and result["time"][-1] == pytest.approx(0.3)
+    # 0.3 s of tests/data/reference/fall-90-120.csv
+    assert (result["tip.x"][-1], result["tip.y"][-1]) == pytest.approx((0.0629559, 0.1081033), abs=1e-4)
+    assert np.max(np.abs(result["energy.error"])) < 1e-5
+
+
+def test_input_from_a_table(fmu: Path) -> None:
+    """FMPy's own input table drives the motor."""
+    torque = np.array([(0.0, 0.0), (0.1, 0.0), (0.1, 0.02), (0.2, 0.02)], dtype=[("time", float), ("tau[1]", float)])
+    result = simulate_fmu(
+        str(fmu), stop_time=0.2, output_interval=1e-3, start_values={"gravity.enabled": False}, input=torque, output=["theta[1]"]
+    )
+    still = result["time"] <= 0.1
+    assert np.all(result["theta[1]"][still] == result["theta[1]"][0])
+    assert result["theta[1]"][-1] > result["theta[1]"][0] + 0.01
+
+
+def test_first_run_of_the_readme(fmu: Path, tmp_path: Path) -> None:
+    script = REPOSITORY / "examples" / "first_run.py"
+    (tmp_path / "target" / "fmu").mkdir(parents=True)
+    shutil.copy(fmu, tmp_path / "target" / "fmu" / "FiveBar.fmu")
+    done = subprocess.run([sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("tip after 1 s: x = ")
