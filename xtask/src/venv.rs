@@ -50,15 +50,16 @@ fn make(folder: &Path, python: &PathBuf) -> Result<()> {
     .context("the Python packages could not be installed")
 }
 
+/// The oldest Python for which the pinned packages exist is 3.11.
 fn need_python() -> Result<()> {
     let found = process::program(PYTHON)
-        .args(["-c", "import sys; sys.exit(sys.version_info < (3, 10))"])
+        .args(["-c", "import sys; sys.exit(sys.version_info < (3, 11))"])
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .status()
         .is_ok_and(|status| status.success());
     if !found {
-        bail!("`{PYTHON}` with version 3.10 or newer is needed on the path");
+        bail!("`{PYTHON}` with version 3.11 or newer is needed on the path");
     }
     Ok(())
 }
