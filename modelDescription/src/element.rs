@@ -21,40 +21,26 @@ impl Element {
     pub(crate) fn parse(xml: &str) -> Result<Self, Error> {
         let mut reader = Reader::from_str(xml);
         // A stack of open elements; the bottom one stands for the document and receives the root.
-        let mut open = vec![Self {
-            tag: "document".to_owned(),
-            attributes: Vec::new(),
-            children: Vec::new(),
-        }];
+        let mut open = vec![Self { tag: "document".to_owned(), attributes: Vec::new(), children: Vec::new() }];
         loop {
-            let event = reader
-                .read_event()
-                .map_err(|error| Error(format!("byte {}: {error}", reader.error_position())))?;
+            let event = reader.read_event().map_err(|error| Error(format!("byte {}: {error}", reader.error_position())))?;
             match event {
                 Event::Start(start) => open.push(Self::open(&start)?),
                 Event::Empty(start) => {
                     let element = Self::open(&start)?;
-                    open.last_mut()
-                        .expect("the document")
-                        .children
-                        .push(element);
+                    open.last_mut().expect("the document").children.push(element);
                 }
                 // The reader has checked that the tag closes the innermost open element.
                 Event::End(_) => {
                     let element = open.pop().expect("an open element");
-                    open.last_mut()
-                        .expect("the document")
-                        .children
-                        .push(element);
+                    open.last_mut().expect("the document").children.push(element);
                 }
                 Event::Eof => break,
                 _ => {}
             }
         }
         match (open.pop(), open.is_empty()) {
-            (Some(document), true) if document.children.len() == 1 => {
-                Ok(document.children.into_iter().next().expect("one child"))
-            }
+            (Some(document), true) if document.children.len() == 1 => Ok(document.children.into_iter().next().expect("one child")),
             (Some(element), false) => Err(Error(format!("<{}> is not closed", element.tag))),
             _ => Err(Error("a document has exactly one root element".to_owned())),
         }
@@ -65,51 +51,31 @@ impl Element {
         let mut attributes = Vec::new();
         for attribute in start.attributes() {
             let attribute = attribute.map_err(|error| Error(format!("<{tag}>: {error}")))?;
-            let value = attribute
-                .normalized_value(XmlVersion::Explicit1_0)
-                .map_err(|error| Error(format!("<{tag}>: {error}")))?;
+            let value = attribute.normalized_value(XmlVersion::Explicit1_0).map_err(|error| Error(format!("<{tag}>: {error}")))?;
             attributes.push((attribute.key.0.to_owned(), value.into_owned()));
         }
-        Ok(Self {
-            tag,
-            attributes,
-            children: Vec::new(),
-        })
+        Ok(Self { tag, attributes, children: Vec::new() })
     }
 
     /// Value of an attribute, where it is given.
     pub(crate) fn attribute(&self, name: &str) -> Option<&str> {
-        self.attributes
-            .iter()
-            .find(|(key, _)| key == name)
-            .map(|(_, value)| value.as_str())
+        self.attributes.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str())
     }
 
     /// Value of an attribute that must be given.
     pub(crate) fn required(&self, name: &str) -> Result<&str, Error> {
-        self.attribute(name)
-            .ok_or_else(|| Error(format!("{self} has no attribute {name}")))
+        self.attribute(name).ok_or_else(|| Error(format!("{self} has no attribute {name}")))
     }
 
     /// The one child of that tag.
     pub(crate) fn child(&self, tag: &str) -> Result<&Element, Error> {
-        self.children
-            .iter()
-            .find(|child| child.tag == tag)
-            .ok_or_else(|| Error(format!("{self} has no element <{tag}>")))
+        self.children.iter().find(|child| child.tag == tag).ok_or_else(|| Error(format!("{self} has no element <{tag}>")))
     }
 
     /// Refuses attributes that are not in `allowed`: a misspelt one would otherwise be silently without effect.
     pub(crate) fn allow(&self, allowed: &[&str]) -> Result<(), Error> {
-        match self
-            .attributes
-            .iter()
-            .find(|(key, _)| !allowed.contains(&key.as_str()))
-        {
-            Some((key, _)) => Err(Error(format!(
-                "{self}: attribute {key} is not one of {}",
-                allowed.join(", ")
-            ))),
+        match self.attributes.iter().find(|(key, _)| !allowed.contains(&key.as_str())) {
+            Some((key, _)) => Err(Error(format!("{self}: attribute {key} is not one of {}", allowed.join(", ")))),
             None => Ok(()),
         }
     }

@@ -24,23 +24,15 @@ impl ModelDescription {
                 Event::Start(start) if start.name().0 == "fmiModelDescription" => {
                     in_root = true;
                     write(&mut writer, Event::Text(BytesText::from_escaped(HEAD)));
-                    Event::Start(
-                        replace(&replace(&start, "guid", &self.guid()), "version", version)
-                            .into_owned(),
-                    )
+                    Event::Start(replace(&replace(&start, "guid", &self.guid()), "version", version).into_owned())
                 }
-                Event::Empty(element) if element.name().0 == "Unknown" => {
-                    Event::Empty(self.unknown(&element))
-                }
+                Event::Empty(element) if element.name().0 == "Unknown" => Event::Empty(self.unknown(&element)),
                 Event::Empty(element) => Event::Empty(match value(&element, "derivative") {
                     Some(state) => replace(&element, "derivative", &self.index(&state).to_string()),
                     None => element,
                 }),
                 Event::End(end) if end.name().0 == "ModelStructure" => {
-                    write(
-                        &mut writer,
-                        Event::Text(BytesText::from_escaped(self.initial_unknowns())),
-                    );
+                    write(&mut writer, Event::Text(BytesText::from_escaped(self.initial_unknowns())));
                     Event::End(end)
                 }
                 other => other,
@@ -52,21 +44,15 @@ impl ModelDescription {
 
     /// 1-based position of a variable in ModelVariables.
     fn index(&self, name: &str) -> usize {
-        let position = self
-            .variables
-            .iter()
-            .position(|variable| variable.name.full == name);
+        let position = self.variables.iter().position(|variable| variable.name.full == name);
         position.expect("check() has looked every name up") + 1
     }
 
     fn unknown(&self, element: &BytesStart<'_>) -> BytesStart<'static> {
         const CHECKED: &str = "parse() requires both attributes";
         let index = self.index(&value(element, "name").expect(CHECKED));
-        let mut known: Vec<usize> = value(element, "dependencies")
-            .expect(CHECKED)
-            .split_whitespace()
-            .map(|name| self.index(name))
-            .collect();
+        let mut known: Vec<usize> =
+            value(element, "dependencies").expect(CHECKED).split_whitespace().map(|name| self.index(name)).collect();
         known.sort_unstable();
         let known: Vec<String> = known.iter().map(usize::to_string).collect();
         let mut unknown = BytesStart::new("Unknown");
@@ -93,16 +79,12 @@ impl ModelDescription {
 }
 
 fn write(writer: &mut Writer<Vec<u8>>, event: Event<'_>) {
-    writer
-        .write_event(event)
-        .expect("writing to memory does not fail");
+    writer.write_event(event).expect("writing to memory does not fail");
 }
 
 /// Value of an attribute, where the element has it.
 fn value(element: &BytesStart<'_>, name: &str) -> Option<String> {
-    let attribute = element
-        .try_get_attribute(name)
-        .expect("parse() has read the same element before");
+    let attribute = element.try_get_attribute(name).expect("parse() has read the same element before");
     attribute.map(|attribute| attribute.value.into_owned())
 }
 
@@ -112,9 +94,9 @@ fn replace(element: &BytesStart<'_>, name: &str, new: &str) -> BytesStart<'stati
     let content = format!("{}{}", element.name().0, element.attributes_raw());
     // The blank before the name tells `version` from `fmiVersion`.
     let pattern = |blank: char| format!("{blank}{name}=\"{old}\"");
-    let content = [' ', '\n'].into_iter().fold(content, |content, blank| {
-        content.replacen(&pattern(blank), &format!("{blank}{name}=\"{new}\""), 1)
-    });
+    let content = [' ', '\n']
+        .into_iter()
+        .fold(content, |content, blank| content.replacen(&pattern(blank), &format!("{blank}{name}=\"{new}\""), 1));
     BytesStart::from_content(content, element.name().0.len())
 }
 
@@ -142,12 +124,7 @@ mod tests {
     fn another_content_has_another_guid() {
         let other = crate::XML.replacen("Motor torque", "Torque of the motor", 1);
         let other = ModelDescription::parse(&other).expect("a harmless change");
-        assert_ne!(
-            other.guid(),
-            ModelDescription::read()
-                .expect("the shipped description")
-                .guid()
-        );
+        assert_ne!(other.guid(), ModelDescription::read().expect("the shipped description").guid());
     }
 
     #[test]
@@ -155,33 +132,14 @@ mod tests {
         let (description, text, root) = written();
         let variables = &root.child("ModelVariables").expect("variables").children;
         assert_eq!(variables.len(), description.variables.len());
-        let name = |index: &str| {
-            variables[index.parse::<usize>().expect("an index") - 1].attribute("name")
-        };
+        let name = |index: &str| variables[index.parse::<usize>().expect("an index") - 1].attribute("name");
 
-        let derivative = variables
-            .iter()
-            .find(|v| v.attribute("name") == Some("der(omega[2])"))
-            .expect("it");
-        assert_eq!(
-            name(
-                derivative.children[0]
-                    .attribute("derivative")
-                    .expect("derivative")
-            ),
-            Some("omega[2]")
-        );
+        let derivative = variables.iter().find(|v| v.attribute("name") == Some("der(omega[2])")).expect("it");
+        assert_eq!(name(derivative.children[0].attribute("derivative").expect("derivative")), Some("omega[2]"));
 
-        let outputs = &root
-            .child("ModelStructure")
-            .and_then(|s| s.child("Outputs"))
-            .expect("outputs")
-            .children;
+        let outputs = &root.child("ModelStructure").and_then(|s| s.child("Outputs")).expect("outputs").children;
         for (written, source) in outputs.iter().zip(&description.structure.outputs) {
-            assert_eq!(
-                name(written.attribute("index").expect("index")),
-                Some(source.name.as_str())
-            );
+            assert_eq!(name(written.attribute("index").expect("index")), Some(source.name.as_str()));
             let mut names: Vec<&str> = written
                 .attribute("dependencies")
                 .expect("dependencies")
@@ -199,25 +157,10 @@ mod tests {
     #[test]
     fn initial_unknowns_are_the_calculated_outputs_and_derivatives() {
         let (description, _, root) = written();
-        let list = &root
-            .child("ModelStructure")
-            .and_then(|s| s.child("InitialUnknowns"))
-            .expect("list")
-            .children;
-        let indices: Vec<usize> = list
-            .iter()
-            .map(|u| {
-                u.attribute("index")
-                    .expect("index")
-                    .parse()
-                    .expect("a number")
-            })
-            .collect();
+        let list = &root.child("ModelStructure").and_then(|s| s.child("InitialUnknowns")).expect("list").children;
+        let indices: Vec<usize> = list.iter().map(|u| u.attribute("index").expect("index").parse().expect("a number")).collect();
         let structure = &description.structure;
-        assert_eq!(
-            indices.len(),
-            structure.outputs.len() + structure.derivatives.len()
-        );
+        assert_eq!(indices.len(), structure.outputs.len() + structure.derivatives.len());
         assert!(indices.is_sorted_by(|a, b| a < b));
     }
 

@@ -24,8 +24,8 @@ mod parse;
 use std::fmt;
 
 pub use data::{
-    Bounds, Category, Causality, Enumeration, Initial, Item, Kind, ModelDescription, Name,
-    SimpleType, Structure, TypeKind, Unit, Unknown, Variability, Variable,
+    Bounds, Category, Causality, Enumeration, Initial, Item, Kind, ModelDescription, Name, SimpleType, Structure, TypeKind, Unit,
+    Unknown, Variability, Variable,
 };
 
 /// The text of `modelDescription/modelDescription.xml`.
@@ -61,9 +61,6 @@ impl ModelDescription {
     pub fn guid(&self) -> String {
         // Any fixed value serves; this one is itself the version 5 UUID of "FiveBar" in the namespace of URLs.
         const NAMESPACE: uuid::Uuid = uuid::uuid!("3729f55c-2054-5fb9-9560-16e0a330d502");
-        format!(
-            "{{{}}}",
-            uuid::Uuid::new_v5(&NAMESPACE, self.xml.as_bytes())
-        )
+        format!("{{{}}}", uuid::Uuid::new_v5(&NAMESPACE, self.xml.as_bytes()))
     }
 }

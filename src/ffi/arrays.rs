@@ -9,11 +9,7 @@ use crate::fmi::Rejection;
 ///
 /// # Safety
 /// `pointer` is null or points to `length` initialised values that do not change while the slice is in use.
-pub(super) unsafe fn slice<'a, T>(
-    name: &str,
-    pointer: *const T,
-    length: usize,
-) -> Result<&'a [T], Rejection> {
+pub(super) unsafe fn slice<'a, T>(name: &str, pointer: *const T, length: usize) -> Result<&'a [T], Rejection> {
     if length == 0 {
         return Ok(&[]);
     }
@@ -24,11 +20,7 @@ pub(super) unsafe fn slice<'a, T>(
 
 /// Refuses null.
 pub(super) fn not_null<T>(name: &str, pointer: *const T) -> Result<(), Rejection> {
-    if pointer.is_null() {
-        Err(Rejection::error(format!("{name} is null")))
-    } else {
-        Ok(())
-    }
+    if pointer.is_null() { Err(Rejection::error(format!("{name} is null."))) } else { Ok(()) }
 }
 
 /// A string to read.
@@ -39,6 +31,5 @@ pub(super) unsafe fn string<'a>(name: &str, pointer: fmi2String) -> Result<&'a s
     not_null(name, pointer)?;
     // SAFETY: not null, and the caller vouches for the end.
     let text = unsafe { CStr::from_ptr(pointer) };
-    text.to_str()
-        .map_err(|_| Rejection::error(format!("{name} is not UTF-8")))
+    text.to_str().map_err(|_| Rejection::error(format!("{name} is not UTF-8.")))
 }

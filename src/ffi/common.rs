@@ -7,8 +7,8 @@ use std::ptr::null_mut;
 use super::arrays::{not_null, slice, string};
 use super::guard::{Component, guard};
 use super::types::{
-    fmi2Boolean, fmi2Byte, fmi2CallbackFunctions, fmi2CoSimulation, fmi2Component, fmi2FMUstate,
-    fmi2False, fmi2Integer, fmi2Real, fmi2Status, fmi2String, fmi2Type, fmi2ValueReference,
+    fmi2Boolean, fmi2Byte, fmi2CallbackFunctions, fmi2CoSimulation, fmi2Component, fmi2FMUstate, fmi2False, fmi2Integer, fmi2Real,
+    fmi2Status, fmi2String, fmi2Type, fmi2ValueReference,
 };
 use crate::fmi::{Call, Instance, Rejection};
 use crate::variables::{Access, GUID, Value};
@@ -52,8 +52,7 @@ pub unsafe extern "C" fn fmi2Instantiate(
         };
         let mut component = Component::new(name.to_owned(), *functions, loggingOn != fmi2False);
         // SAFETY: the caller vouches for the string unless it is null.
-        let checked = unsafe { string("fmuGUID", fmuGUID) }
-            .and_then(|guid| check_identity(name, fmuType, guid));
+        let checked = unsafe { string("fmuGUID", fmuGUID) }.and_then(|guid| check_identity(name, fmuType, guid));
         match checked {
             Ok(()) => Some(component),
             Err(rejection) => {
@@ -72,17 +71,13 @@ pub unsafe extern "C" fn fmi2Instantiate(
 
 fn check_identity(name: &CStr, kind: fmi2Type, guid: &str) -> Result<(), Rejection> {
     if name.is_empty() {
-        return Err(Rejection::error("instanceName is null or empty"));
+        return Err(Rejection::error("instanceName is null or empty."));
     }
     if kind != fmi2CoSimulation {
-        return Err(Rejection::error(format!(
-            "fmuType is {kind}, must be fmi2CoSimulation ({fmi2CoSimulation})"
-        )));
+        return Err(Rejection::error(format!("fmuType is {kind}, must be fmi2CoSimulation ({fmi2CoSimulation}).")));
     }
     if guid != GUID {
-        return Err(Rejection::error(format!(
-            "fmuGUID is {guid}, this library belongs to {GUID}"
-        )));
+        return Err(Rejection::error(format!("fmuGUID is {guid}, this library belongs to {GUID}.")));
     }
     Ok(())
 }
@@ -114,9 +109,7 @@ pub unsafe extern "C" fn fmi2SetDebugLogging(
         // SAFETY: the caller vouches for the array and its strings.
         let names = unsafe { slice("categories", categories, nCategories) }?;
         // SAFETY: as above.
-        let names = names
-            .iter()
-            .map(|name| unsafe { string("a category", *name) });
+        let names = names.iter().map(|name| unsafe { string("a category", *name) });
         let names = names.collect::<Result<Vec<&str>, _>>()?;
         instance.set_debug_logging(loggingOn != fmi2False, names.into_iter())
     };
@@ -139,10 +132,7 @@ pub unsafe extern "C" fn fmi2SetupExperiment(
 ) -> fmi2Status {
     let defined = |flag: fmi2Boolean, value| (flag != fmi2False).then_some(value);
     let body = |instance: &mut Instance| {
-        let (tolerance, stop) = (
-            defined(toleranceDefined, tolerance),
-            defined(stopTimeDefined, stopTime),
-        );
+        let (tolerance, stop) = (defined(toleranceDefined, tolerance), defined(stopTimeDefined, stopTime));
         instance.setup_experiment(tolerance, startTime, stop)
     };
     // SAFETY: the caller vouches for the component.

@@ -3,10 +3,7 @@
 use super::arrays::not_null;
 use super::common::unsupported;
 use super::guard::guard;
-use super::types::{
-    fmi2Boolean, fmi2Component, fmi2Integer, fmi2Real, fmi2Status, fmi2StatusKind, fmi2String,
-    fmi2ValueReference,
-};
+use super::types::{fmi2Boolean, fmi2Component, fmi2Integer, fmi2Real, fmi2Status, fmi2StatusKind, fmi2String, fmi2ValueReference};
 use crate::fmi::status::StatusKind;
 use crate::fmi::{Call, Instance};
 
@@ -21,9 +18,7 @@ pub unsafe extern "C" fn fmi2DoStep(
     communicationStepSize: fmi2Real,
     _noSetFMUStatePriorToCurrentPoint: fmi2Boolean,
 ) -> fmi2Status {
-    let body = |instance: &mut Instance| {
-        instance.do_step(currentCommunicationPoint, communicationStepSize)
-    };
+    let body = |instance: &mut Instance| instance.do_step(currentCommunicationPoint, communicationStepSize);
     // SAFETY: the caller vouches for the component.
     unsafe { guard(c, Call::DoStep, body) }
 }
@@ -54,11 +49,7 @@ unsupported! {
 /// # Safety
 /// See the contract of [`crate::ffi`].
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn fmi2GetRealStatus(
-    c: fmi2Component,
-    s: fmi2StatusKind,
-    value: *mut fmi2Real,
-) -> fmi2Status {
+pub unsafe extern "C" fn fmi2GetRealStatus(c: fmi2Component, s: fmi2StatusKind, value: *mut fmi2Real) -> fmi2Status {
     let body = |instance: &mut Instance| {
         not_null("value", value)?;
         let time = instance.real_status(StatusKind::from_number(s)?)?;
@@ -75,11 +66,7 @@ pub unsafe extern "C" fn fmi2GetRealStatus(
 /// # Safety
 /// See the contract of [`crate::ffi`].
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn fmi2GetBooleanStatus(
-    c: fmi2Component,
-    s: fmi2StatusKind,
-    value: *mut fmi2Boolean,
-) -> fmi2Status {
+pub unsafe extern "C" fn fmi2GetBooleanStatus(c: fmi2Component, s: fmi2StatusKind, value: *mut fmi2Boolean) -> fmi2Status {
     let body = |instance: &mut Instance| {
         not_null("value", value)?;
         let terminated = instance.boolean_status(StatusKind::from_number(s)?)?;

@@ -4,9 +4,7 @@ use std::any::Any;
 use std::ffi::CString;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use super::types::{
-    fmi2CallbackFunctions, fmi2Component, fmi2Error, fmi2Fatal, fmi2Status, number,
-};
+use super::types::{fmi2CallbackFunctions, fmi2Component, fmi2Error, fmi2Fatal, fmi2Status, number};
 use crate::fmi::{Call, Instance, Message, Rejection, Status};
 
 /// What an fmi2Component points to.
@@ -21,12 +19,7 @@ pub(super) struct Component {
 
 impl Component {
     pub(super) fn new(name: CString, callbacks: fmi2CallbackFunctions, logging_on: bool) -> Self {
-        Self {
-            instance: Instance::new(logging_on),
-            name,
-            callbacks,
-            poisoned: false,
-        }
+        Self { instance: Instance::new(logging_on), name, callbacks, poisoned: false }
     }
 
     /// Hands a message to the master's logger, if it has one.
@@ -36,22 +29,13 @@ impl Component {
         };
         // The text takes the place of a printf format, so % is doubled; a zero byte would end it.
         let text = message.text.replace('%', "%%").replace('\0', " ");
-        let (Ok(text), Ok(category)) = (
-            CString::new(text),
-            CString::new(message.status.category().name()),
-        ) else {
+        let (Ok(text), Ok(category)) = (CString::new(text), CString::new(message.status.category().name())) else {
             return;
         };
         // SAFETY: the caller of fmi2Instantiate vouches for the logger; all strings outlive the call, and no argument
         // is missing since the text holds no format specification.
         unsafe {
-            logger(
-                callbacks.componentEnvironment,
-                name.as_ptr(),
-                number(message.status),
-                category.as_ptr(),
-                text.as_ptr(),
-            );
+            logger(callbacks.componentEnvironment, name.as_ptr(), number(message.status), category.as_ptr(), text.as_ptr());
         }
     }
 
@@ -85,18 +69,13 @@ pub(super) unsafe fn guard(
     let status = match catch_unwind(AssertUnwindSafe(|| body(instance))) {
         Ok(Ok(())) => Status::Ok,
         Ok(Err(rejection)) => {
-            component.instance.log.push(rejection.status, || {
-                format!("{call}: {}", rejection.message)
-            });
+            component.instance.log.push(rejection.status, || format!("{call}: {}", rejection.message));
             rejection.status
         }
         Err(panic) => {
             component.poisoned = true;
             component.instance.log.push(Status::Fatal, || {
-                format!(
-                    "{call}: defect of the library, the instance can only be freed: {}",
-                    panic_text(&*panic)
-                )
+                format!("{call}: defect of the library, the instance can only be freed: {}", panic_text(&*panic))
             });
             Status::Fatal
         }
@@ -119,9 +98,7 @@ mod tests {
     use std::ffi::{CStr, c_void};
     use std::ptr::null_mut;
 
-    use super::super::{
-        fmi2ComponentEnvironment, fmi2FreeInstance, fmi2GetVersion, fmi2OK, fmi2Reset, fmi2String,
-    };
+    use super::super::{fmi2ComponentEnvironment, fmi2FreeInstance, fmi2GetVersion, fmi2OK, fmi2Reset, fmi2String};
     use super::*;
 
     /// A logger that gathers `category: message` in the Vec that its environment points to.
@@ -145,20 +122,13 @@ mod tests {
         let callbacks = fmi2CallbackFunctions {
             // SAFETY: with the usual calling conventions a function that ignores further arguments can be called as a
             // variadic one; this is what masters written in C with five parameters do.
-            logger: Some(unsafe {
-                std::mem::transmute::<*const c_void, super::super::fmi2CallbackLogger>(record)
-            }),
+            logger: Some(unsafe { std::mem::transmute::<*const c_void, super::super::fmi2CallbackLogger>(record) }),
             allocateMemory: None,
             freeMemory: None,
             stepFinished: None,
             componentEnvironment: std::ptr::from_mut(lines).cast(),
         };
-        Box::into_raw(Box::new(Component::new(
-            c"test".to_owned(),
-            callbacks,
-            false,
-        )))
-        .cast()
+        Box::into_raw(Box::new(Component::new(c"test".to_owned(), callbacks, false))).cast()
     }
 
     #[test]
@@ -167,10 +137,7 @@ mod tests {
         let (broken, other) = (component(&mut lines), component(&mut other_lines));
         // SAFETY: both components are live, and freed once.
         unsafe {
-            assert_eq!(
-                guard(broken, Call::DoStep, |_| panic!("on purpose, 100 %")),
-                fmi2Fatal
-            );
+            assert_eq!(guard(broken, Call::DoStep, |_| panic!("on purpose, 100 %")), fmi2Fatal);
             assert_eq!(fmi2Reset(broken), fmi2Fatal);
             assert_eq!(fmi2Reset(other), fmi2OK);
             fmi2FreeInstance(broken);

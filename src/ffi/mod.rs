@@ -33,12 +33,7 @@
 //! what a bug report needs.
 
 #![allow(unsafe_code, reason = "raw pointers come in here and go no further")]
-#![allow(
-    non_camel_case_types,
-    non_snake_case,
-    non_upper_case_globals,
-    reason = "the names are those of the standard's headers"
-)]
+#![allow(non_camel_case_types, non_snake_case, non_upper_case_globals, reason = "the names are those of the standard's headers")]
 
 mod arrays;
 mod common;

@@ -67,8 +67,7 @@ pub type fmi2CallbackAllocateMemory = unsafe extern "C" fn(nobj: usize, size: us
 /// Not used.
 pub type fmi2CallbackFreeMemory = unsafe extern "C" fn(obj: *mut c_void);
 /// Not used: steps are never pending.
-pub type fmi2StepFinished =
-    unsafe extern "C" fn(componentEnvironment: fmi2ComponentEnvironment, status: fmi2Status);
+pub type fmi2StepFinished = unsafe extern "C" fn(componentEnvironment: fmi2ComponentEnvironment, status: fmi2Status);
 
 /// The master's callbacks; each may be null.
 #[repr(C)]

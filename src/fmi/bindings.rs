@@ -6,11 +6,11 @@
 use super::Rejection;
 use super::values::check_value;
 use crate::effects;
-use crate::mechanism;
-use crate::simulation::{self, Geometry, Inputs, Link, Parameters, Settings, Start};
+use crate::mechanism::{self, Geometry, Link, Start};
+use crate::simulation::{self, Inputs, Parameters, Settings};
 use crate::variables::{
-    self, Access, BooleanParameter, EnumerationParameter, IntegerParameter, RealInput,
-    RealParameter, Slot, VARIABLES, Value, Variable,
+    self, Access, BooleanParameter, EnumerationParameter, IntegerParameter, RealInput, RealParameter, Slot, VARIABLES, Value,
+    Variable,
 };
 
 /// The place of a Real parameter.
@@ -93,29 +93,17 @@ macro_rules! choice {
     };
 }
 
-choice!(
-    simulation::Method = variables::Method {
-        I3alp,
-        I3alpPrinted,
-        Rk4
-    }
-);
+choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4 });
 choice!(mechanism::Assembly = variables::Assembly { Plus, Minus });
 
 /// The name of a method as in the XML.
 pub(super) fn method_name(method: simulation::Method) -> &'static str {
     let mut items = variables::Method::ITEMS.iter();
-    items
-        .find(|item| item.value == method.number())
-        .map_or("", |item| item.name)
+    items.find(|item| item.value == method.number()).map_or("", |item| item.name)
 }
 
 /// The present value of a parameter or input; `None` for an output.
-pub(super) fn read(
-    parameters: &mut Parameters,
-    inputs: &mut Inputs,
-    variable: &Variable,
-) -> Option<Value> {
+pub(super) fn read(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable) -> Option<Value> {
     Some(match variable.slot {
         Slot::RealParameter(v) => Value::Real(*real_parameter(parameters, v)),
         Slot::RealInput(v) => Value::Real(*real_input(inputs, v)),
@@ -124,20 +112,13 @@ pub(super) fn read(
             Value::Integer(i32::try_from(*integer_parameter(parameters, v)).unwrap_or(i32::MAX))
         }
         Slot::BooleanParameter(v) => Value::Boolean(*boolean_parameter(parameters, v)),
-        Slot::EnumerationParameter(v) => {
-            Value::Integer(enumeration_parameter(parameters, v).number())
-        }
+        Slot::EnumerationParameter(v) => Value::Integer(enumeration_parameter(parameters, v).number()),
         Slot::RealOutput(_) | Slot::IntegerOutput(_) | Slot::EnumerationOutput(_) => return None,
     })
 }
 
 /// Writes a parameter or input; false where the value is not of its type or the variable is an output.
-pub(super) fn write(
-    parameters: &mut Parameters,
-    inputs: &mut Inputs,
-    variable: &Variable,
-    value: Value,
-) -> bool {
+pub(super) fn write(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable, value: Value) -> bool {
     match (variable.slot, value) {
         (Slot::RealParameter(v), Value::Real(x)) => *real_parameter(parameters, v) = x,
         (Slot::RealInput(v), Value::Real(x)) => *real_input(inputs, v) = x,
@@ -166,22 +147,10 @@ pub fn default_inputs() -> Inputs {
 
 fn starts() -> (Parameters, Inputs) {
     // Every value below is overwritten by the loop: the XML is the one place where starts stand.
-    let link = Link {
-        length: f64::NAN,
-        mass: f64::NAN,
-        inertia: f64::NAN,
-        com: f64::NAN,
-    };
+    let link = Link { length: f64::NAN, mass: f64::NAN, inertia: f64::NAN, com: f64::NAN };
     let mut parameters = Parameters {
-        geometry: Geometry {
-            base_distance: f64::NAN,
-            links: [link; 4],
-        },
-        start: Start {
-            theta: [f64::NAN; 2],
-            omega: [f64::NAN; 2],
-            assembly: mechanism::Assembly::Plus,
-        },
+        geometry: Geometry { base_distance: f64::NAN, links: [link; 4] },
+        start: Start { theta: [f64::NAN; 2], omega: [f64::NAN; 2], assembly: mechanism::Assembly::Plus },
         settings: Settings {
             method: simulation::Method::I3alp,
             step_size: f64::NAN,
@@ -193,18 +162,10 @@ fn starts() -> (Parameters, Inputs) {
             penalty_scale: f64::NAN,
         },
         effects: effects::Parameters {
-            gravity: effects::gravity::Parameters {
-                enabled: false,
-                g: f64::NAN,
-                tilt: f64::NAN,
-                direction: f64::NAN,
-            },
+            gravity: effects::gravity::Parameters { enabled: false, g: f64::NAN, tilt: f64::NAN, direction: f64::NAN },
         },
     };
-    let mut inputs = Inputs {
-        tau: [f64::NAN; 2],
-        tip_force: [f64::NAN; 2],
-    };
+    let mut inputs = Inputs { tau: [f64::NAN; 2], tip_force: [f64::NAN; 2] };
     for variable in VARIABLES {
         if let Some(start) = variable.start {
             let written = write(&mut parameters, &mut inputs, variable, start);
@@ -216,36 +177,21 @@ fn starts() -> (Parameters, Inputs) {
 
 /// Sets a parameter or input by name, with the checks of fmi2SetXXX; the value is text as in a scene file: a number,
 /// `true` or `false`, or the name of an enumeration's item.
-pub fn set_start(
-    parameters: &mut Parameters,
-    inputs: &mut Inputs,
-    name: &str,
-    text: &str,
-) -> Result<(), Rejection> {
-    let variable = Variable::named(name)
-        .ok_or_else(|| Rejection::error(format!("there is no variable \"{name}\"")))?;
+pub fn set_start(parameters: &mut Parameters, inputs: &mut Inputs, name: &str, text: &str) -> Result<(), Rejection> {
+    let variable = Variable::named(name).ok_or_else(|| Rejection::error(format!("there is no variable \"{name}\".")))?;
     let item = variable.items.iter().find(|item| item.name == text);
     let value = match variable.access() {
         Access::Real => text.parse().ok().map(Value::Real),
-        Access::Integer => item
-            .map(|item| item.value)
-            .or_else(|| text.parse().ok())
-            .map(Value::Integer),
+        Access::Integer => item.map(|item| item.value).or_else(|| text.parse().ok()).map(Value::Integer),
         Access::Boolean => text.parse().ok().map(Value::Boolean),
     };
-    let value = value.ok_or_else(|| {
-        Rejection::error(format!(
-            "{name} = {text} is not a value of its type, {}",
-            variable.access()
-        ))
-    })?;
+    let value =
+        value.ok_or_else(|| Rejection::error(format!("{name} = {text} is not a value of its type, {}.", variable.access())))?;
     check_value(variable, value)?;
     if write(parameters, inputs, variable, value) {
         Ok(())
     } else {
-        Err(Rejection::error(format!(
-            "{name} is an output and cannot be set"
-        )))
+        Err(Rejection::error(format!("{name} is an output and cannot be set.")))
     }
 }
 
@@ -257,12 +203,7 @@ mod tests {
     fn starts_are_those_of_the_xml() {
         let (mut parameters, mut inputs) = starts();
         for variable in VARIABLES {
-            assert_eq!(
-                read(&mut parameters, &mut inputs, variable),
-                variable.start,
-                "{}",
-                variable.name
-            );
+            assert_eq!(read(&mut parameters, &mut inputs, variable), variable.start, "{}", variable.name);
         }
         assert_eq!(parameters.geometry.base_distance, 0.42);
         assert_eq!(parameters.settings.method, simulation::Method::I3alp);
@@ -276,29 +217,14 @@ mod tests {
                 (Access::Real, _) => Value::Real(0.125),
                 (Access::Integer, []) => Value::Integer(7),
                 (Access::Integer, items) => Value::Integer(items[items.len() - 1].value),
-                (Access::Boolean, _) => {
-                    Value::Boolean(variable.start != Some(Value::Boolean(true)))
-                }
+                (Access::Boolean, _) => Value::Boolean(variable.start != Some(Value::Boolean(true))),
             };
             let before = (parameters.clone(), inputs);
-            assert!(
-                write(&mut parameters, &mut inputs, variable, value),
-                "{}",
-                variable.name
-            );
+            assert!(write(&mut parameters, &mut inputs, variable, value), "{}", variable.name);
             for other in VARIABLES {
-                let expected = if other == variable {
-                    Some(value)
-                } else {
-                    read(&mut before.0.clone(), &mut before.1.clone(), other)
-                };
-                assert_eq!(
-                    read(&mut parameters, &mut inputs, other),
-                    expected,
-                    "{} <- {}",
-                    other.name,
-                    variable.name
-                );
+                let expected =
+                    if other == variable { Some(value) } else { read(&mut before.0.clone(), &mut before.1.clone(), other) };
+                assert_eq!(read(&mut parameters, &mut inputs, other), expected, "{} <- {}", other.name, variable.name);
             }
         }
     }
@@ -322,35 +248,15 @@ mod tests {
         assert_eq!(parameters.settings.max_iterations, 25);
         for (name, text, expected) in [
             ("tau[3]", "0", "there is no variable \"tau[3]\""),
-            (
-                "tau[1]",
-                "much",
-                "tau[1] = much is not a value of its type, Real",
-            ),
-            ("tau[1]", "inf", "tau[1] = inf N.m, must be finite"),
-            (
-                "base.distance",
-                "-1",
-                "base.distance = -1.0 m, must be at least 0 m",
-            ),
-            (
-                "solver.method",
-                "euler",
-                "solver.method = euler is not a value of its type",
-            ),
-            (
-                "solver.method",
-                "9",
-                "must be one of 1 (i3alp), 2 (i3alpPrinted), 3 (rk4)",
-            ),
-            ("theta[1]", "0", "theta[1] is an output and cannot be set"),
+            ("tau[1]", "much", "tau[1] = much is not a value of its type, Real"),
+            ("tau[1]", "inf", "tau[1] = inf N.m is not allowed: it must be finite."),
+            ("base.distance", "-1", "base.distance = -1.0 m is not allowed: it must be at least 0 m."),
+            ("solver.method", "euler", "solver.method = euler is not a value of its type"),
+            ("solver.method", "9", "must be one of 1 (i3alp), 2 (i3alpPrinted), 3 (rk4)"),
+            ("theta[1]", "0", "theta[1] is an output and cannot be set."),
         ] {
             let refused = set_start(&mut parameters, &mut inputs, name, text).expect_err(name);
-            assert!(
-                refused.message.contains(expected),
-                "\"{}\", expected \"{expected}\"",
-                refused.message
-            );
+            assert!(refused.message.contains(expected), "\"{}\", expected \"{expected}\"", refused.message);
         }
     }
 }

@@ -51,28 +51,19 @@ impl Instance {
     }
 
     /// fmi2SetDebugLogging.
-    pub fn set_debug_logging<'a>(
-        &mut self,
-        on: bool,
-        categories: impl Iterator<Item = &'a str>,
-    ) -> Result<(), Rejection> {
+    pub fn set_debug_logging<'a>(&mut self, on: bool, categories: impl Iterator<Item = &'a str>) -> Result<(), Rejection> {
         Call::SetDebugLogging.require(self.stage)?;
         self.log.choose(on, categories)
     }
 
     /// fmi2SetupExperiment; `tolerance` and `stop` where they are defined. The tolerance is not used:
     /// `solver.errorTolerance` rules, in units that a relative tolerance does not have.
-    pub fn setup_experiment(
-        &mut self,
-        tolerance: Option<f64>,
-        start: f64,
-        stop: Option<f64>,
-    ) -> Result<(), Rejection> {
+    pub fn setup_experiment(&mut self, tolerance: Option<f64>, start: f64, stop: Option<f64>) -> Result<(), Rejection> {
         Call::SetupExperiment.require(self.stage)?;
         self.clock = Some(Clock::new(start, stop)?);
         if let Some(tolerance) = tolerance {
             self.log.push(Status::Warning, || {
-                format!("fmi2SetupExperiment: tolerance {tolerance:?} is not used, solver.errorTolerance is")
+                format!("fmi2SetupExperiment: tolerance {tolerance:?} is not used, solver.errorTolerance is.")
             });
         }
         Ok(())
@@ -82,9 +73,7 @@ impl Instance {
     pub fn enter_initialization_mode(&mut self) -> Result<(), Rejection> {
         Call::EnterInitializationMode.require(self.stage)?;
         if self.clock.is_none() {
-            return Err(Rejection::error(
-                "fmi2SetupExperiment must be called before",
-            ));
+            return Err(Rejection::error("fmi2SetupExperiment must be called before."));
         }
         self.stage = Stage::InitializationMode;
         Ok(())
@@ -96,17 +85,13 @@ impl Instance {
         let simulation = ready(&mut self.simulation, &self.parameters, &self.inputs)?;
         let settings = &self.parameters.settings;
         self.log.push(Status::Ok, || {
-            let effects = simulation.active_effects();
+            let effects: Vec<&str> = simulation.active_effects().collect();
             format!(
                 "ready: method {}, h = {:?} s, adaptive {}, effects: {}",
                 bindings::method_name(settings.method),
                 settings.step_size,
                 settings.adaptive,
-                if effects.is_empty() {
-                    "none".to_owned()
-                } else {
-                    effects.join(", ")
-                }
+                if effects.is_empty() { "none".to_owned() } else { effects.join(", ") }
             )
         });
         self.stage = Stage::StepComplete;
@@ -133,11 +118,7 @@ impl Instance {
     }
 
     /// fmi2SetReal, fmi2SetInteger, fmi2SetBoolean: nothing is written unless every value is allowed.
-    pub fn set(
-        &mut self,
-        call: Call,
-        pairs: impl Iterator<Item = (u32, Value)> + Clone,
-    ) -> Result<(), Rejection> {
+    pub fn set(&mut self, call: Call, pairs: impl Iterator<Item = (u32, Value)> + Clone) -> Result<(), Rejection> {
         call.require(self.stage)?;
         for (reference, value) in pairs.clone() {
             let variable = lookup(reference, value.access())?;
@@ -185,14 +166,8 @@ impl Instance {
             return Ok(value);
         }
         let simulation = ready(&mut self.simulation, &self.parameters, &self.inputs)?;
-        let outputs = Outputs {
-            simulation,
-            inputs: &self.inputs,
-            cache: &self.cache,
-        };
-        Ok(outputs
-            .read(variable)
-            .unwrap_or_else(|| unreachable!("{} is bound", variable.name)))
+        let outputs = Outputs { simulation, inputs: &self.inputs, cache: &self.cache };
+        Ok(outputs.read(variable).unwrap_or_else(|| unreachable!("{} is bound", variable.name)))
     }
 
     /// fmi2GetString and fmi2SetString: there are no String variables.
@@ -201,12 +176,8 @@ impl Instance {
         match references {
             [] => Ok(()),
             [first, ..] => Err(Rejection::error(match Variable::find(*first) {
-                Some(variable) => format!(
-                    "{} is of type {}, not String",
-                    variable.name,
-                    variable.access()
-                ),
-                None => format!("value reference {first} belongs to no variable"),
+                Some(variable) => format!("{} is of type {}, not String.", variable.name, variable.access()),
+                None => format!("value reference {first} belongs to no variable."),
             })),
         }
     }
@@ -228,8 +199,9 @@ impl Instance {
             Err(failure) => {
                 self.stage = Stage::StepFailed;
                 Err(Rejection::discard(format!(
-                    "the step from {point:?} s by {size:?} s gave up at {:?} s: {failure}; the state is that of {point:?} s",
-                    point + failure.elapsed
+                    "the step from {point:?} s by {size:?} s gave up at {:?} s: {}; the state is still that of {point:?} s.",
+                    point + failure.elapsed,
+                    failure.cause
                 )))
             }
         }
@@ -237,9 +209,7 @@ impl Instance {
 
     /// fmi2CancelStep: a step is never pending.
     pub fn cancel_step(&self) -> Result<(), Rejection> {
-        Err(Rejection::error(
-            "no step is pending: fmi2DoStep never returns fmi2Pending",
-        ))
+        Err(Rejection::error("no step is pending: fmi2DoStep never returns fmi2Pending."))
     }
 }
 

@@ -90,18 +90,12 @@ impl fmt::Display for Call {
 }
 
 impl Call {
-    /// The stages in which the standard allows the call. The second footnotes of the table (which variables may be set
+    /// The stages in which the standard allows the call. The footnotes of the table (which variables may be set
     /// where) are in `values.rs`.
     pub fn stages(self) -> &'static [Stage] {
         use Stage::{InitializationMode, Instantiated, StepComplete, StepFailed, Terminated};
         match self {
-            Self::SetDebugLogging | Self::Reset => &[
-                Instantiated,
-                InitializationMode,
-                StepComplete,
-                StepFailed,
-                Terminated,
-            ],
+            Self::SetDebugLogging | Self::Reset => &[Instantiated, InitializationMode, StepComplete, StepFailed, Terminated],
             Self::SetupExperiment | Self::EnterInitializationMode => &[Instantiated],
             Self::ExitInitializationMode => &[InitializationMode],
             Self::Terminate => &[StepComplete, StepFailed],
@@ -114,11 +108,9 @@ impl Call {
             // The standard wants fmi2SetFMUstate before a step is tried again; here a discarded step has already been
             // rolled back, so it may be tried again at once.
             Self::DoStep => &[StepComplete, StepFailed],
-            Self::GetStatus
-            | Self::GetRealStatus
-            | Self::GetIntegerStatus
-            | Self::GetBooleanStatus
-            | Self::GetStringStatus => &[StepComplete, StepFailed, Terminated],
+            Self::GetStatus | Self::GetRealStatus | Self::GetIntegerStatus | Self::GetBooleanStatus | Self::GetStringStatus => {
+                &[StepComplete, StepFailed, Terminated]
+            }
             // A step is never pending.
             Self::CancelStep => &[],
             // Refused by their capability flag, whatever the stage.
@@ -141,26 +133,19 @@ impl Call {
             return Ok(());
         }
         let names: Vec<String> = allowed.iter().map(Stage::to_string).collect();
-        Err(Rejection::error(format!(
-            "the state is \"{stage}\", allowed is: {}",
-            names.join(", ")
-        )))
+        Err(Rejection::error(format!("the state is \"{stage}\", allowed is: {}.", names.join(", "))))
     }
 
     /// The refusal of a function whose capability flag is false.
     pub fn unsupported(self) -> Rejection {
         let (flag, value) = match self {
-            Self::GetFMUstate | Self::SetFMUstate | Self::FreeFMUstate => {
-                ("canGetAndSetFMUstate", "false")
-            }
-            Self::SerializedFMUstateSize | Self::SerializeFMUstate | Self::DeSerializeFMUstate => {
-                ("canSerializeFMUstate", "false")
-            }
+            Self::GetFMUstate | Self::SetFMUstate | Self::FreeFMUstate => ("canGetAndSetFMUstate", "false"),
+            Self::SerializedFMUstateSize | Self::SerializeFMUstate | Self::DeSerializeFMUstate => ("canSerializeFMUstate", "false"),
             Self::GetDirectionalDerivative => ("providesDirectionalDerivative", "false"),
             Self::SetRealInputDerivatives => ("canInterpolateInputs", "false"),
             Self::GetRealOutputDerivatives => ("maxOutputDerivativeOrder", "0"),
             _ => unreachable!("{self} is supported"),
         };
-        Rejection::error(format!("the model description declares {flag}=\"{value}\""))
+        Rejection::error(format!("the model description declares {flag}=\"{value}\"."))
     }
 }

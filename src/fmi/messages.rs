@@ -63,32 +63,17 @@ pub struct Log {
 impl Log {
     /// An empty queue; `logging_on` as given to fmi2Instantiate.
     pub fn new(logging_on: bool) -> Self {
-        Self {
-            choice: Choice::Default { events: logging_on },
-            queue: Vec::new(),
-        }
+        Self { choice: Choice::Default { events: logging_on }, queue: Vec::new() }
     }
 
     /// fmi2SetDebugLogging: no categories means all of them.
-    pub fn choose<'a>(
-        &mut self,
-        on: bool,
-        names: impl Iterator<Item = &'a str>,
-    ) -> Result<(), Rejection> {
+    pub fn choose<'a>(&mut self, on: bool, names: impl Iterator<Item = &'a str>) -> Result<(), Rejection> {
         let mut chosen = Vec::new();
         for name in names {
-            let category = Category::LIST
-                .iter()
-                .find(|category| category.name() == name);
+            let category = Category::LIST.iter().find(|category| category.name() == name);
             chosen.push(*category.ok_or_else(|| {
-                let declared: Vec<&str> = Category::LIST
-                    .iter()
-                    .map(|category| category.name())
-                    .collect();
-                Rejection::error(format!(
-                    "log category \"{name}\" is not declared, declared are: {}",
-                    declared.join(", ")
-                ))
+                let declared: Vec<&str> = Category::LIST.iter().map(|category| category.name()).collect();
+                Rejection::error(format!("log category \"{name}\" is not declared, declared are: {}.", declared.join(", ")))
             })?);
         }
         self.choice = Choice::Explicit(match (on, chosen.is_empty()) {
@@ -103,19 +88,14 @@ impl Log {
     fn wants(&self, status: Status) -> bool {
         match &self.choice {
             Choice::Default { events } => *events || status > Status::Ok,
-            Choice::Explicit(chosen) => {
-                chosen.contains(&Category::LogAll) || chosen.contains(&status.category())
-            }
+            Choice::Explicit(chosen) => chosen.contains(&Category::LogAll) || chosen.contains(&status.category()),
         }
     }
 
     /// Queues a message; the text is only made if somebody wants it.
     pub fn push(&mut self, status: Status, text: impl FnOnce() -> String) {
         if self.wants(status) {
-            self.queue.push(Message {
-                status,
-                text: text(),
-            });
+            self.queue.push(Message { status, text: text() });
         }
     }
 
@@ -131,13 +111,7 @@ mod tests {
 
     /// The statuses that pass, after a choice of categories.
     fn passing(log: &mut Log) -> Vec<Status> {
-        for status in [
-            Status::Ok,
-            Status::Warning,
-            Status::Discard,
-            Status::Error,
-            Status::Fatal,
-        ] {
+        for status in [Status::Ok, Status::Warning, Status::Discard, Status::Error, Status::Fatal] {
             log.push(status, String::new);
         }
         log.drain().map(|message| message.status).collect()
@@ -145,15 +119,7 @@ mod tests {
 
     #[test]
     fn by_default_problems_pass_and_events_only_on_demand() {
-        assert_eq!(
-            passing(&mut Log::new(false)),
-            [
-                Status::Warning,
-                Status::Discard,
-                Status::Error,
-                Status::Fatal
-            ]
-        );
+        assert_eq!(passing(&mut Log::new(false)), [Status::Warning, Status::Discard, Status::Error, Status::Fatal]);
         assert_eq!(passing(&mut Log::new(true)).len(), 5);
     }
 
@@ -162,8 +128,7 @@ mod tests {
         let mut log = Log::new(true);
         log.choose(false, std::iter::empty()).expect("off");
         assert_eq!(passing(&mut log), []);
-        log.choose(true, ["logEvents", "logStatusError"].into_iter())
-            .expect("two");
+        log.choose(true, ["logEvents", "logStatusError"].into_iter()).expect("two");
         assert_eq!(passing(&mut log), [Status::Ok, Status::Error]);
         log.choose(true, ["logAll"].into_iter()).expect("all");
         assert_eq!(passing(&mut log).len(), 5);
@@ -174,16 +139,8 @@ mod tests {
     #[test]
     fn an_unknown_category_is_refused_and_changes_nothing() {
         let mut log = Log::new(false);
-        let refused = log
-            .choose(true, ["logEvents", "logSql"].into_iter())
-            .expect_err("logSql");
-        assert!(
-            refused
-                .message
-                .contains("\"logSql\" is not declared, declared are: logEvents, "),
-            "{}",
-            refused.message
-        );
+        let refused = log.choose(true, ["logEvents", "logSql"].into_iter()).expect_err("logSql");
+        assert!(refused.message.contains("\"logSql\" is not declared, declared are: logEvents, "), "{}", refused.message);
         assert_eq!(passing(&mut log).len(), 4);
     }
 }

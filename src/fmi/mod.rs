@@ -36,18 +36,12 @@ pub struct Rejection {
 impl Rejection {
     /// The call was wrong.
     pub fn error(message: impl Into<String>) -> Self {
-        Self {
-            status: Status::Error,
-            message: message.into(),
-        }
+        Self { status: Status::Error, message: message.into() }
     }
 
     /// The call was right, but could not be done.
     pub fn discard(message: impl Into<String>) -> Self {
-        Self {
-            status: Status::Discard,
-            message: message.into(),
-        }
+        Self { status: Status::Discard, message: message.into() }
     }
 }
 

@@ -8,8 +8,7 @@ use crate::mechanism;
 use crate::observers::{self, ConstraintNorms, Energies, Motion, Singularity};
 use crate::simulation::{Inputs, Simulation, State};
 use crate::variables::{
-    Assembly, EnumerationOutput, IntegerOutput, RealOutput, SingularityKind, Slot, Value, Variable,
-    WorkingMode,
+    Assembly, EnumerationOutput, IntegerOutput, RealOutput, SingularityKind, Slot, Value, Variable, WorkingMode,
 };
 
 /// What has been computed since the last step or change of inputs.
@@ -79,12 +78,12 @@ impl Outputs<'_> {
             V::SingularSigmaPhi => self.singularity().sigma_phi,
             V::SolverPositionError => self.norms().position,
             V::SolverVelocityError => self.norms().velocity,
-            V::SolverErrorEstimate => self.simulation.error_estimate(),
+            V::SolverErrorEstimate => self.simulation.state().core.error_estimate,
         }
     }
 
     fn integer(&self, variable: IntegerOutput) -> i32 {
-        let counters = self.simulation.counters();
+        let counters = self.simulation.state().core.counters;
         let count = match variable {
             IntegerOutput::SolverSteps => counters.steps,
             IntegerOutput::SolverSubsteps => counters.substeps,
@@ -121,38 +120,26 @@ impl Outputs<'_> {
     /// The present state with the accelerations and multipliers that belong to the present inputs, which the master
     /// may have changed since the last step.
     fn state(&self) -> &State {
-        self.cache
-            .state
-            .get_or_init(|| self.simulation.state_for(self.inputs))
+        self.cache.state.get_or_init(|| self.simulation.state_for(self.inputs))
     }
 
     fn motion(&self) -> &Motion {
-        self.cache
-            .motion
-            .get_or_init(|| observers::motion(&self.simulation.model, self.state()))
+        self.cache.motion.get_or_init(|| observers::motion(self.simulation.model(), self.state()))
     }
 
     fn reactions(&self) -> &[Vector2<f64>; 5] {
-        self.cache
-            .reactions
-            .get_or_init(|| observers::reactions(&self.simulation.model, self.state()))
+        self.cache.reactions.get_or_init(|| observers::reactions(self.simulation.model(), self.state()))
     }
 
     fn energies(&self) -> &Energies {
-        self.cache
-            .energies
-            .get_or_init(|| observers::energies(&self.simulation.model, self.state()))
+        self.cache.energies.get_or_init(|| observers::energies(self.simulation.model(), self.state()))
     }
 
     fn singularity(&self) -> &Singularity {
-        self.cache
-            .singularity
-            .get_or_init(|| observers::singularity(&self.simulation.model, self.state()))
+        self.cache.singularity.get_or_init(|| observers::singularity(self.simulation.model(), self.state()))
     }
 
     fn norms(&self) -> &ConstraintNorms {
-        self.cache
-            .norms
-            .get_or_init(|| observers::constraint_norms(&self.simulation.model, self.state()))
+        self.cache.norms.get_or_init(|| observers::constraint_norms(self.simulation.model(), self.state()))
     }
 }

@@ -23,19 +23,17 @@ impl StatusKind {
             1 => Ok(Self::PendingStatus),
             2 => Ok(Self::LastSuccessfulTime),
             3 => Ok(Self::Terminated),
-            _ => Err(Rejection::error(format!(
-                "status kind is {number}, must be 0 to 3"
-            ))),
+            _ => Err(Rejection::error(format!("status kind is {number}, must be 0 to 3."))),
         }
     }
 
     /// Nothing to tell: fmi2Discard is the standard's answer.
     fn nothing(self) -> Rejection {
         Rejection::discard(match self {
-            Self::DoStepStatus => "there is no fmi2DoStepStatus: a step is never pending",
-            Self::PendingStatus => "there is no fmi2PendingStatus: a step is never pending",
-            Self::LastSuccessfulTime => "fmi2LastSuccessfulTime is a Real, ask fmi2GetRealStatus",
-            Self::Terminated => "fmi2Terminated is a Boolean, ask fmi2GetBooleanStatus",
+            Self::DoStepStatus => "there is no fmi2DoStepStatus: a step is never pending.",
+            Self::PendingStatus => "there is no fmi2PendingStatus: a step is never pending.",
+            Self::LastSuccessfulTime => "fmi2LastSuccessfulTime is a Real, ask fmi2GetRealStatus.",
+            Self::Terminated => "fmi2Terminated is a Boolean, ask fmi2GetBooleanStatus.",
         })
     }
 }

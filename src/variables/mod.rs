@@ -92,9 +92,7 @@ impl fmt::Display for Access {
 impl Variable {
     /// The variable of that reference.
     pub fn find(reference: u32) -> Option<&'static Self> {
-        let position = VARIABLES
-            .binary_search_by_key(&reference, |variable| variable.reference)
-            .ok()?;
+        let position = VARIABLES.binary_search_by_key(&reference, |variable| variable.reference).ok()?;
         Some(&VARIABLES[position])
     }
 
@@ -108,10 +106,9 @@ impl Variable {
         match self.slot {
             Slot::RealParameter(_) | Slot::RealInput(_) | Slot::RealOutput(_) => Access::Real,
             Slot::BooleanParameter(_) => Access::Boolean,
-            Slot::IntegerParameter(_)
-            | Slot::IntegerOutput(_)
-            | Slot::EnumerationParameter(_)
-            | Slot::EnumerationOutput(_) => Access::Integer,
+            Slot::IntegerParameter(_) | Slot::IntegerOutput(_) | Slot::EnumerationParameter(_) | Slot::EnumerationOutput(_) => {
+                Access::Integer
+            }
         }
     }
 }
@@ -133,18 +130,9 @@ mod tests {
     #[test]
     fn a_few_entries_are_as_in_the_xml() {
         let tau = Variable::find(101).expect("tau[2]");
-        assert_eq!(
-            (tau.name, tau.slot, tau.unit),
-            ("tau[2]", Slot::RealInput(RealInput::Tau(1)), Some("N.m"))
-        );
+        assert_eq!((tau.name, tau.slot, tau.unit), ("tau[2]", Slot::RealInput(RealInput::Tau(1)), Some("N.m")));
         let method = Variable::named("solver.method").expect("solver.method");
-        assert_eq!(
-            method.items[2],
-            Item {
-                name: "rk4",
-                value: 3
-            }
-        );
+        assert_eq!(method.items[2], Item { name: "rk4", value: 3 });
         assert_eq!(Method::from_number(3), Some(Method::Rk4));
         assert_eq!(Method::from_number(0), None);
     }
