@@ -62,7 +62,7 @@ fn rk4_is_of_fourth_order() {
         let mut points = vec![];
         for h in [1e-3, 5e-4, 2.5e-4, 1e-4] {
             let mut state = scene.state().core;
-            for _ in 0..(1.0 / h).round() as u64 {
+            for _ in 0..(1.0_f64 / h).round() as u64 {
                 rk4::advance(&system, &settings, &mut state, h, &mut Default::default()).expect("step");
             }
             points.push((h, angle_error(&state.q, &reference.coordinates(&model.mechanism.geometry).0)));
@@ -112,7 +112,7 @@ fn constraints_hold_at_every_step() {
         let mut parameters = fall_90_120(Method::I3alp);
         parameters.settings.adaptive = adaptive;
         let mut simulation = Simulation::new(&parameters, &Inputs::default()).expect("scene");
-        for _ in 0..(1.0 / h) as u64 {
+        for _ in 0..(1.0_f64 / h).round() as u64 {
             simulation.advance(&Inputs::default(), h, 1).expect("step");
             let norms = observers::constraint_norms(simulation.model(), simulation.state());
             assert!(norms.position <= 1e-12 && norms.velocity <= 1e-9 && norms.acceleration <= 1e-8, "h = {h}: {norms:?}");

@@ -171,8 +171,7 @@ fn rates_at_a_vertex_lie_on_the_cone() {
                 Ok((q, v)) => {
                     let sign = [1.0, 1.0, -1.0, -1.0];
                     let line = q[THETA[0]];
-                    let arm: [f64; 4] =
-                        std::array::from_fn(|i| sign[i] * (q[THETA[i]] - line).cos() * geometry.links[i].length);
+                    let arm: [f64; 4] = std::array::from_fn(|i| sign[i] * (q[THETA[i]] - line).cos() * geometry.links[i].length);
                     let first: f64 = (0..4).map(|i| arm[i] * v[THETA[i]]).sum();
                     let second: f64 = (0..4).map(|i| arm[i] * v[THETA[i]].powi(2)).sum();
                     assert!(first.abs() < 1e-12 && second.abs() < 1e-10, "{theta:?}: {first:e} {second:e}");
