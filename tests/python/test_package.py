@@ -105,7 +105,9 @@ def test_starts_and_bounds(root: etree._Element, variables: list[etree._Element]
         low, high, start, nominal = (attribute(root, variable, key) for key in ("min", "max", "start", "nominal"))
         low, high = float(low or -math.inf), float(high or math.inf)
         assert low <= high, f"{name}: min > max"
-        assert start is None or (math.isfinite(float(start)) and low <= float(start) <= high), f"{name}: start outside min and max"
+        assert start is None or (math.isfinite(float(start)) and low <= float(start) <= high), (
+            f"{name}: start outside min and max"
+        )
         assert nominal is None or float(nominal) > 0, f"{name}: nominal"
 
 
@@ -146,7 +148,9 @@ def test_structure(root: etree._Element, variables: list[etree._Element]) -> Non
     structure = root.find("ModelStructure")
     outputs = [i for i, v in enumerate(variables, start=1) if v.get("causality") == "output"]
     assert [int(u.get("index")) for u in structure.find("Outputs")] == outputs
-    derivatives = {i: int(value_element(v).get("derivative")) for i, v in enumerate(variables, 1) if value_element(v).get("derivative")}
+    derivatives = {
+        i: int(value_element(v).get("derivative")) for i, v in enumerate(variables, 1) if value_element(v).get("derivative")
+    }
     assert [int(u.get("index")) for u in structure.find("Derivatives")] == sorted(derivatives)
     # Every calculated output, continuous state and derivative is an initial unknown, once.
     initial = [int(u.get("index")) for u in structure.find("InitialUnknowns")]

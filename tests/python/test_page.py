@@ -134,9 +134,13 @@ def test_steps_and_keys(browser: object) -> None:
 def test_small_dark_screen(browser: object) -> None:
     """A phone at night: nothing sticks out, the canvas follows the screen's pixels."""
     light = pixels(browser)
-    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True})
+    browser.execute_cdp_cmd(
+        "Emulation.setDeviceMetricsOverride", {"width": 390, "height": 844, "deviceScaleFactor": 2, "mobile": True}
+    )
     browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": "dark"}]})
     time.sleep(0.3)
     assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
-    assert browser.execute_script('const c = document.getElementById("canvas"); return c.width / c.clientWidth') == pytest.approx(2, rel=0.01)
+    assert browser.execute_script('const c = document.getElementById("canvas"); return c.width / c.clientWidth') == pytest.approx(
+        2, rel=0.01
+    )
     assert pixels(browser) not in (0, light)

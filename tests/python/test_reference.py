@@ -71,9 +71,7 @@ def test_fall_90_120(new: New) -> None:
 def test_second_order(new: New) -> None:
     """The error at 0.5 s falls by four with half the step."""
     points = [p for p in reference("fall-90-120.csv") if p[0] <= 0.5]
-    errors = [
-        deviations(new().initialise(FALL_90_120 | FINE | {"solver.stepSize": h}), points)[-1] for h in (4e-5, 2e-5)
-    ]
+    errors = [deviations(new().initialise(FALL_90_120 | FINE | {"solver.stepSize": h}), points)[-1] for h in (4e-5, 2e-5)]
     assert 3.5 < errors[0] / errors[1] < 4.5
 
 
