@@ -136,7 +136,7 @@ def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
         ("kinetic", run["energy.kinetic"], KINETIC, "-"),
         ("potential", run["energy.potential"], POTENTIAL, "-"),
         ("kinetic + potential", run["energy.kinetic"] + run["energy.potential"], TOTAL, "--"),
-        ("work of the inputs", run["energy.input"], INPUT, (0, (1, 2))),
+        ("work of the inputs", run["energy.input"], INPUT, (0, (4, 4))),
         ("dissipated", run["energy.dissipated"], DISSIPATED, "-"),
     ]
     if not np.any(run["energy.potential"]):
