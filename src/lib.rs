@@ -3,7 +3,10 @@
 //! The rooms and the arrows between them are described in `ARCHITECTURE.md`.
 
 pub mod effects;
+pub mod ffi;
+pub mod fmi;
 pub mod integrator;
 pub mod mechanism;
 pub mod observers;
 pub mod simulation;
+pub mod variables;

@@ -1,1 +1,66 @@
 //! The FMI model description: read, checked, completed.
+//!
+//! `modelDescription.xml` beside this crate is the one place where a variable's name, reference, unit, start and text
+//! stand. [`ModelDescription::read`] turns it into plain data and refuses what FMI 2.0 or this project does not allow;
+//! `build.rs` makes the tables of `src/variables` from the data, and `cargo xtask package` packs the text of
+//! [`ModelDescription::to_fmi`].
+//!
+//! | file | holds |
+//! | --- | --- |
+//! | `data.rs` | the plain data |
+//! | `element.rs` | XML text → tree of elements |
+//! | `parse.rs` | tree → data |
+//! | `names.rs` | the structured naming convention |
+//! | `check.rs` | what must hold between the parts |
+//! | `fmi.rs` | data + text → the file that the .fmu carries |
+
+mod check;
+mod data;
+mod element;
+mod fmi;
+mod names;
+mod parse;
+
+use std::fmt;
+
+pub use data::{
+    Bounds, Category, Causality, Enumeration, Initial, Item, Kind, ModelDescription, Name, SimpleType, Structure, TypeKind, Unit,
+    Unknown, Variability, Variable,
+};
+
+/// The text of `modelDescription/modelDescription.xml`.
+pub const XML: &str = include_str!("../modelDescription.xml");
+
+/// What is wrong with a model description: one sentence naming the variable, its value and what is allowed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Error(pub String);
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for Error {}
+
+impl ModelDescription {
+    /// Reads and checks [`XML`].
+    pub fn read() -> Result<Self, Error> {
+        Self::parse(XML)
+    }
+
+    /// Reads and checks the text of a model description in this project's form (see the comment on top of the XML).
+    pub fn parse(xml: &str) -> Result<Self, Error> {
+        let description = parse::description(xml)?;
+        check::check(&description)?;
+        Ok(description)
+    }
+
+    /// The GUID that ties the .fmu's XML to its binary: a UUID (version 5) of the XML text, in braces. Both sides
+    /// derive it from the same text, so neither can be changed without the other.
+    pub fn guid(&self) -> String {
+        // Any fixed value serves; this one is itself the version 5 UUID of "FiveBar" in the namespace of URLs.
+        const NAMESPACE: uuid::Uuid = uuid::uuid!("3729f55c-2054-5fb9-9560-16e0a330d502");
+        format!("{{{}}}", uuid::Uuid::new_v5(&NAMESPACE, self.xml.as_bytes()))
+    }
+}

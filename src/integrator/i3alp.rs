@@ -103,7 +103,7 @@ fn attempt<const N: usize, const M: usize>(
     let mut v = trapezoidal_velocity(state, &delta, h);
     let mass = system.factor_mass(&pose, softness);
     let drift = system.phi_q_times(&pose, &v).map(|x| -x);
-    let (projection, _) = mass.solve(&[0.0; N], &drift);
+    let projection = mass.correction(&drift);
     v = add(&v, &projection);
     let (a, lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
 

@@ -59,7 +59,7 @@ pub fn advance<const N: usize, const M: usize>(
     let mass = system.factor_mass(&pose, settings.softness);
     if settings.projection {
         let drift = system.phi_q_times(&pose, &state.v).map(|x| -x);
-        let (projection, _) = mass.solve(&[0.0; N], &drift);
+        let projection = mass.correction(&drift);
         state.v = std::array::from_fn(|i| state.v[i] + projection[i]);
     }
     (state.a, state.lambda) = equilibrium_at(system, &state.q, &pose, &state.v, &mass);
@@ -89,7 +89,7 @@ fn project_position<const N: usize, const M: usize>(
         if violation < tolerance {
             return Ok(());
         }
-        let (correction, _) = system.factor_mass(&pose, settings.softness).solve(&[0.0; N], &phi.map(|x| -x));
+        let correction = system.factor_mass(&pose, settings.softness).correction(&phi.map(|x| -x));
         state.q = std::array::from_fn(|i| state.q[i] + correction[i]);
         state.counters.iterations += 1;
     }

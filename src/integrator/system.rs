@@ -58,6 +58,11 @@ pub trait System<const N: usize, const M: usize> {
 pub trait Kkt<const N: usize, const M: usize> {
     /// Solves A x + Φ_qᵀ y = b, Φ_q x − e y = c.
     fn solve(&self, b: &[f64; N], c: &[f64; M]) -> ([f64; N], [f64; M]);
+
+    /// The x of b = 0: the shortest change, in the metric of A, that moves Φ_q x by c. What projections ask for.
+    fn correction(&self, c: &[f64; M]) -> [f64; N] {
+        self.solve(&[0.0; N], c).0
+    }
 }
 
 /// Work or power of the forces that are followed along the path, J or W.
@@ -117,11 +122,8 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
-/// Largest magnitude; NaN if any value is.
+/// Largest magnitude of those values that are numbers: one instruction each. NaN is caught where a step ends.
 #[inline(always)]
 pub(super) fn max_norm<const K: usize>(x: &[f64; K]) -> f64 {
-    x.iter().fold(0.0, |largest, value| {
-        let value = value.abs();
-        if value > largest || value.is_nan() { value } else { largest }
-    })
+    x.iter().fold(0.0, |largest, value| if value.abs() > largest { value.abs() } else { largest })
 }

@@ -179,6 +179,11 @@ impl Kkt<COORDINATES, MULTIPLIERS> for TwoLeg {
         let pull = self.yielded(&self.pose.phi_q_transposed_times(&y));
         (std::array::from_fn(|i| unconstrained[i] - pull[i]), y)
     }
+
+    #[inline(always)]
+    fn correction(&self, c: &Multipliers) -> Coordinates {
+        self.yielded(&self.pose.phi_q_transposed_times(&self.dual(c)))
+    }
 }
 
 // The coordinates' order is part of the elimination above.

@@ -1,0 +1,240 @@
+//! What a model description says, as plain data.
+
+/// A model description, checked.
+#[derive(Clone, Debug)]
+pub struct ModelDescription {
+    /// The text it was read from.
+    pub xml: String,
+    /// Name of the model.
+    pub model_name: String,
+    /// Name of the library file and of the .fmu.
+    pub model_identifier: String,
+    /// Units, in the order of the file.
+    pub units: Vec<Unit>,
+    /// Declared types, in the order of the file.
+    pub types: Vec<SimpleType>,
+    /// Log categories, in the order of the file.
+    pub categories: Vec<Category>,
+    /// Variables, in the order of the file.
+    pub variables: Vec<Variable>,
+    /// What depends on what.
+    pub structure: Structure,
+}
+
+/// A unit of measurement.
+#[derive(Clone, Debug)]
+pub struct Unit {
+    /// Name, e.g. `rad/s`.
+    pub name: String,
+    /// Names of the units that values may be shown in, e.g. `deg/s`.
+    pub display_units: Vec<String>,
+}
+
+/// A type that variables refer to.
+#[derive(Clone, Debug)]
+pub struct SimpleType {
+    /// Name.
+    pub name: String,
+    /// Description; empty where there is none.
+    pub description: String,
+    /// What values of the type are.
+    pub kind: TypeKind,
+}
+
+/// What values of a declared type are.
+#[derive(Clone, Debug)]
+pub enum TypeKind {
+    /// Real, with its unit and display unit.
+    Real {
+        /// Name of the unit.
+        unit: Option<String>,
+        /// Name of the display unit.
+        display_unit: Option<String>,
+    },
+    /// Integer.
+    Integer,
+    /// Boolean.
+    Boolean,
+    /// Enumeration with its items.
+    Enumeration(Enumeration),
+}
+
+/// The items of an enumeration.
+#[derive(Clone, Debug)]
+pub struct Enumeration {
+    /// Items, in the order of the file.
+    pub items: Vec<Item>,
+}
+
+/// One item of an enumeration.
+#[derive(Clone, Debug)]
+pub struct Item {
+    /// Name.
+    pub name: String,
+    /// The number that stands for it in calls.
+    pub value: i32,
+    /// Description; empty where there is none.
+    pub description: String,
+}
+
+/// A log category.
+#[derive(Clone, Debug)]
+pub struct Category {
+    /// Name.
+    pub name: String,
+    /// Description; empty where there is none.
+    pub description: String,
+}
+
+/// A variable.
+#[derive(Clone, Debug)]
+pub struct Variable {
+    /// Name, whole and in parts.
+    pub name: Name,
+    /// Value reference.
+    pub reference: u32,
+    /// Description.
+    pub description: String,
+    /// Role.
+    pub causality: Causality,
+    /// When the value may change.
+    pub variability: Variability,
+    /// How the value is found at the start; inputs have none.
+    pub initial: Option<Initial>,
+    /// Type, start and bounds.
+    pub kind: Kind,
+    /// Name of the declared type.
+    pub declared_type: Option<String>,
+    /// Name of the unit: the declared type's.
+    pub unit: Option<String>,
+    /// Name of the variable whose time derivative this one is.
+    pub derivative_of: Option<String>,
+}
+
+impl Variable {
+    /// A derivative shares the value of an output and adds nothing but its name.
+    pub fn is_alias(&self) -> bool {
+        self.derivative_of.is_some()
+    }
+}
+
+/// A structured name, e.g. `link[2].length`: family `link.length`, index 1 (0-based).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Name {
+    /// As it stands in the XML.
+    pub full: String,
+    /// Without the index.
+    pub family: String,
+    /// 0-based index, where the name has one.
+    pub index: Option<usize>,
+}
+
+/// Smallest and largest value allowed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds<T> {
+    /// Smallest.
+    pub min: Option<T>,
+    /// Largest.
+    pub max: Option<T>,
+}
+
+/// Type of a variable with its start value and bounds.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Kind {
+    /// Real.
+    Real {
+        /// Start value.
+        start: Option<f64>,
+        /// Bounds.
+        bounds: Bounds<f64>,
+    },
+    /// Integer.
+    Integer {
+        /// Start value.
+        start: Option<i32>,
+        /// Bounds.
+        bounds: Bounds<i32>,
+    },
+    /// Boolean.
+    Boolean {
+        /// Start value.
+        start: Option<bool>,
+    },
+    /// Enumeration; the items stand in the declared type.
+    Enumeration {
+        /// Start value: the number of an item.
+        start: Option<i32>,
+    },
+}
+
+impl Kind {
+    /// Name of the XML element.
+    pub fn label(&self) -> &'static str {
+        match self {
+            Self::Real { .. } => "Real",
+            Self::Integer { .. } => "Integer",
+            Self::Boolean { .. } => "Boolean",
+            Self::Enumeration { .. } => "Enumeration",
+        }
+    }
+
+    /// Whether a start value is given.
+    pub fn has_start(&self) -> bool {
+        match self {
+            Self::Real { start, .. } => start.is_some(),
+            Self::Integer { start, .. } | Self::Enumeration { start } => start.is_some(),
+            Self::Boolean { start } => start.is_some(),
+        }
+    }
+}
+
+/// Role of a variable (FMI 2.0.4, section 2.2.7); only the roles that this project uses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Causality {
+    /// Set before the run.
+    Parameter,
+    /// Set by the master at communication points.
+    Input,
+    /// Read by the master.
+    Output,
+    /// Not meant for connections.
+    Local,
+}
+
+/// When a variable may change (FMI 2.0.4, section 2.2.7); only what this project uses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Variability {
+    /// Fixed after initialisation.
+    Fixed,
+    /// Constant between communication points.
+    Discrete,
+    /// Unrestricted.
+    Continuous,
+}
+
+/// How the start value is found (FMI 2.0.4, section 2.2.7); only what this project uses.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Initial {
+    /// The start value is the value.
+    Exact,
+    /// Computed from other variables.
+    Calculated,
+}
+
+/// `<ModelStructure>`, by names.
+#[derive(Clone, Debug)]
+pub struct Structure {
+    /// What each output depends on.
+    pub outputs: Vec<Unknown>,
+    /// What each derivative of a continuous state depends on.
+    pub derivatives: Vec<Unknown>,
+}
+
+/// An unknown and the known variables it depends on.
+#[derive(Clone, Debug)]
+pub struct Unknown {
+    /// Name of the unknown.
+    pub name: String,
+    /// Names of inputs and continuous states.
+    pub dependencies: Vec<String>,
+}

@@ -1,0 +1,177 @@
+//! The file that the .fmu carries.
+
+use quick_xml::events::{BytesStart, BytesText, Event};
+use quick_xml::{Reader, Writer};
+
+use crate::data::{Causality, Initial, ModelDescription};
+
+/// Stands in the output instead of the comment on top of the source, which is about the source.
+const HEAD: &str = "\n<!-- Written by `cargo xtask package` from modelDescription/modelDescription.xml: do not edit. -->\n";
+
+impl ModelDescription {
+    /// The FMI 2.0 model description: GUID and version filled in, names replaced by the 1-based indices that FMI wants,
+    /// InitialUnknowns added. Everything else, comments and line breaks included, is as in the source.
+    pub fn to_fmi(&self, version: &str) -> String {
+        const CHECKED: &str = "parse() has read the same text before";
+        let mut reader = Reader::from_str(&self.xml);
+        let mut writer = Writer::new(Vec::new());
+        let mut in_root = false;
+        loop {
+            let event = reader.read_event().expect(CHECKED);
+            let event = match event {
+                Event::Eof => break,
+                Event::Comment(_) | Event::Text(_) if !in_root => continue,
+                Event::Start(start) if start.name().0 == "fmiModelDescription" => {
+                    in_root = true;
+                    write(&mut writer, Event::Text(BytesText::from_escaped(HEAD)));
+                    Event::Start(replace(&replace(&start, "guid", &self.guid()), "version", version).into_owned())
+                }
+                Event::Empty(element) if element.name().0 == "Unknown" => Event::Empty(self.unknown(&element)),
+                Event::Empty(element) => Event::Empty(match value(&element, "derivative") {
+                    Some(state) => replace(&element, "derivative", &self.index(&state).to_string()),
+                    None => element,
+                }),
+                Event::End(end) if end.name().0 == "ModelStructure" => {
+                    write(&mut writer, Event::Text(BytesText::from_escaped(self.initial_unknowns())));
+                    Event::End(end)
+                }
+                other => other,
+            };
+            write(&mut writer, event);
+        }
+        String::from_utf8(writer.into_inner()).expect("the source is UTF-8")
+    }
+
+    /// 1-based position of a variable in ModelVariables.
+    fn index(&self, name: &str) -> usize {
+        let position = self.variables.iter().position(|variable| variable.name.full == name);
+        position.expect("check() has looked every name up") + 1
+    }
+
+    fn unknown(&self, element: &BytesStart<'_>) -> BytesStart<'static> {
+        const CHECKED: &str = "parse() requires both attributes";
+        let index = self.index(&value(element, "name").expect(CHECKED));
+        let mut known: Vec<usize> =
+            value(element, "dependencies").expect(CHECKED).split_whitespace().map(|name| self.index(name)).collect();
+        known.sort_unstable();
+        let known: Vec<String> = known.iter().map(usize::to_string).collect();
+        let mut unknown = BytesStart::new("Unknown");
+        unknown.push_attribute(("index", index.to_string().as_str()));
+        unknown.push_attribute(("dependencies", known.join(" ").as_str()));
+        unknown
+    }
+
+    /// FMI 2.0.4, section 2.2.8: every output, calculated parameter, continuous state and derivative whose start is
+    /// calculated, in order. The continuous states are outputs, and there are no calculated parameters.
+    ///
+    /// The knowns of initialisation are all parameters and inputs: which of the 40 an unknown needs stands nowhere in
+    /// the source and could not be derived from it, so `dependencies` is left out, which means "on all of them".
+    fn initial_unknowns(&self) -> String {
+        let mut list = String::from("  <InitialUnknowns>\n");
+        for (position, variable) in self.variables.iter().enumerate() {
+            let exposed = variable.causality == Causality::Output || variable.is_alias();
+            if exposed && variable.initial == Some(Initial::Calculated) {
+                list += &format!("      <Unknown index=\"{}\"/>\n", position + 1);
+            }
+        }
+        list + "    </InitialUnknowns>\n  "
+    }
+}
+
+fn write(writer: &mut Writer<Vec<u8>>, event: Event<'_>) {
+    writer.write_event(event).expect("writing to memory does not fail");
+}
+
+/// Value of an attribute, where the element has it.
+fn value(element: &BytesStart<'_>, name: &str) -> Option<String> {
+    let attribute = element.try_get_attribute(name).expect("parse() has read the same element before");
+    attribute.map(|attribute| attribute.value.into_owned())
+}
+
+/// The same element with another value of one attribute, and every line break between the attributes kept.
+fn replace(element: &BytesStart<'_>, name: &str, new: &str) -> BytesStart<'static> {
+    let old = value(element, name).unwrap_or_default();
+    let content = format!("{}{}", element.name().0, element.attributes_raw());
+    // The blank before the name tells `version` from `fmiVersion`.
+    let pattern = |blank: char| format!("{blank}{name}=\"{old}\"");
+    let content = [' ', '\n']
+        .into_iter()
+        .fold(content, |content, blank| content.replacen(&pattern(blank), &format!("{blank}{name}=\"{new}\""), 1));
+    BytesStart::from_content(content, element.name().0.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::element::Element;
+
+    fn written() -> (ModelDescription, String, Element) {
+        let description = ModelDescription::read().expect("the shipped description");
+        let text = description.to_fmi("1.2.3");
+        let root = Element::parse(&text).expect("what is written can be read");
+        (description, text, root)
+    }
+
+    #[test]
+    fn guid_and_version_are_filled_in() {
+        let (description, _, root) = written();
+        assert_eq!(root.attribute("guid"), Some(description.guid().as_str()));
+        assert_eq!(root.attribute("version"), Some("1.2.3"));
+        assert_eq!(root.attribute("fmiVersion"), Some("2.0"));
+    }
+
+    #[test]
+    fn another_content_has_another_guid() {
+        let other = crate::XML.replacen("Motor torque", "Torque of the motor", 1);
+        let other = ModelDescription::parse(&other).expect("a harmless change");
+        assert_ne!(other.guid(), ModelDescription::read().expect("the shipped description").guid());
+    }
+
+    #[test]
+    fn names_become_indices() {
+        let (description, text, root) = written();
+        let variables = &root.child("ModelVariables").expect("variables").children;
+        assert_eq!(variables.len(), description.variables.len());
+        let name = |index: &str| variables[index.parse::<usize>().expect("an index") - 1].attribute("name");
+
+        let derivative = variables.iter().find(|v| v.attribute("name") == Some("der(omega[2])")).expect("it");
+        assert_eq!(name(derivative.children[0].attribute("derivative").expect("derivative")), Some("omega[2]"));
+
+        let outputs = &root.child("ModelStructure").and_then(|s| s.child("Outputs")).expect("outputs").children;
+        for (written, source) in outputs.iter().zip(&description.structure.outputs) {
+            assert_eq!(name(written.attribute("index").expect("index")), Some(source.name.as_str()));
+            let mut names: Vec<&str> = written
+                .attribute("dependencies")
+                .expect("dependencies")
+                .split_whitespace()
+                .map(|index| name(index).expect("a name"))
+                .collect();
+            let mut expected: Vec<&str> = source.dependencies.iter().map(String::as_str).collect();
+            names.sort_unstable();
+            expected.sort_unstable();
+            assert_eq!(names, expected, "{}", source.name);
+        }
+        assert!(!text.contains("<Unknown name"));
+    }
+
+    #[test]
+    fn initial_unknowns_are_the_calculated_outputs_and_derivatives() {
+        let (description, _, root) = written();
+        let list = &root.child("ModelStructure").and_then(|s| s.child("InitialUnknowns")).expect("list").children;
+        let indices: Vec<usize> = list.iter().map(|u| u.attribute("index").expect("index").parse().expect("a number")).collect();
+        let structure = &description.structure;
+        assert_eq!(indices.len(), structure.outputs.len() + structure.derivatives.len());
+        assert!(indices.is_sorted_by(|a, b| a < b));
+    }
+
+    #[test]
+    fn what_is_not_completed_stays_as_it_is() {
+        let (description, text, _) = written();
+        let variables = |xml: &str| {
+            let from = xml.find("<UnitDefinitions>").expect("units");
+            xml[from..xml.find("<!-- Continuous states").expect("the comment")].to_owned()
+        };
+        assert_eq!(variables(&text), variables(&description.xml));
+        assert!(text.starts_with("<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<!-- Written by"));
+    }
+}

@@ -1,0 +1,160 @@
+//! The one door: every call with an instance passes [`guard`].
+
+use std::any::Any;
+use std::ffi::CString;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+use super::types::{fmi2CallbackFunctions, fmi2Component, fmi2Error, fmi2Fatal, fmi2Status, number};
+use crate::fmi::{Call, Instance, Message, Rejection, Status};
+
+/// What an fmi2Component points to.
+pub(super) struct Component {
+    pub(super) instance: Instance,
+    /// Handed back to the logger.
+    name: CString,
+    callbacks: fmi2CallbackFunctions,
+    /// Set by a panic: the instance may be half-changed and can only be freed.
+    poisoned: bool,
+}
+
+impl Component {
+    pub(super) fn new(name: CString, callbacks: fmi2CallbackFunctions, logging_on: bool) -> Self {
+        Self { instance: Instance::new(logging_on), name, callbacks, poisoned: false }
+    }
+
+    /// Hands a message to the master's logger, if it has one.
+    fn send(name: &CString, callbacks: &fmi2CallbackFunctions, message: &Message) {
+        let Some(logger) = callbacks.logger else {
+            return;
+        };
+        // The text takes the place of a printf format, so % is doubled; a zero byte would end it.
+        let text = message.text.replace('%', "%%").replace('\0', " ");
+        let (Ok(text), Ok(category)) = (CString::new(text), CString::new(message.status.category().name())) else {
+            return;
+        };
+        // SAFETY: the caller of fmi2Instantiate vouches for the logger; all strings outlive the call, and no argument
+        // is missing since the text holds no format specification.
+        unsafe {
+            logger(callbacks.componentEnvironment, name.as_ptr(), number(message.status), category.as_ptr(), text.as_ptr());
+        }
+    }
+
+    /// Sends what has gathered in the instance's log.
+    pub(super) fn send_all(&mut self) {
+        for message in self.instance.log.drain() {
+            Self::send(&self.name, &self.callbacks, &message);
+        }
+    }
+}
+
+/// Runs `body` on the instance behind `component` and answers with a status: a rejection is logged under the name of
+/// the call, a panic is caught and poisons the instance.
+///
+/// # Safety
+/// The contract of [`crate::ffi`]: `component` is null or a live instance that no other thread is using.
+pub(super) unsafe fn guard(
+    component: fmi2Component,
+    call: Call,
+    body: impl FnOnce(&mut Instance) -> Result<(), Rejection>,
+) -> fmi2Status {
+    // SAFETY: the caller vouches for the pointer unless it is null.
+    let Some(component) = (unsafe { component.cast::<Component>().as_mut() }) else {
+        return fmi2Error;
+    };
+    if component.poisoned {
+        return fmi2Fatal;
+    }
+    let instance = &mut component.instance;
+    // Unwind safe: after a panic nothing of the instance is used but its log, which only holds whole messages.
+    let status = match catch_unwind(AssertUnwindSafe(|| body(instance))) {
+        Ok(Ok(())) => Status::Ok,
+        Ok(Err(rejection)) => {
+            component.instance.log.push(rejection.status, || format!("{call}: {}", rejection.message));
+            rejection.status
+        }
+        Err(panic) => {
+            component.poisoned = true;
+            component.instance.log.push(Status::Fatal, || {
+                format!("{call}: defect of the library, the instance can only be freed: {}", panic_text(&*panic))
+            });
+            Status::Fatal
+        }
+    };
+    component.send_all();
+    number(status)
+}
+
+/// What a panic says.
+pub(super) fn panic_text(panic: &(dyn Any + Send)) -> &str {
+    match (panic.downcast_ref::<&str>(), panic.downcast_ref::<String>()) {
+        (Some(text), _) => text,
+        (None, Some(text)) => text,
+        (None, None) => "no text",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::ffi::{CStr, c_void};
+    use std::ptr::null_mut;
+
+    use super::super::{fmi2ComponentEnvironment, fmi2FreeInstance, fmi2GetVersion, fmi2OK, fmi2Reset, fmi2String};
+    use super::*;
+
+    /// A logger that gathers `category: message` in the Vec that its environment points to.
+    unsafe extern "C" fn record(
+        environment: fmi2ComponentEnvironment,
+        _name: fmi2String,
+        _status: fmi2Status,
+        category: fmi2String,
+        message: fmi2String,
+    ) {
+        // SAFETY: the tests pass a live Vec<String>, and this library passes strings.
+        unsafe {
+            let lines = &mut *environment.cast::<Vec<String>>();
+            let text = |pointer| CStr::from_ptr(pointer).to_string_lossy();
+            lines.push(format!("{}: {}", text(category), text(message)));
+        }
+    }
+
+    fn component(lines: &mut Vec<String>) -> fmi2Component {
+        let record = record as *const c_void;
+        let callbacks = fmi2CallbackFunctions {
+            // SAFETY: with the usual calling conventions a function that ignores further arguments can be called as a
+            // variadic one; this is what masters written in C with five parameters do.
+            logger: Some(unsafe { std::mem::transmute::<*const c_void, super::super::fmi2CallbackLogger>(record) }),
+            allocateMemory: None,
+            freeMemory: None,
+            stepFinished: None,
+            componentEnvironment: std::ptr::from_mut(lines).cast(),
+        };
+        Box::into_raw(Box::new(Component::new(c"test".to_owned(), callbacks, false))).cast()
+    }
+
+    #[test]
+    fn a_panic_becomes_fatal_and_poisons_this_instance_only() {
+        let (mut lines, mut other_lines) = (Vec::new(), Vec::new());
+        let (broken, other) = (component(&mut lines), component(&mut other_lines));
+        // SAFETY: both components are live, and freed once.
+        unsafe {
+            assert_eq!(guard(broken, Call::DoStep, |_| panic!("on purpose, 100 %")), fmi2Fatal);
+            assert_eq!(fmi2Reset(broken), fmi2Fatal);
+            assert_eq!(fmi2Reset(other), fmi2OK);
+            fmi2FreeInstance(broken);
+            fmi2FreeInstance(other);
+        }
+        let expected = "logStatusFatal: fmi2DoStep: defect of the library, the instance can only be freed: on purpose, 100 %%";
+        assert_eq!(lines, [expected]);
+        assert_eq!(other_lines, [""; 0]);
+    }
+
+    #[test]
+    fn a_null_component_is_refused() {
+        // SAFETY: null is checked.
+        unsafe {
+            assert_eq!(guard(null_mut(), Call::DoStep, |_| Ok(())), fmi2Error);
+            fmi2FreeInstance(null_mut());
+            assert_eq!(CStr::from_ptr(fmi2GetVersion()), c"2.0");
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! The C border: FMI 2.0 for co-simulation, function by function.
+//!
+//! | file | holds |
+//! | --- | --- |
+//! | `types.rs` | fmi2TypesPlatform.h and the types of fmi2FunctionTypes.h, names unchanged |
+//! | `guard.rs` | the one door: null component, panic, log |
+//! | `arrays.rs` | C arrays and strings as slices, nulls refused |
+//! | `common.rs` | functions common to all FMUs (FMI 2.0.4, section 2.1) |
+//! | `cosimulation.rs` | functions for co-simulation (section 4.2.1) |
+//!
+//! # Safety
+//!
+//! The contract, the same for every function. What is checked is answered by a status; the rest is up to the caller.
+//!
+//! Checked here:
+//! - a null component, null arrays (allowed with length 0), null results, null strings;
+//! - the order of calls, value references, types, values, in `crate::fmi`;
+//! - a panic, which becomes fmi2Fatal and poisons the instance: from then on it can only be freed.
+//!
+//! Required of the caller, as in the standard:
+//! - a component comes from [`fmi2Instantiate`] of this library and has not been freed;
+//! - an instance is used by one thread at a time (different instances are independent);
+//! - arrays have the length that is passed along, strings end with a zero byte, and neither changes during the call;
+//! - the callbacks stay valid until the instance is freed; the logger does not call back into the same instance and
+//!   does not unwind.
+//!
+//! The caller owns every pointer it passes: nothing of it is kept but the callbacks and the component environment. The
+//! strings of [`fmi2GetVersion`] and [`fmi2GetTypesPlatform`] are static. The memory callbacks and stepFinished are not
+//! used.
+//!
+//! This library prints nothing. The one exception is Rust's panic hook, which writes the place of a defect to stderr
+//! before the panic is caught: a hook of our own would be global state that outlives the instances, and the line is
+//! what a bug report needs.
+
+#![allow(unsafe_code, reason = "raw pointers come in here and go no further")]
+#![allow(non_camel_case_types, non_snake_case, non_upper_case_globals, reason = "the names are those of the standard's headers")]
+
+mod arrays;
+mod common;
+mod cosimulation;
+mod guard;
+mod types;
+
+pub use common::*;
+pub use cosimulation::*;
+pub use types::*;

@@ -1,0 +1,97 @@
+//! fmi2TypesPlatform.h ("default") and the types of fmi2FunctionTypes.h (FMI 2.0.4, sections 2.1.2 to 2.1.5).
+//!
+//! Enumerations are plain integers: a Rust enum must not hold a number that C may pass by mistake.
+
+use std::ffi::{c_char, c_int, c_uint, c_void};
+
+use crate::fmi::Status;
+
+/// An instance.
+pub type fmi2Component = *mut c_void;
+/// Whatever the master wants handed back to its logger.
+pub type fmi2ComponentEnvironment = *mut c_void;
+/// A stored state.
+pub type fmi2FMUstate = *mut c_void;
+/// Identifies a variable.
+pub type fmi2ValueReference = c_uint;
+/// Real.
+pub type fmi2Real = f64;
+/// Integer and Enumeration.
+pub type fmi2Integer = c_int;
+/// Boolean: [`fmi2True`] or [`fmi2False`].
+pub type fmi2Boolean = c_int;
+/// Character.
+pub type fmi2Char = c_char;
+/// UTF-8, ending with a zero byte.
+pub type fmi2String = *const fmi2Char;
+/// Byte of a serialised state.
+pub type fmi2Byte = c_char;
+
+/// True.
+pub const fmi2True: fmi2Boolean = 1;
+/// False.
+pub const fmi2False: fmi2Boolean = 0;
+
+/// What a call returns.
+pub type fmi2Status = c_int;
+/// Done.
+pub const fmi2OK: fmi2Status = 0;
+/// Done, but probably not what was meant.
+pub const fmi2Warning: fmi2Status = 1;
+/// Could not be done.
+pub const fmi2Discard: fmi2Status = 2;
+/// Refused.
+pub const fmi2Error: fmi2Status = 3;
+/// A defect of the library.
+pub const fmi2Fatal: fmi2Status = 4;
+
+/// Kind of FMU.
+pub type fmi2Type = c_int;
+/// Co-simulation.
+pub const fmi2CoSimulation: fmi2Type = 1;
+
+/// What a status function is asked for; see [`crate::fmi::status::StatusKind`].
+pub type fmi2StatusKind = c_int;
+
+/// The master's logger. The message is finished text: no further arguments follow, and `%` is doubled.
+pub type fmi2CallbackLogger = unsafe extern "C" fn(
+    componentEnvironment: fmi2ComponentEnvironment,
+    instanceName: fmi2String,
+    status: fmi2Status,
+    category: fmi2String,
+    message: fmi2String,
+    ...
+);
+/// Not used.
+pub type fmi2CallbackAllocateMemory = unsafe extern "C" fn(nobj: usize, size: usize) -> *mut c_void;
+/// Not used.
+pub type fmi2CallbackFreeMemory = unsafe extern "C" fn(obj: *mut c_void);
+/// Not used: steps are never pending.
+pub type fmi2StepFinished = unsafe extern "C" fn(componentEnvironment: fmi2ComponentEnvironment, status: fmi2Status);
+
+/// The master's callbacks; each may be null.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct fmi2CallbackFunctions {
+    /// Receives log lines.
+    pub logger: Option<fmi2CallbackLogger>,
+    /// Not used.
+    pub allocateMemory: Option<fmi2CallbackAllocateMemory>,
+    /// Not used.
+    pub freeMemory: Option<fmi2CallbackFreeMemory>,
+    /// Not used.
+    pub stepFinished: Option<fmi2StepFinished>,
+    /// Handed back to the logger.
+    pub componentEnvironment: fmi2ComponentEnvironment,
+}
+
+/// The number of a status.
+pub(super) fn number(status: Status) -> fmi2Status {
+    match status {
+        Status::Ok => fmi2OK,
+        Status::Warning => fmi2Warning,
+        Status::Discard => fmi2Discard,
+        Status::Error => fmi2Error,
+        Status::Fatal => fmi2Fatal,
+    }
+}

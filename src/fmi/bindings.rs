@@ -1,0 +1,262 @@
+//! Variables ↔ parameters and inputs: one line per variable, the same for reading and writing.
+//!
+//! The matches are exhaustive over the enums that `build.rs` makes from the XML, so a variable that is not bound here
+//! does not compile. Outputs are bound in `outputs.rs`.
+
+use super::Rejection;
+use super::values::check_value;
+use crate::effects;
+use crate::mechanism::{self, Geometry, Link, Start};
+use crate::simulation::{self, Inputs, Parameters, Settings};
+use crate::variables::{
+    self, Access, BooleanParameter, EnumerationParameter, IntegerParameter, RealInput, RealParameter, Slot, VARIABLES, Value,
+    Variable,
+};
+
+/// The place of a Real parameter.
+fn real_parameter(p: &mut Parameters, variable: RealParameter) -> &mut f64 {
+    use RealParameter as V;
+    let gravity = &mut p.effects.gravity;
+    match variable {
+        V::BaseDistance => &mut p.geometry.base_distance,
+        V::LinkLength(i) => &mut p.geometry.links[i].length,
+        V::LinkMass(i) => &mut p.geometry.links[i].mass,
+        V::LinkInertia(i) => &mut p.geometry.links[i].inertia,
+        V::LinkCom(i) => &mut p.geometry.links[i].com,
+        V::InitTheta(i) => &mut p.start.theta[i],
+        V::InitOmega(i) => &mut p.start.omega[i],
+        V::SolverStepSize => &mut p.settings.step_size,
+        V::SolverErrorTolerance => &mut p.settings.error_tolerance,
+        V::SolverTolerance => &mut p.settings.tolerance,
+        V::SolverPenalty => &mut p.settings.penalty,
+        V::SolverPenaltyScale => &mut p.settings.penalty_scale,
+        V::GravityG => &mut gravity.g,
+        V::GravityTilt => &mut gravity.tilt,
+        V::GravityDirection => &mut gravity.direction,
+    }
+}
+
+/// The place of an Integer parameter.
+fn integer_parameter(p: &mut Parameters, variable: IntegerParameter) -> &mut u32 {
+    match variable {
+        IntegerParameter::SolverMaxIterations => &mut p.settings.max_iterations,
+    }
+}
+
+/// The place of a Boolean parameter.
+fn boolean_parameter(p: &mut Parameters, variable: BooleanParameter) -> &mut bool {
+    match variable {
+        BooleanParameter::SolverAdaptive => &mut p.settings.adaptive,
+        BooleanParameter::GravityEnabled => &mut p.effects.gravity.enabled,
+    }
+}
+
+/// The place of an Enumeration parameter.
+fn enumeration_parameter(p: &mut Parameters, variable: EnumerationParameter) -> &mut dyn Choice {
+    match variable {
+        EnumerationParameter::InitAssembly => &mut p.start.assembly,
+        EnumerationParameter::SolverMethod => &mut p.settings.method,
+    }
+}
+
+/// The place of an input.
+fn real_input(inputs: &mut Inputs, variable: RealInput) -> &mut f64 {
+    match variable {
+        RealInput::Tau(i) => &mut inputs.tau[i],
+        RealInput::TipFx => &mut inputs.tip_force[0],
+        RealInput::TipFy => &mut inputs.tip_force[1],
+    }
+}
+
+/// A choice of the library, as the number of an item of the XML.
+trait Choice {
+    fn number(&self) -> i32;
+    /// False where no item has that number.
+    fn choose(&mut self, number: i32) -> bool;
+}
+
+/// Ties a type of the library to the enumeration of the XML whose items have the same names.
+macro_rules! choice {
+    ($ours:ty = $items:ty { $($name:ident),+ }) => {
+        impl Choice for $ours {
+            fn number(&self) -> i32 {
+                match self { $(Self::$name => <$items>::$name as i32),+ }
+            }
+            fn choose(&mut self, number: i32) -> bool {
+                match <$items>::from_number(number) {
+                    $(Some(<$items>::$name) => *self = Self::$name,)+
+                    None => return false,
+                }
+                true
+            }
+        }
+    };
+}
+
+choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4 });
+choice!(mechanism::Assembly = variables::Assembly { Plus, Minus });
+
+/// The name of a method as in the XML.
+pub(super) fn method_name(method: simulation::Method) -> &'static str {
+    let mut items = variables::Method::ITEMS.iter();
+    items.find(|item| item.value == method.number()).map_or("", |item| item.name)
+}
+
+/// The present value of a parameter or input; `None` for an output.
+pub(super) fn read(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable) -> Option<Value> {
+    Some(match variable.slot {
+        Slot::RealParameter(v) => Value::Real(*real_parameter(parameters, v)),
+        Slot::RealInput(v) => Value::Real(*real_input(inputs, v)),
+        Slot::IntegerParameter(v) => {
+            // What was written came from an i32, or is the start value, which the table holds as one.
+            Value::Integer(i32::try_from(*integer_parameter(parameters, v)).unwrap_or(i32::MAX))
+        }
+        Slot::BooleanParameter(v) => Value::Boolean(*boolean_parameter(parameters, v)),
+        Slot::EnumerationParameter(v) => Value::Integer(enumeration_parameter(parameters, v).number()),
+        Slot::RealOutput(_) | Slot::IntegerOutput(_) | Slot::EnumerationOutput(_) => return None,
+    })
+}
+
+/// Writes a parameter or input; false where the value is not of its type or the variable is an output.
+pub(super) fn write(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable, value: Value) -> bool {
+    match (variable.slot, value) {
+        (Slot::RealParameter(v), Value::Real(x)) => *real_parameter(parameters, v) = x,
+        (Slot::RealInput(v), Value::Real(x)) => *real_input(inputs, v) = x,
+        (Slot::IntegerParameter(v), Value::Integer(n)) => match u32::try_from(n) {
+            Ok(n) => *integer_parameter(parameters, v) = n,
+            Err(_) => return false,
+        },
+        (Slot::BooleanParameter(v), Value::Boolean(b)) => *boolean_parameter(parameters, v) = b,
+        (Slot::EnumerationParameter(v), Value::Integer(n)) => {
+            return enumeration_parameter(parameters, v).choose(n);
+        }
+        _ => return false,
+    }
+    true
+}
+
+/// The scene that a fresh instance has: the start values of the XML.
+pub fn default_parameters() -> Parameters {
+    starts().0
+}
+
+/// The inputs that a fresh instance has: the start values of the XML.
+pub fn default_inputs() -> Inputs {
+    starts().1
+}
+
+fn starts() -> (Parameters, Inputs) {
+    // Every value below is overwritten by the loop: the XML is the one place where starts stand.
+    let link = Link { length: f64::NAN, mass: f64::NAN, inertia: f64::NAN, com: f64::NAN };
+    let mut parameters = Parameters {
+        geometry: Geometry { base_distance: f64::NAN, links: [link; 4] },
+        start: Start { theta: [f64::NAN; 2], omega: [f64::NAN; 2], assembly: mechanism::Assembly::Plus },
+        settings: Settings {
+            method: simulation::Method::I3alp,
+            step_size: f64::NAN,
+            adaptive: false,
+            error_tolerance: f64::NAN,
+            tolerance: f64::NAN,
+            max_iterations: 0,
+            penalty: f64::NAN,
+            penalty_scale: f64::NAN,
+        },
+        effects: effects::Parameters {
+            gravity: effects::gravity::Parameters { enabled: false, g: f64::NAN, tilt: f64::NAN, direction: f64::NAN },
+        },
+    };
+    let mut inputs = Inputs { tau: [f64::NAN; 2], tip_force: [f64::NAN; 2] };
+    for variable in VARIABLES {
+        if let Some(start) = variable.start {
+            let written = write(&mut parameters, &mut inputs, variable, start);
+            debug_assert!(written, "{}: start {start}", variable.name);
+        }
+    }
+    (parameters, inputs)
+}
+
+/// Sets a parameter or input by name, with the checks of fmi2SetXXX; the value is text as in a scene file: a number,
+/// `true` or `false`, or the name of an enumeration's item.
+pub fn set_start(parameters: &mut Parameters, inputs: &mut Inputs, name: &str, text: &str) -> Result<(), Rejection> {
+    let variable = Variable::named(name).ok_or_else(|| Rejection::error(format!("there is no variable \"{name}\".")))?;
+    let item = variable.items.iter().find(|item| item.name == text);
+    let value = match variable.access() {
+        Access::Real => text.parse().ok().map(Value::Real),
+        Access::Integer => item.map(|item| item.value).or_else(|| text.parse().ok()).map(Value::Integer),
+        Access::Boolean => text.parse().ok().map(Value::Boolean),
+    };
+    let value =
+        value.ok_or_else(|| Rejection::error(format!("{name} = {text} is not a value of its type, {}.", variable.access())))?;
+    check_value(variable, value)?;
+    if write(parameters, inputs, variable, value) {
+        Ok(())
+    } else {
+        Err(Rejection::error(format!("{name} is an output and cannot be set.")))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn starts_are_those_of_the_xml() {
+        let (mut parameters, mut inputs) = starts();
+        for variable in VARIABLES {
+            assert_eq!(read(&mut parameters, &mut inputs, variable), variable.start, "{}", variable.name);
+        }
+        assert_eq!(parameters.geometry.base_distance, 0.42);
+        assert_eq!(parameters.settings.method, simulation::Method::I3alp);
+    }
+
+    #[test]
+    fn what_is_written_is_read_and_nothing_else_changes() {
+        let (mut parameters, mut inputs) = starts();
+        for variable in VARIABLES.iter().filter(|variable| variable.start.is_some()) {
+            let value = match (variable.access(), variable.items) {
+                (Access::Real, _) => Value::Real(0.125),
+                (Access::Integer, []) => Value::Integer(7),
+                (Access::Integer, items) => Value::Integer(items[items.len() - 1].value),
+                (Access::Boolean, _) => Value::Boolean(variable.start != Some(Value::Boolean(true))),
+            };
+            let before = (parameters.clone(), inputs);
+            assert!(write(&mut parameters, &mut inputs, variable, value), "{}", variable.name);
+            for other in VARIABLES {
+                let expected =
+                    if other == variable { Some(value) } else { read(&mut before.0.clone(), &mut before.1.clone(), other) };
+                assert_eq!(read(&mut parameters, &mut inputs, other), expected, "{} <- {}", other.name, variable.name);
+            }
+        }
+    }
+
+    #[test]
+    fn scenes_set_by_name_and_text() {
+        let (mut parameters, mut inputs) = starts();
+        for (name, text) in [
+            ("tau[2]", "0.25"),
+            ("solver.method", "rk4"),
+            ("init.assembly", "2"),
+            ("gravity.enabled", "false"),
+            ("solver.maxIterations", "25"),
+        ] {
+            set_start(&mut parameters, &mut inputs, name, text).expect(name);
+        }
+        assert_eq!(inputs.tau, [0.0, 0.25]);
+        assert_eq!(parameters.settings.method, simulation::Method::Rk4);
+        assert_eq!(parameters.start.assembly, mechanism::Assembly::Minus);
+        assert!(!parameters.effects.gravity.enabled);
+        assert_eq!(parameters.settings.max_iterations, 25);
+        for (name, text, expected) in [
+            ("tau[3]", "0", "there is no variable \"tau[3]\""),
+            ("tau[1]", "much", "tau[1] = much is not a value of its type, Real"),
+            ("tau[1]", "inf", "tau[1] = inf N.m is not allowed: it must be finite."),
+            ("base.distance", "-1", "base.distance = -1.0 m is not allowed: it must be at least 0 m."),
+            ("solver.method", "euler", "solver.method = euler is not a value of its type"),
+            ("solver.method", "9", "must be one of 1 (i3alp), 2 (i3alpPrinted), 3 (rk4)"),
+            ("theta[1]", "0", "theta[1] is an output and cannot be set."),
+        ] {
+            let refused = set_start(&mut parameters, &mut inputs, name, text).expect_err(name);
+            assert!(refused.message.contains(expected), "\"{}\", expected \"{expected}\"", refused.message);
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! Communication points and the step grid (FMI 2.0.4, section 4.2.2; the grid is this project's own).
+//!
+//! The simulated system does not depend on time, so the clock only checks the master's points and turns a
+//! communication step H into macro steps: if H is k times the macro step h, k steps of exactly h, counted as integers;
+//! otherwise ceil(H/h) equal ones. Each accepted point is the anchor of the next step, so a master may count
+//! (start + n H) or accumulate (t += H), over any number of steps, without drifting out of the tolerance.
+
+use super::Rejection;
+
+/// Relative tolerance to which a master's points and steps are taken as what was meant.
+const RELATIVE: f64 = 1e-9;
+
+/// Rounding of H when the master computes it as a difference of two points, in ulps of the larger point.
+const ULPS: f64 = 4.0;
+
+/// More macro steps than this are not counted exactly by f64, and would not end within a lifetime.
+const MOST_STEPS: f64 = 9_007_199_254_740_992.0;
+
+/// The master's clock.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Clock {
+    point: f64,
+    stop: Option<f64>,
+}
+
+/// One communication step, ready to be taken.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plan {
+    /// Macro step, s.
+    pub h: f64,
+    /// Number of macro steps.
+    pub steps: u64,
+    /// The communication point reached by them, s.
+    end: f64,
+}
+
+impl Clock {
+    /// fmi2SetupExperiment: a clock at `start`, s, with an end that must not be passed, where one is given.
+    pub fn new(start: f64, stop: Option<f64>) -> Result<Self, Rejection> {
+        if !start.is_finite() {
+            return Err(Rejection::error(format!("startTime is {start} s, must be finite.")));
+        }
+        match stop {
+            Some(stop) if !stop.is_finite() => {
+                Err(Rejection::error(format!("stopTime is {stop} s, must be finite; leave it undefined for an open end.")))
+            }
+            Some(stop) if stop < start => {
+                Err(Rejection::error(format!("stopTime is {stop:?} s, must not be before startTime, which is {start:?} s.")))
+            }
+            stop => Ok(Self { point: start, stop }),
+        }
+    }
+
+    /// The communication point reached, s.
+    pub fn point(&self) -> f64 {
+        self.point
+    }
+
+    /// Checks a communication step of `size` seconds from `point` and divides it into macro steps of about `h` seconds.
+    pub fn plan(&self, point: f64, size: f64, h: f64) -> Result<Plan, Rejection> {
+        if !point.is_finite() {
+            return Err(Rejection::error(format!("currentCommunicationPoint is {point} s, expected {:?} s.", self.point)));
+        }
+        if !(size.is_finite() && size > 0.0) {
+            return Err(Rejection::error(format!("communicationStepSize is {size:?} s, must be positive and finite.")));
+        }
+        if (point - self.point).abs() > tolerance(self.point, size) {
+            return Err(Rejection::error(format!("currentCommunicationPoint is {point:?} s, expected {:?} s.", self.point)));
+        }
+        let end = point + size;
+        if !(end.is_finite() && end > point) {
+            return Err(Rejection::error(format!(
+                "communicationStepSize is {size:?} s, which does not advance the clock at {point:?} s."
+            )));
+        }
+        if let Some(stop) = self.stop
+            && end > stop + tolerance(stop, size)
+        {
+            return Err(Rejection::error(format!(
+                "currentCommunicationPoint + communicationStepSize is {end:?} s, which is past stopTime {stop:?} s."
+            )));
+        }
+        grid(point, size, h).map(|(h, steps)| Plan { h, steps, end })
+    }
+
+    /// The planned step has been taken.
+    pub fn advance(&mut self, plan: Plan) {
+        self.point = plan.end;
+    }
+}
+
+/// How far a point may be off and still be meant: relative to the magnitude of the clock, which may have accumulated
+/// the rounding of millions of steps, but always less than would hide half a step.
+fn tolerance(point: f64, size: f64) -> f64 {
+    (RELATIVE * point.abs().max(size)).min(0.5 * size)
+}
+
+/// A communication step of `size` seconds from `point` as macro steps: their length and number.
+fn grid(point: f64, size: f64, h: f64) -> Result<(f64, u64), Rejection> {
+    let ratio = size / h;
+    if ratio > MOST_STEPS {
+        return Err(Rejection::error(format!(
+            "communicationStepSize is {size:?} s, more than 2^53 times solver.stepSize {h:?} s."
+        )));
+    }
+    let multiple = ratio.round();
+    let rounding = ULPS * f64::EPSILON * point.abs().max((point + size).abs());
+    if multiple >= 1.0 && (size - multiple * h).abs() <= RELATIVE * multiple * h + rounding {
+        return Ok((h, multiple as u64));
+    }
+    let count = ratio.ceil();
+    Ok((size / count, count as u64))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const H: f64 = 1e-3;
+
+    #[test]
+    fn the_step_grid() {
+        for (point, size, h, expected) in [
+            // Multiples: exactly h, as often as it fits.
+            (0.0, 1e-3, H, (H, 1)),
+            (0.0, 0.01, H, (H, 10)),
+            (0.0, 50.0, H, (H, 50_000)),
+            (0.3, 0.1 + 0.2 - 0.3 + 1e-3, H, (H, 1)),
+            // A difference of two points carries the rounding of the points.
+            (1e4, 10_000.001 - 10_000.0, H, (H, 1)),
+            (1e7, 10_000_000.001 - 10_000_000.0, H, (H, 1)),
+            // Within 1e-9 of a multiple, and just outside.
+            (0.0, 1e-3 * (1.0 + 0.9e-9), H, (H, 1)),
+            (0.0, 1e-3 * (1.0 + 1.2e-9), H, (1e-3 * (1.0 + 1.2e-9) / 2.0, 2)),
+            // Not a multiple: equal steps, at most h.
+            (0.0, 1.0 / 60.0, H, (1.0 / 60.0 / 17.0, 17)),
+            (0.0, 2.5e-3, H, (2.5e-3 / 3.0, 3)),
+            (0.0, 4e-4, H, (4e-4, 1)),
+            (0.0, 6e-4, H, (6e-4, 1)),
+            (0.0, 1.0 / 60.0, 1.0 / 60.0, (1.0 / 60.0, 1)),
+        ] {
+            assert_eq!(grid(point, size, h).expect("a grid"), expected, "H = {size:?} at {point:?}");
+        }
+    }
+
+    /// Steps until `steps` are done; the point of each is given by the master's own arithmetic.
+    fn run(start: f64, size: f64, steps: u64, mut next: impl FnMut(u64, f64) -> f64) {
+        let mut clock = Clock::new(start, Some(start + size * steps as f64)).expect("a clock");
+        let mut point = start;
+        for step in 0..steps {
+            let plan = clock.plan(point, size, size).unwrap_or_else(|refused| panic!("step {step}: {}", refused.message));
+            assert_eq!((plan.h, plan.steps), (size, 1));
+            clock.advance(plan);
+            point = next(step + 1, point);
+        }
+    }
+
+    #[test]
+    fn masters_may_count_or_accumulate() {
+        for (start, size) in [(0.0, 1.0 / 60.0), (0.0, 1e-3), (12.34, 0.01), (-3.0, 0.1), (1e5, 1e-3)] {
+            run(start, size, 10_000_000 / 20, |n, _| start + n as f64 * size);
+            run(start, size, 10_000_000 / 20, |_, point| point + size);
+        }
+    }
+
+    #[test]
+    fn ten_million_steps_end_at_the_stop_time() {
+        run(0.0, 1e-3, 10_000_000, |_, point| point + 1e-3);
+    }
+
+    #[test]
+    fn a_rounded_point_is_accepted() {
+        let mut clock = Clock::new(0.0, None).expect("a clock");
+        clock.advance(clock.plan(0.0, 0.99, H).expect("the first step"));
+        assert_eq!(clock.plan(0.9900000000000007, 0.01, H).map(|plan| plan.steps), Ok(10));
+    }
+
+    #[test]
+    fn what_must_be_refused_is_refused() {
+        let clock = Clock::new(2.0, Some(3.0)).expect("a clock");
+        for (point, size, expected) in [
+            (2.0, 0.0, "communicationStepSize is 0.0 s, must be positive and finite"),
+            (2.0, -1e-3, "communicationStepSize is -0.001 s, must be positive and finite"),
+            (2.0, f64::NAN, "communicationStepSize is NaN s, must be positive and finite"),
+            (2.0, f64::INFINITY, "communicationStepSize is inf s, must be positive and finite"),
+            (f64::NAN, 1e-3, "currentCommunicationPoint is NaN s, expected 2.0 s"),
+            (0.0, 1e-3, "currentCommunicationPoint is 0.0 s, expected 2.0 s"),
+            (2.001, 1e-3, "currentCommunicationPoint is 2.001 s, expected 2.0 s"),
+            (2.0005, 1e-3, "currentCommunicationPoint is 2.0005 s, expected 2.0 s"),
+            (2.0, 1.001, "is 3.001 s, which is past stopTime 3.0 s"),
+            (2.0, 1e-17, "communicationStepSize is 1e-17 s, which does not advance the clock at 2.0 s"),
+        ] {
+            let refused = clock.plan(point, size, H).expect_err("a refusal");
+            assert!(refused.message.contains(expected), "\"{}\", expected \"{expected}\"", refused.message);
+        }
+        assert!(clock.plan(2.0, 1.0 + 1e-12, H).is_ok(), "rounding at the stop time");
+        assert!(Clock::new(0.0, None).expect("a clock").plan(0.0, 1e300, H).is_err(), "too many steps");
+    }
+
+    #[test]
+    fn a_clock_that_runs_backwards_is_refused() {
+        assert!(Clock::new(1.0, Some(0.5)).is_err_and(|refused| refused.message.contains("must not be before")));
+        assert!(Clock::new(f64::NAN, None).is_err());
+        assert!(Clock::new(0.0, Some(f64::INFINITY)).is_err());
+        assert!(Clock::new(1.0, Some(1.0)).is_ok());
+    }
+}

@@ -1,0 +1,226 @@
+//! An instance: parameters, inputs, a simulation once there is one, a clock and a log.
+//!
+//! Every call either does what it says or changes nothing; the C border turns a [`Rejection`] into a log line and a
+//! status.
+
+use super::clock::Clock;
+use super::messages::{Log, Status};
+use super::outputs::{Cache, Outputs};
+use super::values::{check_settable, check_value, lookup};
+use super::{Call, Rejection, Stage, bindings};
+use crate::simulation::{Inputs, Parameters, Simulation};
+use crate::variables::{Access, Value, Variable};
+
+/// An instance of the FMU.
+#[derive(Debug)]
+pub struct Instance {
+    stage: Stage,
+    parameters: Parameters,
+    inputs: Inputs,
+    /// Set by fmi2SetupExperiment.
+    clock: Option<Clock>,
+    /// Made at the end of initialisation, or earlier when an output is read there.
+    simulation: Option<Simulation>,
+    cache: Cache,
+    /// Lines for the master.
+    pub log: Log,
+}
+
+impl Instance {
+    /// A fresh instance; `logging_on` as given to fmi2Instantiate.
+    pub fn new(logging_on: bool) -> Self {
+        Self {
+            stage: Stage::Instantiated,
+            parameters: bindings::default_parameters(),
+            inputs: bindings::default_inputs(),
+            clock: None,
+            simulation: None,
+            cache: Cache::default(),
+            log: Log::new(logging_on),
+        }
+    }
+
+    /// Where the instance is in its life.
+    pub fn stage(&self) -> Stage {
+        self.stage
+    }
+
+    /// The master's clock, after fmi2SetupExperiment.
+    pub fn clock(&self) -> Option<&Clock> {
+        self.clock.as_ref()
+    }
+
+    /// fmi2SetDebugLogging.
+    pub fn set_debug_logging<'a>(&mut self, on: bool, categories: impl Iterator<Item = &'a str>) -> Result<(), Rejection> {
+        Call::SetDebugLogging.require(self.stage)?;
+        self.log.choose(on, categories)
+    }
+
+    /// fmi2SetupExperiment; `tolerance` and `stop` where they are defined. The tolerance is not used:
+    /// `solver.errorTolerance` rules, in units that a relative tolerance does not have.
+    pub fn setup_experiment(&mut self, tolerance: Option<f64>, start: f64, stop: Option<f64>) -> Result<(), Rejection> {
+        Call::SetupExperiment.require(self.stage)?;
+        self.clock = Some(Clock::new(start, stop)?);
+        if let Some(tolerance) = tolerance {
+            self.log.push(Status::Warning, || {
+                format!("fmi2SetupExperiment: tolerance {tolerance:?} is not used, solver.errorTolerance is.")
+            });
+        }
+        Ok(())
+    }
+
+    /// fmi2EnterInitializationMode.
+    pub fn enter_initialization_mode(&mut self) -> Result<(), Rejection> {
+        Call::EnterInitializationMode.require(self.stage)?;
+        if self.clock.is_none() {
+            return Err(Rejection::error("fmi2SetupExperiment must be called before."));
+        }
+        self.stage = Stage::InitializationMode;
+        Ok(())
+    }
+
+    /// fmi2ExitInitializationMode: validates the scene and closes the loop, or refuses and stays.
+    pub fn exit_initialization_mode(&mut self) -> Result<(), Rejection> {
+        Call::ExitInitializationMode.require(self.stage)?;
+        let simulation = ready(&mut self.simulation, &self.parameters, &self.inputs)?;
+        let settings = &self.parameters.settings;
+        self.log.push(Status::Ok, || {
+            let effects: Vec<&str> = simulation.active_effects().collect();
+            format!(
+                "ready: method {}, h = {:?} s, adaptive {}, effects: {}",
+                bindings::method_name(settings.method),
+                settings.step_size,
+                settings.adaptive,
+                if effects.is_empty() { "none".to_owned() } else { effects.join(", ") }
+            )
+        });
+        self.stage = Stage::StepComplete;
+        Ok(())
+    }
+
+    /// fmi2Terminate.
+    pub fn terminate(&mut self) -> Result<(), Rejection> {
+        Call::Terminate.require(self.stage)?;
+        self.stage = Stage::Terminated;
+        self.log.push(Status::Ok, || "terminated".to_owned());
+        Ok(())
+    }
+
+    /// fmi2Reset: as fresh as after fmi2Instantiate. Only the master's choice of log categories stays, which is about
+    /// the log and not about the simulation.
+    pub fn reset(&mut self) -> Result<(), Rejection> {
+        Call::Reset.require(self.stage)?;
+        let fresh = Self::new(false);
+        let log = std::mem::replace(self, fresh).log;
+        self.log = log;
+        self.log.push(Status::Ok, || "reset".to_owned());
+        Ok(())
+    }
+
+    /// fmi2SetReal, fmi2SetInteger, fmi2SetBoolean: nothing is written unless every value is allowed.
+    pub fn set(&mut self, call: Call, pairs: impl Iterator<Item = (u32, Value)> + Clone) -> Result<(), Rejection> {
+        call.require(self.stage)?;
+        for (reference, value) in pairs.clone() {
+            let variable = lookup(reference, value.access())?;
+            check_settable(variable, self.stage)?;
+            check_value(variable, value)?;
+        }
+        for (reference, value) in pairs {
+            let variable = lookup(reference, value.access())?;
+            if !bindings::write(&mut self.parameters, &mut self.inputs, variable, value) {
+                unreachable!("{} = {value} has been checked", variable.name);
+            }
+            self.cache = Cache::default();
+            if self.stage != Stage::StepComplete {
+                // A scene that was made ready to read an output is made anew with the new values.
+                self.simulation = None;
+            }
+        }
+        Ok(())
+    }
+
+    /// fmi2GetReal, fmi2GetInteger, fmi2GetBoolean: hands each value with its position to `take`; nothing is handed
+    /// over unless every reference is right.
+    pub fn get(
+        &mut self,
+        call: Call,
+        access: Access,
+        references: &[u32],
+        mut take: impl FnMut(usize, Value),
+    ) -> Result<(), Rejection> {
+        call.require(self.stage)?;
+        for &reference in references {
+            let variable = lookup(reference, access)?;
+            if variable.start.is_none() {
+                ready(&mut self.simulation, &self.parameters, &self.inputs)?;
+            }
+        }
+        for (position, &reference) in references.iter().enumerate() {
+            take(position, self.read(lookup(reference, access)?)?);
+        }
+        Ok(())
+    }
+
+    fn read(&mut self, variable: &Variable) -> Result<Value, Rejection> {
+        if let Some(value) = bindings::read(&mut self.parameters, &mut self.inputs, variable) {
+            return Ok(value);
+        }
+        let simulation = ready(&mut self.simulation, &self.parameters, &self.inputs)?;
+        let outputs = Outputs { simulation, inputs: &self.inputs, cache: &self.cache };
+        Ok(outputs.read(variable).unwrap_or_else(|| unreachable!("{} is bound", variable.name)))
+    }
+
+    /// fmi2GetString and fmi2SetString: there are no String variables.
+    pub fn no_strings(&self, call: Call, references: &[u32]) -> Result<(), Rejection> {
+        call.require(self.stage)?;
+        match references {
+            [] => Ok(()),
+            [first, ..] => Err(Rejection::error(match Variable::find(*first) {
+                Some(variable) => format!("{} is of type {}, not String.", variable.name, variable.access()),
+                None => format!("value reference {first} belongs to no variable."),
+            })),
+        }
+    }
+
+    /// fmi2DoStep: from `point`, s, by `size`, s. Discarded if the integrator gives up, with everything as before.
+    pub fn do_step(&mut self, point: f64, size: f64) -> Result<(), Rejection> {
+        Call::DoStep.require(self.stage)?;
+        let (Some(clock), Some(simulation)) = (&mut self.clock, &mut self.simulation) else {
+            unreachable!("initialisation has made both");
+        };
+        let plan = clock.plan(point, size, self.parameters.settings.step_size)?;
+        match simulation.advance(&self.inputs, plan.h, plan.steps) {
+            Ok(()) => {
+                clock.advance(plan);
+                self.cache = Cache::default();
+                self.stage = Stage::StepComplete;
+                Ok(())
+            }
+            Err(failure) => {
+                self.stage = Stage::StepFailed;
+                Err(Rejection::discard(format!(
+                    "the step from {point:?} s by {size:?} s gave up at {:?} s: {}; the state is still that of {point:?} s.",
+                    point + failure.elapsed,
+                    failure.cause
+                )))
+            }
+        }
+    }
+
+    /// fmi2CancelStep: a step is never pending.
+    pub fn cancel_step(&self) -> Result<(), Rejection> {
+        Err(Rejection::error("no step is pending: fmi2DoStep never returns fmi2Pending."))
+    }
+}
+
+/// The simulation, made ready with the present values if there is none yet.
+fn ready<'a>(
+    simulation: &'a mut Option<Simulation>,
+    parameters: &Parameters,
+    inputs: &Inputs,
+) -> Result<&'a mut Simulation, Rejection> {
+    match simulation {
+        Some(simulation) => Ok(simulation),
+        None => Ok(simulation.insert(Simulation::new(parameters, inputs)?)),
+    }
+}

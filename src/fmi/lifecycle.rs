@@ -1,0 +1,151 @@
+//! Which call is allowed in which state: FMI 2.0.4, section 4.2.4, figure and table.
+//!
+//! ```text
+//!  fmi2Instantiate                                          fmi2Reset from anywhere
+//!        |                                                         |
+//!        v        EnterInitializationMode                          v
+//!  Instantiated -------------------------> InitializationMode   Instantiated
+//!                                                | ExitInitializationMode
+//!                                                v                        Terminate
+//!                    DoStep: OK .----------> StepComplete --------------------------> Terminated
+//!                               '--------------- | ^                                     ^
+//!                                DoStep: Discard v | DoStep: OK, with another step size  |
+//!                                            StepFailed ---------------------------------'
+//! ```
+//!
+//! The standard's states stepInProgress and stepCanceled do not exist here: a step is never pending. Its state error
+//! does not either: a call that is refused changes nothing, so the instance stays where it was.
+
+use std::fmt;
+
+use super::Rejection;
+
+/// Where an instance is in its life.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// After fmi2Instantiate or fmi2Reset.
+    Instantiated,
+    /// Between fmi2EnterInitializationMode and fmi2ExitInitializationMode.
+    InitializationMode,
+    /// At a communication point.
+    StepComplete,
+    /// At the communication point before a step that was discarded.
+    StepFailed,
+    /// After fmi2Terminate.
+    Terminated,
+}
+
+impl fmt::Display for Stage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Instantiated => "instantiated",
+            Self::InitializationMode => "initialization mode",
+            Self::StepComplete => "step complete",
+            Self::StepFailed => "step failed",
+            Self::Terminated => "terminated",
+        })
+    }
+}
+
+/// Every function that takes an instance.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "each is the standard's function of that name")]
+pub enum Call {
+    SetDebugLogging,
+    SetupExperiment,
+    EnterInitializationMode,
+    ExitInitializationMode,
+    Terminate,
+    Reset,
+    GetReal,
+    GetInteger,
+    GetBoolean,
+    GetString,
+    SetReal,
+    SetInteger,
+    SetBoolean,
+    SetString,
+    GetFMUstate,
+    SetFMUstate,
+    FreeFMUstate,
+    SerializedFMUstateSize,
+    SerializeFMUstate,
+    DeSerializeFMUstate,
+    GetDirectionalDerivative,
+    SetRealInputDerivatives,
+    GetRealOutputDerivatives,
+    DoStep,
+    CancelStep,
+    GetStatus,
+    GetRealStatus,
+    GetIntegerStatus,
+    GetBooleanStatus,
+    GetStringStatus,
+}
+
+impl fmt::Display for Call {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "fmi2{self:?}")
+    }
+}
+
+impl Call {
+    /// The stages in which the standard allows the call. The footnotes of the table (which variables may be set
+    /// where) are in `values.rs`.
+    pub fn stages(self) -> &'static [Stage] {
+        use Stage::{InitializationMode, Instantiated, StepComplete, StepFailed, Terminated};
+        match self {
+            Self::SetDebugLogging | Self::Reset => &[Instantiated, InitializationMode, StepComplete, StepFailed, Terminated],
+            Self::SetupExperiment | Self::EnterInitializationMode => &[Instantiated],
+            Self::ExitInitializationMode => &[InitializationMode],
+            Self::Terminate => &[StepComplete, StepFailed],
+            Self::GetReal | Self::GetInteger | Self::GetBoolean | Self::GetString => {
+                &[InitializationMode, StepComplete, StepFailed, Terminated]
+            }
+            Self::SetReal | Self::SetInteger | Self::SetBoolean | Self::SetString => {
+                &[Instantiated, InitializationMode, StepComplete]
+            }
+            // The standard wants fmi2SetFMUstate before a step is tried again; here a discarded step has already been
+            // rolled back, so it may be tried again at once.
+            Self::DoStep => &[StepComplete, StepFailed],
+            Self::GetStatus | Self::GetRealStatus | Self::GetIntegerStatus | Self::GetBooleanStatus | Self::GetStringStatus => {
+                &[StepComplete, StepFailed, Terminated]
+            }
+            // A step is never pending.
+            Self::CancelStep => &[],
+            // Refused by their capability flag, whatever the stage.
+            Self::GetFMUstate
+            | Self::SetFMUstate
+            | Self::FreeFMUstate
+            | Self::SerializedFMUstateSize
+            | Self::SerializeFMUstate
+            | Self::DeSerializeFMUstate
+            | Self::GetDirectionalDerivative
+            | Self::SetRealInputDerivatives
+            | Self::GetRealOutputDerivatives => &[],
+        }
+    }
+
+    /// Refuses the call in a stage that does not allow it.
+    pub fn require(self, stage: Stage) -> Result<(), Rejection> {
+        let allowed = self.stages();
+        if allowed.contains(&stage) {
+            return Ok(());
+        }
+        let names: Vec<String> = allowed.iter().map(Stage::to_string).collect();
+        Err(Rejection::error(format!("the state is \"{stage}\", allowed is: {}.", names.join(", "))))
+    }
+
+    /// The refusal of a function whose capability flag is false.
+    pub fn unsupported(self) -> Rejection {
+        let (flag, value) = match self {
+            Self::GetFMUstate | Self::SetFMUstate | Self::FreeFMUstate => ("canGetAndSetFMUstate", "false"),
+            Self::SerializedFMUstateSize | Self::SerializeFMUstate | Self::DeSerializeFMUstate => ("canSerializeFMUstate", "false"),
+            Self::GetDirectionalDerivative => ("providesDirectionalDerivative", "false"),
+            Self::SetRealInputDerivatives => ("canInterpolateInputs", "false"),
+            Self::GetRealOutputDerivatives => ("maxOutputDerivativeOrder", "0"),
+            _ => unreachable!("{self} is supported"),
+        };
+        Rejection::error(format!("the model description declares {flag}=\"{value}\"."))
+    }
+}

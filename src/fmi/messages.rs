@@ -1,0 +1,146 @@
+//! The log queue: calls put messages in, the C border hands them to the master's logger.
+//!
+//! Until fmi2SetDebugLogging is called, warnings, discards, errors and fatal errors are always passed on, and
+//! loggingOn of fmi2Instantiate adds the events. From then on the master's choice holds: nothing, everything, or the
+//! categories that it names (FMI 2.0.4, section 2.1.5).
+
+use super::Rejection;
+use crate::variables::Category;
+
+/// fmi2Status (FMI 2.0.4, section 2.1.3) without fmi2Pending: a step is never pending. In the order of severity.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Status {
+    /// Done.
+    Ok,
+    /// Done, but probably not what was meant.
+    Warning,
+    /// Could not be done; nothing was changed.
+    Discard,
+    /// Refused; nothing was changed.
+    Error,
+    /// A defect of this library; the instance can only be freed.
+    Fatal,
+}
+
+impl Status {
+    /// The category of a message with this status.
+    pub fn category(self) -> Category {
+        match self {
+            Self::Ok => Category::LogEvents,
+            Self::Warning => Category::LogStatusWarning,
+            Self::Discard => Category::LogStatusDiscard,
+            Self::Error => Category::LogStatusError,
+            Self::Fatal => Category::LogStatusFatal,
+        }
+    }
+}
+
+/// A line for the master's log.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Message {
+    /// Severity; its category follows from it.
+    pub status: Status,
+    /// The finished text.
+    pub text: String,
+}
+
+/// Which messages are passed on.
+#[derive(Clone, Debug, PartialEq)]
+enum Choice {
+    /// fmi2SetDebugLogging was not called.
+    Default { events: bool },
+    /// The categories that the master named.
+    Explicit(Vec<Category>),
+}
+
+/// Messages on their way to the master.
+#[derive(Debug)]
+pub struct Log {
+    choice: Choice,
+    queue: Vec<Message>,
+}
+
+impl Log {
+    /// An empty queue; `logging_on` as given to fmi2Instantiate.
+    pub fn new(logging_on: bool) -> Self {
+        Self { choice: Choice::Default { events: logging_on }, queue: Vec::new() }
+    }
+
+    /// fmi2SetDebugLogging: no categories means all of them.
+    pub fn choose<'a>(&mut self, on: bool, names: impl Iterator<Item = &'a str>) -> Result<(), Rejection> {
+        let mut chosen = Vec::new();
+        for name in names {
+            let category = Category::LIST.iter().find(|category| category.name() == name);
+            chosen.push(*category.ok_or_else(|| {
+                let declared: Vec<&str> = Category::LIST.iter().map(|category| category.name()).collect();
+                Rejection::error(format!("log category \"{name}\" is not declared, declared are: {}.", declared.join(", ")))
+            })?);
+        }
+        self.choice = Choice::Explicit(match (on, chosen.is_empty()) {
+            (false, _) => Vec::new(),
+            (true, true) => vec![Category::LogAll],
+            (true, false) => chosen,
+        });
+        Ok(())
+    }
+
+    /// Whether messages of that status are passed on.
+    fn wants(&self, status: Status) -> bool {
+        match &self.choice {
+            Choice::Default { events } => *events || status > Status::Ok,
+            Choice::Explicit(chosen) => chosen.contains(&Category::LogAll) || chosen.contains(&status.category()),
+        }
+    }
+
+    /// Queues a message; the text is only made if somebody wants it.
+    pub fn push(&mut self, status: Status, text: impl FnOnce() -> String) {
+        if self.wants(status) {
+            self.queue.push(Message { status, text: text() });
+        }
+    }
+
+    /// Takes what has gathered.
+    pub fn drain(&mut self) -> impl Iterator<Item = Message> {
+        self.queue.drain(..)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The statuses that pass, after a choice of categories.
+    fn passing(log: &mut Log) -> Vec<Status> {
+        for status in [Status::Ok, Status::Warning, Status::Discard, Status::Error, Status::Fatal] {
+            log.push(status, String::new);
+        }
+        log.drain().map(|message| message.status).collect()
+    }
+
+    #[test]
+    fn by_default_problems_pass_and_events_only_on_demand() {
+        assert_eq!(passing(&mut Log::new(false)), [Status::Warning, Status::Discard, Status::Error, Status::Fatal]);
+        assert_eq!(passing(&mut Log::new(true)).len(), 5);
+    }
+
+    #[test]
+    fn an_explicit_choice_rules() {
+        let mut log = Log::new(true);
+        log.choose(false, std::iter::empty()).expect("off");
+        assert_eq!(passing(&mut log), []);
+        log.choose(true, ["logEvents", "logStatusError"].into_iter()).expect("two");
+        assert_eq!(passing(&mut log), [Status::Ok, Status::Error]);
+        log.choose(true, ["logAll"].into_iter()).expect("all");
+        assert_eq!(passing(&mut log).len(), 5);
+        log.choose(true, std::iter::empty()).expect("all");
+        assert_eq!(passing(&mut log).len(), 5);
+    }
+
+    #[test]
+    fn an_unknown_category_is_refused_and_changes_nothing() {
+        let mut log = Log::new(false);
+        let refused = log.choose(true, ["logEvents", "logSql"].into_iter()).expect_err("logSql");
+        assert!(refused.message.contains("\"logSql\" is not declared, declared are: logEvents, "), "{}", refused.message);
+        assert_eq!(passing(&mut log).len(), 4);
+    }
+}

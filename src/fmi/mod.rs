@@ -1,0 +1,52 @@
+//! What an FMU answers, without C types: life cycle, variables, clock and messages.
+//!
+//! | file | holds |
+//! | --- | --- |
+//! | `lifecycle.rs` | which call is allowed in which state |
+//! | `clock.rs` | communication points and the step grid |
+//! | `messages.rs` | the log queue and its categories |
+//! | `bindings.rs` | variables ↔ parameters and inputs |
+//! | `outputs.rs` | variables ← observers, computed when read |
+//! | `values.rs` | the checks that come before a value is read or written |
+//! | `instance.rs` | an instance: all of these together |
+//! | `status.rs` | the status functions of co-simulation |
+
+pub mod bindings;
+pub mod clock;
+pub mod instance;
+pub mod lifecycle;
+pub mod messages;
+mod outputs;
+pub mod status;
+mod values;
+
+pub use instance::Instance;
+pub use lifecycle::{Call, Stage};
+pub use messages::{Message, Status};
+
+/// A call that was not carried out; nothing was changed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Rejection {
+    /// What the call returns: [`Status::Discard`] or [`Status::Error`].
+    pub status: Status,
+    /// One sentence naming the variable, its value and what is allowed.
+    pub message: String,
+}
+
+impl Rejection {
+    /// The call was wrong.
+    pub fn error(message: impl Into<String>) -> Self {
+        Self { status: Status::Error, message: message.into() }
+    }
+
+    /// The call was right, but could not be done.
+    pub fn discard(message: impl Into<String>) -> Self {
+        Self { status: Status::Discard, message: message.into() }
+    }
+}
+
+impl From<crate::mechanism::Refusal> for Rejection {
+    fn from(refusal: crate::mechanism::Refusal) -> Self {
+        Self::error(refusal.0)
+    }
+}

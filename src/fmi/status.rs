@@ -1,0 +1,65 @@
+//! The status functions of co-simulation (FMI 2.0.4, section 4.2.3).
+
+use super::{Call, Instance, Rejection};
+
+/// fmi2StatusKind.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StatusKind {
+    /// fmi2DoStepStatus.
+    DoStepStatus,
+    /// fmi2PendingStatus.
+    PendingStatus,
+    /// fmi2LastSuccessfulTime.
+    LastSuccessfulTime,
+    /// fmi2Terminated.
+    Terminated,
+}
+
+impl StatusKind {
+    /// The kind of that number in fmi2FunctionTypes.h.
+    pub fn from_number(number: i32) -> Result<Self, Rejection> {
+        match number {
+            0 => Ok(Self::DoStepStatus),
+            1 => Ok(Self::PendingStatus),
+            2 => Ok(Self::LastSuccessfulTime),
+            3 => Ok(Self::Terminated),
+            _ => Err(Rejection::error(format!("status kind is {number}, must be 0 to 3."))),
+        }
+    }
+
+    /// Nothing to tell: fmi2Discard is the standard's answer.
+    fn nothing(self) -> Rejection {
+        Rejection::discard(match self {
+            Self::DoStepStatus => "there is no fmi2DoStepStatus: a step is never pending.",
+            Self::PendingStatus => "there is no fmi2PendingStatus: a step is never pending.",
+            Self::LastSuccessfulTime => "fmi2LastSuccessfulTime is a Real, ask fmi2GetRealStatus.",
+            Self::Terminated => "fmi2Terminated is a Boolean, ask fmi2GetBooleanStatus.",
+        })
+    }
+}
+
+impl Instance {
+    /// fmi2GetRealStatus: the communication point reached, s.
+    pub fn real_status(&self, kind: StatusKind) -> Result<f64, Rejection> {
+        Call::GetRealStatus.require(self.stage())?;
+        match (kind, self.clock()) {
+            (StatusKind::LastSuccessfulTime, Some(clock)) => Ok(clock.point()),
+            _ => Err(kind.nothing()),
+        }
+    }
+
+    /// fmi2GetBooleanStatus: this library never wants to end the simulation.
+    pub fn boolean_status(&self, kind: StatusKind) -> Result<bool, Rejection> {
+        Call::GetBooleanStatus.require(self.stage())?;
+        match kind {
+            StatusKind::Terminated => Ok(false),
+            _ => Err(kind.nothing()),
+        }
+    }
+
+    /// fmi2GetStatus, fmi2GetIntegerStatus and fmi2GetStringStatus, which have nothing to tell.
+    pub fn other_status(&self, call: Call, kind: StatusKind) -> Result<(), Rejection> {
+        call.require(self.stage())?;
+        Err(kind.nothing())
+    }
+}

@@ -1,0 +1,139 @@
+//! The variables, generated from `modelDescription/modelDescription.xml`: data only, knows nobody.
+//!
+//! `build.rs` writes the constants, the enums and the table [`VARIABLES`]; this file says what they are made of.
+
+use std::fmt;
+
+include!(concat!(env!("OUT_DIR"), "/variables.rs"));
+
+/// One variable as calls see it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Variable {
+    /// Name.
+    pub name: &'static str,
+    /// Value reference.
+    pub reference: u32,
+    /// Type, role and family: what the bindings match over.
+    pub slot: Slot,
+    /// Unit of the value and its bounds, for Reals.
+    pub unit: Option<&'static str>,
+    /// Start value, in `unit`; outputs have none.
+    pub start: Option<Value>,
+    /// Smallest value allowed, in `unit`.
+    pub min: Option<f64>,
+    /// Largest value allowed, in `unit`.
+    pub max: Option<f64>,
+    /// The values allowed, for enumerations.
+    pub items: &'static [Item],
+}
+
+/// An item of an enumeration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Item {
+    /// Name.
+    pub name: &'static str,
+    /// The number that stands for it in calls.
+    pub value: i32,
+}
+
+/// A value as calls carry it; enumerations travel as integers (FMI 2.0.4, section 2.2.7).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Value {
+    /// fmi2Real.
+    Real(f64),
+    /// fmi2Integer.
+    Integer(i32),
+    /// fmi2Boolean.
+    Boolean(bool),
+}
+
+impl Value {
+    /// The type of the value.
+    pub fn access(self) -> Access {
+        match self {
+            Self::Real(_) => Access::Real,
+            Self::Integer(_) => Access::Integer,
+            Self::Boolean(_) => Access::Boolean,
+        }
+    }
+}
+
+impl fmt::Display for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Real(value) => write!(f, "{value:?}"),
+            Self::Integer(value) => write!(f, "{value}"),
+            Self::Boolean(value) => write!(f, "{value}"),
+        }
+    }
+}
+
+/// The pair of functions that reads and writes a variable: fmi2GetReal and fmi2SetReal, and so on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Access {
+    /// fmi2GetReal, fmi2SetReal.
+    Real,
+    /// fmi2GetInteger, fmi2SetInteger: integers and enumerations.
+    Integer,
+    /// fmi2GetBoolean, fmi2SetBoolean.
+    Boolean,
+}
+
+impl fmt::Display for Access {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Real => "Real",
+            Self::Integer => "Integer",
+            Self::Boolean => "Boolean",
+        })
+    }
+}
+
+impl Variable {
+    /// The variable of that reference.
+    pub fn find(reference: u32) -> Option<&'static Self> {
+        let position = VARIABLES.binary_search_by_key(&reference, |variable| variable.reference).ok()?;
+        Some(&VARIABLES[position])
+    }
+
+    /// The variable of that name.
+    pub fn named(name: &str) -> Option<&'static Self> {
+        VARIABLES.iter().find(|variable| variable.name == name)
+    }
+
+    /// The functions that read and write it.
+    pub fn access(&self) -> Access {
+        match self.slot {
+            Slot::RealParameter(_) | Slot::RealInput(_) | Slot::RealOutput(_) => Access::Real,
+            Slot::BooleanParameter(_) => Access::Boolean,
+            Slot::IntegerParameter(_) | Slot::IntegerOutput(_) | Slot::EnumerationParameter(_) | Slot::EnumerationOutput(_) => {
+                Access::Integer
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_is_sorted_and_found() {
+        assert!(VARIABLES.is_sorted_by(|a, b| a.reference < b.reference));
+        for variable in VARIABLES {
+            assert_eq!(Variable::find(variable.reference), Some(variable));
+            assert_eq!(Variable::named(variable.name), Some(variable));
+        }
+        assert_eq!(Variable::find(0), None);
+    }
+
+    #[test]
+    fn a_few_entries_are_as_in_the_xml() {
+        let tau = Variable::find(101).expect("tau[2]");
+        assert_eq!((tau.name, tau.slot, tau.unit), ("tau[2]", Slot::RealInput(RealInput::Tau(1)), Some("N.m")));
+        let method = Variable::named("solver.method").expect("solver.method");
+        assert_eq!(method.items[2], Item { name: "rk4", value: 3 });
+        assert_eq!(Method::from_number(3), Some(Method::Rk4));
+        assert_eq!(Method::from_number(0), None);
+    }
+}

@@ -1,0 +1,185 @@
+//! Starts: closed, consistent, or refused with one sentence.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use fivebar::fmi::bindings::{default_inputs, default_parameters};
+use fivebar::mechanism::coordinates::THETA;
+use fivebar::mechanism::{Assembly, Geometry, Start, close};
+use fivebar::observers::{self, SingularityKind};
+use fivebar::simulation::{Parameters, Simulation};
+
+use crate::support::unequal;
+
+fn started(parameters: &Parameters) -> Simulation {
+    Simulation::new(parameters, &default_inputs()).expect("a legal start")
+}
+
+fn refusal(change: impl FnOnce(&mut Parameters)) -> String {
+    let mut parameters = default_parameters();
+    change(&mut parameters);
+    Simulation::new(&parameters, &default_inputs()).expect_err("must be refused").to_string()
+}
+
+/// Positions, velocities and accelerations meet the constraints, and the tip lies on the side asked for.
+#[test]
+fn starts_are_consistent() {
+    let mut coaxial = default_parameters();
+    coaxial.geometry.base_distance = 0.0;
+    coaxial.start.theta = [2.0, 1.0];
+    coaxial.start.omega = [3.0, -1.0];
+    for base in [default_parameters(), unequal(), coaxial] {
+        for assembly in [Assembly::Plus, Assembly::Minus] {
+            let mut parameters = base.clone();
+            parameters.start.assembly = assembly;
+            let simulation = started(&parameters);
+            let norms = observers::constraint_norms(simulation.model(), simulation.state());
+            // Round-off of sums of lengths below 1 m, and of rates below 10 rad/s; e λ with e = 6e-11 1/kg at acceleration level.
+            assert!(norms.position < 1e-15 && norms.velocity < 1e-14 && norms.acceleration < 1e-9, "{norms:?}");
+            let singularity = observers::singularity(simulation.model(), simulation.state());
+            if singularity.kind == SingularityKind::None {
+                assert_eq!(singularity.assembly, assembly);
+            }
+            let motion = observers::motion(simulation.model(), simulation.state());
+            assert_eq!([motion.omega[0], motion.omega[3]], parameters.start.omega, "prescribed rates are kept exactly");
+        }
+    }
+}
+
+/// The paper's own start: distal links in line, a legal direct singularity with the tip in the middle.
+#[test]
+fn the_paper_start_is_a_direct_singularity() {
+    let simulation = started(&default_parameters());
+    let motion = observers::motion(simulation.model(), simulation.state());
+    assert!((motion.tip.x - 0.21).abs() < 1e-16 && (motion.tip.y - 0.21).abs() < 1e-16, "{}", motion.tip);
+    assert_eq!(observers::singularity(simulation.model(), simulation.state()).kind, SingularityKind::Direct);
+}
+
+#[test]
+fn singular_postures_are_told_apart() {
+    for (theta, assembly, kind) in [
+        ([FRAC_PI_2, 2.0], Assembly::Plus, SingularityKind::None),
+        ([FRAC_PI_2, FRAC_PI_2], Assembly::Plus, SingularityKind::Direct),
+        // The left leg stretched: its elbow on the line from its motor to the tip.
+        ([1.0, PI - 1.0 + 0.558_3], Assembly::Plus, SingularityKind::None),
+        ([0.0, 0.0], Assembly::Plus, SingularityKind::Constraint),
+        ([PI, PI], Assembly::Plus, SingularityKind::Constraint),
+    ] {
+        let mut parameters = default_parameters();
+        parameters.start = Start { theta, omega: [0.0; 2], assembly };
+        let simulation = started(&parameters);
+        let singularity = observers::singularity(simulation.model(), simulation.state());
+        assert_eq!(singularity.kind, kind, "{theta:?}: {singularity:?}");
+    }
+    // Inverse: the left leg folded back on itself, the tip on the left motor; the right leg closes 0.42 m from its motor.
+    let mut folded = default_parameters();
+    folded.geometry.base_distance = 0.3;
+    let half = (0.15f64 / 0.21).acos();
+    folded.start = Start { theta: [1.0, PI - half], omega: [0.0; 2], assembly: Assembly::Plus };
+    let kinds = [Assembly::Plus, Assembly::Minus].map(|assembly| {
+        folded.start.assembly = assembly;
+        let simulation = started(&folded);
+        observers::singularity(simulation.model(), simulation.state()).kind
+    });
+    assert!(kinds.contains(&SingularityKind::Inverse), "{kinds:?}");
+}
+
+/// The determinant's sign and σ_min agree with what the posture says.
+#[test]
+fn singular_values_vanish_with_their_determinants() {
+    let simulation = started(&unequal());
+    let s = observers::singularity(simulation.model(), simulation.state());
+    let [_, l2, l3, _] = unequal().geometry.links.map(|link| link.length);
+    let theta = THETA.map(|i| simulation.state().core.q[i]);
+    let jx = nalgebra::Matrix2::new(l2 * theta[1].cos(), l2 * theta[1].sin(), l3 * theta[2].cos(), l3 * theta[2].sin());
+    assert!((s.det_jx - jx.determinant()).abs() < 1e-15);
+    assert!((s.sigma_jx - jx.singular_values().min()).abs() < 1e-15);
+    let at_vertex = {
+        let mut parameters = default_parameters();
+        parameters.start.theta = [0.0, 0.0];
+        let simulation = started(&parameters);
+        observers::singularity(simulation.model(), simulation.state())
+    };
+    assert!(at_vertex.sigma_phi < 1e-12 && at_vertex.sigma_jx < 1e-12 && at_vertex.sigma_jq < 1e-12, "{at_vertex:?}");
+}
+
+#[test]
+fn starts_that_cannot_be_closed_are_refused_with_a_sentence() {
+    let text = refusal(|p| p.start.theta = [PI, 0.0]);
+    assert!(text.contains("init.theta") && text.contains("0.840000 m apart") && text.contains("0.000000 to 0.420000 m"), "{text}");
+    let text = refusal(|p| {
+        p.geometry.base_distance = 0.0;
+        p.start.theta = [1.0, 1.0];
+    });
+    assert!(text.contains("init.theta") && text.contains("same point"), "{text}");
+    let text = refusal(|p| p.start.omega = [1.0, 2.0]);
+    assert!(text.is_empty() || text.contains("init.omega"), "{text}");
+}
+
+#[test]
+fn values_without_a_meaning_are_refused_by_name() {
+    for (text, name) in [
+        (refusal(|p| p.geometry.links[1].mass = -1.0), "link[2].mass = -1 kg"),
+        (refusal(|p| p.geometry.links[3].inertia = 0.0), "link[4].inertia = 0 kg.m2"),
+        (refusal(|p| p.geometry.links[0].length = 0.0), "link[1].length = 0 m"),
+        (refusal(|p| p.geometry.links[2].com = f64::NAN), "link[3].com = NaN m"),
+        (refusal(|p| p.geometry.base_distance = -0.1), "base.distance = -0.1 m"),
+        (refusal(|p| p.settings.step_size = 0.0), "solver.stepSize = 0 s"),
+        (refusal(|p| p.settings.error_tolerance = f64::INFINITY), "solver.errorTolerance = inf rad"),
+        (refusal(|p| p.start.theta[1] = f64::NAN), "init.theta[2] = NaN rad"),
+        (refusal(|p| p.effects.gravity.g = f64::NAN), "gravity.g = NaN m/s2"),
+    ] {
+        assert!(text.contains(name), "{text}");
+        assert!(text.ends_with('.') && text.matches(". ").count() == 0, "one sentence: {text}");
+    }
+}
+
+fn geometry(lengths: [f64; 4], base_distance: f64) -> Geometry {
+    let mut geometry = default_parameters().geometry;
+    geometry.base_distance = base_distance;
+    for (link, length) in geometry.links.iter_mut().zip(lengths) {
+        (link.length, link.com) = (length, length / 2.0);
+    }
+    geometry
+}
+
+/// Rates at a direct singularity: those that would tear the elbows apart are refused, the others leave the tip's rate across the
+/// line at 0.
+#[test]
+fn rates_at_a_direct_singularity() {
+    let paper = default_parameters().geometry;
+    let start = |theta, omega| Start { theta, omega, assembly: Assembly::Plus };
+    // Parallel cranks turning alike: the elbows keep their distance.
+    let (_, v) = close(&paper, &start([FRAC_PI_2, FRAC_PI_2], [2.0, 2.0])).expect("rates that closure can meet");
+    assert!(THETA[1..3].iter().all(|&i| v[i].abs() < 1e-14), "{v:?}");
+    let text = close(&paper, &start([FRAC_PI_2, FRAC_PI_2], [1.0, -1.0])).expect_err("elbows part").to_string();
+    assert!(text.contains("init.omega = (1, -1) rad/s") && text.contains("4.2") && text.contains("allowed is 0"), "{text}");
+}
+
+/// Rates at a vertex lie on the tangent cone, also for coaxial motors on any line, and move the tip to the side asked for.
+#[test]
+fn rates_at_a_vertex_lie_on_the_cone() {
+    for (lengths, base_distance, theta, omega) in [
+        ([0.21; 4], 0.42, [0.0, 0.0], [1.0, 0.0]),
+        ([0.21; 4], 0.42, [PI, PI], [1.5, 1.0]),
+        ([0.20, 0.18, 0.12, 0.10], 0.0, [FRAC_PI_2 / 2.0, FRAC_PI_2 / 2.0 + PI], [1.0, 0.0]),
+        ([0.20, 0.18, 0.12, 0.10], 0.0, [0.0, PI], [1.0, 0.0]),
+    ] {
+        let geometry = geometry(lengths, base_distance);
+        let mut roots = vec![];
+        for assembly in [Assembly::Plus, Assembly::Minus] {
+            match close(&geometry, &Start { theta, omega, assembly }) {
+                Ok((q, v)) => {
+                    let sign = [1.0, 1.0, -1.0, -1.0];
+                    let line = q[THETA[0]];
+                    let arm: [f64; 4] = std::array::from_fn(|i| sign[i] * (q[THETA[i]] - line).cos() * geometry.links[i].length);
+                    let first: f64 = (0..4).map(|i| arm[i] * v[THETA[i]]).sum();
+                    let second: f64 = (0..4).map(|i| arm[i] * v[THETA[i]].powi(2)).sum();
+                    assert!(first.abs() < 1e-12 && second.abs() < 1e-10, "{theta:?}: {first:e} {second:e}");
+                    roots.push(v[THETA[1]]);
+                }
+                Err(refusal) => assert!(refusal.to_string().contains("init.omega"), "{refusal}"),
+            }
+        }
+        assert!(roots.is_empty() || roots.len() == 2, "both sides or none");
+    }
+}

@@ -1,0 +1,324 @@
+//! A small master: calls the exported functions in this process, as a C program would, and records the log.
+
+#![allow(unsafe_code, reason = "it calls the C functions of the library with pointers of its own")]
+
+use std::ffi::{CStr, CString, c_void};
+use std::ptr::{null, null_mut};
+
+use fivebar::ffi::*;
+use fivebar::variables::{GUID, Variable};
+
+/// A line that the logger received.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Line {
+    pub(super) instance: String,
+    pub(super) status: fmi2Status,
+    pub(super) category: String,
+    pub(super) text: String,
+}
+
+/// What to pass to fmi2Instantiate.
+pub(super) struct Instantiation<'a> {
+    pub(super) name: Option<&'a str>,
+    pub(super) kind: fmi2Type,
+    pub(super) guid: &'a str,
+    pub(super) logging_on: bool,
+}
+
+impl Default for Instantiation<'_> {
+    fn default() -> Self {
+        Self { name: Some("machine"), kind: fmi2CoSimulation, guid: GUID, logging_on: false }
+    }
+}
+
+/// An instance with its log; freed when dropped.
+pub(super) struct Host {
+    pub(super) component: fmi2Component,
+    /// Where the logger writes: its address is the component environment.
+    lines: *mut Vec<Line>,
+}
+
+unsafe extern "C" fn record(
+    environment: fmi2ComponentEnvironment,
+    instance: fmi2String,
+    status: fmi2Status,
+    category: fmi2String,
+    text: fmi2String,
+) {
+    // SAFETY: the environment is the `lines` of a live host, and the library passes strings.
+    unsafe {
+        let string = |pointer| CStr::from_ptr(pointer).to_str().expect("UTF-8").to_owned();
+        let line = Line { instance: string(instance), status, category: string(category), text: string(text) };
+        (*environment.cast::<Vec<Line>>()).push(line);
+    }
+}
+
+/// The recorder as the variadic function that the standard wants.
+fn logger() -> fmi2CallbackLogger {
+    // SAFETY: a function that ignores further arguments can be called as a variadic one under the calling conventions
+    // that this is tested on; loggers of masters are often written with five parameters.
+    unsafe { std::mem::transmute::<*const c_void, fmi2CallbackLogger>(record as *const c_void) }
+}
+
+impl Host {
+    /// Instantiates; the lines that came instead, where the library refuses.
+    pub(super) fn instantiate(with: Instantiation<'_>) -> Result<Self, Vec<Line>> {
+        let lines = Box::into_raw(Box::new(Vec::new()));
+        let callbacks = fmi2CallbackFunctions {
+            logger: Some(logger()),
+            allocateMemory: None,
+            freeMemory: None,
+            stepFinished: None,
+            componentEnvironment: lines.cast(),
+        };
+        let name = with.name.map(|name| CString::new(name).expect("no zero byte"));
+        let guid = CString::new(with.guid).expect("no zero byte");
+        let name = name.as_ref().map_or(null(), |name| name.as_ptr());
+        // SAFETY: all pointers outlive the call, the logger and its lines outlive the instance.
+        let component =
+            unsafe { fmi2Instantiate(name, with.kind, guid.as_ptr(), null(), &callbacks, fmi2False, with.logging_on.into()) };
+        if component.is_null() {
+            // SAFETY: made above, and nobody else holds it.
+            return Err(*unsafe { Box::from_raw(lines) });
+        }
+        Ok(Self { component, lines })
+    }
+
+    /// A fresh instance.
+    pub(super) fn new() -> Self {
+        Self::instantiate(Instantiation::default()).unwrap_or_else(|lines| panic!("{lines:?}"))
+    }
+
+    /// In initialization mode, from `start` s, with an end where one is given.
+    pub(super) fn initializing(start: f64, stop: Option<f64>) -> Self {
+        let host = Self::new();
+        assert_eq!(host.setup(None, start, stop), fmi2OK);
+        assert_eq!(host.call(fmi2EnterInitializationMode), fmi2OK);
+        host
+    }
+
+    /// Ready to step from 0 s, with Real values set by name.
+    pub(super) fn ready(values: &[(&str, f64)]) -> Self {
+        let host = Self::initializing(0.0, None);
+        for (name, value) in values {
+            assert_eq!(host.set_real(&[reference(name)], &[*value]), fmi2OK, "{name}: {:?}", host.take());
+        }
+        assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
+        host
+    }
+
+    /// The lines since the last call of this.
+    pub(super) fn take(&self) -> Vec<Line> {
+        // SAFETY: the pointer lives as long as the host, and the logger runs only within calls.
+        std::mem::take(unsafe { &mut *self.lines })
+    }
+
+    /// The text of the one line since the last call of this.
+    pub(super) fn line(&self) -> String {
+        let [line] = <[Line; 1]>::try_from(self.take()).expect("exactly one line");
+        line.text
+    }
+
+    /// A function that takes nothing but the instance.
+    pub(super) fn call(&self, function: unsafe extern "C" fn(fmi2Component) -> fmi2Status) -> fmi2Status {
+        // SAFETY: the component is live.
+        unsafe { function(self.component) }
+    }
+
+    pub(super) fn setup(&self, tolerance: Option<f64>, start: f64, stop: Option<f64>) -> fmi2Status {
+        let defined = |value: Option<f64>| (value.is_some().into(), value.unwrap_or(f64::NAN));
+        let ((tolerance_defined, tolerance), (stop_defined, stop)) = (defined(tolerance), defined(stop));
+        // SAFETY: the component is live.
+        unsafe { fmi2SetupExperiment(self.component, tolerance_defined, tolerance, start, stop_defined, stop) }
+    }
+
+    pub(super) fn set_debug_logging(&self, on: bool, categories: &[&str]) -> fmi2Status {
+        let names: Vec<CString> = categories.iter().map(|name| CString::new(*name).expect("no zero byte")).collect();
+        let pointers: Vec<fmi2String> = names.iter().map(|name| name.as_ptr()).collect();
+        // SAFETY: the component is live, the names outlive the call.
+        unsafe { fmi2SetDebugLogging(self.component, on.into(), pointers.len(), pointers.as_ptr()) }
+    }
+
+    pub(super) fn get_real(&self, references: &[u32], values: &mut [f64]) -> fmi2Status {
+        assert_eq!(references.len(), values.len());
+        // SAFETY: the component is live, the arrays have the same length.
+        unsafe { fmi2GetReal(self.component, references.as_ptr(), references.len(), values.as_mut_ptr()) }
+    }
+
+    pub(super) fn set_real(&self, references: &[u32], values: &[f64]) -> fmi2Status {
+        assert_eq!(references.len(), values.len());
+        // SAFETY: the component is live, the arrays have the same length.
+        unsafe { fmi2SetReal(self.component, references.as_ptr(), references.len(), values.as_ptr()) }
+    }
+
+    pub(super) fn get_integer(&self, references: &[u32], values: &mut [i32]) -> fmi2Status {
+        assert_eq!(references.len(), values.len());
+        // SAFETY: the component is live, the arrays have the same length.
+        unsafe { fmi2GetInteger(self.component, references.as_ptr(), references.len(), values.as_mut_ptr()) }
+    }
+
+    pub(super) fn set_integer(&self, references: &[u32], values: &[i32]) -> fmi2Status {
+        assert_eq!(references.len(), values.len());
+        // SAFETY: the component is live, the arrays have the same length.
+        unsafe { fmi2SetInteger(self.component, references.as_ptr(), references.len(), values.as_ptr()) }
+    }
+
+    pub(super) fn get_boolean(&self, references: &[u32], values: &mut [i32]) -> fmi2Status {
+        assert_eq!(references.len(), values.len());
+        // SAFETY: the component is live, the arrays have the same length.
+        unsafe { fmi2GetBoolean(self.component, references.as_ptr(), references.len(), values.as_mut_ptr()) }
+    }
+
+    pub(super) fn set_boolean(&self, references: &[u32], values: &[i32]) -> fmi2Status {
+        assert_eq!(references.len(), values.len());
+        // SAFETY: the component is live, the arrays have the same length.
+        unsafe { fmi2SetBoolean(self.component, references.as_ptr(), references.len(), values.as_ptr()) }
+    }
+
+    pub(super) fn do_step(&self, point: f64, size: f64) -> fmi2Status {
+        // SAFETY: the component is live.
+        unsafe { fmi2DoStep(self.component, point, size, fmi2True) }
+    }
+
+    /// `count` steps of `size` seconds from 0 s.
+    pub(super) fn run(&self, size: f64, count: u32) {
+        for step in 0..count {
+            assert_eq!(self.do_step(f64::from(step) * size, size), fmi2OK, "{:?}", self.take());
+        }
+    }
+
+    pub(super) fn real_status(&self, kind: fmi2StatusKind) -> (fmi2Status, f64) {
+        let mut value = f64::NAN;
+        // SAFETY: the component is live, the place is ours.
+        (unsafe { fmi2GetRealStatus(self.component, kind, &mut value) }, value)
+    }
+
+    pub(super) fn boolean_status(&self, kind: fmi2StatusKind) -> (fmi2Status, i32) {
+        let mut value = -1;
+        // SAFETY: the component is live, the place is ours.
+        (unsafe { fmi2GetBooleanStatus(self.component, kind, &mut value) }, value)
+    }
+
+    /// The statuses of fmi2GetStatus, fmi2GetIntegerStatus and fmi2GetStringStatus.
+    pub(super) fn other_statuses(&self, kind: fmi2StatusKind) -> [fmi2Status; 3] {
+        let (mut status, mut integer, mut string) = (-1, -1, null());
+        // SAFETY: the component is live, the places are ours.
+        unsafe {
+            [
+                fmi2GetStatus(self.component, kind, &mut status),
+                fmi2GetIntegerStatus(self.component, kind, &mut integer),
+                fmi2GetStringStatus(self.component, kind, &mut string),
+            ]
+        }
+    }
+
+    /// The functions that come with a later issue, called with valid arguments; a name and a status each.
+    pub(super) fn unsupported(&self) -> Vec<(&'static str, fmi2Status)> {
+        let (reference, order, mut value, mut size) = (100, 1, 0.0, 0);
+        let mut state: fmi2FMUstate = null_mut();
+        let mut bytes: [fmi2Byte; 8] = [0; 8];
+        let c = self.component;
+        // SAFETY: the component is live, all places are ours and of the lengths passed.
+        unsafe {
+            vec![
+                ("canGetAndSetFMUstate", fmi2GetFMUstate(c, &mut state)),
+                ("canGetAndSetFMUstate", fmi2SetFMUstate(c, state)),
+                ("canGetAndSetFMUstate", fmi2FreeFMUstate(c, &mut state)),
+                ("canSerializeFMUstate", fmi2SerializedFMUstateSize(c, state, &mut size)),
+                ("canSerializeFMUstate", fmi2SerializeFMUstate(c, state, bytes.as_mut_ptr(), bytes.len())),
+                ("canSerializeFMUstate", fmi2DeSerializeFMUstate(c, bytes.as_ptr(), bytes.len(), &mut state)),
+                (
+                    "providesDirectionalDerivative",
+                    fmi2GetDirectionalDerivative(c, &reference, 1, &reference, 1, &value, &mut value.clone()),
+                ),
+                ("canInterpolateInputs", fmi2SetRealInputDerivatives(c, &reference, 1, &order, &value)),
+                ("maxOutputDerivativeOrder", fmi2GetRealOutputDerivatives(c, &reference, 1, &order, &mut value)),
+            ]
+        }
+    }
+
+    /// Every type with null arrays of that length: getters and setters.
+    pub(super) fn null_arrays(&self, length: usize) -> Vec<fmi2Status> {
+        let c = self.component;
+        // SAFETY: the component is live; null is what is tested.
+        unsafe {
+            vec![
+                fmi2GetReal(c, null(), length, null_mut()),
+                fmi2GetInteger(c, null(), length, null_mut()),
+                fmi2GetBoolean(c, null(), length, null_mut()),
+                fmi2GetString(c, null(), length, null_mut()),
+                fmi2SetReal(c, null(), length, null()),
+                fmi2SetInteger(c, null(), length, null()),
+                fmi2SetBoolean(c, null(), length, null()),
+                fmi2SetString(c, null(), length, null()),
+            ]
+        }
+    }
+
+    /// fmi2GetReal and fmi2SetReal with references but no values, and status functions without a place.
+    pub(super) fn null_values(&self) -> Vec<fmi2Status> {
+        let (c, reference) = (self.component, 100);
+        // SAFETY: the component is live; null is what is tested.
+        unsafe {
+            vec![
+                fmi2GetReal(c, &reference, 1, null_mut()),
+                fmi2SetReal(c, &reference, 1, null()),
+                fmi2GetRealStatus(c, 2, null_mut()),
+                fmi2GetBooleanStatus(c, 3, null_mut()),
+                fmi2SetDebugLogging(c, fmi2True, 1, null()),
+            ]
+        }
+    }
+
+    /// fmi2GetString and fmi2SetString with that reference.
+    pub(super) fn strings(&self, reference: u32) -> [fmi2Status; 2] {
+        let mut value = c"".as_ptr();
+        // SAFETY: the component is live, the place is ours.
+        unsafe { [fmi2GetString(self.component, &reference, 1, &mut value), fmi2SetString(self.component, &reference, 1, &value)] }
+    }
+}
+
+impl Drop for Host {
+    fn drop(&mut self) {
+        // SAFETY: the component is live and not used again; then nobody writes to the lines any more.
+        unsafe {
+            fmi2FreeInstance(self.component);
+            drop(Box::from_raw(self.lines));
+        }
+    }
+}
+
+/// fmi2Instantiate with null callbacks, and with callbacks that are all null: what the second one does is freed.
+pub(super) fn instantiate_without_callbacks() -> (bool, bool) {
+    let guid = CString::new(GUID).expect("no zero byte");
+    let nothing = fmi2CallbackFunctions {
+        logger: None,
+        allocateMemory: None,
+        freeMemory: None,
+        stepFinished: None,
+        componentEnvironment: null_mut(),
+    };
+    // SAFETY: null is what is tested; the component is freed once.
+    unsafe {
+        let make = |functions| {
+            fmi2Instantiate(c"machine".as_ptr(), fmi2CoSimulation, guid.as_ptr(), null(), functions, fmi2False, fmi2True)
+        };
+        let (first, second) = (make(null()), make(&nothing));
+        // A refused call, whose log line has nowhere to go.
+        let refused = second.is_null() || fmi2DoStep(second, 0.0, 1.0, fmi2True) == fmi2Error;
+        fmi2FreeInstance(second);
+        (!first.is_null(), !second.is_null() && refused)
+    }
+}
+
+/// Version and platform, which need no instance.
+pub(super) fn version_and_platform() -> (String, String) {
+    // SAFETY: both strings are static.
+    let string = |pointer| unsafe { CStr::from_ptr(pointer) }.to_str().expect("ASCII").to_owned();
+    (string(fmi2GetVersion()), string(fmi2GetTypesPlatform()))
+}
+
+/// The value reference of a variable.
+pub(super) fn reference(name: &str) -> u32 {
+    Variable::named(name).unwrap_or_else(|| panic!("there is no variable {name}")).reference
+}

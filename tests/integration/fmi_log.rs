@@ -1,0 +1,93 @@
+//! Categories, logger, environment (rules 22 and 26 of this project).
+
+use fivebar::ffi::*;
+
+use super::fmi_host::{Host, Instantiation, Line, reference};
+
+/// Start, a refused call, end: what passes to the logger.
+fn categories_of_a_run(host: &Host) -> Vec<String> {
+    assert_eq!(host.setup(Some(1e-6), 0.0, None), fmi2OK);
+    assert_eq!(host.call(fmi2EnterInitializationMode), fmi2OK);
+    assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK);
+    host.run(1e-3, 3);
+    assert_eq!(host.do_step(9.0, 1e-3), fmi2Error);
+    assert_eq!(host.other_statuses(0)[0], fmi2Discard);
+    assert_eq!(host.call(fmi2Terminate), fmi2OK);
+    let mut categories: Vec<String> = host.take().into_iter().map(|line| line.category).collect();
+    categories.dedup();
+    categories
+}
+
+fn logging(on: bool) -> Host {
+    let with = Instantiation { logging_on: on, ..Default::default() };
+    Host::instantiate(with).unwrap_or_else(|lines| panic!("{lines:?}"))
+}
+
+#[test]
+fn problems_pass_by_default_and_events_with_logging_on() {
+    assert_eq!(categories_of_a_run(&logging(false)), ["logStatusWarning", "logStatusError", "logStatusDiscard"]);
+    assert_eq!(
+        categories_of_a_run(&logging(true)),
+        ["logStatusWarning", "logEvents", "logStatusError", "logStatusDiscard", "logEvents"]
+    );
+}
+
+#[test]
+fn the_masters_choice_of_categories_rules() {
+    for (on, categories, expected) in [
+        (false, &[][..], &[][..]),
+        (false, &["logAll"], &[]),
+        (true, &["logStatusError"], &["logStatusError"]),
+        (true, &["logEvents", "logStatusDiscard"], &["logEvents", "logStatusDiscard", "logEvents"]),
+        (true, &[], &["logStatusWarning", "logEvents", "logStatusError", "logStatusDiscard", "logEvents"]),
+        (true, &["logAll"], &["logStatusWarning", "logEvents", "logStatusError", "logStatusDiscard", "logEvents"]),
+    ] {
+        let host = logging(true);
+        assert_eq!(host.set_debug_logging(on, categories), fmi2OK);
+        assert_eq!(categories_of_a_run(&host), expected, "{on} {categories:?}");
+    }
+}
+
+#[test]
+fn an_unknown_category_is_refused_with_those_that_exist() {
+    let host = logging(false);
+    assert_eq!(host.set_debug_logging(true, &["logAll", "logSql"]), fmi2Error);
+    assert_eq!(
+        host.line(),
+        "fmi2SetDebugLogging: log category \"logSql\" is not declared, declared are: logEvents, logStatusWarning, \
+         logStatusDiscard, logStatusError, logStatusFatal, logAll."
+    );
+}
+
+#[test]
+fn the_line_of_a_scene_made_ready() {
+    let host = logging(true);
+    assert_eq!(host.setup(None, 0.0, None), fmi2OK);
+    assert_eq!(host.call(fmi2EnterInitializationMode), fmi2OK);
+    assert_eq!(host.set_boolean(&[reference("gravity.enabled")], &[fmi2False]), fmi2OK);
+    assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK);
+    assert_eq!(
+        host.take(),
+        [Line {
+            instance: "machine".to_owned(),
+            status: fmi2OK,
+            category: "logEvents".to_owned(),
+            text: "ready: method i3alp, h = 0.001 s, adaptive true, effects: none".to_owned(),
+        }]
+    );
+}
+
+#[test]
+fn a_percent_sign_is_doubled_for_printf() {
+    let host = logging(false);
+    assert_eq!(host.set_debug_logging(true, &["100%s"]), fmi2Error);
+    assert!(host.line().contains("\"100%%s\""));
+}
+
+#[test]
+fn the_name_is_handed_back_as_it_came() {
+    let with = Instantiation { name: Some("Führung %d"), ..Default::default() };
+    let host = Host::instantiate(with).unwrap_or_else(|lines| panic!("{lines:?}"));
+    assert_eq!(host.do_step(0.0, 1.0), fmi2Error);
+    assert_eq!(host.take()[0].instance, "Führung %d");
+}

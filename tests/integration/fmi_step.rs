@@ -1,0 +1,156 @@
+//! Communication points, the step grid, discard, status functions (rules 32, 33, 34, 43, 44 of this project).
+
+use fivebar::ffi::*;
+
+use super::fmi_host::{Host, reference};
+
+const DO_STEP_STATUS: fmi2StatusKind = 0;
+const PENDING_STATUS: fmi2StatusKind = 1;
+const LAST_SUCCESSFUL_TIME: fmi2StatusKind = 2;
+const TERMINATED: fmi2StatusKind = 3;
+
+/// Tip, rates and the last error estimate, as bits.
+fn motion(host: &Host) -> [u64; 8] {
+    let names = ["tip.x", "tip.y", "theta[1]", "theta[2]", "omega[1]", "omega[2]", "alpha[1]", "solver.errorEstimate"];
+    let mut values = [f64::NAN; 8];
+    assert_eq!(host.get_real(&names.map(reference), &mut values), fmi2OK);
+    values.map(f64::to_bits)
+}
+
+fn steps(host: &Host) -> i32 {
+    let mut steps = [-1];
+    assert_eq!(host.get_integer(&[reference("solver.steps")], &mut steps), fmi2OK);
+    steps[0]
+}
+
+#[test]
+fn one_long_step_is_many_short_ones_bit_for_bit() {
+    let run = |size: f64, count: u32| {
+        let host = Host::ready(&[("tau[1]", 0.05)]);
+        host.run(size, count);
+        (motion(&host), steps(&host))
+    };
+    let reference = run(0.4, 1);
+    assert_eq!(reference.1, 400);
+    for (size, count) in [(0.2, 2), (0.1, 4), (0.01, 40), (1e-3, 400)] {
+        assert_eq!(run(size, count), reference, "{count} steps of {size} s");
+    }
+}
+
+#[test]
+fn steps_that_are_no_multiple_are_divided_equally() {
+    for (size, expected) in [(1.0 / 60.0, 17), (4e-4, 1), (2.5e-3, 3)] {
+        let host = Host::ready(&[]);
+        host.run(size, 3);
+        assert_eq!(steps(&host), 3 * expected, "{size} s");
+    }
+}
+
+#[test]
+fn points_and_steps_that_cannot_be_meant_are_refused() {
+    let host = Host::initializing(2.0, Some(3.0));
+    assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK);
+    for (point, size, expected) in [
+        (0.0, 1e-3, "currentCommunicationPoint is 0.0 s, expected 2.0 s."),
+        (2.0, 0.0, "communicationStepSize is 0.0 s, must be positive and finite."),
+        (2.0, -1.0, "communicationStepSize is -1.0 s, must be positive and finite."),
+        (2.0, f64::NAN, "communicationStepSize is NaN s, must be positive and finite."),
+        (2.0, 1.5, "currentCommunicationPoint + communicationStepSize is 3.5 s, which is past stopTime 3.0 s."),
+    ] {
+        assert_eq!(host.do_step(point, size), fmi2Error);
+        assert_eq!(host.line(), format!("fmi2DoStep: {expected}"));
+    }
+    assert_eq!(steps(&host), 0);
+    assert_eq!(host.do_step(2.0000000000000004, 0.5), fmi2OK);
+    assert_eq!(host.do_step(2.5, 0.5000000000000002), fmi2OK);
+    // The end has been reached: refused again and again, in the same way.
+    for _ in 0..2 {
+        assert_eq!(host.do_step(3.0, 1e-3), fmi2Error);
+        assert!(host.line().contains("past stopTime 3.0 s"));
+    }
+}
+
+#[test]
+fn status_functions_when_there_is_nothing_to_tell() {
+    let host = Host::ready(&[]);
+    host.run(1e-3, 2);
+    assert_eq!(host.real_status(LAST_SUCCESSFUL_TIME), (fmi2OK, 2e-3));
+    assert_eq!(host.boolean_status(TERMINATED), (fmi2OK, fmi2False));
+    assert_eq!(host.take(), []);
+    for kind in [DO_STEP_STATUS, PENDING_STATUS, LAST_SUCCESSFUL_TIME, TERMINATED] {
+        assert_eq!(host.other_statuses(kind), [fmi2Discard; 3]);
+    }
+    assert_eq!(host.take()[0].text, "fmi2GetStatus: there is no fmi2DoStepStatus: a step is never pending.");
+    assert_eq!(host.real_status(TERMINATED).0, fmi2Discard);
+    assert_eq!(host.boolean_status(LAST_SUCCESSFUL_TIME).0, fmi2Discard);
+    host.take();
+    assert_eq!(host.real_status(4).0, fmi2Error);
+    assert_eq!(host.line(), "fmi2GetRealStatus: status kind is 4, must be 0 to 3.");
+}
+
+/// A scene whose first step cannot be done: one Newton iteration is not enough for 0.1 s with a strictly fixed step.
+fn hopeless() -> Host {
+    let host = Host::initializing(0.0, None);
+    assert_eq!(host.set_boolean(&[reference("solver.adaptive")], &[fmi2False]), fmi2OK);
+    assert_eq!(host.set_integer(&[reference("solver.maxIterations")], &[1]), fmi2OK);
+    let (names, values) = (["solver.stepSize", "init.theta[2]", "init.omega[1]"], [0.1, 2.0, 5.0]);
+    assert_eq!(host.set_real(&names.map(reference), &values), fmi2OK);
+    assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK);
+    host
+}
+
+#[test]
+fn a_step_that_cannot_be_done_is_discarded_and_leaves_everything_as_it_was() {
+    let host = hopeless();
+    let before = (motion(&host), steps(&host));
+    assert_eq!(host.do_step(0.0, 0.2), fmi2Discard);
+    let lines = host.take();
+    assert_eq!(lines.len(), 1, "{lines:?}");
+    assert_eq!((lines[0].status, lines[0].category.as_str()), (fmi2Discard, "logStatusDiscard"));
+    let text = &lines[0].text;
+    assert!(text.starts_with("fmi2DoStep: the step from 0.0 s by 0.2 s gave up at 0.0 s: "), "{text}");
+    assert!(text.ends_with("; the state is still that of 0.0 s."), "{text}");
+
+    assert_eq!(host.real_status(LAST_SUCCESSFUL_TIME), (fmi2OK, 0.0));
+    assert_eq!(host.boolean_status(TERMINATED), (fmi2OK, fmi2False));
+    assert_eq!((motion(&host), steps(&host)), before);
+
+    // Setting is for completed steps only; the same step fails again, a shorter one can be done.
+    assert_eq!(host.set_real(&[reference("tau[1]")], &[0.1]), fmi2Error);
+    host.take();
+    assert_eq!(host.do_step(0.0, 0.2), fmi2Discard);
+    assert_eq!(host.take()[0].text, *text);
+    assert_eq!(host.do_step(0.0, 1e-9), fmi2OK, "{:?}", host.take());
+    assert_eq!(host.real_status(LAST_SUCCESSFUL_TIME), (fmi2OK, 1e-9));
+    assert_eq!(host.set_real(&[reference("tau[1]")], &[0.1]), fmi2OK);
+
+    assert_eq!(host.do_step(1e-9, 0.2), fmi2Discard);
+    assert_eq!(host.call(fmi2Terminate), fmi2OK);
+}
+
+#[test]
+fn inputs_act_from_the_point_where_they_are_set() {
+    let host = Host::ready(&[("init.theta[2]", 2.0)]);
+    host.run(0.01, 5);
+    let driven = Host::ready(&[("init.theta[2]", 2.0)]);
+    driven.run(0.01, 5);
+    assert_eq!(motion(&host), motion(&driven));
+    assert_eq!(driven.set_real(&[reference("tau[2]")], &[0.2]), fmi2OK);
+    assert_eq!((host.do_step(0.05, 0.01), driven.do_step(0.05, 0.01)), (fmi2OK, fmi2OK));
+    assert_ne!(motion(&host), motion(&driven));
+    let mut input = [0.0];
+    assert_eq!(driven.get_real(&[reference("energy.input")], &mut input), fmi2OK);
+    assert!(input[0] != 0.0);
+}
+
+#[test]
+fn what_comes_with_a_later_issue_names_its_capability_flag() {
+    let host = Host::ready(&[]);
+    for (flag, status) in host.unsupported() {
+        assert_eq!(status, fmi2Error, "{flag}");
+    }
+    for (line, (flag, _)) in host.take().iter().zip(host.unsupported()) {
+        assert!(line.text.contains(&format!("declares {flag}=")), "{} does not name {flag}", line.text);
+    }
+    host.run(1e-3, 1);
+}

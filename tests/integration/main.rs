@@ -1,0 +1,20 @@
+//! The integration tests: one binary, whose index this is.
+
+// The numeric rooms.
+mod accuracy; // orders, round-off floor, reference values in quadruple precision, constraint norms
+mod allocation; // a counting allocator: a step allocates nothing
+mod closure; // starts: closed and consistent, or refused with one sentence; singular postures told apart
+mod constraints; // Φ and its derivatives against finite differences along real motions
+mod dual_form; // the dual form is the paper's penalty step; the two-leg elimination is the dense solve
+mod pendulum; // the integrator on a system that is not a five-bar: a published benchmark
+mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
+
+// The FMI rooms, through the C functions.
+mod fmi_lifecycle; // instantiate, the order of calls, reset, independence
+mod fmi_log; // categories, logger, environment
+mod fmi_step; // communication points, the step grid, discard, status functions
+mod fmi_values; // reading and writing variables
+
+// What they share.
+mod fmi_host; // a small master, the only place here with unsafe code
+mod support; // scenes, reference files, slopes

@@ -1,0 +1,144 @@
+//! What physics says without a reference: energy, symmetry, reversal, equivalent formulations, determinism.
+
+use fivebar::fmi::bindings::{default_inputs, default_parameters};
+use fivebar::integrator::{self, i3alp};
+use fivebar::mechanism::coordinates::THETA;
+use fivebar::observers;
+use fivebar::simulation::model::Stepper;
+use fivebar::simulation::system::{AnyCoupling, FiveBar, Uncoupled};
+use fivebar::simulation::{Inputs, Method, Simulation};
+
+use crate::support::{MGL, angle_error, run, torque, unequal};
+
+/// The paper's own scene: 50 s of free fall through singularities at the default settings.
+#[test]
+fn the_paper_free_fall_keeps_its_energy_for_50_s() {
+    let mut simulation = Simulation::new(&default_parameters(), &default_inputs()).expect("scene");
+    let mut worst: f64 = 0.0;
+    for _ in 0..50_000 {
+        simulation.advance(&default_inputs(), 1e-3, 1).expect("step");
+        worst = worst.max(observers::energies(simulation.model(), simulation.state()).error.abs());
+    }
+    assert!(worst <= 1e-2 * MGL, "{:e} mgL", worst / MGL);
+    assert!(simulation.state().core.q.iter().all(|x| x.is_finite()));
+}
+
+/// Equal links from 90°/90° stay mirror symmetric: θ₁ + θ₄ = π and θ₂ + θ₃ = π for as long as round-off (e-fold 0.1 s) lets them.
+#[test]
+fn a_symmetric_fall_stays_symmetric() {
+    let mut simulation = Simulation::new(&default_parameters(), &default_inputs()).expect("scene");
+    run(&mut simulation, &default_inputs(), 1e-3, 1.0);
+    let theta = THETA.map(|i| simulation.state().core.q[i]);
+    for pair in [theta[0] + theta[3], theta[1] + theta[2]] {
+        // 1e-16 grown by e^10.
+        assert!((pair - std::f64::consts::PI).abs() < 1e-11, "{theta:?}");
+    }
+}
+
+/// Mirrored start, mirrored load: mirrored motion.
+#[test]
+fn a_mirrored_load_gives_the_mirrored_motion() {
+    let (parameters, pull) = torque();
+    let mirrored = Inputs { tau: [0.0, -pull.tau[0]], ..pull };
+    let angles = |inputs: &Inputs| {
+        let mut simulation = Simulation::new(&parameters, inputs).expect("scene");
+        run(&mut simulation, inputs, 1e-3, 0.3);
+        THETA.map(|i| simulation.state().core.q[i])
+    };
+    let (left, right) = (angles(&pull), angles(&mirrored));
+    for (i, j) in [(0, 3), (1, 2), (2, 1), (3, 0)] {
+        assert!((left[i] + right[j] - std::f64::consts::PI).abs() < 1e-9, "{left:?} {right:?}");
+    }
+}
+
+/// A conservative motion run back from its end with reversed velocities returns to its start.
+#[test]
+fn a_reversed_motion_returns() {
+    let inputs = default_inputs();
+    let start = Simulation::new(&unequal(), &inputs).expect("scene");
+    let mut there = Simulation::new(&unequal(), &inputs).expect("scene");
+    run(&mut there, &inputs, 1e-4, 0.2);
+    let end = there.state().core;
+    assert!(angle_error(&end.q, &start.state().core.q) > 0.5, "it has moved");
+
+    let model = there.model();
+    let system = FiveBar::<Uncoupled>::new(model, &inputs);
+    let Stepper::I3alp(settings) = model.stepper else { panic!("the default is i3-ALP") };
+    let mut back = integrator::State::start(&system, end.q, end.v.map(|v| -v), model.softness);
+    for _ in 0..2000 {
+        i3alp::advance(&system, &settings, &mut back, 1e-4, &mut Default::default()).expect("step");
+    }
+    let error = angle_error(&back.q, &start.state().core.q);
+    // A local error of 3e-9 rad in each of 2 × 2000 steps, all of one sign at worst.
+    assert!(error < 1.2e-5, "{error:e} rad");
+}
+
+/// The general solve (dense, any coupling) and the two-leg solve are the same step but for round-off.
+#[test]
+fn general_and_two_leg_solve_agree() {
+    let mut parameters = unequal();
+    parameters.settings.adaptive = false;
+    let inputs = Inputs { tau: [0.01, -0.02], tip_force: [0.1, 0.05] };
+    let scene = Simulation::new(&parameters, &inputs).expect("scene");
+    let (mut fast, mut general) = (scene.state().core, scene.state().core);
+    let Stepper::I3alp(settings) = scene.model().stepper else { panic!("the default is i3-ALP") };
+    for _ in 0..300 {
+        let mut power = Default::default();
+        i3alp::advance(&FiveBar::<Uncoupled>::new(scene.model(), &inputs), &settings, &mut fast, 1e-3, &mut power).expect("step");
+        let mut power = Default::default();
+        i3alp::advance(&FiveBar::<AnyCoupling>::new(scene.model(), &inputs), &settings, &mut general, 1e-3, &mut power)
+            .expect("step");
+    }
+    let error = angle_error(&fast.q, &general.q);
+    assert!(error < 1e-10, "{error:e} rad");
+}
+
+/// The method as printed: close to the default at the paper's 1 ms for as long as it lives, and a status at its end, never NaN.
+#[test]
+fn the_printed_method_ends_with_a_status() {
+    let mut parameters = default_parameters();
+    parameters.settings.method = Method::I3alpPrinted;
+    let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
+    let mut steps = 0;
+    let failure = loop {
+        let before = *simulation.state();
+        match simulation.advance(&default_inputs(), 1e-3, 1) {
+            Ok(()) => steps += 1,
+            Err(failure) => {
+                assert_eq!(before, *simulation.state(), "a failed step leaves the state");
+                break failure;
+            }
+        }
+        assert!(steps < 50_000, "the printed method was expected to fail on the paper's free fall");
+        assert!(simulation.state().core.q.iter().chain(&simulation.state().core.a).all(|x| x.is_finite()));
+    };
+    assert!(steps > 1000, "it should live for more than a second, failed after {steps} steps: {failure}");
+    assert!(matches!(failure.cause, integrator::Failure::NotConverged { .. }), "{failure}");
+}
+
+/// Inputs set to equal values change no bit, and H = n · H/n.
+#[test]
+fn steps_do_not_depend_on_how_they_are_grouped() {
+    let (parameters, inputs) = torque();
+    let mut together = Simulation::new(&parameters, &inputs).expect("scene");
+    together.advance(&inputs, 1e-3, 500).expect("steps");
+    let mut apart = Simulation::new(&parameters, &inputs).expect("scene");
+    for _ in 0..500 {
+        apart.advance(&inputs.clone(), 1e-3, 1).expect("step");
+    }
+    assert_eq!(together.state(), apart.state());
+}
+
+/// Observers answer for the inputs of the moment: the accelerations of a state whose inputs have changed are those the next step
+/// starts from, and asking changes nothing.
+#[test]
+fn observers_answer_for_the_new_input() {
+    let mut simulation = Simulation::new(&unequal(), &default_inputs()).expect("scene");
+    run(&mut simulation, &default_inputs(), 1e-3, 0.05);
+    let push = Inputs { tau: [0.0; 2], tip_force: [0.0, 1.0] };
+    let seen = simulation.state_for(&push);
+    let change = observers::motion(simulation.model(), &seen).tip_acceleration
+        - observers::motion(simulation.model(), simulation.state()).tip_acceleration;
+    assert!(change.y > 0.0, "an upward push accelerates the tip upward: {change}");
+    assert_eq!(simulation.state_for(&default_inputs()), *simulation.state());
+}
