@@ -20,6 +20,12 @@ class Instance:
         self.slave = instantiate(model, directory, self.log, name, logging_on)
         self.outputs = [v.name for v in model.modelVariables if v.causality == "output"]
 
+    def enter(self) -> "Instance":
+        """Goes to initialization mode, the first in which values can be read."""
+        self.slave.setupExperiment()
+        self.slave.enterInitializationMode()
+        return self
+
     def initialise(self, values: Values | None = None, start_time: float = 0.0, stop_time: float | None = None) -> "Instance":
         """Sets `values` and goes through initialisation."""
         self.set(values or {})

@@ -47,6 +47,7 @@ def test_starts_that_are_refused(new: New, values: Values, words: tuple[str, ...
 def test_a_refused_value_is_not_written(new: New) -> None:
     instance = new()
     instance.refusal(instance.set, {"link[1].mass": -1.0})
+    instance.enter()
     assert instance.get("link[1].mass") == 0.017
 
 
@@ -54,6 +55,7 @@ def test_nothing_is_half_written(new: New, model: ModelDescription) -> None:
     instance = new()
     references = [v.valueReference for v in model.modelVariables if v.name in ("tau[1]", "tau[2]")]
     instance.refusal(instance.slave.setReal, references, [1.0, math.nan])
+    instance.enter()
     assert instance.get("tau[1]") == 0.0
 
 
@@ -67,7 +69,8 @@ def test_after_a_refused_start_the_instance_can_be_reset(new: New) -> None:
 
 
 def test_unknown_references(new: New) -> None:
-    slave, instance = (made := new()).slave, made
+    instance = new().enter()
+    slave = instance.slave
     for call in (slave.getReal, slave.getInteger, slave.getBoolean, slave.getString):
         status, text = instance.refusal(call, [4_000_000_000])
         assert status == fmi2.fmi2Error and "4000000000" in text
@@ -77,7 +80,7 @@ def test_unknown_references(new: New) -> None:
 
 
 def test_references_of_another_type(new: New, model: ModelDescription) -> None:
-    instance = new()
+    instance = new().enter()
     reference = {v.name: v.valueReference for v in model.modelVariables}
     status, text = instance.refusal(instance.slave.getReal, [reference["solver.method"]])
     assert status == fmi2.fmi2Error and "solver.method" in text
@@ -100,7 +103,7 @@ def test_outputs_cannot_be_set(new: New) -> None:
 
 
 def test_empty_calls_are_fine(new: New) -> None:
-    slave = new().slave
+    slave = new().enter().slave
     assert slave.getReal([]) == slave.getInteger([]) == slave.getBoolean([]) == []
     slave.setReal([], [])
 

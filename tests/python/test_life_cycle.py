@@ -60,8 +60,11 @@ def test_reset_is_a_fresh_instance(new: New) -> None:
     used = new().initialise({"tau[1]": 0.25, "init.assembly": 2, "gravity.enabled": False}, stop_time=1.0)
     used.steps(100, 1e-3)
     used.slave.reset()
+    used.enter()
+    untouched = new().enter()
     for name in ("tau[1]", "init.assembly", "gravity.enabled"):
-        assert used.get(name) == new().get(name)
+        assert used.get(name) == untouched.get(name)
+    used.slave.reset()
     used.initialise(FALL)
     assert used.bits() == fresh.bits()
     fresh.steps(300, 1e-3)
@@ -172,7 +175,7 @@ def test_an_input_acts_from_the_next_step_on(new: New) -> None:
     pushed.set({"tau[1]": 0.05})
     pushed.slave.doStep(0.01, 1e-3)
     free.slave.doStep(0.01, 1e-3)
-    assert pushed.get("omega[1]") > 0 and free.get("omega[1]") == 0
+    assert pushed.get("omega[1]") > 1e-3 and abs(free.get("omega[1]")) < 1e-20
 
 
 def test_many_instances(model: ModelDescription, directory: str) -> None:

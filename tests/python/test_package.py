@@ -21,7 +21,7 @@ def root(fmu: Path) -> etree._Element:
 @pytest.fixture(scope="module")
 def variables(root: etree._Element) -> list[etree._Element]:
     """All ScalarVariable elements."""
-    return list(root.find("ModelVariables"))
+    return root.findall("ModelVariables/ScalarVariable")
 
 
 def value_element(variable: etree._Element) -> etree._Element:
@@ -31,8 +31,8 @@ def value_element(variable: etree._Element) -> etree._Element:
 
 def simple_type(root: etree._Element, name: str) -> etree._Element:
     """The Real, Integer, ... of the type definition `name`."""
-    (found,) = [t for t in root.find("TypeDefinitions") if t.get("name") == name]
-    return found[0]
+    (found,) = [t for t in root.findall("TypeDefinitions/SimpleType") if t.get("name") == name]
+    return value_element(found)
 
 
 def attribute(root: etree._Element, variable: etree._Element, name: str) -> str | None:
@@ -90,7 +90,7 @@ def test_names_and_references(variables: list[etree._Element]) -> None:
 
 
 def test_type_names_differ_from_variable_names(root: etree._Element, variables: list[etree._Element]) -> None:
-    assert {t.get("name") for t in root.find("TypeDefinitions")}.isdisjoint(v.get("name") for v in variables)
+    assert {t.get("name") for t in root.findall("TypeDefinitions/SimpleType")}.isdisjoint(v.get("name") for v in variables)
 
 
 def test_starts_and_bounds(root: etree._Element, variables: list[etree._Element]) -> None:
@@ -105,7 +105,9 @@ def test_starts_and_bounds(root: etree._Element, variables: list[etree._Element]
         low, high, start, nominal = (attribute(root, variable, key) for key in ("min", "max", "start", "nominal"))
         low, high = float(low or -math.inf), float(high or math.inf)
         assert low <= high, f"{name}: min > max"
-        assert start is None or (math.isfinite(float(start)) and low <= float(start) <= high), f"{name}: start outside min and max"
+        assert start is None or (math.isfinite(float(start)) and low <= float(start) <= high), (
+            f"{name}: start outside min and max"
+        )
         assert nominal is None or float(nominal) > 0, f"{name}: nominal"
 
 
@@ -123,7 +125,7 @@ def test_causality_and_variability(variables: list[etree._Element]) -> None:
 
 
 def test_units(root: etree._Element, variables: list[etree._Element]) -> None:
-    units = {u.get("name"): [d.get("name") for d in u.iter("DisplayUnit")] for u in root.find("UnitDefinitions")}
+    units = {u.get("name"): [d.get("name") for d in u.iter("DisplayUnit")] for u in root.findall("UnitDefinitions/Unit")}
     for variable in variables:
         if value_element(variable).tag == "Real":
             unit = attribute(root, variable, "unit")
@@ -137,7 +139,7 @@ def test_enumerations(root: etree._Element, variables: list[etree._Element]) -> 
     for variable in variables:
         own = value_element(variable)
         if own.tag == "Enumeration":
-            items = list(simple_type(root, own.get("declaredType")))
+            items = simple_type(root, own.get("declaredType")).findall("Item")
             assert len({i.get("name") for i in items}) == len({i.get("value") for i in items}) == len(items)
             assert own.get("start") is None or own.get("start") in {i.get("value") for i in items}
 
@@ -145,15 +147,17 @@ def test_enumerations(root: etree._Element, variables: list[etree._Element]) -> 
 def test_structure(root: etree._Element, variables: list[etree._Element]) -> None:
     structure = root.find("ModelStructure")
     outputs = [i for i, v in enumerate(variables, start=1) if v.get("causality") == "output"]
-    assert [int(u.get("index")) for u in structure.find("Outputs")] == outputs
-    derivatives = {i: int(value_element(v).get("derivative")) for i, v in enumerate(variables, 1) if value_element(v).get("derivative")}
-    assert [int(u.get("index")) for u in structure.find("Derivatives")] == sorted(derivatives)
+    assert [int(u.get("index")) for u in structure.findall("Outputs/Unknown")] == outputs
+    derivatives = {
+        i: int(value_element(v).get("derivative")) for i, v in enumerate(variables, 1) if value_element(v).get("derivative")
+    }
+    assert [int(u.get("index")) for u in structure.findall("Derivatives/Unknown")] == sorted(derivatives)
     # Every calculated output, continuous state and derivative is an initial unknown, once.
-    initial = [int(u.get("index")) for u in structure.find("InitialUnknowns")]
+    initial = [int(u.get("index")) for u in structure.findall("InitialUnknowns/Unknown")]
     assert sorted(initial) == sorted({*outputs, *derivatives, *derivatives.values()})
     inputs_and_states = {i for i, v in enumerate(variables, 1) if v.get("causality") == "input"} | set(derivatives.values())
     for section in ("Outputs", "Derivatives"):
-        for unknown in structure.find(section):
+        for unknown in structure.findall(f"{section}/Unknown"):
             dependencies = [int(d) for d in unknown.get("dependencies", "").split()]
             assert unknown.get("dependencies") is not None, "no declaration means: depends on everything"
             assert set(dependencies) <= inputs_and_states and len(set(dependencies)) == len(dependencies)
@@ -162,5 +166,5 @@ def test_structure(root: etree._Element, variables: list[etree._Element]) -> Non
 
 
 def test_log_categories(root: etree._Element) -> None:
-    declared = {c.get("name") for c in root.find("LogCategories")}
+    declared = {c.get("name") for c in root.findall("LogCategories/Category")}
     assert declared == {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError", "logStatusFatal", "logAll"}

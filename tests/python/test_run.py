@@ -41,7 +41,7 @@ def test_summary(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     assert process.returncode == 0, process.stderr
     for fact in (
         "tip at the end", "energy drift", "mgL", "constraint violation", "smallest singular value", "singularities met",
-        "100 steps", "sub-steps", "iterations", "rejected", "wall time", "fmi2DoStep", "real-time factor", "against i3-ALP", "Written:",
+        "200 steps", "sub-steps", "iterations", "rejected", "wall time", "fmi2DoStep", "real-time factor", "against i3-ALP", "Written:",
     ):  # fmt: skip
         assert fact in process.stdout, fact
     # Not a terminal: a line every 10 % and no control characters.

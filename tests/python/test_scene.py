@@ -88,5 +88,5 @@ def test_refused(tmp_path: Path, model: ModelDescription, content: object, words
 
 
 def test_a_missing_scene_lists_its_neighbours(scenes: Path, model: ModelDescription) -> None:
-    with pytest.raises(scene.SceneError, match="paper_fall.*fall_90_120.*paper_torque"):
+    with pytest.raises(scene.SceneError, match=r"paper_fall.*fall_90_120.*paper_torque"):
         scene.read(scenes / "paper_fall.json", model)

@@ -16,7 +16,7 @@ def parsed(variable: object) -> float | int:
 
 
 def test_a_fresh_instance_holds_the_starts_of_the_xml(new: Callable[..., Instance], model: ModelDescription) -> None:
-    instance = new()
+    instance = new().enter()
     with_start = [v for v in model.modelVariables if v.start is not None]
     assert len(with_start) > 30
     for variable in with_start:
@@ -33,6 +33,7 @@ def test_every_output_can_be_read_after_initialisation(new: Callable[..., Instan
 def test_what_is_set_is_read(new: Callable[..., Instance], name: str) -> None:
     instance = new()
     instance.set({name: 0.012345678901234567})
+    instance.enter()
     assert instance.get(name) == 0.012345678901234567
 
 
@@ -40,6 +41,7 @@ def test_integers_booleans_and_enumerations(new: Callable[..., Instance]) -> Non
     instance = new()
     values = {"solver.maxIterations": 37, "gravity.enabled": False, "solver.method": 3, "init.assembly": 2}
     instance.set(values)
+    instance.enter()
     assert {name: instance.get(name) for name in values} == values
 
 

@@ -5,6 +5,7 @@ import sys
 import time
 from ctypes import c_double, c_int
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TextIO
 
 import numpy as np
@@ -172,8 +173,7 @@ def _step(
     """Steps through `points`; seconds spent in fmi2DoStep, and the FMU's sentence if a call failed."""
     clock = time.perf_counter
     step_seconds = 0.0
-    times = points.tolist()
-    for now, then in zip(times, times[1:]):
+    for now, then in pairwise(points.tolist()):
         before = clock()
         try:
             slave.doStep(now, then - now)

@@ -1,24 +1,25 @@
 """The pictures of a scene, one function each; every one draws the scene's own run and, where it helps, its overlays."""
 
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import matplotlib
 
-matplotlib.use("Agg")  # no display needed; must come before pyplot
+matplotlib.use("Agg")  # no display needed; pyplot must come after
 
-import matplotlib.pyplot as plt  # noqa: E402
-import numpy as np  # noqa: E402
-from matplotlib.axes import Axes  # noqa: E402
-from matplotlib.collections import LineCollection  # noqa: E402
-from matplotlib.figure import Figure  # noqa: E402
-from matplotlib.lines import Line2D  # noqa: E402
-from matplotlib.ticker import FuncFormatter, NullFormatter  # noqa: E402
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from drive import Run  # noqa: E402
-from scene import Scene  # noqa: E402
-from singularities import Event  # noqa: E402
-from summary import energy_scale, tip_distance  # noqa: E402
+from drive import Run
+from scene import Scene
+from singularities import Event
+from summary import energy_scale, tip_distance
 
 RUN_COLOURS = ("#1864ab", "#e8590c", "#2b8a3e", "#862e9c", "#c2255c")
 KINETIC, POTENTIAL, TOTAL, INPUT, DISSIPATED = "#1864ab", "#e8590c", "#343a40", "#2b8a3e", "#862e9c"
@@ -82,7 +83,7 @@ def thinned(time: np.ndarray, *signals: np.ndarray, buckets: int = 2000) -> list
     edges = np.linspace(0, len(time), buckets + 1).astype(int)
     kept = {0, len(time) - 1}
     for signal in signals:
-        for a, b in zip(edges, edges[1:]):
+        for a, b in pairwise(edges):
             kept.update((a + int(np.argmin(signal[a:b])), a + int(np.argmax(signal[a:b]))))
     index = np.array(sorted(kept))
     return [time[index], *(signal[index] for signal in signals)]
@@ -135,7 +136,7 @@ def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
         ("kinetic", run["energy.kinetic"], KINETIC, "-"),
         ("potential", run["energy.potential"], POTENTIAL, "-"),
         ("kinetic + potential", run["energy.kinetic"] + run["energy.potential"], TOTAL, "--"),
-        ("work of the inputs", run["energy.input"], INPUT, (0, (1, 2))),
+        ("work of the inputs", run["energy.input"], INPUT, (0, (4, 4))),
         ("dissipated", run["energy.dissipated"], DISSIPATED, "-"),
     ]
     if not np.any(run["energy.potential"]):
@@ -144,6 +145,7 @@ def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
         if np.any(energy):
             time, value = thinned(run.time, energy)
             top.plot(time, 1e3 * value, color=colour, label=name, linewidth=1.3, linestyle=style)
+    top.set_ylim(bottom=min(top.get_ylim()[0], 0.0))
     top.set_ylabel("energy  (mJ)")
     top.set_title(f"{scene.name}: energies and balance residual")
     top.legend(ncols=5, loc="lower right", bbox_to_anchor=(1, 1.0), borderaxespad=0.2)
@@ -190,7 +192,9 @@ def _singularity(scene: Scene, runs: list[Run], events: list[Event]) -> Figure:
         for kind in kinds:
             met = [event.time for event in events if event.kind == kind]
             transform = axes.get_xaxis_transform()
-            axes.plot(met, np.full(len(met), 0.03), "|", transform=transform, color=KIND_COLOURS[kind], markersize=9, clip_on=False)
+            axes.plot(
+                met, np.full(len(met), 0.03), "|", transform=transform, color=KIND_COLOURS[kind], markersize=9, clip_on=False
+            )
     rows[0].set_title(f"{scene.name}: smallest singular values")
     marks = [
         Line2D([], [], color=colour, marker="|", markersize=9, linestyle="", label=f"{kind} singularity met")
