@@ -1,6 +1,7 @@
 //! `cargo xtask run`: the packed unit, driven through FMPy over a scene.
 
-use crate::{package, paths, process, scenes, venv};
+use crate::venv::{self, Packages};
+use crate::{package, paths, process, scenes};
 use anyhow::Result;
 
 /// Packs the unit and runs a scene; CSV, pictures and the page go to `target/run/NAME/`.
@@ -9,7 +10,7 @@ pub(crate) fn run(scene: &str) -> Result<()> {
     let file = scenes::find(scene)?;
     let fmu = package::package()?;
     process::run(
-        venv::python()?
+        venv::python(Packages::Usual)?
             .arg("xtask/python/run.py")
             .arg("--fmu")
             .arg(fmu)

@@ -1,6 +1,7 @@
 //! `cargo xtask test`: everything that CI checks, step by step; the first failure ends it.
 
-use crate::{package, paths, process, venv};
+use crate::venv::{self, Packages};
+use crate::{package, paths, process};
 use anyhow::{Context, Result, bail, ensure};
 use cargo_metadata::Message;
 use std::path::{Path, PathBuf};
@@ -122,9 +123,9 @@ fn test_executable(target: &str) -> Result<PathBuf> {
     bail!("cargo built no program for tests/{target}")
 }
 
-/// Runs the Python tests on the packed unit; pytest.ini leaves those out that need a browser, unless asked for.
+/// Runs the Python tests on the packed unit, last of all: the line it ends with is the one that CI reads. pytest.ini leaves those out that need a browser, unless asked for.
 fn pytest(fmu: &Path, full: bool) -> Result<()> {
-    let mut command = venv::python()?;
+    let mut command = venv::python(if full { Packages::Full } else { Packages::Usual })?;
     command
         .args(["-m", "pytest", "tests/python"])
         .arg("--override-ini")

@@ -1,4 +1,4 @@
-//! The private Python environment under `target/venv`, made from the pinned requirements.
+//! The private Python environment under `target/venv`, made from pinned requirements.
 
 use crate::{paths, process};
 use anyhow::{Context, Result, bail};
@@ -6,23 +6,39 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// Pinned requirements, the closure included.
-const REQUIREMENTS: &str = "xtask/python/requirements.txt";
-
 /// The name under which a Python 3 is on the path.
 const PYTHON: &str = if cfg!(windows) { "python" } else { "python3" };
 
-/// Python of the private environment, which is made or renewed first where the requirements ask for it.
-pub(crate) fn python() -> Result<Command> {
+/// What the environment must hold; each file is a pinned closure.
+#[derive(Clone, Copy)]
+pub(crate) enum Packages {
+    /// What a run and the Python tests need.
+    Usual,
+    /// And what the tests in a browser need.
+    Full,
+}
+
+impl Packages {
+    fn files(self) -> &'static [&'static str] {
+        const FILES: [&str; 2] = ["xtask/python/requirements.txt", "xtask/python/requirements-full.txt"];
+        match self {
+            Self::Usual => &FILES[..1],
+            Self::Full => &FILES,
+        }
+    }
+}
+
+/// Python of the private environment, which is made, renewed or completed first where the requirements ask for it.
+pub(crate) fn python(packages: Packages) -> Result<Command> {
     let folder = paths::venv();
     let python = folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" });
-    let requirements =
-        fs::read_to_string(paths::in_root(REQUIREMENTS)).with_context(|| format!("{REQUIREMENTS} cannot be read"))?;
-    // The stamp is a copy of the requirements, written last: a venv that was interrupted while it was made has none.
-    let stamp = folder.join("requirements.stamp");
-    if fs::read_to_string(&stamp).ok().as_deref() != Some(&requirements) {
-        make(&folder, &python)?;
-        fs::write(&stamp, &requirements).with_context(|| format!("{} cannot be written", paths::short(&stamp)))?;
+    let requirements = packages.files().iter().map(|file| Requirements::read(file, &folder)).collect::<Result<Vec<_>>>()?;
+    let outdated = requirements.iter().any(|file| file.state() == State::Changed);
+    if outdated || requirements[0].state() == State::Missing {
+        make(&folder)?;
+    }
+    for file in requirements.iter().filter(|file| file.state() == State::Missing) {
+        file.install(&python)?;
     }
     let mut command = process::program(python);
     // Python's own settings of the caller must not reach into the private environment.
@@ -30,24 +46,60 @@ pub(crate) fn python() -> Result<Command> {
     Ok(command)
 }
 
-fn make(folder: &Path, python: &PathBuf) -> Result<()> {
-    println!("installing the Python packages of {REQUIREMENTS} into {} (first run, or the file changed)", paths::short(folder));
+/// A file of requirements and the copy of it that tells what is installed.
+struct Requirements {
+    file: &'static str,
+    text: String,
+    /// Written after the installation: one that was interrupted has none.
+    stamp: PathBuf,
+}
+
+#[derive(Debug, PartialEq)]
+enum State {
+    Missing,
+    Changed,
+    Installed,
+}
+
+impl Requirements {
+    fn read(file: &'static str, folder: &Path) -> Result<Self> {
+        let text = fs::read_to_string(paths::in_root(file)).with_context(|| format!("{file} cannot be read"))?;
+        let name = Path::new(file).file_stem().unwrap_or_default();
+        Ok(Self { file, text, stamp: folder.join(name).with_extension("installed") })
+    }
+
+    fn state(&self) -> State {
+        match fs::read_to_string(&self.stamp) {
+            Ok(text) if text == self.text => State::Installed,
+            Ok(_) => State::Changed,
+            Err(_) => State::Missing,
+        }
+    }
+
+    fn install(&self, python: &Path) -> Result<()> {
+        println!("installing the Python packages of {} (first run, or the file changed)", self.file);
+        process::run(
+            process::program(python)
+                .args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"])
+                .arg("--requirement")
+                .arg(paths::in_root(self.file)),
+        )
+        .context("the Python packages could not be installed")?;
+        fs::write(&self.stamp, &self.text).with_context(|| format!("{} cannot be written", paths::short(&self.stamp)))
+    }
+}
+
+/// Makes an empty environment in place of the one there may be: packages that are no longer required go, a broken one is mended.
+fn make(folder: &Path) -> Result<()> {
     need_python()?;
-    // --clear: packages that are no longer required go, and a broken venv is made anew.
-    let made = process::output(process::program(PYTHON).args(["-m", "venv", "--clear"]).arg(folder));
-    if made.is_err() {
+    println!("making a private Python environment in {}", paths::short(folder));
+    if process::output(process::program(PYTHON).args(["-m", "venv", "--clear"]).arg(folder)).is_err() {
         bail!(
             "`{PYTHON} -m venv` failed: Python's module venv (with ensurepip) is needed; \
              on Debian and Ubuntu `apt-get install python3-venv` brings it"
         );
     }
-    process::run(
-        process::program(python)
-            .args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"])
-            .arg("--requirement")
-            .arg(paths::in_root(REQUIREMENTS)),
-    )
-    .context("the Python packages could not be installed")
+    Ok(())
 }
 
 /// The oldest Python for which the pinned packages exist is 3.11.
@@ -62,4 +114,27 @@ fn need_python() -> Result<()> {
         bail!("`{PYTHON}` with version 3.11 or newer is needed on the path");
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_stamp_tells_whether_a_file_is_installed() {
+        let folder = tempfile::tempdir().unwrap();
+        let requirements = Requirements::read(Packages::Usual.files()[0], folder.path()).unwrap();
+        assert_eq!(requirements.state(), State::Missing);
+        fs::write(&requirements.stamp, "fmpy==0.0.1\n").unwrap();
+        assert_eq!(requirements.state(), State::Changed);
+        fs::write(&requirements.stamp, &requirements.text).unwrap();
+        assert_eq!(requirements.state(), State::Installed);
+    }
+
+    #[test]
+    fn the_two_files_of_requirements_have_stamps_of_their_own() {
+        let folder = Path::new("venv");
+        let stamps: Vec<_> = Packages::Full.files().iter().map(|file| Requirements::read(file, folder).unwrap().stamp).collect();
+        assert_eq!(stamps, [folder.join("requirements.installed"), folder.join("requirements-full.installed")]);
+    }
 }
