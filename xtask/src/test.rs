@@ -123,7 +123,8 @@ fn test_executable(target: &str) -> Result<PathBuf> {
     bail!("cargo built no program for tests/{target}")
 }
 
-/// Runs the Python tests on the packed unit, last of all: the line it ends with is the one that CI reads. pytest.ini leaves those out that need a browser, unless asked for.
+/// Runs the Python tests on the packed unit, last of all: the line it ends with is the one that CI reads. pytest.ini
+/// leaves those out that need a browser, unless asked for.
 fn pytest(fmu: &Path, full: bool) -> Result<()> {
     let mut command = venv::python(if full { Packages::Full } else { Packages::Usual })?;
     command
