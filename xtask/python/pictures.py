@@ -45,7 +45,11 @@ STYLE = {
     "lines.linewidth": 1.4,
     "legend.frameon": False,
     "legend.fontsize": 9,
+    "svg.hashsalt": "fivebar",  # the same run gives the same file
 }
+
+LONGEST_SVG = 5.0
+"""Longest run, s, whose path is also written as SVG, as the README shows it: longer ones would be megabytes."""
 
 POSES = 11
 """Number of stroboscopic poses."""
@@ -72,6 +76,9 @@ def draw_all(directory: Path, scene: Scene, runs: list[Run], events: list[Event]
             figure = draw(scene, runs, events)
             files.append(directory / f"{name}.png")
             figure.savefig(files[-1])
+            if name == "path" and runs[0].time[-1] <= LONGEST_SVG:
+                files.append(directory / f"{name}.svg")
+                figure.savefig(files[-1], metadata={"Date": None})
             plt.close(figure)
     return files
 
