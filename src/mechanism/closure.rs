@@ -36,7 +36,7 @@ pub struct Start {
 }
 
 /// Within this part of a length, the distal links count as in line, coinciding or parallel.
-const IN_LINE: f64 = 1e-9;
+pub(crate) const IN_LINE: f64 = 1e-9;
 
 /// A unit vector û(θ) and its derivative n̂(θ).
 fn direction(theta: f64) -> (Vector2<f64>, Vector2<f64>) {

@@ -11,7 +11,7 @@ pub mod two_leg;
 use std::fmt;
 
 use crate::integrator::{self, Failure, Power, System, i3alp, i3alp_printed, rk4};
-use crate::mechanism::{self, COORDINATES, MULTIPLIERS, Refusal};
+use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal};
 use crate::observers;
 
 pub use crate::effects::Inputs;
@@ -60,6 +60,30 @@ impl Simulation {
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
         let (q, v) = mechanism::close(&parameters.geometry, &parameters.start)?;
+        Self::started(model, q, v, inputs)
+    }
+
+    /// The same from the angles (rad) and rates (rad/s) of all four links instead of `parameters.start`: also where the proximal
+    /// links alone leave the posture open (coinciding elbows). Refused unless they close the loop.
+    pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, Refusal> {
+        let model = Model::new(parameters)?;
+        let (q, v) = mechanism::closure::assemble(&parameters.geometry, theta, omega);
+        let simulation = Self::started(model, q, v, inputs)?;
+        let norms = observers::constraint_norms(&simulation.model, &simulation.state);
+        let speed = parameters.geometry.links.iter().zip(omega).map(|(link, omega)| (link.length * omega).abs()).sum::<f64>();
+        if norms.position > mechanism::closure::IN_LINE * simulation.model.size {
+            return Err(Refusal(format!(
+                "link angles {theta:?} rad do not close the loop: the legs end {:e} m apart.",
+                norms.position
+            )));
+        }
+        if norms.velocity > mechanism::closure::IN_LINE * speed {
+            return Err(Refusal(format!("link rates {omega:?} rad/s tear the loop apart at {:e} m/s.", norms.velocity)));
+        }
+        Ok(simulation)
+    }
+
+    fn started(model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
         let core = integrator::State::start(&FiveBar::<Uncoupled>::new(&model, inputs), q, v, model.softness);
         let mut state = State { core, inputs: *inputs, energy_at_start: 0.0 };
         let energies = observers::energies(&model, &state);
