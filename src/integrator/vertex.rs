@@ -151,7 +151,7 @@ fn launch<const N: usize, const M: usize>(
 ) -> Verdict<N> {
     let (direction, acceleration) = match system.least_constraint(&state.q) {
         Some((direction, alternatives)) => {
-            state.counters.restarts += 1;
+            state.counters.launches += 1;
             state.alternatives = alternatives;
             (direction, acceleration_along(system, &state.q, &direction))
         }
