@@ -14,7 +14,7 @@ pub struct Problem<S, const N: usize, const M: usize> {
     pub v: [f64; N],
     /// When the published values hold, s.
     pub duration: f64,
-    /// e of the methods' saddle-point systems, 1/kg: 1e-12 over the mean mass.
+    /// e of the methods' saddle-point systems, 1/kg: 1e-12 over the mean mass if nothing is said.
     pub softness: f64,
     /// How far coordinates at the end are from the published values; each benchmark says in which unit.
     pub error: fn(&[f64; N]) -> f64,

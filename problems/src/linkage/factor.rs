@@ -24,7 +24,7 @@ pub(super) fn inverse(a: &Block, least: f64) -> Option<Block> {
     let (xx, xy, yy) = (a[1][1] / determinant, -a[0][1] / determinant, a[0][0] / determinant);
     let column = [xx * a[0][2] + xy * a[1][2], xy * a[0][2] + yy * a[1][2]];
     let inertia = a[2][2] - column[0] * a[0][2] - column[1] * a[1][2];
-    if !(inertia >= least) {
+    if inertia.is_nan() || inertia < least {
         return None;
     }
     let [x, y] = column.map(|c| c / inertia);
@@ -94,8 +94,8 @@ impl<const N: usize, const M: usize, const W: usize> Factor<N, M, W> {
                 y[i] -= self.rows[i][W - 1 + j - i] * y[j];
             }
         }
-        for i in 0..M {
-            y[i] *= self.rows[i][W - 1];
+        for (y, row) in y.iter_mut().zip(&self.rows) {
+            *y *= row[W - 1];
         }
         for i in (0..M).rev() {
             for j in i.saturating_sub(W - 1)..i {

@@ -7,7 +7,7 @@ use problems::{Outcome, Problem, four_bars};
 fn the_equivalent_pendulum_has_the_published_positions() {
     for (loops, t, [x, y]) in [(2, 10.0, four_bars::TWO_AT_10_S), (40, 20.0, four_bars::FORTY_AT_20_S)] {
         let phi = four_bars::phi(loops, t);
-        assert!((phi.sin() - x).hypot(phi.cos() - y) < 1e-11, "{loops}: {phi}");
+        assert!((phi.sin() - x).hypot(phi.cos() - y) < 1e-10, "{loops}: {phi}");
     }
 }
 
