@@ -13,7 +13,7 @@
 use super::equilibrium::equilibrium_at;
 use super::projection::{self, Projection};
 use super::system::max_norm;
-use super::vertex::{self, Gate, Verdict};
+use super::vertex::{self, Care, Gate, Verdict};
 use super::{Failure, Kkt, Power, State, System};
 
 mod descent;
@@ -56,12 +56,14 @@ struct Attempt<const N: usize, const M: usize> {
 }
 
 /// One step of h: predictor, Newton on positions and total multipliers, velocity projection, acceleration from equilibrium.
+/// `energy` is what the system must have at its end, where round-off next to a vertex would change it.
 #[inline(always)]
 fn attempt<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     h: f64,
+    energy: Option<f64>,
 ) -> Result<Attempt<N, M>, Failure> {
     if h < SHORTEST_FOR_NEWTON {
         return Ok(Attempt::moved_on(system, state, h));
@@ -95,7 +97,10 @@ fn attempt<const N: usize, const M: usize>(
     let mass = system.factor_mass(&pose, settings.softness);
     let trapezoidal = step.velocity();
     let projection = projection::velocity(system, &pose, &mass, &trapezoidal);
-    let v = add(&trapezoidal, &projection);
+    let mut v = add(&trapezoidal, &projection);
+    if let Some(energy) = energy {
+        v = vertex::with_energy(system, &q, &pose, &v, energy)?;
+    }
     let (a, lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
 
     let jump: [f64; N] = std::array::from_fn(|i| a[i] - state.a[i]);
@@ -237,7 +242,7 @@ pub fn advance<const N: usize, const M: usize>(
     if settings.adaptive {
         divided(system, settings, state, duration, power)?;
     } else {
-        attempt(system, settings, state, duration)?.accept(state, duration, power);
+        attempt(system, settings, state, duration, None)?.accept(state, duration, power);
     }
     state.counters.steps += 1;
     Ok(())
@@ -255,9 +260,10 @@ fn divided<const N: usize, const M: usize>(
     let mut rest = duration;
     let (mut substep, mut error) = (duration, f64::INFINITY);
     for _ in 0..MOST_SUBSTEPS {
-        let (longest, tolerance) = match vertex::verdict(system, &gate, state, rest, settings.softness) {
-            Verdict::Free => (state.substep, settings.error_tolerance),
-            Verdict::Near { longest, round_off } => (state.substep.min(longest), settings.error_tolerance.max(round_off)),
+        let free = Care { longest: f64::INFINITY, round_off: 0.0, softness: settings.softness, energy: None };
+        let care = match vertex::verdict(system, &gate, state, rest, settings.softness) {
+            Verdict::Free => free,
+            Verdict::Near(care) => care,
             Verdict::Carry(ray) => {
                 let Settings { softness, max_iterations, tolerance, .. } = *settings;
                 let projection = Projection { softness, tolerance: tolerance * system.size(), max_iterations };
@@ -268,13 +274,14 @@ fn divided<const N: usize, const M: usize>(
                     rest -= ray.duration();
                     continue;
                 }
-                (state.substep, settings.error_tolerance)
+                free
             }
         };
-        let parts = (rest / longest).ceil().max(1.0);
+        let tolerance = settings.error_tolerance.max(care.round_off);
+        let parts = (rest / state.substep.min(care.longest)).ceil().max(1.0);
         let h = rest / parts;
         (substep, error) = (h, f64::INFINITY);
-        match attempt(system, settings, state, h) {
+        match attempt(system, &Settings { softness: care.softness, ..*settings }, state, h, care.energy) {
             Ok(attempt) if attempt.error <= tolerance => {
                 let next = h * growth(tolerance, attempt.error).clamp(0.5, 2.0);
                 // A sub-step cut short by the end of its macro step or by a vertex says nothing against longer ones.

@@ -136,6 +136,11 @@ pub enum Failure {
     IndefiniteTangent,
     /// A value became NaN or infinite.
     NotFinite,
+    /// Close to a vertex a sub-step changed the energy.
+    EnergyChange {
+        /// By this part of the kinetic energy.
+        part: f64,
+    },
     /// The local error, or sub-steps that failed, asked for more sub-steps than one macro step may have.
     TooManySubsteps {
         /// The bound.
@@ -157,6 +162,9 @@ impl fmt::Display for Failure {
             ),
             Self::IndefiniteTangent => {
                 f.write_str("the tangent matrix is not positive definite: the step is too long for this posture and load")
+            }
+            Self::EnergyChange { part } => {
+                write!(f, "next to a constraint singularity a sub-step changed the kinetic energy by {part:.3e} of itself")
             }
             Self::NotFinite => f.write_str("a coordinate, velocity or acceleration is not finite"),
             Self::TooManySubsteps { most, substep, error } => write!(
