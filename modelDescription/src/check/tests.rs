@@ -40,10 +40,14 @@ fn broken_copies_are_refused_by_name() {
             r#"<Real declaredType="Angle" start="0"/>"#,
             "variable theta[1]: a calculated variable",
         ),
-        (r#"start="0.42" min="0""#, r#"start="-0.42" min="0""#, "variable base.distance: start -0.42 is below its min"),
-        (r#"start="0.42" min="0""#, r#"start="0.42" max="0.4""#, "variable base.distance: start 0.42 is above its max"),
-        (r#"start="0.42" min="0""#, r#"start="NaN" min="0""#, "variable base.distance: start, min and max must be finite"),
-        (r#"start="0.42" min="0""#, r#"start="0,42" min="0""#, r#"start="0,42" is not a value of its type"#),
+        (r#"start="0.42" min="0" max="1e6""#, r#"start="-0.42" min="0""#, "variable base.distance: start -0.42 is below its min"),
+        (r#"start="0.42" min="0" max="1e6""#, r#"start="0.42" max="0.4""#, "variable base.distance: start 0.42 is above its max"),
+        (
+            r#"start="0.42" min="0" max="1e6""#,
+            r#"start="NaN" min="0""#,
+            "variable base.distance: start, min and max must be finite",
+        ),
+        (r#"start="0.42" min="0" max="1e6""#, r#"start="0,42" min="0""#, r#"start="0,42" is not a value of its type"#),
         (r#"start="10" min="1" max="1000""#, r#"start="10" min="11" max="9""#, "min 11 is larger than max 9"),
         (
             r#"declaredType="Method" start="1""#,
