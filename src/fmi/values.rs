@@ -44,9 +44,11 @@ pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), Rejec
         Value::Integer(n) => f64::from(n),
         Value::Boolean(_) => return Ok(()),
     };
-    let unit = variable.unit.filter(|unit| *unit != "1").map(|unit| format!(" {unit}")).unwrap_or_default();
-    let refuse =
-        |allowed: String| Err(Rejection::error(format!("{} = {value}{unit} is not allowed: it must be {allowed}.", variable.name)));
+    // Only a refusal makes text: setting an input allocates nothing.
+    let unit = || variable.unit.filter(|unit| *unit != "1").map(|unit| format!(" {unit}")).unwrap_or_default();
+    let refuse = |allowed: String| {
+        Err(Rejection::error(format!("{} = {value}{} is not allowed: it must be {allowed}.", variable.name, unit())))
+    };
     if !number.is_finite() {
         return refuse("finite".to_owned());
     }
@@ -55,8 +57,8 @@ pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), Rejec
         return refuse(format!("one of {}", items.join(", ")));
     }
     match (variable.min, variable.max) {
-        (Some(min), _) if number < min => refuse(format!("at least {}{unit}", shortest(min))),
-        (_, Some(max)) if number > max => refuse(format!("at most {}{unit}", shortest(max))),
+        (Some(min), _) if number < min => refuse(format!("at least {}{}", shortest(min), unit())),
+        (_, Some(max)) if number > max => refuse(format!("at most {}{}", shortest(max), unit())),
         _ => Ok(()),
     }
 }

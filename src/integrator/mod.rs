@@ -42,19 +42,19 @@ pub const MODES: usize = 3;
 /// Everything that changes during a run: a copy of it is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct State<const N: usize, const M: usize> {
-    /// Coordinates q.
+    /// Coordinates q, m and rad.
     pub q: [f64; N],
-    /// Velocities q̇.
+    /// Velocities q̇, m/s and rad/s.
     pub v: [f64; N],
-    /// Accelerations q̈, from equilibrium.
+    /// Accelerations q̈ from equilibrium, m/s² and rad/s².
     pub a: [f64; N],
-    /// Multipliers λ, from equilibrium.
+    /// Multipliers λ from equilibrium, N for constraints in m.
     pub lambda: [f64; M],
-    /// (q̈ₙ − q̈ₙ₋₁)/h of the last sub-step, for the predictor; 0 after a restart.
+    /// (q̈ₙ − q̈ₙ₋₁)/h of the last sub-step, m/s³ and rad/s³, for the predictor; 0 after a restart.
     pub jerk: [f64; N],
     /// The sub-step that the local error last asked for, s; infinite before the first.
     pub substep: f64,
-    /// Local error of the last accepted sub-step; see [`System::angle_norm`].
+    /// Local error of the last accepted sub-step, rad; see [`System::angle_norm`].
     pub error_estimate: f64,
     /// Work since the start, J: along the path, by the order of the method.
     pub work: Power,

@@ -1,9 +1,9 @@
-//! Φ, Φ_q, Φ̇_q q̇, the geometric stiffness and the determinants against finite differences along real motions.
+//! Φ, Φ_q, Φ̇_q q̇ and the geometric stiffness against finite differences along real motions.
 
 use fivebar::fmi::bindings::default_inputs;
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::mechanism::{COORDINATES, Coordinates, Mechanism, Multipliers};
-use fivebar::simulation::{Method, Parameters, Simulation};
+use fivebar::simulation::{Method, Simulation};
 
 use crate::support::{fall_90_120, unequal};
 
@@ -22,7 +22,7 @@ fn largest_difference<const K: usize>(x: &[f64; K], y: &[f64; K]) -> f64 {
 /// Calls `check` with (mechanism, q, q̇, λ) every 20 ms of two motions, one with nothing equal.
 fn along_motions(check: impl Fn(&Mechanism, &Coordinates, &Coordinates, &Multipliers)) {
     for parameters in [fall_90_120(Method::I3alp), unequal()] {
-        let mut simulation = Simulation::new(&Parameters { ..parameters }, &default_inputs()).expect("scene");
+        let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
         for _ in 0..50 {
             simulation.advance(&default_inputs(), 1e-3, 20).expect("steps");
             let core = &simulation.state().core;

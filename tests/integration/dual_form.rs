@@ -41,7 +41,7 @@ fn penalty_step(
 
     let mut q = q0 + v0 * h + a0 * (h * h / 2.0);
     for _ in 0..8 {
-        let (jacobian, phi, force, pose) = at(&q);
+        let (jacobian, phi, force, _) = at(&q);
         let a = (q - q0 - v0 * h) * (4.0 / (h * h)) - a0;
         let residual = (mass * a + jacobian.transpose() * (phi * alpha + multipliers) - force) * beta;
         let mut tangent = mass + jacobian.transpose() * jacobian * (alpha * beta);
@@ -55,7 +55,6 @@ fn penalty_step(
             };
             tangent.column_mut(j).axpy(beta, &((moved(1e-5) - moved(-1e-5)) / 2e-5), 1.0);
         }
-        let _ = pose;
         q -= tangent.lu().solve(&residual).expect("a regular tangent");
         multipliers += at(&q).1 * alpha;
     }

@@ -15,5 +15,5 @@ mod fmi_step; // communication points, the step grid, discard, status functions
 mod fmi_values; // reading and writing variables
 
 // What they share.
-mod fmi_host; // a small master, the only place here with unsafe code
+mod fmi_host; // a small master: C calls are made here and nowhere else
 mod support; // scenes, reference files, slopes
