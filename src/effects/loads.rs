@@ -5,9 +5,8 @@
 //! K = r·F in that angle. Held over a communication step.
 
 use super::Tangents;
-use crate::mechanism::coordinates::THETA;
-use crate::mechanism::coordinates::X;
-use crate::mechanism::{Coordinates, Pose};
+use crate::mechanism::coordinates::{THETA, X, Y};
+use crate::mechanism::{COORDINATES, Coordinates, Pose};
 
 /// Index of the link that carries the tip force.
 const TIP_LINK: usize = 1;
@@ -40,7 +39,7 @@ impl Inputs {
         forces[THETA[0]] += self.tau[0];
         forces[THETA[3]] += self.tau[1];
         forces[X[TIP_LINK]] += fx;
-        forces[X[TIP_LINK] + 2] += fy;
+        forces[Y[TIP_LINK]] += fy;
         forces[THETA[TIP_LINK]] += rx * fy - ry * fx;
     }
 
@@ -54,14 +53,14 @@ impl Inputs {
     /// Potential of the held loads, J: −τ·θ − F·tip.
     pub fn potential(&self, q: &Coordinates, pose: &Pose) -> f64 {
         let ([rx, ry], [fx, fy]) = (tip_arm(pose), self.tip_force);
-        let tip = [q[X[TIP_LINK]] + rx, q[X[TIP_LINK] + 2] + ry];
+        let tip = [q[X[TIP_LINK]] + rx, q[Y[TIP_LINK]] + ry];
         -(self.tau[0] * q[THETA[0]] + self.tau[1] * q[THETA[3]] + fx * tip[0] + fy * tip[1])
     }
 
     /// Power of the loads, W.
     #[inline(always)]
     pub fn power(&self, pose: &Pose, v: &Coordinates) -> f64 {
-        let mut forces = [0.0; 12];
+        let mut forces = [0.0; COORDINATES];
         self.add_forces(pose, &mut forces);
         forces.iter().zip(v).map(|(force, v)| force * v).sum()
     }

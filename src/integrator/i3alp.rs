@@ -12,7 +12,7 @@
 
 use super::equilibrium::equilibrium_at;
 use super::projection::{self, Projection};
-use super::system::max_norm;
+use super::system::{local_error, max_norm};
 use super::vertex::{self, Care, Gate, Verdict};
 use super::{Failure, Kkt, Power, State, System};
 
@@ -103,8 +103,7 @@ fn attempt<const N: usize, const M: usize>(
     }
     let (a, lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
 
-    let jump: [f64; N] = std::array::from_fn(|i| a[i] - state.a[i]);
-    let error = max_norm(&[h * h / 12.0 * system.angle_norm(&jump), h / 2.0 * system.angle_norm(&projection)]);
+    let error = local_error(system, h, [&state.a, &a], &projection);
     if !(error + a.iter().sum::<f64>()).is_finite() {
         return Err(Failure::NotFinite);
     }

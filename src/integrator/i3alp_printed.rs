@@ -3,7 +3,7 @@
 //! A fixed penalty α, the tangent without the derivative of Φ_qᵀλ, absolute unknowns, one projection, no sub-steps. Every linear
 //! system (A₀ + αβ Φ_qᵀΦ_q) x = r + αβ Φ_qᵀ c is solved as [A₀ Φ_qᵀ; Φ_q −e] [x; y] = [r; c] with e = 1/(αβ): the same x.
 
-use super::system::max_norm;
+use super::system::{local_error, max_norm};
 use super::{Failure, Kkt, Power, State, System};
 
 /// Settings of the method.
@@ -80,9 +80,8 @@ pub fn advance<const N: usize, const M: usize>(
         return Err(Failure::NotFinite);
     }
 
-    let jump: [f64; N] = std::array::from_fn(|i| a[i] - a0[i]);
     let projection: [f64; N] = std::array::from_fn(|i| projected[i] - v[i]);
-    state.error_estimate = max_norm(&[h * h / 12.0 * system.angle_norm(&jump), h / 2.0 * system.angle_norm(&projection)]);
+    state.error_estimate = local_error(system, h, [&a0, &a], &projection);
     (state.q, state.v, state.a) = (q, projected, a);
     if system.follows_work() {
         let at_end = system.power(&q, &pose, &projected);

@@ -182,3 +182,15 @@ impl std::error::Error for Failure {}
 pub(super) fn max_norm<const K: usize>(x: &[f64; K]) -> f64 {
     x.iter().fold(0.0, |largest, value| if value.abs() > largest { value.abs() } else { largest })
 }
+
+/// Local error of a step of h over the angles: of the trapezoidal rule, from the change of q̈, and of the velocity projection.
+#[inline(always)]
+pub(super) fn local_error<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    h: f64,
+    [before, after]: [&[f64; N]; 2],
+    projection: &[f64; N],
+) -> f64 {
+    let jump: [f64; N] = std::array::from_fn(|i| after[i] - before[i]);
+    max_norm(&[h * h / 12.0 * system.angle_norm(&jump), h / 2.0 * system.angle_norm(projection)])
+}

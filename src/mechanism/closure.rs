@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::coordinates::{THETA, X};
+use super::coordinates::{COORDINATES, THETA, X, Y};
 use super::model::finite;
 use super::{Coordinates, Geometry, Link, Refusal};
 
@@ -188,15 +188,15 @@ fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start:
 
 /// q and q̇ of all links from their angles and rates, each leg built up from its motor axis.
 pub fn assemble(geometry: &Geometry, theta: [f64; 4], omega: [f64; 4]) -> (Coordinates, Coordinates) {
-    let (mut q, mut v) = ([0.0; 12], [0.0; 12]);
+    let (mut q, mut v) = ([0.0; COORDINATES], [0.0; COORDINATES]);
     for (base, [proximal, distal]) in [(0.0, [0, 1]), (geometry.base_distance, [3, 2])] {
         let mut joint = (Vector2::new(base, 0.0), Vector2::zeros());
         for i in [proximal, distal] {
             let (u, n) = direction(theta[i]);
             let Link { length, com, .. } = geometry.links[i];
             let (centre, velocity) = (joint.0 + u * com, joint.1 + n * (com * omega[i]));
-            (q[X[i]], q[X[i] + 2], q[THETA[i]]) = (centre.x, centre.y, theta[i]);
-            (v[X[i]], v[X[i] + 2], v[THETA[i]]) = (velocity.x, velocity.y, omega[i]);
+            (q[X[i]], q[Y[i]], q[THETA[i]]) = (centre.x, centre.y, theta[i]);
+            (v[X[i]], v[Y[i]], v[THETA[i]]) = (velocity.x, velocity.y, omega[i]);
             joint = (joint.0 + u * length, joint.1 + n * (length * omega[i]));
         }
     }

@@ -42,8 +42,10 @@ pub const TIP_Y: usize = 9;
 
 /// Index in q of the angles of links 1 to 4 (left proximal, left distal, right distal, right proximal).
 pub const THETA: [usize; 4] = [2 * P_THETA, 2 * D_THETA, 2 * D_THETA + 1, 2 * P_THETA + 1];
-/// Index in q of x of links 1 to 4; y follows two places later.
+/// Index in q of x of links 1 to 4.
 pub const X: [usize; 4] = [2 * P_X, 2 * D_X, 2 * D_X + 1, 2 * P_X + 1];
+/// Index in q of y of links 1 to 4.
+pub const Y: [usize; 4] = [2 * P_Y, 2 * D_Y, 2 * D_Y + 1, 2 * P_Y + 1];
 
 /// The i-th quantity of both legs.
 #[inline(always)]

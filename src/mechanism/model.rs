@@ -2,9 +2,9 @@
 
 use std::fmt;
 
-use super::Coordinates;
 use super::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
 use super::legs::{Legs, SIGMA, both};
+use super::{COORDINATES, Coordinates};
 
 /// One link: a rigid bar between two revolute joints.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -129,7 +129,7 @@ impl Mechanism {
     /// M x, with the diagonal and constant mass matrix of centre-of-mass coordinates.
     #[inline(always)]
     pub fn mass_times(&self, x: &Coordinates) -> Coordinates {
-        let mut product = [0.0; 12];
+        let mut product = [0.0; COORDINATES];
         for (i, m) in self.mass_diagonal().into_iter().enumerate() {
             set_legs(&mut product, i, m * legs_of(x, i));
         }

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector2;
 
-use crate::mechanism::coordinates::{E_X, G_X, THETA, TIP_X, X};
+use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::{Coordinates, Link};
 use crate::simulation::{Model, State};
 
@@ -56,7 +56,7 @@ pub struct ConstraintNorms {
 /// Position, velocity and acceleration of a point on a link, `arm` m beyond its centre of mass.
 fn point(state: &State, link: usize, arm: f64) -> [Vector2<f64>; 3] {
     let core = &state.core;
-    let centre = |x: &Coordinates| Vector2::new(x[X[link]], x[X[link] + 2]);
+    let centre = |x: &Coordinates| Vector2::new(x[X[link]], x[Y[link]]);
     let (sin, cos) = libm::sincos(core.q[THETA[link]]);
     let (radial, across) = (Vector2::new(cos, sin) * arm, Vector2::new(-sin, cos) * arm);
     let (omega, alpha) = (core.v[THETA[link]], core.a[THETA[link]]);
@@ -87,9 +87,10 @@ pub fn motion(model: &Model, state: &State) -> Motion {
 /// M q̈ = Q − Φ_qᵀλ: each constraint pulls with −λ on the link that enters it with a plus.
 pub fn reactions(state: &State) -> [Vector2<f64>; 5] {
     let lambda = &state.core.lambda;
-    let pull = |i: usize| -Vector2::new(lambda[i], lambda[i + 2]);
-    let tip = -Vector2::new(lambda[TIP_X], lambda[TIP_X + 1]);
-    [pull(2 * G_X), pull(2 * E_X), tip, pull(2 * E_X + 1), pull(2 * G_X + 1)]
+    let pull = |x: usize, y: usize| -Vector2::new(lambda[x], lambda[y]);
+    let (left, right) = (0, 1);
+    let (ground, elbow) = (|leg| pull(2 * G_X + leg, 2 * G_Y + leg), |leg| pull(2 * E_X + leg, 2 * E_Y + leg));
+    [ground(left), elbow(left), pull(TIP_X, TIP_Y), elbow(right), ground(right)]
 }
 
 /// Energies and their balance.
