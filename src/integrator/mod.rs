@@ -69,9 +69,9 @@ pub struct State<const N: usize, const M: usize> {
 }
 
 impl<const N: usize, const M: usize> State<N, M> {
-    /// The state at the start, with q̈ and λ from equilibrium (minimum norm where the constraints lose rank).
+    /// The state at the start, with q̈ and λ from equilibrium (λ of minimum norm where the constraints lose rank).
     pub fn start(system: &impl System<N, M>, q: [f64; N], v: [f64; N], softness: f64) -> Self {
-        let (a, lambda) = equilibrium(system, &q, &v, softness);
+        let (a, lambda) = Self::in_balance(system, &q, &v, softness);
         Self {
             q,
             v,
@@ -92,9 +92,15 @@ impl<const N: usize, const M: usize> State<N, M> {
     ///
     /// Without it a new input would act half a step late and every driven scene would be first order only.
     pub fn restart(&mut self, system: &impl System<N, M>, softness: f64) {
-        (self.a, self.lambda) = equilibrium(system, &self.q, &self.v, softness);
+        (self.a, self.lambda) = Self::in_balance(system, &self.q, &self.v, softness);
         self.jerk = [0.0; N];
         self.counters.restarts += 1;
+    }
+
+    /// q̈ and λ from equilibrium; at rest exactly in a vertex q̈ is that of the branch of least constraint.
+    fn in_balance(system: &impl System<N, M>, q: &[f64; N], v: &[f64; N], softness: f64) -> ([f64; N], [f64; M]) {
+        let (a, lambda) = equilibrium(system, q, v, softness);
+        (vertex::start_acceleration(system, q, v).unwrap_or(a), lambda)
     }
 
     /// Counts the determinants that have changed sign.

@@ -23,10 +23,10 @@ pub struct Gate {
 
 impl Gate {
     /// A motion meant to pass through a vertex misses it by what the method's local errors have added up to: thousands of them. So
-    /// the miss follows the error tolerance, between the tight and the wide gate of `frontier.md` §4.4.
+    /// the miss follows the error tolerance.
     pub fn for_error_tolerance(tolerance: f64) -> Self {
         let miss = (1e4 * tolerance).clamp(1e-7, 1e-4);
-        Self { ball: miss.sqrt().clamp(1e-4, 1e-3), miss }
+        Self { ball: miss.sqrt().min(1e-3), miss }
     }
 }
 
@@ -42,6 +42,9 @@ const NEAR_SOFTNESS: f64 = 1e-4;
 /// A motion on a ray is caught when it enters the ball: the steps on the way in leave at least this part of its radius. Deeper
 /// inside, a motion that points at the vertex is one that is turning around it.
 const ENTRY: f64 = 0.2;
+
+/// Nearer than this, rad, the round-off is not taken to be larger still: no error passes unseen.
+const NEAREST: f64 = 1e-5;
 
 /// Largest part of the kinetic energy by which a sub-step close to a vertex may be off before it is put right.
 const ENERGY_CHANGE: f64 = 0.01;
@@ -126,12 +129,17 @@ fn near<const N: usize, const M: usize>(
     let (distance, speed) = (dot(&offset, &offset).sqrt(), dot(&rate, &rate).sqrt());
     let before = if distance < CLOSE { energy(system, &state.q, &state.v) } else { None };
     let free = |longest: f64| {
-        Verdict::Near(Care { longest, round_off: ROUND_OFF / distance, softness: NEAR_SOFTNESS * softness, energy: before })
+        Verdict::Near(Care {
+            longest,
+            round_off: ROUND_OFF / distance.max(NEAREST),
+            softness: NEAR_SOFTNESS * softness,
+            energy: before,
+        })
     };
-    if distance < AT_REST && speed < AT_REST {
+    if distance < AT_REST && speed < AT_REST && !(state.on_ray && speed > 0.0) {
         return launch(system, gate, state, rest);
     }
-    if speed < AT_REST {
+    if speed == 0.0 || speed < AT_REST && !state.on_ray {
         return free(f64::INFINITY);
     }
     let direction = rate.map(|x| x / speed);
@@ -168,7 +176,6 @@ fn launch<const N: usize, const M: usize>(
 ) -> Verdict<N> {
     let (direction, acceleration) = match system.least_constraint(&state.q) {
         Some((direction, alternatives)) => {
-            state.counters.launches += 1;
             state.alternatives = alternatives;
             (direction, acceleration_along(system, &state.q, &direction))
         }
@@ -184,6 +191,21 @@ fn launch<const N: usize, const M: usize>(
         duration: duration.min(rest),
         leaves: duration <= rest,
     })
+}
+
+/// q̈ at rest exactly in a vertex: that of the branch of least constraint, which the equations of motion alone do not single out.
+pub(super) fn start_acceleration<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    q: &[f64; N],
+    v: &[f64; N],
+) -> Option<[f64; N]> {
+    let (offset, rate) = system.vertex(q, v)?;
+    if dot(&offset, &offset).sqrt() >= AT_REST || dot(&rate, &rate) > 0.0 {
+        return None;
+    }
+    let (direction, _) = system.least_constraint(q)?;
+    let acceleration = acceleration_along(system, q, &direction);
+    Some(system.rebuilt(q, &direction.map(|x| x * acceleration)).1)
 }
 
 /// First time at which position + speed t + acceleration t²/2 reaches `reach`, if ever.
@@ -241,6 +263,9 @@ pub(super) fn carry<const N: usize, const M: usize>(
         *power = at_end;
     }
     state.counters.substeps += 1;
+    if *speed == 0.0 && *acceleration > 0.0 {
+        state.counters.launches += 1;
+    }
     if *position < 0.0 && ahead >= 0.0 {
         state.counters.vertex_passes += 1;
     }

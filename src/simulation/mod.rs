@@ -188,15 +188,16 @@ impl State {
 fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
     let system = FiveBar::<L>::new(model, inputs);
     state.hold(model, &system, inputs);
-    let state = &mut state.core;
-    let mut power = if system.follows_work() { system.power(&state.q, &system.pose(&state.q), &state.v) } else { Power::default() };
+    let core = &state.core;
+    let mut power = if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() };
     for step in 0..steps {
         match &model.stepper {
-            Stepper::I3alp(settings) => i3alp::advance(&system, settings, state, h, &mut power),
-            Stepper::I3alpPrinted(settings) => i3alp_printed::advance(&system, settings, state, h, &mut power),
-            Stepper::Rk4(settings) => rk4::advance(&system, settings, state, h, &mut power),
+            Stepper::I3alp(settings) => i3alp::advance(&system, settings, &mut state.core, h, &mut power),
+            Stepper::I3alpPrinted(settings) => i3alp_printed::advance(&system, settings, &mut state.core, h, &mut power),
+            Stepper::Rk4(settings) => rk4::advance(&system, settings, &mut state.core, h, &mut power),
         }
         .map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
+        state.unwind();
     }
     Ok(())
 }

@@ -16,7 +16,7 @@ use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose,
 /// The tangent must keep at least this part of the mass matrix; below it the step is too long for a Newton step to be a descent.
 const LEAST_INERTIA: f64 = 0.1;
 
-/// What a descent direction needs: at least this part of the mass matrix (`frontier.md` §5).
+/// What a descent direction needs: at least this part of the mass matrix.
 const DESCENT_INERTIA: f64 = 0.3;
 
 /// What to do where A₀ is not sufficiently positive.
@@ -275,6 +275,10 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
 
     #[inline(always)]
     fn vertex(&self, q: &Coordinates, v: &Coordinates) -> Option<(Coordinates, Coordinates)> {
+        // With coaxial motors all links in line are no isolated posture: there they turn together.
+        if self.model.mechanism.geometry.base_distance == 0.0 {
+            return None;
+        }
         let offset = vertex::offset(q)?;
         Some((in_angles(offset), in_angles(THETA.map(|i| v[i]))))
     }

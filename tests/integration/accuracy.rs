@@ -146,7 +146,7 @@ fn reference_solutions_are_met() {
     }
 }
 
-/// Values of `numerics.md` §4 (two independent prototypes): the torque test with gravity, and the symmetric free fall.
+/// Values on which two independent prototypes agree: the torque test with gravity, and the symmetric free fall.
 #[test]
 fn published_points_are_met() {
     let (mut torque, pull) = torque();
@@ -178,7 +178,7 @@ fn published_points_are_met() {
     }
 }
 
-/// The symmetric free fall comes to rest at 0.73296 and 1.46591 s (`numerics.md` §4, five digits).
+/// The symmetric free fall comes to rest at 0.73296 and 1.46591 s (two independent prototypes, five digits).
 #[test]
 fn the_free_fall_turns_when_it_should() {
     let mut simulation = Simulation::new(&default_parameters(), &default_inputs()).expect("scene");

@@ -17,7 +17,7 @@ type Matrix<const R: usize, const C: usize> = SMatrix<f64, R, C>;
 /// κ at which the penalty form is still well conditioned: αβ/m̄ = 1e6.
 const KAPPA: f64 = 1e6;
 
-/// One step of `numerics.md` §1: penalty α, exact tangent, λ* ← λ* + αΦ, two passes of each projection, all in dense matrices.
+/// One step of the paper (`docs/method.md`, section 2): penalty α, exact tangent, λ* ← λ* + αΦ, two passes of each projection, all in dense matrices.
 /// Loads here do not depend on q or q̇, so that K = C = 0 but for the geometric stiffness.
 fn penalty_step(
     model: &Model,
@@ -59,7 +59,7 @@ fn penalty_step(
         multipliers += at(&q).1 * alpha;
     }
 
-    // Projections in the mass metric, twice each, on the corrections (`numerics.md` §2).
+    // Projections in the mass metric, twice each, on the corrections.
     let (jacobian, _, force, pose) = at(&q);
     let projector = (mass + jacobian.transpose() * jacobian * (alpha * beta)).lu();
     let mut v = (q - q0) * (2.0 / h) - v0;

@@ -15,7 +15,7 @@ use crate::integrator::{Kkt, System};
 
 /// αβ in multiples of the largest inertia: enough for the multipliers to converge, little enough for P to be well conditioned.
 const PENALTY: f64 = 1e4;
-/// Most iterations; a mean of 3 and at most 30 were needed at h = 1 ms (`frontier.md` §5).
+/// Most iterations; prototypes needed 3 on average and at most 30 at h = 1 ms.
 const MOST_ITERATIONS: u32 = 60;
 /// Most halvings along one direction.
 const MOST_HALVINGS: u32 = 30;
