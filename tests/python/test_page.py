@@ -112,6 +112,24 @@ def test_marks_jump(browser: object) -> None:
     assert clock(browser) > met
 
 
+def test_what_the_marks_rest_on(browser: object) -> None:
+    assert "seen at communication points, every 1 ms" in browser.find_element("id", "sampling").text
+
+
+def test_the_graver_kinds_have_a_lane(browser: object, fmu: Path, tmp_path: Path) -> None:
+    """A start with all links in line is a constraint singularity, and the page names it so."""
+    import run
+
+    scene = tmp_path / "in_line.json"
+    scene.write_text('{"experiment": {"stopTime": 0.3}, "init.theta[1]": 0, "init.theta[2]": 0}', encoding="utf-8")
+    assert run.main(["--fmu", str(fmu), "--scene", str(scene), "--out", str(tmp_path)]) == 0
+    browser.get((tmp_path / "in_line.html").as_uri())
+    mark = browser.find_element("css selector", ".lane.grave .mark.constraint")
+    browser.execute_script("arguments[0].click()", mark)
+    assert clock(browser) == 0.0
+    assert browser.find_element("id", "event").text.startswith("constraint singularity at the start")
+
+
 def test_steps_and_keys(browser: object) -> None:
     from selenium.webdriver.common.action_chains import ActionChains
     from selenium.webdriver.common.keys import Keys

@@ -42,7 +42,7 @@ def deviations(instance: Instance, points: list[tuple[float, float, float]]) -> 
 
 
 def test_torque(new: New) -> None:
-    """Up to 0.5 s, through 26 passes of singularities."""
+    """Up to 0.5 s, through 13 singularities."""
     assert max(deviations(new().initialise(TORQUE | FINE), reference("torque.csv"))) < 2e-6
 
 
@@ -100,5 +100,5 @@ def test_scenes_keep_their_energy(new: New, scenes: Path, name: str) -> None:
         instance.slave.doStep(i * size, size)
         assert abs(instance.get("energy.error")) <= 1e-2 * mgl, f"at {(i + 1) * size} s"
         assert instance.get("solver.positionError") <= 1e-12
-        assert instance.get("solver.velocityError") <= 1e-8
+        assert instance.get("solver.velocityError") <= 1e-9
     assert np.isfinite(instance.tip()).all()

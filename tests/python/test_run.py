@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import summary
 from conftest import REPOSITORY
+from drive import Run
 
 RUN = REPOSITORY / "xtask" / "python" / "run.py"
 SHORT = {
@@ -26,7 +28,7 @@ def run(fmu: Path, folder: Path, content: dict[str, object]) -> subprocess.Compl
     scene = folder / "short.json"
     scene.write_text(json.dumps(content), encoding="utf-8")
     command = [sys.executable, str(RUN), "--fmu", str(fmu), "--scene", str(scene), "--out", str(folder / "out")]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -40,20 +42,54 @@ def test_summary(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     _, process = done
     assert process.returncode == 0, process.stderr
     for fact in (
-        "tip at the end", "energy drift", "mgL", "constraint violation", "smallest singular value", "singularities met",
-        "200 steps", "sub-steps", "iterations", "rejected", "wall time", "fmi2DoStep", "real-time factor", "against i3-ALP", "Written:",
+        "tip at the end", "largest energy error", "mgL", "constraint violation", "smallest singular value", "singularities met",
+        "seen at communication points, every 2 ms", "0 combined, 0 constraint", "below 1 mm up to t = 0.2 s, largest",
+        "200 steps", "sub-steps", "iterations", "rejected", "wall time", "fmi2DoStep", "real-time factor", "against i3alp",
+        "Written:",
     ):  # fmt: skip
         assert fact in process.stdout, fact
     # Not a terminal: a line every 10 % and no control characters.
-    assert process.stderr.count("short (i3-ALP)") == 10 and "\x1b" not in process.stderr
+    assert process.stderr.count("short (i3alp)") == 10 and "\x1b" not in process.stderr
 
 
 def test_files(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     out, process = done
     pictures = {"tip", "path", "energy", "constraints", "singularity", "substeps", "difference"}
-    expected = {f"{p}.png" for p in pictures} | {"short.csv", "short.rk4-fine.csv", "singularities.csv", "short.html"}
+    expected = {f"{p}.png" for p in pictures} | {"path.svg", "short.csv", "short.rk4-fine.csv", "singularities.csv", "short.html"}
     assert {file.name for file in out.iterdir()} == expected
-    assert all(str(out / name) in process.stdout for name in expected)
+    assert all(str(Path("out") / name) in process.stdout for name in expected)
+
+
+def test_an_earlier_run_leaves_nothing(fmu: Path, tmp_path: Path) -> None:
+    """A run removes what an earlier run of the scene wrote, and no other file; inside the current directory, paths are short."""
+    out = tmp_path / "out"
+    assert run(fmu, tmp_path, SHORT).returncode == 0
+    own = {file.name for file in out.iterdir()}
+    for foreign in ("notes.csv", "shorter.csv", "my.png", "short.txt"):
+        (out / foreign).write_text("mine")
+    again = run(fmu, tmp_path, {"experiment": {"stopTime": 0.1}, "gravity.enabled": False, "tau[1]": 0.25})
+    assert again.returncode == 0, again.stderr
+    left = {file.name for file in out.iterdir()}
+    assert left == own - {"short.rk4-fine.csv", "difference.png"} | {"notes.csv", "shorter.csv", "my.png", "short.txt"}
+    assert "mgL (g = 9.81 m/s2)" in again.stdout
+    assert f"  {Path('out') / 'short.csv'}  (" in again.stdout and str(tmp_path) not in again.stdout
+
+
+def test_runs_that_part() -> None:
+    """The summary says up to when two tips stay within 1 mm, though they meet again later."""
+    time = np.arange(6) * 0.5
+
+    def made_up(x: list[float]) -> Run:
+        return Run("made up", 2.5, 0.5, {}, {"time": time, "tip.x": np.array(x), "tip.y": 0 * time}, {})
+
+    still = made_up([0.0] * 6)
+    words = {
+        "below 1 mm up to t = 1 s, largest 2.00e-01 m at t = 2 s": [0, 0, 9e-4, 0.1, 0.2, 0],
+        "below 1 mm up to t = 2.5 s, largest 9.00e-04 m at t = 1 s": [0, 0, 9e-4, 0, 0, 0],
+        "1 mm or more from the start, largest 1.00e-01 m at t = 0 s": [0.1, 0, 0, 0, 0, 0],
+    }
+    for expected, x in words.items():
+        assert summary.difference(still, made_up(x)).endswith(f"distance of the tips {expected}")
 
 
 def test_csv(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
@@ -98,7 +134,7 @@ def test_a_run_that_fails_writes_what_it_has(fmu: Path, tmp_path: Path) -> None:
 def test_an_overlay_that_fails_is_part_of_the_summary(fmu: Path, tmp_path: Path) -> None:
     overlay = {"label": "hopeless", "tau[1]": 50, "solver.adaptive": False, "solver.maxIterations": 1}
     unreachable = {"label": "unreachable", "init.theta[1]": 3.141592653589793, "init.theta[2]": 0}
-    process = run(fmu, tmp_path, {"experiment": {"stopTime": 0.05}, "overlay": [overlay, unreachable]})
+    process = run(fmu, tmp_path, {"experiment": {"stopTime": 0.2}, "overlay": [overlay, unreachable]})
     assert process.returncode == 0, process.stderr
     assert "ended early" in process.stdout and "unreachable did not start" in process.stdout
 

@@ -47,7 +47,7 @@ def test_values_and_overlays(tmp_path: Path, model: ModelDescription) -> None:
     ready = scene.read(path, model)
     assert (ready.name, ready.stop_time, ready.step_size) == ("trial", 2.0, 0.001)
     own, overlay = ready.variants
-    assert own == scene.Variant("i3-ALP", {"tau[1]": 1.0, "gravity.enabled": False, "solver.maxIterations": 20})
+    assert own == scene.Variant("i3alp", {"tau[1]": 1.0, "gravity.enabled": False, "solver.maxIterations": 20})
     assert overlay.label == "fine"
     assert overlay.values == own.values | {"tau[1]": 0.5, "solver.method": 3}
 

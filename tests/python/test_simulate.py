@@ -1,5 +1,6 @@
 """The plain way: simulate_fmu, and the script that the README quotes."""
 
+import re
 import shutil
 import subprocess
 import sys
@@ -37,10 +38,15 @@ def test_input_from_a_table(fmu: Path) -> None:
     assert result["theta[1]"][-1] > result["theta[1]"][0] + 0.01
 
 
-def test_first_run_of_the_readme(fmu: Path, tmp_path: Path) -> None:
-    script = REPOSITORY / "examples" / "first_run.py"
+def test_readme_and_example(fmu: Path, tmp_path: Path) -> None:
+    """The Python in the README and the script it names, as they stand, run and agree."""
     (tmp_path / "target" / "fmu").mkdir(parents=True)
     shutil.copy(fmu, tmp_path / "target" / "fmu" / "FiveBar.fmu")
-    done = subprocess.run([sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("tip after 1 s: x = ")
+    blocks = re.findall(r"^```python\n(.*?)^```$", (REPOSITORY / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    assert len(blocks) == 1
+    tips = []
+    for arguments in (["-c", blocks[0]], [str(REPOSITORY / "examples" / "first_run.py")]):
+        done = subprocess.run([sys.executable, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        tips.append([float(number) for number in re.findall(r"-?\d+\.\d+(?:e-?\d+)?", done.stdout)])
+    assert len(tips[0]) == 2 and tips[0] == pytest.approx(tips[1], abs=1e-6)

@@ -4,7 +4,7 @@ import math
 import sys
 import time
 from ctypes import c_double, c_int
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TextIO
 
@@ -19,7 +19,10 @@ from slave import Log, get_values, instantiate, set_values
 
 @dataclass
 class Run:
-    """What one run left: one row per communication point, the first at the start."""
+    """What one run left: one row per communication point, the first at the start.
+
+    `items` has the names of the values of each output that is an enumeration.
+    """
 
     label: str
     stop_time: float
@@ -27,6 +30,7 @@ class Run:
     units: dict[str, str]
     columns: dict[str, np.ndarray]
     parameters: dict[str, float | int | bool]
+    items: dict[str, dict[int, str]] = field(default_factory=dict)
     step_seconds: float = 0.0
     wall_seconds: float = 0.0
     failure: str | None = None
@@ -150,6 +154,7 @@ def drive(model: ModelDescription, directory: str, scene: Scene, variant: Varian
         units={"time": "s"} | {v.name: unit(v) for v in outputs},
         columns=recorder.columns(points),
         parameters=parameters,
+        items={v.name: {int(i.value): i.name for i in v.declaredType.items} for v in outputs if v.type == "Enumeration"},
         step_seconds=step_seconds,
         wall_seconds=time.perf_counter() - begin,
         failure=failure,

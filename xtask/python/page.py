@@ -9,8 +9,8 @@ import numpy as np
 
 from drive import Run
 from scene import Scene
-from singularities import Event
-from summary import energy_scale
+from singularities import Event, count
+from summary import energy_note, energy_scale, sampling
 
 TEMPLATE = Path(__file__).with_name("animation.html")
 ANGLES = ("theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]")
@@ -35,6 +35,7 @@ def write(path: Path, scene: Scene, runs: list[Run], events: list[Event]) -> Non
         "name": scene.name,
         "description": scene.description,
         "runs": [_pack(run, events if i == 0 else [], MOST_SAMPLES // len(runs)) for i, run in enumerate(runs)],
+        "sampling": f"Singularities: {count(events)}; {sampling(runs[0])}.",
         "events": [{"t": e.time, "kind": e.kind, "text": str(e)} for e in events],
     }
     # "</" would end the script element that holds the data.
@@ -55,6 +56,7 @@ def _pack(run: Run, events: list[Event], most: int) -> dict[str, object]:
         "base": run.parameters["base.distance"],
         "lengths": [run.parameters[f"link[{i}].length"] for i in (1, 2, 3, 4)],
         "energyScale": energy_scale(run),
+        "energyNote": energy_note(run),
         "samples": len(kept),
         "columns": base64.b64encode(table.tobytes()).decode("ascii"),
     }

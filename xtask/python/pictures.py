@@ -13,17 +13,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from drive import Run
 from scene import Scene
-from singularities import Event
-from summary import energy_scale, tip_distance
+from singularities import GRAVE, KINDS, Event
+from summary import CLOSE, energy_note, energy_scale, sampling, tip_distance
 
 RUN_COLOURS = ("#1864ab", "#e8590c", "#2b8a3e", "#862e9c", "#c2255c")
 KINETIC, POTENTIAL, TOTAL, INPUT, DISSIPATED = "#1864ab", "#e8590c", "#343a40", "#2b8a3e", "#862e9c"
-KIND_COLOURS = {"direct": "#d6336c", "inverse": "#7048e8"}
+KIND_COLOURS = {"direct": "#d6336c", "inverse": "#7048e8", "combined": "#0b7285", "constraint": "#a67c00"}
 LEFT, RIGHT, TIP, INK, FAINT = "#1864ab", "#2b8a3e", "#e8590c", "#212529", "#adb5bd"
 
 STYLE = {
@@ -60,25 +59,19 @@ POSE_WINDOW = 0.75
 
 def draw_all(directory: Path, scene: Scene, runs: list[Run], events: list[Event]) -> list[Path]:
     """Draws every picture into `directory`; the files written."""
-    pictures: list[tuple[str, Callable[[Scene, list[Run], list[Event]], Figure]]] = [
-        ("tip", _tip),
-        ("path", _path),
-        ("energy", _energy),
-        ("constraints", _constraints),
-        ("singularity", _singularity),
-        ("substeps", _substeps),
-    ]
-    if len(runs) > 1:
-        pictures.append(("difference", _difference))
     files = []
     with plt.rc_context(STYLE):
-        for name, draw in pictures:
+        for name, draw in PICTURES.items():
+            if name == "difference" and len(runs) == 1:
+                continue
             figure = draw(scene, runs, events)
+            # Equal scales on both axes leave bands of the figure empty.
+            crop = {"bbox_inches": "tight", "pad_inches": 0.1} if name == "path" else {}
             files.append(directory / f"{name}.png")
-            figure.savefig(files[-1])
+            figure.savefig(files[-1], **crop)
             if name == "path" and runs[0].time[-1] <= LONGEST_SVG:
                 files.append(directory / f"{name}.svg")
-                figure.savefig(files[-1], metadata={"Date": None})
+                figure.savefig(files[-1], metadata={"Date": None}, **crop)
             plt.close(figure)
     return files
 
@@ -152,7 +145,8 @@ def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
         if np.any(energy):
             time, value = thinned(run.time, energy)
             top.plot(time, 1e3 * value, color=colour, label=name, linewidth=1.3, linestyle=style)
-    top.set_ylim(bottom=min(top.get_ylim()[0], 0.0))
+    low, high = min(top.get_ylim()[0], 0.0), top.get_ylim()[1]
+    top.set_ylim(low, high + 0.05 * (high - low))  # a constant energy would lie on the upper edge
     top.set_ylabel("energy  (mJ)")
     top.set_title(f"{scene.name}: energies and balance residual")
     top.legend(ncols=5, loc="lower right", bbox_to_anchor=(1, 1.0), borderaxespad=0.2)
@@ -162,7 +156,7 @@ def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
         bottom.semilogy(time, _positive(residual), color=RUN_COLOURS[i % 5], label=_run_label(other), linewidth=1.1)
     bottom.set_ylabel("|balance residual|  (J)")
     in_scale = bottom.secondary_yaxis("right", functions=(lambda e: e / scale, lambda e: e * scale))
-    in_scale.set_ylabel("in mgL")
+    in_scale.set_ylabel(f"in mgL, {energy_note(run)}" if energy_note(run) else "in mgL")
     if len(runs) > 1:
         _ordered_legend(bottom, len(runs))
     _time_axis(bottom, runs)
@@ -184,31 +178,30 @@ def _constraints(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
 
 
 def _singularity(scene: Scene, runs: list[Run], events: list[Event]) -> Figure:
-    figure, rows = plt.subplots(3, 1, sharex=True, figsize=(10, 6.6))
+    figure, (*rows, lanes) = plt.subplots(4, 1, sharex=True, figsize=(10, 7.6), height_ratios=(3, 3, 3, 1.6))
     run = runs[0]
     signals = (
-        ("sigmaJx", r"$\sigma_{\min}(J_x)$", "  (m)", ("direct",)),
-        ("sigmaJq", r"$\sigma_{\min}(J_q)$", "  (m²)", ("inverse",)),
-        ("sigmaPhi", r"$\sigma_{\min}(\Phi_q)$", "", ("direct", "inverse")),
+        ("sigmaJx", r"$\sigma_{\min}(J_x)$", "  (m)"),
+        ("sigmaJq", r"$\sigma_{\min}(J_q)$", "  (m²)"),
+        ("sigmaPhi", r"$\sigma_{\min}(\Phi_q)$", ""),
     )
-    for axes, (name, symbol, unit, kinds) in zip(rows, signals):
+    for axes, (name, symbol, unit) in zip(rows, signals):
         time, value = thinned(run.time, run[f"singular.{name}"])
         axes.semilogy(time, _positive(value), color=INK, linewidth=0.9)
         axes.set_ylabel(symbol + unit)
         _full_decades(axes, value)
-        for kind in kinds:
-            met = [event.time for event in events if event.kind == kind]
-            transform = axes.get_xaxis_transform()
-            axes.plot(
-                met, np.full(len(met), 0.03), "|", transform=transform, color=KIND_COLOURS[kind], markersize=9, clip_on=False
-            )
-    rows[0].set_title(f"{scene.name}: smallest singular values")
-    marks = [
-        Line2D([], [], color=colour, marker="|", markersize=9, linestyle="", label=f"{kind} singularity met")
-        for kind, colour in KIND_COLOURS.items()
-    ]
-    rows[0].legend(handles=marks, ncols=2, loc="lower right", bbox_to_anchor=(1, 1.0), borderaxespad=0.2)
-    _time_axis(rows[-1], runs)
+    rows[0].set_title(f"{scene.name}: smallest singular values, {sampling(run)}")
+    for lane, kind in enumerate(KINDS):
+        met = [event.time for event in events if event.kind == kind]
+        # The graver kinds are rare: a thin mark among fifty seconds would be lost.
+        width = 2.5 if kind in GRAVE else 1.0
+        lanes.plot(met, np.full(len(met), lane), "|", color=KIND_COLOURS[kind], markersize=12, markeredgewidth=width, clip_on=False)
+    lanes.set_yticks(range(len(KINDS)), [f"{kind}  {sum(e.kind == kind for e in events)}" for kind in KINDS])
+    for label, kind in zip(lanes.get_yticklabels(), KINDS):
+        label.set_color(KIND_COLOURS[kind])
+    lanes.set_ylim(len(KINDS) - 0.4, -0.6)
+    lanes.set_title("Singularities met")
+    _time_axis(lanes, runs)
     return figure
 
 
@@ -236,6 +229,7 @@ def _difference(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
         distance = tip_distance(runs[0], other)
         time, value = thinned(runs[0].time[: len(distance)], distance)
         axes.semilogy(time, _positive(value), color=RUN_COLOURS[i % 5], label=f"{_run_label(other)} against {runs[0].label}")
+    axes.axhline(CLOSE, color=FAINT, linewidth=1, linestyle="--")
     axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-16))
     axes.set_ylabel("|ΔQ|  (m)")
     axes.set_title(f"{scene.name}: distance between the tips")
@@ -325,3 +319,18 @@ def _ordered_legend(axes: Axes, count: int) -> None:
 def _positive(values: np.ndarray) -> np.ndarray:
     """An exact zero has no place on a logarithmic axis."""
     return np.where(values > 0, values, np.nan)
+
+
+PICTURES: dict[str, Callable[[Scene, list[Run], list[Event]], Figure]] = {
+    "tip": _tip,
+    "path": _path,
+    "energy": _energy,
+    "constraints": _constraints,
+    "singularity": _singularity,
+    "substeps": _substeps,
+    "difference": _difference,
+}
+"""All pictures; that of the difference only for a scene with overlays."""
+
+FILES = (*(f"{name}.png" for name in PICTURES), "path.svg")
+"""Names of all files that `draw_all` may write."""

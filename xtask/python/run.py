@@ -62,6 +62,7 @@ def _drive_all(model: fmpy.model_description.ModelDescription, directory: str, s
 def report(scene: Scene, runs: list[Run], refused: list[str], out: Path) -> None:
     """Writes all files of a scene to `out` and prints the summary."""
     out.mkdir(parents=True, exist_ok=True)
+    remove_earlier(out, scene.name)
     events = [singularities.find(run) for run in runs]
     print(f"{scene.name}: {scene.description}")
     for i, run in enumerate(runs):
@@ -83,12 +84,27 @@ def report(scene: Scene, runs: list[Run], refused: list[str], out: Path) -> None
     page.write(files[-1], scene, runs, events[0])
     print("\nWritten:")
     for file in files:
-        print(f"  {file}  ({_size(file.stat().st_size)})")
+        print(f"  {_shown(file)}  ({_size(file.stat().st_size)})")
+
+
+def remove_earlier(out: Path, name: str) -> None:
+    """Removes what an earlier run of the scene `name` wrote to `out`, and nothing else."""
+    own_table = re.compile(re.escape(name) + r"(\.[a-z0-9-]*)?\.csv")
+    fixed = {"singularities.csv", f"{name}.html", *pictures.FILES}
+    for file in out.iterdir():
+        if file.is_file() and (file.name in fixed or own_table.fullmatch(file.name)):
+            file.unlink()
 
 
 def slug(label: str) -> str:
     """`label` as a part of a file name."""
     return re.sub(r"[^a-z0-9]+", "-", label.lower()).strip("-")
+
+
+def _shown(file: Path) -> Path:
+    """`file` as seen from the current directory, if it lies inside."""
+    file, here = file.resolve(), Path.cwd().resolve()
+    return file.relative_to(here) if file.is_relative_to(here) else file
 
 
 def _size(size: int) -> str:

@@ -15,7 +15,6 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 
 RESERVED = ("description", "experiment", "overlay")
 EXPERIMENT = ("stopTime", "stepSize")
-METHOD_LABELS = {"i3alp": "i3-ALP", "i3alpPrinted": "i3-ALP as printed", "rk4": "RK4", "dop853": "DOP853"}
 
 Values = dict[str, float | int | bool]
 
@@ -52,7 +51,7 @@ def read(path: Path, model: ModelDescription) -> Scene:
     stop_time, step_size = _experiment(where, content.get("experiment", {}), model)
     own = {k: v for k, v in content.items() if k not in RESERVED}
     values = _values(where, own, variables, known, RESERVED)
-    variants = [Variant(_method_label(own, variables), values)]
+    variants = [Variant(_method_label(values, variables), values)]
     for number, item in enumerate(_list(where, content.get("overlay", [])), start=1):
         variants.append(_overlay(f"{where}, overlay {number}", item, own, variables, known))
     labels = [variant.label for variant in variants]
@@ -155,12 +154,11 @@ def _value(where: str, variable: ScalarVariable, value: Any) -> float | int | bo
     raise SceneError(f"{where}: '{variable.name}' must be {wanted}, not {json.dumps(value)}.")
 
 
-def _method_label(own: dict[str, Any], variables: dict[str, ScalarVariable]) -> str:
-    method = own.get("solver.method")
-    if method is None:
-        start = int(variables["solver.method"].start)
-        method = next(i.name for i in variables["solver.method"].declaredType.items if int(i.value) == start)
-    return METHOD_LABELS.get(method, method)
+def _method_label(values: Values, variables: dict[str, ScalarVariable]) -> str:
+    """The method's name in the FMU's enumeration."""
+    method = variables["solver.method"]
+    number = int(values.get("solver.method", method.start))
+    return next(item.name for item in method.declaredType.items if int(item.value) == number)
 
 
 def _list(where: str, value: Any) -> list[Any]:
