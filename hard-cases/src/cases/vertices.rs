@@ -1,0 +1,104 @@
+//! 2: the four vertices: exact crossings, near misses, the branch with one degree of freedom. No gravity.
+
+use std::f64::consts::{PI, TAU};
+
+use fivebar::mechanism::{Start, closure};
+use fivebar::observers;
+use fivebar::simulation::Simulation;
+
+use super::{Case, Extent};
+use crate::machine::{NO_LOAD, weightless};
+use crate::setting::Setting;
+use crate::trial::{Ending, Trial};
+use crate::vertex::{POSTURES, Vertex};
+use crate::watch::Watch;
+
+/// Time from the start to the vertex, s.
+const APPROACH: f64 = 0.05;
+
+pub(super) fn cases(extent: Extent) -> Vec<Case> {
+    vec![crossings(extent), near_misses(extent), one_degree_of_freedom()]
+}
+
+/// Angles and rates from which the vertex is met after [`APPROACH`] at `rates`: the motion away from it, turned round.
+fn approach(vertex: Vertex, rates: [f64; 4]) -> ([f64; 4], [f64; 4]) {
+    let away = Trial::free("", weightless(), APPROACH).from_links(vertex.theta, rates.map(|rate| -rate));
+    let outcome = away.run(Setting::REFERENCE);
+    assert_eq!(outcome.ending, Ending::Complete, "the motion away from {} at {rates:?} rad/s", vertex.name);
+    let core = outcome.state.expect("a run that has ended").core;
+    let theta = fivebar::mechanism::coordinates::THETA;
+    (theta.map(|i| core.q[i]), theta.map(|i| -core.v[i]))
+}
+
+/// 4 vertices, 20 directions on the cone, 3 rates of the odd link: 50 ms towards the vertex and 50 ms beyond.
+fn crossings(extent: Extent) -> Case {
+    let directions = extent.pick(20_u32, 2);
+    let mut trials = Vec::new();
+    for vertex in POSTURES {
+        for rate in [2.0, 10.0, 40.0] {
+            for k in 0..directions {
+                let direction = vertex.direction(TAU * (f64::from(k) + 0.5) / f64::from(directions));
+                let (theta, omega) = approach(vertex, direction.map(|part| part * rate));
+                let label = format!("vertex {}, {rate} rad/s, direction {direction:?}: theta {theta:?}, omega {omega:?}", vertex.name);
+                let mut trial = Trial::free(label, weightless(), 2.0 * APPROACH).from_links(theta, omega);
+                // About 0.03 rad before and after.
+                let margin = f64::max(1e-3, 0.02 / rate);
+                trial.watch = Watch::Crosses { vertex, direction, between: [APPROACH - margin, APPROACH + margin] };
+                trials.push(trial);
+            }
+        }
+    }
+    Case { also: "crosses", ..Case::new(2, "exact crossings", [1e-2, 1e-2], trials) }
+}
+
+/// The same with one proximal angle off by 1e-2 or 1e-3 rad: the motion is turned before the vertex. The reference is i3-ALP with
+/// a local error of 1e-13 rad.
+fn near_misses(extent: Extent) -> Case {
+    let directions = extent.pick(5_u32, 1);
+    let mut trials = Vec::new();
+    for vertex in POSTURES {
+        for rate in [2.0, 10.0] {
+            for miss in [1e-2, 1e-3] {
+                for k in 0..directions {
+                    let direction = vertex.direction(TAU * (f64::from(k) + 0.5) / f64::from(directions));
+                    trials.extend(near_miss(vertex, direction, rate, miss));
+                }
+            }
+        }
+    }
+    Case { also: "turns, ends within 1e-2 rad of the reference", ..Case::new(2, "near misses", [1e-2, 1e-2], trials) }
+}
+
+fn near_miss(vertex: Vertex, direction: [f64; 4], rate: f64, miss: f64) -> Option<Trial> {
+    let (exact, omega) = approach(vertex, direction.map(|part| part * rate));
+    let mut parameters = weightless();
+    let met = Simulation::at(&parameters, &NO_LOAD, exact, omega).expect("a posture of a run");
+    let assembly = observers::singularity(met.model(), met.state()).assembly;
+    parameters.start = Start { theta: [exact[0] + miss, exact[3]], omega: [omega[0], omega[3]], assembly };
+    let (q, v) = closure::close(&parameters.geometry, &parameters.start).ok()?;
+    let links = fivebar::mechanism::coordinates::THETA;
+    // Closure gives angles between -π and π.
+    let theta: [f64; 4] = std::array::from_fn(|i| q[links[i]] + TAU * ((exact[i] - q[links[i]]) / TAU).round());
+    let label = format!("vertex {}, {rate} rad/s, direction {direction:?}, theta[1] {miss:e} rad off: theta {theta:?}", vertex.name);
+    let mut trial = Trial::free(label, weightless(), 2.0 * APPROACH).from_links(theta, links.map(|i| v[i]));
+    let reference = trial.run(Setting::REFERENCE);
+    let end = reference.state.filter(|_| reference.ending == Ending::Complete)?.core.q;
+    trial.watch = Watch::Turns { vertex, end: links.map(|i| end[i]), within: 1e-2 };
+    Some(trial)
+}
+
+/// A folded leg turns about its motor while the other leg is stretched and still: a vertex at every half turn.
+fn one_degree_of_freedom() -> Case {
+    let mut trials = Vec::new();
+    for vertex in POSTURES {
+        let left = (vertex.theta[1] - vertex.theta[0]).abs() == PI;
+        let turning = if left { [1.0, 1.0, 0.0, 0.0] } else { [0.0, 0.0, 1.0, 1.0] };
+        for rate in [10.0, -10.0] {
+            let omega = turning.map(|part| part * rate);
+            let mut trial = Trial::free(format!("vertex {}, omega {omega:?}", vertex.name), weightless(), 2.0);
+            trial.watch = Watch::Stays { links: turning.map(|part| part == 0.0), within: 1e-6 };
+            trials.push(trial.from_links(vertex.theta, omega));
+        }
+    }
+    Case { also: "the other leg stays within 1e-6 rad", ..Case::new(2, "branch with one degree of freedom", [1e-2, 1e-2], trials) }
+}
