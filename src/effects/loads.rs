@@ -51,6 +51,13 @@ impl Inputs {
         tangents.stiffness(THETA[TIP_LINK], THETA[TIP_LINK], rx * fx + ry * fy);
     }
 
+    /// Potential of the held loads, J: −τ·θ − F·tip.
+    pub fn potential(&self, q: &Coordinates, pose: &Pose) -> f64 {
+        let ([rx, ry], [fx, fy]) = (tip_arm(pose), self.tip_force);
+        let tip = [q[X[TIP_LINK]] + rx, q[X[TIP_LINK] + 2] + ry];
+        -(self.tau[0] * q[THETA[0]] + self.tau[1] * q[THETA[3]] + fx * tip[0] + fy * tip[1])
+    }
+
     /// Power of the loads, W.
     #[inline(always)]
     pub fn power(&self, pose: &Pose, v: &Coordinates) -> f64 {

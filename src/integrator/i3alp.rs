@@ -11,8 +11,12 @@
 //! in which the unknown is the total multiplier: nothing large enters a diagonal, nothing winds up.
 
 use super::equilibrium::equilibrium_at;
+use super::projection::{self, Projection};
 use super::system::max_norm;
+use super::vertex::{self, Gate, Verdict};
 use super::{Failure, Kkt, Power, State, System};
+
+mod descent;
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,6 +48,7 @@ struct Attempt<const N: usize, const M: usize> {
     lambda: [f64; M],
     error: f64,
     power: Power,
+    modes: u8,
 }
 
 /// One step of h: predictor, Newton on positions and total multipliers, velocity projection, acceleration from equilibrium.
@@ -54,57 +59,35 @@ fn attempt<const N: usize, const M: usize>(
     state: &mut State<N, M>,
     h: f64,
 ) -> Result<Attempt<N, M>, Failure> {
-    let beta = h * h / 4.0;
-    let softness = settings.softness;
-    let tolerance = constraint_tolerance(settings, system.size(), h);
-
     // Predict. δ is the increment against q + h q̇ + h²/2 q̈: an unknown without the round-off of q̈ = 4/h² (q − …).
-    let mut predicted = [0.0; N];
-    let mut delta = [0.0; N];
-    for i in 0..N {
-        predicted[i] = state.q[i] + h * (state.v[i] + h / 2.0 * state.a[i]);
-        delta[i] = beta * h * state.jerk[i];
-    }
-    let mut q = add(&predicted, &delta);
-    let mut lambda = state.lambda;
-    let mut pose = system.pose(&q);
-    let mut phi = system.phi(&q, &pose);
-    let mut violation = max_norm(&phi);
-
-    // Newton.
-    let mut iterations = 0;
-    loop {
-        iterations += 1;
-        state.counters.iterations += 1;
-        let v = trapezoidal_velocity(state, &delta, h);
-        let force = system.forces(&q, &pose, &v);
-        let inertia = system.mass_times(&pose, &std::array::from_fn(|i| beta * state.a[i] + delta[i]));
-        let b = std::array::from_fn(|i| beta * force[i] - inertia[i]);
-        let c = std::array::from_fn(|i| -phi[i] - softness * beta * lambda[i]);
-        let (correction, y) = system.factor_tangent(&q, &pose, &v, &lambda, h, softness)?.solve(&b, &c);
-        lambda = y.map(|y| y / beta);
-        delta = add(&delta, &correction);
-        q = add(&predicted, &delta);
-        pose = system.pose(&q);
-        phi = system.phi(&q, &pose);
-
-        let previous = violation;
-        violation = max_norm(&phi);
-        let at_round_off = violation >= previous && violation < 64.0 * f64::EPSILON * system.size();
-        if (violation < tolerance || at_round_off) && max_norm(&correction) < LAST_CORRECTION {
-            break;
+    let beta = h * h / 4.0;
+    let mut step = Step {
+        h,
+        beta,
+        tolerance: constraint_tolerance(settings, system.size(), h),
+        predicted: std::array::from_fn(|i| state.q[i] + h * (state.v[i] + h / 2.0 * state.a[i])),
+        v: std::array::from_fn(|i| state.v[i] + h * state.a[i]),
+        inertia: state.a.map(|a| beta * a),
+        delta: state.jerk.map(|jerk| beta * h * jerk),
+        lambda: state.lambda,
+    };
+    let counters = &mut state.counters;
+    if let Err(failure) = newton(system, settings, &mut step, &mut counters.iterations) {
+        step.delta = [0.0; N];
+        step.lambda = state.lambda;
+        if !descent::descend(system, settings, &mut step, &mut counters.iterations) {
+            return Err(failure);
         }
-        if iterations == settings.max_iterations {
-            return Err(Failure::NotConverged { iterations, violation, tolerance });
-        }
+        counters.rescued += 1;
     }
 
     // Project the velocity, then the acceleration and the multipliers from equilibrium: one factor serves both.
-    let mut v = trapezoidal_velocity(state, &delta, h);
-    let mass = system.factor_mass(&pose, softness);
-    let drift = system.phi_q_times(&pose, &v).map(|x| -x);
-    let projection = mass.correction(&drift);
-    v = add(&v, &projection);
+    let q = step.q();
+    let pose = system.pose(&q);
+    let mass = system.factor_mass(&pose, settings.softness);
+    let trapezoidal = step.velocity();
+    let projection = projection::velocity(system, &pose, &mass, &trapezoidal);
+    let v = add(&trapezoidal, &projection);
     let (a, lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
 
     let jump: [f64; N] = std::array::from_fn(|i| a[i] - state.a[i]);
@@ -113,14 +96,83 @@ fn attempt<const N: usize, const M: usize>(
         return Err(Failure::NotFinite);
     }
     let power = if system.follows_work() { system.power(&q, &pose, &v) } else { Power::default() };
-    Ok(Attempt { q, v, a, lambda, error, power })
+    Ok(Attempt { q, v, a, lambda, error, power, modes: system.modes(&pose) })
 }
 
-/// q̇ of the trapezoidal rule for q = predicted + δ.
+/// A step in the making: what it starts from and its two unknowns.
+struct Step<const N: usize, const M: usize> {
+    h: f64,
+    /// β = h²/4.
+    beta: f64,
+    /// Bound on max |Φ|, m.
+    tolerance: f64,
+    /// q + h q̇ + h²/2 q̈.
+    predicted: [f64; N],
+    /// q̇ + h q̈.
+    v: [f64; N],
+    /// β q̈.
+    inertia: [f64; N],
+    /// δ, the increment against the prediction.
+    delta: [f64; N],
+    /// λ, the total multipliers.
+    lambda: [f64; M],
+}
+
+impl<const N: usize, const M: usize> Step<N, M> {
+    fn q(&self) -> [f64; N] {
+        add(&self.predicted, &self.delta)
+    }
+
+    /// q̇ of the trapezoidal rule.
+    fn velocity(&self) -> [f64; N] {
+        let rate = 2.0 / self.h;
+        std::array::from_fn(|i| self.v[i] + rate * self.delta[i])
+    }
+
+    /// β q̈ + δ: β times q̈ of the trapezoidal rule.
+    fn acceleration(&self) -> [f64; N] {
+        add(&self.inertia, &self.delta)
+    }
+}
+
+/// Newton's method on δ and λ.
 #[inline(always)]
-fn trapezoidal_velocity<const N: usize, const M: usize>(state: &State<N, M>, delta: &[f64; N], h: f64) -> [f64; N] {
-    let rate = 2.0 / h;
-    std::array::from_fn(|i| state.v[i] + h * state.a[i] + rate * delta[i])
+fn newton<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    settings: &Settings,
+    step: &mut Step<N, M>,
+    spent: &mut u64,
+) -> Result<(), Failure> {
+    let (softness, beta, h) = (settings.softness, step.beta, step.h);
+    let mut q = step.q();
+    let mut pose = system.pose(&q);
+    let mut phi = system.phi(&q, &pose);
+    let mut violation = max_norm(&phi);
+    for iterations in 1.. {
+        *spent += 1;
+        let v = step.velocity();
+        let force = system.forces(&q, &pose, &v);
+        let inertia = system.mass_times(&pose, &step.acceleration());
+        let b = std::array::from_fn(|i| beta * force[i] - inertia[i]);
+        let c = std::array::from_fn(|i| -phi[i] - softness * beta * step.lambda[i]);
+        let (correction, y) = system.factor_tangent(&q, &pose, &v, &step.lambda, h, softness)?.solve(&b, &c);
+        step.lambda = y.map(|y| y / beta);
+        step.delta = add(&step.delta, &correction);
+        q = step.q();
+        pose = system.pose(&q);
+        phi = system.phi(&q, &pose);
+
+        let previous = violation;
+        violation = max_norm(&phi);
+        let at_round_off = violation >= previous && violation < 64.0 * f64::EPSILON * system.size();
+        if (violation < step.tolerance || at_round_off) && max_norm(&correction) < LAST_CORRECTION {
+            break;
+        }
+        if iterations >= settings.max_iterations {
+            return Err(Failure::NotConverged { iterations, violation, tolerance: step.tolerance });
+        }
+    }
+    Ok(())
 }
 
 /// Newton's bound on max |Φ|, m: scaled with the machine and with h², never below round-off.
@@ -150,6 +202,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
         state.a = self.a;
         state.lambda = self.lambda;
         state.error_estimate = self.error;
+        state.observe_modes(self.modes);
         state.counters.substeps += 1;
     }
 }
@@ -179,9 +232,24 @@ fn divided<const N: usize, const M: usize>(
     duration: f64,
     power: &mut Power,
 ) -> Result<(), Failure> {
+    let gate = Gate::for_error_tolerance(settings.error_tolerance);
     let mut rest = duration;
     for _ in 0..MOST_SUBSTEPS {
-        let parts = (rest / state.substep).ceil().max(1.0);
+        let longest = match vertex::verdict(system, &gate, state, rest, settings.softness) {
+            Verdict::Free => state.substep,
+            Verdict::Limit(longest) => state.substep.min(longest),
+            Verdict::Carry(ray) => {
+                let Settings { softness, max_iterations, tolerance, .. } = *settings;
+                let projection = Projection { softness, tolerance: tolerance * system.size(), max_iterations };
+                vertex::carry(system, &ray, state, &projection, power)?;
+                if ray.duration() >= rest {
+                    return Ok(());
+                }
+                rest -= ray.duration();
+                continue;
+            }
+        };
+        let parts = (rest / longest).ceil().max(1.0);
         let h = rest / parts;
         match attempt(system, settings, state, h) {
             Ok(attempt) if attempt.error <= settings.error_tolerance => {

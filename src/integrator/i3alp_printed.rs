@@ -89,6 +89,7 @@ pub fn advance<const N: usize, const M: usize>(
         state.work = state.work.plus(h / 2.0, *power).plus(h / 2.0, at_end);
         *power = at_end;
     }
+    state.observe_modes(system.modes(&pose));
     state.counters.steps += 1;
     state.counters.substeps += 1;
     Ok(())

@@ -5,8 +5,10 @@
 mod equilibrium;
 pub mod i3alp;
 pub mod i3alp_printed;
+mod projection;
 pub mod rk4;
 mod system;
+pub mod vertex;
 
 pub use equilibrium::equilibrium;
 pub use system::{Failure, Kkt, Power, System};
@@ -22,7 +24,18 @@ pub struct Counters {
     pub iterations: u64,
     /// Rejected sub-steps.
     pub rejected: u64,
+    /// Sub-steps that converged only in the second try.
+    pub rescued: u64,
+    /// Times that q̈ and λ were found anew from equilibrium: after a change of inputs, or to start from rest in a vertex.
+    pub restarts: u64,
+    /// Vertices of the configuration space passed straight through.
+    pub vertex_passes: u64,
+    /// Changes of each bit of [`System::modes`].
+    pub mode_changes: [u64; MODES],
 }
+
+/// Bits of [`System::modes`] that are counted.
+pub const MODES: usize = 3;
 
 /// Everything that changes during a run: a copy of it is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,6 +56,10 @@ pub struct State<const N: usize, const M: usize> {
     pub error_estimate: f64,
     /// Work since the start, J: along the path, by the order of the method.
     pub work: Power,
+    /// [`System::modes`] of q.
+    pub modes: u8,
+    /// Other branches on which the last start from rest in a vertex could have gone as well.
+    pub alternatives: u32,
     /// Counters since the start.
     pub counters: Counters,
 }
@@ -60,6 +77,8 @@ impl<const N: usize, const M: usize> State<N, M> {
             substep: f64::INFINITY,
             error_estimate: 0.0,
             work: Power::default(),
+            modes: system.modes(&system.pose(&q)),
+            alternatives: 0,
             counters: Counters::default(),
         }
     }
@@ -70,5 +89,17 @@ impl<const N: usize, const M: usize> State<N, M> {
     pub fn restart(&mut self, system: &impl System<N, M>, softness: f64) {
         (self.a, self.lambda) = equilibrium(system, &self.q, &self.v, softness);
         self.jerk = [0.0; N];
+        self.counters.restarts += 1;
+    }
+
+    /// Counts the determinants that have changed sign.
+    #[inline(always)]
+    fn observe_modes(&mut self, modes: u8) {
+        if modes != self.modes {
+            for (bit, changes) in self.counters.mode_changes.iter_mut().enumerate() {
+                *changes += u64::from((modes ^ self.modes) >> bit & 1);
+            }
+            self.modes = modes;
+        }
     }
 }

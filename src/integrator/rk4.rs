@@ -4,8 +4,8 @@
 //! out (μ = ω = 0): the projection after each step does their work, and exactly.
 
 use super::equilibrium::{equilibrium, equilibrium_at};
-use super::system::max_norm;
-use super::{Failure, Kkt, Power, State, System};
+use super::projection::{self, Projection};
+use super::{Failure, Power, State, System};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,14 +53,15 @@ pub fn advance<const N: usize, const M: usize>(
     }
 
     if settings.projection {
-        project_position(system, settings, state)?;
+        let &Settings { softness, max_iterations, .. } = settings;
+        let projection = Projection { softness, tolerance: settings.tolerance * system.size(), max_iterations };
+        state.counters.iterations += u64::from(projection.position(system, &mut state.q)?);
     }
     let pose = system.pose(&state.q);
     let mass = system.factor_mass(&pose, settings.softness);
     if settings.projection {
-        let drift = system.phi_q_times(&pose, &state.v).map(|x| -x);
-        let projection = mass.correction(&drift);
-        state.v = std::array::from_fn(|i| state.v[i] + projection[i]);
+        let correction = projection::velocity(system, &pose, &mass, &state.v);
+        state.v = std::array::from_fn(|i| state.v[i] + correction[i]);
     }
     (state.a, state.lambda) = equilibrium_at(system, &state.q, &pose, &state.v, &mass);
     if !state.a.iter().sum::<f64>().is_finite() {
@@ -69,29 +70,8 @@ pub fn advance<const N: usize, const M: usize>(
     if system.follows_work() {
         *power = system.power(&state.q, &pose, &state.v);
     }
+    state.observe_modes(system.modes(&pose));
     state.counters.steps += 1;
     state.counters.substeps += 1;
     Ok(())
-}
-
-/// Newton onto Φ = 0 along the shortest way in the mass metric.
-fn project_position<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
-    settings: &Settings,
-    state: &mut State<N, M>,
-) -> Result<(), Failure> {
-    let tolerance = settings.tolerance * system.size();
-    let mut violation = f64::INFINITY;
-    for _ in 0..=settings.max_iterations {
-        let pose = system.pose(&state.q);
-        let phi = system.phi(&state.q, &pose);
-        violation = max_norm(&phi);
-        if violation < tolerance {
-            return Ok(());
-        }
-        let correction = system.factor_mass(&pose, settings.softness).correction(&phi.map(|x| -x));
-        state.q = std::array::from_fn(|i| state.q[i] + correction[i]);
-        state.counters.iterations += 1;
-    }
-    Err(Failure::NotConverged { iterations: settings.max_iterations, violation, tolerance })
 }

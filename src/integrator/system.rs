@@ -43,6 +43,43 @@ pub trait System<const N: usize, const M: usize> {
         softness: f64,
     ) -> Result<Self::Tangent, Failure>;
 
+    /// The same with A₀ made positive definite where it is not: a descent direction of the incremental potential, for the second
+    /// try of a Newton loop that failed. `None`: no second try.
+    fn factor_descent(
+        &self,
+        _q: &[f64; N],
+        _pose: &Self::Pose,
+        _v: &[f64; N],
+        _lambda: &[f64; M],
+        _h: f64,
+        _softness: f64,
+    ) -> Option<Self::Tangent> {
+        None
+    }
+    /// Potential energy of all forces, held loads included, J; `None` where a force has none.
+    fn potential(&self, _q: &[f64; N], _pose: &Self::Pose) -> Option<f64> {
+        None
+    }
+
+    /// Displacement of q from the vertex that it is near to, and q̇, both in the coordinates in which that is measured (the others
+    /// 0). A vertex is an isolated q where Φ_q loses rank and branches cross. `None`: no vertex near.
+    fn vertex(&self, _q: &[f64; N], _v: &[f64; N]) -> Option<([f64; N], [f64; N])> {
+        None
+    }
+    /// q and q̇ with all other coordinates following from the measured ones.
+    fn rebuilt(&self, q: &[f64; N], v: &[f64; N]) -> ([f64; N], [f64; N]) {
+        (*q, *v)
+    }
+    /// At rest in a vertex: the unit direction, in the measured coordinates, of the motion of least constraint, and how many other
+    /// local minima there are. `None`: no direction is driven.
+    fn least_constraint(&self, _q: &[f64; N]) -> Option<([f64; N], u32)> {
+        None
+    }
+    /// One bit for each determinant whose sign tells modes apart. A changed bit is a singularity passed.
+    fn modes(&self, _pose: &Self::Pose) -> u8 {
+        0
+    }
+
     /// Whether any force does work that must be followed along the path.
     fn follows_work(&self) -> bool;
     /// Power of the inputs and of dissipation, W. Asked only if [`System::follows_work`].

@@ -21,6 +21,7 @@ pub mod coordinates;
 pub mod legs;
 mod model;
 pub mod singularity;
+pub mod vertex;
 
 pub use closure::{Assembly, Start, close};
 pub use constraints::Pose;

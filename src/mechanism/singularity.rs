@@ -45,8 +45,20 @@ pub struct Singularity {
     pub working: [bool; 2],
 }
 
+#[inline(always)]
 fn cross(a: Legs2, b: Legs2) -> Legs {
     a.x * b.y - a.y * b.x
+}
+
+impl Pose {
+    /// The signs that tell modes apart, a bit for each that is negative: det J_x (assembly), bend of the left and right leg (working
+    /// mode). A bit that changes is a direct or inverse singularity passed.
+    #[inline(always)]
+    pub fn modes(&self) -> u8 {
+        let ([x2, x3], [y2, y3]) = (self.u_d.x.to_array(), self.u_d.y.to_array());
+        let [left, right] = cross(self.u_p, self.u_d).to_array();
+        u8::from(x2 * y3 - y2 * x3 < 0.0) | u8::from(left < 0.0) << 1 | u8::from(right < 0.0) << 2
+    }
 }
 
 impl Mechanism {

@@ -9,11 +9,24 @@ use super::model::Model;
 use super::two_leg::TwoLeg;
 use crate::effects::{DiagonalTangents, FullTangents, Inputs, Tangents};
 use crate::integrator::{Failure, Kkt, Power, System};
+use crate::mechanism::closure::assemble;
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
-use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
+use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose, vertex};
 
 /// The tangent must keep at least this part of the mass matrix; below it the step is too long for a Newton step to be a descent.
 const LEAST_INERTIA: f64 = 0.1;
+
+/// What a descent direction needs: at least this part of the mass matrix (`frontier.md` §5).
+const DESCENT_INERTIA: f64 = 0.3;
+
+/// What to do where A₀ is not sufficiently positive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Definite {
+    /// Refuse it: the step is too long.
+    Demanded,
+    /// Raise it until it is: a descent direction.
+    Enforced,
+}
 
 /// How the tangent is factorised: chosen once, when the scene is made ready.
 pub trait LinearSolve {
@@ -27,6 +40,7 @@ pub trait LinearSolve {
         lambda: &Multipliers,
         h: f64,
         softness: f64,
+        definite: Definite,
     ) -> Result<Self::Factor, Failure>
     where
         Self: Sized;
@@ -40,7 +54,14 @@ impl LinearSolve for Uncoupled {
     type Factor = TwoLeg;
 
     #[inline(always)]
-    fn factor(five_bar: &FiveBar<'_, Self>, pose: &Pose, lambda: &Multipliers, h: f64, softness: f64) -> Result<TwoLeg, Failure> {
+    fn factor(
+        five_bar: &FiveBar<'_, Self>,
+        pose: &Pose,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+        definite: Definite,
+    ) -> Result<TwoLeg, Failure> {
         let mechanism = &five_bar.model.mechanism;
         let mut tangents = DiagonalTangents::new(h);
         five_bar.add_tangents(pose, &mut tangents);
@@ -48,6 +69,11 @@ impl LinearSolve for Uncoupled {
         let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
         let inertia_p = mechanism.inertia_p + beta * stiffness_p + legs_of(&tangents.weighted, P_THETA);
         let inertia_d = mechanism.inertia_d + beta * stiffness_d + legs_of(&tangents.weighted, D_THETA);
+        if definite == Definite::Enforced {
+            let inertia_p = inertia_p.max(DESCENT_INERTIA * mechanism.inertia_p);
+            let inertia_d = inertia_d.max(DESCENT_INERTIA * mechanism.inertia_d);
+            return Ok(TwoLeg::factor(mechanism, pose, [inertia_p, inertia_d], softness));
+        }
         let margin_p = inertia_p - LEAST_INERTIA * mechanism.inertia_p;
         let margin_d = inertia_d - LEAST_INERTIA * mechanism.inertia_d;
         let [left, right] = margin_p.fast_min(margin_d).to_array();
@@ -66,7 +92,14 @@ pub enum AnyCoupling {}
 impl LinearSolve for AnyCoupling {
     type Factor = Coupled;
 
-    fn factor(five_bar: &FiveBar<'_, Self>, pose: &Pose, lambda: &Multipliers, h: f64, softness: f64) -> Result<Coupled, Failure> {
+    fn factor(
+        five_bar: &FiveBar<'_, Self>,
+        pose: &Pose,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+        definite: Definite,
+    ) -> Result<Coupled, Failure> {
         let mass = five_bar.mass_matrix();
         let mut a0 = mass + five_bar.full_tangents(pose, h);
         let beta = h * h / 4.0;
@@ -75,9 +108,23 @@ impl LinearSolve for AnyCoupling {
         for (i, stiffness) in THETA.into_iter().zip([p_left, d_left, d_right, p_right]) {
             a0[(i, i)] += beta * stiffness;
         }
-        let margin = (a0 + a0.transpose()) / 2.0 - mass * LEAST_INERTIA;
-        if margin.cholesky().is_none() {
-            return Err(Failure::IndefiniteTangent);
+        let keeps = |a0: &SMatrix<f64, COORDINATES, COORDINATES>, part: f64| {
+            ((a0 + a0.transpose()) / 2.0 - mass * part).cholesky().is_some()
+        };
+        match definite {
+            Definite::Demanded if !keeps(&a0, LEAST_INERTIA) => return Err(Failure::IndefiniteTangent),
+            Definite::Demanded => {}
+            // Doubling ends: some multiple of M outweighs any tangent that is finite.
+            Definite::Enforced => {
+                let mut more = DESCENT_INERTIA;
+                while !keeps(&a0, DESCENT_INERTIA) {
+                    a0 += mass * more;
+                    more *= 2.0;
+                    if !more.is_finite() {
+                        return Err(Failure::NotFinite);
+                    }
+                }
+            }
         }
         Coupled::factor(pose, &a0, softness)
     }
@@ -115,6 +162,16 @@ impl<'a, L> FiveBar<'a, L> {
     fn mass_matrix(&self) -> SMatrix<f64, COORDINATES, COORDINATES> {
         SMatrix::from_diagonal(&SVector::from(self.model.mechanism.mass_times(&[1.0; COORDINATES])))
     }
+}
+
+/// Values of the four links in the places of their angles.
+#[inline(always)]
+fn in_angles(values: [f64; 4]) -> Coordinates {
+    let mut coordinates = [0.0; COORDINATES];
+    for (i, value) in THETA.into_iter().zip(values) {
+        coordinates[i] = value;
+    }
+    coordinates
 }
 
 impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
@@ -182,7 +239,58 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
         h: f64,
         softness: f64,
     ) -> Result<L::Factor, Failure> {
-        L::factor(self, pose, lambda, h, softness)
+        L::factor(self, pose, lambda, h, softness, Definite::Demanded)
+    }
+
+    fn factor_descent(
+        &self,
+        _q: &Coordinates,
+        pose: &Pose,
+        _v: &Coordinates,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+    ) -> Option<L::Factor> {
+        L::factor(self, pose, lambda, h, softness, Definite::Enforced).ok()
+    }
+
+    fn potential(&self, q: &Coordinates, pose: &Pose) -> Option<f64> {
+        let effects: f64 = self.model.effects.iter().map(|effect| effect.potential(q)).sum();
+        Some(effects + self.inputs.potential(q, pose))
+    }
+
+    #[inline(always)]
+    fn vertex(&self, q: &Coordinates, v: &Coordinates) -> Option<(Coordinates, Coordinates)> {
+        let offset = vertex::offset(q)?;
+        Some((in_angles(offset), in_angles(THETA.map(|i| v[i]))))
+    }
+
+    fn rebuilt(&self, q: &Coordinates, v: &Coordinates) -> (Coordinates, Coordinates) {
+        assemble(&self.model.mechanism.geometry, THETA.map(|i| q[i]), THETA.map(|i| v[i]))
+    }
+
+    fn least_constraint(&self, q: &Coordinates) -> Option<(Coordinates, u32)> {
+        // Forces and masses in the link angles, from the motions of the open legs that one angle alone makes.
+        let pose = self.pose(q);
+        let force = self.forces(q, &pose, &[0.0; COORDINATES]);
+        let motions = [0, 1, 2, 3].map(|link| {
+            let mut rate = [0.0; 4];
+            rate[link] = 1.0;
+            assemble(&self.model.mechanism.geometry, THETA.map(|i| q[i]), rate).1
+        });
+        let dot = |x: &Coordinates, y: &Coordinates| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+        let forces = motions.map(|motion| dot(&force, &motion));
+        let masses = motions.map(|row| {
+            let momentum = self.model.mechanism.mass_times(&row);
+            motions.map(|column| dot(&momentum, &column))
+        });
+        let branch = vertex::least_constraint(&self.model.mechanism.geometry, q, forces, masses)?;
+        Some((in_angles(branch.direction), branch.alternatives))
+    }
+
+    #[inline(always)]
+    fn modes(&self, pose: &Pose) -> u8 {
+        pose.modes()
     }
 
     #[inline(always)]

@@ -1,0 +1,48 @@
+//! Back onto the constraints, along the shortest way in the mass metric.
+
+use super::system::max_norm;
+use super::{Failure, Kkt, System};
+
+/// How far a projection goes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Projection {
+    /// e of the saddle-point systems, 1/kg.
+    pub(super) softness: f64,
+    /// max |Φ| to be met, m.
+    pub(super) tolerance: f64,
+    /// Most Newton iterations.
+    pub(super) max_iterations: u32,
+}
+
+impl Projection {
+    /// Newton onto Φ = 0; the iterations spent.
+    pub(super) fn position<const N: usize, const M: usize>(
+        &self,
+        system: &impl System<N, M>,
+        q: &mut [f64; N],
+    ) -> Result<u32, Failure> {
+        let mut violation = f64::INFINITY;
+        for iteration in 0..=self.max_iterations {
+            let pose = system.pose(q);
+            let phi = system.phi(q, &pose);
+            violation = max_norm(&phi);
+            if violation < self.tolerance {
+                return Ok(iteration);
+            }
+            let correction = system.factor_mass(&pose, self.softness).correction(&phi.map(|x| -x));
+            *q = std::array::from_fn(|i| q[i] + correction[i]);
+        }
+        Err(Failure::NotConverged { iterations: self.max_iterations, violation, tolerance: self.tolerance })
+    }
+}
+
+/// Φ_q q̇ = 0, with the mass factor at hand.
+#[inline(always)]
+pub(super) fn velocity<const N: usize, const M: usize, S: System<N, M>>(
+    system: &S,
+    pose: &S::Pose,
+    mass: &S::Mass,
+    v: &[f64; N],
+) -> [f64; N] {
+    mass.correction(&system.phi_q_times(pose, v).map(|x| -x))
+}

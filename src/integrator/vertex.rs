@@ -1,0 +1,221 @@
+//! Through a vertex of the configuration space, where the constraints lose rank and branches cross.
+//!
+//! A motion that comes within [`Gate::ball`] of a vertex on a ray through it (missing it by less than [`Gate::miss`]) is carried
+//! along the ray, a line on the tangent cone, to the other side of the ball: there and only there the equations of motion do not
+//! say where it goes, and continuing straight is its physical continuation. A motion that misses the vertex by more is resolved
+//! and turns. On the way in, steps become a geometric sequence, so that no step jumps over a vertex unseen. From rest exactly in a
+//! vertex the motion starts along the branch of least constraint (Gauss). `docs/method.md`, "Through a vertex".
+//!
+//! Displacements and rates are measured in those coordinates in which the system says how far its vertices are (link angles).
+
+use super::equilibrium::equilibrium_at;
+use super::projection::{self, Projection};
+use super::{Failure, Power, State, System, equilibrium};
+
+/// How close to a vertex the gate works.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gate {
+    /// Radius of the ball around a vertex inside which motions on a ray are carried straight, rad.
+    pub ball: f64,
+    /// A ray misses the vertex by less than this, rad.
+    pub miss: f64,
+}
+
+impl Gate {
+    /// Where the method's own error exceeds the tight gate, the wider one of `frontier.md` §4.4; in between in proportion.
+    pub fn for_error_tolerance(tolerance: f64) -> Self {
+        let miss = (1e3 * tolerance).clamp(1e-7, 1e-4);
+        Self { ball: (1e3 * miss).clamp(1e-4, 1e-3), miss }
+    }
+}
+
+/// At rest: below these offsets (rad) and rates (rad/s) a state is exactly in a vertex.
+const AT_REST: f64 = 1e-9;
+
+/// What the gate says about the next sub-step.
+pub(super) enum Verdict<const N: usize> {
+    /// Go on.
+    Free,
+    /// Go on, but not farther than this, s.
+    Limit(f64),
+    /// Be carried along a ray.
+    Carry(Ray<N>),
+}
+
+/// A straight motion through the ball: one-dimensional, with the acceleration that the forces have along it.
+pub(super) struct Ray<const N: usize> {
+    /// Displacement from the vertex that the motion misses it by, kept on the way.
+    aside: [f64; N],
+    direction: [f64; N],
+    position: f64,
+    speed: f64,
+    acceleration: f64,
+    /// s.
+    duration: f64,
+    /// Whether the ball is left, and with it the neighbourhood in which nothing may be projected.
+    leaves: bool,
+}
+
+fn dot<const N: usize>(x: &[f64; N], y: &[f64; N]) -> f64 {
+    x.iter().zip(y).map(|(x, y)| x * y).sum()
+}
+
+/// Acceleration that the forces have along a direction on the cone.
+fn acceleration_along<const N: usize, const M: usize>(system: &impl System<N, M>, q: &[f64; N], direction: &[f64; N]) -> f64 {
+    let pose = system.pose(q);
+    let (_, motion) = system.rebuilt(q, direction);
+    dot(&system.forces(q, &pose, &[0.0; N]), &motion) / dot(&motion, &system.mass_times(&pose, &motion))
+}
+
+/// The verdict for a state, of whose macro step `rest` seconds are left.
+#[inline(always)]
+pub(super) fn verdict<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    gate: &Gate,
+    state: &mut State<N, M>,
+    rest: f64,
+    softness: f64,
+) -> Verdict<N> {
+    match system.vertex(&state.q, &state.v) {
+        None => Verdict::Free,
+        Some((offset, rate)) => near(system, gate, state, rest, softness, offset, rate),
+    }
+}
+
+#[cold]
+fn near<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    gate: &Gate,
+    state: &mut State<N, M>,
+    rest: f64,
+    softness: f64,
+    offset: [f64; N],
+    rate: [f64; N],
+) -> Verdict<N> {
+    let (distance, speed) = (dot(&offset, &offset).sqrt(), dot(&rate, &rate).sqrt());
+    if distance < AT_REST && speed < AT_REST {
+        return launch(system, gate, state, rest);
+    }
+    if speed < AT_REST {
+        return Verdict::Free;
+    }
+    let direction = rate.map(|x| x / speed);
+    let position = dot(&offset, &direction);
+    let aside: [f64; N] = std::array::from_fn(|i| offset[i] - position * direction[i]);
+    let miss = dot(&aside, &aside).sqrt();
+    if distance > gate.ball {
+        let ahead = -position / speed;
+        return if ahead > 0.0 && miss < 0.1 * distance { Verdict::Limit(0.75 * ahead) } else { Verdict::Free };
+    }
+    // Inside the ball: on a ray, and not yet about to leave.
+    let reach = (gate.ball * gate.ball - miss * miss).max(0.0).sqrt();
+    if miss > gate.miss || position > 0.5 * reach {
+        return Verdict::Free;
+    }
+    let acceleration = acceleration_along(system, &state.q, &direction);
+    let Some(duration) = time_to(reach, position, speed, acceleration) else { return Verdict::Free };
+    // What forces across the ray could do meanwhile must stay below the miss. A start from rest is on its branch already.
+    let (pull, _) = equilibrium(system, &state.q, &[0.0; N], softness);
+    if position < 0.0 && 0.5 * system.angle_norm(&pull) * duration * duration > gate.miss {
+        return Verdict::Free;
+    }
+    Verdict::Carry(Ray { aside, direction, position, speed, acceleration, duration: duration.min(rest), leaves: duration <= rest })
+}
+
+/// From rest in a vertex: along the branch of least constraint, or not at all.
+fn launch<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    gate: &Gate,
+    state: &mut State<N, M>,
+    rest: f64,
+) -> Verdict<N> {
+    let (direction, acceleration) = match system.least_constraint(&state.q) {
+        Some((direction, alternatives)) => {
+            state.counters.restarts += 1;
+            state.alternatives = alternatives;
+            (direction, acceleration_along(system, &state.q, &direction))
+        }
+        None => ([0.0; N], 0.0),
+    };
+    let duration = time_to(gate.ball, 0.0, 0.0, acceleration).unwrap_or(f64::INFINITY);
+    Verdict::Carry(Ray {
+        aside: [0.0; N],
+        direction,
+        position: 0.0,
+        speed: 0.0,
+        acceleration,
+        duration: duration.min(rest),
+        leaves: duration <= rest,
+    })
+}
+
+/// First time at which position + speed t + acceleration t²/2 reaches `reach`, if ever.
+fn time_to(reach: f64, position: f64, speed: f64, acceleration: f64) -> Option<f64> {
+    let discriminant = speed * speed + 2.0 * acceleration * (reach - position);
+    (discriminant > 0.0).then(|| 2.0 * (reach - position) / (speed + discriminant.sqrt())).filter(|time| *time > 0.0)
+}
+
+/// Carries the state along a ray. Inside the ball nothing is projected: Φ is met to the order of miss × ball, and near the rank
+/// loss a projection would divide round-off by the smallest singular value.
+pub(super) fn carry<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    ray: &Ray<N>,
+    state: &mut State<N, M>,
+    projection: &Projection,
+    power: &mut Power,
+) -> Result<(), Failure> {
+    let Ray { aside, direction, position, speed, acceleration, duration, .. } = ray;
+    let before = energy(system, &state.q, &state.v);
+    let (offset, _) = system.vertex(&state.q, &state.v).unwrap_or(([0.0; N], [0.0; N]));
+    let ahead = position + duration * (speed + 0.5 * acceleration * duration);
+    let speed_ahead = speed + acceleration * duration;
+    // q of the vertex plus the displacement: only the measured coordinates count, the others follow from them.
+    let moved = std::array::from_fn(|i| state.q[i] - offset[i] + aside[i] + ahead * direction[i]);
+    let (mut q, mut v) = system.rebuilt(&moved, &direction.map(|x| x * speed_ahead));
+    if ray.leaves {
+        state.counters.iterations += u64::from(projection.position(system, &mut q)?);
+        let pose = system.pose(&q);
+        let correction = projection::velocity(system, &pose, &system.factor_mass(&pose, projection.softness), &v);
+        v = std::array::from_fn(|i| v[i] + correction[i]);
+    }
+    let pose = system.pose(&q);
+    // The rate along the ray is known from the energy better than from the acceleration, which was taken as constant; but not where
+    // so little energy is involved that it is lost in round-off.
+    if let (Some(before), Some(potential)) = (before, system.potential(&q, &pose)) {
+        let kinetic = dot(&v, &system.mass_times(&pose, &v)) / 2.0;
+        let wanted = before - potential;
+        if (wanted - kinetic).abs() < 0.1 * kinetic {
+            v = v.map(|x| x * (wanted / kinetic).sqrt());
+        }
+    }
+
+    (state.a, state.lambda) = equilibrium_at(system, &q, &pose, &v, &system.factor_mass(&pose, projection.softness));
+    if !state.a.iter().sum::<f64>().is_finite() {
+        return Err(Failure::NotFinite);
+    }
+    (state.q, state.v, state.jerk) = (q, v, [0.0; N]);
+    state.observe_modes(system.modes(&pose));
+    if system.follows_work() {
+        let at_end = system.power(&state.q, &pose, &state.v);
+        state.work = state.work.plus(duration / 2.0, *power).plus(duration / 2.0, at_end);
+        *power = at_end;
+    }
+    state.counters.substeps += 1;
+    if *position < 0.0 && ahead >= 0.0 {
+        state.counters.vertex_passes += 1;
+    }
+    Ok(())
+}
+
+/// Kinetic plus potential energy, J, where all forces have a potential.
+fn energy<const N: usize, const M: usize>(system: &impl System<N, M>, q: &[f64; N], v: &[f64; N]) -> Option<f64> {
+    let pose = system.pose(q);
+    Some(dot(v, &system.mass_times(&pose, v)) / 2.0 + system.potential(q, &pose)?)
+}
+
+impl<const N: usize> Ray<N> {
+    /// How long it takes, s.
+    pub(super) fn duration(&self) -> f64 {
+        self.duration
+    }
+}

@@ -1,0 +1,186 @@
+//! The vertices of the configuration space: all links on the x axis, where the constraints lose rank and branches cross.
+//!
+//! With the signed lengths s = (c₁l₁, c₂l₂, −c₃l₃, −c₄l₄), c = cos θ = ±1, closure to second order around a vertex is
+//! Σ s w = 0 and Σ s w² = 0 for displacements or rates w of the link angles: a quadratic cone in a space of three dimensions.
+
+use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector3, Vector4};
+
+use super::coordinates::{D_THETA, P_THETA, THETA, legs_of};
+use super::legs::{Legs, both};
+use super::{Coordinates, Geometry};
+
+/// Farther than this from every vertex, rad, nothing about vertices is asked.
+const NEAR: f64 = 0.3;
+
+/// Displacements of the link angles (in the order of THETA) from the nearest vertex; `None` if any is larger than [`NEAR`].
+#[inline(always)]
+pub fn offset(q: &Coordinates) -> Option<[f64; 4]> {
+    // Adding 1.5·2^52 rounds to an integer.
+    const ROUND: f64 = 6_755_399_441_055_744.0;
+    let from_axis = |angle: Legs| {
+        let turns = (angle * both(std::f64::consts::FRAC_1_PI) + both(ROUND)) - both(ROUND);
+        angle - turns * both(std::f64::consts::PI)
+    };
+    let (proximal, distal) = (from_axis(legs_of(q, P_THETA)), from_axis(legs_of(q, D_THETA)));
+    let [left, right] = proximal.abs().fast_max(distal.abs()).to_array();
+    if left < NEAR && right < NEAR {
+        let ([p_left, p_right], [d_left, d_right]) = (proximal.to_array(), distal.to_array());
+        Some([p_left, d_left, d_right, p_right])
+    } else {
+        None
+    }
+}
+
+/// The branch of least constraint at rest in a vertex.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Branch {
+    /// Unit direction of the link angles, along which the mechanism starts.
+    pub direction: [f64; 4],
+    /// Local maxima of the gain other than this one: branches on which it could start as well.
+    pub alternatives: u32,
+}
+
+/// Gauss's principle on the tangent cone: of all directions d of the cone, the motion from rest takes the one with the largest
+/// (g·d)²/(d·M d), with g the generalised forces and M the mass matrix in the link angles.
+///
+/// Where several local maxima exist each is a branch that theory allows; the largest is taken, the first found around the cone if
+/// two are equal. `None` where no direction is driven, or where the cone is a single point (the links lock).
+pub fn least_constraint(geometry: &Geometry, q: &Coordinates, force: [f64; 4], mass: [[f64; 4]; 4]) -> Option<Branch> {
+    let cone = Cone::new(geometry, q)?;
+    let (force, mass) = (Vector4::from(force), Matrix4::from_fn(|i, j| mass[i][j]));
+    let gain = |angle: f64| {
+        let direction = cone.direction(angle);
+        force.dot(&direction).powi(2) / direction.dot(&(mass * direction))
+    };
+
+    // Local maxima on a grid around the cone, each refined by golden sections.
+    const GRID: usize = 360;
+    let at = |i: usize| (i % GRID) as f64 * std::f64::consts::TAU / GRID as f64;
+    let values: [f64; GRID] = std::array::from_fn(|i| gain(at(i)));
+    let largest = values.iter().fold(0.0_f64, |largest, &value| largest.max(value));
+    if largest <= 0.0 {
+        return None;
+    }
+    let peaks = (0..GRID).filter(|&i| {
+        let (before, after) = (values[(i + GRID - 1) % GRID], values[(i + 1) % GRID]);
+        values[i] > before && values[i] >= after && values[i] > 1e-9 * largest
+    });
+    let step = std::f64::consts::TAU / GRID as f64;
+    let (mut best, mut count) = ((f64::NEG_INFINITY, 0.0), 0);
+    for peak in peaks {
+        let angle = golden_maximum(&gain, at(peak) - step, at(peak) + step);
+        count += 1;
+        // Equal maxima of symmetric cases differ in rounding only: the first stays.
+        if gain(angle) > best.0 * (1.0 + 1e-12) || count == 1 {
+            best = (gain(angle), angle);
+        }
+    }
+    let direction = cone.direction(best.1);
+    let direction = direction * force.dot(&direction).signum();
+    Some(Branch { direction: direction.into(), alternatives: (count as u32).saturating_sub(1) })
+}
+
+/// Directions of unit length on the tangent cone, around it once; the opposite ones are its other half.
+struct Cone {
+    axis: Vector4<f64>,
+    across: [Vector4<f64>; 2],
+}
+
+impl Cone {
+    fn new(geometry: &Geometry, q: &Coordinates) -> Option<Self> {
+        let s = Vector4::from_fn(|i, _| {
+            let side = if i < 2 { 1.0 } else { -1.0 };
+            side * libm::cos(q[THETA[i]]).signum() * geometry.links[i].length
+        });
+        // An orthonormal basis of Σ s w = 0: the images of three axes under the reflection that takes the fourth to s.
+        let last = s.iamax();
+        let mut normal = s;
+        normal[last] += s[last].signum() * s.norm();
+        let reflected = |i: usize| {
+            let mut axis = Vector4::zeros();
+            axis[i] = 1.0;
+            axis - normal * (2.0 * normal[i] / normal.norm_squared())
+        };
+        let mut free = [Vector4::zeros(); 3];
+        for (basis, i) in free.iter_mut().zip((0..4).filter(|&i| i != last)) {
+            *basis = reflected(i);
+        }
+        // Σ s w² in that basis; a cone if one eigenvalue differs in sign from the other two.
+        let form = Matrix3::from_fn(|i, j| free[i].component_mul(&s).dot(&free[j]));
+        let SymmetricEigen { eigenvectors, eigenvalues } = SymmetricEigen::new(form);
+        let sign = -eigenvalues.product().signum();
+        let signed = eigenvalues * sign;
+        let odd = signed.imin();
+        let rest: [usize; 2] = match odd {
+            0 => [1, 2],
+            1 => [0, 2],
+            _ => [0, 1],
+        };
+        // Now the odd one must be negative and the other two positive.
+        if !(signed[odd] < 0.0 && rest.iter().all(|&i| signed[i] > 0.0)) {
+            return None;
+        }
+        let vector = |i: usize| {
+            let v: Vector3<f64> = eigenvectors.column(i).into();
+            (free[0] * v[0] + free[1] * v[1] + free[2] * v[2]) / signed[i].abs().sqrt()
+        };
+        Some(Self { axis: vector(odd), across: rest.map(vector) })
+    }
+
+    fn direction(&self, angle: f64) -> Vector4<f64> {
+        let (sin, cos) = libm::sincos(angle);
+        (self.axis + self.across[0] * cos + self.across[1] * sin).normalize()
+    }
+}
+
+fn golden_maximum(f: &impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
+    let ratio = (5f64.sqrt() - 1.0) / 2.0;
+    // Flat at the maximum: half the digits of f are all that a search can find.
+    while high - low > 1e-9 {
+        let (a, b) = (high - ratio * (high - low), low + ratio * (high - low));
+        if f(a) < f(b) { low = a } else { high = b }
+    }
+    (low + high) / 2.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mechanism::{Link, closure::assemble};
+    use std::f64::consts::PI;
+
+    fn paper() -> Geometry {
+        let link = Link { length: 0.21, mass: 0.017, inertia: 6.23e-5, com: 0.105 };
+        Geometry { base_distance: 0.42, links: [link; 4] }
+    }
+
+    /// Directions lie on the cone, for equal and for unequal lengths.
+    #[test]
+    fn directions_lie_on_the_cone() {
+        let mut unequal = paper();
+        for (link, length) in unequal.links.iter_mut().zip([0.2, 0.3, 0.25, 0.17]) {
+            link.length = length;
+        }
+        for (geometry, theta) in [(paper(), [PI, 0.0, PI, PI]), (paper(), [0.0, 0.0, PI, 0.0]), (unequal, [0.0, 0.0, PI, PI])] {
+            let (q, _) = assemble(&geometry, theta, [0.0; 4]);
+            let cone = Cone::new(&geometry, &q).expect("a cone");
+            for k in 0..12 {
+                let w = cone.direction(f64::from(k) * 0.5);
+                let s = Vector4::from_fn(|i, _| [1.0, 1.0, -1.0, -1.0][i] * theta[i].cos() * geometry.links[i].length);
+                let (first, second) = (s.dot(&w), s.dot(&w.component_mul(&w)));
+                assert!(first.abs() < 1e-15 && second.abs() < 1e-15, "{first:e} {second:e}");
+            }
+        }
+    }
+
+    #[test]
+    fn only_postures_near_the_axis_have_an_offset() {
+        let (q, _) = assemble(&paper(), [PI + 0.01, -0.02, 3.0 * PI + 0.03, -PI], [0.0; 4]);
+        let offset = offset(&q).expect("near");
+        for (got, want) in offset.into_iter().zip([0.01, -0.02, 0.03, 0.0]) {
+            assert!((got - want).abs() < 1e-14, "{offset:?}");
+        }
+        let (q, _) = assemble(&paper(), [PI + 0.31, 0.0, PI, PI], [0.0; 4]);
+        assert_eq!(super::offset(&q), None);
+    }
+}
