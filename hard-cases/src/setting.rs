@@ -21,7 +21,7 @@ impl Setting {
     /// The tighter tolerance at which the battery judges, rad.
     pub const TIGHT: Self = Self::Tolerance(3e-10);
     /// Far tighter than anything judged: starts and reference motions.
-    pub const REFERENCE: Self = Self::Tolerance(1e-13);
+    pub const REFERENCE: Self = Self::Tolerance(1e-11);
     /// The columns of the matrix.
     pub const ALL: [Self; 8] = [
         Self::Default,

@@ -14,7 +14,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-pub use bits::{bits, fingerprint};
+pub use bits::{bits_row, fingerprint};
 pub use hour::hour;
 
 use crate::report::{Row, Verdict};
@@ -90,7 +90,7 @@ impl Case {
         }
     }
 
-    /// All cases but the last two of the list, which are not made of trials: [`hour`] and [`bits`].
+    /// All cases but the last two of the list, which are not made of trials: [`hour`] and [`bits_row`].
     pub fn all(extent: Extent) -> Vec<Self> {
         let mut cases = vec![falls::falls(extent)];
         cases.extend(vertices::cases(extent));

@@ -68,7 +68,7 @@ fn inverse(duration: f64) -> Vec<Trial> {
         trials.push(Trial::free(label, default_parameters(), duration).from_links(theta, [0.0; 4]));
     }
     // Folded: with equal links the tip would lie on the motor. A shorter distal link keeps it off the vertices.
-    for angle in [0.5, 2.0] {
+    for angle in [0.5_f64, 2.0] {
         let mut parameters = default_parameters();
         let distal = &mut parameters.geometry.links[1];
         (distal.length, distal.com) = (0.15, 0.075);

@@ -52,7 +52,7 @@ fn crossings(extent: Extent) -> Case {
 }
 
 /// The same with one proximal angle off by 1e-2 or 1e-3 rad: the motion is turned before the vertex. The reference is i3-ALP with
-/// a local error of 1e-13 rad.
+/// a local error of 1e-11 rad.
 fn near_misses(extent: Extent) -> Case {
     let directions = extent.pick(5_u32, 1);
     let mut trials = Vec::new();
