@@ -64,10 +64,7 @@ pub(crate) fn right_rates(geometry: &Geometry, theta: [f64; 4], left: [f64; 2]) 
     let (n1, n2, n3, n4) = (normal(0), normal(1), normal(2), normal(3));
     let velocity: [f64; 2] = std::array::from_fn(|k| l1 * left[0] * n1[k] + l2 * left[1] * n2[k]);
     let determinant = l3 * l4 * (n3[0] * n4[1] - n3[1] * n4[0]);
-    [
-        l4 * (velocity[0] * n4[1] - velocity[1] * n4[0]) / determinant,
-        l3 * (n3[0] * velocity[1] - n3[1] * velocity[0]) / determinant,
-    ]
+    [l4 * (velocity[0] * n4[1] - velocity[1] * n4[0]) / determinant, l3 * (n3[0] * velocity[1] - n3[1] * velocity[0]) / determinant]
 }
 
 /// q̇ of the whole machine for unit rate of one link, each leg by itself.
@@ -75,4 +72,34 @@ pub(crate) fn unit_motion(geometry: &Geometry, theta: [f64; 4], link: usize) -> 
     let mut omega = [0.0; 4];
     omega[link] = 1.0;
     closure::assemble(geometry, theta, omega).1
+}
+
+/// The closest link angles and rates that close the loop, by Newton's method with the shortest corrections.
+pub(crate) fn closed(geometry: &Geometry, mut theta: [f64; 4], mut omega: [f64; 4]) -> ([f64; 4], [f64; 4]) {
+    let lengths = geometry.links.map(|link| link.length);
+    // Left leg minus right leg.
+    let signed = [lengths[0], lengths[1], -lengths[2], -lengths[3]];
+    let correct = |values: &mut [f64; 4], theta: [f64; 4], residual: [f64; 2]| {
+        let (x, y) = (
+            std::array::from_fn::<_, 4, _>(|i| -signed[i] * theta[i].sin()),
+            std::array::from_fn::<_, 4, _>(|i| signed[i] * theta[i].cos()),
+        );
+        let product = |a: &[f64; 4], b: &[f64; 4]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let (xx, xy, yy) = (product(&x, &x), product(&x, &y), product(&y, &y));
+        let determinant = xx * yy - xy * xy;
+        let along = [(yy * residual[0] - xy * residual[1]) / determinant, (xx * residual[1] - xy * residual[0]) / determinant];
+        for i in 0..4 {
+            values[i] -= x[i] * along[0] + y[i] * along[1];
+        }
+    };
+    let sum = |of: &dyn Fn(usize) -> f64| (0..4).map(|i| signed[i] * of(i)).sum::<f64>();
+    for _ in 0..20 {
+        let at = theta;
+        correct(&mut theta, at, [sum(&|i| at[i].cos()) - geometry.base_distance, sum(&|i| at[i].sin())]);
+    }
+    for _ in 0..2 {
+        let (at, rates) = (theta, omega);
+        correct(&mut omega, at, [-sum(&|i| rates[i] * at[i].sin()), sum(&|i| rates[i] * at[i].cos())]);
+    }
+    (theta, omega)
 }

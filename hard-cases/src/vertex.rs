@@ -46,6 +46,13 @@ impl Vertex {
         std::array::from_fn(|i| if i == odd { 1.0 } else { rest.next().expect("three other links") })
     }
 
+    /// Across that direction, along the cone's sheet: length 1.
+    pub(crate) fn across(&self, f: f64) -> [f64; 4] {
+        let (a, b) = (self.direction(f + 1e-6), self.direction(f - 1e-6));
+        let difference: [f64; 4] = std::array::from_fn(|i| a[i] - b[i]);
+        difference.map(|part| part / dot(difference, difference).sqrt())
+    }
+
     /// How far link angles are from the posture, whole turns aside.
     pub fn offset(&self, theta: [f64; 4]) -> [f64; 4] {
         std::array::from_fn(|i| {

@@ -96,7 +96,9 @@ impl Watch {
                 match branches.iter().position(|branch| cosine(offset, *branch) > SAME) {
                     Some(0) => None,
                     Some(other) => Some(format!("leaves on branch {} of {}", other + 1, branches.len())),
-                    None => Some(format!("leaves along {offset:.3?} rad, which is no branch; Gauss says {:.1?} rad/s^2", branches[0])),
+                    None => {
+                        Some(format!("leaves along {offset:.3?} rad, which is no branch; Gauss says {:.1?} rad/s^2", branches[0]))
+                    }
                 }
             }
         }

@@ -73,7 +73,10 @@ pub fn bits_row(others: &[(&str, String)]) -> Row {
         method: "all",
         setting: "a sample of the battery".into(),
         runs: own.lines().count(),
-        criterion: format!("equal bits: twice in this process, {}", others.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ")),
+        criterion: format!(
+            "equal bits: twice in this process, {}",
+            others.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ")
+        ),
         ..Row::default()
     };
     let again = [("twice in this process", fingerprint())];

@@ -33,13 +33,11 @@ fn direct(duration: f64) -> Vec<Trial> {
         (parameters.start.omega, parameters.start.assembly) = (omega, assembly);
         trials.push(Trial::free(format!("distal links stretched, 90/90 deg, omega {omega:?}"), parameters, duration));
     }
-    // Elbows on the same point: equal distal angles, any angle.
-    for (distal, rates) in [(FRAC_PI_2, [0.0; 4]), (0.3, [0.0; 4]), (2.0, [0.0, 5.0, 5.0, 0.0]), (2.0, [0.0, 5.0, 5.5, 0.0])] {
-        let theta = [FRAC_PI_3, distal, distal, PI - FRAC_PI_3];
-        // Only equal distal rates keep the loop closed while the elbows stand.
-        let rates = if rates[1] == rates[2] { rates } else { [0.0, rates[1], rates[1], 0.0] };
-        let label = format!("distal links on each other, theta {theta:?}, omega {rates:?}");
-        trials.push(Trial::free(label, default_parameters(), duration).from_links(theta, rates));
+    // Elbows on the same point, half way between the motors: the distal links turn together about it, at any angle.
+    for (distal, rate) in [(FRAC_PI_2, 0.0), (0.3, 0.0), (2.0, 5.0), (-2.5, -20.0)] {
+        let (theta, omega) = ([0.0, distal, distal, PI], [0.0, rate, rate, 0.0]);
+        let label = format!("distal links on each other, theta {theta:?}, omega {omega:?}");
+        trials.push(Trial::free(label, default_parameters(), duration).from_links(theta, omega));
     }
     trials
 }
@@ -68,7 +66,7 @@ fn inverse(duration: f64) -> Vec<Trial> {
         trials.push(Trial::free(label, default_parameters(), duration).from_links(theta, [0.0; 4]));
     }
     // Folded: with equal links the tip would lie on the motor. A shorter distal link keeps it off the vertices.
-    for angle in [0.5_f64, 2.0] {
+    for angle in [0.5_f64, -1.0] {
         let mut parameters = default_parameters();
         let distal = &mut parameters.geometry.links[1];
         (distal.length, distal.com) = (0.15, 0.075);
