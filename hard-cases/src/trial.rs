@@ -7,7 +7,7 @@ use fivebar::mechanism::Refusal;
 use fivebar::observers;
 use fivebar::simulation::{Inputs, Parameters, Simulation, State};
 
-use crate::machine::{NO_LOAD, mgl, relative_size};
+use crate::machine::{NO_LOAD, closed, mgl, relative_size};
 use crate::setting::Setting;
 use crate::watch::{Sample, Watch};
 
@@ -46,6 +46,11 @@ pub struct Trial {
     pub watch: Watch,
     /// The energy error is judged against the larger of mgL and this part of the largest kinetic energy met.
     pub kinetic_part: f64,
+    /// Outputs in a vertex (smallest singular value of Φ_q below 1e-3) are shown, not held against the bounds on Φ and Φ̇: a
+    /// projection there divides by that singular value.
+    pub vertex_outputs: bool,
+    /// Before the schedule begins, the motion from the start is followed for this long and turned round, s.
+    pub turned_after: f64,
     /// The trial brings its own macro step or tolerance, which stays.
     pub keeps_settings: bool,
 }
@@ -74,6 +79,8 @@ pub struct Outcome {
     pub position: f64,
     /// The same at velocity level, m/s.
     pub velocity: f64,
+    /// Both without the outputs that are not judged.
+    pub judged: [f64; 2],
     /// Most sub-steps in one macro step (mean over a communication step, where that holds several).
     pub most: u64,
     /// Sub-steps.
@@ -103,6 +110,8 @@ impl Trial {
             schedule: vec![Span { inputs, size: 1e-3, count: (duration / 1e-3).round() as u64 }],
             watch: Watch::Nothing,
             kinetic_part: 0.0,
+            vertex_outputs: false,
+            turned_after: 0.0,
             keeps_settings: false,
         }
     }
@@ -130,10 +139,21 @@ impl Trial {
 
     fn made_ready(&self, parameters: &Parameters) -> Result<Simulation, Refusal> {
         let inputs = self.schedule.first().map_or(NO_LOAD, |span| span.inputs);
-        match self.beginning {
-            Beginning::Proximal => Simulation::new(parameters, &inputs),
-            Beginning::Links(theta, omega) => Simulation::at(parameters, &inputs, theta, omega),
-        }
+        let simulation = match self.beginning {
+            Beginning::Proximal => Simulation::new(parameters, &inputs)?,
+            Beginning::Links(theta, omega) => Simulation::at(parameters, &inputs, theta, omega)?,
+        };
+        if self.turned_after == 0.0 { Ok(simulation) } else { self.turned(parameters, simulation) }
+    }
+
+    /// The motion followed for a while and turned round.
+    fn turned(&self, parameters: &Parameters, mut simulation: Simulation) -> Result<Simulation, Refusal> {
+        let step = parameters.settings.step_size;
+        let away = simulation.advance(&NO_LOAD, step, (self.turned_after / step).round() as u64);
+        away.map_err(|failure| Refusal(format!("on the way out: {failure}.")))?;
+        let motion = observers::motion(simulation.model(), simulation.state());
+        let (theta, omega) = closed(&parameters.geometry, motion.theta, motion.omega);
+        Simulation::at(parameters, &NO_LOAD, theta, omega.map(|rate| -rate))
     }
 
     /// Runs it.
@@ -144,6 +164,7 @@ impl Trial {
             energy: 0.0,
             position: 0.0,
             velocity: 0.0,
+            judged: [0.0; 2],
             most: 0,
             substeps: 0,
             steps: 0,
@@ -205,6 +226,9 @@ impl Trial {
                 outcome.energy = error / unit.max(self.kinetic_part * peak);
                 outcome.position = outcome.position.max(norms.position / size);
                 outcome.velocity = outcome.velocity.max(norms.velocity / size);
+                if !(self.vertex_outputs && in_vertex(simulation)) {
+                    outcome.judged = [outcome.judged[0].max(norms.position / size), outcome.judged[1].max(norms.velocity / size)];
+                }
                 let taken = core.counters.substeps - before.substeps;
                 outcome.most = outcome.most.max(taken.div_ceil(plan.steps));
                 sample(simulation, clock.point());
@@ -212,4 +236,8 @@ impl Trial {
         }
         Ending::Complete
     }
+}
+
+fn in_vertex(simulation: &Simulation) -> bool {
+    observers::singularity(simulation.model(), simulation.state()).kind == observers::SingularityKind::Constraint
 }

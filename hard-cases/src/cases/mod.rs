@@ -177,6 +177,9 @@ impl Case {
             }
         }
         text += &format!(", Phi <= {POSITION:e} m, Phidot <= {VELOCITY:e} m/s");
+        if self.trials.iter().any(|trial| trial.vertex_outputs) {
+            text += " (outputs in a vertex aside)";
+        }
         if !self.also.is_empty() {
             text += ", ";
             text += self.also;
@@ -198,8 +201,8 @@ impl Demand {
         }
         for (what, value, bound) in [
             ("|dE|/unit", outcome.energy, self.energy),
-            ("Phi", outcome.position, POSITION),
-            ("Phidot", outcome.velocity, VELOCITY),
+            ("Phi", outcome.judged[0], POSITION),
+            ("Phidot", outcome.judged[1], VELOCITY),
         ] {
             if value > bound {
                 objections.push(format!("{what} {value:.2e}, allowed {bound:e}"));
