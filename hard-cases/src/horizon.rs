@@ -1,4 +1,4 @@
-//! The predictability horizon: how fast two runs of a free fall that differ by 1e-12 rad part.
+//! The predictability horizon: how fast two runs of a free fall that differ by 1e-12 rad/s part.
 
 use std::f64::consts::FRAC_PI_2;
 use std::io::Write;
@@ -10,7 +10,8 @@ use fivebar::simulation::{Parameters, Simulation};
 use crate::machine::{NO_LOAD, fall_90_120};
 use crate::setting::Setting;
 
-/// Difference of the right proximal angle at the start, rad.
+/// Difference of both proximal rates at the start, rad/s. (In a direct singularity a difference of the proximal angles would
+/// be one of its square root in the others.)
 const APART: f64 = 1e-12;
 /// Fixed step, s: both runs make the same steps, so nothing but the dynamics parts them.
 const STEP: f64 = 1e-5;
@@ -43,7 +44,7 @@ fn part(mut parameters: Parameters) -> Vec<(f64, f64)> {
     Setting::Fixed(STEP).apply(&mut parameters);
     let start = |parameters: &Parameters| Simulation::new(parameters, &NO_LOAD).expect("the pairs are within reach");
     let mut one = start(&parameters);
-    parameters.start.theta[1] += APART;
+    parameters.start.omega = [APART; 2];
     let mut other = start(&parameters);
     let mut rows = Vec::new();
     for i in 0..(DURATION / STEP).round() as u64 / STRIDE {
