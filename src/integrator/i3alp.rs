@@ -235,25 +235,27 @@ fn divided<const N: usize, const M: usize>(
     let gate = Gate::for_error_tolerance(settings.error_tolerance);
     let mut rest = duration;
     for _ in 0..MOST_SUBSTEPS {
-        let longest = match vertex::verdict(system, &gate, state, rest, settings.softness) {
-            Verdict::Free => state.substep,
-            Verdict::Limit(longest) => state.substep.min(longest),
+        let (longest, tolerance) = match vertex::verdict(system, &gate, state, rest, settings.softness) {
+            Verdict::Free => (state.substep, settings.error_tolerance),
+            Verdict::Near { longest, round_off } => (state.substep.min(longest), settings.error_tolerance.max(round_off)),
             Verdict::Carry(ray) => {
                 let Settings { softness, max_iterations, tolerance, .. } = *settings;
                 let projection = Projection { softness, tolerance: tolerance * system.size(), max_iterations };
-                vertex::carry(system, &ray, state, &projection, power)?;
-                if ray.duration() >= rest {
-                    return Ok(());
+                if vertex::carry(system, &ray, state, &projection, power)? {
+                    if ray.duration() >= rest {
+                        return Ok(());
+                    }
+                    rest -= ray.duration();
+                    continue;
                 }
-                rest -= ray.duration();
-                continue;
+                (state.substep, settings.error_tolerance)
             }
         };
         let parts = (rest / longest).ceil().max(1.0);
         let h = rest / parts;
         match attempt(system, settings, state, h) {
-            Ok(attempt) if attempt.error <= settings.error_tolerance => {
-                state.substep = h * growth(settings, attempt.error).clamp(0.5, 2.0);
+            Ok(attempt) if attempt.error <= tolerance => {
+                state.substep = h * growth(tolerance, attempt.error).clamp(0.5, 2.0);
                 attempt.accept(state, h, power);
                 if parts == 1.0 {
                     return Ok(());
@@ -261,7 +263,7 @@ fn divided<const N: usize, const M: usize>(
                 rest -= h;
             }
             Ok(attempt) => {
-                state.substep = h * growth(settings, attempt.error).clamp(0.1, 0.7);
+                state.substep = h * growth(tolerance, attempt.error).clamp(0.1, 0.7);
                 state.counters.rejected += 1;
             }
             Err(_) => {
@@ -274,6 +276,6 @@ fn divided<const N: usize, const M: usize>(
 }
 
 /// By how much the sub-step may change so that its error, of third order, meets the tolerance with a margin.
-fn growth(settings: &Settings, error: f64) -> f64 {
-    0.85 * libm::cbrt(settings.error_tolerance / error)
+fn growth(tolerance: f64, error: f64) -> f64 {
+    0.85 * libm::cbrt(tolerance / error)
 }

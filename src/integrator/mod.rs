@@ -58,6 +58,8 @@ pub struct State<const N: usize, const M: usize> {
     pub work: Power,
     /// [`System::modes`] of q.
     pub modes: u8,
+    /// Whether it is being carried along a ray through a vertex: not projected until it leaves the ball.
+    pub on_ray: bool,
     /// Other branches on which the last start from rest in a vertex could have gone as well.
     pub alternatives: u32,
     /// Counters since the start.
@@ -78,6 +80,7 @@ impl<const N: usize, const M: usize> State<N, M> {
             error_estimate: 0.0,
             work: Power::default(),
             modes: system.modes(&system.pose(&q)),
+            on_ray: false,
             alternatives: 0,
             counters: Counters::default(),
         }

@@ -22,22 +22,39 @@ pub struct Gate {
 }
 
 impl Gate {
-    /// Where the method's own error exceeds the tight gate, the wider one of `frontier.md` §4.4; in between in proportion.
+    /// A motion meant to pass through a vertex misses it by what the method's local errors have added up to: thousands of them. So
+    /// the miss follows the error tolerance, between the tight and the wide gate of `frontier.md` §4.4.
     pub fn for_error_tolerance(tolerance: f64) -> Self {
-        let miss = (1e3 * tolerance).clamp(1e-7, 1e-4);
-        Self { ball: (1e3 * miss).clamp(1e-4, 1e-3), miss }
+        let miss = (1e4 * tolerance).clamp(1e-7, 1e-4);
+        Self { ball: miss.sqrt().clamp(1e-4, 1e-3), miss }
     }
 }
 
-/// At rest: below these offsets (rad) and rates (rad/s) a state is exactly in a vertex.
+/// Below these offsets (rad) and rates (rad/s) a state is exactly in a vertex, or on a ray, and at rest.
 const AT_REST: f64 = 1e-9;
+
+/// A motion on a ray is caught when it enters the ball: the steps on the way in leave at least this part of its radius. Deeper
+/// inside, a motion that points at the vertex is one that is turning around it.
+const ENTRY: f64 = 0.2;
+
+/// Largest part of the kinetic energy that being carried may change before it is put right.
+const ENERGY_CHANGE: f64 = 0.01;
+
+/// Round-off of an angle at distance 1 from a vertex, rad (errors of up to some 10 ε / distance are seen).
+const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
 /// What the gate says about the next sub-step.
 pub(super) enum Verdict<const N: usize> {
     /// Go on.
     Free,
-    /// Go on, but not farther than this, s.
-    Limit(f64),
+    /// Go on, with care.
+    Near {
+        /// Not farther than this, s.
+        longest: f64,
+        /// What round-off alone makes of the local error here, rad: ε divided by the smallest singular value of Φ_q relative to its
+        /// largest, which is proportional to the distance from the vertex. Shorter steps would not get below it.
+        round_off: f64,
+    },
     /// Be carried along a ray.
     Carry(Ray<N>),
 }
@@ -93,11 +110,12 @@ fn near<const N: usize, const M: usize>(
     rate: [f64; N],
 ) -> Verdict<N> {
     let (distance, speed) = (dot(&offset, &offset).sqrt(), dot(&rate, &rate).sqrt());
+    let free = |longest: f64| Verdict::Near { longest, round_off: ROUND_OFF / distance };
     if distance < AT_REST && speed < AT_REST {
         return launch(system, gate, state, rest);
     }
     if speed < AT_REST {
-        return Verdict::Free;
+        return free(f64::INFINITY);
     }
     let direction = rate.map(|x| x / speed);
     let position = dot(&offset, &direction);
@@ -105,19 +123,21 @@ fn near<const N: usize, const M: usize>(
     let miss = dot(&aside, &aside).sqrt();
     if distance > gate.ball {
         let ahead = -position / speed;
-        return if ahead > 0.0 && miss < 0.1 * distance { Verdict::Limit(0.75 * ahead) } else { Verdict::Free };
+        return free(if ahead > 0.0 && miss < 0.1 * distance { 0.75 * ahead } else { f64::INFINITY });
     }
-    // Inside the ball: on a ray, and not yet about to leave.
+    // Inside the ball: on a ray from outside, from the vertex itself, or interrupted by the end of a macro step.
     let reach = (gate.ball * gate.ball - miss * miss).max(0.0).sqrt();
-    if miss > gate.miss || position > 0.5 * reach {
-        return Verdict::Free;
+    let entering = position < -ENTRY * gate.ball;
+    let starting = position > -AT_REST && position < 0.5 * reach && miss < AT_REST;
+    if miss > gate.miss || !(entering || starting || state.on_ray) {
+        return free(f64::INFINITY);
     }
     let acceleration = acceleration_along(system, &state.q, &direction);
-    let Some(duration) = time_to(reach, position, speed, acceleration) else { return Verdict::Free };
+    let Some(duration) = time_to(reach, position, speed, acceleration) else { return free(f64::INFINITY) };
     // What forces across the ray could do meanwhile must stay below the miss. A start from rest is on its branch already.
     let (pull, _) = equilibrium(system, &state.q, &[0.0; N], softness);
-    if position < 0.0 && 0.5 * system.angle_norm(&pull) * duration * duration > gate.miss {
-        return Verdict::Free;
+    if !state.on_ray && 0.5 * system.angle_norm(&pull) * duration * duration > gate.miss {
+        return free(f64::INFINITY);
     }
     Verdict::Carry(Ray { aside, direction, position, speed, acceleration, duration: duration.min(rest), leaves: duration <= rest })
 }
@@ -157,13 +177,15 @@ fn time_to(reach: f64, position: f64, speed: f64, acceleration: f64) -> Option<f
 
 /// Carries the state along a ray. Inside the ball nothing is projected: Φ is met to the order of miss × ball, and near the rank
 /// loss a projection would divide round-off by the smallest singular value.
+///
+/// False, and nothing changed, where leaving the ball would change the energy: then the motion was on no ray.
 pub(super) fn carry<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     ray: &Ray<N>,
     state: &mut State<N, M>,
     projection: &Projection,
     power: &mut Power,
-) -> Result<(), Failure> {
+) -> Result<bool, Failure> {
     let Ray { aside, direction, position, speed, acceleration, duration, .. } = ray;
     let before = energy(system, &state.q, &state.v);
     let (offset, _) = system.vertex(&state.q, &state.v).unwrap_or(([0.0; N], [0.0; N]));
@@ -173,7 +195,9 @@ pub(super) fn carry<const N: usize, const M: usize>(
     let moved = std::array::from_fn(|i| state.q[i] - offset[i] + aside[i] + ahead * direction[i]);
     let (mut q, mut v) = system.rebuilt(&moved, &direction.map(|x| x * speed_ahead));
     if ray.leaves {
-        state.counters.iterations += u64::from(projection.position(system, &mut q)?);
+        if projection.position(system, &mut q).is_err() {
+            return Ok(false);
+        }
         let pose = system.pose(&q);
         let correction = projection::velocity(system, &pose, &system.factor_mass(&pose, projection.softness), &v);
         v = std::array::from_fn(|i| v[i] + correction[i]);
@@ -184,7 +208,11 @@ pub(super) fn carry<const N: usize, const M: usize>(
     if let (Some(before), Some(potential)) = (before, system.potential(&q, &pose)) {
         let kinetic = dot(&v, &system.mass_times(&pose, &v)) / 2.0;
         let wanted = before - potential;
-        if (wanted - kinetic).abs() < 0.1 * kinetic {
+        let lost_in_round_off = kinetic <= 1e-9 * before.abs().max(potential.abs());
+        if !lost_in_round_off {
+            if (wanted - kinetic).abs() > ENERGY_CHANGE * kinetic {
+                return Ok(false);
+            }
             v = v.map(|x| x * (wanted / kinetic).sqrt());
         }
     }
@@ -194,6 +222,7 @@ pub(super) fn carry<const N: usize, const M: usize>(
         return Err(Failure::NotFinite);
     }
     (state.q, state.v, state.jerk) = (q, v, [0.0; N]);
+    state.on_ray = !ray.leaves;
     state.observe_modes(system.modes(&pose));
     if system.follows_work() {
         let at_end = system.power(&state.q, &pose, &state.v);
@@ -204,7 +233,7 @@ pub(super) fn carry<const N: usize, const M: usize>(
     if *position < 0.0 && ahead >= 0.0 {
         state.counters.vertex_passes += 1;
     }
-    Ok(())
+    Ok(true)
 }
 
 /// Kinetic plus potential energy, J, where all forces have a potential.

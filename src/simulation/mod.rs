@@ -48,8 +48,8 @@ impl fmt::Display for StepFailure {
 
 impl std::error::Error for StepFailure {}
 
-/// A scene made ready.
-#[derive(Debug)]
+/// A scene made ready. A clone goes on by itself, to the same bits.
+#[derive(Clone, Debug)]
 pub struct Simulation {
     model: Model,
     state: State,

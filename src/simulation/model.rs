@@ -61,7 +61,7 @@ pub enum Stepper {
 }
 
 /// The constant part of a scene made ready.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Model {
     /// The mechanism by legs.
     pub mechanism: Mechanism,
