@@ -18,7 +18,7 @@ const STEP: f64 = 1e-5;
 /// Steps between two rows.
 const STRIDE: u64 = 200;
 /// Length of the runs, s.
-const DURATION: f64 = 6.0;
+const DURATION: f64 = 9.0;
 
 /// The pairs: name, scene.
 fn pairs() -> [(&'static str, Parameters); 3] {

@@ -5,7 +5,7 @@
 
 use fivebar::fmi::bindings::default_parameters;
 use fivebar::mechanism::{Assembly, Link};
-use fivebar::observers;
+use fivebar::observers::{self, SingularityKind};
 use fivebar::simulation::{Inputs, Method, Parameters, Simulation};
 use hard_cases::{POSTURES, mgl};
 use proptest::prelude::*;
@@ -95,6 +95,12 @@ fn follow(
         }
         let (norms, energies) = (observers::constraint_norms(model, state), observers::energies(model, state));
         peak = peak.max(energies.kinetic);
+        let error = energies.error.abs() / unit.max(peak);
+        prop_assert!(error <= 1e-2, "step {}: energy error {error:e}", step + 1);
+        // A projection in a vertex divides by the singular value that vanishes there.
+        if observers::singularity(model, state).kind == SingularityKind::Constraint {
+            continue;
+        }
         prop_assert!(norms.position <= 1e-12 * size.max(1.0), "step {}: Phi {:e} m, size {size}", step + 1, norms.position);
         let fastest = observers::motion(model, state).omega.into_iter().fold(10.0, |fastest: f64, rate| fastest.max(rate.abs()));
         prop_assert!(
@@ -103,8 +109,6 @@ fn follow(
             step + 1,
             norms.velocity
         );
-        let error = energies.error.abs() / unit.max(peak);
-        prop_assert!(error <= 1e-2, "step {}: energy error {error:e}", step + 1);
     }
     Ok(())
 }
@@ -152,9 +156,7 @@ proptest! {
         parameters.effects.gravity.enabled = gravity;
         let inputs = loads(&parameters, load);
         let mut simulation = Simulation::at(&parameters, &inputs, POSTURES[vertex].theta, [0.0; 4]).expect("a vertex");
-        // The first steps are in the vertex, where constraints are not judged.
-        follow(&mut simulation, &parameters, &inputs, 1e-3, 20, false)?;
-        follow(&mut simulation, &parameters, &inputs, 1e-3, 80, true)?;
+        follow(&mut simulation, &parameters, &inputs, 1e-3, 100, true)?;
     }
 
     /// Any direction of the cone through any vertex at any rate: there and on, finite and balanced.
@@ -170,7 +172,6 @@ proptest! {
         let omega = POSTURES[vertex].direction(f).map(|part| part * rate);
         let inputs = loads(&parameters, [0.0; 4]);
         let mut simulation = Simulation::at(&parameters, &inputs, POSTURES[vertex].theta, omega).expect("a direction of the cone");
-        follow(&mut simulation, &parameters, &inputs, 1e-3, 20, false)?;
-        follow(&mut simulation, &parameters, &inputs, 1e-3, 180, true)?;
+        follow(&mut simulation, &parameters, &inputs, 1e-3, 200, true)?;
     }
 }

@@ -92,7 +92,7 @@ def matrix(rows: list[Row]) -> Figure:
     """Cases by methods; the number is the worst energy error."""
     cases = list(dict.fromkeys((row["item"], row["case"]) for row in rows))
     columns = list(dict.fromkeys((row["method"], row["setting"]) for row in rows if row["item"] not in ("7", "8")))
-    figure, axes = plt.subplots(figsize=(2.6 + 1.28 * len(columns), 1.3 + 0.47 * len(cases)))
+    figure, axes = plt.subplots(figsize=(2.6 + 1.28 * len(columns), 1.3 + 0.56 * len(cases)))
     for row in rows:
         y = cases.index((row["item"], row["case"]))
         column = (row["method"], row["setting"])
@@ -100,8 +100,8 @@ def matrix(rows: list[Row]) -> Figure:
         x, width = (columns.index(column), 1) if column in columns else (0, len(columns))
         colour = COLOURS[colour_of(row)][0]
         axes.add_patch(Rectangle((x, y), width, 1, facecolor=colour, edgecolor="white", linewidth=1.5))
-        axes.text(x + width / 2, y + 0.36, _energy(row), ha="center", va="center", fontsize=9, color=INK)
-        axes.text(x + width / 2, y + 0.74, _count(row), ha="center", va="center", fontsize=6.5, color="#495057")
+        axes.text(x + width / 2, y + 0.3, _energy(row), ha="center", va="center", fontsize=9, color=INK)
+        axes.text(x + width / 2, y + 0.69, _count(row), ha="center", va="center", fontsize=6.5, color="#495057", linespacing=1.1)
     axes.set(xlim=(0, len(columns)), ylim=(len(cases), 0))
     axes.set_xticks(np.arange(len(columns)) + 0.5, [f"{method}\n{_short(setting)}" for method, setting in columns], fontsize=8)
     axes.set_yticks(np.arange(len(cases)) + 0.5, [f"{name}   {item}" for item, name in cases])
@@ -139,13 +139,9 @@ def _energy(row: Row) -> str:
 
 
 def _count(row: Row) -> str:
-    runs, failed, early = row["runs"], int(row["not met"]), int(row["ended early"])
-    parts = [f"{runs} runs" if runs != "1" else "1 run"]
-    if failed:
-        parts.append(f"{failed} not met")
-    if early:
-        parts.append(f"{early} early")
-    return ", ".join(parts)
+    runs, failed, early = int(row["runs"]), int(row["not met"]), int(row["ended early"])
+    text = f"{failed} of {runs} not met" if failed else f"{runs} run{'s' if runs > 1 else ''}"
+    return f"{text}\n{early} end early" if early else text
 
 
 def _short(setting: str) -> str:

@@ -52,9 +52,7 @@ fn run(steps: u64, row: &mut Row) -> Result<(), String> {
         Ok(())
     };
     follow(&mut simulation, &mut clock, 0..steps / 2)?;
-    let mut copy = Simulation::new(&parameters, &NO_LOAD).map_err(|refusal| refusal.to_string())?;
-    copy.advance(&NO_LOAD, STEP, steps / 2).map_err(|failure| failure.to_string())?;
-    let mut copied_clock = clock.clone();
+    let (mut copy, mut copied_clock) = (simulation.clone(), clock.clone());
     follow(&mut simulation, &mut clock, steps / 2..steps)?;
     follow(&mut copy, &mut copied_clock, steps / 2..steps)?;
 
