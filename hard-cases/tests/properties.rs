@@ -37,12 +37,35 @@ fn any_link() -> impl Strategy<Value = Link> {
     log_uniform(0.05, 1.0).prop_flat_map(link)
 }
 
+/// The link with its length times `factor`, and all that goes with it.
+fn stretched(link: Link, factor: f64) -> Link {
+    Link { length: link.length * factor, com: link.com * factor, inertia: link.inertia * factor * factor, ..link }
+}
+
+/// Lengthens or shortens the distal links where they would not meet; `slack` is how far the posture then is from a singularity.
+fn reaching(mut parameters: Parameters, slack: f64) -> Parameters {
+    let [theta, other] = parameters.start.theta;
+    let links = &mut parameters.geometry.links;
+    let (left, right) = (links[0].length, links[3].length);
+    let across = parameters.geometry.base_distance + right * other.cos() - left * theta.cos();
+    let distance = across.hypot(right * other.sin() - left * theta.sin());
+    let (longer, shorter) = if links[1].length > links[2].length { (1, 2) } else { (2, 1) };
+    if links[1].length + links[2].length < distance {
+        let factor = distance * (1.0 + slack) / (links[1].length + links[2].length);
+        (links[1], links[2]) = (stretched(links[1], factor), stretched(links[2], factor));
+    } else if links[longer].length - links[shorter].length > distance {
+        let wanted = links[shorter].length + distance * (1.0 - slack / 2.0);
+        links[longer] = stretched(links[longer], wanted / links[longer].length);
+    }
+    parameters
+}
+
 /// A machine of any proportions that moves anyhow, at the default settings.
 fn any_scene() -> impl Strategy<Value = Parameters> {
     let links = prop::array::uniform4(any_link());
     let angle = -3.2..3.2;
-    (links, 0.0..1.5, (angle.clone(), angle), (-10.0..10.0, -10.0..10.0), any::<bool>(), any::<bool>()).prop_map(
-        |(links, base, (a, b), (v, w), above, gravity)| {
+    (links, 0.0..1.5, (angle.clone(), angle), (-10.0..10.0, -10.0..10.0), any::<(bool, bool)>(), log_uniform(1e-4, 1.0)).prop_map(
+        |(links, base, (a, b), (v, w), (above, gravity), slack)| {
             let mut parameters = default_parameters();
             parameters.geometry.links = links;
             parameters.geometry.base_distance = base;
@@ -50,7 +73,7 @@ fn any_scene() -> impl Strategy<Value = Parameters> {
             parameters.start.omega = [v, w];
             parameters.start.assembly = if above { Assembly::Plus } else { Assembly::Minus };
             parameters.effects.gravity.enabled = gravity;
-            parameters
+            reaching(parameters, slack)
         },
     )
 }
