@@ -17,7 +17,7 @@ from instance import Instance
 MGL = 0.017 * 9.81 * 0.21
 """m g L of the paper's links, J."""
 
-FALLS = [(0.003, 0.004, 1), (-0.05, 0.1, 2), (0.29, 0.01, 1), (0.2, 0.3, 2)]
+FALLS = [(0.003, 0.004, 1), (-0.05, 0.1, 2), (0.01, 0.29, 1), (0.2, 0.3, 2)]
 """Left and right proximal angle off 90 degrees, rad, and the assembly."""
 
 
