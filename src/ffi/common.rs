@@ -185,7 +185,7 @@ macro_rules! access {
                 if nvr > 0 {
                     not_null("value", value)?;
                 }
-                instance.get(Call::$get_call, Access::$access, references, |position, found| {
+                instance.get(Access::$access, references, |position, found| {
                     let to_c: fn(Value) -> Option<$c_type> = $to_c;
                     if let Some(found) = to_c(found) {
                         // SAFETY: not null, and the caller vouches for nvr places, one per reference.
@@ -213,7 +213,7 @@ macro_rules! access {
                 let (references, values) = unsafe { (slice("vr", vr, nvr)?, slice("value", value, nvr)?) };
                 let from_c: fn($c_type) -> Value = $from_c;
                 let values = values.iter().map(|value| from_c(*value));
-                instance.set(Call::$set_call, references.iter().copied().zip(values))
+                instance.set(references.iter().copied().zip(values))
             };
             // SAFETY: the caller vouches for the component.
             unsafe { guard(c, Call::$set_call, body) }
@@ -244,7 +244,7 @@ pub unsafe extern "C" fn fmi2GetString(
     let body = |instance: &mut Instance| {
         // SAFETY: the caller vouches for the array.
         let references = unsafe { slice("vr", vr, nvr) }?;
-        instance.no_strings(Call::GetString, references)
+        instance.no_strings(references)
     };
     // SAFETY: the caller vouches for the component.
     unsafe { guard(c, Call::GetString, body) }
@@ -264,7 +264,7 @@ pub unsafe extern "C" fn fmi2SetString(
     let body = |instance: &mut Instance| {
         // SAFETY: the caller vouches for the array.
         let references = unsafe { slice("vr", vr, nvr) }?;
-        instance.no_strings(Call::SetString, references)
+        instance.no_strings(references)
     };
     // SAFETY: the caller vouches for the component.
     unsafe { guard(c, Call::SetString, body) }

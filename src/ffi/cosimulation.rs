@@ -87,7 +87,7 @@ macro_rules! nothing_to_tell {
         /// See the contract of [`crate::ffi`].
         #[unsafe(no_mangle)]
         pub unsafe extern "C" fn $name(c: fmi2Component, s: fmi2StatusKind, _value: *mut $kind) -> fmi2Status {
-            let body = |instance: &mut Instance| instance.other_status(Call::$call, StatusKind::from_number(s)?);
+            let body = |instance: &mut Instance| instance.other_status(StatusKind::from_number(s)?);
             // SAFETY: the caller vouches for the component.
             unsafe { guard(c, Call::$call, body) }
         }

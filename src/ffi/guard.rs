@@ -47,8 +47,8 @@ impl Component {
     }
 }
 
-/// Runs `body` on the instance behind `component` and answers with a status: a rejection is logged under the name of
-/// the call, a panic is caught and poisons the instance.
+/// Runs `body` on the instance behind `component`, if the call is allowed in its state, and answers with a status: a
+/// rejection is logged under the name of the call, a panic is caught and poisons the instance.
 ///
 /// # Safety
 /// The contract of [`crate::ffi`]: `component` is null or a live instance that no other thread is using.
@@ -66,7 +66,7 @@ pub(super) unsafe fn guard(
     }
     let instance = &mut component.instance;
     // Unwind safe: after a panic nothing of the instance is used but its log, which only holds whole messages.
-    let status = match catch_unwind(AssertUnwindSafe(|| body(instance))) {
+    let status = match catch_unwind(AssertUnwindSafe(|| call.require(instance.stage()).and_then(|()| body(instance)))) {
         Ok(Ok(())) => Status::Ok,
         Ok(Err(rejection)) => {
             component.instance.log.push(rejection.status, || format!("{call}: {}", rejection.message));
@@ -137,13 +137,13 @@ mod tests {
         let (broken, other) = (component(&mut lines), component(&mut other_lines));
         // SAFETY: both components are live, and freed once.
         unsafe {
-            assert_eq!(guard(broken, Call::DoStep, |_| panic!("on purpose, 100 %")), fmi2Fatal);
+            assert_eq!(guard(broken, Call::Reset, |_| panic!("on purpose, 100 %")), fmi2Fatal);
             assert_eq!(fmi2Reset(broken), fmi2Fatal);
             assert_eq!(fmi2Reset(other), fmi2OK);
             fmi2FreeInstance(broken);
             fmi2FreeInstance(other);
         }
-        let expected = "logStatusFatal: fmi2DoStep: defect of the library, the instance can only be freed: on purpose, 100 %%";
+        let expected = "logStatusFatal: fmi2Reset: defect of the library, the instance can only be freed: on purpose, 100 %%";
         assert_eq!(lines, [expected]);
         assert_eq!(other_lines, [""; 0]);
     }

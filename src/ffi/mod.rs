@@ -3,7 +3,7 @@
 //! | file | holds |
 //! | --- | --- |
 //! | `types.rs` | fmi2TypesPlatform.h and the types of fmi2FunctionTypes.h, names unchanged |
-//! | `guard.rs` | the one door: null component, panic, log |
+//! | `guard.rs` | the one door: null component, order of calls, panic, log |
 //! | `arrays.rs` | C arrays and strings as slices, nulls refused |
 //! | `common.rs` | functions common to all FMUs (FMI 2.0.4, section 2.1) |
 //! | `cosimulation.rs` | functions for co-simulation (section 4.2.1) |
@@ -14,7 +14,7 @@
 //!
 //! Checked here:
 //! - a null component, null arrays (allowed with length 0), null results, null strings;
-//! - the order of calls, value references, types, values, in `crate::fmi`;
+//! - the order of calls, by the table in `crate::fmi`; value references, types, values, there as well;
 //! - a panic, which becomes fmi2Fatal and poisons the instance: from then on it can only be freed.
 //!
 //! Required of the caller, as in the standard:

@@ -13,8 +13,8 @@ const RELATIVE: f64 = 1e-9;
 /// Rounding of H when the master computes it as a difference of two points, in ulps of the larger point.
 const ULPS: f64 = 4.0;
 
-/// More macro steps than this are not counted exactly by f64, and would not end within a lifetime.
-const MOST_STEPS: f64 = 9_007_199_254_740_992.0;
+/// More macro steps than this in one call would not end while somebody waits: minutes at least.
+const MOST_STEPS: f64 = 1e9;
 
 /// The master's clock.
 #[derive(Clone, Debug, PartialEq)]
@@ -99,9 +99,7 @@ fn tolerance(point: f64, size: f64) -> f64 {
 fn grid(point: f64, size: f64, h: f64) -> Result<(f64, u64), Rejection> {
     let ratio = size / h;
     if ratio > MOST_STEPS {
-        return Err(Rejection::error(format!(
-            "communicationStepSize is {size:?} s, more than 2^53 times solver.stepSize {h:?} s."
-        )));
+        return Err(Rejection::error(format!("communicationStepSize is {size:?} s, more than 1e9 times solver.stepSize {h:?} s.")));
     }
     let multiple = ratio.round();
     let rounding = ULPS * f64::EPSILON * point.abs().max((point + size).abs());

@@ -1,13 +1,15 @@
 //! An instance: parameters, inputs, a simulation once there is one, a clock and a log.
 //!
-//! Every call either does what it says or changes nothing; the C border turns a [`Rejection`] into a log line and a
-//! status.
+//! Every call either does what it says or changes nothing; the C border asks [`Call::require`](super::Call::require) first
+//! and turns a [`Rejection`] into a log line and a status.
 
 use super::clock::Clock;
 use super::messages::{Log, Status};
 use super::outputs::{Cache, Outputs};
 use super::values::{check_settable, check_value, lookup};
-use super::{Call, Rejection, Stage, bindings};
+use super::{Rejection, Stage, bindings};
+use crate::integrator::{self, Counters};
+use crate::mechanism::{COORDINATES, MULTIPLIERS};
 use crate::simulation::{Inputs, Parameters, Simulation};
 use crate::variables::{Access, Value, Variable};
 
@@ -52,14 +54,12 @@ impl Instance {
 
     /// fmi2SetDebugLogging.
     pub fn set_debug_logging<'a>(&mut self, on: bool, categories: impl Iterator<Item = &'a str>) -> Result<(), Rejection> {
-        Call::SetDebugLogging.require(self.stage)?;
         self.log.choose(on, categories)
     }
 
     /// fmi2SetupExperiment; `tolerance` and `stop` where they are defined. The tolerance is not used:
     /// `solver.errorTolerance` rules, in units that a relative tolerance does not have.
     pub fn setup_experiment(&mut self, tolerance: Option<f64>, start: f64, stop: Option<f64>) -> Result<(), Rejection> {
-        Call::SetupExperiment.require(self.stage)?;
         self.clock = Some(Clock::new(start, stop)?);
         if let Some(tolerance) = tolerance {
             self.log.push(Status::Warning, || {
@@ -71,7 +71,6 @@ impl Instance {
 
     /// fmi2EnterInitializationMode.
     pub fn enter_initialization_mode(&mut self) -> Result<(), Rejection> {
-        Call::EnterInitializationMode.require(self.stage)?;
         if self.clock.is_none() {
             return Err(Rejection::error("fmi2SetupExperiment must be called before."));
         }
@@ -81,7 +80,6 @@ impl Instance {
 
     /// fmi2ExitInitializationMode: validates the scene and closes the loop, or refuses and stays.
     pub fn exit_initialization_mode(&mut self) -> Result<(), Rejection> {
-        Call::ExitInitializationMode.require(self.stage)?;
         let simulation = ready(&mut self.simulation, &self.parameters, &self.inputs)?;
         let settings = &self.parameters.settings;
         self.log.push(Status::Ok, || {
@@ -100,7 +98,6 @@ impl Instance {
 
     /// fmi2Terminate.
     pub fn terminate(&mut self) -> Result<(), Rejection> {
-        Call::Terminate.require(self.stage)?;
         self.stage = Stage::Terminated;
         self.log.push(Status::Ok, || "terminated".to_owned());
         Ok(())
@@ -109,7 +106,6 @@ impl Instance {
     /// fmi2Reset: as fresh as after fmi2Instantiate. Only the master's choice of log categories stays, which is about
     /// the log and not about the simulation.
     pub fn reset(&mut self) -> Result<(), Rejection> {
-        Call::Reset.require(self.stage)?;
         let fresh = Self::new(false);
         let log = std::mem::replace(self, fresh).log;
         self.log = log;
@@ -118,8 +114,7 @@ impl Instance {
     }
 
     /// fmi2SetReal, fmi2SetInteger, fmi2SetBoolean: nothing is written unless every value is allowed.
-    pub fn set(&mut self, call: Call, pairs: impl Iterator<Item = (u32, Value)> + Clone) -> Result<(), Rejection> {
-        call.require(self.stage)?;
+    pub fn set(&mut self, pairs: impl Iterator<Item = (u32, Value)> + Clone) -> Result<(), Rejection> {
         for (reference, value) in pairs.clone() {
             let variable = lookup(reference, value.access())?;
             check_settable(variable, self.stage)?;
@@ -131,7 +126,7 @@ impl Instance {
                 unreachable!("{} = {value} has been checked", variable.name);
             }
             self.cache = Cache::default();
-            if self.stage != Stage::StepComplete {
+            if matches!(self.stage, Stage::Instantiated | Stage::InitializationMode) {
                 // A scene that was made ready to read an output is made anew with the new values.
                 self.simulation = None;
             }
@@ -141,14 +136,7 @@ impl Instance {
 
     /// fmi2GetReal, fmi2GetInteger, fmi2GetBoolean: hands each value with its position to `take`; nothing is handed
     /// over unless every reference is right.
-    pub fn get(
-        &mut self,
-        call: Call,
-        access: Access,
-        references: &[u32],
-        mut take: impl FnMut(usize, Value),
-    ) -> Result<(), Rejection> {
-        call.require(self.stage)?;
+    pub fn get(&mut self, access: Access, references: &[u32], mut take: impl FnMut(usize, Value)) -> Result<(), Rejection> {
         for &reference in references {
             let variable = lookup(reference, access)?;
             if variable.start.is_none() {
@@ -171,8 +159,7 @@ impl Instance {
     }
 
     /// fmi2GetString and fmi2SetString: there are no String variables.
-    pub fn no_strings(&self, call: Call, references: &[u32]) -> Result<(), Rejection> {
-        call.require(self.stage)?;
+    pub fn no_strings(&self, references: &[u32]) -> Result<(), Rejection> {
         match references {
             [] => Ok(()),
             [first, ..] => Err(Rejection::error(match Variable::find(*first) {
@@ -184,14 +171,15 @@ impl Instance {
 
     /// fmi2DoStep: from `point`, s, by `size`, s. Discarded if the integrator gives up, with everything as before.
     pub fn do_step(&mut self, point: f64, size: f64) -> Result<(), Rejection> {
-        Call::DoStep.require(self.stage)?;
         let (Some(clock), Some(simulation)) = (&mut self.clock, &mut self.simulation) else {
             unreachable!("initialisation has made both");
         };
         let plan = clock.plan(point, size, self.parameters.settings.step_size)?;
+        let before = simulation.state().core.counters;
         match simulation.advance(&self.inputs, plan.h, plan.steps) {
             Ok(()) => {
                 clock.advance(plan);
+                report_passes(&mut self.log, &before, &simulation.state().core, point, point + size);
                 self.cache = Cache::default();
                 self.stage = Stage::StepComplete;
                 Ok(())
@@ -210,6 +198,36 @@ impl Instance {
     /// fmi2CancelStep: a step is never pending.
     pub fn cancel_step(&self) -> Result<(), Rejection> {
         Err(Rejection::error("no step is pending: fmi2DoStep never returns fmi2Pending."))
+    }
+}
+
+/// One line for each kind of singularity that a step has passed, and for a start from rest in a vertex.
+fn report_passes(log: &mut Log, before: &Counters, after: &integrator::State<COORDINATES, MULTIPLIERS>, from: f64, to: f64) {
+    let counters = &after.counters;
+    if counters.mode_changes == before.mode_changes
+        && counters.vertex_passes == before.vertex_passes
+        && counters.launches == before.launches
+    {
+        return;
+    }
+    let mut report = |count: u64, what: &str| {
+        if count > 0 {
+            log.push(Status::Ok, || format!("passed between {from:?} s and {to:?} s: {what}, {count} times"));
+        }
+    };
+    let passes = |i: usize| counters.mode_changes[i] - before.mode_changes[i];
+    report(passes(0), "direct singularity (distal links in line)");
+    report(passes(1), "inverse singularity of the left leg");
+    report(passes(2), "inverse singularity of the right leg");
+    report(counters.vertex_passes - before.vertex_passes, "constraint singularity (all links in line), straight through");
+    if counters.launches > before.launches {
+        log.push(Status::Ok, || {
+            format!(
+                "between {from:?} s and {to:?} s: started from rest in a constraint singularity on the branch of least constraint, \
+                 {} other local minima",
+                after.alternatives
+            )
+        });
     }
 }
 

@@ -89,13 +89,16 @@ impl fmt::Display for Call {
     }
 }
 
+const ANYWHERE: &[Stage] =
+    &[Stage::Instantiated, Stage::InitializationMode, Stage::StepComplete, Stage::StepFailed, Stage::Terminated];
+
 impl Call {
     /// The stages in which the standard allows the call. The footnotes of the table (which variables may be set
     /// where) are in `values.rs`.
     pub fn stages(self) -> &'static [Stage] {
         use Stage::{InitializationMode, Instantiated, StepComplete, StepFailed, Terminated};
         match self {
-            Self::SetDebugLogging | Self::Reset => &[Instantiated, InitializationMode, StepComplete, StepFailed, Terminated],
+            Self::SetDebugLogging | Self::Reset => ANYWHERE,
             Self::SetupExperiment | Self::EnterInitializationMode => &[Instantiated],
             Self::ExitInitializationMode => &[InitializationMode],
             Self::Terminate => &[StepComplete, StepFailed],
@@ -103,7 +106,8 @@ impl Call {
                 &[InitializationMode, StepComplete, StepFailed, Terminated]
             }
             Self::SetReal | Self::SetInteger | Self::SetBoolean | Self::SetString => {
-                &[Instantiated, InitializationMode, StepComplete]
+                // After a discard as well, beyond the standard: the step has been rolled back, and another input may be what it needs.
+                &[Instantiated, InitializationMode, StepComplete, StepFailed]
             }
             // The standard wants fmi2SetFMUstate before a step is tried again; here a discarded step has already been
             // rolled back, so it may be tried again at once.
@@ -111,10 +115,9 @@ impl Call {
             Self::GetStatus | Self::GetRealStatus | Self::GetIntegerStatus | Self::GetBooleanStatus | Self::GetStringStatus => {
                 &[StepComplete, StepFailed, Terminated]
             }
-            // A step is never pending.
-            Self::CancelStep => &[],
-            // Refused by their capability flag, whatever the stage.
-            Self::GetFMUstate
+            // Answered with an error of their own: a step is never pending, and these capability flags are false.
+            Self::CancelStep
+            | Self::GetFMUstate
             | Self::SetFMUstate
             | Self::FreeFMUstate
             | Self::SerializedFMUstateSize
@@ -122,7 +125,7 @@ impl Call {
             | Self::DeSerializeFMUstate
             | Self::GetDirectionalDerivative
             | Self::SetRealInputDerivatives
-            | Self::GetRealOutputDerivatives => &[],
+            | Self::GetRealOutputDerivatives => ANYWHERE,
         }
     }
 

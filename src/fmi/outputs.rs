@@ -89,6 +89,12 @@ impl Outputs<'_> {
             IntegerOutput::SolverSubsteps => counters.substeps,
             IntegerOutput::SolverIterations => counters.iterations,
             IntegerOutput::SolverRejected => counters.rejected,
+            IntegerOutput::SolverRescued => counters.rescued,
+            IntegerOutput::SolverRestarts => counters.restarts,
+            IntegerOutput::SolverLaunches => counters.launches,
+            IntegerOutput::SolverVertexPasses => counters.vertex_passes,
+            IntegerOutput::SingularPassesDirect => counters.mode_changes[0],
+            IntegerOutput::SingularPassesInverse(i) => counters.mode_changes[1 + i],
         };
         // fmi2Integer has 32 bits: a counter that has grown past them stays at the largest value.
         i32::try_from(count).unwrap_or(i32::MAX)
@@ -128,7 +134,7 @@ impl Outputs<'_> {
     }
 
     fn reactions(&self) -> &[Vector2<f64>; 5] {
-        self.cache.reactions.get_or_init(|| observers::reactions(self.simulation.model(), self.state()))
+        self.cache.reactions.get_or_init(|| observers::reactions(self.state()))
     }
 
     fn energies(&self) -> &Energies {

@@ -55,8 +55,14 @@ pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), Rejec
         return refuse(format!("one of {}", items.join(", ")));
     }
     match (variable.min, variable.max) {
-        (Some(min), _) if number < min => refuse(format!("at least {min}{unit}")),
-        (_, Some(max)) if number > max => refuse(format!("at most {max}{unit}")),
+        (Some(min), _) if number < min => refuse(format!("at least {}{unit}", shortest(min))),
+        (_, Some(max)) if number > max => refuse(format!("at most {}{unit}", shortest(max))),
         _ => Ok(()),
     }
+}
+
+/// A bound in its shortest form: 0, 100, 1e-9.
+fn shortest(bound: f64) -> String {
+    let (plain, scientific) = (format!("{bound}"), format!("{bound:e}"));
+    if scientific.len() < plain.len() { scientific } else { plain }
 }

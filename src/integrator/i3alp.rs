@@ -13,7 +13,7 @@
 use super::equilibrium::equilibrium_at;
 use super::projection::{self, Projection};
 use super::system::max_norm;
-use super::vertex::{self, Gate, Verdict};
+use super::vertex::{self, Care, Gate, Verdict};
 use super::{Failure, Kkt, Power, State, System};
 
 mod descent;
@@ -37,6 +37,10 @@ pub struct Settings {
 const MOST_SUBSTEPS: u32 = 100_000;
 /// The step at which [`Settings::tolerance`] holds, s. Multiplier noise is Φ/β, so the tolerance falls with h².
 const TOLERANCE_STEP: f64 = 1e-3;
+/// Over a step shorter than this, s, a change of q̈ is round-off and gives no jerk.
+const SHORTEST_FOR_JERK: f64 = 1e-10;
+/// A step shorter than this, s, moves on by its Taylor series, which is then exact: Newton would divide round-off by h².
+const SHORTEST_FOR_NEWTON: f64 = 1e-12;
 /// A last Newton correction below this leaves, by quadratic convergence, an error below round-off.
 const LAST_CORRECTION: f64 = 1e-5;
 
@@ -52,13 +56,19 @@ struct Attempt<const N: usize, const M: usize> {
 }
 
 /// One step of h: predictor, Newton on positions and total multipliers, velocity projection, acceleration from equilibrium.
+/// `energy` is what the system must have at its end, where round-off next to a vertex would change it.
 #[inline(always)]
 fn attempt<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     h: f64,
+    energy: Option<f64>,
 ) -> Result<Attempt<N, M>, Failure> {
+    if h < SHORTEST_FOR_NEWTON {
+        return Ok(Attempt::moved_on(system, state, h));
+    }
+
     // Predict. δ is the increment against q + h q̇ + h²/2 q̈: an unknown without the round-off of q̈ = 4/h² (q − …).
     let beta = h * h / 4.0;
     let mut step = Step {
@@ -87,7 +97,10 @@ fn attempt<const N: usize, const M: usize>(
     let mass = system.factor_mass(&pose, settings.softness);
     let trapezoidal = step.velocity();
     let projection = projection::velocity(system, &pose, &mass, &trapezoidal);
-    let v = add(&trapezoidal, &projection);
+    let mut v = add(&trapezoidal, &projection);
+    if let Some(energy) = energy {
+        v = vertex::with_energy(system, &q, &pose, &v, energy)?;
+    }
     let (a, lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
 
     let jump: [f64; N] = std::array::from_fn(|i| a[i] - state.a[i]);
@@ -165,11 +178,12 @@ fn newton<const N: usize, const M: usize>(
         let previous = violation;
         violation = max_norm(&phi);
         let at_round_off = violation >= previous && violation < 64.0 * f64::EPSILON * system.size();
-        if (violation < step.tolerance || at_round_off) && max_norm(&correction) < LAST_CORRECTION {
+        let correction = max_norm(&correction);
+        if (violation < step.tolerance || at_round_off) && correction < LAST_CORRECTION {
             break;
         }
         if iterations >= settings.max_iterations {
-            return Err(Failure::NotConverged { iterations, violation, tolerance: step.tolerance });
+            return Err(Failure::NotConverged { iterations, violation, tolerance: step.tolerance, correction });
         }
     }
     Ok(())
@@ -188,11 +202,21 @@ fn add<const N: usize>(x: &[f64; N], y: &[f64; N]) -> [f64; N] {
 }
 
 impl<const N: usize, const M: usize> Attempt<N, M> {
+    /// The state after a step so short that q̈ and λ stay.
+    #[cold]
+    fn moved_on(system: &impl System<N, M>, state: &State<N, M>, h: f64) -> Self {
+        let q = std::array::from_fn(|i| state.q[i] + h * state.v[i]);
+        let v = std::array::from_fn(|i| state.v[i] + h * state.a[i]);
+        let pose = system.pose(&q);
+        let power = if system.follows_work() { system.power(&q, &pose, &v) } else { Power::default() };
+        Self { q, v, a: state.a, lambda: state.lambda, error: 0.0, power, modes: system.modes(&pose) }
+    }
+
     /// Makes the attempt the new state. `power` is that at the beginning of the sub-step and becomes that at its end.
     #[inline(always)]
     fn accept(self, state: &mut State<N, M>, h: f64, power: &mut Power) {
-        for i in 0..N {
-            state.jerk[i] = (self.a[i] - state.a[i]) / h;
+        if h >= SHORTEST_FOR_JERK {
+            state.jerk = std::array::from_fn(|i| (self.a[i] - state.a[i]) / h);
         }
         // Trapezoidal rule, of the order of the method.
         state.work = state.work.plus(h / 2.0, *power).plus(h / 2.0, self.power);
@@ -218,7 +242,7 @@ pub fn advance<const N: usize, const M: usize>(
     if settings.adaptive {
         divided(system, settings, state, duration, power)?;
     } else {
-        attempt(system, settings, state, duration)?.accept(state, duration, power);
+        attempt(system, settings, state, duration, None)?.accept(state, duration, power);
     }
     state.counters.steps += 1;
     Ok(())
@@ -234,10 +258,12 @@ fn divided<const N: usize, const M: usize>(
 ) -> Result<(), Failure> {
     let gate = Gate::for_error_tolerance(settings.error_tolerance);
     let mut rest = duration;
+    let (mut substep, mut error) = (duration, f64::INFINITY);
     for _ in 0..MOST_SUBSTEPS {
-        let (longest, tolerance) = match vertex::verdict(system, &gate, state, rest, settings.softness) {
-            Verdict::Free => (state.substep, settings.error_tolerance),
-            Verdict::Near { longest, round_off } => (state.substep.min(longest), settings.error_tolerance.max(round_off)),
+        let free = Care { longest: f64::INFINITY, round_off: 0.0, softness: settings.softness, energy: None };
+        let care = match vertex::verdict(system, &gate, state, rest, settings.softness) {
+            Verdict::Free => free,
+            Verdict::Near(care) => care,
             Verdict::Carry(ray) => {
                 let Settings { softness, max_iterations, tolerance, .. } = *settings;
                 let projection = Projection { softness, tolerance: tolerance * system.size(), max_iterations };
@@ -248,14 +274,19 @@ fn divided<const N: usize, const M: usize>(
                     rest -= ray.duration();
                     continue;
                 }
-                (state.substep, settings.error_tolerance)
+                free
             }
         };
-        let parts = (rest / longest).ceil().max(1.0);
+        let tolerance = settings.error_tolerance.max(care.round_off);
+        let parts = (rest / state.substep.min(care.longest)).ceil().max(1.0);
         let h = rest / parts;
-        match attempt(system, settings, state, h) {
+        (substep, error) = (h, f64::INFINITY);
+        match attempt(system, &Settings { softness: care.softness, ..*settings }, state, h, care.energy) {
             Ok(attempt) if attempt.error <= tolerance => {
-                state.substep = h * growth(tolerance, attempt.error).clamp(0.5, 2.0);
+                let next = h * growth(tolerance, attempt.error).clamp(0.5, 2.0);
+                // A sub-step cut short by the end of its macro step or by a vertex says nothing against longer ones.
+                let cut_short = state.substep.is_finite() && h < 0.5 * state.substep;
+                state.substep = if cut_short { next.max(state.substep) } else { next };
                 attempt.accept(state, h, power);
                 if parts == 1.0 {
                     return Ok(());
@@ -263,6 +294,7 @@ fn divided<const N: usize, const M: usize>(
                 rest -= h;
             }
             Ok(attempt) => {
+                error = attempt.error;
                 state.substep = h * growth(tolerance, attempt.error).clamp(0.1, 0.7);
                 state.counters.rejected += 1;
             }
@@ -272,7 +304,7 @@ fn divided<const N: usize, const M: usize>(
             }
         }
     }
-    Err(Failure::TooManySubsteps { most: MOST_SUBSTEPS })
+    Err(Failure::TooManySubsteps { most: MOST_SUBSTEPS, substep, error })
 }
 
 /// By how much the sub-step may change so that its error, of third order, meets the tolerance with a margin.

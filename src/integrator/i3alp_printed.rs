@@ -61,12 +61,12 @@ pub fn advance<const N: usize, const M: usize>(
         phi = system.phi(&q, &pose);
         state.lambda = std::array::from_fn(|i| state.lambda[i] + alpha * phi[i]);
 
-        let violation = max_norm(&phi);
-        if violation < tolerance && max_norm(&correction) < tolerance {
+        let (violation, correction) = (max_norm(&phi), max_norm(&correction));
+        if violation < tolerance && correction < tolerance {
             break;
         }
         if iterations == settings.max_iterations {
-            return Err(Failure::NotConverged { iterations, violation, tolerance });
+            return Err(Failure::NotConverged { iterations, violation, tolerance, correction });
         }
     }
 

@@ -26,8 +26,10 @@ pub struct Counters {
     pub rejected: u64,
     /// Sub-steps that converged only in the second try.
     pub rescued: u64,
-    /// Times that q̈ and λ were found anew from equilibrium: after a change of inputs, or to start from rest in a vertex.
+    /// Times that q̈ and λ were found anew from equilibrium because the inputs had changed.
     pub restarts: u64,
+    /// Starts from rest in a vertex.
+    pub launches: u64,
     /// Vertices of the configuration space passed straight through.
     pub vertex_passes: u64,
     /// Changes of each bit of [`System::modes`].

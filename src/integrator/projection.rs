@@ -21,7 +21,7 @@ impl Projection {
         system: &impl System<N, M>,
         q: &mut [f64; N],
     ) -> Result<u32, Failure> {
-        let mut violation = f64::INFINITY;
+        let (mut violation, mut last) = (f64::INFINITY, 0.0);
         for iteration in 0..=self.max_iterations {
             let pose = system.pose(q);
             let phi = system.phi(q, &pose);
@@ -30,9 +30,10 @@ impl Projection {
                 return Ok(iteration);
             }
             let correction = system.factor_mass(&pose, self.softness).correction(&phi.map(|x| -x));
+            last = max_norm(&correction);
             *q = std::array::from_fn(|i| q[i] + correction[i]);
         }
-        Err(Failure::NotConverged { iterations: self.max_iterations, violation, tolerance: self.tolerance })
+        Err(Failure::NotConverged { iterations: self.max_iterations, violation, tolerance: self.tolerance, correction: last })
     }
 }
 

@@ -33,11 +33,17 @@ impl Gate {
 /// Below these offsets (rad) and rates (rad/s) a state is exactly in a vertex, or on a ray, and at rest.
 const AT_REST: f64 = 1e-9;
 
+/// Closer than this, rad, energy is kept by scaling the velocity.
+const CLOSE: f64 = 1e-2;
+
+/// By how much e is smaller near a vertex.
+const NEAR_SOFTNESS: f64 = 1e-4;
+
 /// A motion on a ray is caught when it enters the ball: the steps on the way in leave at least this part of its radius. Deeper
 /// inside, a motion that points at the vertex is one that is turning around it.
 const ENTRY: f64 = 0.2;
 
-/// Largest part of the kinetic energy that being carried may change before it is put right.
+/// Largest part of the kinetic energy by which a sub-step close to a vertex may be off before it is put right.
 const ENERGY_CHANGE: f64 = 0.01;
 
 /// Round-off of an angle at distance 1 from a vertex, rad (errors of up to some 10 ε / distance are seen).
@@ -48,15 +54,23 @@ pub(super) enum Verdict<const N: usize> {
     /// Go on.
     Free,
     /// Go on, with care.
-    Near {
-        /// Not farther than this, s.
-        longest: f64,
-        /// What round-off alone makes of the local error here, rad: ε divided by the smallest singular value of Φ_q relative to its
-        /// largest, which is proportional to the distance from the vertex. Shorter steps would not get below it.
-        round_off: f64,
-    },
+    Near(Care),
     /// Be carried along a ray.
     Carry(Ray<N>),
+}
+
+/// What a sub-step near a vertex needs.
+pub(super) struct Care {
+    /// Not farther than this, s.
+    pub(super) longest: f64,
+    /// What round-off alone makes of the local error here, rad: ε divided by the smallest singular value of Φ_q relative to its
+    /// largest, which is proportional to the distance from the vertex. Shorter steps would not get below it.
+    pub(super) round_off: f64,
+    /// e of the saddle-point systems, 1/kg: it must stay small against the smallest eigenvalue of S, which falls with the square of
+    /// the distance.
+    pub(super) softness: f64,
+    /// Energy to be kept, J: close to a vertex round-off in the direction of the velocity would change it.
+    pub(super) energy: Option<f64>,
 }
 
 /// A straight motion through the ball: one-dimensional, with the acceleration that the forces have along it.
@@ -110,7 +124,10 @@ fn near<const N: usize, const M: usize>(
     rate: [f64; N],
 ) -> Verdict<N> {
     let (distance, speed) = (dot(&offset, &offset).sqrt(), dot(&rate, &rate).sqrt());
-    let free = |longest: f64| Verdict::Near { longest, round_off: ROUND_OFF / distance };
+    let before = if distance < CLOSE { energy(system, &state.q, &state.v) } else { None };
+    let free = |longest: f64| {
+        Verdict::Near(Care { longest, round_off: ROUND_OFF / distance, softness: NEAR_SOFTNESS * softness, energy: before })
+    };
     if distance < AT_REST && speed < AT_REST {
         return launch(system, gate, state, rest);
     }
@@ -151,7 +168,7 @@ fn launch<const N: usize, const M: usize>(
 ) -> Verdict<N> {
     let (direction, acceleration) = match system.least_constraint(&state.q) {
         Some((direction, alternatives)) => {
-            state.counters.restarts += 1;
+            state.counters.launches += 1;
             state.alternatives = alternatives;
             (direction, acceleration_along(system, &state.q, &direction))
         }
@@ -203,17 +220,11 @@ pub(super) fn carry<const N: usize, const M: usize>(
         v = std::array::from_fn(|i| v[i] + correction[i]);
     }
     let pose = system.pose(&q);
-    // The rate along the ray is known from the energy better than from the acceleration, which was taken as constant; but not where
-    // so little energy is involved that it is lost in round-off.
-    if let (Some(before), Some(potential)) = (before, system.potential(&q, &pose)) {
-        let kinetic = dot(&v, &system.mass_times(&pose, &v)) / 2.0;
-        let wanted = before - potential;
-        let lost_in_round_off = kinetic <= 1e-9 * before.abs().max(potential.abs());
-        if !lost_in_round_off {
-            if (wanted - kinetic).abs() > ENERGY_CHANGE * kinetic {
-                return Ok(false);
-            }
-            v = v.map(|x| x * (wanted / kinetic).sqrt());
+    // The rate along the ray is known from the energy better than from the acceleration, which was taken as constant.
+    if let Some(energy) = before {
+        match with_energy(system, &q, &pose, &v, energy) {
+            Ok(scaled) => v = scaled,
+            Err(_) => return Ok(false),
         }
     }
 
@@ -240,6 +251,28 @@ pub(super) fn carry<const N: usize, const M: usize>(
 fn energy<const N: usize, const M: usize>(system: &impl System<N, M>, q: &[f64; N], v: &[f64; N]) -> Option<f64> {
     let pose = system.pose(q);
     Some(dot(v, &system.mass_times(&pose, v)) / 2.0 + system.potential(q, &pose)?)
+}
+
+/// The velocity scaled to a given energy, within the constraints: by little, or the sub-step has failed. Unchanged where so little
+/// energy is involved that it is lost in round-off, or forces have no potential.
+pub(super) fn with_energy<const N: usize, const M: usize, S: System<N, M>>(
+    system: &S,
+    q: &[f64; N],
+    pose: &S::Pose,
+    v: &[f64; N],
+    energy: f64,
+) -> Result<[f64; N], Failure> {
+    let Some(potential) = system.potential(q, pose) else { return Ok(*v) };
+    let kinetic = dot(v, &system.mass_times(pose, v)) / 2.0;
+    if kinetic <= 1e-9 * energy.abs().max(potential.abs()) {
+        return Ok(*v);
+    }
+    let change = (energy - potential) / kinetic - 1.0;
+    if change.abs() > ENERGY_CHANGE {
+        Err(Failure::EnergyChange { part: change })
+    } else {
+        Ok(v.map(|v| v * (1.0 + change).sqrt()))
+    }
 }
 
 impl<const N: usize> Ray<N> {

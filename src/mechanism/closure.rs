@@ -1,6 +1,6 @@
 //! Closing the loop: q and q̇ from the proximal angles and rates and the choice of assembly.
 
-use nalgebra::Vector2;
+use nalgebra::{Matrix2, Vector2};
 
 use super::coordinates::{THETA, X};
 use super::model::finite;
@@ -38,6 +38,12 @@ pub struct Start {
 /// Within this part of a length, the distal links count as in line, coinciding or parallel.
 pub(crate) const IN_LINE: f64 = 1e-9;
 
+/// Round-off of the elbows' distance in multiples of the mechanism's size.
+const ROUND_OFF: f64 = 16.0 * f64::EPSILON;
+
+/// Below this part of their lengths the closing of the distal links across each other is round-off.
+const RANK: f64 = 1e-12;
+
 /// A unit vector û(θ) and its derivative n̂(θ).
 fn direction(theta: f64) -> (Vector2<f64>, Vector2<f64>) {
     let (sin, cos) = libm::sincos(theta);
@@ -50,8 +56,10 @@ struct Span {
     arrow: Vector2<f64>,
     /// Its length, m.
     distance: f64,
-    /// Whether the distal links are in line (direct singularity).
+    /// Whether the distal links are in line (direct singularity), within [`IN_LINE`].
     in_line: bool,
+    /// Whether they are so exactly, but for round-off.
+    exact: bool,
 }
 
 impl Span {
@@ -60,22 +68,31 @@ impl Span {
         let arrow = Vector2::new(geometry.base_distance, 0.0) + direction(theta[1]).0 * l4 - direction(theta[0]).0 * l1;
         let distance = libm::hypot(arrow.x, arrow.y);
         let (shortest, longest) = ((l2 - l3).abs(), l2 + l3);
-        let start = format!("init.theta = ({}, {}) rad", theta[0], theta[1]);
+        let start = format!("init.theta = ({:?}, {:?}) rad", theta[0], theta[1]);
+        // Round-off of the elbows' positions must not make a fully stretched start unreachable.
+        let round_off = ROUND_OFF * geometry.size();
+        if distance > longest + round_off || distance < shortest - round_off {
+            return Err(Refusal(format!(
+                "{start} cannot be closed: the elbows are {:?} m apart, link[2].length and link[3].length allow {:?} to {:?} m.",
+                rounded(distance),
+                rounded(shortest),
+                rounded(longest)
+            )));
+        }
         if distance < IN_LINE * longest {
             return Err(Refusal(format!(
-                "{start} puts both elbows on the same point, {distance:.3e} m apart: the direction to the tip is undetermined, the elbows must be apart."
+                "{start} puts both elbows on the same point, {:?} m apart: the direction to the tip is undetermined, the elbows must be apart.",
+                rounded(distance)
             )));
         }
-        // Round-off of the elbows' positions must not make a fully stretched start unreachable.
-        let slack = 8.0 * f64::EPSILON * geometry.size();
-        if distance > longest + slack || distance < shortest - slack {
-            return Err(Refusal(format!(
-                "{start} cannot be closed: the elbows are {distance:.6} m apart, link[2].length and link[3].length allow {shortest:.6} to {longest:.6} m."
-            )));
-        }
-        let in_line = distance > longest - IN_LINE * longest || distance < shortest + IN_LINE * longest;
-        Ok(Self { arrow, distance, in_line })
+        let slack = (longest - distance).min(distance - shortest);
+        Ok(Self { arrow, distance, in_line: slack < IN_LINE * longest, exact: slack < round_off })
     }
+}
+
+/// A number as a sentence shows it: ten significant digits, the shortest form.
+fn rounded(value: f64) -> f64 {
+    format!("{value:.9e}").parse().unwrap_or(value)
 }
 
 /// q and q̇ (with all constraints met) of a start, or a sentence why it is not possible.
@@ -96,7 +113,8 @@ pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordin
     let Span { arrow, distance, .. } = span;
     let along = ((l2 - l3) * (l2 + l3) + distance * distance) / (2.0 * distance);
     let across_squared = (l2 + l3 - distance) * (l3 + distance - l2) * (l2 + along) / (2.0 * distance);
-    let across = start.assembly.sign() * across_squared.max(0.0).sqrt();
+    // One ulp of the distance would tilt distal links that are in line by its square root.
+    let across = if span.exact { 0.0 } else { start.assembly.sign() * across_squared.max(0.0).sqrt() };
     let unit = arrow / distance;
     let from_left = unit * along + Vector2::new(-unit.y, unit.x) * across;
     let from_right = from_left - arrow;
@@ -117,19 +135,24 @@ fn rates(geometry: &Geometry, span: &Span, theta: [f64; 4], start: &Start) -> Re
         // From l2 ω2 n̂2 − l3 ω3 n̂3 = parting, by products with û3 and û2.
         return Ok([w1, parting.dot(&u3) / (l2 * sine), parting.dot(&u2) / (l3 * sine), w4]);
     }
-    let speed = (l1 * w1).abs() + (l4 * w4).abs();
     // All links on one line: the x axis, or with coaxial motors any line through them.
     let line = span.arrow / span.distance;
-    if [n1, n2, n3, n4].iter().all(|n| n.dot(&line).abs() <= IN_LINE) {
+    if span.exact && [n1, n4].iter().all(|n| n.dot(&line).abs() <= IN_LINE) {
         return vertex_rates(geometry, line, theta, start);
     }
+    let speed = (l1 * w1).abs() + (l4 * w4).abs();
     let opening = parting.dot(&line);
     if opening.abs() > IN_LINE * speed {
         return Err(Refusal(format!(
-            "init.omega = ({w1}, {w4}) rad/s cannot be met: the distal links are in line (direct singularity) and the elbows would part at {opening:.6e} m/s, allowed is 0."
+            "init.omega = ({w1:?}, {w4:?}) rad/s cannot be met: the distal links are in line (direct singularity) and the elbows would part at {:?} m/s, allowed is 0.",
+            rounded(opening)
         )));
     }
-    Ok([w1, -left_elbow.dot(&n2) / l2, -right_elbow.dot(&n3) / l3, w4])
+    // The tip at rest across the line, and the smallest change that closes what is left where the links are not exactly in line.
+    let rates = Vector2::new(-left_elbow.dot(&n2) / l2, -right_elbow.dot(&n3) / l3);
+    let closing = Matrix2::from_columns(&[n2 * l2, -n3 * l3]);
+    let change = closing.svd(true, true).solve(&(parting - closing * rates), RANK * (l2 + l3)).unwrap_or_default();
+    Ok([w1, rates.x + change.x, rates.y + change.y, w4])
 }
 
 /// Passive rates with all links on one line: with the signed lengths s along it, s ω summed around the loop is 0, and so is s ω²
@@ -148,7 +171,7 @@ fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start:
     let scale = c2.abs().max(c3.abs()).powi(2) * (c1 * w1).abs().max((c4 * w4).abs()).powi(2);
     if discriminant < -IN_LINE * scale {
         return Err(Refusal(format!(
-            "init.omega = ({w1}, {w4}) rad/s cannot be met: with all links on one line no rates of the distal links keep the loop closed to second order."
+            "init.omega = ({w1:?}, {w4:?}) rad/s cannot be met: with all links on one line no rates of the distal links keep the loop closed to second order."
         )));
     }
     let root = discriminant.max(0.0).sqrt();

@@ -161,7 +161,7 @@ mod tests {
         for (link, length) in unequal.links.iter_mut().zip([0.2, 0.3, 0.25, 0.17]) {
             link.length = length;
         }
-        for (geometry, theta) in [(paper(), [PI, 0.0, PI, PI]), (paper(), [0.0, 0.0, PI, 0.0]), (unequal, [0.0, 0.0, PI, PI])] {
+        for (geometry, theta) in [(paper(), [PI, 0.0, PI, PI]), (paper(), [0.0, 0.0, PI, 0.0]), (unequal, [0.0, PI, PI, 0.0])] {
             let (q, _) = assemble(&geometry, theta, [0.0; 4]);
             let cone = Cone::new(&geometry, &q).expect("a cone");
             for k in 0..12 {

@@ -72,7 +72,7 @@ pub fn motion(model: &Model, state: &State) -> Motion {
     };
     let [tip, tip_velocity, tip_acceleration] = end(1);
     Motion {
-        theta: THETA.map(|i| core.q[i]),
+        theta: state.angles(),
         omega: THETA.map(|i| core.v[i]),
         alpha: THETA.map(|i| core.a[i]),
         tip,
@@ -85,7 +85,7 @@ pub fn motion(model: &Model, state: &State) -> Motion {
 /// Forces of joints 1 to 5 (left base, left elbow, tip, right elbow, right base) on their first-named links (1, 2, 2, 3, 4), N.
 ///
 /// M q̈ = Q − Φ_qᵀλ: each constraint pulls with −λ on the link that enters it with a plus.
-pub fn reactions(_model: &Model, state: &State) -> [Vector2<f64>; 5] {
+pub fn reactions(state: &State) -> [Vector2<f64>; 5] {
     let lambda = &state.core.lambda;
     let pull = |i: usize| -Vector2::new(lambda[i], lambda[i + 2]);
     let tip = -Vector2::new(lambda[TIP_X], lambda[TIP_X + 1]);
@@ -95,9 +95,7 @@ pub fn reactions(_model: &Model, state: &State) -> [Vector2<f64>; 5] {
 /// Energies and their balance.
 pub fn energies(model: &Model, state: &State) -> Energies {
     let core = &state.core;
-    let momentum = model.mechanism.mass_times(&core.v);
-    let kinetic = momentum.iter().zip(&core.v).map(|(p, v)| p * v).sum::<f64>() / 2.0;
-    let potential = model.effects.iter().map(|effect| effect.potential(&core.q)).sum();
+    let (kinetic, potential) = (state.kinetic_energy(model), state.potential_energy(model));
     let (input, dissipated) = (core.work.input, core.work.dissipated);
     Energies { kinetic, potential, input, dissipated, error: kinetic + potential + dissipated - input - state.energy_at_start }
 }

@@ -1,8 +1,9 @@
-//! The general linear solve: for scenes whose effects couple links through K and C (friction at elbows and tip, contact).
+//! The general linear solve: for scenes whose effects couple links through K and C (friction at elbows and tip, contact), and for
+//! links with so little inertia that the two-leg elimination would lose digits.
 
 use nalgebra::{Const, LU, SMatrix, SVector};
 
-use crate::integrator::{Failure, Kkt};
+use crate::integrator::Kkt;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
 const SIZE: usize = COORDINATES + MULTIPLIERS;
@@ -14,8 +15,8 @@ pub struct Coupled {
 }
 
 impl Coupled {
-    /// Factorises for any A₀; [`Failure::IndefiniteTangent`] where the matrix is singular.
-    pub fn factor(pose: &Pose, a0: &SMatrix<f64, COORDINATES, COORDINATES>, softness: f64) -> Result<Self, Failure> {
+    /// Factorises for any A₀ whose symmetric part is positive: with e > 0 the matrix is then regular.
+    pub fn factor(pose: &Pose, a0: &SMatrix<f64, COORDINATES, COORDINATES>, softness: f64) -> Self {
         let phi_q = pose.phi_q();
         let mut matrix = SMatrix::<f64, SIZE, SIZE>::zeros();
         matrix.fixed_view_mut::<COORDINATES, COORDINATES>(0, 0).copy_from(a0);
@@ -24,8 +25,7 @@ impl Coupled {
         for i in COORDINATES..SIZE {
             matrix[(i, i)] = -softness;
         }
-        let lu = matrix.lu();
-        if lu.is_invertible() { Ok(Self { lu }) } else { Err(Failure::IndefiniteTangent) }
+        Self { lu: matrix.lu() }
     }
 }
 
@@ -34,8 +34,10 @@ impl Kkt<COORDINATES, MULTIPLIERS> for Coupled {
         let mut xy = SVector::<f64, SIZE>::zeros();
         xy.fixed_rows_mut::<COORDINATES>(0).copy_from_slice(b);
         xy.fixed_rows_mut::<MULTIPLIERS>(COORDINATES).copy_from_slice(c);
-        // `factor` has made sure that the matrix is invertible.
-        self.lu.solve_mut(&mut xy);
+        // Where extreme values have made it singular all the same, the caller's check for finite results ends the step.
+        if !self.lu.solve_mut(&mut xy) {
+            xy.fill(f64::NAN);
+        }
         (std::array::from_fn(|i| xy[i]), std::array::from_fn(|i| xy[COORDINATES + i]))
     }
 }

@@ -8,23 +8,27 @@ pub mod model;
 pub mod system;
 pub mod two_leg;
 
+use std::f64::consts::TAU;
 use std::fmt;
 
 use crate::integrator::{self, Failure, Power, System, i3alp, i3alp_printed, rk4};
-use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal};
-use crate::observers;
+use crate::mechanism::coordinates::THETA;
+use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Refusal, closure};
 
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings};
-use system::{AnyCoupling, FiveBar, LinearSolve, Uncoupled};
+use system::{FiveBar, General, LinearSolve, TwoLegged};
 
 /// Everything that changes during a run. A copy is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct State {
     /// Coordinates, velocities, accelerations, multipliers, predictor, sub-step memory, work, counters.
     pub core: integrator::State<COORDINATES, MULTIPLIERS>,
+    /// Whole turns by which the angles of links 1 to 4 are larger than those in q: there they stay within some turns, so that their
+    /// round-off does not grow while a link spins.
+    pub turns: [i64; 4],
     /// The inputs to which q̈ and λ belong.
     pub inputs: Inputs,
     /// Kinetic plus potential energy at the start, J.
@@ -67,31 +71,35 @@ impl Simulation {
     /// links alone leave the posture open (coinciding elbows). Refused unless they close the loop.
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
-        let (q, v) = mechanism::closure::assemble(&parameters.geometry, theta, omega);
+        let (q, v) = closure::assemble(&parameters.geometry, theta, omega);
         let simulation = Self::started(model, q, v, inputs)?;
-        let norms = observers::constraint_norms(&simulation.model, &simulation.state);
+        let (mechanism, core) = (&simulation.model.mechanism, &simulation.state.core);
+        let pose = mechanism.pose(&core.q);
+        let largest = |values: Multipliers| values.into_iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
+        let (gap, tear) = (largest(mechanism.phi(&core.q, &pose)), largest(pose.phi_q_times(&core.v)));
         let speed = parameters.geometry.links.iter().zip(omega).map(|(link, omega)| (link.length * omega).abs()).sum::<f64>();
-        if norms.position > mechanism::closure::IN_LINE * simulation.model.size {
-            return Err(Refusal(format!(
-                "link angles {theta:?} rad do not close the loop: the legs end {:e} m apart.",
-                norms.position
-            )));
+        if gap > closure::IN_LINE * simulation.model.size {
+            return Err(Refusal(format!("link angles {theta:?} rad do not close the loop: the legs end {gap:e} m apart.")));
         }
-        if norms.velocity > mechanism::closure::IN_LINE * speed {
-            return Err(Refusal(format!("link rates {omega:?} rad/s tear the loop apart at {:e} m/s.", norms.velocity)));
+        if tear > closure::IN_LINE * speed {
+            return Err(Refusal(format!("link rates {omega:?} rad/s tear the loop apart at {tear:e} m/s.")));
         }
         Ok(simulation)
     }
 
     fn started(model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
-        let core = integrator::State::start(&FiveBar::<Uncoupled>::new(&model, inputs), q, v, model.softness);
-        let mut state = State { core, inputs: *inputs, energy_at_start: 0.0 };
-        let energies = observers::energies(&model, &state);
-        state.energy_at_start = energies.kinetic + energies.potential;
+        let core = if model.general_solve {
+            integrator::State::start(&FiveBar::<General>::new(&model, inputs), q, v, model.softness)
+        } else {
+            integrator::State::start(&FiveBar::<TwoLegged>::new(&model, inputs), q, v, model.softness)
+        };
+        let mut state = State { core, turns: [0; 4], inputs: *inputs, energy_at_start: 0.0 };
+        state.unwind();
+        state.energy_at_start = state.kinetic_energy(&model) + state.potential_energy(&model);
         if !state.core.a.iter().chain(&state.core.lambda).all(|x| x.is_finite()) || !state.energy_at_start.is_finite() {
             return Err(Refusal(
-                "init.theta and init.omega with these masses, inertias and loads give accelerations that are not finite: \
-                 the values are too large or too small for double precision."
+                "the scene has accelerations or energies that are not finite: one of link[i].*, base.distance, init.*, gravity.g, tau[i], \
+                 tip.f* is too large or too small for double precision."
                     .into(),
             ));
         }
@@ -103,10 +111,10 @@ impl Simulation {
     /// On failure the state is as it was before the call. Allocates nothing.
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
         let before = self.state;
-        let done = if self.model.coupled {
-            run::<AnyCoupling>(&self.model, &mut self.state, inputs, h, steps)
+        let done = if self.model.general_solve {
+            run::<General>(&self.model, &mut self.state, inputs, h, steps)
         } else {
-            run::<Uncoupled>(&self.model, &mut self.state, inputs, h, steps)
+            run::<TwoLegged>(&self.model, &mut self.state, inputs, h, steps)
         };
         done.inspect_err(|_| self.state = before)
     }
@@ -124,7 +132,11 @@ impl Simulation {
     /// The present state with the q̈ and λ that belong to `inputs`: what observers answer for.
     pub fn state_for(&self, inputs: &Inputs) -> State {
         let mut state = self.state;
-        state.hold(&self.model, &FiveBar::<Uncoupled>::new(&self.model, inputs), inputs);
+        if self.model.general_solve {
+            state.hold(&self.model, &FiveBar::<General>::new(&self.model, inputs), inputs);
+        } else {
+            state.hold(&self.model, &FiveBar::<TwoLegged>::new(&self.model, inputs), inputs);
+        }
         state
     }
 
@@ -135,6 +147,35 @@ impl Simulation {
 }
 
 impl State {
+    /// Kinetic energy, J.
+    pub fn kinetic_energy(&self, model: &Model) -> f64 {
+        let momentum = model.mechanism.mass_times(&self.core.v);
+        momentum.iter().zip(&self.core.v).map(|(p, v)| p * v).sum::<f64>() / 2.0
+    }
+
+    /// Potential energy of the active effects, J; the held loads count as work instead.
+    pub fn potential_energy(&self, model: &Model) -> f64 {
+        model.effects.iter().map(|effect| effect.potential(&self.core.q)).sum()
+    }
+
+    /// Absolute angles of links 1 to 4, rad, not wrapped.
+    pub fn angles(&self) -> [f64; 4] {
+        std::array::from_fn(|link| self.core.q[THETA[link]] + self.turns[link] as f64 * TAU)
+    }
+
+    /// Moves whole turns of the angles from q into `turns`, where they are more than two.
+    #[inline(always)]
+    fn unwind(&mut self) {
+        for (turns, i) in self.turns.iter_mut().zip(THETA) {
+            let angle = &mut self.core.q[i];
+            if angle.abs() > 2.0 * TAU {
+                let whole = (*angle / TAU).round();
+                *angle -= whole * TAU;
+                *turns = turns.saturating_add(whole as i64);
+            }
+        }
+    }
+
     /// Holds `inputs` from now on; if they differ from the present ones, q̈, λ and the predictor start anew.
     fn hold(&mut self, model: &Model, system: &impl System<COORDINATES, MULTIPLIERS>, inputs: &Inputs) {
         if self.inputs != *inputs {

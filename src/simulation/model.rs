@@ -73,8 +73,8 @@ pub struct Model {
     pub softness: f64,
     /// The integrator.
     pub stepper: Stepper,
-    /// Whether an active effect asks for the general linear solve.
-    pub coupled: bool,
+    /// Whether the scene needs the general linear solve: an active effect couples links, or compliances are far apart.
+    pub general_solve: bool,
 }
 
 impl Model {
@@ -99,7 +99,7 @@ impl Model {
             Method::Rk4 => Stepper::Rk4(rk4::Settings { projection: true, softness, tolerance, max_iterations }),
         };
         Ok(Self {
-            coupled: effects.iter().any(Effect::couples_links),
+            general_solve: effects.iter().any(Effect::couples_links) || compliance_spread(&parameters.geometry) > LARGEST_SPREAD,
             size: parameters.geometry.size(),
             mechanism,
             effects,
@@ -107,6 +107,20 @@ impl Model {
             stepper,
         })
     }
+}
+
+/// Beyond this spread of compliances the differences of the two-leg elimination lose too many digits: its error is the square of the
+/// spread times ε. The paper's links have 3.
+const LARGEST_SPREAD: f64 = 1e4;
+
+/// Largest over smallest compliance of the links' ends, 1/m and arm²/I.
+fn compliance_spread(geometry: &Geometry) -> f64 {
+    let compliances = geometry.links.iter().flat_map(|link| {
+        let arm = link.com.abs().max((link.length - link.com).abs());
+        [1.0 / link.mass, (1.0 / link.mass).max(arm * arm / link.inertia)]
+    });
+    let (least, most) = compliances.fold((f64::INFINITY, 0.0_f64), |(least, most), x| (least.min(x), most.max(x)));
+    most / least
 }
 
 impl Settings {

@@ -30,8 +30,13 @@ pub enum Definite {
 
 /// How the tangent is factorised: chosen once, when the scene is made ready.
 pub trait LinearSolve {
-    /// The factorised saddle-point matrix with A₀.
+    /// The factorised saddle-point matrix.
     type Factor: Kkt<COORDINATES, MULTIPLIERS>;
+
+    /// Factorises with M.
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Self::Factor
+    where
+        Self: Sized;
 
     /// Factorises with A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
     fn factor(
@@ -46,12 +51,17 @@ pub trait LinearSolve {
         Self: Sized;
 }
 
-/// Fast: no active effect couples links.
+/// Fast: no active effect couples links, and the inertias are of like size.
 #[derive(Debug)]
-pub enum Uncoupled {}
+pub enum TwoLegged {}
 
-impl LinearSolve for Uncoupled {
+impl LinearSolve for TwoLegged {
     type Factor = TwoLeg;
+
+    #[inline(always)]
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> TwoLeg {
+        TwoLeg::factor_mass(&five_bar.model.mechanism, pose, softness)
+    }
 
     #[inline(always)]
     fn factor(
@@ -85,12 +95,16 @@ impl LinearSolve for Uncoupled {
     }
 }
 
-/// General: K and C may couple any links.
+/// General: K and C may couple any links, and inertias may be next to nothing.
 #[derive(Debug)]
-pub enum AnyCoupling {}
+pub enum General {}
 
-impl LinearSolve for AnyCoupling {
+impl LinearSolve for General {
     type Factor = Coupled;
+
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Coupled {
+        Coupled::factor(pose, &five_bar.mass_matrix(), softness)
+    }
 
     fn factor(
         five_bar: &FiveBar<'_, Self>,
@@ -126,7 +140,7 @@ impl LinearSolve for AnyCoupling {
                 }
             }
         }
-        Coupled::factor(pose, &a0, softness)
+        Ok(Coupled::factor(pose, &a0, softness))
     }
 }
 
@@ -176,7 +190,7 @@ fn in_angles(values: [f64; 4]) -> Coordinates {
 
 impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     type Pose = Pose;
-    type Mass = TwoLeg;
+    type Mass = L::Factor;
     type Tangent = L::Factor;
 
     #[inline(always)]
@@ -225,8 +239,8 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     }
 
     #[inline(always)]
-    fn factor_mass(&self, pose: &Pose, softness: f64) -> TwoLeg {
-        TwoLeg::factor_mass(&self.model.mechanism, pose, softness)
+    fn factor_mass(&self, pose: &Pose, softness: f64) -> L::Factor {
+        L::factor_mass(self, pose, softness)
     }
 
     #[inline(always)]

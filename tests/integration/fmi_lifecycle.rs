@@ -84,7 +84,10 @@ fn calls_out_of_order_are_refused_and_change_nothing() {
     assert_eq!(host.call(fmi2Terminate), fmi2OK);
     let terminated = "the state is \"terminated\", allowed is";
     refuse(host.do_step(1e-3, 1e-3), &format!("fmi2DoStep: {terminated}: step complete, step failed."));
-    refuse(host.set_real(&tau, &[1.0]), &format!("fmi2SetReal: {terminated}: instantiated, initialization mode, step complete."));
+    refuse(
+        host.set_real(&tau, &[1.0]),
+        &format!("fmi2SetReal: {terminated}: instantiated, initialization mode, step complete, step failed."),
+    );
     assert_eq!(host.get_real(&tau, &mut [0.0]), fmi2OK);
 }
 

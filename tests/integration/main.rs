@@ -6,7 +6,6 @@ mod allocation; // a counting allocator: a step allocates nothing
 mod closure; // starts: closed and consistent, or refused with one sentence; singular postures told apart
 mod constraints; // Φ and its derivatives against finite differences along real motions
 mod dual_form; // the dual form is the paper's penalty step; the two-leg elimination is the dense solve
-mod pendulum; // the integrator on a system that is not a five-bar: a published benchmark
 mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
 
 // The FMI rooms, through the C functions.

@@ -5,7 +5,7 @@ use fivebar::integrator::{self, i3alp};
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::observers;
 use fivebar::simulation::model::Stepper;
-use fivebar::simulation::system::{AnyCoupling, FiveBar, Uncoupled};
+use fivebar::simulation::system::{FiveBar, General, TwoLegged};
 use fivebar::simulation::{Inputs, Method, Simulation};
 
 use crate::support::{MGL, angle_error, run, torque, unequal};
@@ -62,7 +62,7 @@ fn a_reversed_motion_returns() {
     assert!(angle_error(&end.q, &start.state().core.q) > 0.5, "it has moved");
 
     let model = there.model();
-    let system = FiveBar::<Uncoupled>::new(model, &inputs);
+    let system = FiveBar::<TwoLegged>::new(model, &inputs);
     let Stepper::I3alp(settings) = model.stepper else { panic!("the default is i3-ALP") };
     let mut back = integrator::State::start(&system, end.q, end.v.map(|v| -v), model.softness);
     for _ in 0..2000 {
@@ -84,10 +84,9 @@ fn general_and_two_leg_solve_agree() {
     let Stepper::I3alp(settings) = scene.model().stepper else { panic!("the default is i3-ALP") };
     for _ in 0..300 {
         let mut power = Default::default();
-        i3alp::advance(&FiveBar::<Uncoupled>::new(scene.model(), &inputs), &settings, &mut fast, 1e-3, &mut power).expect("step");
+        i3alp::advance(&FiveBar::<TwoLegged>::new(scene.model(), &inputs), &settings, &mut fast, 1e-3, &mut power).expect("step");
         let mut power = Default::default();
-        i3alp::advance(&FiveBar::<AnyCoupling>::new(scene.model(), &inputs), &settings, &mut general, 1e-3, &mut power)
-            .expect("step");
+        i3alp::advance(&FiveBar::<General>::new(scene.model(), &inputs), &settings, &mut general, 1e-3, &mut power).expect("step");
     }
     let error = angle_error(&fast.q, &general.q);
     assert!(error < 1e-10, "{error:e} rad");

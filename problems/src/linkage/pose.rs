@@ -1,0 +1,100 @@
+//! Φ_q of a posture as a sparse matrix.
+
+use super::{End, Vector};
+
+/// What one of the two ends of a joint adds to a row of Φ_q, if it is a body's: ±1 at x or y of the body, ±`turn` at its θ. The sign
+/// is + for the first end, − for the second.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Side {
+    pub(super) body: usize,
+    /// Component of the arm from the centre of mass to the joint: x in even rows, y in odd ones, m.
+    pub(super) arm: f64,
+    /// Its derivative with respect to θ, m.
+    pub(super) turn: f64,
+}
+
+/// Signs of the two ends in Φ = first − second.
+pub(super) const SIGN: [f64; 2] = [1.0, -1.0];
+
+/// The rows of Φ_q.
+#[derive(Clone, Copy, Debug)]
+pub struct Pose<const M: usize> {
+    pub(super) rows: [[Option<Side>; 2]; M],
+}
+
+impl<const M: usize> Pose<M> {
+    pub(super) fn new(joints: &[[End; 2]], q: &[f64]) -> Self {
+        let mut rows = [[None; 2]; M];
+        for (joint, ends) in joints.iter().enumerate() {
+            for (place, end) in ends.iter().enumerate() {
+                if let End::Body(body, at) = *end {
+                    let arm = rotated(at, q[3 * body + 2]);
+                    let turn = quarter_turn(arm);
+                    for axis in 0..2 {
+                        rows[2 * joint + axis][place] = Some(Side { body, arm: arm[axis], turn: turn[axis] });
+                    }
+                }
+            }
+        }
+        Self { rows }
+    }
+
+    /// Sum over the sides of each row.
+    fn per_row(&self, term: impl Fn(usize, &Side) -> f64) -> [f64; M] {
+        std::array::from_fn(|row| {
+            let terms = self.rows[row].iter().zip(SIGN);
+            terms.filter_map(|(side, sign)| side.as_ref().map(|side| sign * term(row, side))).sum()
+        })
+    }
+
+    /// Φ_q v.
+    pub(super) fn times<const N: usize>(&self, v: &[f64; N]) -> [f64; M] {
+        self.per_row(|row, side| v[3 * side.body + row % 2] + side.turn * v[3 * side.body + 2])
+    }
+
+    /// Φ̇_q v at velocity v: arms turn about the centre of mass.
+    pub(super) fn dot_times<const N: usize>(&self, v: &[f64; N]) -> [f64; M] {
+        self.per_row(|_, side| {
+            let omega = v[3 * side.body + 2];
+            -omega * omega * side.arm
+        })
+    }
+
+    /// Φ_qᵀ λ.
+    pub(super) fn transposed_times<const N: usize>(&self, lambda: &[f64; M]) -> [f64; N] {
+        let mut product = [0.0; N];
+        for (row, (sides, lambda)) in self.rows.iter().zip(lambda).enumerate() {
+            for (side, sign) in sides.iter().zip(SIGN) {
+                if let Some(side) = side {
+                    product[3 * side.body + row % 2] += sign * lambda;
+                    product[3 * side.body + 2] += sign * side.turn * lambda;
+                }
+            }
+        }
+        product
+    }
+
+    /// The diagonal of ∂(Φ_qᵀλ)/∂q, which is all of it: ∓ arm · λ at θ, N m.
+    pub(super) fn geometric_stiffness<const N: usize>(&self, lambda: &[f64; M]) -> [f64; N] {
+        let mut diagonal = [0.0; N];
+        for (sides, lambda) in self.rows.iter().zip(lambda) {
+            for (side, sign) in sides.iter().zip(SIGN) {
+                if let Some(side) = side {
+                    diagonal[3 * side.body + 2] -= sign * side.arm * lambda;
+                }
+            }
+        }
+        diagonal
+    }
+}
+
+/// A vector of a body at angle θ, in the axes of the ground.
+pub(crate) fn rotated([x, y]: Vector, theta: f64) -> Vector {
+    let (sin, cos) = theta.sin_cos();
+    [cos * x - sin * y, sin * x + cos * y]
+}
+
+/// Turned by +90°.
+pub(super) fn quarter_turn([x, y]: Vector) -> Vector {
+    [-y, x]
+}

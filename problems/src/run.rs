@@ -1,0 +1,122 @@
+//! A benchmark as something to run, and what a run gives.
+
+use std::time::Instant;
+
+use fivebar::integrator::{Failure, Power, State, System, i3alp, rk4};
+
+/// A benchmark: a system, its start, its end and what is published about it.
+pub struct Problem<S, const N: usize, const M: usize> {
+    /// The system.
+    pub system: S,
+    /// Coordinates at the start.
+    pub q: [f64; N],
+    /// Velocities at the start.
+    pub v: [f64; N],
+    /// When the published values hold, s.
+    pub duration: f64,
+    /// e of the methods' saddle-point systems, 1/kg: 1e-12 over the mean mass if nothing is said.
+    pub softness: f64,
+    /// How far coordinates at the end are from the published values; each benchmark says in which unit.
+    pub error: fn(&[f64; N]) -> f64,
+    /// What the motion keeps, J: kinetic and potential energy, that of constant torques included.
+    pub energy: fn(&S, &[f64; N], &[f64; N]) -> f64,
+}
+
+/// A method with its settings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Method {
+    /// The default method.
+    I3alp(i3alp::Settings),
+    /// Runge-Kutta with projection.
+    Rk4(rk4::Settings),
+}
+
+/// What a run gives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Outcome {
+    /// Distance from the published values; see [`Problem::error`].
+    pub error: f64,
+    /// Largest change of the energy at the end of any macro step, J.
+    pub energy_drift: f64,
+    /// Largest violation of a constraint at the end of any macro step, m.
+    pub violation: f64,
+    /// Accepted sub-steps.
+    pub substeps: u64,
+    /// Rejected sub-steps.
+    pub rejected: u64,
+    /// Newton iterations.
+    pub iterations: u64,
+    /// Wall time, s.
+    pub seconds: f64,
+}
+
+/// Newton's bound on the constraint violation, relative to the size: the five-bar's default.
+const TOLERANCE: f64 = 5e-13;
+/// The five-bar's default.
+const MAX_ITERATIONS: u32 = 10;
+
+impl<S: System<N, M>, const N: usize, const M: usize> Problem<S, N, M> {
+    /// i3-ALP at strictly fixed step.
+    pub fn fixed(&self) -> Method {
+        Method::I3alp(i3alp::Settings { adaptive: false, ..self.i3alp(f64::INFINITY) })
+    }
+
+    /// i3-ALP with sub-steps of this local error, in the unit of [`System::angle_norm`].
+    pub fn adaptive(&self, error_tolerance: f64) -> Method {
+        Method::I3alp(self.i3alp(error_tolerance))
+    }
+
+    fn i3alp(&self, error_tolerance: f64) -> i3alp::Settings {
+        i3alp::Settings {
+            adaptive: true,
+            error_tolerance,
+            tolerance: TOLERANCE,
+            max_iterations: MAX_ITERATIONS,
+            softness: self.softness,
+        }
+    }
+
+    /// Runge-Kutta with projection after each step.
+    pub fn rk4(&self) -> Method {
+        Method::Rk4(rk4::Settings {
+            projection: true,
+            softness: self.softness,
+            tolerance: TOLERANCE,
+            max_iterations: MAX_ITERATIONS,
+        })
+    }
+
+    /// Runs to the published time in macro steps of h seconds.
+    pub fn run(&self, method: Method, h: f64) -> Result<Outcome, Failure> {
+        self.watch(method, h, |_, _| {})
+    }
+
+    /// The same; `look` sees time and state after each macro step.
+    pub fn watch(&self, method: Method, h: f64, mut look: impl FnMut(f64, &State<N, M>)) -> Result<Outcome, Failure> {
+        let system = &self.system;
+        let start = Instant::now();
+        let mut state = State::start(system, self.q, self.v, self.softness);
+        let energy = (self.energy)(system, &self.q, &self.v);
+        let (mut energy_drift, mut violation) = (0.0f64, 0.0f64);
+        let mut power = Power::default();
+        for step in 1..=(self.duration / h).round() as u64 {
+            match method {
+                Method::I3alp(settings) => i3alp::advance(system, &settings, &mut state, h, &mut power)?,
+                Method::Rk4(settings) => rk4::advance(system, &settings, &mut state, h, &mut power)?,
+            }
+            energy_drift = energy_drift.max(((self.energy)(system, &state.q, &state.v) - energy).abs());
+            let phi = system.phi(&state.q, &system.pose(&state.q));
+            violation = phi.iter().fold(violation, |largest, phi| largest.max(phi.abs()));
+            look(step as f64 * h, &state);
+        }
+        Ok(Outcome {
+            error: (self.error)(&state.q),
+            energy_drift,
+            violation,
+            substeps: state.counters.substeps,
+            rejected: state.counters.rejected,
+            iterations: state.counters.iterations,
+            seconds: start.elapsed().as_secs_f64(),
+        })
+    }
+}

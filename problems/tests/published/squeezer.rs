@@ -1,0 +1,44 @@
+//! Andrews' squeezing mechanism against the test set's published values.
+
+use fivebar::integrator::{State, System};
+use problems::squeezer::{self, AT_30_MS, NAMES, START, START_ACCELERATIONS, published};
+
+use crate::slope;
+
+/// The geometry is that of the test set: its angles close the loops, and the accelerations at the start are its own.
+#[test]
+fn the_start_is_the_published_one() {
+    let problem = squeezer::problem();
+    let system = &problem.system;
+    let phi = system.phi(&problem.q, &system.pose(&problem.q));
+    assert!(phi.iter().all(|phi| phi.abs() < 1e-16), "{phi:?}");
+    assert!(published(&problem.q).iter().zip(START).all(|(angle, start)| (angle - start).abs() < 1e-15));
+
+    // Without softness, whose part in the accelerations is 3e-11.
+    let accelerations = published(&State::start(system, problem.q, problem.v, 0.0).a);
+    for (i, name) in NAMES.iter().enumerate() {
+        let expected = START_ACCELERATIONS.get(i).copied().unwrap_or(0.0);
+        assert!((accelerations[i] - expected).abs() < 1e-8, "{name}: {} instead of {expected}", accelerations[i]);
+    }
+}
+
+#[test]
+fn seven_angles_have_six_digits_at_the_end() {
+    let problem = squeezer::problem();
+    for (method, h) in [(problem.adaptive(1e-11), 1e-4), (problem.rk4(), 1e-5)] {
+        let mut angles = [0.0; 7];
+        let outcome = problem.watch(method, h, |_, state| angles = published(&state.q)).expect("steps");
+        for i in 0..7 {
+            let error = (angles[i] / AT_30_MS[i] - 1.0).abs();
+            assert!(error < 5e-7, "{}: {} instead of {}, {outcome:?}", NAMES[i], angles[i], AT_30_MS[i]);
+        }
+        assert!(outcome.violation < 1e-12, "{outcome:?}");
+    }
+}
+
+#[test]
+fn fixed_steps_are_second_order() {
+    let problem = squeezer::problem();
+    let points = [2e-5, 1e-5, 5e-6, 2.5e-6].map(|h| (h, problem.run(problem.fixed(), h).expect("steps").error));
+    assert!((slope(&points) - 2.0).abs() < 0.1, "{points:?}");
+}
