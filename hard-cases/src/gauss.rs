@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 
 use fivebar::integrator::System;
 use fivebar::mechanism::Refusal;
-use fivebar::simulation::system::{FiveBar, Uncoupled};
+use fivebar::simulation::system::{FiveBar, General};
 use fivebar::simulation::{Inputs, Parameters, Simulation};
 
 use crate::machine::unit_motion;
@@ -29,7 +29,7 @@ const DIRECTIONS: u32 = 3600;
 pub fn branches(parameters: &Parameters, inputs: &Inputs, vertex: Vertex) -> Result<Vec<Branch>, Refusal> {
     let simulation = Simulation::at(parameters, inputs, vertex.theta, [0.0; 4])?;
     let model = simulation.model();
-    let system = FiveBar::<Uncoupled>::new(model, inputs);
+    let system = FiveBar::<General>::new(model, inputs);
     let q = simulation.state().core.q;
     let forces = system.forces(&q, &system.pose(&q), &[0.0; 12]);
     let motions: [_; 4] = std::array::from_fn(|i| unit_motion(&parameters.geometry, vertex.theta, i));
