@@ -7,7 +7,7 @@ use hard_cases::{Case, Ending, Extent, Row, Setting, Verdict};
 
 /// The judged settings meet the demands of every case of an item.
 fn hold(item: u8) {
-    let cases: Vec<Case> = Case::all(Extent::Quick).into_iter().filter(|case| case.item == item).collect();
+    let cases = Case::of_item(Extent::Quick, item);
     assert!(!cases.is_empty());
     let mut wrong = Vec::new();
     for case in &cases {
@@ -69,7 +69,7 @@ fn two_processes_give_the_same_bits() {
 /// The demands can be failed: the printed method ends early, fixed Runge-Kutta steps lose the energy.
 #[test]
 fn methods_that_do_not_hold_are_noticed() {
-    let falls = Case::named(Extent::Quick, "perturbed free falls");
+    let falls = &Case::of_item(Extent::Quick, 1)[0];
     let printed = falls.measure(Setting::Printed(1e-3));
     assert!(printed.failures > 0 && printed.ended_early > 0 && !printed.statuses.is_empty(), "{printed}");
     let rk4 = falls.measure(Setting::Rk4(1e-3));

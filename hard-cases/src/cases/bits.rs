@@ -29,20 +29,14 @@ fn bits(outcome: &Outcome) -> u64 {
     hasher.finish()
 }
 
-/// Short runs of every kind: falls, a crossing, near misses, rest in a vertex, the torque test, jumps of the loads.
+/// Short runs of every kind: falls, motions through and past vertices, rest in a vertex, the torque test.
 fn sample() -> Vec<(Trial, Setting)> {
     let mut sample = Vec::new();
-    for (name, count) in [
-        ("perturbed free falls", 4),
-        ("exact crossings", 4),
-        ("near misses", 2),
-        ("rest in a vertex under load", 9),
-        ("paper test 1", 2),
-        ("steps of load", 1),
-    ] {
-        let case = Case::named(Extent::Quick, name);
-        for setting in [Setting::Default, Setting::Printed(1e-3), Setting::Rk4(1e-3)] {
-            sample.extend(case.trials.iter().take(count).map(|trial| (trial.clone(), setting)));
+    for (item, count) in [(1, 4), (2, 4), (3, 9), (5, 2)] {
+        for case in Case::of_item(Extent::Quick, item) {
+            for setting in [Setting::Default, Setting::Printed(1e-3), Setting::Rk4(1e-3)] {
+                sample.extend(case.trials.iter().take(count).map(|trial| (trial.clone(), setting)));
+            }
         }
     }
     sample

@@ -92,19 +92,20 @@ impl Case {
 
     /// All cases but the last two of the list, which are not made of trials: [`hour`] and [`bits_row`].
     pub fn all(extent: Extent) -> Vec<Self> {
-        let mut cases = vec![falls::falls(extent)];
-        cases.extend(vertices::cases(extent));
-        cases.extend(vertex_rest::cases(extent));
-        cases.extend(postures::cases(extent));
-        cases.extend(torque::cases());
-        cases.extend(scales::cases(extent));
-        cases
+        (1..=6).flat_map(|item| Self::of_item(extent, item)).collect()
     }
 
-    /// The case of this name.
-    pub fn named(extent: Extent, name: &str) -> Self {
-        let found = Self::all(extent).into_iter().find(|case| case.name == name);
-        found.unwrap_or_else(|| panic!("there is no case named {name}"))
+    /// The cases of an item of the list.
+    pub fn of_item(extent: Extent, item: u8) -> Vec<Self> {
+        match item {
+            1 => vec![falls::falls(extent)],
+            2 => vertices::cases(extent),
+            3 => vertex_rest::cases(extent),
+            4 => postures::cases(extent),
+            5 => torque::cases(),
+            6 => scales::cases(extent),
+            _ => Vec::new(),
+        }
     }
 
     /// What is demanded at a setting. Those shown for comparison are held against the demand at the default tolerance.
