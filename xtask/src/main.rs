@@ -1,5 +1,6 @@
 //! The commands of this repository, started as `cargo xtask`: one file per command.
 
+mod hard_cases;
 mod package;
 mod paths;
 mod process;
@@ -34,6 +35,12 @@ enum Command {
         #[arg(long)]
         full: bool,
     },
+    /// Run the battery of hard cases by every method, write tables and pictures to target/hard-cases/
+    HardCases {
+        /// A sample of every case
+        #[arg(long)]
+        quick: bool,
+    },
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package,
 }
@@ -53,6 +60,7 @@ fn command(command: Command) -> Result<()> {
     match command {
         Command::Run { scene } => run::run(&scene),
         Command::Test { full } => test::test(full),
+        Command::HardCases { quick } => hard_cases::hard_cases(quick),
         Command::Package => package::package().map(drop),
     }
 }

@@ -1,0 +1,220 @@
+//! The cases, numbered as in the list of the issue that asked for them.
+
+mod bits;
+mod falls;
+mod hour;
+mod postures;
+mod scales;
+mod torque;
+mod vertex_rest;
+mod vertices;
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use rayon::prelude::*;
+
+pub use bits::{bits_row, fingerprint};
+pub use hour::hour;
+
+use crate::report::{Row, Verdict};
+use crate::setting::Setting;
+use crate::trial::{Ending, Outcome, Trial};
+
+/// How much of a case is run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extent {
+    /// All of it.
+    Full,
+    /// A sample of it, in seconds.
+    Quick,
+}
+
+impl Extent {
+    /// One of two numbers.
+    pub(crate) fn pick<T>(self, full: T, quick: T) -> T {
+        match self {
+            Self::Full => full,
+            Self::Quick => quick,
+        }
+    }
+}
+
+/// What a case demands of every run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Demand {
+    /// Largest |balance residual of the energy|, in the trial's unit.
+    pub energy: f64,
+    /// Whether a run may end with a status instead.
+    pub status_allowed: bool,
+}
+
+/// Largest constraint violation at position level for a machine of the paper's size, m.
+const POSITION: f64 = 1e-12;
+/// Largest constraint violation at velocity level for a machine of the paper's size, m/s.
+const VELOCITY: f64 = 1e-9;
+
+/// A case: data.
+#[derive(Clone, Debug)]
+pub struct Case {
+    /// Its number in the list.
+    pub item: u8,
+    /// Its name.
+    pub name: &'static str,
+    /// What is demanded beyond energy and constraints, in words.
+    pub also: &'static str,
+    /// Energy demanded at the default tolerance and at the tighter one.
+    pub energy: [f64; 2],
+    /// Whether a run may end with a status.
+    pub status_allowed: bool,
+    /// By what it is run.
+    pub settings: Vec<Setting>,
+    /// The runs.
+    pub trials: Vec<Trial>,
+    /// How many of them are run for comparison.
+    pub compared: usize,
+}
+
+impl Case {
+    /// A case that is run by all settings and may not end early.
+    fn new(item: u8, name: &'static str, energy: [f64; 2], trials: Vec<Trial>) -> Self {
+        Self {
+            item,
+            name,
+            also: "",
+            energy,
+            status_allowed: false,
+            settings: Setting::ALL.to_vec(),
+            compared: trials.len(),
+            trials,
+        }
+    }
+
+    /// All cases but the last two of the list, which are not made of trials: [`hour`] and [`bits_row`].
+    pub fn all(extent: Extent) -> Vec<Self> {
+        (1..=6).flat_map(|item| Self::of_item(extent, item)).collect()
+    }
+
+    /// The cases of an item of the list.
+    pub fn of_item(extent: Extent, item: u8) -> Vec<Self> {
+        match item {
+            1 => vec![falls::falls(extent)],
+            2 => vertices::cases(extent),
+            3 => vertex_rest::cases(extent),
+            4 => postures::cases(extent),
+            5 => torque::cases(),
+            6 => scales::cases(extent),
+            _ => Vec::new(),
+        }
+    }
+
+    /// What is demanded at a setting. Those shown for comparison are held against the demand at the default tolerance.
+    pub fn demand(&self, setting: Setting) -> Demand {
+        let [default, tight] = self.energy;
+        Demand { energy: if setting == Setting::TIGHT { tight } else { default }, status_allowed: self.status_allowed }
+    }
+
+    /// Runs the case by one setting, on all processors.
+    pub fn measure(&self, setting: Setting) -> Row {
+        let begin = Instant::now();
+        let trials = if setting.is_judged() { &self.trials[..] } else { &self.trials[..self.compared] };
+        let outcomes: Vec<Outcome> = trials.par_iter().map(|trial| trial.run(setting)).collect();
+        let demand = self.demand(setting);
+        let mut row = Row {
+            item: self.item,
+            case: self.name,
+            method: setting.method(),
+            setting: setting.label(),
+            runs: trials.len(),
+            criterion: self.criterion(&demand),
+            ..Row::default()
+        };
+        let mut statuses: BTreeMap<String, usize> = BTreeMap::new();
+        let (mut substeps, mut steps) = (0, 0);
+        for (trial, outcome) in trials.iter().zip(&outcomes) {
+            substeps += outcome.substeps;
+            steps += outcome.steps;
+            row.energy = row.energy.max(outcome.energy);
+            row.position = row.position.max(outcome.position);
+            row.velocity = row.velocity.max(outcome.velocity);
+            row.most = row.most.max(outcome.most);
+            match &outcome.ending {
+                Ending::Complete => {}
+                Ending::Status(text, _) => {
+                    row.ended_early += 1;
+                    *statuses.entry(without_figures(text)).or_default() += 1;
+                }
+                Ending::Refused(text) => {
+                    row.ended_early += 1;
+                    *statuses.entry(format!("refused: {text}")).or_default() += 1;
+                }
+                Ending::NotFinite(_) => {
+                    row.ended_early += 1;
+                    *statuses.entry("NOT FINITE".into()).or_default() += 1;
+                }
+            }
+            if let Some(objection) = demand.objection(outcome) {
+                row.failures += 1;
+                row.objections.push(format!("{}: {objection}", trial.label));
+            }
+        }
+        row.mean = if steps == 0 { 0.0 } else { substeps as f64 / steps as f64 };
+        row.statuses = statuses.into_iter().map(|(text, count)| format!("{count} x {text}")).collect::<Vec<_>>().join("; ");
+        row.verdict = match (setting.is_judged(), row.failures == 0) {
+            (true, true) => Verdict::Pass,
+            (true, false) => Verdict::Fail,
+            (false, _) => Verdict::ForComparison,
+        };
+        row.seconds = begin.elapsed().as_secs_f64();
+        row
+    }
+
+    fn criterion(&self, demand: &Demand) -> String {
+        let mut text = if demand.status_allowed { String::from("complete or a status") } else { String::from("complete") };
+        if demand.energy.is_finite() {
+            text += &format!(", |dE| <= {:e} mgL", demand.energy);
+            if let Some(trial) = self.trials.iter().find(|trial| trial.kinetic_part > 0.0) {
+                text += &format!(" (of the larger of mgL and {:e} of the peak kinetic energy)", trial.kinetic_part);
+            }
+        }
+        text += &format!(", Phi <= {POSITION:e} m, Phidot <= {VELOCITY:e} m/s");
+        if self.trials.iter().any(|trial| trial.vertex_outputs) {
+            text += " (outputs in a vertex aside)";
+        }
+        if !self.also.is_empty() {
+            text += ", ";
+            text += self.also;
+        }
+        text
+    }
+}
+
+impl Demand {
+    /// What is wrong with an outcome.
+    pub fn objection(&self, outcome: &Outcome) -> Option<String> {
+        let mut objections = Vec::new();
+        match &outcome.ending {
+            Ending::Complete => {}
+            Ending::Status(_, _) if self.status_allowed => {}
+            Ending::Status(text, time) => objections.push(format!("status at {time} s, {text}")),
+            Ending::Refused(text) => objections.push(format!("refused, {text}")),
+            Ending::NotFinite(time) => objections.push(format!("not finite at {time} s")),
+        }
+        for (what, value, bound) in [
+            ("|dE|/unit", outcome.energy, self.energy),
+            ("Phi", outcome.judged[0], POSITION),
+            ("Phidot", outcome.judged[1], VELOCITY),
+        ] {
+            if value > bound {
+                objections.push(format!("{what} {value:.2e}, allowed {bound:e}"));
+            }
+        }
+        objections.extend(outcome.objection.clone());
+        (!objections.is_empty()).then(|| objections.join("; "))
+    }
+}
+
+/// A status without the figures in it, so that equal reasons are counted together.
+fn without_figures(text: &str) -> String {
+    text.split(':').next().unwrap_or(text).to_owned()
+}

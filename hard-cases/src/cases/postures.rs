@@ -1,0 +1,120 @@
+//! 4: other singular postures: direct and inverse singularities, coaxial motors.
+
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_3, PI};
+
+use fivebar::fmi::bindings::default_parameters;
+use fivebar::mechanism::Assembly;
+
+use super::{Case, Extent};
+use crate::machine::{leg_to, right_rates};
+use crate::trial::Trial;
+
+pub(super) fn cases(extent: Extent) -> Vec<Case> {
+    let duration = extent.pick(10.0, 1.0);
+    let line = rest_in_line(duration);
+    vec![
+        Case::new(4, "direct singularities", [1e-2, 1e-3], direct(duration)),
+        Case::new(4, "inverse singularities", [1e-2, 1e-3], inverse(duration)),
+        Case::new(4, "coaxial motors", [1e-2, 1e-3], coaxial(duration)),
+        Case { status_allowed: true, ..Case::new(4, "coaxial motors, rest in line", [1e-2, 1e-2], line) },
+    ]
+}
+
+/// Distal links in line: stretched as in the paper, with and without rates, and lying on each other.
+fn direct(duration: f64) -> Vec<Trial> {
+    let mut trials = Vec::new();
+    for (omega, assembly) in [
+        ([0.0, 0.0], Assembly::Plus),
+        ([0.0, 0.0], Assembly::Minus),
+        ([3.0, 3.0], Assembly::Plus),
+        ([-10.0, -10.0], Assembly::Minus),
+    ] {
+        let mut parameters = default_parameters();
+        (parameters.start.omega, parameters.start.assembly) = (omega, assembly);
+        trials.push(Trial::free(format!("distal links stretched, 90/90 deg, omega {omega:?}"), parameters, duration));
+    }
+    // Elbows on the same point, half way between the motors: the distal links turn together about it, at any angle.
+    for (distal, rate) in [(FRAC_PI_2, 0.0), (0.3, 0.0), (2.0, 5.0), (-2.5, -20.0)] {
+        let (theta, omega) = ([0.0, distal, distal, PI], [0.0, rate, rate, 0.0]);
+        let label = format!("distal links on each other, theta {theta:?}, omega {omega:?}");
+        trials.push(Trial::free(label, default_parameters(), duration).from_links(theta, omega));
+    }
+    trials
+}
+
+/// A leg stretched, a leg folded, both stretched; passed through with rates.
+fn inverse(duration: f64) -> Vec<Trial> {
+    let geometry = default_parameters().geometry;
+    let (length, base) = (geometry.links[0].length, geometry.base_distance);
+    let mut trials = Vec::new();
+    for angle in [40_f64.to_radians(), -50_f64.to_radians()] {
+        for side in [1.0, -1.0] {
+            let tip = [2.0 * length * angle.cos(), 2.0 * length * angle.sin()];
+            let [right, distal] = leg_to(base, [length; 2], tip, side);
+            let theta = [angle, angle, distal, right];
+            for left in [[0.0, 0.0], [4.0, -4.0], [-20.0, 15.0]] {
+                let [w3, w4] = right_rates(&geometry, theta, left);
+                let omega = [left[0], left[1], w3, w4];
+                let label = format!("left leg stretched, theta {theta:?}, omega {omega:?}");
+                trials.push(Trial::free(label, default_parameters(), duration).from_links(theta, omega));
+            }
+        }
+    }
+    for side in [1.0, -1.0] {
+        let theta = [side * FRAC_PI_3, side * FRAC_PI_3, side * (PI - FRAC_PI_3), side * (PI - FRAC_PI_3)];
+        let label = format!("both legs stretched, theta {theta:?}, at rest");
+        trials.push(Trial::free(label, default_parameters(), duration).from_links(theta, [0.0; 4]));
+    }
+    // Folded: with equal links the tip would lie on the motor. A shorter distal link keeps it off the vertices.
+    for angle in [0.5_f64, -1.0] {
+        let mut parameters = default_parameters();
+        let distal = &mut parameters.geometry.links[1];
+        (distal.length, distal.com) = (0.15, 0.075);
+        let reach = length - 0.15;
+        let tip = [reach * angle.cos(), reach * angle.sin()];
+        for side in [1.0, -1.0] {
+            let [right, right_distal] = leg_to(base, [length; 2], tip, side);
+            let theta = [angle, angle + PI, right_distal, right];
+            for left in [[0.0, 0.0], [3.0, -6.0]] {
+                let [w3, w4] = right_rates(&parameters.geometry, theta, left);
+                let omega = [left[0], left[1], w3, w4];
+                let label = format!("left leg folded (distal 0.15 m), theta {theta:?}, omega {omega:?}");
+                trials.push(Trial::free(label, parameters.clone(), duration).from_links(theta, omega));
+            }
+        }
+    }
+    trials
+}
+
+/// Base distance 0 and equal links: legs on each other and rhombi meet in a continuum of singular postures.
+fn coaxial(duration: f64) -> Vec<Trial> {
+    let mut parameters = default_parameters();
+    parameters.geometry.base_distance = 0.0;
+    let mut trials = Vec::new();
+    for (what, theta, omega) in [
+        ("rhombus", [1.0, 2.0, 1.0, 2.0], [0.0; 4]),
+        ("rhombus with rates", [1.0, 2.0, 1.0, 2.0], [3.0, -4.0, 3.0, -4.0]),
+        ("legs on each other", [1.0, 2.0, 2.0, 1.0], [0.0; 4]),
+        ("legs on each other with rates", [1.0, 2.0, 2.0, 1.0], [3.0, -4.0, -4.0, 3.0]),
+        ("both legs folded, tip on the motors", [1.0, 1.0 + PI, 2.5 + PI, 2.5], [0.0; 4]),
+        ("both legs folded, with rates", [1.0, 1.0 + PI, 2.5 + PI, 2.5], [5.0, 5.0, -3.0, -3.0]),
+    ] {
+        let label = format!("{what}, theta {theta:?}, omega {omega:?}");
+        trials.push(Trial::free(label, parameters.clone(), duration).from_links(theta, omega));
+    }
+    trials
+}
+
+/// The same machine with all links on one line, at rest under gravity: a vertex at every angle of the line.
+fn rest_in_line(duration: f64) -> Vec<Trial> {
+    let mut parameters = default_parameters();
+    parameters.geometry.base_distance = 0.0;
+    let mut trials = Vec::new();
+    for line in [0.0, 0.7] {
+        for (what, theta) in [("stretched", [line; 4]), ("folded", [line, line + PI, line + PI, line])] {
+            let label = format!("{what}, theta {theta:?}");
+            trials.push(Trial::free(label, parameters.clone(), duration).from_links(theta, [0.0; 4]));
+        }
+    }
+    trials
+}

@@ -1,0 +1,24 @@
+//! The battery of hard cases: five-bar motion through and near singularities, by every method, with pass or fail.
+//!
+//! A [`Case`] is data: trials (a scene, a start, a schedule of loads and communication steps, what to watch) and a demand on the
+//! result. [`Case::measure`] runs it by a [`Setting`] (method, step, tolerance) and gives a [`Row`]. The cases themselves are in
+//! [`cases`], numbered as in the list that asked for them.
+
+pub mod cases;
+pub mod gauss;
+pub mod horizon;
+mod machine;
+mod random;
+mod report;
+mod setting;
+mod trial;
+mod vertex;
+mod watch;
+
+pub use cases::{Case, Demand, Extent};
+pub use machine::mgl;
+pub use report::{Row, Verdict, write_csv, write_markdown};
+pub use setting::Setting;
+pub use trial::{Beginning, Ending, Outcome, Span, Trial};
+pub use vertex::{POSTURES, Vertex};
+pub use watch::Watch;

@@ -1,0 +1,115 @@
+//! Runs the battery and writes its tables; `cargo xtask hard-cases` builds it, calls it and draws the pictures.
+
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+
+use anyhow::{Context, Result, ensure};
+use clap::{Parser, Subcommand};
+use hard_cases::cases::{bits_row, fingerprint, hour};
+use hard_cases::{Case, Extent, Row, Verdict, horizon, write_csv, write_markdown};
+
+/// The battery of hard cases
+#[derive(Parser)]
+struct Arguments {
+    #[command(subcommand)]
+    task: Task,
+}
+
+#[derive(Subcommand)]
+enum Task {
+    /// Run the cases; hard-cases.csv, hard-cases.md and horizon.csv go to a folder
+    Run {
+        /// The folder
+        #[arg(long)]
+        out: PathBuf,
+        /// A sample of every case
+        #[arg(long)]
+        quick: bool,
+        /// Only cases whose name contains this
+        #[arg(long)]
+        only: Option<String>,
+        /// A file with the fingerprint of a build without optimisation
+        #[arg(long)]
+        unoptimised: Option<PathBuf>,
+    },
+    /// Print the bits of a sample of the battery
+    Fingerprint,
+}
+
+fn main() -> ExitCode {
+    match Arguments::parse().task.run() {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+impl Task {
+    /// True if every judged case passes.
+    fn run(self) -> Result<bool> {
+        match self {
+            Self::Run { out, quick, only, unoptimised } => {
+                let extent = if quick { Extent::Quick } else { Extent::Full };
+                let rows = rows(extent, only.as_deref().unwrap_or_default(), unoptimised.as_deref())?;
+                write(&out, &rows)?;
+                Ok(rows.iter().all(|row| row.verdict != Verdict::Fail))
+            }
+            Self::Fingerprint => {
+                print!("{}", fingerprint());
+                Ok(true)
+            }
+        }
+    }
+}
+
+fn rows(extent: Extent, only: &str, unoptimised: Option<&Path>) -> Result<Vec<Row>> {
+    let cases: Vec<Case> = Case::all(extent).into_iter().filter(|case| case.name.contains(only)).collect();
+    let count = cases.iter().map(|case| case.settings.len()).sum::<usize>() + 2;
+    let mut rows: Vec<Row> = Vec::new();
+    let mut done = |row: Row| {
+        eprintln!("[{}/{count}] {row}", rows.len() + 1);
+        if row.verdict == Verdict::Fail {
+            row.objections.iter().take(3).for_each(|objection| eprintln!("    {objection}"));
+        }
+        rows.push(row);
+    };
+    for case in &cases {
+        case.settings.iter().for_each(|setting| done(case.measure(*setting)));
+    }
+    if "one hour".contains(only) {
+        done(hour(extent));
+    }
+    if "same bits".contains(only) {
+        let mut others = vec![("in another process", other_process()?)];
+        if let Some(file) = unoptimised {
+            let text = fs::read_to_string(file).with_context(|| format!("{} cannot be read", file.display()))?;
+            others.push(("built without optimisation", text));
+        }
+        done(bits_row(&others));
+    }
+    Ok(rows)
+}
+
+/// The fingerprint that another process of this program prints.
+fn other_process() -> Result<String> {
+    let program = std::env::current_exe().context("this program's own path")?;
+    let output = Command::new(program).arg("fingerprint").output().context("this program could not be started again")?;
+    ensure!(output.status.success(), "the other process failed: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).context("the other process wrote no UTF-8")
+}
+
+fn write(folder: &Path, rows: &[Row]) -> Result<()> {
+    fs::create_dir_all(folder).with_context(|| format!("{} cannot be made", folder.display()))?;
+    let file = |name: &str| {
+        let path = folder.join(name);
+        File::create(&path).with_context(|| format!("{} cannot be written", path.display()))
+    };
+    write_csv(rows, file("hard-cases.csv")?)?;
+    write_markdown(rows, file("hard-cases.md")?)?;
+    horizon::write(file("horizon.csv")?)?;
+    Ok(())
+}

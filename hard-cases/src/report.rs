@@ -1,0 +1,165 @@
+//! Rows and how they are written.
+
+use std::fmt;
+use std::io::{self, Write};
+
+/// How a row is judged.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Verdict {
+    /// Meets its criterion.
+    Pass,
+    /// Does not.
+    Fail,
+    /// Shown, not judged.
+    #[default]
+    ForComparison,
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Pass => "pass",
+            Self::Fail => "FAIL",
+            Self::ForComparison => "for comparison",
+        })
+    }
+}
+
+/// A case by one method with its setting.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Row {
+    /// Number in the list of the issue.
+    pub item: u8,
+    /// The case.
+    pub case: &'static str,
+    /// `solver.method`.
+    pub method: &'static str,
+    /// Step or tolerance.
+    pub setting: String,
+    /// Number of runs.
+    pub runs: usize,
+    /// Runs that do not meet the criterion.
+    pub failures: usize,
+    /// Runs that ended before their time.
+    pub ended_early: usize,
+    /// Why they did, with counts.
+    pub statuses: String,
+    /// Largest |balance residual of the energy|, mgL or the trial's larger unit.
+    pub energy: f64,
+    /// Largest constraint violation, m for a machine of the paper's size.
+    pub position: f64,
+    /// The same at velocity level, m/s.
+    pub velocity: f64,
+    /// Most sub-steps in a macro step.
+    pub most: u64,
+    /// Mean sub-steps per macro step.
+    pub mean: f64,
+    /// What is demanded.
+    pub criterion: String,
+    /// The judgement.
+    pub verdict: Verdict,
+    /// Exact inputs of every run that does not meet the criterion, and what is wrong.
+    pub objections: Vec<String>,
+    /// Wall seconds.
+    pub seconds: f64,
+}
+
+const HEADER: [&str; 17] = [
+    "item",
+    "case",
+    "method",
+    "setting",
+    "runs",
+    "not met",
+    "ended early",
+    "status",
+    "worst |dE| [mgL]",
+    "worst Phi [m]",
+    "worst Phidot [m/s]",
+    "most sub-steps",
+    "mean sub-steps",
+    "criterion",
+    "verdict",
+    "wall [s]",
+    "first not met",
+];
+
+impl Row {
+    fn cells(&self) -> [String; 17] {
+        [
+            self.item.to_string(),
+            self.case.to_owned(),
+            self.method.to_owned(),
+            self.setting.clone(),
+            self.runs.to_string(),
+            self.failures.to_string(),
+            self.ended_early.to_string(),
+            self.statuses.clone(),
+            format!("{:.2e}", self.energy),
+            format!("{:.1e}", self.position),
+            format!("{:.1e}", self.velocity),
+            self.most.to_string(),
+            format!("{:.2}", self.mean),
+            self.criterion.clone(),
+            self.verdict.to_string(),
+            format!("{:.2}", self.seconds),
+            self.objections.first().cloned().unwrap_or_default(),
+        ]
+    }
+}
+
+impl fmt::Display for Row {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { item, case, method, setting, runs, failures, ended_early, energy, position, velocity, .. } = self;
+        let Self { most, mean, verdict, seconds, .. } = self;
+        write!(
+            f,
+            "{verdict}: {item} {case} by {method}, {setting}: {failures} of {runs} runs do not meet the criterion, {ended_early} ended early, \
+             |dE| {energy:.1e} mgL, Phi {position:.1e} m, Phidot {velocity:.1e} m/s, sub-steps {mean:.2} (most {most}), {seconds:.1} s"
+        )
+    }
+}
+
+/// The rows as CSV.
+pub fn write_csv(rows: &[Row], to: impl Write) -> csv::Result<()> {
+    let mut writer = csv::Writer::from_writer(to);
+    writer.write_record(HEADER)?;
+    for row in rows {
+        writer.write_record(row.cells())?;
+    }
+    writer.flush()?;
+    Ok(())
+}
+
+/// The rows as a table in Markdown, and below it what was not met by the judged ones.
+pub fn write_markdown(rows: &[Row], mut to: impl Write) -> io::Result<()> {
+    // Criteria and exact inputs are too long for a table.
+    let columns = [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12, 14, 15];
+    writeln!(to, "| {} |", columns.map(|i| HEADER[i].replace('|', "\\|")).join(" | "))?;
+    writeln!(to, "|{}", " --- |".repeat(columns.len()))?;
+    for row in rows {
+        let cells = row.cells();
+        writeln!(to, "| {} |", columns.map(|i| cells[i].replace('|', "\\|")).join(" | "))?;
+    }
+    writeln!(to, "\nCriteria:\n")?;
+    for row in rows.iter().filter(|row| row.verdict != Verdict::ForComparison) {
+        writeln!(to, "- {} {}, {}: {}.", row.item, row.case, row.setting, row.criterion)?;
+    }
+    let statuses: Vec<&Row> = rows.iter().filter(|row| !row.statuses.is_empty()).collect();
+    if !statuses.is_empty() {
+        writeln!(to, "\nWhat runs ended with:\n")?;
+    }
+    for row in statuses {
+        writeln!(to, "- {} {}, {} {}: {}.", row.item, row.case, row.method, row.setting, row.statuses)?;
+    }
+    let failed: Vec<&Row> = rows.iter().filter(|row| row.verdict == Verdict::Fail).collect();
+    if !failed.is_empty() {
+        writeln!(to, "\nNot met, with exact inputs:\n")?;
+    }
+    for row in failed {
+        for objection in &row.objections {
+            writeln!(to, "- {} {}, {} {}: {objection}.", row.item, row.case, row.method, row.setting)?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,85 @@
+//! The methods with their settings: the columns of the matrix.
+
+use fivebar::simulation::{Method, Parameters};
+
+/// A method with its step or tolerance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Setting {
+    /// i3-ALP with error-controlled sub-steps at the default tolerance.
+    Default,
+    /// The same with this local error, rad.
+    Tolerance(f64),
+    /// i3-ALP at strictly fixed steps of this many seconds.
+    Fixed(f64),
+    /// i3-ALP as printed, at steps of this many seconds.
+    Printed(f64),
+    /// Runge-Kutta of order 4 with projection, at steps of this many seconds.
+    Rk4(f64),
+}
+
+impl Setting {
+    /// The tighter tolerance at which the battery judges, rad.
+    pub const TIGHT: Self = Self::Tolerance(3e-10);
+    /// Far tighter than anything judged: starts and reference motions.
+    pub const REFERENCE: Self = Self::Tolerance(1e-11);
+    /// The columns of the matrix.
+    pub const ALL: [Self; 8] = [
+        Self::Default,
+        Self::TIGHT,
+        Self::Fixed(1e-3),
+        Self::Fixed(1e-4),
+        Self::Printed(1e-3),
+        Self::Printed(1e-4),
+        Self::Rk4(1e-3),
+        Self::Rk4(1e-4),
+    ];
+
+    /// Writes the setting into a scene; the longest macro step stays that of the scene where the setting has none.
+    pub fn apply(self, parameters: &mut Parameters) {
+        let settings = &mut parameters.settings;
+        let step = match self {
+            Self::Default => return,
+            Self::Tolerance(tolerance) => {
+                settings.error_tolerance = tolerance;
+                return;
+            }
+            Self::Fixed(step) => {
+                settings.adaptive = false;
+                step
+            }
+            Self::Printed(step) => {
+                settings.method = Method::I3alpPrinted;
+                step
+            }
+            Self::Rk4(step) => {
+                settings.method = Method::Rk4;
+                step
+            }
+        };
+        settings.step_size = step;
+    }
+
+    /// Whether the battery judges the result; the others are shown for comparison.
+    pub fn is_judged(self) -> bool {
+        matches!(self, Self::Default | Self::Tolerance(_))
+    }
+
+    /// The method's name, as `solver.method` has it.
+    pub fn method(self) -> &'static str {
+        match self {
+            Self::Default | Self::Tolerance(_) | Self::Fixed(_) => "i3alp",
+            Self::Printed(_) => "i3alpPrinted",
+            Self::Rk4(_) => "rk4",
+        }
+    }
+
+    /// Step or tolerance.
+    pub fn label(self) -> String {
+        match self {
+            Self::Default => "default tolerance".into(),
+            Self::Tolerance(tolerance) => format!("tolerance {tolerance:e} rad"),
+            Self::Fixed(step) => format!("fixed {} ms", 1e3 * step),
+            Self::Printed(step) | Self::Rk4(step) => format!("{} ms", 1e3 * step),
+        }
+    }
+}

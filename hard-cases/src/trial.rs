@@ -1,0 +1,243 @@
+//! One run: a scene, a start, a schedule, and what came of it.
+
+use std::time::Instant;
+
+use fivebar::fmi::clock::Clock;
+use fivebar::mechanism::Refusal;
+use fivebar::observers;
+use fivebar::simulation::{Inputs, Parameters, Simulation, State};
+
+use crate::machine::{NO_LOAD, closed, mgl, relative_size};
+use crate::setting::Setting;
+use crate::watch::{Sample, Watch};
+
+/// Where a run starts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Beginning {
+    /// From the proximal angles and rates of the scene.
+    Proximal,
+    /// From angles (rad) and rates (rad/s) of all links.
+    Links([f64; 4], [f64; 4]),
+}
+
+/// A number of equal communication steps with held loads.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Span {
+    /// Loads.
+    pub inputs: Inputs,
+    /// Communication step, s.
+    pub size: f64,
+    /// How many.
+    pub count: u64,
+}
+
+/// A run to be made.
+#[derive(Clone, Debug)]
+pub struct Trial {
+    /// What makes it different from the other trials of its case: exact values.
+    pub label: String,
+    /// The scene.
+    pub parameters: Parameters,
+    /// Where it starts.
+    pub beginning: Beginning,
+    /// What the master does.
+    pub schedule: Vec<Span>,
+    /// What is watched besides energy and constraints.
+    pub watch: Watch,
+    /// The energy error is judged against the larger of mgL and this part of the largest kinetic energy met.
+    pub kinetic_part: f64,
+    /// Outputs in a vertex (smallest singular value of Φ_q below 1e-3) are shown, not held against the bounds on Φ and Φ̇: a
+    /// projection there divides by that singular value.
+    pub vertex_outputs: bool,
+    /// Before the schedule begins, the motion from the start is followed for this long and turned round, s.
+    pub turned_after: f64,
+    /// The trial brings its own macro step or tolerance, which stays.
+    pub keeps_settings: bool,
+}
+
+/// How a run ended.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Ending {
+    /// At the end of its schedule.
+    Complete,
+    /// With a status: the sentence, and the time it came, s.
+    Status(String, f64),
+    /// The start was refused.
+    Refused(String),
+    /// With a value that is not finite, at this time, s. Must not happen.
+    NotFinite(f64),
+}
+
+/// What came of a run.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// How it ended.
+    pub ending: Ending,
+    /// Largest |balance residual of the energy|, in the trial's unit.
+    pub energy: f64,
+    /// Largest constraint violation at the outputs, m, divided by the machine's size in sizes of the paper's machine.
+    pub position: f64,
+    /// The same at velocity level, m/s.
+    pub velocity: f64,
+    /// Both without the outputs that are not judged.
+    pub judged: [f64; 2],
+    /// Most sub-steps in one macro step (mean over a communication step, where that holds several).
+    pub most: u64,
+    /// Sub-steps.
+    pub substeps: u64,
+    /// Macro steps.
+    pub steps: u64,
+    /// What the watch objects to.
+    pub objection: Option<String>,
+    /// The last state.
+    pub state: Option<State>,
+    /// Wall seconds.
+    pub seconds: f64,
+}
+
+impl Trial {
+    /// A free motion of `duration` seconds from the scene's own start, with outputs every millisecond.
+    pub fn free(label: impl Into<String>, parameters: Parameters, duration: f64) -> Self {
+        Self::driven(label, parameters, NO_LOAD, duration)
+    }
+
+    /// The same with held loads.
+    pub fn driven(label: impl Into<String>, parameters: Parameters, inputs: Inputs, duration: f64) -> Self {
+        Self {
+            label: label.into(),
+            parameters,
+            beginning: Beginning::Proximal,
+            schedule: vec![Span { inputs, size: 1e-3, count: (duration / 1e-3).round() as u64 }],
+            watch: Watch::Nothing,
+            kinetic_part: 0.0,
+            vertex_outputs: false,
+            turned_after: 0.0,
+            keeps_settings: false,
+        }
+    }
+
+    /// The same trial from angles and rates of all links.
+    pub fn from_links(self, theta: [f64; 4], omega: [f64; 4]) -> Self {
+        Self { beginning: Beginning::Links(theta, omega), ..self }
+    }
+
+    /// The scene with the setting in it.
+    fn scene(&self, setting: Setting) -> Parameters {
+        let mut parameters = self.parameters.clone();
+        setting.apply(&mut parameters);
+        if self.keeps_settings {
+            parameters.settings.step_size = self.parameters.settings.step_size;
+            parameters.settings.error_tolerance = self.parameters.settings.error_tolerance;
+        }
+        parameters
+    }
+
+    /// The scene made ready.
+    pub fn start(&self, setting: Setting) -> Result<Simulation, Refusal> {
+        self.made_ready(&self.scene(setting))
+    }
+
+    fn made_ready(&self, parameters: &Parameters) -> Result<Simulation, Refusal> {
+        let inputs = self.schedule.first().map_or(NO_LOAD, |span| span.inputs);
+        let simulation = match self.beginning {
+            Beginning::Proximal => Simulation::new(parameters, &inputs)?,
+            Beginning::Links(theta, omega) => Simulation::at(parameters, &inputs, theta, omega)?,
+        };
+        if self.turned_after == 0.0 { Ok(simulation) } else { self.turned(parameters, simulation) }
+    }
+
+    /// The motion followed for a while and turned round.
+    fn turned(&self, parameters: &Parameters, mut simulation: Simulation) -> Result<Simulation, Refusal> {
+        let step = parameters.settings.step_size;
+        let away = simulation.advance(&NO_LOAD, step, (self.turned_after / step).round() as u64);
+        away.map_err(|failure| Refusal(format!("on the way out: {failure}.")))?;
+        let motion = observers::motion(simulation.model(), simulation.state());
+        let (theta, omega) = closed(&parameters.geometry, motion.theta, motion.omega);
+        Simulation::at(parameters, &NO_LOAD, theta, omega.map(|rate| -rate))
+    }
+
+    /// Runs it.
+    pub fn run(&self, setting: Setting) -> Outcome {
+        let begin = Instant::now();
+        let mut outcome = Outcome {
+            ending: Ending::Complete,
+            energy: 0.0,
+            position: 0.0,
+            velocity: 0.0,
+            judged: [0.0; 2],
+            most: 0,
+            substeps: 0,
+            steps: 0,
+            objection: None,
+            state: None,
+            seconds: 0.0,
+        };
+        let scene = self.scene(setting);
+        match self.made_ready(&scene) {
+            Err(refusal) => outcome.ending = Ending::Refused(refusal.to_string()),
+            Ok(mut simulation) => {
+                let mut path = Vec::new();
+                outcome.ending = self.follow(&mut simulation, scene.settings.step_size, &mut outcome, &mut path);
+                let failed = outcome.ending != Ending::Complete;
+                outcome.objection = self.watch.objection(&path, failed);
+                let counters = simulation.state().core.counters;
+                (outcome.steps, outcome.substeps) = (counters.steps, counters.substeps);
+                outcome.state = Some(*simulation.state());
+            }
+        }
+        outcome.seconds = begin.elapsed().as_secs_f64();
+        outcome
+    }
+
+    fn follow(&self, simulation: &mut Simulation, step: f64, outcome: &mut Outcome, path: &mut Vec<Sample>) -> Ending {
+        let unit = mgl(&self.parameters.geometry);
+        let size = relative_size(&self.parameters.geometry);
+        let mut clock = Clock::new(0.0, None).expect("a start at 0");
+        let mut peak: f64 = 0.0;
+        let mut sample = |simulation: &Simulation, time: f64| {
+            if self.watch.needs_path() {
+                path.push((time, observers::motion(simulation.model(), simulation.state()).theta));
+            }
+        };
+        sample(simulation, 0.0);
+        let mut error: f64 = 0.0;
+        for span in &self.schedule {
+            let origin = clock.point();
+            for i in 0..span.count {
+                let point = if i == 0 { origin } else { origin + i as f64 * span.size };
+                let plan = match clock.plan(point, span.size, step) {
+                    Ok(plan) => plan,
+                    Err(rejection) => return Ending::Refused(rejection.message),
+                };
+                let before = simulation.state().core.counters;
+                if let Err(failure) = simulation.advance(&span.inputs, plan.h, plan.steps) {
+                    return Ending::Status(failure.cause.to_string(), point + failure.elapsed);
+                }
+                clock.advance(plan);
+                let core = &simulation.state().core;
+                let sum: f64 = core.q.iter().chain(&core.v).chain(&core.a).chain(&core.lambda).sum();
+                let energies = observers::energies(simulation.model(), simulation.state());
+                if !(sum + energies.error).is_finite() {
+                    return Ending::NotFinite(clock.point());
+                }
+                let norms = observers::constraint_norms(simulation.model(), simulation.state());
+                peak = peak.max(energies.kinetic);
+                error = error.max(energies.error.abs());
+                outcome.energy = error / unit.max(self.kinetic_part * peak);
+                outcome.position = outcome.position.max(norms.position / size);
+                outcome.velocity = outcome.velocity.max(norms.velocity / size);
+                if !(self.vertex_outputs && in_vertex(simulation)) {
+                    outcome.judged = [outcome.judged[0].max(norms.position / size), outcome.judged[1].max(norms.velocity / size)];
+                }
+                let taken = core.counters.substeps - before.substeps;
+                outcome.most = outcome.most.max(taken.div_ceil(plan.steps));
+                sample(simulation, clock.point());
+            }
+        }
+        Ending::Complete
+    }
+}
+
+fn in_vertex(simulation: &Simulation) -> bool {
+    observers::singularity(simulation.model(), simulation.state()).kind == observers::SingularityKind::Constraint
+}

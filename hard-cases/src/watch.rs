@@ -1,0 +1,111 @@
+//! What a trial asks beyond energy and constraints: of the path of the link angles.
+
+use crate::vertex::{Vertex, cosine};
+
+/// A sample of the path: time (s) and link angles (rad).
+pub(crate) type Sample = (f64, [f64; 4]);
+
+/// What is watched.
+#[derive(Clone, Debug)]
+pub enum Watch {
+    /// Nothing.
+    Nothing,
+    /// These links stay where they are.
+    Stays {
+        /// Which links.
+        links: [bool; 4],
+        /// Within this, rad.
+        within: f64,
+    },
+    /// Passes straight through the vertex.
+    Crosses {
+        /// The vertex.
+        vertex: Vertex,
+        /// Direction and sense of the motion.
+        direction: [f64; 4],
+        /// Between these two times, s.
+        between: [f64; 2],
+    },
+    /// Is turned before the vertex: the odd link never changes sides. Ends as the reference does.
+    Turns {
+        /// The vertex.
+        vertex: Vertex,
+        /// Link angles of the reference at the end, rad.
+        end: [f64; 4],
+        /// Within this, rad.
+        within: f64,
+    },
+    /// Leaves rest in the vertex with one of these accelerations, the first where it can be told.
+    Leaves {
+        /// The vertex.
+        vertex: Vertex,
+        /// Accelerations of the possible branches, rad/s²; the first is the one to take.
+        branches: Vec<[f64; 4]>,
+    },
+}
+
+/// Time at which the branch is looked at, s: the motion is still a t²/2, and far above round-off.
+const LEAVING: f64 = 5e-3;
+/// Cosine from which two directions count as the same.
+const SAME: f64 = 0.999;
+
+impl Watch {
+    /// What is wrong with a path; `failed` if the run ended early.
+    pub(crate) fn objection(&self, path: &[Sample], failed: bool) -> Option<String> {
+        let (begin, last) = (path.first()?.1, path.last()?.1);
+        match self {
+            Self::Nothing => None,
+            Self::Stays { links, within } => {
+                let mut moved: f64 = 0.0;
+                for (_, theta) in path {
+                    for i in 0..4 {
+                        if links[i] {
+                            moved = moved.max((theta[i] - begin[i]).abs());
+                        }
+                    }
+                }
+                (moved > *within).then(|| format!("moves {moved:.1e} rad, allowed {within:e} rad"))
+            }
+            Self::Crosses { vertex, direction, between: [before, after] } => {
+                let side = |time: f64| {
+                    let (_, theta) = path.iter().find(|(t, _)| *t >= time - 1e-9)?;
+                    Some(cosine(vertex.offset(*theta), *direction))
+                };
+                match (side(*before), side(*after)) {
+                    (Some(before), Some(after)) if before < -0.9 && after > 0.9 => None,
+                    (Some(before), Some(after)) => {
+                        Some(format!("does not cross: cosine to the straight line {before:.3} before, {after:.3} after"))
+                    }
+                    _ => (!failed).then(|| "the path is too short".into()),
+                }
+            }
+            Self::Turns { vertex, end, within } => {
+                let odd = vertex.odd();
+                let side = vertex.offset(begin)[odd].signum();
+                if path.iter().any(|(_, theta)| vertex.offset(*theta)[odd] * side <= 0.0) {
+                    return Some("crosses to the other sheet".into());
+                }
+                let apart = (0..4).map(|i| (last[i] - end[i]).abs()).fold(0.0, f64::max);
+                (!failed && apart > *within).then(|| format!("ends {apart:.1e} rad from the reference, allowed {within:e} rad"))
+            }
+            Self::Leaves { vertex, branches } => {
+                let Some((_, theta)) = path.iter().find(|(t, _)| *t >= LEAVING - 1e-9) else {
+                    return (!failed).then(|| "the path is too short".into());
+                };
+                let offset = vertex.offset(*theta);
+                match branches.iter().position(|branch| cosine(offset, *branch) > SAME) {
+                    Some(0) => None,
+                    Some(other) => Some(format!("leaves on branch {} of {}", other + 1, branches.len())),
+                    None => {
+                        Some(format!("leaves along {offset:.3?} rad, which is no branch; Gauss says {:.1?} rad/s^2", branches[0]))
+                    }
+                }
+            }
+        }
+    }
+
+    /// Whether a path is needed.
+    pub(crate) fn needs_path(&self) -> bool {
+        !matches!(self, Self::Nothing)
+    }
+}

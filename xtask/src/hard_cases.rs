@@ -1,0 +1,54 @@
+//! `cargo xtask hard-cases`: the battery of hard cases; tables and pictures under `target/hard-cases/`.
+
+use crate::venv::{self, Packages};
+use crate::{paths, process};
+use anyhow::{Context, Result, ensure};
+use std::fs;
+use std::path::PathBuf;
+
+/// The crate that holds the battery.
+const CRATE: &str = "hard-cases";
+
+/// Runs the battery, `quick` a sample of it, and draws its pictures; fails if a case that is judged does.
+pub(crate) fn hard_cases(quick: bool) -> Result<()> {
+    let out = paths::in_root("target/hard-cases");
+    fs::create_dir_all(&out).with_context(|| format!("{} cannot be made", paths::short(&out)))?;
+    let unoptimised = unoptimised_fingerprint(&out)?;
+    let mut battery = process::cargo();
+    battery.args(["run", "--release", "--locked", "--package", CRATE, "--", "run", "--out"]).arg(&out);
+    battery.arg("--unoptimised").arg(unoptimised);
+    if quick {
+        battery.arg("--quick");
+    }
+    // Its tables are worth drawing above all when a case fails.
+    let table = out.join("hard-cases.csv");
+    remove(&table)?;
+    let outcome = process::run(&mut battery);
+    ensure!(table.is_file(), outcome.map_or_else(|error| format!("{error:#}"), |()| "the battery wrote no table".into()));
+    process::run(venv::python(Packages::Usual)?.arg("xtask/python/hard_cases.py").arg("--folder").arg(&out))?;
+    outcome
+        .with_context(|| format!("a case is not met; {} says which, with exact inputs", paths::short(&out.join("hard-cases.md"))))
+}
+
+/// The bits of a sample of the battery from a build in which nothing is optimised, in a file.
+fn unoptimised_fingerprint(out: &std::path::Path) -> Result<PathBuf> {
+    let packages = ["fivebar", CRATE, "nalgebra", "wide"];
+    let mut cargo = process::cargo();
+    cargo.args(["run", "--quiet", "--locked", "--package", CRATE, "--target-dir"]).arg(out.join("unoptimised"));
+    for package in packages {
+        cargo.arg("--config").arg(format!("profile.dev.package.{package}.opt-level=0"));
+    }
+    let text = process::run_for_output(cargo.args(["--", "fingerprint"]))?;
+    let file = out.join("unoptimised.txt");
+    fs::write(&file, text).with_context(|| format!("{} cannot be written", paths::short(&file)))?;
+    Ok(file)
+}
+
+fn remove(file: &std::path::Path) -> Result<()> {
+    match fs::remove_file(file) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(error).with_context(|| format!("{} cannot be replaced", paths::short(file)))
+        }
+        _ => Ok(()),
+    }
+}
