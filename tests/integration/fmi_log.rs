@@ -91,3 +91,38 @@ fn the_name_is_handed_back_as_it_came() {
     assert_eq!(host.do_step(0.0, 1.0), fmi2Error);
     assert_eq!(host.take()[0].instance, "Führung %d");
 }
+
+/// A singularity met is logged once, with time and kind; so is a start from rest in a constraint singularity, with its branch.
+#[test]
+fn singularities_met_are_logged_once() {
+    let host = logging(true);
+    assert_eq!(host.setup(None, 0.0, None), fmi2OK);
+    assert_eq!(host.call(fmi2EnterInitializationMode), fmi2OK);
+    assert_eq!(host.set_real(&[reference("init.theta[2]")], &[2.0]), fmi2OK);
+    assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK);
+    host.take();
+    host.run(1e-3, 400);
+    let lines: Vec<String> = host.take().into_iter().map(|line| line.text).collect();
+    let mut passes = [0];
+    assert_eq!(host.get_integer(&[reference("singular.passes.direct")], &mut passes), fmi2OK);
+    let direct: Vec<&String> = lines.iter().filter(|line| line.contains("direct singularity (distal links in line)")).collect();
+    assert!(passes[0] > 0 && direct.len() == passes[0] as usize, "{passes:?} {lines:?}");
+    assert!(direct[0].starts_with("passed between 0.") && direct[0].contains(" s: "), "{}", direct[0]);
+
+    let host = logging(true);
+    assert_eq!(host.setup(None, 0.0, None), fmi2OK);
+    assert_eq!(host.call(fmi2EnterInitializationMode), fmi2OK);
+    let straight = std::f64::consts::PI;
+    assert_eq!(host.set_real(&["init.theta[1]", "init.theta[2]"].map(reference), &[straight, straight]), fmi2OK);
+    assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK);
+    host.take();
+    host.run(1e-3, 20);
+    let launches: Vec<String> = host
+        .take()
+        .into_iter()
+        .map(|line| line.text)
+        .filter(|line| line.contains("from rest in a constraint singularity"))
+        .collect();
+    assert_eq!(launches.len(), 1, "{launches:?}");
+    assert!(launches[0].contains("between 0.0 s and 0.001 s") && launches[0].ends_with("0 other local minima"), "{}", launches[0]);
+}

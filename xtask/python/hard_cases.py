@@ -47,6 +47,8 @@ def main(arguments: list[str] | None = None) -> int:
     with plt.rc_context(STYLE):
         for name, figure in (("hard-cases", matrix(rows)), ("horizon", horizon(pairs))):
             figure.savefig(folder / f"{name}.png")
+            # As text, the way docs/hard-cases.md shows it.
+            figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
             plt.close(figure)
             print(folder / f"{name}.png")
     return 0
