@@ -12,7 +12,7 @@ use super::{Coordinates, Geometry};
 /// Farther than this from every vertex, rad, nothing about vertices is asked.
 const NEAR: f64 = 0.3;
 
-/// Displacements of the link angles (in the order of THETA) from the nearest vertex; `None` if any is larger than [`NEAR`].
+/// Displacements of the link angles (in the order of THETA) from the nearest vertex; `None` if any is larger than 0.3 rad.
 #[inline(always)]
 pub fn offset(q: &Coordinates) -> Option<[f64; 4]> {
     // Adding 1.5·2^52 rounds to an integer.
