@@ -225,6 +225,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
         state.a = self.a;
         state.lambda = self.lambda;
         state.error_estimate = self.error;
+        state.on_ray = false;
         state.observe_modes(self.modes);
         state.counters.substeps += 1;
     }
