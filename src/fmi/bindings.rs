@@ -3,14 +3,11 @@
 //! The matches are exhaustive over the enums that `build.rs` makes from the XML, so a variable that is not bound here
 //! does not compile. Outputs are bound in `outputs.rs`.
 
-use super::Rejection;
-use super::values::check_value;
 use crate::effects;
 use crate::mechanism::{self, Geometry, Link, Start};
 use crate::simulation::{self, Inputs, Parameters, Settings};
 use crate::variables::{
-    self, Access, BooleanParameter, EnumerationParameter, IntegerParameter, RealInput, RealParameter, Slot, VARIABLES, Value,
-    Variable,
+    self, BooleanParameter, EnumerationParameter, IntegerParameter, RealInput, RealParameter, Slot, VARIABLES, Value, Variable,
 };
 
 /// The place of a Real parameter.
@@ -175,29 +172,10 @@ fn starts() -> (Parameters, Inputs) {
     (parameters, inputs)
 }
 
-/// Sets a parameter or input by name, with the checks of fmi2SetXXX; the value is text as in a scene file: a number,
-/// `true` or `false`, or the name of an enumeration's item.
-pub fn set_start(parameters: &mut Parameters, inputs: &mut Inputs, name: &str, text: &str) -> Result<(), Rejection> {
-    let variable = Variable::named(name).ok_or_else(|| Rejection::error(format!("there is no variable \"{name}\".")))?;
-    let item = variable.items.iter().find(|item| item.name == text);
-    let value = match variable.access() {
-        Access::Real => text.parse().ok().map(Value::Real),
-        Access::Integer => item.map(|item| item.value).or_else(|| text.parse().ok()).map(Value::Integer),
-        Access::Boolean => text.parse().ok().map(Value::Boolean),
-    };
-    let value =
-        value.ok_or_else(|| Rejection::error(format!("{name} = {text} is not a value of its type, {}.", variable.access())))?;
-    check_value(variable, value)?;
-    if write(parameters, inputs, variable, value) {
-        Ok(())
-    } else {
-        Err(Rejection::error(format!("{name} is an output and cannot be set.")))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::variables::Access;
 
     #[test]
     fn starts_are_those_of_the_xml() {
@@ -226,37 +204,6 @@ mod tests {
                     if other == variable { Some(value) } else { read(&mut before.0.clone(), &mut before.1.clone(), other) };
                 assert_eq!(read(&mut parameters, &mut inputs, other), expected, "{} <- {}", other.name, variable.name);
             }
-        }
-    }
-
-    #[test]
-    fn scenes_set_by_name_and_text() {
-        let (mut parameters, mut inputs) = starts();
-        for (name, text) in [
-            ("tau[2]", "0.25"),
-            ("solver.method", "rk4"),
-            ("init.assembly", "2"),
-            ("gravity.enabled", "false"),
-            ("solver.maxIterations", "25"),
-        ] {
-            set_start(&mut parameters, &mut inputs, name, text).expect(name);
-        }
-        assert_eq!(inputs.tau, [0.0, 0.25]);
-        assert_eq!(parameters.settings.method, simulation::Method::Rk4);
-        assert_eq!(parameters.start.assembly, mechanism::Assembly::Minus);
-        assert!(!parameters.effects.gravity.enabled);
-        assert_eq!(parameters.settings.max_iterations, 25);
-        for (name, text, expected) in [
-            ("tau[3]", "0", "there is no variable \"tau[3]\""),
-            ("tau[1]", "much", "tau[1] = much is not a value of its type, Real"),
-            ("tau[1]", "inf", "tau[1] = inf N.m is not allowed: it must be finite."),
-            ("base.distance", "-1", "base.distance = -1.0 m is not allowed: it must be at least 0 m."),
-            ("solver.method", "euler", "solver.method = euler is not a value of its type"),
-            ("solver.method", "9", "must be one of 1 (i3alp), 2 (i3alpPrinted), 3 (rk4)"),
-            ("theta[1]", "0", "theta[1] is an output and cannot be set."),
-        ] {
-            let refused = set_start(&mut parameters, &mut inputs, name, text).expect_err(name);
-            assert!(refused.message.contains(expected), "\"{}\", expected \"{expected}\"", refused.message);
         }
     }
 }
