@@ -21,4 +21,4 @@ pub use report::{Row, Verdict, write_csv, write_markdown};
 pub use setting::Setting;
 pub use trial::{Beginning, Ending, Outcome, Span, Trial};
 pub use vertex::{POSTURES, Vertex};
-pub use watch::Watch;
+pub use watch::{Sample, Watch};

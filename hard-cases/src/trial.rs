@@ -49,6 +49,8 @@ pub struct Trial {
     /// Outputs in a vertex (smallest singular value of Φ_q below 1e-3) are shown, not held against the bounds on Φ and Φ̇: a
     /// projection there divides by that singular value.
     pub vertex_outputs: bool,
+    /// Bits of the modes (0 assembly, 1 left, 2 right leg) of which one at least must change: singularities passed through.
+    pub passes: &'static [usize],
     /// Before the schedule begins, the motion from the start is followed for this long and turned round, s.
     pub turned_after: f64,
     /// The trial brings its own macro step or tolerance, which stays.
@@ -89,6 +91,8 @@ pub struct Outcome {
     pub steps: u64,
     /// What the watch objects to.
     pub objection: Option<String>,
+    /// The path of the link angles, where something is watched on it.
+    pub path: Vec<Sample>,
     /// The last state.
     pub state: Option<State>,
     /// Wall seconds.
@@ -111,6 +115,7 @@ impl Trial {
             watch: Watch::Nothing,
             kinetic_part: 0.0,
             vertex_outputs: false,
+            passes: &[],
             turned_after: 0.0,
             keeps_settings: false,
         }
@@ -169,6 +174,7 @@ impl Trial {
             substeps: 0,
             steps: 0,
             objection: None,
+            path: Vec::new(),
             state: None,
             seconds: 0.0,
         };
@@ -180,7 +186,11 @@ impl Trial {
                 outcome.ending = self.follow(&mut simulation, scene.settings.step_size, &mut outcome, &mut path);
                 let failed = outcome.ending != Ending::Complete;
                 outcome.objection = self.watch.objection(&path, failed);
+                outcome.path = path;
                 let counters = simulation.state().core.counters;
+                if !failed && !self.passes.is_empty() && self.passes.iter().all(|&bit| counters.mode_changes[bit] == 0) {
+                    outcome.objection = Some("passes through no such singularity".into());
+                }
                 (outcome.steps, outcome.substeps) = (counters.steps, counters.substeps);
                 outcome.state = Some(*simulation.state());
             }

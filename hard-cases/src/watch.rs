@@ -3,7 +3,7 @@
 use crate::vertex::{Vertex, cosine};
 
 /// A sample of the path: time (s) and link angles (rad).
-pub(crate) type Sample = (f64, [f64; 4]);
+pub type Sample = (f64, [f64; 4]);
 
 /// What is watched.
 #[derive(Clone, Debug)]
@@ -26,13 +26,17 @@ pub enum Watch {
         /// Between these two times, s.
         between: [f64; 2],
     },
-    /// Is turned before the vertex: the odd link never changes sides. Ends as the reference does.
+    /// Is turned before the vertex: the odd link never changes sides. Goes as the reference does, all the way.
     Turns {
         /// The vertex.
         vertex: Vertex,
-        /// Link angles of the reference at the end, rad.
-        end: [f64; 4],
-        /// Within this, rad.
+        /// Between these two times, s, it is near enough to the vertex for the sides to mean something.
+        between: [f64; 2],
+        /// Path of the reference, at the same times; empty while the reference itself is run.
+        reference: Vec<Sample>,
+        /// Link angles of an independent witness at the end, rad, where there is one.
+        witness: Option<[f64; 4]>,
+        /// Within this, rad, of both.
         within: f64,
     },
     /// Leaves rest in the vertex with one of these accelerations, the first where it can be told.
@@ -79,14 +83,22 @@ impl Watch {
                     _ => (!failed).then(|| "the path is too short".into()),
                 }
             }
-            Self::Turns { vertex, end, within } => {
+            Self::Turns { vertex, between: [before, after], reference, witness, within } => {
                 let odd = vertex.odd();
-                let side = vertex.offset(begin)[odd].signum();
-                if path.iter().any(|(_, theta)| vertex.offset(*theta)[odd] * side <= 0.0) {
+                let near = path.iter().filter(|(t, _)| *t >= before - 1e-9 && *t <= after + 1e-9);
+                let mut sides = near.map(|(_, theta)| vertex.offset(*theta)[odd].signum());
+                let first = sides.next();
+                if sides.any(|side| Some(side) != first) {
                     return Some("crosses to the other sheet".into());
                 }
-                let apart = (0..4).map(|i| (last[i] - end[i]).abs()).fold(0.0, f64::max);
-                (!failed && apart > *within).then(|| format!("ends {apart:.1e} rad from the reference, allowed {within:e} rad"))
+                let apart = |x: &[f64; 4], y: &[f64; 4]| (0..4).map(|i| (x[i] - y[i]).abs()).fold(0.0, f64::max);
+                let from_reference = path.iter().zip(reference).map(|((_, x), (_, y))| apart(x, y)).fold(0.0, f64::max);
+                if from_reference > *within {
+                    return Some(format!("comes {from_reference:.1e} rad from the reference, allowed {within:e} rad"));
+                }
+                let from_witness = witness.map_or(0.0, |end| apart(&last, &end));
+                (!failed && from_witness > *within)
+                    .then(|| format!("ends {from_witness:.1e} rad from the witness, allowed {within:e} rad"))
             }
             Self::Leaves { vertex, branches } => {
                 let Some((_, theta)) = path.iter().find(|(t, _)| *t >= LEAVING - 1e-9) else {
