@@ -199,6 +199,7 @@ fn a_strictly_fixed_step_is_rescued_or_ends_with_a_status() {
         }
         assert!(simulation.state().core.q.iter().all(|x| x.is_finite()));
     }
+    panic!("this fall was expected to meet a step that cannot be done");
 }
 
 /// Work per macro step is bounded: a tolerance below round-off ends with a status, soon, and changes nothing.
