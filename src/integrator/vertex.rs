@@ -233,15 +233,15 @@ pub(super) fn carry<const N: usize, const M: usize>(
     // q of the vertex plus the displacement: only the measured coordinates count, the others follow from them.
     let moved = std::array::from_fn(|i| state.q[i] - offset[i] + aside[i] + ahead * direction[i]);
     let (mut q, mut v) = system.rebuilt(&moved, &direction.map(|x| x * speed_ahead));
-    if ray.leaves {
-        if projection.position(system, &mut q).is_err() {
-            return Ok(false);
-        }
-        let pose = system.pose(&q);
-        let correction = projection::velocity(system, &pose, &system.factor_mass(&pose, projection.softness), &v);
-        v = std::array::from_fn(|i| v[i] + correction[i]);
+    if ray.leaves && projection.position(system, &mut q).is_err() {
+        return Ok(false);
     }
     let pose = system.pose(&q);
+    let mass = system.factor_mass(&pose, projection.softness);
+    if ray.leaves {
+        let correction = projection::velocity(system, &pose, &mass, &v);
+        v = std::array::from_fn(|i| v[i] + correction[i]);
+    }
     // The rate along the ray is known from the energy better than from the acceleration, which was taken as constant.
     if let Some(energy) = before {
         match with_energy(system, &q, &pose, &v, energy) {
@@ -250,7 +250,7 @@ pub(super) fn carry<const N: usize, const M: usize>(
         }
     }
 
-    (state.a, state.lambda) = equilibrium_at(system, &q, &pose, &v, &system.factor_mass(&pose, projection.softness));
+    (state.a, state.lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
     if !state.a.iter().sum::<f64>().is_finite() {
         return Err(Failure::NotFinite);
     }

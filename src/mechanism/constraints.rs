@@ -51,6 +51,11 @@ fn by_joint(lambda: &Multipliers) -> ByJoint {
     }
 }
 
+/// Largest magnitude of a constraint equation's value: a violation as one number.
+pub fn largest(values: &Multipliers) -> f64 {
+    values.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()))
+}
+
 impl Mechanism {
     /// Directions and arms at q.
     #[inline(always)]

@@ -2,6 +2,7 @@
 
 use nalgebra::Vector2;
 
+use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::{Coordinates, Link};
 use crate::simulation::{Model, State};
@@ -110,11 +111,10 @@ pub fn singularity(model: &Model, state: &State) -> Singularity {
 pub fn constraint_norms(model: &Model, state: &State) -> ConstraintNorms {
     let core = &state.core;
     let pose = model.mechanism.pose(&core.q);
-    let largest = |values: [f64; 10]| values.into_iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
     let (acceleration, centripetal) = (pose.phi_q_times(&core.a), pose.phi_q_dot_times(&core.v));
     ConstraintNorms {
-        position: largest(model.mechanism.phi(&core.q, &pose)),
-        velocity: largest(pose.phi_q_times(&core.v)),
-        acceleration: largest(std::array::from_fn(|i| acceleration[i] + centripetal[i])),
+        position: largest(&model.mechanism.phi(&core.q, &pose)),
+        velocity: largest(&pose.phi_q_times(&core.v)),
+        acceleration: largest(&std::array::from_fn(|i| acceleration[i] + centripetal[i])),
     }
 }

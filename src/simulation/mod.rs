@@ -12,8 +12,9 @@ use std::f64::consts::TAU;
 use std::fmt;
 
 use crate::integrator::{self, Failure, Power, System, i3alp, i3alp_printed, rk4};
+use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::THETA;
-use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Refusal, closure};
+use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal, closure};
 
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
@@ -75,8 +76,7 @@ impl Simulation {
         let simulation = Self::started(model, q, v, inputs)?;
         let (mechanism, core) = (&simulation.model.mechanism, &simulation.state.core);
         let pose = mechanism.pose(&core.q);
-        let largest = |values: Multipliers| values.into_iter().fold(0.0, |largest: f64, value| largest.max(value.abs()));
-        let (gap, tear) = (largest(mechanism.phi(&core.q, &pose)), largest(pose.phi_q_times(&core.v)));
+        let (gap, tear) = (largest(&mechanism.phi(&core.q, &pose)), largest(&pose.phi_q_times(&core.v)));
         let speed = parameters.geometry.links.iter().zip(omega).map(|(link, omega)| (link.length * omega).abs()).sum::<f64>();
         if gap > closure::IN_LINE * simulation.model.size {
             return Err(Refusal(format!("link angles {theta:?} rad do not close the loop: the legs end {gap:e} m apart.")));
