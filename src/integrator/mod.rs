@@ -11,7 +11,7 @@ mod system;
 pub mod vertex;
 
 pub use equilibrium::equilibrium;
-pub use system::{Failure, Kkt, Power, System};
+pub use system::{Failure, Implicit, Kkt, Power, System};
 
 /// What the integrator has done since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -10,8 +10,6 @@ pub trait System<const N: usize, const M: usize> {
     type Pose;
     /// The factorised saddle-point matrix with the mass matrix in its corner.
     type Mass: Kkt<N, M>;
-    /// The same with the tangent matrix A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
-    type Tangent: Kkt<N, M>;
 
     /// Pose at q.
     fn pose(&self, q: &[f64; N]) -> Self::Pose;
@@ -19,43 +17,15 @@ pub trait System<const N: usize, const M: usize> {
     fn phi(&self, q: &[f64; N], pose: &Self::Pose) -> [f64; M];
     /// Φ_q v.
     fn phi_q_times(&self, pose: &Self::Pose, v: &[f64; N]) -> [f64; M];
-    /// Φ_qᵀ λ.
-    fn phi_q_transposed_times(&self, pose: &Self::Pose, lambda: &[f64; M]) -> [f64; N];
     /// Φ̇_q q̇.
     fn phi_q_dot_times(&self, pose: &Self::Pose, v: &[f64; N]) -> [f64; M];
     /// M x.
     fn mass_times(&self, pose: &Self::Pose, x: &[f64; N]) -> [f64; N];
     /// Generalised applied forces Q(q, q̇).
     fn forces(&self, q: &[f64; N], pose: &Self::Pose, v: &[f64; N]) -> [f64; N];
-    /// (M + h/2 C + h²/4 K) x with K = −∂Q/∂q and C = −∂Q/∂q̇: the weight of the printed projections.
-    fn weight_times(&self, q: &[f64; N], pose: &Self::Pose, v: &[f64; N], h: f64, x: &[f64; N]) -> [f64; N];
 
     /// Factorises [M Φ_qᵀ; Φ_q −e].
     fn factor_mass(&self, pose: &Self::Pose, softness: f64) -> Self::Mass;
-    /// Factorises [A₀ Φ_qᵀ; Φ_q −e]; [`Failure::IndefiniteTangent`] where the step is too long for A₀ to be a minimum.
-    fn factor_tangent(
-        &self,
-        q: &[f64; N],
-        pose: &Self::Pose,
-        v: &[f64; N],
-        lambda: &[f64; M],
-        h: f64,
-        softness: f64,
-    ) -> Result<Self::Tangent, Failure>;
-
-    /// The same with A₀ made positive definite where it is not: a descent direction of the incremental potential, for the second
-    /// try of a Newton loop that failed. `None`: no second try.
-    fn factor_descent(
-        &self,
-        _q: &[f64; N],
-        _pose: &Self::Pose,
-        _v: &[f64; N],
-        _lambda: &[f64; M],
-        _h: f64,
-        _softness: f64,
-    ) -> Option<Self::Tangent> {
-        None
-    }
     /// Potential energy of all forces, held loads included, J; `None` where a force has none.
     fn potential(&self, _q: &[f64; N], _pose: &Self::Pose) -> Option<f64> {
         None
@@ -89,6 +59,41 @@ pub trait System<const N: usize, const M: usize> {
     fn angle_norm(&self, x: &[f64; N]) -> f64;
     /// The largest magnitude a coordinate in m can have: what round-off in Φ is proportional to.
     fn size(&self) -> f64;
+}
+
+/// What the implicit methods ask in addition: forces of the constraints and the tangents of all forces.
+pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
+    /// The factorised saddle-point matrix with the tangent matrix A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
+    type Tangent: Kkt<N, M>;
+
+    /// Φ_qᵀ λ.
+    fn phi_q_transposed_times(&self, pose: &Self::Pose, lambda: &[f64; M]) -> [f64; N];
+    /// (M + h/2 C + h²/4 K) x with K = −∂Q/∂q and C = −∂Q/∂q̇: the weight of the printed projections.
+    fn weight_times(&self, q: &[f64; N], pose: &Self::Pose, v: &[f64; N], h: f64, x: &[f64; N]) -> [f64; N];
+    /// Factorises [A₀ Φ_qᵀ; Φ_q −e]; [`Failure::IndefiniteTangent`] where the step is too long for A₀ to be a minimum.
+    fn factor_tangent(
+        &self,
+        q: &[f64; N],
+        pose: &Self::Pose,
+        v: &[f64; N],
+        lambda: &[f64; M],
+        h: f64,
+        softness: f64,
+    ) -> Result<Self::Tangent, Failure>;
+
+    /// The same with A₀ made positive definite where it is not: a descent direction of the incremental potential, for the second
+    /// try of a Newton loop that failed. `None`: no second try.
+    fn factor_descent(
+        &self,
+        _q: &[f64; N],
+        _pose: &Self::Pose,
+        _v: &[f64; N],
+        _lambda: &[f64; M],
+        _h: f64,
+        _softness: f64,
+    ) -> Option<Self::Tangent> {
+        None
+    }
 }
 
 /// A factorised saddle-point matrix [A Φ_qᵀ; Φ_q −e].

@@ -8,7 +8,7 @@ use super::coupled::Coupled;
 use super::model::Model;
 use super::two_leg::TwoLeg;
 use crate::effects::{DiagonalTangents, FullTangents, Inputs, Tangents};
-use crate::integrator::{Failure, Kkt, Power, System};
+use crate::integrator::{Failure, Implicit, Kkt, Power, System};
 use crate::mechanism::closure::assemble;
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose, vertex};
@@ -191,7 +191,6 @@ fn in_angles(values: [f64; 4]) -> Coordinates {
 impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     type Pose = Pose;
     type Mass = L::Factor;
-    type Tangent = L::Factor;
 
     #[inline(always)]
     fn pose(&self, q: &Coordinates) -> Pose {
@@ -206,11 +205,6 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     #[inline(always)]
     fn phi_q_times(&self, pose: &Pose, v: &Coordinates) -> Multipliers {
         pose.phi_q_times(v)
-    }
-
-    #[inline(always)]
-    fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {
-        pose.phi_q_transposed_times(lambda)
     }
 
     #[inline(always)]
@@ -233,39 +227,9 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
         forces
     }
 
-    fn weight_times(&self, _q: &Coordinates, pose: &Pose, _v: &Coordinates, h: f64, x: &Coordinates) -> Coordinates {
-        let weight = self.mass_matrix() + self.full_tangents(pose, h);
-        (weight * SVector::from(*x)).into()
-    }
-
     #[inline(always)]
     fn factor_mass(&self, pose: &Pose, softness: f64) -> L::Factor {
         L::factor_mass(self, pose, softness)
-    }
-
-    #[inline(always)]
-    fn factor_tangent(
-        &self,
-        _q: &Coordinates,
-        pose: &Pose,
-        _v: &Coordinates,
-        lambda: &Multipliers,
-        h: f64,
-        softness: f64,
-    ) -> Result<L::Factor, Failure> {
-        L::factor(self, pose, lambda, h, softness, Definite::Demanded)
-    }
-
-    fn factor_descent(
-        &self,
-        _q: &Coordinates,
-        pose: &Pose,
-        _v: &Coordinates,
-        lambda: &Multipliers,
-        h: f64,
-        softness: f64,
-    ) -> Option<L::Factor> {
-        L::factor(self, pose, lambda, h, softness, Definite::Enforced).ok()
     }
 
     fn potential(&self, q: &Coordinates, pose: &Pose) -> Option<f64> {
@@ -330,5 +294,41 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     #[inline(always)]
     fn size(&self) -> f64 {
         self.model.size
+    }
+}
+
+impl<L: LinearSolve> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
+    type Tangent = L::Factor;
+
+    #[inline(always)]
+    fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {
+        pose.phi_q_transposed_times(lambda)
+    }
+    fn weight_times(&self, _q: &Coordinates, pose: &Pose, _v: &Coordinates, h: f64, x: &Coordinates) -> Coordinates {
+        let weight = self.mass_matrix() + self.full_tangents(pose, h);
+        (weight * SVector::from(*x)).into()
+    }
+    #[inline(always)]
+    fn factor_tangent(
+        &self,
+        _q: &Coordinates,
+        pose: &Pose,
+        _v: &Coordinates,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+    ) -> Result<L::Factor, Failure> {
+        L::factor(self, pose, lambda, h, softness, Definite::Demanded)
+    }
+    fn factor_descent(
+        &self,
+        _q: &Coordinates,
+        pose: &Pose,
+        _v: &Coordinates,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+    ) -> Option<L::Factor> {
+        L::factor(self, pose, lambda, h, softness, Definite::Enforced).ok()
     }
 }
