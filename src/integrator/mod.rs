@@ -2,6 +2,7 @@
 //!
 //! Invariant: knows neither mechanism nor FMI; does no input or output, allocates nothing, reads no clock.
 
+pub mod dop853;
 mod equilibrium;
 pub mod i3alp;
 pub mod i3alp_printed;

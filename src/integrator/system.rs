@@ -146,6 +146,13 @@ pub enum Failure {
         /// By this part of the kinetic energy.
         part: f64,
     },
+    /// The local error is too large however short the sub-step.
+    StepTooShort {
+        /// The last sub-step tried, s.
+        substep: f64,
+        /// Its local error, rad; NaN if it failed altogether.
+        error: f64,
+    },
     /// The local error, or sub-steps that failed, asked for more sub-steps than one macro step may have.
     TooManySubsteps {
         /// The bound.
@@ -172,6 +179,9 @@ impl fmt::Display for Failure {
                 write!(f, "next to a constraint singularity a sub-step changed the kinetic energy by {part:.3e} of itself")
             }
             Self::NotFinite => f.write_str("a coordinate, velocity or acceleration is not finite"),
+            Self::StepTooShort { substep, error } => {
+                write!(f, "a sub-step of only {substep:.3e} s still had a local error of {error:.3e} rad")
+            }
             Self::TooManySubsteps { most, substep, error } => write!(
                 f,
                 "a macro step needs more than {most} sub-steps: the last, of {substep:.3e} s, had a local error of {error:.3e} rad"

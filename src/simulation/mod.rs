@@ -3,7 +3,9 @@
 //! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held while it
 //! advances.
 
+pub mod angles;
 pub mod coupled;
+mod explicit;
 pub mod model;
 pub mod system;
 pub mod two_leg;
@@ -11,13 +13,14 @@ pub mod two_leg;
 use std::f64::consts::TAU;
 use std::fmt;
 
-use crate::integrator::{self, Failure, Power, System, i3alp, i3alp_printed, rk4};
+use crate::integrator::{self, Failure, Power, System, dop853, i3alp, i3alp_printed, rk4};
 use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal, closure};
 
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
+use angles::{ANGLES, CLOSURES};
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings};
 use system::{FiveBar, General, LinearSolve, TwoLegged};
@@ -27,6 +30,8 @@ use system::{FiveBar, General, LinearSolve, TwoLegged};
 pub struct State {
     /// Coordinates, velocities, accelerations, multipliers, predictor, sub-step memory, work, counters.
     pub core: integrator::State<COORDINATES, MULTIPLIERS>,
+    /// Of [`Method::Dop853`], whose steps run past the communication points: the step that is under way, in the link angles.
+    pub running: Option<dop853::Running<ANGLES, CLOSURES>>,
     /// Whole turns by which the angles of links 1 to 4 are larger than those in q: there they stay within some turns, so that their
     /// round-off does not grow while a link spins.
     pub turns: [i64; 4],
@@ -93,8 +98,11 @@ impl Simulation {
         } else {
             integrator::State::start(&FiveBar::<TwoLegged>::new(&model, inputs), q, v, model.softness)
         };
-        let mut state = State { core, turns: [0; 4], inputs: *inputs, energy_at_start: 0.0 };
+        let mut state = State { core, running: None, turns: [0; 4], inputs: *inputs, energy_at_start: 0.0 };
         state.unwind();
+        if let Stepper::Dop853(settings) = &model.stepper {
+            state.running = Some(explicit::start(&model, settings, &state));
+        }
         state.energy_at_start = state.kinetic_energy(&model) + state.potential_energy(&model);
         if !state.core.a.iter().chain(&state.core.lambda).all(|x| x.is_finite()) || !state.energy_at_start.is_finite() {
             return Err(Refusal(
@@ -110,13 +118,14 @@ impl Simulation {
     ///
     /// On failure the state is as it was before the call. Allocates nothing.
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
-        let before = self.state;
+        let State { core, turns, inputs: held, .. } = self.state;
         let done = if self.model.general_solve {
             run::<General>(&self.model, &mut self.state, inputs, h, steps)
         } else {
             run::<TwoLegged>(&self.model, &mut self.state, inputs, h, steps)
         };
-        done.inspect_err(|_| self.state = before)
+        // The running step of an explicit method is changed only when all has gone well.
+        done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
     }
 
     /// The constant part.
@@ -186,17 +195,36 @@ impl State {
 }
 
 fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+    match &model.stepper {
+        Stepper::I3alp(settings) => {
+            macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
+        }
+        Stepper::I3alpPrinted(settings) => macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| {
+            i3alp_printed::advance(system, settings, core, h, power)
+        }),
+        Stepper::Rk4(settings) => {
+            macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| rk4::advance(system, settings, core, h, power))
+        }
+        Stepper::Dop853(settings) => explicit::run::<L>(model, settings, state, inputs, h, steps),
+    }
+}
+
+/// By a method whose steps end with the macro steps.
+#[inline(always)]
+fn macro_steps<L: LinearSolve>(
+    model: &Model,
+    state: &mut State,
+    inputs: &Inputs,
+    h: f64,
+    steps: u64,
+    advance: impl Fn(&FiveBar<'_, L>, &mut integrator::State<COORDINATES, MULTIPLIERS>, &mut Power) -> Result<(), Failure>,
+) -> Result<(), StepFailure> {
     let system = FiveBar::<L>::new(model, inputs);
     state.hold(model, &system, inputs);
     let core = &state.core;
     let mut power = if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() };
     for step in 0..steps {
-        match &model.stepper {
-            Stepper::I3alp(settings) => i3alp::advance(&system, settings, &mut state.core, h, &mut power),
-            Stepper::I3alpPrinted(settings) => i3alp_printed::advance(&system, settings, &mut state.core, h, &mut power),
-            Stepper::Rk4(settings) => rk4::advance(&system, settings, &mut state.core, h, &mut power),
-        }
-        .map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
+        advance(&system, &mut state.core, &mut power).map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
         state.unwind();
     }
     Ok(())

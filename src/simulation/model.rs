@@ -1,7 +1,7 @@
 //! The constant part of a scene made ready, and what it is made from.
 
 use crate::effects::{self, Effect};
-use crate::integrator::{i3alp, i3alp_printed, rk4};
+use crate::integrator::{dop853, i3alp, i3alp_printed, rk4};
 use crate::mechanism::{Geometry, Mechanism, Refusal, Start};
 
 /// How the equations of motion are integrated.
@@ -13,6 +13,8 @@ pub enum Method {
     I3alpPrinted,
     /// Runge–Kutta of order 4 on the index-1 form with projection.
     Rk4,
+    /// Runge–Kutta of order 8 in the link angles, error-controlled, with dense output.
+    Dop853,
 }
 
 /// The solver's settings: the `solver.*` variables of the same names.
@@ -20,7 +22,7 @@ pub enum Method {
 pub struct Settings {
     /// Method.
     pub method: Method,
-    /// Macro step h, s.
+    /// Macro step h, s; of [`Method::Dop853`] also the first step tried.
     pub step_size: f64,
     /// Whether macro steps are divided where the local error asks ([`Method::I3alp`] only).
     pub adaptive: bool,
@@ -58,6 +60,8 @@ pub enum Stepper {
     I3alpPrinted(i3alp_printed::Settings),
     /// Runge–Kutta.
     Rk4(rk4::Settings),
+    /// Runge–Kutta with error control, in the link angles.
+    Dop853(dop853::Settings),
 }
 
 /// The constant part of a scene made ready.
@@ -96,6 +100,12 @@ impl Model {
                 softness,
             }),
             Method::I3alpPrinted => Stepper::I3alpPrinted(i3alp_printed::Settings { penalty: settings.penalty, max_iterations }),
+            Method::Dop853 => Stepper::Dop853(dop853::Settings {
+                error_tolerance: settings.error_tolerance,
+                first_step: settings.step_size,
+                max_iterations,
+                softness: RANK_LOSS / parameters.geometry.mean_mass(),
+            }),
             Method::Rk4 => Stepper::Rk4(rk4::Settings { projection: true, softness, tolerance, max_iterations }),
         };
         Ok(Self {
@@ -108,6 +118,10 @@ impl Model {
         })
     }
 }
+
+/// e of the explicit method in the link angles, in multiples of 1 over the mean mass: no more than round-off makes of a singular
+/// Φ_q M⁻¹ Φ_qᵀ. At 1e-14 passes close to a vertex were falsified.
+const RANK_LOSS: f64 = 1e-20;
 
 /// Beyond this spread of compliances the differences of the two-leg elimination lose too many digits: its error is the square of the
 /// spread times ε. The paper's links have 3.

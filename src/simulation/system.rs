@@ -159,6 +159,11 @@ impl<'a, L> FiveBar<'a, L> {
         Self { model, inputs, follows_work: inputs.any(), linear_solve: PhantomData }
     }
 
+    /// The model.
+    pub(super) fn model(&self) -> &'a Model {
+        self.model
+    }
+
     #[inline(always)]
     fn add_tangents(&self, pose: &Pose, tangents: &mut impl Tangents) {
         self.inputs.add_tangents(pose, tangents);
