@@ -64,12 +64,14 @@ pub struct Running<const N: usize, const M: usize> {
 }
 
 /// What holds at the present time, between the ends of the running step.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Sample<const N: usize> {
+#[derive(Clone, Copy, Debug)]
+pub struct Sample<const N: usize, P> {
     /// Coordinates.
     pub q: [f64; N],
     /// Their rates.
     pub v: [f64; N],
+    /// [`System::pose`] there.
+    pub pose: P,
     /// Work since the start, J.
     pub work: Power,
     /// Changed [`System::modes`] since the beginning of the running step count.
@@ -160,10 +162,10 @@ impl<const N: usize, const M: usize> Running<N, M> {
 
     /// Coordinates, rates and work at the present time, on the constraints.
     #[inline(always)]
-    pub fn sample(&self, system: &impl System<N, M>, settings: &Settings) -> Result<Sample<N>, Failure> {
+    pub fn sample<S: System<N, M>>(&self, system: &S, settings: &Settings) -> Result<Sample<N, S::Pose>, Failure> {
         let Self { start, end, .. } = self;
         if self.elapsed == self.length {
-            return Ok(Sample { q: end.q, v: end.v, work: end.work, modes: end.modes });
+            return Ok(Sample { q: end.q, v: end.v, pose: system.pose(&end.q), work: end.work, modes: end.modes });
         }
         let part = self.elapsed / self.length;
         let interpolated = |from: f64, to: f64, [rate, rate_to]: [f64; 2], higher: [f64; 4]| {
@@ -176,21 +178,25 @@ impl<const N: usize, const M: usize> Running<N, M> {
             std::array::from_fn(|i| interpolated(start.v[i], end.v[i], [start.a[i], end.a[i]], self.dense.map(|d| d.v[i])))
         };
         let [first, last] = self.power;
-        let work = Power {
-            input: interpolated(start.work.input, end.work.input, [first.input, last.input], self.dense.map(|d| d.power.input)),
-            dissipated: interpolated(
-                start.work.dissipated,
-                end.work.dissipated,
-                [first.dissipated, last.dissipated],
-                self.dense.map(|d| d.power.dissipated),
-            ),
-        };
+        let mut work = Power::default();
+        if system.follows_work() {
+            work = Power {
+                input: interpolated(start.work.input, end.work.input, [first.input, last.input], self.dense.map(|d| d.power.input)),
+                dissipated: interpolated(
+                    start.work.dissipated,
+                    end.work.dissipated,
+                    [first.dissipated, last.dissipated],
+                    self.dense.map(|d| d.power.dissipated),
+                ),
+            };
+        }
         let pose = if self.on_ray { system.pose(&q) } else { settings.project(system, &mut q, &mut v)?.1 };
-        Ok(Sample { q, v, work, modes: system.modes(&pose) })
+        let modes = system.modes(&pose);
+        Ok(Sample { q, v, pose, work, modes })
     }
 
     /// Writes into a state of the same system in any coordinates what does not depend on the coordinates.
-    pub fn record<const A: usize, const B: usize>(&self, sample: &Sample<N>, to: &mut State<A, B>) {
+    pub fn record<const A: usize, const B: usize, P>(&self, sample: &Sample<N, P>, to: &mut State<A, B>) {
         // What the step has done counts when time has passed its end; that it started from rest in a vertex, at once.
         let passed = if self.elapsed == self.length { &self.end } else { &self.start };
         to.modes = passed.modes;

@@ -11,7 +11,7 @@ pub mod rk4;
 mod system;
 pub mod vertex;
 
-pub use equilibrium::equilibrium;
+pub use equilibrium::{equilibrium, equilibrium_at};
 pub use system::{Failure, Implicit, Kkt, Power, System};
 
 /// What the integrator has done since the start.

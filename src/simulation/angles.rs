@@ -56,19 +56,20 @@ fn in_place(angles: &Angles) -> Coordinates {
 pub struct ByAngles<'a, L> {
     five_bar: &'a FiveBar<'a, L>,
     mechanism: &'a Mechanism,
+    inertia: Inertia,
 }
 
 impl<'a, L: LinearSolve> ByAngles<'a, L> {
     /// The same model under the same inputs.
     pub fn new(five_bar: &'a FiveBar<'a, L>) -> Self {
-        Self { five_bar, mechanism: &five_bar.model().mechanism }
+        let mechanism = &five_bar.model().mechanism;
+        Self { five_bar, mechanism, inertia: Inertia::new(mechanism) }
     }
 
     /// The twelve coordinates and their rates, each leg built up from its motor axis.
     #[inline(always)]
-    pub fn coordinates(&self, q: &Angles, v: &Angles) -> (Coordinates, Coordinates) {
-        let pose = self.pose(q);
-        (self.placed(q, &pose), self.moving(v, &pose))
+    pub fn coordinates(&self, pose: &Pose, q: &Angles, v: &Angles) -> (Coordinates, Coordinates) {
+        (self.placed(q, pose), self.moving(v, pose))
     }
 
     #[inline(always)]
@@ -108,8 +109,8 @@ fn phi_q(pose: &Pose) -> [Legs2; 2] {
     [proximal_arm(pose).scaled(SIGMA).turned(), distal.turned()]
 }
 
-/// The mass matrix of each leg.
-#[derive(Clone, Copy)]
+/// The mass matrix of each leg, or its inverse.
+#[derive(Clone, Copy, Debug)]
 struct Mass {
     proximal: Legs,
     distal: Legs,
@@ -118,34 +119,49 @@ struct Mass {
 
 impl Mass {
     #[inline(always)]
-    fn new(mechanism: &Mechanism, pose: &Pose) -> Self {
-        let (l, a) = (mechanism.a_p + mechanism.b_p, mechanism.a_p);
-        Self {
-            proximal: mechanism.inertia_p + mechanism.mass_p * a * a + mechanism.mass_d * l * l,
-            distal: mechanism.inertia_d + mechanism.mass_d * mechanism.a_d * mechanism.a_d,
-            coupling: mechanism.mass_d * proximal_arm(pose).dot(pose.a_d),
-        }
-    }
-
-    /// Its inverse: proximal, distal, coupling. The determinant is a sum of positive terms: nothing cancels with links of little inertia.
-    #[inline(always)]
-    fn inverse(&self, mechanism: &Mechanism, pose: &Pose) -> Self {
-        let (l, across) = (proximal_arm(pose), pose.a_d);
-        let sine = l.x * across.y - l.y * across.x;
-        let own = mechanism.inertia_p + mechanism.mass_p * mechanism.a_p * mechanism.a_p;
-        let length = mechanism.a_p + mechanism.b_p;
-        let carried = mechanism.mass_d * (length * length * mechanism.inertia_d + mechanism.mass_d * sine * sine);
-        let reciprocal = both(1.0) / (own * self.distal + carried);
-        Self { proximal: self.distal * reciprocal, distal: self.proximal * reciprocal, coupling: -self.coupling * reciprocal }
-    }
-
-    #[inline(always)]
     fn times(&self, x: &Angles) -> Angles {
         let (p, d) = (legs_of(x, PROXIMAL), legs_of(x, DISTAL));
         let mut product = [0.0; ANGLES];
         set_legs(&mut product, PROXIMAL, self.proximal * p + self.coupling * d);
         set_legs(&mut product, DISTAL, self.coupling * p + self.distal * d);
         product
+    }
+}
+
+/// What of the mass matrix is constant.
+#[derive(Debug)]
+struct Inertia {
+    /// I_P + m_P a_P² + m_D l_P².
+    proximal: Legs,
+    /// I_D + m_D a_D².
+    distal: Legs,
+    /// m_D.
+    carried: Legs,
+    /// The determinant of M where the leg is stretched, a sum of positive terms; l_P × a_D adds its square times m_D².
+    stretched: Legs,
+}
+
+impl Inertia {
+    fn new(mechanism: &Mechanism) -> Self {
+        let &Mechanism { mass_p, mass_d, inertia_p, inertia_d, a_p, b_p, a_d, .. } = mechanism;
+        let (own, swung) = (inertia_p + mass_p * a_p * a_p, mass_d * (a_p + b_p) * (a_p + b_p));
+        let distal = inertia_d + mass_d * a_d * a_d;
+        Self { proximal: own + swung, distal, carried: mass_d, stretched: own * distal + swung * inertia_d }
+    }
+
+    #[inline(always)]
+    fn mass(&self, pose: &Pose) -> Mass {
+        Mass { proximal: self.proximal, distal: self.distal, coupling: self.carried * proximal_arm(pose).dot(pose.a_d) }
+    }
+
+    /// M⁻¹. Nothing cancels in the determinant with links of little inertia.
+    #[inline(always)]
+    fn mobility(&self, pose: &Pose) -> Mass {
+        let (l, a) = (proximal_arm(pose), pose.a_d);
+        let across = self.carried * (l.x * a.y - l.y * a.x);
+        let reciprocal = both(1.0) / (self.stretched + across * across);
+        let coupling = self.mass(pose).coupling;
+        Mass { proximal: self.distal * reciprocal, distal: self.proximal * reciprocal, coupling: -coupling * reciprocal }
     }
 }
 
@@ -160,8 +176,8 @@ pub struct Factor {
 
 impl Factor {
     #[inline(always)]
-    fn new(mechanism: &Mechanism, pose: &Pose, softness: f64) -> Self {
-        let mobility = Mass::new(mechanism, pose).inverse(mechanism, pose);
+    fn new(inertia: &Inertia, pose: &Pose, softness: f64) -> Self {
+        let mobility = inertia.mobility(pose);
         let [p, d] = phi_q(pose);
         let yielded =
             |p: Legs, d: Legs| [mobility.proximal * p + mobility.coupling * d, mobility.coupling * p + mobility.distal * d];
@@ -231,7 +247,7 @@ impl<L: LinearSolve> System<ANGLES, CLOSURES> for ByAngles<'_, L> {
 
     #[inline(always)]
     fn mass_times(&self, pose: &Pose, x: &Angles) -> Angles {
-        Mass::new(self.mechanism, pose).times(x)
+        self.inertia.mass(pose).times(x)
     }
 
     /// The applied forces, and the centripetal ones of the distal centre of mass.
@@ -253,7 +269,7 @@ impl<L: LinearSolve> System<ANGLES, CLOSURES> for ByAngles<'_, L> {
 
     #[inline(always)]
     fn factor_mass(&self, pose: &Pose, softness: f64) -> Factor {
-        Factor::new(self.mechanism, pose, softness)
+        Factor::new(&self.inertia, pose, softness)
     }
 
     fn potential(&self, q: &Angles, pose: &Pose) -> Option<f64> {

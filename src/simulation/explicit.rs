@@ -7,7 +7,7 @@ use super::angles::{ANGLES, ByAngles, CLOSURES, LINKS, angles_of};
 use super::system::{FiveBar, LinearSolve, TwoLegged};
 use super::{Inputs, Model, State, StepFailure};
 use crate::integrator::dop853::{Running, Settings};
-use crate::integrator::equilibrium;
+use crate::integrator::{System, equilibrium_at};
 
 /// The run that begins with a state.
 pub(super) fn start(model: &Model, settings: &Settings, state: &State) -> Running<ANGLES, CLOSURES> {
@@ -16,8 +16,20 @@ pub(super) fn start(model: &Model, settings: &Settings, state: &State) -> Runnin
     Running::start(&ByAngles::new(&five_bar), angles_of(&state.core.q), angles_of(&state.core.v), settings)
 }
 
-/// `steps` macro steps of `h` seconds with `inputs` held. On failure everything but the running step is undefined.
+/// `steps` macro steps of `h` seconds with `inputs` held. On failure the running step is as before, the rest undefined.
 pub(super) fn run<L: LinearSolve>(
+    model: &Model,
+    settings: &Settings,
+    state: &mut State,
+    inputs: &Inputs,
+    h: f64,
+    steps: u64,
+) -> Result<(), StepFailure> {
+    let before = state.running;
+    forward::<L>(model, settings, state, inputs, h, steps).inspect_err(|_| state.running = before)
+}
+
+fn forward<L: LinearSolve>(
     model: &Model,
     settings: &Settings,
     state: &mut State,
@@ -28,7 +40,7 @@ pub(super) fn run<L: LinearSolve>(
     let at = |step: u64| move |cause| StepFailure { elapsed: step as f64 * h, cause };
     let five_bar = FiveBar::<L>::new(model, inputs);
     let system = ByAngles::new(&five_bar);
-    let Some(mut running) = state.running else { unreachable!("the method has a running step from the start") };
+    let Some(running) = &mut state.running else { unreachable!("the method has a running step from the start") };
 
     if state.inputs != *inputs {
         let before = FiveBar::<L>::new(model, &state.inputs);
@@ -38,15 +50,15 @@ pub(super) fn run<L: LinearSolve>(
     }
     for step in 0..steps {
         running.advance(&system, settings, h, (steps - step) as f64 * h).map_err(at(step))?;
-        unwind(&mut running, &mut state.turns);
+        unwind(running, &mut state.turns);
     }
 
     let sample = running.sample(&system, settings).map_err(at(steps))?;
     let core = &mut state.core;
     running.record(&sample, core);
-    (core.q, core.v) = system.coordinates(&sample.q, &sample.v);
-    (core.a, core.lambda) = equilibrium(&five_bar, &core.q, &core.v, model.softness);
-    state.running = Some(running);
+    (core.q, core.v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
+    let mass = five_bar.factor_mass(&sample.pose, model.softness);
+    (core.a, core.lambda) = equilibrium_at(&five_bar, &core.q, &sample.pose, &core.v, &mass);
     Ok(())
 }
 

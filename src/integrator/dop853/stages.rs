@@ -53,7 +53,8 @@ impl<const N: usize> Stages<N> {
     fn sum(&self, row: Row) -> [[f64; N]; 2] {
         let (mut q, mut v) = ([0.0; N], [0.0; N]);
         for &(stage, coefficient) in row {
-            let slope = &self.slopes[stage];
+            // The remainder changes nothing and is cheaper than a check.
+            let slope = &self.slopes[stage % ALL];
             for i in 0..N {
                 q[i] += coefficient * slope.q[i];
                 v[i] += coefficient * slope.v[i];
@@ -130,7 +131,8 @@ impl<const N: usize> Stages<N> {
         }
         DENSE.map(|row| {
             let [q, v] = self.sum(row);
-            Slope { q: q.map(|q| self.h * q), v: v.map(|v| self.h * v), power: Power::default().plus(self.h, self.power(row)) }
+            let power = if system.follows_work() { self.power(row) } else { Power::default() };
+            Slope { q: q.map(|q| self.h * q), v: v.map(|v| self.h * v), power: Power::default().plus(self.h, power) }
         })
     }
 }
