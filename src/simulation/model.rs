@@ -104,7 +104,8 @@ impl Model {
                 error_tolerance: settings.error_tolerance,
                 first_step: settings.step_size,
                 max_iterations,
-                softness: RANK_LOSS / parameters.geometry.mean_mass(),
+                softness: if parameters.geometry.base_distance == 0.0 { COAXIAL } else { RANK_LOSS }
+                    / parameters.geometry.mean_mass(),
             }),
             Method::Rk4 => Stepper::Rk4(rk4::Settings { projection: true, softness, tolerance, max_iterations }),
         };
@@ -122,6 +123,8 @@ impl Model {
 /// e of the explicit method in the link angles, in multiples of 1 over the mean mass: no more than round-off makes of a singular
 /// Φ_q M⁻¹ Φ_qᵀ. At 1e-14 passes close to a vertex were falsified.
 const RANK_LOSS: f64 = 1e-20;
+/// The same with coaxial motors, where links of equal lengths lose rank in every direction and no gate helps: motions must pass softly.
+const COAXIAL: f64 = 1e-10;
 
 /// Beyond this spread of compliances the differences of the two-leg elimination lose too many digits: its error is the square of the
 /// spread times ε. The paper's links have 3.
