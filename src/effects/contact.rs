@@ -41,7 +41,7 @@ pub struct Parameters {
 }
 
 /// The plane ready to act.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Contact {
     normal: [f64; 2],
     offset: f64,

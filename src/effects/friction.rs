@@ -29,7 +29,7 @@ pub struct Parameters {
 }
 
 /// The curve of one joint.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Curve {
     joint: usize,
     /// T_c, N·m.
@@ -39,7 +39,7 @@ struct Curve {
 }
 
 /// Dry friction ready to act.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Friction {
     curves: [Option<Curve>; JOINTS],
     /// w_st and w_c, rad/s.

@@ -24,7 +24,7 @@ pub struct Parameters {
 }
 
 /// Gravity ready to act: its constant generalised force.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Gravity {
     weight: Coordinates,
 }

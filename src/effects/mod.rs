@@ -79,7 +79,7 @@ macro_rules! effects {
         const FORCES: usize = [$(stringify!($force),)+].len();
 
         /// An effect with a force that the scene calls for, ready to act.
-        #[derive(Clone, Debug)]
+        #[derive(Clone, Debug, PartialEq)]
         #[expect(missing_docs, reason = "each is the type of the effect's file")]
         pub enum Effect {
             $($Force($Force),)+

@@ -27,7 +27,7 @@ pub struct Parameters {
 }
 
 /// The servos ready to act.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Servo {
     kp: [f64; 2],
     kd: [f64; 2],

@@ -19,7 +19,7 @@ pub struct Parameters {
 }
 
 /// The springs ready to act.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Spring {
     k: [f64; 2],
     theta0: [f64; 2],

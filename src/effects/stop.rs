@@ -28,7 +28,7 @@ pub struct Parameters {
 }
 
 /// The stops ready to act.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Stop {
     lower: [f64; 2],
     upper: [f64; 2],

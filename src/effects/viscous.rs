@@ -18,7 +18,7 @@ pub struct Parameters {
 }
 
 /// Viscous friction ready to act.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Viscous {
     b: [f64; JOINTS],
     /// Whether any of the joints between two links has a coefficient.

@@ -143,9 +143,10 @@ impl Simulation {
     /// are active, and the masses, stay. On refusal nothing has changed.
     pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<(), Refusal> {
         let before = self.state.potential_energy(&self.model);
-        self.model.tune(parameters)?;
-        self.state.core.work.input += self.state.potential_energy(&self.model) - before;
-        self.state.restart(&self.model);
+        if self.model.tune(parameters)? {
+            self.state.core.work.input += self.state.potential_energy(&self.model) - before;
+            self.state.restart(&self.model);
+        }
         Ok(())
     }
 

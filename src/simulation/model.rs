@@ -121,8 +121,9 @@ impl Model {
         })
     }
 
-    /// Gives the active effects new parameters; the list of effects and the linear solve stay. On refusal nothing has changed.
-    pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<(), Refusal> {
+    /// Gives the active effects new parameters; the list of effects and the linear solve stay. Whether that changed anything; on
+    /// refusal nothing has.
+    pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<bool, Refusal> {
         let effects = parameters.active(&self.mechanism)?;
         if let Some(effect) = effects.iter().find(|effect| effect.couples_links() && !self.general_solve) {
             return Err(Refusal(format!(
@@ -131,9 +132,10 @@ impl Model {
                 effect.name()
             )));
         }
+        let changed = effects != self.effects;
         self.conservative = effects.iter().all(Effect::conservative);
         self.effects = effects;
-        Ok(())
+        Ok(changed)
     }
 
     /// The part of the inputs that the scene hears: without servos no references.
