@@ -137,9 +137,10 @@ impl<const N: usize, const M: usize> Running<N, M> {
         Ok(())
     }
 
-    /// The forces have changed at once, after a [`cut`](Self::cut).
-    pub fn restart(&mut self, system: &impl System<N, M>, settings: &Settings) {
+    /// The forces have changed at once, after a [`cut`](Self::cut), which put in some energy, J.
+    pub fn restart(&mut self, system: &impl System<N, M>, settings: &Settings, put_in: f64) {
         self.end.restart(system, settings.softness);
+        self.end.work.input += put_in;
         self.start = self.end;
     }
 
@@ -223,7 +224,9 @@ impl<const N: usize, const M: usize> Running<N, M> {
             Power::default()
         };
 
-        match vertex::verdict(system, &GATE, &mut self.end, longest, settings.softness) {
+        // A ride along a ray knows friction at its end only: it may not be longer than the macro steps of the other methods.
+        let ride = if system.conservative() { longest } else { longest.min(settings.first_step) };
+        match vertex::verdict(system, &GATE, &mut self.end, ride, settings.softness) {
             Verdict::Free => {}
             Verdict::Near(care) => longest = longest.min(care.longest),
             Verdict::Carry(ray) => {

@@ -276,6 +276,14 @@ impl<L: LinearSolve> System<ANGLES, CLOSURES> for ByAngles<'_, L> {
         self.five_bar.potential(&self.placed(q, pose), pose)
     }
 
+    fn conservative(&self) -> bool {
+        self.five_bar.conservative()
+    }
+
+    fn power_without_potential(&self, q: &Angles, pose: &Pose, v: &Angles) -> f64 {
+        self.five_bar.power_without_potential(&self.placed(q, pose), pose, &self.moving(v, pose))
+    }
+
     #[inline(always)]
     fn vertex(&self, q: &Angles, v: &Angles) -> Option<(Angles, Angles)> {
         let (offset, rate) = self.five_bar.vertex(&in_place(q), &in_place(v))?;

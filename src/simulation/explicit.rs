@@ -4,16 +4,37 @@
 use std::f64::consts::TAU;
 
 use super::angles::{ANGLES, ByAngles, CLOSURES, LINKS, angles_of};
+use super::model::Stepper;
 use super::system::{FiveBar, LinearSolve, TwoLegged};
 use super::{Inputs, Model, State, StepFailure};
 use crate::integrator::dop853::{Running, Settings};
-use crate::integrator::{System, equilibrium_at};
+use crate::integrator::{self, Failure, System, equilibrium_at};
+use crate::mechanism::{COORDINATES, MULTIPLIERS, Pose};
 
 /// The run that begins with a state.
 pub(super) fn start(model: &Model, settings: &Settings, state: &State) -> Running<ANGLES, CLOSURES> {
-    // Which linear solve the twelve coordinates need does not matter here.
-    let five_bar = FiveBar::<TwoLegged>::new(model, &state.inputs);
+    // Which linear solve the twelve coordinates need does not matter in the angles, here and below.
+    let five_bar = FiveBar::<TwoLegged>::new(model, &state.inputs, &state.turns);
     Running::start(&ByAngles::new(&five_bar), angles_of(&state.core.q), angles_of(&state.core.v), settings)
+}
+
+/// Before model or inputs change: what runs past the present time is thrown away, and the present state is the end of a step. On
+/// failure the state is undefined.
+pub(super) fn stop(model: &Model, state: &mut State) -> Result<(), Failure> {
+    let State { core, running: Some(running), turns, inputs, .. } = state else { return Ok(()) };
+    let Stepper::Dop853(settings) = &model.stepper else { return Ok(()) };
+    let five_bar = FiveBar::<TwoLegged>::new(model, inputs, turns);
+    let system = ByAngles::new(&five_bar);
+    running.cut(&system, settings)?;
+    look(&system, settings, running, core).map(drop)
+}
+
+/// After they have changed, which put in some energy, J.
+pub(super) fn resume(model: &Model, state: &mut State, put_in: f64) {
+    let State { running: Some(running), turns, inputs, .. } = state else { return };
+    let Stepper::Dop853(settings) = &model.stepper else { return };
+    let five_bar = FiveBar::<TwoLegged>::new(model, inputs, turns);
+    running.restart(&ByAngles::new(&five_bar), settings, put_in);
 }
 
 /// `steps` macro steps of `h` seconds with `inputs` held. On failure the running step is as before, the rest undefined.
@@ -38,28 +59,35 @@ fn forward<L: LinearSolve>(
     steps: u64,
 ) -> Result<(), StepFailure> {
     let at = |step: u64| move |cause| StepFailure { elapsed: step as f64 * h, cause };
-    let five_bar = FiveBar::<L>::new(model, inputs);
-    let system = ByAngles::new(&five_bar);
-    let Some(running) = &mut state.running else { unreachable!("the method has a running step from the start") };
-
     if state.inputs != *inputs {
-        let before = FiveBar::<L>::new(model, &state.inputs);
-        running.cut(&ByAngles::new(&before), settings).map_err(at(0))?;
-        running.restart(&system, settings);
+        stop(model, state).map_err(at(0))?;
         state.inputs = *inputs;
+        resume(model, state, 0.0);
     }
+    let State { core, running: Some(running), turns, .. } = state else { unreachable!("the method has a running step") };
     for step in 0..steps {
-        running.advance(&system, settings, h, (steps - step) as f64 * h).map_err(at(step))?;
-        unwind(running, &mut state.turns);
+        let five_bar = FiveBar::<L>::new(model, inputs, turns);
+        running.advance(&ByAngles::new(&five_bar), settings, h, (steps - step) as f64 * h).map_err(at(step))?;
+        unwind(running, turns);
     }
+    let five_bar = FiveBar::<L>::new(model, inputs, turns);
+    let pose = look(&ByAngles::new(&five_bar), settings, running, core).map_err(at(steps))?;
+    (core.a, core.lambda) = equilibrium_at(&five_bar, &core.q, &pose, &core.v, &five_bar.factor_mass(&pose, model.softness));
+    Ok(())
+}
 
-    let sample = running.sample(&system, settings).map_err(at(steps))?;
-    let core = &mut state.core;
+/// The present state in the twelve coordinates, but for q̈ and λ; the pose there.
+#[inline(always)]
+fn look<L: LinearSolve>(
+    system: &ByAngles<'_, L>,
+    settings: &Settings,
+    running: &Running<ANGLES, CLOSURES>,
+    core: &mut integrator::State<COORDINATES, MULTIPLIERS>,
+) -> Result<Pose, Failure> {
+    let sample = running.sample(system, settings)?;
     running.record(&sample, core);
     (core.q, core.v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
-    let mass = five_bar.factor_mass(&sample.pose, model.softness);
-    (core.a, core.lambda) = equilibrium_at(&five_bar, &core.q, &sample.pose, &core.v, &mass);
-    Ok(())
+    Ok(sample.pose)
 }
 
 /// Moves whole turns of the angles into `turns`, where they are more than two: as [`State::unwind`] does with q.

@@ -5,6 +5,7 @@
 
 pub mod angles;
 pub mod coupled;
+pub mod dense;
 mod explicit;
 pub mod model;
 pub mod system;
@@ -19,11 +20,32 @@ use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal, closure};
 
 pub use crate::effects::Inputs;
+use crate::effects::{self, Situation};
 pub use crate::integrator::Counters;
 use angles::{ANGLES, CLOSURES};
 use model::Stepper;
-pub use model::{Method, Model, Parameters, Settings};
-use system::{FiveBar, General, LinearSolve, TwoLegged};
+pub use model::{Method, Model, Parameters, Settings, Solve};
+use system::{FiveBar, General, LinearSolve, LinksCoupled, TwoLegged};
+
+/// An expression with the model's linear solve as the type L.
+macro_rules! with_solve {
+    ($model:expr, $L:ident => $do:expr) => {
+        match $model.solve {
+            Solve::TwoLegged => {
+                type $L = TwoLegged;
+                $do
+            }
+            Solve::LinksCoupled => {
+                type $L = LinksCoupled;
+                $do
+            }
+            Solve::General => {
+                type $L = General;
+                $do
+            }
+        }
+    };
+}
 
 /// Everything that changes during a run. A copy is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -69,7 +91,7 @@ impl Simulation {
     /// Checks the parameters, closes the loop, fixes the list of effects and the linear solve, finds q̈ and λ of the start.
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
-        let (q, v) = mechanism::close(&parameters.geometry, &parameters.start)?;
+        let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
         Self::started(model, q, v, inputs)
     }
 
@@ -77,7 +99,7 @@ impl Simulation {
     /// links alone leave the posture open (coinciding elbows). Refused unless they close the loop.
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
-        let (q, v) = closure::assemble(&parameters.geometry, theta, omega);
+        let (q, v) = closure::assemble(&model.mechanism.geometry, theta, omega);
         let simulation = Self::started(model, q, v, inputs)?;
         let (mechanism, core) = (&simulation.model.mechanism, &simulation.state.core);
         let pose = mechanism.pose(&core.q);
@@ -93,12 +115,11 @@ impl Simulation {
     }
 
     fn started(model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
-        let core = if model.general_solve {
-            integrator::State::start(&FiveBar::<General>::new(&model, inputs), q, v, model.softness)
-        } else {
-            integrator::State::start(&FiveBar::<TwoLegged>::new(&model, inputs), q, v, model.softness)
-        };
-        let mut state = State { core, running: None, turns: [0; 4], inputs: *inputs, energy_at_start: 0.0 };
+        let (inputs, turns) = (model.heard(inputs), [0; 4]);
+        let core = with_solve!(&model, L => {
+            integrator::State::start(&FiveBar::<L>::new(&model, &inputs, &turns), q, v, model.softness)
+        });
+        let mut state = State { core, running: None, turns, inputs, energy_at_start: 0.0 };
         state.unwind();
         if let Stepper::Dop853(settings) = &model.stepper {
             state.running = Some(explicit::start(&model, settings, &state));
@@ -119,11 +140,8 @@ impl Simulation {
     /// On failure the state is as it was before the call. Allocates nothing.
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
         let State { core, turns, inputs: held, .. } = self.state;
-        let done = if self.model.general_solve {
-            run::<General>(&self.model, &mut self.state, inputs, h, steps)
-        } else {
-            run::<TwoLegged>(&self.model, &mut self.state, inputs, h, steps)
-        };
+        let inputs = self.model.heard(inputs);
+        let done = with_solve!(&self.model, L => run::<L>(&self.model, &mut self.state, &inputs, h, steps));
         // The running step of an explicit method is changed only when all has gone well.
         done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
     }
@@ -141,17 +159,31 @@ impl Simulation {
     /// The present state with the q̈ and λ that belong to `inputs`: what observers answer for.
     pub fn state_for(&self, inputs: &Inputs) -> State {
         let mut state = self.state;
-        if self.model.general_solve {
-            state.hold(&self.model, &FiveBar::<General>::new(&self.model, inputs), inputs);
-        } else {
-            state.hold(&self.model, &FiveBar::<TwoLegged>::new(&self.model, inputs), inputs);
-        }
+        state.hold(&self.model, &self.model.heard(inputs));
         state
     }
 
+    /// Gives the active effects new parameters from now on; what that adds to the potential energy counts as input. Which effects
+    /// are active, and the masses, stay. On refusal nothing has changed.
+    pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<(), Refusal> {
+        let mut model = self.model.clone();
+        if model.tune(parameters)? {
+            let mut state = self.state;
+            explicit::stop(&self.model, &mut state).map_err(|failure| {
+                Refusal(format!("the step that is under way could not be redone up to the present time: {failure}."))
+            })?;
+            let put_in = state.potential_energy(&model) - state.potential_energy(&self.model);
+            state.core.work.input += put_in;
+            state.restart(&model);
+            explicit::resume(&model, &mut state, put_in);
+            *self = Self { model, state };
+        }
+        Ok(())
+    }
+
     /// Names of the active effects, e.g. `gravity`.
-    pub fn active_effects(&self) -> impl Iterator<Item = &'static str> {
-        self.model.effects.iter().map(|effect| effect.name())
+    pub fn active_effects(&self) -> &[&'static str] {
+        &self.model.effect_names
     }
 }
 
@@ -164,7 +196,14 @@ impl State {
 
     /// Potential energy of the active effects, J; the held loads count as work instead.
     pub fn potential_energy(&self, model: &Model) -> f64 {
-        model.effects.iter().map(|effect| effect.potential(&self.core.q)).sum()
+        self.at(model, |at| model.effects.iter().map(|effect| effect.potential(at)).sum())
+    }
+
+    /// What effects answer for the present state.
+    pub fn at<T>(&self, model: &Model, answer: impl FnOnce(&Situation) -> T) -> T {
+        let State { core, inputs, turns, .. } = self;
+        let pose = model.mechanism.pose(&core.q);
+        answer(&Situation { q: &core.q, v: &core.v, pose: &pose, inputs, turns })
     }
 
     /// Absolute angles of links 1 to 4, rad, not wrapped.
@@ -186,11 +225,17 @@ impl State {
     }
 
     /// Holds `inputs` from now on; if they differ from the present ones, q̈, λ and the predictor start anew.
-    fn hold(&mut self, model: &Model, system: &impl System<COORDINATES, MULTIPLIERS>, inputs: &Inputs) {
+    fn hold(&mut self, model: &Model, inputs: &Inputs) {
         if self.inputs != *inputs {
             self.inputs = *inputs;
-            self.core.restart(system, model.softness);
+            self.restart(model);
         }
+    }
+
+    /// The forces have changed at once: q̈, λ and the predictor start anew.
+    fn restart(&mut self, model: &Model) {
+        let State { core, inputs, turns, .. } = self;
+        with_solve!(model, L => core.restart(&FiveBar::<L>::new(model, inputs, turns), model.softness));
     }
 }
 
@@ -219,12 +264,15 @@ fn macro_steps<L: LinearSolve>(
     steps: u64,
     advance: impl Fn(&FiveBar<'_, L>, &mut integrator::State<COORDINATES, MULTIPLIERS>, &mut Power) -> Result<(), Failure>,
 ) -> Result<(), StepFailure> {
-    let system = FiveBar::<L>::new(model, inputs);
-    state.hold(model, &system, inputs);
-    let core = &state.core;
-    let mut power = if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() };
+    state.hold(model, inputs);
+    let mut power = None;
     for step in 0..steps {
-        advance(&system, &mut state.core, &mut power).map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
+        let State { core, turns, .. } = state;
+        let system = FiveBar::<L>::new(model, inputs, turns);
+        let power = power.get_or_insert_with(|| {
+            if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() }
+        });
+        advance(&system, core, power).map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
         state.unwind();
     }
     Ok(())

@@ -5,9 +5,11 @@ use std::marker::PhantomData;
 use nalgebra::{SMatrix, SVector};
 
 use super::coupled::Coupled;
+use super::dense::Dense;
 use super::model::Model;
 use super::two_leg::TwoLeg;
-use crate::effects::{DiagonalTangents, FullTangents, Inputs, Tangents};
+use crate::effects::tangents::{CoupledTangents, DiagonalTangents, FullTangents, INNER, INNERS};
+use crate::effects::{Inputs, Situation, Tangents};
 use crate::integrator::{Failure, Implicit, Kkt, Power, System};
 use crate::mechanism::closure::assemble;
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
@@ -28,27 +30,25 @@ pub enum Definite {
     Enforced,
 }
 
-/// How the tangent is factorised: chosen once, when the scene is made ready.
-pub trait LinearSolve {
-    /// The factorised saddle-point matrix.
-    type Factor: Kkt<COORDINATES, MULTIPLIERS>;
+/// How saddle-point matrices are factorised: chosen once, when the scene is made ready.
+pub trait LinearSolve: Sized {
+    /// The factor with M, which is always diagonal, in the corner.
+    type Mass: Kkt<COORDINATES, MULTIPLIERS>;
+    /// The factor with A₀.
+    type Tangent: Kkt<COORDINATES, MULTIPLIERS>;
 
     /// Factorises with M.
-    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Self::Factor
-    where
-        Self: Sized;
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Self::Mass;
 
     /// Factorises with A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
     fn factor(
         five_bar: &FiveBar<'_, Self>,
-        pose: &Pose,
+        at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
         definite: Definite,
-    ) -> Result<Self::Factor, Failure>
-    where
-        Self: Sized;
+    ) -> Result<Self::Tangent, Failure>;
 }
 
 /// Fast: no active effect couples links, and the inertias are of like size.
@@ -56,7 +56,8 @@ pub trait LinearSolve {
 pub enum TwoLegged {}
 
 impl LinearSolve for TwoLegged {
-    type Factor = TwoLeg;
+    type Mass = TwoLeg;
+    type Tangent = TwoLeg;
 
     #[inline(always)]
     fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> TwoLeg {
@@ -66,15 +67,15 @@ impl LinearSolve for TwoLegged {
     #[inline(always)]
     fn factor(
         five_bar: &FiveBar<'_, Self>,
-        pose: &Pose,
+        at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
         definite: Definite,
     ) -> Result<TwoLeg, Failure> {
-        let mechanism = &five_bar.model.mechanism;
+        let (mechanism, pose) = (&five_bar.model.mechanism, at.pose);
         let mut tangents = DiagonalTangents::new(h);
-        five_bar.add_tangents(pose, &mut tangents);
+        five_bar.add_tangents(at, &mut tangents);
         let beta = h * h / 4.0;
         let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
         let inertia_p = mechanism.inertia_p + beta * stiffness_p + legs_of(&tangents.weighted, P_THETA);
@@ -95,68 +96,115 @@ impl LinearSolve for TwoLegged {
     }
 }
 
-/// General: K and C may couple any links, and inertias may be next to nothing.
+/// The geometric stiffness of links 1 to 4, N·m/rad.
+fn geometric_stiffness(pose: &Pose, lambda: &Multipliers) -> [f64; 4] {
+    let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
+    let ([p_left, p_right], [d_left, d_right]) = (stiffness_p.to_array(), stiffness_d.to_array());
+    [p_left, d_left, d_right, p_right]
+}
+
+/// A₀ if it is sufficiently positive, or made so.
+fn made_definite<const K: usize>(
+    mut a0: SMatrix<f64, K, K>,
+    mass: &SMatrix<f64, K, K>,
+    definite: Definite,
+) -> Result<SMatrix<f64, K, K>, Failure> {
+    let keeps = |a0: &SMatrix<f64, K, K>, part: f64| ((a0 + a0.transpose()) / 2.0 - mass * part).cholesky().is_some();
+    match definite {
+        Definite::Demanded if !keeps(&a0, LEAST_INERTIA) => return Err(Failure::IndefiniteTangent),
+        Definite::Demanded => {}
+        // Doubling ends: some multiple of M outweighs any tangent that is finite.
+        Definite::Enforced => {
+            let mut more = DESCENT_INERTIA;
+            while !keeps(&a0, DESCENT_INERTIA) {
+                a0 += mass * more;
+                more *= 2.0;
+                if !more.is_finite() {
+                    return Err(Failure::NotFinite);
+                }
+            }
+        }
+    }
+    Ok(a0)
+}
+
+/// Effects couple links, and the inertias are of like size.
 #[derive(Debug)]
-pub enum General {}
+pub enum LinksCoupled {}
 
-impl LinearSolve for General {
-    type Factor = Coupled;
+impl LinearSolve for LinksCoupled {
+    type Mass = TwoLeg;
+    type Tangent = Coupled;
 
-    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Coupled {
-        Coupled::factor(pose, &five_bar.mass_matrix(), softness)
+    #[inline(always)]
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> TwoLeg {
+        TwoLeg::factor_mass(&five_bar.model.mechanism, pose, softness)
     }
 
     fn factor(
         five_bar: &FiveBar<'_, Self>,
-        pose: &Pose,
+        at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
         definite: Definite,
     ) -> Result<Coupled, Failure> {
-        let mass = five_bar.mass_matrix();
-        let mut a0 = mass + five_bar.full_tangents(pose, h);
-        let beta = h * h / 4.0;
-        let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
-        let ([p_left, p_right], [d_left, d_right]) = (stiffness_p.to_array(), stiffness_d.to_array());
-        for (i, stiffness) in THETA.into_iter().zip([p_left, d_left, d_right, p_right]) {
-            a0[(i, i)] += beta * stiffness;
+        let masses = five_bar.model.mechanism.mass_times(&[1.0; COORDINATES]);
+        let inner_masses = SMatrix::from_diagonal(&SVector::from(INNER.map(|i| masses[i])));
+        let mut tangents = CoupledTangents::new(h);
+        five_bar.add_tangents(at, &mut tangents);
+        let mut a0 = inner_masses + tangents.weighted;
+        for (i, stiffness) in geometric_stiffness(at.pose, lambda).into_iter().enumerate() {
+            let place = INNERS - 4 + i;
+            a0[(place, place)] += h * h / 4.0 * stiffness;
         }
-        let keeps = |a0: &SMatrix<f64, COORDINATES, COORDINATES>, part: f64| {
-            ((a0 + a0.transpose()) / 2.0 - mass * part).cholesky().is_some()
-        };
-        match definite {
-            Definite::Demanded if !keeps(&a0, LEAST_INERTIA) => return Err(Failure::IndefiniteTangent),
-            Definite::Demanded => {}
-            // Doubling ends: some multiple of M outweighs any tangent that is finite.
-            Definite::Enforced => {
-                let mut more = DESCENT_INERTIA;
-                while !keeps(&a0, DESCENT_INERTIA) {
-                    a0 += mass * more;
-                    more *= 2.0;
-                    if !more.is_finite() {
-                        return Err(Failure::NotFinite);
-                    }
-                }
-            }
-        }
-        Ok(Coupled::factor(pose, &a0, softness))
+        Coupled::factor(at.pose, &masses, made_definite(a0, &inner_masses, definite)?, softness)
     }
 }
 
-/// A model with the inputs that are held while it is stepped.
+/// Anything: effects may couple links, and inertias may be next to nothing.
+#[derive(Debug)]
+pub enum General {}
+
+impl LinearSolve for General {
+    type Mass = Dense;
+    type Tangent = Dense;
+
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Dense {
+        Dense::factor(pose, &five_bar.mass_matrix(), softness)
+    }
+
+    fn factor(
+        five_bar: &FiveBar<'_, Self>,
+        at: &Situation<'_>,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+        definite: Definite,
+    ) -> Result<Dense, Failure> {
+        let mass = five_bar.mass_matrix();
+        let mut a0 = mass + five_bar.full_tangents(at, h);
+        for (i, stiffness) in THETA.into_iter().zip(geometric_stiffness(at.pose, lambda)) {
+            a0[(i, i)] += h * h / 4.0 * stiffness;
+        }
+        Ok(Dense::factor(at.pose, &made_definite(a0, &mass, definite)?, softness))
+    }
+}
+
+/// A model with the inputs and whole turns that stay while it is stepped.
 #[derive(Debug)]
 pub struct FiveBar<'a, L> {
     model: &'a Model,
     inputs: &'a Inputs,
+    turns: &'a [i64; 4],
     follows_work: bool,
     linear_solve: PhantomData<L>,
 }
 
 impl<'a, L> FiveBar<'a, L> {
-    /// `model` under `inputs`.
-    pub fn new(model: &'a Model, inputs: &'a Inputs) -> Self {
-        Self { model, inputs, follows_work: inputs.any(), linear_solve: PhantomData }
+    /// `model` under `inputs`, with the whole turns of links 1 to 4 that q leaves out.
+    pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
+        Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, linear_solve: PhantomData }
     }
 
     /// The model.
@@ -165,16 +213,21 @@ impl<'a, L> FiveBar<'a, L> {
     }
 
     #[inline(always)]
-    fn add_tangents(&self, pose: &Pose, tangents: &mut impl Tangents) {
-        self.inputs.add_tangents(pose, tangents);
+    fn at<'b>(&'b self, q: &'b Coordinates, pose: &'b Pose, v: &'b Coordinates) -> Situation<'b> {
+        Situation { q, v, pose, inputs: self.inputs, turns: self.turns }
+    }
+
+    #[inline(always)]
+    fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
+        self.inputs.add_tangents(at, tangents);
         for effect in &self.model.effects {
-            effect.add_tangents(tangents);
+            effect.add_tangents(at, tangents);
         }
     }
 
-    fn full_tangents(&self, pose: &Pose, h: f64) -> SMatrix<f64, COORDINATES, COORDINATES> {
+    fn full_tangents(&self, at: &Situation, h: f64) -> SMatrix<f64, COORDINATES, COORDINATES> {
         let mut tangents = FullTangents::new(h);
-        self.add_tangents(pose, &mut tangents);
+        self.add_tangents(at, &mut tangents);
         tangents.weighted
     }
 
@@ -195,7 +248,7 @@ fn in_angles(values: [f64; 4]) -> Coordinates {
 
 impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     type Pose = Pose;
-    type Mass = L::Factor;
+    type Mass = L::Mass;
 
     #[inline(always)]
     fn pose(&self, q: &Coordinates) -> Pose {
@@ -223,23 +276,34 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     }
 
     #[inline(always)]
-    fn forces(&self, _q: &Coordinates, pose: &Pose, _v: &Coordinates) -> Coordinates {
+    fn forces(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Coordinates {
+        let at = self.at(q, pose, v);
         let mut forces = [0.0; COORDINATES];
-        self.inputs.add_forces(pose, &mut forces);
+        self.inputs.add_forces(&at, &mut forces);
         for effect in &self.model.effects {
-            effect.add_forces(&mut forces);
+            effect.add_forces(&at, &mut forces);
         }
         forces
     }
 
     #[inline(always)]
-    fn factor_mass(&self, pose: &Pose, softness: f64) -> L::Factor {
+    fn factor_mass(&self, pose: &Pose, softness: f64) -> L::Mass {
         L::factor_mass(self, pose, softness)
     }
 
     fn potential(&self, q: &Coordinates, pose: &Pose) -> Option<f64> {
-        let effects: f64 = self.model.effects.iter().map(|effect| effect.potential(q)).sum();
-        Some(effects + self.inputs.potential(q, pose))
+        let at = self.at(q, pose, &[0.0; COORDINATES]);
+        let effects: f64 = self.model.effects.iter().map(|effect| effect.potential(&at)).sum();
+        Some(effects + self.inputs.potential(&at))
+    }
+
+    fn conservative(&self) -> bool {
+        self.model.conservative
+    }
+
+    fn power_without_potential(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
+        let at = self.at(q, pose, v);
+        self.model.effects.iter().map(|effect| effect.input_power(&at) - effect.dissipation(&at)).sum()
     }
 
     #[inline(always)]
@@ -286,8 +350,14 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     }
 
     #[inline(always)]
-    fn power(&self, _q: &Coordinates, pose: &Pose, v: &Coordinates) -> Power {
-        Power { input: self.inputs.power(pose, v), dissipated: 0.0 }
+    fn power(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Power {
+        let at = self.at(q, pose, v);
+        let mut power = Power { input: self.inputs.power(&at), dissipated: 0.0 };
+        for effect in &self.model.effects {
+            power.input += effect.input_power(&at);
+            power.dissipated += effect.dissipation(&at);
+        }
+        power
     }
 
     #[inline(always)]
@@ -303,37 +373,40 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
 }
 
 impl<L: LinearSolve> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
-    type Tangent = L::Factor;
+    type Tangent = L::Tangent;
 
     #[inline(always)]
     fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {
         pose.phi_q_transposed_times(lambda)
     }
-    fn weight_times(&self, _q: &Coordinates, pose: &Pose, _v: &Coordinates, h: f64, x: &Coordinates) -> Coordinates {
-        let weight = self.mass_matrix() + self.full_tangents(pose, h);
+
+    fn weight_times(&self, q: &Coordinates, pose: &Pose, v: &Coordinates, h: f64, x: &Coordinates) -> Coordinates {
+        let weight = self.mass_matrix() + self.full_tangents(&self.at(q, pose, v), h);
         (weight * SVector::from(*x)).into()
     }
+
     #[inline(always)]
     fn factor_tangent(
         &self,
-        _q: &Coordinates,
+        q: &Coordinates,
         pose: &Pose,
-        _v: &Coordinates,
+        v: &Coordinates,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
-    ) -> Result<L::Factor, Failure> {
-        L::factor(self, pose, lambda, h, softness, Definite::Demanded)
+    ) -> Result<L::Tangent, Failure> {
+        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Demanded)
     }
+
     fn factor_descent(
         &self,
-        _q: &Coordinates,
+        q: &Coordinates,
         pose: &Pose,
-        _v: &Coordinates,
+        v: &Coordinates,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
-    ) -> Option<L::Factor> {
-        L::factor(self, pose, lambda, h, softness, Definite::Enforced).ok()
+    ) -> Option<L::Tangent> {
+        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Enforced).ok()
     }
 }

@@ -30,6 +30,9 @@ pub(super) fn descend<const N: usize, const M: usize>(
     step: &mut Step<N, M>,
     spent: &mut u64,
 ) -> bool {
+    if !system.conservative() {
+        return false;
+    }
     let mut q = step.q();
     let mut pose = system.pose(&q);
     let heaviest = max_norm(&system.mass_times(&pose, &[1.0; N]));
