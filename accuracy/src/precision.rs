@@ -1,6 +1,6 @@
 //! Work and precision: error against wall time.
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::Result;
 use fivebar::simulation::Counters;
@@ -8,13 +8,17 @@ use fivebar::simulation::Counters;
 use crate::choice::HEAD;
 use crate::{COMMUNICATION, Choice, Extent, Folder, Run, Scene};
 
-/// Rounds over all choices; the median of their times counts.
+/// Rounds over all choices.
 fn rounds(extent: Extent) -> usize {
     match extent {
         Extent::Full => 9,
         Extent::Quick => 2,
     }
 }
+
+/// A run is timed lap by lap, s: short enough that most laps are not interrupted on a machine that has other things to do, long enough
+/// that the clock costs little; a multiple of every step, a divisor of every time of a reference.
+const LAP: f64 = 0.02;
 
 /// A choice on a scene.
 struct Measured<'a> {
@@ -25,8 +29,8 @@ struct Measured<'a> {
     /// `complete`, or why and when it ended early.
     ending: String,
     counters: Counters,
-    /// Wall times of the rounds.
-    times: Vec<Duration>,
+    /// Wall times, s, lap by lap: one entry per round.
+    laps: Vec<Vec<f64>>,
 }
 
 /// Writes `precision.csv` and `references.csv`; tells what it does on standard error.
@@ -60,7 +64,8 @@ pub fn write(folder: &Folder, scenes: &[Scene], extent: Extent) -> Result<()> {
 impl<'a> Measured<'a> {
     fn first(scene: &'a Scene, choice: Choice) -> Result<Self> {
         let mut run = Run::new(&scene.parameters, &scene.inputs, choice.setting)?;
-        let (elapsed, tips, ending) = time(scene, &mut run);
+        let mut laps = vec![Vec::new(); (scene.end / LAP).round() as usize];
+        let (tips, ending) = time(scene, &mut run, &mut laps);
         let error = if tips.len() == scene.reference.points.len() { scene.reference.error(&tips) } else { f64::INFINITY };
         let counters = run.simulation.state().core.counters;
         eprintln!(
@@ -71,19 +76,24 @@ impl<'a> Measured<'a> {
             choice.value,
             choice.unit
         );
-        Ok(Self { scene, choice, error, ending, counters, times: vec![elapsed] })
+        Ok(Self { scene, choice, error, ending, counters, laps })
     }
 
     fn again(&mut self) -> Result<()> {
         let mut run = Run::new(&self.scene.parameters, &self.scene.inputs, self.choice.setting)?;
-        self.times.push(time(self.scene, &mut run).0);
+        time(self.scene, &mut run, &mut self.laps);
         Ok(())
     }
 
     fn cells(mut self) -> Vec<String> {
-        self.times.sort();
-        let per_ms = |time: Duration| format!("{:.4}", 1e6 * time.as_secs_f64() * COMMUNICATION / self.scene.end);
-        let (best, median, worst) = (self.times[0], self.times[self.times.len() / 2], self.times[self.times.len() - 1]);
+        let per_ms = |seconds: f64| format!("{:.4}", 1e6 * seconds * COMMUNICATION / self.scene.end);
+        let rounds = self.laps.iter().map(Vec::len).min().unwrap_or_default();
+        let whole = |round: usize| self.laps.iter().map(|lap| lap[round]).sum::<f64>();
+        let worst = (0..rounds).map(whole).fold(0.0, f64::max);
+        self.laps.iter_mut().for_each(|lap| lap.sort_by(f64::total_cmp));
+        // Of a run that ended early there is no whole time.
+        let sum = |of: fn(&[f64]) -> f64| if rounds == 0 { f64::NAN } else { self.laps.iter().map(|lap| of(lap)).sum() };
+        let (median, best) = (sum(|lap| lap[lap.len() / 2]), sum(|lap| lap[0]));
         let Counters { substeps, rejected, iterations, .. } = self.counters;
         [self.scene.title(), self.scene.kind.name().into(), self.scene.end.to_string()]
             .into_iter()
@@ -96,15 +106,21 @@ impl<'a> Measured<'a> {
     }
 }
 
-/// The run to the end of the scene: wall time, the tip at the times of the reference, and how it ended.
-fn time(scene: &Scene, run: &mut Run) -> (Duration, Vec<[f64; 2]>, String) {
+/// The run to the end of the scene, its laps added to `laps`: the tip at the times of the reference, and how it ended.
+fn time(scene: &Scene, run: &mut Run, laps: &mut [Vec<f64>]) -> (Vec<[f64; 2]>, String) {
+    let mut points = scene.reference.points.iter().peekable();
     let mut tips = Vec::with_capacity(scene.reference.points.len());
-    let start = Instant::now();
-    for (t, _) in &scene.reference.points {
-        if let Err(failure) = run.to(*t) {
-            return (start.elapsed(), tips, format!("ended early at {:.4} s: {}", run.time() + failure.elapsed, failure.cause));
+    for (i, lap) in laps.iter_mut().enumerate() {
+        let end = (i + 1) as f64 * LAP;
+        let start = Instant::now();
+        let done = run.to(end);
+        lap.push(start.elapsed().as_secs_f64());
+        if let Err(failure) = done {
+            return (tips, format!("ended early at {:.4} s: {}", run.time() + failure.elapsed, failure.cause));
         }
-        tips.push(run.tip());
+        if points.next_if(|(t, _)| (t - end).abs() < LAP / 2.0).is_some() {
+            tips.push(run.tip());
+        }
     }
-    (start.elapsed(), tips, "complete".into())
+    (tips, "complete".into())
 }

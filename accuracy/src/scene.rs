@@ -83,7 +83,7 @@ impl Scene {
 }
 
 /// Parameters and inputs of a file of `scenes/`; one with signals is refused, its inputs being no constants.
-pub fn load(name: &str) -> Result<(Parameters, Inputs)> {
+pub(crate) fn load(name: &str) -> Result<(Parameters, Inputs)> {
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes").join(name).with_extension("json");
     let text = std::fs::read_to_string(&file).with_context(|| format!("scenes/{name}.json cannot be read"))?;
     let scene: serde_json::Map<String, serde_json::Value> =

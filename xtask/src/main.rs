@@ -4,6 +4,7 @@ mod hard_cases;
 mod package;
 mod paths;
 mod process;
+mod report;
 mod run;
 mod scenes;
 mod test;
@@ -41,6 +42,8 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
+    /// Measure what accuracy costs in time, write the page target/report/index.html
+    Report(report::Options),
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package,
 }
@@ -61,6 +64,7 @@ fn command(command: Command) -> Result<()> {
         Command::Run { scene } => run::run(&scene),
         Command::Test { full } => test::test(full),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
+        Command::Report(options) => report::report(&options),
         Command::Package => package::package().map(drop),
     }
 }

@@ -1,0 +1,101 @@
+"""Which method to pick: for each wanted accuracy the cheapest setting that was measured to reach it."""
+
+from dataclasses import dataclass
+
+from report.tables import Marker, Reference
+
+WANTED = tuple(10.0**-n for n in range(2, 13))
+"""Errors, m, that somebody may ask for."""
+
+SHORT = (1e-3, 1e-6, 1e-9, 1e-11)
+"""Those of the short table."""
+
+RESOLVED = 3.0
+"""A reference tells errors apart that are at least so many times its own."""
+
+
+@dataclass(frozen=True)
+class Pick:
+    """The answer for one scene and one wanted accuracy."""
+
+    wanted: float
+    best: Marker | None
+    """The cheapest; None if nothing measured is good enough."""
+    second: Marker | None
+    """The cheapest of the other methods."""
+    resolved: bool
+    """Whether the reference is good enough to tell."""
+
+
+def pick(markers: list[Marker], reference: Reference, wanted: float) -> Pick:
+    """The cheapest setting for the scene of `reference` whose error is at most `wanted`."""
+    good = [m for m in markers if m.scene == reference.scene and m.complete and m.error <= wanted]
+    good.sort(key=lambda m: m.cost)
+    best = good[0] if good else None
+    second = next((m for m in good if best and m.method != best.method), None)
+    return Pick(wanted, best, second, wanted >= RESOLVED * reference.own_error)
+
+
+def picks(markers: list[Marker], reference: Reference) -> list[Pick]:
+    """The answers for every wanted accuracy."""
+    return [pick(markers, reference, wanted) for wanted in WANTED]
+
+
+def answer(choice: Pick) -> str:
+    """A cell of the short table."""
+    if not choice.resolved:
+        return "below the reference's own error"
+    if choice.best is None:
+        return "not reached"
+    best = choice.best
+    return f"{best.method}, {best.setting}: {cost(best.cost)} µs"
+
+
+def cost(value: float) -> str:
+    """Two digits, more say nothing about a time."""
+    return f"{value:.2g}" if value < 100 else f"{round(value, -1):.0f}"
+
+
+def factor(microseconds_per_ms: float) -> str:
+    """Simulated over wall time, two digits."""
+    value = 1e3 / microseconds_per_ms
+    digits = f"{float(f'{value:.2g}'):g}" if value < 10 else f"{int(float(f'{value:.2g}')):,}"
+    return digits.replace(",", " ")
+
+
+def power(value: float) -> str:
+    """`1e-6`."""
+    return f"{value:.0e}".replace("e-0", "e-")
+
+
+def short_table(markers: list[Marker], references: list[Reference]) -> list[str]:
+    """Lines of Markdown: wanted accuracy by scene."""
+    head = ["tip error below"] + [f"{r.kind}: `{r.scene.split(',')[0]}`,{r.scene.split(',')[1]}" for r in references]
+    lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+    for wanted in SHORT:
+        cells = [answer(pick(markers, reference, wanted)) for reference in references]
+        lines.append("| " + " | ".join([f"{power(wanted)} m", *cells]) + " |")
+    return lines
+
+
+def sentences(markers: list[Marker], references: list[Reference]) -> list[tuple[str, str]]:
+    """For people with five minutes: per kind of motion, what to take and what it costs."""
+    result = []
+    for kind in dict.fromkeys(r.kind for r in references):
+        of_kind = [p for r in references if r.kind == kind for p in picks(markers, r) if p.resolved and p.best]
+        if not of_kind:
+            continue
+        parts, previous = [], ""
+        # From coarse to fine; a sentence part begins where another method becomes the cheapest.
+        for wanted in sorted({p.wanted for p in of_kind}, reverse=True):
+            here = [p for p in of_kind if p.wanted == wanted]
+            winners = " or ".join(dict.fromkeys(p.best.method for p in here))
+            if winners != previous:
+                costs = [p.best.cost for p in here]
+                span = cost(min(costs)) if min(costs) == max(costs) else f"{cost(min(costs))} to {cost(max(costs))}"
+                parts.append(f"from {power(wanted)} m on <strong>{winners}</strong> ({span} µs per simulated ms there)")
+                previous = winners
+        finest = min(p.wanted for p in of_kind)
+        last = [p.best.cost for p in of_kind if p.wanted == finest]
+        result.append((kind, "; ".join(parts) + f"; {power(finest)} m, the finest reached, costs {cost(max(last))} µs per simulated ms"))
+    return result
