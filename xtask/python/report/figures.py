@@ -32,7 +32,7 @@ SLOPE_RANGE = (1e-10, 3e-3)
 
 
 def work_precision(markers: list[Marker], references: list[Reference]) -> Figure:
-    """Error against time, a panel per scene, a line per method, the setting beside every other marker."""
+    """Error against time, a panel per scene, a line per method, the setting beside every third marker."""
     columns = min(3, len(references))
     rows = -(-len(references) // columns)
     figure, panels = plt.subplots(rows, columns, figsize=(4.1 * columns + 0.6, 4.3 * rows + 0.5), squeeze=False, sharey=True)
@@ -43,21 +43,21 @@ def work_precision(markers: list[Marker], references: list[Reference]) -> Figure
         for method, colour in COLOURS.items():
             line = [m for m in own if m.method == method]
             _line(axes, [m.cost for m in line], [m.error for m in line], method)
-            for i, m in enumerate(line):
-                if i % 2 == 0:
-                    axes.annotate(
-                        m.setting, (m.cost, m.error), xytext=(5, 3), textcoords="offset points", fontsize=6.2, color=colour
-                    )
+            for m in line[::3]:
+                note = axes.annotate(m.setting, (m.cost, m.error), xytext=(5, 3), textcoords="offset points", fontsize=7, color=colour)
+                # Notes lie inside the panels: making room for each of them takes seconds.
+                note.set_in_layout(False)
         if own:
             limits = min(m.cost for m in own) / 1.5, max(m.cost for m in own) * 3
             axes.set_xlim(*limits)
         _own_error(axes, reference)
-        axes.set(xscale="log", yscale="log", title=f"{reference.kind}: {reference.scene}")
+        logarithmic(axes, title=f"{reference.kind}: {reference.scene}")
         axes.set_ylim(1e-15, USELESS)
         axes.set_xlabel("µs per simulated ms, one core")
         top = axes.secondary_xaxis("top", functions=(_inverse, _inverse))
         top.set_xlabel("times real time", fontsize=8, color="#495057")
         top.tick_params(labelsize=7.5, colors="#495057")
+        top.minorticks_off()
     for row in panels:
         row[0].set_ylabel("largest error of the tip  (m)")
     _legend(figure, panels[0][0])
@@ -93,7 +93,7 @@ def order(markers: list[Marker], references: list[Reference]) -> Figure:
                     0.98, 0.04 + 0.075 * i, f"slope {slope:.2f}", color=COLOURS[method], fontsize=8.5, ha="right", transform=axes.transAxes
                 )
             _own_error(axes, reference)
-            axes.set(xscale="log", yscale="log", xlabel=label, title=f"{reference.kind}: {reference.scene}")
+            logarithmic(axes, xlabel=label, title=f"{reference.kind}: {reference.scene}")
             axes.set_ylim(1e-15, USELESS)
         left.set_ylabel("largest error of the tip  (m)")
     _legend(figure, *panels[0])
@@ -116,7 +116,7 @@ def energy(rows: list[Row]) -> Figure:
         line = [row for row in rows if row["method"] == method and row["ending"] == "complete"]
         line = [row for row in line if 0 < float(row["worst |dE| [mgL]"]) < 1e3]
         _line(axes, [float(row["us per simulated ms"]) for row in line], [float(row["worst |dE| [mgL]"]) for row in line], method)
-    axes.set(xscale="log", yscale="log", xlabel="µs per simulated ms, one core", ylabel="largest |energy error|  (mgL)")
+    logarithmic(axes, xlabel="µs per simulated ms, one core", ylabel="largest |energy error|  (mgL)")
     axes.legend(loc="upper right")
     return figure
 
@@ -136,10 +136,17 @@ def horizon(rows: list[Row]) -> Figure:
                 textcoords="offset points", ha="right", fontsize=8, color="#495057",
             )  # fmt: skip
         axes.set(xscale="log", xlabel=label)
+        axes.minorticks_off()
         axes.legend(loc="lower left")
     left.set_ylabel("within 1 mm until  (s)")
     left.set_ylim(bottom=0)
     return figure
+
+
+def logarithmic(axes: Axes, **properties: object) -> None:
+    """Logarithmic scales over many decades, where minor ticks are only noise."""
+    axes.set(xscale="log", yscale="log", **properties)
+    axes.minorticks_off()
 
 
 def _line(axes: Axes, x: list[float], y: list[float], method: str) -> None:
@@ -151,10 +158,11 @@ def _own_error(axes: Axes, reference: Reference) -> None:
     """Below this the reference tells nothing."""
     axes.axhspan(1e-16, reference.own_error, color="#f1f3f5", zorder=0)
     axes.axhline(reference.own_error, color=FAINT, linewidth=0.9, linestyle="--")
-    axes.annotate(
+    note = axes.annotate(
         f"own error of the reference {power(reference.own_error)} m", (0.02, reference.own_error), xycoords=("axes fraction", "data"),
         xytext=(0, 3), textcoords="offset points", fontsize=7, color=INK, alpha=0.75,
     )  # fmt: skip
+    note.set_in_layout(False)
 
 
 def _legend(figure: Figure, *panels: Axes) -> None:

@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pictures import FAINT, RUN_COLOURS
-from report.figures import COLOURS, SHAPES
+from report.figures import COLOURS, SHAPES, logarithmic
 from report.tables import Marker, Row
 
 SETTING_COLOURS = {
@@ -28,7 +28,7 @@ def step_times(rows: list[Row]) -> Figure:
             if len(times):
                 longer = 1 - np.arange(len(times)) / len(times)
                 axes.step(times, longer, where="post", color=colour, label=f"{name}: p50 {_at(times, 50)}, p99 {_at(times, 99)} µs")
-        axes.set(xscale="log", yscale="log", xlabel="µs per call of 1 ms", title=title)
+        logarithmic(axes, xlabel="µs per call of 1 ms", title=title)
         axes.legend(loc="lower left", fontsize=8)
     panels[0].set_ylabel("share of the calls that take longer")
     return figure
@@ -46,7 +46,7 @@ def near_singularities(rows: list[Row]) -> Figure:
                     [float(row[column]) for row in own], [int(row[count]) for row in own], ".", color=SETTING_COLOURS[name],
                     markersize=2.5, alpha=0.35, label=name, rasterized=True,
                 )  # fmt: skip
-            axes.set(xscale="log", yscale="log")
+            logarithmic(axes)
         line[0].set_ylabel(f"{count} per call of 1 ms")
     for axes, (_, label) in zip(panels[1], sigmas):
         axes.set_xlabel(label)
@@ -99,7 +99,7 @@ def peers(rows: list[Row], markers: list[Marker]) -> Figure:
         own = [m for m in markers if m.method == method and m.scene == "fall_90_120, 1 s" and m.complete]
         # A microsecond per millisecond is a millisecond per second.
         axes.plot([m.cost for m in own], [m.error for m in own], marker=SHAPES[method], color=colour, markersize=4, label=f"FiveBar {method}")
-    axes.set(xscale="log", yscale="log", xlabel="ms per simulated second, one core", ylabel="error of the tip up to 1 s  (m)", ylim=(1e-15, 1))
+    logarithmic(axes, xlabel="ms per simulated second, one core", ylabel="error of the tip up to 1 s  (m)", ylim=(1e-15, 1))
     axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=8)
     return figure
 

@@ -79,23 +79,27 @@ def short_table(markers: list[Marker], references: list[Reference]) -> list[str]
 
 
 def sentences(markers: list[Marker], references: list[Reference]) -> list[tuple[str, str]]:
-    """For people with five minutes: per kind of motion, what to take and what it costs."""
+    """For people with five minutes: per kind of motion, what to take from coarse to fine, and what it costs."""
     result = []
     for kind in dict.fromkeys(r.kind for r in references):
-        of_kind = [p for r in references if r.kind == kind for p in picks(markers, r) if p.resolved and p.best]
-        if not of_kind:
-            continue
-        parts, previous = [], ""
-        # From coarse to fine; a sentence part begins where another method becomes the cheapest.
-        for wanted in sorted({p.wanted for p in of_kind}, reverse=True):
-            here = [p for p in of_kind if p.wanted == wanted]
+        found = [p for r in references if r.kind == kind for p in picks(markers, r) if p.resolved and p.best]
+        stretches: list[tuple[str, list[Pick]]] = []
+        for wanted in sorted({p.wanted for p in found}, reverse=True):
+            here = [p for p in found if p.wanted == wanted]
             winners = " or ".join(dict.fromkeys(p.best.method for p in here))
-            if winners != previous:
-                costs = [p.best.cost for p in here]
-                span = cost(min(costs)) if min(costs) == max(costs) else f"{cost(min(costs))} to {cost(max(costs))}"
-                parts.append(f"from {power(wanted)} m on <strong>{winners}</strong> ({span} µs per simulated ms there)")
-                previous = winners
-        finest = min(p.wanted for p in of_kind)
-        last = [p.best.cost for p in of_kind if p.wanted == finest]
-        result.append((kind, "; ".join(parts) + f"; {power(finest)} m, the finest reached, costs {cost(max(last))} µs per simulated ms"))
+            if stretches and stretches[-1][0] == winners:
+                stretches[-1][1].extend(here)
+            else:
+                stretches.append((winners, here))
+        if stretches:
+            result.append((kind, "; ".join(_stretch(*stretch) for stretch in stretches)))
     return result
+
+
+def _stretch(winners: str, found: list[Pick]) -> str:
+    """The accuracies for which the same methods are the cheapest, and the span of what they cost."""
+    wanted, costs = [p.wanted for p in found], [p.best.cost for p in found]
+    coarse, fine = power(max(wanted)), power(min(wanted))
+    errors = f"of {fine} m" if coarse == fine else f"of {coarse} to {fine} m"
+    low, high = cost(min(costs)), cost(max(costs))
+    return f"for errors {errors} <strong>{winners}</strong>, at {low if low == high else f'{low} to {high}'} µs"

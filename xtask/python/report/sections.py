@@ -66,7 +66,7 @@ def need(markers: list[Marker], references: list[Reference]) -> Section:
 def precision(markers: list[Marker], references: list[Reference]) -> Section:
     """3: work and precision."""
     section = Section("precision", "Error against time")
-    section.text("Lower and further left is better. Step or tolerance stands beside every other marker.")
+    section.text("Lower and further left is better. Step or tolerance stands beside every third marker.")
     caption = "Work and precision: a line per method, from its coarsest to its finest setting. Runs that ended early are left out."
     section.figure(figures.work_precision(markers, references), "precision", caption, ["precision.csv", "references.csv"])
     return section
