@@ -1,6 +1,7 @@
 //! The constant part of a scene made ready, and what it is made from.
 
 use arrayvec::ArrayVec;
+use borsh::{BorshDeserialize, BorshSerialize};
 
 use crate::effects::{self, Active, Effect, Inputs};
 use crate::integrator::{i3alp, i3alp_printed, rk4};
@@ -63,7 +64,7 @@ pub enum Stepper {
 }
 
 /// The linear solves: see [`LinearSolve`](super::system::LinearSolve).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Solve {
     /// [`TwoLegged`](super::system::TwoLegged).
     TwoLegged,
