@@ -65,7 +65,7 @@ impl Simulation {
     /// Checks the parameters, closes the loop, fixes the list of effects and the linear solve, finds q̈ and λ of the start.
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
-        let (q, v) = mechanism::close(&parameters.geometry, &parameters.start)?;
+        let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
         Self::started(model, q, v, inputs)
     }
 
@@ -73,7 +73,7 @@ impl Simulation {
     /// links alone leave the posture open (coinciding elbows). Refused unless they close the loop.
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
-        let (q, v) = closure::assemble(&parameters.geometry, theta, omega);
+        let (q, v) = closure::assemble(&model.mechanism.geometry, theta, omega);
         let simulation = Self::started(model, q, v, inputs)?;
         let (mechanism, core) = (&simulation.model.mechanism, &simulation.state.core);
         let pose = mechanism.pose(&core.q);
