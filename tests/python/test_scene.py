@@ -18,7 +18,8 @@ def write(folder: Path, content: object) -> Path:
 
 def test_shipped_scenes(scenes: Path, model: ModelDescription) -> None:
     names = {path.stem for path in scenes.glob("*.json")}
-    assert names >= {"paper_free_fall", "paper_torque", "paper_torque_gravity", "fall_90_120", "flat_table"}
+    paper = {"paper_free_fall", "paper_torque", "paper_torque_gravity"}
+    assert names >= paper | {"fall_90_120", "flat_table", "singular_crossing", "haptic", "pick_and_place", "end_stops", "run_down"}
     for name in names:
         ready = scene.read(scenes / f"{name}.json", model)
         assert ready.description and ready.stop_time > 0 and ready.step_size > 0

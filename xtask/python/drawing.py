@@ -100,10 +100,11 @@ def surroundings(axes: Axes, run: Run) -> None:
     base = p["base.distance"]
     if p["contact.enabled"]:
         normal, offset = plane(run)
-        along, far = np.array([-normal[1], normal[0]]), 1e3 * max(base, p["link[1].length"])
+        length = p["link[1].length"]
+        along, deep = 1e3 * length * np.array([-normal[1], normal[0]]), 0.12 * length * normal
         edge = normal * offset
-        corners = [edge - far * along, edge + far * along, edge + far * (along - normal), edge - far * (along + normal)]
-        axes.add_patch(Polygon(corners, facecolor=BARRIER, edgecolor=FAINT, hatch="///", linewidth=1.0, zorder=0))
+        corners = [edge - along, edge + along, edge + along - deep, edge - along - deep]
+        axes.add_patch(Polygon(corners, facecolor=BARRIER, edgecolor=FAINT, hatch="////", linewidth=1.0, zorder=0))
     for leg, foot, link in ((1, 0.0, 1), (2, base, 4)):
         lower, upper = (np.degrees(p[f"stop.{limit}[{leg}]"]) for limit in ("lower", "upper"))
         if p["stop.enabled"] and upper - lower < 360:

@@ -26,6 +26,9 @@ KINETIC, POTENTIAL, TOTAL, INPUT, DISSIPATED = "#1864ab", "#e8590c", "#343a40", 
 LONGEST_SVG = 5.0
 """Longest run, s, whose path is also written as SVG, as the README shows it: longer ones would be megabytes."""
 
+LEAST_ENERGY = 1e-16
+"""Balance residual, J, below which there is only round-off."""
+
 POSES = 11
 """Number of stroboscopic poses."""
 
@@ -99,7 +102,7 @@ def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
         ("kinetic", run["energy.kinetic"], KINETIC, "-"),
         ("potential", run["energy.potential"], POTENTIAL, "-"),
         ("kinetic + potential", run["energy.kinetic"] + run["energy.potential"], TOTAL, "--"),
-        ("work of the inputs", run["energy.input"], INPUT, (0, (4, 4))),
+        ("work put in", run["energy.input"], INPUT, (0, (4, 4))),
         ("dissipated", run["energy.dissipated"], DISSIPATED, "-"),
     ]
     if not np.any(run["energy.potential"]):
@@ -111,12 +114,13 @@ def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
     low, high = min(top.get_ylim()[0], 0.0), top.get_ylim()[1]
     top.set_ylim(low, high + 0.05 * (high - low))  # a constant energy would lie on the upper edge
     top.set_ylabel("energy  (mJ)")
-    top.set_title(f"{scene.name}: energies and balance residual")
+    top.set_title(f"{scene.name}: energies")
     top.legend(ncols=5, loc="lower right", bbox_to_anchor=(1, 1.0), borderaxespad=0.2)
     scale = energy_scale(run)
     for i, other in drawing_order(runs):
         time, residual = thinned(other.time, np.abs(other["energy.error"]))
         bottom.semilogy(time, positive(residual), color=RUN_COLOURS[i % 5], label=run_label(other), linewidth=1.1)
+    bottom.set_ylim(bottom=max(bottom.get_ylim()[0], LEAST_ENERGY))
     bottom.set_ylabel("|balance residual|  (J)")
     in_scale = bottom.secondary_yaxis("right", functions=(lambda e: e / scale, lambda e: e * scale))
     in_scale.set_ylabel(f"in mgL, {energy_note(run)}" if energy_note(run) else "in mgL")
