@@ -4,6 +4,7 @@
 //! advances.
 
 pub mod coupled;
+pub mod dense;
 pub mod model;
 pub mod system;
 pub mod two_leg;
@@ -20,8 +21,28 @@ pub use crate::effects::Inputs;
 use crate::effects::{self, Situation};
 pub use crate::integrator::Counters;
 use model::Stepper;
-pub use model::{Method, Model, Parameters, Settings};
-use system::{FiveBar, General, LinearSolve, TwoLegged};
+pub use model::{Method, Model, Parameters, Settings, Solve};
+use system::{FiveBar, General, LinearSolve, LinksCoupled, TwoLegged};
+
+/// An expression with the model's linear solve as the type L.
+macro_rules! with_solve {
+    ($model:expr, $L:ident => $do:expr) => {
+        match $model.solve {
+            Solve::TwoLegged => {
+                type $L = TwoLegged;
+                $do
+            }
+            Solve::LinksCoupled => {
+                type $L = LinksCoupled;
+                $do
+            }
+            Solve::General => {
+                type $L = General;
+                $do
+            }
+        }
+    };
+}
 
 /// Everything that changes during a run. A copy is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -90,11 +111,9 @@ impl Simulation {
 
     fn started(model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
         let (inputs, turns) = (model.heard(inputs), [0; 4]);
-        let core = if model.general_solve {
-            integrator::State::start(&FiveBar::<General>::new(&model, &inputs, &turns), q, v, model.softness)
-        } else {
-            integrator::State::start(&FiveBar::<TwoLegged>::new(&model, &inputs, &turns), q, v, model.softness)
-        };
+        let core = with_solve!(&model, L => {
+            integrator::State::start(&FiveBar::<L>::new(&model, &inputs, &turns), q, v, model.softness)
+        });
         let mut state = State { core, turns, inputs, energy_at_start: 0.0 };
         state.unwind();
         state.energy_at_start = state.kinetic_energy(&model) + state.potential_energy(&model);
@@ -114,11 +133,7 @@ impl Simulation {
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
         let before = self.state;
         let inputs = self.model.heard(inputs);
-        let done = if self.model.general_solve {
-            run::<General>(&self.model, &mut self.state, &inputs, h, steps)
-        } else {
-            run::<TwoLegged>(&self.model, &mut self.state, &inputs, h, steps)
-        };
+        let done = with_solve!(&self.model, L => run::<L>(&self.model, &mut self.state, &inputs, h, steps));
         done.inspect_err(|_| self.state = before)
     }
 
@@ -204,11 +219,7 @@ impl State {
     /// The forces have changed at once: q̈, λ and the predictor start anew.
     fn restart(&mut self, model: &Model) {
         let State { core, inputs, turns, .. } = self;
-        if model.general_solve {
-            core.restart(&FiveBar::<General>::new(model, inputs, turns), model.softness);
-        } else {
-            core.restart(&FiveBar::<TwoLegged>::new(model, inputs, turns), model.softness);
-        }
+        with_solve!(model, L => core.restart(&FiveBar::<L>::new(model, inputs, turns), model.softness));
     }
 }
 
