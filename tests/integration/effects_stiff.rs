@@ -155,3 +155,29 @@ fn a_tuned_parameter_acts_and_its_energy_is_counted() {
     assert_eq!(refusal, "viscous.b[1] = -1 N.m.s/rad is not allowed: it must be 0 or positive.");
     assert_eq!(*simulation.state(), state);
 }
+
+/// At rest exactly in a vertex under a load below breakaway: it creeps on the branch of least constraint instead of being thrown out
+/// of the vertex as if there were no friction; above breakaway it goes.
+#[test]
+fn friction_holds_a_load_in_a_vertex() {
+    use std::f64::consts::PI;
+    for (friction, goes) in [(2.0, false), (1e-3, true)] {
+        let mut parameters = default_parameters();
+        enable(&mut parameters, "friction");
+        parameters.effects.friction.coulomb = [friction; 5];
+        parameters.effects.friction.breakaway = [friction; 5];
+        let inputs = default_inputs();
+        let mut simulation = Simulation::at(&parameters, &inputs, [PI, 0.0, PI, PI], [0.0; 4]).expect("a vertex");
+        let mut fastest: f64 = 0.0;
+        for _ in 0..200 {
+            run(&mut simulation, &inputs, 1e-3, 1e-3);
+            let motion = observers::motion(simulation.model(), simulation.state());
+            fastest = motion.omega.iter().fold(fastest, |fastest, rate| fastest.max(rate.abs()));
+        }
+        let energies = observers::energies(simulation.model(), simulation.state());
+        // The weights pull with some 0.1 N·m: against 2 N·m they creep at about 0.01 rad/s · 0.1/2.
+        assert!(if goes { fastest > 1.0 } else { fastest < 2e-3 }, "{friction} N.m: {fastest} rad/s");
+        assert!(energies.error.abs() < 1e-2 * MGL, "{friction} N.m: {energies:?}");
+        assert!(simulation.state().core.counters.substeps < 20_000, "{friction} N.m: {:?}", simulation.state().core.counters);
+    }
+}
