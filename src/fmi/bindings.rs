@@ -125,7 +125,7 @@ macro_rules! choice {
     };
 }
 
-choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4 });
+choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4, Dop853 });
 choice!(mechanism::Assembly = variables::Assembly { Plus, Minus });
 
 /// The name of a method as in the XML.

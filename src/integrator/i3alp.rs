@@ -14,7 +14,7 @@ use super::equilibrium::equilibrium_at;
 use super::projection::{self, Projection};
 use super::system::{local_error, max_norm};
 use super::vertex::{self, Care, Gate, Ledger, Verdict};
-use super::{Failure, Kkt, Power, State, System};
+use super::{Failure, Implicit, Kkt, Power, State};
 
 mod descent;
 
@@ -59,7 +59,7 @@ struct Attempt<const N: usize, const M: usize> {
 /// `energy` is that before it, where round-off next to a vertex would change it.
 #[inline(always)]
 fn attempt<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     h: f64,
@@ -150,7 +150,7 @@ impl<const N: usize, const M: usize> Step<N, M> {
 /// Newton's method on δ and λ.
 #[inline(always)]
 fn newton<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     step: &mut Step<N, M>,
     spent: &mut u64,
@@ -203,7 +203,7 @@ fn add<const N: usize>(x: &[f64; N], y: &[f64; N]) -> [f64; N] {
 impl<const N: usize, const M: usize> Attempt<N, M> {
     /// The state after a step so short that q̈ and λ stay.
     #[cold]
-    fn moved_on(system: &impl System<N, M>, state: &State<N, M>, h: f64) -> Self {
+    fn moved_on(system: &impl Implicit<N, M>, state: &State<N, M>, h: f64) -> Self {
         let q = std::array::from_fn(|i| state.q[i] + h * state.v[i]);
         let v = std::array::from_fn(|i| state.v[i] + h * state.a[i]);
         let pose = system.pose(&q);
@@ -233,7 +233,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
 
 /// One macro step of `duration` seconds. On failure the state is undefined: the caller keeps a copy.
 pub fn advance<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     duration: f64,
@@ -250,7 +250,7 @@ pub fn advance<const N: usize, const M: usize>(
 
 /// A macro step in equal parts, as many as the remembered sub-step asks, asked anew after each.
 fn divided<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     duration: f64,

@@ -4,7 +4,7 @@
 //! system (A₀ + αβ Φ_qᵀΦ_q) x = r + αβ Φ_qᵀ c is solved as [A₀ Φ_qᵀ; Φ_q −e] [x; y] = [r; c] with e = 1/(αβ): the same x.
 
 use super::system::{local_error, max_norm};
-use super::{Failure, Kkt, Power, State, System};
+use super::{Failure, Implicit, Kkt, Power, State};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,7 +21,7 @@ const STOP: f64 = 1e-8;
 
 /// One step of h seconds. On failure the state is undefined: the caller keeps a copy.
 pub fn advance<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     h: f64,

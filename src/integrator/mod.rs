@@ -2,6 +2,7 @@
 //!
 //! Invariant: knows neither mechanism nor FMI; does no input or output, allocates nothing, reads no clock.
 
+pub mod dop853;
 mod equilibrium;
 pub mod i3alp;
 pub mod i3alp_printed;
@@ -12,8 +13,8 @@ pub mod vertex;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-pub use equilibrium::equilibrium;
-pub use system::{Failure, Kkt, Power, System};
+pub use equilibrium::{equilibrium, equilibrium_at};
+pub use system::{Failure, Implicit, Kkt, Power, System};
 
 /// What the integrator has done since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, BorshSerialize, BorshDeserialize)]

@@ -3,8 +3,10 @@
 //! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held while it
 //! advances.
 
+pub mod angles;
 pub mod coupled;
 pub mod dense;
+mod explicit;
 pub mod model;
 pub mod system;
 pub mod two_leg;
@@ -14,7 +16,7 @@ use std::fmt;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use crate::integrator::{self, Failure, Power, System, i3alp, i3alp_printed, rk4};
+use crate::integrator::{self, Failure, Power, System, dop853, i3alp, i3alp_printed, rk4};
 use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal, closure};
@@ -22,9 +24,10 @@ use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal, clo
 pub use crate::effects::Inputs;
 use crate::effects::{self, Situation};
 pub use crate::integrator::Counters;
+use angles::{ANGLES, CLOSURES};
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings, Solve};
-use system::{FiveBar, General, LinearSolve, LinksCoupled, TwoLegged};
+use system::{FiveBar, General, LinearSolve, TwoLegged};
 
 /// An expression with the model's linear solve as the type L.
 macro_rules! with_solve {
@@ -34,11 +37,7 @@ macro_rules! with_solve {
                 type $L = TwoLegged;
                 $do
             }
-            Solve::LinksCoupled => {
-                type $L = LinksCoupled;
-                $do
-            }
-            Solve::General => {
+            Solve::LinksCoupled | Solve::Dense => {
                 type $L = General;
                 $do
             }
@@ -51,6 +50,8 @@ macro_rules! with_solve {
 pub struct State {
     /// Coordinates, velocities, accelerations, multipliers, predictor, sub-step memory, work, counters.
     pub core: integrator::State<COORDINATES, MULTIPLIERS>,
+    /// Of [`Method::Dop853`], whose steps run past the communication points: the step that is under way, in the link angles.
+    pub running: Option<dop853::Running<ANGLES, CLOSURES>>,
     /// Whole turns by which the angles of links 1 to 4 are larger than those in q: there they stay within some turns, so that their
     /// round-off does not grow while a link spins.
     pub turns: [i64; 4],
@@ -122,8 +123,11 @@ impl Simulation {
         let core = with_solve!(&model, L => {
             integrator::State::start(&FiveBar::<L>::new(&model, &inputs, &turns), q, v, model.softness)
         });
-        let mut state = State { core, turns, inputs, energy_at_start: 0.0 };
+        let mut state = State { core, running: None, turns, inputs, energy_at_start: 0.0 };
         state.unwind();
+        if let Stepper::Dop853(settings) = &model.stepper {
+            state.running = Some(explicit::start(&model, settings, &state));
+        }
         state.energy_at_start = state.kinetic_energy(&model) + state.potential_energy(&model);
         if !state.core.a.iter().chain(&state.core.lambda).all(|x| x.is_finite()) || !state.energy_at_start.is_finite() {
             return Err(Refusal(
@@ -139,10 +143,11 @@ impl Simulation {
     ///
     /// On failure the state is as it was before the call. Allocates nothing.
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
-        let before = self.state;
+        let State { core, turns, inputs: held, .. } = self.state;
         let inputs = self.model.heard(inputs);
         let done = with_solve!(&self.model, L => run::<L>(&self.model, &mut self.state, &inputs, h, steps));
-        done.inspect_err(|_| self.state = before)
+        // The running step of an explicit method is changed only when all has gone well.
+        done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
     }
 
     /// What it runs with.
@@ -170,11 +175,18 @@ impl Simulation {
     /// Gives the active effects new parameters from now on; what that adds to the potential energy counts as input. Which effects
     /// are active, and the masses, stay. On refusal nothing has changed.
     pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<(), Refusal> {
-        let before = self.state.potential_energy(&self.model);
-        if self.model.tune(parameters)? {
-            self.state.core.work.input += self.state.potential_energy(&self.model) - before;
-            self.state.restart(&self.model);
+        let mut model = self.model.clone();
+        if model.tune(parameters)? {
+            let mut state = self.state;
+            explicit::stop(&self.model, &mut state).map_err(|failure| {
+                Refusal(format!("the step that is under way could not be redone up to the present time: {failure}."))
+            })?;
+            let put_in = state.potential_energy(&model) - state.potential_energy(&self.model);
+            state.core.work.input += put_in;
+            state.restart(&model);
+            explicit::resume(&model, &mut state, put_in);
             self.parameters.effects = parameters.clone();
+            (self.model, self.state) = (model, state);
         }
         Ok(())
     }
@@ -238,6 +250,30 @@ impl State {
 }
 
 fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+    match &model.stepper {
+        Stepper::I3alp(settings) => {
+            macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
+        }
+        Stepper::I3alpPrinted(settings) => macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| {
+            i3alp_printed::advance(system, settings, core, h, power)
+        }),
+        Stepper::Rk4(settings) => {
+            macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| rk4::advance(system, settings, core, h, power))
+        }
+        Stepper::Dop853(settings) => explicit::run::<L>(model, settings, state, inputs, h, steps),
+    }
+}
+
+/// By a method whose steps end with the macro steps.
+#[inline(always)]
+fn macro_steps<L: LinearSolve>(
+    model: &Model,
+    state: &mut State,
+    inputs: &Inputs,
+    h: f64,
+    steps: u64,
+    advance: impl Fn(&FiveBar<'_, L>, &mut integrator::State<COORDINATES, MULTIPLIERS>, &mut Power) -> Result<(), Failure>,
+) -> Result<(), StepFailure> {
     state.hold(model, inputs);
     let mut power = None;
     for step in 0..steps {
@@ -246,12 +282,7 @@ fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64
         let power = power.get_or_insert_with(|| {
             if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() }
         });
-        match &model.stepper {
-            Stepper::I3alp(settings) => i3alp::advance(&system, settings, core, h, power),
-            Stepper::I3alpPrinted(settings) => i3alp_printed::advance(&system, settings, core, h, power),
-            Stepper::Rk4(settings) => rk4::advance(&system, settings, core, h, power),
-        }
-        .map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
+        advance(&system, core, power).map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
         state.unwind();
     }
     Ok(())

@@ -11,7 +11,7 @@
 
 use super::{LAST_CORRECTION, Settings, Step, add};
 use crate::integrator::system::max_norm;
-use crate::integrator::{Kkt, System};
+use crate::integrator::{Implicit, Kkt};
 
 /// αβ in multiples of the largest inertia: enough for the multipliers to converge, little enough for P to be well conditioned.
 const PENALTY: f64 = 1e4;
@@ -25,7 +25,7 @@ const ENOUGH: f64 = 1e-4;
 /// Whether the step could be found; if so its δ and λ are. Only for systems whose forces have a potential.
 #[cold]
 pub(super) fn descend<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     step: &mut Step<N, M>,
     spent: &mut u64,
