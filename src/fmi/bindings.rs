@@ -149,6 +149,11 @@ pub(super) fn read(parameters: &mut Parameters, inputs: &mut Inputs, variable: &
     })
 }
 
+/// Every parameter and input.
+pub(super) fn settable() -> impl Iterator<Item = &'static Variable> {
+    VARIABLES.iter().filter(|variable| variable.start.is_some())
+}
+
 /// Writes a parameter or input; false where the value is not of its type or the variable is an output.
 pub fn write(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable, value: Value) -> bool {
     match (variable.slot, value) {

@@ -14,6 +14,8 @@ pub mod two_leg;
 use std::f64::consts::TAU;
 use std::fmt;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use crate::integrator::{self, Failure, Power, System, dop853, i3alp, i3alp_printed, rk4};
 use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::THETA;
@@ -25,7 +27,7 @@ pub use crate::integrator::Counters;
 use angles::{ANGLES, CLOSURES};
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings, Solve};
-use system::{FiveBar, General, LinearSolve, LinksCoupled, TwoLegged};
+use system::{FiveBar, General, LinearSolve, TwoLegged};
 
 /// An expression with the model's linear solve as the type L.
 macro_rules! with_solve {
@@ -35,11 +37,7 @@ macro_rules! with_solve {
                 type $L = TwoLegged;
                 $do
             }
-            Solve::LinksCoupled => {
-                type $L = LinksCoupled;
-                $do
-            }
-            Solve::General => {
+            Solve::LinksCoupled | Solve::Dense => {
                 type $L = General;
                 $do
             }
@@ -48,7 +46,7 @@ macro_rules! with_solve {
 }
 
 /// Everything that changes during a run. A copy is a complete snapshot.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct State {
     /// Coordinates, velocities, accelerations, multipliers, predictor, sub-step memory, work, counters.
     pub core: integrator::State<COORDINATES, MULTIPLIERS>,
@@ -83,6 +81,7 @@ impl std::error::Error for StepFailure {}
 /// A scene made ready. A clone goes on by itself, to the same bits.
 #[derive(Clone, Debug)]
 pub struct Simulation {
+    parameters: Parameters,
     model: Model,
     state: State,
 }
@@ -92,7 +91,7 @@ impl Simulation {
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
         let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
-        Self::started(model, q, v, inputs)
+        Self::started(parameters, model, q, v, inputs)
     }
 
     /// The same from the angles (rad) and rates (rad/s) of all four links instead of `parameters.start`: also where the proximal
@@ -100,7 +99,7 @@ impl Simulation {
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
         let (q, v) = closure::assemble(&model.mechanism.geometry, theta, omega);
-        let simulation = Self::started(model, q, v, inputs)?;
+        let simulation = Self::started(parameters, model, q, v, inputs)?;
         let (mechanism, core) = (&simulation.model.mechanism, &simulation.state.core);
         let pose = mechanism.pose(&core.q);
         let (gap, tear) = (largest(&mechanism.phi(&core.q, &pose)), largest(&pose.phi_q_times(&core.v)));
@@ -114,7 +113,12 @@ impl Simulation {
         Ok(simulation)
     }
 
-    fn started(model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
+    /// The same from a state of a simulation with these parameters and that linear solve.
+    pub fn restored(parameters: &Parameters, solve: Solve, state: State) -> Result<Self, Refusal> {
+        Ok(Self { model: Model { solve, ..Model::new(parameters)? }, parameters: parameters.clone(), state })
+    }
+
+    fn started(parameters: &Parameters, model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
         let (inputs, turns) = (model.heard(inputs), [0; 4]);
         let core = with_solve!(&model, L => {
             integrator::State::start(&FiveBar::<L>::new(&model, &inputs, &turns), q, v, model.softness)
@@ -132,7 +136,7 @@ impl Simulation {
                     .into(),
             ));
         }
-        Ok(Self { model, state })
+        Ok(Self { parameters: parameters.clone(), model, state })
     }
 
     /// `steps` macro steps of `h` seconds with `inputs` held.
@@ -144,6 +148,11 @@ impl Simulation {
         let done = with_solve!(&self.model, L => run::<L>(&self.model, &mut self.state, &inputs, h, steps));
         // The running step of an explicit method is changed only when all has gone well.
         done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
+    }
+
+    /// What it runs with.
+    pub fn parameters(&self) -> &Parameters {
+        &self.parameters
     }
 
     /// The constant part.
@@ -176,7 +185,8 @@ impl Simulation {
             state.core.work.input += put_in;
             state.restart(&model);
             explicit::resume(&model, &mut state, put_in);
-            *self = Self { model, state };
+            self.parameters.effects = parameters.clone();
+            (self.model, self.state) = (model, state);
         }
         Ok(())
     }

@@ -3,6 +3,7 @@
 mod hard_cases;
 mod package;
 mod paths;
+mod prices;
 mod process;
 mod report;
 mod run;
@@ -44,6 +45,8 @@ enum Command {
     },
     /// Measure what accuracy costs in time, write the page target/report/index.html
     Report(report::Options),
+    /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
+    Prices,
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package,
 }
@@ -65,6 +68,7 @@ fn command(command: Command) -> Result<()> {
         Command::Test { full } => test::test(full),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
         Command::Report(options) => report::report(&options),
+        Command::Prices => prices::prices(),
         Command::Package => package::package().map(drop),
     }
 }
