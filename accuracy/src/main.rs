@@ -34,7 +34,7 @@ fn main() -> ExitCode {
 fn measure(Arguments { out, about, quick }: Arguments) -> Result<()> {
     let extent = if quick { Extent::Quick } else { Extent::Full };
     let folder = Folder::new(out, about)?;
-    eprintln!("references");
+
     precision::write(&folder, &Scene::judged(extent)?, extent)?;
     steps::write(&folder, extent)?;
     horizon::write(&folder, extent)?;

@@ -20,6 +20,8 @@ def svg(figure: Figure, name: str, alt: str) -> str:
     plt.close(figure)
     drawing = text.getvalue()
     drawing = drawing[drawing.index("<svg") :]
+    # Equal images would have equal ids, and nothing refers to them.
+    drawing = re.sub(r' id="image[0-9a-f]+"', "", drawing)
     # Fonts give the same ids in every figure, and clips may.
     drawing = re.sub(r'(\bid="|xlink:href="#|url\(#)', rf"\g<1>{name}-", drawing)
     label = html.escape(alt, quote=True)

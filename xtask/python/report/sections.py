@@ -41,7 +41,8 @@ def need(markers: list[Marker], references: list[Reference]) -> Section:
     section = Section("need", "I need an error below …")
     section.text(
         "The cheapest setting that was measured to stay below the wanted error, and the cheapest of the other methods. Errors are "
-        "those of the whole run, so a setting is good for motions that last as long as the scene, of a like kind."
+        "those of the whole run, so a setting is good for motions that last as long as the scene, of a like kind. µs per ms: microseconds of one core per "
+        "simulated millisecond."
     )
     for reference in references:
         rows = []
@@ -53,11 +54,11 @@ def need(markers: list[Marker], references: list[Reference]) -> Section:
                 rows.append([wanted, '<span class="none">reached by nothing measured</span>', "", "", "", "", ""])
             else:
                 best, second = choice.best, choice.second
-                other = f"{second.method}, {second.setting}: {second.cost / best.cost:.2g} times" if second else "none"
+                other = f"{second.method}, {second.setting}: {picks.cost(second.cost / best.cost)} ×" if second else "none"
                 cells = [wanted, f"<b>{best.method}</b>", f"{best.knob} {best.setting}", f"{best.error:.1e} m"]
                 rows.append([*cells, picks.cost(best.cost), picks.factor(best.cost), other])
         section.parts.append(f"<h3>{reference.kind}: {html.escape(reference.scene)}</h3>")
-        head = ["error below", "method", "setting", "error", "µs per simulated ms", "real-time factor", "next method, its cost"]
+        head = ["error below", "method", "setting", "its error", "µs per ms", "× real time", "next method, cost against the first"]
         section.parts.append(table(head, rows, (4, 5)))
     section.text('Data: <a href="data/precision.csv">precision.csv</a>.')
     return section
