@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pictures import FAINT, INK
-from report.picks import power
+from report.picks import one_of_each_kind, power
 from report.tables import Marker, Reference, Row
 
 COLOURS = {
@@ -65,10 +65,8 @@ def work_precision(markers: list[Marker], references: list[Reference]) -> Figure
 
 
 def main_picture(markers: list[Marker], references: list[Reference]) -> Figure:
-    """The same for one scene of each kind, the hardest: the picture of the README."""
-    last = {r.kind: r for r in references}
-    first = {r.kind: r for r in references[::-1]}
-    return work_precision(markers, [first[kind] if kind == "whipping" else last[kind] for kind in first][::-1])
+    """The same for one scene of each kind: the picture of the README."""
+    return work_precision(markers, one_of_each_kind(references))
 
 
 def order(markers: list[Marker], references: list[Reference]) -> Figure:

@@ -4,6 +4,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from pictures import FAINT, RUN_COLOURS
 from report.figures import COLOURS, SHAPES, logarithmic
@@ -47,7 +48,8 @@ def near_singularities(rows: list[Row]) -> Figure:
                     markersize=2.5, alpha=0.35, label=name, rasterized=True,
                 )  # fmt: skip
             logarithmic(axes)
-        line[0].set_ylabel(f"{count} per call of 1 ms")
+        line[0].set(ylabel=f"{count} per call of 1 ms", ylim=(0.7, 1.5 * max(int(row[count]) for row in rows)))
+        line[0].yaxis.set_major_formatter(FuncFormatter(lambda n, _: f"{n:g}"))
     for axes, (_, label) in zip(panels[1], sigmas):
         axes.set_xlabel(label)
     panels[0][0].legend(loc="upper left", markerscale=4, fontsize=8)

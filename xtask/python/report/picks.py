@@ -53,7 +53,7 @@ def answer(choice: Pick) -> str:
 
 def cost(value: float) -> str:
     """Two digits, more say nothing about a time."""
-    return f"{value:.2g}" if value < 100 else f"{round(value, -1):.0f}"
+    return f"{value:.2g}" if value < 99.5 else f"{float(f'{value:.2g}'):.0f}"
 
 
 def factor(microseconds_per_ms: float) -> str:
@@ -68,12 +68,18 @@ def power(value: float) -> str:
     return f"{value:.0e}".replace("e-0", "e-")
 
 
+def one_of_each_kind(references: list[Reference]) -> list[Reference]:
+    """The first scene of each kind."""
+    return list({r.kind: r for r in reversed(references)}.values())[::-1]
+
+
 def short_table(markers: list[Marker], references: list[Reference]) -> list[str]:
-    """Lines of Markdown: wanted accuracy by scene."""
-    head = ["tip error below"] + [f"{r.kind}: `{r.scene.split(',')[0]}`,{r.scene.split(',')[1]}" for r in references]
+    """Lines of Markdown: wanted accuracy by one scene of each kind."""
+    shown = one_of_each_kind(references)
+    head = ["tip error below", *(f"{r.kind}: {r.scene}" for r in shown)]
     lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
     for wanted in SHORT:
-        cells = [answer(pick(markers, reference, wanted)) for reference in references]
+        cells = [answer(pick(markers, reference, wanted)) for reference in shown]
         lines.append("| " + " | ".join([f"{power(wanted)} m", *cells]) + " |")
     return lines
 

@@ -1,6 +1,7 @@
 """Reads the CSV tables of the measurements."""
 
 import csv
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,6 +27,19 @@ def read(file: Path) -> Table:
     lines = file.read_text(encoding="utf-8").splitlines()
     about = " ".join(line[1:].strip() for line in lines if line.startswith("#"))
     return Table(file, about, list(csv.DictReader(line for line in lines if not line.startswith("#"))))
+
+
+def read_bench(folder: Path, name: str) -> Table:
+    """A table of the benchmarks, which say in bench.json what they were made on."""
+    table, made_on = read(folder / f"{name}.csv"), folder / "bench.json"
+    if table and made_on.is_file():
+        facts = json.loads(made_on.read_text(encoding="utf-8"))
+        changed = " with changes" if facts["changed"] else ""
+        table.about = (
+            f"{facts['machine']}, {facts['cores']} cores, {facts['system']}; {facts['compiler']}; "
+            f"commit {facts['commit'][:12]}{changed}; {facts['command']}"
+        )
+    return table
 
 
 @dataclass(frozen=True)
@@ -119,8 +133,8 @@ class Measurements:
         own = {name: read(data / f"{name}.csv") for name in ("precision", "references", "energy", "horizon", "growth", "steps")}
         return cls(
             **own,
-            effects=read(bench / "effects.csv"),
-            calls=read(bench / "scenes.csv"),
+            effects=read_bench(bench, "effects"),
+            calls=read_bench(bench, "scenes"),
             hard_cases=read(hard_cases / "hard-cases.csv"),
             peers=read(peers / "peers.csv"),
         )
