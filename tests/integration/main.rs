@@ -8,6 +8,7 @@ mod constraints; // Φ and its derivatives against finite differences along real
 mod dual_form; // the dual form is the paper's penalty step; the two-leg elimination is the dense solve
 mod effects; // each effect: tangents, powers, energy balance, absence
 mod effects_known; // effects against what is known without our code
+mod effects_reference; // scenes with effects against solutions in quadruple precision, through the C functions
 mod effects_stiff; // friction through zero, stops and contact hit fast, high gains
 mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
 
