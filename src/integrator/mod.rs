@@ -8,10 +8,12 @@ pub mod i3alp_printed;
 mod projection;
 pub mod rk4;
 mod system;
+mod vectors;
 pub mod vertex;
 
 pub use equilibrium::equilibrium;
 pub use system::{Failure, Kkt, Power, System};
+pub(crate) use vectors::combine;
 
 /// What the integrator has done since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

@@ -13,7 +13,7 @@
 //!
 //! Both legs go through the same instructions in the two lanes of a register.
 
-use crate::integrator::Kkt;
+use crate::integrator::{Kkt, combine};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers, Pose};
@@ -65,7 +65,8 @@ pub struct TwoLeg {
     couple_along: Legs,
     couple_excess: Legs,
     elbow_inverse: Symmetric,
-    elbow_tip: Symmetric,
+    /// E⁻¹ T by columns: what a force at the tip makes of the elbow's.
+    gain: [Legs2; 2],
     /// Inverse of the tip's block: xx, xy, yy.
     tip_inverse: [f64; 3],
 }
@@ -98,8 +99,8 @@ impl TwoLeg {
         let elbow_tip = Symmetric { xx: signed + w.x * n_b.x, xy: w.x * n_b.y, yy: signed + w.y * n_b.y };
 
         // Tip: Tᵀ E⁻¹ T column by column.
-        let first = elbow_inverse.times(Legs2 { x: elbow_tip.xx, y: elbow_tip.xy });
-        let second = elbow_inverse.times(Legs2 { x: elbow_tip.xy, y: elbow_tip.yy });
+        let gain @ [first, second] = [Legs2 { x: elbow_tip.xx, y: elbow_tip.xy }, Legs2 { x: elbow_tip.xy, y: elbow_tip.yy }]
+            .map(|t| elbow_inverse.times(t));
         let own = Symmetric::new(mu_d, compliance_d, n_b);
         let xx = sum(own.xx - (elbow_tip.xx * first.x + elbow_tip.xy * first.y)) + softness;
         let xy = sum(own.xy - (elbow_tip.xx * second.x + elbow_tip.xy * second.y));
@@ -114,7 +115,7 @@ impl TwoLeg {
             couple_along,
             couple_excess,
             elbow_inverse,
-            elbow_tip,
+            gain,
             tip_inverse: [yy * reciprocal, -xy * reciprocal, xx * reciprocal],
         }
     }
@@ -149,13 +150,13 @@ impl TwoLeg {
         let elbow = Legs2 { x: legs_of(r, E_X) - carried.x, y: legs_of(r, E_Y) - carried.y };
 
         let free = self.elbow_inverse.times(elbow);
-        let felt = self.elbow_tip.times(free);
-        let (x, y) = (r[TIP_X] - sum(felt.x), r[TIP_Y] - sum(felt.y));
+        let [first, second] = self.gain;
+        let (x, y) = (r[TIP_X] - sum(first.dot(elbow)), r[TIP_Y] - sum(second.dot(elbow)));
         let [xx, xy, yy] = self.tip_inverse;
         let (tip_x, tip_y) = (xx * x + xy * y, xy * x + yy * y);
 
-        let back = self.elbow_inverse.times(self.elbow_tip.times(Legs2 { x: both(tip_x), y: both(tip_y) }));
-        let elbow = Legs2 { x: free.x - back.x, y: free.y - back.y };
+        let (back_x, back_y) = (first.scaled(both(tip_x)), second.scaled(both(tip_y)));
+        let elbow = Legs2 { x: free.x - back_x.x - back_y.x, y: free.y - back_x.y - back_y.y };
         let own = framed(self.ground_along, self.ground_excess, ground);
         let carried = framed(self.couple_along, self.couple_excess, elbow);
 
@@ -175,9 +176,9 @@ impl Kkt<COORDINATES, MULTIPLIERS> for TwoLeg {
     fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         let unconstrained = self.yielded(b);
         let velocity = self.pose.phi_q_times(&unconstrained);
-        let y = self.dual(&std::array::from_fn(|i| velocity[i] - c[i]));
+        let y = self.dual(&combine([&velocity, c], |[velocity, c]| velocity - c));
         let pull = self.yielded(&self.pose.phi_q_transposed_times(&y));
-        (std::array::from_fn(|i| unconstrained[i] - pull[i]), y)
+        (combine([&unconstrained, &pull], |[x, pull]| x - pull), y)
     }
 
     #[inline(always)]
