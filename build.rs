@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::{env, fs, path::Path};
 
-use model_description::{Causality, Kind, ModelDescription, Name, TypeKind, Variable};
+use model_description::{Causality, Kind, ModelDescription, Name, TypeKind, Variability, Variable};
 
 fn main() {
     // A change of the XML or its reader rebuilds this script, and a rebuilt script runs again.
@@ -152,12 +152,13 @@ fn table(description: &ModelDescription, code: &mut String) -> Written {
         writeln!(
             code,
             "    Variable {{ name: {:?}, reference: {}, slot: Slot::{group}({group}::{}{index}), unit: {:?}, \
-             start: {}, min: {min:?}, max: {max:?}, items: {items} }},",
+             start: {}, min: {min:?}, max: {max:?}, items: {items}, tunable: {} }},",
             variable.name.full,
             variable.reference,
             camel(&variable.name.family),
             variable.unit,
             start.map_or("None".to_owned(), |start| format!("Some({start})")),
+            variable.variability == Variability::Tunable,
         )?;
     }
     writeln!(code, "];")

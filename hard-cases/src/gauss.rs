@@ -29,7 +29,7 @@ const DIRECTIONS: u32 = 3600;
 pub fn branches(parameters: &Parameters, inputs: &Inputs, vertex: Vertex) -> Result<Vec<Branch>, Refusal> {
     let simulation = Simulation::at(parameters, inputs, vertex.theta, [0.0; 4])?;
     let model = simulation.model();
-    let system = FiveBar::<General>::new(model, inputs);
+    let system = FiveBar::<General>::new(model, inputs, &[0; 4]);
     let q = simulation.state().core.q;
     let forces = system.forces(&q, &system.pose(&q), &[0.0; 12]);
     let motions: [_; 4] = std::array::from_fn(|i| unit_motion(&parameters.geometry, vertex.theta, i));

@@ -5,7 +5,7 @@ use fivebar::mechanism::{Geometry, closure};
 use fivebar::simulation::{Inputs, Parameters};
 
 /// No load.
-pub(crate) const NO_LOAD: Inputs = Inputs { tau: [0.0; 2], tip_force: [0.0; 2] };
+pub(crate) const NO_LOAD: Inputs = Inputs { tau: [0.0; 2], tip_force: [0.0; 2], servo_theta: [0.0; 2], servo_omega: [0.0; 2] };
 
 /// Acceleration of gravity in the unit of energy, m/s².
 const G: f64 = 9.81;

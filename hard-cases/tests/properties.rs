@@ -87,7 +87,7 @@ fn any_load() -> impl Strategy<Value = [f64; 4]> {
 fn loads(parameters: &Parameters, [left, right, x, y]: [f64; 4]) -> Inputs {
     let unit = mgl(&parameters.geometry);
     let length = parameters.geometry.links.iter().map(|link| link.length).fold(0.0, f64::max);
-    Inputs { tau: [left * unit, right * unit], tip_force: [x * unit / length, y * unit / length] }
+    Inputs { tau: [left * unit, right * unit], tip_force: [x * unit / length, y * unit / length], ..Inputs::default() }
 }
 
 /// Torques of several mgL make links of a gram whirl at thousands of rad/s: after so many sub-steps a run has shown enough.

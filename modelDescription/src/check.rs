@@ -98,7 +98,7 @@ fn check_variable(description: &ModelDescription, variable: &Variable) -> Result
 /// The combinations of FMI 2.0.4, section 2.2.7, that this project uses.
 fn check_role(variable: &Variable) -> Result<(), Error> {
     let legal = match (variable.causality, variable.initial) {
-        (Causality::Parameter, Some(Initial::Exact)) => variable.variability == Variability::Fixed,
+        (Causality::Parameter, Some(Initial::Exact)) => matches!(variable.variability, Variability::Fixed | Variability::Tunable),
         (Causality::Input, None) | (Causality::Output | Causality::Local, Some(Initial::Calculated)) => {
             matches!(variable.variability, Variability::Discrete | Variability::Continuous)
         }

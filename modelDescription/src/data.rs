@@ -206,6 +206,8 @@ pub enum Causality {
 pub enum Variability {
     /// Fixed after initialisation.
     Fixed,
+    /// Constant between changes by the master.
+    Tunable,
     /// Constant between communication points.
     Discrete,
     /// Unrestricted.

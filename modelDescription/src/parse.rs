@@ -122,7 +122,12 @@ fn variable(element: &Element, types: &[SimpleType]) -> Result<Variable, Error> 
         variability: choice(
             element,
             "variability",
-            &[("fixed", Variability::Fixed), ("discrete", Variability::Discrete), ("continuous", Variability::Continuous)],
+            &[
+                ("fixed", Variability::Fixed),
+                ("tunable", Variability::Tunable),
+                ("discrete", Variability::Discrete),
+                ("continuous", Variability::Continuous),
+            ],
         )?
         .ok_or_else(|| Error(format!("{element} has no attribute variability")))?,
         initial: choice(element, "initial", &[("exact", Initial::Exact), ("calculated", Initial::Calculated)])?,

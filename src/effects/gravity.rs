@@ -4,6 +4,8 @@
 //! Defaults: standard gravity rounded as in the paper (9.81 m/s²), an upright mechanism, pulling along −y.
 //! Limits: none within Newtonian mechanics; components out of the plane do no work and are carried by the bearings.
 
+use super::situation::Situation;
+use super::Force;
 use crate::mechanism::coordinates::{D_X, D_Y, P_X, P_Y, set_legs};
 use crate::mechanism::legs::both;
 use crate::mechanism::{COORDINATES, Coordinates, Mechanism, Refusal, finite};
@@ -22,14 +24,15 @@ pub struct Parameters {
 }
 
 /// Gravity ready to act: its constant generalised force.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Gravity {
     weight: Coordinates,
 }
 
-impl Gravity {
-    /// Gravity on the links of a mechanism.
-    pub fn new(parameters: &Parameters, mechanism: &Mechanism) -> Result<Self, Refusal> {
+impl Force for Gravity {
+    type Parameters = Parameters;
+
+    fn new(parameters: &Parameters, mechanism: &Mechanism) -> Result<Self, Refusal> {
         let Parameters { g, tilt, direction, .. } = *parameters;
         for (name, value, unit) in [("g", g, "m/s2"), ("tilt", tilt, "rad"), ("direction", direction, "rad")] {
             finite(&format!("gravity.{name}"), value, unit)?;
@@ -49,16 +52,14 @@ impl Gravity {
         Ok(Self { weight })
     }
 
-    /// Adds the weights.
     #[inline(always)]
-    pub fn add_forces(&self, forces: &mut Coordinates) {
+    fn add_forces(&self, _at: &Situation, forces: &mut Coordinates) {
         for (force, weight) in forces.iter_mut().zip(&self.weight) {
             *force += weight;
         }
     }
 
-    /// Potential energy, J.
-    pub fn potential(&self, q: &Coordinates) -> f64 {
-        -q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum::<f64>()
+    fn potential(&self, at: &Situation) -> f64 {
+        -at.q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum::<f64>()
     }
 }

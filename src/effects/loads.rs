@@ -1,15 +1,12 @@
-//! The loads a master sets: motor torques on the proximal links (against the ground) and a force on the tip.
+//! What a master sets: motor torques on the proximal links (against the ground), a force on the tip, servo references.
 //!
 //! The tip force acts on the left distal link (link 2), whose joint with link 3 is the tip: reaction 3 is what link 3 adds.
 //! Q = τ in the proximal angles; F at the centre of mass of link 2 and r × F in its angle, r = b û the arm to the tip, so that
-//! K = r·F in that angle. Held over a communication step.
+//! K = r·F in that angle. All are held over a communication step. The references are read by the servo alone.
 
 use super::Tangents;
-use crate::mechanism::coordinates::{THETA, X, Y};
-use crate::mechanism::{COORDINATES, Coordinates, Pose};
-
-/// Index of the link that carries the tip force.
-const TIP_LINK: usize = 1;
+use super::situation::{MOTORS, Situation};
+use crate::mechanism::{COORDINATES, Coordinates};
 
 /// What the master sets: held over a communication step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -18,50 +15,54 @@ pub struct Inputs {
     pub tau: [f64; 2],
     /// External force on the tip, N.
     pub tip_force: [f64; 2],
-}
-
-/// Arm from the centre of mass of link 2 to the tip, m. The left leg's sign in the tip's closure is +.
-#[inline(always)]
-fn tip_arm(pose: &Pose) -> [f64; 2] {
-    [pose.sigma_b_d.x.to_array()[0], pose.sigma_b_d.y.to_array()[0]]
+    /// Angles of the proximal links that the servos follow, rad.
+    pub servo_theta: [f64; 2],
+    /// Rates of the proximal links that the servos follow, rad/s.
+    pub servo_omega: [f64; 2],
 }
 
 impl Inputs {
     /// Whether any load is there.
-    pub fn any(&self) -> bool {
-        *self != Self::default()
+    pub fn load(&self) -> bool {
+        self.tau != [0.0; 2] || self.tip_force != [0.0; 2]
+    }
+
+    /// Whether any servo reference is not 0.
+    pub fn refers(&self) -> bool {
+        self.servo_theta != [0.0; 2] || self.servo_omega != [0.0; 2]
+    }
+
+    /// The same with servo references 0: what a scene without servos hears of them.
+    pub fn without_references(self) -> Self {
+        Self { servo_theta: [0.0; 2], servo_omega: [0.0; 2], ..self }
     }
 
     /// Adds the generalised forces.
     #[inline(always)]
-    pub fn add_forces(&self, pose: &Pose, forces: &mut Coordinates) {
-        let ([rx, ry], [fx, fy]) = (tip_arm(pose), self.tip_force);
-        forces[THETA[0]] += self.tau[0];
-        forces[THETA[3]] += self.tau[1];
-        forces[X[TIP_LINK]] += fx;
-        forces[Y[TIP_LINK]] += fy;
-        forces[THETA[TIP_LINK]] += rx * fy - ry * fx;
+    pub fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+        for (motor, tau) in MOTORS.into_iter().zip(self.tau) {
+            forces[motor] += tau;
+        }
+        at.tip().add_force(self.tip_force, forces);
     }
 
     /// Adds their tangents.
     #[inline(always)]
-    pub fn add_tangents(&self, pose: &Pose, tangents: &mut impl Tangents) {
-        let ([rx, ry], [fx, fy]) = (tip_arm(pose), self.tip_force);
-        tangents.stiffness(THETA[TIP_LINK], THETA[TIP_LINK], rx * fx + ry * fy);
+    pub fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
+        at.tip().add_geometric_stiffness(self.tip_force, tangents);
     }
 
-    /// Potential of the held loads, J: −τ·θ − F·tip.
-    pub fn potential(&self, q: &Coordinates, pose: &Pose) -> f64 {
-        let ([rx, ry], [fx, fy]) = (tip_arm(pose), self.tip_force);
-        let tip = [q[X[TIP_LINK]] + rx, q[Y[TIP_LINK]] + ry];
-        -(self.tau[0] * q[THETA[0]] + self.tau[1] * q[THETA[3]] + fx * tip[0] + fy * tip[1])
+    /// Potential of the held loads, J: −τ·θ − F·tip. Angles without whole turns, which a step does not change.
+    pub fn potential(&self, at: &Situation) -> f64 {
+        let ([x, y], [fx, fy]) = (at.tip().position, self.tip_force);
+        -(self.tau[0] * at.q[MOTORS[0]] + self.tau[1] * at.q[MOTORS[1]] + fx * x + fy * y)
     }
 
     /// Power of the loads, W.
     #[inline(always)]
-    pub fn power(&self, pose: &Pose, v: &Coordinates) -> f64 {
+    pub fn power(&self, at: &Situation) -> f64 {
         let mut forces = [0.0; COORDINATES];
-        self.add_forces(pose, &mut forces);
-        forces.iter().zip(v).map(|(force, v)| force * v).sum()
+        self.add_forces(at, &mut forces);
+        forces.iter().zip(at.v).map(|(force, v)| force * v).sum()
     }
 }

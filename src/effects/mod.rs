@@ -1,78 +1,162 @@
 //! What acts on the mechanism: one file per effect a scene may call for, and the loads that a master sets.
 //!
-//! An effect that is off is not in memory: [`Effect`]s are made once, from those [`Parameters`] that are enabled, when a scene is
-//! made ready, and a step goes through the list without asking. A new effect is one file and one line in [`Parameters::active`],
-//! next to its variant.
+//! An effect that is off is not in memory: a scene made ready holds those that are enabled, and a step goes through that list
+//! without asking. A new effect is one file and one line in the list below; its variables stand in the XML.
 //!
 //! Invariant: does no input or output; the same input bits give the same output bits.
 
-pub mod gravity;
+mod buffer;
 pub mod loads;
+mod situation;
 mod tangents;
 
-pub use gravity::Gravity;
 pub use loads::Inputs;
+pub use situation::{JOINTS, Situation};
 pub use tangents::{DiagonalTangents, FullTangents, Tangents};
 
-use crate::mechanism::{Coordinates, Mechanism, Refusal};
+use arrayvec::ArrayVec;
 
-/// The parameters of every effect, whether the scene calls for it or not.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Parameters {
-    /// See [`gravity`].
-    pub gravity: gravity::Parameters,
-}
+use crate::mechanism::{Coordinates, Geometry, Mechanism, Refusal};
 
-/// An effect that the scene calls for, ready to act.
-#[derive(Clone, Debug)]
-pub enum Effect {
-    /// See [`gravity`].
-    Gravity(Gravity),
-}
+/// An effect with a force, ready to act. Its file says what it adds and where it comes from.
+trait Force: Sized {
+    /// Its variables.
+    type Parameters;
 
-impl Parameters {
-    /// The effects that are enabled, in the order in which they act.
-    pub fn active(&self, mechanism: &Mechanism) -> Result<Vec<Effect>, Refusal> {
-        let gravity = self.gravity.enabled.then(|| Gravity::new(&self.gravity, mechanism)).transpose()?;
-        Ok([gravity.map(Effect::Gravity)].into_iter().flatten().collect())
-    }
-}
-
-impl Effect {
-    /// The effect's name, that of its `….enabled` variable.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Self::Gravity(_) => "gravity",
-        }
-    }
+    /// Made ready from checked parameters.
+    fn new(parameters: &Self::Parameters, mechanism: &Mechanism) -> Result<Self, Refusal>;
 
     /// Whether its tangents couple links, so that the general linear solve is needed.
-    pub fn couples_links(&self) -> bool {
-        match self {
-            Self::Gravity(_) => false,
-        }
+    fn couples_links(&self) -> bool {
+        false
     }
 
-    /// Adds the generalised forces Q.
-    #[inline(always)]
-    pub fn add_forces(&self, forces: &mut Coordinates) {
-        match self {
-            Self::Gravity(gravity) => gravity.add_forces(forces),
-        }
+    /// Whether all of its force has a potential.
+    fn conservative(&self) -> bool {
+        true
     }
+
+    /// Adds the generalised force Q.
+    fn add_forces(&self, at: &Situation, forces: &mut Coordinates);
 
     /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.
-    #[inline(always)]
-    pub fn add_tangents(&self, _tangents: &mut impl Tangents) {
-        match self {
-            Self::Gravity(_) => {}
-        }
-    }
+    fn add_tangents(&self, _at: &Situation, _tangents: &mut impl Tangents) {}
 
     /// Potential energy, J.
-    pub fn potential(&self, q: &Coordinates) -> f64 {
-        match self {
-            Self::Gravity(gravity) => gravity.potential(q),
-        }
+    fn potential(&self, _at: &Situation) -> f64 {
+        0.0
     }
+
+    /// Power put in from outside, W.
+    fn input_power(&self, _at: &Situation) -> f64 {
+        0.0
+    }
+
+    /// Power dissipated, W. The force's power is input − dissipation − dU/dt.
+    fn dissipation(&self, _at: &Situation) -> f64 {
+        0.0
+    }
+}
+
+/// Makes the list of effects: those that only add masses, constant in M, and those that add forces, in the order in which they act.
+macro_rules! effects {
+    (masses: $($mass:ident),+; forces: $($force:ident: $Force:ident),+;) => {
+        $(pub mod $mass;)+
+        $(pub mod $force;)+
+        $(pub use $force::$Force;)+
+
+        /// The parameters of every effect, whether the scene calls for it or not.
+        #[derive(Clone, Debug, PartialEq)]
+        pub struct Parameters {
+            $(#[doc = concat!("See [`", stringify!($mass), "`].")] pub $mass: $mass::Parameters,)+
+            $(#[doc = concat!("See [`", stringify!($force), "`].")] pub $force: $force::Parameters,)+
+        }
+
+        /// Names of all effects: those of their `….enabled` variables.
+        pub const NAMES: [&str; [$(stringify!($mass),)+ $(stringify!($force),)+].len()] =
+            [$(stringify!($mass),)+ $(stringify!($force),)+];
+
+        const FORCES: usize = [$(stringify!($force),)+].len();
+
+        /// An effect with a force that the scene calls for, ready to act.
+        #[derive(Clone, Debug, PartialEq)]
+        #[expect(missing_docs, reason = "each is the type of the effect's file")]
+        pub enum Effect {
+            $($Force($Force),)+
+        }
+
+        impl Parameters {
+            /// Names of the effects that are enabled.
+            pub fn enabled(&self) -> ArrayVec<&'static str, { NAMES.len() }> {
+                let all = [$((stringify!($mass), self.$mass.enabled),)+ $((stringify!($force), self.$force.enabled),)+];
+                all.into_iter().filter_map(|(name, enabled)| enabled.then_some(name)).collect()
+            }
+
+            /// The geometry with the masses of the effects that are enabled.
+            pub fn burdened(&self, geometry: &Geometry) -> Result<Geometry, Refusal> {
+                let mut burdened = *geometry;
+                $(if self.$mass.enabled { self.$mass.add_masses(&mut burdened)?; })+
+                Ok(burdened)
+            }
+
+            /// The effects with forces that are enabled, in the order in which they act.
+            pub fn active(&self, mechanism: &Mechanism) -> Result<Active, Refusal> {
+                let mut active = Active::new();
+                $(if self.$force.enabled { active.push(Effect::$Force($Force::new(&self.$force, mechanism)?)); })+
+                Ok(active)
+            }
+        }
+
+        impl Effect {
+            /// The effect's name, that of its `….enabled` variable.
+            pub fn name(&self) -> &'static str {
+                match self { $(Self::$Force(_) => stringify!($force),)+ }
+            }
+
+            /// Whether its tangents couple links, so that the general linear solve is needed.
+            pub fn couples_links(&self) -> bool {
+                match self { $(Self::$Force(force) => force.couples_links(),)+ }
+            }
+
+            /// Whether all of its force has a potential.
+            pub fn conservative(&self) -> bool {
+                match self { $(Self::$Force(force) => force.conservative(),)+ }
+            }
+
+            /// Adds the generalised force Q.
+            #[inline(always)]
+            pub fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+                match self { $(Self::$Force(force) => force.add_forces(at, forces),)+ }
+            }
+
+            /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.
+            #[inline(always)]
+            pub fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
+                match self { $(Self::$Force(force) => force.add_tangents(at, tangents),)+ }
+            }
+
+            /// Potential energy, J.
+            pub fn potential(&self, at: &Situation) -> f64 {
+                match self { $(Self::$Force(force) => force.potential(at),)+ }
+            }
+
+            /// Power put in from outside, W.
+            pub fn input_power(&self, at: &Situation) -> f64 {
+                match self { $(Self::$Force(force) => force.input_power(at),)+ }
+            }
+
+            /// Power dissipated, W.
+            pub fn dissipation(&self, at: &Situation) -> f64 {
+                match self { $(Self::$Force(force) => force.dissipation(at),)+ }
+            }
+        }
+    };
+}
+
+/// The effects that act: in place, so that a parameter changed during a run allocates nothing.
+pub type Active = ArrayVec<Effect, FORCES>;
+
+effects! {
+    masses: rotor, payload;
+    forces: gravity: Gravity, viscous: Viscous, friction: Friction, spring: Spring, stop: Stop, contact: Contact, servo: Servo;
 }

@@ -3,7 +3,7 @@
 //! The matches are exhaustive over the enums that `build.rs` makes from the XML, so a variable that is not bound here
 //! does not compile. Outputs are bound in `outputs.rs`.
 
-use crate::effects;
+use crate::effects::{self, JOINTS};
 use crate::mechanism::{self, Geometry, Link, Start};
 use crate::simulation::{self, Inputs, Parameters, Settings};
 use crate::variables::{
@@ -13,7 +13,7 @@ use crate::variables::{
 /// The place of a Real parameter.
 fn real_parameter(p: &mut Parameters, variable: RealParameter) -> &mut f64 {
     use RealParameter as V;
-    let gravity = &mut p.effects.gravity;
+    let effects = &mut p.effects;
     match variable {
         V::BaseDistance => &mut p.geometry.base_distance,
         V::LinkLength(i) => &mut p.geometry.links[i].length,
@@ -27,9 +27,34 @@ fn real_parameter(p: &mut Parameters, variable: RealParameter) -> &mut f64 {
         V::SolverTolerance => &mut p.settings.tolerance,
         V::SolverPenalty => &mut p.settings.penalty,
         V::SolverPenaltyScale => &mut p.settings.penalty_scale,
-        V::GravityG => &mut gravity.g,
-        V::GravityTilt => &mut gravity.tilt,
-        V::GravityDirection => &mut gravity.direction,
+        V::GravityG => &mut effects.gravity.g,
+        V::GravityTilt => &mut effects.gravity.tilt,
+        V::GravityDirection => &mut effects.gravity.direction,
+        V::RotorInertia(i) => &mut effects.rotor.inertia[i],
+        V::RotorGearRatio(i) => &mut effects.rotor.gear_ratio[i],
+        V::PayloadMass => &mut effects.payload.mass,
+        V::ViscousB(i) => &mut effects.viscous.b[i],
+        V::FrictionCoulomb(i) => &mut effects.friction.coulomb[i],
+        V::FrictionBreakaway(i) => &mut effects.friction.breakaway[i],
+        V::FrictionBreakawayVelocity => &mut effects.friction.breakaway_velocity,
+        V::SpringK(i) => &mut effects.spring.k[i],
+        V::SpringTheta0(i) => &mut effects.spring.theta0[i],
+        V::StopLower(i) => &mut effects.stop.lower[i],
+        V::StopUpper(i) => &mut effects.stop.upper[i],
+        V::StopK => &mut effects.stop.k,
+        V::StopD => &mut effects.stop.d,
+        V::StopWidth => &mut effects.stop.width,
+        V::ContactNx => &mut effects.contact.nx,
+        V::ContactNy => &mut effects.contact.ny,
+        V::ContactOffset => &mut effects.contact.offset,
+        V::ContactK => &mut effects.contact.k,
+        V::ContactD => &mut effects.contact.d,
+        V::ContactWidth => &mut effects.contact.width,
+        V::ContactMu => &mut effects.contact.mu,
+        V::ContactSlipVelocity => &mut effects.contact.slip_velocity,
+        V::ServoKp(i) => &mut effects.servo.kp[i],
+        V::ServoKd(i) => &mut effects.servo.kd[i],
+        V::ServoLimit(i) => &mut effects.servo.limit[i],
     }
 }
 
@@ -45,6 +70,14 @@ fn boolean_parameter(p: &mut Parameters, variable: BooleanParameter) -> &mut boo
     match variable {
         BooleanParameter::SolverAdaptive => &mut p.settings.adaptive,
         BooleanParameter::GravityEnabled => &mut p.effects.gravity.enabled,
+        BooleanParameter::RotorEnabled => &mut p.effects.rotor.enabled,
+        BooleanParameter::PayloadEnabled => &mut p.effects.payload.enabled,
+        BooleanParameter::ViscousEnabled => &mut p.effects.viscous.enabled,
+        BooleanParameter::FrictionEnabled => &mut p.effects.friction.enabled,
+        BooleanParameter::SpringEnabled => &mut p.effects.spring.enabled,
+        BooleanParameter::StopEnabled => &mut p.effects.stop.enabled,
+        BooleanParameter::ContactEnabled => &mut p.effects.contact.enabled,
+        BooleanParameter::ServoEnabled => &mut p.effects.servo.enabled,
     }
 }
 
@@ -62,6 +95,8 @@ fn real_input(inputs: &mut Inputs, variable: RealInput) -> &mut f64 {
         RealInput::Tau(i) => &mut inputs.tau[i],
         RealInput::TipFx => &mut inputs.tip_force[0],
         RealInput::TipFy => &mut inputs.tip_force[1],
+        RealInput::ServoTheta(i) => &mut inputs.servo_theta[i],
+        RealInput::ServoOmega(i) => &mut inputs.servo_omega[i],
     }
 }
 
@@ -159,10 +194,41 @@ fn starts() -> (Parameters, Inputs) {
             penalty_scale: f64::NAN,
         },
         effects: effects::Parameters {
+            rotor: effects::rotor::Parameters { enabled: false, inertia: [f64::NAN; 2], gear_ratio: [f64::NAN; 2] },
+            payload: effects::payload::Parameters { enabled: false, mass: f64::NAN },
             gravity: effects::gravity::Parameters { enabled: false, g: f64::NAN, tilt: f64::NAN, direction: f64::NAN },
+            viscous: effects::viscous::Parameters { enabled: false, b: [f64::NAN; JOINTS] },
+            friction: effects::friction::Parameters {
+                enabled: false,
+                coulomb: [f64::NAN; JOINTS],
+                breakaway: [f64::NAN; JOINTS],
+                breakaway_velocity: f64::NAN,
+            },
+            spring: effects::spring::Parameters { enabled: false, k: [f64::NAN; 2], theta0: [f64::NAN; 2] },
+            stop: effects::stop::Parameters {
+                enabled: false,
+                lower: [f64::NAN; 2],
+                upper: [f64::NAN; 2],
+                k: f64::NAN,
+                d: f64::NAN,
+                width: f64::NAN,
+            },
+            contact: effects::contact::Parameters {
+                enabled: false,
+                nx: f64::NAN,
+                ny: f64::NAN,
+                offset: f64::NAN,
+                k: f64::NAN,
+                d: f64::NAN,
+                width: f64::NAN,
+                mu: f64::NAN,
+                slip_velocity: f64::NAN,
+            },
+            servo: effects::servo::Parameters { enabled: false, kp: [f64::NAN; 2], kd: [f64::NAN; 2], limit: [f64::NAN; 2] },
         },
     };
-    let mut inputs = Inputs { tau: [f64::NAN; 2], tip_force: [f64::NAN; 2] };
+    let nan = [f64::NAN; 2];
+    let mut inputs = Inputs { tau: nan, tip_force: nan, servo_theta: nan, servo_omega: nan };
     for variable in VARIABLES {
         if let Some(start) = variable.start {
             let written = write(&mut parameters, &mut inputs, variable, start);

@@ -23,6 +23,10 @@ pub struct Instance {
     clock: Option<Clock>,
     /// Made at the end of initialisation, or earlier when an output is read there.
     simulation: Option<Simulation>,
+    /// Whether a tunable parameter has changed since the last step: the next one makes it act.
+    tuned: bool,
+    /// Whether the master has been told that no active effect reads the servo references.
+    warned_of_references: bool,
     cache: Cache,
     /// Lines for the master.
     pub log: Log,
@@ -37,6 +41,8 @@ impl Instance {
             inputs: bindings::default_inputs(),
             clock: None,
             simulation: None,
+            tuned: false,
+            warned_of_references: false,
             cache: Cache::default(),
             log: Log::new(logging_on),
         }
@@ -83,7 +89,7 @@ impl Instance {
         let simulation = ready(&mut self.simulation, &self.parameters, &self.inputs)?;
         let settings = &self.parameters.settings;
         self.log.push(Status::Ok, || {
-            let effects: Vec<&str> = simulation.active_effects().collect();
+            let effects = simulation.active_effects();
             format!(
                 "ready: method {}, h = {:?} s, adaptive {}, effects: {}",
                 bindings::method_name(settings.method),
@@ -92,6 +98,7 @@ impl Instance {
                 if effects.is_empty() { "none".to_owned() } else { effects.join(", ") }
             )
         });
+        self.tuned = false;
         self.stage = Stage::StepComplete;
         Ok(())
     }
@@ -130,6 +137,7 @@ impl Instance {
                 // A scene that was made ready to read an output is made anew with the new values.
                 self.simulation = None;
             }
+            self.tuned |= variable.tunable;
         }
         Ok(())
     }
@@ -175,6 +183,17 @@ impl Instance {
             unreachable!("initialisation has made both");
         };
         let plan = clock.plan(point, size, self.parameters.settings.step_size)?;
+        if self.tuned {
+            simulation.tune(&self.parameters.effects)?;
+            self.cache = Cache::default();
+            self.tuned = false;
+        }
+        if self.inputs.refers() && !simulation.model().servo && !self.warned_of_references {
+            self.warned_of_references = true;
+            self.log.push(Status::Warning, || {
+                "servo.theta or servo.omega is not 0, but no active effect reads them: servo.enabled is false.".to_owned()
+            });
+        }
         let before = simulation.state().core.counters;
         match simulation.advance(&self.inputs, plan.h, plan.steps) {
             Ok(()) => {

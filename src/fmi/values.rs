@@ -17,11 +17,12 @@ pub(super) fn lookup(reference: u32, access: Access) -> Result<&'static Variable
     Ok(variable)
 }
 
-/// Whether a variable may be set in a stage that allows setting: inputs always, parameters before the run, outputs
-/// never (FMI 2.0.4, section 2.2.7 and footnotes of the table in 4.2.4).
+/// Whether a variable may be set in a stage that allows setting: inputs and tunable parameters always, other parameters before
+/// the run, outputs never (FMI 2.0.4, section 2.2.7 and footnotes of the table in 4.2.4).
 pub(super) fn check_settable(variable: &Variable, stage: Stage) -> Result<(), Rejection> {
     match variable.slot {
         Slot::RealInput(_) => Ok(()),
+        _ if variable.tunable => Ok(()),
         Slot::RealParameter(_) | Slot::IntegerParameter(_) | Slot::BooleanParameter(_) | Slot::EnumerationParameter(_) => {
             match stage {
                 Stage::Instantiated | Stage::InitializationMode => Ok(()),

@@ -14,7 +14,7 @@ use super::equilibrium::equilibrium_at;
 use super::projection::{self, Projection};
 use super::system::local_error;
 use super::vectors::{add, combine, finite, max_norm};
-use super::vertex::{self, Care, Gate, Verdict};
+use super::vertex::{self, Care, Gate, Ledger, Verdict};
 use super::{Failure, Kkt, Power, State, System};
 
 mod descent;
@@ -57,14 +57,14 @@ struct Attempt<const N: usize, const M: usize> {
 }
 
 /// One step of h: predictor, Newton on positions and total multipliers, velocity projection, acceleration from equilibrium.
-/// `energy` is what the system must have at its end, where round-off next to a vertex would change it.
+/// `energy` is that before it, where round-off next to a vertex would change it.
 #[inline(always)]
 fn attempt<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     h: f64,
-    energy: Option<f64>,
+    energy: Option<Ledger>,
 ) -> Result<Attempt<N, M>, Failure> {
     if h < SHORTEST_FOR_NEWTON {
         return Ok(Attempt::moved_on(system, state, h));
@@ -87,7 +87,7 @@ fn attempt<const N: usize, const M: usize>(
     let projection = projection::velocity(system, &pose, &mass, &v);
     let mut v = add(&v, &projection);
     if let Some(energy) = energy {
-        v = vertex::with_energy(system, &q, &pose, &v, energy)?;
+        v = vertex::with_energy(system, &q, &pose, &v, energy, h)?;
     }
     let (a, lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
 

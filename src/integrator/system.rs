@@ -58,9 +58,18 @@ pub trait System<const N: usize, const M: usize> {
     ) -> Option<Self::Tangent> {
         None
     }
-    /// Potential energy of all forces, held loads included, J; `None` where a force has none.
+    /// Potential energy of the forces that have one, held loads included, J; `None` where it is not known.
     fn potential(&self, _q: &[f64; N], _pose: &Self::Pose) -> Option<f64> {
         None
+    }
+
+    /// Whether all forces have a potential.
+    fn conservative(&self) -> bool {
+        true
+    }
+    /// Power of the forces that have no potential, W.
+    fn power_without_potential(&self, _q: &[f64; N], _pose: &Self::Pose, _v: &[f64; N]) -> f64 {
+        0.0
     }
 
     /// Displacement of q from the vertex that it is near to, and q̇, both in the coordinates in which that is measured (the others

@@ -73,8 +73,17 @@ pub(super) struct Care {
     /// e of the saddle-point systems, 1/kg: it must stay small against the smallest eigenvalue of S, which falls with the square of
     /// the distance.
     pub(super) softness: f64,
-    /// Energy to be kept, J: close to a vertex round-off in the direction of the velocity would change it.
-    pub(super) energy: Option<f64>,
+    /// What is known of the energy, which is to be kept: close to a vertex round-off in the direction of the velocity would change it.
+    pub(super) energy: Option<Ledger>,
+}
+
+/// The energy before a sub-step, and how it changes.
+#[derive(Clone, Copy)]
+pub(super) struct Ledger {
+    /// Kinetic plus potential, J.
+    energy: f64,
+    /// Power of the forces that have no potential, W.
+    power: f64,
 }
 
 /// A straight motion through the ball: one-dimensional, with the acceleration that the forces have along it.
@@ -95,11 +104,17 @@ fn dot<const N: usize>(x: &[f64; N], y: &[f64; N]) -> f64 {
     x.iter().zip(y).map(|(x, y)| x * y).sum()
 }
 
-/// Acceleration that the forces have along a direction on the cone.
-fn acceleration_along<const N: usize, const M: usize>(system: &impl System<N, M>, q: &[f64; N], direction: &[f64; N]) -> f64 {
+/// Acceleration that the forces have along a direction on the cone, at a speed along it.
+fn acceleration_along<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    q: &[f64; N],
+    direction: &[f64; N],
+    speed: f64,
+) -> f64 {
     let pose = system.pose(q);
     let (_, motion) = system.rebuilt(q, direction);
-    dot(&system.forces(q, &pose, &[0.0; N]), &motion) / dot(&motion, &system.mass_times(&pose, &motion))
+    let forces = system.forces(q, &pose, &motion.map(|x| x * speed));
+    dot(&forces, &motion) / dot(&motion, &system.mass_times(&pose, &motion))
 }
 
 /// The verdict for a state, of whose macro step `rest` seconds are left.
@@ -128,7 +143,7 @@ fn near<const N: usize, const M: usize>(
     rate: [f64; N],
 ) -> Verdict<N> {
     let (distance, speed) = (dot(&offset, &offset).sqrt(), dot(&rate, &rate).sqrt());
-    let before = if distance < CLOSE { energy(system, &state.q, &state.v) } else { None };
+    let before = if distance < CLOSE { ledger(system, &state.q, &state.v) } else { None };
     let free = |longest: f64| {
         Verdict::Near(Care {
             longest,
@@ -158,7 +173,7 @@ fn near<const N: usize, const M: usize>(
     if miss > gate.miss || !(entering || starting || state.on_ray) {
         return free(f64::INFINITY);
     }
-    let acceleration = acceleration_along(system, &state.q, &direction);
+    let acceleration = acceleration_along(system, &state.q, &direction, speed);
     let Some(duration) = time_to(reach, position, speed, acceleration) else { return free(f64::INFINITY) };
     // What forces across the ray could do meanwhile must stay below the miss. A start from rest is on its branch already.
     let (pull, _) = equilibrium(system, &state.q, &[0.0; N], softness);
@@ -178,7 +193,7 @@ fn launch<const N: usize, const M: usize>(
     let (direction, acceleration) = match system.least_constraint(&state.q) {
         Some((direction, alternatives)) => {
             state.alternatives = alternatives;
-            (direction, acceleration_along(system, &state.q, &direction))
+            (direction, acceleration_along(system, &state.q, &direction, 0.0))
         }
         None => ([0.0; N], 0.0),
     };
@@ -205,7 +220,7 @@ pub(super) fn start_acceleration<const N: usize, const M: usize>(
         return None;
     }
     let (direction, _) = system.least_constraint(q)?;
-    let acceleration = acceleration_along(system, q, &direction);
+    let acceleration = acceleration_along(system, q, &direction, 0.0);
     Some(system.rebuilt(q, &direction.map(|x| x * acceleration)).1)
 }
 
@@ -227,7 +242,7 @@ pub(super) fn carry<const N: usize, const M: usize>(
     power: &mut Power,
 ) -> Result<bool, Failure> {
     let Ray { aside, direction, position, speed, acceleration, duration, .. } = ray;
-    let before = energy(system, &state.q, &state.v);
+    let before = ledger(system, &state.q, &state.v);
     let (offset, _) = system.vertex(&state.q, &state.v).unwrap_or(([0.0; N], [0.0; N]));
     let ahead = position + duration * (speed + 0.5 * acceleration * duration);
     let speed_ahead = speed + acceleration * duration;
@@ -244,8 +259,8 @@ pub(super) fn carry<const N: usize, const M: usize>(
         v = std::array::from_fn(|i| v[i] + correction[i]);
     }
     // The rate along the ray is known from the energy better than from the acceleration, which was taken as constant.
-    if let Some(energy) = before {
-        match with_energy(system, &q, &pose, &v, energy) {
+    if let Some(before) = before {
+        match with_energy(system, &q, &pose, &v, before, *duration) {
             Ok(scaled) => v = scaled,
             Err(_) => return Ok(false),
         }
@@ -273,27 +288,31 @@ pub(super) fn carry<const N: usize, const M: usize>(
     Ok(true)
 }
 
-/// Kinetic plus potential energy, J, where all forces have a potential.
-fn energy<const N: usize, const M: usize>(system: &impl System<N, M>, q: &[f64; N], v: &[f64; N]) -> Option<f64> {
+/// The energy and how it changes, where the potential is known.
+fn ledger<const N: usize, const M: usize>(system: &impl System<N, M>, q: &[f64; N], v: &[f64; N]) -> Option<Ledger> {
     let pose = system.pose(q);
-    Some(dot(v, &system.mass_times(&pose, v)) / 2.0 + system.potential(q, &pose)?)
+    let energy = dot(v, &system.mass_times(&pose, v)) / 2.0 + system.potential(q, &pose)?;
+    Some(Ledger { energy, power: system.power_without_potential(q, &pose, v) })
 }
 
-/// The velocity scaled to a given energy, within the constraints: by little, or the sub-step has failed. Unchanged where so little
-/// energy is involved that it is lost in round-off, or forces have no potential.
+/// The velocity scaled to the energy that follows from that `h` seconds before, within the constraints: by little, or the sub-step
+/// has failed. Unchanged where so little energy is involved that it is lost in round-off, or so much is lost or put in on the way
+/// that the trapezoidal rule says less about it than the step itself.
 pub(super) fn with_energy<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     q: &[f64; N],
     pose: &S::Pose,
     v: &[f64; N],
-    energy: f64,
+    before: Ledger,
+    h: f64,
 ) -> Result<[f64; N], Failure> {
     let Some(potential) = system.potential(q, pose) else { return Ok(*v) };
     let kinetic = dot(v, &system.mass_times(pose, v)) / 2.0;
-    if kinetic <= 1e-9 * energy.abs().max(potential.abs()) {
+    let work = h / 2.0 * (before.power + system.power_without_potential(q, pose, v));
+    if kinetic <= 1e-9 * before.energy.abs().max(potential.abs()) || work.abs() > ENERGY_CHANGE * kinetic {
         return Ok(*v);
     }
-    let change = (energy - potential) / kinetic - 1.0;
+    let change = (before.energy + work - potential) / kinetic - 1.0;
     if change.abs() > ENERGY_CHANGE {
         Err(Failure::EnergyChange { part: change })
     } else {

@@ -27,4 +27,4 @@ pub use closure::{Assembly, Start, close};
 pub use constraints::Pose;
 pub use coordinates::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
 pub use model::{Geometry, Link, Mechanism, Refusal};
-pub(crate) use model::{finite, positive};
+pub(crate) use model::{finite, not_negative, positive};

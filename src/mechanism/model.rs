@@ -46,6 +46,12 @@ pub(crate) fn positive(name: &str, value: f64, unit: &str) -> Result<(), Refusal
     if value > 0.0 { Ok(()) } else { Err(Refusal(format!("{name} = {value} {unit} is not allowed: it must be positive."))) }
 }
 
+/// Refuses a value that is not finite or is negative.
+pub(crate) fn not_negative(name: &str, value: f64, unit: &str) -> Result<(), Refusal> {
+    finite(name, value, unit)?;
+    if value >= 0.0 { Ok(()) } else { Err(Refusal(format!("{name} = {value} {unit} is not allowed: it must be 0 or positive."))) }
+}
+
 /// Refuses NaN and infinities.
 pub(crate) fn finite(name: &str, value: f64, unit: &str) -> Result<(), Refusal> {
     if value.is_finite() { Ok(()) } else { Err(Refusal(format!("{name} = {value} {unit} is not allowed: it must be finite."))) }
@@ -54,10 +60,7 @@ pub(crate) fn finite(name: &str, value: f64, unit: &str) -> Result<(), Refusal> 
 impl Geometry {
     /// Checks every length, mass and inertia by name.
     pub fn check(&self) -> Result<(), Refusal> {
-        finite("base.distance", self.base_distance, "m")?;
-        if self.base_distance < 0.0 {
-            return Err(Refusal(format!("base.distance = {} m is not allowed: it must be 0 or positive.", self.base_distance)));
-        }
+        not_negative("base.distance", self.base_distance, "m")?;
         for (i, link) in self.links.iter().enumerate() {
             let name = |what: &str| format!("link[{}].{what}", i + 1);
             positive(&name("length"), link.length, "m")?;

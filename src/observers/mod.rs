@@ -2,6 +2,7 @@
 
 use nalgebra::Vector2;
 
+use crate::effects::Effect;
 use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::{Coordinates, Link};
@@ -100,6 +101,20 @@ pub fn energies(model: &Model, state: &State) -> Energies {
     let (kinetic, potential) = (state.kinetic_energy(model), state.potential_energy(model));
     let (input, dissipated) = (core.work.input, core.work.dissipated);
     Energies { kinetic, potential, input, dissipated, error: kinetic + potential + dissipated - input - state.energy_at_start }
+}
+
+/// Torques of the left and right servo on their proximal links, N·m; 0 without servos.
+pub fn servo_torques(model: &Model, state: &State) -> [f64; 2] {
+    let torques =
+        |effect: &Effect| if let Effect::Servo(servo) = effect { Some(state.at(model, |at| servo.torques(at))) } else { None };
+    model.effects.iter().find_map(torques).unwrap_or_default()
+}
+
+/// Force of the contact plane on the tip, N; 0 without contact.
+pub fn contact_force(model: &Model, state: &State) -> Vector2<f64> {
+    let force =
+        |effect: &Effect| if let Effect::Contact(contact) = effect { Some(state.at(model, |at| contact.force(at))) } else { None };
+    model.effects.iter().find_map(force).unwrap_or_default().into()
 }
 
 /// Distance to the singularities, and the modes.

@@ -17,6 +17,7 @@ use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal, closure};
 
 pub use crate::effects::Inputs;
+use crate::effects::{self, Situation};
 pub use crate::integrator::Counters;
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings};
@@ -88,12 +89,13 @@ impl Simulation {
     }
 
     fn started(model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
+        let (inputs, turns) = (model.heard(inputs), [0; 4]);
         let core = if model.general_solve {
-            integrator::State::start(&FiveBar::<General>::new(&model, inputs), q, v, model.softness)
+            integrator::State::start(&FiveBar::<General>::new(&model, &inputs, &turns), q, v, model.softness)
         } else {
-            integrator::State::start(&FiveBar::<TwoLegged>::new(&model, inputs), q, v, model.softness)
+            integrator::State::start(&FiveBar::<TwoLegged>::new(&model, &inputs, &turns), q, v, model.softness)
         };
-        let mut state = State { core, turns: [0; 4], inputs: *inputs, energy_at_start: 0.0 };
+        let mut state = State { core, turns, inputs, energy_at_start: 0.0 };
         state.unwind();
         state.energy_at_start = state.kinetic_energy(&model) + state.potential_energy(&model);
         if !state.core.a.iter().chain(&state.core.lambda).all(|x| x.is_finite()) || !state.energy_at_start.is_finite() {
@@ -111,10 +113,11 @@ impl Simulation {
     /// On failure the state is as it was before the call. Allocates nothing.
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
         let before = self.state;
+        let inputs = self.model.heard(inputs);
         let done = if self.model.general_solve {
-            run::<General>(&self.model, &mut self.state, inputs, h, steps)
+            run::<General>(&self.model, &mut self.state, &inputs, h, steps)
         } else {
-            run::<TwoLegged>(&self.model, &mut self.state, inputs, h, steps)
+            run::<TwoLegged>(&self.model, &mut self.state, &inputs, h, steps)
         };
         done.inspect_err(|_| self.state = before)
     }
@@ -132,17 +135,24 @@ impl Simulation {
     /// The present state with the q̈ and λ that belong to `inputs`: what observers answer for.
     pub fn state_for(&self, inputs: &Inputs) -> State {
         let mut state = self.state;
-        if self.model.general_solve {
-            state.hold(&self.model, &FiveBar::<General>::new(&self.model, inputs), inputs);
-        } else {
-            state.hold(&self.model, &FiveBar::<TwoLegged>::new(&self.model, inputs), inputs);
-        }
+        state.hold(&self.model, &self.model.heard(inputs));
         state
     }
 
+    /// Gives the active effects new parameters from now on; what that adds to the potential energy counts as input. Which effects
+    /// are active, and the masses, stay. On refusal nothing has changed.
+    pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<(), Refusal> {
+        let before = self.state.potential_energy(&self.model);
+        if self.model.tune(parameters)? {
+            self.state.core.work.input += self.state.potential_energy(&self.model) - before;
+            self.state.restart(&self.model);
+        }
+        Ok(())
+    }
+
     /// Names of the active effects, e.g. `gravity`.
-    pub fn active_effects(&self) -> impl Iterator<Item = &'static str> {
-        self.model.effects.iter().map(|effect| effect.name())
+    pub fn active_effects(&self) -> &[&'static str] {
+        &self.model.effect_names
     }
 }
 
@@ -155,7 +165,14 @@ impl State {
 
     /// Potential energy of the active effects, J; the held loads count as work instead.
     pub fn potential_energy(&self, model: &Model) -> f64 {
-        model.effects.iter().map(|effect| effect.potential(&self.core.q)).sum()
+        self.at(model, |at| model.effects.iter().map(|effect| effect.potential(at)).sum())
+    }
+
+    /// What effects answer for the present state.
+    pub fn at<T>(&self, model: &Model, answer: impl FnOnce(&Situation) -> T) -> T {
+        let State { core, inputs, turns, .. } = self;
+        let pose = model.mechanism.pose(&core.q);
+        answer(&Situation { q: &core.q, v: &core.v, pose: &pose, inputs, turns })
     }
 
     /// Absolute angles of links 1 to 4, rad, not wrapped.
@@ -177,24 +194,37 @@ impl State {
     }
 
     /// Holds `inputs` from now on; if they differ from the present ones, q̈, λ and the predictor start anew.
-    fn hold(&mut self, model: &Model, system: &impl System<COORDINATES, MULTIPLIERS>, inputs: &Inputs) {
+    fn hold(&mut self, model: &Model, inputs: &Inputs) {
         if self.inputs != *inputs {
             self.inputs = *inputs;
-            self.core.restart(system, model.softness);
+            self.restart(model);
+        }
+    }
+
+    /// The forces have changed at once: q̈, λ and the predictor start anew.
+    fn restart(&mut self, model: &Model) {
+        let State { core, inputs, turns, .. } = self;
+        if model.general_solve {
+            core.restart(&FiveBar::<General>::new(model, inputs, turns), model.softness);
+        } else {
+            core.restart(&FiveBar::<TwoLegged>::new(model, inputs, turns), model.softness);
         }
     }
 }
 
 fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
-    let system = FiveBar::<L>::new(model, inputs);
-    state.hold(model, &system, inputs);
-    let core = &state.core;
-    let mut power = if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() };
+    state.hold(model, inputs);
+    let mut power = None;
     for step in 0..steps {
+        let State { core, turns, .. } = state;
+        let system = FiveBar::<L>::new(model, inputs, turns);
+        let power = power.get_or_insert_with(|| {
+            if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() }
+        });
         match &model.stepper {
-            Stepper::I3alp(settings) => i3alp::advance(&system, settings, &mut state.core, h, &mut power),
-            Stepper::I3alpPrinted(settings) => i3alp_printed::advance(&system, settings, &mut state.core, h, &mut power),
-            Stepper::Rk4(settings) => rk4::advance(&system, settings, &mut state.core, h, &mut power),
+            Stepper::I3alp(settings) => i3alp::advance(&system, settings, core, h, power),
+            Stepper::I3alpPrinted(settings) => i3alp_printed::advance(&system, settings, core, h, power),
+            Stepper::Rk4(settings) => rk4::advance(&system, settings, core, h, power),
         }
         .map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
         state.unwind();

@@ -1,6 +1,8 @@
 //! The constant part of a scene made ready, and what it is made from.
 
-use crate::effects::{self, Effect};
+use arrayvec::ArrayVec;
+
+use crate::effects::{self, Active, Effect, Inputs};
 use crate::integrator::{i3alp, i3alp_printed, rk4};
 use crate::mechanism::{Geometry, Mechanism, Refusal, Start};
 
@@ -65,8 +67,14 @@ pub enum Stepper {
 pub struct Model {
     /// The mechanism by legs.
     pub mechanism: Mechanism,
-    /// The active effects, and no others.
-    pub effects: Vec<Effect>,
+    /// The active effects with forces, and no others; those with masses are in the mechanism.
+    pub effects: Active,
+    /// Names of all active effects.
+    pub effect_names: ArrayVec<&'static str, { effects::NAMES.len() }>,
+    /// Whether all forces have a potential.
+    pub conservative: bool,
+    /// Whether an active effect reads the servo references.
+    pub servo: bool,
     /// What round-off in Φ is proportional to, m.
     pub size: f64,
     /// e of the saddle-point systems outside the printed method, 1/kg.
@@ -82,10 +90,12 @@ impl Model {
     pub fn new(parameters: &Parameters) -> Result<Self, Refusal> {
         let settings = &parameters.settings;
         settings.check()?;
-        let mechanism = Mechanism::new(&parameters.geometry)?;
+        parameters.geometry.check()?;
+        let geometry = parameters.effects.burdened(&parameters.geometry)?;
+        let mechanism = Mechanism::new(&geometry)?;
         let effects = parameters.effects.active(&mechanism)?;
         // e = 1/(αβ) with α = κ m̄/β.
-        let softness = 1.0 / (settings.penalty_scale * parameters.geometry.mean_mass());
+        let softness = 1.0 / (settings.penalty_scale * geometry.mean_mass());
         let Settings { tolerance, max_iterations, .. } = *settings;
         let stepper = match settings.method {
             Method::I3alp => Stepper::I3alp(i3alp::Settings {
@@ -99,13 +109,38 @@ impl Model {
             Method::Rk4 => Stepper::Rk4(rk4::Settings { projection: true, softness, tolerance, max_iterations }),
         };
         Ok(Self {
-            general_solve: effects.iter().any(Effect::couples_links) || compliance_spread(&parameters.geometry) > LARGEST_SPREAD,
-            size: parameters.geometry.size(),
+            general_solve: effects.iter().any(Effect::couples_links) || compliance_spread(&geometry) > LARGEST_SPREAD,
+            conservative: effects.iter().all(Effect::conservative),
+            servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
+            effect_names: parameters.effects.enabled(),
+            size: geometry.size(),
             mechanism,
             effects,
             softness,
             stepper,
         })
+    }
+
+    /// Gives the active effects new parameters; the list of effects and the linear solve stay. Whether that changed anything; on
+    /// refusal nothing has.
+    pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<bool, Refusal> {
+        let effects = parameters.active(&self.mechanism)?;
+        if let Some(effect) = effects.iter().find(|effect| effect.couples_links() && !self.general_solve) {
+            return Err(Refusal(format!(
+                "{0}.* at joints 2 to 4 is not allowed to become positive now: it was 0 at the end of initialisation, which fixed a linear \
+                 solve without coupled links; start with a positive value there.",
+                effect.name()
+            )));
+        }
+        let changed = effects != self.effects;
+        self.conservative = effects.iter().all(Effect::conservative);
+        self.effects = effects;
+        Ok(changed)
+    }
+
+    /// The part of the inputs that the scene hears: without servos no references.
+    pub fn heard(&self, inputs: &Inputs) -> Inputs {
+        if self.servo { *inputs } else { inputs.without_references() }
     }
 }
 

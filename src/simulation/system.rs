@@ -7,7 +7,7 @@ use nalgebra::{SMatrix, SVector};
 use super::coupled::Coupled;
 use super::model::Model;
 use super::two_leg::TwoLeg;
-use crate::effects::{DiagonalTangents, FullTangents, Inputs, Tangents};
+use crate::effects::{DiagonalTangents, FullTangents, Inputs, Situation, Tangents};
 use crate::integrator::{Failure, Kkt, Power, System};
 use crate::mechanism::closure::assemble;
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
@@ -41,7 +41,7 @@ pub trait LinearSolve {
     /// Factorises with A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
     fn factor(
         five_bar: &FiveBar<'_, Self>,
-        pose: &Pose,
+        at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
@@ -66,15 +66,15 @@ impl LinearSolve for TwoLegged {
     #[inline(always)]
     fn factor(
         five_bar: &FiveBar<'_, Self>,
-        pose: &Pose,
+        at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
         definite: Definite,
     ) -> Result<TwoLeg, Failure> {
-        let mechanism = &five_bar.model.mechanism;
+        let (mechanism, pose) = (&five_bar.model.mechanism, at.pose);
         let mut tangents = DiagonalTangents::new(h);
-        five_bar.add_tangents(pose, &mut tangents);
+        five_bar.add_tangents(at, &mut tangents);
         let beta = h * h / 4.0;
         let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
         let inertia_p = mechanism.inertia_p + beta * stiffness_p + legs_of(&tangents.weighted, P_THETA);
@@ -108,14 +108,14 @@ impl LinearSolve for General {
 
     fn factor(
         five_bar: &FiveBar<'_, Self>,
-        pose: &Pose,
+        at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
         definite: Definite,
     ) -> Result<Coupled, Failure> {
-        let mass = five_bar.mass_matrix();
-        let mut a0 = mass + five_bar.full_tangents(pose, h);
+        let (mass, pose) = (five_bar.mass_matrix(), at.pose);
+        let mut a0 = mass + five_bar.full_tangents(at, h);
         let beta = h * h / 4.0;
         let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
         let ([p_left, p_right], [d_left, d_right]) = (stiffness_p.to_array(), stiffness_d.to_array());
@@ -144,32 +144,38 @@ impl LinearSolve for General {
     }
 }
 
-/// A model with the inputs that are held while it is stepped.
+/// A model with the inputs and whole turns that stay while it is stepped.
 #[derive(Debug)]
 pub struct FiveBar<'a, L> {
     model: &'a Model,
     inputs: &'a Inputs,
+    turns: &'a [i64; 4],
     follows_work: bool,
     linear_solve: PhantomData<L>,
 }
 
 impl<'a, L> FiveBar<'a, L> {
-    /// `model` under `inputs`.
-    pub fn new(model: &'a Model, inputs: &'a Inputs) -> Self {
-        Self { model, inputs, follows_work: inputs.any(), linear_solve: PhantomData }
+    /// `model` under `inputs`, with the whole turns of links 1 to 4 that q leaves out.
+    pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
+        Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, linear_solve: PhantomData }
     }
 
     #[inline(always)]
-    fn add_tangents(&self, pose: &Pose, tangents: &mut impl Tangents) {
-        self.inputs.add_tangents(pose, tangents);
+    fn at<'b>(&'b self, q: &'b Coordinates, pose: &'b Pose, v: &'b Coordinates) -> Situation<'b> {
+        Situation { q, v, pose, inputs: self.inputs, turns: self.turns }
+    }
+
+    #[inline(always)]
+    fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
+        self.inputs.add_tangents(at, tangents);
         for effect in &self.model.effects {
-            effect.add_tangents(tangents);
+            effect.add_tangents(at, tangents);
         }
     }
 
-    fn full_tangents(&self, pose: &Pose, h: f64) -> SMatrix<f64, COORDINATES, COORDINATES> {
+    fn full_tangents(&self, at: &Situation, h: f64) -> SMatrix<f64, COORDINATES, COORDINATES> {
         let mut tangents = FullTangents::new(h);
-        self.add_tangents(pose, &mut tangents);
+        self.add_tangents(at, &mut tangents);
         tangents.weighted
     }
 
@@ -224,17 +230,18 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     }
 
     #[inline(always)]
-    fn forces(&self, _q: &Coordinates, pose: &Pose, _v: &Coordinates) -> Coordinates {
+    fn forces(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Coordinates {
+        let at = self.at(q, pose, v);
         let mut forces = [0.0; COORDINATES];
-        self.inputs.add_forces(pose, &mut forces);
+        self.inputs.add_forces(&at, &mut forces);
         for effect in &self.model.effects {
-            effect.add_forces(&mut forces);
+            effect.add_forces(&at, &mut forces);
         }
         forces
     }
 
-    fn weight_times(&self, _q: &Coordinates, pose: &Pose, _v: &Coordinates, h: f64, x: &Coordinates) -> Coordinates {
-        let weight = self.mass_matrix() + self.full_tangents(pose, h);
+    fn weight_times(&self, q: &Coordinates, pose: &Pose, v: &Coordinates, h: f64, x: &Coordinates) -> Coordinates {
+        let weight = self.mass_matrix() + self.full_tangents(&self.at(q, pose, v), h);
         (weight * SVector::from(*x)).into()
     }
 
@@ -246,31 +253,41 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     #[inline(always)]
     fn factor_tangent(
         &self,
-        _q: &Coordinates,
+        q: &Coordinates,
         pose: &Pose,
-        _v: &Coordinates,
+        v: &Coordinates,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
     ) -> Result<L::Factor, Failure> {
-        L::factor(self, pose, lambda, h, softness, Definite::Demanded)
+        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Demanded)
     }
 
     fn factor_descent(
         &self,
-        _q: &Coordinates,
+        q: &Coordinates,
         pose: &Pose,
-        _v: &Coordinates,
+        v: &Coordinates,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
     ) -> Option<L::Factor> {
-        L::factor(self, pose, lambda, h, softness, Definite::Enforced).ok()
+        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Enforced).ok()
     }
 
     fn potential(&self, q: &Coordinates, pose: &Pose) -> Option<f64> {
-        let effects: f64 = self.model.effects.iter().map(|effect| effect.potential(q)).sum();
-        Some(effects + self.inputs.potential(q, pose))
+        let at = self.at(q, pose, &[0.0; COORDINATES]);
+        let effects: f64 = self.model.effects.iter().map(|effect| effect.potential(&at)).sum();
+        Some(effects + self.inputs.potential(&at))
+    }
+
+    fn conservative(&self) -> bool {
+        self.model.conservative
+    }
+
+    fn power_without_potential(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
+        let at = self.at(q, pose, v);
+        self.model.effects.iter().map(|effect| effect.input_power(&at) - effect.dissipation(&at)).sum()
     }
 
     #[inline(always)]
@@ -317,8 +334,14 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     }
 
     #[inline(always)]
-    fn power(&self, _q: &Coordinates, pose: &Pose, v: &Coordinates) -> Power {
-        Power { input: self.inputs.power(pose, v), dissipated: 0.0 }
+    fn power(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Power {
+        let at = self.at(q, pose, v);
+        let mut power = Power { input: self.inputs.power(&at), dissipated: 0.0 };
+        for effect in &self.model.effects {
+            power.input += effect.input_power(&at);
+            power.dissipated += effect.dissipation(&at);
+        }
+        power
     }
 
     #[inline(always)]

@@ -25,6 +25,8 @@ pub struct Variable {
     pub max: Option<f64>,
     /// The values allowed, for enumerations.
     pub items: &'static [Item],
+    /// For parameters: whether the value may be changed during a run.
+    pub tunable: bool,
 }
 
 /// An item of an enumeration.

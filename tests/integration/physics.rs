@@ -62,7 +62,7 @@ fn a_reversed_motion_returns() {
     assert!(angle_error(&end.q, &start.state().core.q) > 0.5, "it has moved");
 
     let model = there.model();
-    let system = FiveBar::<TwoLegged>::new(model, &inputs);
+    let system = FiveBar::<TwoLegged>::new(model, &inputs, &[0; 4]);
     let Stepper::I3alp(settings) = model.stepper else { panic!("the default is i3-ALP") };
     let mut back = integrator::State::start(&system, end.q, end.v.map(|v| -v), model.softness);
     for _ in 0..2000 {
@@ -78,15 +78,17 @@ fn a_reversed_motion_returns() {
 fn general_and_two_leg_solve_agree() {
     let mut parameters = unequal();
     parameters.settings.adaptive = false;
-    let inputs = Inputs { tau: [0.01, -0.02], tip_force: [0.1, 0.05] };
+    let inputs = Inputs { tau: [0.01, -0.02], tip_force: [0.1, 0.05], ..Inputs::default() };
     let scene = Simulation::new(&parameters, &inputs).expect("scene");
     let (mut fast, mut general) = (scene.state().core, scene.state().core);
     let Stepper::I3alp(settings) = scene.model().stepper else { panic!("the default is i3-ALP") };
     for _ in 0..300 {
         let mut power = Default::default();
-        i3alp::advance(&FiveBar::<TwoLegged>::new(scene.model(), &inputs), &settings, &mut fast, 1e-3, &mut power).expect("step");
+        i3alp::advance(&FiveBar::<TwoLegged>::new(scene.model(), &inputs, &[0; 4]), &settings, &mut fast, 1e-3, &mut power)
+            .expect("step");
         let mut power = Default::default();
-        i3alp::advance(&FiveBar::<General>::new(scene.model(), &inputs), &settings, &mut general, 1e-3, &mut power).expect("step");
+        i3alp::advance(&FiveBar::<General>::new(scene.model(), &inputs, &[0; 4]), &settings, &mut general, 1e-3, &mut power)
+            .expect("step");
     }
     let error = angle_error(&fast.q, &general.q);
     assert!(error < 1e-10, "{error:e} rad");
@@ -134,7 +136,7 @@ fn steps_do_not_depend_on_how_they_are_grouped() {
 fn observers_answer_for_the_new_input() {
     let mut simulation = Simulation::new(&unequal(), &default_inputs()).expect("scene");
     run(&mut simulation, &default_inputs(), 1e-3, 0.05);
-    let push = Inputs { tau: [0.0; 2], tip_force: [0.0, 1.0] };
+    let push = Inputs { tip_force: [0.0, 1.0], ..Inputs::default() };
     let seen = simulation.state_for(&push);
     let change = observers::motion(simulation.model(), &seen).tip_acceleration
         - observers::motion(simulation.model(), simulation.state()).tip_acceleration;

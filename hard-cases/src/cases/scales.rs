@@ -3,7 +3,7 @@
 use fivebar::simulation::Inputs;
 
 use super::{Case, Extent};
-use crate::machine::{fall_90_120, scaled};
+use crate::machine::{NO_LOAD, fall_90_120, scaled};
 use crate::random::Random;
 use crate::setting::Setting;
 use crate::trial::{Span, Trial};
@@ -96,6 +96,7 @@ fn loads(extent: Extent) -> Vec<Trial> {
                 inputs: Inputs {
                     tau: [0.25, 0.25].map(|most| scale * random.uniform(-most, most)),
                     tip_force: [1.0, 1.0].map(|most| scale * random.uniform(-most, most)),
+                    ..NO_LOAD
                 },
                 size: 1e-3,
                 count: 50,

@@ -30,6 +30,9 @@ pub(super) fn descend<const N: usize, const M: usize, S: System<N, M>>(
     mut step: Step<N, M>,
     spent: &mut u64,
 ) -> Option<Found<N, S::Pose>> {
+    if !system.conservative() {
+        return None;
+    }
     let mut q = step.q();
     let mut pose = system.pose(&q);
     let heaviest = max_norm(&system.mass_times(&pose, &[1.0; N]));

@@ -3,7 +3,7 @@
 
 use crate::paths;
 use anyhow::{Context, Result, ensure};
-use model_description::{Causality, Kind, ModelDescription, TypeKind, Variable};
+use model_description::{Causality, Kind, ModelDescription, TypeKind, Variability, Variable};
 use std::fmt::{Display, Write};
 use std::fs;
 
@@ -45,6 +45,7 @@ fn variables(description: &ModelDescription) -> String {
 /// What a user does with a variable.
 fn role(variable: &Variable) -> &'static str {
     match variable.causality {
+        Causality::Parameter if variable.variability == Variability::Tunable => "tunable parameter",
         Causality::Parameter => "parameter",
         Causality::Input => "input",
         Causality::Output => "output",

@@ -1,0 +1,107 @@
+//! A one-sided spring and damper: what a stop and a contact push with.
+//!
+//! ```text
+//! N = max(0, s(d) (k d + c ḋ))      d the penetration, s = 6u⁵ − 15u⁴ + 10u³, u = min(d/width, 1)
+//! ```
+//!
+//! It never pulls. The ramp s (the "smootherstep" of Perlin, Improving Noise, 2002, and STEP5 of multibody packages) makes N twice
+//! differentiable at d = 0; where max(0, ·) begins to act, on fast separation, N has a kink. The potential is that of the spring
+//! part, U = ∫ s k d dd; the rest of the power, (N − s k d) ḋ ≥ 0, is dissipated.
+
+/// A one-sided spring and damper.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Buffer {
+    /// Stiffness k, N/m or N·m/rad.
+    pub(super) stiffness: f64,
+    /// Damping c, N·s/m or N·m·s/rad.
+    pub(super) damping: f64,
+    /// Penetration over which the ramp rises, m or rad.
+    pub(super) width: f64,
+}
+
+impl Buffer {
+    /// s and ds/dd at a penetration above 0.
+    fn ramp(&self, depth: f64) -> [f64; 2] {
+        let u = depth / self.width;
+        if u >= 1.0 {
+            return [1.0, 0.0];
+        }
+        [u * u * u * (u * (6.0 * u - 15.0) + 10.0), 30.0 * u * u * (1.0 - u) * (1.0 - u) / self.width]
+    }
+
+    /// N at a penetration, m or rad, and its rate.
+    pub(super) fn force(&self, depth: f64, rate: f64) -> f64 {
+        if depth <= 0.0 {
+            return 0.0;
+        }
+        (self.ramp(depth)[0] * (self.stiffness * depth + self.damping * rate)).max(0.0)
+    }
+
+    /// ∂N/∂d and ∂N/∂ḋ.
+    pub(super) fn slopes(&self, depth: f64, rate: f64) -> [f64; 2] {
+        let push = self.stiffness * depth + self.damping * rate;
+        if depth <= 0.0 || push <= 0.0 {
+            return [0.0; 2];
+        }
+        let [ramp, slope] = self.ramp(depth);
+        [slope * push + ramp * self.stiffness, ramp * self.damping]
+    }
+
+    /// U, J.
+    pub(super) fn potential(&self, depth: f64) -> f64 {
+        /// ∫ s u du over the ramp: 6/7 − 15/6 + 10/5.
+        const RAMP: f64 = 5.0 / 14.0;
+        let Self { stiffness: k, width, .. } = *self;
+        let u = depth / width;
+        if depth <= 0.0 {
+            0.0
+        } else if u >= 1.0 {
+            k * (width * width * RAMP + (depth * depth - width * width) / 2.0)
+        } else {
+            k * width * width * (u * u * u * u * u) * (u * (6.0 / 7.0 * u - 2.5) + 2.0)
+        }
+    }
+
+    /// Power lost, W.
+    pub(super) fn dissipation(&self, depth: f64, rate: f64) -> f64 {
+        if depth <= 0.0 {
+            return 0.0;
+        }
+        (self.force(depth, rate) - self.ramp(depth)[0] * self.stiffness * depth) * rate
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BUFFER: Buffer = Buffer { stiffness: 50.0, damping: 0.02, width: 1e-3 };
+
+    /// Central differences; their error here is (step/width)² of the value, their round-off ε·value/step.
+    #[test]
+    fn slopes_and_potential_are_derivatives() {
+        let step = 1e-8;
+        for depth in [1e-5, 3e-4, 7e-4, 9.9e-4, 1.5e-3, 0.1] {
+            for rate in [-0.5, 0.0, 2.0] {
+                let [by_depth, by_rate] = BUFFER.slopes(depth, rate);
+                let difference = |at: &dyn Fn(f64) -> f64| (at(step) - at(-step)) / (2.0 * step);
+                let numeric = [difference(&|x| BUFFER.force(depth + x, rate)), difference(&|x| BUFFER.force(depth, rate + x))];
+                assert!((by_depth - numeric[0]).abs() < 1e-5 * (1.0 + by_depth.abs()), "{depth} {rate}: {by_depth} {numeric:?}");
+                assert!((by_rate - numeric[1]).abs() < 1e-6, "{depth} {rate}: {by_rate} {numeric:?}");
+            }
+            let spring = Buffer { damping: 0.0, ..BUFFER };
+            let numeric = (spring.potential(depth + step) - spring.potential(depth - step)) / (2.0 * step);
+            assert!((spring.force(depth, 0.0) - numeric).abs() < 1e-6 * (1.0 + numeric), "{depth}: {numeric}");
+        }
+    }
+
+    #[test]
+    fn it_never_pulls_and_never_gives_energy() {
+        for depth in [-1.0, 0.0, 1e-4, 1e-3, 0.2] {
+            for rate in [-1e4, -1.0, 0.0, 1.0, 1e4] {
+                assert!(BUFFER.force(depth, rate) >= 0.0 && BUFFER.dissipation(depth, rate) >= 0.0, "{depth} {rate}");
+            }
+        }
+        assert_eq!(BUFFER.force(0.1, -1e4), 0.0);
+    }
+}

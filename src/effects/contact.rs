@@ -1,0 +1,158 @@
+//! Contact: a plane that the tip may touch, n·(x, y) ≥ offset free.
+//!
+//! With the penetration d = offset − n·p and the tip's velocity v_t along t = (−n_y, n_x):
+//!
+//! ```text
+//! F = N (n − mu tanh(v_t/slipVelocity) t),      N = max(0, s(d)(k d + d_coeff ḋ))
+//! ```
+//!
+//! see [`buffer`](super::buffer) for N; the tangential part is Coulomb friction, regularised. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ,
+//! C = −∂F/∂ṗ; both couple the coordinates of link 2 and are not symmetric. Potential: the spring part of N; the damper and the
+//! friction dissipate. Defaults: a floor 1 m below the motor axes, which the paper's mechanism does not reach; k 2e3 N/m and 5 N·s/m,
+//! a soft fingertip or a haptic wall; mu 0.3, slip velocity 0.01 m/s, ramp 0.1 mm.
+//! Limits: a point against a plane; under a tangential load below mu N it creeps at about slipVelocity F_t/(mu N).
+
+use super::buffer::Buffer;
+use super::situation::{Situation, Tip};
+use super::{Force, Tangents};
+use crate::mechanism::{Coordinates, Mechanism, Refusal, finite, not_negative, positive};
+
+/// The `contact.*` variables.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    /// Whether the scene has the plane.
+    pub enabled: bool,
+    /// Normal of the plane, x; normalised with `ny`.
+    pub nx: f64,
+    /// Normal of the plane, y.
+    pub ny: f64,
+    /// Distance of the plane from the left motor axis along the normal, m.
+    pub offset: f64,
+    /// Stiffness, N/m.
+    pub k: f64,
+    /// Damping, N·s/m.
+    pub d: f64,
+    /// Penetration over which the force ramps up, m.
+    pub width: f64,
+    /// Coefficient of friction.
+    pub mu: f64,
+    /// Tangential velocity at which 76 % of the friction is reached, m/s.
+    pub slip_velocity: f64,
+}
+
+/// The plane ready to act.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Contact {
+    normal: [f64; 2],
+    offset: f64,
+    buffer: Buffer,
+    mu: f64,
+    slip_velocity: f64,
+}
+
+/// The tip against the plane.
+struct Touch {
+    tip: Tip,
+    /// d, m, and ḋ, m/s.
+    depth: f64,
+    rate: f64,
+    /// v_t, m/s.
+    slip: f64,
+}
+
+fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
+}
+
+impl Contact {
+    fn touch(&self, at: &Situation) -> Touch {
+        let tip = at.tip();
+        let depth = self.offset - dot(self.normal, tip.position);
+        let rate = -dot(self.normal, tip.velocity);
+        Touch { depth, rate, slip: dot(self.tangent(), tip.velocity), tip }
+    }
+
+    fn tangent(&self) -> [f64; 2] {
+        [-self.normal[1], self.normal[0]]
+    }
+
+    /// F per N: n − mu tanh(v_t/slipVelocity) t.
+    fn direction(&self, slip: f64) -> [f64; 2] {
+        let (drag, tangent) = (self.mu * libm::tanh(slip / self.slip_velocity), self.tangent());
+        [self.normal[0] - drag * tangent[0], self.normal[1] - drag * tangent[1]]
+    }
+
+    /// The force on the tip, N.
+    pub fn force(&self, at: &Situation) -> [f64; 2] {
+        self.force_of(&self.touch(at))
+    }
+
+    fn force_of(&self, touch: &Touch) -> [f64; 2] {
+        let normal = self.buffer.force(touch.depth, touch.rate);
+        self.direction(touch.slip).map(|x| normal * x)
+    }
+}
+
+impl Force for Contact {
+    type Parameters = Parameters;
+
+    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
+        let Parameters { nx, ny, offset, k, d, width, mu, slip_velocity, .. } = *parameters;
+        finite("contact.nx", nx, "(ratio)")?;
+        finite("contact.ny", ny, "(ratio)")?;
+        finite("contact.offset", offset, "m")?;
+        not_negative("contact.k", k, "N/m")?;
+        not_negative("contact.d", d, "N.s/m")?;
+        positive("contact.width", width, "m")?;
+        not_negative("contact.mu", mu, "(ratio)")?;
+        positive("contact.slipVelocity", slip_velocity, "m/s")?;
+        let length = libm::hypot(nx, ny);
+        if length == 0.0 {
+            return Err(Refusal("contact.nx = 0 and contact.ny = 0 are not allowed together: the plane needs a normal.".into()));
+        }
+        let buffer = Buffer { stiffness: k, damping: d, width };
+        Ok(Self { normal: [nx / length, ny / length], offset, buffer, mu, slip_velocity })
+    }
+
+    fn couples_links(&self) -> bool {
+        true
+    }
+
+    fn conservative(&self) -> bool {
+        self.buffer.damping == 0.0 && self.mu == 0.0
+    }
+
+    fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+        let touch = self.touch(at);
+        if touch.depth > 0.0 {
+            touch.tip.add_force(self.force_of(&touch), forces);
+        }
+    }
+
+    fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
+        let touch = self.touch(at);
+        if touch.depth <= 0.0 {
+            return;
+        }
+        let normal_force = self.buffer.force(touch.depth, touch.rate);
+        let [by_depth, by_rate] = self.buffer.slopes(touch.depth, touch.rate);
+        let tanh = libm::tanh(touch.slip / self.slip_velocity);
+        let by_slip = self.mu * normal_force * (1.0 - tanh * tanh) / self.slip_velocity;
+        let (normal, tangent, direction) = (self.normal, self.tangent(), self.direction(touch.slip));
+        let matrix = |entry: &dyn Fn(usize, usize) -> f64| [[entry(0, 0), entry(0, 1)], [entry(1, 0), entry(1, 1)]];
+        let stiffness = matrix(&|i, j| by_depth * direction[i] * normal[j]);
+        let damping = matrix(&|i, j| by_rate * direction[i] * normal[j] + by_slip * tangent[i] * tangent[j]);
+        touch.tip.add_tangents(stiffness, damping, tangents);
+        touch.tip.add_geometric_stiffness(direction.map(|x| normal_force * x), tangents);
+    }
+
+    fn potential(&self, at: &Situation) -> f64 {
+        self.buffer.potential(self.touch(at).depth)
+    }
+
+    fn dissipation(&self, at: &Situation) -> f64 {
+        let touch = self.touch(at);
+        let friction = self.mu * libm::tanh(touch.slip / self.slip_velocity) * touch.slip;
+        self.buffer.dissipation(touch.depth, touch.rate) + self.buffer.force(touch.depth, touch.rate) * friction
+    }
+}

@@ -1,0 +1,122 @@
+//! Friction: Coulomb and Stribeck in the joints, smooth.
+//!
+//! ```text
+//! T_j = −[√(2e) (T_brk − T_c) exp(−(w/w_st)²) w/w_st + T_c tanh(w/w_c)]      w_st = √2 w_brk,  w_c = w_brk/10
+//! ```
+//!
+//! with w the joint's rate, T_c = coulomb[j], T_brk = breakaway[j] ≥ T_c, w_brk = breakawayVelocity: the Stribeck curve of a widely
+//! used rotational friction block (Simscape's "Rotational Friction", without its viscous term, which is the effect `viscous`;
+//! Armstrong-Hélouvry et al., Automatica 30 (1994) 1083). T_brk is met at w_brk to within 1e-4 of T_c. C = −∂T/∂w, K = 0; dissipates −T w ≥ 0.
+//! Defaults: 1 mN·m, 1.2 mN·m at 0.1 rad/s, a preloaded miniature bearing.
+//! Limits: no true sticking. Under a load T below breakaway a joint creeps at about w_c T/T_c; that is the price of a smooth law. Its
+//! rate near w = 0 is T_c/(w_c I), some 1,500/s for the paper's links: stiff for explicit methods. Beyond w_brk the slope is negative.
+
+use super::situation::{JOINTS, Situation, add_joint_damping, add_joint_torque, is_inner};
+use super::{Force, Tangents};
+use crate::mechanism::{Coordinates, Mechanism, Refusal, not_negative, positive};
+
+/// The `friction.*` variables.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    /// Whether the scene has dry friction.
+    pub enabled: bool,
+    /// Coulomb torques of joints 1 to 5, N·m.
+    pub coulomb: [f64; JOINTS],
+    /// Breakaway torques of joints 1 to 5, N·m.
+    pub breakaway: [f64; JOINTS],
+    /// Rate at which the breakaway torque is reached, rad/s.
+    pub breakaway_velocity: f64,
+}
+
+/// The curve of one joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Curve {
+    joint: usize,
+    /// T_c, N·m.
+    coulomb: f64,
+    /// √(2e) (T_brk − T_c), N·m.
+    stribeck: f64,
+}
+
+/// Dry friction ready to act.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Friction {
+    curves: [Option<Curve>; JOINTS],
+    /// w_st and w_c, rad/s.
+    stribeck_rate: f64,
+    coulomb_rate: f64,
+}
+
+impl Friction {
+    fn curves(&self) -> impl Iterator<Item = &Curve> {
+        self.curves.iter().flatten()
+    }
+
+    /// −T, N·m.
+    fn drag(&self, curve: &Curve, rate: f64) -> f64 {
+        let u = rate / self.stribeck_rate;
+        curve.stribeck * libm::exp(-u * u) * u + curve.coulomb * libm::tanh(rate / self.coulomb_rate)
+    }
+
+    /// −∂T/∂w, N·m·s/rad.
+    fn slope(&self, curve: &Curve, rate: f64) -> f64 {
+        let u = rate / self.stribeck_rate;
+        let tanh = libm::tanh(rate / self.coulomb_rate);
+        curve.stribeck / self.stribeck_rate * libm::exp(-u * u) * (1.0 - 2.0 * u * u)
+            + curve.coulomb / self.coulomb_rate * (1.0 - tanh * tanh)
+    }
+}
+
+impl Force for Friction {
+    type Parameters = Parameters;
+
+    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
+        let mut curves = [None; JOINTS];
+        for (joint, curve) in curves.iter_mut().enumerate() {
+            let (coulomb, breakaway) = (parameters.coulomb[joint], parameters.breakaway[joint]);
+            let name = |what: &str| format!("friction.{what}[{}]", joint + 1);
+            not_negative(&name("coulomb"), coulomb, "N.m")?;
+            not_negative(&name("breakaway"), breakaway, "N.m")?;
+            if breakaway < coulomb {
+                return Err(Refusal(format!(
+                    "{} = {breakaway} N.m is not allowed: it must be at least {} = {coulomb} N.m.",
+                    name("breakaway"),
+                    name("coulomb")
+                )));
+            }
+            if breakaway > 0.0 {
+                let stribeck = (2.0 * std::f64::consts::E).sqrt() * (breakaway - coulomb);
+                *curve = Some(Curve { joint, coulomb, stribeck });
+            }
+        }
+        let velocity = parameters.breakaway_velocity;
+        positive("friction.breakawayVelocity", velocity, "rad/s")?;
+        Ok(Self { curves, stribeck_rate: std::f64::consts::SQRT_2 * velocity, coulomb_rate: velocity / 10.0 })
+    }
+
+    fn couples_links(&self) -> bool {
+        self.curves().any(|curve| is_inner(curve.joint))
+    }
+
+    fn conservative(&self) -> bool {
+        false
+    }
+
+    #[inline(always)]
+    fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+        for curve in self.curves() {
+            add_joint_torque(curve.joint, -self.drag(curve, at.joint_rate(curve.joint)), forces);
+        }
+    }
+
+    #[inline(always)]
+    fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
+        for curve in self.curves() {
+            add_joint_damping(curve.joint, self.slope(curve, at.joint_rate(curve.joint)), tangents);
+        }
+    }
+
+    fn dissipation(&self, at: &Situation) -> f64 {
+        self.curves().map(|curve| (self.drag(curve, at.joint_rate(curve.joint)), curve)).map(|(drag, curve)| drag * at.joint_rate(curve.joint)).sum()
+    }
+}

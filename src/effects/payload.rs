@@ -1,0 +1,34 @@
+//! Payload: a point mass at the tip.
+//!
+//! It moves with the end of link 2 (left distal), so that link 2 with payload is again a rigid link: its mass grows by m, its centre
+//! of mass moves to (m₂ c₂ + m L₂)/(m₂ + m), its inertia about it grows by m₂ m/(m₂ + m) (L₂ − c₂)² (parallel axes). Constant in M;
+//! energy and gravity include it. Default: 0.05 kg, three times a link of the paper's mechanism.
+//! Limits: a point, without inertia of its own; rigidly held. Reaction 3 is what link 3 adds to link 2 with its payload.
+
+use crate::mechanism::{Geometry, Refusal, not_negative};
+
+/// The `payload.*` variables.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    /// Whether the scene has a payload.
+    pub enabled: bool,
+    /// Mass, kg.
+    pub mass: f64,
+}
+
+/// The link that carries it.
+const CARRIER: usize = 1;
+
+impl Parameters {
+    /// Adds the payload to the left distal link.
+    pub fn add_masses(&self, geometry: &mut Geometry) -> Result<(), Refusal> {
+        not_negative("payload.mass", self.mass, "kg")?;
+        let link = &mut geometry.links[CARRIER];
+        let total = link.mass + self.mass;
+        let distance = link.length - link.com;
+        link.com += self.mass / total * distance;
+        link.inertia += link.mass * self.mass / total * distance * distance;
+        link.mass = total;
+        Ok(())
+    }
+}

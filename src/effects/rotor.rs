@@ -1,0 +1,35 @@
+//! Rotor: the inertia of each motor's rotor behind a gear, turning with the proximal link.
+//!
+//! gearRatio² · inertia is added to the moment of inertia of links 1 and 4 (a rotor that turns gearRatio times as fast as its link
+//! stores ½ inertia (gearRatio ω)²; Siciliano et al., Robotics, 2009, section 7.1.1). Constant in M: no force, no step asks for it;
+//! the kinetic energy counts it. Defaults: 1e-5 kg·m², a small brushless motor's, without gear (ratio 1).
+//! Limits: no gear friction, play or elasticity; the rotor's axis is fixed to the ground, so no gyroscopic coupling.
+
+use crate::mechanism::{Geometry, Refusal, finite, not_negative};
+
+/// The `rotor.*` variables.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    /// Whether the scene has rotors.
+    pub enabled: bool,
+    /// Moments of inertia of the left and right rotor about their axes, kg·m².
+    pub inertia: [f64; 2],
+    /// Turns of the rotor per turn of the link.
+    pub gear_ratio: [f64; 2],
+}
+
+/// Links that the motors drive.
+const DRIVEN: [usize; 2] = [0, 3];
+
+impl Parameters {
+    /// Adds the rotors to the proximal links.
+    pub fn add_masses(&self, geometry: &mut Geometry) -> Result<(), Refusal> {
+        for (i, link) in DRIVEN.into_iter().enumerate() {
+            let (inertia, ratio) = (self.inertia[i], self.gear_ratio[i]);
+            not_negative(&format!("rotor.inertia[{}]", i + 1), inertia, "kg.m2")?;
+            finite(&format!("rotor.gearRatio[{}]", i + 1), ratio, "(ratio)")?;
+            geometry.links[link].inertia += ratio * ratio * inertia;
+        }
+        Ok(())
+    }
+}

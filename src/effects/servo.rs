@@ -1,0 +1,89 @@
+//! Servo: a position controller with limited torque on each motor axis.
+//!
+//! ```text
+//! T = limit · tanh((kp (θ_ref − θ) + kd (ω_ref − ω))/limit)
+//! ```
+//!
+//! with the references `servo.theta`, `servo.omega` as inputs; PD control with the saturation made smooth (Siciliano et al., Robotics,
+//! 2009, section 8.5). K = kp sech², C = kd sech²: inside the implicit step, so that high gains stay stable. Its work counts as
+//! input. θ counts whole turns. Defaults: kp 2 N·m/rad, kd 0.02 N·m·s/rad, a desk-top device's; limit 1 N·m.
+//! Limits: continuous in time (no sampling, no delay, no quantisation), no integral action; motor dynamics are not modelled.
+
+use super::situation::{MOTORS, Situation};
+use super::{Force, Tangents};
+use crate::mechanism::{Coordinates, Mechanism, Refusal, not_negative, positive};
+
+/// The `servo.*` parameters.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    /// Whether the scene has servos.
+    pub enabled: bool,
+    /// Position gains of the left and right servo, N·m/rad.
+    pub kp: [f64; 2],
+    /// Rate gains, N·m·s/rad.
+    pub kd: [f64; 2],
+    /// Largest torques, N·m.
+    pub limit: [f64; 2],
+}
+
+/// The servos ready to act.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Servo {
+    kp: [f64; 2],
+    kd: [f64; 2],
+    limit: [f64; 2],
+}
+
+impl Servo {
+    /// T/limit of a servo.
+    fn drive(&self, at: &Situation, i: usize) -> f64 {
+        let angle = self.kp[i] * (at.inputs.servo_theta[i] - at.motor_angle(i));
+        let rate = self.kd[i] * (at.inputs.servo_omega[i] - at.motor_rate(i));
+        libm::tanh((angle + rate) / self.limit[i])
+    }
+
+    /// Torques of the left and right servo, N·m.
+    pub fn torques(&self, at: &Situation) -> [f64; 2] {
+        [0, 1].map(|i| self.limit[i] * self.drive(at, i))
+    }
+}
+
+impl Force for Servo {
+    type Parameters = Parameters;
+
+    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
+        let Parameters { kp, kd, limit, .. } = *parameters;
+        for i in 0..2 {
+            not_negative(&format!("servo.kp[{}]", i + 1), kp[i], "N.m/rad")?;
+            not_negative(&format!("servo.kd[{}]", i + 1), kd[i], "N.m.s/rad")?;
+            positive(&format!("servo.limit[{}]", i + 1), limit[i], "N.m")?;
+        }
+        Ok(Self { kp, kd, limit })
+    }
+
+    fn conservative(&self) -> bool {
+        false
+    }
+
+    #[inline(always)]
+    fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+        for (motor, torque) in MOTORS.into_iter().zip(self.torques(at)) {
+            forces[motor] += torque;
+        }
+    }
+
+    #[inline(always)]
+    fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
+        for (i, motor) in MOTORS.into_iter().enumerate() {
+            let drive = self.drive(at, i);
+            let open = 1.0 - drive * drive;
+            tangents.stiffness(motor, motor, self.kp[i] * open);
+            tangents.damping(motor, motor, self.kd[i] * open);
+        }
+    }
+
+    fn input_power(&self, at: &Situation) -> f64 {
+        let torques = self.torques(at);
+        torques[0] * at.motor_rate(0) + torques[1] * at.motor_rate(1)
+    }
+}

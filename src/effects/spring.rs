@@ -1,0 +1,58 @@
+//! Spring: a linear torsion spring on each motor axis, T = −k (θ − θ₀).
+//!
+//! K = k, C = 0; potential k (θ − θ₀)²/2; conservative. θ counts whole turns. Defaults: 0.05 N·m/rad, about what the links of the
+//! paper's mechanism weigh, relaxed upright (θ₀ = π/2). Limits: linear, massless, without hysteresis.
+
+use super::situation::{MOTORS, Situation};
+use super::{Force, Tangents};
+use crate::mechanism::{Coordinates, Mechanism, Refusal, finite, not_negative};
+
+/// The `spring.*` variables.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    /// Whether the scene has springs.
+    pub enabled: bool,
+    /// Stiffness of the left and right spring, N·m/rad.
+    pub k: [f64; 2],
+    /// Angle at which they are relaxed, rad.
+    pub theta0: [f64; 2],
+}
+
+/// The springs ready to act.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Spring {
+    k: [f64; 2],
+    theta0: [f64; 2],
+}
+
+impl Force for Spring {
+    type Parameters = Parameters;
+
+    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
+        let Parameters { k, theta0, .. } = *parameters;
+        for i in 0..2 {
+            not_negative(&format!("spring.k[{}]", i + 1), k[i], "N.m/rad")?;
+            finite(&format!("spring.theta0[{}]", i + 1), theta0[i], "rad")?;
+        }
+        Ok(Self { k, theta0 })
+    }
+
+    #[inline(always)]
+    fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+        for (i, motor) in MOTORS.into_iter().enumerate() {
+            forces[motor] -= self.k[i] * (at.motor_angle(i) - self.theta0[i]);
+        }
+    }
+
+    #[inline(always)]
+    fn add_tangents(&self, _at: &Situation, tangents: &mut impl Tangents) {
+        for (i, motor) in MOTORS.into_iter().enumerate() {
+            tangents.stiffness(motor, motor, self.k[i]);
+        }
+    }
+
+    fn potential(&self, at: &Situation) -> f64 {
+        let stretch = |i: usize| at.motor_angle(i) - self.theta0[i];
+        (0..2).map(|i| self.k[i] / 2.0 * stretch(i) * stretch(i)).sum()
+    }
+}

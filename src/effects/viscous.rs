@@ -1,0 +1,74 @@
+//! Viscous: friction proportional to the joint rate, T_j = −b_j w_j.
+//!
+//! w_j is the rate of joint j (left base, left elbow, tip, right elbow, right base), +T_j acts on its first-named link and −T_j on
+//! its second. C = b_j over the two links, K = 0; dissipates b_j w_j². Default: 1e-4 N·m·s/rad, a lubricated miniature bearing with
+//! its seal. Limits: linear; no dependence on load or temperature.
+
+use super::situation::{JOINTS, Situation, add_joint_damping, add_joint_torque, is_inner};
+use super::{Force, Tangents};
+use crate::mechanism::{Coordinates, Mechanism, Refusal, not_negative};
+
+/// The `viscous.*` variables.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameters {
+    /// Whether the scene has viscous friction.
+    pub enabled: bool,
+    /// Coefficients b of joints 1 to 5, N·m·s/rad.
+    pub b: [f64; JOINTS],
+}
+
+/// Viscous friction ready to act.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Viscous {
+    b: [f64; JOINTS],
+    /// Whether any of the joints between two links has a coefficient.
+    inner: bool,
+}
+
+impl Viscous {
+    /// Joints that may have a coefficient.
+    #[inline(always)]
+    fn joints(&self) -> impl Iterator<Item = (usize, f64)> {
+        let inner = self.inner;
+        self.b.into_iter().enumerate().filter(move |(joint, _)| inner || !is_inner(*joint))
+    }
+}
+
+impl Force for Viscous {
+    type Parameters = Parameters;
+
+    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
+        let b = parameters.b;
+        for (i, b) in b.into_iter().enumerate() {
+            not_negative(&format!("viscous.b[{}]", i + 1), b, "N.m.s/rad")?;
+        }
+        Ok(Self { b, inner: (0..JOINTS).any(|joint| is_inner(joint) && b[joint] != 0.0) })
+    }
+
+    fn couples_links(&self) -> bool {
+        self.inner
+    }
+
+    fn conservative(&self) -> bool {
+        false
+    }
+
+    #[inline(always)]
+    fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+        for (joint, b) in self.joints() {
+            add_joint_torque(joint, -b * at.joint_rate(joint), forces);
+        }
+    }
+
+    #[inline(always)]
+    fn add_tangents(&self, _at: &Situation, tangents: &mut impl Tangents) {
+        for (joint, b) in self.joints() {
+            add_joint_damping(joint, b, tangents);
+        }
+    }
+
+    #[inline(always)]
+    fn dissipation(&self, at: &Situation) -> f64 {
+        self.joints().map(|(joint, b)| b * at.joint_rate(joint) * at.joint_rate(joint)).sum()
+    }
+}
