@@ -43,6 +43,7 @@ pub const MODES: usize = 3;
 
 /// Everything that changes during a run: a copy of it is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(C, align(16))] // pairs of elements are read from memory by the instruction that uses them
 pub struct State<const N: usize, const M: usize> {
     /// Coordinates q, m and rad.
     pub q: [f64; N],

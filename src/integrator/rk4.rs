@@ -22,6 +22,7 @@ pub struct Settings {
 }
 
 /// One step of h seconds. On failure the state is undefined: the caller keeps a copy.
+#[inline(never)]
 pub fn advance<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     settings: &Settings,

@@ -114,11 +114,12 @@ impl Simulation {
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
         let before = self.state;
         let inputs = self.model.heard(inputs);
-        let done = if self.model.general_solve {
-            run::<General>(&self.model, &mut self.state, &inputs, h, steps)
-        } else {
-            run::<TwoLegged>(&self.model, &mut self.state, &inputs, h, steps)
+        let run = match (self.model.general_solve, self.model.effects.is_empty()) {
+            (false, true) => run::<TwoLegged, false>,
+            (false, false) => run::<TwoLegged, true>,
+            (true, _) => run::<General, true>,
         };
+        let done = run(&self.model, &mut self.state, &inputs, h, steps);
         done.inspect_err(|_| self.state = before)
     }
 
@@ -165,7 +166,7 @@ impl State {
 
     /// Potential energy of the active effects, J; the held loads count as work instead.
     pub fn potential_energy(&self, model: &Model) -> f64 {
-        self.at(model, |at| model.effects.iter().map(|effect| effect.potential(at)).sum())
+        self.at(model, |at| model.potential(at))
     }
 
     /// What effects answer for the present state.
@@ -212,12 +213,18 @@ impl State {
     }
 }
 
-fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+fn run<L: LinearSolve, const MOTION: bool>(
+    model: &Model,
+    state: &mut State,
+    inputs: &Inputs,
+    h: f64,
+    steps: u64,
+) -> Result<(), StepFailure> {
     state.hold(model, inputs);
     let mut power = None;
     for step in 0..steps {
         let State { core, turns, .. } = state;
-        let system = FiveBar::<L>::new(model, inputs, turns);
+        let system = FiveBar::<L, MOTION>::new(model, inputs, turns);
         let power = power.get_or_insert_with(|| {
             if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() }
         });

@@ -2,9 +2,10 @@
 
 use arrayvec::ArrayVec;
 
-use crate::effects::{self, Active, Effect, Inputs};
+use super::two_leg::Elimination;
+use crate::effects::{self, Active, Effect, Inputs, Situation};
 use crate::integrator::{i3alp, i3alp_printed, rk4};
-use crate::mechanism::{Geometry, Mechanism, Refusal, Start};
+use crate::mechanism::{Coordinates, Geometry, Mechanism, Refusal, Start};
 
 /// How the equations of motion are integrated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,7 +68,9 @@ pub enum Stepper {
 pub struct Model {
     /// The mechanism by legs.
     pub mechanism: Mechanism,
-    /// The active effects with forces, and no others; those with masses are in the mechanism.
+    /// Constant generalised force of the active effects, N and N·m.
+    pub weight: Coordinates,
+    /// The active effects whose forces depend on the motion, and no others; those with masses are in the mechanism.
     pub effects: Active,
     /// Names of all active effects.
     pub effect_names: ArrayVec<&'static str, { effects::NAMES.len() }>,
@@ -75,6 +78,8 @@ pub struct Model {
     pub conservative: bool,
     /// Whether an active effect reads the servo references.
     pub servo: bool,
+    /// What the fast linear solve has computed beforehand.
+    pub elimination: Elimination,
     /// What round-off in Φ is proportional to, m.
     pub size: f64,
     /// e of the saddle-point systems outside the printed method, 1/kg.
@@ -114,6 +119,8 @@ impl Model {
             servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             size: geometry.size(),
+            weight: parameters.effects.weight(&mechanism)?,
+            elimination: Elimination::new(&mechanism, softness),
             mechanism,
             effects,
             softness,
@@ -132,10 +139,18 @@ impl Model {
                 effect.name()
             )));
         }
-        let changed = effects != self.effects;
+        let weight = parameters.weight(&self.mechanism)?;
+        let changed = weight != self.weight || effects != self.effects;
+        self.weight = weight;
         self.conservative = effects.iter().all(Effect::conservative);
         self.effects = effects;
         Ok(changed)
+    }
+
+    /// Potential energy of the active effects, J; 0 of their constant force at the left motor axis.
+    pub fn potential(&self, at: &Situation) -> f64 {
+        let weight: f64 = at.q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum();
+        self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - weight
     }
 
     /// The part of the inputs that the scene hears: without servos no references.

@@ -34,13 +34,13 @@ pub trait LinearSolve {
     type Factor: Kkt<COORDINATES, MULTIPLIERS>;
 
     /// Factorises with M.
-    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Self::Factor
+    fn factor_mass<const MOTION: bool>(five_bar: &FiveBar<'_, Self, MOTION>, pose: &Pose, softness: f64) -> Self::Factor
     where
         Self: Sized;
 
     /// Factorises with A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
-    fn factor(
-        five_bar: &FiveBar<'_, Self>,
+    fn factor<const MOTION: bool>(
+        five_bar: &FiveBar<'_, Self, MOTION>,
         at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
@@ -59,13 +59,13 @@ impl LinearSolve for TwoLegged {
     type Factor = TwoLeg;
 
     #[inline(always)]
-    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> TwoLeg {
-        TwoLeg::factor_mass(&five_bar.model.mechanism, pose, softness)
+    fn factor_mass<const MOTION: bool>(five_bar: &FiveBar<'_, Self, MOTION>, pose: &Pose, softness: f64) -> TwoLeg {
+        TwoLeg::factor_mass(&five_bar.model.elimination, pose, softness)
     }
 
     #[inline(always)]
-    fn factor(
-        five_bar: &FiveBar<'_, Self>,
+    fn factor<const MOTION: bool>(
+        five_bar: &FiveBar<'_, Self, MOTION>,
         at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
@@ -82,13 +82,13 @@ impl LinearSolve for TwoLegged {
         if definite == Definite::Enforced {
             let inertia_p = inertia_p.max(DESCENT_INERTIA * mechanism.inertia_p);
             let inertia_d = inertia_d.max(DESCENT_INERTIA * mechanism.inertia_d);
-            return Ok(TwoLeg::factor(mechanism, pose, [inertia_p, inertia_d], softness));
+            return Ok(TwoLeg::factor(&five_bar.model.elimination, pose, [inertia_p, inertia_d], softness));
         }
         let margin_p = inertia_p - LEAST_INERTIA * mechanism.inertia_p;
         let margin_d = inertia_d - LEAST_INERTIA * mechanism.inertia_d;
         let [left, right] = margin_p.fast_min(margin_d).to_array();
         if left > 0.0 && right > 0.0 {
-            Ok(TwoLeg::factor(mechanism, pose, [inertia_p, inertia_d], softness))
+            Ok(TwoLeg::factor(&five_bar.model.elimination, pose, [inertia_p, inertia_d], softness))
         } else {
             Err(Failure::IndefiniteTangent)
         }
@@ -102,12 +102,12 @@ pub enum General {}
 impl LinearSolve for General {
     type Factor = Coupled;
 
-    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Coupled {
+    fn factor_mass<const MOTION: bool>(five_bar: &FiveBar<'_, Self, MOTION>, pose: &Pose, softness: f64) -> Coupled {
         Coupled::factor(pose, &five_bar.mass_matrix(), softness)
     }
 
-    fn factor(
-        five_bar: &FiveBar<'_, Self>,
+    fn factor<const MOTION: bool>(
+        five_bar: &FiveBar<'_, Self, MOTION>,
         at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
@@ -145,8 +145,11 @@ impl LinearSolve for General {
 }
 
 /// A model with the inputs and whole turns that stay while it is stepped.
+///
+/// Without MOTION it is that of a scene without effects whose force depends on the motion, and has no code for them: what could be
+/// asked of an effect would have to stay in memory, and every step would pay for it.
 #[derive(Debug)]
-pub struct FiveBar<'a, L> {
+pub struct FiveBar<'a, L, const MOTION: bool = true> {
     model: &'a Model,
     inputs: &'a Inputs,
     turns: &'a [i64; 4],
@@ -154,7 +157,7 @@ pub struct FiveBar<'a, L> {
     linear_solve: PhantomData<L>,
 }
 
-impl<'a, L> FiveBar<'a, L> {
+impl<'a, L, const MOTION: bool> FiveBar<'a, L, MOTION> {
     /// `model` under `inputs`, with the whole turns of links 1 to 4 that q leaves out.
     pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
         Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, linear_solve: PhantomData }
@@ -168,8 +171,10 @@ impl<'a, L> FiveBar<'a, L> {
     #[inline(always)]
     fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
         self.inputs.add_tangents(at, tangents);
-        for effect in &self.model.effects {
-            effect.add_tangents(at, tangents);
+        if MOTION {
+            for effect in &self.model.effects {
+                effect.add_tangents(at, tangents);
+            }
         }
     }
 
@@ -194,7 +199,7 @@ fn in_angles(values: [f64; 4]) -> Coordinates {
     coordinates
 }
 
-impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
+impl<L: LinearSolve, const MOTION: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L, MOTION> {
     type Pose = Pose;
     type Mass = L::Factor;
     type Tangent = L::Factor;
@@ -231,11 +236,13 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
 
     #[inline(always)]
     fn forces(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Coordinates {
+        let mut forces = self.model.weight;
         let at = self.at(q, pose, v);
-        let mut forces = [0.0; COORDINATES];
         self.inputs.add_forces(&at, &mut forces);
-        for effect in &self.model.effects {
-            effect.add_forces(&at, &mut forces);
+        if MOTION {
+            for effect in &self.model.effects {
+                effect.add_forces(&at, &mut forces);
+            }
         }
         forces
     }
@@ -277,8 +284,7 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
 
     fn potential(&self, q: &Coordinates, pose: &Pose) -> Option<f64> {
         let at = self.at(q, pose, &[0.0; COORDINATES]);
-        let effects: f64 = self.model.effects.iter().map(|effect| effect.potential(&at)).sum();
-        Some(effects + self.inputs.potential(&at))
+        Some(self.model.potential(&at) + self.inputs.potential(&at))
     }
 
     fn conservative(&self) -> bool {
