@@ -8,11 +8,11 @@
 mod buffer;
 pub mod loads;
 mod situation;
-mod tangents;
+pub mod tangents;
 
 pub use loads::Inputs;
 pub use situation::{JOINTS, Situation};
-pub use tangents::{DiagonalTangents, FullTangents, Tangents};
+pub use tangents::Tangents;
 
 use arrayvec::ArrayVec;
 
@@ -26,7 +26,7 @@ trait Force: Sized {
     /// Made ready from checked parameters.
     fn new(parameters: &Self::Parameters, mechanism: &Mechanism) -> Result<Self, Refusal>;
 
-    /// Whether its tangents couple links, so that the general linear solve is needed.
+    /// Whether its tangents couple links, so that the fast linear solve will not do.
     fn couples_links(&self) -> bool {
         false
     }
@@ -127,7 +127,7 @@ macro_rules! effects {
                 match self { $(Self::$Force(_) => stringify!($force),)+ }
             }
 
-            /// Whether its tangents couple links, so that the general linear solve is needed.
+            /// Whether its tangents couple links, so that the fast linear solve will not do.
             pub fn couples_links(&self) -> bool {
                 match self { $(Self::$Force(force) => force.couples_links(),)+ }
             }

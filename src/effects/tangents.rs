@@ -2,7 +2,7 @@
 
 use nalgebra::SMatrix;
 
-use crate::mechanism::coordinates::THETA;
+use crate::mechanism::coordinates::{THETA, X, Y};
 use crate::mechanism::{COORDINATES, Coordinates};
 
 /// Takes the tangents of forces.
@@ -19,6 +19,48 @@ pub struct DiagonalTangents {
     half_step: f64,
     /// h/2 C + h²/4 K, kg·m².
     pub weighted: Coordinates,
+}
+
+/// Number of coordinates that effects may couple.
+pub const INNERS: usize = 6;
+
+/// The coordinates that effects may couple: the position of link 2, which carries what acts on the tip, and all link angles.
+pub const INNER: [usize; INNERS] = [X[1], Y[1], THETA[0], THETA[1], THETA[2], THETA[3]];
+
+/// Place of each coordinate in [`INNER`]; beyond its end where it is not there.
+const PLACE: [usize; COORDINATES] = {
+    let mut place = [INNERS; COORDINATES];
+    let mut i = 0;
+    while i < INNERS {
+        place[INNER[i]] = i;
+        i += 1;
+    }
+    place
+};
+
+/// Tangents of scenes whose effects couple links.
+#[derive(Clone, Copy, Debug)]
+pub struct CoupledTangents {
+    half_step: f64,
+    /// h/2 C + h²/4 K of the coordinates [`INNER`].
+    pub weighted: SMatrix<f64, INNERS, INNERS>,
+}
+
+impl CoupledTangents {
+    /// None yet, for a step of h seconds.
+    pub fn new(h: f64) -> Self {
+        Self { half_step: h / 2.0, weighted: SMatrix::zeros() }
+    }
+}
+
+impl Tangents for CoupledTangents {
+    fn stiffness(&mut self, row: usize, column: usize, value: f64) {
+        self.weighted[(PLACE[row], PLACE[column])] += self.half_step * self.half_step * value;
+    }
+
+    fn damping(&mut self, row: usize, column: usize, value: f64) {
+        self.weighted[(PLACE[row], PLACE[column])] += self.half_step * value;
+    }
 }
 
 /// Tangents of any kind.

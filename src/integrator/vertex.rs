@@ -53,6 +53,9 @@ const ENERGY_CHANGE: f64 = 0.01;
 /// Round-off of an angle at distance 1 from a vertex, rad (errors of up to some 10 ε / distance are seen).
 const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
+/// Most rounds in which the time along a ray and the acceleration on the way settle.
+const ROUNDS: u32 = 20;
+
 /// What the gate says about the next sub-step.
 pub(super) enum Verdict<const N: usize> {
     /// Go on.
@@ -173,8 +176,9 @@ fn near<const N: usize, const M: usize>(
     if miss > gate.miss || !(entering || starting || state.on_ray) {
         return free(f64::INFINITY);
     }
-    let acceleration = acceleration_along(system, &state.q, &direction, speed);
-    let Some(duration) = time_to(reach, position, speed, acceleration) else { return free(f64::INFINITY) };
+    let Some((acceleration, duration)) = ride(system, &state.q, &direction, [position, reach], speed, rest) else {
+        return free(f64::INFINITY);
+    };
     // What forces across the ray could do meanwhile must stay below the miss. A start from rest is on its branch already.
     let (pull, _) = equilibrium(system, &state.q, &[0.0; N], softness);
     if !state.on_ray && 0.5 * system.angle_norm(&pull) * duration * duration > gate.miss {
@@ -190,14 +194,12 @@ fn launch<const N: usize, const M: usize>(
     state: &mut State<N, M>,
     rest: f64,
 ) -> Verdict<N> {
-    let (direction, acceleration) = match system.least_constraint(&state.q) {
-        Some((direction, alternatives)) => {
-            state.alternatives = alternatives;
-            (direction, acceleration_along(system, &state.q, &direction, 0.0))
-        }
-        None => ([0.0; N], 0.0),
-    };
-    let duration = time_to(gate.ball, 0.0, 0.0, acceleration).unwrap_or(f64::INFINITY);
+    let start = system.least_constraint(&state.q).and_then(|(direction, alternatives)| {
+        state.alternatives = alternatives;
+        let (acceleration, duration) = ride(system, &state.q, &direction, [0.0, gate.ball], 0.0, rest)?;
+        Some((direction, acceleration, duration))
+    });
+    let (direction, acceleration, duration) = start.unwrap_or(([0.0; N], 0.0, f64::INFINITY));
     Verdict::Carry(Ray {
         aside: [0.0; N],
         direction,
@@ -222,6 +224,41 @@ pub(super) fn start_acceleration<const N: usize, const M: usize>(
     let (direction, _) = system.least_constraint(q)?;
     let acceleration = acceleration_along(system, q, &direction, 0.0);
     Some(system.rebuilt(q, &direction.map(|x| x * acceleration)).1)
+}
+
+/// Mean acceleration along a ray from `position` to `reach`, and the time that takes, s; infinite if forces that fall with the speed
+/// stop the motion on the way, `None` if others turn it round.
+fn ride<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    q: &[f64; N],
+    direction: &[f64; N],
+    [position, reach]: [f64; 2],
+    speed: f64,
+    rest: f64,
+) -> Option<(f64, f64)> {
+    let acceleration_at = |speed: f64| acceleration_along(system, q, direction, speed);
+    let mut acceleration = acceleration_at(speed);
+    if system.conservative() {
+        return Some((acceleration, time_to(reach, position, speed, acceleration)?));
+    }
+    // Friction may be stiff: the implicit Euler rule a = f(v + a t), by bisection between 0 and f(v), for the time that follows from a.
+    let at_start = acceleration;
+    let (mut duration, mut last) = (f64::INFINITY, f64::NAN);
+    for _ in 0..ROUNDS {
+        duration = time_to(reach, position, speed, acceleration).unwrap_or(f64::INFINITY);
+        let t = duration.min(rest);
+        if t == last {
+            break;
+        }
+        last = t;
+        let (mut none, mut whole) = (0.0, at_start);
+        for _ in 0..f64::MANTISSA_DIGITS {
+            acceleration = (none + whole) / 2.0;
+            let enough = acceleration_at(speed + t * acceleration) / acceleration <= 1.0;
+            *(if enough { &mut whole } else { &mut none }) = acceleration;
+        }
+    }
+    Some((acceleration, duration))
 }
 
 /// First time at which position + speed t + acceleration t²/2 reaches `reach`, if ever.

@@ -4,6 +4,7 @@
 //! advances.
 
 pub mod coupled;
+pub mod dense;
 pub mod model;
 pub mod system;
 pub mod two_leg;
@@ -20,8 +21,32 @@ pub use crate::effects::Inputs;
 use crate::effects::{self, Situation};
 pub use crate::integrator::Counters;
 use model::Stepper;
-pub use model::{Method, Model, Parameters, Settings};
-use system::{FiveBar, General, LinearSolve, TwoLegged};
+pub use model::{Method, Model, Parameters, Settings, Solve};
+use system::{FiveBar, General, LinearSolve, LinksCoupled, TwoLegged};
+
+/// An expression with the model's linear solve as the type L.
+macro_rules! with_solve {
+    ($model:expr, $L:ident => $do:expr) => {
+        match $model.solve {
+            Solve::WithoutEffects => {
+                type $L = TwoLegged<false>;
+                $do
+            }
+            Solve::TwoLegged => {
+                type $L = TwoLegged;
+                $do
+            }
+            Solve::LinksCoupled => {
+                type $L = LinksCoupled;
+                $do
+            }
+            Solve::General => {
+                type $L = General;
+                $do
+            }
+        }
+    };
+}
 
 /// Everything that changes during a run. A copy is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,7 +90,7 @@ impl Simulation {
     /// Checks the parameters, closes the loop, fixes the list of effects and the linear solve, finds q̈ and λ of the start.
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
-        let (q, v) = mechanism::close(&parameters.geometry, &parameters.start)?;
+        let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
         Self::started(model, q, v, inputs)
     }
 
@@ -73,7 +98,7 @@ impl Simulation {
     /// links alone leave the posture open (coinciding elbows). Refused unless they close the loop.
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
-        let (q, v) = closure::assemble(&parameters.geometry, theta, omega);
+        let (q, v) = closure::assemble(&model.mechanism.geometry, theta, omega);
         let simulation = Self::started(model, q, v, inputs)?;
         let (mechanism, core) = (&simulation.model.mechanism, &simulation.state.core);
         let pose = mechanism.pose(&core.q);
@@ -90,11 +115,9 @@ impl Simulation {
 
     fn started(model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
         let (inputs, turns) = (model.heard(inputs), [0; 4]);
-        let core = if model.general_solve {
-            integrator::State::start(&FiveBar::<General>::new(&model, &inputs, &turns), q, v, model.softness)
-        } else {
-            integrator::State::start(&FiveBar::<TwoLegged>::new(&model, &inputs, &turns), q, v, model.softness)
-        };
+        let core = with_solve!(&model, L => {
+            integrator::State::start(&FiveBar::<L>::new(&model, &inputs, &turns), q, v, model.softness)
+        });
         let mut state = State { core, turns, inputs, energy_at_start: 0.0 };
         state.unwind();
         state.energy_at_start = state.kinetic_energy(&model) + state.potential_energy(&model);
@@ -114,12 +137,7 @@ impl Simulation {
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
         let before = self.state;
         let inputs = self.model.heard(inputs);
-        let run = match (self.model.general_solve, self.model.effects.is_empty()) {
-            (false, true) => run::<TwoLegged, false>,
-            (false, false) => run::<TwoLegged, true>,
-            (true, _) => run::<General, true>,
-        };
-        let done = run(&self.model, &mut self.state, &inputs, h, steps);
+        let done = with_solve!(&self.model, L => run::<L>(&self.model, &mut self.state, &inputs, h, steps));
         done.inspect_err(|_| self.state = before)
     }
 
@@ -205,26 +223,16 @@ impl State {
     /// The forces have changed at once: q̈, λ and the predictor start anew.
     fn restart(&mut self, model: &Model) {
         let State { core, inputs, turns, .. } = self;
-        if model.general_solve {
-            core.restart(&FiveBar::<General>::new(model, inputs, turns), model.softness);
-        } else {
-            core.restart(&FiveBar::<TwoLegged>::new(model, inputs, turns), model.softness);
-        }
+        with_solve!(model, L => core.restart(&FiveBar::<L>::new(model, inputs, turns), model.softness));
     }
 }
 
-fn run<L: LinearSolve, const MOTION: bool>(
-    model: &Model,
-    state: &mut State,
-    inputs: &Inputs,
-    h: f64,
-    steps: u64,
-) -> Result<(), StepFailure> {
+fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
     state.hold(model, inputs);
     let mut power = None;
     for step in 0..steps {
         let State { core, turns, .. } = state;
-        let system = FiveBar::<L, MOTION>::new(model, inputs, turns);
+        let system = FiveBar::<L>::new(model, inputs, turns);
         let power = power.get_or_insert_with(|| {
             if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() }
         });

@@ -63,6 +63,19 @@ pub enum Stepper {
     Rk4(rk4::Settings),
 }
 
+/// The linear solves: see [`LinearSolve`](super::system::LinearSolve).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Solve {
+    /// [`TwoLegged<false>`](super::system::TwoLegged): two legs, no effects whose force depends on the motion.
+    WithoutEffects,
+    /// [`TwoLegged`](super::system::TwoLegged).
+    TwoLegged,
+    /// [`LinksCoupled`](super::system::LinksCoupled).
+    LinksCoupled,
+    /// [`General`](super::system::General).
+    General,
+}
+
 /// The constant part of a scene made ready.
 #[derive(Clone, Debug)]
 pub struct Model {
@@ -86,8 +99,8 @@ pub struct Model {
     pub softness: f64,
     /// The integrator.
     pub stepper: Stepper,
-    /// Whether the scene needs the general linear solve: an active effect couples links, or compliances are far apart.
-    pub general_solve: bool,
+    /// The linear solve that the scene needs.
+    pub solve: Solve,
 }
 
 impl Model {
@@ -114,7 +127,15 @@ impl Model {
             Method::Rk4 => Stepper::Rk4(rk4::Settings { projection: true, softness, tolerance, max_iterations }),
         };
         Ok(Self {
-            general_solve: effects.iter().any(Effect::couples_links) || compliance_spread(&geometry) > LARGEST_SPREAD,
+            solve: if compliance_spread(&geometry) > LARGEST_SPREAD {
+                Solve::General
+            } else if effects.iter().any(Effect::couples_links) {
+                Solve::LinksCoupled
+            } else if effects.is_empty() {
+                Solve::WithoutEffects
+            } else {
+                Solve::TwoLegged
+            },
             conservative: effects.iter().all(Effect::conservative),
             servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
@@ -132,7 +153,7 @@ impl Model {
     /// refusal nothing has.
     pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<bool, Refusal> {
         let effects = parameters.active(&self.mechanism)?;
-        if let Some(effect) = effects.iter().find(|effect| effect.couples_links() && !self.general_solve) {
+        if let Some(effect) = effects.iter().find(|effect| effect.couples_links() && self.solve == Solve::TwoLegged) {
             return Err(Refusal(format!(
                 "{0}.* at joints 2 to 4 is not allowed to become positive now: it was 0 at the end of initialisation, which fixed a linear \
                  solve without coupled links; start with a positive value there.",

@@ -5,9 +5,11 @@ use std::marker::PhantomData;
 use nalgebra::{SMatrix, SVector};
 
 use super::coupled::Coupled;
+use super::dense::Dense;
 use super::model::Model;
 use super::two_leg::TwoLeg;
-use crate::effects::{DiagonalTangents, FullTangents, Inputs, Situation, Tangents};
+use crate::effects::tangents::{CoupledTangents, DiagonalTangents, FullTangents, INNER, INNERS};
+use crate::effects::{Inputs, Situation, Tangents};
 use crate::integrator::{Failure, Kkt, Power, System};
 use crate::mechanism::closure::assemble;
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
@@ -28,44 +30,47 @@ pub enum Definite {
     Enforced,
 }
 
-/// How the tangent is factorised: chosen once, when the scene is made ready.
-pub trait LinearSolve {
-    /// The factorised saddle-point matrix.
-    type Factor: Kkt<COORDINATES, MULTIPLIERS>;
+/// How saddle-point matrices are factorised: chosen once, when the scene is made ready.
+pub trait LinearSolve: Sized {
+    /// The factor with M, which is always diagonal, in the corner.
+    type Mass: Kkt<COORDINATES, MULTIPLIERS>;
+    /// The factor with A₀.
+    type Tangent: Kkt<COORDINATES, MULTIPLIERS>;
+    /// Whether the scene has effects whose force depends on the motion. What they may be asked has to stay in memory, and a scene
+    /// without them shall not pay for that.
+    const EFFECTS: bool = true;
 
     /// Factorises with M.
-    fn factor_mass<const MOTION: bool>(five_bar: &FiveBar<'_, Self, MOTION>, pose: &Pose, softness: f64) -> Self::Factor
-    where
-        Self: Sized;
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Self::Mass;
 
     /// Factorises with A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
-    fn factor<const MOTION: bool>(
-        five_bar: &FiveBar<'_, Self, MOTION>,
+    fn factor(
+        five_bar: &FiveBar<'_, Self>,
         at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
         definite: Definite,
-    ) -> Result<Self::Factor, Failure>
-    where
-        Self: Sized;
+    ) -> Result<Self::Tangent, Failure>;
 }
 
 /// Fast: no active effect couples links, and the inertias are of like size.
 #[derive(Debug)]
-pub enum TwoLegged {}
+pub enum TwoLegged<const EFFECTS: bool = true> {}
 
-impl LinearSolve for TwoLegged {
-    type Factor = TwoLeg;
+impl<const EFFECTS: bool> LinearSolve for TwoLegged<EFFECTS> {
+    type Mass = TwoLeg;
+    type Tangent = TwoLeg;
+    const EFFECTS: bool = EFFECTS;
 
     #[inline(always)]
-    fn factor_mass<const MOTION: bool>(five_bar: &FiveBar<'_, Self, MOTION>, pose: &Pose, softness: f64) -> TwoLeg {
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> TwoLeg {
         TwoLeg::factor_mass(&five_bar.model.elimination, pose, softness)
     }
 
     #[inline(always)]
-    fn factor<const MOTION: bool>(
-        five_bar: &FiveBar<'_, Self, MOTION>,
+    fn factor(
+        five_bar: &FiveBar<'_, Self>,
         at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
@@ -95,61 +100,104 @@ impl LinearSolve for TwoLegged {
     }
 }
 
-/// General: K and C may couple any links, and inertias may be next to nothing.
+/// The geometric stiffness of links 1 to 4, N·m/rad.
+fn geometric_stiffness(pose: &Pose, lambda: &Multipliers) -> [f64; 4] {
+    let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
+    let ([p_left, p_right], [d_left, d_right]) = (stiffness_p.to_array(), stiffness_d.to_array());
+    [p_left, d_left, d_right, p_right]
+}
+
+/// A₀ if it is sufficiently positive, or made so.
+fn made_definite<const K: usize>(
+    mut a0: SMatrix<f64, K, K>,
+    mass: &SMatrix<f64, K, K>,
+    definite: Definite,
+) -> Result<SMatrix<f64, K, K>, Failure> {
+    let keeps = |a0: &SMatrix<f64, K, K>, part: f64| ((a0 + a0.transpose()) / 2.0 - mass * part).cholesky().is_some();
+    match definite {
+        Definite::Demanded if !keeps(&a0, LEAST_INERTIA) => return Err(Failure::IndefiniteTangent),
+        Definite::Demanded => {}
+        // Doubling ends: some multiple of M outweighs any tangent that is finite.
+        Definite::Enforced => {
+            let mut more = DESCENT_INERTIA;
+            while !keeps(&a0, DESCENT_INERTIA) {
+                a0 += mass * more;
+                more *= 2.0;
+                if !more.is_finite() {
+                    return Err(Failure::NotFinite);
+                }
+            }
+        }
+    }
+    Ok(a0)
+}
+
+/// Effects couple links, and the inertias are of like size.
 #[derive(Debug)]
-pub enum General {}
+pub enum LinksCoupled {}
 
-impl LinearSolve for General {
-    type Factor = Coupled;
+impl LinearSolve for LinksCoupled {
+    type Mass = TwoLeg;
+    type Tangent = Coupled;
 
-    fn factor_mass<const MOTION: bool>(five_bar: &FiveBar<'_, Self, MOTION>, pose: &Pose, softness: f64) -> Coupled {
-        Coupled::factor(pose, &five_bar.mass_matrix(), softness)
+    #[inline(always)]
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> TwoLeg {
+        TwoLeg::factor_mass(&five_bar.model.elimination, pose, softness)
     }
 
-    fn factor<const MOTION: bool>(
-        five_bar: &FiveBar<'_, Self, MOTION>,
+    fn factor(
+        five_bar: &FiveBar<'_, Self>,
         at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
         definite: Definite,
     ) -> Result<Coupled, Failure> {
-        let (mass, pose) = (five_bar.mass_matrix(), at.pose);
+        let masses = five_bar.model.mechanism.mass_times(&[1.0; COORDINATES]);
+        let inner_masses = SMatrix::from_diagonal(&SVector::from(INNER.map(|i| masses[i])));
+        let mut tangents = CoupledTangents::new(h);
+        five_bar.add_tangents(at, &mut tangents);
+        let mut a0 = inner_masses + tangents.weighted;
+        for (i, stiffness) in geometric_stiffness(at.pose, lambda).into_iter().enumerate() {
+            let place = INNERS - 4 + i;
+            a0[(place, place)] += h * h / 4.0 * stiffness;
+        }
+        Coupled::factor(at.pose, &masses, made_definite(a0, &inner_masses, definite)?, softness)
+    }
+}
+
+/// Anything: effects may couple links, and inertias may be next to nothing.
+#[derive(Debug)]
+pub enum General {}
+
+impl LinearSolve for General {
+    type Mass = Dense;
+    type Tangent = Dense;
+
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Dense {
+        Dense::factor(pose, &five_bar.mass_matrix(), softness)
+    }
+
+    fn factor(
+        five_bar: &FiveBar<'_, Self>,
+        at: &Situation<'_>,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+        definite: Definite,
+    ) -> Result<Dense, Failure> {
+        let mass = five_bar.mass_matrix();
         let mut a0 = mass + five_bar.full_tangents(at, h);
-        let beta = h * h / 4.0;
-        let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
-        let ([p_left, p_right], [d_left, d_right]) = (stiffness_p.to_array(), stiffness_d.to_array());
-        for (i, stiffness) in THETA.into_iter().zip([p_left, d_left, d_right, p_right]) {
-            a0[(i, i)] += beta * stiffness;
+        for (i, stiffness) in THETA.into_iter().zip(geometric_stiffness(at.pose, lambda)) {
+            a0[(i, i)] += h * h / 4.0 * stiffness;
         }
-        let keeps = |a0: &SMatrix<f64, COORDINATES, COORDINATES>, part: f64| {
-            ((a0 + a0.transpose()) / 2.0 - mass * part).cholesky().is_some()
-        };
-        match definite {
-            Definite::Demanded if !keeps(&a0, LEAST_INERTIA) => return Err(Failure::IndefiniteTangent),
-            Definite::Demanded => {}
-            // Doubling ends: some multiple of M outweighs any tangent that is finite.
-            Definite::Enforced => {
-                let mut more = DESCENT_INERTIA;
-                while !keeps(&a0, DESCENT_INERTIA) {
-                    a0 += mass * more;
-                    more *= 2.0;
-                    if !more.is_finite() {
-                        return Err(Failure::NotFinite);
-                    }
-                }
-            }
-        }
-        Ok(Coupled::factor(pose, &a0, softness))
+        Ok(Dense::factor(at.pose, &made_definite(a0, &mass, definite)?, softness))
     }
 }
 
 /// A model with the inputs and whole turns that stay while it is stepped.
-///
-/// Without MOTION it is that of a scene without effects whose force depends on the motion, and has no code for them: what could be
-/// asked of an effect would have to stay in memory, and every step would pay for it.
 #[derive(Debug)]
-pub struct FiveBar<'a, L, const MOTION: bool = true> {
+pub struct FiveBar<'a, L> {
     model: &'a Model,
     inputs: &'a Inputs,
     turns: &'a [i64; 4],
@@ -157,7 +205,7 @@ pub struct FiveBar<'a, L, const MOTION: bool = true> {
     linear_solve: PhantomData<L>,
 }
 
-impl<'a, L, const MOTION: bool> FiveBar<'a, L, MOTION> {
+impl<'a, L: LinearSolve> FiveBar<'a, L> {
     /// `model` under `inputs`, with the whole turns of links 1 to 4 that q leaves out.
     pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
         Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, linear_solve: PhantomData }
@@ -171,7 +219,7 @@ impl<'a, L, const MOTION: bool> FiveBar<'a, L, MOTION> {
     #[inline(always)]
     fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
         self.inputs.add_tangents(at, tangents);
-        if MOTION {
+        if L::EFFECTS {
             for effect in &self.model.effects {
                 effect.add_tangents(at, tangents);
             }
@@ -199,10 +247,10 @@ fn in_angles(values: [f64; 4]) -> Coordinates {
     coordinates
 }
 
-impl<L: LinearSolve, const MOTION: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L, MOTION> {
+impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     type Pose = Pose;
-    type Mass = L::Factor;
-    type Tangent = L::Factor;
+    type Mass = L::Mass;
+    type Tangent = L::Tangent;
 
     #[inline(always)]
     fn pose(&self, q: &Coordinates) -> Pose {
@@ -236,10 +284,10 @@ impl<L: LinearSolve, const MOTION: bool> System<COORDINATES, MULTIPLIERS> for Fi
 
     #[inline(always)]
     fn forces(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Coordinates {
-        let mut forces = self.model.weight;
         let at = self.at(q, pose, v);
+        let mut forces = self.model.weight;
         self.inputs.add_forces(&at, &mut forces);
-        if MOTION {
+        if L::EFFECTS {
             for effect in &self.model.effects {
                 effect.add_forces(&at, &mut forces);
             }
@@ -253,7 +301,7 @@ impl<L: LinearSolve, const MOTION: bool> System<COORDINATES, MULTIPLIERS> for Fi
     }
 
     #[inline(always)]
-    fn factor_mass(&self, pose: &Pose, softness: f64) -> L::Factor {
+    fn factor_mass(&self, pose: &Pose, softness: f64) -> L::Mass {
         L::factor_mass(self, pose, softness)
     }
 
@@ -266,7 +314,7 @@ impl<L: LinearSolve, const MOTION: bool> System<COORDINATES, MULTIPLIERS> for Fi
         lambda: &Multipliers,
         h: f64,
         softness: f64,
-    ) -> Result<L::Factor, Failure> {
+    ) -> Result<L::Tangent, Failure> {
         L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Demanded)
     }
 
@@ -278,7 +326,7 @@ impl<L: LinearSolve, const MOTION: bool> System<COORDINATES, MULTIPLIERS> for Fi
         lambda: &Multipliers,
         h: f64,
         softness: f64,
-    ) -> Option<L::Factor> {
+    ) -> Option<L::Tangent> {
         L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Enforced).ok()
     }
 

@@ -3,7 +3,7 @@
 use fivebar::fmi::bindings::default_inputs;
 use fivebar::integrator::{self, Kkt, System, i3alp};
 use fivebar::mechanism::{COORDINATES, MULTIPLIERS};
-use fivebar::simulation::coupled::Coupled;
+use fivebar::simulation::dense::Dense;
 use fivebar::simulation::system::{FiveBar, TwoLegged};
 use fivebar::simulation::two_leg::TwoLeg;
 use fivebar::simulation::{Inputs, Model, Simulation};
@@ -127,7 +127,7 @@ fn two_leg_elimination_solves_the_dense_system() {
             let c: [f64; MULTIPLIERS] = std::array::from_fn(|i| ((i * 5 + 3 * k) as f64).cos());
             for softness in [1e-10, 1e-2, 10.0] {
                 let fast = TwoLeg::factor_mass(&simulation.model().elimination, &pose, softness);
-                let dense = Coupled::factor(&pose, &mass, softness);
+                let dense = Dense::factor(&pose, &mass, softness);
                 let ((x, y), (x_dense, y_dense)) = (fast.solve(&b, &c), dense.solve(&b, &c));
                 let close = |fast: &[f64], dense: &[f64]| {
                     let scale = dense.iter().fold(1.0, |largest: f64, x| largest.max(x.abs()));

@@ -6,6 +6,9 @@ mod allocation; // a counting allocator: a step allocates nothing
 mod closure; // starts: closed and consistent, or refused with one sentence; singular postures told apart
 mod constraints; // Φ and its derivatives against finite differences along real motions
 mod dual_form; // the dual form is the paper's penalty step; the two-leg elimination is the dense solve
+mod effects; // each effect: tangents, powers, energy balance, absence
+mod effects_known; // effects against what is known without our code
+mod effects_stiff; // friction through zero, stops and contact hit fast, high gains
 mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
 
 // The FMI rooms, through the C functions.

@@ -5,7 +5,7 @@ use fivebar::integrator::{self, i3alp};
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::observers;
 use fivebar::simulation::model::Stepper;
-use fivebar::simulation::system::{FiveBar, General, TwoLegged};
+use fivebar::simulation::system::{FiveBar, TwoLegged};
 use fivebar::simulation::{Inputs, Method, Simulation};
 
 use crate::support::{MGL, angle_error, run, torque, unequal};
@@ -71,27 +71,6 @@ fn a_reversed_motion_returns() {
     let error = angle_error(&back.q, &start.state().core.q);
     // A local error of 3e-9 rad in each of 2 × 2000 steps, all of one sign at worst.
     assert!(error < 1.2e-5, "{error:e} rad");
-}
-
-/// The general solve (dense, any coupling) and the two-leg solve are the same step but for round-off.
-#[test]
-fn general_and_two_leg_solve_agree() {
-    let mut parameters = unequal();
-    parameters.settings.adaptive = false;
-    let inputs = Inputs { tau: [0.01, -0.02], tip_force: [0.1, 0.05], ..Inputs::default() };
-    let scene = Simulation::new(&parameters, &inputs).expect("scene");
-    let (mut fast, mut general) = (scene.state().core, scene.state().core);
-    let Stepper::I3alp(settings) = scene.model().stepper else { panic!("the default is i3-ALP") };
-    for _ in 0..300 {
-        let mut power = Default::default();
-        i3alp::advance(&FiveBar::<TwoLegged>::new(scene.model(), &inputs, &[0; 4]), &settings, &mut fast, 1e-3, &mut power)
-            .expect("step");
-        let mut power = Default::default();
-        i3alp::advance(&FiveBar::<General>::new(scene.model(), &inputs, &[0; 4]), &settings, &mut general, 1e-3, &mut power)
-            .expect("step");
-    }
-    let error = angle_error(&fast.q, &general.q);
-    assert!(error < 1e-10, "{error:e} rad");
 }
 
 /// The method as printed: close to the default at the paper's 1 ms for as long as it lives, and a status at its end, never NaN.

@@ -1,0 +1,297 @@
+//! Every effect: its tangents and its power against finite differences, its energy along the path, and its absence.
+
+use std::f64::consts::PI;
+
+use fivebar::effects::NAMES;
+use fivebar::fmi::bindings::{default_inputs, default_parameters};
+use fivebar::integrator::{System, i3alp};
+use fivebar::mechanism::coordinates::THETA;
+use fivebar::mechanism::{COORDINATES, Coordinates};
+use fivebar::observers;
+use fivebar::simulation::model::Stepper;
+use fivebar::simulation::system::{FiveBar, General, LinearSolve, LinksCoupled, TwoLegged};
+use fivebar::simulation::{Inputs, Method, Parameters, Simulation, Solve};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+use crate::support::{MGL, angle_error, enable, run, slope, unequal};
+
+/// A scene whose effects all act and are smooth over some 0.1 s: wide ramps, a plane and stops that are reached, servos in their
+/// linear range. Nothing is enabled yet.
+fn acting() -> Parameters {
+    let mut parameters = unequal();
+    let effects = &mut parameters.effects;
+    effects.gravity.enabled = false;
+    effects.rotor.gear_ratio = [3.0, 2.0];
+    effects.viscous.b = [2e-3, 1e-3, 3e-3, 5e-4, 1e-3];
+    effects.friction.coulomb = [2e-3, 1e-3, 0.0, 3e-3, 1e-3];
+    effects.friction.breakaway = [3e-3, 1e-3, 0.0, 4e-3, 2e-3];
+    effects.friction.breakaway_velocity = 2.0;
+    effects.stop.lower = [1.9, 1.0];
+    effects.stop.upper = [2.1, 2.0];
+    (effects.stop.k, effects.stop.width) = (0.5, 0.5);
+    (effects.contact.nx, effects.contact.ny, effects.contact.offset) = (0.6, 0.8, 0.6);
+    (effects.contact.k, effects.contact.d, effects.contact.width, effects.contact.slip_velocity) = (20.0, 0.5, 0.3, 0.5);
+    effects.servo.kp = [0.3, 0.2];
+    parameters
+}
+
+fn references() -> Inputs {
+    Inputs { servo_theta: [1.0, 2.0], servo_omega: [0.5, -0.5], tip_force: [0.1, -0.2], tau: [0.01, 0.02] }
+}
+
+/// The scene with each effect alone, and with all at once.
+fn each_and_all() -> Vec<(String, Parameters)> {
+    let mut scenes: Vec<(String, Parameters)> = NAMES
+        .iter()
+        .map(|name| {
+            let mut parameters = acting();
+            enable(&mut parameters, name);
+            (name.to_string(), parameters)
+        })
+        .collect();
+    let mut all = acting();
+    NAMES.iter().for_each(|name| enable(&mut all, name));
+    scenes.push(("all".into(), all));
+    scenes
+}
+
+/// States scattered over angles of ±3 rad, positions of ±0.5 m, rates of ±4 rad/s and ±1 m/s.
+fn random_states(count: usize) -> Vec<(Coordinates, Coordinates)> {
+    let mut random = ChaCha8Rng::seed_from_u64(4);
+    let mut scattered = |angle: f64, length: f64| -> Coordinates {
+        std::array::from_fn(|i| {
+            let uniform = (random.next_u64() >> 11) as f64 / (1_u64 << 52) as f64 - 1.0;
+            uniform * if THETA.contains(&i) { angle } else { length }
+        })
+    };
+    (0..count).map(|_| (scattered(3.0, 0.5), scattered(4.0, 1.0))).collect()
+}
+
+/// Central difference of f along coordinate j.
+fn difference(x: &Coordinates, j: usize, f: impl Fn(&Coordinates) -> Coordinates) -> Coordinates {
+    let step = 1e-6;
+    let moved = |s: f64| {
+        let mut x = *x;
+        x[j] += s;
+        f(&x)
+    };
+    let (ahead, behind) = (moved(step), moved(-step));
+    std::array::from_fn(|i| (ahead[i] - behind[i]) / (2.0 * step))
+}
+
+/// K = −∂Q/∂q and C = −∂Q/∂q̇ against central differences. They are taken out of the weight W(h) = M + h/2 C + h²/4 K.
+#[test]
+fn tangents_are_derivatives_of_forces() {
+    for (name, parameters) in each_and_all() {
+        let inputs = references();
+        let simulation = Simulation::new(&parameters, &inputs).expect(&name);
+        let system = FiveBar::<General>::new(simulation.model(), &inputs, &[1, 0, 0, -2]);
+        for (q, v) in random_states(20) {
+            let pose = system.pose(&q);
+            for j in 0..COORDINATES {
+                let mut unit = [0.0; COORDINATES];
+                unit[j] = 1.0;
+                let mass = system.mass_times(&pose, &unit);
+                let weight = |h: f64| system.weight_times(&q, &pose, &v, h, &unit);
+                let (two, four) = (weight(2.0), weight(4.0));
+                let stiffness: Coordinates = std::array::from_fn(|i| (four[i] - 2.0 * two[i] + mass[i]) / 2.0);
+                let damping: Coordinates = std::array::from_fn(|i| two[i] - mass[i] - stiffness[i]);
+                let by_q = difference(&q, j, |q| system.forces(q, &system.pose(q), &v));
+                let by_v = difference(&v, j, |v| system.forces(&q, &pose, v));
+                for i in 0..COORDINATES {
+                    // Truncation: third derivatives of up to 1e3 times 1e-12; round-off: forces of up to 1e2 times 1e-16/1e-6.
+                    assert!((stiffness[i] + by_q[i]).abs() < 1e-6, "{name}: K[{i}][{j}] = {} {}", stiffness[i], -by_q[i]);
+                    assert!((damping[i] + by_v[i]).abs() < 1e-6, "{name}: C[{i}][{j}] = {} {}", damping[i], -by_v[i]);
+                }
+            }
+        }
+    }
+}
+
+/// The power of all forces, Q·q̇, is the power put in minus what is dissipated minus the growth of the potential; and what is
+/// dissipated is never negative.
+#[test]
+fn powers_and_potentials_account_for_every_force() {
+    for (name, parameters) in each_and_all() {
+        let inputs = references();
+        let simulation = Simulation::new(&parameters, &inputs).expect(&name);
+        let turns = [1, 0, 0, -2];
+        let (system, unloaded) =
+            (FiveBar::<General>::new(simulation.model(), &inputs, &turns), Inputs { tau: [0.0; 2], tip_force: [0.0; 2], ..inputs });
+        let potential_only = FiveBar::<General>::new(simulation.model(), &unloaded, &turns);
+        for (q, v) in random_states(50) {
+            let pose = system.pose(&q);
+            let mechanical: f64 = system.forces(&q, &pose, &v).iter().zip(&v).map(|(force, v)| force * v).sum();
+            let power = system.power(&q, &pose, &v);
+            let potential = |s: f64| {
+                let q: Coordinates = std::array::from_fn(|i| q[i] + s * v[i]);
+                potential_only.potential(&q, &system.pose(&q)).expect("known")
+            };
+            let growth = (potential(1e-6) - potential(-1e-6)) / 2e-6;
+            let expected = power.input - power.dissipated - growth;
+            assert!((mechanical - expected).abs() < 1e-6 * (1.0 + mechanical.abs()), "{name}: {mechanical} W, {expected} W");
+            assert!(power.dissipated >= 0.0, "{name}: {power:?}");
+        }
+    }
+}
+
+/// Kinetic + potential + dissipated − input closes with the order of the method, two, for every effect and for all at once.
+#[test]
+fn the_energy_balance_closes_with_the_order_of_the_method() {
+    for (name, mut parameters) in each_and_all() {
+        parameters.settings.adaptive = false;
+        let errors: Vec<(f64, f64)> = [1e-3, 5e-4, 2.5e-4, 1.25e-4]
+            .into_iter()
+            .map(|h| {
+                let mut simulation = Simulation::new(&parameters, &references()).expect(&name);
+                run(&mut simulation, &references(), h, 0.2);
+                (h, observers::energies(simulation.model(), simulation.state()).error.abs())
+            })
+            .collect();
+        let order = slope(&errors);
+        assert!(order > 1.7 && errors[3].1 < 1e-3 * MGL, "{name}: order {order}, {errors:?}");
+    }
+}
+
+/// Methods that share nothing but the forces find the same motion: tangents and effects fit together along the path.
+#[test]
+fn methods_agree_with_all_effects_on() {
+    let end = |method: Method, h: f64| {
+        let (_, mut parameters) = each_and_all().pop().expect("all");
+        (parameters.settings.method, parameters.settings.error_tolerance) = (method, 1e-11);
+        let mut simulation = Simulation::new(&parameters, &references()).expect("all");
+        run(&mut simulation, &references(), h, 0.3);
+        let energies = observers::energies(simulation.model(), simulation.state());
+        (simulation.state().angles(), energies.input, energies.dissipated)
+    };
+    let (implicit, explicit) = (end(Method::I3alp, 1e-3), end(Method::Rk4, 1e-4));
+    for (a, b) in implicit.0.into_iter().zip(explicit.0) {
+        // Sub-steps with a local error of 1e-11 rad, some 1e4 of them.
+        assert!((a - b).abs() < 1e-6, "{implicit:?} {explicit:?}");
+    }
+    assert!((implicit.1 - explicit.1).abs() < 1e-6 * MGL.max(explicit.1.abs()), "{implicit:?} {explicit:?}");
+    assert!((implicit.2 - explicit.2).abs() < 1e-5 * explicit.2, "{implicit:?} {explicit:?}");
+}
+
+/// q after 0.3 s of fixed 1 ms steps with a linear solve.
+fn end<L: LinearSolve>(scene: &Simulation, inputs: &Inputs) -> Coordinates {
+    let Stepper::I3alp(settings) = scene.model().stepper else { panic!("the default is i3-ALP") };
+    let mut core = scene.state().core;
+    for _ in 0..300 {
+        let system = FiveBar::<L>::new(scene.model(), inputs, &[0; 4]);
+        i3alp::advance(&system, &settings, &mut core, 1e-3, &mut Default::default()).expect("step");
+    }
+    core.q
+}
+
+/// The linear solves are the same step but for round-off, which the motion lets grow: all three without effects, the two that can do
+/// it with effects that couple links in every way.
+#[test]
+fn the_linear_solves_agree() {
+    let mut parameters = unequal();
+    parameters.settings.adaptive = false;
+    let inputs = Inputs { tau: [0.01, -0.02], tip_force: [0.1, 0.05], ..Inputs::default() };
+    let bare = Simulation::new(&parameters, &inputs).expect("scene");
+    let dense = end::<General>(&bare, &inputs);
+    for (name, q) in [("two legs", end::<TwoLegged>(&bare, &inputs)), ("coupled", end::<LinksCoupled>(&bare, &inputs))] {
+        let error = angle_error(&q, &dense);
+        assert!(error < 1e-10, "{name}: {error:e} rad");
+    }
+    let (_, mut all) = each_and_all().pop().expect("all");
+    all.settings.adaptive = false;
+    let all = Simulation::new(&all, &references()).expect("scene");
+    let error = angle_error(&end::<LinksCoupled>(&all, &references()), &end::<General>(&all, &references()));
+    assert!(error < 1e-10, "{error:e} rad");
+}
+
+/// Mirrored mechanism, effects and loads: mirrored motion.
+#[test]
+fn mirrored_effects_give_the_mirrored_motion() {
+    let (_, mut parameters) = each_and_all().pop().expect("all");
+    // What carries sides: the payload is on the tip of both.
+    let angles = |parameters: &Parameters, inputs: &Inputs| {
+        let mut simulation = Simulation::new(parameters, inputs).expect("scene");
+        run(&mut simulation, inputs, 1e-3, 0.3);
+        simulation.state().angles()
+    };
+    let inputs = references();
+    let distance = parameters.geometry.base_distance;
+    let there = angles(&parameters, &inputs);
+    let turned = |[left, right]: [f64; 2]| [PI - right, PI - left];
+    let swapped = |[left, right]: [f64; 2]| [right, left];
+    parameters.geometry.links.reverse();
+    parameters.start.theta = turned(parameters.start.theta);
+    parameters.start.omega = swapped(parameters.start.omega).map(|x| -x);
+    let effects = &mut parameters.effects;
+    effects.gravity.direction = PI - effects.gravity.direction;
+    effects.rotor.inertia = swapped(effects.rotor.inertia);
+    effects.rotor.gear_ratio = swapped(effects.rotor.gear_ratio);
+    effects.viscous.b.reverse();
+    effects.friction.coulomb.reverse();
+    effects.friction.breakaway.reverse();
+    effects.spring.theta0 = turned(effects.spring.theta0);
+    (effects.stop.lower, effects.stop.upper) = (turned(effects.stop.upper), turned(effects.stop.lower));
+    // n·(x, y) ≥ offset with x measured from the other motor.
+    effects.contact.offset -= effects.contact.nx * distance;
+    effects.contact.nx = -effects.contact.nx;
+    effects.servo.kp = swapped(effects.servo.kp);
+    let mirrored = Inputs {
+        tau: swapped(inputs.tau).map(|x| -x),
+        tip_force: [-inputs.tip_force[0], inputs.tip_force[1]],
+        servo_theta: turned(inputs.servo_theta),
+        servo_omega: swapped(inputs.servo_omega).map(|x| -x),
+    };
+    let here = angles(&parameters, &mirrored);
+    for (i, j) in [(0, 3), (1, 2), (2, 1), (3, 0)] {
+        // Not the same sub-steps to the last bit: as two runs of the method at its default tolerance.
+        assert!((there[i] + here[j] - PI).abs() < 1e-6, "{there:?} {here:?}");
+    }
+}
+
+/// Off is absent: not in the list, and no value of its parameters changes a bit.
+#[test]
+fn what_is_off_is_not_there() {
+    let bits = |parameters: &Parameters| {
+        let mut simulation = Simulation::new(parameters, &default_inputs()).expect("scene");
+        run(&mut simulation, &default_inputs(), 1e-3, 0.5);
+        (*simulation.state(), simulation.active_effects().to_vec())
+    };
+    let mut parameters = default_parameters();
+    let bare = bits(&parameters);
+    assert_eq!(bare.1, ["gravity"]);
+    parameters.effects = acting().effects;
+    parameters.effects.gravity.enabled = true;
+    // Nonsense that is refused where the effect is on.
+    parameters.effects.friction.breakaway[0] = -1.0;
+    parameters.effects.stop.lower = [5.0; 2];
+    parameters.effects.contact.ny = 0.0;
+    parameters.effects.contact.nx = 0.0;
+    assert_eq!(bits(&parameters), bare);
+
+    let mut simulation = Simulation::new(&parameters, &references().without_references()).expect("scene");
+    let mut hears_nothing = Simulation::new(&parameters, &references()).expect("scene");
+    run(&mut simulation, &references().without_references(), 1e-3, 0.1);
+    run(&mut hears_nothing, &references(), 1e-3, 0.1);
+    assert_eq!(simulation.state(), hears_nothing.state());
+}
+
+/// The fast linear solve, unless an active effect couples links; without code for effects where none depends on the motion.
+#[test]
+fn the_scene_chooses_the_linear_solve() {
+    for (name, parameters) in each_and_all() {
+        let couples = ["viscous", "friction", "contact", "all"].contains(&name.as_str());
+        let constant = ["gravity", "rotor", "payload", "none"].contains(&name.as_str());
+        let expected = match (couples, constant) {
+            (true, _) => Solve::LinksCoupled,
+            (_, true) => Solve::WithoutEffects,
+            _ => Solve::TwoLegged,
+        };
+        assert_eq!(Simulation::new(&parameters, &references()).expect(&name).model().solve, expected, "{name}");
+    }
+    // Bearings of the motors alone couple nothing.
+    let mut parameters = acting();
+    parameters.effects.viscous.enabled = true;
+    parameters.effects.viscous.b = [1e-3, 0.0, 0.0, 0.0, 1e-3];
+    assert_eq!(Simulation::new(&parameters, &references()).expect("scene").model().solve, Solve::TwoLegged);
+}
