@@ -29,22 +29,6 @@ use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings, Solve};
 use system::{FiveBar, General, LinearSolve, TwoLegged};
 
-/// An expression with the model's linear solve as the type L.
-macro_rules! with_solve {
-    ($model:expr, $L:ident => $do:expr) => {
-        match $model.solve {
-            Solve::TwoLegged => {
-                type $L = TwoLegged;
-                $do
-            }
-            Solve::LinksCoupled | Solve::Dense => {
-                type $L = General;
-                $do
-            }
-        }
-    };
-}
-
 /// Everything that changes during a run. A copy is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct State {
@@ -120,9 +104,7 @@ impl Simulation {
 
     fn started(parameters: &Parameters, model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
         let (inputs, turns) = (model.heard(inputs), [0; 4]);
-        let core = with_solve!(&model, L => {
-            integrator::State::start(&FiveBar::<L>::new(&model, &inputs, &turns), q, v, model.softness)
-        });
+        let core = integrator::State::start(&FiveBar::<General>::new(&model, &inputs, &turns), q, v, model.softness);
         let mut state = State { core, running: None, turns, inputs, energy_at_start: 0.0 };
         state.unwind();
         if let Stepper::Dop853(settings) = &model.stepper {
@@ -145,7 +127,7 @@ impl Simulation {
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
         let State { core, turns, inputs: held, .. } = self.state;
         let inputs = self.model.heard(inputs);
-        let done = with_solve!(&self.model, L => run::<L>(&self.model, &mut self.state, &inputs, h, steps));
+        let done = run(&self.model, &mut self.state, &inputs, h, steps);
         // The running step of an explicit method is changed only when all has gone well.
         done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
     }
@@ -206,7 +188,7 @@ impl State {
 
     /// Potential energy of the active effects, J; the held loads count as work instead.
     pub fn potential_energy(&self, model: &Model) -> f64 {
-        self.at(model, |at| model.effects.iter().map(|effect| effect.potential(at)).sum())
+        self.at(model, |at| model.potential(at))
     }
 
     /// What effects answer for the present state.
@@ -245,23 +227,54 @@ impl State {
     /// The forces have changed at once: q̈, λ and the predictor start anew.
     fn restart(&mut self, model: &Model) {
         let State { core, inputs, turns, .. } = self;
-        with_solve!(model, L => core.restart(&FiveBar::<L>::new(model, inputs, turns), model.softness));
+        core.restart(&FiveBar::<General>::new(model, inputs, turns), model.softness);
     }
 }
 
-fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
-    match &model.stepper {
-        Stepper::I3alp(settings) => {
-            macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
+/// Each method with the linear solves that make a difference to it: what is compiled for one more takes its place in the library.
+fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+    match (&model.stepper, model.solve) {
+        (Stepper::I3alp(settings), Solve::WithoutEffects) => by_i3alp::<TwoLegged<false>>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alp(settings), Solve::TwoLegged) => by_i3alp::<TwoLegged>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alp(settings), Solve::LinksCoupled | Solve::Dense) => {
+            by_i3alp::<General>(settings, model, state, inputs, h, steps)
         }
-        Stepper::I3alpPrinted(settings) => macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| {
-            i3alp_printed::advance(system, settings, core, h, power)
+        (Stepper::I3alpPrinted(settings), Solve::WithoutEffects | Solve::TwoLegged) => {
+            by_i3alp_printed::<TwoLegged>(settings, model, state, inputs, h, steps)
+        }
+        (Stepper::I3alpPrinted(settings), Solve::LinksCoupled | Solve::Dense) => {
+            by_i3alp_printed::<General>(settings, model, state, inputs, h, steps)
+        }
+        (Stepper::Rk4(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
+            rk4::advance(system, settings, core, h, power)
         }),
-        Stepper::Rk4(settings) => {
-            macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| rk4::advance(system, settings, core, h, power))
+        (Stepper::Dop853(settings), Solve::WithoutEffects) => {
+            explicit::run::<TwoLegged<false>>(model, settings, state, inputs, h, steps)
         }
-        Stepper::Dop853(settings) => explicit::run::<L>(model, settings, state, inputs, h, steps),
+        (Stepper::Dop853(settings), _) => explicit::run::<General>(model, settings, state, inputs, h, steps),
     }
+}
+
+fn by_i3alp<L: LinearSolve>(
+    settings: &i3alp::Settings,
+    model: &Model,
+    state: &mut State,
+    inputs: &Inputs,
+    h: f64,
+    steps: u64,
+) -> Result<(), StepFailure> {
+    macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
+}
+
+fn by_i3alp_printed<L: LinearSolve>(
+    settings: &i3alp_printed::Settings,
+    model: &Model,
+    state: &mut State,
+    inputs: &Inputs,
+    h: f64,
+    steps: u64,
+) -> Result<(), StepFailure> {
+    macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp_printed::advance(system, settings, core, h, power))
 }
 
 /// By a method whose steps end with the macro steps.

@@ -36,6 +36,9 @@ pub trait LinearSolve: Sized {
     type Mass: Kkt<COORDINATES, MULTIPLIERS>;
     /// The factor with A₀.
     type Tangent: Kkt<COORDINATES, MULTIPLIERS>;
+    /// Whether the scene has effects whose force depends on the motion. What they may be asked has to stay in memory, and a scene
+    /// without them shall not pay for that.
+    const EFFECTS: bool = true;
 
     /// Factorises with M.
     fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Self::Mass;
@@ -53,15 +56,16 @@ pub trait LinearSolve: Sized {
 
 /// Fast: no active effect couples links, and the inertias are of like size.
 #[derive(Debug)]
-pub enum TwoLegged {}
+pub enum TwoLegged<const EFFECTS: bool = true> {}
 
-impl LinearSolve for TwoLegged {
+impl<const EFFECTS: bool> LinearSolve for TwoLegged<EFFECTS> {
     type Mass = TwoLeg;
     type Tangent = TwoLeg;
+    const EFFECTS: bool = EFFECTS;
 
     #[inline(always)]
     fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> TwoLeg {
-        TwoLeg::factor_mass(&five_bar.model.mechanism, pose, softness)
+        TwoLeg::factor_mass(&five_bar.model.elimination, pose, softness)
     }
 
     #[inline(always)]
@@ -83,13 +87,13 @@ impl LinearSolve for TwoLegged {
         if definite == Definite::Enforced {
             let inertia_p = inertia_p.max(DESCENT_INERTIA * mechanism.inertia_p);
             let inertia_d = inertia_d.max(DESCENT_INERTIA * mechanism.inertia_d);
-            return Ok(TwoLeg::factor(mechanism, pose, [inertia_p, inertia_d], softness));
+            return Ok(TwoLeg::factor(&five_bar.model.elimination, pose, [inertia_p, inertia_d], softness));
         }
         let margin_p = inertia_p - LEAST_INERTIA * mechanism.inertia_p;
         let margin_d = inertia_d - LEAST_INERTIA * mechanism.inertia_d;
         let [left, right] = margin_p.fast_min(margin_d).to_array();
         if left > 0.0 && right > 0.0 {
-            Ok(TwoLeg::factor(mechanism, pose, [inertia_p, inertia_d], softness))
+            Ok(TwoLeg::factor(&five_bar.model.elimination, pose, [inertia_p, inertia_d], softness))
         } else {
             Err(Failure::IndefiniteTangent)
         }
@@ -128,8 +132,7 @@ fn made_definite<const K: usize>(
     Ok(a0)
 }
 
-/// General: for the scenes that are not [`TwoLegged`], by [`Solve`](super::Solve). One type, so that the methods are compiled twice and not
-/// three times.
+/// For any scene: which factor, [`Solve`](super::Solve) says.
 #[derive(Debug)]
 pub enum General {}
 
@@ -158,8 +161,8 @@ impl LinearSolve for General {
     fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Self::Mass {
         let model = five_bar.model;
         match model.solve {
-            Solve::LinksCoupled => Either::Structured(TwoLeg::factor_mass(&model.mechanism, pose, softness)),
-            Solve::TwoLegged | Solve::Dense => Either::Dense(Dense::factor(pose, &five_bar.mass_matrix(), softness)),
+            Solve::Dense => Either::Dense(Dense::factor(pose, &five_bar.mass_matrix(), softness)),
+            _ => Either::Structured(TwoLeg::factor_mass(&model.elimination, pose, softness)),
         }
     }
 
@@ -173,7 +176,7 @@ impl LinearSolve for General {
     ) -> Result<Self::Tangent, Failure> {
         Ok(match five_bar.model.solve {
             Solve::LinksCoupled => Either::Structured(five_bar.factor_coupled(at, lambda, h, softness, definite)?),
-            Solve::TwoLegged | Solve::Dense => Either::Dense(five_bar.factor_dense(at, lambda, h, softness, definite)?),
+            _ => Either::Dense(five_bar.factor_dense(at, lambda, h, softness, definite)?),
         })
     }
 }
@@ -226,7 +229,7 @@ pub struct FiveBar<'a, L> {
     linear_solve: PhantomData<L>,
 }
 
-impl<'a, L> FiveBar<'a, L> {
+impl<'a, L: LinearSolve> FiveBar<'a, L> {
     /// `model` under `inputs`, with the whole turns of links 1 to 4 that q leaves out.
     pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
         Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, linear_solve: PhantomData }
@@ -245,8 +248,10 @@ impl<'a, L> FiveBar<'a, L> {
     #[inline(always)]
     fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
         self.inputs.add_tangents(at, tangents);
-        for effect in &self.model.effects {
-            effect.add_tangents(at, tangents);
+        if L::EFFECTS {
+            for effect in &self.model.effects {
+                effect.add_tangents(at, tangents);
+            }
         }
     }
 
@@ -303,10 +308,12 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     #[inline(always)]
     fn forces(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Coordinates {
         let at = self.at(q, pose, v);
-        let mut forces = [0.0; COORDINATES];
+        let mut forces = self.model.weight;
         self.inputs.add_forces(&at, &mut forces);
-        for effect in &self.model.effects {
-            effect.add_forces(&at, &mut forces);
+        if L::EFFECTS {
+            for effect in &self.model.effects {
+                effect.add_forces(&at, &mut forces);
+            }
         }
         forces
     }
@@ -318,8 +325,7 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
 
     fn potential(&self, q: &Coordinates, pose: &Pose) -> Option<f64> {
         let at = self.at(q, pose, &[0.0; COORDINATES]);
-        let effects: f64 = self.model.effects.iter().map(|effect| effect.potential(&at)).sum();
-        Some(effects + self.inputs.potential(&at))
+        Some(self.model.potential(&at) + self.inputs.potential(&at))
     }
 
     fn conservative(&self) -> bool {

@@ -126,7 +126,7 @@ fn two_leg_elimination_solves_the_dense_system() {
             let b: [f64; COORDINATES] = std::array::from_fn(|i| ((i * 7 + k) as f64).sin());
             let c: [f64; MULTIPLIERS] = std::array::from_fn(|i| ((i * 5 + 3 * k) as f64).cos());
             for softness in [1e-10, 1e-2, 10.0] {
-                let fast = TwoLeg::factor_mass(mechanism, &pose, softness);
+                let fast = TwoLeg::factor_mass(&simulation.model().elimination, &pose, softness);
                 let dense = Dense::factor(&pose, &mass, softness);
                 let ((x, y), (x_dense, y_dense)) = (fast.solve(&b, &c), dense.solve(&b, &c));
                 let close = |fast: &[f64], dense: &[f64]| {
