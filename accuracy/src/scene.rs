@@ -16,6 +16,8 @@ pub enum Kind {
     Smooth,
     /// Links whip round near singularities.
     Whipping,
+    /// Motion with effects: springs, payload, rotors, friction.
+    Effects,
     /// Loads far faster than the motion.
     Stiff,
 }
@@ -26,6 +28,7 @@ impl Kind {
         match self {
             Self::Smooth => "smooth",
             Self::Whipping => "whipping",
+            Self::Effects => "with effects",
             Self::Stiff => "stiff",
         }
     }
@@ -51,19 +54,22 @@ pub struct Scene {
 /// Name, kind, length (s), reference file or step (s) of the Runge-Kutta run that checks our own.
 type Judged = (&'static str, Kind, f64, Result<&'static str, f64>);
 
-const JUDGED: [Judged; 5] = [
+const JUDGED: [Judged; 7] = [
     ("swing", Kind::Smooth, 2.0, Err(1e-5)),
-    ("fall_90_120", Kind::Whipping, 1.0, Ok("fall-90-120")),
-    ("fall_90_120", Kind::Whipping, 2.0, Err(1e-5)),
+    ("fall_90_120", Kind::Whipping, 1.0, Ok("fall_90_120")),
+    ("fall_90_120", Kind::Whipping, 2.0, Ok("fall_90_120")),
     ("paper_torque", Kind::Whipping, 0.5, Ok("torque")),
+    ("spring_payload", Kind::Effects, 1.0, Ok("spring_payload")),
+    ("friction_fall", Kind::Effects, 1.0, Ok("friction_fall")),
     ("stiff_servo", Kind::Stiff, 0.5, Err(2e-6)),
 ];
 
 impl Scene {
     /// The scenes that have a reference; `Quick` leaves out those whose like is there.
     pub fn judged(extent: Extent) -> Result<Vec<Self>> {
-        let wanted =
-            |(name, _, end, _): &&Judged| extent == Extent::Full || (*name != "swing" && *name != "paper_torque" && *end <= 1.0);
+        let wanted = |(name, _, end, _): &&Judged| {
+            extent == Extent::Full || (*end == 1.0 && *name != "friction_fall") || *name == "stiff_servo"
+        };
         JUDGED.iter().filter(wanted).map(Self::with_reference).collect()
     }
 

@@ -33,7 +33,7 @@ SLOPE_RANGE = (1e-10, 3e-3)
 
 def work_precision(markers: list[Marker], references: list[Reference]) -> Figure:
     """Error against time, a panel per scene, a line per method, the setting beside every third marker."""
-    columns = min(3, len(references))
+    columns = 2 if len(references) == 4 else min(3, len(references))
     rows = -(-len(references) // columns)
     figure, panels = plt.subplots(rows, columns, figsize=(4.1 * columns + 0.6, 4.3 * rows + 0.5), squeeze=False, sharey=True)
     for axes in panels.flat[len(references) :]:
