@@ -35,15 +35,16 @@ struct Measured<'a> {
 
 /// Writes `precision.csv` and `references.csv`; tells what it does on standard error.
 pub fn write(folder: &Folder, scenes: &[Scene], extent: Extent) -> Result<()> {
-    let judged = |scene: &Scene| {
+    let cells = |scene: &Scene| {
         let reference = &scene.reference;
         vec![scene.title(), scene.kind.name().into(), format!("{:.2e}", reference.own_error), reference.source.clone()]
     };
-    folder.write("references", &["scene", "kind", "own error [m]", "source"], scenes.iter().map(judged))?;
+    folder.write("references", &["scene", "kind", "own error [m]", "source"], scenes.iter().map(cells))?;
 
     let choices = Choice::all(extent);
     let pairs = scenes.iter().flat_map(|scene| choices.iter().map(move |choice| (scene, *choice)));
-    let mut measured = pairs.map(|(scene, choice)| Measured::first(scene, choice)).collect::<Result<Vec<_>>>()?;
+    let judged = pairs.filter(|(scene, choice)| scene.reference.made_by != Some(choice.setting));
+    let mut measured = judged.map(|(scene, choice)| Measured::first(scene, choice)).collect::<Result<Vec<_>>>()?;
     let rounds = rounds(extent);
     for round in 1..rounds {
         eprintln!("precision: round {} of {rounds}, {} runs", round + 1, measured.len());

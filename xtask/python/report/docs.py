@@ -29,4 +29,6 @@ def update(root: Path, table: list[str], about: str) -> None:
         file = root / name
         text = file.read_text(encoding="utf-8")
         new = "\n".join(["", f"![{CAPTION}]({picture})", "", *table, "", f"Measured on: {about}", ""])
-        file.write_text(text.replace(block(text, name), new), encoding="utf-8", newline="\n")
+        block(text, name)  # refuses a file without the marks
+        before, after = text.split(BEGIN)[0], text.split(END)[1]
+        file.write_text(before + BEGIN + new + END + after, encoding="utf-8", newline="\n")

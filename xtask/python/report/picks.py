@@ -28,8 +28,10 @@ class Pick:
 
 
 def pick(markers: list[Marker], reference: Reference, wanted: float) -> Pick:
-    """The cheapest setting for the scene of `reference` whose error is at most `wanted`."""
-    good = [m for m in markers if m.scene == reference.scene and m.complete and m.error <= wanted]
+    """The cheapest setting for the scene of `reference` whose error is at most `wanted`, as are those of all finer settings of its
+    method: an error that is small by luck, where two errors cancel, is no recommendation."""
+    here = [m for m in markers if m.scene == reference.scene]  # the error of one that ended early is infinite
+    good = [m for m in here if all(f.error <= wanted for f in here if f.method == m.method and f.value <= m.value)]
     good.sort(key=lambda m: m.cost)
     best = good[0] if good else None
     second = next((m for m in good if best and m.method != best.method), None)

@@ -35,7 +35,8 @@ def need(markers: list[Marker], references: list[Reference]) -> Section:
     """2: the table of wanted accuracy."""
     section = Section("need", "I need an error below …")
     section.text(
-        "The cheapest setting that was measured to stay below the wanted error, and the cheapest of the other methods. Errors are "
+        "The cheapest setting that was measured to stay below the wanted error, as all finer ones of its method do, and the cheapest of "
+        "the other methods. Errors are "
         "those of the whole run, so a setting is good for motions that last as long as the scene, of a like kind. µs per ms: microseconds of one core per "
         "simulated millisecond."
     )
@@ -242,6 +243,6 @@ def failures(m: Measurements, markers: list[Marker], references: list[Reference]
         "The error of a whole run is its largest at the reference's times; between them it may be larger near a whip.",
     ]
     if own:
-        bias.append(f"The references of {html.escape('; '.join(own))} are our own dop853, checked against projected rk4; they favour dop853 below their own error only.")
+        bias.append(f"The references of {html.escape('; '.join(own))} are our own dop853, checked against projected rk4; they could favour dop853 only near their own error; the reference itself is no marker.")
     section.bullets(bias)
     return section
