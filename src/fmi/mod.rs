@@ -8,11 +8,13 @@
 //! | `bindings.rs` | variables ↔ parameters and inputs |
 //! | `outputs.rs` | variables ← observers, computed when read |
 //! | `values.rs` | the checks that come before a value is read or written |
+//! | `derivatives.rs` | derivatives of inputs and outputs |
 //! | `instance.rs` | an instance: all of these together |
 //! | `status.rs` | the status functions of co-simulation |
 
 pub mod bindings;
 pub mod clock;
+mod derivatives;
 pub mod instance;
 pub mod lifecycle;
 pub mod messages;

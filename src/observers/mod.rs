@@ -27,6 +27,10 @@ pub struct Motion {
     pub tip_acceleration: Vector2<f64>,
     /// Positions of the left and right elbow, m.
     pub elbows: [Vector2<f64>; 2],
+    /// Their velocities, m/s.
+    pub elbow_velocities: [Vector2<f64>; 2],
+    /// Their accelerations, m/s².
+    pub elbow_accelerations: [Vector2<f64>; 2],
 }
 
 /// Energies, J.
@@ -73,6 +77,7 @@ pub fn motion(model: &Model, state: &State) -> Motion {
         point(state, link, length - com)
     };
     let [tip, tip_velocity, tip_acceleration] = end(1);
+    let [left, right] = [end(0), end(3)];
     Motion {
         theta: state.angles(),
         omega: THETA.map(|i| core.v[i]),
@@ -80,7 +85,9 @@ pub fn motion(model: &Model, state: &State) -> Motion {
         tip,
         tip_velocity,
         tip_acceleration,
-        elbows: [end(0)[0], end(3)[0]],
+        elbows: [left[0], right[0]],
+        elbow_velocities: [left[1], right[1]],
+        elbow_accelerations: [left[2], right[2]],
     }
 }
 

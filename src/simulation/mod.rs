@@ -1,13 +1,14 @@
 //! A scene made ready: constant [`Model`], active effects and [`State`]; advances by internal steps.
 //!
-//! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held while it
-//! advances.
+//! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held over each macro
+//! step.
 
 pub mod angles;
 pub mod coupled;
 pub mod dense;
 mod explicit;
 pub mod model;
+mod signal;
 pub mod system;
 pub mod two_leg;
 
@@ -22,6 +23,7 @@ use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal, clo
 pub use crate::effects::Inputs;
 use crate::effects::{self, Situation};
 pub use crate::integrator::Counters;
+pub use signal::{ORDERS, Signal};
 use angles::{ANGLES, CLOSURES};
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings, Solve};
@@ -144,6 +146,23 @@ impl Simulation {
         let done = with_solve!(&self.model, L => run::<L>(&self.model, &mut self.state, &inputs, h, steps));
         // The running step of an explicit method is changed only when all has gone well.
         done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
+    }
+
+    /// The same with inputs that change: each macro step holds what they are in its middle, so that the impulse of a ramp is exact and
+    /// the whole of second order in h.
+    pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
+        if signal.is_held() {
+            return self.advance(&signal.value, h, steps);
+        }
+        let before = self.state;
+        for step in 0..steps {
+            let begin = step as f64 * h;
+            self.advance(&signal.at(begin + h / 2.0), h, 1).map_err(|failure| {
+                self.state = before;
+                StepFailure { elapsed: begin + failure.elapsed, ..failure }
+            })?;
+        }
+        Ok(())
     }
 
     /// The constant part.
