@@ -9,16 +9,20 @@ mod buffer;
 pub mod loads;
 mod situation;
 pub mod tangents;
+mod variation;
 
 pub use loads::Inputs;
 pub use situation::{JOINTS, Situation};
 pub use tangents::Tangents;
+pub use variation::Change;
 
 use arrayvec::ArrayVec;
 
 use crate::mechanism::{Coordinates, Geometry, Mechanism, Refusal};
 
 /// An effect with a force, ready to act. Its file says what it adds and where it comes from.
+///
+/// What is more than a few additions is not inlined: the steps of every method would each hold a copy of every effect.
 trait Force: Sized {
     /// Its variables.
     type Parameters;
@@ -41,6 +45,9 @@ trait Force: Sized {
 
     /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.
     fn add_tangents(&self, _at: &Situation, _tangents: &mut impl Tangents) {}
+
+    /// Adds ∂Q/∂u δu for inputs u that it reads.
+    fn add_input_change(&self, _at: &Situation, _change: &Inputs, _forces: &mut Coordinates) {}
 
     /// Potential energy, J.
     fn potential(&self, _at: &Situation) -> f64 {
@@ -133,6 +140,11 @@ macro_rules! effects {
             #[inline(always)]
             pub fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
                 match self { $(Self::$Force(force) => force.add_tangents(at, tangents),)+ }
+            }
+
+            /// Adds ∂Q/∂u δu for inputs u that it reads.
+            fn add_input_change(&self, at: &Situation, change: &Inputs, forces: &mut Coordinates) {
+                match self { $(Self::$Force(force) => force.add_input_change(at, change, forces),)+ }
             }
 
             /// Potential energy, J.

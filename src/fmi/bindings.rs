@@ -90,7 +90,7 @@ fn enumeration_parameter(p: &mut Parameters, variable: EnumerationParameter) -> 
 }
 
 /// The place of an input.
-fn real_input(inputs: &mut Inputs, variable: RealInput) -> &mut f64 {
+pub(super) fn real_input(inputs: &mut Inputs, variable: RealInput) -> &mut f64 {
     match variable {
         RealInput::Tau(i) => &mut inputs.tau[i],
         RealInput::TipFx => &mut inputs.tip_force[0],
@@ -147,6 +147,11 @@ pub(super) fn read(parameters: &mut Parameters, inputs: &mut Inputs, variable: &
         Slot::EnumerationParameter(v) => Value::Integer(enumeration_parameter(parameters, v).number()),
         Slot::RealOutput(_) | Slot::IntegerOutput(_) | Slot::EnumerationOutput(_) => return None,
     })
+}
+
+/// Every parameter and input.
+pub(super) fn settable() -> impl Iterator<Item = &'static Variable> {
+    VARIABLES.iter().filter(|variable| variable.start.is_some())
 }
 
 /// Writes a parameter or input; false where the value is not of its type or the variable is an output.

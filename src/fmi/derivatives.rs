@@ -5,11 +5,11 @@
 //! reached and its derivatives are 0: a master that goes on with a ramp sets them at each communication point. The standard fixes
 //! the beginning and leaves the end open. After a discarded step they are as before it.
 
-use super::outputs::{Cache, Outputs};
+use super::outputs::{DISTAL, PROXIMAL};
 use super::values::{check_settable, lookup};
 use super::{Instance, Rejection, bindings};
-use crate::observers::Motion;
-use crate::simulation::ORDERS;
+use crate::observers::{self, Motion, OutputChanges};
+use crate::simulation::{Direction, ORDERS};
 use crate::variables::{Access, RealOutput, Slot, Value, Variable};
 
 impl Instance {
@@ -63,11 +63,103 @@ impl Instance {
         }
         Ok(())
     }
+
+    /// fmi2GetDirectionalDerivative: how unknowns (outputs and derivatives of the continuous states, which share references with outputs)
+    /// change with knowns (inputs and continuous states: reference, change) at the present communication point. Hands each change with its
+    /// position to `take`; nothing is handed over unless every reference is right.
+    ///
+    /// What is only counted, judged or followed along the path (enumerations, counters, work, `solver.*`) does not change.
+    pub fn directional_derivative(
+        &mut self,
+        unknowns: &[u32],
+        knowns: impl Iterator<Item = (u32, f64)>,
+        mut take: impl FnMut(usize, f64),
+    ) -> Result<(), Rejection> {
+        let mut direction = Direction::default();
+        for (reference, change) in knowns {
+            add_known(&mut direction, find(reference)?, change)?;
+        }
+        for &unknown in unknowns {
+            let variable = find(unknown)?;
+            if variable.start.is_some() {
+                return Err(Rejection::error(format!("{} is no unknown: outputs and derivatives of states are.", variable.name)));
+            }
+        }
+        let outputs = self.outputs()?;
+        let (model, state) = (outputs.simulation.model(), outputs.state());
+        let changes = observers::output_changes(model, state, &state.varied(model, &direction)?);
+        for (position, &unknown) in unknowns.iter().enumerate() {
+            let Slot::RealOutput(output) = find(unknown)?.slot else {
+                take(position, 0.0);
+                continue;
+            };
+            take(position, output_change(&changes, output));
+        }
+        Ok(())
+    }
+}
+
+fn find(reference: u32) -> Result<&'static Variable, Rejection> {
+    Variable::find(reference).ok_or_else(|| Rejection::error(format!("value reference {reference} belongs to no variable.")))
+}
+
+/// Adds the change of a known.
+fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Result<(), Rejection> {
+    if !change.is_finite() {
+        return Err(Rejection::error(format!("change of {} is {change}, must be finite.", variable.name)));
+    }
+    let place = match variable.slot {
+        Slot::RealInput(input) => bindings::real_input(&mut direction.inputs, input),
+        Slot::RealOutput(RealOutput::Theta(i)) => &mut direction.proximal.get_or_insert_default()[0][i],
+        Slot::RealOutput(RealOutput::Omega(i)) => &mut direction.proximal.get_or_insert_default()[1][i],
+        _ => {
+            return Err(Rejection::error(format!(
+                "{} is no known: inputs and the continuous states theta[i], omega[i] are.",
+                variable.name
+            )));
+        }
+    };
+    *place += change;
+    Ok(())
+}
+
+/// The change of an output.
+fn output_change(changes: &OutputChanges, output: RealOutput) -> f64 {
+    use RealOutput as V;
+    let OutputChanges { motion, reactions, singularity, .. } = changes;
+    match output {
+        V::Theta(i) => motion.theta[PROXIMAL[i]],
+        V::Omega(i) => motion.omega[PROXIMAL[i]],
+        V::Alpha(i) => motion.alpha[PROXIMAL[i]],
+        V::PassiveTheta(i) => motion.theta[DISTAL[i]],
+        V::PassiveOmega(i) => motion.omega[DISTAL[i]],
+        V::TipX => motion.tip.x,
+        V::TipY => motion.tip.y,
+        V::TipVx => motion.tip_velocity.x,
+        V::TipVy => motion.tip_velocity.y,
+        V::TipAx => motion.tip_acceleration.x,
+        V::TipAy => motion.tip_acceleration.y,
+        V::ElbowX(i) => motion.elbows[i].x,
+        V::ElbowY(i) => motion.elbows[i].y,
+        V::ReactionFx(i) => reactions[i].x,
+        V::ReactionFy(i) => reactions[i].y,
+        V::EnergyKinetic => changes.kinetic,
+        V::EnergyPotential => changes.potential,
+        V::EnergyError => changes.kinetic + changes.potential,
+        V::ServoTorque(i) => changes.servo_torques[i],
+        V::ContactFx => changes.contact_force.x,
+        V::ContactFy => changes.contact_force.y,
+        V::SingularDetJx => singularity.det_jx,
+        V::SingularDetJq => singularity.det_jq,
+        V::SingularSigmaJx => singularity.sigma_jx,
+        V::SingularSigmaJq => singularity.sigma_jq,
+        V::SingularSigmaPhi => singularity.sigma_phi,
+        V::EnergyInput | V::EnergyDissipated | V::SolverPositionError | V::SolverVelocityError | V::SolverErrorEstimate => 0.0,
+    }
 }
 
 /// The derivatives of an output that velocities and accelerations give, by order from 1.
 fn time_derivative(motion: &Motion, variable: &Variable, order: i32) -> Result<f64, Rejection> {
-    use super::outputs::{DISTAL, PROXIMAL};
     use RealOutput as V;
     let known: &[f64] = match variable.slot {
         Slot::RealOutput(output) => match output {

@@ -18,10 +18,12 @@
 
 use std::fmt;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use super::Rejection;
 
 /// Where an instance is in its life.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Stage {
     /// After fmi2Instantiate or fmi2Reset.
     Instantiated,
@@ -117,14 +119,14 @@ impl Call {
             Self::GetStatus | Self::GetRealStatus | Self::GetIntegerStatus | Self::GetBooleanStatus | Self::GetStringStatus => {
                 &[StepComplete, StepFailed, Terminated]
             }
-            // Answered with an error of their own: a step is never pending, and these capability flags are false.
-            Self::CancelStep
-            | Self::GetFMUstate
+            Self::GetFMUstate
             | Self::SetFMUstate
             | Self::FreeFMUstate
             | Self::SerializedFMUstateSize
             | Self::SerializeFMUstate
             | Self::DeSerializeFMUstate => ANYWHERE,
+            // Answered with an error of its own: a step is never pending.
+            Self::CancelStep => ANYWHERE,
         }
     }
 

@@ -12,6 +12,8 @@ mod controller;
 mod stages;
 mod tableau;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use super::equilibrium::equilibrium_at;
 use super::projection::{self, Projection};
 use super::vertex::{self, Gate, Verdict};
@@ -44,7 +46,7 @@ const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
 const GATE: Gate = Gate { ball: 1e-4, miss: 1e-7 };
 
 /// A run: the step that is under way.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Running<const N: usize, const M: usize> {
     /// The last accepted state that time has passed: the beginning of the running step.
     start: State<N, M>,

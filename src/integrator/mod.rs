@@ -11,11 +11,13 @@ pub mod rk4;
 mod system;
 pub mod vertex;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 pub use equilibrium::{equilibrium, equilibrium_at};
 pub use system::{Failure, Implicit, Kkt, Power, System};
 
 /// What the integrator has done since the start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub struct Counters {
     /// Macro steps.
     pub steps: u64,
@@ -41,7 +43,7 @@ pub struct Counters {
 pub const MODES: usize = 3;
 
 /// Everything that changes during a run: a copy of it is a complete snapshot.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct State<const N: usize, const M: usize> {
     /// Coordinates q, m and rad.
     pub q: [f64; N],

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 /// A constrained mechanical system M q̈ + Φ_qᵀ λ = Q(q, q̇), Φ(q) = 0 with N coordinates and M constraint equations.
 ///
 /// Inputs are part of the system: they are held while it is stepped. Constraints do not depend on time.
@@ -117,7 +119,7 @@ pub trait Kkt<const N: usize, const M: usize> {
 }
 
 /// Work or power of the forces that are followed along the path, J or W.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Power {
     /// Of the inputs, positive into the system.
     pub input: f64,

@@ -11,23 +11,27 @@ pub mod model;
 mod signal;
 pub mod system;
 pub mod two_leg;
+mod variation;
 
 use std::f64::consts::TAU;
 use std::fmt;
 
-use crate::integrator::{self, Failure, Power, System, dop853, i3alp, i3alp_printed, rk4};
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use crate::integrator::{self, Failure, Kkt, Power, System, dop853, i3alp, i3alp_printed, rk4};
 use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::THETA;
-use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal, closure};
+use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose, Refusal, closure};
 
 pub use crate::effects::Inputs;
 use crate::effects::{self, Situation};
 pub use crate::integrator::Counters;
-pub use signal::{ORDERS, Signal};
 use angles::{ANGLES, CLOSURES};
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings, Solve};
-use system::{FiveBar, General, LinearSolve, LinksCoupled, TwoLegged};
+pub use signal::{ORDERS, Signal};
+use system::{FiveBar, General, LinearSolve, TwoLegged};
+pub use variation::{Direction, Variation};
 
 /// An expression with the model's linear solve as the type L.
 macro_rules! with_solve {
@@ -37,11 +41,7 @@ macro_rules! with_solve {
                 type $L = TwoLegged;
                 $do
             }
-            Solve::LinksCoupled => {
-                type $L = LinksCoupled;
-                $do
-            }
-            Solve::General => {
+            Solve::LinksCoupled | Solve::Dense => {
                 type $L = General;
                 $do
             }
@@ -50,7 +50,7 @@ macro_rules! with_solve {
 }
 
 /// Everything that changes during a run. A copy is a complete snapshot.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct State {
     /// Coordinates, velocities, accelerations, multipliers, predictor, sub-step memory, work, counters.
     pub core: integrator::State<COORDINATES, MULTIPLIERS>,
@@ -85,6 +85,7 @@ impl std::error::Error for StepFailure {}
 /// A scene made ready. A clone goes on by itself, to the same bits.
 #[derive(Clone, Debug)]
 pub struct Simulation {
+    parameters: Parameters,
     model: Model,
     state: State,
 }
@@ -94,7 +95,7 @@ impl Simulation {
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
         let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
-        Self::started(model, q, v, inputs)
+        Self::started(parameters, model, q, v, inputs)
     }
 
     /// The same from the angles (rad) and rates (rad/s) of all four links instead of `parameters.start`: also where the proximal
@@ -102,7 +103,7 @@ impl Simulation {
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
         let (q, v) = closure::assemble(&model.mechanism.geometry, theta, omega);
-        let simulation = Self::started(model, q, v, inputs)?;
+        let simulation = Self::started(parameters, model, q, v, inputs)?;
         let (mechanism, core) = (&simulation.model.mechanism, &simulation.state.core);
         let pose = mechanism.pose(&core.q);
         let (gap, tear) = (largest(&mechanism.phi(&core.q, &pose)), largest(&pose.phi_q_times(&core.v)));
@@ -116,7 +117,12 @@ impl Simulation {
         Ok(simulation)
     }
 
-    fn started(model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
+    /// The same from a state of a simulation with these parameters and that linear solve.
+    pub fn restored(parameters: &Parameters, solve: Solve, state: State) -> Result<Self, Refusal> {
+        Ok(Self { model: Model { solve, ..Model::new(parameters)? }, parameters: parameters.clone(), state })
+    }
+
+    fn started(parameters: &Parameters, model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
         let (inputs, turns) = (model.heard(inputs), [0; 4]);
         let core = with_solve!(&model, L => {
             integrator::State::start(&FiveBar::<L>::new(&model, &inputs, &turns), q, v, model.softness)
@@ -134,7 +140,7 @@ impl Simulation {
                     .into(),
             ));
         }
-        Ok(Self { model, state })
+        Ok(Self { parameters: parameters.clone(), model, state })
     }
 
     /// `steps` macro steps of `h` seconds with `inputs` held.
@@ -163,6 +169,11 @@ impl Simulation {
             })?;
         }
         Ok(())
+    }
+
+    /// What it runs with.
+    pub fn parameters(&self) -> &Parameters {
+        &self.parameters
     }
 
     /// The constant part.
@@ -195,7 +206,8 @@ impl Simulation {
             state.core.work.input += put_in;
             state.restart(&model);
             explicit::resume(&model, &mut state, put_in);
-            *self = Self { model, state };
+            self.parameters.effects = parameters.clone();
+            (self.model, self.state) = (model, state);
         }
         Ok(())
     }
@@ -249,6 +261,12 @@ impl State {
             self.inputs = *inputs;
             self.restart(model);
         }
+    }
+
+    /// Solves M x + Φ_qᵀ y = b, Φ_q x − e y = c at the present pose.
+    fn solved(&self, model: &Model, pose: &Pose, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
+        let State { inputs, turns, .. } = self;
+        with_solve!(model, L => FiveBar::<L>::new(model, inputs, turns).factor_mass(pose, model.softness).solve(b, c))
     }
 
     /// The forces have changed at once: q̈, λ and the predictor start anew.

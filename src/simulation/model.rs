@@ -1,6 +1,7 @@
 //! The constant part of a scene made ready, and what it is made from.
 
 use arrayvec::ArrayVec;
+use borsh::{BorshDeserialize, BorshSerialize};
 
 use crate::effects::{self, Active, Effect, Inputs};
 use crate::integrator::{dop853, i3alp, i3alp_printed, rk4};
@@ -66,15 +67,15 @@ pub enum Stepper {
     Dop853(dop853::Settings),
 }
 
-/// The linear solves: see [`LinearSolve`](super::system::LinearSolve).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The linear solves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Solve {
-    /// [`TwoLegged`](super::system::TwoLegged).
+    /// Leg by leg: no active effect couples links. See [`two_leg`](super::two_leg).
     TwoLegged,
-    /// [`LinksCoupled`](super::system::LinksCoupled).
+    /// Active effects couple links. See [`coupled`](super::coupled).
     LinksCoupled,
-    /// [`General`](super::system::General).
-    General,
+    /// Anything: compliances are far apart. See [`dense`](super::dense).
+    Dense,
 }
 
 /// The constant part of a scene made ready.
@@ -131,7 +132,7 @@ impl Model {
         };
         Ok(Self {
             solve: if compliance_spread(&geometry) > LARGEST_SPREAD {
-                Solve::General
+                Solve::Dense
             } else if effects.iter().any(Effect::couples_links) {
                 Solve::LinksCoupled
             } else {

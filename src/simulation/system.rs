@@ -6,7 +6,7 @@ use nalgebra::{SMatrix, SVector};
 
 use super::coupled::Coupled;
 use super::dense::Dense;
-use super::model::Model;
+use super::model::{Model, Solve};
 use super::two_leg::TwoLeg;
 use crate::effects::tangents::{CoupledTangents, DiagonalTangents, FullTangents, INNER, INNERS};
 use crate::effects::{Inputs, Situation, Tangents};
@@ -128,17 +128,39 @@ fn made_definite<const K: usize>(
     Ok(a0)
 }
 
-/// Effects couple links, and the inertias are of like size.
+/// General: for the scenes that are not [`TwoLegged`], by [`Solve`](super::Solve). One type, so that the methods are compiled twice and not
+/// three times.
 #[derive(Debug)]
-pub enum LinksCoupled {}
+pub enum General {}
 
-impl LinearSolve for LinksCoupled {
-    type Mass = TwoLeg;
-    type Tangent = Coupled;
+/// Either factor.
+#[derive(Clone, Debug)]
+pub enum Either<A, B> {
+    /// With inertias of like size.
+    Structured(A),
+    /// Whatever the inertias.
+    Dense(B),
+}
 
-    #[inline(always)]
-    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> TwoLeg {
-        TwoLeg::factor_mass(&five_bar.model.mechanism, pose, softness)
+impl<A: Kkt<COORDINATES, MULTIPLIERS>, B: Kkt<COORDINATES, MULTIPLIERS>> Kkt<COORDINATES, MULTIPLIERS> for Either<A, B> {
+    fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
+        match self {
+            Self::Structured(factor) => factor.solve(b, c),
+            Self::Dense(factor) => factor.solve(b, c),
+        }
+    }
+}
+
+impl LinearSolve for General {
+    type Mass = Either<TwoLeg, Dense>;
+    type Tangent = Either<Coupled, Dense>;
+
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Self::Mass {
+        let model = five_bar.model;
+        match model.solve {
+            Solve::LinksCoupled => Either::Structured(TwoLeg::factor_mass(&model.mechanism, pose, softness)),
+            Solve::TwoLegged | Solve::Dense => Either::Dense(Dense::factor(pose, &five_bar.mass_matrix(), softness)),
+        }
     }
 
     fn factor(
@@ -148,11 +170,27 @@ impl LinearSolve for LinksCoupled {
         h: f64,
         softness: f64,
         definite: Definite,
+    ) -> Result<Self::Tangent, Failure> {
+        Ok(match five_bar.model.solve {
+            Solve::LinksCoupled => Either::Structured(five_bar.factor_coupled(at, lambda, h, softness, definite)?),
+            Solve::TwoLegged | Solve::Dense => Either::Dense(five_bar.factor_dense(at, lambda, h, softness, definite)?),
+        })
+    }
+}
+
+impl FiveBar<'_, General> {
+    fn factor_coupled(
+        &self,
+        at: &Situation<'_>,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+        definite: Definite,
     ) -> Result<Coupled, Failure> {
-        let masses = five_bar.model.mechanism.mass_times(&[1.0; COORDINATES]);
+        let masses = self.model.mechanism.mass_times(&[1.0; COORDINATES]);
         let inner_masses = SMatrix::from_diagonal(&SVector::from(INNER.map(|i| masses[i])));
         let mut tangents = CoupledTangents::new(h);
-        five_bar.add_tangents(at, &mut tangents);
+        self.add_tangents(at, &mut tangents);
         let mut a0 = inner_masses + tangents.weighted;
         for (i, stiffness) in geometric_stiffness(at.pose, lambda).into_iter().enumerate() {
             let place = INNERS - 4 + i;
@@ -160,30 +198,17 @@ impl LinearSolve for LinksCoupled {
         }
         Coupled::factor(at.pose, &masses, made_definite(a0, &inner_masses, definite)?, softness)
     }
-}
 
-/// Anything: effects may couple links, and inertias may be next to nothing.
-#[derive(Debug)]
-pub enum General {}
-
-impl LinearSolve for General {
-    type Mass = Dense;
-    type Tangent = Dense;
-
-    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Dense {
-        Dense::factor(pose, &five_bar.mass_matrix(), softness)
-    }
-
-    fn factor(
-        five_bar: &FiveBar<'_, Self>,
+    fn factor_dense(
+        &self,
         at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
         definite: Definite,
     ) -> Result<Dense, Failure> {
-        let mass = five_bar.mass_matrix();
-        let mut a0 = mass + five_bar.full_tangents(at, h);
+        let mass = self.mass_matrix();
+        let mut a0 = mass + self.full_tangents(at, h);
         for (i, stiffness) in THETA.into_iter().zip(geometric_stiffness(at.pose, lambda)) {
             a0[(i, i)] += h * h / 4.0 * stiffness;
         }

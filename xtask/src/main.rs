@@ -3,6 +3,7 @@
 mod hard_cases;
 mod package;
 mod paths;
+mod prices;
 mod process;
 mod run;
 mod scenes;
@@ -41,6 +42,8 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
+    /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
+    Prices,
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package,
 }
@@ -61,6 +64,7 @@ fn command(command: Command) -> Result<()> {
         Command::Run { scene } => run::run(&scene),
         Command::Test { full } => test::test(full),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
+        Command::Prices => prices::prices(),
         Command::Package => package::package().map(drop),
     }
 }
