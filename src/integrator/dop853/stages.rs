@@ -49,7 +49,7 @@ impl<const N: usize> Stages<N> {
     }
 
     /// Σ coefficient · slope over q and q̇.
-    #[inline(never)]
+    #[inline(always)]
     fn sum(&self, row: Row) -> [[f64; N]; 2] {
         let (mut q, mut v) = ([0.0; N], [0.0; N]);
         for &(stage, coefficient) in row {
