@@ -27,6 +27,7 @@ pub struct Instance {
     tuned: bool,
     /// Whether the master has been told that no active effect reads the servo references.
     warned_of_references: bool,
+    warned_of_stiffness: bool,
     cache: Cache,
     /// Lines for the master.
     pub log: Log,
@@ -43,6 +44,7 @@ impl Instance {
             simulation: None,
             tuned: false,
             warned_of_references: false,
+            warned_of_stiffness: false,
             cache: Cache::default(),
             log: Log::new(logging_on),
         }
@@ -220,6 +222,15 @@ impl Instance {
             Ok(()) => {
                 clock.advance(plan);
                 report_passes(&mut self.log, &before, &simulation.state().core, point, point + size);
+                if !self.warned_of_stiffness && simulation.is_stiff() {
+                    self.warned_of_stiffness = true;
+                    self.log.push(Status::Warning, || {
+                        format!(
+                            "at {:?} s: steps of method dop853 are limited by its stability: the scene has stiff loads; i3alp would do better.",
+                            point + size
+                        )
+                    });
+                }
                 self.cache = Cache::default();
                 self.stage = Stage::StepComplete;
                 Ok(())

@@ -173,6 +173,11 @@ impl Simulation {
         Ok(())
     }
 
+    /// Whether the loads are too stiff for an explicit method: its steps have been limited by stability instead of accuracy.
+    pub fn is_stiff(&self) -> bool {
+        self.state.running.is_some_and(|running| running.is_stiff())
+    }
+
     /// Names of the active effects, e.g. `gravity`.
     pub fn active_effects(&self) -> &[&'static str] {
         &self.model.effect_names

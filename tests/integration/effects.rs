@@ -165,13 +165,15 @@ fn methods_agree_with_all_effects_on() {
         let energies = observers::energies(simulation.model(), simulation.state());
         (simulation.state().angles(), energies.input, energies.dissipated)
     };
-    let (implicit, explicit) = (end(Method::I3alp, 1e-3), end(Method::Rk4, 1e-4));
-    for (a, b) in implicit.0.into_iter().zip(explicit.0) {
-        // Sub-steps with a local error of 1e-11 rad, some 1e4 of them.
-        assert!((a - b).abs() < 1e-6, "{implicit:?} {explicit:?}");
+    let implicit = end(Method::I3alp, 1e-3);
+    for explicit in [end(Method::Rk4, 1e-4), end(Method::Dop853, 1e-3)] {
+        for (a, b) in implicit.0.into_iter().zip(explicit.0) {
+            // Sub-steps with a local error of 1e-11 rad, some 1e4 of them.
+            assert!((a - b).abs() < 1e-6, "{implicit:?} {explicit:?}");
+        }
+        assert!((implicit.1 - explicit.1).abs() < 1e-6 * MGL.max(explicit.1.abs()), "{implicit:?} {explicit:?}");
+        assert!((implicit.2 - explicit.2).abs() < 1e-5 * explicit.2, "{implicit:?} {explicit:?}");
     }
-    assert!((implicit.1 - explicit.1).abs() < 1e-6 * MGL.max(explicit.1.abs()), "{implicit:?} {explicit:?}");
-    assert!((implicit.2 - explicit.2).abs() < 1e-5 * explicit.2, "{implicit:?} {explicit:?}");
 }
 
 /// q after 0.3 s of fixed 1 ms steps with a linear solve: which one of those that are [`General`], the model says.
