@@ -281,7 +281,7 @@ fn what_is_off_is_not_there() {
 fn the_scene_chooses_the_linear_solve() {
     for (name, parameters) in each_and_all() {
         let couples = ["viscous", "friction", "contact", "all"].contains(&name.as_str());
-        let constant = ["gravity", "rotor", "payload", "none"].contains(&name.as_str());
+        let constant = ["gravity", "rotor", "payload"].contains(&name.as_str());
         let expected = match (couples, constant) {
             (true, _) => Solve::LinksCoupled,
             (_, true) => Solve::WithoutEffects,

@@ -1,5 +1,6 @@
 //! The commands of this repository, started as `cargo xtask`: one file per command.
 
+mod bench;
 mod hard_cases;
 mod package;
 mod paths;
@@ -41,6 +42,15 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
+    /// Measure times and instructions, write tables to target/bench/
+    Bench {
+        /// Few repeats, scenes up to 2 s
+        #[arg(long)]
+        quick: bool,
+        /// Only instructions, against the ceilings of benches/ceilings.csv; needs valgrind, as all of it does
+        #[arg(long, conflicts_with = "quick")]
+        check: bool,
+    },
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package,
 }
@@ -61,6 +71,8 @@ fn command(command: Command) -> Result<()> {
         Command::Run { scene } => run::run(&scene),
         Command::Test { full } => test::test(full),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
+        Command::Bench { check: true, .. } => bench::check(),
+        Command::Bench { quick, .. } => bench::bench(quick),
         Command::Package => package::package().map(drop),
     }
 }
