@@ -107,7 +107,18 @@ impl Instance {
 
     /// fmi2GetFMUstate.
     pub fn snapshot(&self) -> Snapshot {
-        let Self { stage, parameters, inputs, clock, simulation, tuned, warned_of_references, cache: _, log: _ } = self;
+        let Self {
+            stage,
+            parameters,
+            inputs,
+            clock,
+            simulation,
+            tuned,
+            warned_of_references,
+            warned_of_stiffness,
+            cache: _,
+            log: _,
+        } = self;
         Snapshot {
             stage: *stage,
             parameters: parameters.clone(),
@@ -116,14 +127,27 @@ impl Instance {
             simulation: simulation.clone(),
             tuned: *tuned,
             warned_of_references: *warned_of_references,
+            warned_of_stiffness: *warned_of_stiffness,
         }
     }
 
     /// fmi2SetFMUstate: everything as it was, but the log and what the master wants to hear of it.
     pub fn restore(&mut self, snapshot: &Snapshot) {
-        let Snapshot { stage, parameters, inputs, clock, simulation, tuned, warned_of_references } = snapshot.clone();
+        let Snapshot { stage, parameters, inputs, clock, simulation, tuned, warned_of_references, warned_of_stiffness } =
+            snapshot.clone();
         let log = std::mem::replace(&mut self.log, Log::new(false));
-        *self = Self { stage, parameters, inputs, clock, simulation, tuned, warned_of_references, cache: Cache::default(), log };
+        *self = Self {
+            stage,
+            parameters,
+            inputs,
+            clock,
+            simulation,
+            tuned,
+            warned_of_references,
+            warned_of_stiffness,
+            cache: Cache::default(),
+            log,
+        };
     }
 
     /// fmi2Terminate.

@@ -27,7 +27,7 @@ pub use crate::integrator::Counters;
 use angles::{ANGLES, CLOSURES};
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings, Solve};
-use system::{FiveBar, General, LinearSolve, TwoLegged};
+use system::{Bare, FiveBar, General, LinearSolve};
 
 /// Everything that changes during a run. A copy is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -236,26 +236,18 @@ impl State {
     }
 }
 
-/// Each method with the linear solves that make a difference to it: what is compiled for one more takes its place in the library.
+/// The methods that people choose for their speed have a compiled form for the bare mechanism of their own.
 fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
     match (&model.stepper, model.solve) {
-        (Stepper::I3alp(settings), Solve::WithoutEffects) => by_i3alp::<TwoLegged<false>>(settings, model, state, inputs, h, steps),
-        (Stepper::I3alp(settings), Solve::TwoLegged) => by_i3alp::<TwoLegged>(settings, model, state, inputs, h, steps),
-        (Stepper::I3alp(settings), Solve::LinksCoupled | Solve::Dense) => {
-            by_i3alp::<General>(settings, model, state, inputs, h, steps)
-        }
-        (Stepper::I3alpPrinted(settings), Solve::WithoutEffects | Solve::TwoLegged) => {
-            by_i3alp_printed::<TwoLegged>(settings, model, state, inputs, h, steps)
-        }
-        (Stepper::I3alpPrinted(settings), Solve::LinksCoupled | Solve::Dense) => {
-            by_i3alp_printed::<General>(settings, model, state, inputs, h, steps)
-        }
+        (Stepper::I3alp(settings), Solve::Bare) => by_i3alp::<Bare>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alp(settings), _) => by_i3alp::<General>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alpPrinted(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
+            i3alp_printed::advance(system, settings, core, h, power)
+        }),
         (Stepper::Rk4(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
             rk4::advance(system, settings, core, h, power)
         }),
-        (Stepper::Dop853(settings), Solve::WithoutEffects) => {
-            explicit::run::<TwoLegged<false>>(model, settings, state, inputs, h, steps)
-        }
+        (Stepper::Dop853(settings), Solve::Bare) => explicit::run::<Bare>(model, settings, state, inputs, h, steps),
         (Stepper::Dop853(settings), _) => explicit::run::<General>(model, settings, state, inputs, h, steps),
     }
 }
@@ -269,17 +261,6 @@ fn by_i3alp<L: LinearSolve>(
     steps: u64,
 ) -> Result<(), StepFailure> {
     macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
-}
-
-fn by_i3alp_printed<L: LinearSolve>(
-    settings: &i3alp_printed::Settings,
-    model: &Model,
-    state: &mut State,
-    inputs: &Inputs,
-    h: f64,
-    steps: u64,
-) -> Result<(), StepFailure> {
-    macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp_printed::advance(system, settings, core, h, power))
 }
 
 /// By a method whose steps end with the macro steps.
