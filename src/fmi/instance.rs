@@ -28,6 +28,7 @@ pub struct Instance {
     tuned: bool,
     /// Whether the master has been told that no active effect reads the servo references.
     warned_of_references: bool,
+    warned_of_stiffness: bool,
     cache: Cache,
     /// Lines for the master.
     pub log: Log,
@@ -44,6 +45,7 @@ impl Instance {
             simulation: None,
             tuned: false,
             warned_of_references: false,
+            warned_of_stiffness: false,
             cache: Cache::default(),
             log: Log::new(logging_on),
         }
@@ -106,7 +108,18 @@ impl Instance {
 
     /// fmi2GetFMUstate.
     pub fn snapshot(&self) -> Snapshot {
-        let Self { stage, parameters, signal, clock, simulation, tuned, warned_of_references, cache: _, log: _ } = self;
+        let Self {
+            stage,
+            parameters,
+            signal,
+            clock,
+            simulation,
+            tuned,
+            warned_of_references,
+            warned_of_stiffness,
+            cache: _,
+            log: _,
+        } = self;
         Snapshot {
             stage: *stage,
             parameters: parameters.clone(),
@@ -115,14 +128,27 @@ impl Instance {
             simulation: simulation.clone(),
             tuned: *tuned,
             warned_of_references: *warned_of_references,
+            warned_of_stiffness: *warned_of_stiffness,
         }
     }
 
     /// fmi2SetFMUstate: everything as it was, but the log and what the master wants to hear of it.
     pub fn restore(&mut self, snapshot: &Snapshot) {
-        let Snapshot { stage, parameters, signal, clock, simulation, tuned, warned_of_references } = snapshot.clone();
+        let Snapshot { stage, parameters, signal, clock, simulation, tuned, warned_of_references, warned_of_stiffness } =
+            snapshot.clone();
         let log = std::mem::replace(&mut self.log, Log::new(false));
-        *self = Self { stage, parameters, signal, clock, simulation, tuned, warned_of_references, cache: Cache::default(), log };
+        *self = Self {
+            stage,
+            parameters,
+            signal,
+            clock,
+            simulation,
+            tuned,
+            warned_of_references,
+            warned_of_stiffness,
+            cache: Cache::default(),
+            log,
+        };
     }
 
     /// fmi2Terminate.
@@ -226,6 +252,15 @@ impl Instance {
                 clock.advance(plan);
                 self.signal = self.signal.after(size);
                 report_passes(&mut self.log, &before, &simulation.state().core, point, point + size);
+                if !self.warned_of_stiffness && simulation.is_stiff() {
+                    self.warned_of_stiffness = true;
+                    self.log.push(Status::Warning, || {
+                        format!(
+                            "at {:?} s: steps of method dop853 are limited by its stability: the scene has stiff loads; i3alp would do better.",
+                            point + size
+                        )
+                    });
+                }
                 self.cache = Cache::default();
                 self.stage = Stage::StepComplete;
                 Ok(())

@@ -23,7 +23,7 @@ use crate::variables::{GUID, Value};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Must change with every change of what is stored.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 1;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
 const CHECKSUM: usize = size_of::<u32>();
 
@@ -37,6 +37,7 @@ pub struct Snapshot {
     pub(super) simulation: Option<Simulation>,
     pub(super) tuned: bool,
     pub(super) warned_of_references: bool,
+    pub(super) warned_of_stiffness: bool,
 }
 
 /// What the bytes hold.
@@ -50,6 +51,7 @@ struct Content {
     simulation: Option<Made>,
     tuned: bool,
     warned_of_references: bool,
+    warned_of_stiffness: bool,
 }
 
 /// A scene made ready.
@@ -77,6 +79,7 @@ impl Snapshot {
             simulation: self.simulation.as_ref().map(made),
             tuned: self.tuned,
             warned_of_references: self.warned_of_references,
+            warned_of_stiffness: self.warned_of_stiffness,
         };
         let content =
             borsh::to_vec(&content).map_err(|error| Rejection::error(format!("the state cannot be serialised: {error}.")))?;
@@ -96,8 +99,8 @@ impl Snapshot {
             Some(Made { values, solve, state }) => Some(Simulation::restored(&restored(&values)?.0, solve, state)?),
             None => None,
         };
-        let Content { stage, clock, tuned, warned_of_references, .. } = content;
-        Ok(Self { stage, parameters, signal, clock, simulation, tuned, warned_of_references })
+        let Content { stage, clock, tuned, warned_of_references, warned_of_stiffness, .. } = content;
+        Ok(Self { stage, parameters, signal, clock, simulation, tuned, warned_of_references, warned_of_stiffness })
     }
 }
 

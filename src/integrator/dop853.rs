@@ -214,6 +214,7 @@ impl<const N: usize, const M: usize> Running<N, M> {
 
     /// The next step: its beginning is the end of the running one. No longer than `limit` s; interpolated if somebody looks `ahead`
     /// seconds after its beginning and that is inside.
+    #[inline(never)]
     fn step(&mut self, system: &impl System<N, M>, settings: &Settings, limit: f64, ahead: f64) -> Result<(), Failure> {
         self.start = self.end;
         self.elapsed = 0.0;

@@ -30,24 +30,8 @@ use angles::{ANGLES, CLOSURES};
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings, Solve};
 pub use signal::{ORDERS, Signal};
-use system::{FiveBar, General, LinearSolve, TwoLegged};
+use system::{Bare, FiveBar, General, LinearSolve};
 pub use variation::{Direction, Variation};
-
-/// An expression with the model's linear solve as the type L.
-macro_rules! with_solve {
-    ($model:expr, $L:ident => $do:expr) => {
-        match $model.solve {
-            Solve::TwoLegged => {
-                type $L = TwoLegged;
-                $do
-            }
-            Solve::LinksCoupled | Solve::Dense => {
-                type $L = General;
-                $do
-            }
-        }
-    };
-}
 
 /// Everything that changes during a run. A copy is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -124,9 +108,7 @@ impl Simulation {
 
     fn started(parameters: &Parameters, model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
         let (inputs, turns) = (model.heard(inputs), [0; 4]);
-        let core = with_solve!(&model, L => {
-            integrator::State::start(&FiveBar::<L>::new(&model, &inputs, &turns), q, v, model.softness)
-        });
+        let core = integrator::State::start(&FiveBar::<General>::new(&model, &inputs, &turns), q, v, model.softness);
         let mut state = State { core, running: None, turns, inputs, energy_at_start: 0.0 };
         state.unwind();
         if let Stepper::Dop853(settings) = &model.stepper {
@@ -149,7 +131,7 @@ impl Simulation {
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
         let State { core, turns, inputs: held, .. } = self.state;
         let inputs = self.model.heard(inputs);
-        let done = with_solve!(&self.model, L => run::<L>(&self.model, &mut self.state, &inputs, h, steps));
+        let done = run(&self.model, &mut self.state, &inputs, h, steps);
         // The running step of an explicit method is changed only when all has gone well.
         done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
     }
@@ -212,6 +194,11 @@ impl Simulation {
         Ok(())
     }
 
+    /// Whether the loads are too stiff for an explicit method: its steps have been limited by stability instead of accuracy.
+    pub fn is_stiff(&self) -> bool {
+        self.state.running.is_some_and(|running| running.is_stiff())
+    }
+
     /// Names of the active effects, e.g. `gravity`.
     pub fn active_effects(&self) -> &[&'static str] {
         &self.model.effect_names
@@ -227,7 +214,7 @@ impl State {
 
     /// Potential energy of the active effects, J; the held loads count as work instead.
     pub fn potential_energy(&self, model: &Model) -> f64 {
-        self.at(model, |at| model.effects.iter().map(|effect| effect.potential(at)).sum())
+        self.at(model, |at| model.potential(at))
     }
 
     /// What effects answer for the present state.
@@ -266,29 +253,41 @@ impl State {
     /// Solves M x + Φ_qᵀ y = b, Φ_q x − e y = c at the present pose.
     fn solved(&self, model: &Model, pose: &Pose, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         let State { inputs, turns, .. } = self;
-        with_solve!(model, L => FiveBar::<L>::new(model, inputs, turns).factor_mass(pose, model.softness).solve(b, c))
+        FiveBar::<General>::new(model, inputs, turns).factor_mass(pose, model.softness).solve(b, c)
     }
 
     /// The forces have changed at once: q̈, λ and the predictor start anew.
     fn restart(&mut self, model: &Model) {
         let State { core, inputs, turns, .. } = self;
-        with_solve!(model, L => core.restart(&FiveBar::<L>::new(model, inputs, turns), model.softness));
+        core.restart(&FiveBar::<General>::new(model, inputs, turns), model.softness);
     }
 }
 
-fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
-    match &model.stepper {
-        Stepper::I3alp(settings) => {
-            macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
-        }
-        Stepper::I3alpPrinted(settings) => macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| {
+/// The methods that people choose for their speed have a compiled form for the bare mechanism of their own.
+fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+    match (&model.stepper, model.solve) {
+        (Stepper::I3alp(settings), Solve::Bare) => by_i3alp::<Bare>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alp(settings), _) => by_i3alp::<General>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alpPrinted(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
             i3alp_printed::advance(system, settings, core, h, power)
         }),
-        Stepper::Rk4(settings) => {
-            macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| rk4::advance(system, settings, core, h, power))
-        }
-        Stepper::Dop853(settings) => explicit::run::<L>(model, settings, state, inputs, h, steps),
+        (Stepper::Rk4(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
+            rk4::advance(system, settings, core, h, power)
+        }),
+        (Stepper::Dop853(settings), Solve::Bare) => explicit::run::<Bare>(model, settings, state, inputs, h, steps),
+        (Stepper::Dop853(settings), _) => explicit::run::<General>(model, settings, state, inputs, h, steps),
     }
+}
+
+fn by_i3alp<L: LinearSolve>(
+    settings: &i3alp::Settings,
+    model: &Model,
+    state: &mut State,
+    inputs: &Inputs,
+    h: f64,
+    steps: u64,
+) -> Result<(), StepFailure> {
+    macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
 }
 
 /// By a method whose steps end with the macro steps.

@@ -103,7 +103,7 @@ fn inputs() -> Vec<&'static Variable> {
 /// differences, the others are exactly 0.
 fn check_pairs(host: &Host, scene: &Scene, state: [f64; 4], label: &str) {
     let declared = declared();
-    let mut check = |known: &str, numeric: Vec<f64>| {
+    let check = |known: &str, numeric: Vec<f64>| {
         for ((output, got), expected) in outputs().iter().zip(analytic(host, known)).zip(numeric) {
             let pair = format!("{label}: d {}/d {known} = {got}, differences {expected}", output.name);
             if output.name.starts_with("solver.") || !declared.iter().any(|(u, k)| u == output.name && k == known) {

@@ -249,6 +249,64 @@ impl Host {
         }
     }
 
+    /// fmi2GetFMUstate into a place: null, or a state that is overwritten.
+    pub(super) fn get_state(&self, state: &mut fmi2FMUstate) -> fmi2Status {
+        // SAFETY: the component is live; the tests hand on null or a live state.
+        unsafe { fmi2GetFMUstate(self.component, state) }
+    }
+
+    /// A new stored state.
+    pub(super) fn state(&self) -> fmi2FMUstate {
+        let mut state = null_mut();
+        assert_eq!(self.get_state(&mut state), fmi2OK);
+        state
+    }
+
+    pub(super) fn set_state(&self, state: fmi2FMUstate) -> fmi2Status {
+        // SAFETY: as above.
+        unsafe { fmi2SetFMUstate(self.component, state) }
+    }
+
+    pub(super) fn free_state(&self, state: &mut fmi2FMUstate) -> fmi2Status {
+        // SAFETY: as above; the function makes the pointer null.
+        unsafe { fmi2FreeFMUstate(self.component, state) }
+    }
+
+    /// The number of bytes that a state takes.
+    pub(super) fn serialized_size(&self, state: fmi2FMUstate) -> (fmi2Status, usize) {
+        let mut size = 0;
+        // SAFETY: as above, the place is ours.
+        (unsafe { fmi2SerializedFMUstateSize(self.component, state, &mut size) }, size)
+    }
+
+    /// A state as bytes, in a buffer of that size.
+    pub(super) fn serialize(&self, state: fmi2FMUstate, size: usize) -> (fmi2Status, Vec<u8>) {
+        let mut bytes = vec![0; size];
+        // SAFETY: as above, the buffer has the size that is passed.
+        let status = unsafe { fmi2SerializeFMUstate(self.component, state, bytes.as_mut_ptr().cast(), size) };
+        (status, bytes)
+    }
+
+    pub(super) fn deserialize(&self, bytes: &[u8], state: &mut fmi2FMUstate) -> fmi2Status {
+        // SAFETY: as above.
+        unsafe { fmi2DeSerializeFMUstate(self.component, bytes.as_ptr().cast(), bytes.len(), state) }
+    }
+
+    /// The state functions with null instead of a place or a state.
+    pub(super) fn null_states(&self) -> Vec<fmi2Status> {
+        let (c, mut size) = (self.component, 0);
+        // SAFETY: the component is live; null is what is tested.
+        unsafe {
+            vec![
+                fmi2GetFMUstate(c, null_mut()),
+                fmi2SetFMUstate(c, null_mut()),
+                fmi2SerializedFMUstateSize(c, null_mut(), &mut size),
+                fmi2SerializeFMUstate(c, null_mut(), null_mut(), 0),
+                fmi2DeSerializeFMUstate(c, null(), 8, null_mut()),
+            ]
+        }
+    }
+
     /// Every type with null arrays of that length: getters and setters.
     pub(super) fn null_arrays(&self, length: usize) -> Vec<fmi2Status> {
         let c = self.component;
