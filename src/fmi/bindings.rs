@@ -149,8 +149,13 @@ pub(super) fn read(parameters: &mut Parameters, inputs: &mut Inputs, variable: &
     })
 }
 
+/// Every parameter and input.
+pub(super) fn settable() -> impl Iterator<Item = &'static Variable> {
+    VARIABLES.iter().filter(|variable| variable.start.is_some())
+}
+
 /// Writes a parameter or input; false where the value is not of its type or the variable is an output.
-pub(super) fn write(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable, value: Value) -> bool {
+pub fn write(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable, value: Value) -> bool {
     match (variable.slot, value) {
         (Slot::RealParameter(v), Value::Real(x)) => *real_parameter(parameters, v) = x,
         (Slot::RealInput(v), Value::Real(x)) => *real_input(inputs, v) = x,

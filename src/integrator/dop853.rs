@@ -13,6 +13,8 @@ mod stages;
 mod step;
 mod tableau;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use super::{Counters, Failure, Power, State, System};
 use controller::Controller;
 use stages::Slope;
@@ -34,7 +36,7 @@ pub struct Settings {
 const MOST_SUBSTEPS: u32 = 100_000;
 
 /// A run: the step that is under way.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Running<const N: usize, const M: usize> {
     /// The last accepted state that time has passed: the beginning of the running step.
     start: State<N, M>,

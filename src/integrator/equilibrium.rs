@@ -1,5 +1,6 @@
 //! q̈ and λ that belong to q, q̇ and the forces.
 
+use super::vectors::minus;
 use super::{Kkt, System};
 
 /// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇.
@@ -25,6 +26,6 @@ pub fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
     v: &[f64; N],
     mass: &S::Mass,
 ) -> ([f64; N], [f64; M]) {
-    let centripetal = system.phi_q_dot_times(pose, v).map(|x| -x);
+    let centripetal = minus(&system.phi_q_dot_times(pose, v));
     mass.solve(&system.forces(q, pose, v), &centripetal)
 }

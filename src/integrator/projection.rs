@@ -1,6 +1,6 @@
 //! Back onto the constraints, along the shortest way in the mass metric.
 
-use super::system::max_norm;
+use super::vectors::{add, max_norm, minus};
 use super::{Failure, Kkt, System};
 
 /// How far a projection goes.
@@ -32,9 +32,9 @@ impl Projection {
             if violation < self.tolerance || at_round_off {
                 return Ok((iteration, pose));
             }
-            let correction = system.factor_mass(&pose, self.softness).correction(&phi.map(|x| -x));
+            let correction = system.factor_mass(&pose, self.softness).correction(&minus(&phi));
             last = max_norm(&correction);
-            *q = std::array::from_fn(|i| q[i] + correction[i]);
+            *q = add(q, &correction);
         }
         Err(Failure::NotConverged { iterations: self.max_iterations, violation, tolerance: self.tolerance, correction: last })
     }
@@ -48,5 +48,5 @@ pub(super) fn velocity<const N: usize, const M: usize, S: System<N, M>>(
     mass: &S::Mass,
     v: &[f64; N],
 ) -> [f64; N] {
-    mass.correction(&system.phi_q_times(pose, v).map(|x| -x))
+    mass.correction(&minus(&system.phi_q_times(pose, v)))
 }

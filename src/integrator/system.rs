@@ -2,6 +2,10 @@
 
 use std::fmt;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::vectors::{combine, max_norm};
+
 /// A constrained mechanical system M q̈ + Φ_qᵀ λ = Q(q, q̇), Φ(q) = 0 with N coordinates and M constraint equations.
 ///
 /// Inputs are part of the system: they are held while it is stepped. Constraints do not depend on time.
@@ -117,7 +121,7 @@ pub trait Kkt<const N: usize, const M: usize> {
 }
 
 /// Work or power of the forces that are followed along the path, J or W.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Power {
     /// Of the inputs, positive into the system.
     pub input: f64,
@@ -201,12 +205,6 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
-/// Largest magnitude of those values that are numbers: one instruction each. NaN is caught where a step ends.
-#[inline(always)]
-pub(super) fn max_norm<const K: usize>(x: &[f64; K]) -> f64 {
-    x.iter().fold(0.0, |largest, value| if value.abs() > largest { value.abs() } else { largest })
-}
-
 /// Local error of a step of h over the angles: of the trapezoidal rule, from the change of q̈, and of the velocity projection.
 #[inline(always)]
 pub(super) fn local_error<const N: usize, const M: usize>(
@@ -215,6 +213,6 @@ pub(super) fn local_error<const N: usize, const M: usize>(
     [before, after]: [&[f64; N]; 2],
     projection: &[f64; N],
 ) -> f64 {
-    let jump: [f64; N] = std::array::from_fn(|i| after[i] - before[i]);
+    let jump = combine([before, after], |[before, after]| after - before);
     max_norm(&[h * h / 12.0 * system.angle_norm(&jump), h / 2.0 * system.angle_norm(projection)])
 }

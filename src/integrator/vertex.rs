@@ -10,6 +10,7 @@
 
 use super::equilibrium::equilibrium_at;
 use super::projection::{self, Projection};
+use super::vectors::finite;
 use super::{Failure, Power, State, System, equilibrium};
 
 /// How close to a vertex the gate works.
@@ -303,7 +304,7 @@ pub(super) fn carry<const N: usize, const M: usize>(
     }
 
     (state.a, state.lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
-    if !state.a.iter().sum::<f64>().is_finite() {
+    if !finite(&state.a) {
         return Err(Failure::NotFinite);
     }
     (state.q, state.v, state.jerk) = (q, v, [0.0; N]);

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use super::angles::{ANGLES, ByAngles, CLOSURES, LINKS, angles_of};
 use super::model::Stepper;
-use super::system::{FiveBar, LinearSolve, TwoLegged};
+use super::system::{FiveBar, General, LinearSolve};
 use super::{Inputs, Model, State, StepFailure};
 use crate::integrator::dop853::{Running, Settings};
 use crate::integrator::{self, Failure, System, equilibrium_at};
@@ -13,8 +13,7 @@ use crate::mechanism::{COORDINATES, MULTIPLIERS, Pose};
 
 /// The run that begins with a state.
 pub(super) fn start(model: &Model, settings: &Settings, state: &State) -> Running<ANGLES, CLOSURES> {
-    // Which linear solve the twelve coordinates need does not matter in the angles, here and below.
-    let five_bar = FiveBar::<TwoLegged>::new(model, &state.inputs, &state.turns);
+    let five_bar = FiveBar::<General>::new(model, &state.inputs, &state.turns);
     Running::start(&ByAngles::new(&five_bar), angles_of(&state.core.q), angles_of(&state.core.v), settings)
 }
 
@@ -23,7 +22,7 @@ pub(super) fn start(model: &Model, settings: &Settings, state: &State) -> Runnin
 pub(super) fn stop(model: &Model, state: &mut State) -> Result<(), Failure> {
     let State { core, running: Some(running), turns, inputs, .. } = state else { return Ok(()) };
     let Stepper::Dop853(settings) = &model.stepper else { return Ok(()) };
-    let five_bar = FiveBar::<TwoLegged>::new(model, inputs, turns);
+    let five_bar = FiveBar::<General>::new(model, inputs, turns);
     let system = ByAngles::new(&five_bar);
     running.cut(&system, settings)?;
     look(&system, settings, running, core).map(drop)
@@ -33,7 +32,7 @@ pub(super) fn stop(model: &Model, state: &mut State) -> Result<(), Failure> {
 pub(super) fn resume(model: &Model, state: &mut State, put_in: f64) {
     let State { running: Some(running), turns, inputs, .. } = state else { return };
     let Stepper::Dop853(settings) = &model.stepper else { return };
-    let five_bar = FiveBar::<TwoLegged>::new(model, inputs, turns);
+    let five_bar = FiveBar::<General>::new(model, inputs, turns);
     running.restart(&ByAngles::new(&five_bar), settings, put_in);
 }
 

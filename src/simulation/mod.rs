@@ -14,6 +14,8 @@ pub mod two_leg;
 use std::f64::consts::TAU;
 use std::fmt;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use crate::integrator::{self, Failure, Power, System, dop853, i3alp, i3alp_printed, rk4};
 use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::THETA;
@@ -25,30 +27,10 @@ pub use crate::integrator::Counters;
 use angles::{ANGLES, CLOSURES};
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings, Solve};
-use system::{FiveBar, General, LinearSolve, LinksCoupled, TwoLegged};
-
-/// An expression with the model's linear solve as the type L.
-macro_rules! with_solve {
-    ($model:expr, $L:ident => $do:expr) => {
-        match $model.solve {
-            Solve::TwoLegged => {
-                type $L = TwoLegged;
-                $do
-            }
-            Solve::LinksCoupled => {
-                type $L = LinksCoupled;
-                $do
-            }
-            Solve::General => {
-                type $L = General;
-                $do
-            }
-        }
-    };
-}
+use system::{Bare, FiveBar, General, LinearSolve};
 
 /// Everything that changes during a run. A copy is a complete snapshot.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct State {
     /// Coordinates, velocities, accelerations, multipliers, predictor, sub-step memory, work, counters.
     pub core: integrator::State<COORDINATES, MULTIPLIERS>,
@@ -83,6 +65,7 @@ impl std::error::Error for StepFailure {}
 /// A scene made ready. A clone goes on by itself, to the same bits.
 #[derive(Clone, Debug)]
 pub struct Simulation {
+    parameters: Parameters,
     model: Model,
     state: State,
 }
@@ -92,7 +75,7 @@ impl Simulation {
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
         let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
-        Self::started(model, q, v, inputs)
+        Self::started(parameters, model, q, v, inputs)
     }
 
     /// The same from the angles (rad) and rates (rad/s) of all four links instead of `parameters.start`: also where the proximal
@@ -100,7 +83,7 @@ impl Simulation {
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
         let (q, v) = closure::assemble(&model.mechanism.geometry, theta, omega);
-        let simulation = Self::started(model, q, v, inputs)?;
+        let simulation = Self::started(parameters, model, q, v, inputs)?;
         let (mechanism, core) = (&simulation.model.mechanism, &simulation.state.core);
         let pose = mechanism.pose(&core.q);
         let (gap, tear) = (largest(&mechanism.phi(&core.q, &pose)), largest(&pose.phi_q_times(&core.v)));
@@ -114,11 +97,14 @@ impl Simulation {
         Ok(simulation)
     }
 
-    fn started(model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
+    /// The same from a state of a simulation with these parameters and that linear solve.
+    pub fn restored(parameters: &Parameters, solve: Solve, state: State) -> Result<Self, Refusal> {
+        Ok(Self { model: Model { solve, ..Model::new(parameters)? }, parameters: parameters.clone(), state })
+    }
+
+    fn started(parameters: &Parameters, model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
         let (inputs, turns) = (model.heard(inputs), [0; 4]);
-        let core = with_solve!(&model, L => {
-            integrator::State::start(&FiveBar::<L>::new(&model, &inputs, &turns), q, v, model.softness)
-        });
+        let core = integrator::State::start(&FiveBar::<General>::new(&model, &inputs, &turns), q, v, model.softness);
         let mut state = State { core, running: None, turns, inputs, energy_at_start: 0.0 };
         state.unwind();
         if let Stepper::Dop853(settings) = &model.stepper {
@@ -132,7 +118,7 @@ impl Simulation {
                     .into(),
             ));
         }
-        Ok(Self { model, state })
+        Ok(Self { parameters: parameters.clone(), model, state })
     }
 
     /// `steps` macro steps of `h` seconds with `inputs` held.
@@ -141,9 +127,14 @@ impl Simulation {
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
         let State { core, turns, inputs: held, .. } = self.state;
         let inputs = self.model.heard(inputs);
-        let done = with_solve!(&self.model, L => run::<L>(&self.model, &mut self.state, &inputs, h, steps));
+        let done = run(&self.model, &mut self.state, &inputs, h, steps);
         // The running step of an explicit method is changed only when all has gone well.
         done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
+    }
+
+    /// What it runs with.
+    pub fn parameters(&self) -> &Parameters {
+        &self.parameters
     }
 
     /// The constant part.
@@ -176,7 +167,8 @@ impl Simulation {
             state.core.work.input += put_in;
             state.restart(&model);
             explicit::resume(&model, &mut state, put_in);
-            *self = Self { model, state };
+            self.parameters.effects = parameters.clone();
+            (self.model, self.state) = (model, state);
         }
         Ok(())
     }
@@ -201,7 +193,7 @@ impl State {
 
     /// Potential energy of the active effects, J; the held loads count as work instead.
     pub fn potential_energy(&self, model: &Model) -> f64 {
-        self.at(model, |at| model.effects.iter().map(|effect| effect.potential(at)).sum())
+        self.at(model, |at| model.potential(at))
     }
 
     /// What effects answer for the present state.
@@ -240,23 +232,35 @@ impl State {
     /// The forces have changed at once: q̈, λ and the predictor start anew.
     fn restart(&mut self, model: &Model) {
         let State { core, inputs, turns, .. } = self;
-        with_solve!(model, L => core.restart(&FiveBar::<L>::new(model, inputs, turns), model.softness));
+        core.restart(&FiveBar::<General>::new(model, inputs, turns), model.softness);
     }
 }
 
-fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
-    match &model.stepper {
-        Stepper::I3alp(settings) => {
-            macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
-        }
-        Stepper::I3alpPrinted(settings) => macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| {
+/// The methods that people choose for their speed have a compiled form for the bare mechanism of their own.
+fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+    match (&model.stepper, model.solve) {
+        (Stepper::I3alp(settings), Solve::Bare) => by_i3alp::<Bare>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alp(settings), _) => by_i3alp::<General>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alpPrinted(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
             i3alp_printed::advance(system, settings, core, h, power)
         }),
-        Stepper::Rk4(settings) => {
-            macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| rk4::advance(system, settings, core, h, power))
-        }
-        Stepper::Dop853(settings) => explicit::run::<L>(model, settings, state, inputs, h, steps),
+        (Stepper::Rk4(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
+            rk4::advance(system, settings, core, h, power)
+        }),
+        (Stepper::Dop853(settings), Solve::Bare) => explicit::run::<Bare>(model, settings, state, inputs, h, steps),
+        (Stepper::Dop853(settings), _) => explicit::run::<General>(model, settings, state, inputs, h, steps),
     }
+}
+
+fn by_i3alp<L: LinearSolve>(
+    settings: &i3alp::Settings,
+    model: &Model,
+    state: &mut State,
+    inputs: &Inputs,
+    h: f64,
+    steps: u64,
+) -> Result<(), StepFailure> {
+    macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
 }
 
 /// By a method whose steps end with the macro steps.

@@ -1,10 +1,12 @@
 //! The constant part of a scene made ready, and what it is made from.
 
 use arrayvec::ArrayVec;
+use borsh::{BorshDeserialize, BorshSerialize};
 
-use crate::effects::{self, Active, Effect, Inputs};
+use super::two_leg::Elimination;
+use crate::effects::{self, Active, Effect, Inputs, Situation};
 use crate::integrator::{dop853, i3alp, i3alp_printed, rk4};
-use crate::mechanism::{Geometry, Mechanism, Refusal, Start};
+use crate::mechanism::{Coordinates, Geometry, Mechanism, Refusal, Start};
 
 /// How the equations of motion are integrated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,15 +68,17 @@ pub enum Stepper {
     Dop853(dop853::Settings),
 }
 
-/// The linear solves: see [`LinearSolve`](super::system::LinearSolve).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The linear solves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Solve {
-    /// [`TwoLegged`](super::system::TwoLegged).
+    /// Leg by leg, without effects whose force depends on the motion. See [`two_leg`](super::two_leg).
+    Bare,
+    /// Leg by leg: no active effect couples links.
     TwoLegged,
-    /// [`LinksCoupled`](super::system::LinksCoupled).
+    /// Active effects couple links. See [`coupled`](super::coupled).
     LinksCoupled,
-    /// [`General`](super::system::General).
-    General,
+    /// Anything: compliances are far apart. See [`dense`](super::dense).
+    Dense,
 }
 
 /// The constant part of a scene made ready.
@@ -82,7 +86,9 @@ pub enum Solve {
 pub struct Model {
     /// The mechanism by legs.
     pub mechanism: Mechanism,
-    /// The active effects with forces, and no others; those with masses are in the mechanism.
+    /// Constant generalised force of the active effects, N and N·m.
+    pub weight: Coordinates,
+    /// The active effects whose forces depend on the motion, and no others; those with masses are in the mechanism.
     pub effects: Active,
     /// Names of all active effects.
     pub effect_names: ArrayVec<&'static str, { effects::NAMES.len() }>,
@@ -90,6 +96,8 @@ pub struct Model {
     pub conservative: bool,
     /// Whether an active effect reads the servo references.
     pub servo: bool,
+    /// What the fast linear solve has computed beforehand.
+    pub elimination: Elimination,
     /// What round-off in Φ is proportional to, m.
     pub size: f64,
     /// e of the saddle-point systems outside the printed method, 1/kg.
@@ -131,9 +139,11 @@ impl Model {
         };
         Ok(Self {
             solve: if compliance_spread(&geometry) > LARGEST_SPREAD {
-                Solve::General
+                Solve::Dense
             } else if effects.iter().any(Effect::couples_links) {
                 Solve::LinksCoupled
+            } else if effects.is_empty() {
+                Solve::Bare
             } else {
                 Solve::TwoLegged
             },
@@ -141,6 +151,8 @@ impl Model {
             servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             size: geometry.size(),
+            weight: parameters.effects.weight(&mechanism)?,
+            elimination: Elimination::new(&mechanism, softness),
             mechanism,
             effects,
             softness,
@@ -159,10 +171,18 @@ impl Model {
                 effect.name()
             )));
         }
-        let changed = effects != self.effects;
+        let weight = parameters.weight(&self.mechanism)?;
+        let changed = weight != self.weight || effects != self.effects;
+        self.weight = weight;
         self.conservative = effects.iter().all(Effect::conservative);
         self.effects = effects;
         Ok(changed)
+    }
+
+    /// Potential energy of the active effects, J; 0 of their constant force at the left motor axis.
+    pub fn potential(&self, at: &Situation) -> f64 {
+        let weight: f64 = at.q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum();
+        self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - weight
     }
 
     /// The part of the inputs that the scene hears: without servos no references.

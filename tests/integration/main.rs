@@ -16,6 +16,7 @@ mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal r
 // The FMI rooms, through the C functions.
 mod fmi_lifecycle; // instantiate, the order of calls, reset, independence
 mod fmi_log; // categories, logger, environment
+mod fmi_state; // stored states: complete, in any order, as bytes
 mod fmi_step; // communication points, the step grid, discard, status functions
 mod fmi_values; // reading and writing variables
 

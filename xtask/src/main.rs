@@ -1,8 +1,10 @@
 //! The commands of this repository, started as `cargo xtask`: one file per command.
 
+mod bench;
 mod hard_cases;
 mod package;
 mod paths;
+mod prices;
 mod process;
 mod run;
 mod scenes;
@@ -41,6 +43,17 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
+    /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
+    Prices,
+    /// Measure times and instructions, write tables to target/bench/
+    Bench {
+        /// Few repeats, scenes up to 2 s
+        #[arg(long)]
+        quick: bool,
+        /// Only instructions, against the ceilings of benches/ceilings.csv; needs valgrind, as all of it does
+        #[arg(long, conflicts_with = "quick")]
+        check: bool,
+    },
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package,
 }
@@ -61,6 +74,9 @@ fn command(command: Command) -> Result<()> {
         Command::Run { scene } => run::run(&scene),
         Command::Test { full } => test::test(full),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
+        Command::Prices => prices::prices(),
+        Command::Bench { check: true, .. } => bench::check(),
+        Command::Bench { quick, .. } => bench::bench(quick),
         Command::Package => package::package().map(drop),
     }
 }

@@ -1,5 +1,7 @@
 //! How long the next step may be, and whether the scene is too stiff for an explicit method.
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 /// Part of the step promised by the error that is taken.
 const SAFETY: f64 = 0.85;
 /// The exponent of the last but one error: a proportional-integral controller (Hairer, Wanner II, section IV.2). With it and with
@@ -22,7 +24,7 @@ const ENOUGH: u8 = 15;
 const CALM: u8 = 6;
 
 /// What is remembered from step to step.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Controller {
     /// ln of the error of the last accepted step in units of the tolerance.
     log_error: f64,

@@ -1,11 +1,13 @@
 //! The stages of one step, and what is summed from them.
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use super::tableau::{A, ALL, DENSE, END, ERROR_3, ERROR_5, Row, STAGES};
 use crate::integrator::equilibrium::equilibrium_at;
 use crate::integrator::{Power, State, System};
 
 /// The derivatives of q, q̇ and the work, or a sum of such.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Slope<const N: usize> {
     pub(super) q: [f64; N],
     pub(super) v: [f64; N],

@@ -5,6 +5,7 @@ use super::stages::{Slope, Stages};
 use super::{Running, Settings};
 use crate::integrator::equilibrium::equilibrium_at;
 use crate::integrator::projection::{self, Projection};
+use crate::integrator::vectors::finite;
 use crate::integrator::vertex::{self, Gate, Verdict};
 use crate::integrator::{Failure, Power, State, System};
 
@@ -20,6 +21,7 @@ const GATE: Gate = Gate { ball: 1e-4, miss: 1e-7 };
 impl<const N: usize, const M: usize> Running<N, M> {
     /// The next step: its beginning is the end of the running one. No longer than `limit` s; interpolated if somebody looks `ahead`
     /// seconds after its beginning and that is inside.
+    #[inline(never)]
     pub(super) fn step(&mut self, system: &impl System<N, M>, settings: &Settings, limit: f64, ahead: f64) -> Result<(), Failure> {
         self.start = self.end;
         self.elapsed = 0.0;
@@ -104,7 +106,7 @@ fn settle<const N: usize, const M: usize>(
 ) -> Result<(u32, Power), Failure> {
     let (iterations, pose, mass) = settings.project(system, &mut q, &mut v)?;
     let (a, lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
-    if !(q.iter().chain(&v).chain(&a).sum::<f64>()).is_finite() {
+    if !(finite(&q) && finite(&v) && finite(&a)) {
         return Err(Failure::NotFinite);
     }
     let power = if system.follows_work() { system.power(&q, &pose, &v) } else { Power::default() };
