@@ -4,12 +4,14 @@
 //! Q = τ in the proximal angles; F at the centre of mass of link 2 and r × F in its angle, r = b û the arm to the tip, so that
 //! K = r·F in that angle. All are held over a communication step. The references are read by the servo alone.
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use super::Tangents;
 use super::situation::{MOTORS, Situation};
 use crate::mechanism::{COORDINATES, Coordinates};
 
 /// What the master sets: held over a communication step.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Inputs {
     /// Motor torques on the left and right proximal link, N·m.
     pub tau: [f64; 2],

@@ -19,6 +19,8 @@ use arrayvec::ArrayVec;
 use crate::mechanism::{COORDINATES, Coordinates, Geometry, Mechanism, Refusal};
 
 /// An effect with a force that depends on the motion, ready to act. Its file says what it adds and where it comes from.
+///
+/// What is more than a few additions is not inlined: the steps of every method would each hold a copy of every effect.
 trait Force: Sized {
     /// Its variables.
     type Parameters;

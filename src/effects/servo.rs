@@ -65,14 +65,14 @@ impl Force for Servo {
         false
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
         for (motor, torque) in MOTORS.into_iter().zip(self.torques(at)) {
             forces[motor] += torque;
         }
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
         for (i, motor) in MOTORS.into_iter().enumerate() {
             let drive = self.drive(at, i);

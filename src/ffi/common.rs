@@ -7,8 +7,8 @@ use std::ptr::null_mut;
 use super::arrays::{not_null, slice, string};
 use super::guard::{Component, guard};
 use super::types::{
-    fmi2Boolean, fmi2Byte, fmi2CallbackFunctions, fmi2CoSimulation, fmi2Component, fmi2FMUstate, fmi2False, fmi2Integer, fmi2Real,
-    fmi2Status, fmi2String, fmi2Type, fmi2ValueReference,
+    fmi2Boolean, fmi2CallbackFunctions, fmi2CoSimulation, fmi2Component, fmi2False, fmi2Integer, fmi2Real, fmi2Status, fmi2String,
+    fmi2Type, fmi2ValueReference,
 };
 use crate::fmi::{Call, Instance, Rejection};
 use crate::variables::{Access, GUID, Value};
@@ -287,20 +287,6 @@ macro_rules! unsupported {
 pub(super) use unsupported;
 
 unsupported! {
-    /// Refused: canGetAndSetFMUstate is false (section 2.1.8).
-    fmi2GetFMUstate: GetFMUstate(_FMUstate: *mut fmi2FMUstate);
-    /// Refused: canGetAndSetFMUstate is false (section 2.1.8).
-    fmi2SetFMUstate: SetFMUstate(_FMUstate: fmi2FMUstate);
-    /// Refused: canGetAndSetFMUstate is false (section 2.1.8).
-    fmi2FreeFMUstate: FreeFMUstate(_FMUstate: *mut fmi2FMUstate);
-    /// Refused: canSerializeFMUstate is false (section 2.1.8).
-    fmi2SerializedFMUstateSize: SerializedFMUstateSize(_FMUstate: fmi2FMUstate, _size: *mut usize);
-    /// Refused: canSerializeFMUstate is false (section 2.1.8).
-    fmi2SerializeFMUstate: SerializeFMUstate(_FMUstate: fmi2FMUstate, _serializedState: *mut fmi2Byte, _size: usize);
-    /// Refused: canSerializeFMUstate is false (section 2.1.8).
-    fmi2DeSerializeFMUstate: DeSerializeFMUstate(
-        _serializedState: *const fmi2Byte, _size: usize, _FMUstate: *mut fmi2FMUstate
-    );
     /// Refused: providesDirectionalDerivative is false (section 2.1.9).
     fmi2GetDirectionalDerivative: GetDirectionalDerivative(
         _vUnknown_ref: *const fmi2ValueReference, _nUnknown: usize,

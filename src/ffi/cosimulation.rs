@@ -7,7 +7,7 @@ use super::types::{fmi2Boolean, fmi2Component, fmi2Integer, fmi2Real, fmi2Status
 use crate::fmi::status::StatusKind;
 use crate::fmi::{Call, Instance};
 
-/// One communication step (section 4.2.2). Saved states do not exist, so nothing is done with the last argument.
+/// One communication step (section 4.2.2). Stored states belong to the master, so nothing is done with the last argument.
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].

@@ -39,8 +39,10 @@ mod arrays;
 mod common;
 mod cosimulation;
 mod guard;
+mod state;
 mod types;
 
 pub use common::*;
 pub use cosimulation::*;
+pub use state::*;
 pub use types::*;

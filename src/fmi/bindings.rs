@@ -125,7 +125,7 @@ macro_rules! choice {
     };
 }
 
-choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4 });
+choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4, Dop853 });
 choice!(mechanism::Assembly = variables::Assembly { Plus, Minus });
 
 /// The name of a method as in the XML.
@@ -147,6 +147,11 @@ pub(super) fn read(parameters: &mut Parameters, inputs: &mut Inputs, variable: &
         Slot::EnumerationParameter(v) => Value::Integer(enumeration_parameter(parameters, v).number()),
         Slot::RealOutput(_) | Slot::IntegerOutput(_) | Slot::EnumerationOutput(_) => return None,
     })
+}
+
+/// Every parameter and input.
+pub(super) fn settable() -> impl Iterator<Item = &'static Variable> {
+    VARIABLES.iter().filter(|variable| variable.start.is_some())
 }
 
 /// Writes a parameter or input; false where the value is not of its type or the variable is an output.

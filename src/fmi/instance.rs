@@ -7,7 +7,7 @@ use super::clock::Clock;
 use super::messages::{Log, Status};
 use super::outputs::{Cache, Outputs};
 use super::values::{check_settable, check_value, lookup};
-use super::{Rejection, Stage, bindings};
+use super::{Rejection, Snapshot, Stage, bindings};
 use crate::integrator::{self, Counters};
 use crate::mechanism::{COORDINATES, MULTIPLIERS};
 use crate::simulation::{Inputs, Parameters, Simulation};
@@ -101,6 +101,27 @@ impl Instance {
         self.tuned = false;
         self.stage = Stage::StepComplete;
         Ok(())
+    }
+
+    /// fmi2GetFMUstate.
+    pub fn snapshot(&self) -> Snapshot {
+        let Self { stage, parameters, inputs, clock, simulation, tuned, warned_of_references, cache: _, log: _ } = self;
+        Snapshot {
+            stage: *stage,
+            parameters: parameters.clone(),
+            inputs: *inputs,
+            clock: clock.clone(),
+            simulation: simulation.clone(),
+            tuned: *tuned,
+            warned_of_references: *warned_of_references,
+        }
+    }
+
+    /// fmi2SetFMUstate: everything as it was, but the log and what the master wants to hear of it.
+    pub fn restore(&mut self, snapshot: &Snapshot) {
+        let Snapshot { stage, parameters, inputs, clock, simulation, tuned, warned_of_references } = snapshot.clone();
+        let log = std::mem::replace(&mut self.log, Log::new(false));
+        *self = Self { stage, parameters, inputs, clock, simulation, tuned, warned_of_references, cache: Cache::default(), log };
     }
 
     /// fmi2Terminate.

@@ -18,10 +18,12 @@
 
 use std::fmt;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use super::Rejection;
 
 /// Where an instance is in its life.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Stage {
     /// After fmi2Instantiate or fmi2Reset.
     Instantiated,
@@ -115,17 +117,16 @@ impl Call {
             Self::GetStatus | Self::GetRealStatus | Self::GetIntegerStatus | Self::GetBooleanStatus | Self::GetStringStatus => {
                 &[StepComplete, StepFailed, Terminated]
             }
-            // Answered with an error of their own: a step is never pending, and these capability flags are false.
-            Self::CancelStep
-            | Self::GetFMUstate
+            Self::GetFMUstate
             | Self::SetFMUstate
             | Self::FreeFMUstate
             | Self::SerializedFMUstateSize
             | Self::SerializeFMUstate
-            | Self::DeSerializeFMUstate
-            | Self::GetDirectionalDerivative
-            | Self::SetRealInputDerivatives
-            | Self::GetRealOutputDerivatives => ANYWHERE,
+            | Self::DeSerializeFMUstate => ANYWHERE,
+            // Answered with an error of their own: a step is never pending, and these capability flags are false.
+            Self::CancelStep | Self::GetDirectionalDerivative | Self::SetRealInputDerivatives | Self::GetRealOutputDerivatives => {
+                ANYWHERE
+            }
         }
     }
 
@@ -142,8 +143,6 @@ impl Call {
     /// The refusal of a function whose capability flag is false.
     pub fn unsupported(self) -> Rejection {
         let (flag, value) = match self {
-            Self::GetFMUstate | Self::SetFMUstate | Self::FreeFMUstate => ("canGetAndSetFMUstate", "false"),
-            Self::SerializedFMUstateSize | Self::SerializeFMUstate | Self::DeSerializeFMUstate => ("canSerializeFMUstate", "false"),
             Self::GetDirectionalDerivative => ("providesDirectionalDerivative", "false"),
             Self::SetRealInputDerivatives => ("canInterpolateInputs", "false"),
             Self::GetRealOutputDerivatives => ("maxOutputDerivativeOrder", "0"),

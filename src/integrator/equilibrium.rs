@@ -19,7 +19,7 @@ pub fn equilibrium<const N: usize, const M: usize>(
 
 /// The same with pose and factor at hand.
 #[inline(always)]
-pub(super) fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
+pub fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     q: &[f64; N],
     pose: &S::Pose,

@@ -15,7 +15,7 @@ use super::projection::{self, Projection};
 use super::system::local_error;
 use super::vectors::{add, combine, finite, max_norm};
 use super::vertex::{self, Care, Gate, Ledger, Verdict};
-use super::{Failure, Kkt, Power, State, System};
+use super::{Failure, Implicit, Kkt, Power, State};
 
 mod descent;
 
@@ -60,7 +60,7 @@ struct Attempt<const N: usize, const M: usize> {
 /// `energy` is that before it, where round-off next to a vertex would change it.
 #[inline(always)]
 fn attempt<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     h: f64,
@@ -162,7 +162,7 @@ impl<const N: usize, const M: usize> Step<N, M> {
 
 /// Newton's method on δ and λ.
 #[inline(always)]
-fn newton<const N: usize, const M: usize, S: System<N, M>>(
+fn newton<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
     mut step: Step<N, M>,
@@ -212,7 +212,7 @@ fn constraint_tolerance(settings: &Settings, size: f64, h: f64) -> f64 {
 impl<const N: usize, const M: usize> Attempt<N, M> {
     /// The state after a step so short that q̈ and λ stay.
     #[cold]
-    fn moved_on(system: &impl System<N, M>, state: &State<N, M>, h: f64) -> Self {
+    fn moved_on(system: &impl Implicit<N, M>, state: &State<N, M>, h: f64) -> Self {
         let q = std::array::from_fn(|i| state.q[i] + h * state.v[i]);
         let v = std::array::from_fn(|i| state.v[i] + h * state.a[i]);
         let pose = system.pose(&q);
@@ -242,7 +242,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
 
 /// One macro step of `duration` seconds. On failure the state is undefined: the caller keeps a copy.
 pub fn advance<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     duration: f64,
@@ -259,7 +259,7 @@ pub fn advance<const N: usize, const M: usize>(
 
 /// A macro step in equal parts, as many as the remembered sub-step asks, asked anew after each.
 fn divided<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     duration: f64,

@@ -5,7 +5,7 @@
 
 use super::system::local_error;
 use super::vectors::{add, finite, max_norm, minus};
-use super::{Failure, Kkt, Power, State, System};
+use super::{Failure, Implicit, Kkt, Power, State};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -23,7 +23,7 @@ const STOP: f64 = 1e-8;
 /// One step of h seconds. On failure the state is undefined: the caller keeps a copy.
 #[inline(never)]
 pub fn advance<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     h: f64,

@@ -15,19 +15,22 @@ pub(super) struct Projection {
 }
 
 impl Projection {
-    /// Newton onto Φ = 0; the iterations spent.
-    pub(super) fn position<const N: usize, const M: usize>(
+    /// Newton onto Φ = 0; the iterations spent, and the pose there.
+    #[inline(always)]
+    pub(super) fn position<const N: usize, const M: usize, S: System<N, M>>(
         &self,
-        system: &impl System<N, M>,
+        system: &S,
         q: &mut [f64; N],
-    ) -> Result<u32, Failure> {
+    ) -> Result<(u32, S::Pose), Failure> {
         let (mut violation, mut last) = (f64::INFINITY, 0.0);
         for iteration in 0..=self.max_iterations {
             let pose = system.pose(q);
             let phi = system.phi(q, &pose);
+            let previous = violation;
             violation = max_norm(&phi);
-            if violation < self.tolerance {
-                return Ok(iteration);
+            let at_round_off = violation >= previous && violation < 64.0 * f64::EPSILON * system.size();
+            if violation < self.tolerance || at_round_off {
+                return Ok((iteration, pose));
             }
             let correction = system.factor_mass(&pose, self.softness).correction(&minus(&phi));
             last = max_norm(&correction);

@@ -57,7 +57,8 @@ pub fn advance<const N: usize, const M: usize>(
     if settings.projection {
         let &Settings { softness, max_iterations, .. } = settings;
         let projection = Projection { softness, tolerance: settings.tolerance * system.size(), max_iterations };
-        state.counters.iterations += u64::from(projection.position(system, &mut state.q)?);
+        let (iterations, _) = projection.position(system, &mut state.q)?;
+        state.counters.iterations += u64::from(iterations);
     }
     let pose = system.pose(&state.q);
     let mass = system.factor_mass(&pose, settings.softness);

@@ -325,6 +325,12 @@ pub(super) fn carry<const N: usize, const M: usize>(
     Ok(true)
 }
 
+/// Whether q is so close to a vertex, without being on a ray through it, that a projection would divide round-off by next to nothing.
+#[inline(always)]
+pub(super) fn too_close<const N: usize, const M: usize>(system: &impl System<N, M>, q: &[f64; N], v: &[f64; N]) -> bool {
+    system.vertex(q, v).is_some_and(|(offset, _)| dot(&offset, &offset) < NEAREST * NEAREST)
+}
+
 /// The energy and how it changes, where the potential is known.
 fn ledger<const N: usize, const M: usize>(system: &impl System<N, M>, q: &[f64; N], v: &[f64; N]) -> Option<Ledger> {
     let pose = system.pose(q);

@@ -60,8 +60,14 @@ impl Mechanism {
     /// Directions and arms at q.
     #[inline(always)]
     pub fn pose(&self, q: &Coordinates) -> Pose {
-        let (sin_p, cos_p) = sin_cos(legs_of(q, P_THETA));
-        let (sin_d, cos_d) = sin_cos(legs_of(q, D_THETA));
+        self.pose_at([legs_of(q, P_THETA), legs_of(q, D_THETA)])
+    }
+
+    /// The same from the angles of the proximal and the distal links.
+    #[inline(always)]
+    pub(crate) fn pose_at(&self, [proximal, distal]: [Legs; 2]) -> Pose {
+        let (sin_p, cos_p) = sin_cos(proximal);
+        let (sin_d, cos_d) = sin_cos(distal);
         let (u_p, u_d) = (Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d });
         Pose {
             u_p,

@@ -6,11 +6,11 @@ use nalgebra::{SMatrix, SVector};
 
 use super::coupled::Coupled;
 use super::dense::Dense;
-use super::model::Model;
+use super::model::{Model, Solve};
 use super::two_leg::TwoLeg;
 use crate::effects::tangents::{CoupledTangents, DiagonalTangents, FullTangents, INNER, INNERS};
 use crate::effects::{Inputs, Situation, Tangents};
-use crate::integrator::{Failure, Kkt, Power, System};
+use crate::integrator::{Failure, Implicit, Kkt, Power, System};
 use crate::mechanism::closure::assemble;
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose, vertex};
@@ -132,17 +132,41 @@ fn made_definite<const K: usize>(
     Ok(a0)
 }
 
-/// Effects couple links, and the inertias are of like size.
+/// General: for the scenes that are not [`TwoLegged`], by [`Solve`](super::Solve). One type, so that the methods are not compiled
+/// for each of them.
 #[derive(Debug)]
-pub enum LinksCoupled {}
+pub enum General {}
 
-impl LinearSolve for LinksCoupled {
-    type Mass = TwoLeg;
-    type Tangent = Coupled;
+/// Either factor.
+#[derive(Clone, Debug)]
+pub enum Either<A, B> {
+    /// With inertias of like size.
+    Structured(A),
+    /// Whatever the inertias.
+    Dense(B),
+}
 
-    #[inline(always)]
-    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> TwoLeg {
-        TwoLeg::factor_mass(&five_bar.model.elimination, pose, softness)
+impl<A: Kkt<COORDINATES, MULTIPLIERS>, B: Kkt<COORDINATES, MULTIPLIERS>> Kkt<COORDINATES, MULTIPLIERS> for Either<A, B> {
+    fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
+        match self {
+            Self::Structured(factor) => factor.solve(b, c),
+            Self::Dense(factor) => factor.solve(b, c),
+        }
+    }
+}
+
+impl LinearSolve for General {
+    type Mass = Either<TwoLeg, Dense>;
+    type Tangent = Either<Coupled, Dense>;
+
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Self::Mass {
+        let model = five_bar.model;
+        match model.solve {
+            Solve::LinksCoupled => Either::Structured(TwoLeg::factor_mass(&model.elimination, pose, softness)),
+            Solve::WithoutEffects | Solve::TwoLegged | Solve::Dense => {
+                Either::Dense(Dense::factor(pose, &five_bar.mass_matrix(), softness))
+            }
+        }
     }
 
     fn factor(
@@ -152,11 +176,29 @@ impl LinearSolve for LinksCoupled {
         h: f64,
         softness: f64,
         definite: Definite,
+    ) -> Result<Self::Tangent, Failure> {
+        Ok(match five_bar.model.solve {
+            Solve::LinksCoupled => Either::Structured(five_bar.factor_coupled(at, lambda, h, softness, definite)?),
+            Solve::WithoutEffects | Solve::TwoLegged | Solve::Dense => {
+                Either::Dense(five_bar.factor_dense(at, lambda, h, softness, definite)?)
+            }
+        })
+    }
+}
+
+impl FiveBar<'_, General> {
+    fn factor_coupled(
+        &self,
+        at: &Situation<'_>,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+        definite: Definite,
     ) -> Result<Coupled, Failure> {
-        let masses = five_bar.model.mechanism.mass_times(&[1.0; COORDINATES]);
+        let masses = self.model.mechanism.mass_times(&[1.0; COORDINATES]);
         let inner_masses = SMatrix::from_diagonal(&SVector::from(INNER.map(|i| masses[i])));
         let mut tangents = CoupledTangents::new(h);
-        five_bar.add_tangents(at, &mut tangents);
+        self.add_tangents(at, &mut tangents);
         let mut a0 = inner_masses + tangents.weighted;
         for (i, stiffness) in geometric_stiffness(at.pose, lambda).into_iter().enumerate() {
             let place = INNERS - 4 + i;
@@ -164,30 +206,17 @@ impl LinearSolve for LinksCoupled {
         }
         Coupled::factor(at.pose, &masses, made_definite(a0, &inner_masses, definite)?, softness)
     }
-}
 
-/// Anything: effects may couple links, and inertias may be next to nothing.
-#[derive(Debug)]
-pub enum General {}
-
-impl LinearSolve for General {
-    type Mass = Dense;
-    type Tangent = Dense;
-
-    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Dense {
-        Dense::factor(pose, &five_bar.mass_matrix(), softness)
-    }
-
-    fn factor(
-        five_bar: &FiveBar<'_, Self>,
+    fn factor_dense(
+        &self,
         at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
         definite: Definite,
     ) -> Result<Dense, Failure> {
-        let mass = five_bar.mass_matrix();
-        let mut a0 = mass + five_bar.full_tangents(at, h);
+        let mass = self.mass_matrix();
+        let mut a0 = mass + self.full_tangents(at, h);
         for (i, stiffness) in THETA.into_iter().zip(geometric_stiffness(at.pose, lambda)) {
             a0[(i, i)] += h * h / 4.0 * stiffness;
         }
@@ -209,6 +238,11 @@ impl<'a, L: LinearSolve> FiveBar<'a, L> {
     /// `model` under `inputs`, with the whole turns of links 1 to 4 that q leaves out.
     pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
         Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, linear_solve: PhantomData }
+    }
+
+    /// The model.
+    pub(super) fn model(&self) -> &'a Model {
+        self.model
     }
 
     #[inline(always)]
@@ -250,7 +284,6 @@ fn in_angles(values: [f64; 4]) -> Coordinates {
 impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     type Pose = Pose;
     type Mass = L::Mass;
-    type Tangent = L::Tangent;
 
     #[inline(always)]
     fn pose(&self, q: &Coordinates) -> Pose {
@@ -265,11 +298,6 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     #[inline(always)]
     fn phi_q_times(&self, pose: &Pose, v: &Coordinates) -> Multipliers {
         pose.phi_q_times(v)
-    }
-
-    #[inline(always)]
-    fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {
-        pose.phi_q_transposed_times(lambda)
     }
 
     #[inline(always)]
@@ -295,39 +323,9 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
         forces
     }
 
-    fn weight_times(&self, q: &Coordinates, pose: &Pose, v: &Coordinates, h: f64, x: &Coordinates) -> Coordinates {
-        let weight = self.mass_matrix() + self.full_tangents(&self.at(q, pose, v), h);
-        (weight * SVector::from(*x)).into()
-    }
-
     #[inline(always)]
     fn factor_mass(&self, pose: &Pose, softness: f64) -> L::Mass {
         L::factor_mass(self, pose, softness)
-    }
-
-    #[inline(always)]
-    fn factor_tangent(
-        &self,
-        q: &Coordinates,
-        pose: &Pose,
-        v: &Coordinates,
-        lambda: &Multipliers,
-        h: f64,
-        softness: f64,
-    ) -> Result<L::Tangent, Failure> {
-        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Demanded)
-    }
-
-    fn factor_descent(
-        &self,
-        q: &Coordinates,
-        pose: &Pose,
-        v: &Coordinates,
-        lambda: &Multipliers,
-        h: f64,
-        softness: f64,
-    ) -> Option<L::Tangent> {
-        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Enforced).ok()
     }
 
     fn potential(&self, q: &Coordinates, pose: &Pose) -> Option<f64> {
@@ -407,5 +405,44 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     #[inline(always)]
     fn size(&self) -> f64 {
         self.model.size
+    }
+}
+
+impl<L: LinearSolve> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
+    type Tangent = L::Tangent;
+
+    #[inline(always)]
+    fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {
+        pose.phi_q_transposed_times(lambda)
+    }
+
+    fn weight_times(&self, q: &Coordinates, pose: &Pose, v: &Coordinates, h: f64, x: &Coordinates) -> Coordinates {
+        let weight = self.mass_matrix() + self.full_tangents(&self.at(q, pose, v), h);
+        (weight * SVector::from(*x)).into()
+    }
+
+    #[inline(always)]
+    fn factor_tangent(
+        &self,
+        q: &Coordinates,
+        pose: &Pose,
+        v: &Coordinates,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+    ) -> Result<L::Tangent, Failure> {
+        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Demanded)
+    }
+
+    fn factor_descent(
+        &self,
+        q: &Coordinates,
+        pose: &Pose,
+        v: &Coordinates,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+    ) -> Option<L::Tangent> {
+        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Enforced).ok()
     }
 }

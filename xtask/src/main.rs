@@ -4,6 +4,7 @@ mod bench;
 mod hard_cases;
 mod package;
 mod paths;
+mod prices;
 mod process;
 mod run;
 mod scenes;
@@ -51,6 +52,8 @@ enum Command {
         #[arg(long, conflicts_with = "quick")]
         check: bool,
     },
+    /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
+    Prices,
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package,
 }
@@ -73,6 +76,7 @@ fn command(command: Command) -> Result<()> {
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
         Command::Bench { check: true, .. } => bench::check(),
         Command::Bench { quick, .. } => bench::bench(quick),
+        Command::Prices => prices::prices(),
         Command::Package => package::package().map(drop),
     }
 }

@@ -11,7 +11,7 @@
 
 use super::{Found, LAST_CORRECTION, Settings, Step};
 use crate::integrator::vectors::{add, max_norm};
-use crate::integrator::{Kkt, System};
+use crate::integrator::{Implicit, Kkt};
 
 /// αβ in multiples of the largest inertia: enough for the multipliers to converge, little enough for P to be well conditioned.
 const PENALTY: f64 = 1e4;
@@ -24,7 +24,7 @@ const ENOUGH: f64 = 1e-4;
 
 /// Where the step leads, if δ and λ can be found. Only for systems whose forces have a potential.
 #[cold]
-pub(super) fn descend<const N: usize, const M: usize, S: System<N, M>>(
+pub(super) fn descend<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
     mut step: Step<N, M>,
