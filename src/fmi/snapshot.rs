@@ -14,6 +14,7 @@
 //! The parameters are stored as values of variables, so that what is read back passes the same checks as what a master sets.
 
 use borsh::{BorshDeserialize, BorshSerialize};
+use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
 use super::clock::Clock;
 use super::values::{check_value, lookup};
@@ -25,6 +26,7 @@ const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Must change with every change of what is stored.
 const FORMAT: u32 = 1;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
+const CRC: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 const CHECKSUM: usize = size_of::<u32>();
 
 /// A stored state.
@@ -85,7 +87,7 @@ impl Snapshot {
             borsh::to_vec(&content).map_err(|error| Rejection::error(format!("the state cannot be serialised: {error}.")))?;
         let length = content.len() as u64;
         let mut bytes = [&MAGIC[..], &FORMAT.to_le_bytes(), GUID.as_bytes(), &length.to_le_bytes(), &content].concat();
-        bytes.extend(crc32fast::hash(&bytes).to_le_bytes());
+        bytes.extend(CRC.checksum(&bytes).to_le_bytes());
         Ok(bytes)
     }
 
@@ -130,7 +132,7 @@ fn content(bytes: &[u8]) -> Result<&[u8], Rejection> {
         return Err(wrong(&format!("there are {}, not as many as their head says", bytes.len())));
     }
     let (checked, checksum) = bytes.split_at(bytes.len() - CHECKSUM);
-    if checksum != crc32fast::hash(checked).to_le_bytes() {
+    if checksum != CRC.checksum(checked).to_le_bytes() {
         return Err(wrong("their checksum is wrong"));
     }
     Ok(&checked[HEAD..])

@@ -92,7 +92,8 @@ impl Span {
 
 /// A number as a sentence shows it: ten significant digits, the shortest form.
 fn rounded(value: f64) -> f64 {
-    format!("{value:.9e}").parse().unwrap_or(value)
+    let scale = libm::exp10(9.0 - libm::log10(value.abs()).floor()).round();
+    if scale.is_finite() && scale >= 1.0 { (value * scale).round() / scale } else { value }
 }
 
 /// q and q̇ (with all constraints met) of a start, or a sentence why it is not possible.
