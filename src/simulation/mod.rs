@@ -1,25 +1,27 @@
 //! A scene made ready: constant [`Model`], active effects and [`State`]; advances by internal steps.
 //!
-//! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held while it
-//! advances.
+//! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held over each macro
+//! step.
 
 pub mod angles;
 pub mod coupled;
 pub mod dense;
 mod explicit;
 pub mod model;
+mod signal;
 pub mod system;
 pub mod two_leg;
+mod variation;
 
 use std::f64::consts::TAU;
 use std::fmt;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use crate::integrator::{self, Failure, Power, System, dop853, i3alp, i3alp_printed, rk4};
+use crate::integrator::{self, Failure, Kkt, Power, System, dop853, i3alp, i3alp_printed, rk4};
 use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::THETA;
-use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal, closure};
+use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose, Refusal, closure};
 
 pub use crate::effects::Inputs;
 use crate::effects::{self, Situation};
@@ -27,7 +29,9 @@ pub use crate::integrator::Counters;
 use angles::{ANGLES, CLOSURES};
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings, Solve};
-use system::{FiveBar, General, LinearSolve, TwoLegged};
+pub use signal::{ORDERS, Signal};
+use system::{Bare, FiveBar, General, LinearSolve};
+pub use variation::{Direction, Variation};
 
 /// Everything that changes during a run. A copy is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -132,6 +136,23 @@ impl Simulation {
         done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
     }
 
+    /// The same with inputs that change: each macro step holds what they are in its middle, so that the impulse of a ramp is exact and
+    /// the whole of second order in h.
+    pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
+        if signal.is_held() {
+            return self.advance(&signal.value, h, steps);
+        }
+        let before = self.state;
+        for step in 0..steps {
+            let begin = step as f64 * h;
+            self.advance(&signal.at(begin + h / 2.0), h, 1).map_err(|failure| {
+                self.state = before;
+                StepFailure { elapsed: begin + failure.elapsed, ..failure }
+            })?;
+        }
+        Ok(())
+    }
+
     /// What it runs with.
     pub fn parameters(&self) -> &Parameters {
         &self.parameters
@@ -171,6 +192,11 @@ impl Simulation {
             (self.model, self.state) = (model, state);
         }
         Ok(())
+    }
+
+    /// Whether the loads are too stiff for an explicit method: its steps have been limited by stability instead of accuracy.
+    pub fn is_stiff(&self) -> bool {
+        self.state.running.is_some_and(|running| running.is_stiff())
     }
 
     /// Names of the active effects, e.g. `gravity`.
@@ -224,6 +250,12 @@ impl State {
         }
     }
 
+    /// Solves M x + Φ_qᵀ y = b, Φ_q x − e y = c at the present pose.
+    fn solved(&self, model: &Model, pose: &Pose, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
+        let State { inputs, turns, .. } = self;
+        FiveBar::<General>::new(model, inputs, turns).factor_mass(pose, model.softness).solve(b, c)
+    }
+
     /// The forces have changed at once: q̈, λ and the predictor start anew.
     fn restart(&mut self, model: &Model) {
         let State { core, inputs, turns, .. } = self;
@@ -231,26 +263,18 @@ impl State {
     }
 }
 
-/// Each method with the linear solves that make a difference to it: what is compiled for one more takes its place in the library.
+/// The methods that people choose for their speed have a compiled form for the bare mechanism of their own.
 fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
     match (&model.stepper, model.solve) {
-        (Stepper::I3alp(settings), Solve::WithoutEffects) => by_i3alp::<TwoLegged<false>>(settings, model, state, inputs, h, steps),
-        (Stepper::I3alp(settings), Solve::TwoLegged) => by_i3alp::<TwoLegged>(settings, model, state, inputs, h, steps),
-        (Stepper::I3alp(settings), Solve::LinksCoupled | Solve::Dense) => {
-            by_i3alp::<General>(settings, model, state, inputs, h, steps)
-        }
-        (Stepper::I3alpPrinted(settings), Solve::WithoutEffects | Solve::TwoLegged) => {
-            by_i3alp_printed::<TwoLegged>(settings, model, state, inputs, h, steps)
-        }
-        (Stepper::I3alpPrinted(settings), Solve::LinksCoupled | Solve::Dense) => {
-            by_i3alp_printed::<General>(settings, model, state, inputs, h, steps)
-        }
+        (Stepper::I3alp(settings), Solve::Bare) => by_i3alp::<Bare>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alp(settings), _) => by_i3alp::<General>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alpPrinted(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
+            i3alp_printed::advance(system, settings, core, h, power)
+        }),
         (Stepper::Rk4(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
             rk4::advance(system, settings, core, h, power)
         }),
-        (Stepper::Dop853(settings), Solve::WithoutEffects) => {
-            explicit::run::<TwoLegged<false>>(model, settings, state, inputs, h, steps)
-        }
+        (Stepper::Dop853(settings), Solve::Bare) => explicit::run::<Bare>(model, settings, state, inputs, h, steps),
         (Stepper::Dop853(settings), _) => explicit::run::<General>(model, settings, state, inputs, h, steps),
     }
 }
@@ -264,17 +288,6 @@ fn by_i3alp<L: LinearSolve>(
     steps: u64,
 ) -> Result<(), StepFailure> {
     macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
-}
-
-fn by_i3alp_printed<L: LinearSolve>(
-    settings: &i3alp_printed::Settings,
-    model: &Model,
-    state: &mut State,
-    inputs: &Inputs,
-    h: f64,
-    steps: u64,
-) -> Result<(), StepFailure> {
-    macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp_printed::advance(system, settings, core, h, power))
 }
 
 /// By a method whose steps end with the macro steps.

@@ -71,8 +71,8 @@ pub enum Stepper {
 /// The linear solves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Solve {
-    /// Leg by leg, without effects whose force depends on the motion, and without code for them. See [`two_leg`](super::two_leg).
-    WithoutEffects,
+    /// Leg by leg, without effects whose force depends on the motion. See [`two_leg`](super::two_leg).
+    Bare,
     /// Leg by leg: no active effect couples links.
     TwoLegged,
     /// Active effects couple links. See [`coupled`](super::coupled).
@@ -143,7 +143,7 @@ impl Model {
             } else if effects.iter().any(Effect::couples_links) {
                 Solve::LinksCoupled
             } else if effects.is_empty() {
-                Solve::WithoutEffects
+                Solve::Bare
             } else {
                 Solve::TwoLegged
             },

@@ -1,5 +1,6 @@
 //! The commands of this repository, started as `cargo xtask`: one file per command.
 
+mod bench;
 mod hard_cases;
 mod package;
 mod paths;
@@ -45,6 +46,15 @@ enum Command {
     },
     /// Measure what accuracy costs in time, write the page target/report/index.html
     Report(report::Options),
+    /// Measure times and instructions, write tables to target/bench/
+    Bench {
+        /// Few repeats, scenes up to 2 s
+        #[arg(long)]
+        quick: bool,
+        /// Only instructions, against the ceilings of benches/ceilings.csv; needs valgrind, as all of it does
+        #[arg(long, conflicts_with = "quick")]
+        check: bool,
+    },
     /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
     Prices,
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
@@ -68,6 +78,8 @@ fn command(command: Command) -> Result<()> {
         Command::Test { full } => test::test(full),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
         Command::Report(options) => report::report(&options),
+        Command::Bench { check: true, .. } => bench::check(),
+        Command::Bench { quick, .. } => bench::bench(quick),
         Command::Prices => prices::prices(),
         Command::Package => package::package().map(drop),
     }

@@ -1,7 +1,7 @@
 //! `cargo xtask report`: what accuracy costs in time, measured and drawn; the page under `target/report/`.
 
 use crate::venv::{self, Packages};
-use crate::{hard_cases, paths, process, run};
+use crate::{bench, hard_cases, paths, process, run};
 use anyhow::Result;
 use clap::Args;
 use std::fs;
@@ -54,9 +54,11 @@ fn measure(quick: bool) -> Result<()> {
     for scene in PAPER {
         run::run(scene)?;
     }
-    // A case that is not met belongs on the page, above all.
-    if let Err(error) = hard_cases::hard_cases(quick) {
-        eprintln!("the page will show it: {error:#}");
+    // A case that is not met belongs on the page, above all; so does that valgrind, which counts instructions, is not there.
+    for outcome in [hard_cases::hard_cases(quick), bench::bench(quick)] {
+        if let Err(error) = outcome {
+            eprintln!("the page will say so: {error:#}");
+        }
     }
     Ok(())
 }

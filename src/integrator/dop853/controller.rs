@@ -51,6 +51,7 @@ impl Controller {
     }
 
     /// The same after a step whose error is too large, or not a number.
+    #[expect(clippy::manual_clamp, reason = "clamp would hand on what is not a number")]
     pub(super) fn rejected(error: f64) -> f64 {
         (SAFETY * libm::exp(-EXPONENT * libm::log(error))).max(CHANGE[0]).min(SAFETY)
     }
