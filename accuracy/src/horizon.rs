@@ -41,7 +41,7 @@ pub fn write(folder: &Folder, extent: Extent) -> Result<()> {
     let mut rows = Vec::new();
     let (limit, ending) = parting(SECOND)?;
     rows.push(vec!["double precision".into(), "tolerance".into(), "2e-14".into(), "rad".into(), limit.to_string(), ending]);
-    for choice in Choice::all(extent) {
+    for choice in Choice::all(extent).into_iter().filter(|choice| choice.setting != BEST) {
         let (time, ending) = parting(choice.setting)?;
         eprintln!("horizon: {}, {} {:e} {}: {time:.3} s, {ending}", choice.method, choice.knob, choice.value, choice.unit);
         rows.push(choice.cells().into_iter().chain([format!("{time:.3}"), ending]).collect());

@@ -135,7 +135,7 @@ def horizon(rows: list[Row]) -> Figure:
             )  # fmt: skip
         axes.set(xscale="log", xlabel=label)
         axes.minorticks_off()
-        axes.legend(loc="lower left")
+        axes.legend(loc="upper right", bbox_to_anchor=(1, 0.92))
     left.set_ylabel("within 1 mm until  (s)")
     left.set_ylim(bottom=0)
     return figure
