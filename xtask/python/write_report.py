@@ -4,6 +4,7 @@ python write_report.py --folder target/report --bench target/bench --hard-cases 
 """
 
 import argparse
+import io
 import shutil
 import sys
 from pathlib import Path
@@ -67,8 +68,10 @@ def update_docs(m: Measurements) -> None:
     """The picture and the short table, where readers meet them first."""
     found, judged = markers(m.precision), references(m.references)
     figure = figures.main_picture(found, judged)
-    figure.savefig(ROOT / "docs/images/accuracy.svg", metadata={"Date": None})
+    drawing = io.StringIO()
+    figure.savefig(drawing, format="svg", metadata={"Date": None})
     plt.close(figure)
+    (ROOT / "docs/images/accuracy.svg").write_text(page.compact(drawing.getvalue()), encoding="utf-8", newline="\n")
     docs.update(ROOT, picks.short_table(found, judged), m.precision.about)
 
 

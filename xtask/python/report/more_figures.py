@@ -31,6 +31,7 @@ def step_times(rows: list[Row]) -> Figure:
                 axes.step(times, longer, where="post", color=colour, label=f"{name}: p50 {_at(times, 50)}, p99 {_at(times, 99)} µs")
         logarithmic(axes, xlabel="µs per call of 1 ms", title=title)
         axes.legend(loc="lower left", fontsize=8)
+    panels[0].set_ylim(bottom=3e-6)  # room for the legends
     panels[0].set_ylabel("share of the calls that take longer")
     return figure
 

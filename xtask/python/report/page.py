@@ -12,13 +12,19 @@ from matplotlib.figure import Figure
 TEMPLATE = Path(__file__).with_name("page.html")
 
 
+def compact(drawing: str) -> str:
+    """An SVG with two decimals where matplotlib writes six: a hundredth of a point is below what anybody sees. Numbers below 1 are
+    scales and stay."""
+    return re.sub(r"(?<![\d.])([1-9]\d*\.\d\d)\d+", r"\1", drawing)
+
+
 def svg(figure: Figure, name: str, alt: str) -> str:
     """The figure as an inline SVG element; its ids are its own, for many share a page."""
     text = io.StringIO()
     with plt.rc_context({"svg.hashsalt": f"fivebar-{name}"}):
         figure.savefig(text, format="svg", metadata={"Date": None})
     plt.close(figure)
-    drawing = text.getvalue()
+    drawing = compact(text.getvalue())
     drawing = drawing[drawing.index("<svg") :]
     # Equal images would have equal ids, and nothing refers to them.
     drawing = re.sub(r' id="image[0-9a-f]+"', "", drawing)

@@ -119,7 +119,7 @@ def steps(m: Measurements) -> Section:
     )
     caption = "Share of the calls of 1 ms that take longer than a time, fall_90_120."
     section.figure(more_figures.step_times(m.steps.rows), "steps", caption, ["steps.csv"])
-    caption = "Sub-steps and iterations of each call against the smallest singular values: near a singularity more of them are asked for."
+    caption = "Sub-steps and iterations against the smallest singular values, a dot per call. Many of them are asked for by whips, which come near singularities but reach beyond them."
     section.figure(more_figures.near_singularities(m.steps.rows), "singular", caption, ["steps.csv"])
     if m.calls:
         section.parts.append("<h3>By scene</h3>")
@@ -216,11 +216,17 @@ def failed(m: Measurements, markers: list[Marker]) -> dict[tuple[str, str, str],
     return found
 
 
+def listed(settings: list[str]) -> str:
+    """`0.1, 0.05 ms`: the settings of a method share their unit."""
+    values, units = zip(*(text.split(" ") for text in settings))
+    return f"{', '.join(values)} {units[0]}"
+
+
 def failures(m: Measurements, markers: list[Marker], references: list[Reference]) -> Section:
     """11: what failed, was left out, or could bias the comparison."""
     section = Section("failures", "What failed, was left out, or could bias the comparison")
     section.parts.append("<h3>Failed</h3>")
-    rows = [[html.escape(scene), method, ", ".join(settings), why] for (scene, method, why), settings in failed(m, markers).items()]
+    rows = [[html.escape(scene), method, listed(settings), why] for (scene, method, why), settings in failed(m, markers).items()]
     if rows:
         section.parts.append(table(["scene", "method", "settings", "what happened"], rows))
         section.text("The exact words and times stand in precision.csv and energy.csv.")
