@@ -10,6 +10,7 @@ mod dop853_order; // the same on problems with known solutions: orders of step a
 mod dual_form; // the dual form is the paper's penalty step; the two-leg elimination is the dense solve
 mod effects; // each effect: tangents, powers, energy balance, absence
 mod effects_known; // effects against what is known without our code
+mod effects_reference; // scenes with effects against solutions in quadruple precision, through the C functions
 mod effects_stiff; // friction through zero, stops and contact hit fast, high gains
 mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
 

@@ -6,6 +6,7 @@ mod package;
 mod paths;
 mod prices;
 mod process;
+mod report;
 mod run;
 mod scenes;
 mod test;
@@ -43,6 +44,8 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
+    /// Measure what accuracy costs in time, write the page target/report/index.html
+    Report(report::Options),
     /// Measure times and instructions, write tables to target/bench/
     Bench {
         /// Few repeats, scenes up to 2 s
@@ -74,6 +77,7 @@ fn command(command: Command) -> Result<()> {
         Command::Run { scene } => run::run(&scene),
         Command::Test { full } => test::test(full),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
+        Command::Report(options) => report::report(&options),
         Command::Bench { check: true, .. } => bench::check(),
         Command::Bench { quick, .. } => bench::bench(quick),
         Command::Prices => prices::prices(),
