@@ -3,6 +3,7 @@
 mod hard_cases;
 mod package;
 mod paths;
+mod peers;
 mod process;
 mod run;
 mod scenes;
@@ -41,6 +42,11 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
+    /// Compare with other programs on the same scenes, write target/peers/peers.csv; needs packages of its own, some 1.5 GB
+    Peers {
+        /// Names of those to run; all of them
+        only: Vec<String>,
+    },
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package,
 }
@@ -61,6 +67,7 @@ fn command(command: Command) -> Result<()> {
         Command::Run { scene } => run::run(&scene),
         Command::Test { full } => test::test(full),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
+        Command::Peers { only } => peers::peers(&only),
         Command::Package => package::package().map(drop),
     }
 }
