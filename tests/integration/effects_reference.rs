@@ -6,13 +6,6 @@ use fivebar::variables::{Access, Method, Variable};
 use crate::fmi_host::{Host, reference};
 use crate::support::Reference;
 
-/// What one method is asked to reach on one scene.
-struct Goal {
-    scene: &'static str,
-    /// Largest error of tip (m) and angles (rad), and of rates (rad/s), over all rows.
-    bounds: [f64; 2],
-}
-
 /// Largest errors of tip and angles, and of rates, over all rows of the reference.
 fn errors(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 2] {
     let host = Host::initializing(0.0, None);
@@ -51,14 +44,45 @@ fn errors(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 2] {
     worst
 }
 
-#[test]
-fn print_errors() {
-    for scene in ["fall_90_120", "friction_fall", "run_down", "servo_step", "spring_payload", "end_stops", "bounce"] {
-        for tol in [3e-9, 1e-11, 1e-13] {
-            println!("{scene} i3alp {tol}: {:?}", errors(scene, Method::I3alp, &[("solver.errorTolerance", tol)]));
-        }
-        for h in [1e-4, 2e-5, 1e-5] {
-            println!("{scene} rk4 {h}: {:?}", errors(scene, Method::Rk4, &[("solver.stepSize", h)]));
-        }
+/// Both methods reach the reference: `bounds` are errors of tip and angles (m, rad) for i3-ALP at a local error of 1e-11 rad and RK4
+/// at 20 µs; rates, which change by up to some 100 rad/s² · error and more in hits, may be off by 300 times as much.
+fn is_met(scene: &str, bounds: [f64; 2]) {
+    let runs = [(Method::I3alp, ("solver.errorTolerance", 1e-11)), (Method::Rk4, ("solver.stepSize", 2e-5))];
+    for ((method, setting), bound) in runs.into_iter().zip(bounds) {
+        let [motion, rates] = errors(scene, method, &[setting]);
+        println!("{scene}, {method:?}: {motion:e} {rates:e}");
+        assert!(motion < bound && rates < 300.0 * bound, "{scene}, {method:?}: {motion:e} m or rad, {rates:e} rad/s");
     }
+}
+
+// Bounds are about three times the errors seen. RK4 pays for laws that turn within a step (friction, stop, contact).
+
+#[test]
+fn friction_in_all_joints() {
+    is_met("friction_fall", [2e-6, 1e-4]);
+}
+
+#[test]
+fn rotors_that_run_down() {
+    is_met("run_down", [1e-4, 1e-4]);
+}
+
+#[test]
+fn stiff_servos() {
+    is_met("servo_step", [1e-4, 1e-4]);
+}
+
+#[test]
+fn springs_with_payload_and_rotors() {
+    is_met("spring_payload", [1e-4, 1e-4]);
+}
+
+#[test]
+fn end_stops() {
+    is_met("end_stops", [1e-4, 1e-4]);
+}
+
+#[test]
+fn a_tip_that_bounces() {
+    is_met("bounce", [1e-4, 1e-4]);
 }

@@ -26,13 +26,15 @@ PEERS = {
     "MuJoCo": ("mujoco_engine", "peer"),
     "Exudyn": ("exudyn_engine", "peer"),
     "Drake": ("drake_plant", "peer"),
-    "Pinocchio": ("pinocchio_loop", "peer"),
     "SciPy DOP853": ("scipy_dop853", "peer"),
     "SUNDIALS CVODE": ("sundials", "cvode"),
     "SUNDIALS IDA": ("sundials", "ida"),
 }
 # Peers worth comparing with that no module here drives, and why.
-WITHOUT_MODULE = {"rapier2d": "a Rust crate; nothing here drives it"}
+WITHOUT_MODULE = {
+    "Pinocchio": "brings constrained dynamics but no integrator; nothing here drives it",
+    "rapier2d": "a Rust crate; nothing here drives it",
+}
 
 # Seconds of the processor's time after which a run is ended at the next whole simulated second.
 BUDGET = 60.0
