@@ -15,6 +15,8 @@ pub enum Setting {
     Printed(f64),
     /// Runge-Kutta of order 4 with projection, at steps of this many seconds.
     Rk4(f64),
+    /// Runge-Kutta of order 8 with this error tolerance, rad.
+    Dop853(f64),
 }
 
 impl Setting {
@@ -22,10 +24,13 @@ impl Setting {
     pub const TIGHT: Self = Self::Tolerance(3e-10);
     /// Far tighter than anything judged: starts and reference motions.
     pub const REFERENCE: Self = Self::Tolerance(1e-11);
+    /// The explicit method at the tolerance at which the battery judges it, rad.
+    pub const EXPLICIT: Self = Self::Dop853(1e-10);
     /// The columns of the matrix.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Default,
         Self::TIGHT,
+        Self::EXPLICIT,
         Self::Fixed(1e-3),
         Self::Fixed(1e-4),
         Self::Printed(1e-3),
@@ -41,6 +46,10 @@ impl Setting {
             Self::Default => return,
             Self::Tolerance(tolerance) => {
                 settings.error_tolerance = tolerance;
+                return;
+            }
+            Self::Dop853(tolerance) => {
+                (settings.method, settings.error_tolerance) = (Method::Dop853, tolerance);
                 return;
             }
             Self::Fixed(step) => {
@@ -61,7 +70,7 @@ impl Setting {
 
     /// Whether the battery judges the result; the others are shown for comparison.
     pub fn is_judged(self) -> bool {
-        matches!(self, Self::Default | Self::Tolerance(_))
+        matches!(self, Self::Default | Self::Tolerance(_) | Self::Dop853(_))
     }
 
     /// The method's name, as `solver.method` has it.
@@ -70,6 +79,7 @@ impl Setting {
             Self::Default | Self::Tolerance(_) | Self::Fixed(_) => "i3alp",
             Self::Printed(_) => "i3alpPrinted",
             Self::Rk4(_) => "rk4",
+            Self::Dop853(_) => "dop853",
         }
     }
 
@@ -77,7 +87,7 @@ impl Setting {
     pub fn label(self) -> String {
         match self {
             Self::Default => "default tolerance".into(),
-            Self::Tolerance(tolerance) => format!("tolerance {tolerance:e} rad"),
+            Self::Tolerance(tolerance) | Self::Dop853(tolerance) => format!("tolerance {tolerance:e} rad"),
             Self::Fixed(step) => format!("fixed {} ms", 1e3 * step),
             Self::Printed(step) | Self::Rk4(step) => format!("{} ms", 1e3 * step),
         }

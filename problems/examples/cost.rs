@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release -p problems --example cost`
 
-use fivebar::integrator::{Failure, System};
+use fivebar::integrator::{Failure, Implicit};
 use problems::{Method, Outcome, Problem, four_bars, pendulum, squeezer};
 
 fn main() {
@@ -17,7 +17,7 @@ fn main() {
 }
 
 /// Both methods at fixed steps, and i3-ALP with sub-steps of several tolerances within macro steps of h.
-fn show<S: System<N, M>, const N: usize, const M: usize>(
+fn show<S: Implicit<N, M>, const N: usize, const M: usize>(
     name: &str,
     problem: &Problem<S, N, M>,
     steps: &[f64],

@@ -4,7 +4,7 @@
 //!
 //! `cargo run --release -p problems --example passes`
 
-use fivebar::integrator::System;
+use fivebar::integrator::Implicit;
 use problems::{Method, Problem, four_bars};
 
 fn main() {
@@ -20,7 +20,7 @@ fn main() {
     }
 }
 
-fn show<S: System<N, M>, const N: usize, const M: usize>(name: &str, mut problem: Problem<S, N, M>, softness: f64, runs: u32) {
+fn show<S: Implicit<N, M>, const N: usize, const M: usize>(name: &str, mut problem: Problem<S, N, M>, softness: f64, runs: u32) {
     problem.softness = softness;
     let (coarse, fine) = ((problem.duration / 1e-2).round() as u32, (problem.duration / 1e-3).round() as u32);
     for (method_name, method, least) in [
@@ -46,7 +46,7 @@ struct Row {
 
 impl Row {
     /// Runs of `least` macro steps, and of up to a tenth more.
-    fn of<S: System<N, M>, const N: usize, const M: usize>(
+    fn of<S: Implicit<N, M>, const N: usize, const M: usize>(
         problem: &Problem<S, N, M>,
         method: Method,
         least: u32,

@@ -37,6 +37,11 @@ pub fn forty() -> Problem<Linkage<243, 242, W>, 243, 242> {
     problem(20.0, |q| distance(tip(q), FORTY_AT_20_S))
 }
 
+/// The benchmark with as many loops as N coordinates have, over 1 s, for cost: the error is the distance of B0 from its circle, m.
+pub fn row<const N: usize, const M: usize>() -> Problem<Linkage<N, M, W>, N, M> {
+    problem(1.0, |q| (tip(q)[0].hypot(tip(q)[1]) - 1.0).abs())
+}
+
 /// φ(t) of the equivalent pendulum for N = `loops`, rad: c φ̈ = p g sin φ, φ(0) = 0, φ̇(0) = 1/s. The standing links turn about their
 /// feet, the others move without turning: c = (N + 1)/3 + N and p = (N + 1)/2 + N, kg m² and kg m.
 ///

@@ -10,7 +10,7 @@ mod pose;
 pub use factor::Factor;
 pub use pose::Pose;
 
-use fivebar::integrator::{Failure, Power, System};
+use fivebar::integrator::{Failure, Implicit, Power, System};
 pub(crate) use pose::rotated;
 use pose::{Side, quarter_turn};
 
@@ -146,7 +146,6 @@ impl Spring {
 impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N, M, W> {
     type Pose = Pose<M>;
     type Mass = Factor<N, M, W>;
-    type Tangent = Factor<N, M, W>;
 
     fn pose(&self, q: &[f64; N]) -> Pose<M> {
         Pose::new(&self.joints, q)
@@ -165,9 +164,6 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
     }
     fn phi_q_times(&self, pose: &Pose<M>, v: &[f64; N]) -> [f64; M] {
         pose.times(v)
-    }
-    fn phi_q_transposed_times(&self, pose: &Pose<M>, lambda: &[f64; M]) -> [f64; N] {
-        pose.transposed_times(lambda)
     }
     fn phi_q_dot_times(&self, pose: &Pose<M>, v: &[f64; N]) -> [f64; M] {
         pose.dot_times(v)
@@ -191,6 +187,35 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
         }
         forces
     }
+    fn factor_mass(&self, pose: &Pose<M>, softness: f64) -> Factor<N, M, W> {
+        let inverses = std::array::from_fn(|i| {
+            let Body { mass, inertia, .. } = self.bodies[i / 3];
+            let mut row = [0.0; 3];
+            row[i % 3] = 1.0 / if i % 3 == 2 { inertia } else { mass };
+            row
+        });
+        Factor::new(pose, inverses, softness)
+    }
+    fn follows_work(&self) -> bool {
+        false
+    }
+    fn power(&self, _: &[f64; N], _: &Pose<M>, _: &[f64; N]) -> Power {
+        Power::default()
+    }
+    fn angle_norm(&self, x: &[f64; N]) -> f64 {
+        x.iter().skip(2).step_by(3).fold(0.0, |largest, x| largest.max(x.abs()))
+    }
+    fn size(&self) -> f64 {
+        self.size
+    }
+}
+
+impl<const N: usize, const M: usize, const W: usize> Implicit<N, M> for Linkage<N, M, W> {
+    type Tangent = Factor<N, M, W>;
+
+    fn phi_q_transposed_times(&self, pose: &Pose<M>, lambda: &[f64; M]) -> [f64; N] {
+        pose.transposed_times(lambda)
+    }
     fn weight_times(&self, q: &[f64; N], _: &Pose<M>, _: &[f64; N], h: f64, x: &[f64; N]) -> [f64; N] {
         let mut product = [0.0; N];
         for body in 0..N / 3 {
@@ -200,15 +225,6 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
             }
         }
         product
-    }
-    fn factor_mass(&self, pose: &Pose<M>, softness: f64) -> Factor<N, M, W> {
-        let inverses = std::array::from_fn(|i| {
-            let Body { mass, inertia, .. } = self.bodies[i / 3];
-            let mut row = [0.0; 3];
-            row[i % 3] = 1.0 / if i % 3 == 2 { inertia } else { mass };
-            row
-        });
-        Factor::new(pose, inverses, softness)
     }
     fn factor_tangent(
         &self,
@@ -229,17 +245,5 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
             inverses[3 * body..3 * body + 3].copy_from_slice(&inverse);
         }
         Ok(Factor::new(pose, inverses, softness))
-    }
-    fn follows_work(&self) -> bool {
-        false
-    }
-    fn power(&self, _: &[f64; N], _: &Pose<M>, _: &[f64; N]) -> Power {
-        Power::default()
-    }
-    fn angle_norm(&self, x: &[f64; N]) -> f64 {
-        x.iter().skip(2).step_by(3).fold(0.0, |largest, x| largest.max(x.abs()))
-    }
-    fn size(&self) -> f64 {
-        self.size
     }
 }

@@ -6,7 +6,7 @@
 //! Source: Library of Computational Benchmark Problems, IFToMM Technical Committee for Multibody Dynamics, problem A01. The position
 //! at 10 s follows from Jacobi's elliptic functions.
 
-use fivebar::integrator::{Failure, Kkt, Power, System};
+use fivebar::integrator::{Failure, Implicit, Kkt, Power, System};
 
 use crate::Problem;
 
@@ -54,7 +54,6 @@ impl Kkt<2, 1> for Factor {
 impl System<2, 1> for Pendulum {
     type Pose = [f64; 2];
     type Mass = Factor;
-    type Tangent = Factor;
 
     fn pose(&self, q: &[f64; 2]) -> [f64; 2] {
         *q
@@ -65,9 +64,6 @@ impl System<2, 1> for Pendulum {
     fn phi_q_times(&self, q: &[f64; 2], v: &[f64; 2]) -> [f64; 1] {
         [dot(q, v)]
     }
-    fn phi_q_transposed_times(&self, q: &[f64; 2], [lambda]: &[f64; 1]) -> [f64; 2] {
-        q.map(|q| q * lambda)
-    }
     fn phi_q_dot_times(&self, _: &[f64; 2], v: &[f64; 2]) -> [f64; 1] {
         [dot(v, v)]
     }
@@ -77,22 +73,8 @@ impl System<2, 1> for Pendulum {
     fn forces(&self, _: &[f64; 2], _: &[f64; 2], _: &[f64; 2]) -> [f64; 2] {
         [0.0, -G]
     }
-    fn weight_times(&self, _: &[f64; 2], _: &[f64; 2], _: &[f64; 2], _: f64, x: &[f64; 2]) -> [f64; 2] {
-        *x
-    }
     fn factor_mass(&self, q: &[f64; 2], softness: f64) -> Factor {
         Factor { a: 1.0, q: *q, softness }
-    }
-    fn factor_tangent(
-        &self,
-        q: &[f64; 2],
-        _: &[f64; 2],
-        _: &[f64; 2],
-        [lambda]: &[f64; 1],
-        h: f64,
-        softness: f64,
-    ) -> Result<Factor, Failure> {
-        Ok(Factor { a: 1.0 + h * h / 4.0 * lambda, q: *q, softness })
     }
     fn follows_work(&self) -> bool {
         false
@@ -105,5 +87,27 @@ impl System<2, 1> for Pendulum {
     }
     fn size(&self) -> f64 {
         1.0
+    }
+}
+
+impl Implicit<2, 1> for Pendulum {
+    type Tangent = Factor;
+
+    fn phi_q_transposed_times(&self, q: &[f64; 2], [lambda]: &[f64; 1]) -> [f64; 2] {
+        q.map(|q| q * lambda)
+    }
+    fn weight_times(&self, _: &[f64; 2], _: &[f64; 2], _: &[f64; 2], _: f64, x: &[f64; 2]) -> [f64; 2] {
+        *x
+    }
+    fn factor_tangent(
+        &self,
+        q: &[f64; 2],
+        _: &[f64; 2],
+        _: &[f64; 2],
+        [lambda]: &[f64; 1],
+        h: f64,
+        softness: f64,
+    ) -> Result<Factor, Failure> {
+        Ok(Factor { a: 1.0 + h * h / 4.0 * lambda, q: *q, softness })
     }
 }

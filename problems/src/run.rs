@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use fivebar::integrator::{Failure, Power, State, System, i3alp, rk4};
+use fivebar::integrator::{Failure, Implicit, Power, State, i3alp, rk4};
 
 /// A benchmark: a system, its start, its end and what is published about it.
 pub struct Problem<S, const N: usize, const M: usize> {
@@ -55,13 +55,13 @@ const TOLERANCE: f64 = 5e-13;
 /// The five-bar's default.
 const MAX_ITERATIONS: u32 = 10;
 
-impl<S: System<N, M>, const N: usize, const M: usize> Problem<S, N, M> {
+impl<S: Implicit<N, M>, const N: usize, const M: usize> Problem<S, N, M> {
     /// i3-ALP at strictly fixed step.
     pub fn fixed(&self) -> Method {
         Method::I3alp(i3alp::Settings { adaptive: false, ..self.i3alp(f64::INFINITY) })
     }
 
-    /// i3-ALP with sub-steps of this local error, in the unit of [`System::angle_norm`].
+    /// i3-ALP with sub-steps of this local error, in the unit of [`fivebar::integrator::System::angle_norm`].
     pub fn adaptive(&self, error_tolerance: f64) -> Method {
         Method::I3alp(self.i3alp(error_tolerance))
     }

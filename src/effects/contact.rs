@@ -122,6 +122,7 @@ impl Force for Contact {
         self.buffer.damping == 0.0 && self.mu == 0.0
     }
 
+    #[inline(never)]
     fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
         let touch = self.touch(at);
         if touch.depth > 0.0 {
@@ -129,6 +130,7 @@ impl Force for Contact {
         }
     }
 
+    #[inline(never)]
     fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
         let touch = self.touch(at);
         if touch.depth <= 0.0 {

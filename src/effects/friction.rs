@@ -102,14 +102,14 @@ impl Force for Friction {
         false
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
         for curve in self.curves() {
             add_joint_torque(curve.joint, -self.drag(curve, at.joint_rate(curve.joint)), forces);
         }
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
         for curve in self.curves() {
             add_joint_damping(curve.joint, self.slope(curve, at.joint_rate(curve.joint)), tangents);

@@ -4,11 +4,9 @@
 //! Defaults: standard gravity rounded as in the paper (9.81 m/s²), an upright mechanism, pulling along −y.
 //! Limits: none within Newtonian mechanics; components out of the plane do no work and are carried by the bearings.
 
-use super::situation::Situation;
-use super::Force;
-use crate::mechanism::coordinates::{D_X, D_Y, P_X, P_Y, set_legs};
+use crate::mechanism::coordinates::{D_X, D_Y, P_X, P_Y, add_legs};
 use crate::mechanism::legs::both;
-use crate::mechanism::{COORDINATES, Coordinates, Mechanism, Refusal, finite};
+use crate::mechanism::{Coordinates, Mechanism, Refusal, finite};
 
 /// The `gravity.*` variables.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,17 +21,10 @@ pub struct Parameters {
     pub direction: f64,
 }
 
-/// Gravity ready to act: its constant generalised force.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Gravity {
-    weight: Coordinates,
-}
-
-impl Force for Gravity {
-    type Parameters = Parameters;
-
-    fn new(parameters: &Parameters, mechanism: &Mechanism) -> Result<Self, Refusal> {
-        let Parameters { g, tilt, direction, .. } = *parameters;
+impl Parameters {
+    /// Adds the links' weights.
+    pub fn add_weight(&self, mechanism: &Mechanism, weight: &mut Coordinates) -> Result<(), Refusal> {
+        let Self { g, tilt, direction, .. } = *self;
         for (name, value, unit) in [("g", g, "m/s2"), ("tilt", tilt, "rad"), ("direction", direction, "rad")] {
             finite(&format!("gravity.{name}"), value, unit)?;
         }
@@ -44,22 +35,10 @@ impl Force for Gravity {
         }
         let (sin, cos) = libm::sincos(direction);
         let in_plane = g * libm::sin(tilt);
-        let mut weight = [0.0; COORDINATES];
         for (x, y, mass) in [(P_X, P_Y, mechanism.mass_p), (D_X, D_Y, mechanism.mass_d)] {
-            set_legs(&mut weight, x, mass * both(in_plane * cos));
-            set_legs(&mut weight, y, mass * both(in_plane * sin));
+            add_legs(weight, x, mass * both(in_plane * cos));
+            add_legs(weight, y, mass * both(in_plane * sin));
         }
-        Ok(Self { weight })
-    }
-
-    #[inline(always)]
-    fn add_forces(&self, _at: &Situation, forces: &mut Coordinates) {
-        for (force, weight) in forces.iter_mut().zip(&self.weight) {
-            *force += weight;
-        }
-    }
-
-    fn potential(&self, at: &Situation) -> f64 {
-        -at.q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum::<f64>()
+        Ok(())
     }
 }

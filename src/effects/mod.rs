@@ -9,16 +9,20 @@ mod buffer;
 pub mod loads;
 mod situation;
 pub mod tangents;
+mod variation;
 
 pub use loads::Inputs;
 pub use situation::{JOINTS, Situation};
 pub use tangents::Tangents;
+pub use variation::Change;
 
 use arrayvec::ArrayVec;
 
-use crate::mechanism::{Coordinates, Geometry, Mechanism, Refusal};
+use crate::mechanism::{COORDINATES, Coordinates, Geometry, Mechanism, Refusal};
 
-/// An effect with a force, ready to act. Its file says what it adds and where it comes from.
+/// An effect with a force that depends on the motion, ready to act. Its file says what it adds and where it comes from.
+///
+/// What is more than a few additions is not inlined: the steps of every method would each hold a copy of every effect.
 trait Force: Sized {
     /// Its variables.
     type Parameters;
@@ -42,6 +46,9 @@ trait Force: Sized {
     /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.
     fn add_tangents(&self, _at: &Situation, _tangents: &mut impl Tangents) {}
 
+    /// Adds ∂Q/∂u δu for inputs u that it reads.
+    fn add_input_change(&self, _at: &Situation, _change: &Inputs, _forces: &mut Coordinates) {}
+
     /// Potential energy, J.
     fn potential(&self, _at: &Situation) -> f64 {
         0.0
@@ -58,10 +65,12 @@ trait Force: Sized {
     }
 }
 
-/// Makes the list of effects: those that only add masses, constant in M, and those that add forces, in the order in which they act.
+/// Makes the list of effects: those that only add masses, constant in M, those with a constant force, and those whose force depends
+/// on the motion, in the order in which they act.
 macro_rules! effects {
-    (masses: $($mass:ident),+; forces: $($force:ident: $Force:ident),+;) => {
+    (masses: $($mass:ident),+; weights: $($weight:ident),+; forces: $($force:ident: $Force:ident),+;) => {
         $(pub mod $mass;)+
+        $(pub mod $weight;)+
         $(pub mod $force;)+
         $(pub use $force::$Force;)+
 
@@ -69,16 +78,17 @@ macro_rules! effects {
         #[derive(Clone, Debug, PartialEq)]
         pub struct Parameters {
             $(#[doc = concat!("See [`", stringify!($mass), "`].")] pub $mass: $mass::Parameters,)+
+            $(#[doc = concat!("See [`", stringify!($weight), "`].")] pub $weight: $weight::Parameters,)+
             $(#[doc = concat!("See [`", stringify!($force), "`].")] pub $force: $force::Parameters,)+
         }
 
         /// Names of all effects: those of their `….enabled` variables.
-        pub const NAMES: [&str; [$(stringify!($mass),)+ $(stringify!($force),)+].len()] =
-            [$(stringify!($mass),)+ $(stringify!($force),)+];
+        pub const NAMES: [&str; [$(stringify!($mass),)+ $(stringify!($weight),)+ $(stringify!($force),)+].len()] =
+            [$(stringify!($mass),)+ $(stringify!($weight),)+ $(stringify!($force),)+];
 
         const FORCES: usize = [$(stringify!($force),)+].len();
 
-        /// An effect with a force that the scene calls for, ready to act.
+        /// An effect with a force that depends on the motion, which the scene calls for, ready to act.
         #[derive(Clone, Debug, PartialEq)]
         #[expect(missing_docs, reason = "each is the type of the effect's file")]
         pub enum Effect {
@@ -88,7 +98,11 @@ macro_rules! effects {
         impl Parameters {
             /// Names of the effects that are enabled.
             pub fn enabled(&self) -> ArrayVec<&'static str, { NAMES.len() }> {
-                let all = [$((stringify!($mass), self.$mass.enabled),)+ $((stringify!($force), self.$force.enabled),)+];
+                let all = [
+                    $((stringify!($mass), self.$mass.enabled),)+
+                    $((stringify!($weight), self.$weight.enabled),)+
+                    $((stringify!($force), self.$force.enabled),)+
+                ];
                 all.into_iter().filter_map(|(name, enabled)| enabled.then_some(name)).collect()
             }
 
@@ -99,7 +113,14 @@ macro_rules! effects {
                 Ok(burdened)
             }
 
-            /// The effects with forces that are enabled, in the order in which they act.
+            /// The constant generalised force of the effects that are enabled.
+            pub fn weight(&self, mechanism: &Mechanism) -> Result<Coordinates, Refusal> {
+                let mut weight = [0.0; COORDINATES];
+                $(if self.$weight.enabled { self.$weight.add_weight(mechanism, &mut weight)?; })+
+                Ok(weight)
+            }
+
+            /// The effects whose force depends on the motion that are enabled, in the order in which they act.
             pub fn active(&self, mechanism: &Mechanism) -> Result<Active, Refusal> {
                 let mut active = Active::new();
                 $(if self.$force.enabled { active.push(Effect::$Force($Force::new(&self.$force, mechanism)?)); })+
@@ -135,6 +156,11 @@ macro_rules! effects {
                 match self { $(Self::$Force(force) => force.add_tangents(at, tangents),)+ }
             }
 
+            /// Adds ∂Q/∂u δu for inputs u that it reads.
+            fn add_input_change(&self, at: &Situation, change: &Inputs, forces: &mut Coordinates) {
+                match self { $(Self::$Force(force) => force.add_input_change(at, change, forces),)+ }
+            }
+
             /// Potential energy, J.
             pub fn potential(&self, at: &Situation) -> f64 {
                 match self { $(Self::$Force(force) => force.potential(at),)+ }
@@ -158,5 +184,6 @@ pub type Active = ArrayVec<Effect, FORCES>;
 
 effects! {
     masses: rotor, payload;
-    forces: gravity: Gravity, viscous: Viscous, friction: Friction, spring: Spring, stop: Stop, contact: Contact, servo: Servo;
+    weights: gravity;
+    forces: viscous: Viscous, friction: Friction, spring: Spring, stop: Stop, contact: Contact, servo: Servo;
 }

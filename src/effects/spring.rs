@@ -37,14 +37,14 @@ impl Force for Spring {
         Ok(Self { k, theta0 })
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
         for (i, motor) in MOTORS.into_iter().enumerate() {
             forces[motor] -= self.k[i] * (at.motor_angle(i) - self.theta0[i]);
         }
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn add_tangents(&self, _at: &Situation, tangents: &mut impl Tangents) {
         for (i, motor) in MOTORS.into_iter().enumerate() {
             tangents.stiffness(motor, motor, self.k[i]);

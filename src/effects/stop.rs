@@ -71,7 +71,7 @@ impl Force for Stop {
         self.buffer.damping == 0.0
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
         for (i, motor) in MOTORS.into_iter().enumerate() {
             let (direction, depth, rate) = self.reach(at, i);
@@ -79,7 +79,7 @@ impl Force for Stop {
         }
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
         for (i, motor) in MOTORS.into_iter().enumerate() {
             let (_, depth, rate) = self.reach(at, i);

@@ -53,21 +53,21 @@ impl Force for Viscous {
         false
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
         for (joint, b) in self.joints() {
             add_joint_torque(joint, -b * at.joint_rate(joint), forces);
         }
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn add_tangents(&self, _at: &Situation, tangents: &mut impl Tangents) {
         for (joint, b) in self.joints() {
             add_joint_damping(joint, b, tangents);
         }
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn dissipation(&self, at: &Situation) -> f64 {
         self.joints().map(|(joint, b)| b * at.joint_rate(joint) * at.joint_rate(joint)).sum()
     }

@@ -7,8 +7,8 @@ use std::ptr::null_mut;
 use super::arrays::{not_null, slice, string};
 use super::guard::{Component, guard};
 use super::types::{
-    fmi2Boolean, fmi2Byte, fmi2CallbackFunctions, fmi2CoSimulation, fmi2Component, fmi2FMUstate, fmi2False, fmi2Integer, fmi2Real,
-    fmi2Status, fmi2String, fmi2Type, fmi2ValueReference,
+    fmi2Boolean, fmi2CallbackFunctions, fmi2CoSimulation, fmi2Component, fmi2False, fmi2Integer, fmi2Real, fmi2Status, fmi2String,
+    fmi2Type, fmi2ValueReference,
 };
 use crate::fmi::{Call, Instance, Rejection};
 use crate::variables::{Access, GUID, Value};
@@ -268,43 +268,4 @@ pub unsafe extern "C" fn fmi2SetString(
     };
     // SAFETY: the caller vouches for the component.
     unsafe { guard(c, Call::SetString, body) }
-}
-
-/// Defines functions whose capability flag is false: fmi2Error with one sentence that names the flag.
-macro_rules! unsupported {
-    ($($(#[doc = $doc:literal])+ $name:ident: $call:ident($($argument:ident: $kind:ty),*);)+) => {$(
-        $(#[doc = $doc])+
-        ///
-        /// # Safety
-        /// See the contract of [`crate::ffi`].
-        #[unsafe(no_mangle)]
-        pub unsafe extern "C" fn $name(c: fmi2Component, $($argument: $kind),*) -> fmi2Status {
-            // SAFETY: the caller vouches for the component.
-            unsafe { guard(c, Call::$call, |_| Err(Call::$call.unsupported())) }
-        }
-    )+};
-}
-pub(super) use unsupported;
-
-unsupported! {
-    /// Refused: canGetAndSetFMUstate is false (section 2.1.8).
-    fmi2GetFMUstate: GetFMUstate(_FMUstate: *mut fmi2FMUstate);
-    /// Refused: canGetAndSetFMUstate is false (section 2.1.8).
-    fmi2SetFMUstate: SetFMUstate(_FMUstate: fmi2FMUstate);
-    /// Refused: canGetAndSetFMUstate is false (section 2.1.8).
-    fmi2FreeFMUstate: FreeFMUstate(_FMUstate: *mut fmi2FMUstate);
-    /// Refused: canSerializeFMUstate is false (section 2.1.8).
-    fmi2SerializedFMUstateSize: SerializedFMUstateSize(_FMUstate: fmi2FMUstate, _size: *mut usize);
-    /// Refused: canSerializeFMUstate is false (section 2.1.8).
-    fmi2SerializeFMUstate: SerializeFMUstate(_FMUstate: fmi2FMUstate, _serializedState: *mut fmi2Byte, _size: usize);
-    /// Refused: canSerializeFMUstate is false (section 2.1.8).
-    fmi2DeSerializeFMUstate: DeSerializeFMUstate(
-        _serializedState: *const fmi2Byte, _size: usize, _FMUstate: *mut fmi2FMUstate
-    );
-    /// Refused: providesDirectionalDerivative is false (section 2.1.9).
-    fmi2GetDirectionalDerivative: GetDirectionalDerivative(
-        _vUnknown_ref: *const fmi2ValueReference, _nUnknown: usize,
-        _vKnown_ref: *const fmi2ValueReference, _nKnown: usize,
-        _dvKnown: *const fmi2Real, _dvUnknown: *mut fmi2Real
-    );
 }

@@ -90,7 +90,7 @@ fn enumeration_parameter(p: &mut Parameters, variable: EnumerationParameter) -> 
 }
 
 /// The place of an input.
-fn real_input(inputs: &mut Inputs, variable: RealInput) -> &mut f64 {
+pub(super) fn real_input(inputs: &mut Inputs, variable: RealInput) -> &mut f64 {
     match variable {
         RealInput::Tau(i) => &mut inputs.tau[i],
         RealInput::TipFx => &mut inputs.tip_force[0],
@@ -125,7 +125,7 @@ macro_rules! choice {
     };
 }
 
-choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4 });
+choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4, Dop853 });
 choice!(mechanism::Assembly = variables::Assembly { Plus, Minus });
 
 /// The name of a method as in the XML.
@@ -149,8 +149,13 @@ pub(super) fn read(parameters: &mut Parameters, inputs: &mut Inputs, variable: &
     })
 }
 
+/// Every parameter and input.
+pub(super) fn settable() -> impl Iterator<Item = &'static Variable> {
+    VARIABLES.iter().filter(|variable| variable.start.is_some())
+}
+
 /// Writes a parameter or input; false where the value is not of its type or the variable is an output.
-pub(super) fn write(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable, value: Value) -> bool {
+pub fn write(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable, value: Value) -> bool {
     match (variable.slot, value) {
         (Slot::RealParameter(v), Value::Real(x)) => *real_parameter(parameters, v) = x,
         (Slot::RealInput(v), Value::Real(x)) => *real_input(inputs, v) = x,

@@ -5,6 +5,8 @@
 //! otherwise ceil(H/h) equal ones. Each accepted point is the anchor of the next step, so a master may count
 //! (start + n H) or accumulate (t += H), over any number of steps, without drifting out of the tolerance.
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use super::Rejection;
 
 /// Relative tolerance to which a master's points and steps are taken as what was meant.
@@ -17,7 +19,7 @@ const ULPS: f64 = 4.0;
 const MOST_STEPS: f64 = 1e9;
 
 /// The master's clock.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Clock {
     point: f64,
     stop: Option<f64>,

@@ -18,10 +18,12 @@
 
 use std::fmt;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use super::Rejection;
 
 /// Where an instance is in its life.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Stage {
     /// After fmi2Instantiate or fmi2Reset.
     Instantiated,
@@ -105,7 +107,9 @@ impl Call {
             Self::GetReal | Self::GetInteger | Self::GetBoolean | Self::GetString => {
                 &[InitializationMode, StepComplete, StepFailed, Terminated]
             }
-            Self::SetReal | Self::SetInteger | Self::SetBoolean | Self::SetString => {
+            Self::GetDirectionalDerivative => &[InitializationMode, StepComplete, StepFailed, Terminated],
+            Self::GetRealOutputDerivatives => &[StepComplete, StepFailed, Terminated],
+            Self::SetReal | Self::SetInteger | Self::SetBoolean | Self::SetString | Self::SetRealInputDerivatives => {
                 // After a discard as well, beyond the standard: the step has been rolled back, and another input may be what it needs.
                 &[Instantiated, InitializationMode, StepComplete, StepFailed]
             }
@@ -115,17 +119,14 @@ impl Call {
             Self::GetStatus | Self::GetRealStatus | Self::GetIntegerStatus | Self::GetBooleanStatus | Self::GetStringStatus => {
                 &[StepComplete, StepFailed, Terminated]
             }
-            // Answered with an error of their own: a step is never pending, and these capability flags are false.
-            Self::CancelStep
-            | Self::GetFMUstate
+            Self::GetFMUstate
             | Self::SetFMUstate
             | Self::FreeFMUstate
             | Self::SerializedFMUstateSize
             | Self::SerializeFMUstate
-            | Self::DeSerializeFMUstate
-            | Self::GetDirectionalDerivative
-            | Self::SetRealInputDerivatives
-            | Self::GetRealOutputDerivatives => ANYWHERE,
+            | Self::DeSerializeFMUstate => ANYWHERE,
+            // Answered with an error of its own: a step is never pending.
+            Self::CancelStep => ANYWHERE,
         }
     }
 
@@ -137,18 +138,5 @@ impl Call {
         }
         let names: Vec<String> = allowed.iter().map(Stage::to_string).collect();
         Err(Rejection::error(format!("the state is \"{stage}\", allowed is: {}.", names.join(", "))))
-    }
-
-    /// The refusal of a function whose capability flag is false.
-    pub fn unsupported(self) -> Rejection {
-        let (flag, value) = match self {
-            Self::GetFMUstate | Self::SetFMUstate | Self::FreeFMUstate => ("canGetAndSetFMUstate", "false"),
-            Self::SerializedFMUstateSize | Self::SerializeFMUstate | Self::DeSerializeFMUstate => ("canSerializeFMUstate", "false"),
-            Self::GetDirectionalDerivative => ("providesDirectionalDerivative", "false"),
-            Self::SetRealInputDerivatives => ("canInterpolateInputs", "false"),
-            Self::GetRealOutputDerivatives => ("maxOutputDerivativeOrder", "0"),
-            _ => unreachable!("{self} is supported"),
-        };
-        Rejection::error(format!("the model description declares {flag}=\"{value}\"."))
     }
 }

@@ -1,5 +1,6 @@
 //! q̈ and λ that belong to q, q̇ and the forces.
 
+use super::vectors::minus;
 use super::{Kkt, System};
 
 /// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇.
@@ -18,13 +19,13 @@ pub fn equilibrium<const N: usize, const M: usize>(
 
 /// The same with pose and factor at hand.
 #[inline(always)]
-pub(super) fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
+pub fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     q: &[f64; N],
     pose: &S::Pose,
     v: &[f64; N],
     mass: &S::Mass,
 ) -> ([f64; N], [f64; M]) {
-    let centripetal = system.phi_q_dot_times(pose, v).map(|x| -x);
+    let centripetal = minus(&system.phi_q_dot_times(pose, v));
     mass.solve(&system.forces(q, pose, v), &centripetal)
 }

@@ -12,9 +12,10 @@
 
 use super::equilibrium::equilibrium_at;
 use super::projection::{self, Projection};
-use super::system::{local_error, max_norm};
+use super::system::local_error;
+use super::vectors::{add, combine, finite, max_norm};
 use super::vertex::{self, Care, Gate, Ledger, Verdict};
-use super::{Failure, Kkt, Power, State, System};
+use super::{Failure, Implicit, Kkt, Power, State};
 
 mod descent;
 
@@ -59,7 +60,7 @@ struct Attempt<const N: usize, const M: usize> {
 /// `energy` is that before it, where round-off next to a vertex would change it.
 #[inline(always)]
 fn attempt<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     h: f64,
@@ -69,42 +70,29 @@ fn attempt<const N: usize, const M: usize>(
         return Ok(Attempt::moved_on(system, state, h));
     }
 
-    // Predict. δ is the increment against q + h q̇ + h²/2 q̈: an unknown without the round-off of q̈ = 4/h² (q − …).
-    let beta = h * h / 4.0;
-    let mut step = Step {
-        h,
-        beta,
-        tolerance: constraint_tolerance(settings, system.size(), h),
-        predicted: std::array::from_fn(|i| state.q[i] + h * (state.v[i] + h / 2.0 * state.a[i])),
-        v: std::array::from_fn(|i| state.v[i] + h * state.a[i]),
-        inertia: state.a.map(|a| beta * a),
-        delta: state.jerk.map(|jerk| beta * h * jerk),
-        lambda: state.lambda,
-    };
+    let step = Step::predict(state, h, constraint_tolerance(settings, system.size(), h));
     let counters = &mut state.counters;
-    if let Err(failure) = newton(system, settings, &mut step, &mut counters.iterations) {
-        step.delta = [0.0; N];
-        step.lambda = state.lambda;
-        if !descent::descend(system, settings, &mut step, &mut counters.iterations) {
-            return Err(failure);
+    let Found { q, pose, v } = match newton(system, settings, step, &mut counters.iterations) {
+        Ok(found) => found,
+        Err(failure) => {
+            let from_prediction = Step { delta: [0.0; N], ..step };
+            let second = descent::descend(system, settings, from_prediction, &mut counters.iterations);
+            counters.rescued += u64::from(second.is_some());
+            second.ok_or(failure)?
         }
-        counters.rescued += 1;
-    }
+    };
 
     // Project the velocity, then the acceleration and the multipliers from equilibrium: one factor serves both.
-    let q = step.q();
-    let pose = system.pose(&q);
     let mass = system.factor_mass(&pose, settings.softness);
-    let trapezoidal = step.velocity();
-    let projection = projection::velocity(system, &pose, &mass, &trapezoidal);
-    let mut v = add(&trapezoidal, &projection);
+    let projection = projection::velocity(system, &pose, &mass, &v);
+    let mut v = add(&v, &projection);
     if let Some(energy) = energy {
         v = vertex::with_energy(system, &q, &pose, &v, energy, h)?;
     }
     let (a, lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
 
     let error = local_error(system, h, [&state.a, &a], &projection);
-    if !(error + a.iter().sum::<f64>()).is_finite() {
+    if !(error.is_finite() && finite(&a)) {
         return Err(Failure::NotFinite);
     }
     let power = if system.follows_work() { system.power(&q, &pose, &v) } else { Power::default() };
@@ -112,6 +100,7 @@ fn attempt<const N: usize, const M: usize>(
 }
 
 /// A step in the making: what it starts from and its two unknowns.
+#[derive(Clone, Copy)]
 struct Step<const N: usize, const M: usize> {
     h: f64,
     /// β = h²/4.
@@ -130,7 +119,31 @@ struct Step<const N: usize, const M: usize> {
     lambda: [f64; M],
 }
 
+/// Where the unknowns of a step lead.
+struct Found<const N: usize, P> {
+    q: [f64; N],
+    pose: P,
+    /// q̇ of the trapezoidal rule.
+    v: [f64; N],
+}
+
 impl<const N: usize, const M: usize> Step<N, M> {
+    /// δ is the increment against q + h q̇ + h²/2 q̈: an unknown without the round-off of q̈ = 4/h² (q − …).
+    #[inline(always)]
+    fn predict(state: &State<N, M>, h: f64, tolerance: f64) -> Self {
+        let beta = h * h / 4.0;
+        Self {
+            h,
+            beta,
+            tolerance,
+            predicted: combine([&state.q, &state.v, &state.a], |[q, v, a]| q + h * (v + h / 2.0 * a)),
+            v: combine([&state.v, &state.a], |[v, a]| v + h * a),
+            inertia: combine([&state.a], |[a]| beta * a),
+            delta: combine([&state.jerk], |[jerk]| beta * h * jerk),
+            lambda: state.lambda,
+        }
+    }
+
     fn q(&self) -> [f64; N] {
         add(&self.predicted, &self.delta)
     }
@@ -138,7 +151,7 @@ impl<const N: usize, const M: usize> Step<N, M> {
     /// q̇ of the trapezoidal rule.
     fn velocity(&self) -> [f64; N] {
         let rate = 2.0 / self.h;
-        std::array::from_fn(|i| self.v[i] + rate * self.delta[i])
+        combine([&self.v, &self.delta], |[v, delta]| v + rate * delta)
     }
 
     /// β q̈ + δ: β times q̈ of the trapezoidal rule.
@@ -149,26 +162,28 @@ impl<const N: usize, const M: usize> Step<N, M> {
 
 /// Newton's method on δ and λ.
 #[inline(always)]
-fn newton<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+fn newton<const N: usize, const M: usize, S: Implicit<N, M>>(
+    system: &S,
     settings: &Settings,
-    step: &mut Step<N, M>,
+    mut step: Step<N, M>,
     spent: &mut u64,
-) -> Result<(), Failure> {
-    let (softness, beta, h) = (settings.softness, step.beta, step.h);
+) -> Result<Found<N, S::Pose>, Failure> {
+    let (softness, beta) = (settings.softness, step.beta);
     let mut q = step.q();
     let mut pose = system.pose(&q);
     let mut phi = system.phi(&q, &pose);
     let mut violation = max_norm(&phi);
-    for iterations in 1.. {
+    let mut iterations = 0;
+    loop {
+        iterations += 1;
         *spent += 1;
         let v = step.velocity();
         let force = system.forces(&q, &pose, &v);
         let inertia = system.mass_times(&pose, &step.acceleration());
-        let b = std::array::from_fn(|i| beta * force[i] - inertia[i]);
-        let c = std::array::from_fn(|i| -phi[i] - softness * beta * step.lambda[i]);
-        let (correction, y) = system.factor_tangent(&q, &pose, &v, &step.lambda, h, softness)?.solve(&b, &c);
-        step.lambda = y.map(|y| y / beta);
+        let b = combine([&force, &inertia], |[force, inertia]| beta * force - inertia);
+        let c = combine([&phi, &step.lambda], |[phi, lambda]| -softness * beta * lambda - phi);
+        let (correction, y) = system.factor_tangent(&q, &pose, &v, &step.lambda, step.h, softness)?.solve(&b, &c);
+        step.lambda = combine([&y], |[y]| y / beta);
         step.delta = add(&step.delta, &correction);
         q = step.q();
         pose = system.pose(&q);
@@ -179,13 +194,12 @@ fn newton<const N: usize, const M: usize>(
         let at_round_off = violation >= previous && violation < 64.0 * f64::EPSILON * system.size();
         let correction = max_norm(&correction);
         if (violation < step.tolerance || at_round_off) && correction < LAST_CORRECTION {
-            break;
+            return Ok(Found { q, pose, v: step.velocity() });
         }
         if iterations >= settings.max_iterations {
             return Err(Failure::NotConverged { iterations, violation, tolerance: step.tolerance, correction });
         }
     }
-    Ok(())
 }
 
 /// Newton's bound on max |Φ|, m: scaled with the machine and with h², never below round-off.
@@ -195,15 +209,10 @@ fn constraint_tolerance(settings: &Settings, size: f64, h: f64) -> f64 {
     size * scaled.clamp(round_off.min(settings.tolerance), settings.tolerance)
 }
 
-#[inline(always)]
-fn add<const N: usize>(x: &[f64; N], y: &[f64; N]) -> [f64; N] {
-    std::array::from_fn(|i| x[i] + y[i])
-}
-
 impl<const N: usize, const M: usize> Attempt<N, M> {
     /// The state after a step so short that q̈ and λ stay.
     #[cold]
-    fn moved_on(system: &impl System<N, M>, state: &State<N, M>, h: f64) -> Self {
+    fn moved_on(system: &impl Implicit<N, M>, state: &State<N, M>, h: f64) -> Self {
         let q = std::array::from_fn(|i| state.q[i] + h * state.v[i]);
         let v = std::array::from_fn(|i| state.v[i] + h * state.a[i]);
         let pose = system.pose(&q);
@@ -215,7 +224,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
     #[inline(always)]
     fn accept(self, state: &mut State<N, M>, h: f64, power: &mut Power) {
         if h >= SHORTEST_FOR_JERK {
-            state.jerk = std::array::from_fn(|i| (self.a[i] - state.a[i]) / h);
+            state.jerk = combine([&state.a, &self.a], |[before, after]| (after - before) / h);
         }
         // Trapezoidal rule, of the order of the method.
         state.work = state.work.plus(h / 2.0, *power).plus(h / 2.0, self.power);
@@ -233,7 +242,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
 
 /// One macro step of `duration` seconds. On failure the state is undefined: the caller keeps a copy.
 pub fn advance<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     duration: f64,
@@ -250,7 +259,7 @@ pub fn advance<const N: usize, const M: usize>(
 
 /// A macro step in equal parts, as many as the remembered sub-step asks, asked anew after each.
 fn divided<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     duration: f64,

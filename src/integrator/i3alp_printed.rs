@@ -3,8 +3,9 @@
 //! A fixed penalty α, the tangent without the derivative of Φ_qᵀλ, absolute unknowns, one projection, no sub-steps. Every linear
 //! system (A₀ + αβ Φ_qᵀΦ_q) x = r + αβ Φ_qᵀ c is solved as [A₀ Φ_qᵀ; Φ_q −e] [x; y] = [r; c] with e = 1/(αβ): the same x.
 
-use super::system::{local_error, max_norm};
-use super::{Failure, Kkt, Power, State, System};
+use super::system::local_error;
+use super::vectors::{add, finite, max_norm, minus};
+use super::{Failure, Implicit, Kkt, Power, State};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,8 +21,9 @@ pub struct Settings {
 const STOP: f64 = 1e-8;
 
 /// One step of h seconds. On failure the state is undefined: the caller keeps a copy.
+#[inline(never)]
 pub fn advance<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+    system: &impl Implicit<N, M>,
     settings: &Settings,
     state: &mut State<N, M>,
     h: f64,
@@ -55,8 +57,8 @@ pub fn advance<const N: usize, const M: usize>(
         let force = system.forces(&q, &pose, &v);
         let residual = std::array::from_fn(|i| -beta * (inertia[i] + constraint[i] - force[i]));
         let tangent = system.factor_tangent(&q, &pose, &v, &no_multipliers, h, softness)?;
-        let (correction, _) = tangent.solve(&residual, &phi.map(|x| -x));
-        q = std::array::from_fn(|i| q[i] + correction[i]);
+        let (correction, _) = tangent.solve(&residual, &minus(&phi));
+        q = add(&q, &correction);
         pose = system.pose(&q);
         phi = system.phi(&q, &pose);
         state.lambda = std::array::from_fn(|i| state.lambda[i] + alpha * phi[i]);
@@ -74,9 +76,9 @@ pub fn advance<const N: usize, const M: usize>(
     let v = velocity(&q);
     let tangent = system.factor_tangent(&q, &pose, &v, &no_multipliers, h, softness)?;
     let (projected, _) = tangent.solve(&system.weight_times(&q, &pose, &v, h, &v), &[0.0; M]);
-    let centripetal = system.phi_q_dot_times(&pose, &projected).map(|x| -x);
+    let centripetal = minus(&system.phi_q_dot_times(&pose, &projected));
     let (a, _) = tangent.solve(&system.weight_times(&q, &pose, &v, h, &acceleration(&q)), &centripetal);
-    if !(q.iter().chain(&projected).chain(&a).sum::<f64>()).is_finite() {
+    if !(finite(&q) && finite(&projected) && finite(&a)) {
         return Err(Failure::NotFinite);
     }
 

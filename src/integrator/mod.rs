@@ -2,19 +2,24 @@
 //!
 //! Invariant: knows neither mechanism nor FMI; does no input or output, allocates nothing, reads no clock.
 
+pub mod dop853;
 mod equilibrium;
 pub mod i3alp;
 pub mod i3alp_printed;
 mod projection;
 pub mod rk4;
 mod system;
+mod vectors;
 pub mod vertex;
 
-pub use equilibrium::equilibrium;
-pub use system::{Failure, Kkt, Power, System};
+use borsh::{BorshDeserialize, BorshSerialize};
+
+pub use equilibrium::{equilibrium, equilibrium_at};
+pub use system::{Failure, Implicit, Kkt, Power, System};
+pub(crate) use vectors::combine;
 
 /// What the integrator has done since the start.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub struct Counters {
     /// Macro steps.
     pub steps: u64,
@@ -40,7 +45,8 @@ pub struct Counters {
 pub const MODES: usize = 3;
 
 /// Everything that changes during a run: a copy of it is a complete snapshot.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+#[repr(C, align(16))] // pairs of elements are read from memory by the instruction that uses them
 pub struct State<const N: usize, const M: usize> {
     /// Coordinates q, m and rad.
     pub q: [f64; N],

@@ -1,6 +1,6 @@
 //! Back onto the constraints, along the shortest way in the mass metric.
 
-use super::system::max_norm;
+use super::vectors::{add, max_norm, minus};
 use super::{Failure, Kkt, System};
 
 /// How far a projection goes.
@@ -15,23 +15,26 @@ pub(super) struct Projection {
 }
 
 impl Projection {
-    /// Newton onto Φ = 0; the iterations spent.
-    pub(super) fn position<const N: usize, const M: usize>(
+    /// Newton onto Φ = 0; the iterations spent, and the pose there.
+    #[inline(always)]
+    pub(super) fn position<const N: usize, const M: usize, S: System<N, M>>(
         &self,
-        system: &impl System<N, M>,
+        system: &S,
         q: &mut [f64; N],
-    ) -> Result<u32, Failure> {
+    ) -> Result<(u32, S::Pose), Failure> {
         let (mut violation, mut last) = (f64::INFINITY, 0.0);
         for iteration in 0..=self.max_iterations {
             let pose = system.pose(q);
             let phi = system.phi(q, &pose);
+            let previous = violation;
             violation = max_norm(&phi);
-            if violation < self.tolerance {
-                return Ok(iteration);
+            let at_round_off = violation >= previous && violation < 64.0 * f64::EPSILON * system.size();
+            if violation < self.tolerance || at_round_off {
+                return Ok((iteration, pose));
             }
-            let correction = system.factor_mass(&pose, self.softness).correction(&phi.map(|x| -x));
+            let correction = system.factor_mass(&pose, self.softness).correction(&minus(&phi));
             last = max_norm(&correction);
-            *q = std::array::from_fn(|i| q[i] + correction[i]);
+            *q = add(q, &correction);
         }
         Err(Failure::NotConverged { iterations: self.max_iterations, violation, tolerance: self.tolerance, correction: last })
     }
@@ -45,5 +48,5 @@ pub(super) fn velocity<const N: usize, const M: usize, S: System<N, M>>(
     mass: &S::Mass,
     v: &[f64; N],
 ) -> [f64; N] {
-    mass.correction(&system.phi_q_times(pose, v).map(|x| -x))
+    mass.correction(&minus(&system.phi_q_times(pose, v)))
 }

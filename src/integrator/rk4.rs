@@ -5,6 +5,7 @@
 
 use super::equilibrium::{equilibrium, equilibrium_at};
 use super::projection::{self, Projection};
+use super::vectors::{add, finite};
 use super::{Failure, Power, State, System};
 
 /// Settings of the method.
@@ -21,6 +22,7 @@ pub struct Settings {
 }
 
 /// One step of h seconds. On failure the state is undefined: the caller keeps a copy.
+#[inline(never)]
 pub fn advance<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     settings: &Settings,
@@ -48,23 +50,24 @@ pub fn advance<const N: usize, const M: usize>(
     }
     state.q = std::array::from_fn(|i| q0[i] + h / 6.0 * q_sum[i]);
     state.v = std::array::from_fn(|i| v0[i] + h / 6.0 * v_sum[i]);
-    if !(state.q.iter().chain(&state.v).sum::<f64>()).is_finite() {
+    if !(finite(&state.q) && finite(&state.v)) {
         return Err(Failure::NotFinite);
     }
 
     if settings.projection {
         let &Settings { softness, max_iterations, .. } = settings;
         let projection = Projection { softness, tolerance: settings.tolerance * system.size(), max_iterations };
-        state.counters.iterations += u64::from(projection.position(system, &mut state.q)?);
+        let (iterations, _) = projection.position(system, &mut state.q)?;
+        state.counters.iterations += u64::from(iterations);
     }
     let pose = system.pose(&state.q);
     let mass = system.factor_mass(&pose, settings.softness);
     if settings.projection {
         let correction = projection::velocity(system, &pose, &mass, &state.v);
-        state.v = std::array::from_fn(|i| state.v[i] + correction[i]);
+        state.v = add(&state.v, &correction);
     }
     (state.a, state.lambda) = equilibrium_at(system, &state.q, &pose, &state.v, &mass);
-    if !state.a.iter().sum::<f64>().is_finite() {
+    if !finite(&state.a) {
         return Err(Failure::NotFinite);
     }
     if system.follows_work() {

@@ -2,6 +2,10 @@
 
 use std::fmt;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::vectors::{combine, max_norm};
+
 /// A constrained mechanical system M q̈ + Φ_qᵀ λ = Q(q, q̇), Φ(q) = 0 with N coordinates and M constraint equations.
 ///
 /// Inputs are part of the system: they are held while it is stepped. Constraints do not depend on time.
@@ -10,8 +14,6 @@ pub trait System<const N: usize, const M: usize> {
     type Pose;
     /// The factorised saddle-point matrix with the mass matrix in its corner.
     type Mass: Kkt<N, M>;
-    /// The same with the tangent matrix A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
-    type Tangent: Kkt<N, M>;
 
     /// Pose at q.
     fn pose(&self, q: &[f64; N]) -> Self::Pose;
@@ -19,43 +21,15 @@ pub trait System<const N: usize, const M: usize> {
     fn phi(&self, q: &[f64; N], pose: &Self::Pose) -> [f64; M];
     /// Φ_q v.
     fn phi_q_times(&self, pose: &Self::Pose, v: &[f64; N]) -> [f64; M];
-    /// Φ_qᵀ λ.
-    fn phi_q_transposed_times(&self, pose: &Self::Pose, lambda: &[f64; M]) -> [f64; N];
     /// Φ̇_q q̇.
     fn phi_q_dot_times(&self, pose: &Self::Pose, v: &[f64; N]) -> [f64; M];
     /// M x.
     fn mass_times(&self, pose: &Self::Pose, x: &[f64; N]) -> [f64; N];
     /// Generalised applied forces Q(q, q̇).
     fn forces(&self, q: &[f64; N], pose: &Self::Pose, v: &[f64; N]) -> [f64; N];
-    /// (M + h/2 C + h²/4 K) x with K = −∂Q/∂q and C = −∂Q/∂q̇: the weight of the printed projections.
-    fn weight_times(&self, q: &[f64; N], pose: &Self::Pose, v: &[f64; N], h: f64, x: &[f64; N]) -> [f64; N];
 
     /// Factorises [M Φ_qᵀ; Φ_q −e].
     fn factor_mass(&self, pose: &Self::Pose, softness: f64) -> Self::Mass;
-    /// Factorises [A₀ Φ_qᵀ; Φ_q −e]; [`Failure::IndefiniteTangent`] where the step is too long for A₀ to be a minimum.
-    fn factor_tangent(
-        &self,
-        q: &[f64; N],
-        pose: &Self::Pose,
-        v: &[f64; N],
-        lambda: &[f64; M],
-        h: f64,
-        softness: f64,
-    ) -> Result<Self::Tangent, Failure>;
-
-    /// The same with A₀ made positive definite where it is not: a descent direction of the incremental potential, for the second
-    /// try of a Newton loop that failed. `None`: no second try.
-    fn factor_descent(
-        &self,
-        _q: &[f64; N],
-        _pose: &Self::Pose,
-        _v: &[f64; N],
-        _lambda: &[f64; M],
-        _h: f64,
-        _softness: f64,
-    ) -> Option<Self::Tangent> {
-        None
-    }
     /// Potential energy of the forces that have one, held loads included, J; `None` where it is not known.
     fn potential(&self, _q: &[f64; N], _pose: &Self::Pose) -> Option<f64> {
         None
@@ -100,6 +74,41 @@ pub trait System<const N: usize, const M: usize> {
     fn size(&self) -> f64;
 }
 
+/// What the implicit methods ask in addition: forces of the constraints and the tangents of all forces.
+pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
+    /// The factorised saddle-point matrix with the tangent matrix A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
+    type Tangent: Kkt<N, M>;
+
+    /// Φ_qᵀ λ.
+    fn phi_q_transposed_times(&self, pose: &Self::Pose, lambda: &[f64; M]) -> [f64; N];
+    /// (M + h/2 C + h²/4 K) x with K = −∂Q/∂q and C = −∂Q/∂q̇: the weight of the printed projections.
+    fn weight_times(&self, q: &[f64; N], pose: &Self::Pose, v: &[f64; N], h: f64, x: &[f64; N]) -> [f64; N];
+    /// Factorises [A₀ Φ_qᵀ; Φ_q −e]; [`Failure::IndefiniteTangent`] where the step is too long for A₀ to be a minimum.
+    fn factor_tangent(
+        &self,
+        q: &[f64; N],
+        pose: &Self::Pose,
+        v: &[f64; N],
+        lambda: &[f64; M],
+        h: f64,
+        softness: f64,
+    ) -> Result<Self::Tangent, Failure>;
+
+    /// The same with A₀ made positive definite where it is not: a descent direction of the incremental potential, for the second
+    /// try of a Newton loop that failed. `None`: no second try.
+    fn factor_descent(
+        &self,
+        _q: &[f64; N],
+        _pose: &Self::Pose,
+        _v: &[f64; N],
+        _lambda: &[f64; M],
+        _h: f64,
+        _softness: f64,
+    ) -> Option<Self::Tangent> {
+        None
+    }
+}
+
 /// A factorised saddle-point matrix [A Φ_qᵀ; Φ_q −e].
 pub trait Kkt<const N: usize, const M: usize> {
     /// Solves A x + Φ_qᵀ y = b, Φ_q x − e y = c.
@@ -112,7 +121,7 @@ pub trait Kkt<const N: usize, const M: usize> {
 }
 
 /// Work or power of the forces that are followed along the path, J or W.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Power {
     /// Of the inputs, positive into the system.
     pub input: f64,
@@ -150,6 +159,13 @@ pub enum Failure {
         /// By this part of the kinetic energy.
         part: f64,
     },
+    /// The local error is too large however short the sub-step.
+    StepTooShort {
+        /// The last sub-step tried, s.
+        substep: f64,
+        /// Its local error, rad; NaN if it failed altogether.
+        error: f64,
+    },
     /// The local error, or sub-steps that failed, asked for more sub-steps than one macro step may have.
     TooManySubsteps {
         /// The bound.
@@ -176,6 +192,9 @@ impl fmt::Display for Failure {
                 write!(f, "next to a constraint singularity a sub-step changed the kinetic energy by {part:.3e} of itself")
             }
             Self::NotFinite => f.write_str("a coordinate, velocity or acceleration is not finite"),
+            Self::StepTooShort { substep, error } => {
+                write!(f, "a sub-step of only {substep:.3e} s still had a local error of {error:.3e} rad")
+            }
             Self::TooManySubsteps { most, substep, error } => write!(
                 f,
                 "a macro step needs more than {most} sub-steps: the last, of {substep:.3e} s, had a local error of {error:.3e} rad"
@@ -186,12 +205,6 @@ impl fmt::Display for Failure {
 
 impl std::error::Error for Failure {}
 
-/// Largest magnitude of those values that are numbers: one instruction each. NaN is caught where a step ends.
-#[inline(always)]
-pub(super) fn max_norm<const K: usize>(x: &[f64; K]) -> f64 {
-    x.iter().fold(0.0, |largest, value| if value.abs() > largest { value.abs() } else { largest })
-}
-
 /// Local error of a step of h over the angles: of the trapezoidal rule, from the change of q̈, and of the velocity projection.
 #[inline(always)]
 pub(super) fn local_error<const N: usize, const M: usize>(
@@ -200,6 +213,6 @@ pub(super) fn local_error<const N: usize, const M: usize>(
     [before, after]: [&[f64; N]; 2],
     projection: &[f64; N],
 ) -> f64 {
-    let jump: [f64; N] = std::array::from_fn(|i| after[i] - before[i]);
+    let jump = combine([before, after], |[before, after]| after - before);
     max_norm(&[h * h / 12.0 * system.angle_norm(&jump), h / 2.0 * system.angle_norm(projection)])
 }

@@ -10,6 +10,7 @@
 
 use super::equilibrium::equilibrium_at;
 use super::projection::{self, Projection};
+use super::vectors::finite;
 use super::{Failure, Power, State, System, equilibrium};
 
 /// How close to a vertex the gate works.
@@ -303,7 +304,7 @@ pub(super) fn carry<const N: usize, const M: usize>(
     }
 
     (state.a, state.lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
-    if !state.a.iter().sum::<f64>().is_finite() {
+    if !finite(&state.a) {
         return Err(Failure::NotFinite);
     }
     (state.q, state.v, state.jerk) = (q, v, [0.0; N]);
@@ -322,6 +323,12 @@ pub(super) fn carry<const N: usize, const M: usize>(
         state.counters.vertex_passes += 1;
     }
     Ok(true)
+}
+
+/// Whether q is so close to a vertex, without being on a ray through it, that a projection would divide round-off by next to nothing.
+#[inline(always)]
+pub(super) fn too_close<const N: usize, const M: usize>(system: &impl System<N, M>, q: &[f64; N], v: &[f64; N]) -> bool {
+    system.vertex(q, v).is_some_and(|(offset, _)| dot(&offset, &offset) < NEAREST * NEAREST)
 }
 
 /// The energy and how it changes, where the potential is known.

@@ -53,6 +53,12 @@ pub fn legs_of<const K: usize>(values: &[f64; K], i: usize) -> Legs {
     Legs::new([values[2 * i], values[2 * i + 1]])
 }
 
+/// Adds to the i-th quantity of both legs.
+#[inline(always)]
+pub fn add_legs<const K: usize>(values: &mut [f64; K], i: usize, legs: Legs) {
+    set_legs(values, i, legs_of(values, i) + legs);
+}
+
 /// Writes the i-th quantity of both legs.
 #[inline(always)]
 pub fn set_legs<const K: usize>(values: &mut [f64; K], i: usize, legs: Legs) {

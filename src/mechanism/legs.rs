@@ -61,13 +61,13 @@ impl Legs2 {
 #[inline(always)]
 pub fn sin_cos(angle: Legs) -> (Legs, Legs) {
     const LIMIT: f64 = 1_647_099.0; // 2^20 · π/2
-    let [left, right] = angle.to_array();
-    if left.abs() < LIMIT && right.abs() < LIMIT { sin_cos_reduced(angle) } else { sin_cos_far(left, right) }
+    if angle.abs().simd_lt(both(LIMIT)).all() { sin_cos_reduced(angle) } else { sin_cos_far(angle) }
 }
 
 #[cold]
 #[inline(never)]
-fn sin_cos_far(left: f64, right: f64) -> (Legs, Legs) {
+fn sin_cos_far(angle: Legs) -> (Legs, Legs) {
+    let [left, right] = angle.to_array();
     let ((sl, cl), (sr, cr)) = (libm::sincos(left), libm::sincos(right));
     (Legs::new([sl, sr]), Legs::new([cl, cr]))
 }
@@ -100,10 +100,11 @@ fn sin_cos_reduced(angle: Legs) -> (Legs, Legs) {
 
     // Odd quadrants exchange sin and cos; the second bit is the sign.
     let one = i64x2::splat(1);
-    let swap: Legs = cast(i64x2::splat(0) - (quadrant & one));
+    let odd: Legs = cast(i64x2::splat(0) - (quadrant & one));
+    let exchange = (sin ^ cos) & odd;
     let sin_sign: Legs = cast((quadrant & i64x2::splat(2)) << 62);
     let cos_sign: Legs = cast(((quadrant + one) & i64x2::splat(2)) << 62);
-    (swap.bitselect(cos, sin) ^ sin_sign, swap.bitselect(sin, cos) ^ cos_sign)
+    (sin ^ exchange ^ sin_sign, cos ^ exchange ^ cos_sign)
 }
 
 #[cfg(test)]

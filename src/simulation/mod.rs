@@ -1,54 +1,45 @@
 //! A scene made ready: constant [`Model`], active effects and [`State`]; advances by internal steps.
 //!
-//! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held while it
-//! advances.
+//! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held over each macro
+//! step.
 
+pub mod angles;
 pub mod coupled;
 pub mod dense;
+mod explicit;
 pub mod model;
+mod signal;
 pub mod system;
 pub mod two_leg;
+mod variation;
 
 use std::f64::consts::TAU;
 use std::fmt;
 
-use crate::integrator::{self, Failure, Power, System, i3alp, i3alp_printed, rk4};
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use crate::integrator::{self, Failure, Kkt, Power, System, dop853, i3alp, i3alp_printed, rk4};
 use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::THETA;
-use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal, closure};
+use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose, Refusal, closure};
 
 pub use crate::effects::Inputs;
 use crate::effects::{self, Situation};
 pub use crate::integrator::Counters;
+use angles::{ANGLES, CLOSURES};
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings, Solve};
-use system::{FiveBar, General, LinearSolve, LinksCoupled, TwoLegged};
-
-/// An expression with the model's linear solve as the type L.
-macro_rules! with_solve {
-    ($model:expr, $L:ident => $do:expr) => {
-        match $model.solve {
-            Solve::TwoLegged => {
-                type $L = TwoLegged;
-                $do
-            }
-            Solve::LinksCoupled => {
-                type $L = LinksCoupled;
-                $do
-            }
-            Solve::General => {
-                type $L = General;
-                $do
-            }
-        }
-    };
-}
+pub use signal::{ORDERS, Signal};
+use system::{Bare, FiveBar, General, LinearSolve};
+pub use variation::{Direction, Variation};
 
 /// Everything that changes during a run. A copy is a complete snapshot.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct State {
     /// Coordinates, velocities, accelerations, multipliers, predictor, sub-step memory, work, counters.
     pub core: integrator::State<COORDINATES, MULTIPLIERS>,
+    /// Of [`Method::Dop853`], whose steps run past the communication points: the step that is under way, in the link angles.
+    pub running: Option<dop853::Running<ANGLES, CLOSURES>>,
     /// Whole turns by which the angles of links 1 to 4 are larger than those in q: there they stay within some turns, so that their
     /// round-off does not grow while a link spins.
     pub turns: [i64; 4],
@@ -78,6 +69,7 @@ impl std::error::Error for StepFailure {}
 /// A scene made ready. A clone goes on by itself, to the same bits.
 #[derive(Clone, Debug)]
 pub struct Simulation {
+    parameters: Parameters,
     model: Model,
     state: State,
 }
@@ -87,7 +79,7 @@ impl Simulation {
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
         let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
-        Self::started(model, q, v, inputs)
+        Self::started(parameters, model, q, v, inputs)
     }
 
     /// The same from the angles (rad) and rates (rad/s) of all four links instead of `parameters.start`: also where the proximal
@@ -95,7 +87,7 @@ impl Simulation {
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, Refusal> {
         let model = Model::new(parameters)?;
         let (q, v) = closure::assemble(&model.mechanism.geometry, theta, omega);
-        let simulation = Self::started(model, q, v, inputs)?;
+        let simulation = Self::started(parameters, model, q, v, inputs)?;
         let (mechanism, core) = (&simulation.model.mechanism, &simulation.state.core);
         let pose = mechanism.pose(&core.q);
         let (gap, tear) = (largest(&mechanism.phi(&core.q, &pose)), largest(&pose.phi_q_times(&core.v)));
@@ -109,13 +101,19 @@ impl Simulation {
         Ok(simulation)
     }
 
-    fn started(model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
+    /// The same from a state of a simulation with these parameters and that linear solve.
+    pub fn restored(parameters: &Parameters, solve: Solve, state: State) -> Result<Self, Refusal> {
+        Ok(Self { model: Model { solve, ..Model::new(parameters)? }, parameters: parameters.clone(), state })
+    }
+
+    fn started(parameters: &Parameters, model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
         let (inputs, turns) = (model.heard(inputs), [0; 4]);
-        let core = with_solve!(&model, L => {
-            integrator::State::start(&FiveBar::<L>::new(&model, &inputs, &turns), q, v, model.softness)
-        });
-        let mut state = State { core, turns, inputs, energy_at_start: 0.0 };
+        let core = integrator::State::start(&FiveBar::<General>::new(&model, &inputs, &turns), q, v, model.softness);
+        let mut state = State { core, running: None, turns, inputs, energy_at_start: 0.0 };
         state.unwind();
+        if let Stepper::Dop853(settings) = &model.stepper {
+            state.running = Some(explicit::start(&model, settings, &state));
+        }
         state.energy_at_start = state.kinetic_energy(&model) + state.potential_energy(&model);
         if !state.core.a.iter().chain(&state.core.lambda).all(|x| x.is_finite()) || !state.energy_at_start.is_finite() {
             return Err(Refusal(
@@ -124,17 +122,40 @@ impl Simulation {
                     .into(),
             ));
         }
-        Ok(Self { model, state })
+        Ok(Self { parameters: parameters.clone(), model, state })
     }
 
     /// `steps` macro steps of `h` seconds with `inputs` held.
     ///
     /// On failure the state is as it was before the call. Allocates nothing.
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
-        let before = self.state;
+        let State { core, turns, inputs: held, .. } = self.state;
         let inputs = self.model.heard(inputs);
-        let done = with_solve!(&self.model, L => run::<L>(&self.model, &mut self.state, &inputs, h, steps));
-        done.inspect_err(|_| self.state = before)
+        let done = run(&self.model, &mut self.state, &inputs, h, steps);
+        // The running step of an explicit method is changed only when all has gone well.
+        done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
+    }
+
+    /// The same with inputs that change: each macro step holds what they are in its middle, so that the impulse of a ramp is exact and
+    /// the whole of second order in h.
+    pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
+        if signal.is_held() {
+            return self.advance(&signal.value, h, steps);
+        }
+        let before = self.state;
+        for step in 0..steps {
+            let begin = step as f64 * h;
+            self.advance(&signal.at(begin + h / 2.0), h, 1).map_err(|failure| {
+                self.state = before;
+                StepFailure { elapsed: begin + failure.elapsed, ..failure }
+            })?;
+        }
+        Ok(())
+    }
+
+    /// What it runs with.
+    pub fn parameters(&self) -> &Parameters {
+        &self.parameters
     }
 
     /// The constant part.
@@ -157,12 +178,25 @@ impl Simulation {
     /// Gives the active effects new parameters from now on; what that adds to the potential energy counts as input. Which effects
     /// are active, and the masses, stay. On refusal nothing has changed.
     pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<(), Refusal> {
-        let before = self.state.potential_energy(&self.model);
-        if self.model.tune(parameters)? {
-            self.state.core.work.input += self.state.potential_energy(&self.model) - before;
-            self.state.restart(&self.model);
+        let mut model = self.model.clone();
+        if model.tune(parameters)? {
+            let mut state = self.state;
+            explicit::stop(&self.model, &mut state).map_err(|failure| {
+                Refusal(format!("the step that is under way could not be redone up to the present time: {failure}."))
+            })?;
+            let put_in = state.potential_energy(&model) - state.potential_energy(&self.model);
+            state.core.work.input += put_in;
+            state.restart(&model);
+            explicit::resume(&model, &mut state, put_in);
+            self.parameters.effects = parameters.clone();
+            (self.model, self.state) = (model, state);
         }
         Ok(())
+    }
+
+    /// Whether the loads are too stiff for an explicit method: its steps have been limited by stability instead of accuracy.
+    pub fn is_stiff(&self) -> bool {
+        self.state.running.is_some_and(|running| running.is_stiff())
     }
 
     /// Names of the active effects, e.g. `gravity`.
@@ -180,7 +214,7 @@ impl State {
 
     /// Potential energy of the active effects, J; the held loads count as work instead.
     pub fn potential_energy(&self, model: &Model) -> f64 {
-        self.at(model, |at| model.effects.iter().map(|effect| effect.potential(at)).sum())
+        self.at(model, |at| model.potential(at))
     }
 
     /// What effects answer for the present state.
@@ -216,14 +250,56 @@ impl State {
         }
     }
 
+    /// Solves M x + Φ_qᵀ y = b, Φ_q x − e y = c at the present pose.
+    fn solved(&self, model: &Model, pose: &Pose, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
+        let State { inputs, turns, .. } = self;
+        FiveBar::<General>::new(model, inputs, turns).factor_mass(pose, model.softness).solve(b, c)
+    }
+
     /// The forces have changed at once: q̈, λ and the predictor start anew.
     fn restart(&mut self, model: &Model) {
         let State { core, inputs, turns, .. } = self;
-        with_solve!(model, L => core.restart(&FiveBar::<L>::new(model, inputs, turns), model.softness));
+        core.restart(&FiveBar::<General>::new(model, inputs, turns), model.softness);
     }
 }
 
-fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+/// The methods that people choose for their speed have a compiled form for the bare mechanism of their own.
+fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+    match (&model.stepper, model.solve) {
+        (Stepper::I3alp(settings), Solve::Bare) => by_i3alp::<Bare>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alp(settings), _) => by_i3alp::<General>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alpPrinted(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
+            i3alp_printed::advance(system, settings, core, h, power)
+        }),
+        (Stepper::Rk4(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
+            rk4::advance(system, settings, core, h, power)
+        }),
+        (Stepper::Dop853(settings), Solve::Bare) => explicit::run::<Bare>(model, settings, state, inputs, h, steps),
+        (Stepper::Dop853(settings), _) => explicit::run::<General>(model, settings, state, inputs, h, steps),
+    }
+}
+
+fn by_i3alp<L: LinearSolve>(
+    settings: &i3alp::Settings,
+    model: &Model,
+    state: &mut State,
+    inputs: &Inputs,
+    h: f64,
+    steps: u64,
+) -> Result<(), StepFailure> {
+    macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
+}
+
+/// By a method whose steps end with the macro steps.
+#[inline(always)]
+fn macro_steps<L: LinearSolve>(
+    model: &Model,
+    state: &mut State,
+    inputs: &Inputs,
+    h: f64,
+    steps: u64,
+    advance: impl Fn(&FiveBar<'_, L>, &mut integrator::State<COORDINATES, MULTIPLIERS>, &mut Power) -> Result<(), Failure>,
+) -> Result<(), StepFailure> {
     state.hold(model, inputs);
     let mut power = None;
     for step in 0..steps {
@@ -232,12 +308,7 @@ fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64
         let power = power.get_or_insert_with(|| {
             if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() }
         });
-        match &model.stepper {
-            Stepper::I3alp(settings) => i3alp::advance(&system, settings, core, h, power),
-            Stepper::I3alpPrinted(settings) => i3alp_printed::advance(&system, settings, core, h, power),
-            Stepper::Rk4(settings) => rk4::advance(&system, settings, core, h, power),
-        }
-        .map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
+        advance(&system, core, power).map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
         state.unwind();
     }
     Ok(())

@@ -1,10 +1,12 @@
 //! The constant part of a scene made ready, and what it is made from.
 
 use arrayvec::ArrayVec;
+use borsh::{BorshDeserialize, BorshSerialize};
 
-use crate::effects::{self, Active, Effect, Inputs};
-use crate::integrator::{i3alp, i3alp_printed, rk4};
-use crate::mechanism::{Geometry, Mechanism, Refusal, Start};
+use super::two_leg::Elimination;
+use crate::effects::{self, Active, Effect, Inputs, Situation};
+use crate::integrator::{dop853, i3alp, i3alp_printed, rk4};
+use crate::mechanism::{Coordinates, Geometry, Mechanism, Refusal, Start};
 
 /// How the equations of motion are integrated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -15,6 +17,8 @@ pub enum Method {
     I3alpPrinted,
     /// Runge–Kutta of order 4 on the index-1 form with projection.
     Rk4,
+    /// Runge–Kutta of order 8 in the link angles, error-controlled, with dense output.
+    Dop853,
 }
 
 /// The solver's settings: the `solver.*` variables of the same names.
@@ -22,7 +26,7 @@ pub enum Method {
 pub struct Settings {
     /// Method.
     pub method: Method,
-    /// Macro step h, s.
+    /// Macro step h, s; of [`Method::Dop853`] also the first step tried.
     pub step_size: f64,
     /// Whether macro steps are divided where the local error asks ([`Method::I3alp`] only).
     pub adaptive: bool,
@@ -60,17 +64,21 @@ pub enum Stepper {
     I3alpPrinted(i3alp_printed::Settings),
     /// Runge–Kutta.
     Rk4(rk4::Settings),
+    /// Runge–Kutta with error control, in the link angles.
+    Dop853(dop853::Settings),
 }
 
-/// The linear solves: see [`LinearSolve`](super::system::LinearSolve).
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The linear solves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Solve {
-    /// [`TwoLegged`](super::system::TwoLegged).
+    /// Leg by leg, without effects whose force depends on the motion. See [`two_leg`](super::two_leg).
+    Bare,
+    /// Leg by leg: no active effect couples links.
     TwoLegged,
-    /// [`LinksCoupled`](super::system::LinksCoupled).
+    /// Active effects couple links. See [`coupled`](super::coupled).
     LinksCoupled,
-    /// [`General`](super::system::General).
-    General,
+    /// Anything: compliances are far apart. See [`dense`](super::dense).
+    Dense,
 }
 
 /// The constant part of a scene made ready.
@@ -78,7 +86,9 @@ pub enum Solve {
 pub struct Model {
     /// The mechanism by legs.
     pub mechanism: Mechanism,
-    /// The active effects with forces, and no others; those with masses are in the mechanism.
+    /// Constant generalised force of the active effects, N and N·m.
+    pub weight: Coordinates,
+    /// The active effects whose forces depend on the motion, and no others; those with masses are in the mechanism.
     pub effects: Active,
     /// Names of all active effects.
     pub effect_names: ArrayVec<&'static str, { effects::NAMES.len() }>,
@@ -86,6 +96,8 @@ pub struct Model {
     pub conservative: bool,
     /// Whether an active effect reads the servo references.
     pub servo: bool,
+    /// What the fast linear solve has computed beforehand.
+    pub elimination: Elimination,
     /// What round-off in Φ is proportional to, m.
     pub size: f64,
     /// e of the saddle-point systems outside the printed method, 1/kg.
@@ -117,13 +129,21 @@ impl Model {
                 softness,
             }),
             Method::I3alpPrinted => Stepper::I3alpPrinted(i3alp_printed::Settings { penalty: settings.penalty, max_iterations }),
+            Method::Dop853 => Stepper::Dop853(dop853::Settings {
+                error_tolerance: settings.error_tolerance,
+                first_step: settings.step_size,
+                max_iterations,
+                softness: if geometry.base_distance == 0.0 { COAXIAL } else { RANK_LOSS } / geometry.mean_mass(),
+            }),
             Method::Rk4 => Stepper::Rk4(rk4::Settings { projection: true, softness, tolerance, max_iterations }),
         };
         Ok(Self {
             solve: if compliance_spread(&geometry) > LARGEST_SPREAD {
-                Solve::General
+                Solve::Dense
             } else if effects.iter().any(Effect::couples_links) {
                 Solve::LinksCoupled
+            } else if effects.is_empty() {
+                Solve::Bare
             } else {
                 Solve::TwoLegged
             },
@@ -131,6 +151,8 @@ impl Model {
             servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             size: geometry.size(),
+            weight: parameters.effects.weight(&mechanism)?,
+            elimination: Elimination::new(&mechanism, softness),
             mechanism,
             effects,
             softness,
@@ -149,10 +171,18 @@ impl Model {
                 effect.name()
             )));
         }
-        let changed = effects != self.effects;
+        let weight = parameters.weight(&self.mechanism)?;
+        let changed = weight != self.weight || effects != self.effects;
+        self.weight = weight;
         self.conservative = effects.iter().all(Effect::conservative);
         self.effects = effects;
         Ok(changed)
+    }
+
+    /// Potential energy of the active effects, J; 0 of their constant force at the left motor axis.
+    pub fn potential(&self, at: &Situation) -> f64 {
+        let weight: f64 = at.q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum();
+        self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - weight
     }
 
     /// The part of the inputs that the scene hears: without servos no references.
@@ -160,6 +190,12 @@ impl Model {
         if self.servo { *inputs } else { inputs.without_references() }
     }
 }
+
+/// e of the explicit method in the link angles, in multiples of 1 over the mean mass: no more than round-off makes of a singular
+/// Φ_q M⁻¹ Φ_qᵀ. At 1e-14 passes close to a vertex were falsified.
+const RANK_LOSS: f64 = 1e-20;
+/// The same with coaxial motors, where links of equal lengths lose rank in every direction and no gate helps: motions must pass softly.
+const COAXIAL: f64 = 1e-10;
 
 /// Beyond this spread of compliances the differences of the two-leg elimination lose too many digits: its error is the square of the
 /// spread times ε. The paper's links have 3.

@@ -6,11 +6,11 @@ use nalgebra::{SMatrix, SVector};
 
 use super::coupled::Coupled;
 use super::dense::Dense;
-use super::model::Model;
+use super::model::{Model, Solve};
 use super::two_leg::TwoLeg;
 use crate::effects::tangents::{CoupledTangents, DiagonalTangents, FullTangents, INNER, INNERS};
 use crate::effects::{Inputs, Situation, Tangents};
-use crate::integrator::{Failure, Kkt, Power, System};
+use crate::integrator::{Failure, Implicit, Kkt, Power, System};
 use crate::mechanism::closure::assemble;
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose, vertex};
@@ -36,6 +36,9 @@ pub trait LinearSolve: Sized {
     type Mass: Kkt<COORDINATES, MULTIPLIERS>;
     /// The factor with A₀.
     type Tangent: Kkt<COORDINATES, MULTIPLIERS>;
+    /// Whether the scene has effects whose force depends on the motion. What they may be asked has to stay in memory, and a scene
+    /// without them shall not pay for that.
+    const EFFECTS: bool = true;
 
     /// Factorises with M.
     fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Self::Mass;
@@ -51,17 +54,19 @@ pub trait LinearSolve: Sized {
     ) -> Result<Self::Tangent, Failure>;
 }
 
-/// Fast: no active effect couples links, and the inertias are of like size.
+/// For scenes without effects whose force depends on the motion, with inertias of like size: what a bare mechanism needs, and no code
+/// for more.
 #[derive(Debug)]
-pub enum TwoLegged {}
+pub enum Bare {}
 
-impl LinearSolve for TwoLegged {
+impl LinearSolve for Bare {
     type Mass = TwoLeg;
     type Tangent = TwoLeg;
+    const EFFECTS: bool = false;
 
     #[inline(always)]
     fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> TwoLeg {
-        TwoLeg::factor_mass(&five_bar.model.mechanism, pose, softness)
+        TwoLeg::factor_mass(&five_bar.model.elimination, pose, softness)
     }
 
     #[inline(always)]
@@ -73,26 +78,7 @@ impl LinearSolve for TwoLegged {
         softness: f64,
         definite: Definite,
     ) -> Result<TwoLeg, Failure> {
-        let (mechanism, pose) = (&five_bar.model.mechanism, at.pose);
-        let mut tangents = DiagonalTangents::new(h);
-        five_bar.add_tangents(at, &mut tangents);
-        let beta = h * h / 4.0;
-        let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
-        let inertia_p = mechanism.inertia_p + beta * stiffness_p + legs_of(&tangents.weighted, P_THETA);
-        let inertia_d = mechanism.inertia_d + beta * stiffness_d + legs_of(&tangents.weighted, D_THETA);
-        if definite == Definite::Enforced {
-            let inertia_p = inertia_p.max(DESCENT_INERTIA * mechanism.inertia_p);
-            let inertia_d = inertia_d.max(DESCENT_INERTIA * mechanism.inertia_d);
-            return Ok(TwoLeg::factor(mechanism, pose, [inertia_p, inertia_d], softness));
-        }
-        let margin_p = inertia_p - LEAST_INERTIA * mechanism.inertia_p;
-        let margin_d = inertia_d - LEAST_INERTIA * mechanism.inertia_d;
-        let [left, right] = margin_p.fast_min(margin_d).to_array();
-        if left > 0.0 && right > 0.0 {
-            Ok(TwoLeg::factor(mechanism, pose, [inertia_p, inertia_d], softness))
-        } else {
-            Err(Failure::IndefiniteTangent)
-        }
+        five_bar.factor_two_leg(at, lambda, h, softness, definite)
     }
 }
 
@@ -128,17 +114,49 @@ fn made_definite<const K: usize>(
     Ok(a0)
 }
 
-/// Effects couple links, and the inertias are of like size.
+/// For any scene: which factor, [`Solve`](super::Solve) says.
 #[derive(Debug)]
-pub enum LinksCoupled {}
+pub enum General {}
 
-impl LinearSolve for LinksCoupled {
-    type Mass = TwoLeg;
-    type Tangent = Coupled;
+/// Any of the factors.
+#[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "a step allocates nothing")]
+pub enum Factor {
+    /// Leg by leg.
+    TwoLeg(TwoLeg),
+    /// Effects couple links.
+    Coupled(Coupled),
+    /// Whatever the inertias.
+    Dense(Dense),
+}
 
-    #[inline(always)]
-    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> TwoLeg {
-        TwoLeg::factor_mass(&five_bar.model.mechanism, pose, softness)
+impl Kkt<COORDINATES, MULTIPLIERS> for Factor {
+    fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
+        match self {
+            Self::TwoLeg(factor) => factor.solve(b, c),
+            Self::Coupled(factor) => factor.solve(b, c),
+            Self::Dense(factor) => factor.solve(b, c),
+        }
+    }
+
+    fn correction(&self, c: &Multipliers) -> Coordinates {
+        match self {
+            Self::TwoLeg(factor) => factor.correction(c),
+            Self::Coupled(factor) => factor.correction(c),
+            Self::Dense(factor) => factor.correction(c),
+        }
+    }
+}
+
+impl LinearSolve for General {
+    type Mass = Factor;
+    type Tangent = Factor;
+
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Factor {
+        match five_bar.model.solve {
+            Solve::Dense => Factor::Dense(Dense::factor(pose, &five_bar.mass_matrix(), softness)),
+            _ => Factor::TwoLeg(TwoLeg::factor_mass(&five_bar.model.elimination, pose, softness)),
+        }
     }
 
     fn factor(
@@ -148,11 +166,60 @@ impl LinearSolve for LinksCoupled {
         h: f64,
         softness: f64,
         definite: Definite,
+    ) -> Result<Factor, Failure> {
+        Ok(match five_bar.model.solve {
+            Solve::Bare | Solve::TwoLegged => Factor::TwoLeg(five_bar.factor_two_leg(at, lambda, h, softness, definite)?),
+            Solve::LinksCoupled => Factor::Coupled(five_bar.factor_coupled(at, lambda, h, softness, definite)?),
+            Solve::Dense => Factor::Dense(five_bar.factor_dense(at, lambda, h, softness, definite)?),
+        })
+    }
+}
+
+impl<L: LinearSolve> FiveBar<'_, L> {
+    #[inline(always)]
+    fn factor_two_leg(
+        &self,
+        at: &Situation<'_>,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+        definite: Definite,
+    ) -> Result<TwoLeg, Failure> {
+        let (model, pose) = (self.model, at.pose);
+        let mechanism = &model.mechanism;
+        let mut tangents = DiagonalTangents::new(h);
+        self.add_tangents(at, &mut tangents);
+        let beta = h * h / 4.0;
+        let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
+        let inertia_p = mechanism.inertia_p + beta * stiffness_p + legs_of(&tangents.weighted, P_THETA);
+        let inertia_d = mechanism.inertia_d + beta * stiffness_d + legs_of(&tangents.weighted, D_THETA);
+        if definite == Definite::Enforced {
+            let inertia_p = inertia_p.max(DESCENT_INERTIA * mechanism.inertia_p);
+            let inertia_d = inertia_d.max(DESCENT_INERTIA * mechanism.inertia_d);
+            return Ok(TwoLeg::factor(&model.elimination, pose, [inertia_p, inertia_d], softness));
+        }
+        let margin_p = inertia_p - LEAST_INERTIA * mechanism.inertia_p;
+        let margin_d = inertia_d - LEAST_INERTIA * mechanism.inertia_d;
+        let [left, right] = margin_p.fast_min(margin_d).to_array();
+        if left > 0.0 && right > 0.0 {
+            Ok(TwoLeg::factor(&model.elimination, pose, [inertia_p, inertia_d], softness))
+        } else {
+            Err(Failure::IndefiniteTangent)
+        }
+    }
+
+    fn factor_coupled(
+        &self,
+        at: &Situation<'_>,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+        definite: Definite,
     ) -> Result<Coupled, Failure> {
-        let masses = five_bar.model.mechanism.mass_times(&[1.0; COORDINATES]);
+        let masses = self.model.mechanism.mass_times(&[1.0; COORDINATES]);
         let inner_masses = SMatrix::from_diagonal(&SVector::from(INNER.map(|i| masses[i])));
         let mut tangents = CoupledTangents::new(h);
-        five_bar.add_tangents(at, &mut tangents);
+        self.add_tangents(at, &mut tangents);
         let mut a0 = inner_masses + tangents.weighted;
         for (i, stiffness) in geometric_stiffness(at.pose, lambda).into_iter().enumerate() {
             let place = INNERS - 4 + i;
@@ -160,30 +227,17 @@ impl LinearSolve for LinksCoupled {
         }
         Coupled::factor(at.pose, &masses, made_definite(a0, &inner_masses, definite)?, softness)
     }
-}
 
-/// Anything: effects may couple links, and inertias may be next to nothing.
-#[derive(Debug)]
-pub enum General {}
-
-impl LinearSolve for General {
-    type Mass = Dense;
-    type Tangent = Dense;
-
-    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Dense {
-        Dense::factor(pose, &five_bar.mass_matrix(), softness)
-    }
-
-    fn factor(
-        five_bar: &FiveBar<'_, Self>,
+    fn factor_dense(
+        &self,
         at: &Situation<'_>,
         lambda: &Multipliers,
         h: f64,
         softness: f64,
         definite: Definite,
     ) -> Result<Dense, Failure> {
-        let mass = five_bar.mass_matrix();
-        let mut a0 = mass + five_bar.full_tangents(at, h);
+        let mass = self.mass_matrix();
+        let mut a0 = mass + self.full_tangents(at, h);
         for (i, stiffness) in THETA.into_iter().zip(geometric_stiffness(at.pose, lambda)) {
             a0[(i, i)] += h * h / 4.0 * stiffness;
         }
@@ -201,10 +255,15 @@ pub struct FiveBar<'a, L> {
     linear_solve: PhantomData<L>,
 }
 
-impl<'a, L> FiveBar<'a, L> {
+impl<'a, L: LinearSolve> FiveBar<'a, L> {
     /// `model` under `inputs`, with the whole turns of links 1 to 4 that q leaves out.
     pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
         Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, linear_solve: PhantomData }
+    }
+
+    /// The model.
+    pub(super) fn model(&self) -> &'a Model {
+        self.model
     }
 
     #[inline(always)]
@@ -215,8 +274,10 @@ impl<'a, L> FiveBar<'a, L> {
     #[inline(always)]
     fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
         self.inputs.add_tangents(at, tangents);
-        for effect in &self.model.effects {
-            effect.add_tangents(at, tangents);
+        if L::EFFECTS {
+            for effect in &self.model.effects {
+                effect.add_tangents(at, tangents);
+            }
         }
     }
 
@@ -244,7 +305,6 @@ fn in_angles(values: [f64; 4]) -> Coordinates {
 impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     type Pose = Pose;
     type Mass = L::Mass;
-    type Tangent = L::Tangent;
 
     #[inline(always)]
     fn pose(&self, q: &Coordinates) -> Pose {
@@ -262,11 +322,6 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     }
 
     #[inline(always)]
-    fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {
-        pose.phi_q_transposed_times(lambda)
-    }
-
-    #[inline(always)]
     fn phi_q_dot_times(&self, pose: &Pose, v: &Coordinates) -> Multipliers {
         pose.phi_q_dot_times(v)
     }
@@ -279,17 +334,14 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     #[inline(always)]
     fn forces(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Coordinates {
         let at = self.at(q, pose, v);
-        let mut forces = [0.0; COORDINATES];
+        let mut forces = self.model.weight;
         self.inputs.add_forces(&at, &mut forces);
-        for effect in &self.model.effects {
-            effect.add_forces(&at, &mut forces);
+        if L::EFFECTS {
+            for effect in &self.model.effects {
+                effect.add_forces(&at, &mut forces);
+            }
         }
         forces
-    }
-
-    fn weight_times(&self, q: &Coordinates, pose: &Pose, v: &Coordinates, h: f64, x: &Coordinates) -> Coordinates {
-        let weight = self.mass_matrix() + self.full_tangents(&self.at(q, pose, v), h);
-        (weight * SVector::from(*x)).into()
     }
 
     #[inline(always)]
@@ -297,35 +349,9 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
         L::factor_mass(self, pose, softness)
     }
 
-    #[inline(always)]
-    fn factor_tangent(
-        &self,
-        q: &Coordinates,
-        pose: &Pose,
-        v: &Coordinates,
-        lambda: &Multipliers,
-        h: f64,
-        softness: f64,
-    ) -> Result<L::Tangent, Failure> {
-        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Demanded)
-    }
-
-    fn factor_descent(
-        &self,
-        q: &Coordinates,
-        pose: &Pose,
-        v: &Coordinates,
-        lambda: &Multipliers,
-        h: f64,
-        softness: f64,
-    ) -> Option<L::Tangent> {
-        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Enforced).ok()
-    }
-
     fn potential(&self, q: &Coordinates, pose: &Pose) -> Option<f64> {
         let at = self.at(q, pose, &[0.0; COORDINATES]);
-        let effects: f64 = self.model.effects.iter().map(|effect| effect.potential(&at)).sum();
-        Some(effects + self.inputs.potential(&at))
+        Some(self.model.potential(&at) + self.inputs.potential(&at))
     }
 
     fn conservative(&self) -> bool {
@@ -400,5 +426,44 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     #[inline(always)]
     fn size(&self) -> f64 {
         self.model.size
+    }
+}
+
+impl<L: LinearSolve> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
+    type Tangent = L::Tangent;
+
+    #[inline(always)]
+    fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {
+        pose.phi_q_transposed_times(lambda)
+    }
+
+    fn weight_times(&self, q: &Coordinates, pose: &Pose, v: &Coordinates, h: f64, x: &Coordinates) -> Coordinates {
+        let weight = self.mass_matrix() + self.full_tangents(&self.at(q, pose, v), h);
+        (weight * SVector::from(*x)).into()
+    }
+
+    #[inline(always)]
+    fn factor_tangent(
+        &self,
+        q: &Coordinates,
+        pose: &Pose,
+        v: &Coordinates,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+    ) -> Result<L::Tangent, Failure> {
+        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Demanded)
+    }
+
+    fn factor_descent(
+        &self,
+        q: &Coordinates,
+        pose: &Pose,
+        v: &Coordinates,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+    ) -> Option<L::Tangent> {
+        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Enforced).ok()
     }
 }

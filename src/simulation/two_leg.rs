@@ -13,7 +13,7 @@
 //!
 //! Both legs go through the same instructions in the two lanes of a register.
 
-use crate::integrator::Kkt;
+use crate::integrator::{Kkt, combine};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers, Pose};
@@ -52,6 +52,87 @@ impl Symmetric {
     }
 }
 
+/// What of the elimination depends on the machine and on e only: computed once, when the scene is made ready.
+#[derive(Clone, Copy, Debug)]
+pub struct Elimination {
+    mechanism: Mechanism,
+    softness: f64,
+    ground: Ground,
+    /// For A₀ = M.
+    mass: Compliance,
+}
+
+/// Of the proximal links and their ground joints.
+#[derive(Clone, Copy, Debug)]
+struct Ground {
+    mu: Legs,
+    /// 1/(μ+e), c_r and a_r.
+    along: Legs,
+    couple_along: Legs,
+    elbow_along: Legs,
+    /// What z, c_n and a_n are made of: μ + e, a², ab, eμ and μ(a+b)² + eb².
+    mu_e: Legs,
+    aa: Legs,
+    ab: Legs,
+    e_mu: Legs,
+    lever: Legs,
+}
+
+/// What depends on the inertias I′ of A₀ as well, but not on the pose.
+#[derive(Clone, Copy, Debug)]
+struct Compliance {
+    /// 1/I′ of the proximal and distal links.
+    proximal: Legs,
+    distal: Legs,
+    /// S_GG⁻¹ across the proximal link minus along it, c_n − c_r and a_n − a_r.
+    excess: Legs,
+    couple_excess: Legs,
+    elbow_excess: Legs,
+}
+
+impl Elimination {
+    /// For a mechanism and e, 1/kg.
+    #[cold]
+    #[inline(never)]
+    pub fn new(mechanism: &Mechanism, softness: f64) -> Self {
+        let (e, mu, a, b) = (both(softness), both(1.0) / mechanism.mass_p, mechanism.a_p, mechanism.b_p);
+        let along = both(1.0) / (mu + e);
+        let ground = Ground {
+            mu,
+            along,
+            couple_along: -mu * along,
+            elbow_along: mu * e * along,
+            mu_e: mu + e,
+            aa: a * a,
+            ab: a * b,
+            e_mu: e * mu,
+            lever: mu * (a + b) * (a + b) + e * b * b,
+        };
+        let mass = ground.compliance([mechanism.inertia_p, mechanism.inertia_d]);
+        Self { mechanism: *mechanism, softness, ground, mass }
+    }
+
+    /// The same for another e, where it is another: close to a vertex, in the printed method.
+    #[inline(always)]
+    fn with<'a>(&'a self, softness: f64, other: &'a mut Option<Self>) -> &'a Self {
+        if softness == self.softness { self } else { other.insert(Self::new(&self.mechanism, softness)) }
+    }
+}
+
+impl Ground {
+    #[inline(always)]
+    fn compliance(&self, [inertia_p, inertia_d]: [Legs; 2]) -> Compliance {
+        let z = both(1.0) / (self.mu_e * inertia_p + self.aa);
+        Compliance {
+            proximal: both(1.0) / inertia_p,
+            distal: both(1.0) / inertia_d,
+            excess: inertia_p * z - self.along,
+            couple_excess: (self.ab - self.mu * inertia_p) * z - self.couple_along,
+            elbow_excess: (self.e_mu * inertia_p + self.lever) * z - self.elbow_along,
+        }
+    }
+}
+
 /// The factorised saddle-point matrix of a five-bar whose A₀ is diagonal.
 #[derive(Clone, Copy, Debug)]
 pub struct TwoLeg {
@@ -65,7 +146,8 @@ pub struct TwoLeg {
     couple_along: Legs,
     couple_excess: Legs,
     elbow_inverse: Symmetric,
-    elbow_tip: Symmetric,
+    /// E⁻¹ T by columns: what a force at the tip makes of the elbow's.
+    gain: [Legs2; 2],
     /// Inverse of the tip's block: xx, xy, yy.
     tip_inverse: [f64; 3],
 }
@@ -73,34 +155,39 @@ pub struct TwoLeg {
 impl TwoLeg {
     /// Factorises for the inertias I′ of A₀ (proximal, distal), kg·m².
     #[inline(always)]
-    pub fn factor(mechanism: &Mechanism, pose: &Pose, [inertia_p, inertia_d]: [Legs; 2], softness: f64) -> Self {
-        let one = both(1.0);
-        let e = both(softness);
-        let [mass_x, _, _, mass_d, ..] = mechanism.mass_diagonal();
-        let (mu, mu_d) = (one / mass_x, one / mass_d);
-        let (compliance_p, compliance_d) = (one / inertia_p, one / inertia_d);
-        let (a, b) = (mechanism.a_p, mechanism.b_p);
+    pub fn factor(elimination: &Elimination, pose: &Pose, inertias: [Legs; 2], softness: f64) -> Self {
+        let mut other = None;
+        let elimination = elimination.with(softness, &mut other);
+        Self::eliminate(elimination, &elimination.ground.compliance(inertias), pose)
+    }
 
-        // Ground.
-        let z = one / ((mu + e) * inertia_p + a * a);
-        let ground_along = one / (mu + e);
-        let couple_along = -mu * ground_along;
-        let couple_excess = (a * b - mu * inertia_p) * z - couple_along;
-        let a_r = mu * e * ground_along;
-        let a_n = (e * mu * inertia_p + mu * (a + b) * (a + b) + e * b * b) * z;
+    /// Factorises with the mass matrix in the corner.
+    #[inline(always)]
+    pub fn factor_mass(elimination: &Elimination, pose: &Pose, softness: f64) -> Self {
+        let mut other = None;
+        let elimination = elimination.with(softness, &mut other);
+        Self::eliminate(elimination, &elimination.mass, pose)
+    }
+
+    #[inline(always)]
+    fn eliminate(elimination: &Elimination, compliance: &Compliance, pose: &Pose) -> Self {
+        let Elimination { softness, ground: Ground { mu, along, couple_along, elbow_along, .. }, .. } = *elimination;
+        let mu_d = both(1.0) / elimination.mechanism.mass_d;
 
         // Elbow.
         let (n_p, n_a, n_b) = (pose.u_p.turned(), pose.a_d.turned(), pose.sigma_b_d.turned());
-        let elbow_inverse = Symmetric::new(mu_d + e + a_r, a_n - a_r, n_p).plus(compliance_d, n_a).inverse();
+        let elbow_inverse = Symmetric::new(mu_d + both(softness) + elbow_along, compliance.elbow_excess, n_p)
+            .plus(compliance.distal, n_a)
+            .inverse();
         // n_a and n_b are parallel, so that their product is symmetric.
-        let w = n_a.scaled(-compliance_d);
+        let w = n_a.scaled(-compliance.distal);
         let signed = SIGMA * mu_d;
         let elbow_tip = Symmetric { xx: signed + w.x * n_b.x, xy: w.x * n_b.y, yy: signed + w.y * n_b.y };
 
         // Tip: Tᵀ E⁻¹ T column by column.
-        let first = elbow_inverse.times(Legs2 { x: elbow_tip.xx, y: elbow_tip.xy });
-        let second = elbow_inverse.times(Legs2 { x: elbow_tip.xy, y: elbow_tip.yy });
-        let own = Symmetric::new(mu_d, compliance_d, n_b);
+        let gain @ [first, second] = [Legs2 { x: elbow_tip.xx, y: elbow_tip.xy }, Legs2 { x: elbow_tip.xy, y: elbow_tip.yy }]
+            .map(|t| elbow_inverse.times(t));
+        let own = Symmetric::new(mu_d, compliance.distal, n_b);
         let xx = sum(own.xx - (elbow_tip.xx * first.x + elbow_tip.xy * first.y)) + softness;
         let xy = sum(own.xy - (elbow_tip.xx * second.x + elbow_tip.xy * second.y));
         let yy = sum(own.yy - (elbow_tip.xy * second.x + elbow_tip.yy * second.y)) + softness;
@@ -108,21 +195,15 @@ impl TwoLeg {
 
         Self {
             pose: *pose,
-            mobility: [mu, mu, compliance_p, mu_d, mu_d, compliance_d],
-            ground_along,
-            ground_excess: inertia_p * z - ground_along,
+            mobility: [mu, mu, compliance.proximal, mu_d, mu_d, compliance.distal],
+            ground_along: along,
+            ground_excess: compliance.excess,
             couple_along,
-            couple_excess,
+            couple_excess: compliance.couple_excess,
             elbow_inverse,
-            elbow_tip,
+            gain,
             tip_inverse: [yy * reciprocal, -xy * reciprocal, xx * reciprocal],
         }
-    }
-
-    /// Factorises with the mass matrix in the corner.
-    #[inline(always)]
-    pub fn factor_mass(mechanism: &Mechanism, pose: &Pose, softness: f64) -> Self {
-        Self::factor(mechanism, pose, [mechanism.inertia_p, mechanism.inertia_d], softness)
     }
 
     /// A₀⁻¹ x.
@@ -149,13 +230,13 @@ impl TwoLeg {
         let elbow = Legs2 { x: legs_of(r, E_X) - carried.x, y: legs_of(r, E_Y) - carried.y };
 
         let free = self.elbow_inverse.times(elbow);
-        let felt = self.elbow_tip.times(free);
-        let (x, y) = (r[TIP_X] - sum(felt.x), r[TIP_Y] - sum(felt.y));
+        let [first, second] = self.gain;
+        let (x, y) = (r[TIP_X] - sum(first.dot(elbow)), r[TIP_Y] - sum(second.dot(elbow)));
         let [xx, xy, yy] = self.tip_inverse;
         let (tip_x, tip_y) = (xx * x + xy * y, xy * x + yy * y);
 
-        let back = self.elbow_inverse.times(self.elbow_tip.times(Legs2 { x: both(tip_x), y: both(tip_y) }));
-        let elbow = Legs2 { x: free.x - back.x, y: free.y - back.y };
+        let (back_x, back_y) = (first.scaled(both(tip_x)), second.scaled(both(tip_y)));
+        let elbow = Legs2 { x: free.x - back_x.x - back_y.x, y: free.y - back_x.y - back_y.y };
         let own = framed(self.ground_along, self.ground_excess, ground);
         let carried = framed(self.couple_along, self.couple_excess, elbow);
 
@@ -175,9 +256,9 @@ impl Kkt<COORDINATES, MULTIPLIERS> for TwoLeg {
     fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         let unconstrained = self.yielded(b);
         let velocity = self.pose.phi_q_times(&unconstrained);
-        let y = self.dual(&std::array::from_fn(|i| velocity[i] - c[i]));
+        let y = self.dual(&combine([&velocity, c], |[velocity, c]| velocity - c));
         let pull = self.yielded(&self.pose.phi_q_transposed_times(&y));
-        (std::array::from_fn(|i| unconstrained[i] - pull[i]), y)
+        (combine([&unconstrained, &pull], |[x, pull]| x - pull), y)
     }
 
     #[inline(always)]

@@ -4,6 +4,8 @@
 
 use std::fmt;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 include!(concat!(env!("OUT_DIR"), "/variables.rs"));
 
 /// One variable as calls see it.
@@ -39,7 +41,7 @@ pub struct Item {
 }
 
 /// A value as calls carry it; enumerations travel as integers (FMI 2.0.4, section 2.2.7).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub enum Value {
     /// fmi2Real.
     Real(f64),

@@ -4,7 +4,7 @@ use fivebar::fmi::bindings::default_inputs;
 use fivebar::integrator::{self, Kkt, System, i3alp};
 use fivebar::mechanism::{COORDINATES, MULTIPLIERS};
 use fivebar::simulation::dense::Dense;
-use fivebar::simulation::system::{FiveBar, TwoLegged};
+use fivebar::simulation::system::{Bare, FiveBar};
 use fivebar::simulation::two_leg::TwoLeg;
 use fivebar::simulation::{Inputs, Model, Simulation};
 use nalgebra::{SMatrix, SVector};
@@ -25,7 +25,7 @@ fn penalty_step(
     state: &integrator::State<COORDINATES, MULTIPLIERS>,
     h: f64,
 ) -> [Vector<COORDINATES>; 3] {
-    let system = FiveBar::<TwoLegged>::new(model, inputs, &[0; 4]);
+    let system = FiveBar::<Bare>::new(model, inputs, &[0; 4]);
     let mechanism = &model.mechanism;
     let beta = h * h / 4.0;
     let alpha = KAPPA * mechanism.geometry.mean_mass() / beta;
@@ -98,7 +98,7 @@ fn penalty_and_dual_steps_agree() {
                 max_iterations: 20,
                 softness: model.softness,
             };
-            let system = FiveBar::<TwoLegged>::new(model, &inputs, &[0; 4]);
+            let system = FiveBar::<Bare>::new(model, &inputs, &[0; 4]);
             i3alp::advance(&system, &settings, &mut dual, h, &mut Default::default()).expect("step");
             // The penalty form's own round-off is κ ε = 2e-10 of the velocities and accelerations; one projection at κ = 1e6
             // leaves 1e-6 of what it removes, itself below 1e-6 of the velocity.
@@ -126,7 +126,7 @@ fn two_leg_elimination_solves_the_dense_system() {
             let b: [f64; COORDINATES] = std::array::from_fn(|i| ((i * 7 + k) as f64).sin());
             let c: [f64; MULTIPLIERS] = std::array::from_fn(|i| ((i * 5 + 3 * k) as f64).cos());
             for softness in [1e-10, 1e-2, 10.0] {
-                let fast = TwoLeg::factor_mass(mechanism, &pose, softness);
+                let fast = TwoLeg::factor_mass(&simulation.model().elimination, &pose, softness);
                 let dense = Dense::factor(&pose, &mass, softness);
                 let ((x, y), (x_dense, y_dense)) = (fast.solve(&b, &c), dense.solve(&b, &c));
                 let close = |fast: &[f64], dense: &[f64]| {

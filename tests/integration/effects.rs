@@ -4,13 +4,13 @@ use std::f64::consts::PI;
 
 use fivebar::effects::NAMES;
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
-use fivebar::integrator::{System, i3alp};
+use fivebar::integrator::{Implicit, System, i3alp};
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::mechanism::{COORDINATES, Coordinates};
 use fivebar::observers;
 use fivebar::simulation::model::Stepper;
-use fivebar::simulation::system::{FiveBar, General, LinearSolve, LinksCoupled, TwoLegged};
-use fivebar::simulation::{Inputs, Method, Parameters, Simulation, Solve};
+use fivebar::simulation::system::{Bare, FiveBar, General, LinearSolve};
+use fivebar::simulation::{Inputs, Method, Model, Parameters, Simulation, Solve};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
@@ -165,21 +165,24 @@ fn methods_agree_with_all_effects_on() {
         let energies = observers::energies(simulation.model(), simulation.state());
         (simulation.state().angles(), energies.input, energies.dissipated)
     };
-    let (implicit, explicit) = (end(Method::I3alp, 1e-3), end(Method::Rk4, 1e-4));
-    for (a, b) in implicit.0.into_iter().zip(explicit.0) {
-        // Sub-steps with a local error of 1e-11 rad, some 1e4 of them.
-        assert!((a - b).abs() < 1e-6, "{implicit:?} {explicit:?}");
+    let implicit = end(Method::I3alp, 1e-3);
+    for explicit in [end(Method::Rk4, 1e-4), end(Method::Dop853, 1e-3)] {
+        for (a, b) in implicit.0.into_iter().zip(explicit.0) {
+            // Sub-steps with a local error of 1e-11 rad, some 1e4 of them.
+            assert!((a - b).abs() < 1e-6, "{implicit:?} {explicit:?}");
+        }
+        assert!((implicit.1 - explicit.1).abs() < 1e-6 * MGL.max(explicit.1.abs()), "{implicit:?} {explicit:?}");
+        assert!((implicit.2 - explicit.2).abs() < 1e-5 * explicit.2, "{implicit:?} {explicit:?}");
     }
-    assert!((implicit.1 - explicit.1).abs() < 1e-6 * MGL.max(explicit.1.abs()), "{implicit:?} {explicit:?}");
-    assert!((implicit.2 - explicit.2).abs() < 1e-5 * explicit.2, "{implicit:?} {explicit:?}");
 }
 
-/// q after 0.3 s of fixed 1 ms steps with a linear solve.
-fn end<L: LinearSolve>(scene: &Simulation, inputs: &Inputs) -> Coordinates {
+/// q after 0.3 s of fixed 1 ms steps with a linear solve: which one of those that are [`General`], the model says.
+fn end<L: LinearSolve>(scene: &Simulation, inputs: &Inputs, solve: Solve) -> Coordinates {
+    let model = Model { solve, ..scene.model().clone() };
     let Stepper::I3alp(settings) = scene.model().stepper else { panic!("the default is i3-ALP") };
     let mut core = scene.state().core;
     for _ in 0..300 {
-        let system = FiveBar::<L>::new(scene.model(), inputs, &[0; 4]);
+        let system = FiveBar::<L>::new(&model, inputs, &[0; 4]);
         i3alp::advance(&system, &settings, &mut core, 1e-3, &mut Default::default()).expect("step");
     }
     core.q
@@ -193,15 +196,18 @@ fn the_linear_solves_agree() {
     parameters.settings.adaptive = false;
     let inputs = Inputs { tau: [0.01, -0.02], tip_force: [0.1, 0.05], ..Inputs::default() };
     let bare = Simulation::new(&parameters, &inputs).expect("scene");
-    let dense = end::<General>(&bare, &inputs);
-    for (name, q) in [("two legs", end::<TwoLegged>(&bare, &inputs)), ("coupled", end::<LinksCoupled>(&bare, &inputs))] {
+    let dense = end::<General>(&bare, &inputs, Solve::Dense);
+    for (name, q) in
+        [("two legs", end::<Bare>(&bare, &inputs, Solve::Bare)), ("coupled", end::<General>(&bare, &inputs, Solve::LinksCoupled))]
+    {
         let error = angle_error(&q, &dense);
         assert!(error < 1e-10, "{name}: {error:e} rad");
     }
     let (_, mut all) = each_and_all().pop().expect("all");
     all.settings.adaptive = false;
     let all = Simulation::new(&all, &references()).expect("scene");
-    let error = angle_error(&end::<LinksCoupled>(&all, &references()), &end::<General>(&all, &references()));
+    let error =
+        angle_error(&end::<General>(&all, &references(), Solve::LinksCoupled), &end::<General>(&all, &references(), Solve::Dense));
     assert!(error < 1e-10, "{error:e} rad");
 }
 
@@ -276,12 +282,17 @@ fn what_is_off_is_not_there() {
     assert_eq!(simulation.state(), hears_nothing.state());
 }
 
-/// The fast linear solve, unless an active effect couples links.
+/// The fast linear solve, unless an active effect couples links; without code for effects where none depends on the motion.
 #[test]
 fn the_scene_chooses_the_linear_solve() {
     for (name, parameters) in each_and_all() {
         let couples = ["viscous", "friction", "contact", "all"].contains(&name.as_str());
-        let expected = if couples { Solve::LinksCoupled } else { Solve::TwoLegged };
+        let constant = ["gravity", "rotor", "payload"].contains(&name.as_str());
+        let expected = match (couples, constant) {
+            (true, _) => Solve::LinksCoupled,
+            (_, true) => Solve::Bare,
+            _ => Solve::TwoLegged,
+        };
         assert_eq!(Simulation::new(&parameters, &references()).expect(&name).model().solve, expected, "{name}");
     }
     // Bearings of the motors alone couple nothing.

@@ -60,6 +60,22 @@ def test_files(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     assert all(str(Path("out") / name) in process.stdout for name in expected)
 
 
+def test_pictures_show_what_a_scene_has(fmu: Path, tmp_path: Path) -> None:
+    """Servos, stops, a plane and a changing load have pictures of their own, and the signals are in the table."""
+    effects = {f"{effect}.enabled": True for effect in ("servo", "stop", "contact")}
+    theta = {"minimumJerk": [[0, 1.5708], [0.1, 1.5]]}
+    signals = {"tip.fx": {"linear": [[0, 0], [0.1, 0.2]]}, "servo.theta[1]": theta, "servo.omega[1]": {"rateOf": "servo.theta[1]"}}
+    process = run(fmu, tmp_path, {"experiment": {"stopTime": 0.1}, **effects, "servo.theta[2]": 2, "signals": signals})
+    assert process.returncode == 0, process.stderr
+    assert {f"{name}.png" for name in ("servo", "stop", "contact", "inputs")} <= {file.name for file in (tmp_path / "out").iterdir()}
+    header = (tmp_path / "out" / "short.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert all(column in header for column in ("tip.fx [N]", "servo.theta[1] [rad]", "servo.omega[1] [rad/s]"))
+    page = (tmp_path / "out" / "short.html").read_text(encoding="utf-8")
+    data = json.loads(page.split('<script type="application/json" id="data">')[1].split("</script>")[0])
+    assert data["runs"][0]["plane"] == {"normal": [0, 1], "offset": -1}
+    assert data["runs"][0]["stops"] == [[0, np.pi], [0, np.pi]]
+
+
 def test_an_earlier_run_leaves_nothing(fmu: Path, tmp_path: Path) -> None:
     """A run removes what an earlier run of the scene wrote, and no other file; inside the current directory, paths are short."""
     out = tmp_path / "out"

@@ -1,6 +1,7 @@
 """Scenes: what is read, and the sentence for what is not."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,8 @@ def write(folder: Path, content: object) -> Path:
 
 def test_shipped_scenes(scenes: Path, model: ModelDescription) -> None:
     names = {path.stem for path in scenes.glob("*.json")}
-    assert names >= {"paper_free_fall", "paper_torque", "paper_torque_gravity", "fall_90_120", "flat_table"}
+    paper = {"paper_free_fall", "paper_torque", "paper_torque_gravity"}
+    assert names >= paper | {"fall_90_120", "flat_table", "singular_crossing", "haptic", "pick_and_place", "end_stops", "run_down"}
     for name in names:
         ready = scene.read(scenes / f"{name}.json", model)
         assert ready.description and ready.stop_time > 0 and ready.step_size > 0
@@ -30,6 +32,24 @@ def test_shipped_scenes_say_only_what_differs(scenes: Path, model: ModelDescript
         for name, value in scene.read(path, model).variants[0].values.items():
             plain = {"true": 1, "false": 0}.get(starts[name], starts[name])
             assert float(plain) != float(value), f"{path.name} repeats the default of {name}"
+
+
+def test_docs_list_every_scene_with_its_effects(scenes: Path, model: ModelDescription) -> None:
+    """docs/effects.md, and the scene that it shows can be read."""
+    text = (scenes.parent / "docs" / "effects.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| \[`(\w+)`\]\([^)]*\) \| [^|]* \| ([^|]*) \|", text, re.MULTILINE))
+    switches = {v.name.removesuffix(".enabled"): v.start == "true" for v in model.modelVariables if v.name.endswith(".enabled")}
+    for path in scenes.glob("*.json"):
+        values = scene.read(path, model).variants[0].values
+        active = [name for name, start in switches.items() if values.get(f"{name}.enabled", start)]
+        assert rows.pop(path.stem) == (", ".join(active) or "none"), path.stem
+    assert rows == {}
+
+
+def test_the_scene_in_the_docs_is_one(scenes: Path, model: ModelDescription, tmp_path: Path) -> None:
+    text = (scenes.parent / "docs" / "effects.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r"^```json\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    assert set(scene.read(write(tmp_path, block), model).signals) == {"servo.theta[1]", "servo.omega[1]"}
 
 
 def test_values_and_overlays(tmp_path: Path, model: ModelDescription) -> None:

@@ -19,7 +19,7 @@ from slave import Log, get_values, instantiate, set_values
 
 @dataclass
 class Run:
-    """What one run left: one row per communication point, the first at the start.
+    """What one run left: one row per communication point, the first at the start; outputs, then the scene's signals.
 
     `items` has the names of the values of each output that is an enumeration.
     """
@@ -31,7 +31,7 @@ class Run:
     columns: dict[str, np.ndarray]
     parameters: dict[str, float | int | bool]
     items: dict[str, dict[int, str]] = field(default_factory=dict)
-    step_seconds: float = 0.0
+    call_seconds: list[float] = field(default_factory=list)
     wall_seconds: float = 0.0
     failure: str | None = None
     warnings: list[str] | None = None
@@ -43,6 +43,11 @@ class Run:
     def time(self) -> np.ndarray:
         """Communication points, s."""
         return self.columns["time"]
+
+    @property
+    def step_seconds(self) -> float:
+        """Seconds spent in fmi2DoStep."""
+        return sum(self.call_seconds)
 
     @property
     def failed(self) -> bool:
@@ -129,6 +134,20 @@ class Progress:
         self.stream.flush()
 
 
+class _Signals:
+    """The scene's signals: each is set at the communication point and held over the step that follows."""
+
+    def __init__(self, slave: fmi2.FMU2Slave, model: ModelDescription, scene: Scene, points: np.ndarray):
+        self.slave = slave
+        self.references = [v.valueReference for v in model.modelVariables if v.name in scene.signals]
+        self.columns = {v.name: scene.signals[v.name].at(points) for v in model.modelVariables if v.name in scene.signals}
+        self.rows = np.column_stack(list(self.columns.values())).tolist() if self.columns else []
+
+    def hold(self, row: int) -> None:
+        if self.rows:
+            self.slave.setReal(self.references, self.rows[row])
+
+
 def drive(model: ModelDescription, directory: str, scene: Scene, variant: Variant, progress: Progress) -> Run:
     """Runs `variant` of `scene` with the FMU extracted to `directory`. A step that fails ends the run, not the program."""
     begin = time.perf_counter()
@@ -137,11 +156,12 @@ def drive(model: ModelDescription, directory: str, scene: Scene, variant: Varian
     log = Log()
     slave = instantiate(model, directory, log, name=scene.name)
     try:
-        _initialise(slave, model, scene, variant, log)
+        signals = _Signals(slave, model, scene, points)
+        _initialise(slave, model, scene, variant, signals, log)
         recorder = _Recorder(slave, outputs, len(points))
         recorder.record()
         parameters = get_values(slave, model, [v.name for v in model.modelVariables if v.causality == "parameter"])
-        step_seconds, failure = _step(slave, points, recorder, progress, log)
+        call_seconds, failure = _step(slave, points, signals, recorder, progress, log)
         if failure is None:
             slave.terminate()
     finally:
@@ -151,20 +171,23 @@ def drive(model: ModelDescription, directory: str, scene: Scene, variant: Varian
         label=variant.label,
         stop_time=scene.stop_time,
         step_size=scene.step_size,
-        units={"time": "s"} | {v.name: unit(v) for v in outputs},
-        columns=recorder.columns(points),
+        units={"time": "s"} | {v.name: unit(v) for v in model.modelVariables},
+        columns=recorder.columns(points) | {name: column[: recorder.rows] for name, column in signals.columns.items()},
         parameters=parameters,
         items={v.name: {int(i.value): i.name for i in v.declaredType.items} for v in outputs if v.type == "Enumeration"},
-        step_seconds=step_seconds,
+        call_seconds=call_seconds,
         wall_seconds=time.perf_counter() - begin,
         failure=failure,
         warnings=log.warnings(),
     )
 
 
-def _initialise(slave: fmi2.FMU2Slave, model: ModelDescription, scene: Scene, variant: Variant, log: Log) -> None:
+def _initialise(
+    slave: fmi2.FMU2Slave, model: ModelDescription, scene: Scene, variant: Variant, signals: _Signals, log: Log
+) -> None:
     try:
         set_values(slave, model, variant.values)
+        signals.hold(0)
         slave.setupExperiment(startTime=0.0, stopTime=scene.stop_time)
         slave.enterInitializationMode()
         slave.exitInitializationMode()
@@ -173,18 +196,19 @@ def _initialise(slave: fmi2.FMU2Slave, model: ModelDescription, scene: Scene, va
 
 
 def _step(
-    slave: fmi2.FMU2Slave, points: np.ndarray, recorder: _Recorder, progress: Progress, log: Log
-) -> tuple[float, str | None]:
-    """Steps through `points`; seconds spent in fmi2DoStep, and the FMU's sentence if a call failed."""
+    slave: fmi2.FMU2Slave, points: np.ndarray, signals: _Signals, recorder: _Recorder, progress: Progress, log: Log
+) -> tuple[list[float], str | None]:
+    """Steps through `points`; seconds that each fmi2DoStep took, and the FMU's sentence if a call failed."""
     clock = time.perf_counter
-    step_seconds = 0.0
-    for now, then in pairwise(points.tolist()):
-        before = clock()
+    seconds: list[float] = []
+    for row, (now, then) in enumerate(pairwise(points.tolist())):
         try:
+            signals.hold(row)
+            before = clock()
             slave.doStep(now, then - now)
-            step_seconds += clock() - before
+            seconds.append(clock() - before)
             recorder.record()
         except FMICallException as error:
-            return step_seconds, log.last() or str(error)
+            return seconds, log.last() or str(error)
         progress.update(then)
-    return step_seconds, None
+    return seconds, None

@@ -9,16 +9,12 @@ import sys
 from collections import defaultdict
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")  # no display needed; pyplot must come after
-
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from pictures import INK, RUN_COLOURS, STYLE
+from drawing import INK, RUN_COLOURS, STYLE
 
 Row = dict[str, str]
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drawing import plane
 from drive import Run
 from scene import Scene
 from singularities import Event, count
@@ -46,7 +47,7 @@ def write(path: Path, scene: Scene, runs: list[Run], events: list[Event]) -> Non
 
 
 def _pack(run: Run, events: list[Event], most: int) -> dict[str, object]:
-    """Geometry as numbers; time, angles and energies as little-endian float32 in base64, column after column."""
+    """Geometry and barriers as numbers; time, angles and energies as little-endian float32 in base64, column after column."""
     kept = samples_to_keep(run, events, most)
     columns = [run["time"], *(run[name] for name in ANGLES + ENERGIES)]
     table = np.array([column[kept] for column in columns], dtype="<f4")
@@ -55,11 +56,28 @@ def _pack(run: Run, events: list[Event], most: int) -> dict[str, object]:
         "failure": run.failure,
         "base": run.parameters["base.distance"],
         "lengths": [run.parameters[f"link[{i}].length"] for i in (1, 2, 3, 4)],
+        "plane": _plane(run),
+        "stops": _stops(run),
         "energyScale": energy_scale(run),
         "energyNote": energy_note(run),
         "samples": len(kept),
         "columns": base64.b64encode(table.tobytes()).decode("ascii"),
     }
+
+
+def _plane(run: Run) -> dict[str, object] | None:
+    """The plane that the tip may touch, if there is one."""
+    if not run.parameters["contact.enabled"]:
+        return None
+    normal, offset = plane(run)
+    return {"normal": normal.tolist(), "offset": offset}
+
+
+def _stops(run: Run) -> list[list[float]] | None:
+    """Lower and upper angle, rad, of the left and right end stops, if there are any."""
+    if not run.parameters["stop.enabled"]:
+        return None
+    return [[run.parameters[f"stop.{limit}[{i}]"] for limit in ("lower", "upper")] for i in (1, 2)]
 
 
 def samples_to_keep(run: Run, events: list[Event], most: int) -> np.ndarray:

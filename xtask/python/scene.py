@@ -1,26 +1,25 @@
 """Scenes: flat JSON files that map variable names of the FMU to start values, checked against its model description.
 
-Reserved keys are `description` (text), `experiment` ({"stopTime", "stepSize"}, the communication step, in s) and `overlay`
-(further runs for comparison: each a `label` and the values that replace the scene's).
+Reserved keys are `description` (text), `experiment` ({"stopTime", "stepSize"}, the communication step, in s), `signals`
+(inputs that change with time: see signals.py) and `overlay` (further runs for comparison: each a `label` and the values that
+replace the scene's; the signals are the same).
 """
 
-import difflib
 import json
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-RESERVED = ("description", "experiment", "overlay")
+import signals
+from refusal import SceneError, is_number, similar
+from signals import Signal
+
+RESERVED = ("description", "experiment", "signals", "overlay")
 EXPERIMENT = ("stopTime", "stepSize")
 
 Values = dict[str, float | int | bool]
-
-
-class SceneError(ValueError):
-    """A scene that cannot be run; the text is one sentence naming the file, the key and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +39,7 @@ class Scene:
     stop_time: float
     step_size: float
     variants: list[Variant] = field(default_factory=list)
+    signals: dict[str, Signal] = field(default_factory=dict)
 
 
 def read(path: Path, model: ModelDescription) -> Scene:
@@ -54,11 +54,17 @@ def read(path: Path, model: ModelDescription) -> Scene:
     variants = [Variant(_method_label(values, variables), values)]
     for number, item in enumerate(_list(where, content.get("overlay", [])), start=1):
         variants.append(_overlay(f"{where}, overlay {number}", item, own, variables, known))
+    inputs = {v.name: v for v in model.modelVariables if v.causality == "input"}
+    given = signals.read(where, content.get("signals", {}), inputs, unit)
+    for name in given:
+        if any(name in variant.values for variant in variants):
+            raise SceneError(f"{where}: '{name}' is given a signal and a value; only one of them can hold.")
     labels = [variant.label for variant in variants]
     for label in labels:
         if labels.count(label) > 1:
             raise SceneError(f"{where}: two runs have the label '{label}'; labels must differ.")
-    return Scene(path.stem, _text(where, "description", content.get("description", "")), stop_time, step_size, variants)
+    description = _text(where, "description", content.get("description", ""))
+    return Scene(path.stem, description, stop_time, step_size, variants, given)
 
 
 def unit(variable: ScalarVariable) -> str:
@@ -91,12 +97,12 @@ def _experiment(where: str, given: Any, model: ModelDescription) -> tuple[float,
         raise SceneError(f'{where}: \'experiment\' must be an object such as {{"stopTime": 2, "stepSize": 0.001}}.')
     for key in given:
         if key not in EXPERIMENT:
-            raise SceneError(f"{where}: 'experiment' has no key '{key}'{_close(key, EXPERIMENT)}")
+            raise SceneError(f"{where}: 'experiment' has no key '{key}'{similar(key, EXPERIMENT)}")
     default = model.defaultExperiment
     numbers = []
     for key in EXPERIMENT:
         number = given[key] if key in given else float(getattr(default, key))
-        if not (_is_number(number) and 0 < number < math.inf):
+        if not (is_number(number) and number > 0):
             raise SceneError(f"{where}: 'experiment.{key}' must be a positive number of seconds, not {json.dumps(number)}.")
         numbers.append(float(number))
     return numbers[0], numbers[1]
@@ -125,7 +131,7 @@ def _values(
         if name in known and name not in variables:
             raise SceneError(f"{where}: '{name}' is computed by the FMU ({known[name].causality}) and cannot be set.")
         if name not in variables:
-            raise SceneError(f"{where}: there is no variable '{name}'{_close(name, (*variables, *reserved))}")
+            raise SceneError(f"{where}: there is no variable '{name}'{similar(name, (*variables, *reserved))}")
         values[name] = _value(where, variables[name], value)
     return values
 
@@ -135,7 +141,7 @@ def _value(where: str, variable: ScalarVariable, value: Any) -> float | int | bo
     wanted: str
     match variable.type:
         case "Real":
-            if _is_number(value) and math.isfinite(value):
+            if is_number(value):
                 return float(value)
             wanted = f"a finite number in {unit(variable)}"
         case "Integer":
@@ -171,16 +177,3 @@ def _text(where: str, key: str, value: Any) -> str:
     if not isinstance(value, str) or (key == "label" and not value.strip()):
         raise SceneError(f"{where}: '{key}' must be a text, not {json.dumps(value)}.")
     return value
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
-
-
-def _close(name: str, candidates: tuple[str, ...]) -> str:
-    matches = difflib.get_close_matches(name, candidates, n=3, cutoff=0.6)
-    return f"; did you mean {' or '.join(repr(m) for m in matches)}?" if matches else f"; known: {_shortened(candidates)}."
-
-
-def _shortened(candidates: tuple[str, ...]) -> str:
-    return ", ".join(candidates[:6]) + (f" and {len(candidates) - 6} more" if len(candidates) > 6 else "")

@@ -1,9 +1,11 @@
 //! The commands of this repository, started as `cargo xtask`: one file per command.
 
+mod bench;
 mod hard_cases;
 mod package;
 mod paths;
 mod peers;
+mod prices;
 mod process;
 mod run;
 mod scenes;
@@ -47,6 +49,17 @@ enum Command {
         /// Names of those to run; all of them
         only: Vec<String>,
     },
+    /// Measure times and instructions, write tables to target/bench/
+    Bench {
+        /// Few repeats, scenes up to 2 s
+        #[arg(long)]
+        quick: bool,
+        /// Only instructions, against the ceilings of benches/ceilings.csv; needs valgrind, as all of it does
+        #[arg(long, conflicts_with = "quick")]
+        check: bool,
+    },
+    /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
+    Prices,
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package,
 }
@@ -68,6 +81,9 @@ fn command(command: Command) -> Result<()> {
         Command::Test { full } => test::test(full),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
         Command::Peers { only } => peers::peers(&only),
+        Command::Bench { check: true, .. } => bench::check(),
+        Command::Bench { quick, .. } => bench::bench(quick),
+        Command::Prices => prices::prices(),
         Command::Package => package::package().map(drop),
     }
 }

@@ -1,14 +1,14 @@
 //! `cargo xtask test`: everything that CI checks, step by step; the first failure ends it.
 
 use crate::venv::{self, Packages};
-use crate::{package, paths, process};
+use crate::{bench, package, paths, process};
 use anyhow::{Context, Result, bail, ensure};
 use cargo_metadata::Message;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// What `--full` adds, for the last line of the short form.
-const LEFT_OUT: &str = "the page in a real browser, memory errors and leaks with valgrind";
+const LEFT_OUT: &str = "the page in a real browser, memory errors and leaks, and instructions per step, with valgrind";
 
 /// Programs that `--full` needs, and the Debian package of each.
 const FULL_NEEDS: [(&str, &str); 3] = [("chromium", "chromium"), ("chromedriver", "chromium-driver"), ("valgrind", "valgrind")];
@@ -32,6 +32,7 @@ pub(crate) fn test(full: bool) -> Result<()> {
     })?;
     if full {
         steps.run("memory", valgrind)?;
+        steps.run("instructions", bench::check)?;
     }
     let fmu = steps.run("package", package::package)?;
     steps.run("Python tests", || pytest(&fmu, full))?;

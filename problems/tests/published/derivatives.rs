@@ -3,7 +3,7 @@
 //! A wrong tangent converges all the same, only slower, and a wrong velocity term is an error of the method's order: neither would
 //! be seen in the results for sure.
 
-use fivebar::integrator::{Kkt, System};
+use fivebar::integrator::{Implicit, Kkt};
 use problems::{Problem, four_bars, pendulum, squeezer};
 
 /// Step of central differences: truncation 1e-12, round-off 1e-10, relative to what is differentiated.
@@ -31,7 +31,7 @@ fn any<const K: usize>(seed: f64) -> [f64; K] {
 }
 
 /// Checks everything at 20 points of the motion. `h` is a step for the tangent: as long as it may be, so that stiffnesses weigh.
-fn check<S: System<N, M>, const N: usize, const M: usize>(mut problem: Problem<S, N, M>, duration: f64, h: f64) {
+fn check<S: Implicit<N, M>, const N: usize, const M: usize>(mut problem: Problem<S, N, M>, duration: f64, h: f64) {
     problem.duration = duration;
     let method = problem.adaptive(1e-6);
     let mut points = Vec::new();

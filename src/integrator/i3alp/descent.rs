@@ -9,9 +9,9 @@
 //! A tangent made positive definite gives a direction of descent; the step along it is halved until P falls enough. λ takes the
 //! penalty's share after every full step, as in the paper. Where plain Newton converges too, both find the same root.
 
-use super::{LAST_CORRECTION, Settings, Step, add};
-use crate::integrator::system::max_norm;
-use crate::integrator::{Kkt, System};
+use super::{Found, LAST_CORRECTION, Settings, Step};
+use crate::integrator::vectors::{add, max_norm};
+use crate::integrator::{Implicit, Kkt};
 
 /// αβ in multiples of the largest inertia: enough for the multipliers to converge, little enough for P to be well conditioned.
 const PENALTY: f64 = 1e4;
@@ -22,16 +22,16 @@ const MOST_HALVINGS: u32 = 30;
 /// Part of the decrease promised by the slope that must come (Armijo).
 const ENOUGH: f64 = 1e-4;
 
-/// Whether the step could be found; if so its δ and λ are. Only for systems whose forces have a potential.
+/// Where the step leads, if δ and λ can be found. Only for systems whose forces have a potential.
 #[cold]
-pub(super) fn descend<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
+pub(super) fn descend<const N: usize, const M: usize, S: Implicit<N, M>>(
+    system: &S,
     settings: &Settings,
-    step: &mut Step<N, M>,
+    mut step: Step<N, M>,
     spent: &mut u64,
-) -> bool {
+) -> Option<Found<N, S::Pose>> {
     if !system.conservative() {
-        return false;
+        return None;
     }
     let mut q = step.q();
     let mut pose = system.pose(&q);
@@ -57,25 +57,25 @@ pub(super) fn descend<const N: usize, const M: usize>(
         let b: [f64; N] = std::array::from_fn(|i| beta * force[i] - inertia[i]);
         let c = std::array::from_fn(|i| -phi[i] - softness * beta * step.lambda[i]);
         let total: [f64; M] = std::array::from_fn(|i| step.lambda[i] + alpha * phi[i]);
-        let Some(tangent) = system.factor_descent(&q, &pose, &v, &total, step.h, softness) else { return false };
+        let tangent = system.factor_descent(&q, &pose, &v, &total, step.h, softness)?;
         let (direction, y) = tangent.solve(&b, &c);
         let pull = system.phi_q_transposed_times(&pose, &total);
         let slope: f64 = (0..N).map(|i| (pull[i] - b[i] / beta) * direction[i]).sum();
-        let Some(start) = merit(step, &step.delta) else { return false };
+        let start = merit(&step, &step.delta)?;
 
         // Near the minimum the decrease is lost in the round-off of P: the full step is taken.
         let blind = slope.abs() < 1e-12 * start.abs().max(f64::MIN_POSITIVE);
         let mut part = 1.0;
         let found = (0..MOST_HALVINGS).any(|_| {
             let delta = std::array::from_fn(|i| step.delta[i] + part * direction[i]);
-            let enough = blind || merit(step, &delta).is_some_and(|merit| merit <= start + ENOUGH * part * slope);
+            let enough = blind || merit(&step, &delta).is_some_and(|merit| merit <= start + ENOUGH * part * slope);
             if !enough {
                 part /= 2.0;
             }
             enough
         });
         if !found {
-            return false;
+            return None;
         }
         step.delta = std::array::from_fn(|i| step.delta[i] + part * direction[i]);
         if part == 1.0 {
@@ -84,8 +84,8 @@ pub(super) fn descend<const N: usize, const M: usize>(
         q = step.q();
         pose = system.pose(&q);
         if max_norm(&system.phi(&q, &pose)) < step.tolerance && part == 1.0 && max_norm(&direction) < LAST_CORRECTION {
-            return true;
+            return Some(Found { q, pose, v: step.velocity() });
         }
     }
-    false
+    None
 }

@@ -1,0 +1,39 @@
+//! The price of effects: the fall with one effect changed, with all of them, and with other values of what is off.
+
+use anyhow::Result;
+use fivebar::variables::Value;
+
+use super::{STEPS, bare};
+use crate::case::Case;
+use crate::scene::{Scene, effects, other_values};
+
+/// The table of scenes in which parameters of effects that are off have other values.
+pub(crate) const OFF: &str = "off";
+
+/// Gravity alone, which is the fall; it with each effect changed; all on; and for each effect that is off other values.
+pub(super) fn cases() -> Result<Vec<Case>> {
+    let fall = || Scene::fall().with("solver.adaptive", Value::Boolean(false));
+    let mut cases = vec![bare("effects", "gravity only", fall()?, STEPS)];
+    let mut together = fall()?;
+    for effect in effects() {
+        together = together.effect(effect, true)?;
+        if effect == "gravity" {
+            // From rest without any force nothing would move.
+            let scene = fall()?.effect(effect, false)?.with("init.omega[1]", Value::Real(5.0))?;
+            cases.push(bare("effects", "none", scene, STEPS));
+        } else {
+            cases.push(bare("effects", effect, fall()?.effect(effect, true)?, STEPS));
+        }
+    }
+    cases.push(bare("effects", "all together", together, STEPS));
+    cases.push(bare(OFF, "as they are", fall()?, STEPS));
+    for effect in effects().filter(|effect| *effect != "gravity") {
+        cases.push(bare(OFF, effect, off(effect)?, STEPS));
+    }
+    Ok(cases)
+}
+
+/// The fall with other values of an effect that is off.
+pub(crate) fn off(effect: &str) -> Result<Scene> {
+    other_values(effect).try_fold(Scene::fall(), |scene, (name, value)| scene.with(name, value))
+}

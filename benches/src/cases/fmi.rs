@@ -1,0 +1,78 @@
+//! Through the C functions: a communication step against the bare step, what reading costs, and a life from instantiation on.
+
+use std::hint::black_box;
+
+use anyhow::Result;
+use fivebar::variables::{Slot, VARIABLES, Value};
+
+use super::{H, STEPS, bare};
+use crate::case::{Case, Work};
+use crate::host::{Host, reference};
+use crate::scene::Scene;
+
+/// The fall, as values of variables.
+fn fall() -> Vec<(String, Value)> {
+    vec![("init.theta[2]".into(), Value::Real(120f64.to_radians())), ("solver.adaptive".into(), Value::Boolean(false))]
+}
+
+/// Communication steps of one macro step each; `also` is done after each.
+fn calls(table: &'static str, name: impl Into<String>, also: impl FnMut(&mut Host) + Clone + 'static) -> Case {
+    Case::new(table, name, STEPS, move || {
+        let (mut host, mut also) = (Host::ready(&fall())?, also.clone());
+        let work: Work = Box::new(move || {
+            for _ in 0..STEPS {
+                host.step(H);
+                also(&mut host);
+            }
+        });
+        Ok(work)
+    })
+}
+
+/// Reads these Reals after every communication step.
+fn reading(name: impl Into<String>, references: Vec<u32>) -> Case {
+    let mut values = vec![0.0; references.len()];
+    calls("outputs", name, move |host| host.read(black_box(&references), &mut values))
+}
+
+/// Tables `dostep`, `outputs` and `start-up`.
+pub(super) fn cases() -> Result<Vec<Case>> {
+    let inputs: Vec<u32> = ["tau[1]", "tau[2]", "tip.fx", "tip.fy"].into_iter().map(reference).collect::<Result<_>>()?;
+    let mut cases = vec![
+        bare("dostep", "bare step, 1000 in a call", Scene::fall(), STEPS),
+        bare("dostep", "bare step, 1 in a call", Scene::fall(), 1),
+        calls("dostep", "fmi2DoStep of 1 step", |_| ()),
+        calls("dostep", "fmi2DoStep of 1 step, 4 inputs set to what they are", move |host| {
+            host.write(black_box(&inputs), black_box(&[0.0; 4]));
+        }),
+        calls("outputs", "none", |_| ()),
+    ];
+    let outputs = || VARIABLES.iter().filter(|variable| matches!(variable.slot, Slot::RealOutput(_)));
+    // Groups by the first part of the name; theta[1] and the like are one of their own.
+    let group = |name: &'static str| name.split_once('.').map_or("joints", |(group, _)| group.split('[').next().unwrap_or(group));
+    let mut groups: Vec<&str> = Vec::new();
+    for output in outputs() {
+        if !groups.contains(&group(output.name)) {
+            groups.push(group(output.name));
+        }
+    }
+    for wanted in groups {
+        let references = outputs().filter(|output| group(output.name) == wanted).map(|output| output.reference).collect();
+        cases.push(reading(wanted, references));
+    }
+    cases.push(reading("all", outputs().map(|output| output.reference).collect()));
+    let life = |name: &str, steps: u32| {
+        Case::new("start-up", name, 1, move || {
+            let work: Work = Box::new(move || {
+                let mut host = Host::ready(&fall()).expect("the fall is a legal scene");
+                for _ in 0..steps {
+                    host.step(H);
+                }
+            });
+            Ok(work)
+        })
+    };
+    cases.push(life("instantiate to the end of initialisation, and free", 0));
+    cases.push(life("instantiate to the first step, and free", 1));
+    Ok(cases)
+}

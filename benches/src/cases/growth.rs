@@ -1,0 +1,31 @@
+//! Cost per step against the size of the mechanism: N four-bars in a row, with the block-banded solve that their test uses.
+
+use std::hint::black_box;
+
+use fivebar::integrator::{Power, State, i3alp};
+use problems::{Method, four_bars};
+
+use crate::case::{Case, Work};
+
+/// Steps of 1 ms: the row falls from upright and is not yet flat, where it is singular.
+const STEPS: u64 = 200;
+
+fn row<const N: usize, const M: usize>() -> Case {
+    let name = format!("N = {}, {N} coordinates, {M} constraints", (N / 3 - 1) / 2);
+    Case::new("growth", name, STEPS, || {
+        let problem = four_bars::row::<N, M>();
+        let Method::I3alp(settings) = problem.fixed() else { unreachable!("fixed() is i3-ALP") };
+        let mut state = State::start(&problem.system, problem.q, problem.v, problem.softness);
+        let work: Work = Box::new(move || {
+            for _ in 0..STEPS {
+                i3alp::advance(black_box(&problem.system), &settings, &mut state, 1e-3, &mut Power::default()).expect("a step");
+            }
+        });
+        Ok(work)
+    })
+}
+
+/// N from 2 to 40.
+pub(super) fn cases() -> Vec<Case> {
+    vec![row::<15, 14>(), row::<33, 32>(), row::<63, 62>(), row::<123, 122>(), row::<243, 242>()]
+}

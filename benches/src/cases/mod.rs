@@ -1,0 +1,48 @@
+//! The cases, one file per table.
+
+mod effects;
+mod fmi;
+mod growth;
+mod phases;
+mod steps;
+
+use anyhow::Result;
+use fivebar::simulation::Simulation;
+use std::hint::black_box;
+
+use crate::case::{Case, Work};
+use crate::scene::Scene;
+
+pub(crate) use effects::{OFF, off};
+
+/// Macro step of all cases, s.
+const H: f64 = 1e-3;
+/// Steps of the fall that a case takes: 1 s, with every posture between hanging and folded.
+const STEPS: u64 = 1000;
+
+/// All cases, in the order in which they are counted.
+pub(crate) fn all() -> Result<Vec<Case>> {
+    let mut cases = steps::cases()?;
+    cases.extend(phases::cases()?);
+    cases.extend(effects::cases()?);
+    cases.extend(fmi::cases()?);
+    cases.extend(growth::cases());
+    Ok(cases)
+}
+
+/// The bare step along a scene: `steps` macro steps in calls of `each`.
+fn bare(table: &'static str, name: impl Into<String>, scene: Scene, each: u64) -> Case {
+    Case::new(table, name, STEPS, move || {
+        let (mut simulation, inputs) = (scene.simulation()?, scene.inputs);
+        let work: Work = Box::new(move || {
+            for _ in 0..STEPS / each {
+                advance(black_box(&mut simulation), black_box(&inputs), each);
+            }
+        });
+        Ok(work)
+    })
+}
+
+fn advance(simulation: &mut Simulation, inputs: &fivebar::simulation::Inputs, steps: u64) {
+    simulation.advance(inputs, H, steps).expect("the fall does not fail");
+}

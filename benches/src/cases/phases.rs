@@ -1,0 +1,71 @@
+//! The phases of the i3-ALP step, each on its own over recorded states.
+//!
+//! In a step they are woven into one another, and have their operands in registers; on its own a phase reads them from memory. So
+//! their sum is not the step's, and says where its cost lies only. The predictor is a matter of a few sums and has no function.
+
+use std::hint::black_box;
+
+use anyhow::Result;
+use fivebar::integrator::{Implicit, Kkt, State, System};
+use fivebar::mechanism::{COORDINATES, MULTIPLIERS};
+use fivebar::simulation::system::{Bare, FiveBar};
+
+use super::{H, advance};
+use crate::case::{Case, Work};
+use crate::scene::Scene;
+
+type Core = State<COORDINATES, MULTIPLIERS>;
+type BareFiveBar<'a> = FiveBar<'a, Bare>;
+
+/// Recorded states, 5 ms apart.
+const SAMPLES: u64 = 200;
+
+fn phase(name: &str, run: impl Fn(&BareFiveBar<'_>, &Core, f64) + Copy + 'static) -> Case {
+    Case::new("phases", name, SAMPLES, move || {
+        let scene = Scene::fall();
+        let mut simulation = scene.simulation()?;
+        let states: Vec<Core> = (0..SAMPLES)
+            .map(|_| {
+                advance(&mut simulation, &scene.inputs, 5);
+                simulation.state().core
+            })
+            .collect();
+        let work: Work = Box::new(move || {
+            let (model, turns) = (simulation.model(), simulation.state().turns);
+            let system = BareFiveBar::new(model, &scene.inputs, &turns);
+            for state in &states {
+                run(black_box(&system), black_box(state), model.softness);
+            }
+        });
+        Ok(work)
+    })
+}
+
+/// One case per phase.
+pub(super) fn cases() -> Result<Vec<Case>> {
+    Ok(vec![
+        phase("assemble: pose, constraints, forces, inertia", |system, state, _| {
+            let pose = system.pose(&state.q);
+            black_box((system.phi(&state.q, &pose), system.forces(&state.q, &pose, &state.v), system.mass_times(&pose, &state.a)));
+        }),
+        phase("pose alone, which each of the following contains", |system, state, _| {
+            black_box(system.pose(&state.q));
+        }),
+        phase("factor the tangent", |system, state, softness| {
+            let pose = system.pose(&state.q);
+            black_box(system.factor_tangent(&state.q, &pose, &state.v, &state.lambda, H, softness).expect("positive"));
+        }),
+        phase("factor the tangent and solve", |system, state, softness| {
+            let pose = system.pose(&state.q);
+            let tangent = system.factor_tangent(&state.q, &pose, &state.v, &state.lambda, H, softness).expect("positive");
+            black_box(tangent.solve(&state.a, &state.lambda));
+        }),
+        phase("project: factor M, velocity, acceleration", |system, state, softness| {
+            let pose = system.pose(&state.q);
+            let mass = system.factor_mass(&pose, softness);
+            let correction = mass.correction(&system.phi_q_times(&pose, &state.v));
+            let forces = system.forces(&state.q, &pose, &state.v);
+            black_box((correction, mass.solve(&forces, &system.phi_q_dot_times(&pose, &state.v))));
+        }),
+    ])
+}

@@ -1,0 +1,61 @@
+//! What CI checks: instructions against their ceilings, and that what is off costs nothing. No times.
+
+use anyhow::{Context, Result, ensure};
+use serde::Deserialize;
+
+use crate::cases::{self, OFF};
+use crate::count;
+use crate::scene::effects;
+
+/// The ceilings, beside this file's folder so that a change of them is seen.
+const CEILINGS: &str = include_str!("../ceilings.csv");
+
+#[derive(Deserialize)]
+struct Ceiling {
+    table: String,
+    case: String,
+    instructions: f64,
+    reason: String,
+}
+
+/// Fails naming every case that is over its ceiling, and every effect that costs something while it is off.
+pub(crate) fn check() -> Result<()> {
+    let (cases, counts) = (cases::all()?, count::instructions()?);
+    let measured = |table: &str, name: &str| {
+        let found = cases.iter().zip(&counts).find(|(case, _)| case.table == table && case.name == name);
+        found.map(|(_, count)| *count).with_context(|| format!("ceilings.csv names {table}, {name}, which is no case"))
+    };
+    let mut faults = Vec::new();
+    for ceiling in csv::Reader::from_reader(CEILINGS.as_bytes()).deserialize() {
+        let Ceiling { table, case, instructions, reason } = ceiling.context("ceilings.csv")?;
+        let count = measured(&table, &case)?;
+        println!("{table}, {case}: {count:.0} instructions, ceiling {instructions:.0} ({reason})");
+        if count > instructions {
+            faults.push(format!("{table}, {case}: {count:.0} instructions, the ceiling is {instructions:.0}: {reason}"));
+        }
+    }
+    let off: Vec<_> = cases.iter().zip(&counts).filter(|(case, _)| case.table == OFF).collect();
+    let (_, usual) = off.first().context("no case of effects that are off")?;
+    for (case, count) in &off {
+        if count != usual {
+            faults
+                .push(format!("{}, which is off, with other values: {count} instructions per step instead of {usual}", case.name));
+        }
+    }
+    for effect in effects().filter(|effect| *effect != "gravity") {
+        if end(&cases::off(effect)?)? != end(&crate::scene::Scene::fall())? {
+            faults.push(format!("{effect}, which is off, with other values: another trajectory"));
+        }
+    }
+    ensure!(faults.is_empty(), "{}", faults.join("\n"));
+    println!("{} effects that are off cost nothing: same instructions, same bits", off.len() - 1);
+    Ok(())
+}
+
+/// The bits of positions and velocities after 1 s.
+fn end(scene: &crate::scene::Scene) -> Result<Vec<u64>> {
+    let mut simulation = scene.simulation()?;
+    simulation.advance(&scene.inputs, 1e-3, 1000)?;
+    let core = &simulation.state().core;
+    Ok(core.q.iter().chain(&core.v).map(|x| x.to_bits()).collect())
+}

@@ -1,0 +1,71 @@
+//! Parameters and inputs by the names of variables.
+
+use anyhow::{Context, Result, ensure};
+use fivebar::fmi::bindings::{default_inputs, default_parameters, write};
+use fivebar::simulation::{Inputs, Parameters, Simulation};
+use fivebar::variables::{Slot, VARIABLES, Value, Variable};
+
+/// A scene before it is made ready.
+#[derive(Clone)]
+pub(crate) struct Scene {
+    pub(crate) parameters: Parameters,
+    pub(crate) inputs: Inputs,
+}
+
+impl Scene {
+    /// The fall with reference values, 90° / 120° at rest under gravity, at strictly fixed steps.
+    pub(crate) fn fall() -> Self {
+        let mut parameters = default_parameters();
+        parameters.start.theta[1] = 120f64.to_radians();
+        parameters.settings.adaptive = false;
+        Self { parameters, inputs: default_inputs() }
+    }
+
+    /// The same with a variable set.
+    pub(crate) fn with(mut self, name: &str, value: Value) -> Result<Self> {
+        let variable = Variable::named(name).with_context(|| format!("there is no variable {name}"))?;
+        ensure!(write(&mut self.parameters, &mut self.inputs, variable, value), "{name} cannot be set to {value}");
+        Ok(self)
+    }
+
+    /// The same with an effect on or off, and where it is on, so that it acts on the fall.
+    pub(crate) fn effect(self, name: &str, on: bool) -> Result<Self> {
+        let mut scene = self.with(&format!("{name}.enabled"), Value::Boolean(on))?;
+        let reached: &[(&str, f64)] = match name {
+            // The left arm leans on its stop, the tip falls on the plane, the servos hold the start.
+            "stop" => &[("stop.upper[1]", 1.5), ("stop.lower[1]", 1.3)],
+            "contact" => &[("contact.offset", 0.3)],
+            "servo" => &[("servo.theta[1]", 1.6), ("servo.theta[2]", 2.1)],
+            _ => &[],
+        };
+        if on {
+            for (name, value) in reached {
+                scene = scene.with(name, Value::Real(*value))?;
+            }
+        }
+        Ok(scene)
+    }
+
+    /// Made ready.
+    pub(crate) fn simulation(&self) -> Result<Simulation> {
+        Ok(Simulation::new(&self.parameters, &self.inputs)?)
+    }
+}
+
+/// The effects: whatever has a variable `….enabled`.
+pub(crate) fn effects() -> impl Iterator<Item = &'static str> {
+    VARIABLES.iter().filter_map(|variable| variable.name.strip_suffix(".enabled"))
+}
+
+/// The Real parameters of an effect with other values than they have.
+pub(crate) fn other_values(effect: &str) -> impl Iterator<Item = (&'static str, Value)> {
+    VARIABLES.iter().filter_map(move |variable| {
+        let own = variable.name.strip_prefix(effect).is_some_and(|rest| rest.starts_with('.'));
+        match (variable.slot, variable.start) {
+            (Slot::RealParameter(_), Some(Value::Real(start))) if own => {
+                Some((variable.name, Value::Real((1.25 * start + 0.125).min(variable.max.unwrap_or(f64::INFINITY)))))
+            }
+            _ => None,
+        }
+    })
+}

@@ -1,0 +1,140 @@
+//! The stages of one step, and what is summed from them.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::tableau::{A, ALL, DENSE, END, ERROR_3, ERROR_5, Row, STAGES};
+use crate::integrator::equilibrium::equilibrium_at;
+use crate::integrator::{Power, State, System};
+
+/// The derivatives of q, q̇ and the work, or a sum of such.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct Slope<const N: usize> {
+    pub(super) q: [f64; N],
+    pub(super) v: [f64; N],
+    pub(super) power: Power,
+}
+
+impl<const N: usize> Slope<N> {
+    pub(super) const NONE: Self = Self { q: [0.0; N], v: [0.0; N], power: Power { input: 0.0, dissipated: 0.0 } };
+
+    #[inline(always)]
+    fn at<const M: usize, S: System<N, M>>(system: &S, softness: f64, q: &[f64; N], v: &[f64; N]) -> Self {
+        let pose = system.pose(q);
+        let (a, _) = equilibrium_at(system, q, &pose, v, &system.factor_mass(&pose, softness));
+        Self { q: *v, v: a, power: if system.follows_work() { system.power(q, &pose, v) } else { Power::default() } }
+    }
+}
+
+/// A step from a state, stage by stage.
+pub(super) struct Stages<const N: usize> {
+    slopes: [Slope<N>; ALL],
+    q: [f64; N],
+    v: [f64; N],
+    /// The step, s.
+    h: f64,
+    /// Where the last stage is evaluated: at the end of the step as well, but of lower order.
+    last: [f64; N],
+}
+
+impl<const N: usize> Stages<N> {
+    /// All stages of a step of h seconds; `power` is that at its beginning.
+    #[inline(always)]
+    pub(super) fn new<const M: usize>(system: &impl System<N, M>, softness: f64, from: &State<N, M>, power: Power, h: f64) -> Self {
+        let mut stages = Self { slopes: [Slope::NONE; ALL], q: from.q, v: from.v, h, last: from.q };
+        stages.slopes[0] = Slope { q: from.v, v: from.a, power };
+        for (stage, row) in A.into_iter().enumerate().take(STAGES).skip(1) {
+            let [q, v] = stages.at(row);
+            stages.slopes[stage] = Slope::at(system, softness, &q, &v);
+            stages.last = q;
+        }
+        stages
+    }
+
+    /// Σ coefficient · slope over q and q̇.
+    #[inline(always)]
+    fn sum(&self, row: Row) -> [[f64; N]; 2] {
+        let (mut q, mut v) = ([0.0; N], [0.0; N]);
+        for &(stage, coefficient) in row {
+            // The remainder changes nothing and is cheaper than a check.
+            let slope = &self.slopes[stage % ALL];
+            for i in 0..N {
+                q[i] += coefficient * slope.q[i];
+                v[i] += coefficient * slope.v[i];
+            }
+        }
+        [q, v]
+    }
+
+    /// The same over the power.
+    fn power(&self, row: Row) -> Power {
+        row.iter().fold(Power::default(), |sum, &(stage, coefficient)| sum.plus(coefficient, self.slopes[stage].power))
+    }
+
+    /// q and q̇ at the place of a row.
+    #[inline(always)]
+    fn at(&self, row: Row) -> [[f64; N]; 2] {
+        let [q, v] = self.sum(row);
+        [std::array::from_fn(|i| self.q[i] + self.h * q[i]), std::array::from_fn(|i| self.v[i] + self.h * v[i])]
+    }
+
+    /// q and q̇ at the end of the step, of order 8.
+    #[inline(always)]
+    pub(super) fn end(&self) -> [[f64; N]; 2] {
+        self.at(A[END])
+    }
+
+    /// Mean power over the step, of order 8.
+    pub(super) fn mean_power(&self) -> Power {
+        self.power(A[END])
+    }
+
+    /// Estimated error in units of the tolerances: `tolerance` for the coordinates, tolerance · (10/s + |q̇|) for their rates, root of
+    /// the mean square. The estimate of order 5 is damped by that of order 3 (Hairer, Nørsett, Wanner, section II.5, eq. 5.17).
+    #[inline(always)]
+    pub(super) fn error(&self, tolerance: f64, v_end: &[f64; N]) -> f64 {
+        let norm = |row: Row| {
+            let [q, v] = self.sum(row);
+            let mut sum = 0.0;
+            for i in 0..N {
+                let rate = v[i] / (10.0 + self.v[i].abs().max(v_end[i].abs()));
+                sum += q[i] * q[i] + rate * rate;
+            }
+            sum / (2.0 * N as f64 * tolerance * tolerance)
+        };
+        let (fifth, third) = (norm(ERROR_5), norm(ERROR_3));
+        let damped = fifth + 0.01 * third;
+        // Both are 0 where nothing moves.
+        if damped == 0.0 { 0.0 } else { self.h * fifth / damped.sqrt() }
+    }
+
+    /// The fastest rate of change, 1/s, that the difference between the last stage and the end of the step shows: the r of
+    /// r² |Δq| + r |Δq̇| = |Δq̈|, which is the frequency of a spring and the decay of a damper.
+    pub(super) fn fastest_rate(&self, [q, v, a]: [&[f64; N]; 3]) -> f64 {
+        let distance = |x: &[f64; N], y: &[f64; N]| x.iter().zip(y).map(|(x, y)| (x - y) * (x - y)).sum::<f64>().sqrt();
+        let last = &self.slopes[STAGES - 1];
+        let (dq, dv, da) = (distance(q, &self.last), distance(v, &last.q), distance(a, &last.v));
+        let both = dv + (dv * dv + 4.0 * dq * da).sqrt();
+        if both > 0.0 { 2.0 * da / both } else { 0.0 }
+    }
+
+    /// The higher coefficients of the dense output: three more stages, after the derivatives at the end of the step.
+    #[cold]
+    pub(super) fn dense<const M: usize>(
+        &mut self,
+        system: &impl System<N, M>,
+        softness: f64,
+        end: &State<N, M>,
+        power: Power,
+    ) -> [Slope<N>; 4] {
+        self.slopes[END] = Slope { q: end.v, v: end.a, power };
+        for (stage, row) in A.into_iter().enumerate().take(ALL).skip(END + 1) {
+            let [q, v] = self.at(row);
+            self.slopes[stage] = Slope::at(system, softness, &q, &v);
+        }
+        DENSE.map(|row| {
+            let [q, v] = self.sum(row);
+            let power = if system.follows_work() { self.power(row) } else { Power::default() };
+            Slope { q: q.map(|q| self.h * q), v: v.map(|v| self.h * v), power: Power::default().plus(self.h, power) }
+        })
+    }
+}

@@ -1,0 +1,322 @@
+//! The five-bar in its four absolute link angles, with the closure of the tip as the two constraint equations: the coordinates of the
+//! explicit method.
+//!
+//! Per leg (σ = +1 left, −1 right), with l_P the arm from motor axis to elbow, a the arms to the centres of mass, b_D that from the
+//! distal centre of mass to the tip, n̂ the direction turned by +90°:
+//!
+//! ```text
+//! M = [ I_P + m_P a_P² + m_D l_P²   m_D l_P·a_D     ]      Φ   = Σ σ (ground + l_P + a_D + b_D)
+//!     [ m_D l_P·a_D                 I_D + m_D a_D²  ]      Φ_q = σ [ n̂(l_P)   n̂(a_D + b_D) ]
+//! ```
+//!
+//! Forces, power and potential are those of the twelve coordinates, carried over by their derivatives with respect to the angles: an
+//! effect is written once.
+
+use super::system::{FiveBar, LinearSolve};
+use crate::integrator::{Kkt, Power, System};
+use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
+use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
+use crate::mechanism::{Coordinates, Mechanism, Pose};
+
+/// Number of angles.
+pub const ANGLES: usize = 4;
+/// Number of closure equations.
+pub const CLOSURES: usize = 2;
+/// Link angles or what belongs to them, by legs: proximal left and right, distal left and right.
+pub type Angles = [f64; ANGLES];
+
+/// The proximal links among the pairs of [`Angles`].
+const PROXIMAL: usize = 0;
+/// The distal links.
+const DISTAL: usize = 1;
+
+/// Places of links 1 to 4 (left proximal, left distal, right distal, right proximal).
+pub const LINKS: [usize; 4] = [2 * PROXIMAL, 2 * DISTAL, 2 * DISTAL + 1, 2 * PROXIMAL + 1];
+
+/// The link angles among the twelve coordinates.
+#[inline(always)]
+pub fn angles_of(x: &Coordinates) -> Angles {
+    let mut angles = [0.0; ANGLES];
+    set_legs(&mut angles, PROXIMAL, legs_of(x, P_THETA));
+    set_legs(&mut angles, DISTAL, legs_of(x, D_THETA));
+    angles
+}
+
+/// The twelve coordinates with these angles and 0 elsewhere.
+#[inline(always)]
+fn in_place(angles: &Angles) -> Coordinates {
+    let mut x = [0.0; _];
+    set_legs(&mut x, P_THETA, legs_of(angles, PROXIMAL));
+    set_legs(&mut x, D_THETA, legs_of(angles, DISTAL));
+    x
+}
+
+/// A five-bar seen in its link angles.
+#[derive(Debug)]
+pub struct ByAngles<'a, L> {
+    five_bar: &'a FiveBar<'a, L>,
+    mechanism: &'a Mechanism,
+    inertia: Inertia,
+}
+
+impl<'a, L: LinearSolve> ByAngles<'a, L> {
+    /// The same model under the same inputs.
+    pub fn new(five_bar: &'a FiveBar<'a, L>) -> Self {
+        let mechanism = &five_bar.model().mechanism;
+        Self { five_bar, mechanism, inertia: Inertia::new(mechanism) }
+    }
+
+    /// The twelve coordinates and their rates, each leg built up from its motor axis.
+    #[inline(always)]
+    pub fn coordinates(&self, pose: &Pose, q: &Angles, v: &Angles) -> (Coordinates, Coordinates) {
+        (self.placed(q, pose), self.moving(v, pose))
+    }
+
+    #[inline(always)]
+    fn placed(&self, q: &Angles, pose: &Pose) -> Coordinates {
+        let elbow = Legs2 { x: self.mechanism.ground_x + pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y };
+        let mut x = in_place(q);
+        set_legs(&mut x, P_X, self.mechanism.ground_x + pose.a_p.x);
+        set_legs(&mut x, P_Y, pose.a_p.y);
+        set_legs(&mut x, D_X, elbow.x + pose.a_d.x);
+        set_legs(&mut x, D_Y, elbow.y + pose.a_d.y);
+        x
+    }
+
+    #[inline(always)]
+    fn moving(&self, v: &Angles, pose: &Pose) -> Coordinates {
+        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
+        let (n_p, n_l, n_d) = (pose.a_p.turned(), proximal_arm(pose).turned(), pose.a_d.turned());
+        let mut x = in_place(v);
+        set_legs(&mut x, P_X, n_p.x * w_p);
+        set_legs(&mut x, P_Y, n_p.y * w_p);
+        set_legs(&mut x, D_X, n_l.x * w_p + n_d.x * w_d);
+        set_legs(&mut x, D_Y, n_l.y * w_p + n_d.y * w_d);
+        x
+    }
+}
+
+/// Motor axis to elbow.
+#[inline(always)]
+fn proximal_arm(pose: &Pose) -> Legs2 {
+    Legs2 { x: pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y }
+}
+
+/// Φ_q: how the end of each leg moves with its proximal and its distal angle, with the leg's sign.
+#[inline(always)]
+fn phi_q(pose: &Pose) -> [Legs2; 2] {
+    let distal = Legs2 { x: SIGMA * pose.a_d.x + pose.sigma_b_d.x, y: SIGMA * pose.a_d.y + pose.sigma_b_d.y };
+    [proximal_arm(pose).scaled(SIGMA).turned(), distal.turned()]
+}
+
+/// The mass matrix of each leg, or its inverse.
+#[derive(Clone, Copy, Debug)]
+struct Mass {
+    proximal: Legs,
+    distal: Legs,
+    coupling: Legs,
+}
+
+impl Mass {
+    #[inline(always)]
+    fn times(&self, x: &Angles) -> Angles {
+        let (p, d) = (legs_of(x, PROXIMAL), legs_of(x, DISTAL));
+        let mut product = [0.0; ANGLES];
+        set_legs(&mut product, PROXIMAL, self.proximal * p + self.coupling * d);
+        set_legs(&mut product, DISTAL, self.coupling * p + self.distal * d);
+        product
+    }
+}
+
+/// What of the mass matrix is constant.
+#[derive(Debug)]
+struct Inertia {
+    /// I_P + m_P a_P² + m_D l_P².
+    proximal: Legs,
+    /// I_D + m_D a_D².
+    distal: Legs,
+    /// m_D.
+    carried: Legs,
+    /// The determinant of M where the leg is stretched, a sum of positive terms; l_P × a_D adds its square times m_D².
+    stretched: Legs,
+}
+
+impl Inertia {
+    fn new(mechanism: &Mechanism) -> Self {
+        let &Mechanism { mass_p, mass_d, inertia_p, inertia_d, a_p, b_p, a_d, .. } = mechanism;
+        let (own, swung) = (inertia_p + mass_p * a_p * a_p, mass_d * (a_p + b_p) * (a_p + b_p));
+        let distal = inertia_d + mass_d * a_d * a_d;
+        Self { proximal: own + swung, distal, carried: mass_d, stretched: own * distal + swung * inertia_d }
+    }
+
+    #[inline(always)]
+    fn mass(&self, pose: &Pose) -> Mass {
+        Mass { proximal: self.proximal, distal: self.distal, coupling: self.carried * proximal_arm(pose).dot(pose.a_d) }
+    }
+
+    /// M⁻¹. Nothing cancels in the determinant with links of little inertia.
+    #[inline(always)]
+    fn mobility(&self, pose: &Pose) -> Mass {
+        let (l, a) = (proximal_arm(pose), pose.a_d);
+        let across = self.carried * (l.x * a.y - l.y * a.x);
+        let reciprocal = both(1.0) / (self.stretched + across * across);
+        let coupling = self.mass(pose).coupling;
+        Mass { proximal: self.distal * reciprocal, distal: self.proximal * reciprocal, coupling: -coupling * reciprocal }
+    }
+}
+
+/// The factorised saddle-point matrix: M⁻¹ of each leg, and the inverse of S = Φ_q M⁻¹ Φ_qᵀ + e, 2×2 for both.
+#[derive(Clone, Copy)]
+pub struct Factor {
+    mobility: Mass,
+    phi_q: [Legs2; 2],
+    /// Inverse of S: xx, xy, yy.
+    dual: [f64; 3],
+}
+
+impl Factor {
+    #[inline(always)]
+    fn new(inertia: &Inertia, pose: &Pose, softness: f64) -> Self {
+        let mobility = inertia.mobility(pose);
+        let [p, d] = phi_q(pose);
+        let yielded =
+            |p: Legs, d: Legs| [mobility.proximal * p + mobility.coupling * d, mobility.coupling * p + mobility.distal * d];
+        let ([px, dx], [py, dy]) = (yielded(p.x, d.x), yielded(p.y, d.y));
+        let xx = sum(p.x * px + d.x * dx) + softness;
+        let xy = sum(p.x * py + d.x * dy);
+        let yy = sum(p.y * py + d.y * dy) + softness;
+        let reciprocal = 1.0 / (xx * yy - xy * xy);
+        Self { mobility, phi_q: [p, d], dual: [yy * reciprocal, -xy * reciprocal, xx * reciprocal] }
+    }
+}
+
+/// Φ_q v.
+#[inline(always)]
+fn end_velocity([p, d]: &[Legs2; 2], v: &Angles) -> [f64; CLOSURES] {
+    let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
+    [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)]
+}
+
+impl Kkt<ANGLES, CLOSURES> for Factor {
+    #[inline(always)]
+    fn solve(&self, b: &Angles, c: &[f64; CLOSURES]) -> (Angles, [f64; CLOSURES]) {
+        let unconstrained = self.mobility.times(b);
+        let velocity = end_velocity(&self.phi_q, &unconstrained);
+        let (x, y) = (velocity[0] - c[0], velocity[1] - c[1]);
+        let [xx, xy, yy] = self.dual;
+        let (x, y) = (xx * x + xy * y, xy * x + yy * y);
+        let [p, d] = self.phi_q;
+        let mut force = [0.0; ANGLES];
+        set_legs(&mut force, PROXIMAL, p.x * both(x) + p.y * both(y));
+        set_legs(&mut force, DISTAL, d.x * both(x) + d.y * both(y));
+        let pull = self.mobility.times(&force);
+        (std::array::from_fn(|i| unconstrained[i] - pull[i]), [x, y])
+    }
+}
+
+impl<L: LinearSolve> System<ANGLES, CLOSURES> for ByAngles<'_, L> {
+    type Pose = Pose;
+    type Mass = Factor;
+
+    #[inline(always)]
+    fn pose(&self, q: &Angles) -> Pose {
+        self.mechanism.pose_at([legs_of(q, PROXIMAL), legs_of(q, DISTAL)])
+    }
+
+    #[inline(always)]
+    fn phi(&self, _q: &Angles, pose: &Pose) -> [f64; CLOSURES] {
+        let (l, a) = (proximal_arm(pose), pose.a_d);
+        let x = SIGMA * (self.mechanism.ground_x + l.x + a.x) + pose.sigma_b_d.x;
+        let y = SIGMA * (l.y + a.y) + pose.sigma_b_d.y;
+        [sum(x), sum(y)]
+    }
+
+    #[inline(always)]
+    fn phi_q_times(&self, pose: &Pose, v: &Angles) -> [f64; CLOSURES] {
+        end_velocity(&phi_q(pose), v)
+    }
+
+    #[inline(always)]
+    fn phi_q_dot_times(&self, pose: &Pose, v: &Angles) -> [f64; CLOSURES] {
+        // n̂ turned on: −l ω², and Φ_q is turned already.
+        let [p, d] = phi_q(pose).map(Legs2::turned);
+        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
+        let (w_p, w_d) = (w_p * w_p, w_d * w_d);
+        [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)]
+    }
+
+    #[inline(always)]
+    fn mass_times(&self, pose: &Pose, x: &Angles) -> Angles {
+        self.inertia.mass(pose).times(x)
+    }
+
+    /// The applied forces, and the centripetal ones of the distal centre of mass.
+    #[inline(always)]
+    fn forces(&self, q: &Angles, pose: &Pose, v: &Angles) -> Angles {
+        let applied = self.five_bar.forces(&self.placed(q, pose), pose, &self.moving(v, pose));
+        let (l, a_d) = (proximal_arm(pose), pose.a_d);
+        let on_p = Legs2 { x: legs_of(&applied, P_X), y: legs_of(&applied, P_Y) };
+        let on_d = Legs2 { x: legs_of(&applied, D_X), y: legs_of(&applied, D_Y) };
+        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
+        let centripetal = self.mechanism.mass_d * l.turned().dot(a_d);
+        let proximal = legs_of(&applied, P_THETA) + pose.a_p.turned().dot(on_p) + l.turned().dot(on_d) + centripetal * w_d * w_d;
+        let distal = legs_of(&applied, D_THETA) + a_d.turned().dot(on_d) - centripetal * w_p * w_p;
+        let mut forces = [0.0; ANGLES];
+        set_legs(&mut forces, PROXIMAL, proximal);
+        set_legs(&mut forces, DISTAL, distal);
+        forces
+    }
+
+    #[inline(always)]
+    fn factor_mass(&self, pose: &Pose, softness: f64) -> Factor {
+        Factor::new(&self.inertia, pose, softness)
+    }
+
+    fn potential(&self, q: &Angles, pose: &Pose) -> Option<f64> {
+        self.five_bar.potential(&self.placed(q, pose), pose)
+    }
+
+    fn conservative(&self) -> bool {
+        self.five_bar.conservative()
+    }
+
+    fn power_without_potential(&self, q: &Angles, pose: &Pose, v: &Angles) -> f64 {
+        self.five_bar.power_without_potential(&self.placed(q, pose), pose, &self.moving(v, pose))
+    }
+
+    #[inline(always)]
+    fn vertex(&self, q: &Angles, v: &Angles) -> Option<(Angles, Angles)> {
+        let (offset, rate) = self.five_bar.vertex(&in_place(q), &in_place(v))?;
+        Some((angles_of(&offset), angles_of(&rate)))
+    }
+
+    fn least_constraint(&self, q: &Angles) -> Option<(Angles, u32)> {
+        let (direction, alternatives) = self.five_bar.least_constraint(&self.placed(q, &self.pose(q)))?;
+        Some((angles_of(&direction), alternatives))
+    }
+
+    #[inline(always)]
+    fn modes(&self, pose: &Pose) -> u8 {
+        self.five_bar.modes(pose)
+    }
+
+    #[inline(always)]
+    fn follows_work(&self) -> bool {
+        self.five_bar.follows_work()
+    }
+
+    #[inline(always)]
+    fn power(&self, q: &Angles, pose: &Pose, v: &Angles) -> Power {
+        self.five_bar.power(&self.placed(q, pose), pose, &self.moving(v, pose))
+    }
+
+    #[inline(always)]
+    fn angle_norm(&self, x: &Angles) -> f64 {
+        x.iter().fold(0.0, |largest, x| if x.abs() > largest { x.abs() } else { largest })
+    }
+
+    #[inline(always)]
+    fn size(&self) -> f64 {
+        self.five_bar.size()
+    }
+}

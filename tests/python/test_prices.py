@@ -1,0 +1,27 @@
+"""prices.py: a table of what effects cost. The times are whatever they are; the scenes, effects and counts are not."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+
+import prices
+
+
+def test_prices(fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(prices, "REPEATS", 2)
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    short = {"experiment": {"stopTime": 0.2}, "init.theta[2]": 2.0944}
+    for name, effects in (("bare", {}), ("damped", {"viscous.enabled": True, "gravity.enabled": False, "tau[1]": 0.01})):
+        (folder / f"{name}.json").write_text(json.dumps(short | effects), encoding="utf-8")
+    out = tmp_path / "run" / "prices.csv"
+    assert prices.main(["--fmu", str(fmu), "--scenes", str(folder), "--out", str(out)]) == 0
+    with out.open(encoding="utf-8") as file:
+        bare, damped = csv.DictReader(file)
+    assert (bare["scene"], bare["effects"]) == ("bare", "gravity") and (damped["scene"], damped["effects"]) == ("damped", "viscous")
+    # Bare in itself: measured once.
+    assert bare["us_per_substep"] == bare["bare_us_per_substep"]
+    assert float(damped["substeps_per_step"]) >= 1.0 and float(damped["bare_us_per_step"]) > 0.0
+    assert "| `damped` | viscous |" in capsys.readouterr().out

@@ -1,0 +1,109 @@
+"""What the effects of each scene cost against the bare mechanism: seconds in fmi2DoStep and sub-steps, as a table and as CSV.
+
+python prices.py --fmu target/fmu/FiveBar.fmu --scenes scenes --out target/run/prices.csv
+"""
+
+import argparse
+import csv
+import io
+import shutil
+import sys
+from dataclasses import astuple, dataclass, fields, replace
+from pathlib import Path
+
+import fmpy
+from fmpy.model_description import ModelDescription
+
+from drive import Progress, Run, drive
+from scene import Scene, Variant, read
+
+STEP = 0.02
+"""Communication step, s: 20 macro steps share one call, so that the call itself, some microseconds in Python, does not count."""
+
+REPEATS = 15
+"""Of every call the fastest of so many equal runs counts: whatever else the machine does only adds."""
+
+
+@dataclass(frozen=True)
+class Price:
+    """One row: a scene with its effects, and bare (the same start and inputs, no effect but gravity where it was on).
+
+    A scene that is bare itself is measured once.
+    """
+
+    scene: str
+    effects: str
+    substeps_per_step: float
+    us_per_step: float
+    us_per_substep: float
+    bare_substeps_per_step: float
+    bare_us_per_step: float
+    bare_us_per_substep: float
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measures all scenes of a folder."""
+    parser = argparse.ArgumentParser(description="What the effects of each scene cost against the bare mechanism.")
+    parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
+    parser.add_argument("--scenes", type=Path, required=True, help="the folder of the scenes")
+    parser.add_argument("--out", type=Path, required=True, help="the CSV file to write")
+    options = parser.parse_args(arguments)
+    directory = fmpy.extract(str(options.fmu))
+    try:
+        model = fmpy.read_model_description(directory, validate=False)
+        prices = [_price(model, directory, read(path, model)) for path in sorted(options.scenes.glob("*.json"))]
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    with options.out.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([f.name for f in fields(Price)])
+        writer.writerows(map(astuple, prices))
+    print(table(prices))
+    return 0
+
+
+def table(prices: list[Price]) -> str:
+    """The rows as Markdown, as docs/effects.md has them."""
+    lines = [
+        "| scene | effects | sub-steps per step | µs per step | µs per sub-step | the same bare | price of a sub-step |",
+        "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
+    ]
+    for p in prices:
+        lines.append(
+            f"| `{p.scene}` | {p.effects} | {p.substeps_per_step:.2f} | {p.us_per_step:.2f} | {p.us_per_substep:.3f} "
+            f"| {p.bare_us_per_substep:.3f} | {p.us_per_substep / p.bare_us_per_substep:.2f} |"
+        )
+    return "\n".join(lines)
+
+
+def _price(model: ModelDescription, directory: str, scene: Scene) -> Price:
+    scene = replace(scene, step_size=STEP)
+    own = scene.variants[0]
+    switches = {v.name: v.start == "true" for v in model.modelVariables if v.name.endswith(".enabled")}
+    active = [name for name, start in switches.items() if own.values.get(name, start)]
+    off = {name: False for name in active if name != "gravity.enabled"}
+    variants = [own, Variant("bare", own.values | off)] if off else [own]
+    # Turn by turn, so that a busy moment of the machine hits both.
+    runs = [[_run(model, directory, scene, variant) for variant in variants] for _ in range(REPEATS)]
+    numbers = [_numbers(list(same)) for same in zip(*runs)]
+    effects = ", ".join(name.removesuffix(".enabled") for name in active) or "none"
+    return Price(scene.name, effects, *numbers[0], *numbers[-1])
+
+
+def _run(model: ModelDescription, directory: str, scene: Scene, variant: Variant) -> Run:
+    run = drive(model, directory, scene, variant, Progress(scene.name, scene.stop_time, io.StringIO()))
+    if run.failed:
+        raise SystemExit(f"{scene.name} ({variant.label}) ended early: {run.failure}")
+    return run
+
+
+def _numbers(runs: list[Run]) -> tuple[float, float, float]:
+    """Sub-steps per step, microseconds per step and per sub-step, of equal runs."""
+    steps, substeps = (int(runs[0][f"solver.{counter}"][-1]) for counter in ("steps", "substeps"))
+    fastest = 1e6 * sum(map(min, zip(*(run.call_seconds for run in runs))))
+    return substeps / steps, fastest / steps, fastest / substeps
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,29 @@
+//! `cargo xtask bench`: times and instructions, tables under `target/bench/`; with `--check` the instructions that CI checks.
+
+use crate::{paths, process};
+use anyhow::Result;
+use std::process::Command;
+
+/// The crate that holds the benchmarks.
+const CRATE: &str = "benches";
+
+/// Measures everything, `quick` with few repeats.
+pub(crate) fn bench(quick: bool) -> Result<()> {
+    let mut command = benches();
+    command.args(["run", "--out"]).arg(paths::in_root("target/bench"));
+    if quick {
+        command.arg("--quick");
+    }
+    process::run(&mut command)
+}
+
+/// Instructions against their ceilings, and that what is off costs nothing.
+pub(crate) fn check() -> Result<()> {
+    process::run(benches().arg("check"))
+}
+
+fn benches() -> Command {
+    let mut cargo = process::cargo();
+    cargo.args(["run", "--profile", "bench", "--locked", "--package", CRATE, "--"]);
+    cargo
+}

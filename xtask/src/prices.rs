@@ -1,0 +1,20 @@
+//! `cargo xtask prices`: what the effects of each scene cost against the bare mechanism.
+
+use crate::venv::{self, Packages};
+use crate::{package, paths, process};
+use anyhow::Result;
+
+/// Packs the unit and measures every scene with its effects and without; the table goes to `target/run/prices.csv`.
+pub(crate) fn prices() -> Result<()> {
+    let fmu = package::package()?;
+    process::run(
+        venv::python(Packages::Usual)?
+            .arg("xtask/python/prices.py")
+            .arg("--fmu")
+            .arg(fmu)
+            .arg("--scenes")
+            .arg(paths::scenes())
+            .arg("--out")
+            .arg(paths::in_root("target/run/prices.csv")),
+    )
+}
