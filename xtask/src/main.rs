@@ -4,6 +4,7 @@ mod bench;
 mod hard_cases;
 mod package;
 mod paths;
+mod peers;
 mod prices;
 mod process;
 mod report;
@@ -46,6 +47,11 @@ enum Command {
     },
     /// Measure what accuracy costs in time, write the page target/report/index.html
     Report(report::Options),
+    /// Compare with other programs on the same scenes, write target/peers/peers.csv; needs packages of its own, some 1.5 GB
+    Peers {
+        /// Names of those to run; all of them
+        only: Vec<String>,
+    },
     /// Measure times and instructions, write tables to target/bench/
     Bench {
         /// Few repeats, scenes up to 2 s
@@ -78,6 +84,7 @@ fn command(command: Command) -> Result<()> {
         Command::Test { full } => test::test(full),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
         Command::Report(options) => report::report(&options),
+        Command::Peers { only } => peers::peers(&only),
         Command::Bench { check: true, .. } => bench::check(),
         Command::Bench { quick, .. } => bench::bench(quick),
         Command::Prices => prices::prices(),

@@ -22,11 +22,6 @@ pub(crate) fn fmu() -> PathBuf {
     in_root("target/fmu/FiveBar.fmu")
 }
 
-/// The private Python environment.
-pub(crate) fn venv() -> PathBuf {
-    in_root("target/venv")
-}
-
 /// The folder with one JSON file per scene.
 pub(crate) fn scenes() -> PathBuf {
     in_root("scenes")

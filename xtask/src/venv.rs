@@ -1,4 +1,4 @@
-//! The private Python environment under `target/venv`, made from pinned requirements.
+//! The private Python environments under `target/`, made from pinned requirements.
 
 use crate::{paths, process};
 use anyhow::{Context, Result, bail};
@@ -16,6 +16,8 @@ pub(crate) enum Packages {
     Usual,
     /// And what the tests in a browser need.
     Full,
+    /// What the comparison with peers needs: large, and in an environment of its own.
+    Peers,
 }
 
 impl Packages {
@@ -24,13 +26,21 @@ impl Packages {
         match self {
             Self::Usual => &FILES[..1],
             Self::Full => &FILES,
+            Self::Peers => &["xtask/python/requirements-peers.txt"],
+        }
+    }
+
+    fn folder(self) -> PathBuf {
+        match self {
+            Self::Usual | Self::Full => paths::in_root("target/venv"),
+            Self::Peers => paths::in_root("target/venv-peers"),
         }
     }
 }
 
 /// Python of the private environment, which is made, renewed or completed first where the requirements ask for it.
 pub(crate) fn python(packages: Packages) -> Result<Command> {
-    let folder = paths::venv();
+    let folder = packages.folder();
     let python = folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" });
     let requirements = packages.files().iter().map(|file| Requirements::read(file, &folder)).collect::<Result<Vec<_>>>()?;
     let outdated = requirements.iter().any(|file| file.state() == State::Changed);
