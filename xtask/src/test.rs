@@ -1,7 +1,8 @@
 //! `cargo xtask test`: everything that CI checks, step by step; the first failure ends it.
 
+use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
-use crate::{bench, package, paths, process};
+use crate::{bench, paths, process};
 use anyhow::{Context, Result, bail, ensure};
 use cargo_metadata::Message;
 use std::path::{Path, PathBuf};
@@ -13,13 +14,16 @@ const LEFT_OUT: &str = "the page in a real browser, memory errors and leaks, and
 /// Programs that `--full` needs, and the Debian package of each.
 const FULL_NEEDS: [(&str, &str); 3] = [("chromium", "chromium"), ("chromedriver", "chromium-driver"), ("valgrind", "valgrind")];
 
+/// Programs that `--platforms` needs on top of those that build.
+const PLATFORMS_NEEDS: [(&str, &str); 2] = [("wine", "wine"), ("qemu-aarch64", "qemu-user")];
+
 /// The Rust tests that go through the C functions; the same names are run once more under valgrind.
 const C_TESTS: (&str, &str) = ("integration", "fmi_");
 
 /// Checks everything that needs Rust and Python only; with `full` also what needs Debian packages.
 pub(crate) fn test(full: bool) -> Result<()> {
     if full {
-        check_programs()?;
+        process::need("cargo xtask test --full", ".ci/setup", &FULL_NEEDS)?;
     }
     let mut steps = Steps::default();
     steps.run("format", || process::run(process::cargo().args(["fmt", "--all", "--check"])))?;
@@ -34,12 +38,22 @@ pub(crate) fn test(full: bool) -> Result<()> {
         steps.run("memory", valgrind)?;
         steps.run("instructions", bench::check)?;
     }
-    let fmu = steps.run("package", package::package)?;
-    steps.run("Python tests", || pytest(&fmu, full))?;
+    let fmu = steps.run("package", || package::package(Scope::Here))?;
+    steps.run("Python tests", || pytest(&fmu, if full { Tests::Full } else { Tests::Usual }))?;
     steps.summary();
     if !full {
         println!("left out, `cargo xtask test --full` has it: {LEFT_OUT}");
     }
+    Ok(())
+}
+
+/// Packs for all platforms, and runs each library against the others; what concerns this machine alone is left to [`test`].
+pub(crate) fn platforms() -> Result<()> {
+    process::need("cargo xtask test --platforms", ".ci/setup-platforms", &PLATFORMS_NEEDS)?;
+    let mut steps = Steps::default();
+    let fmu = steps.run("package", || package::package(Scope::All))?;
+    steps.run("Python tests", || pytest(&fmu, Tests::Platforms))?;
+    steps.summary();
     Ok(())
 }
 
@@ -77,21 +91,6 @@ impl Steps {
     }
 }
 
-fn check_programs() -> Result<()> {
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let missing: Vec<&str> = FULL_NEEDS
-        .iter()
-        .filter(|(program, _)| !std::env::split_paths(&path).any(|folder| folder.join(program).is_file()))
-        .map(|(_, package)| *package)
-        .collect();
-    ensure!(
-        missing.is_empty(),
-        "`cargo xtask test --full` needs the Debian packages {}, which `.ci/setup` installs",
-        missing.join(", ")
-    );
-    Ok(())
-}
-
 /// Runs the tests that go through the C functions under valgrind's memory checker.
 fn valgrind() -> Result<()> {
     let (target, filter) = C_TESTS;
@@ -124,17 +123,33 @@ fn test_executable(target: &str) -> Result<PathBuf> {
     bail!("cargo built no program for tests/{target}")
 }
 
+/// Which of the Python tests.
+#[derive(Clone, Copy)]
+enum Tests {
+    /// Those that need Python packages only.
+    Usual,
+    /// And those that need a browser.
+    Full,
+    /// Those that compare libraries of several machines, and no others.
+    Platforms,
+}
+
 /// Runs the Python tests on the packed unit, last of all: the line it ends with is the one that CI reads. pytest.ini
-/// leaves those out that need a browser, unless asked for.
-fn pytest(fmu: &Path, full: bool) -> Result<()> {
-    let mut command = venv::python(if full { Packages::Full } else { Packages::Usual })?;
+/// leaves those out that need more than Python packages, unless asked for.
+fn pytest(fmu: &Path, tests: Tests) -> Result<()> {
+    let (packages, marks) = match tests {
+        Tests::Usual => (Packages::Usual, None),
+        Tests::Full => (Packages::Full, Some("not platforms")),
+        Tests::Platforms => (Packages::Platforms, Some("platforms")),
+    };
+    let mut command = venv::python(packages)?;
     command
         .args(["-m", "pytest", "tests/python"])
         .arg("--override-ini")
         .arg(format!("cache_dir={}", paths::in_root("target/pytest").display()))
         .env("FIVEBAR_FMU", fmu);
-    if full {
-        command.args(["-m", "full or not full"]);
+    if let Some(marks) = marks {
+        command.args(["-m", marks]);
     }
     process::run(&mut command).with_context(|| format!("tests/python on {}", paths::short(fmu)))
 }

@@ -16,14 +16,17 @@ pub(crate) enum Packages {
     Usual,
     /// And what the tests in a browser need.
     Full,
+    /// And what builds libraries for other machines.
+    Platforms,
 }
 
 impl Packages {
     fn files(self) -> &'static [&'static str] {
-        const FILES: [&str; 2] = ["xtask/python/requirements.txt", "xtask/python/requirements-full.txt"];
+        const USUAL: &str = "xtask/python/requirements.txt";
         match self {
-            Self::Usual => &FILES[..1],
-            Self::Full => &FILES,
+            Self::Usual => &[USUAL],
+            Self::Full => &[USUAL, "xtask/python/requirements-full.txt"],
+            Self::Platforms => &[USUAL, "xtask/python/requirements-platforms.txt"],
         }
     }
 }
@@ -44,6 +47,12 @@ pub(crate) fn python(packages: Packages) -> Result<Command> {
     // Python's own settings of the caller must not reach into the private environment.
     command.env_remove("PYTHONPATH").env_remove("PYTHONHOME");
     Ok(command)
+}
+
+/// The folder that the packages are installed in.
+pub(crate) fn site_packages(packages: Packages) -> Result<PathBuf> {
+    let ask = "import sysconfig; print(sysconfig.get_path('purelib'))";
+    Ok(process::output(python(packages)?.args(["-c", ask]))?.trim().into())
 }
 
 /// A file of requirements and the copy of it that tells what is installed.
