@@ -4,8 +4,10 @@ The communication step lies on the unit's grid, so a master's way of keeping tim
 where they are used: only the full form of the tests installs them.
 """
 
+import csv
 import ctypes
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -19,8 +21,6 @@ from fmpy.model_description import ModelDescription
 
 from instance import Instance, Values
 from slave import Log, get_values, instantiate, set_values
-
-pytestmark = pytest.mark.full
 
 SIZE, STEPS = 0.01, 100
 STOP = SIZE * STEPS
@@ -68,6 +68,7 @@ class CoSimulationLibrary(ctypes.CDLL):
             return SimpleNamespace()
 
 
+@pytest.mark.full
 def test_fmuloader(
     directory: str,
     model: ModelDescription,
@@ -97,6 +98,7 @@ def test_fmuloader(
             slave.reset()
 
 
+@pytest.mark.full
 def test_libcosim(fmu: Path, references: dict[str, int], reals: list[str], expected: list[float]) -> None:
     """A C++ master whose time is a whole number of nanoseconds."""
     from libcosimpy.CosimExecution import CosimExecution
@@ -113,6 +115,7 @@ def test_libcosim(fmu: Path, references: dict[str, int], reals: list[str], expec
     assert list(observer.last_real_values(slave, [references[name] for name in reals])) == expected
 
 
+@pytest.mark.full
 def test_two_robots_in_one_libcosim_system(
     fmu: Path, references: dict[str, int], reals: list[str], new: Callable[..., Instance]
 ) -> None:
@@ -153,6 +156,7 @@ def test_two_robots_in_one_libcosim_system(
         assert abs(first.get(f"theta[{leg}]") - first.get("init.theta[1]")) > 0.5
 
 
+@pytest.mark.full
 def test_ecos(fmu: Path, reals: list[str], expected: list[float]) -> None:
     """A C++ master whose clock accumulates, and which resets."""
     from ecospy import EcosSimulation, EcosSimulationStructure
@@ -169,11 +173,13 @@ def test_ecos(fmu: Path, reals: list[str], expected: list[float]) -> None:
             simulation.terminate()
 
 
+@pytest.mark.full
 def test_fmutool_finds_no_problem(fmu: Path) -> None:
     done = subprocess.run([program("fmutool"), "-input", str(fmu), "-check"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
 
 
+@pytest.mark.full
 def test_fmucontainer(fmu: Path, tmp_path: Path, reals: list[str], expected: list[float]) -> None:
     """A container, whose master is in C, with the unit inside is a unit that gives the same numbers."""
     container = {
@@ -217,6 +223,7 @@ def fall_from(directory: str, angle: float) -> list[float]:
     return list(values.values())
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("scheduler", ["threads", "processes"])
 def test_dask(directory: str, scheduler: str) -> None:
     """Instances side by side have no influence on one another."""
@@ -225,3 +232,16 @@ def test_dask(directory: str, scheduler: str) -> None:
     angles = [1.6 + 0.1 * i for i in range(16)]
     tasks = [dask.delayed(fall_from)(directory, angle) for angle in angles]
     assert list(dask.compute(*tasks, scheduler=scheduler, num_workers=4)) == [fall_from(directory, angle) for angle in angles]
+
+
+@pytest.mark.fmi_sim
+def test_fmi_sim(fmu: Path, tmp_path: Path, reals: list[str], expected: list[float]) -> None:
+    """A master in Rust, with a reader of descriptions of its own; its table has the shortest text of every number."""
+    values = [f"--init-values={name}={value!r}" for name, value in FALL.items()]
+    command = [os.environ["FMI_SIM"], "--model", str(fmu), "--output-file", "out.csv", "co-simulation"]
+    command += ["-s", "0", "-f", repr(STOP), "--step", repr(SIZE), "--output-interval", repr(SIZE), *values]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    with (tmp_path / "out.csv").open(newline="") as file:
+        *_, last = csv.DictReader(file)
+    assert [float(last[name]) for name in reals] == expected

@@ -40,6 +40,9 @@ enum Command {
         /// Pack for all platforms and check these libraries alone, under wine and qemu (installed by .ci/setup-platforms)
         #[arg(long, conflicts_with = "full")]
         platforms: bool,
+        /// Check only that the master fmi-sim drives the FMU, which is built first and takes minutes (its needs: .ci/setup-fmi-sim)
+        #[arg(long, conflicts_with_all = ["full", "platforms"])]
+        fmi_sim: bool,
     },
     /// Run the battery of hard cases by every method, write tables and pictures to target/hard-cases/
     HardCases {
@@ -81,6 +84,7 @@ fn command(command: Command) -> Result<()> {
     match command {
         Command::Run { scene } => run::run(&scene),
         Command::Test { platforms: true, .. } => test::platforms(),
+        Command::Test { fmi_sim: true, .. } => test::fmi_sim(),
         Command::Test { full, .. } => test::test(full),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
         Command::Bench { check: true, .. } => bench::check(),

@@ -32,6 +32,11 @@ pub(crate) fn venv() -> PathBuf {
     in_root("target/venv")
 }
 
+/// Where the master fmi-sim is installed.
+pub(crate) fn fmi_sim() -> PathBuf {
+    in_root("target/fmi-sim")
+}
+
 /// The folder with one JSON file per scene.
 pub(crate) fn scenes() -> PathBuf {
     in_root("scenes")

@@ -38,7 +38,8 @@ pub(crate) fn output(command: &mut Command) -> Result<String> {
     String::from_utf8(output.stdout).with_context(|| format!("`{}` wrote no UTF-8", short_form(command)))
 }
 
-/// Fails, naming the Debian packages and the script that installs them, where one of the programs is not on the path.
+/// Fails, naming the Debian packages and the script that installs them, where one of the programs is not on the path
+/// (or a file, given with its whole path, is not there).
 pub(crate) fn need(command: &str, script: &str, programs: &[(&str, &str)]) -> Result<()> {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let missing: Vec<&str> = programs

@@ -9,10 +9,19 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// What `--full` adds, for the last line of the short form.
-const LEFT_OUT: &str = "the page in a real browser, memory errors and leaks, and instructions per step, with valgrind";
+const LEFT_OUT: &str =
+    "the page in a real browser, masters other than FMPy, memory errors and leaks, and instructions per step, with valgrind";
 
 /// Programs that `--full` needs, and the Debian package of each.
-const FULL_NEEDS: [(&str, &str); 3] = [("chromium", "chromium"), ("chromedriver", "chromium-driver"), ("valgrind", "valgrind")];
+const FULL_NEEDS: [(&str, &str); 4] = [
+    ("chromium", "chromium"),
+    ("chromedriver", "chromium-driver"),
+    ("/usr/lib/x86_64-linux-gnu/libtbb.so.12", "libtbb12"),
+    ("valgrind", "valgrind"),
+];
+
+/// The master fmi-sim: its version, and what its build needs.
+const FMI_SIM: (&str, [(&str, &str); 1]) = ("0.7.0", [("/usr/lib/llvm-14/lib/libclang.so", "libclang-14-dev")]);
 
 /// Programs that `--platforms` needs on top of those that build.
 const PLATFORMS_NEEDS: [(&str, &str); 2] = [("wine", "wine"), ("qemu-aarch64", "qemu-user")];
@@ -53,6 +62,21 @@ pub(crate) fn platforms() -> Result<()> {
     let mut steps = Steps::default();
     let fmu = steps.run("package", || package::package(Scope::All))?;
     steps.run("Python tests", || pytest(&fmu, Tests::Platforms))?;
+    steps.summary();
+    Ok(())
+}
+
+/// Builds fmi-sim, a master in Rust that shares no code with this library, and lets it drive the packed unit.
+pub(crate) fn fmi_sim() -> Result<()> {
+    let (version, needs) = FMI_SIM;
+    process::need("cargo xtask test --fmi-sim", ".ci/setup-fmi-sim", &needs)?;
+    let mut steps = Steps::default();
+    steps.run("fmi-sim", || {
+        let install = ["install", "fmi-sim", "--version", version, "--locked", "--quiet", "--root"];
+        process::run(process::cargo().args(install).arg(paths::fmi_sim()))
+    })?;
+    let fmu = steps.run("package", || package::package(Scope::Here))?;
+    steps.run("Python tests", || pytest(&fmu, Tests::FmiSim))?;
     steps.summary();
     Ok(())
 }
@@ -132,6 +156,8 @@ enum Tests {
     Full,
     /// Those that compare libraries of several machines, and no others.
     Platforms,
+    /// That of fmi-sim alone.
+    FmiSim,
 }
 
 /// Runs the Python tests on the packed unit, last of all: the line it ends with is the one that CI reads. pytest.ini
@@ -139,15 +165,17 @@ enum Tests {
 fn pytest(fmu: &Path, tests: Tests) -> Result<()> {
     let (packages, marks) = match tests {
         Tests::Usual => (Packages::Usual, None),
-        Tests::Full => (Packages::Full, Some("not platforms")),
+        Tests::Full => (Packages::Full, Some("not platforms and not fmi_sim")),
         Tests::Platforms => (Packages::Platforms, Some("platforms")),
+        Tests::FmiSim => (Packages::Usual, Some("fmi_sim")),
     };
     let mut command = venv::python(packages)?;
     command
         .args(["-m", "pytest", "tests/python"])
         .arg("--override-ini")
         .arg(format!("cache_dir={}", paths::in_root("target/pytest").display()))
-        .env("FIVEBAR_FMU", fmu);
+        .env("FIVEBAR_FMU", fmu)
+        .env("FMI_SIM", paths::fmi_sim().join("bin/fmi-sim"));
     if let Some(marks) = marks {
         command.args(["-m", marks]);
     }
