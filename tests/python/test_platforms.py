@@ -28,25 +28,27 @@ Script = list[str]
 
 @dataclass(frozen=True)
 class Machine:
-    """A folder of binaries/, how zig names its target, and what runs its programs here."""
+    """A folder of binaries/, the ending of its libraries, its C compiler (the one that links the library under test), and
+    what runs its programs here."""
 
     folder: str
-    target: str
     ending: str
+    compiler: tuple[str, ...]
     runner: tuple[str, ...] = ()
 
 
-HERE = Machine("linux64", "x86_64-linux-gnu", "so")
+ZIG = (sys.executable, "-m", "ziglang", "cc", "-target")
+HERE = Machine("linux64", "so", (*ZIG, "x86_64-linux-gnu"))
 OTHERS = [
-    Machine("win64", "x86_64-windows-gnu", "dll", ("wine",)),
-    Machine("aarch64-linux", "aarch64-linux-gnu", "so", ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu")),
+    Machine("win64", "dll", ("x86_64-w64-mingw32-gcc",), ("wine",)),
+    Machine("aarch64-linux", "so", (*ZIG, "aarch64-linux-gnu"), ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu")),
 ]
 
 
 def compile_c(machine: Machine, source: str, output: Path, *options: str) -> None:
-    """A C program or library for `machine`, by the compiler that also links the library under test."""
-    command = [sys.executable, "-m", "ziglang", "cc", "-target", machine.target, "-std=c11", "-O1", "-Wall", "-Wextra", "-Werror"]
-    subprocess.run([*command, *options, str(SOURCES / source), "-o", str(output)], check=True)
+    """A C program or library for `machine`."""
+    command = [*machine.compiler, "-std=c11", "-O1", "-Wall", "-Wextra", "-Werror"]
+    subprocess.run([*command, str(SOURCES / source), "-o", str(output), *options], check=True)
 
 
 @pytest.fixture(scope="session")
