@@ -29,10 +29,12 @@ pub(crate) struct Scene {
     pub(crate) description: String,
     /// Values that differ from the start values: variable name to value, in the order of the file.
     pub(crate) values: Map<String, Value>,
+    /// Inputs that change with time.
+    pub(crate) changing: Vec<String>,
 }
 
 /// Keys of a scene that are not variables.
-const RESERVED: [&str; 3] = ["description", "experiment", "overlay"];
+const RESERVED: [&str; 4] = ["description", "experiment", "signals", "overlay"];
 
 /// All scenes, by name.
 pub(crate) fn all() -> Result<Vec<Scene>> {
@@ -61,8 +63,10 @@ fn read(name: String, file: PathBuf) -> Result<Scene> {
     let Some(description) = values.get("description").and_then(Value::as_str).map(String::from) else {
         bail!("scene {} has no text `description`", paths::short(&file));
     };
+    let signals = values.get("signals").and_then(Value::as_object);
+    let changing = signals.map(|signals| signals.keys().cloned().collect()).unwrap_or_default();
     values.retain(|key, _| !RESERVED.contains(&key.as_str()));
-    Ok(Scene { name, file, description, values })
+    Ok(Scene { name, file, description, values, changing })
 }
 
 fn table(scenes: &[Scene]) -> String {

@@ -125,7 +125,9 @@ fn enumerations(description: &ModelDescription) -> String {
 fn scene_rows(scenes: &[Scene]) -> String {
     let mut rows = String::new();
     for scene in scenes {
-        let values: Vec<String> = scene.values.iter().map(|(name, value)| format!("{name} = {value}")).collect();
+        let constant = scene.values.iter().map(|(name, value)| format!("{name} = {value}"));
+        let changing = scene.changing.iter().map(|name| format!("{name} changes with time"));
+        let values: Vec<String> = constant.chain(changing).collect();
         writeln!(
             rows,
             "<tr><td><code>{}</code></td><td>{}</td><td>{}</td></tr>",
