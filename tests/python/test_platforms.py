@@ -1,6 +1,7 @@
-"""The libraries for all machines against one another: same scenes, same bits, on this machine, under wine and under qemu.
+"""The libraries for all machines against the one for this machine, which the other tests judge: same scenes, same bits.
 
-Needs a .fmu from `cargo xtask package --all-platforms`; `cargo xtask test --platforms` makes it and runs this.
+Needs a .fmu from `cargo xtask package --all-platforms` and, as FIVEBAR_FMU_HERE, one from `cargo xtask package`;
+`cargo xtask test --platforms` makes both and runs this. Windows is wine here, and ARM is qemu.
 """
 
 import os
@@ -11,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import fmpy
 import pytest
 from fmpy.model_description import ModelDescription, ScalarVariable
 
@@ -26,10 +28,10 @@ SOURCES = REPOSITORY / "tests" / "platforms"
 Script = list[str]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Machine:
-    """A folder of binaries/, the ending of its libraries, its C compiler (the one that links the library under test), and
-    what runs its programs here."""
+    """A machine: its folder of binaries/, the ending of its libraries, its C compiler (the one that links the library under
+    test), and what runs its programs here."""
 
     folder: str
     ending: str
@@ -38,8 +40,10 @@ class Machine:
 
 
 ZIG = (sys.executable, "-m", "ziglang", "cc", "-target")
-HERE = Machine("linux64", "so", (*ZIG, "x86_64-linux-gnu"))
-OTHERS = [
+LINUX = (*ZIG, "x86_64-linux-gnu")
+HERE = Machine("linux64", "so", LINUX)
+SHIPPED = [
+    Machine("linux64", "so", LINUX),
     Machine("win64", "dll", ("x86_64-w64-mingw32-gcc",), ("wine",)),
     Machine("aarch64-linux", "so", (*ZIG, "aarch64-linux-gnu"), ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu")),
 ]
@@ -56,6 +60,7 @@ def run(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPa
     """Carries out a script on a machine: the lines that its driver printed."""
     folder = tmp_path_factory.mktemp("platforms")
     environment = os.environ | {"WINEPREFIX": str(folder / "wine"), "WINEDEBUG": "-all", "WINEARCH": "win64"}
+    here = fmpy.extract(os.environ["FIVEBAR_FMU_HERE"], unzipdir=str(folder / "here"))
     drivers: dict[str, Path] = {}
 
     def driver(machine: Machine) -> Path:
@@ -71,7 +76,8 @@ def run(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPa
     def carry_out(machine: Machine, script: Script) -> list[str]:
         program = driver(machine)
         (program.parent / "script.txt").write_text("".join(f"{line}\n" for line in script))
-        library = Path(directory) / "binaries" / machine.folder / f"{model.coSimulation.modelIdentifier}.{machine.ending}"
+        root = Path(here if machine is HERE else directory)
+        library = root / "binaries" / machine.folder / f"{model.coSimulation.modelIdentifier}.{machine.ending}"
         command = [*machine.runner, str(program), str(library), model.guid, "script.txt"]
         done = subprocess.run(command, cwd=program.parent, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, f"{machine.folder}: exit code {done.returncode}: {done.stderr[-2000:]}"
@@ -145,7 +151,7 @@ def two_rounds(lines: list[str]) -> list[str]:
     return lines[1:middle]
 
 
-@pytest.mark.parametrize("machine", OTHERS, ids=lambda machine: machine.folder)
+@pytest.mark.parametrize("machine", SHIPPED, ids=lambda machine: machine.folder)
 def test_same_bits_on_every_machine(run: Callable[[Machine, Script], list[str]], model: ModelDescription, machine: Machine) -> None:
     """The bound is zero: arithmetic, elementary functions and their order are the same everywhere."""
     for name, script in scripts(model).items():
@@ -155,7 +161,7 @@ def test_same_bits_on_every_machine(run: Callable[[Machine, Script], list[str]],
         assert there == here, f"{name}: {sum(a != b for a, b in zip(here, there, strict=False))} of {len(here)} lines differ"
 
 
-@pytest.mark.parametrize("machine", OTHERS, ids=lambda machine: machine.folder)
+@pytest.mark.parametrize("machine", SHIPPED, ids=lambda machine: machine.folder)
 def test_same_sentences_on_every_machine(
     run: Callable[[Machine, Script], list[str]], model: ModelDescription, machine: Machine
 ) -> None:

@@ -56,11 +56,12 @@ pub(crate) fn test(full: bool) -> Result<()> {
     Ok(())
 }
 
-/// Packs for all platforms, and runs each library against the others; what concerns this machine alone is left to [`test`].
+/// Packs for all platforms, and runs each library against the one that [`test`] judges.
 pub(crate) fn platforms() -> Result<()> {
     process::need("cargo xtask test --platforms", ".ci/setup-platforms", &PLATFORMS_NEEDS)?;
     let mut steps = Steps::default();
-    let fmu = steps.run("package", || package::package(Scope::All))?;
+    steps.run("package", || package::package(Scope::Here))?;
+    let fmu = steps.run("package, all platforms", || package::package(Scope::All))?;
     steps.run("Python tests", || pytest(&fmu, Tests::Platforms))?;
     steps.summary();
     Ok(())
@@ -101,7 +102,7 @@ impl Steps {
             }
             Err(error) => {
                 self.summary();
-                println!("  {name:20} FAILED after {:.1} s", time.as_secs_f64());
+                println!("  {name:22} FAILED after {:.1} s", time.as_secs_f64());
                 Err(error.context(format!("step `{name}` failed")))
             }
         }
@@ -110,7 +111,7 @@ impl Steps {
     fn summary(&self) {
         println!("\n== summary ==");
         for (name, time) in &self.done {
-            println!("  {name:20} ok {:7.1} s", time.as_secs_f64());
+            println!("  {name:22} ok {:7.1} s", time.as_secs_f64());
         }
     }
 }
@@ -175,6 +176,7 @@ fn pytest(fmu: &Path, tests: Tests) -> Result<()> {
         .arg("--override-ini")
         .arg(format!("cache_dir={}", paths::in_root("target/pytest").display()))
         .env("FIVEBAR_FMU", fmu)
+        .env("FIVEBAR_FMU_HERE", paths::fmu())
         .env("FMI_SIM", paths::fmi_sim().join("bin/fmi-sim"));
     if let Some(marks) = marks {
         command.args(["-m", marks]);
