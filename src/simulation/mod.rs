@@ -1,25 +1,27 @@
 //! A scene made ready: constant [`Model`], active effects and [`State`]; advances by internal steps.
 //!
-//! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held while it
-//! advances.
+//! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held over each macro
+//! step.
 
 pub mod angles;
 pub mod coupled;
 pub mod dense;
 mod explicit;
 pub mod model;
+mod signal;
 pub mod system;
 pub mod two_leg;
+mod variation;
 
 use std::f64::consts::TAU;
 use std::fmt;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use crate::integrator::{self, Failure, Power, System, dop853, i3alp, i3alp_printed, rk4};
+use crate::integrator::{self, Failure, Kkt, Power, System, dop853, i3alp, i3alp_printed, rk4};
 use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::THETA;
-use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal, closure};
+use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose, Refusal, closure};
 
 pub use crate::effects::Inputs;
 use crate::effects::{self, Situation};
@@ -27,7 +29,9 @@ pub use crate::integrator::Counters;
 use angles::{ANGLES, CLOSURES};
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings, Solve};
+pub use signal::{ORDERS, Signal};
 use system::{Bare, FiveBar, General, LinearSolve};
+pub use variation::{Direction, Variation};
 
 /// Everything that changes during a run. A copy is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -125,11 +129,33 @@ impl Simulation {
     ///
     /// On failure the state is as it was before the call. Allocates nothing.
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+        self.advance_held(inputs, h, steps, true)
+    }
+
+    /// The same; `beyond`: whether a step may run past the end, since the inputs may stay.
+    fn advance_held(&mut self, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
         let State { core, turns, inputs: held, .. } = self.state;
         let inputs = self.model.heard(inputs);
-        let done = run(&self.model, &mut self.state, &inputs, h, steps);
+        let done = run(&self.model, &mut self.state, &inputs, h, steps, beyond);
         // The running step of an explicit method is changed only when all has gone well.
         done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
+    }
+
+    /// The same with inputs that change: each macro step holds what they are in its middle, so that the impulse of a ramp is exact and
+    /// the whole of second order in h.
+    pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
+        if signal.is_held() {
+            return self.advance(&signal.value, h, steps);
+        }
+        let before = self.state;
+        for step in 0..steps {
+            let begin = step as f64 * h;
+            self.advance_held(&signal.at(begin + h / 2.0), h, 1, false).map_err(|failure| {
+                self.state = before;
+                StepFailure { elapsed: begin + failure.elapsed, ..failure }
+            })?;
+        }
+        Ok(())
     }
 
     /// What it runs with.
@@ -229,6 +255,12 @@ impl State {
         }
     }
 
+    /// Solves M x + Φ_qᵀ y = b, Φ_q x − e y = c at the present pose.
+    fn solved(&self, model: &Model, pose: &Pose, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
+        let State { inputs, turns, .. } = self;
+        FiveBar::<General>::new(model, inputs, turns).factor_mass(pose, model.softness).solve(b, c)
+    }
+
     /// The forces have changed at once: q̈, λ and the predictor start anew.
     fn restart(&mut self, model: &Model) {
         let State { core, inputs, turns, .. } = self;
@@ -237,7 +269,7 @@ impl State {
 }
 
 /// The methods that people choose for their speed have a compiled form for the bare mechanism of their own.
-fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
     match (&model.stepper, model.solve) {
         (Stepper::I3alp(settings), Solve::Bare) => by_i3alp::<Bare>(settings, model, state, inputs, h, steps),
         (Stepper::I3alp(settings), _) => by_i3alp::<General>(settings, model, state, inputs, h, steps),
@@ -247,8 +279,8 @@ fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) ->
         (Stepper::Rk4(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
             rk4::advance(system, settings, core, h, power)
         }),
-        (Stepper::Dop853(settings), Solve::Bare) => explicit::run::<Bare>(model, settings, state, inputs, h, steps),
-        (Stepper::Dop853(settings), _) => explicit::run::<General>(model, settings, state, inputs, h, steps),
+        (Stepper::Dop853(settings), Solve::Bare) => explicit::run::<Bare>(model, settings, state, inputs, h, steps, beyond),
+        (Stepper::Dop853(settings), _) => explicit::run::<General>(model, settings, state, inputs, h, steps, beyond),
     }
 }
 

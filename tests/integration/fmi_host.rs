@@ -212,20 +212,40 @@ impl Host {
         }
     }
 
-    /// The functions that come with a later issue, called with valid arguments; a name and a status each.
-    pub(super) fn unsupported(&self) -> Vec<(&'static str, fmi2Status)> {
-        let (reference, order, mut value) = (100, 1, 0.0);
-        let c = self.component;
-        // SAFETY: the component is live, all places are ours and of the lengths passed.
+    /// Sets derivatives of inputs: (reference, order, value).
+    pub(super) fn set_input_derivatives(&self, derivatives: &[(u32, i32, f64)]) -> fmi2Status {
+        let references: Vec<u32> = derivatives.iter().map(|derivative| derivative.0).collect();
+        let orders: Vec<i32> = derivatives.iter().map(|derivative| derivative.1).collect();
+        let values: Vec<f64> = derivatives.iter().map(|derivative| derivative.2).collect();
+        // SAFETY: the component is live, the arrays have the same length.
         unsafe {
-            vec![
-                (
-                    "providesDirectionalDerivative",
-                    fmi2GetDirectionalDerivative(c, &reference, 1, &reference, 1, &value, &mut value.clone()),
-                ),
-                ("canInterpolateInputs", fmi2SetRealInputDerivatives(c, &reference, 1, &order, &value)),
-                ("maxOutputDerivativeOrder", fmi2GetRealOutputDerivatives(c, &reference, 1, &order, &mut value)),
-            ]
+            fmi2SetRealInputDerivatives(self.component, references.as_ptr(), references.len(), orders.as_ptr(), values.as_ptr())
+        }
+    }
+
+    /// A derivative of an output.
+    pub(super) fn output_derivative(&self, reference: u32, order: i32) -> (fmi2Status, f64) {
+        let mut value = f64::NAN;
+        // SAFETY: the component is live, the places are ours.
+        (unsafe { fmi2GetRealOutputDerivatives(self.component, &reference, 1, &order, &mut value) }, value)
+    }
+
+    /// How unknowns change with knowns: (reference, change).
+    pub(super) fn directional_derivative(&self, unknowns: &[u32], knowns: &[(u32, f64)], values: &mut [f64]) -> fmi2Status {
+        assert_eq!(unknowns.len(), values.len());
+        let references: Vec<u32> = knowns.iter().map(|known| known.0).collect();
+        let changes: Vec<f64> = knowns.iter().map(|known| known.1).collect();
+        // SAFETY: the component is live, the arrays have the lengths passed.
+        unsafe {
+            fmi2GetDirectionalDerivative(
+                self.component,
+                unknowns.as_ptr(),
+                unknowns.len(),
+                references.as_ptr(),
+                references.len(),
+                changes.as_ptr(),
+                values.as_mut_ptr(),
+            )
         }
     }
 
@@ -316,6 +336,19 @@ impl Host {
                 fmi2GetRealStatus(c, 2, null_mut()),
                 fmi2GetBooleanStatus(c, 3, null_mut()),
                 fmi2SetDebugLogging(c, fmi2True, 1, null()),
+            ]
+        }
+    }
+
+    /// The functions of derivatives with null arrays of that length.
+    pub(super) fn null_derivatives(&self, length: usize) -> [fmi2Status; 3] {
+        let c = self.component;
+        // SAFETY: the component is live; null is what is tested.
+        unsafe {
+            [
+                fmi2SetRealInputDerivatives(c, null(), length, null(), null()),
+                fmi2GetRealOutputDerivatives(c, null(), length, null(), null_mut()),
+                fmi2GetDirectionalDerivative(c, null(), length, null(), length, null(), null_mut()),
             ]
         }
     }

@@ -14,6 +14,7 @@ mod effects_stiff; // friction through zero, stops and contact hit fast, high ga
 mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
 
 // The FMI rooms, through the C functions.
+mod fmi_derivatives; // of outputs against inputs and states, of inputs and outputs against time
 mod fmi_lifecycle; // instantiate, the order of calls, reset, independence
 mod fmi_log; // categories, logger, environment
 mod fmi_state; // stored states: complete, in any order, as bytes

@@ -43,8 +43,6 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
-    /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
-    Prices,
     /// Measure times and instructions, write tables to target/bench/
     Bench {
         /// Few repeats, scenes up to 2 s
@@ -54,6 +52,8 @@ enum Command {
         #[arg(long, conflicts_with = "quick")]
         check: bool,
     },
+    /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
+    Prices,
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package,
 }
@@ -74,9 +74,9 @@ fn command(command: Command) -> Result<()> {
         Command::Run { scene } => run::run(&scene),
         Command::Test { full } => test::test(full),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
-        Command::Prices => prices::prices(),
         Command::Bench { check: true, .. } => bench::check(),
         Command::Bench { quick, .. } => bench::bench(quick),
+        Command::Prices => prices::prices(),
         Command::Package => package::package().map(drop),
     }
 }

@@ -6,7 +6,7 @@
 use std::hint::black_box;
 
 use anyhow::Result;
-use fivebar::integrator::{Kkt, State, System};
+use fivebar::integrator::{Implicit, Kkt, State, System};
 use fivebar::mechanism::{COORDINATES, MULTIPLIERS};
 use fivebar::simulation::system::{Bare, FiveBar};
 
