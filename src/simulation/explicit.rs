@@ -36,7 +36,8 @@ pub(super) fn resume(model: &Model, state: &mut State, put_in: f64) {
     running.restart(&ByAngles::new(&five_bar), settings, put_in);
 }
 
-/// `steps` macro steps of `h` seconds with `inputs` held. On failure the running step is as before, the rest undefined.
+/// `steps` macro steps of `h` seconds with `inputs` held; `beyond`: whether a step may run past their end. On failure the running step
+/// is as before, the rest undefined.
 pub(super) fn run(
     model: &Model,
     settings: &Settings,
@@ -44,12 +45,21 @@ pub(super) fn run(
     inputs: &Inputs,
     h: f64,
     steps: u64,
+    beyond: bool,
 ) -> Result<(), StepFailure> {
     let before = state.running;
-    forward(model, settings, state, inputs, h, steps).inspect_err(|_| state.running = before)
+    forward(model, settings, state, inputs, h, steps, beyond).inspect_err(|_| state.running = before)
 }
 
-fn forward(model: &Model, settings: &Settings, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+fn forward(
+    model: &Model,
+    settings: &Settings,
+    state: &mut State,
+    inputs: &Inputs,
+    h: f64,
+    steps: u64,
+    beyond: bool,
+) -> Result<(), StepFailure> {
     let at = |step: u64| move |cause| StepFailure { elapsed: step as f64 * h, cause };
     if state.inputs != *inputs {
         stop(model, state).map_err(at(0))?;
@@ -59,7 +69,9 @@ fn forward(model: &Model, settings: &Settings, state: &mut State, inputs: &Input
     let State { core, running: Some(running), turns, .. } = state else { unreachable!("the method has a running step") };
     for step in 0..steps {
         let five_bar = FiveBar::<General>::new(model, inputs, turns);
-        running.advance(&ByAngles::new(&five_bar), settings, h, (steps - step) as f64 * h).map_err(at(step))?;
+        let ahead = (steps - step) as f64 * h;
+        let limit = if beyond { f64::INFINITY } else { ahead };
+        running.advance(&ByAngles::new(&five_bar), settings, h, [ahead, limit]).map_err(at(step))?;
         unwind(running, turns);
     }
     let five_bar = FiveBar::<General>::new(model, inputs, turns);

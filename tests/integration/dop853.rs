@@ -4,7 +4,7 @@ use std::f64::consts::FRAC_PI_2;
 
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::observers;
-use fivebar::simulation::{Inputs, Method, Parameters, Simulation};
+use fivebar::simulation::{Inputs, Method, Parameters, Signal, Simulation};
 
 use crate::support::{MGL, Reference, angle_error, fall_90_120, run, tip_error, torque, unequal};
 
@@ -175,6 +175,18 @@ fn changing_inputs_are_met_exactly() {
     assert!(error < 1e-6, "{error:e} rad");
     let energies = observers::energies(coarse.model(), coarse.state());
     assert!(energies.input.abs() > 0.01 * MGL && energies.error.abs() < 1e-6 * MGL, "{energies:?}");
+}
+
+/// A ramp of inputs: steps end where the held value changes, and none is made in vain.
+#[test]
+fn ramps_waste_no_steps() {
+    let mut simulation = fall(1e-9);
+    let rate = Inputs { tau: [0.1, -0.05], ..default_inputs() };
+    let ramp = Signal { derivatives: [rate, Inputs::default()], ..Signal::default() };
+    simulation.advance_along(&ramp, 1e-3, 200).expect("steps");
+    let counters = simulation.state().core.counters;
+    assert!(counters.substeps >= 200 && counters.rejected < 20, "{counters:?}");
+    assert!(balance(&simulation) < 1e-7 * MGL, "{:e} J", balance(&simulation));
 }
 
 /// The work of a constant torque, by the method's own weights and its interpolant: the balance is as good as the motion.

@@ -90,7 +90,7 @@ fn the_step_is_of_order_8_and_its_interpolant_of_order_7() {
             // Every step is accepted, so that the first has this length.
             let settings = settings(1e6, h);
             let mut running = Running::start(&KEPLER, q, v, &settings);
-            running.advance(&KEPLER, &settings, part * h, part * h).expect("a step");
+            running.advance(&KEPLER, &settings, part * h, [part * h, f64::INFINITY]).expect("a step");
             let sample = running.sample(&KEPLER, &settings).expect("a sample");
             let [position, velocity] = ellipse(START + part * h);
             let energy = |[x, y]: [f64; 2]| (x * x + y * y) / 2.0;
@@ -114,7 +114,7 @@ fn the_error_follows_the_tolerance() {
         let [q, v] = ellipse(0.0);
         let mut running = Running::start(&KEPLER, q, v, &settings);
         let orbits = 10.0 * std::f64::consts::TAU;
-        running.advance(&KEPLER, &settings, orbits, orbits).expect("steps");
+        running.advance(&KEPLER, &settings, orbits, [orbits, f64::INFINITY]).expect("steps");
         let sample = running.sample(&KEPLER, &settings).expect("a sample");
         // Local errors add up to one of the period, and that to one of the place: with the square of the number of steps, some 1e2.
         let error = (sample.q[0] - q[0]).hypot(sample.q[1] - q[1]);
@@ -132,7 +132,7 @@ fn stiffness_is_noticed() {
         while !running.is_stiff() {
             steps += 1;
             assert!(steps < 5000, "5 s without a verdict");
-            running.advance(&stiff, &settings, 1e-3, 1e-3).expect("steps");
+            running.advance(&stiff, &settings, 1e-3, [1e-3, f64::INFINITY]).expect("steps");
         }
     }
 }
