@@ -53,7 +53,8 @@ impl Controller {
 
     /// The same after a step whose error is too large, or not a number.
     pub(super) fn rejected(error: f64) -> f64 {
-        (SAFETY * libm::exp(-EXPONENT * libm::log(error))).max(CHANGE[0]).min(SAFETY)
+        let change = SAFETY * libm::exp(-EXPONENT * libm::log(error));
+        if change > CHANGE[0] { change.min(SAFETY) } else { CHANGE[0] }
     }
 
     /// Whether to look at the stiffness after this many accepted steps.
