@@ -3,6 +3,7 @@
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::State;
 use super::two_leg::Elimination;
 use crate::effects::{self, Active, Change, Effect, Inputs, Situation};
 use crate::integrator::{dop853, i3alp, i3alp_printed, rk4};
@@ -185,10 +186,10 @@ impl Model {
         self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - weight
     }
 
-    /// How it changes, J.
-    pub fn potential_change(&self, at: &Situation, change: &Change) -> f64 {
+    /// How that changes with a state, J per unit of the change.
+    pub fn potential_change(&self, state: &State, change: &Change) -> f64 {
         let weight: f64 = change.q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum();
-        self.effects.iter().map(|effect| effect.potential_change(at, change)).sum::<f64>() - weight
+        state.at(self, |at| self.effects.iter().map(|effect| effect.potential_change(at, change)).sum::<f64>()) - weight
     }
 
     /// The part of the inputs that the scene hears: without servos no references.
