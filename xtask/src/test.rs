@@ -56,7 +56,7 @@ pub(crate) fn test(full: bool) -> Result<()> {
     Ok(())
 }
 
-/// Packs for all platforms, and runs each library against the one that [`test`] judges.
+/// Packs for all platforms, and runs each library against the one that [`test()`] judges.
 pub(crate) fn platforms() -> Result<()> {
     process::need("cargo xtask test --platforms", ".ci/setup-platforms", &PLATFORMS_NEEDS)?;
     let mut steps = Steps::default();
