@@ -114,7 +114,7 @@ fn made_definite<const K: usize>(
     Ok(a0)
 }
 
-/// For any scene: which factor, [`Solve`](super::Solve) says.
+/// For any scene: which factor, [`Solve`] says.
 #[derive(Debug)]
 pub enum General {}
 
