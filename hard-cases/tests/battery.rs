@@ -81,7 +81,7 @@ fn methods_that_do_not_hold_are_noticed() {
 #[test]
 fn no_method_ends_in_nan() {
     for case in Case::all(Extent::Quick) {
-        for setting in [Setting::Default, Setting::Fixed(1e-3), Setting::Printed(1e-3), Setting::Rk4(1e-3)] {
+        for setting in [Setting::Default, Setting::EXPLICIT, Setting::Fixed(1e-3), Setting::Printed(1e-3), Setting::Rk4(1e-3)] {
             for trial in case.trials.iter().take(12) {
                 let outcome = trial.run(setting);
                 assert!(!matches!(outcome.ending, Ending::NotFinite(_)), "{} by {setting:?}: {:?}", trial.label, outcome.ending);

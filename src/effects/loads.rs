@@ -2,7 +2,7 @@
 //!
 //! The tip force acts on the left distal link (link 2), whose joint with link 3 is the tip: reaction 3 is what link 3 adds.
 //! Q = τ in the proximal angles; F at the centre of mass of link 2 and r × F in its angle, r = b û the arm to the tip, so that
-//! K = r·F in that angle. All are held over a communication step. The references are read by the servo alone.
+//! K = r·F in that angle. All are held over a macro step. The references are read by the servo alone.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -10,7 +10,7 @@ use super::Tangents;
 use super::situation::{MOTORS, Situation};
 use crate::mechanism::{COORDINATES, Coordinates};
 
-/// What the master sets: held over a communication step.
+/// What the master sets: held over a macro step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Inputs {
     /// Motor torques on the left and right proximal link, N·m.
@@ -37,6 +37,17 @@ impl Inputs {
     /// The same with servo references 0: what a scene without servos hears of them.
     pub fn without_references(self) -> Self {
         Self { servo_theta: [0.0; 2], servo_omega: [0.0; 2], ..self }
+    }
+
+    /// self + factor·other, variable by variable.
+    pub fn plus(self, factor: f64, other: &Self) -> Self {
+        let sum = |a: [f64; 2], b: [f64; 2]| [a[0] + factor * b[0], a[1] + factor * b[1]];
+        Self {
+            tau: sum(self.tau, other.tau),
+            tip_force: sum(self.tip_force, other.tip_force),
+            servo_theta: sum(self.servo_theta, other.servo_theta),
+            servo_omega: sum(self.servo_omega, other.servo_omega),
+        }
     }
 
     /// Adds the generalised forces.

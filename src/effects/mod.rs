@@ -9,10 +9,12 @@ mod buffer;
 pub mod loads;
 mod situation;
 pub mod tangents;
+mod variation;
 
 pub use loads::Inputs;
 pub use situation::{JOINTS, Situation};
 pub use tangents::Tangents;
+pub use variation::Change;
 
 use arrayvec::ArrayVec;
 
@@ -43,6 +45,9 @@ trait Force: Sized {
 
     /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.
     fn add_tangents(&self, _at: &Situation, _tangents: &mut impl Tangents) {}
+
+    /// Adds ∂Q/∂u δu for inputs u that it reads.
+    fn add_input_change(&self, _at: &Situation, _change: &Inputs, _forces: &mut Coordinates) {}
 
     /// Potential energy, J.
     fn potential(&self, _at: &Situation) -> f64 {
@@ -149,6 +154,11 @@ macro_rules! effects {
             #[inline(always)]
             pub fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
                 match self { $(Self::$Force(force) => force.add_tangents(at, tangents),)+ }
+            }
+
+            /// Adds ∂Q/∂u δu for inputs u that it reads.
+            fn add_input_change(&self, at: &Situation, change: &Inputs, forces: &mut Coordinates) {
+                match self { $(Self::$Force(force) => force.add_input_change(at, change, forces),)+ }
             }
 
             /// Potential energy, J.

@@ -10,7 +10,7 @@
 //! Limits: continuous in time (no sampling, no delay, no quantisation), no integral action; motor dynamics are not modelled.
 
 use super::situation::{MOTORS, Situation};
-use super::{Force, Tangents};
+use super::{Force, Inputs, Tangents};
 use crate::mechanism::{Coordinates, Mechanism, Refusal, not_negative, positive};
 
 /// The `servo.*` parameters.
@@ -79,6 +79,14 @@ impl Force for Servo {
             let open = 1.0 - drive * drive;
             tangents.stiffness(motor, motor, self.kp[i] * open);
             tangents.damping(motor, motor, self.kd[i] * open);
+        }
+    }
+
+    fn add_input_change(&self, at: &Situation, change: &Inputs, forces: &mut Coordinates) {
+        for (i, motor) in MOTORS.into_iter().enumerate() {
+            let drive = self.drive(at, i);
+            let pull = self.kp[i] * change.servo_theta[i] + self.kd[i] * change.servo_omega[i];
+            forces[motor] += (1.0 - drive * drive) * pull;
         }
     }
 

@@ -269,28 +269,3 @@ pub unsafe extern "C" fn fmi2SetString(
     // SAFETY: the caller vouches for the component.
     unsafe { guard(c, Call::SetString, body) }
 }
-
-/// Defines functions whose capability flag is false: fmi2Error with one sentence that names the flag.
-macro_rules! unsupported {
-    ($($(#[doc = $doc:literal])+ $name:ident: $call:ident($($argument:ident: $kind:ty),*);)+) => {$(
-        $(#[doc = $doc])+
-        ///
-        /// # Safety
-        /// See the contract of [`crate::ffi`].
-        #[unsafe(no_mangle)]
-        pub unsafe extern "C" fn $name(c: fmi2Component, $($argument: $kind),*) -> fmi2Status {
-            // SAFETY: the caller vouches for the component.
-            unsafe { guard(c, Call::$call, |_| Err(Call::$call.unsupported())) }
-        }
-    )+};
-}
-pub(super) use unsupported;
-
-unsupported! {
-    /// Refused: providesDirectionalDerivative is false (section 2.1.9).
-    fmi2GetDirectionalDerivative: GetDirectionalDerivative(
-        _vUnknown_ref: *const fmi2ValueReference, _nUnknown: usize,
-        _vKnown_ref: *const fmi2ValueReference, _nKnown: usize,
-        _dvKnown: *const fmi2Real, _dvUnknown: *mut fmi2Real
-    );
-}

@@ -1,9 +1,8 @@
 //! Functions for co-simulation (FMI 2.0.4, section 4.2.1).
 
 use super::arrays::not_null;
-use super::common::unsupported;
 use super::guard::guard;
-use super::types::{fmi2Boolean, fmi2Component, fmi2Integer, fmi2Real, fmi2Status, fmi2StatusKind, fmi2String, fmi2ValueReference};
+use super::types::{fmi2Boolean, fmi2Component, fmi2Integer, fmi2Real, fmi2Status, fmi2StatusKind, fmi2String};
 use crate::fmi::status::StatusKind;
 use crate::fmi::{Call, Instance};
 
@@ -31,17 +30,6 @@ pub unsafe extern "C" fn fmi2DoStep(
 pub unsafe extern "C" fn fmi2CancelStep(c: fmi2Component) -> fmi2Status {
     // SAFETY: the caller vouches for the component.
     unsafe { guard(c, Call::CancelStep, |instance| instance.cancel_step()) }
-}
-
-unsupported! {
-    /// Refused: canInterpolateInputs is false (section 4.2.1).
-    fmi2SetRealInputDerivatives: SetRealInputDerivatives(
-        _vr: *const fmi2ValueReference, _nvr: usize, _order: *const fmi2Integer, _value: *const fmi2Real
-    );
-    /// Refused: maxOutputDerivativeOrder is 0 (section 4.2.1).
-    fmi2GetRealOutputDerivatives: GetRealOutputDerivatives(
-        _vr: *const fmi2ValueReference, _nvr: usize, _order: *const fmi2Integer, _value: *mut fmi2Real
-    );
 }
 
 /// The communication point reached, for fmi2LastSuccessfulTime (section 4.2.3).

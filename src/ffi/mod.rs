@@ -7,6 +7,7 @@
 //! | `arrays.rs` | C arrays and strings as slices, nulls refused |
 //! | `common.rs` | functions common to all FMUs (FMI 2.0.4, section 2.1) |
 //! | `cosimulation.rs` | functions for co-simulation (section 4.2.1) |
+//! | `derivatives.rs` | directional derivatives (section 2.1.9), those of inputs and outputs with respect to time (section 4.2.1) |
 //!
 //! # Safety
 //!
@@ -38,11 +39,13 @@
 mod arrays;
 mod common;
 mod cosimulation;
+mod derivatives;
 mod guard;
 mod state;
 mod types;
 
 pub use common::*;
 pub use cosimulation::*;
+pub use derivatives::*;
 pub use state::*;
 pub use types::*;

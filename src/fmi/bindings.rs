@@ -90,7 +90,7 @@ fn enumeration_parameter(p: &mut Parameters, variable: EnumerationParameter) -> 
 }
 
 /// The place of an input.
-fn real_input(inputs: &mut Inputs, variable: RealInput) -> &mut f64 {
+pub(super) fn real_input(inputs: &mut Inputs, variable: RealInput) -> &mut f64 {
     match variable {
         RealInput::Tau(i) => &mut inputs.tau[i],
         RealInput::TipFx => &mut inputs.tip_force[0],

@@ -10,15 +10,16 @@ use super::values::{check_settable, check_value, lookup};
 use super::{Rejection, Snapshot, Stage, bindings};
 use crate::integrator::{self, Counters};
 use crate::mechanism::{COORDINATES, MULTIPLIERS};
-use crate::simulation::{Inputs, Parameters, Simulation};
+use crate::simulation::{Inputs, Parameters, Signal, Simulation};
 use crate::variables::{Access, Value, Variable};
 
 /// An instance of the FMU.
 #[derive(Debug)]
 pub struct Instance {
-    stage: Stage,
-    parameters: Parameters,
-    inputs: Inputs,
+    pub(super) stage: Stage,
+    pub(super) parameters: Parameters,
+    /// The inputs from the present communication point on.
+    pub(super) signal: Signal,
     /// Set by fmi2SetupExperiment.
     clock: Option<Clock>,
     /// Made at the end of initialisation, or earlier when an output is read there.
@@ -27,6 +28,7 @@ pub struct Instance {
     tuned: bool,
     /// Whether the master has been told that no active effect reads the servo references.
     warned_of_references: bool,
+    warned_of_stiffness: bool,
     cache: Cache,
     /// Lines for the master.
     pub log: Log,
@@ -38,11 +40,12 @@ impl Instance {
         Self {
             stage: Stage::Instantiated,
             parameters: bindings::default_parameters(),
-            inputs: bindings::default_inputs(),
+            signal: Signal { value: bindings::default_inputs(), ..Signal::default() },
             clock: None,
             simulation: None,
             tuned: false,
             warned_of_references: false,
+            warned_of_stiffness: false,
             cache: Cache::default(),
             log: Log::new(logging_on),
         }
@@ -86,7 +89,7 @@ impl Instance {
 
     /// fmi2ExitInitializationMode: validates the scene and closes the loop, or refuses and stays.
     pub fn exit_initialization_mode(&mut self) -> Result<(), Rejection> {
-        let simulation = ready(&mut self.simulation, &self.parameters, &self.inputs)?;
+        let simulation = ready(&mut self.simulation, &self.parameters, &self.signal.value)?;
         let settings = &self.parameters.settings;
         self.log.push(Status::Ok, || {
             let effects = simulation.active_effects();
@@ -105,23 +108,47 @@ impl Instance {
 
     /// fmi2GetFMUstate.
     pub fn snapshot(&self) -> Snapshot {
-        let Self { stage, parameters, inputs, clock, simulation, tuned, warned_of_references, cache: _, log: _ } = self;
+        let Self {
+            stage,
+            parameters,
+            signal,
+            clock,
+            simulation,
+            tuned,
+            warned_of_references,
+            warned_of_stiffness,
+            cache: _,
+            log: _,
+        } = self;
         Snapshot {
             stage: *stage,
             parameters: parameters.clone(),
-            inputs: *inputs,
+            signal: *signal,
             clock: clock.clone(),
             simulation: simulation.clone(),
             tuned: *tuned,
             warned_of_references: *warned_of_references,
+            warned_of_stiffness: *warned_of_stiffness,
         }
     }
 
     /// fmi2SetFMUstate: everything as it was, but the log and what the master wants to hear of it.
     pub fn restore(&mut self, snapshot: &Snapshot) {
-        let Snapshot { stage, parameters, inputs, clock, simulation, tuned, warned_of_references } = snapshot.clone();
+        let Snapshot { stage, parameters, signal, clock, simulation, tuned, warned_of_references, warned_of_stiffness } =
+            snapshot.clone();
         let log = std::mem::replace(&mut self.log, Log::new(false));
-        *self = Self { stage, parameters, inputs, clock, simulation, tuned, warned_of_references, cache: Cache::default(), log };
+        *self = Self {
+            stage,
+            parameters,
+            signal,
+            clock,
+            simulation,
+            tuned,
+            warned_of_references,
+            warned_of_stiffness,
+            cache: Cache::default(),
+            log,
+        };
     }
 
     /// fmi2Terminate.
@@ -150,7 +177,7 @@ impl Instance {
         }
         for (reference, value) in pairs {
             let variable = lookup(reference, value.access())?;
-            if !bindings::write(&mut self.parameters, &mut self.inputs, variable, value) {
+            if !bindings::write(&mut self.parameters, &mut self.signal.value, variable, value) {
                 unreachable!("{} = {value} has been checked", variable.name);
             }
             self.cache = Cache::default();
@@ -169,7 +196,7 @@ impl Instance {
         for &reference in references {
             let variable = lookup(reference, access)?;
             if variable.start.is_none() {
-                ready(&mut self.simulation, &self.parameters, &self.inputs)?;
+                ready(&mut self.simulation, &self.parameters, &self.signal.value)?;
             }
         }
         for (position, &reference) in references.iter().enumerate() {
@@ -179,12 +206,16 @@ impl Instance {
     }
 
     fn read(&mut self, variable: &Variable) -> Result<Value, Rejection> {
-        if let Some(value) = bindings::read(&mut self.parameters, &mut self.inputs, variable) {
+        if let Some(value) = bindings::read(&mut self.parameters, &mut self.signal.value, variable) {
             return Ok(value);
         }
-        let simulation = ready(&mut self.simulation, &self.parameters, &self.inputs)?;
-        let outputs = Outputs { simulation, inputs: &self.inputs, cache: &self.cache };
-        Ok(outputs.read(variable).unwrap_or_else(|| unreachable!("{} is bound", variable.name)))
+        Ok(self.outputs()?.read(variable).unwrap_or_else(|| unreachable!("{} is bound", variable.name)))
+    }
+
+    /// The outputs at the present communication point, for the present inputs.
+    pub(super) fn outputs(&mut self) -> Result<Outputs<'_>, Rejection> {
+        let simulation = ready(&mut self.simulation, &self.parameters, &self.signal.value)?;
+        Ok(Outputs { simulation, inputs: &self.signal.value, cache: &self.cache })
     }
 
     /// fmi2GetString and fmi2SetString: there are no String variables.
@@ -209,17 +240,27 @@ impl Instance {
             self.cache = Cache::default();
             self.tuned = false;
         }
-        if self.inputs.refers() && !simulation.model().servo && !self.warned_of_references {
+        if self.signal.value.refers() && !simulation.model().servo && !self.warned_of_references {
             self.warned_of_references = true;
             self.log.push(Status::Warning, || {
                 "servo.theta or servo.omega is not 0, but no active effect reads them: servo.enabled is false.".to_owned()
             });
         }
         let before = simulation.state().core.counters;
-        match simulation.advance(&self.inputs, plan.h, plan.steps) {
+        match simulation.advance_along(&self.signal, plan.h, plan.steps) {
             Ok(()) => {
                 clock.advance(plan);
+                self.signal = self.signal.after(size);
                 report_passes(&mut self.log, &before, &simulation.state().core, point, point + size);
+                if !self.warned_of_stiffness && simulation.is_stiff() {
+                    self.warned_of_stiffness = true;
+                    self.log.push(Status::Warning, || {
+                        format!(
+                            "at {:?} s: steps of method dop853 are limited by its stability: the scene has stiff loads; i3alp would do better.",
+                            point + size
+                        )
+                    });
+                }
                 self.cache = Cache::default();
                 self.stage = Stage::StepComplete;
                 Ok(())

@@ -107,7 +107,9 @@ impl Call {
             Self::GetReal | Self::GetInteger | Self::GetBoolean | Self::GetString => {
                 &[InitializationMode, StepComplete, StepFailed, Terminated]
             }
-            Self::SetReal | Self::SetInteger | Self::SetBoolean | Self::SetString => {
+            Self::GetDirectionalDerivative => &[InitializationMode, StepComplete, StepFailed, Terminated],
+            Self::GetRealOutputDerivatives => &[StepComplete, StepFailed, Terminated],
+            Self::SetReal | Self::SetInteger | Self::SetBoolean | Self::SetString | Self::SetRealInputDerivatives => {
                 // After a discard as well, beyond the standard: the step has been rolled back, and another input may be what it needs.
                 &[Instantiated, InitializationMode, StepComplete, StepFailed]
             }
@@ -123,10 +125,8 @@ impl Call {
             | Self::SerializedFMUstateSize
             | Self::SerializeFMUstate
             | Self::DeSerializeFMUstate => ANYWHERE,
-            // Answered with an error of their own: a step is never pending, and these capability flags are false.
-            Self::CancelStep | Self::GetDirectionalDerivative | Self::SetRealInputDerivatives | Self::GetRealOutputDerivatives => {
-                ANYWHERE
-            }
+            // Answered with an error of its own: a step is never pending.
+            Self::CancelStep => ANYWHERE,
         }
     }
 
@@ -138,16 +138,5 @@ impl Call {
         }
         let names: Vec<String> = allowed.iter().map(Stage::to_string).collect();
         Err(Rejection::error(format!("the state is \"{stage}\", allowed is: {}.", names.join(", "))))
-    }
-
-    /// The refusal of a function whose capability flag is false.
-    pub fn unsupported(self) -> Rejection {
-        let (flag, value) = match self {
-            Self::GetDirectionalDerivative => ("providesDirectionalDerivative", "false"),
-            Self::SetRealInputDerivatives => ("canInterpolateInputs", "false"),
-            Self::GetRealOutputDerivatives => ("maxOutputDerivativeOrder", "0"),
-            _ => unreachable!("{self} is supported"),
-        };
-        Rejection::error(format!("the model description declares {flag}=\"{value}\"."))
     }
 }

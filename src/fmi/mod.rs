@@ -8,12 +8,14 @@
 //! | `bindings.rs` | variables ↔ parameters and inputs |
 //! | `outputs.rs` | variables ← observers, computed when read |
 //! | `values.rs` | the checks that come before a value is read or written |
+//! | `derivatives.rs` | derivatives of inputs and outputs |
 //! | `instance.rs` | an instance: all of these together |
 //! | `snapshot.rs` | stored states, in memory and as bytes |
 //! | `status.rs` | the status functions of co-simulation |
 
 pub mod bindings;
 pub mod clock;
+mod derivatives;
 pub mod instance;
 pub mod lifecycle;
 pub mod messages;

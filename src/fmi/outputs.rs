@@ -23,8 +23,8 @@ pub(super) struct Cache {
 }
 
 /// The left and the right link of a pair, as positions among the four links.
-const PROXIMAL: [usize; 2] = [0, 3];
-const DISTAL: [usize; 2] = [1, 2];
+pub(super) const PROXIMAL: [usize; 2] = [0, 3];
+pub(super) const DISTAL: [usize; 2] = [1, 2];
 
 /// The outputs of a simulation for the present inputs.
 pub(super) struct Outputs<'a> {
@@ -128,11 +128,11 @@ impl Outputs<'_> {
 
     /// The present state with the accelerations and multipliers that belong to the present inputs, which the master
     /// may have changed since the last step.
-    fn state(&self) -> &State {
+    pub(super) fn state(&self) -> &State {
         self.cache.state.get_or_init(|| self.simulation.state_for(self.inputs))
     }
 
-    fn motion(&self) -> &Motion {
+    pub(super) fn motion(&self) -> &Motion {
         self.cache.motion.get_or_init(|| observers::motion(self.simulation.model(), self.state()))
     }
 

@@ -14,17 +14,19 @@
 //! The parameters are stored as values of variables, so that what is read back passes the same checks as what a master sets.
 
 use borsh::{BorshDeserialize, BorshSerialize};
+use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
 use super::clock::Clock;
 use super::values::{check_value, lookup};
 use super::{Rejection, Stage, bindings};
-use crate::simulation::{self, Inputs, Parameters, Simulation, Solve};
+use crate::simulation::{self, Inputs, ORDERS, Parameters, Signal, Simulation, Solve};
 use crate::variables::{GUID, Value};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Must change with every change of what is stored.
 const FORMAT: u32 = 1;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
+const CRC: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 const CHECKSUM: usize = size_of::<u32>();
 
 /// A stored state.
@@ -32,11 +34,12 @@ const CHECKSUM: usize = size_of::<u32>();
 pub struct Snapshot {
     pub(super) stage: Stage,
     pub(super) parameters: Parameters,
-    pub(super) inputs: Inputs,
+    pub(super) signal: Signal,
     pub(super) clock: Option<Clock>,
     pub(super) simulation: Option<Simulation>,
     pub(super) tuned: bool,
     pub(super) warned_of_references: bool,
+    pub(super) warned_of_stiffness: bool,
 }
 
 /// What the bytes hold.
@@ -45,10 +48,12 @@ struct Content {
     stage: Stage,
     /// Parameters and inputs as the master has set them.
     values: Vec<(u32, Value)>,
+    input_derivatives: [Inputs; ORDERS],
     clock: Option<Clock>,
     simulation: Option<Made>,
     tuned: bool,
     warned_of_references: bool,
+    warned_of_stiffness: bool,
 }
 
 /// A scene made ready.
@@ -64,23 +69,25 @@ impl Snapshot {
     /// The state as bytes.
     pub fn to_bytes(&self) -> Result<Vec<u8>, Rejection> {
         let made = |simulation: &Simulation| Made {
-            values: values(simulation.parameters(), &self.inputs),
+            values: values(simulation.parameters(), &self.signal.value),
             solve: simulation.model().solve,
             state: *simulation.state(),
         };
         let content = Content {
             stage: self.stage,
-            values: values(&self.parameters, &self.inputs),
+            values: values(&self.parameters, &self.signal.value),
+            input_derivatives: self.signal.derivatives,
             clock: self.clock.clone(),
             simulation: self.simulation.as_ref().map(made),
             tuned: self.tuned,
             warned_of_references: self.warned_of_references,
+            warned_of_stiffness: self.warned_of_stiffness,
         };
         let content =
             borsh::to_vec(&content).map_err(|error| Rejection::error(format!("the state cannot be serialised: {error}.")))?;
         let length = content.len() as u64;
         let mut bytes = [&MAGIC[..], &FORMAT.to_le_bytes(), GUID.as_bytes(), &length.to_le_bytes(), &content].concat();
-        bytes.extend(crc32fast::hash(&bytes).to_le_bytes());
+        bytes.extend(CRC.checksum(&bytes).to_le_bytes());
         Ok(bytes)
     }
 
@@ -88,13 +95,14 @@ impl Snapshot {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, Rejection> {
         let content =
             Content::try_from_slice(content(bytes)?).map_err(|error| wrong(&format!("their content is not a state: {error}")))?;
-        let (parameters, inputs) = restored(&content.values)?;
+        let (parameters, value) = restored(&content.values)?;
+        let signal = Signal { value, derivatives: content.input_derivatives };
         let simulation = match content.simulation {
             Some(Made { values, solve, state }) => Some(Simulation::restored(&restored(&values)?.0, solve, state)?),
             None => None,
         };
-        let Content { stage, clock, tuned, warned_of_references, .. } = content;
-        Ok(Self { stage, parameters, inputs, clock, simulation, tuned, warned_of_references })
+        let Content { stage, clock, tuned, warned_of_references, warned_of_stiffness, .. } = content;
+        Ok(Self { stage, parameters, signal, clock, simulation, tuned, warned_of_references, warned_of_stiffness })
     }
 }
 
@@ -124,7 +132,7 @@ fn content(bytes: &[u8]) -> Result<&[u8], Rejection> {
         return Err(wrong(&format!("there are {}, not as many as their head says", bytes.len())));
     }
     let (checked, checksum) = bytes.split_at(bytes.len() - CHECKSUM);
-    if checksum != crc32fast::hash(checked).to_le_bytes() {
+    if checksum != CRC.checksum(checked).to_le_bytes() {
         return Err(wrong("their checksum is wrong"));
     }
     Ok(&checked[HEAD..])

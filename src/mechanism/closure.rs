@@ -92,7 +92,8 @@ impl Span {
 
 /// A number as a sentence shows it: ten significant digits, the shortest form.
 fn rounded(value: f64) -> f64 {
-    format!("{value:.9e}").parse().unwrap_or(value)
+    let scale = libm::exp10(9.0 - libm::log10(value.abs()).floor()).round();
+    if scale.is_finite() && scale >= 1.0 { (value * scale).round() / scale } else { value }
 }
 
 /// q and q̇ (with all constraints met) of a start, or a sentence why it is not possible.
@@ -123,6 +124,14 @@ pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordin
     Ok(assemble(geometry, theta, omega))
 }
 
+/// Rates of the distal links, with directions û, from the velocity of the right elbow against the left one: from
+/// l2 ω2 n̂2 − l3 ω3 n̂3 = parting, by products with û3 and û2.
+fn distal_rates(geometry: &Geometry, [u2, u3]: [Vector2<f64>; 2], parting: Vector2<f64>) -> [f64; 2] {
+    let [_, l2, l3, _] = geometry.links.map(|link| link.length);
+    let sine = u2.x * u3.y - u2.y * u3.x;
+    [parting.dot(&u3) / (l2 * sine), parting.dot(&u2) / (l3 * sine)]
+}
+
 /// Rates of the four links from those of the proximal ones.
 fn rates(geometry: &Geometry, span: &Span, theta: [f64; 4], start: &Start) -> Result<[f64; 4], Refusal> {
     let [w1, w4] = start.omega;
@@ -131,9 +140,8 @@ fn rates(geometry: &Geometry, span: &Span, theta: [f64; 4], start: &Start) -> Re
     let (left_elbow, right_elbow) = (n1 * (l1 * w1), n4 * (l4 * w4));
     let parting = right_elbow - left_elbow;
     if !span.in_line {
-        let sine = u2.x * u3.y - u2.y * u3.x;
-        // From l2 ω2 n̂2 − l3 ω3 n̂3 = parting, by products with û3 and û2.
-        return Ok([w1, parting.dot(&u3) / (l2 * sine), parting.dot(&u2) / (l3 * sine), w4]);
+        let [w2, w3] = distal_rates(geometry, [u2, u3], parting);
+        return Ok([w1, w2, w3, w4]);
     }
     // All links on one line: the x axis, or with coaxial motors any line through them.
     let line = span.arrow / span.distance;
@@ -184,6 +192,49 @@ fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start:
     let side = |(w2, _): (f64, f64)| start.assembly.sign() * c2 * ((c2 - c3) * w2 - first);
     let (w2, w3) = if side(roots[0]) >= side(roots[1]) { roots[0] } else { roots[1] };
     Ok([w1, w2, w3, w4])
+}
+
+/// How q and q̇ change with the proximal angles and rates (left, right) while the loop stays closed, at link angles `theta` and rates
+/// `omega`. Not at a direct singularity, where the proximal angles are no coordinates.
+pub fn varied(
+    geometry: &Geometry,
+    theta: [f64; 4],
+    omega: [f64; 4],
+    [proximal_theta, proximal_omega]: [[f64; 2]; 2],
+) -> (Coordinates, Coordinates) {
+    let turned = carried(geometry, theta, proximal_theta, [0.0; 4]);
+    // A link that has turned by δθ has its velocity n̂ ω turned on, by −û ω δθ.
+    let inward = std::array::from_fn(|i| -omega[i] * turned[i]);
+    let quickened = carried(geometry, theta, proximal_omega, inward);
+    (along_legs(geometry, theta, turned, [0.0; 4]), along_legs(geometry, theta, quickened, inward))
+}
+
+/// Components across all four links, per length, that keep the legs together: given those of the proximal links, and all components
+/// along the links.
+fn carried(geometry: &Geometry, theta: [f64; 4], [first, fourth]: [f64; 2], along: [f64; 4]) -> [f64; 4] {
+    let [(u1, n1), (u2, _), (u3, _), (u4, n4)] = theta.map(direction);
+    let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
+    let left = n1 * (l1 * first) + u1 * (l1 * along[0]) + u2 * (l2 * along[1]);
+    let right = n4 * (l4 * fourth) + u4 * (l4 * along[3]) + u3 * (l3 * along[2]);
+    let [second, third] = distal_rates(geometry, [u2, u3], right - left);
+    [first, second, third, fourth]
+}
+
+/// The coordinates whose angles are the components across the links, per length; positions add up along each leg.
+fn along_legs(geometry: &Geometry, theta: [f64; 4], across: [f64; 4], along: [f64; 4]) -> Coordinates {
+    let mut x = [0.0; COORDINATES];
+    for [proximal, distal] in [[0, 1], [3, 2]] {
+        let mut joint = Vector2::zeros();
+        for i in [proximal, distal] {
+            let (u, n) = direction(theta[i]);
+            let Link { length, com, .. } = geometry.links[i];
+            let arm = n * across[i] + u * along[i];
+            let centre = joint + arm * com;
+            (x[X[i]], x[Y[i]], x[THETA[i]]) = (centre.x, centre.y, across[i]);
+            joint += arm * length;
+        }
+    }
+    x
 }
 
 /// q and q̇ of all links from their angles and rates, each leg built up from its motor axis.

@@ -13,7 +13,7 @@
 
 use nalgebra::SMatrix;
 
-use super::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
+use super::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, THETA, TIP_X, TIP_Y, legs_of, set_legs};
 use super::legs::{Legs, Legs2, SIGMA, both, sin_cos, sum};
 use super::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers};
 
@@ -144,6 +144,29 @@ impl Pose {
     pub fn geometric_stiffness(&self, lambda: &Multipliers) -> (Legs, Legs) {
         let at = by_joint(lambda);
         (self.a_p.dot(at.ground) + self.b_p.dot(at.elbow), self.a_d.dot(at.elbow) - self.sigma_b_d.dot(at.tip))
+    }
+
+    /// How directions and arms change with q: products with it are derivatives of products with the pose, but for those of its unit
+    /// entries, which are constant.
+    pub fn varied(&self, q: &Coordinates) -> Self {
+        let (proximal, distal) = (legs_of(q, P_THETA), legs_of(q, D_THETA));
+        Self {
+            u_p: self.u_p.turned().scaled(proximal),
+            u_d: self.u_d.turned().scaled(distal),
+            a_p: self.a_p.turned().scaled(proximal),
+            b_p: self.b_p.turned().scaled(proximal),
+            a_d: self.a_d.turned().scaled(distal),
+            sigma_b_d: self.sigma_b_d.turned().scaled(distal),
+        }
+    }
+
+    /// (∂Φ_q/∂q w) v, of which Φ̇_q q̇ is the case v = w = q̇; symmetric in v and w.
+    pub fn phi_q_varied_times(&self, w: &Coordinates, v: &Coordinates) -> Multipliers {
+        let mut turning = [0.0; COORDINATES];
+        for i in THETA {
+            turning[i] = v[i];
+        }
+        self.varied(w).phi_q_times(&turning)
     }
 
     /// Φ_q as a matrix, for observers and tests; a step uses the products above.

@@ -1,14 +1,17 @@
 //! What a user looks at: pure functions of (model, state). Never called by a step.
 
+mod variation;
+
 use nalgebra::Vector2;
 
 use crate::effects::Effect;
 use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
-use crate::mechanism::{Coordinates, Link};
+use crate::mechanism::{Coordinates, Link, Multipliers};
 use crate::simulation::{Model, State};
 
 pub use crate::mechanism::singularity::{Singularity, SingularityKind};
+pub use variation::{OutputChanges, SingularityChanges, output_changes};
 
 /// Angles, rates and accelerations of the links, and the points that a user sees.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -27,6 +30,10 @@ pub struct Motion {
     pub tip_acceleration: Vector2<f64>,
     /// Positions of the left and right elbow, m.
     pub elbows: [Vector2<f64>; 2],
+    /// Their velocities, m/s.
+    pub elbow_velocities: [Vector2<f64>; 2],
+    /// Their accelerations, m/s².
+    pub elbow_accelerations: [Vector2<f64>; 2],
 }
 
 /// Energies, J.
@@ -73,6 +80,7 @@ pub fn motion(model: &Model, state: &State) -> Motion {
         point(state, link, length - com)
     };
     let [tip, tip_velocity, tip_acceleration] = end(1);
+    let [left, right] = [end(0), end(3)];
     Motion {
         theta: state.angles(),
         omega: THETA.map(|i| core.v[i]),
@@ -80,7 +88,9 @@ pub fn motion(model: &Model, state: &State) -> Motion {
         tip,
         tip_velocity,
         tip_acceleration,
-        elbows: [end(0)[0], end(3)[0]],
+        elbows: [left[0], right[0]],
+        elbow_velocities: [left[1], right[1]],
+        elbow_accelerations: [left[2], right[2]],
     }
 }
 
@@ -88,7 +98,10 @@ pub fn motion(model: &Model, state: &State) -> Motion {
 ///
 /// M q̈ = Q − Φ_qᵀλ: each constraint pulls with −λ on the link that enters it with a plus.
 pub fn reactions(state: &State) -> [Vector2<f64>; 5] {
-    let lambda = &state.core.lambda;
+    reactions_of(&state.core.lambda)
+}
+
+fn reactions_of(lambda: &Multipliers) -> [Vector2<f64>; 5] {
     let pull = |x: usize, y: usize| -Vector2::new(lambda[x], lambda[y]);
     let (left, right) = (0, 1);
     let (ground, elbow) = (|leg| pull(2 * G_X + leg, 2 * G_Y + leg), |leg| pull(2 * E_X + leg, 2 * E_Y + leg));

@@ -1,25 +1,27 @@
 //! A scene made ready: constant [`Model`], active effects and [`State`]; advances by internal steps.
 //!
-//! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held while it
-//! advances.
+//! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held over each macro
+//! step.
 
 pub mod angles;
 pub mod coupled;
 pub mod dense;
 mod explicit;
 pub mod model;
+mod signal;
 pub mod system;
 pub mod two_leg;
+mod variation;
 
 use std::f64::consts::TAU;
 use std::fmt;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use crate::integrator::{self, Failure, Power, System, dop853, i3alp, i3alp_printed, rk4};
+use crate::integrator::{self, Failure, Kkt, Power, System, dop853, i3alp, i3alp_printed, rk4};
 use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::THETA;
-use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Refusal, closure};
+use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose, Refusal, closure};
 
 pub use crate::effects::Inputs;
 use crate::effects::{self, Situation};
@@ -27,27 +29,9 @@ pub use crate::integrator::Counters;
 use angles::{ANGLES, CLOSURES};
 use model::Stepper;
 pub use model::{Method, Model, Parameters, Settings, Solve};
-use system::{FiveBar, General, LinearSolve, TwoLegged};
-
-/// An expression with the model's linear solve as the type L.
-macro_rules! with_solve {
-    ($model:expr, $L:ident => $do:expr) => {
-        match $model.solve {
-            Solve::WithoutEffects => {
-                type $L = TwoLegged<false>;
-                $do
-            }
-            Solve::TwoLegged => {
-                type $L = TwoLegged;
-                $do
-            }
-            Solve::LinksCoupled | Solve::Dense => {
-                type $L = General;
-                $do
-            }
-        }
-    };
-}
+pub use signal::{ORDERS, Signal};
+use system::{Bare, FiveBar, General, LinearSolve};
+pub use variation::{Direction, Variation};
 
 /// Everything that changes during a run. A copy is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -124,9 +108,7 @@ impl Simulation {
 
     fn started(parameters: &Parameters, model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
         let (inputs, turns) = (model.heard(inputs), [0; 4]);
-        let core = with_solve!(&model, L => {
-            integrator::State::start(&FiveBar::<L>::new(&model, &inputs, &turns), q, v, model.softness)
-        });
+        let core = integrator::State::start(&FiveBar::<General>::new(&model, &inputs, &turns), q, v, model.softness);
         let mut state = State { core, running: None, turns, inputs, energy_at_start: 0.0 };
         state.unwind();
         if let Stepper::Dop853(settings) = &model.stepper {
@@ -147,11 +129,33 @@ impl Simulation {
     ///
     /// On failure the state is as it was before the call. Allocates nothing.
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+        self.advance_held(inputs, h, steps, true)
+    }
+
+    /// The same; `beyond`: whether a step may run past the end, since the inputs may stay.
+    fn advance_held(&mut self, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
         let State { core, turns, inputs: held, .. } = self.state;
         let inputs = self.model.heard(inputs);
-        let done = with_solve!(&self.model, L => run::<L>(&self.model, &mut self.state, &inputs, h, steps));
+        let done = run(&self.model, &mut self.state, &inputs, h, steps, beyond);
         // The running step of an explicit method is changed only when all has gone well.
         done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
+    }
+
+    /// The same with inputs that change: each macro step holds what they are in its middle, so that the impulse of a ramp is exact and
+    /// the whole of second order in h.
+    pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
+        if signal.is_held() {
+            return self.advance(&signal.value, h, steps);
+        }
+        let before = self.state;
+        for step in 0..steps {
+            let begin = step as f64 * h;
+            self.advance_held(&signal.at(begin + h / 2.0), h, 1, false).map_err(|failure| {
+                self.state = before;
+                StepFailure { elapsed: begin + failure.elapsed, ..failure }
+            })?;
+        }
+        Ok(())
     }
 
     /// What it runs with.
@@ -193,6 +197,11 @@ impl Simulation {
             (self.model, self.state) = (model, state);
         }
         Ok(())
+    }
+
+    /// Whether the loads are too stiff for an explicit method: its steps have been limited by stability instead of accuracy.
+    pub fn is_stiff(&self) -> bool {
+        self.state.running.is_some_and(|running| running.is_stiff())
     }
 
     /// Names of the active effects, e.g. `gravity`.
@@ -246,25 +255,41 @@ impl State {
         }
     }
 
+    /// Solves M x + Φ_qᵀ y = b, Φ_q x − e y = c at the present pose.
+    fn solved(&self, model: &Model, pose: &Pose, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
+        let State { inputs, turns, .. } = self;
+        FiveBar::<General>::new(model, inputs, turns).factor_mass(pose, model.softness).solve(b, c)
+    }
+
     /// The forces have changed at once: q̈, λ and the predictor start anew.
     fn restart(&mut self, model: &Model) {
         let State { core, inputs, turns, .. } = self;
-        with_solve!(model, L => core.restart(&FiveBar::<L>::new(model, inputs, turns), model.softness));
+        core.restart(&FiveBar::<General>::new(model, inputs, turns), model.softness);
     }
 }
 
-fn run<L: LinearSolve>(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
-    match &model.stepper {
-        Stepper::I3alp(settings) => {
-            macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
+/// The default method has compiled forms for the bare mechanism of their own; each more would take its place in the library. `beyond`:
+/// whether a step may run past the end of the call, as long as nothing changes there.
+fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
+    match (&model.stepper, model.solve) {
+        (Stepper::I3alp(settings), Solve::Bare) if settings.adaptive => {
+            macro_steps::<Bare>(model, state, inputs, h, steps, |system, core, power| {
+                i3alp::advance(system, settings, core, h, power)
+            })
         }
-        Stepper::I3alpPrinted(settings) => macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| {
+        (Stepper::I3alp(settings), Solve::Bare) => macro_steps::<Bare>(model, state, inputs, h, steps, |system, core, power| {
+            i3alp::fixed(system, settings, core, h, power)
+        }),
+        (Stepper::I3alp(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
+            i3alp::advance(system, settings, core, h, power)
+        }),
+        (Stepper::I3alpPrinted(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
             i3alp_printed::advance(system, settings, core, h, power)
         }),
-        Stepper::Rk4(settings) => {
-            macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| rk4::advance(system, settings, core, h, power))
-        }
-        Stepper::Dop853(settings) => explicit::run::<L>(model, settings, state, inputs, h, steps),
+        (Stepper::Rk4(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
+            rk4::advance(system, settings, core, h, power)
+        }),
+        (Stepper::Dop853(settings), _) => explicit::run(model, settings, state, inputs, h, steps, beyond),
     }
 }
 

@@ -54,14 +54,15 @@ pub trait LinearSolve: Sized {
     ) -> Result<Self::Tangent, Failure>;
 }
 
-/// Fast: no active effect couples links, and the inertias are of like size.
+/// For scenes without effects whose force depends on the motion, with inertias of like size: what a bare mechanism needs, and no code
+/// for more.
 #[derive(Debug)]
-pub enum TwoLegged<const EFFECTS: bool = true> {}
+pub enum Bare {}
 
-impl<const EFFECTS: bool> LinearSolve for TwoLegged<EFFECTS> {
+impl LinearSolve for Bare {
     type Mass = TwoLeg;
     type Tangent = TwoLeg;
-    const EFFECTS: bool = EFFECTS;
+    const EFFECTS: bool = false;
 
     #[inline(always)]
     fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> TwoLeg {
@@ -77,26 +78,7 @@ impl<const EFFECTS: bool> LinearSolve for TwoLegged<EFFECTS> {
         softness: f64,
         definite: Definite,
     ) -> Result<TwoLeg, Failure> {
-        let (mechanism, pose) = (&five_bar.model.mechanism, at.pose);
-        let mut tangents = DiagonalTangents::new(h);
-        five_bar.add_tangents(at, &mut tangents);
-        let beta = h * h / 4.0;
-        let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
-        let inertia_p = mechanism.inertia_p + beta * stiffness_p + legs_of(&tangents.weighted, P_THETA);
-        let inertia_d = mechanism.inertia_d + beta * stiffness_d + legs_of(&tangents.weighted, D_THETA);
-        if definite == Definite::Enforced {
-            let inertia_p = inertia_p.max(DESCENT_INERTIA * mechanism.inertia_p);
-            let inertia_d = inertia_d.max(DESCENT_INERTIA * mechanism.inertia_d);
-            return Ok(TwoLeg::factor(&five_bar.model.elimination, pose, [inertia_p, inertia_d], softness));
-        }
-        let margin_p = inertia_p - LEAST_INERTIA * mechanism.inertia_p;
-        let margin_d = inertia_d - LEAST_INERTIA * mechanism.inertia_d;
-        let [left, right] = margin_p.fast_min(margin_d).to_array();
-        if left > 0.0 && right > 0.0 {
-            Ok(TwoLeg::factor(&five_bar.model.elimination, pose, [inertia_p, inertia_d], softness))
-        } else {
-            Err(Failure::IndefiniteTangent)
-        }
+        five_bar.factor_two_leg(at, lambda, h, softness, definite)
     }
 }
 
@@ -132,40 +114,48 @@ fn made_definite<const K: usize>(
     Ok(a0)
 }
 
-/// General: for the scenes that are not [`TwoLegged`], by [`Solve`](super::Solve). One type, so that the methods are not compiled
-/// for each of them.
+/// For any scene: which factor, [`Solve`](super::Solve) says.
 #[derive(Debug)]
 pub enum General {}
 
-/// Either factor.
+/// Any of the factors.
 #[derive(Clone, Debug)]
-pub enum Either<A, B> {
-    /// With inertias of like size.
-    Structured(A),
+#[expect(clippy::large_enum_variant, reason = "a step allocates nothing")]
+pub enum Factor {
+    /// Leg by leg.
+    TwoLeg(TwoLeg),
+    /// Effects couple links.
+    Coupled(Coupled),
     /// Whatever the inertias.
-    Dense(B),
+    Dense(Dense),
 }
 
-impl<A: Kkt<COORDINATES, MULTIPLIERS>, B: Kkt<COORDINATES, MULTIPLIERS>> Kkt<COORDINATES, MULTIPLIERS> for Either<A, B> {
+impl Kkt<COORDINATES, MULTIPLIERS> for Factor {
     fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         match self {
-            Self::Structured(factor) => factor.solve(b, c),
+            Self::TwoLeg(factor) => factor.solve(b, c),
+            Self::Coupled(factor) => factor.solve(b, c),
             Self::Dense(factor) => factor.solve(b, c),
+        }
+    }
+
+    fn correction(&self, c: &Multipliers) -> Coordinates {
+        match self {
+            Self::TwoLeg(factor) => factor.correction(c),
+            Self::Coupled(factor) => factor.correction(c),
+            Self::Dense(factor) => factor.correction(c),
         }
     }
 }
 
 impl LinearSolve for General {
-    type Mass = Either<TwoLeg, Dense>;
-    type Tangent = Either<Coupled, Dense>;
+    type Mass = Factor;
+    type Tangent = Factor;
 
-    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Self::Mass {
-        let model = five_bar.model;
-        match model.solve {
-            Solve::LinksCoupled => Either::Structured(TwoLeg::factor_mass(&model.elimination, pose, softness)),
-            Solve::WithoutEffects | Solve::TwoLegged | Solve::Dense => {
-                Either::Dense(Dense::factor(pose, &five_bar.mass_matrix(), softness))
-            }
+    fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Factor {
+        match five_bar.model.solve {
+            Solve::Dense => Factor::Dense(Dense::factor(pose, &five_bar.mass_matrix(), softness)),
+            _ => Factor::TwoLeg(TwoLeg::factor_mass(&five_bar.model.elimination, pose, softness)),
         }
     }
 
@@ -176,17 +166,48 @@ impl LinearSolve for General {
         h: f64,
         softness: f64,
         definite: Definite,
-    ) -> Result<Self::Tangent, Failure> {
+    ) -> Result<Factor, Failure> {
         Ok(match five_bar.model.solve {
-            Solve::LinksCoupled => Either::Structured(five_bar.factor_coupled(at, lambda, h, softness, definite)?),
-            Solve::WithoutEffects | Solve::TwoLegged | Solve::Dense => {
-                Either::Dense(five_bar.factor_dense(at, lambda, h, softness, definite)?)
-            }
+            Solve::Bare | Solve::TwoLegged => Factor::TwoLeg(five_bar.factor_two_leg(at, lambda, h, softness, definite)?),
+            Solve::LinksCoupled => Factor::Coupled(five_bar.factor_coupled(at, lambda, h, softness, definite)?),
+            Solve::Dense => Factor::Dense(five_bar.factor_dense(at, lambda, h, softness, definite)?),
         })
     }
 }
 
-impl FiveBar<'_, General> {
+impl<L: LinearSolve> FiveBar<'_, L> {
+    #[inline(always)]
+    fn factor_two_leg(
+        &self,
+        at: &Situation<'_>,
+        lambda: &Multipliers,
+        h: f64,
+        softness: f64,
+        definite: Definite,
+    ) -> Result<TwoLeg, Failure> {
+        let (model, pose) = (self.model, at.pose);
+        let mechanism = &model.mechanism;
+        let mut tangents = DiagonalTangents::new(h);
+        self.add_tangents(at, &mut tangents);
+        let beta = h * h / 4.0;
+        let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
+        let inertia_p = mechanism.inertia_p + beta * stiffness_p + legs_of(&tangents.weighted, P_THETA);
+        let inertia_d = mechanism.inertia_d + beta * stiffness_d + legs_of(&tangents.weighted, D_THETA);
+        if definite == Definite::Enforced {
+            let inertia_p = inertia_p.max(DESCENT_INERTIA * mechanism.inertia_p);
+            let inertia_d = inertia_d.max(DESCENT_INERTIA * mechanism.inertia_d);
+            return Ok(TwoLeg::factor(&model.elimination, pose, [inertia_p, inertia_d], softness));
+        }
+        let margin_p = inertia_p - LEAST_INERTIA * mechanism.inertia_p;
+        let margin_d = inertia_d - LEAST_INERTIA * mechanism.inertia_d;
+        let [left, right] = margin_p.fast_min(margin_d).to_array();
+        if left > 0.0 && right > 0.0 {
+            Ok(TwoLeg::factor(&model.elimination, pose, [inertia_p, inertia_d], softness))
+        } else {
+            Err(Failure::IndefiniteTangent)
+        }
+    }
+
     fn factor_coupled(
         &self,
         at: &Situation<'_>,
@@ -221,6 +242,28 @@ impl FiveBar<'_, General> {
             a0[(i, i)] += h * h / 4.0 * stiffness;
         }
         Ok(Dense::factor(at.pose, &made_definite(a0, &mass, definite)?, softness))
+    }
+}
+
+impl FiveBar<'_, General> {
+    /// See [`System::least_constraint`].
+    fn branch_of_least_constraint(&self, q: &Coordinates) -> Option<(Coordinates, u32)> {
+        // Forces and masses in the link angles, from the motions of the open legs that one angle alone makes.
+        let pose = self.pose(q);
+        let force = self.forces(q, &pose, &[0.0; COORDINATES]);
+        let motions = [0, 1, 2, 3].map(|link| {
+            let mut rate = [0.0; 4];
+            rate[link] = 1.0;
+            assemble(&self.model.mechanism.geometry, THETA.map(|i| q[i]), rate).1
+        });
+        let dot = |x: &Coordinates, y: &Coordinates| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+        let forces = motions.map(|motion| dot(&force, &motion));
+        let masses = motions.map(|row| {
+            let momentum = self.model.mechanism.mass_times(&row);
+            motions.map(|column| dot(&momentum, &column))
+        });
+        let branch = vertex::least_constraint(&self.model.mechanism.geometry, q, forces, masses)?;
+        Some((in_angles(branch.direction), branch.alternatives))
     }
 }
 
@@ -357,22 +400,7 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     }
 
     fn least_constraint(&self, q: &Coordinates) -> Option<(Coordinates, u32)> {
-        // Forces and masses in the link angles, from the motions of the open legs that one angle alone makes.
-        let pose = self.pose(q);
-        let force = self.forces(q, &pose, &[0.0; COORDINATES]);
-        let motions = [0, 1, 2, 3].map(|link| {
-            let mut rate = [0.0; 4];
-            rate[link] = 1.0;
-            assemble(&self.model.mechanism.geometry, THETA.map(|i| q[i]), rate).1
-        });
-        let dot = |x: &Coordinates, y: &Coordinates| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
-        let forces = motions.map(|motion| dot(&force, &motion));
-        let masses = motions.map(|row| {
-            let momentum = self.model.mechanism.mass_times(&row);
-            motions.map(|column| dot(&momentum, &column))
-        });
-        let branch = vertex::least_constraint(&self.model.mechanism.geometry, q, forces, masses)?;
-        Some((in_angles(branch.direction), branch.alternatives))
+        FiveBar::<General>::new(self.model, self.inputs, self.turns).branch_of_least_constraint(q)
     }
 
     #[inline(always)]

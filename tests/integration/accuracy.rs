@@ -3,7 +3,7 @@
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator::{self, rk4};
 use fivebar::observers;
-use fivebar::simulation::system::{FiveBar, TwoLegged};
+use fivebar::simulation::system::{Bare, FiveBar};
 use fivebar::simulation::{Inputs, Method, Simulation};
 
 use crate::support::{Reference, angle_error, fall_90_120, run, slope, tip_error, torque};
@@ -16,7 +16,7 @@ fn fall_at_1s() -> (Reference, [[f64; 12]; 3]) {
     let (q, v) = reference.coordinates(&parameters.geometry);
     let simulation = Simulation::new(&parameters, &Inputs::default()).expect("scene");
     let inputs = Inputs::default();
-    let system = FiveBar::<TwoLegged>::new(simulation.model(), &inputs, &[0; 4]);
+    let system = FiveBar::<Bare>::new(simulation.model(), &inputs, &[0; 4]);
     let (a, _) = integrator::equilibrium(&system, &q, &v, simulation.model().softness);
     (reference, [q, v, a])
 }
@@ -55,7 +55,7 @@ fn rk4_is_of_fourth_order() {
     let scene = Simulation::new(&fall_90_120(Method::Rk4), &Inputs::default()).expect("scene");
     let model = scene.model();
     let inputs = Inputs::default();
-    let system = FiveBar::<TwoLegged>::new(model, &inputs, &[0; 4]);
+    let system = FiveBar::<Bare>::new(model, &inputs, &[0; 4]);
     // Without projection the asymptotic range begins below 1 ms; with it 1 ms is still better than its order.
     for (projection, least, most) in [(false, 3.7, 4.3), (true, 3.7, 5.0)] {
         let settings = rk4::Settings { projection, softness: model.softness, tolerance: 5e-13, max_iterations: 10 };

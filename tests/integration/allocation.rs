@@ -46,9 +46,13 @@ pub(crate) fn allocations(work: impl FnOnce()) -> u64 {
 fn a_step_allocates_nothing() {
     assert!(allocations(|| drop(vec![1, 2, 3])) > 0, "the counter counts");
     // Links next to without inertia take the general solve.
-    for (method, inertia) in
-        [(Method::I3alp, 6.23e-5), (Method::I3alp, 1e-9), (Method::I3alpPrinted, 6.23e-5), (Method::Rk4, 6.23e-5)]
-    {
+    for (method, inertia) in [
+        (Method::I3alp, 6.23e-5),
+        (Method::I3alp, 1e-9),
+        (Method::I3alpPrinted, 6.23e-5),
+        (Method::Rk4, 6.23e-5),
+        (Method::Dop853, 6.23e-5),
+    ] {
         let mut parameters = default_parameters();
         parameters.settings.method = method;
         parameters.geometry.links[1].inertia = inertia;

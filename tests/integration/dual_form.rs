@@ -4,7 +4,7 @@ use fivebar::fmi::bindings::default_inputs;
 use fivebar::integrator::{self, Kkt, System, i3alp};
 use fivebar::mechanism::{COORDINATES, MULTIPLIERS};
 use fivebar::simulation::dense::Dense;
-use fivebar::simulation::system::{FiveBar, TwoLegged};
+use fivebar::simulation::system::{Bare, FiveBar};
 use fivebar::simulation::two_leg::TwoLeg;
 use fivebar::simulation::{Inputs, Model, Simulation};
 use nalgebra::{SMatrix, SVector};
@@ -25,7 +25,7 @@ fn penalty_step(
     state: &integrator::State<COORDINATES, MULTIPLIERS>,
     h: f64,
 ) -> [Vector<COORDINATES>; 3] {
-    let system = FiveBar::<TwoLegged>::new(model, inputs, &[0; 4]);
+    let system = FiveBar::<Bare>::new(model, inputs, &[0; 4]);
     let mechanism = &model.mechanism;
     let beta = h * h / 4.0;
     let alpha = KAPPA * mechanism.geometry.mean_mass() / beta;
@@ -98,7 +98,7 @@ fn penalty_and_dual_steps_agree() {
                 max_iterations: 20,
                 softness: model.softness,
             };
-            let system = FiveBar::<TwoLegged>::new(model, &inputs, &[0; 4]);
+            let system = FiveBar::<Bare>::new(model, &inputs, &[0; 4]);
             i3alp::advance(&system, &settings, &mut dual, h, &mut Default::default()).expect("step");
             // The penalty form's own round-off is κ ε = 2e-10 of the velocities and accelerations; one projection at κ = 1e6
             // leaves 1e-6 of what it removes, itself below 1e-6 of the velocity.

@@ -212,27 +212,97 @@ impl Host {
         }
     }
 
-    /// The functions that come with a later issue, called with valid arguments; a name and a status each.
-    pub(super) fn unsupported(&self) -> Vec<(&'static str, fmi2Status)> {
-        let (reference, order, mut value, mut size) = (100, 1, 0.0, 0);
-        let mut state: fmi2FMUstate = null_mut();
-        let mut bytes: [fmi2Byte; 8] = [0; 8];
-        let c = self.component;
-        // SAFETY: the component is live, all places are ours and of the lengths passed.
+    /// Sets derivatives of inputs: (reference, order, value).
+    pub(super) fn set_input_derivatives(&self, derivatives: &[(u32, i32, f64)]) -> fmi2Status {
+        let references: Vec<u32> = derivatives.iter().map(|derivative| derivative.0).collect();
+        let orders: Vec<i32> = derivatives.iter().map(|derivative| derivative.1).collect();
+        let values: Vec<f64> = derivatives.iter().map(|derivative| derivative.2).collect();
+        // SAFETY: the component is live, the arrays have the same length.
+        unsafe {
+            fmi2SetRealInputDerivatives(self.component, references.as_ptr(), references.len(), orders.as_ptr(), values.as_ptr())
+        }
+    }
+
+    /// A derivative of an output.
+    pub(super) fn output_derivative(&self, reference: u32, order: i32) -> (fmi2Status, f64) {
+        let mut value = f64::NAN;
+        // SAFETY: the component is live, the places are ours.
+        (unsafe { fmi2GetRealOutputDerivatives(self.component, &reference, 1, &order, &mut value) }, value)
+    }
+
+    /// How unknowns change with knowns: (reference, change).
+    pub(super) fn directional_derivative(&self, unknowns: &[u32], knowns: &[(u32, f64)], values: &mut [f64]) -> fmi2Status {
+        assert_eq!(unknowns.len(), values.len());
+        let references: Vec<u32> = knowns.iter().map(|known| known.0).collect();
+        let changes: Vec<f64> = knowns.iter().map(|known| known.1).collect();
+        // SAFETY: the component is live, the arrays have the lengths passed.
+        unsafe {
+            fmi2GetDirectionalDerivative(
+                self.component,
+                unknowns.as_ptr(),
+                unknowns.len(),
+                references.as_ptr(),
+                references.len(),
+                changes.as_ptr(),
+                values.as_mut_ptr(),
+            )
+        }
+    }
+
+    /// fmi2GetFMUstate into a place: null, or a state that is overwritten.
+    pub(super) fn get_state(&self, state: &mut fmi2FMUstate) -> fmi2Status {
+        // SAFETY: the component is live; the tests hand on null or a live state.
+        unsafe { fmi2GetFMUstate(self.component, state) }
+    }
+
+    /// A new stored state.
+    pub(super) fn state(&self) -> fmi2FMUstate {
+        let mut state = null_mut();
+        assert_eq!(self.get_state(&mut state), fmi2OK);
+        state
+    }
+
+    pub(super) fn set_state(&self, state: fmi2FMUstate) -> fmi2Status {
+        // SAFETY: as above.
+        unsafe { fmi2SetFMUstate(self.component, state) }
+    }
+
+    pub(super) fn free_state(&self, state: &mut fmi2FMUstate) -> fmi2Status {
+        // SAFETY: as above; the function makes the pointer null.
+        unsafe { fmi2FreeFMUstate(self.component, state) }
+    }
+
+    /// The number of bytes that a state takes.
+    pub(super) fn serialized_size(&self, state: fmi2FMUstate) -> (fmi2Status, usize) {
+        let mut size = 0;
+        // SAFETY: as above, the place is ours.
+        (unsafe { fmi2SerializedFMUstateSize(self.component, state, &mut size) }, size)
+    }
+
+    /// A state as bytes, in a buffer of that size.
+    pub(super) fn serialize(&self, state: fmi2FMUstate, size: usize) -> (fmi2Status, Vec<u8>) {
+        let mut bytes = vec![0; size];
+        // SAFETY: as above, the buffer has the size that is passed.
+        let status = unsafe { fmi2SerializeFMUstate(self.component, state, bytes.as_mut_ptr().cast(), size) };
+        (status, bytes)
+    }
+
+    pub(super) fn deserialize(&self, bytes: &[u8], state: &mut fmi2FMUstate) -> fmi2Status {
+        // SAFETY: as above.
+        unsafe { fmi2DeSerializeFMUstate(self.component, bytes.as_ptr().cast(), bytes.len(), state) }
+    }
+
+    /// The state functions with null instead of a place or a state.
+    pub(super) fn null_states(&self) -> Vec<fmi2Status> {
+        let (c, mut size) = (self.component, 0);
+        // SAFETY: the component is live; null is what is tested.
         unsafe {
             vec![
-                ("canGetAndSetFMUstate", fmi2GetFMUstate(c, &mut state)),
-                ("canGetAndSetFMUstate", fmi2SetFMUstate(c, state)),
-                ("canGetAndSetFMUstate", fmi2FreeFMUstate(c, &mut state)),
-                ("canSerializeFMUstate", fmi2SerializedFMUstateSize(c, state, &mut size)),
-                ("canSerializeFMUstate", fmi2SerializeFMUstate(c, state, bytes.as_mut_ptr(), bytes.len())),
-                ("canSerializeFMUstate", fmi2DeSerializeFMUstate(c, bytes.as_ptr(), bytes.len(), &mut state)),
-                (
-                    "providesDirectionalDerivative",
-                    fmi2GetDirectionalDerivative(c, &reference, 1, &reference, 1, &value, &mut value.clone()),
-                ),
-                ("canInterpolateInputs", fmi2SetRealInputDerivatives(c, &reference, 1, &order, &value)),
-                ("maxOutputDerivativeOrder", fmi2GetRealOutputDerivatives(c, &reference, 1, &order, &mut value)),
+                fmi2GetFMUstate(c, null_mut()),
+                fmi2SetFMUstate(c, null_mut()),
+                fmi2SerializedFMUstateSize(c, null_mut(), &mut size),
+                fmi2SerializeFMUstate(c, null_mut(), null_mut(), 0),
+                fmi2DeSerializeFMUstate(c, null(), 8, null_mut()),
             ]
         }
     }
@@ -266,6 +336,19 @@ impl Host {
                 fmi2GetRealStatus(c, 2, null_mut()),
                 fmi2GetBooleanStatus(c, 3, null_mut()),
                 fmi2SetDebugLogging(c, fmi2True, 1, null()),
+            ]
+        }
+    }
+
+    /// The functions of derivatives with null arrays of that length.
+    pub(super) fn null_derivatives(&self, length: usize) -> [fmi2Status; 3] {
+        let c = self.component;
+        // SAFETY: the component is live; null is what is tested.
+        unsafe {
+            [
+                fmi2SetRealInputDerivatives(c, null(), length, null(), null()),
+                fmi2GetRealOutputDerivatives(c, null(), length, null(), null_mut()),
+                fmi2GetDirectionalDerivative(c, null(), length, null(), length, null(), null_mut()),
             ]
         }
     }

@@ -143,15 +143,3 @@ fn inputs_act_from_the_point_where_they_are_set() {
     assert_eq!(driven.get_real(&[reference("energy.input")], &mut input), fmi2OK);
     assert!(input[0] != 0.0);
 }
-
-#[test]
-fn what_comes_with_a_later_issue_names_its_capability_flag() {
-    let host = Host::ready(&[]);
-    for (flag, status) in host.unsupported() {
-        assert_eq!(status, fmi2Error, "{flag}");
-    }
-    for (line, (flag, _)) in host.take().iter().zip(host.unsupported()) {
-        assert!(line.text.contains(&format!("declares {flag}=")), "{} does not name {flag}", line.text);
-    }
-    host.run(1e-3, 1);
-}

@@ -5,15 +5,20 @@ mod accuracy; // orders, round-off floor, reference values in quadruple precisio
 mod allocation; // a counting allocator: a step allocates nothing
 mod closure; // starts: closed and consistent, or refused with one sentence; singular postures told apart
 mod constraints; // Φ and its derivatives against finite differences along real motions
+mod dop853; // the error-controlled explicit method: accuracy, communication points, changing inputs
+mod dop853_order; // the same on problems with known solutions: orders of step and interpolant, stiffness
 mod dual_form; // the dual form is the paper's penalty step; the two-leg elimination is the dense solve
 mod effects; // each effect: tangents, powers, energy balance, absence
 mod effects_known; // effects against what is known without our code
+mod effects_reference; // scenes with effects against solutions in quadruple precision, through the C functions
 mod effects_stiff; // friction through zero, stops and contact hit fast, high gains
 mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
 
 // The FMI rooms, through the C functions.
+mod fmi_derivatives; // of outputs against inputs and states, of inputs and outputs against time
 mod fmi_lifecycle; // instantiate, the order of calls, reset, independence
 mod fmi_log; // categories, logger, environment
+mod fmi_state; // stored states: complete, in any order, as bytes
 mod fmi_step; // communication points, the step grid, discard, status functions
 mod fmi_values; // reading and writing variables
 

@@ -5,7 +5,7 @@ use fivebar::integrator::{self, i3alp};
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::observers;
 use fivebar::simulation::model::Stepper;
-use fivebar::simulation::system::{FiveBar, TwoLegged};
+use fivebar::simulation::system::{Bare, FiveBar};
 use fivebar::simulation::{Inputs, Method, Simulation};
 
 use crate::support::{MGL, angle_error, run, torque, unequal};
@@ -62,7 +62,7 @@ fn a_reversed_motion_returns() {
     assert!(angle_error(&end.q, &start.state().core.q) > 0.5, "it has moved");
 
     let model = there.model();
-    let system = FiveBar::<TwoLegged>::new(model, &inputs, &[0; 4]);
+    let system = FiveBar::<Bare>::new(model, &inputs, &[0; 4]);
     let Stepper::I3alp(settings) = model.stepper else { panic!("the default is i3-ALP") };
     let mut back = integrator::State::start(&system, end.q, end.v.map(|v| -v), model.softness);
     for _ in 0..2000 {

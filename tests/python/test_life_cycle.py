@@ -85,7 +85,7 @@ def test_two_instances_do_not_touch_each_other(new: New) -> None:
     assert [first.bits(), second.bits()] == alone
 
 
-@pytest.mark.parametrize("method", [1, 2, 3])
+@pytest.mark.parametrize("method", [1, 2, 3, 4])
 def test_one_step_is_n_steps(new: New, method: int) -> None:
     """One H = n times H/n, bit for bit, for multiples of solver.stepSize."""
     results = []

@@ -8,19 +8,19 @@ use std::hint::black_box;
 use anyhow::Result;
 use fivebar::integrator::{Implicit, Kkt, State, System};
 use fivebar::mechanism::{COORDINATES, MULTIPLIERS};
-use fivebar::simulation::system::{FiveBar, TwoLegged};
+use fivebar::simulation::system::{Bare, FiveBar};
 
 use super::{H, advance};
 use crate::case::{Case, Work};
 use crate::scene::Scene;
 
 type Core = State<COORDINATES, MULTIPLIERS>;
-type Bare<'a> = FiveBar<'a, TwoLegged<false>>;
+type BareFiveBar<'a> = FiveBar<'a, Bare>;
 
 /// Recorded states, 5 ms apart.
 const SAMPLES: u64 = 200;
 
-fn phase(name: &str, run: impl Fn(&Bare<'_>, &Core, f64) + Copy + 'static) -> Case {
+fn phase(name: &str, run: impl Fn(&BareFiveBar<'_>, &Core, f64) + Copy + 'static) -> Case {
     Case::new("phases", name, SAMPLES, move || {
         let scene = Scene::fall();
         let mut simulation = scene.simulation()?;
@@ -32,7 +32,7 @@ fn phase(name: &str, run: impl Fn(&Bare<'_>, &Core, f64) + Copy + 'static) -> Ca
             .collect();
         let work: Work = Box::new(move || {
             let (model, turns) = (simulation.model(), simulation.state().turns);
-            let system = Bare::new(model, &scene.inputs, &turns);
+            let system = BareFiveBar::new(model, &scene.inputs, &turns);
             for state in &states {
                 run(black_box(&system), black_box(state), model.softness);
             }

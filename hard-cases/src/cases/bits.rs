@@ -34,7 +34,7 @@ fn sample() -> Vec<(Trial, Setting)> {
     let mut sample = Vec::new();
     for (item, count) in [(1, 4), (2, 4), (3, 9), (5, 2)] {
         for case in Case::of_item(Extent::Quick, item) {
-            for setting in [Setting::Default, Setting::Printed(1e-3), Setting::Rk4(1e-3)] {
+            for setting in [Setting::Default, Setting::EXPLICIT, Setting::Printed(1e-3), Setting::Rk4(1e-3)] {
                 sample.extend(case.trials.iter().take(count).map(|trial| (trial.clone(), setting)));
             }
         }

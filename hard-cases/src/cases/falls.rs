@@ -13,6 +13,9 @@ const SEED: u64 = 20_090_417;
 /// How many of the falls are run for comparison.
 const COMPARED: usize = 100;
 
+/// What the explicit method may lose at its tolerance of 1e-10 rad, mgL: 50 s of some thousand whips.
+const EXPLICIT_ENERGY: f64 = 1e-7;
+
 /// Falls of 50 s from about 90°/90° at rest: both proximal angles off by 1e-3 to 0.3 rad, uniform in the logarithm and of either
 /// sign, drawn anew where the elbows would be out of reach; the tip in turn above and below.
 pub(super) fn falls(extent: Extent) -> Case {
@@ -32,5 +35,10 @@ pub(super) fn falls(extent: Extent) -> Case {
         }
     }
     let name = "perturbed free falls";
-    Case { compared: COMPARED.min(count), also: "both assemblies", ..Case::new(1, name, [1e-2, 1e-3], trials) }
+    Case {
+        compared: COMPARED.min(count),
+        also: "both assemblies",
+        explicit_energy: EXPLICIT_ENERGY,
+        ..Case::new(1, name, [1e-2, 1e-3], trials)
+    }
 }

@@ -1,0 +1,79 @@
+//! The linearised equations of motion: how accelerations and multipliers change with inputs, and with the proximal angles and rates as
+//! the minimal coordinates.
+//!
+//! ```text
+//! M δq̈ + Φ_qᵀ δλ = δQ − ∂(Φ_qᵀλ)/∂q δq           δQ = −K δq − C δq̇ + ∂Q/∂u δu
+//! Φ_q δq̈ − e δλ  = −δ(Φ_q) q̈ − δ(Φ̇_q q̇)
+//! ```
+//!
+//! The matrix is the one of the equations of motion themselves, K and C are those of the implicit steps; δq and δq̇ follow from the
+//! proximal ones by J_x ([`closure::varied`]).
+
+use super::{Model, State};
+use crate::effects::{Change, Inputs};
+use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of, set_legs};
+use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Refusal, closure};
+
+/// Below this part of its largest possible value det J_x makes the proximal angles no coordinates.
+const LEAST_DETERMINANT: f64 = 1e-8;
+
+/// What is varied.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Direction {
+    /// Changes of the inputs.
+    pub inputs: Inputs,
+    /// Changes of the proximal angles, rad, and of the proximal rates, rad/s, left and right; `None` where inputs alone are varied.
+    pub proximal: Option<[[f64; 2]; 2]>,
+}
+
+/// How a state changes, to first order.
+#[derive(Clone, Copy, Debug)]
+pub struct Variation {
+    /// Coordinates, velocities, inputs.
+    pub change: Change,
+    /// Accelerations.
+    pub a: Coordinates,
+    /// Multipliers.
+    pub lambda: Multipliers,
+}
+
+impl State {
+    /// How the state changes in a direction. With proximal angles or rates: refused where |det J_x| is below 1e-8 of its largest possible
+    /// value. Inputs can be varied everywhere.
+    pub fn varied(&self, model: &Model, direction: &Direction) -> Result<Variation, Refusal> {
+        let core = &self.core;
+        let pose = model.mechanism.pose(&core.q);
+        let (mut q, mut v) = ([0.0; COORDINATES], [0.0; COORDINATES]);
+        if let Some(proximal) = direction.proximal {
+            let geometry = &model.mechanism.geometry;
+            let largest = geometry.links[1].length * geometry.links[2].length;
+            let part = model.mechanism.singularity(&pose).det_jx.abs() / largest;
+            if part < LEAST_DETERMINANT {
+                return Err(Refusal(format!(
+                    "|singular.detJx|/(link[2].length link[3].length) = {part:e} is not allowed here: it must be at least \
+                     {LEAST_DETERMINANT:e}, the distal links are in line and theta, omega are no coordinates."
+                )));
+            }
+            (q, v) = closure::varied(geometry, THETA.map(|i| core.q[i]), THETA.map(|i| core.v[i]), proximal);
+        }
+        let change = Change { q, v, inputs: direction.inputs };
+
+        let mut force = self.at(model, |at| {
+            let effects = model.effects.iter().map(|effect| effect.force_change(at, &change));
+            effects.fold(self.inputs.force_change(at, &change), |sum, force| std::array::from_fn(|i| sum[i] + force[i]))
+        });
+        let (stiffness_p, stiffness_d) = pose.geometric_stiffness(&core.lambda);
+        for (angles, stiffness) in [(P_THETA, stiffness_p), (D_THETA, stiffness_d)] {
+            let left = legs_of(&force, angles) - stiffness * legs_of(&q, angles);
+            set_legs(&mut force, angles, left);
+        }
+
+        // Φ̇_q q̇ changes with its arms and with both rates.
+        let turning = pose.phi_q_varied_times(&q, &core.a);
+        let arms = pose.varied(&q).phi_q_dot_times(&core.v);
+        let rates = pose.phi_q_varied_times(&core.v, &v);
+        let centripetal: [f64; MULTIPLIERS] = std::array::from_fn(|i| -turning[i] - arms[i] - 2.0 * rates[i]);
+        let (a, lambda) = self.solved(model, &pose, &force, &centripetal);
+        Ok(Variation { change, a, lambda })
+    }
+}

@@ -1,0 +1,40 @@
+/* The five-bar in Cartesian coordinates: what machine.c gives to midpoint.c. */
+#include <quadmath.h>
+#include <stdbool.h>
+
+typedef __float128 real;
+
+enum { LINKS = 4, BODIES = 5, MAX_N = 14, MAX_M = 12, BUFFERS = 5, SWITCHES = 3 * BUFFERS };
+
+/* Indices of coordinates; the payload is body 4 and has no angle. */
+#define X(body) (3 * (body))
+#define Y(body) (3 * (body) + 1)
+#define TH(link) (3 * (link) + 2)
+
+/* Number of coordinates and constraints: 14 and 12 with payload, 12 and 10 without. */
+extern int n, m;
+
+/* What the start is made from, SI units; assembly is +1 for plus, -1 for minus. */
+extern real base, length[LINKS], theta_start[2], omega_start[2];
+extern int assembly;
+
+/* Whether the scene has servos. */
+extern bool servo;
+
+/* Reads the scene from standard input. */
+void read_scene(void);
+
+/* Coordinates and velocities y from angles and rates of the links. */
+void place(const real theta[LINKS], const real omega[LINKS], real *y);
+
+/* The tip. */
+void tip_of(const real *y, real tip[2]);
+
+/* On which piece of its law each buffer is (see switches). A derivative keeps to these pieces. */
+extern bool piece[SWITCHES];
+
+/* The functions whose signs say on which piece of its law a buffer is: touching, beyond the ramp, not held back by the damper. */
+void switches(const real *y, real g[SWITCHES]);
+
+/* Velocities and accelerations. */
+void derivative(const real *y, real *dy);

@@ -1,0 +1,176 @@
+//! Stored states (rules 36 to 39 of this project): complete, many at once, in any order, into another instance, as bytes.
+
+use std::ptr::null_mut;
+
+use fivebar::ffi::*;
+use fivebar::variables::VARIABLES;
+
+use crate::fmi_host::{Host, reference};
+
+/// Every Real that can be read, as bits.
+fn reals(host: &Host) -> Vec<u64> {
+    let references: Vec<u32> =
+        VARIABLES.iter().filter(|v| v.access() == fivebar::variables::Access::Real).map(|v| v.reference).collect();
+    let mut values = vec![0.0; references.len()];
+    assert_eq!(host.get_real(&references, &mut values), fmi2OK, "{:?}", host.take());
+    values.into_iter().map(f64::to_bits).collect()
+}
+
+/// Everything that a master can see: reals, counters, the point reached.
+fn seen(host: &Host) -> (Vec<u64>, Vec<i32>, (fmi2Status, f64)) {
+    let counters = ["solver.steps", "solver.substeps", "solver.iterations", "solver.rejected", "solver.restarts"].map(reference);
+    let mut counts = [0; 5];
+    assert_eq!(host.get_integer(&counters, &mut counts), fmi2OK);
+    (reals(host), counts.to_vec(), host.real_status(2))
+}
+
+const METHODS: [i32; 4] = [1, 2, 3, 4];
+
+/// A driven scene with effects, ready to step: servos, friction, a payload.
+fn machine(method: i32) -> Host {
+    let host = Host::initializing(0.0, None);
+    for effect in ["servo", "friction", "payload"] {
+        assert_eq!(host.set_boolean(&[reference(&format!("{effect}.enabled"))], &[1]), fmi2OK);
+    }
+    assert_eq!(host.set_integer(&[reference("solver.method")], &[method]), fmi2OK);
+    let values = [("init.theta[2]", 2.0), ("servo.theta[1]", 1.8), ("servo.theta[2]", 1.9), ("solver.stepSize", 1e-3)];
+    for (name, value) in values {
+        assert_eq!(host.set_real(&[reference(name)], &[value]), fmi2OK);
+    }
+    assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
+    host
+}
+
+fn steps(host: &Host, from: usize, to: usize) {
+    for i in from..to {
+        // The input changes on the way, so that pending changes matter.
+        assert_eq!(host.set_real(&[reference("tau[1]")], &[0.01 * (i / 7) as f64]), fmi2OK);
+        assert_eq!(host.do_step(i as f64 * 2e-3, 2e-3), fmi2OK, "{:?}", host.take());
+    }
+}
+
+#[test]
+fn a_restored_run_is_the_uninterrupted_one_bit_for_bit() {
+    for method in METHODS {
+        let host = machine(method);
+        steps(&host, 0, 10);
+        let mut early = host.state();
+        steps(&host, 10, 30);
+        let mut late = host.state();
+        let at_late = seen(&host);
+        steps(&host, 30, 60);
+        let end = seen(&host);
+
+        // Backwards in time, and again; several states at once.
+        assert_eq!(host.set_state(early), fmi2OK);
+        steps(&host, 10, 30);
+        assert_eq!(seen(&host), at_late, "method {method}");
+        steps(&host, 30, 60);
+        assert_eq!(seen(&host), end, "method {method}");
+        assert_eq!(host.set_state(late), fmi2OK);
+        assert_eq!(seen(&host), at_late, "method {method}");
+
+        // Into another instance, of whatever scene, in whatever state.
+        for other in [Host::new(), Host::ready(&[("link[2].mass", 0.1)])] {
+            assert_eq!(other.set_state(late), fmi2OK);
+            assert_eq!(seen(&other), at_late, "method {method}");
+            steps(&other, 30, 60);
+            assert_eq!(seen(&other), end, "method {method}");
+        }
+        assert_eq!((host.free_state(&mut early), host.free_state(&mut late)), (fmi2OK, fmi2OK));
+        assert!(early.is_null() && late.is_null());
+    }
+}
+
+/// What was set and has not acted yet is in the state: an input, a tunable parameter; so are parameters and the stage of life.
+#[test]
+fn a_state_holds_what_is_pending() {
+    let host = machine(1);
+    steps(&host, 0, 5);
+    assert_eq!(host.set_real(&[reference("servo.kp[1]"), reference("tip.fx")], &[5.0, 0.3]), fmi2OK);
+    let mut pending = host.state();
+    assert_eq!(host.do_step(0.01, 2e-3), fmi2OK);
+    let after = seen(&host);
+    assert_eq!(host.set_real(&[reference("servo.kp[1]"), reference("tip.fx")], &[1.0, 0.0]), fmi2OK);
+    assert_eq!(host.set_state(pending), fmi2OK);
+    assert_eq!(host.do_step(0.01, 2e-3), fmi2OK);
+    assert_eq!(seen(&host), after);
+
+    let initializing = Host::initializing(0.0, None);
+    assert_eq!(initializing.set_real(&[reference("link[1].mass")], &[0.05]), fmi2OK);
+    let mut before = initializing.state();
+    assert_eq!(initializing.call(fmi2ExitInitializationMode), fmi2OK);
+    assert_eq!(initializing.set_real(&[reference("link[1].mass")], &[0.06]), fmi2Error);
+    assert_eq!(initializing.set_state(before), fmi2OK);
+    assert_eq!(initializing.set_real(&[reference("link[1].mass")], &[0.06]), fmi2OK, "in initialization mode again");
+
+    // One place for many states: it is overwritten. Null is free already.
+    assert_eq!(host.get_state(&mut before), fmi2OK);
+    assert_eq!(host.set_state(before), fmi2OK);
+    for _ in 0..2 {
+        assert_eq!((host.free_state(&mut pending), host.free_state(&mut before)), (fmi2OK, fmi2OK));
+    }
+    host.take();
+    assert_eq!(host.null_states(), [fmi2Error; 5]);
+    let texts: Vec<String> = host.take().into_iter().map(|line| line.text).collect();
+    assert!(
+        texts.iter().all(|text| text.ends_with("FMUstate is null.") || text.ends_with("serializedState is null.")),
+        "{texts:?}"
+    );
+}
+
+#[test]
+fn bytes_bring_a_state_back_bit_for_bit() {
+    for method in METHODS {
+        let host = machine(method);
+        steps(&host, 0, 20);
+        let mut state = host.state();
+        let (status, size) = host.serialized_size(state);
+        let (written, bytes) = host.serialize(state, size);
+        assert_eq!((status, written), (fmi2OK, fmi2OK));
+        assert_eq!(host.serialize(state, size - 1).0, fmi2Error);
+        assert_eq!(host.line(), format!("fmi2SerializeFMUstate: size is {}, must be at least {size}.", size - 1));
+        steps(&host, 20, 40);
+
+        let other = Host::new();
+        let mut restored = null_mut();
+        assert_eq!(other.deserialize(&bytes, &mut restored), fmi2OK, "{:?}", other.take());
+        assert_eq!(other.set_state(restored), fmi2OK);
+        steps(&other, 20, 40);
+        assert_eq!(seen(&other), seen(&host), "method {method}");
+        // The bytes of what came back are the same bytes.
+        assert_eq!(host.deserialize(&bytes, &mut state), fmi2OK);
+        assert_eq!(host.serialize(state, size), (fmi2OK, bytes));
+        assert_eq!((host.free_state(&mut state), other.free_state(&mut restored)), (fmi2OK, fmi2OK));
+    }
+}
+
+/// Every byte changed, every length cut, foreign bytes: fmi2Error with one sentence, and nothing has changed.
+#[test]
+fn bytes_that_are_no_state_are_refused() {
+    let host = machine(4);
+    steps(&host, 0, 5);
+    let before = seen(&host);
+    let mut state = host.state();
+    let (_, size) = host.serialized_size(state);
+    let (_, bytes) = host.serialize(state, size);
+    assert_eq!(host.free_state(&mut state), fmi2OK);
+    let refused = |bytes: &[u8]| {
+        let mut state = null_mut();
+        assert_eq!(host.deserialize(bytes, &mut state), fmi2Error);
+        assert!(state.is_null());
+        let line = host.line();
+        assert!(line.starts_with("fmi2DeSerializeFMUstate: the bytes are not a state of this FMU: "), "{line}");
+    };
+    for position in 0..bytes.len() {
+        for change in [1, 0x80, 0xff] {
+            let mut changed = bytes.clone();
+            changed[position] ^= change;
+            refused(&changed);
+        }
+    }
+    (0..bytes.len()).for_each(|length| refused(&bytes[..length]));
+    refused(&[&bytes[..], &[0]].concat());
+    refused(&[0; 4096]);
+    assert_eq!(seen(&host), before);
+}
