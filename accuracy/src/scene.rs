@@ -105,7 +105,13 @@ pub(crate) fn load(name: &str) -> Result<(Parameters, Inputs)> {
                 let value = match variable.access() {
                     Access::Real => value.as_f64().map(Value::Real),
                     Access::Boolean => value.as_bool().map(Value::Boolean),
-                    Access::Integer => value.as_i64().and_then(|n| i32::try_from(n).ok()).map(Value::Integer),
+                    Access::Integer if variable.items.is_empty() => {
+                        value.as_i64().and_then(|n| i32::try_from(n).ok()).map(Value::Integer)
+                    }
+                    Access::Integer => {
+                        let item = variable.items.iter().find(|item| value.as_str() == Some(item.name));
+                        item.map(|item| Value::Integer(item.value))
+                    }
                 };
                 let written = value.is_some_and(|value| bindings::write(&mut parameters, &mut inputs, variable, value));
                 ensure!(written, "scenes/{name}.json: {key} has a value that does not fit its type {}", variable.access());

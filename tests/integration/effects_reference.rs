@@ -1,17 +1,10 @@
 //! Every scene with a reference made by tests/data/reference/make: stiff, driven, with contacts; through the C functions.
 
-use fivebar::ffi::fmi2OK;
+use fivebar::ffi::{fmi2ExitInitializationMode, fmi2OK};
 use fivebar::variables::{Access, Method, Variable};
 
 use crate::fmi_host::{Host, reference};
 use crate::support::Reference;
-
-/// What one method is asked to reach on one scene.
-struct Goal {
-    scene: &'static str,
-    /// Largest error of tip (m) and angles (rad), and of rates (rad/s), over all rows.
-    bounds: [f64; 2],
-}
 
 /// Largest errors of tip and angles, and of rates, over all rows of the reference.
 fn errors(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 2] {
@@ -29,7 +22,7 @@ fn errors(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 2] {
         assert_eq!(host.set_real(&[reference(name)], &[*value]), fmi2OK, "{name}");
     }
     assert_eq!(host.set_integer(&[reference("solver.method")], &[method as i32]), fmi2OK);
-    assert_eq!(host.call(fivebar::ffi::fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
+    assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
 
     let mut names = vec!["tip.x", "tip.y"];
     names.extend(["theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]"]);
@@ -51,14 +44,45 @@ fn errors(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 2] {
     worst
 }
 
-#[test]
-fn print_errors() {
-    for scene in ["fall_90_120", "friction_fall", "run_down", "servo_step", "spring_payload", "end_stops", "bounce"] {
-        for tol in [3e-9, 1e-11, 1e-13] {
-            println!("{scene} i3alp {tol}: {:?}", errors(scene, Method::I3alp, &[("solver.errorTolerance", tol)]));
-        }
-        for h in [1e-4, 2e-5, 1e-5] {
-            println!("{scene} rk4 {h}: {:?}", errors(scene, Method::Rk4, &[("solver.stepSize", h)]));
-        }
+/// Both methods reach the reference: `bounds` are errors of tip and angles (m, rad) for i3-ALP at a local error of 1e-11 rad and RK4
+/// at 20 µs. Rates are off by up to 200 times as much: what moves within a few ms has errors per ms.
+fn is_met(scene: &str, bounds: [f64; 2]) {
+    let runs = [(Method::I3alp, ("solver.errorTolerance", 1e-11)), (Method::Rk4, ("solver.stepSize", 2e-5))];
+    for ((method, setting), bound) in runs.into_iter().zip(bounds) {
+        let [motion, rates] = errors(scene, method, &[setting]);
+        assert!(motion < bound && rates < 300.0 * bound, "{scene}, {method:?}: {motion:e} m or rad, {rates:e} rad/s");
     }
+}
+
+// Bounds are about three times the errors seen. RK4 is of order 4 only where the law is smooth over a step: not at a stop, in a
+// contact or where friction turns round.
+
+#[test]
+fn friction_in_all_joints() {
+    is_met("friction_fall", [2e-6, 7e-7]);
+}
+
+#[test]
+fn rotors_that_run_down() {
+    is_met("run_down", [1.2e-6, 3e-10]);
+}
+
+#[test]
+fn stiff_servos() {
+    is_met("servo_step", [1e-6, 6e-7]);
+}
+
+#[test]
+fn springs_with_payload_and_rotors() {
+    is_met("spring_payload", [4e-7, 7e-13]);
+}
+
+#[test]
+fn end_stops() {
+    is_met("end_stops", [3e-6, 1e-6]);
+}
+
+#[test]
+fn a_tip_that_bounces() {
+    is_met("bounce", [2.5e-7, 6e-6]);
 }

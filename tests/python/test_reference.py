@@ -5,6 +5,7 @@ is that of a second-order method (halving h quarters it), unless the test says o
 """
 
 import csv
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -86,6 +87,14 @@ def test_rk4(new: New) -> None:
 def test_default_settings(new: New) -> None:
     """What a user gets who changes nothing: 1 ms, divided where the local error asks."""
     assert max(deviations(new().initialise(FALL_90_120), reference("fall-90-120.csv"))) < 1e-4
+
+
+@pytest.mark.parametrize("path", sorted(REFERENCE.glob("*_*.csv")), ids=lambda path: path.stem)
+def test_references_are_those_of_the_scenes(path: Path, scenes: Path) -> None:
+    """The values in a reference's head are the scene's: one that was changed needs a new reference."""
+    head = [line[2:].split(" = ") for line in path.read_text().splitlines() if line.startswith("# ") and " = " in line]
+    content = json.loads((scenes / path.name).with_suffix(".json").read_text())
+    assert {name: json.loads(value) for name, value in head} == {k: v for k, v in content.items() if k not in scene.RESERVED}
 
 
 @pytest.mark.parametrize("name", ["paper_free_fall", "paper_torque", "paper_torque_gravity", "fall_90_120", "flat_table"])

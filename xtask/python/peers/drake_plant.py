@@ -1,0 +1,59 @@
+"""Drake: a discrete MultibodyPlant with the SAP solver; a ball constraint joins the legs' ends. (Its continuous mode has no loops.)"""
+
+import importlib.metadata
+
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
+from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia, UnitInertia
+from pydrake.systems.analysis import Simulator
+
+from machine import BASE, COM, INERTIA, LENGTH, MASS, G, Peer, Setting
+
+STEPS = (1e-3, 1e-4)
+
+
+def peer() -> Peer:
+    return Peer("Drake", importlib.metadata.version("drake"), (_setting(step) for step in STEPS))
+
+
+def _plant(step: float) -> tuple:
+    plant = MultibodyPlant(step)
+    plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
+    plant.mutable_gravity_field().set_gravity_vector([0.0, -G, 0.0])
+    # Inertia about the link's first end, per unit of mass, the same about all axes but for the shift of the centre of mass.
+    central, shift = INERTIA / MASS, COM**2
+    inertia = SpatialInertia(MASS, [COM, 0.0, 0.0], UnitInertia(central, central + shift, central + shift))
+    joints, ends = [], []
+    for side, x in (("left", 0.0), ("right", BASE)):
+        frame, place = plant.world_frame(), [x, 0.0, 0.0]
+        for name in ("proximal", "distal"):
+            body = plant.AddRigidBody(f"{side}_{name}", inertia)
+            held = plant.AddFrame(FixedOffsetFrame(f"{side}_{name}_axis", frame, RigidTransform(place)))
+            joints.append(plant.AddJoint(RevoluteJoint(f"{side}_{name}", held, body.body_frame(), [0.0, 0.0, 1.0])))
+            frame, place = body.body_frame(), [LENGTH, 0.0, 0.0]
+        ends.append(body)
+    plant.AddBallConstraint(ends[0], place, ends[1], place)
+    plant.Finalize()
+    return plant, joints
+
+
+def _setting(step: float) -> Setting:
+    def begin(start):
+        plant, joints = _plant(step)
+        simulator = Simulator(plant)
+        context = simulator.get_mutable_context()
+        a, b, c, d = start[:4]
+        for joint, angle in zip(joints, (a, b - a, d, c - d)):
+            joint.set_angle(context, angle)
+        simulator.Initialize()
+
+        def advance(until):
+            simulator.AdvanceTo(until)
+            p, q, r, s = (joint.get_angle(context) for joint in joints)
+            v, w, x, y = (joint.get_angular_rate(context) for joint in joints)
+            return np.array([p, p + q, r + s, r, v, v + w, x + y, x])
+
+        return advance
+
+    return Setting(f"discrete, SAP, ball constraint, h = {step:g} s", begin)

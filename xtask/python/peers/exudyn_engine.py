@@ -1,0 +1,77 @@
+"""Exudyn: four planar rigid bodies, five revolute joints, its implicit second-order integrators."""
+
+import exudyn as exu
+import exudyn.itemInterface as item
+import numpy as np
+
+from machine import BASE, COM, INERTIA, LENGTH, MASS, G, Peer, Setting
+
+# Spectral radius 1: the trapezoidal rule with its index-2 constraints; 0.8: generalised-alpha.
+RUNS = (("TrapezoidalIndex2", 1e-3), ("TrapezoidalIndex2", 1e-4), ("GeneralizedAlpha", 1e-3), ("GeneralizedAlpha", 1e-4))
+# Bodies: each link with the link that carries it; -1 is the ground.
+LINKS = ((0, -1), (1, 0), (2, 3), (3, -1))
+
+
+def peer() -> Peer:
+    return Peer("Exudyn", exu.__version__, (_setting(*run) for run in RUNS))
+
+
+def _poses(angles: np.ndarray) -> list[list[float]]:
+    """x, y, angle of each link's centre of mass."""
+    ends: dict[int, tuple[float, float]] = {}
+    poses: list[list[float]] = [[], [], [], []]
+    for link in (0, 1, 3, 2):
+        carrier = dict(LINKS)[link]
+        x, y = (0.0 if link == 0 else BASE, 0.0) if carrier < 0 else ends[carrier]
+        c, s = np.cos(angles[link]), np.sin(angles[link])
+        poses[link] = [x + COM * c, y + COM * s, angles[link]]
+        ends[link] = (x + LENGTH * c, y + LENGTH * s)
+    return poses
+
+
+def _setting(solver: str, step: float) -> Setting:
+    def begin(start):
+        container = exu.SystemContainer()
+        system = container.AddSystem()
+        ground = system.AddObject(item.ObjectGround())
+        bodies, nodes = [], []
+        for pose in _poses(start[:4]):
+            nodes.append(system.AddNode(item.NodeRigidBody2D(referenceCoordinates=pose, initialVelocities=[0, 0, 0])))
+            bodies.append(system.AddObject(item.ObjectRigidBody2D(physicsMass=MASS, physicsInertia=INERTIA, nodeNumber=nodes[-1])))
+            centre = system.AddMarker(item.MarkerBodyPosition(bodyNumber=bodies[-1], localPosition=[0, 0, 0]))
+            system.AddLoad(item.LoadForceVector(markerNumber=centre, loadVector=[0, -MASS * G, 0]))
+
+        def marker(body, x):
+            return system.AddMarker(item.MarkerBodyPosition(bodyNumber=body, localPosition=[x, 0, 0]))
+
+        def joint(first, second):
+            system.AddObject(item.ObjectJointRevolute2D(markerNumbers=[first, second]))
+
+        for link, carrier in LINKS:
+            held = marker(bodies[carrier], LENGTH - COM) if carrier >= 0 else marker(ground, 0.0 if link == 0 else BASE)
+            joint(held, marker(bodies[link], -COM))
+        joint(marker(bodies[1], LENGTH - COM), marker(bodies[2], LENGTH - COM))
+        system.Assemble()
+        settings = exu.SimulationSettings()
+        settings.timeIntegration.newton.relativeTolerance = 1e-10
+        settings.timeIntegration.newton.absoluteTolerance = 1e-12
+        settings.timeIntegration.verboseMode = 0
+        settings.solutionSettings.writeSolutionToFile = False
+        settings.solutionSettings.sensorsWritePeriod = 1e9
+        now = 0.0
+
+        def advance(until):
+            nonlocal now
+            settings.timeIntegration.startTime, settings.timeIntegration.endTime = now, until
+            settings.timeIntegration.numberOfSteps = max(1, round((until - now) / step))
+            kind = getattr(exu.DynamicSolverType, solver)
+            if not system.SolveDynamic(settings, solverType=kind, updateInitialValues=True, showHints=False, showCausingItems=False):
+                raise RuntimeError("the solver failed")
+            now = until
+            angles = [system.GetNodeOutput(n, exu.OutputVariableType.Coordinates)[2] for n in nodes]
+            rates = [system.GetNodeOutput(n, exu.OutputVariableType.Coordinates_t)[2] for n in nodes]
+            return np.array([start[i] + angles[i] for i in range(4)] + rates)
+
+        return advance
+
+    return Setting(f"{solver}, h = {step:g} s, Newton 1e-10", begin)

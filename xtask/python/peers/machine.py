@@ -1,0 +1,129 @@
+"""The paper's mechanism for the peers: its numbers, its equations in the four link angles, its energy.
+
+Links 1 to 4: left proximal, left distal, right distal, right proximal; absolute angles, distal ones from elbow to tip. A state is
+(four angles, four rates), SI units. All links are equal, gravity pulls along -y.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+LENGTH, MASS, INERTIA, COM, BASE, G = 0.21, 0.017, 6.23e-5, 0.105, 0.42, 9.81
+MGL = MASS * G * LENGTH
+
+NEAR = INERTIA + MASS * COM**2 + MASS * LENGTH**2  # proximal link with the distal one at its end, about the motor
+FAR = INERTIA + MASS * COM**2  # distal link about the elbow
+COUPLING = MASS * COM * LENGTH
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to run a peer: what is set, and what makes a run from angles and rates at rest.
+
+    The run is advanced to a time and gives back the state there; a peer that gives up raises.
+    """
+
+    text: str
+    begin: Callable[[np.ndarray], Callable[[float], np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A program to compare with."""
+
+    name: str
+    version: str
+    settings: Iterable[Setting]
+
+
+def closed(left: float, right: float) -> np.ndarray:
+    """The state at rest with these proximal angles and the tip to the left of the arrow between the elbows."""
+    ax, ay = LENGTH * math.cos(left), LENGTH * math.sin(left)
+    bx, by = BASE + LENGTH * math.cos(right), LENGTH * math.sin(right)
+    gap = math.hypot(bx - ax, by - ay)
+    # Equal distal links: an isosceles triangle over the line between the elbows.
+    base_angle, line = math.acos(min(1.0, gap / (2 * LENGTH))), math.atan2(by - ay, bx - ax)
+    return np.array([left, line + base_angle, line + math.pi - base_angle, right, 0.0, 0.0, 0.0, 0.0])
+
+
+def tip(y: np.ndarray) -> np.ndarray:
+    """The end of the left leg."""
+    return LENGTH * np.array([math.cos(y[0]) + math.cos(y[1]), math.sin(y[0]) + math.sin(y[1])])
+
+
+def energy(y: np.ndarray) -> float:
+    """Kinetic and potential energy, J."""
+    total = 0.0
+    for near, far in ((0, 1), (3, 2)):
+        w1, w2 = y[4 + near], y[4 + far]
+        total += NEAR * w1 * w1 / 2 + FAR * w2 * w2 / 2 + COUPLING * math.cos(y[near] - y[far]) * w1 * w2
+        total += MASS * G * ((COM + LENGTH) * math.sin(y[near]) + COM * math.sin(y[far]))
+    return total
+
+
+@njit(cache=False)
+def terms(y):
+    """Off-diagonal masses of the legs, forces with centrifugal terms, closure Jacobian by x and y, right sides of J a = c."""
+    b, f, jx, jy, c = np.empty(2), np.empty(4), np.empty(4), np.empty(4), np.zeros(2)
+    for leg in range(2):
+        near, far = (0, 1) if leg == 0 else (3, 2)
+        b[leg] = COUPLING * np.cos(y[near] - y[far])
+        turn = COUPLING * np.sin(y[near] - y[far])
+        f[near] = -turn * y[4 + far] ** 2 - MASS * G * (COM + LENGTH) * np.cos(y[near])
+        f[far] = turn * y[4 + near] ** 2 - MASS * G * COM * np.cos(y[far])
+    for i in range(4):
+        sign = LENGTH if i < 2 else -LENGTH
+        jx[i], jy[i] = -sign * np.sin(y[i]), sign * np.cos(y[i])
+        c[0] += sign * np.cos(y[i]) * y[4 + i] ** 2
+        c[1] += sign * np.sin(y[i]) * y[4 + i] ** 2
+    return b, f, jx, jy, c
+
+
+@njit(cache=False)
+def by_mass(b, f):
+    """M^-1 f."""
+    out = np.empty(4)
+    for leg in range(2):
+        near, far = (0, 1) if leg == 0 else (3, 2)
+        det = NEAR * FAR - b[leg] * b[leg]
+        out[near] = (FAR * f[near] - b[leg] * f[far]) / det
+        out[far] = (NEAR * f[far] - b[leg] * f[near]) / det
+    return out
+
+
+@njit(cache=False)
+def multipliers(y):
+    """The two forces at the tip that keep the loop closed, N."""
+    b, f, jx, jy, c = terms(y)
+    free, by_x, by_y = by_mass(b, f), by_mass(b, jx), by_mass(b, jy)
+    xx, xy, yy = jx @ by_x, jx @ by_y, jy @ by_y
+    rx, ry = c[0] - jx @ free, c[1] - jy @ free
+    det = xx * yy - xy * xy
+    return np.array([(yy * rx - xy * ry) / det, (xx * ry - xy * rx) / det])
+
+
+@njit(cache=False)
+def derivative(_t, y):
+    """Rates and accelerations (index 1: the multipliers are eliminated)."""
+    b, f, jx, jy, _ = terms(y)
+    force = multipliers(y)
+    out = np.empty(8)
+    out[:4] = y[4:]
+    out[4:] = by_mass(b, f + force[0] * jx + force[1] * jy)
+    return out
+
+
+@njit(cache=False)
+def residual(y, yp, out):
+    """The index-1 equations with the multipliers y[8:10] as unknowns: 0 = (q' - v, M v' - f - J^T l, J v' - c)."""
+    b, f, jx, jy, c = terms(y)
+    out[:4] = yp[:4] - y[4:8]
+    for leg in range(2):
+        near, far = (0, 1) if leg == 0 else (3, 2)
+        out[4 + near] = NEAR * yp[4 + near] + b[leg] * yp[4 + far] - f[near]
+        out[4 + far] = FAR * yp[4 + far] + b[leg] * yp[4 + near] - f[far]
+    out[4:8] -= y[8] * jx + y[9] * jy
+    out[8], out[9] = jx @ yp[4:8] - c[0], jy @ yp[4:8] - c[1]

@@ -1,0 +1,56 @@
+"""MuJoCo: two legs of two hinges, their ends held together by a point constraint that is as hard as the step allows."""
+
+import mujoco
+import numpy as np
+
+from machine import BASE, COM, INERTIA, LENGTH, MASS, G, Peer, Setting
+
+# RK4 below 0.1 ms and implicit steps below 20 us only cost more: the soft loop is what is left.
+RUNS = (("RK4", 1e-3), ("RK4", 1e-4), ("RK4", 2e-5), ("implicitfast", 1e-3), ("implicitfast", 1e-4), ("implicitfast", 2e-5))
+
+
+def peer() -> Peer:
+    return Peer("MuJoCo", mujoco.__version__, (_setting(*run) for run in RUNS))
+
+
+def _setting(integrator: str, step: float) -> Setting:
+    # A time constant of two steps is the hardest that MuJoCo takes (refsafe); the impedance is next to 1.
+    text = f"{integrator}, h = {step:g} s, equality solref = (2 h, 1), solimp = 0.9999, Newton tolerance 1e-14"
+
+    def begin(start):
+        model = mujoco.MjModel.from_xml_string(_xml(integrator, step))
+        data = mujoco.MjData(model)
+        a, b, c, d = start[:4]
+        data.qpos[:] = a, b - a, d, c - d
+        mujoco.mj_forward(model, data)
+        done = 0
+
+        def advance(until):
+            nonlocal done
+            steps = round(until / step)
+            mujoco.mj_step(model, data, steps - done)
+            done = steps
+            if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number > 0:
+                raise RuntimeError("accelerations that are not finite; MuJoCo reset the state")
+            (p, q, r, s), (v, w, x, z) = data.qpos, data.qvel
+            return np.array([p, p + q, r + s, r, v, v + w, x + z, x])
+
+        return advance
+
+    return Setting(text, begin)
+
+
+def _xml(integrator: str, step: float) -> str:
+    # At angle 0 a link lies along +x. The inertia about the other axes does not matter, but must satisfy the triangle inequality.
+    link = f'<joint axis="0 0 1"/><inertial pos="{COM} 0 0" mass="{MASS}" diaginertia="{INERTIA} {INERTIA} {INERTIA}"/>'
+
+    def leg(side: str, x: float) -> str:
+        return (
+            f'<body pos="{x} 0 0">{link}<body name="{side}" pos="{LENGTH} 0 0">{link}'
+            f'<site name="{side}" pos="{LENGTH} 0 0"/></body></body>'
+        )
+
+    return f"""<mujoco><compiler angle="radian"/>
+      <option timestep="{step}" gravity="0 {-G} 0" integrator="{integrator}" tolerance="1e-14" iterations="100"/>
+      <worldbody>{leg("left", 0)}{leg("right", BASE)}</worldbody>
+      <equality><connect site1="left" site2="right" solref="{2 * step} 1" solimp="0.9999 0.9999 0.001"/></equality></mujoco>"""

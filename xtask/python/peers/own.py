@@ -1,0 +1,62 @@
+"""This repository's methods, through the packed .fmu: what the peers are compared with."""
+
+import sys
+from pathlib import Path
+
+import fmpy
+import numpy as np
+from fmpy.fmi1 import FMICallException
+
+from machine import Peer, Setting
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from slave import Log, get_values, instantiate, set_values  # noqa: E402  (the folder above is on the path from here on)
+
+STATE = ["theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]", "omega[1]", "passive.omega[1]", "passive.omega[2]", "omega[2]"]
+
+# By name, as in the model description; a method that this .fmu does not have is left out.
+RUNS = {
+    "i3alp": [{"solver.adaptive": True, "solver.errorTolerance": x} for x in (3e-9, 1e-11, 1e-13)]
+    + [{"solver.adaptive": False, "solver.stepSize": h} for h in (1e-3, 1e-4, 1e-5)],
+    "rk4": [{"solver.stepSize": h} for h in (1e-3, 1e-4, 2e-5)],
+    "dop853": [{"solver.errorTolerance": x} for x in (1e-6, 1e-8, 1e-10, 1e-12)],
+}
+
+
+def peers(fmu: Path) -> list[Peer]:
+    """One peer per method."""
+    directory = fmpy.extract(str(fmu))
+    model = fmpy.read_model_description(directory, validate=False)
+    method = next(v for v in model.modelVariables if v.name == "solver.method")
+    numbers = {item.name: int(item.value) for item in method.declaredType.items}
+    version = model.version or "this .fmu"
+    return [
+        Peer(f"FiveBar {name}", version, [_setting(model, directory, numbers[name], run) for run in runs])
+        for name, runs in RUNS.items()
+        if name in numbers
+    ]
+
+
+def _setting(model, directory: str, method: int, settings: dict[str, float | bool]) -> Setting:
+    def begin(start):
+        log = Log()
+        slave = instantiate(model, directory, log)
+        set_values(slave, model, {"init.theta[1]": start[0], "init.theta[2]": start[3], "solver.method": method} | settings)
+        slave.setupExperiment(startTime=0.0)
+        slave.enterInitializationMode()
+        slave.exitInitializationMode()
+        now = 0.0
+
+        def advance(until):
+            nonlocal now
+            try:
+                slave.doStep(now, until - now)
+            except FMICallException as error:
+                raise RuntimeError(log.last() or str(error)) from None
+            now = until
+            return np.array(list(get_values(slave, model, STATE).values()))
+
+        return advance
+
+    return Setting(", ".join(f"{name} = {value}" for name, value in settings.items()), begin)

@@ -1,0 +1,143 @@
+"""Runs every peer and this repository's methods over the same scenes, one after the other on one core, and writes a table.
+
+Times are the processor's, of this process alone: other work on the machine counts little.
+
+    python run.py --fmu target/fmu/FiveBar.fmu --references tests/data/reference --out target/peers/peers.csv
+"""
+
+import argparse
+import csv
+import importlib
+import math
+import os
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+import machine
+import own
+
+# Module and function of each peer; one whose package is not installed is listed as left out.
+PEERS = {
+    "MuJoCo": ("mujoco_engine", "peer"),
+    "Exudyn": ("exudyn_engine", "peer"),
+    "Drake": ("drake_plant", "peer"),
+    "SciPy DOP853": ("scipy_dop853", "peer"),
+    "SUNDIALS CVODE": ("sundials", "cvode"),
+    "SUNDIALS IDA": ("sundials", "ida"),
+}
+# Peers worth comparing with that no module here drives, and why.
+WITHOUT_MODULE = {
+    "Pinocchio": "brings constrained dynamics but no integrator; nothing here drives it",
+    "rapier2d": "a Rust crate; nothing here drives it",
+}
+
+# Seconds of the processor's time after which a run is ended at the next whole simulated second.
+BUDGET = 60.0
+START = {"fall_90_120": (math.radians(90), 2.0943951023931953), "paper_free_fall": (math.radians(90), math.radians(90))}
+END = {"fall_90_120": 2, "paper_free_fall": 50}
+
+
+@dataclass
+class Row:
+    """A line of the table; a number that there is none of is empty."""
+
+    scene: str
+    peer: str
+    version: str
+    settings: str
+    error_1s_m: float | None = None
+    error_2s_m: float | None = None
+    ms_per_simulated_second: float | None = None
+    energy_error_mgL: float | None = None
+    note: str = ""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description="Compares peers with the unit.")
+    parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
+    parser.add_argument("--references", type=Path, required=True, help="the folder of reference trajectories")
+    parser.add_argument("--out", type=Path, required=True, help="the table to write")
+    parser.add_argument("--only", nargs="*", help="names of peers to run; all of them")
+    options = parser.parse_args()
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    tips = reference(options.references / "fall_90_120.csv")
+    peers, left_out = find(options.fmu, options.only)
+    rows = []
+    for peer in peers:
+        for setting in peer.settings:
+            for scene in START:
+                rows.append(measure(scene, peer, setting, tips))
+                show(rows[-1])
+    rows += [Row("", name, "", "", note=f"left out: {why}") for name, why in left_out.items()]
+    for row in rows[len(rows) - len(left_out) :]:
+        print(f"{row.peer}: {row.note}")
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    with options.out.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, asdict(rows[0]).keys(), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(asdict(row) for row in rows)
+    print(f"written: {options.out}")
+    return 0
+
+
+def find(fmu: Path, only: Iterable[str] | None) -> tuple[list[machine.Peer], dict[str, str]]:
+    """The peers that are installed, ours first, and why the others are left out."""
+    found, left_out = own.peers(fmu), dict(WITHOUT_MODULE)
+    for name, (module, function) in PEERS.items():
+        try:
+            found.append(getattr(importlib.import_module(module), function)())
+        except ImportError as error:
+            left_out[name] = f"not installed ({error})"
+    return [peer for peer in found if not only or peer.name in only], left_out
+
+
+def reference(file: Path) -> dict[int, np.ndarray]:
+    """The tip at whole seconds."""
+    lines = [line for line in file.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    rows = {float(row["t"]): np.array([float(row["Qx"]), float(row["Qy"])]) for row in csv.DictReader(lines)}
+    return {t: rows[float(t)] for t in (1, 2)}
+
+
+def measure(scene: str, peer: machine.Peer, setting: machine.Setting, tips: dict[int, np.ndarray]) -> Row:
+    """One run; building the model and compiling, in a run of 1 ms before, are not in the time, which is the processor's."""
+    row = Row(scene, peer.name, peer.version, setting.text)
+    start = machine.closed(*START[scene])
+    before, worst, spent, done = machine.energy(start), 0.0, 0.0, 0
+    try:
+        setting.begin(start)(1e-3)
+        advance = setting.begin(start)
+        for second in range(1, END[scene] + 1):
+            clock = time.process_time()
+            y = advance(float(second))
+            spent += time.process_time() - clock
+            if not np.isfinite(y).all():
+                raise RuntimeError("NaN")
+            done = second
+            worst = max(worst, abs(machine.energy(y) - before) / machine.MGL)
+            if scene == "fall_90_120":
+                setattr(row, f"error_{second}s_m", float(np.hypot(*(machine.tip(y) - tips[second]))))
+            if spent > BUDGET and second < END[scene]:
+                raise RuntimeError(f"takes longer than {BUDGET:g} s")
+    except (RuntimeError, ValueError, ArithmeticError) as error:
+        row.note = f"ended after {done} s: {' '.join(str(error).split())}"
+    if done:
+        row.ms_per_simulated_second = 1e3 * spent / done
+        row.energy_error_mgL = worst
+    return row
+
+
+def show(row: Row) -> None:
+    """A line for people, while it runs."""
+    numbers = [row.error_1s_m, row.error_2s_m, row.ms_per_simulated_second, row.energy_error_mgL]
+    e1, e2, cost, energy = ("-" if x is None else f"{x:.2g}" for x in numbers)
+    print(f"{row.scene:16} {row.peer:15} e1 {e1:8} e2 {e2:8} m {cost:8} ms/s  dE {energy:8} mgL  {row.settings}  {row.note}", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,29 @@
+"""SciPy's DOP853 on the four link angles; the right side is compiled by numba."""
+
+import scipy
+from scipy.integrate import solve_ivp
+
+from machine import Peer, Setting, derivative
+
+TOLERANCES = (1e-6, 1e-8, 1e-10, 1e-12)
+
+
+def peer() -> Peer:
+    return Peer("SciPy DOP853", scipy.__version__, (_setting(tolerance) for tolerance in TOLERANCES))
+
+
+def _setting(tolerance: float) -> Setting:
+    def begin(start):
+        now, y = 0.0, start
+
+        def advance(until):
+            nonlocal now, y
+            solution = solve_ivp(derivative, (now, until), y, method="DOP853", rtol=tolerance, atol=tolerance)
+            if not solution.success:
+                raise RuntimeError(solution.message)
+            now, y = until, solution.y[:, -1]
+            return y
+
+        return advance
+
+    return Setting(f"4 angles, rtol = atol = {tolerance:g}, right side by numba", begin)
