@@ -21,9 +21,9 @@ mod report;
 mod scene;
 mod scenes;
 
-use anyhow::Result;
 use clap::{Parser, Subcommand};
 use std::path::PathBuf;
+use std::process::ExitCode;
 
 /// The benchmarks; started by `cargo xtask bench`
 #[derive(Parser)]
@@ -49,10 +49,17 @@ enum Command {
     Count,
 }
 
-fn main() -> Result<()> {
-    match Arguments::parse().command {
+fn main() -> ExitCode {
+    let outcome = match Arguments::parse().command {
         Command::Run { out, quick } => report::run(&out, quick),
         Command::Check => check::check(),
         Command::Count => count::each_once(),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
     }
 }

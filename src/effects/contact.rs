@@ -6,7 +6,7 @@
 //! F = N (n − mu tanh(v_t/slipVelocity) t),      N = max(0, s(d)(k d + d_coeff ḋ))
 //! ```
 //!
-//! see [`buffer`](super::buffer) for N; the tangential part is Coulomb friction, regularised. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ,
+//! see `buffer.rs` for N; the tangential part is Coulomb friction, regularised. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ,
 //! C = −∂F/∂ṗ; both couple the coordinates of link 2 and are not symmetric. Potential: the spring part of N; the damper and the
 //! friction dissipate. Defaults: a floor 1 m below the motor axes, which the paper's mechanism does not reach; k 2e3 N/m and 5 N·s/m,
 //! a soft fingertip or a haptic wall; mu 0.3, slip velocity 0.01 m/s, ramp 0.1 mm.

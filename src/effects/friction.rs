@@ -4,7 +4,7 @@
 //! T_j = −[√(2e) (T_brk − T_c) exp(−(w/w_st)²) w/w_st + T_c tanh(w/w_c)]      w_st = √2 w_brk,  w_c = w_brk/10
 //! ```
 //!
-//! with w the joint's rate, T_c = coulomb[j], T_brk = breakaway[j] ≥ T_c, w_brk = breakawayVelocity: the Stribeck curve of a widely
+//! with w the joint's rate, T_c = `coulomb[j]`, T_brk = `breakaway[j]` ≥ T_c, w_brk = `breakawayVelocity`: the Stribeck curve of a widely
 //! used rotational friction block (Simscape's "Rotational Friction", without its viscous term, which is the effect `viscous`;
 //! Armstrong-Hélouvry et al., Automatica 30 (1994) 1083). T_brk is met at w_brk to within 1e-4 of T_c. C = −∂T/∂w, K = 0; dissipates −T w ≥ 0.
 //! Defaults: 1 mN·m, 1.2 mN·m at 0.1 rad/s, a preloaded miniature bearing.

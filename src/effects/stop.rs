@@ -1,6 +1,6 @@
 //! Stop: one-sided end stops on the motor axes, at `lower` and `upper`.
 //!
-//! Beyond a limit by d > 0 a torque N = max(0, s(d)(k d + d_coeff ḋ)) drives the axis back: see [`buffer`](super::buffer) for the ramp
+//! Beyond a limit by d > 0 a torque N = max(0, s(d)(k d + d_coeff ḋ)) drives the axis back: see `buffer.rs` for the ramp
 //! s, the potential and what is dissipated. K = ∂N/∂d, C = ∂N/∂ḋ. Angles count whole turns. Defaults: lower 0, upper π rad, the
 //! half turn of a table-top pantograph; k 50 N·m/rad and 0.02 N·m·s/rad, a rubber buffer at some centimetres; ramp 1 mrad.
 //! Limits: no friction in the stop; restitution follows from k and d and is not a parameter.

@@ -7,14 +7,13 @@
 //!     12     38  GUID of the model description
 //!     50      8  length n of the content
 //!     58      n  the content: `Content` in the Borsh format (https://borsh.io)
-//! 58 + n      4  CRC-32 of all before it
+//! 58 + n      4  Adler-32 of all before it
 //! ```
 //!
 //! Numbers are little-endian, reals IEEE 754 doubles; there are no pointers, and nothing depends on the process or the platform.
 //! The parameters are stored as values of variables, so that what is read back passes the same checks as what a master sets.
 
 use borsh::{BorshDeserialize, BorshSerialize};
-use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
 use super::clock::Clock;
 use super::values::{check_value, lookup};
@@ -26,7 +25,6 @@ const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Must change with every change of what is stored.
 const FORMAT: u32 = 1;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
-const CRC: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 const CHECKSUM: usize = size_of::<u32>();
 
 /// A stored state.
@@ -87,7 +85,7 @@ impl Snapshot {
             borsh::to_vec(&content).map_err(|error| Rejection::error(format!("the state cannot be serialised: {error}.")))?;
         let length = content.len() as u64;
         let mut bytes = [&MAGIC[..], &FORMAT.to_le_bytes(), GUID.as_bytes(), &length.to_le_bytes(), &content].concat();
-        bytes.extend(CRC.checksum(&bytes).to_le_bytes());
+        bytes.extend(adler2::adler32_slice(&bytes).to_le_bytes());
         Ok(bytes)
     }
 
@@ -132,7 +130,7 @@ fn content(bytes: &[u8]) -> Result<&[u8], Rejection> {
         return Err(wrong(&format!("there are {}, not as many as their head says", bytes.len())));
     }
     let (checked, checksum) = bytes.split_at(bytes.len() - CHECKSUM);
-    if checksum != CRC.checksum(checked).to_le_bytes() {
+    if checksum != adler2::adler32_slice(checked).to_le_bytes() {
         return Err(wrong("their checksum is wrong"));
     }
     Ok(&checked[HEAD..])

@@ -86,11 +86,17 @@ impl<const N: usize, const M: usize> Running<N, M> {
         }
     }
 
-    /// One macro step of h seconds, of `ahead` seconds until somebody looks: the running step is interpolated only then. On failure the
-    /// run is undefined: the caller keeps a copy.
+    /// One macro step of h seconds. In `ahead` seconds somebody looks: the running step is interpolated only then; and no step that is
+    /// made goes farther than `limit` seconds. On failure the run is undefined: the caller keeps a copy.
     #[inline(always)]
-    pub fn advance(&mut self, system: &impl System<N, M>, settings: &Settings, h: f64, ahead: f64) -> Result<(), Failure> {
-        let (mut rest, mut ahead) = (h, ahead);
+    pub fn advance(
+        &mut self,
+        system: &impl System<N, M>,
+        settings: &Settings,
+        h: f64,
+        [mut ahead, mut limit]: [f64; 2],
+    ) -> Result<(), Failure> {
+        let mut rest = h;
         for _ in 0..MOST_SUBSTEPS {
             let left = self.length - self.elapsed;
             if rest <= left {
@@ -99,8 +105,8 @@ impl<const N: usize, const M: usize> Running<N, M> {
                 self.end.counters.steps += 1;
                 return Ok(());
             }
-            (rest, ahead) = (rest - left, ahead - left);
-            self.step(system, settings, f64::INFINITY, ahead)?;
+            (rest, ahead, limit) = (rest - left, ahead - left, limit - left);
+            self.step(system, settings, limit, ahead)?;
         }
         Err(Failure::TooManySubsteps { most: MOST_SUBSTEPS, substep: self.length, error: self.end.error_estimate })
     }

@@ -129,9 +129,14 @@ impl Simulation {
     ///
     /// On failure the state is as it was before the call. Allocates nothing.
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+        self.advance_held(inputs, h, steps, true)
+    }
+
+    /// The same; `beyond`: whether a step may run past the end, since the inputs may stay.
+    fn advance_held(&mut self, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
         let State { core, turns, inputs: held, .. } = self.state;
         let inputs = self.model.heard(inputs);
-        let done = run(&self.model, &mut self.state, &inputs, h, steps);
+        let done = run(&self.model, &mut self.state, &inputs, h, steps, beyond);
         // The running step of an explicit method is changed only when all has gone well.
         done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
     }
@@ -145,7 +150,7 @@ impl Simulation {
         let before = self.state;
         for step in 0..steps {
             let begin = step as f64 * h;
-            self.advance(&signal.at(begin + h / 2.0), h, 1).map_err(|failure| {
+            self.advance_held(&signal.at(begin + h / 2.0), h, 1, false).map_err(|failure| {
                 self.state = before;
                 StepFailure { elapsed: begin + failure.elapsed, ..failure }
             })?;
@@ -263,31 +268,29 @@ impl State {
     }
 }
 
-/// The methods that people choose for their speed have a compiled form for the bare mechanism of their own.
-fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
+/// The default method has compiled forms for the bare mechanism of their own; each more would take its place in the library. `beyond`:
+/// whether a step may run past the end of the call, as long as nothing changes there.
+fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
     match (&model.stepper, model.solve) {
-        (Stepper::I3alp(settings), Solve::Bare) => by_i3alp::<Bare>(settings, model, state, inputs, h, steps),
-        (Stepper::I3alp(settings), _) => by_i3alp::<General>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alp(settings), Solve::Bare) if settings.adaptive => {
+            macro_steps::<Bare>(model, state, inputs, h, steps, |system, core, power| {
+                i3alp::advance(system, settings, core, h, power)
+            })
+        }
+        (Stepper::I3alp(settings), Solve::Bare) => macro_steps::<Bare>(model, state, inputs, h, steps, |system, core, power| {
+            i3alp::fixed(system, settings, core, h, power)
+        }),
+        (Stepper::I3alp(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
+            i3alp::advance(system, settings, core, h, power)
+        }),
         (Stepper::I3alpPrinted(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
             i3alp_printed::advance(system, settings, core, h, power)
         }),
         (Stepper::Rk4(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
             rk4::advance(system, settings, core, h, power)
         }),
-        (Stepper::Dop853(settings), Solve::Bare) => explicit::run::<Bare>(model, settings, state, inputs, h, steps),
-        (Stepper::Dop853(settings), _) => explicit::run::<General>(model, settings, state, inputs, h, steps),
+        (Stepper::Dop853(settings), _) => explicit::run(model, settings, state, inputs, h, steps, beyond),
     }
-}
-
-fn by_i3alp<L: LinearSolve>(
-    settings: &i3alp::Settings,
-    model: &Model,
-    state: &mut State,
-    inputs: &Inputs,
-    h: f64,
-    steps: u64,
-) -> Result<(), StepFailure> {
-    macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
 }
 
 /// By a method whose steps end with the macro steps.

@@ -114,7 +114,7 @@ fn made_definite<const K: usize>(
     Ok(a0)
 }
 
-/// For any scene: which factor, [`Solve`](super::Solve) says.
+/// For any scene: which factor, [`Solve`] says.
 #[derive(Debug)]
 pub enum General {}
 
@@ -242,6 +242,28 @@ impl<L: LinearSolve> FiveBar<'_, L> {
             a0[(i, i)] += h * h / 4.0 * stiffness;
         }
         Ok(Dense::factor(at.pose, &made_definite(a0, &mass, definite)?, softness))
+    }
+}
+
+impl FiveBar<'_, General> {
+    /// See [`System::least_constraint`].
+    fn branch_of_least_constraint(&self, q: &Coordinates) -> Option<(Coordinates, u32)> {
+        // Forces and masses in the link angles, from the motions of the open legs that one angle alone makes.
+        let pose = self.pose(q);
+        let force = self.forces(q, &pose, &[0.0; COORDINATES]);
+        let motions = [0, 1, 2, 3].map(|link| {
+            let mut rate = [0.0; 4];
+            rate[link] = 1.0;
+            assemble(&self.model.mechanism.geometry, THETA.map(|i| q[i]), rate).1
+        });
+        let dot = |x: &Coordinates, y: &Coordinates| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+        let forces = motions.map(|motion| dot(&force, &motion));
+        let masses = motions.map(|row| {
+            let momentum = self.model.mechanism.mass_times(&row);
+            motions.map(|column| dot(&momentum, &column))
+        });
+        let branch = vertex::least_constraint(&self.model.mechanism.geometry, q, forces, masses)?;
+        Some((in_angles(branch.direction), branch.alternatives))
     }
 }
 
@@ -378,22 +400,7 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     }
 
     fn least_constraint(&self, q: &Coordinates) -> Option<(Coordinates, u32)> {
-        // Forces and masses in the link angles, from the motions of the open legs that one angle alone makes.
-        let pose = self.pose(q);
-        let force = self.forces(q, &pose, &[0.0; COORDINATES]);
-        let motions = [0, 1, 2, 3].map(|link| {
-            let mut rate = [0.0; 4];
-            rate[link] = 1.0;
-            assemble(&self.model.mechanism.geometry, THETA.map(|i| q[i]), rate).1
-        });
-        let dot = |x: &Coordinates, y: &Coordinates| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
-        let forces = motions.map(|motion| dot(&force, &motion));
-        let masses = motions.map(|row| {
-            let momentum = self.model.mechanism.mass_times(&row);
-            motions.map(|column| dot(&momentum, &column))
-        });
-        let branch = vertex::least_constraint(&self.model.mechanism.geometry, q, forces, masses)?;
-        Some((in_angles(branch.direction), branch.alternatives))
+        FiveBar::<General>::new(self.model, self.inputs, self.turns).branch_of_least_constraint(q)
     }
 
     #[inline(always)]

@@ -401,7 +401,19 @@ fn bits(host: &Host) -> [u64; 7] {
     MOTION.map(|name| real(host, name).to_bits())
 }
 
-/// A step along a polynomial is the macro steps with its values in their middles, bit for bit; then it stays at the value reached.
+/// The same motion: bit for bit, but for dop853 (4), whose steps end at a change that is foreseen and are redone up to one that is not:
+/// the same steps, their lengths rounded differently.
+fn same_motion(host: &Host, other: &Host, method: i32) {
+    if method != 4 {
+        assert_eq!(bits(host), bits(other), "method {method}");
+    }
+    for name in MOTION {
+        let (a, b) = (real(host, name), real(other, name));
+        assert!((a - b).abs() <= 1e-11 * (1.0 + a.abs()), "method {method}, {name}: {a} {b}");
+    }
+}
+
+/// A step along a polynomial is the macro steps with its values in their middles; then it stays at the value reached.
 #[test]
 fn an_input_with_derivatives_is_held_in_the_middle_of_each_macro_step() {
     for method in 1..=4 {
@@ -426,11 +438,11 @@ fn an_input_with_derivatives_is_held_in_the_middle_of_each_macro_step() {
         // Outputs answer for the value at the communication point.
         assert_eq!(by_hand.set_real(&[tau, force], &value(0.02)), fmi2OK);
         assert_eq!([real(&host, "tau[1]"), real(&host, "tip.fy")], value(0.02));
-        assert_eq!(bits(&host), bits(&by_hand), "method {method}");
+        same_motion(&host, &by_hand, method);
         // The derivatives have ended with the step.
         assert_eq!((host.do_step(0.02, 0.01), by_hand.do_step(0.02, 0.01)), (fmi2OK, fmi2OK));
         assert_eq!([real(&host, "tau[1]"), real(&host, "tip.fy")], value(0.02));
-        assert_eq!(bits(&host), bits(&by_hand), "method {method}, after");
+        same_motion(&host, &by_hand, method);
     }
 }
 

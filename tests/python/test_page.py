@@ -27,6 +27,11 @@ def page(fmu: Path, scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> P
 @pytest.fixture
 def browser(page: Path, tmp_path: Path) -> Iterator[object]:
     """A browser that has the page open."""
+    yield from open_browser(page, tmp_path)
+
+
+def open_browser(page: Path, tmp_path: Path) -> Iterator[object]:
+    """A browser that has the page open; closed again, it must have had nothing to complain about."""
     from selenium import webdriver
     from selenium.webdriver.chrome.service import Service
 

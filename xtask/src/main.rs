@@ -7,6 +7,7 @@ mod paths;
 mod peers;
 mod prices;
 mod process;
+mod report;
 mod run;
 mod scenes;
 mod test;
@@ -14,6 +15,7 @@ mod venv;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
+use package::Scope;
 use std::process::ExitCode;
 
 /// The commands of this repository
@@ -37,6 +39,12 @@ enum Command {
         /// Also check what needs Debian packages (installed by .ci/setup): the page in a browser, memory with valgrind
         #[arg(long)]
         full: bool,
+        /// Pack for all platforms and check these libraries alone, under wine and qemu (installed by .ci/setup-platforms)
+        #[arg(long, conflicts_with = "full")]
+        platforms: bool,
+        /// Check only that the master fmi-sim drives the FMU, which is built first and takes minutes (its needs: .ci/setup-fmi-sim)
+        #[arg(long, conflicts_with_all = ["full", "platforms"])]
+        fmi_sim: bool,
     },
     /// Run the battery of hard cases by every method, write tables and pictures to target/hard-cases/
     HardCases {
@@ -44,6 +52,8 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
+    /// Measure what accuracy costs in time, write the page target/report/index.html
+    Report(report::Options),
     /// Compare with other programs on the same scenes, write target/peers/peers.csv; needs packages of its own, some 1.5 GB
     Peers {
         /// Names of those to run; all of them
@@ -61,7 +71,11 @@ enum Command {
     /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
     Prices,
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
-    Package,
+    Package {
+        /// With a library for every machine that is shipped, as target/fmu/all-platforms/FiveBar.fmu: takes minutes
+        #[arg(long)]
+        all_platforms: bool,
+    },
 }
 
 fn main() -> ExitCode {
@@ -78,12 +92,16 @@ fn main() -> ExitCode {
 fn command(command: Command) -> Result<()> {
     match command {
         Command::Run { scene } => run::run(&scene),
-        Command::Test { full } => test::test(full),
+        Command::Test { platforms: true, .. } => test::platforms(),
+        Command::Test { fmi_sim: true, .. } => test::fmi_sim(),
+        Command::Test { full, .. } => test::test(full),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
+        Command::Report(options) => report::report(&options),
         Command::Peers { only } => peers::peers(&only),
         Command::Bench { check: true, .. } => bench::check(),
         Command::Bench { quick, .. } => bench::bench(quick),
         Command::Prices => prices::prices(),
-        Command::Package => package::package().map(drop),
+        Command::Package { all_platforms: false } => package::package(Scope::Here).map(drop),
+        Command::Package { all_platforms: true } => package::package(Scope::All).map(drop),
     }
 }

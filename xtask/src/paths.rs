@@ -17,9 +17,19 @@ pub(crate) fn short(path: &Path) -> String {
     path.strip_prefix(root()).unwrap_or(path).display().to_string()
 }
 
-/// The packed unit.
+/// The packed unit for this machine.
 pub(crate) fn fmu() -> PathBuf {
     in_root("target/fmu/FiveBar.fmu")
+}
+
+/// The packed unit with a library for every machine.
+pub(crate) fn fmu_for_all_platforms() -> PathBuf {
+    in_root("target/fmu/all-platforms/FiveBar.fmu")
+}
+
+/// Where the master fmi-sim is installed.
+pub(crate) fn fmi_sim() -> PathBuf {
+    in_root("target/fmi-sim")
 }
 
 /// The folder with one JSON file per scene.

@@ -1,12 +1,13 @@
 //! `cargo xtask peers`: other programs and the packed unit over the same scenes; no part of CI.
 
+use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
-use crate::{package, paths, process};
+use crate::{paths, process};
 use anyhow::Result;
 
 /// Runs those named in `only`, or all; the table goes to `target/peers/peers.csv`.
 pub(crate) fn peers(only: &[String]) -> Result<()> {
-    let fmu = package::package()?;
+    let fmu = package::package(Scope::Here)?;
     let mut command = venv::python(Packages::Peers)?;
     command.arg("xtask/python/peers/run.py").arg("--fmu").arg(fmu);
     command.arg("--references").arg(paths::in_root("tests/data/reference"));

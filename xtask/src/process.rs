@@ -1,7 +1,7 @@
 //! Other programs: shown before they run, and an error that names them when they fail.
 
 use crate::paths;
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use std::path::Path;
 use std::process::{Command, ExitStatus, Stdio};
 
@@ -38,6 +38,19 @@ pub(crate) fn output(command: &mut Command) -> Result<String> {
     String::from_utf8(output.stdout).with_context(|| format!("`{}` wrote no UTF-8", short_form(command)))
 }
 
+/// Fails, naming the Debian packages and the script that installs them, where one of the programs is not on the path
+/// (or a file, given with its whole path, is not there).
+pub(crate) fn need(command: &str, script: &str, programs: &[(&str, &str)]) -> Result<()> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let missing: Vec<&str> = programs
+        .iter()
+        .filter(|(program, _)| !std::env::split_paths(&path).any(|folder| folder.join(program).is_file()))
+        .map(|(_, package)| *package)
+        .collect();
+    ensure!(missing.is_empty(), "`{command}` needs the Debian packages {}, which `{script}` installs", missing.join(", "));
+    Ok(())
+}
+
 fn check(command: &Command, status: ExitStatus) -> Result<()> {
     match status.code() {
         Some(0) => Ok(()),
@@ -66,6 +79,12 @@ mod tests {
         let mut command = program(paths::in_root("target/venv/bin/python"));
         command.arg("run.py").arg(paths::fmu());
         assert_eq!(short_form(&command), "target/venv/bin/python run.py target/fmu/FiveBar.fmu");
+    }
+
+    #[test]
+    fn a_missing_program_is_named_by_its_package() {
+        let error = need("cargo xtask fly", ".ci/setup", &[("cargo", "cargo"), ("no-such-program", "wings")]).unwrap_err();
+        assert_eq!(error.to_string(), "`cargo xtask fly` needs the Debian packages wings, which `.ci/setup` installs");
     }
 
     #[test]

@@ -1,14 +1,15 @@
 //! `cargo xtask run`: the packed unit, driven through FMPy over a scene.
 
+use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
-use crate::{package, paths, process, scenes};
+use crate::{paths, process, scenes};
 use anyhow::Result;
 
 /// Packs the unit and runs a scene; CSV, pictures and the page go to `target/run/NAME/`.
 pub(crate) fn run(scene: &str) -> Result<()> {
     // First of all, so that a misspelt name does not cost a build.
     let file = scenes::find(scene)?;
-    let fmu = package::package()?;
+    let fmu = package::package(Scope::Here)?;
     process::run(
         venv::python(Packages::Usual)?
             .arg("xtask/python/run.py")

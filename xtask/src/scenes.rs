@@ -2,6 +2,7 @@
 
 use crate::paths;
 use anyhow::{Context, Result, bail};
+use serde_json::{Map, Value};
 use std::fmt::Write;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -19,13 +20,27 @@ fn find_in(folder: &Path, name: &str) -> Result<PathBuf> {
     }
 }
 
-struct Scene {
-    name: String,
+/// A scene as its file has it.
+pub(crate) struct Scene {
+    /// The file's name without its ending.
+    pub(crate) name: String,
     file: PathBuf,
-    description: String,
+    /// What it shows.
+    pub(crate) description: String,
+    /// Values that differ from the start values: variable name to value, in the order of the file.
+    pub(crate) values: Map<String, Value>,
+    /// Inputs that change with time.
+    pub(crate) changing: Vec<String>,
 }
 
-/// All scenes of a folder, by name.
+/// Keys of a scene that are not variables.
+const RESERVED: [&str; 4] = ["description", "experiment", "signals", "overlay"];
+
+/// All scenes, by name.
+pub(crate) fn all() -> Result<Vec<Scene>> {
+    list(&paths::scenes())
+}
+
 fn list(folder: &Path) -> Result<Vec<Scene>> {
     let entries = fs::read_dir(folder).with_context(|| format!("the folder of scenes {} cannot be read", paths::short(folder)))?;
     let mut scenes = Vec::new();
@@ -35,21 +50,23 @@ fn list(folder: &Path) -> Result<Vec<Scene>> {
             continue;
         }
         let name = file.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-        let description = description(&file)?;
-        scenes.push(Scene { name, file, description });
+        scenes.push(read(name, file)?);
     }
     scenes.sort_by(|a, b| a.name.cmp(&b.name));
     Ok(scenes)
 }
 
-fn description(file: &Path) -> Result<String> {
-    let text = fs::read_to_string(file).with_context(|| format!("scene {} cannot be read", paths::short(file)))?;
-    let scene: serde_json::Value =
-        serde_json::from_str(&text).with_context(|| format!("scene {} is not valid JSON", paths::short(file)))?;
-    match scene.get("description").and_then(|text| text.as_str()) {
-        Some(text) => Ok(text.to_owned()),
-        None => bail!("scene {} has no text `description`", paths::short(file)),
-    }
+fn read(name: String, file: PathBuf) -> Result<Scene> {
+    let text = fs::read_to_string(&file).with_context(|| format!("scene {} cannot be read", paths::short(&file)))?;
+    let mut values: Map<String, Value> =
+        serde_json::from_str(&text).with_context(|| format!("scene {} is not valid JSON", paths::short(&file)))?;
+    let Some(description) = values.get("description").and_then(Value::as_str).map(String::from) else {
+        bail!("scene {} has no text `description`", paths::short(&file));
+    };
+    let signals = values.get("signals").and_then(Value::as_object);
+    let changing = signals.map(|signals| signals.keys().cloned().collect()).unwrap_or_default();
+    values.retain(|key, _| !RESERVED.contains(&key.as_str()));
+    Ok(Scene { name, file, description, values, changing })
 }
 
 fn table(scenes: &[Scene]) -> String {

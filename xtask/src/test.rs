@@ -1,17 +1,30 @@
 //! `cargo xtask test`: everything that CI checks, step by step; the first failure ends it.
 
+use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
-use crate::{bench, package, paths, process};
+use crate::{bench, paths, process};
 use anyhow::{Context, Result, bail, ensure};
 use cargo_metadata::Message;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// What `--full` adds, for the last line of the short form.
-const LEFT_OUT: &str = "the page in a real browser, memory errors and leaks, and instructions per step, with valgrind";
+const LEFT_OUT: &str =
+    "the page in a real browser, masters other than FMPy, memory errors and leaks, and instructions per step, with valgrind";
 
 /// Programs that `--full` needs, and the Debian package of each.
-const FULL_NEEDS: [(&str, &str); 3] = [("chromium", "chromium"), ("chromedriver", "chromium-driver"), ("valgrind", "valgrind")];
+const FULL_NEEDS: [(&str, &str); 4] = [
+    ("chromium", "chromium"),
+    ("chromedriver", "chromium-driver"),
+    ("/usr/lib/x86_64-linux-gnu/libtbb.so.12", "libtbb12"),
+    ("valgrind", "valgrind"),
+];
+
+/// The master fmi-sim: its version, and what its build needs.
+const FMI_SIM: (&str, [(&str, &str); 1]) = ("0.7.0", [("/usr/lib/llvm-14/lib/libclang.so", "libclang-14-dev")]);
+
+/// Programs that `--platforms` needs on top of those that build.
+const PLATFORMS_NEEDS: [(&str, &str); 2] = [("wine", "wine"), ("qemu-aarch64", "qemu-user")];
 
 /// The Rust tests that go through the C functions; the same names are run once more under valgrind.
 const C_TESTS: (&str, &str) = ("integration", "fmi_");
@@ -19,7 +32,7 @@ const C_TESTS: (&str, &str) = ("integration", "fmi_");
 /// Checks everything that needs Rust and Python only; with `full` also what needs Debian packages.
 pub(crate) fn test(full: bool) -> Result<()> {
     if full {
-        check_programs()?;
+        process::need("cargo xtask test --full", ".ci/setup", &FULL_NEEDS)?;
     }
     let mut steps = Steps::default();
     steps.run("format", || process::run(process::cargo().args(["fmt", "--all", "--check"])))?;
@@ -34,12 +47,38 @@ pub(crate) fn test(full: bool) -> Result<()> {
         steps.run("memory", valgrind)?;
         steps.run("instructions", bench::check)?;
     }
-    let fmu = steps.run("package", package::package)?;
-    steps.run("Python tests", || pytest(&fmu, full))?;
+    let fmu = steps.run("package", || package::package(Scope::Here))?;
+    steps.run("Python tests", || pytest(&fmu, if full { Tests::Full } else { Tests::Usual }))?;
     steps.summary();
     if !full {
         println!("left out, `cargo xtask test --full` has it: {LEFT_OUT}");
     }
+    Ok(())
+}
+
+/// Packs for all platforms, and runs each library against the one that [`test()`] judges.
+pub(crate) fn platforms() -> Result<()> {
+    process::need("cargo xtask test --platforms", ".ci/setup-platforms", &PLATFORMS_NEEDS)?;
+    let mut steps = Steps::default();
+    steps.run("package", || package::package(Scope::Here))?;
+    let fmu = steps.run("package, all platforms", || package::package(Scope::All))?;
+    steps.run("Python tests", || pytest(&fmu, Tests::Platforms))?;
+    steps.summary();
+    Ok(())
+}
+
+/// Builds fmi-sim, a master in Rust that shares no code with this library, and lets it drive the packed unit.
+pub(crate) fn fmi_sim() -> Result<()> {
+    let (version, needs) = FMI_SIM;
+    process::need("cargo xtask test --fmi-sim", ".ci/setup-fmi-sim", &needs)?;
+    let mut steps = Steps::default();
+    steps.run("fmi-sim", || {
+        let install = ["install", "fmi-sim", "--version", version, "--locked", "--quiet", "--root"];
+        process::run(process::cargo().args(install).arg(paths::fmi_sim()))
+    })?;
+    let fmu = steps.run("package", || package::package(Scope::Here))?;
+    steps.run("Python tests", || pytest(&fmu, Tests::FmiSim))?;
+    steps.summary();
     Ok(())
 }
 
@@ -63,7 +102,7 @@ impl Steps {
             }
             Err(error) => {
                 self.summary();
-                println!("  {name:20} FAILED after {:.1} s", time.as_secs_f64());
+                println!("  {name:22} FAILED after {:.1} s", time.as_secs_f64());
                 Err(error.context(format!("step `{name}` failed")))
             }
         }
@@ -72,24 +111,9 @@ impl Steps {
     fn summary(&self) {
         println!("\n== summary ==");
         for (name, time) in &self.done {
-            println!("  {name:20} ok {:7.1} s", time.as_secs_f64());
+            println!("  {name:22} ok {:7.1} s", time.as_secs_f64());
         }
     }
-}
-
-fn check_programs() -> Result<()> {
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let missing: Vec<&str> = FULL_NEEDS
-        .iter()
-        .filter(|(program, _)| !std::env::split_paths(&path).any(|folder| folder.join(program).is_file()))
-        .map(|(_, package)| *package)
-        .collect();
-    ensure!(
-        missing.is_empty(),
-        "`cargo xtask test --full` needs the Debian packages {}, which `.ci/setup` installs",
-        missing.join(", ")
-    );
-    Ok(())
 }
 
 /// Runs the tests that go through the C functions under valgrind's memory checker.
@@ -124,17 +148,38 @@ fn test_executable(target: &str) -> Result<PathBuf> {
     bail!("cargo built no program for tests/{target}")
 }
 
+/// Which of the Python tests.
+#[derive(Clone, Copy)]
+enum Tests {
+    /// Those that need Python packages only.
+    Usual,
+    /// And those that need a browser.
+    Full,
+    /// Those that compare libraries of several machines, and no others.
+    Platforms,
+    /// That of fmi-sim alone.
+    FmiSim,
+}
+
 /// Runs the Python tests on the packed unit, last of all: the line it ends with is the one that CI reads. pytest.ini
-/// leaves those out that need a browser, unless asked for.
-fn pytest(fmu: &Path, full: bool) -> Result<()> {
-    let mut command = venv::python(if full { Packages::Full } else { Packages::Usual })?;
+/// leaves those out that need more than Python packages, unless asked for.
+fn pytest(fmu: &Path, tests: Tests) -> Result<()> {
+    let (packages, marks) = match tests {
+        Tests::Usual => (Packages::Usual, None),
+        Tests::Full => (Packages::Full, Some("not platforms and not fmi_sim")),
+        Tests::Platforms => (Packages::Platforms, Some("platforms")),
+        Tests::FmiSim => (Packages::Usual, Some("fmi_sim")),
+    };
+    let mut command = venv::python(packages)?;
     command
         .args(["-m", "pytest", "tests/python"])
         .arg("--override-ini")
         .arg(format!("cache_dir={}", paths::in_root("target/pytest").display()))
-        .env("FIVEBAR_FMU", fmu);
-    if full {
-        command.args(["-m", "full or not full"]);
+        .env("FIVEBAR_FMU", fmu)
+        .env("FIVEBAR_FMU_HERE", paths::fmu())
+        .env("FMI_SIM", paths::fmi_sim().join("bin/fmi-sim"));
+    if let Some(marks) = marks {
+        command.args(["-m", marks]);
     }
     process::run(&mut command).with_context(|| format!("tests/python on {}", paths::short(fmu)))
 }

@@ -16,23 +16,26 @@ pub(crate) enum Packages {
     Usual,
     /// And what the tests in a browser need.
     Full,
+    /// And what builds libraries for other machines.
+    Platforms,
     /// What the comparison with peers needs: large, and in an environment of its own.
     Peers,
 }
 
 impl Packages {
     fn files(self) -> &'static [&'static str] {
-        const FILES: [&str; 2] = ["xtask/python/requirements.txt", "xtask/python/requirements-full.txt"];
+        const USUAL: &str = "xtask/python/requirements.txt";
         match self {
-            Self::Usual => &FILES[..1],
-            Self::Full => &FILES,
+            Self::Usual => &[USUAL],
+            Self::Full => &[USUAL, "xtask/python/requirements-full.txt"],
+            Self::Platforms => &[USUAL, "xtask/python/requirements-platforms.txt"],
             Self::Peers => &["xtask/python/requirements-peers.txt"],
         }
     }
 
     fn folder(self) -> PathBuf {
         match self {
-            Self::Usual | Self::Full => paths::in_root("target/venv"),
+            Self::Usual | Self::Full | Self::Platforms => paths::in_root("target/venv"),
             Self::Peers => paths::in_root("target/venv-peers"),
         }
     }
@@ -54,6 +57,12 @@ pub(crate) fn python(packages: Packages) -> Result<Command> {
     // Python's own settings of the caller must not reach into the private environment.
     command.env_remove("PYTHONPATH").env_remove("PYTHONHOME");
     Ok(command)
+}
+
+/// The folder that the packages are installed in.
+pub(crate) fn site_packages(packages: Packages) -> Result<PathBuf> {
+    let ask = "import sysconfig; print(sysconfig.get_path('purelib'))";
+    Ok(process::output(python(packages)?.args(["-c", ask]))?.trim().into())
 }
 
 /// A file of requirements and the copy of it that tells what is installed.

@@ -42,7 +42,7 @@ impl<const N: usize> Stages<N> {
     pub(super) fn new<const M: usize>(system: &impl System<N, M>, softness: f64, from: &State<N, M>, power: Power, h: f64) -> Self {
         let mut stages = Self { slopes: [Slope::NONE; ALL], q: from.q, v: from.v, h, last: from.q };
         stages.slopes[0] = Slope { q: from.v, v: from.a, power };
-        for (stage, row) in A.into_iter().enumerate().take(STAGES).skip(1) {
+        for (stage, row) in A.iter().enumerate().take(STAGES).skip(1) {
             let [q, v] = stages.at(row);
             stages.slopes[stage] = Slope::at(system, softness, &q, &v);
             stages.last = q;
@@ -127,7 +127,7 @@ impl<const N: usize> Stages<N> {
         power: Power,
     ) -> [Slope<N>; 4] {
         self.slopes[END] = Slope { q: end.v, v: end.a, power };
-        for (stage, row) in A.into_iter().enumerate().take(ALL).skip(END + 1) {
+        for (stage, row) in A.iter().enumerate().skip(END + 1) {
             let [q, v] = self.at(row);
             self.slopes[stage] = Slope::at(system, softness, &q, &v);
         }

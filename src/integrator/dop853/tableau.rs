@@ -193,3 +193,42 @@ pub(super) const DENSE: [Row; 4] = [
         (15, -149.72683625798564),
     ],
 ];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Σ coefficient · node^power, the nodes being the sums of the rows.
+    fn moment(row: Row, power: i32) -> f64 {
+        let node = |stage: usize| A[stage].iter().map(|(_, a)| a).sum::<f64>();
+        row.iter().map(|&(stage, coefficient)| coefficient * node(stage).powi(power)).sum()
+    }
+
+    /// The conditions that quadrature of each order, and the stages' own order, make; the rest is for the measured orders to show.
+    #[test]
+    fn order_conditions_hold() {
+        // Rows have coefficients of up to 43, and so have the sums that make the nodes: 43² ε.
+        let zero = |what: &str, value: f64| assert!(value.abs() < 1e-12, "{what}: {value:e}");
+        for (stage, node) in
+            [(5, 1.0 / 3.0), (6, 0.25), (7, 4.0 / 13.0), (9, 0.6), (11, 1.0), (END, 1.0), (14, 0.2), (15, 7.0 / 9.0)]
+        {
+            zero("node", moment(A[stage], 0) - node);
+        }
+        for row in &A[2..] {
+            zero("second order of a stage", moment(row, 1) - moment(row, 0).powi(2) / 2.0);
+        }
+        for row in &A[3..] {
+            zero("third order of a stage", moment(row, 2) - moment(row, 0).powi(3) / 3.0);
+        }
+        for power in 0..8 {
+            zero("quadrature of order 8", moment(A[END], power) - 1.0 / f64::from(power + 1));
+        }
+        for power in 0..5 {
+            zero("order 5", moment(ERROR_5, power));
+        }
+        for power in 0..3 {
+            zero("order 3", moment(ERROR_3, power));
+        }
+        assert!(moment(ERROR_5, 6).abs() > 1e-4 && moment(ERROR_3, 3).abs() > 1e-4, "an estimate that sees nothing");
+    }
+}

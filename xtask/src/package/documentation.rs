@@ -1,21 +1,33 @@
-//! `documentation/index.html`: the page of `modelDescription/documentation/`, with the picture and the table of
-//! variables put in.
+//! `documentation/index.html`: the page of `modelDescription/documentation/`, with the picture, the tables of variables and
+//! scenes and the change log put in.
 
 use crate::paths;
+use crate::scenes::{self, Scene};
 use anyhow::{Context, Result, ensure};
 use model_description::{Causality, Kind, ModelDescription, TypeKind, Variability, Variable};
+use pulldown_cmark::{Event, HeadingLevel, Parser, Tag, TagEnd};
 use std::fmt::{Display, Write};
 use std::fs;
 
 const SOURCE: &str = "modelDescription/documentation/index.html";
 
-/// Where the page takes the picture, the table of variables and the list of enumerations.
-const PLACES: [&str; 3] = ["<!-- picture -->", "<!-- variables -->", "<!-- enumerations -->"];
+const CHANGES: &str = "CHANGELOG.md";
+
+/// Where the page takes what is put in.
+const PLACES: [&str; 5] =
+    ["<!-- picture -->", "<!-- scenes -->", "<!-- variables -->", "<!-- enumerations -->", "<!-- changes -->"];
 
 /// The finished page; it refers to nothing outside itself.
 pub(super) fn page(description: &ModelDescription, picture: &str) -> Result<String> {
     let mut page = fs::read_to_string(paths::in_root(SOURCE)).with_context(|| format!("{SOURCE} cannot be read"))?;
-    let contents = [inline(picture).to_owned(), variables(description), enumerations(description)];
+    let changes = fs::read_to_string(paths::in_root(CHANGES)).with_context(|| format!("{CHANGES} cannot be read"))?;
+    let contents = [
+        inline(picture).to_owned(),
+        scene_rows(&scenes::all()?),
+        variables(description),
+        enumerations(description),
+        change_log(&changes),
+    ];
     for (place, content) in PLACES.iter().zip(contents) {
         ensure!(page.matches(place).count() == 1, "{SOURCE} must have {place} once");
         page = page.replace(place, &content);
@@ -110,6 +122,45 @@ fn enumerations(description: &ModelDescription) -> String {
     rows
 }
 
+fn scene_rows(scenes: &[Scene]) -> String {
+    let mut rows = String::new();
+    for scene in scenes {
+        let constant = scene.values.iter().map(|(name, value)| format!("{name} = {value}"));
+        let changing = scene.changing.iter().map(|name| format!("{name} changes with time"));
+        let values: Vec<String> = constant.chain(changing).collect();
+        writeln!(
+            rows,
+            "<tr><td><code>{}</code></td><td>{}</td><td>{}</td></tr>",
+            escape(&scene.name),
+            escape(&scene.description),
+            escape(&values.join(", "))
+        )
+        .expect("writing to a string does not fail");
+    }
+    rows
+}
+
+/// The change log as HTML, its headings one level down and without the first, which the page has.
+fn change_log(markdown: &str) -> String {
+    let below = markdown.split_once("\n## ").map_or("", |(_, rest)| rest);
+    let text = format!("## {below}");
+    let one_down = |level| match level {
+        HeadingLevel::H2 => HeadingLevel::H3,
+        HeadingLevel::H3 => HeadingLevel::H4,
+        other => other,
+    };
+    let events = Parser::new(&text).map(|event| match event {
+        Event::Start(Tag::Heading { level, id, classes, attrs }) => {
+            Event::Start(Tag::Heading { level: one_down(level), id, classes, attrs })
+        }
+        Event::End(TagEnd::Heading(level)) => Event::End(TagEnd::Heading(one_down(level))),
+        other => other,
+    });
+    let mut html = String::new();
+    pulldown_cmark::html::push_html(&mut html, events);
+    html
+}
+
 fn escape(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
@@ -127,9 +178,18 @@ mod tests {
             let name = format!("<code>{}</code>", variable.name.full);
             assert!(page.contains(&name), "{name} is missing");
         }
+        for scene in scenes::all().unwrap() {
+            assert!(page.contains(&format!("<code>{}</code>", scene.name)), "{} is missing", scene.name);
+        }
         for outside in ["<link", "<script", "<img", "src=", "url(http", "@import"] {
             assert!(!page.contains(outside), "the page has {outside}");
         }
+    }
+
+    #[test]
+    fn the_change_log_stands_below_the_headings_of_the_page() {
+        let html = change_log("# Changelog\n\nForm.\n\n## 0.2.0\n\n### Added\n\n- A & `b`.\n\n## 0.1.0\n");
+        assert_eq!(html, "<h3>0.2.0</h3>\n<h4>Added</h4>\n<ul>\n<li>A &amp; <code>b</code>.</li>\n</ul>\n<h3>0.1.0</h3>\n");
     }
 
     #[test]

@@ -1,27 +1,13 @@
 //! The release library, built so that no path of the building machine is inside it.
 
 use super::linked::{LIBRARY_CRATE, Linked};
+use super::platform::Platform;
 use crate::{paths, process};
 use anyhow::{Context, Result, bail};
 use cargo_metadata::{Message, PackageId};
 use std::collections::HashSet;
-use std::env::consts::{ARCH, DLL_EXTENSION, OS};
 use std::fs;
 use std::path::{Path, PathBuf};
-
-/// Name of the folder under `binaries/` for the machine that builds: FMI 2.0's own names (section 2.3) where it has
-/// one, the tuples of FMI 3.0 (section 2.5.1.1) for the rest.
-pub(super) fn fmi_platform() -> String {
-    match (OS, ARCH) {
-        ("linux", "x86_64") => "linux64".into(),
-        ("linux", "x86") => "linux32".into(),
-        ("windows", "x86_64") => "win64".into(),
-        ("windows", "x86") => "win32".into(),
-        ("macos", "x86_64") => "darwin64".into(),
-        ("macos", arch) => format!("{arch}-darwin"),
-        (os, arch) => format!("{arch}-{os}"),
-    }
-}
 
 /// The built library.
 pub(super) struct Library {
@@ -31,17 +17,18 @@ pub(super) struct Library {
     pub(super) built: HashSet<PackageId>,
 }
 
-/// Builds the library.
-pub(super) fn build(linked: &Linked) -> Result<Library> {
+/// Builds the library for a machine.
+pub(super) fn build(platform: &Platform, linked: &Linked) -> Result<Library> {
     // Only as cdylib: cargo does no link-time optimisation where an rlib is built along.
     let messages = process::run_for_output(
-        process::cargo()
-            .args(["rustc", "--release", "--locked", "--package", LIBRARY_CRATE])
+        platform
+            .cargo_rustc()?
+            .args(["--locked", "--package", LIBRARY_CRATE])
             .args(["--lib", "--crate-type", "cdylib"])
             .arg("--message-format=json-render-diagnostics")
             .env("CARGO_ENCODED_RUSTFLAGS", flags(linked)?.join("\u{1f}")),
     )?;
-    let (file, built) = artifacts(&messages)?;
+    let (file, built) = artifacts(&messages, platform.extension)?;
     let bytes = fs::read(&file).with_context(|| format!("{} cannot be read", file.display()))?;
     for path in [paths::root(), &linked.target, &cargo_home()?] {
         if contains(&bytes, path.as_os_str().as_encoded_bytes()) {
@@ -80,7 +67,7 @@ fn cargo_home() -> Result<PathBuf> {
 }
 
 /// The file of the library and all crates built, out of cargo's messages.
-fn artifacts(messages: &str) -> Result<(PathBuf, HashSet<PackageId>)> {
+fn artifacts(messages: &str, extension: &str) -> Result<(PathBuf, HashSet<PackageId>)> {
     let mut library = None;
     let mut built = HashSet::new();
     for message in Message::parse_stream(messages.as_bytes()) {
@@ -89,10 +76,10 @@ fn artifacts(messages: &str) -> Result<(PathBuf, HashSet<PackageId>)> {
         };
         built.insert(artifact.package_id);
         if artifact.target.name == LIBRARY_CRATE && artifact.target.is_cdylib() {
-            library = artifact.filenames.into_iter().find(|file| file.extension() == Some(DLL_EXTENSION));
+            library = artifact.filenames.into_iter().find(|file| file.extension() == Some(extension));
         }
     }
-    let library = library.with_context(|| format!("cargo built no .{DLL_EXTENSION} of `{LIBRARY_CRATE}`"))?;
+    let library = library.with_context(|| format!("cargo built no .{extension} of `{LIBRARY_CRATE}`"))?;
     Ok((library.into(), built))
 }
 

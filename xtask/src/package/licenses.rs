@@ -2,11 +2,12 @@
 
 use super::Files;
 use super::linked::{Linked, LinkedCrate};
+use super::platform::Scope;
 use crate::paths;
 use anyhow::{Context, Result, bail};
 use std::fmt::Write;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 const FOLDER: &str = "documentation/licenses";
 
@@ -14,7 +15,7 @@ const FOLDER: &str = "documentation/licenses";
 const OWN: [&str; 2] = ["LICENSE-APACHE", "LICENSE-MIT"];
 
 /// All licence files, and `license.txt`, which lists what is under which.
-pub(super) fn collect(linked: &Linked) -> Result<Files> {
+pub(super) fn collect(linked: &Linked, scope: Scope) -> Result<Files> {
     let mut files = Files::new();
     for name in OWN {
         let text = fs::read(paths::in_root(name)).with_context(|| format!("{name} cannot be read"))?;
@@ -23,7 +24,11 @@ pub(super) fn collect(linked: &Linked) -> Result<Files> {
     for crate_ in &linked.crates {
         files.extend(of_crate(crate_)?);
     }
-    files.insert(format!("{FOLDER}/license.txt"), summary(linked).into_bytes());
+    let runtime = scope.runtime_licenses()?;
+    for (name, file) in &runtime {
+        files.insert(format!("{FOLDER}/{name}"), fs::read(file).with_context(|| format!("{} cannot be read", file.display()))?);
+    }
+    files.insert(format!("{FOLDER}/license.txt"), summary(linked, &runtime).into_bytes());
     Ok(files)
 }
 
@@ -52,7 +57,7 @@ fn is_license(file: &Path) -> bool {
     STARTS.iter().any(|start| name.starts_with(start))
 }
 
-fn summary(linked: &Linked) -> String {
+fn summary(linked: &Linked, runtime: &[(&str, PathBuf)]) -> String {
     let mut text = String::from(
         "FiveBar is licensed under either of LICENSE-MIT.txt and LICENSE-APACHE.txt, at your choice.\n\
          \n\
@@ -71,6 +76,12 @@ fn summary(linked: &Linked) -> String {
         linked.rustc
     )
     .expect("writing to a string does not fail");
+    if !runtime.is_empty() {
+        text.push_str("\nLicences in it, and of what the linker adds for each machine:\n\n");
+        for (name, _) in runtime {
+            writeln!(text, "    {name}").expect("writing to a string does not fail");
+        }
+    }
     text
 }
 

@@ -1,11 +1,11 @@
 //! The crates that are linked into the library, and what is installed to build it.
 
+use super::platform::Scope;
 use crate::{paths, process};
 use anyhow::{Context, Result};
 use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, Package, PackageId, TargetKind};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
-use std::process::Command;
 
 /// The crate that becomes the library.
 pub(super) const LIBRARY_CRATE: &str = "fivebar";
@@ -35,12 +35,19 @@ pub(super) struct LinkedCrate {
 
 impl Linked {
     /// Asks cargo and rustc.
-    pub(super) fn read() -> Result<Self> {
-        let version = process::output(rustc().arg("--version"))?;
-        let host = process::output(rustc().args(["--print", "host-tuple"]))?;
+    pub(super) fn read(scope: Scope) -> Result<Self> {
+        let version = process::output(scope.rustc().arg("--version"))?;
+        let mut options = vec!["--locked".to_owned()];
+        for platform in scope.platforms() {
+            let triple = match platform.cross {
+                Some(triple) => triple.to_owned(),
+                None => process::output(scope.rustc().args(["--print", "host-tuple"]))?.trim().to_owned(),
+            };
+            options.extend(["--filter-platform".into(), triple]);
+        }
         let metadata = MetadataCommand::new()
             .manifest_path(paths::in_root("Cargo.toml"))
-            .other_options(["--locked", "--filter-platform", host.trim()].map(String::from))
+            .other_options(options)
             .exec()
             .context("`cargo metadata` failed")?;
         Ok(Self {
@@ -49,10 +56,6 @@ impl Linked {
             rustc: version.trim().to_owned(),
         })
     }
-}
-
-fn rustc() -> Command {
-    process::program(std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into()))
 }
 
 /// Follows the normal dependencies of the library's crate; procedural macros run in the compiler and are not linked.

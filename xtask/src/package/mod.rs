@@ -1,4 +1,5 @@
-//! `cargo xtask package`: `target/fmu/FiveBar.fmu`, the same bytes wherever it is built, verified after packing.
+//! `cargo xtask package`: `target/fmu/FiveBar.fmu`, the same bytes wherever it is built, verified after packing; with
+//! `--all-platforms` one with a library for every machine that is shipped.
 
 mod archive;
 mod documentation;
@@ -6,12 +7,15 @@ mod icon;
 mod library;
 mod licenses;
 mod linked;
+mod platform;
 mod verify;
+
+pub(crate) use platform::Scope;
 
 use crate::paths;
 use anyhow::{Context, Result};
 use model_description::ModelDescription;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::fs;
 use std::path::PathBuf;
 
@@ -19,29 +23,33 @@ use std::path::PathBuf;
 type Files = BTreeMap<String, Vec<u8>>;
 
 /// Builds, packs, verifies; gives back the file of the packed unit.
-pub(crate) fn package() -> Result<PathBuf> {
+pub(crate) fn package(scope: Scope) -> Result<PathBuf> {
     let description = ModelDescription::read().context("modelDescription/modelDescription.xml")?;
-    let mut linked = linked::Linked::read()?;
-    let library = library::build(&linked)?;
-    linked.crates.retain(|crate_| library.built.contains(&crate_.id));
+    let mut linked = linked::Linked::read(scope)?;
+    let mut files = Files::new();
+    let mut built = HashSet::new();
+    for platform in scope.platforms() {
+        let library = library::build(&platform, &linked).with_context(|| format!("the library for {}", platform.folder))?;
+        let name = format!("binaries/{}/{}.{}", platform.folder, description.model_identifier, platform.extension);
+        files.insert(name, library.bytes);
+        built.extend(library.built);
+    }
+    linked.crates.retain(|crate_| built.contains(&crate_.id));
+
     let picture = icon::picture()?;
 
-    let mut files = Files::new();
     files.insert("modelDescription.xml".into(), description.to_fmi(env!("CARGO_PKG_VERSION")).into_bytes());
     files.insert("model.png".into(), icon::render(&picture)?);
     files.insert("documentation/index.html".into(), documentation::page(&description, &picture)?.into_bytes());
-    files.extend(licenses::collect(&linked)?);
-    files.insert(
-        format!("binaries/{}/{}.{}", library::fmi_platform(), description.model_identifier, std::env::consts::DLL_EXTENSION),
-        library.bytes,
-    );
+    files.extend(licenses::collect(&linked, scope)?);
 
-    let fmu = paths::fmu();
+    let fmu = scope.file();
     fs::create_dir_all(fmu.parent().context("the .fmu lies in a folder")?)?;
     // A unit that is not fit for use never gets the name under which one is looked for.
     let unverified = fmu.with_extension("unverified");
     archive::write(&unverified, &files)?;
-    let report = verify::verify(&unverified).with_context(|| format!("{} is not fit for use", paths::short(&unverified)))?;
+    let report = verify::verify(&unverified, scope.glibc_floor())
+        .with_context(|| format!("{} is not fit for use", paths::short(&unverified)))?;
     fs::rename(&unverified, &fmu).with_context(|| format!("{} cannot be written", paths::short(&fmu)))?;
     println!("{}: {report}", paths::short(&fmu));
     Ok(fmu)

@@ -30,6 +30,9 @@ const EXPORTS: [&str; 34] = [
     "fmi2GetStatus", "fmi2GetRealStatus", "fmi2GetIntegerStatus", "fmi2GetBooleanStatus", "fmi2GetStringStatus",
 ];
 
+/// Libraries that are part of every Windows since 10; those of the C runtime beside them begin with `api-ms-win-`.
+const WINDOWS: [&str; 4] = ["bcryptprimitives.dll", "kernel32.dll", "ntdll.dll", "ucrtbase.dll"];
+
 /// Files that every .fmu of this project has.
 const REQUIRED: [&str; 4] = ["modelDescription.xml", "model.png", "documentation/index.html", "documentation/licenses/license.txt"];
 
@@ -59,8 +62,8 @@ impl fmt::Display for Report {
     }
 }
 
-/// Opens the archive and checks what a host relies on.
-pub(super) fn verify(fmu: &Path) -> Result<Report> {
+/// Opens the archive and checks what a host relies on; no library may ask for a glibc newer than the floor.
+pub(super) fn verify(fmu: &Path, glibc_floor: Option<&[u32]>) -> Result<Report> {
     let file = File::open(fmu)?;
     let size = file.metadata()?.len();
     let mut archive = ZipArchive::new(file)?;
@@ -74,7 +77,7 @@ pub(super) fn verify(fmu: &Path) -> Result<Report> {
         let stem = Path::new(name).file_stem().unwrap_or_default();
         ensure!(stem == identifier.as_str(), "{name} is not named after the modelIdentifier {identifier}");
         let bytes = read(&mut archive, name)?;
-        libraries.push(library(name, &bytes, &guid).with_context(|| name.clone())?);
+        libraries.push(library(name, &bytes, &guid, glibc_floor).with_context(|| name.clone())?);
     }
     ensure!(!libraries.is_empty(), "binaries/ is empty");
     Ok(Report { archive: size, guid, libraries })
@@ -106,11 +109,30 @@ fn identity(xml: &str) -> Result<(String, String)> {
     Ok((guid.to_owned(), identifier.to_owned()))
 }
 
-fn library(name: &str, bytes: &[u8], guid: &str) -> Result<Library> {
+fn library(name: &str, bytes: &[u8], guid: &str, glibc_floor: Option<&[u32]>) -> Result<Library> {
     ensure!(bytes.len() < LARGEST_LIBRARY, "{} bytes are too many: the limit is {LARGEST_LIBRARY}", bytes.len());
     ensure!(contains(bytes, guid.as_bytes()), "the library does not know the GUID {guid} of modelDescription.xml");
     check_exports(exports(bytes)?)?;
-    Ok(Library { name: name.to_owned(), size: bytes.len(), glibc: needed_glibc(bytes)? })
+    check_imports(&object::File::parse(bytes)?)?;
+    let glibc = needed_glibc(bytes)?;
+    if let (Some(version), Some(floor)) = (&glibc, glibc_floor) {
+        let (version, floor) = (dotted(version), dotted(floor));
+        ensure!(glibc.as_deref() <= glibc_floor, "it asks for glibc {version}, and must run with glibc {floor}");
+    }
+    Ok(Library { name: name.to_owned(), size: bytes.len(), glibc: glibc.as_deref().map(dotted) })
+}
+
+/// Windows: a library that is not part of every Windows 10 is one that the .fmu would have to bring.
+fn check_imports(file: &object::File<'_>) -> Result<()> {
+    if file.format() != object::BinaryFormat::Pe {
+        return Ok(());
+    }
+    for import in file.imports()? {
+        let library = String::from_utf8_lossy(import?.library()).to_lowercase();
+        let known = WINDOWS.contains(&library.as_str()) || library.starts_with("api-ms-win-");
+        ensure!(known, "it needs {library}, which Windows does not bring");
+    }
+    Ok(())
 }
 
 fn exports(bytes: &[u8]) -> Result<BTreeSet<String>> {
@@ -141,7 +163,7 @@ fn check_exports(found: BTreeSet<String>) -> Result<()> {
 }
 
 /// The newest glibc version that an ELF library asks for; none for other formats.
-fn needed_glibc(bytes: &[u8]) -> Result<Option<String>> {
+fn needed_glibc(bytes: &[u8]) -> Result<Option<Vec<u32>>> {
     if object::FileKind::parse(bytes)? != object::FileKind::Elf64 {
         return Ok(None);
     }
@@ -159,7 +181,12 @@ fn needed_glibc(bytes: &[u8]) -> Result<Option<String>> {
             newest = newest.max(name.strip_prefix("GLIBC_").and_then(numbers));
         }
     }
-    Ok(newest.map(|version| version.iter().map(u32::to_string).collect::<Vec<_>>().join(".")))
+    Ok(newest)
+}
+
+/// `[2, 17]` as `2.17`.
+fn dotted(version: &[u32]) -> String {
+    version.iter().map(u32::to_string).collect::<Vec<_>>().join(".")
 }
 
 /// `2.34` as numbers, so that 2.4 comes before 2.34; none for GLIBC_PRIVATE and its like.

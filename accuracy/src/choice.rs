@@ -1,0 +1,72 @@
+//! Methods with their settings: the markers on the lines of the diagrams.
+
+use hard_cases::Setting;
+
+use crate::Extent;
+
+/// A method with its step or tolerance.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Choice {
+    /// Name of the line.
+    pub method: &'static str,
+    /// `step` or `tolerance`.
+    pub knob: &'static str,
+    /// s or rad.
+    pub unit: &'static str,
+    /// Step or tolerance, in `unit`.
+    pub value: f64,
+    /// What the simulation is told.
+    pub setting: Setting,
+}
+
+/// A line: name, what is turned, its unit, its values, and how the simulation is told.
+struct Line {
+    method: &'static str,
+    knob: &'static str,
+    unit: &'static str,
+    values: &'static [f64],
+    setting: fn(f64) -> Setting,
+}
+
+/// Steps that divide 1 ms, or are multiples of it.
+const STEPS: &[f64] = &[4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5, 2.5e-5, 1e-5];
+
+const LINES: [Line; 5] = [
+    Line {
+        method: "dop853",
+        knob: "tolerance",
+        unit: "rad",
+        values: &[1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13, 1e-14],
+        setting: Setting::Dop853,
+    },
+    Line {
+        method: "i3alp, adaptive",
+        knob: "tolerance",
+        unit: "rad",
+        values: &[1e-5, 1e-6, 1e-7, 1e-8, 3e-9, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13],
+        setting: Setting::Tolerance,
+    },
+    Line { method: "i3alp, fixed step", knob: "step", unit: "s", values: STEPS, setting: Setting::Fixed },
+    Line { method: "i3alpPrinted", knob: "step", unit: "s", values: STEPS, setting: Setting::Printed },
+    Line { method: "rk4", knob: "step", unit: "s", values: STEPS, setting: Setting::Rk4 },
+];
+
+impl Choice {
+    /// All of them; `Quick`: every third value.
+    pub fn all(extent: Extent) -> Vec<Self> {
+        let stride = if extent == Extent::Full { 1 } else { 3 };
+        let of = |line: &Line| {
+            let &Line { method, knob, unit, values, setting } = line;
+            values.iter().step_by(stride).map(move |&value| Self { method, knob, unit, value, setting: setting(value) }).collect()
+        };
+        LINES.iter().flat_map::<Vec<Self>, _>(of).collect()
+    }
+
+    /// The cells by which it is known in every table.
+    pub fn cells(&self) -> [String; 4] {
+        [self.method.into(), self.knob.into(), format!("{:e}", self.value), self.unit.into()]
+    }
+}
+
+/// The head of [`Choice::cells`].
+pub const HEAD: [&str; 4] = ["method", "knob", "value", "unit"];

@@ -1,0 +1,55 @@
+//! The predictability horizon: how long a run stays near the exact motion, by tolerance or step.
+
+use anyhow::{Context, Result};
+use hard_cases::Setting;
+
+use crate::choice::HEAD;
+use crate::{Choice, Extent, Folder, Run, scene};
+
+/// The scene: the whips of a free fall.
+const SCENE: &str = "fall_90_120";
+/// Tips that are further apart than this, m, have parted.
+const APART: f64 = 1e-3;
+/// The best that there is, rad.
+const BEST: Setting = Setting::Dop853(1e-14);
+/// The same run with other rounding and error control, rad: parts from the best where double precision ends.
+const SECOND: Setting = Setting::Dop853(2e-14);
+/// All communication steps divide this, s.
+const STRIDE: f64 = 4e-3;
+
+/// Writes `horizon.csv`, when each choice parts from the best run, and `growth.csv`, how two runs that are all but equal part.
+pub fn write(folder: &Folder, extent: Extent) -> Result<()> {
+    let end = if extent == Extent::Full { 12.0 } else { 3.0 };
+    let (parameters, inputs) = scene::load(SCENE)?;
+    let mut best = Run::new(&parameters, &inputs, BEST)?;
+    let times: Vec<f64> = (1..=(end / STRIDE).round() as u32).map(|i| f64::from(i) * STRIDE).collect();
+    let path: Vec<[f64; 2]> =
+        times.iter().map(|t| best.to(*t).map(|()| best.tip())).collect::<Result<_, _>>().context("the best run")?;
+    let parting = |setting: Setting| -> Result<(f64, String)> {
+        let mut run = Run::new(&parameters, &inputs, setting)?;
+        for (t, tip) in times.iter().zip(&path) {
+            if let Err(failure) = run.to(*t) {
+                return Ok((run.time(), format!("ended early: {}", failure.cause)));
+            }
+            let [x, y] = run.tip();
+            if (x - tip[0]).hypot(y - tip[1]) > APART {
+                return Ok((*t, "parted".into()));
+            }
+        }
+        Ok((end, "together to the end".into()))
+    };
+    let mut rows = Vec::new();
+    let (limit, ending) = parting(SECOND)?;
+    rows.push(vec!["double precision".into(), "tolerance".into(), "2e-14".into(), "rad".into(), limit.to_string(), ending]);
+    for choice in Choice::all(extent).into_iter().filter(|choice| choice.setting != BEST) {
+        let (time, ending) = parting(choice.setting)?;
+        eprintln!("horizon: {}, {} {:e} {}: {time:.3} s, {ending}", choice.method, choice.knob, choice.value, choice.unit);
+        rows.push(choice.cells().into_iter().chain([format!("{time:.3}"), ending]).collect());
+    }
+    let head: Vec<&str> = HEAD.into_iter().chain(["within 1 mm until [s]", "ending"]).collect();
+    folder.write("horizon", &head, rows)?;
+    if extent == Extent::Full {
+        hard_cases::horizon::write(folder.file("growth")?)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,72 @@
+//! A scene under way, in communication steps as a master makes them.
+
+use anyhow::{Result, anyhow};
+use fivebar::observers;
+use fivebar::simulation::{Inputs, Parameters, Simulation, StepFailure};
+use hard_cases::Setting;
+
+/// Communication step, s: longer internal steps make it longer.
+pub const COMMUNICATION: f64 = 1e-3;
+
+/// A scene by a method.
+#[derive(Clone, Debug)]
+pub struct Run {
+    /// The simulation.
+    pub simulation: Simulation,
+    inputs: Inputs,
+    /// Macro step, s.
+    step: f64,
+    /// Macro steps per communication step.
+    steps: u64,
+    /// Communication steps done.
+    done: u64,
+}
+
+impl Run {
+    /// At the start.
+    pub fn new(parameters: &Parameters, inputs: &Inputs, setting: Setting) -> Result<Self> {
+        let mut parameters = parameters.clone();
+        setting.apply(&mut parameters);
+        let step = parameters.settings.step_size;
+        let steps = (COMMUNICATION / step).round().max(1.0) as u64;
+        let simulation = Simulation::new(&parameters, inputs).map_err(|refusal| anyhow!("{}", refusal.0))?;
+        Ok(Self { simulation, inputs: *inputs, step, steps, done: 0 })
+    }
+
+    /// Length of a communication step, s.
+    pub fn communication(&self) -> f64 {
+        self.step * self.steps as f64
+    }
+
+    /// Time reached, s.
+    pub fn time(&self) -> f64 {
+        self.communication() * self.done as f64
+    }
+
+    /// One communication step.
+    #[inline]
+    pub fn advance(&mut self) -> Result<(), StepFailure> {
+        self.simulation.advance(&self.inputs, self.step, self.steps)?;
+        self.done += 1;
+        Ok(())
+    }
+
+    /// On to the communication point nearest to `time` s.
+    pub fn to(&mut self, time: f64) -> Result<(), StepFailure> {
+        let target = (time / self.communication()).round() as u64;
+        while self.done < target {
+            self.advance()?;
+        }
+        Ok(())
+    }
+
+    /// Position of the tip, m.
+    pub fn tip(&self) -> [f64; 2] {
+        observers::motion(self.simulation.model(), self.simulation.state()).tip.into()
+    }
+
+    /// Residual of the energy balance, J.
+    pub fn energy_error(&self) -> f64 {
+        observers::energies(self.simulation.model(), self.simulation.state()).error
+    }
+}

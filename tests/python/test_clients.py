@@ -1,0 +1,247 @@
+"""Every master that can be had here drives the unit over the same fall and must end with the bits that FMPy ends with.
+
+The communication step lies on the unit's grid, so a master's way of keeping time leaves no trace. Masters are imported
+where they are used: only the full form of the tests installs them.
+"""
+
+import csv
+import ctypes
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import fmpy
+import pytest
+from fmpy.model_description import ModelDescription
+
+from instance import Instance, Values
+from slave import Log, get_values, instantiate, set_values
+
+SIZE, STEPS = 0.01, 100
+STOP = SIZE * STEPS
+FALL: Values = {"init.theta[2]": 2.0943951023931953}
+
+# The partner of two robots: its servo holds the posture of the other one.
+FOLLOWER: Values = {**FALL, "servo.enabled": True, "servo.kp[1]": 20.0, "servo.kp[2]": 20.0}
+WIRES = [(f"{sent}[{leg}]", f"servo.{sent}[{leg}]") for sent in ("theta", "omega") for leg in (1, 2)]
+
+
+@pytest.fixture(scope="module")
+def reals(model: ModelDescription) -> list[str]:
+    """The names of all outputs that are numbers."""
+    return [v.name for v in model.modelVariables if v.causality == "output" and v.type == "Real"]
+
+
+@pytest.fixture(scope="module")
+def references(model: ModelDescription) -> dict[str, int]:
+    """The value reference of every variable."""
+    return {v.name: v.valueReference for v in model.modelVariables}
+
+
+@pytest.fixture
+def expected(new: Callable[..., Instance], reals: list[str]) -> list[float]:
+    """All real outputs at the end of the fall, through FMPy."""
+    instance = new().initialise(FALL)
+    instance.steps(STEPS, SIZE)
+    return [instance.get(name) for name in reals]
+
+
+def program(name: str) -> str:
+    """A program of the Python environment that runs these tests."""
+    return str(Path(sys.executable).parent / name)
+
+
+class CoSimulationLibrary(ctypes.CDLL):
+    """A library for fmuloader, which looks up the functions for model exchange of every unit, also where it calls none."""
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return super().__getattr__(name)
+        except AttributeError:
+            if not name.startswith("fmi2"):
+                raise
+            return SimpleNamespace()
+
+
+@pytest.mark.full
+def test_fmuloader(
+    directory: str,
+    model: ModelDescription,
+    references: dict[str, int],
+    reals: list[str],
+    expected: list[float],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Every call by hand, without callbacks for memory; a second run after a reset."""
+    from fmuloader.fmi2 import Fmi2Slave, Fmi2Type
+
+    monkeypatch.setattr("fmuloader.fmi2.CDLL", CoSimulationLibrary)
+    with Fmi2Slave(directory, model_identifier=model.coSimulation.modelIdentifier) as slave:
+        assert (slave.get_version(), slave.get_types_platform()) == ("2.0", "default")
+        slave.instantiate(
+            "fmuloader", Fmi2Type.CO_SIMULATION, guid=model.guid, cannot_use_memory_management_functions=True
+        )
+        for _ in range(2):
+            slave.set_real([references[name] for name in FALL], list(FALL.values()))
+            slave.setup_experiment(0.0, STOP)
+            slave.enter_initialization_mode()
+            slave.exit_initialization_mode()
+            for i in range(STEPS):
+                slave.do_step(i * SIZE, SIZE)
+            assert slave.get_real([references[name] for name in reals]) == expected
+            slave.terminate()
+            slave.reset()
+
+
+@pytest.mark.full
+def test_libcosim(fmu: Path, references: dict[str, int], reals: list[str], expected: list[float]) -> None:
+    """A C++ master whose time is a whole number of nanoseconds."""
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimObserver import CosimObserver
+    from libcosimpy.CosimSlave import CosimLocalSlave
+
+    execution = CosimExecution.from_step_size(round(SIZE * 1e9))
+    slave = execution.add_local_slave(CosimLocalSlave(str(fmu), "fall"))
+    for name, value in FALL.items():
+        assert execution.real_initial_value(slave, references[name], value)
+    observer = CosimObserver.create_last_value()
+    assert execution.add_observer(observer)
+    assert execution.step(STEPS)
+    assert list(observer.last_real_values(slave, [references[name] for name in reals])) == expected
+
+
+@pytest.mark.full
+def test_two_robots_in_one_libcosim_system(
+    fmu: Path, references: dict[str, int], reals: list[str], new: Callable[..., Instance]
+) -> None:
+    """One robot falls, a servo-driven partner follows it: as two instances that a loop in Python connects, bit for bit."""
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimObserver import CosimObserver
+    from libcosimpy.CosimSlave import CosimLocalSlave
+
+    size, steps = 0.001, 300
+    execution = CosimExecution.from_step_size(round(size * 1e9))
+    leader, follower = (execution.add_local_slave(CosimLocalSlave(str(fmu), name)) for name in ("leader", "follower"))
+    for slave, values in ((leader, FALL), (follower, FOLLOWER)):
+        for name, value in values.items():
+            setter = execution.boolean_initial_value if isinstance(value, bool) else execution.real_initial_value
+            assert setter(slave, references[name], value)
+    for source, sink in WIRES:
+        assert execution.connect_real_variables(leader, references[source], follower, references[sink]) == 0
+    observer = CosimObserver.create_last_value()
+    assert execution.add_observer(observer)
+    assert execution.step(steps)
+    found = [list(observer.last_real_values(slave, [references[name] for name in reals])) for slave in (leader, follower)]
+
+    first, second = new("leader"), new("follower")
+    for instance, values in ((first, FALL), (second, FOLLOWER)):
+        instance.set(values)
+        instance.enter()
+    for step in range(steps + 1):
+        second.set({sink: first.get(source) for source, sink in WIRES})
+        for instance in (first, second):
+            if step == 0:
+                instance.slave.exitInitializationMode()
+            else:
+                instance.slave.doStep((step - 1) * size, size)
+    assert found == [[instance.get(name) for name in reals] for instance in (first, second)]
+    # The partner is where it was told to be, up to a lag of a gain that is finite: 0.05 rad, where the fall takes 1 rad.
+    for leg in (1, 2):
+        assert abs(second.get(f"theta[{leg}]") - first.get(f"theta[{leg}]")) < 0.05
+        assert abs(first.get(f"theta[{leg}]") - first.get("init.theta[1]")) > 0.5
+
+
+@pytest.mark.full
+def test_ecos(fmu: Path, reals: list[str], expected: list[float]) -> None:
+    """A C++ master whose clock accumulates, and which resets."""
+    from ecospy import EcosSimulation, EcosSimulationStructure
+
+    with EcosSimulationStructure() as structure:
+        structure.add_model("fall", fmu)
+        assert structure.add_parameter_set("start", {f"fall::{name}": value for name, value in FALL.items()})
+        with EcosSimulation(structure=structure, step_size=SIZE) as simulation:
+            for _ in range(2):
+                assert simulation.init(parameter_set="start")
+                simulation.step(STEPS)
+                assert [simulation.get_real(f"fall::{name}") for name in reals] == expected
+                simulation.reset()
+            simulation.terminate()
+
+
+@pytest.mark.full
+def test_fmutool_finds_no_problem(fmu: Path) -> None:
+    done = subprocess.run([program("fmutool"), "-input", str(fmu), "-check"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.full
+def test_fmucontainer(fmu: Path, tmp_path: Path, reals: list[str], expected: list[float]) -> None:
+    """A container, whose master is in C, with the unit inside is a unit that gives the same numbers."""
+    container = {
+        "name": "container.fmu",
+        "fmu": [fmu.name],
+        "step_size": SIZE,
+        "start": [[fmu.name, name, value] for name, value in FALL.items()],
+    }
+    (tmp_path / "container.json").write_text(json.dumps(container))
+    (tmp_path / fmu.name).symlink_to(fmu)
+    command = [program("fmucontainer"), "-fmu-directory", str(tmp_path), "-container", "container.json"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+    directory = fmpy.extract(str(tmp_path / "container.fmu"), unzipdir=str(tmp_path / "container"))
+    model = fmpy.read_model_description(directory)
+    slave = instantiate(model, directory, Log(), "container")
+    slave.setupExperiment(startTime=0.0)
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    for i in range(STEPS):
+        slave.doStep(i * SIZE, SIZE)
+    assert list(get_values(slave, model, reals).values()) == expected
+    slave.terminate()
+    slave.freeInstance()
+
+
+def fall_from(directory: str, angle: float) -> list[float]:
+    """Tip and energy after a fall from `angle`: a task for a scheduler, whole in one call."""
+    model = fmpy.read_model_description(directory)
+    slave = instantiate(model, directory, Log(), f"fall from {angle}")
+    set_values(slave, model, {"init.theta[2]": angle})
+    slave.setupExperiment(startTime=0.0)
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    for i in range(STEPS):
+        slave.doStep(i * SIZE, SIZE)
+    values = get_values(slave, model, ["tip.x", "tip.y", "energy.kinetic"])
+    slave.terminate()
+    slave.freeInstance()
+    return list(values.values())
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("scheduler", ["threads", "processes"])
+def test_dask(directory: str, scheduler: str) -> None:
+    """Instances side by side have no influence on one another."""
+    import dask
+
+    angles = [1.6 + 0.1 * i for i in range(16)]
+    tasks = [dask.delayed(fall_from)(directory, angle) for angle in angles]
+    assert list(dask.compute(*tasks, scheduler=scheduler, num_workers=4)) == [fall_from(directory, angle) for angle in angles]
+
+
+@pytest.mark.fmi_sim
+def test_fmi_sim(fmu: Path, tmp_path: Path, reals: list[str], expected: list[float]) -> None:
+    """A master in Rust, with a reader of descriptions of its own; its table has the shortest text of every number."""
+    values = [f"--init-values={name}={value!r}" for name, value in FALL.items()]
+    command = [os.environ["FMI_SIM"], "--model", str(fmu), "--output-file", "out.csv", "co-simulation"]
+    command += ["-s", "0", "-f", repr(STOP), "--step", repr(SIZE), "--output-interval", repr(SIZE), *values]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    with (tmp_path / "out.csv").open(newline="") as file:
+        *_, last = csv.DictReader(file)
+    assert [float(last[name]) for name in reals] == expected

@@ -1,0 +1,234 @@
+"""The accuracy report: picks, figures and page from a few made-up measurements, and what the docs show of it."""
+
+import csv
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import write_report
+from conftest import REPOSITORY
+from report import docs, figures, picks, tables
+from report.tables import Marker, Reference
+
+ABOUT = "a made-up machine; no compiler; cargo xtask report"
+SCENES = [("swing, 2 s", "smooth", 1e-14), ("fall_90_120, 1 s", "whipping", 1e-15), ("stiff_servo, 0.5 s", "stiff", 1e-8)]
+STEPS = (4e-3, 1e-3, 1e-4, 1e-5)
+LINES = {
+    "dop853": ("tolerance", "rad", (1e-4, 1e-7, 1e-10, 1e-13), lambda v: 10 * v, lambda v: 0.3 * v**-0.1),
+    "i3alp, fixed step": ("step", "s", STEPS, lambda h: 6e3 * h**2, lambda h: 2e-4 / h),
+    "rk4": ("step", "s", STEPS, lambda h: 3e6 * h**4, lambda h: 4e-4 / h),
+}
+SECTIONS = ["run", "need", "precision", "order", "horizon", "steps", "effects", "hard-cases", "paper", "peers", "failures"]
+
+
+def precision() -> list[list[object]]:
+    """Rows of precision.csv; rk4 fails at its longest step."""
+    rows = []
+    for scene, kind, _ in SCENES:
+        for method, (knob, unit, values, error, cost) in LINES.items():
+            for v in values:
+                failed = method == "rk4" and v == STEPS[0]
+                e, us = (math.inf, math.nan) if failed else (error(v), cost(v))
+                ending = "ended early at 0.1 s: <never> converged" if failed else "complete"
+                rows.append([scene, kind, 1, method, knob, v, unit, e, us, 0.9 * us, 2 * us, 10, 0, 10, ending])
+    return rows
+
+
+def write(folder: Path, name: str, head: list[str], rows: list[list[object]]) -> None:
+    """A table as the measuring program writes it."""
+    with (folder / f"{name}.csv").open("w", newline="", encoding="utf-8") as file:
+        file.write(f"# {ABOUT}\n")
+        csv.writer(file).writerows([head, *rows])
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a report with its tables."""
+    folder = tmp_path_factory.mktemp("report")
+    data = folder / "data"
+    data.mkdir()
+    choice = ["method", "knob", "value", "unit"]
+    us = [f"{prefix}us per simulated ms" for prefix in ("", "best ", "worst ")]
+    counts = ["sub-steps", "rejected", "iterations", "ending"]
+    write(data, "precision", ["scene", "kind", "end [s]", *choice, "error [m]", *us, *counts], precision())
+    write(data, "references", ["scene", "kind", "own error [m]", "source"], [[*scene, "by other means"] for scene in SCENES])
+    fall = [row for row in precision() if row[0] == SCENES[1][0]]
+    energy = [[*row[3:7], row[7] if row[7] < 1 else 5, row[8], 50, row[-1]] for row in fall]
+    write(data, "energy", [*choice, "worst |dE| [mgL]", us[0], "reached [s]", "ending"], energy)
+    best = ["double precision", "tolerance", 2e-14, "rad", 5.5, "parted"]
+    write(data, "horizon", [*choice, "within 1 mm until [s]", "ending"], [best] + [[*row[3:7], 1.5, "parted"] for row in fall])
+    pairs = [["90/120 deg", 0.01 * i, 1e-12 * math.exp(0.1 * i)] for i in range(300)]
+    write(data, "growth", ["pair", "time [s]", "difference [rad]"], pairs)
+    names = ["i3alp, default tolerance", "dop853, 1e-8 rad"]
+    steps = [[name, 1e-3 * i, 1 + i % 7, 2 + i % 9, 1 + i % 5, 1 + i % 6, 0.1, 0.2, 0.01] for name in names for i in range(50)]
+    sigmas = ["sigmaPhi", "sigmaJx [m]", "sigmaJq [m2]"]
+    write(data, "steps", ["setting", "time [s]", "best [us]", "first [us]", "sub-steps", "iterations", *sigmas], steps)
+    (folder / "bench").mkdir()
+    rows = [["gravity only", 2000, 200, 1], ["friction", 8000, 800, 4]]
+    write(folder / "bench", "effects", ["case", "instructions", "ns", "ratio"], rows)
+    return folder
+
+
+def options(folder: Path) -> list[str]:
+    """The command line; hard cases, runs and peers are not there."""
+    nothing = folder / "nothing"
+    others = [f"--{name}={nothing}" for name in ("hard-cases", "runs", "peers")]
+    return [f"--folder={folder}", f"--bench={folder / 'bench'}", *others]
+
+
+@pytest.fixture(scope="module")
+def page(measured: Path) -> Path:
+    """The page."""
+    assert write_report.main(options(measured)) == 0
+    return measured / "index.html"
+
+
+def marker(method: str, error: float, cost: float, ending: str = "complete", step: float | None = None) -> Marker:
+    """A marker of which only these things matter; what costs more has the smaller step, unless one is given."""
+    return Marker("fall", "whipping", method, "step", step or 1e-3 / cost, "s", error, cost, 1.0, 1, ending)
+
+
+def test_the_cheapest_that_is_good_enough() -> None:
+    found = [
+        marker("rk4", 1e-7, 5.0),
+        marker("rk4", 1e-9, 50.0),
+        marker("dop853", 1e-8, 3.0),
+        marker("i3alp, fixed step", 1e-3, 0.2),
+        marker("i3alpPrinted", math.inf, 0.1, "ended early at 0.1 s"),
+        # A lucky hit: with half the step the error is larger.
+        marker("i3alp, adaptive", 1e-8, 0.1, step=2e-3),
+        marker("i3alp, adaptive", 1e-2, 0.2, step=1e-3),
+    ]
+    reference = Reference("fall", "whipping", 1e-9, "")
+    chosen = picks.pick(found, reference, 1e-6)
+    assert (chosen.best, chosen.second, chosen.resolved) == (found[2], found[0], True)
+    assert picks.pick(found, reference, 1e-3).best == found[3]
+    assert picks.pick(found, reference, 1e-10).best is None
+    assert not picks.pick(found, reference, 2e-9).resolved
+
+
+def test_sentences_name_a_method_for_every_stretch() -> None:
+    found = [marker("i3alp, fixed step", 1e-3, 0.2), marker("dop853", 1e-8, 3.0)]
+    [(kind, sentence)] = picks.sentences(found, [Reference("fall", "whipping", 1e-15, "")])
+    assert kind == "whipping"
+    assert sentence == (
+        "for errors of 1e-2 to 1e-3 m <strong>i3alp, fixed step</strong>, at 0.2 µs; "
+        "for errors of 1e-4 to 1e-8 m <strong>dop853</strong>, at 3 µs"
+    )
+
+
+@pytest.mark.parametrize(("us", "text"), [(0.06, "17 000"), (1.0, "1 000"), (250.0, "4"), (3e3, "0.33")])
+def test_real_time_factor(us: float, text: str) -> None:
+    assert picks.factor(us) == text
+
+
+def test_slope_is_the_order() -> None:
+    line = [
+        Marker("fall", "whipping", "rk4", "step", h, "s", 2e5 * h**4 + 1e-13, 1.0, 1.0, 1, "complete") for h in (1e-2, 1e-3, 5e-4, 1e-4)
+    ]
+    # Round-off in the last is 1e-13 of 2e-11, which changes the slope by less than 1e-2 over two decades of steps.
+    assert figures.fitted_slope(line, 1e-15) == pytest.approx(4, abs=0.01)
+    # Only two are ten times above such a reference's own error.
+    assert math.isnan(figures.fitted_slope(line, 1e-8))
+
+
+def test_a_table_says_where_it_comes_from(measured: Path) -> None:
+    table = tables.read(measured / "data" / "precision.csv")
+    assert table.about == ABOUT and len(table.rows) == len(precision())
+    assert not tables.read(measured / "none.csv")
+
+
+def test_nothing_to_draw(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert write_report.main(options(tmp_path)) == 1
+    assert "cargo xtask report" in capsys.readouterr().err
+
+
+def test_the_page_has_its_sections_and_stands_alone(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert re.findall(r'<section id="([^"]+)"', text) == SECTIONS
+    assert re.findall(r'<li><a href="#([^"]+)"', text) == SECTIONS
+    ids = re.findall(r'\bid="([^"]+)"', text)
+    assert len(ids) == len(set(ids)), "an id twice"
+    assert {link for link in re.findall(r'href="#([^"]+)"', text)} <= set(ids)
+    assert "{{" not in text
+    # Names of XML vocabularies are no addresses: nothing is fetched.
+    outside = [url for url in re.findall(r'(?:src|href)="(https?:[^"]+)"', text)]
+    assert outside == []
+    assert ABOUT in text
+
+
+def test_every_figure_has_its_data_beside_it(page: Path) -> None:
+    found = re.findall(r"<figure.*?</figure>", page.read_text(encoding="utf-8"), re.DOTALL)
+    assert len(found) == 9
+    for figure in found:
+        links = re.findall(r'href="(data/[^"]+)"', figure)
+        assert links and all((page.parent / link).is_file() for link in links)
+        assert 'role="img" aria-label="' in figure and "viewBox" in figure
+
+
+def test_what_failed_and_what_is_left_out_is_said(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for scene, _, _ in SCENES:
+        assert f"<tr><td>{scene}</td><td>rk4</td><td>4 ms</td><td>ended early: &lt;never&gt; converged</td></tr>" in text
+    for command in ("cargo xtask hard-cases", "cargo xtask peers", "cargo xtask bench", "cargo xtask run --scene paper_torque"):
+        assert f"<code>{command}</code> measures it" in text
+    assert "below the reference's own error" in text
+
+
+@pytest.mark.parametrize("content", ["", "old\n"])
+def test_docs_are_rewritten_between_their_marks(tmp_path: Path, content: str) -> None:
+    (tmp_path / "docs").mkdir()
+    for name in docs.FILES:
+        (tmp_path / name).write_text(f"before\n{docs.BEGIN}\n{content}{docs.END}\nafter\n", encoding="utf-8")
+    table = ["| a |", "| --- |", "| 1 |"]
+    for _ in range(2):
+        docs.update(tmp_path, table, ABOUT)
+        for name, picture in docs.FILES.items():
+            text = (tmp_path / name).read_text(encoding="utf-8")
+            assert text.startswith("before\n") and text.endswith("\nafter\n") and "old" not in text
+            assert text.count(table[0]) == 1
+            assert docs.table_of(text, name) == table and f"]({picture})" in text and ABOUT in text
+    with pytest.raises(ValueError, match="README.md must have the lines"):
+        docs.block("no marks", "README.md")
+
+
+def test_readme_and_docs_show_the_same_table_and_picture() -> None:
+    shown = {name: (REPOSITORY / name).read_text(encoding="utf-8") for name in docs.FILES}
+    readme, own = (docs.table_of(text, name) for name, text in shown.items())
+    assert readme == own
+    assert [line.split("|")[1].strip() for line in own[2:]] == [f"{picks.power(wanted)} m" for wanted in picks.SHORT]
+    for name, picture in docs.FILES.items():
+        assert f"]({picture})" in shown[name]
+        file = (REPOSITORY / name).parent / picture
+        assert 0 < file.stat().st_size < 200_000
+
+
+@pytest.fixture
+def browser(page: Path, tmp_path: Path) -> Iterator[object]:
+    """A browser that has the page open."""
+    from test_page import open_browser
+
+    yield from open_browser(page, tmp_path)
+
+
+@pytest.mark.full
+def test_in_a_browser(browser: object) -> None:
+    """Drawn on a screen and on a phone, no word or picture sticks out; contents lead to sections; folds open for the printer."""
+    assert "accuracy" in browser.title
+    for width in (1280, 390):
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        assert browser.execute_script("return document.documentElement.scrollWidth") <= width
+        drawn = browser.execute_script(
+            "return [...document.querySelectorAll('figure svg')].map(s => [s.getBoundingClientRect().width, s.getBBox().width])"
+        )
+        assert len(drawn) == 9 and all(shown > 200 and content > 0 for shown, content in drawn)
+    browser.find_element("css selector", 'nav a[href="#failures"]').click()
+    assert browser.execute_script("return location.hash") == "#failures"
+    paper = browser.execute_cdp_cmd("Page.printToPDF", {"preferCSSPageSize": True})
+    # Some pages of drawings; an empty one has a thousandth of that.
+    assert len(paper["data"]) > 100_000
+    assert browser.execute_script("return [...document.querySelectorAll('details')].every(d => d.open)")

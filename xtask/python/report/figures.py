@@ -1,0 +1,174 @@
+"""The figures of accuracy against time: one function each, from the measurements."""
+
+import matplotlib
+
+matplotlib.use("Agg")  # no display needed; pyplot must come after
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from pictures import FAINT, INK
+from report.picks import one_of_each_kind, power
+from report.tables import Marker, Reference, Row
+
+COLOURS = {
+    "dop853": "#1864ab",
+    "i3alp, adaptive": "#e8590c",
+    "i3alp, fixed step": "#f59f00",
+    "i3alpPrinted": "#868e96",
+    "rk4": "#2b8a3e",
+}
+"""One colour per method, in every figure."""
+
+SHAPES = {"dop853": "o", "i3alp, adaptive": "s", "i3alp, fixed step": "D", "i3alpPrinted": "v", "rk4": "^"}
+
+USELESS = 1.0
+"""An error, m, above the size of the machine."""
+
+SLOPE_RANGE = (1e-10, 3e-3)
+"""Errors, m, between which the order of a method shows: above round-off, below the size of the machine."""
+
+
+def work_precision(markers: list[Marker], references: list[Reference]) -> Figure:
+    """Error against time, a panel per scene, a line per method, the setting beside every third marker."""
+    columns = 2 if len(references) == 4 else min(3, len(references))
+    rows = -(-len(references) // columns)
+    figure, panels = plt.subplots(rows, columns, figsize=(4.1 * columns + 0.6, 4.3 * rows + 0.5), squeeze=False, sharey=True)
+    for axes in panels.flat[len(references) :]:
+        axes.set_visible(False)
+    for axes, reference in zip(panels.flat, references):
+        own = [m for m in markers if m.scene == reference.scene and m.complete and m.error < USELESS]
+        for method, colour in COLOURS.items():
+            line = [m for m in own if m.method == method]
+            _line(axes, [m.cost for m in line], [m.error for m in line], method)
+            for m in line[::3]:
+                note = axes.annotate(m.setting, (m.cost, m.error), xytext=(5, 3), textcoords="offset points", fontsize=7, color=colour)
+                # Notes lie inside the panels: making room for each of them takes seconds.
+                note.set_in_layout(False)
+        if own:
+            limits = min(m.cost for m in own) / 1.5, max(m.cost for m in own) * 3
+            axes.set_xlim(*limits)
+        _own_error(axes, reference)
+        logarithmic(axes, title=f"{reference.kind}: {reference.scene}")
+        axes.set_ylim(1e-15, USELESS)
+        axes.set_xlabel("µs per simulated ms, one core")
+        top = axes.secondary_xaxis("top", functions=(_inverse, _inverse))
+        top.set_xlabel("times real time", fontsize=8, color="#495057")
+        top.tick_params(labelsize=7.5, colors="#495057")
+        top.minorticks_off()
+    for row in panels:
+        row[0].set_ylabel("largest error of the tip  (m)")
+    _legend(figure, panels[0][0])
+    return figure
+
+
+def main_picture(markers: list[Marker], references: list[Reference]) -> Figure:
+    """The same for one scene of each kind: the picture of the README."""
+    return work_precision(markers, one_of_each_kind(references))
+
+
+def order(markers: list[Marker], references: list[Reference]) -> Figure:
+    """Error against step, with fitted slopes; and error against tolerance."""
+    rows = len(references)
+    figure, panels = plt.subplots(rows, 2, figsize=(10.6, 3.5 * rows + 0.4), squeeze=False, sharey="row")
+    for (left, right), reference in zip(panels, references):
+        for axes, knob, label in ((left, "step", "step  (s)"), (right, "tolerance", "tolerance  (rad)")):
+            notes = []
+            for method in COLOURS:
+                line = [
+                    m
+                    for m in markers
+                    if (m.scene, m.method, m.knob) == (reference.scene, method, knob) and m.complete and m.error < USELESS
+                ]
+                _line(axes, [m.value for m in line], [m.error for m in line], method)
+                slope = fitted_slope(line, reference.own_error)
+                if np.isfinite(slope):
+                    notes.append((method, slope))
+            for i, (method, slope) in enumerate(notes):
+                axes.text(
+                    0.98, 0.04 + 0.075 * i, f"slope {slope:.2f}", color=COLOURS[method], fontsize=8.5, ha="right", transform=axes.transAxes
+                )
+            _own_error(axes, reference)
+            logarithmic(axes, xlabel=label, title=f"{reference.kind}: {reference.scene}")
+            axes.set_ylim(1e-15, USELESS)
+        left.set_ylabel("largest error of the tip  (m)")
+    _legend(figure, *panels[0])
+    return figure
+
+
+def fitted_slope(line: list[Marker], own_error: float) -> float:
+    """Order: slope of log error over log step, where it shows; NaN for fewer than three markers."""
+    low = max(SLOPE_RANGE[0], 10 * own_error)
+    seen = [m for m in line if low < m.error < SLOPE_RANGE[1]]
+    if len(seen) < 3:
+        return float("nan")
+    return float(np.polyfit(np.log([m.value for m in seen]), np.log([m.error for m in seen]), 1)[0])
+
+
+def energy(rows: list[Row]) -> Figure:
+    """Largest energy error of the long fall against time."""
+    figure, axes = plt.subplots(figsize=(8.4, 4.4))
+    for method in COLOURS:
+        line = [row for row in rows if row["method"] == method and row["ending"] == "complete"]
+        line = [row for row in line if 0 < float(row["worst |dE| [mgL]"]) < 1e3]
+        _line(axes, [float(row["us per simulated ms"]) for row in line], [float(row["worst |dE| [mgL]"]) for row in line], method)
+    logarithmic(axes, xlabel="µs per simulated ms, one core", ylabel="largest |energy error|  (mgL)")
+    axes.legend(loc="upper right")
+    return figure
+
+
+def horizon(rows: list[Row]) -> Figure:
+    """How long each setting stays within 1 mm of the best run."""
+    limit = next((float(row["within 1 mm until [s]"]) for row in rows if row["method"] == "double precision"), None)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10.6, 4.2), sharey=True)
+    for axes, knob, label in ((left, "tolerance", "tolerance  (rad)"), (right, "step", "step  (s)")):
+        for method in COLOURS:
+            line = [row for row in rows if row["method"] == method and row["knob"] == knob]
+            _line(axes, [float(row["value"]) for row in line], [float(row["within 1 mm until [s]"]) for row in line], method)
+        if limit is not None:
+            axes.axhline(limit, color=FAINT, linestyle="--", linewidth=1)
+            axes.annotate(
+                "where double precision ends", (0.98, limit), xycoords=("axes fraction", "data"), xytext=(0, 3),
+                textcoords="offset points", ha="right", fontsize=8, color="#495057",
+            )  # fmt: skip
+        axes.set(xscale="log", xlabel=label)
+        axes.minorticks_off()
+        axes.legend(loc="upper right", bbox_to_anchor=(1, 0.92))
+    left.set_ylabel("within 1 mm until  (s)")
+    left.set_ylim(bottom=0)
+    return figure
+
+
+def logarithmic(axes: Axes, **properties: object) -> None:
+    """Logarithmic scales over many decades, where minor ticks are only noise."""
+    axes.set(xscale="log", yscale="log", **properties)
+    axes.minorticks_off()
+
+
+def _line(axes: Axes, x: list[float], y: list[float], method: str) -> None:
+    if x:
+        axes.plot(x, y, color=COLOURS[method], marker=SHAPES[method], markersize=4.2, linewidth=1.5, label=method)
+
+
+def _own_error(axes: Axes, reference: Reference) -> None:
+    """Below this the reference tells nothing."""
+    axes.axhspan(1e-16, reference.own_error, color="#f1f3f5", zorder=0)
+    axes.axhline(reference.own_error, color=FAINT, linewidth=0.9, linestyle="--")
+    note = axes.annotate(
+        f"own error of the reference {power(reference.own_error)} m", (0.02, reference.own_error), xycoords=("axes fraction", "data"),
+        xytext=(0, 3), textcoords="offset points", fontsize=7, color=INK, alpha=0.75,
+    )  # fmt: skip
+    note.set_in_layout(False)
+
+
+def _legend(figure: Figure, *panels: Axes) -> None:
+    """One legend below all panels."""
+    found = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels())}
+    figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=len(found), fontsize=9)
+
+
+def _inverse(cost: np.ndarray) -> np.ndarray:
+    """Microseconds per simulated millisecond to times real time, and back."""
+    return 1e3 / np.maximum(cost, 1e-12)

@@ -1,0 +1,140 @@
+"""Reads the CSV tables of the measurements."""
+
+import csv
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+Row = dict[str, str]
+
+
+@dataclass
+class Table:
+    """A table and what its head line says about it."""
+
+    file: Path
+    about: str = ""
+    rows: list[Row] = field(default_factory=list)
+
+    def __bool__(self) -> bool:
+        return bool(self.rows)
+
+
+def read(file: Path) -> Table:
+    """The table; empty if there is no such file: the page then says what is left out."""
+    if not file.is_file():
+        return Table(file)
+    lines = file.read_text(encoding="utf-8").splitlines()
+    about = " ".join(line[1:].strip() for line in lines if line.startswith("#"))
+    return Table(file, about, list(csv.DictReader(line for line in lines if not line.startswith("#"))))
+
+
+def read_bench(folder: Path, name: str) -> Table:
+    """A table of the benchmarks, which say in bench.json what they were made on."""
+    table, made_on = read(folder / f"{name}.csv"), folder / "bench.json"
+    if table and made_on.is_file():
+        facts = json.loads(made_on.read_text(encoding="utf-8"))
+        changed = " with changes" if facts["changed"] else ""
+        table.about = (
+            f"{facts['machine']}, {facts['cores']} cores, {facts['system']}; {facts['compiler']}; "
+            f"commit {facts['commit'][:12]}{changed}; {facts['command']}"
+        )
+    return table
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A method with its step or tolerance on a scene: a marker of a work-precision diagram."""
+
+    scene: str
+    kind: str
+    method: str
+    knob: str
+    value: float
+    unit: str
+    error: float
+    """Largest distance of the tip from the reference, m."""
+    cost: float
+    """Median, in microseconds per simulated millisecond."""
+    spread: float
+    """Worst over best of the repeats."""
+    substeps: int
+    ending: str
+
+    @property
+    def complete(self) -> bool:
+        """Whether the run got to its end."""
+        return self.ending == "complete"
+
+    @property
+    def setting(self) -> str:
+        """Step or tolerance, as people read it."""
+        return setting(self.knob, self.value)
+
+
+def setting(knob: str, value: float) -> str:
+    """`1e-08 rad` or `0.1 ms`."""
+    return f"{1e3 * value:g} ms" if knob == "step" else f"{value:.0e} rad".replace("e-0", "e-")
+
+
+def markers(table: Table) -> list[Marker]:
+    """The rows of precision.csv."""
+    return [
+        Marker(
+            row["scene"],
+            row["kind"],
+            row["method"],
+            row["knob"],
+            float(row["value"]),
+            row["unit"],
+            float(row["error [m]"]),
+            float(row["us per simulated ms"]),
+            float(row["worst us per simulated ms"]) / max(float(row["best us per simulated ms"]), 1e-9),
+            int(row["sub-steps"]),
+            row["ending"],
+        )
+        for row in table.rows
+    ]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What a scene is judged against."""
+
+    scene: str
+    kind: str
+    own_error: float
+    source: str
+
+
+def references(table: Table) -> list[Reference]:
+    """The rows of references.csv."""
+    return [Reference(row["scene"], row["kind"], float(row["own error [m]"]), row["source"]) for row in table.rows]
+
+
+@dataclass
+class Measurements:
+    """Everything that the page is made from."""
+
+    precision: Table
+    references: Table
+    energy: Table
+    horizon: Table
+    growth: Table
+    steps: Table
+    effects: Table
+    calls: Table
+    hard_cases: Table
+    peers: Table
+
+    @classmethod
+    def read(cls, data: Path, bench: Path, hard_cases: Path, peers: Path) -> "Measurements":
+        """Reads what there is."""
+        own = {name: read(data / f"{name}.csv") for name in ("precision", "references", "energy", "horizon", "growth", "steps")}
+        return cls(
+            **own,
+            effects=read_bench(bench, "effects"),
+            calls=read_bench(bench, "scenes"),
+            hard_cases=read(hard_cases / "hard-cases.csv"),
+            peers=read(peers / "peers.csv"),
+        )

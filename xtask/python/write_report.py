@@ -1,0 +1,103 @@
+"""Writes the accuracy report from the tables of the measurements.
+
+python write_report.py --folder target/report --bench target/bench --hard-cases target/hard-cases --runs target/run --peers target/peers
+"""
+
+import argparse
+import shutil
+import sys
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from pictures import STYLE, thinned
+from report import docs, figures, page, picks, sections
+from report.tables import Measurements, Table, markers, references
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Writes the page; the exit code: 0 done, 1 there is nothing to draw or to update."""
+    parser = argparse.ArgumentParser(description="Writes the accuracy report from the tables of the measurements.")
+    parser.add_argument("--folder", type=Path, required=True, help="the folder of the report; tables are in its data/")
+    for name, text in (("bench", "benchmarks"), ("hard-cases", "hard cases"), ("runs", "runs of scenes"), ("peers", "peers")):
+        parser.add_argument(f"--{name}", type=Path, required=True, help=f"the folder of the {text}; what is not there is left out")
+    parser.add_argument("--update-docs", action="store_true", help="also write table and picture into README.md and docs/accuracy.md")
+    options = parser.parse_args(arguments)
+    data = options.folder / "data"
+    m = Measurements.read(data, options.bench, options.hard_cases, options.peers)
+    if not (m.precision and m.references and m.energy and m.horizon and m.steps):
+        print(f"There are no tables in {data}; `cargo xtask report` measures them.", file=sys.stderr)
+        return 1
+    for table in (m.effects, m.calls, m.hard_cases, m.peers):
+        keep_beside(table, data)
+    curves = {scene: curves_of(options.runs / scene, scene, data) for scene in sections.PAPER}
+    with plt.rc_context(STYLE):
+        write(options.folder / "index.html", m, {scene: found for scene, found in curves.items() if found})
+        if options.update_docs:
+            update_docs(m)
+    print(options.folder / "index.html")
+    return 0
+
+
+def write(path: Path, m: Measurements, curves: dict[str, dict[str, np.ndarray]]) -> None:
+    """Writes the page."""
+    found, judged = markers(m.precision), references(m.references)
+    parts = [
+        sections.run(m, m.precision.about),
+        sections.need(found, judged),
+        sections.precision(found, judged),
+        sections.order(found, judged, m.energy.rows),
+        sections.horizon(m),
+        sections.steps(m),
+        sections.effects(m),
+        sections.matrix(m),
+        sections.paper(curves),
+        sections.peers(m, found),
+        sections.failures(m, found, judged),
+    ]
+    caption = "Error against time, one scene of each kind. Lower and further left is better."
+    main_picture = page.figure_element(figures.main_picture(found, judged), "main", caption, ["precision.csv"])
+    page.write(path, picks.sentences(found, judged), main_picture, parts)
+
+
+def update_docs(m: Measurements) -> None:
+    """The picture and the short table, where readers meet them first."""
+    found, judged = markers(m.precision), references(m.references)
+    figure = figures.main_picture(found, judged)
+    figure.savefig(ROOT / "docs/images/accuracy.svg", metadata={"Date": None})
+    plt.close(figure)
+    docs.update(ROOT, picks.short_table(found, judged), m.precision.about)
+
+
+def keep_beside(table: Table, data: Path) -> None:
+    """The tables of other commands, beside the page that shows them; one of an earlier report that is gone there goes here, too."""
+    copy = data / table.file.name
+    copy.unlink(missing_ok=True)
+    if table:
+        shutil.copyfile(table.file, copy)
+
+
+def curves_of(folder: Path, scene: str, data: Path) -> dict[str, np.ndarray]:
+    """Time and position of the tip of a scene's run and its overlays, by label; also as CSV, as thin as drawn."""
+    curves = {}
+    own = folder / f"{scene}.csv"
+    for file in [own, *sorted(folder.glob(f"{scene}.*.csv"))] if own.is_file() else []:
+        with file.open(encoding="utf-8") as lines:
+            names = [name.split(" [")[0] for name in lines.readline().strip().split(",")]
+        wanted = [names.index(name) for name in ("time", "tip.x", "tip.y")]
+        columns = np.loadtxt(file, delimiter=",", skiprows=1, usecols=wanted, unpack=True)
+        label = "FiveBar, default settings" if file == own else file.name[len(scene) + 1 : -len(".csv")]
+        curves[label] = np.column_stack(thinned(*columns))
+    if curves:
+        with (data / f"{scene}.csv").open("w", encoding="utf-8", newline="\n") as out:
+            out.write("run,time [s],tip.x [m],tip.y [m]\n")
+            for label, curve in curves.items():
+                out.writelines(f'"{label}",{t:.6g},{x:.9g},{y:.9g}\n' for t, x, y in curve)
+    return curves
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,186 @@
+//! The machines that a library is built for, and the cargo that builds for each.
+
+use crate::venv::{self, Packages};
+use crate::{paths, process};
+use anyhow::{Context, Result};
+use std::env;
+use std::env::consts::{ARCH, DLL_EXTENSION, OS};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// The newest glibc that a library for other machines may ask for: that of 2012, older than any Linux in support.
+const GLIBC_FLOOR: [u32; 2] = [2, 17];
+
+/// What `--all-platforms` packs: folder under `binaries/`, Rust's target triple, ending.
+const SHIPPED: [(&str, &str, &str); 3] = [
+    ("linux64", "x86_64-unknown-linux-gnu", "so"),
+    ("win64", "x86_64-pc-windows-gnu", "dll"),
+    ("aarch64-linux", "aarch64-unknown-linux-gnu", "so"),
+];
+
+/// Where Debian's cargo and rustc are, of the packages cargo-web and rustc-web.
+const DEBIAN: &str = "/usr/bin";
+
+/// What tells that the sources of the standard library are there.
+const STANDARD_LIBRARY: &str = "/usr/lib/rustlib/src/rust/library/Cargo.lock";
+
+/// The linker for Windows.
+const WINDOWS_LINKER: &str = "x86_64-w64-mingw32-gcc";
+
+/// For which machines a unit is packed.
+#[derive(Clone, Copy)]
+pub(crate) enum Scope {
+    /// The one that this runs on, with the Rust that is in use: quick.
+    Here,
+    /// All that are shipped, each built anew with its standard library.
+    All,
+}
+
+impl Scope {
+    /// The machines.
+    pub(super) fn platforms(self) -> Vec<Platform> {
+        match self {
+            Self::Here => vec![Platform::here()],
+            Self::All => Platform::all(),
+        }
+    }
+
+    /// The compiler whose standard library is linked.
+    pub(super) fn rustc(self) -> Command {
+        match self {
+            Self::Here => process::program(env::var_os("RUSTC").unwrap_or_else(|| "rustc".into())),
+            Self::All => process::program(Path::new(DEBIAN).join("rustc")),
+        }
+    }
+
+    /// The newest glibc that a library may ask for; none: that of this machine.
+    pub(super) fn glibc_floor(self) -> Option<&'static [u32]> {
+        match self {
+            Self::Here => None,
+            Self::All => Some(&GLIBC_FLOOR),
+        }
+    }
+
+    /// What is linked beside the crates and is not covered by the words of the compiler's own project alone: a name in
+    /// the folder of licences and the file, for each.
+    pub(super) fn runtime_licenses(self) -> Result<Vec<(&'static str, PathBuf)>> {
+        match self {
+            Self::Here => Ok(Vec::new()),
+            Self::All => {
+                let zig = venv::site_packages(Packages::Platforms)?.join("ziglang");
+                Ok(vec![
+                    ("rust-standard-library/copyright.txt", "/usr/share/doc/rust-web-src/copyright".into()),
+                    ("zig/LICENSE.txt", zig.join("LICENSE")),
+                    ("llvm-libunwind/LICENSE.txt", zig.join("lib/libunwind/LICENSE.TXT")),
+                    ("gcc-mingw-w64/copyright.txt", "/usr/share/doc/gcc-mingw-w64-x86-64/copyright".into()),
+                    ("mingw-w64/copyright.txt", "/usr/share/doc/mingw-w64-x86-64-dev/copyright".into()),
+                ])
+            }
+        }
+    }
+
+    /// The packed unit.
+    pub(super) fn file(self) -> PathBuf {
+        match self {
+            Self::Here => paths::fmu(),
+            Self::All => paths::fmu_for_all_platforms(),
+        }
+    }
+}
+
+/// A machine that a library is built for.
+pub(super) struct Platform {
+    /// Name of its folder under `binaries/`: FMI 2.0's own (section 2.3) where it has one, the tuples of FMI 3.0
+    /// (section 2.5.1.1) for the rest.
+    pub(super) folder: String,
+    /// Ending of a library's file.
+    pub(super) extension: &'static str,
+    /// Rust's target triple where it is built with Debian's Rust and zig; none: with the cargo that runs this, for this
+    /// machine.
+    pub(super) cross: Option<&'static str>,
+}
+
+impl Platform {
+    /// The machine that this runs on.
+    fn here() -> Self {
+        let folder = match (OS, ARCH) {
+            ("linux", "x86_64") => "linux64".into(),
+            ("linux", "x86") => "linux32".into(),
+            ("windows", "x86_64") => "win64".into(),
+            ("windows", "x86") => "win32".into(),
+            ("macos", "x86_64") => "darwin64".into(),
+            ("macos", arch) => format!("{arch}-darwin"),
+            (os, arch) => format!("{arch}-{os}"),
+        };
+        Self { folder, extension: DLL_EXTENSION, cross: None }
+    }
+
+    /// Every machine that `--all-platforms` packs a library for.
+    fn all() -> Vec<Self> {
+        let platform = |(folder, triple, extension): (&str, _, _)| Self { folder: folder.into(), extension, cross: Some(triple) };
+        SHIPPED.map(platform).into()
+    }
+
+    /// `cargo rustc --release` for this machine; what is to be built is for the caller to say.
+    pub(super) fn cargo_rustc(&self) -> Result<Command> {
+        match self.cross {
+            None => {
+                let mut cargo = process::cargo();
+                cargo.args(["rustc", "--release"]);
+                Ok(cargo)
+            }
+            Some(triple) => cross("rustc", triple),
+        }
+    }
+}
+
+/// A command of cargo, optimised, for `triple`. Debian's Rust brings the sources of its standard library, from which that
+/// of any machine is built; zig brings linker and C library of any Linux, with the glibc that is asked for; the linker for
+/// Windows is Debian's, because Debian's Rust links a library there that zig does not have.
+///
+/// The sources must be those of the compiler, hence not the Rust in use; `RUSTC_BOOTSTRAP` lets a stable one build them.
+/// Backtraces are left out of the standard library: a stripped library has none to show.
+fn cross(command: &str, triple: &str) -> Result<Command> {
+    let needs = [
+        ("/usr/bin/rustc", "rustc-web"),
+        ("/usr/bin/cargo", "cargo-web"),
+        (STANDARD_LIBRARY, "rust-web-src"),
+        (WINDOWS_LINKER, "gcc-mingw-w64-x86-64"),
+    ];
+    process::need("cargo xtask package --all-platforms", ".ci/setup-platforms", &needs)?;
+    let python = venv::python(Packages::Platforms)?;
+    let programs = Path::new(python.get_program()).parent().context("Python lies in a folder")?;
+    let folder = paths::in_root("target/cross");
+    let (program, target) = if triple.ends_with("linux-gnu") {
+        let [major, minor] = GLIBC_FLOOR;
+        (programs.join("cargo-zigbuild"), format!("{triple}.{major}.{minor}"))
+    } else {
+        (Path::new(DEBIAN).join("cargo"), triple.to_owned())
+    };
+    let mut cargo = process::program(program);
+    cargo
+        .args([command, "--release", "--target", &target, "--target-dir"])
+        .arg(&folder)
+        .args(["-Zbuild-std=std,panic_unwind", "-Zbuild-std-features=panic-unwind"])
+        .env("PATH", env::join_paths([programs, Path::new(DEBIAN), Path::new("/bin")]).context("the path of programs")?)
+        .env("CARGO", Path::new(DEBIAN).join("cargo"))
+        .env("RUSTC", Path::new(DEBIAN).join("rustc"))
+        .env("RUSTC_BOOTSTRAP", "1")
+        .env("CARGO_TARGET_X86_64_PC_WINDOWS_GNU_LINKER", WINDOWS_LINKER)
+        // What zig and its helper keep beside the output stays in this folder as well.
+        .env("CARGO_ZIGBUILD_CACHE_DIR", folder.join("cargo-zigbuild"))
+        .env("ZIG_GLOBAL_CACHE_DIR", folder.join("zig"));
+    Ok(cargo)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn this_machine_is_one_of_those_that_are_shipped_or_has_a_name_of_its_own() {
+        let here = Platform::here();
+        let shipped = Platform::all().into_iter().find(|platform| platform.folder == here.folder);
+        assert!(shipped.is_none_or(|platform| platform.extension == here.extension));
+    }
+}

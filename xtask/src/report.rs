@@ -1,0 +1,84 @@
+//! `cargo xtask report`: what accuracy costs in time, measured and drawn; the page under `target/report/`.
+
+use crate::venv::{self, Packages};
+use crate::{bench, hard_cases, paths, process, run};
+use anyhow::Result;
+use clap::Args;
+use std::fs;
+
+/// The crate that measures.
+const CRATE: &str = "accuracy";
+/// The scenes of the paper, whose figures the page shows.
+const PAPER: [&str; 2] = ["paper_torque", "paper_free_fall"];
+
+/// How much is done.
+#[derive(Args)]
+pub(crate) struct Options {
+    /// A sample of everything
+    #[arg(long)]
+    quick: bool,
+    /// Measure nothing, draw again what was measured before
+    #[arg(long, conflicts_with = "quick")]
+    reuse: bool,
+    /// Also write the main table and picture into README.md and docs/accuracy.md
+    #[arg(long, conflicts_with = "quick")]
+    update_docs: bool,
+}
+
+/// Measures, and writes `target/report/index.html`.
+pub(crate) fn report(options: &Options) -> Result<()> {
+    let folder = paths::in_root("target/report");
+    if !options.reuse {
+        measure(options.quick)?;
+    }
+    let mut python = venv::python(Packages::Usual)?;
+    python.arg("xtask/python/write_report.py").arg("--folder").arg(&folder);
+    for name in ["bench", "hard-cases", "peers"] {
+        python.arg(format!("--{name}")).arg(paths::in_root("target").join(name));
+    }
+    python.arg("--runs").arg(paths::in_root("target/run"));
+    if options.update_docs {
+        python.arg("--update-docs");
+    }
+    process::run(&mut python)
+}
+
+fn measure(quick: bool) -> Result<()> {
+    let mut accuracy = process::cargo();
+    accuracy.args(["run", "--release", "--locked", "--package", CRATE, "--", "--out"]).arg(paths::in_root("target/report/data"));
+    accuracy.arg("--about").arg(about(quick)?);
+    if quick {
+        accuracy.arg("--quick");
+    }
+    process::run(&mut accuracy)?;
+    for scene in PAPER {
+        run::run(scene)?;
+    }
+    // A case that is not met belongs on the page, above all; so does that valgrind, which counts instructions, is not there.
+    for outcome in [hard_cases::hard_cases(quick), bench::bench(quick)] {
+        if let Err(error) = outcome {
+            eprintln!("the page will say so: {error:#}");
+        }
+    }
+    Ok(())
+}
+
+/// Machine, load, compiler, commit and command, for the head of every table.
+fn about(quick: bool) -> Result<String> {
+    let said = |program: &str, arguments: &[&str]| process::output(process::program(program).args(arguments));
+    let cpu_info = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let cpu = cpu_info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
+    let cpu = cpu.map_or("a processor that does not tell its name", |(_, name)| name.trim());
+    let cores = std::thread::available_parallelism()?;
+    let load = fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    let load = load.split(' ').next().filter(|load| !load.is_empty()).unwrap_or("unknown");
+    let changed = if said("git", &["status", "--porcelain", "--untracked-files=no"])?.is_empty() { "" } else { " with changes" };
+    Ok(format!(
+        "{cpu}, {cores} cores, {} {}, load {load} at the start; {}; commit {}{changed}; cargo xtask report{}",
+        std::env::consts::OS,
+        std::env::consts::ARCH,
+        said("rustc", &["--version"])?.trim(),
+        said("git", &["rev-parse", "--short=12", "HEAD"])?.trim(),
+        if quick { " --quick" } else { "" }
+    ))
+}
