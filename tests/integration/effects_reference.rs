@@ -36,6 +36,7 @@ fn errors(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 2] {
         }
         let mut values = vec![0.0; references.len()];
         assert_eq!(host.get_real(&references, &mut values), fmi2OK);
+        assert!(values.iter().all(|value| value.is_finite()), "{scene}, t = {}: {values:?}", row.t);
         for (i, (value, wanted)) in values.iter().zip(row.tip.iter().chain(&row.theta).chain(&row.omega)).enumerate() {
             let error = &mut worst[usize::from(i >= 6)];
             *error = f64::max(*error, (value - wanted).abs());

@@ -94,7 +94,10 @@ def own_values(scene: str) -> dict[str, float | bool]:
 def run(command: list, text: str) -> list[list[mpmath.mpf]]:
     """The rows that a program prints for a scene."""
     printed = subprocess.run(list(map(str, command)), input=text, text=True, stdout=subprocess.PIPE, check=True).stdout
-    return [[mpmath.mpf(x) for x in line.split(",")] for line in printed.splitlines()]
+    rows = [[mpmath.mpf(x) for x in line.split(",")] for line in printed.splitlines()]
+    if not all(mpmath.isfinite(x) for row in rows for x in row):
+        raise SystemExit(f"{command[0]} printed a value that is not finite.")
+    return rows
 
 
 if __name__ == "__main__":
