@@ -248,16 +248,25 @@ pub fn advance<const N: usize, const M: usize>(
     duration: f64,
     power: &mut Power,
 ) -> Result<(), Failure> {
-    if settings.adaptive {
-        divided(system, settings, state, duration, power)?;
-    } else {
-        attempt(system, settings, state, duration, None)?.accept(state, duration, power);
-    }
+    divided(system, settings, state, duration, power)?;
     state.counters.steps += 1;
     Ok(())
 }
 
-/// A macro step in equal parts, as many as the remembered sub-step asks, asked anew after each.
+/// The same at strictly fixed step, whatever the settings say: for who needs the last nanosecond, without the code around sub-steps.
+pub fn fixed<const N: usize, const M: usize>(
+    system: &impl Implicit<N, M>,
+    settings: &Settings,
+    state: &mut State<N, M>,
+    duration: f64,
+    power: &mut Power,
+) -> Result<(), Failure> {
+    attempt(system, settings, state, duration, None)?.accept(state, duration, power);
+    state.counters.steps += 1;
+    Ok(())
+}
+
+/// A macro step in equal parts, as many as the remembered sub-step asks, asked anew after each; at strictly fixed step in one.
 fn divided<const N: usize, const M: usize>(
     system: &impl Implicit<N, M>,
     settings: &Settings,
@@ -270,7 +279,9 @@ fn divided<const N: usize, const M: usize>(
     let (mut substep, mut error) = (duration, f64::INFINITY);
     for _ in 0..MOST_SUBSTEPS {
         let free = Care { longest: f64::INFINITY, round_off: 0.0, softness: settings.softness, energy: None };
-        let care = match vertex::verdict(system, &gate, state, rest, settings.softness) {
+        let verdict =
+            if settings.adaptive { vertex::verdict(system, &gate, state, rest, settings.softness) } else { Verdict::Free };
+        let care = match verdict {
             Verdict::Free => free,
             Verdict::Near(care) => care,
             Verdict::Carry(ray) => {
@@ -286,16 +297,22 @@ fn divided<const N: usize, const M: usize>(
                 free
             }
         };
-        let tolerance = settings.error_tolerance.max(care.round_off);
-        let parts = (rest / state.substep.min(care.longest)).ceil().max(1.0);
+        let (tolerance, parts) = if settings.adaptive {
+            let parts = (rest / state.substep.min(care.longest)).ceil().max(1.0);
+            (settings.error_tolerance.max(care.round_off), parts)
+        } else {
+            (f64::INFINITY, 1.0)
+        };
         let h = rest / parts;
         (substep, error) = (h, f64::INFINITY);
         match attempt(system, &Settings { softness: care.softness, ..*settings }, state, h, care.energy) {
             Ok(attempt) if attempt.error <= tolerance => {
-                let next = h * growth(tolerance, attempt.error).clamp(0.5, 2.0);
-                // A sub-step cut short by the end of its macro step or by a vertex says nothing against longer ones.
-                let cut_short = state.substep.is_finite() && h < 0.5 * state.substep;
-                state.substep = if cut_short { next.max(state.substep) } else { next };
+                if settings.adaptive {
+                    let next = h * growth(tolerance, attempt.error).clamp(0.5, 2.0);
+                    // A sub-step cut short by the end of its macro step or by a vertex says nothing against longer ones.
+                    let cut_short = state.substep.is_finite() && h < 0.5 * state.substep;
+                    state.substep = if cut_short { next.max(state.substep) } else { next };
+                }
                 attempt.accept(state, h, power);
                 if parts == 1.0 {
                     return Ok(());
@@ -307,6 +324,7 @@ fn divided<const N: usize, const M: usize>(
                 state.substep = h * growth(tolerance, attempt.error).clamp(0.1, 0.7);
                 state.counters.rejected += 1;
             }
+            Err(failure) if !settings.adaptive => return Err(failure),
             Err(_) => {
                 state.substep = 0.35 * h;
                 state.counters.rejected += 1;

@@ -55,7 +55,7 @@ pub fn output_changes(model: &Model, state: &State, along: &Variation) -> Output
         motion: motion(model, state, along),
         reactions: reactions_of(&along.lambda),
         kinetic: momentum.iter().zip(&along.change.v).map(|(p, v)| p * v).sum(),
-        potential: state.at(model, |at| model.effects.iter().map(|effect| effect.potential_change(at, &along.change)).sum()),
+        potential: model.potential_change(state, &along.change),
         servo_torques: force(model, state, &along.change, |effect| matches!(effect, Effect::Servo(_)))
             .map(motors)
             .unwrap_or_default(),

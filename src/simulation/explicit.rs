@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use super::angles::{ANGLES, ByAngles, CLOSURES, LINKS, angles_of};
 use super::model::Stepper;
-use super::system::{FiveBar, General, LinearSolve};
+use super::system::{FiveBar, General};
 use super::{Inputs, Model, State, StepFailure};
 use crate::integrator::dop853::{Running, Settings};
 use crate::integrator::{self, Failure, System, equilibrium_at};
@@ -36,8 +36,9 @@ pub(super) fn resume(model: &Model, state: &mut State, put_in: f64) {
     running.restart(&ByAngles::new(&five_bar), settings, put_in);
 }
 
-/// `steps` macro steps of `h` seconds with `inputs` held; `beyond`: whether a step may run past their end. On failure the running step is as before, the rest undefined.
-pub(super) fn run<L: LinearSolve>(
+/// `steps` macro steps of `h` seconds with `inputs` held; `beyond`: whether a step may run past their end. On failure the running step is
+/// as before, the rest undefined.
+pub(super) fn run(
     model: &Model,
     settings: &Settings,
     state: &mut State,
@@ -47,10 +48,10 @@ pub(super) fn run<L: LinearSolve>(
     beyond: bool,
 ) -> Result<(), StepFailure> {
     let before = state.running;
-    forward::<L>(model, settings, state, inputs, h, steps, beyond).inspect_err(|_| state.running = before)
+    forward(model, settings, state, inputs, h, steps, beyond).inspect_err(|_| state.running = before)
 }
 
-fn forward<L: LinearSolve>(
+fn forward(
     model: &Model,
     settings: &Settings,
     state: &mut State,
@@ -67,13 +68,13 @@ fn forward<L: LinearSolve>(
     }
     let State { core, running: Some(running), turns, .. } = state else { unreachable!("the method has a running step") };
     for step in 0..steps {
-        let five_bar = FiveBar::<L>::new(model, inputs, turns);
-        let ahead = (steps - step) as f64 * h;
-        let limit = if beyond { f64::INFINITY } else { ahead };
-        running.advance(&ByAngles::new(&five_bar), settings, h, [ahead, limit]).map_err(at(step))?;
+        let five_bar = FiveBar::<General>::new(model, inputs, turns);
+        let rest = (steps - step) as f64 * h;
+        let ahead_and_limit = if beyond { [rest, f64::INFINITY] } else { [f64::INFINITY, rest] };
+        running.advance(&ByAngles::new(&five_bar), settings, h, ahead_and_limit).map_err(at(step))?;
         unwind(running, turns);
     }
-    let five_bar = FiveBar::<L>::new(model, inputs, turns);
+    let five_bar = FiveBar::<General>::new(model, inputs, turns);
     let pose = look(&ByAngles::new(&five_bar), settings, running, core).map_err(at(steps))?;
     (core.a, core.lambda) = equilibrium_at(&five_bar, &core.q, &pose, &core.v, &five_bar.factor_mass(&pose, model.softness));
     Ok(())
@@ -81,8 +82,8 @@ fn forward<L: LinearSolve>(
 
 /// The present state in the twelve coordinates, but for q̈ and λ; the pose there.
 #[inline(always)]
-fn look<L: LinearSolve>(
-    system: &ByAngles<'_, L>,
+fn look(
+    system: &ByAngles<'_, General>,
     settings: &Settings,
     running: &Running<ANGLES, CLOSURES>,
     core: &mut integrator::State<COORDINATES, MULTIPLIERS>,

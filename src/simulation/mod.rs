@@ -268,31 +268,28 @@ impl State {
     }
 }
 
-/// The methods that people choose for their speed have a compiled form for the bare mechanism of their own.
+/// The default method has compiled forms for the bare mechanism of their own; each more would take its place in the library.
 fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
     match (&model.stepper, model.solve) {
-        (Stepper::I3alp(settings), Solve::Bare) => by_i3alp::<Bare>(settings, model, state, inputs, h, steps),
-        (Stepper::I3alp(settings), _) => by_i3alp::<General>(settings, model, state, inputs, h, steps),
+        (Stepper::I3alp(settings), Solve::Bare) if settings.adaptive => {
+            macro_steps::<Bare>(model, state, inputs, h, steps, |system, core, power| {
+                i3alp::advance(system, settings, core, h, power)
+            })
+        }
+        (Stepper::I3alp(settings), Solve::Bare) => macro_steps::<Bare>(model, state, inputs, h, steps, |system, core, power| {
+            i3alp::fixed(system, settings, core, h, power)
+        }),
+        (Stepper::I3alp(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
+            i3alp::advance(system, settings, core, h, power)
+        }),
         (Stepper::I3alpPrinted(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
             i3alp_printed::advance(system, settings, core, h, power)
         }),
         (Stepper::Rk4(settings), _) => macro_steps::<General>(model, state, inputs, h, steps, |system, core, power| {
             rk4::advance(system, settings, core, h, power)
         }),
-        (Stepper::Dop853(settings), Solve::Bare) => explicit::run::<Bare>(model, settings, state, inputs, h, steps, beyond),
-        (Stepper::Dop853(settings), _) => explicit::run::<General>(model, settings, state, inputs, h, steps, beyond),
+        (Stepper::Dop853(settings), _) => explicit::run(model, settings, state, inputs, h, steps, beyond),
     }
-}
-
-fn by_i3alp<L: LinearSolve>(
-    settings: &i3alp::Settings,
-    model: &Model,
-    state: &mut State,
-    inputs: &Inputs,
-    h: f64,
-    steps: u64,
-) -> Result<(), StepFailure> {
-    macro_steps::<L>(model, state, inputs, h, steps, |system, core, power| i3alp::advance(system, settings, core, h, power))
 }
 
 /// By a method whose steps end with the macro steps.

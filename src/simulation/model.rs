@@ -3,8 +3,9 @@
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::State;
 use super::two_leg::Elimination;
-use crate::effects::{self, Active, Effect, Inputs, Situation};
+use crate::effects::{self, Active, Change, Effect, Inputs, Situation};
 use crate::integrator::{dop853, i3alp, i3alp_printed, rk4};
 use crate::mechanism::{Coordinates, Geometry, Mechanism, Refusal, Start};
 
@@ -183,6 +184,12 @@ impl Model {
     pub fn potential(&self, at: &Situation) -> f64 {
         let weight: f64 = at.q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum();
         self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - weight
+    }
+
+    /// How that changes with a state, J per unit of the change.
+    pub fn potential_change(&self, state: &State, change: &Change) -> f64 {
+        let weight: f64 = change.q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum();
+        state.at(self, |at| self.effects.iter().map(|effect| effect.potential_change(at, change)).sum::<f64>()) - weight
     }
 
     /// The part of the inputs that the scene hears: without servos no references.

@@ -245,6 +245,28 @@ impl<L: LinearSolve> FiveBar<'_, L> {
     }
 }
 
+impl FiveBar<'_, General> {
+    /// See [`System::least_constraint`].
+    fn branch_of_least_constraint(&self, q: &Coordinates) -> Option<(Coordinates, u32)> {
+        // Forces and masses in the link angles, from the motions of the open legs that one angle alone makes.
+        let pose = self.pose(q);
+        let force = self.forces(q, &pose, &[0.0; COORDINATES]);
+        let motions = [0, 1, 2, 3].map(|link| {
+            let mut rate = [0.0; 4];
+            rate[link] = 1.0;
+            assemble(&self.model.mechanism.geometry, THETA.map(|i| q[i]), rate).1
+        });
+        let dot = |x: &Coordinates, y: &Coordinates| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
+        let forces = motions.map(|motion| dot(&force, &motion));
+        let masses = motions.map(|row| {
+            let momentum = self.model.mechanism.mass_times(&row);
+            motions.map(|column| dot(&momentum, &column))
+        });
+        let branch = vertex::least_constraint(&self.model.mechanism.geometry, q, forces, masses)?;
+        Some((in_angles(branch.direction), branch.alternatives))
+    }
+}
+
 /// A model with the inputs and whole turns that stay while it is stepped.
 #[derive(Debug)]
 pub struct FiveBar<'a, L> {
@@ -378,22 +400,7 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     }
 
     fn least_constraint(&self, q: &Coordinates) -> Option<(Coordinates, u32)> {
-        // Forces and masses in the link angles, from the motions of the open legs that one angle alone makes.
-        let pose = self.pose(q);
-        let force = self.forces(q, &pose, &[0.0; COORDINATES]);
-        let motions = [0, 1, 2, 3].map(|link| {
-            let mut rate = [0.0; 4];
-            rate[link] = 1.0;
-            assemble(&self.model.mechanism.geometry, THETA.map(|i| q[i]), rate).1
-        });
-        let dot = |x: &Coordinates, y: &Coordinates| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
-        let forces = motions.map(|motion| dot(&force, &motion));
-        let masses = motions.map(|row| {
-            let momentum = self.model.mechanism.mass_times(&row);
-            motions.map(|column| dot(&momentum, &column))
-        });
-        let branch = vertex::least_constraint(&self.model.mechanism.geometry, q, forces, masses)?;
-        Some((in_angles(branch.direction), branch.alternatives))
+        FiveBar::<General>::new(self.model, self.inputs, self.turns).branch_of_least_constraint(q)
     }
 
     #[inline(always)]
