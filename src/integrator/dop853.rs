@@ -53,6 +53,8 @@ pub struct Running<const N: usize, const M: usize> {
     /// Whether the step is a straight motion close to a vertex, where nothing may be projected.
     on_ray: bool,
     controller: Controller,
+    /// The controller at its beginning, for when the step is redone.
+    before: Controller,
 }
 
 /// What holds at the present time, between the ends of the running step.
@@ -83,11 +85,12 @@ impl<const N: usize, const M: usize> Running<N, M> {
             dense: [Slope::NONE; 4],
             on_ray: false,
             controller: Controller::default(),
+            before: Controller::default(),
         }
     }
 
-    /// One macro step of h seconds. In `ahead` seconds somebody looks: the running step is interpolated only then; and no step that is
-    /// made goes farther than `limit` seconds. On failure the run is undefined: the caller keeps a copy.
+    /// One macro step of h seconds. In `ahead` seconds somebody looks, or never while a step is under way: it is interpolated only then.
+    /// No step that is made goes farther than `limit` seconds. On failure the run is undefined: the caller keeps a copy.
     #[inline(always)]
     pub fn advance(
         &mut self,
@@ -117,6 +120,7 @@ impl<const N: usize, const M: usize> Running<N, M> {
         let mut rest = self.elapsed;
         if rest < self.length {
             let Counters { rejected, iterations, .. } = self.end.counters;
+            self.controller = self.before;
             self.end = self.start;
             self.end.counters.rejected = rejected + 1;
             self.end.counters.iterations = iterations;

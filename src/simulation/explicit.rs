@@ -36,8 +36,8 @@ pub(super) fn resume(model: &Model, state: &mut State, put_in: f64) {
     running.restart(&ByAngles::new(&five_bar), settings, put_in);
 }
 
-/// `steps` macro steps of `h` seconds with `inputs` held; `beyond`: whether a step may run past their end. On failure the running step
-/// is as before, the rest undefined.
+/// `steps` macro steps of `h` seconds with `inputs` held; `beyond`: whether a step may run past their end. On failure the running step is
+/// as before, the rest undefined.
 pub(super) fn run(
     model: &Model,
     settings: &Settings,
@@ -69,9 +69,9 @@ fn forward(
     let State { core, running: Some(running), turns, .. } = state else { unreachable!("the method has a running step") };
     for step in 0..steps {
         let five_bar = FiveBar::<General>::new(model, inputs, turns);
-        let ahead = (steps - step) as f64 * h;
-        let limit = if beyond { f64::INFINITY } else { ahead };
-        running.advance(&ByAngles::new(&five_bar), settings, h, [ahead, limit]).map_err(at(step))?;
+        let rest = (steps - step) as f64 * h;
+        let ahead_and_limit = if beyond { [rest, f64::INFINITY] } else { [f64::INFINITY, rest] };
+        running.advance(&ByAngles::new(&five_bar), settings, h, ahead_and_limit).map_err(at(step))?;
         unwind(running, turns);
     }
     let five_bar = FiveBar::<General>::new(model, inputs, turns);

@@ -24,6 +24,7 @@ impl<const N: usize, const M: usize> Running<N, M> {
     #[inline(never)]
     pub(super) fn step(&mut self, system: &impl System<N, M>, settings: &Settings, limit: f64, ahead: f64) -> Result<(), Failure> {
         self.start = self.end;
+        self.before = self.controller;
         self.elapsed = 0.0;
         self.dense = [Slope::NONE; 4];
         self.on_ray = false;
