@@ -66,3 +66,10 @@ pub fn set_legs<const K: usize>(values: &mut [f64; K], i: usize, legs: Legs) {
     values[2 * i] = left;
     values[2 * i + 1] = right;
 }
+
+/// Largest magnitude among the link angles, or their rates or changes.
+#[inline(always)]
+pub fn largest_angle(x: &Coordinates) -> f64 {
+    let [left, right] = legs_of(x, P_THETA).abs().fast_max(legs_of(x, D_THETA).abs()).to_array();
+    if left > right { left } else { right }
+}

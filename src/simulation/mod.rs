@@ -20,7 +20,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use crate::integrator::{self, Failure, Kkt, Power, System, dop853, i3alp, i3alp_printed, rk4};
 use crate::mechanism::constraints::largest;
-use crate::mechanism::coordinates::THETA;
+use crate::mechanism::coordinates::{THETA, largest_angle};
 use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose, Refusal, closure};
 
 pub use crate::effects::Inputs;
@@ -237,6 +237,9 @@ impl State {
     /// Moves whole turns of the angles from q into `turns`, where they are more than two.
     #[inline(always)]
     fn unwind(&mut self) {
+        if largest_angle(&self.core.q) <= 2.0 * TAU {
+            return;
+        }
         for (turns, i) in self.turns.iter_mut().zip(THETA) {
             let angle = &mut self.core.q[i];
             if angle.abs() > 2.0 * TAU {
@@ -304,14 +307,13 @@ fn macro_steps<L: LinearSolve>(
     advance: impl Fn(&FiveBar<'_, L>, &mut integrator::State<COORDINATES, MULTIPLIERS>, &mut Power) -> Result<(), Failure>,
 ) -> Result<(), StepFailure> {
     state.hold(model, inputs);
-    let mut power = None;
+    let before = state.turns;
+    let system = FiveBar::<L>::new(model, inputs, &before);
+    let core = &state.core;
+    let mut power = if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() };
     for step in 0..steps {
         let State { core, turns, .. } = state;
-        let system = FiveBar::<L>::new(model, inputs, turns);
-        let power = power.get_or_insert_with(|| {
-            if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() }
-        });
-        advance(&system, core, power).map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
+        advance(&system.with_turns(turns), core, &mut power).map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
         state.unwind();
     }
     Ok(())

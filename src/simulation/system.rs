@@ -12,7 +12,7 @@ use crate::effects::tangents::{CoupledTangents, DiagonalTangents, FullTangents, 
 use crate::effects::{Inputs, Situation, Tangents};
 use crate::integrator::{Failure, Implicit, Kkt, Power, System};
 use crate::mechanism::closure::assemble;
-use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
+use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, largest_angle, legs_of};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose, vertex};
 
 /// The tangent must keep at least this part of the mass matrix; below it the step is too long for a Newton step to be a descent.
@@ -283,6 +283,14 @@ impl<'a, L: LinearSolve> FiveBar<'a, L> {
         Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, linear_solve: PhantomData }
     }
 
+    /// The same after whole turns have changed.
+    pub(super) fn with_turns<'b>(&self, turns: &'b [i64; 4]) -> FiveBar<'b, L>
+    where
+        'a: 'b,
+    {
+        FiveBar { turns, ..*self }
+    }
+
     /// The model.
     pub(super) fn model(&self) -> &'a Model {
         self.model
@@ -426,8 +434,7 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
 
     #[inline(always)]
     fn angle_norm(&self, x: &Coordinates) -> f64 {
-        let [left, right] = legs_of(x, P_THETA).abs().fast_max(legs_of(x, D_THETA).abs()).to_array();
-        if left > right { left } else { right }
+        largest_angle(x)
     }
 
     #[inline(always)]
