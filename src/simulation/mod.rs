@@ -134,11 +134,8 @@ impl Simulation {
 
     /// The same; `beyond`: whether a step may run past the end, since the inputs may stay.
     fn advance_held(&mut self, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
-        let State { core, turns, inputs: held, .. } = self.state;
         let inputs = self.model.heard(inputs);
-        let done = run(&self.model, &mut self.state, &inputs, h, steps, beyond);
-        // The running step of an explicit method is changed only when all has gone well.
-        done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
+        run(&self.model, &mut self.state, &inputs, h, steps, beyond)
     }
 
     /// The same with inputs that change: each macro step holds what they are in its middle, so that the impulse of a ramp is exact and
@@ -272,7 +269,7 @@ impl State {
 }
 
 /// The default method has compiled forms for the bare mechanism of their own; each more would take its place in the library. `beyond`:
-/// whether a step may run past the end of the call, as long as nothing changes there.
+/// whether a step may run past the end of the call, as long as nothing changes there. On failure the state is as before.
 fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
     match (&model.stepper, model.solve) {
         (Stepper::I3alp(settings), Solve::Bare) if settings.adaptive => {
@@ -306,14 +303,22 @@ fn macro_steps<L: LinearSolve>(
     steps: u64,
     advance: impl Fn(&FiveBar<'_, L>, &mut integrator::State<COORDINATES, MULTIPLIERS>, &mut Power) -> Result<(), Failure>,
 ) -> Result<(), StepFailure> {
+    // A single fixed step changes nothing before it has succeeded: what a real-time user asks costs no copy.
+    let single = steps == 1 && !model.stepper.divides() && state.inputs == *inputs;
+    let before = (!single).then(|| (state.core, state.turns, state.inputs));
     state.hold(model, inputs);
-    let before = state.turns;
-    let system = FiveBar::<L>::new(model, inputs, &before);
+    let turns_at_start = state.turns;
+    let system = FiveBar::<L>::new(model, inputs, &turns_at_start);
     let core = &state.core;
     let mut power = if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() };
     for step in 0..steps {
         let State { core, turns, .. } = state;
-        advance(&system.with_turns(turns), core, &mut power).map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
+        if let Err(cause) = advance(&system.with_turns(turns), core, &mut power) {
+            if let Some(before) = before {
+                (state.core, state.turns, state.inputs) = before;
+            }
+            return Err(StepFailure { elapsed: step as f64 * h, cause });
+        }
         state.unwind();
     }
     Ok(())
