@@ -172,8 +172,10 @@ impl Simulation {
 
     /// The present state with the q̈ and λ that belong to `inputs`: what observers answer for.
     pub fn state_for(&self, inputs: &Inputs) -> State {
-        let mut state = self.state;
-        state.hold(&self.model, &self.model.heard(inputs));
+        let (mut state, inputs) = (self.state, self.model.heard(inputs));
+        if state.inputs != inputs {
+            state.hold(&self.model, &inputs);
+        }
         state
     }
 
@@ -247,12 +249,10 @@ impl State {
         }
     }
 
-    /// Holds `inputs` from now on; if they differ from the present ones, q̈, λ and the predictor start anew.
+    /// Holds other inputs from now on: q̈, λ and the predictor start anew.
     fn hold(&mut self, model: &Model, inputs: &Inputs) {
-        if self.inputs != *inputs {
-            self.inputs = *inputs;
-            self.restart(model);
-        }
+        self.inputs = *inputs;
+        self.restart(model);
     }
 
     /// Solves M x + Φ_qᵀ y = b, Φ_q x − e y = c at the present pose.
@@ -304,9 +304,12 @@ fn macro_steps<L: LinearSolve>(
     advance: impl Fn(&FiveBar<'_, L>, &mut integrator::State<COORDINATES, MULTIPLIERS>, &mut Power) -> Result<(), Failure>,
 ) -> Result<(), StepFailure> {
     // A single fixed step changes nothing before it has succeeded: what a real-time user asks costs no copy.
-    let single = steps == 1 && !model.stepper.divides() && state.inputs == *inputs;
+    let same = state.inputs == *inputs;
+    let single = same && steps == 1 && !model.stepper.divides();
     let before = (!single).then(|| (state.core, state.turns, state.inputs));
-    state.hold(model, inputs);
+    if !same {
+        state.hold(model, inputs);
+    }
     let turns_at_start = state.turns;
     let system = FiveBar::<L>::new(model, inputs, &turns_at_start);
     let core = &state.core;
