@@ -189,7 +189,9 @@ fn newton<const N: usize, const M: usize, S: Implicit<N, M>>(
         let inertia = system.mass_times(&pose, &step.acceleration());
         let b = combine([&force, &inertia], |[force, inertia]| beta * force - inertia);
         let c = combine([&phi, &step.lambda], |[phi, lambda]| -softness * beta * lambda - phi);
-        let (correction, y) = system.factor_tangent(&q, &pose, &v, &step.lambda, step.h, softness)?.solve(&b, &c);
+        // By reference: a factor may be large, and `?` would move it.
+        let tangent = system.factor_tangent(&q, &pose, &v, &step.lambda, step.h, softness);
+        let (correction, y) = tangent.as_ref().map_err(|failure| *failure)?.solve(&b, &c);
         step.lambda = combine([&y], |[y]| y / beta);
         step.delta = add(&step.delta, &correction);
         q = step.q();
