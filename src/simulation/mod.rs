@@ -250,6 +250,7 @@ impl State {
     }
 
     /// Holds other inputs from now on: q̈, λ and the predictor start anew.
+    #[inline(never)]
     fn hold(&mut self, model: &Model, inputs: &Inputs) {
         self.inputs = *inputs;
         self.restart(model);
@@ -259,6 +260,14 @@ impl State {
     fn solved(&self, model: &Model, pose: &Pose, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         let State { inputs, turns, .. } = self;
         FiveBar::<General>::new(model, inputs, turns).factor_mass(pose, model.softness).solve(b, c)
+    }
+
+    /// Power of what is followed along the path.
+    #[inline(never)]
+    fn power(&self, model: &Model, inputs: &Inputs) -> Power {
+        let State { core, turns, .. } = self;
+        let system = FiveBar::<General>::new(model, inputs, turns);
+        system.power(&core.q, &system.pose(&core.q), &core.v)
     }
 
     /// The forces have changed at once: q̈, λ and the predictor start anew.
@@ -312,8 +321,7 @@ fn macro_steps<L: LinearSolve>(
     }
     let turns_at_start = state.turns;
     let system = FiveBar::<L>::new(model, inputs, &turns_at_start);
-    let core = &state.core;
-    let mut power = if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() };
+    let mut power = if system.follows_work() { state.power(model, inputs) } else { Power::default() };
     for step in 0..steps {
         let State { core, turns, .. } = state;
         if let Err(cause) = advance(&system.with_turns(turns), core, &mut power) {
