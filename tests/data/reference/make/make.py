@@ -15,6 +15,7 @@ import mpmath
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[3]
+MODEL = ROOT / "modelDescription/modelDescription.xml"
 
 # Scenes with constant inputs, and how long the reference is, in tenths of a second.
 SCENES = {
@@ -25,6 +26,8 @@ SCENES = {
     "spring_payload": 10,
     "end_stops": 10,
     "bounce": 10,
+    "swing": 20,
+    "stiff_servo": 5,
 }
 
 # Local error per step of midpoint.c: its result agrees with that at 1e-24 to more digits than are asked for.
@@ -50,7 +53,8 @@ def main() -> int:
 def make(scene: str, midpoint: Path) -> None:
     """Runs both programs on a scene and writes its file."""
     own = own_values(scene)
-    values = start_values() | own
+    items = enumeration_items()
+    values = start_values() | {name: items[name][value] if name in items else value for name, value in own.items()}
     text = "".join(f"{name} {float(value).hex()}\n" for name, value in values.items())
     tenths = str(SCENES[scene])
     first = run([midpoint, tenths, TOLERANCE], text)
@@ -74,20 +78,31 @@ def make(scene: str, midpoint: Path) -> None:
 def start_values() -> dict[str, float]:
     """Parameters and inputs with their start values, from the model description."""
     values = {}
-    for variable in ET.parse(ROOT / "modelDescription/modelDescription.xml").iter("ScalarVariable"):
+    for variable in ET.parse(MODEL).iter("ScalarVariable"):
         if variable.get("causality") in ("parameter", "input"):
             start = variable[0].get("start")
             values[variable.get("name")] = float({"true": 1, "false": 0}.get(start, start))
     return values
 
 
-def own_values(scene: str) -> dict[str, float | bool]:
-    """What the scene sets."""
+def enumeration_items() -> dict[str, dict[str, int]]:
+    """Of every variable that is an enumeration: names of its items to their values."""
+    model = ET.parse(MODEL)
+    types = {
+        kind.get("name"): {item.get("name"): int(item.get("value")) for item in kind.iter("Item")} for kind in model.iter("SimpleType")
+    }
+    used = {variable.get("name"): variable[0].get("declaredType") for variable in model.iter("ScalarVariable")}
+    return {name: types[kind] for name, kind in used.items() if types.get(kind)}
+
+
+def own_values(scene: str) -> dict[str, float | bool | str]:
+    """What the scene sets; enumerations by the names of their items."""
     content = json.loads((ROOT / f"scenes/{scene}.json").read_text(encoding="utf-8"))
     own = {name: value for name, value in content.items() if name not in ("description", "experiment")}
-    odd = [name for name, value in own.items() if not isinstance(value, (bool, int, float))]
+    items = enumeration_items()
+    odd = [name for name, value in own.items() if value not in items.get(name, ()) and not isinstance(value, (bool, int, float))]
     if odd:
-        raise SystemExit(f"{scene}: {odd[0]} is not a constant number; only scenes of constant numbers can have a reference.")
+        raise SystemExit(f"{scene}: {odd[0]} is not a constant; only scenes of constant values can have a reference.")
     return own
 
 
