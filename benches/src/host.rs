@@ -29,7 +29,7 @@ pub(crate) struct Host {
 
 impl Host {
     /// From fmi2Instantiate to fmi2ExitInitializationMode, with variables set by name.
-    pub(crate) fn ready(values: &[(String, Value)]) -> Result<Self> {
+    pub(crate) fn ready(values: &[(&str, Value)]) -> Result<Self> {
         let (name, guid) = (c"bench", CString::new(GUID)?);
         let callbacks = fmi2CallbackFunctions {
             logger: None,

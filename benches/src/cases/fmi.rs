@@ -11,8 +11,8 @@ use crate::host::{Host, reference};
 use crate::scene::Scene;
 
 /// The fall, as values of variables.
-fn fall() -> Vec<(String, Value)> {
-    vec![("init.theta[2]".into(), Value::Real(120f64.to_radians())), ("solver.adaptive".into(), Value::Boolean(false))]
+fn fall() -> [(&'static str, Value); 2] {
+    [("init.theta[2]", Value::Real(120f64.to_radians())), ("solver.adaptive", Value::Boolean(false))]
 }
 
 /// Communication steps of one macro step each; `also` is done after each.
