@@ -3,7 +3,7 @@
 use std::hint::black_box;
 
 use anyhow::Result;
-use fivebar::variables::{Slot, VARIABLES, Value};
+use fivebar::variables::{Method, Slot, VARIABLES, Value};
 
 use super::{H, STEPS, bare};
 use crate::case::{Case, Work};
@@ -15,10 +15,25 @@ fn fall() -> [(&'static str, Value); 2] {
     [("init.theta[2]", Value::Real(120f64.to_radians())), ("solver.adaptive", Value::Boolean(false))]
 }
 
-/// Communication steps of one macro step each; `also` is done after each.
+/// The fall with another value.
+fn fall_with(name: &str, value: Value) -> Vec<(String, Value)> {
+    [fall(), vec![(name.into(), value)]].concat()
+}
+
+/// Communication steps of one macro step each along the fall; `also` is done after each.
 fn calls(table: &'static str, name: impl Into<String>, also: impl FnMut(&mut Host) + Clone + 'static) -> Case {
+    calls_along(table, name, fall(), also)
+}
+
+/// The same along another scene.
+fn calls_along(
+    table: &'static str,
+    name: impl Into<String>,
+    scene: Vec<(String, Value)>,
+    also: impl FnMut(&mut Host) + Clone + 'static,
+) -> Case {
     Case::new(table, name, STEPS, move || {
-        let (mut host, mut also) = (Host::ready(&fall())?, also.clone());
+        let (mut host, mut also) = (Host::ready(&scene)?, also.clone());
         let work: Work = Box::new(move || {
             for _ in 0..STEPS {
                 host.step(H);
@@ -45,6 +60,13 @@ pub(super) fn cases() -> Result<Vec<Case>> {
         calls("dostep", "fmi2DoStep of 1 step, 4 inputs set to what they are", move |host| {
             host.write(black_box(&inputs), black_box(&[0.0; 4]));
         }),
+        calls_along("dostep", "fmi2DoStep of 1 step, adaptive", fall_with("solver.adaptive", Value::Boolean(true)), |_| ()),
+        calls_along(
+            "dostep",
+            "fmi2DoStep of 1 step, dop853",
+            fall_with("solver.method", Value::Integer(Method::Dop853 as i32)),
+            |_| (),
+        ),
         calls("outputs", "none", |_| ()),
     ];
     let outputs = || VARIABLES.iter().filter(|variable| matches!(variable.slot, Slot::RealOutput(_)));
