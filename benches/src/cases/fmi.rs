@@ -11,29 +11,32 @@ use crate::host::{Host, reference};
 use crate::scene::Scene;
 
 /// The fall, as values of variables.
-fn fall() -> [(&'static str, Value); 2] {
-    [("init.theta[2]", Value::Real(120f64.to_radians())), ("solver.adaptive", Value::Boolean(false))]
+fn fall() -> Result<Vec<(u32, Value)>> {
+    Ok(vec![
+        (reference("init.theta[2]")?, Value::Real(120f64.to_radians())),
+        (reference("solver.adaptive")?, Value::Boolean(false)),
+    ])
 }
 
 /// The fall with another value.
-fn fall_with(name: &str, value: Value) -> Vec<(String, Value)> {
-    [fall(), vec![(name.into(), value)]].concat()
+fn fall_with(name: &str, value: Value) -> Result<Vec<(u32, Value)>> {
+    Ok([fall()?, vec![(reference(name)?, value)]].concat())
 }
 
 /// Communication steps of one macro step each along the fall; `also` is done after each.
 fn calls(table: &'static str, name: impl Into<String>, also: impl FnMut(&mut Host) + Clone + 'static) -> Case {
-    calls_along(table, name, fall(), also)
+    calls_along(table, name, fall, also)
 }
 
 /// The same along another scene.
 fn calls_along(
     table: &'static str,
     name: impl Into<String>,
-    scene: Vec<(String, Value)>,
+    scene: impl Fn() -> Result<Vec<(u32, Value)>> + 'static,
     also: impl FnMut(&mut Host) + Clone + 'static,
 ) -> Case {
     Case::new(table, name, STEPS, move || {
-        let (mut host, mut also) = (Host::ready(&scene)?, also.clone());
+        let (mut host, mut also) = (Host::ready(&scene()?)?, also.clone());
         let work: Work = Box::new(move || {
             for _ in 0..STEPS {
                 host.step(H);
@@ -60,11 +63,11 @@ pub(super) fn cases() -> Result<Vec<Case>> {
         calls("dostep", "fmi2DoStep of 1 step, 4 inputs set to what they are", move |host| {
             host.write(black_box(&inputs), black_box(&[0.0; 4]));
         }),
-        calls_along("dostep", "fmi2DoStep of 1 step, adaptive", fall_with("solver.adaptive", Value::Boolean(true)), |_| ()),
+        calls_along("dostep", "fmi2DoStep of 1 step, adaptive", || fall_with("solver.adaptive", Value::Boolean(true)), |_| ()),
         calls_along(
             "dostep",
             "fmi2DoStep of 1 step, dop853",
-            fall_with("solver.method", Value::Integer(Method::Dop853 as i32)),
+            || fall_with("solver.method", Value::Integer(Method::Dop853 as i32)),
             |_| (),
         ),
         calls("outputs", "none", |_| ()),
@@ -85,8 +88,9 @@ pub(super) fn cases() -> Result<Vec<Case>> {
     cases.push(reading("all", outputs().map(|output| output.reference).collect()));
     let life = |name: &str, steps: u32| {
         Case::new("start-up", name, 1, move || {
+            let fall = fall()?;
             let work: Work = Box::new(move || {
-                let mut host = Host::ready(&fall()).expect("the fall is a legal scene");
+                let mut host = Host::ready(&fall).expect("the fall is a legal scene");
                 for _ in 0..steps {
                     host.step(H);
                 }
