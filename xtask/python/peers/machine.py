@@ -5,6 +5,7 @@ Links 1 to 4: left proximal, left distal, right distal, right proximal; absolute
 """
 
 import math
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -28,6 +29,8 @@ class Setting:
 
     text: str
     begin: Callable[[np.ndarray], Callable[[float], np.ndarray]]
+    clock: Callable[[], float] = time.process_time
+    """The processor's seconds so far, of this process; of the run begun last for a program of its own."""
 
 
 @dataclass(frozen=True)
@@ -95,35 +98,15 @@ def by_mass(b, f):
 
 
 @njit(cache=False)
-def multipliers(y):
-    """The two forces at the tip that keep the loop closed, N."""
+def derivative(_t, y):
+    """Rates and accelerations (index 1: the two forces at the tip that keep the loop closed are eliminated)."""
     b, f, jx, jy, c = terms(y)
     free, by_x, by_y = by_mass(b, f), by_mass(b, jx), by_mass(b, jy)
     xx, xy, yy = jx @ by_x, jx @ by_y, jy @ by_y
     rx, ry = c[0] - jx @ free, c[1] - jy @ free
     det = xx * yy - xy * xy
-    return np.array([(yy * rx - xy * ry) / det, (xx * ry - xy * rx) / det])
-
-
-@njit(cache=False)
-def derivative(_t, y):
-    """Rates and accelerations (index 1: the multipliers are eliminated)."""
-    b, f, jx, jy, _ = terms(y)
-    force = multipliers(y)
+    force_x, force_y = (yy * rx - xy * ry) / det, (xx * ry - xy * rx) / det
     out = np.empty(8)
     out[:4] = y[4:]
-    out[4:] = by_mass(b, f + force[0] * jx + force[1] * jy)
+    out[4:] = by_mass(b, f + force_x * jx + force_y * jy)
     return out
-
-
-@njit(cache=False)
-def residual(y, yp, out):
-    """The index-1 equations with the multipliers y[8:10] as unknowns: 0 = (q' - v, M v' - f - J^T l, J v' - c)."""
-    b, f, jx, jy, c = terms(y)
-    out[:4] = yp[:4] - y[4:8]
-    for leg in range(2):
-        near, far = (0, 1) if leg == 0 else (3, 2)
-        out[4 + near] = NEAR * yp[4 + near] + b[leg] * yp[4 + far] - f[near]
-        out[4 + far] = FAR * yp[4 + far] + b[leg] * yp[4 + near] - f[far]
-    out[4:8] -= y[8] * jx + y[9] * jy
-    out[8], out[9] = jx @ yp[4:8] - c[0], jy @ yp[4:8] - c[1]

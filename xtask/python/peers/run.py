@@ -1,6 +1,6 @@
 """Runs every peer and this repository's methods over the same scenes, one after the other on one core, and writes a table.
 
-Times are the processor's, of this process alone: other work on the machine counts little.
+Times are the processor's, of the process that does the work alone: other work on the machine counts little.
 
     python run.py --fmu target/fmu/FiveBar.fmu --references tests/data/reference --out target/peers/peers.csv
 """
@@ -11,17 +11,18 @@ import importlib
 import math
 import os
 import sys
-import time
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
+import ahead
 import machine
+import native
 import own
 
-# Module and function of each peer; one whose package is not installed is listed as left out.
+# Module and function of each peer; one whose package, compiler or library is not installed is listed as left out.
 PEERS = {
     "MuJoCo": ("mujoco_engine", "peer"),
     "Exudyn": ("exudyn_engine", "peer"),
@@ -29,11 +30,8 @@ PEERS = {
     "SciPy DOP853": ("scipy_dop853", "peer"),
     "SUNDIALS CVODE": ("sundials", "cvode"),
     "SUNDIALS IDA": ("sundials", "ida"),
-}
-# Peers worth comparing with that no module here drives, and why.
-WITHOUT_MODULE = {
-    "Pinocchio": "brings constrained dynamics but no integrator; nothing here drives it",
-    "rapier2d": "a Rust crate; nothing here drives it",
+    "Pinocchio": ("pinocchio_dynamics", "peer"),
+    "rapier2d": ("rapier", "peer"),
 }
 
 # Seconds of the processor's time after which a run is ended at the next whole simulated second.
@@ -62,7 +60,7 @@ def main() -> int:
     parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
     parser.add_argument("--references", type=Path, required=True, help="the folder of reference trajectories")
     parser.add_argument("--out", type=Path, required=True, help="the table to write")
-    parser.add_argument("--only", nargs="*", help="names of peers to run; all of them")
+    parser.add_argument("--only", nargs="*", choices=PEERS, help="names of peers to run beside ours; all of them")
     options = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -74,6 +72,11 @@ def main() -> int:
             for scene in START:
                 rows.append(measure(scene, peer, setting, tips))
                 show(rows[-1])
+    cells = [{name: "" if value is None else str(value) for name, value in asdict(row).items()} for row in rows]
+    for second in (1, 2):
+        print(f"\nTime against ours for an error of the tip after {second} s of fall_90_120:\n")
+        print("\n".join(ahead.markdown(ahead.table(cells, second))))
+    print()
     rows += [Row("", name, "", "", note=f"left out: {why}") for name, why in left_out.items()]
     for row in rows[len(rows) - len(left_out) :]:
         print(f"{row.peer}: {row.note}")
@@ -82,19 +85,21 @@ def main() -> int:
         writer = csv.DictWriter(file, asdict(rows[0]).keys(), lineterminator="\n")
         writer.writeheader()
         writer.writerows(asdict(row) for row in rows)
-    print(f"written: {options.out}")
+    print(f"written: {os.path.relpath(options.out)}")
     return 0
 
 
 def find(fmu: Path, only: Iterable[str] | None) -> tuple[list[machine.Peer], dict[str, str]]:
-    """The peers that are installed, ours first, and why the others are left out."""
-    found, left_out = own.peers(fmu), dict(WITHOUT_MODULE)
+    """Our methods, the peers that are installed, and why others are left out; `only` is about the latter two."""
+    found, left_out = own.peers(fmu), {}
     for name, (module, function) in PEERS.items():
+        if only and name not in only:
+            continue
         try:
             found.append(getattr(importlib.import_module(module), function)())
-        except ImportError as error:
+        except (ImportError, native.CannotBuild) as error:
             left_out[name] = f"not installed ({error})"
-    return [peer for peer in found if not only or peer.name in only], left_out
+    return found, left_out
 
 
 def reference(file: Path) -> dict[int, np.ndarray]:
@@ -113,9 +118,9 @@ def measure(scene: str, peer: machine.Peer, setting: machine.Setting, tips: dict
         setting.begin(start)(1e-3)
         advance = setting.begin(start)
         for second in range(1, END[scene] + 1):
-            clock = time.process_time()
+            clock = setting.clock()
             y = advance(float(second))
-            spent += time.process_time() - clock
+            spent += setting.clock() - clock
             if not np.isfinite(y).all():
                 raise RuntimeError("NaN")
             done = second

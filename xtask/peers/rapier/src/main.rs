@@ -1,0 +1,76 @@
+//! rapier2d as a peer of `cargo xtask peers`: four links without shapes, five revolute joints.
+//!
+//! `peer-rapier JOINTS STEP SUBSTEPS SWEEPS ANGLE ANGLE ANGLE ANGLE`, JOINTS `impulse` or `multibody` (there the loop is closed by
+//! an impulse joint, for a multibody is a tree). Reads times, one a line; answers each with the processor's seconds so far, four
+//! angles and four rates.
+
+use cpu_time::ProcessTime;
+use rapier2d_f64::prelude::*;
+use std::io::{self, BufRead};
+
+const LENGTH: f64 = 0.21;
+const COM: f64 = 0.105;
+const MASS: f64 = 0.017;
+const INERTIA: f64 = 6.23e-5;
+const BASE: f64 = 0.42;
+const GRAVITY: f64 = 9.81;
+
+/// Left leg, right leg: the proximal link's place among the angles, the distal one's, the motor's place along x.
+const LEGS: [(usize, usize, f64); 2] = [(0, 1, 0.0), (3, 2, BASE)];
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [joints, step, substeps, sweeps, angles @ ..] = &arguments[..] else { return Err("too few arguments".into()) };
+    let angles: Vec<f64> = angles.iter().map(|angle| angle.parse()).collect::<Result<_, _>>()?;
+    let mut world = PhysicsWorld { gravity: Vector::new(0.0, -GRAVITY), ..Default::default() };
+    let parameters = &mut world.integration_parameters;
+    parameters.dt = step.parse()?;
+    parameters.num_solver_iterations = substeps.parse()?;
+    parameters.num_internal_pgs_iterations = sweeps.parse()?;
+    parameters.warmstart_joints = true;
+    parameters.normalized_max_linear_velocity = Real::MAX;
+    let links = build(&mut world, &angles, joints == "multibody");
+
+    let (mut spent, mut done) = (0.0, 0);
+    for line in io::stdin().lock().lines() {
+        let until: f64 = line?.trim().parse()?;
+        let steps = (until / world.integration_parameters.dt).round() as u64;
+        let clock = ProcessTime::now();
+        for _ in done..steps {
+            world.step();
+        }
+        spent += clock.elapsed().as_secs_f64();
+        done = steps;
+        let bodies = links.map(|link| &world.bodies[link]);
+        let state = bodies.iter().map(|body| body.rotation().angle()).chain(bodies.iter().map(|body| body.angvel()));
+        println!("{spent} {}", state.map(|x| x.to_string()).collect::<Vec<_>>().join(" "));
+    }
+    Ok(())
+}
+
+/// The links in the order of their angles.
+fn build(world: &mut PhysicsWorld, angles: &[f64], multibody: bool) -> [RigidBodyHandle; 4] {
+    let arm = |from: f64, to: f64| RevoluteJointBuilder::new().local_anchor1(Vector::new(from, 0.0)).local_anchor2(Vector::new(to, 0.0));
+    let mut links = [RigidBodyHandle::invalid(); 4];
+    for (near, far, motor) in LEGS {
+        // A ground for each leg: with one they would be a single multibody, which no joint can close to a loop.
+        let ground = world.insert_body(RigidBodyBuilder::fixed());
+        let mut place = Vector::new(motor, 0.0);
+        let mut carrier = (ground, motor);
+        for i in [near, far] {
+            let properties = MassProperties::new(Vector::new(COM, 0.0), MASS, INERTIA);
+            let body = RigidBodyBuilder::dynamic().translation(place).rotation(angles[i]).can_sleep(false);
+            links[i] = world.insert_body(body.additional_mass_properties(properties));
+            let joint = arm(carrier.1, 0.0);
+            if multibody {
+                world.insert_multibody_joint(carrier.0, links[i], joint);
+            } else {
+                world.insert_impulse_joint(carrier.0, links[i], joint);
+            }
+            place += Vector::new(angles[i].cos(), angles[i].sin()) * LENGTH;
+            carrier = (links[i], LENGTH);
+        }
+    }
+    world.insert_impulse_joint(links[1], links[2], arm(LENGTH, LENGTH));
+    links
+}

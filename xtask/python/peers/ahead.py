@@ -1,0 +1,73 @@
+"""Which of our methods is ahead of which peer, by how much, for every wanted accuracy; from the rows of peers.csv."""
+
+from dataclasses import dataclass
+
+OURS = "FiveBar "
+"""What the names of our methods begin with."""
+
+SCENE = "fall_90_120"
+WANTED = tuple(10.0**-n for n in range(2, 11))
+"""Errors of the tip, m."""
+
+Row = dict[str, str]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """For one accuracy: our cheapest, and each peer's cheapest time against it."""
+
+    wanted: float
+    method: str
+    """With its settings; empty if none of ours is good enough."""
+    ms: float
+    """Milliseconds per simulated second."""
+    ratios: dict[str, float | None]
+    """The peer's time over ours; None for a peer that does not get there."""
+
+
+def table(rows: list[Row], second: int) -> list[Answer]:
+    """The answers, for the error after 1 or 2 seconds. A small error by luck counts for a peer; for one of our methods a setting
+    counts only if all its dearer ones are good enough as well."""
+    column = f"error_{second}s_m"
+    done = [r for r in rows if r["scene"] == SCENE and r[column] and r["ms_per_simulated_second"]]
+    points = [(r["peer"], r["settings"], float(r[column]), float(r["ms_per_simulated_second"])) for r in done]
+    ours = [p for p in points if p[0].startswith(OURS)]
+    # Also those that never gave a result, so that they are seen; not those that were left out, which have no scene.
+    peers = list(dict.fromkeys(r["peer"] for r in rows if r["scene"] and not r["peer"].startswith(OURS)))
+    answers = []
+    for wanted in WANTED:
+        good = [p for p in ours if all(q[2] <= wanted for q in ours if q[0] == p[0] and q[3] >= p[3])]
+        if not good:
+            answers.append(Answer(wanted, "", float("nan"), {}))
+            continue
+        name, settings, _, cost = min(good, key=lambda p: p[3])
+        costs = {peer: [p[3] for p in points if p[0] == peer and p[2] <= wanted] for peer in peers}
+        ratios = {peer: min(found) / cost if found else None for peer, found in costs.items()}
+        answers.append(Answer(wanted, f"{name.removeprefix(OURS)}, {settings}", cost, ratios))
+    return answers
+
+
+def cells(answers: list[Answer]) -> list[list[str]]:
+    """Head and lines: wanted error, our method, its time, then a column per peer."""
+    peers = list(dict.fromkeys(peer for answer in answers for peer in answer.ratios))
+    lines = [["error below", "ours", "ms/s", *peers]]
+    for answer in answers:
+        wanted = f"{answer.wanted:.0e} m".replace("e-0", "e-")
+        if answer.method:
+            lines.append([wanted, answer.method, f"{answer.ms:.2g}", *(_ratio(answer.ratios[peer]) for peer in peers)])
+        else:
+            lines.append([wanted, "not reached", "", *[""] * len(peers)])
+    return lines
+
+
+def markdown(answers: list[Answer]) -> list[str]:
+    """Lines of Markdown."""
+    head, *lines = cells(answers)
+    return [f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *lines)]
+
+
+def _ratio(value: float | None) -> str:
+    if value is None:
+        return "not reached"
+    text = f"{value:.2g}" if value < 99.5 else f"{float(f'{value:.2g}'):.0f}"
+    return f"{text} ×" if value > 1 else f"{text} ×, behind"
