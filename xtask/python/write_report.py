@@ -56,7 +56,7 @@ def write(path: Path, m: Measurements, curves: dict[str, dict[str, np.ndarray]])
         sections.effects(m),
         sections.matrix(m),
         sections.paper(curves),
-        sections.peers(m, found),
+        sections.peers(m),
         sections.failures(m, found),
     ]
     caption = "Error against time, one scene of each kind. Lower and further left is better."

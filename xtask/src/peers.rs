@@ -1,8 +1,9 @@
-//! `cargo xtask peers`: other programs and the packed unit over the same scenes; no part of CI.
+//! `cargo xtask peers`: other programs and the packed unit over the same scenes; no part of CI. What has to be compiled for it is in
+//! `xtask/peers/`, outside the workspace.
 
 use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
-use crate::{paths, process};
+use crate::{paths, process, report};
 use anyhow::Result;
 
 /// Runs those named in `only`, or all; the table goes to `target/peers/peers.csv`.
@@ -11,6 +12,9 @@ pub(crate) fn peers(only: &[String]) -> Result<()> {
     let mut command = venv::python(Packages::Peers)?;
     command.arg("xtask/python/peers/run.py").arg("--fmu").arg(fmu);
     command.arg("--references").arg(paths::in_root("tests/data/reference"));
+    command.arg("--about").arg(report::about(
+        &["cargo xtask peers"].into_iter().chain(only.iter().map(String::as_str)).collect::<Vec<_>>().join(" "),
+    )?);
     command.arg("--out").arg(paths::in_root("target/peers/peers.csv"));
     if !only.is_empty() {
         command.arg("--only").args(only);

@@ -46,7 +46,7 @@ pub(crate) fn report(options: &Options) -> Result<()> {
 fn measure(quick: bool) -> Result<()> {
     let mut accuracy = process::cargo();
     accuracy.args(["run", "--release", "--locked", "--package", CRATE, "--", "--out"]).arg(paths::in_root("target/report/data"));
-    accuracy.arg("--about").arg(about(quick)?);
+    accuracy.arg("--about").arg(about(if quick { "cargo xtask report --quick" } else { "cargo xtask report" })?);
     if quick {
         accuracy.arg("--quick");
     }
@@ -64,7 +64,7 @@ fn measure(quick: bool) -> Result<()> {
 }
 
 /// Machine, load, compiler, commit and command, for the head of every table.
-fn about(quick: bool) -> Result<String> {
+pub(crate) fn about(command: &str) -> Result<String> {
     let said = |program: &str, arguments: &[&str]| process::output(process::program(program).args(arguments));
     let cpu_info = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let cpu = cpu_info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
@@ -74,11 +74,10 @@ fn about(quick: bool) -> Result<String> {
     let load = load.split(' ').next().filter(|load| !load.is_empty()).unwrap_or("unknown");
     let changed = if said("git", &["status", "--porcelain", "--untracked-files=no"])?.is_empty() { "" } else { " with changes" };
     Ok(format!(
-        "{cpu}, {cores} cores, {} {}, load {load} at the start; {}; commit {}{changed}; cargo xtask report{}",
+        "{cpu}, {cores} cores, {} {}, load {load} at the start; {}; commit {}{changed}; {command}",
         std::env::consts::OS,
         std::env::consts::ARCH,
         said("rustc", &["--version"])?.trim(),
         said("git", &["rev-parse", "--short=12", "HEAD"])?.trim(),
-        if quick { " --quick" } else { "" }
     ))
 }

@@ -7,6 +7,7 @@ import fmpy
 import numpy as np
 from fmpy.fmi1 import FMICallException
 
+import ahead
 from machine import Peer, Setting
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -15,12 +16,12 @@ from slave import Log, get_values, instantiate, set_values  # noqa: E402  (the f
 
 STATE = ["theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]", "omega[1]", "passive.omega[1]", "passive.omega[2]", "omega[2]"]
 
-# By name, as in the model description; a method that this .fmu does not have is left out.
+# Names as in the report, then the method as in the model description; a method that this .fmu does not have is left out.
 RUNS = {
-    "i3alp": [{"solver.adaptive": True, "solver.errorTolerance": x} for x in (3e-9, 1e-11, 1e-13)]
-    + [{"solver.adaptive": False, "solver.stepSize": h} for h in (1e-3, 1e-4, 1e-5)],
-    "rk4": [{"solver.stepSize": h} for h in (1e-3, 1e-4, 2e-5)],
-    "dop853": [{"solver.errorTolerance": x} for x in (1e-6, 1e-8, 1e-10, 1e-12)],
+    "i3alp, adaptive": ("i3alp", [{"solver.adaptive": True, "solver.errorTolerance": x} for x in (3e-7, 3e-9, 1e-11, 1e-13)]),
+    "i3alp, fixed step": ("i3alp", [{"solver.adaptive": False, "solver.stepSize": h} for h in (1e-3, 1e-4, 1e-5)]),
+    "rk4": ("rk4", [{"solver.stepSize": h} for h in (4e-3, 2e-3, 1e-3, 1e-4, 2e-5)]),
+    "dop853": ("dop853", [{"solver.errorTolerance": 10.0**-n} for n in range(3, 15)]),
 }
 
 
@@ -32,9 +33,9 @@ def peers(fmu: Path) -> list[Peer]:
     numbers = {item.name: int(item.value) for item in method.declaredType.items}
     version = model.version or "this .fmu"
     return [
-        Peer(f"FiveBar {name}", version, [_setting(model, directory, numbers[name], run) for run in runs])
-        for name, runs in RUNS.items()
-        if name in numbers
+        Peer(f"{ahead.OURS}{name}", version, [_setting(model, directory, numbers[method], run) for run in runs])
+        for name, (method, runs) in RUNS.items()
+        if method in numbers
     ]
 
 

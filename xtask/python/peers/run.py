@@ -2,7 +2,7 @@
 
 Times are the processor's, of the process that does the work alone: other work on the machine counts little.
 
-    python run.py --fmu target/fmu/FiveBar.fmu --references tests/data/reference --out target/peers/peers.csv
+    python run.py --fmu target/fmu/FiveBar.fmu --references tests/data/reference --about 'this machine' --out target/peers/peers.csv
 """
 
 import argparse
@@ -35,9 +35,13 @@ PEERS = {
 }
 
 # Seconds of the processor's time after which a run is ended at the next whole simulated second.
-BUDGET = 60.0
+BUDGET = 20.0
+# A run is repeated as long as it and its repeats have taken fewer seconds, up to a number of times; the least time counts.
+REPEATED, REPEATS = 0.2, 20
 START = {"fall_90_120": (math.radians(90), 2.0943951023931953), "paper_free_fall": (math.radians(90), math.radians(90))}
 END = {"fall_90_120": 2, "paper_free_fall": 50}
+# What a peer that gives up may raise.
+FAILURES = (RuntimeError, ValueError, ArithmeticError)
 
 
 @dataclass
@@ -59,6 +63,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Compares peers with the unit.")
     parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
     parser.add_argument("--references", type=Path, required=True, help="the folder of reference trajectories")
+    parser.add_argument("--about", required=True, help="machine, commit and command, for the head of the table")
     parser.add_argument("--out", type=Path, required=True, help="the table to write")
     parser.add_argument("--only", nargs="*", choices=PEERS, help="names of peers to run beside ours; all of them")
     options = parser.parse_args()
@@ -82,6 +87,7 @@ def main() -> int:
         print(f"{row.peer}: {row.note}")
     options.out.parent.mkdir(parents=True, exist_ok=True)
     with options.out.open("w", encoding="utf-8", newline="") as file:
+        file.write(f"# {options.about}\n")
         writer = csv.DictWriter(file, asdict(rows[0]).keys(), lineterminator="\n")
         writer.writeheader()
         writer.writerows(asdict(row) for row in rows)
@@ -110,31 +116,49 @@ def reference(file: Path) -> dict[int, np.ndarray]:
 
 
 def measure(scene: str, peer: machine.Peer, setting: machine.Setting, tips: dict[int, np.ndarray]) -> Row:
-    """One run; building the model and compiling, in a run of 1 ms before, are not in the time, which is the processor's."""
+    """A setting over a scene. Building the model and compiling, in a run of 1 ms before, are not in the time."""
     row = Row(scene, peer.name, peer.version, setting.text)
-    start = machine.closed(*START[scene])
-    before, worst, spent, done = machine.energy(start), 0.0, 0.0, 0
+    start, least, total = machine.closed(*START[scene]), math.inf, 0.0
     try:
         setting.begin(start)(1e-3)
+        for _ in range(REPEATS):
+            done, spent, row.note = once(row, setting, start, tips)
+            least, total = min(least, spent), total + spent
+            if row.note or total > REPEATED:
+                break
+    except FAILURES as error:
+        done, row.note = 0, f"ended at the start: {words(error)}"
+    if done:
+        row.ms_per_simulated_second = 1e3 * least / done
+    return row
+
+
+def once(row: Row, setting: machine.Setting, start: np.ndarray, tips: dict[int, np.ndarray]) -> tuple[int, float, str]:
+    """One run: whole seconds done, the time of them, and why it ended early. Errors go to the row."""
+    before, spent, done = machine.energy(start), 0.0, 0
+    row.energy_error_mgL = None
+    try:
         advance = setting.begin(start)
-        for second in range(1, END[scene] + 1):
+        for second in range(1, END[row.scene] + 1):
             clock = setting.clock()
             y = advance(float(second))
-            spent += setting.clock() - clock
+            took = setting.clock() - clock
             if not np.isfinite(y).all():
                 raise RuntimeError("NaN")
-            done = second
-            worst = max(worst, abs(machine.energy(y) - before) / machine.MGL)
-            if scene == "fall_90_120":
+            done, spent = second, spent + took
+            row.energy_error_mgL = max(row.energy_error_mgL or 0.0, abs(machine.energy(y) - before) / machine.MGL)
+            if row.scene == "fall_90_120":
                 setattr(row, f"error_{second}s_m", float(np.hypot(*(machine.tip(y) - tips[second]))))
-            if spent > BUDGET and second < END[scene]:
+            if spent > BUDGET and second < END[row.scene]:
                 raise RuntimeError(f"takes longer than {BUDGET:g} s")
-    except (RuntimeError, ValueError, ArithmeticError) as error:
-        row.note = f"ended after {done} s: {' '.join(str(error).split())}"
-    if done:
-        row.ms_per_simulated_second = 1e3 * spent / done
-        row.energy_error_mgL = worst
-    return row
+    except FAILURES as error:
+        return done, spent, f"ended after {done} s: {words(error)}"
+    return done, spent, ""
+
+
+def words(error: Exception) -> str:
+    """What an error says, on one line."""
+    return " ".join(str(error).split())
 
 
 def show(row: Row) -> None:

@@ -5,7 +5,7 @@ from scipy.integrate import solve_ivp
 
 from machine import Peer, Setting, derivative
 
-TOLERANCES = (1e-6, 1e-8, 1e-10, 1e-12)
+TOLERANCES = tuple(10.0**-n for n in range(3, 14))
 
 
 def peer() -> Peer:

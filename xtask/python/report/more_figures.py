@@ -6,9 +6,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
+from peers import ahead
 from pictures import FAINT, RUN_COLOURS
 from report.figures import COLOURS, SHAPES, logarithmic
-from report.tables import Marker, Row
+from report.tables import Row
 
 SETTING_COLOURS = {
     "i3alp, default tolerance": COLOURS["i3alp, adaptive"],
@@ -88,21 +89,20 @@ def paper(curves: dict[str, np.ndarray], figures: tuple[str, str]) -> Figure:
     return figure
 
 
-def peers(rows: list[Row], markers: list[Marker]) -> Figure:
-    """Error after 1 s of the fall against time: peers, and our own methods as measured on this page."""
+def peers(rows: list[Row]) -> Figure:
+    """Error after 1 s of the fall against time; our own methods, measured in the same run, stand out."""
     figure, axes = plt.subplots(figsize=(9.4, 5.2))
-    names = list(dict.fromkeys(row["peer"] for row in rows))
-    colours = plt.get_cmap("tab20")(np.linspace(0, 1, max(len(names), 2)))
-    for name, colour in zip(names, colours):
-        line = [(number(row["ms_per_simulated_second"]), number(row["error_1s_m"])) for row in rows if row["peer"] == name]
-        line = sorted(point for point in line if np.all(np.isfinite(point)) and min(point) > 0)
-        if line:
-            axes.plot(*zip(*line), marker="x", color=colour, linewidth=1, label=name)
-    for method, colour in COLOURS.items():
-        own = [m for m in markers if m.method == method and m.scene == "fall_90_120, 1 s" and m.complete]
-        # A microsecond per millisecond is a millisecond per second.
-        axes.plot([m.cost for m in own], [m.error for m in own], marker=SHAPES[method], color=colour, markersize=4, label=f"FiveBar {method}")
-    logarithmic(axes, xlabel="ms per simulated second, one core", ylabel="error of the tip up to 1 s  (m)", ylim=(1e-15, 1))
+    names = list(dict.fromkeys(row["peer"] for row in rows if row["error_1s_m"]))
+    others = [name for name in names if not name.startswith(ahead.OURS)]
+    colours = dict(zip(others, plt.get_cmap("tab10").colors))
+    for name in names:
+        points = [(number(row["ms_per_simulated_second"]), number(row["error_1s_m"])) for row in rows if row["peer"] == name]
+        # A tip that is off by more than a link is long says nothing.
+        points = sorted(point for point in points if 0 < point[1] < 0.21)
+        own = name.removeprefix(ahead.OURS)
+        colour, marker = (colours[name], "x") if name in colours else (COLOURS[own], SHAPES[own])
+        axes.plot([p[0] for p in points], [p[1] for p in points], marker=marker, color=colour, linestyle="", markersize=5, label=name)
+    logarithmic(axes, xlabel="ms per simulated second, one core", ylabel="error of the tip after 1 s  (m)")
     axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=8)
     return figure
 

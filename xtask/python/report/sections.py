@@ -6,6 +6,7 @@ import re
 import numpy as np
 
 import hard_cases
+from peers import ahead
 from report import figures, more_figures, picks
 from report.page import Section, table
 from report.tables import Marker, Measurements, Reference, setting
@@ -184,18 +185,44 @@ def paper(curves: dict[str, dict[str, np.ndarray]]) -> Section:
     return section
 
 
-def peers(m: Measurements, markers: list[Marker]) -> Section:
+def peers(m: Measurements) -> Section:
     """10: other programs."""
     section = Section("peers", "Other programs on the same scene")
     if not m.peers:
         section.missing("all other programs: none is needed to make this page", "cargo xtask peers")
         return section
-    caption = "Error of the tip up to 1 s of fall_90_120 against time, each program at several settings; FiveBar as in section 3."
-    section.figure(more_figures.peers(m.peers.rows, markers), "peers", caption, ["peers.csv", "precision.csv"])
+    section.text(
+        "<code>cargo xtask peers</code> runs them and the packed unit over the same scenes, one after the other on one core; how, and which "
+        'way each is run: docs/accuracy.md. Times are the processor\'s, of the process that does the work; building a model is not in them.'
+    )
+    section.parts.append("<h3>Who is ahead</h3>")
+    section.text(
+        "For each wanted error of the tip after 1 s and after 2 s our cheapest setting and the time of the cheapest setting of each peer, "
+        "relative to ours. A small error by luck counts for a peer; one of our settings counts only if all dearer ones of its method are "
+        "good enough as well."
+    )
+    for second in (1, 2):
+        head, *lines = ahead.cells(ahead.table(m.peers.rows, second))
+        section.parts.append(f"<h3>Error after {second} s of {ahead.SCENE}</h3>")
+        section.parts.append(table(head, [[html.escape(cell) for cell in line] for line in lines], tuple(range(2, len(head)))))
+    caption = "Error of the tip after 1 s of fall_90_120 against time, each program at several settings; FiveBar through the .fmu, in steps of 1 s."
+    section.figure(more_figures.peers(m.peers.rows), "peers", caption, ["peers.csv"])
+    absent = [row for row in m.peers.rows if not row["scene"]]
+    ended = [row for row in m.peers.rows if row["scene"] and row["note"]]
+    section.parts.append("<h3>What failed or was left out</h3>")
+    section.bullets([f"{html.escape(row['peer'])}: {html.escape(row['note'])}" for row in absent] or ["Nothing was left out."])
+    head = ["peer", "scene", "settings", "note"]
+    section.parts.append(table(head, [[html.escape(row[name]) for name in head] for row in ended]))
     head = list(m.peers.rows[0])
-    cells = [[html.escape(row[h]) for h in head] for row in m.peers.rows]
+    cells = [[html.escape(shortened(row[h])) for h in head] for row in m.peers.rows]
     section.folded("all settings of all peers", table([html.escape(h.replace("_", " ")) for h in head], cells))
     return section
+
+
+def shortened(cell: str) -> str:
+    """Three digits where the table has seventeen."""
+    value = more_figures.number(cell)
+    return f"{value:.3g}" if np.isfinite(value) else cell
 
 
 def failed(m: Measurements, markers: list[Marker]) -> dict[tuple[str, str, str], list[str]]:

@@ -1,6 +1,6 @@
 //! rapier2d as a peer of `cargo xtask peers`: four links without shapes, five revolute joints.
 //!
-//! `peer-rapier JOINTS STEP SUBSTEPS SWEEPS ANGLE ANGLE ANGLE ANGLE`, JOINTS `impulse` or `multibody` (there the loop is closed by
+//! `peer-rapier JOINTS STEP SWEEPS ANGLE ANGLE ANGLE ANGLE`, JOINTS `impulse` or `multibody` (there the loop is closed by
 //! an impulse joint, for a multibody is a tree). Reads times, one a line; answers each with the processor's seconds so far, four
 //! angles and four rates.
 
@@ -20,12 +20,12 @@ const LEGS: [(usize, usize, f64); 2] = [(0, 1, 0.0), (3, 2, BASE)];
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
-    let [joints, step, substeps, sweeps, angles @ ..] = &arguments[..] else { return Err("too few arguments".into()) };
+    let [joints, step, sweeps, angles @ ..] = &arguments[..] else { return Err("too few arguments".into()) };
     let angles: Vec<f64> = angles.iter().map(|angle| angle.parse()).collect::<Result<_, _>>()?;
     let mut world = PhysicsWorld { gravity: Vector::new(0.0, -GRAVITY), ..Default::default() };
     let parameters = &mut world.integration_parameters;
     parameters.dt = step.parse()?;
-    parameters.num_solver_iterations = substeps.parse()?;
+    parameters.num_solver_iterations = 1;
     parameters.num_internal_pgs_iterations = sweeps.parse()?;
     parameters.warmstart_joints = true;
     parameters.normalized_max_linear_velocity = Real::MAX;
@@ -50,26 +50,34 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 /// The links in the order of their angles.
 fn build(world: &mut PhysicsWorld, angles: &[f64], multibody: bool) -> [RigidBodyHandle; 4] {
-    let arm = |from: f64, to: f64| RevoluteJointBuilder::new().local_anchor1(Vector::new(from, 0.0)).local_anchor2(Vector::new(to, 0.0));
-    let mut links = [RigidBodyHandle::invalid(); 4];
+    let arm =
+        |from: f64, to: f64| RevoluteJointBuilder::new().local_anchor1(Vector::new(from, 0.0)).local_anchor2(Vector::new(to, 0.0));
+    let (mut links, mut joints) = ([RigidBodyHandle::invalid(); 4], Vec::new());
     for (near, far, motor) in LEGS {
-        // A ground for each leg: with one they would be a single multibody, which no joint can close to a loop.
+        // A ground for each leg: with one for both they are a single multibody, which is a tenth slower.
         let ground = world.insert_body(RigidBodyBuilder::fixed());
         let mut place = Vector::new(motor, 0.0);
-        let mut carrier = (ground, motor);
+        let (mut carrier, mut at, mut turned) = (ground, motor, 0.0);
         for i in [near, far] {
             let properties = MassProperties::new(Vector::new(COM, 0.0), MASS, INERTIA);
             let body = RigidBodyBuilder::dynamic().translation(place).rotation(angles[i]).can_sleep(false);
             links[i] = world.insert_body(body.additional_mass_properties(properties));
-            let joint = arm(carrier.1, 0.0);
+            // A multibody joint begins at its zero: the frame on the carrier is turned so that this is where the link stands.
+            let mut joint = arm(at, 0.0).build();
+            joint.data.set_local_frame1(Pose::new(Vector::new(at, 0.0), angles[i] - turned));
             if multibody {
-                world.insert_multibody_joint(carrier.0, links[i], joint);
+                let made = world.insert_multibody_joint(carrier, links[i], joint);
+                joints.extend(made);
             } else {
-                world.insert_impulse_joint(carrier.0, links[i], joint);
+                world.insert_impulse_joint(carrier, links[i], joint);
             }
             place += Vector::new(angles[i].cos(), angles[i].sin()) * LENGTH;
-            carrier = (links[i], LENGTH);
+            (carrier, at, turned) = (links[i], LENGTH, angles[i]);
         }
+    }
+    for joint in joints {
+        // Rotations of multibodies are damped unless told otherwise.
+        world.multibody_joints.get_mut(joint).expect("it was just made").0.damping_mut().fill(0.0);
     }
     world.insert_impulse_joint(links[1], links[2], arm(LENGTH, LENGTH));
     links
