@@ -202,9 +202,9 @@ def peers(m: Measurements) -> Section:
         "good enough as well."
     )
     for second in (1, 2):
-        head, *lines = ahead.cells(ahead.table(m.peers.rows, second))
+        head, *lines = [[html.escape(cell) for cell in line] for line in ahead.cells(ahead.table(m.peers.rows, second))]
         section.parts.append(f"<h3>Error after {second} s of {ahead.SCENE}</h3>")
-        section.parts.append(table(head, [[html.escape(cell) for cell in line] for line in lines], tuple(range(2, len(head)))))
+        section.parts.append(table(head, lines, tuple(range(2, len(head)))))
     caption = "Error of the tip after 1 s of fall_90_120 against time, each program at several settings; FiveBar through the .fmu, in steps of 1 s."
     section.figure(more_figures.peers(m.peers.rows), "peers", caption, ["peers.csv"])
     absent = [row for row in m.peers.rows if not row["scene"]]

@@ -1,0 +1,97 @@
+"""The comparison with peers: who is ahead, what the report shows of it, and how programs are driven; no peer is needed here."""
+
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from peers import ahead, native
+from report import sections, tables
+
+HEAD = ("scene", "peer", "version", "settings", "error_1s_m", "error_2s_m", "ms_per_simulated_second", "energy_error_mgL", "note")
+
+
+def row(peer: str, settings: str, error: object, ms: object, note: str = "", scene: str = ahead.SCENE) -> dict[str, str]:
+    """A row of peers.csv; the error after 2 s is a hundred times that after 1 s."""
+    later = 100 * error if error else ""
+    return dict(zip(HEAD, map(str, (scene, peer, "1.0", settings, error, later, ms, "", note))))
+
+
+ROWS = [
+    row("FiveBar dop853", "1e-4", 3e-3, 0.1),
+    # A lucky hit of ours: the next dearer setting is worse.
+    row("FiveBar dop853", "1e-5", 1e-7, 0.15),
+    row("FiveBar dop853", "1e-6", 2e-5, 0.2),
+    row("FiveBar dop853", "1e-12", 5e-10, 0.4),
+    row("FiveBar rk4", "1 ms", 5e-6, 0.6),
+    row("FiveBar rk4", "4 ms", "", "", "ended after 0 s: gave up"),
+    # A lucky hit of a peer counts.
+    row("Fast & rough", "coarse", 1e-3, 0.05),
+    row("Fast & rough", "lucky", 1e-6, 1.2),
+    row("Fast & rough", "fine", 1e-5, 30),
+    row("Never", "any", "", "", "ended after 0 s: NaN"),
+    row("Fast & rough", "fine", 1e-12, 0.01, scene="paper_free_fall"),
+    row("Absent", "", "", "", "left out: not installed (no <wheel>)", scene=""),
+]
+
+
+def test_the_cheapest_of_ours_against_the_cheapest_of_each_peer() -> None:
+    answers = {f"{a.wanted:.0e}": a for a in ahead.table(ROWS, 1)}
+    assert list(answers) == [f"1e-{n:02}" for n in range(2, 11)]
+    assert (answers["1e-02"].method, answers["1e-02"].ratios) == ("dop853, 1e-4", {"Fast & rough": 0.05 / 0.1, "Never": None})
+    assert answers["1e-03"].method == answers["1e-04"].method == "dop853, 1e-5"
+    # Not 1e-5, whose dearer neighbour is 2e-5 m off; nor rk4, which costs more than dop853 at 1e-12.
+    assert answers["1e-05"].method == answers["1e-06"].method == "dop853, 1e-12"
+    assert answers["1e-06"].ratios["Fast & rough"] == pytest.approx(1.2 / 0.4)  # a quotient of these numbers to a round-off
+    assert answers["1e-08"].ratios["Fast & rough"] is None
+    assert answers["1e-10"].method == ""
+    assert ahead.table(ROWS, 2)[-2].method == "" and ahead.table(ROWS, 2)[5].method == "dop853, 1e-12"
+
+
+def test_the_table_says_who_is_behind() -> None:
+    lines = ahead.markdown(ahead.table(ROWS, 1))
+    assert lines[0] == "| error below | ours | ms/s | Fast & rough | Never |"
+    assert lines[2] == "| 1e-2 m | dop853, 1e-4 | 0.1 | 0.5 ×, behind | not reached |"
+    assert lines[6] == "| 1e-6 m | dop853, 1e-12 | 0.4 | 3 × | not reached |"
+    assert lines[-1] == "| 1e-10 m | not reached |  |  |  |"
+
+
+def test_the_report_shows_them_all(tmp_path: object) -> None:
+    section = sections.peers(SimpleNamespace(peers=tables.Table(tmp_path, "a made-up machine", ROWS)))
+    text = "\n".join(section.parts)
+    assert "0.5 ×, behind" in text
+    assert "<li>Absent: left out: not installed (no &lt;wheel&gt;)</li>" in text
+    assert "<td>Never</td><td>fall_90_120</td><td>any</td><td>ended after 0 s: NaN</td>" in text
+    assert "Fast &amp; rough" in text and "Fast & rough" not in text
+    assert text.count("<svg") == 1
+
+
+# Answers like the peers' programs: each second costs 0.25 s and adds 1 to every number; after 2 s it gives up.
+FAKE = """
+import sys
+angles = [float(word) for word in sys.argv[1:]]
+for line in sys.stdin:
+    t = float(line)
+    if t > 2:
+        sys.exit("the step became too small")
+    print(t / 4, *(x + t for x in angles + [0.0] * 4), flush=True)
+"""
+
+
+def test_a_program_tells_its_own_time_and_why_it_ends() -> None:
+    program = native.Program(sys.executable, "-c", FAKE)
+    start = np.array([0.1, 0.2, 0.3, 0.4, 0, 0, 0, 0])
+    advance = program.begin(start)
+    assert program.clock() == 0
+    assert np.array_equal(advance(2.0), start + 2.0)
+    assert program.clock() == 0.5
+    with pytest.raises(RuntimeError, match="^the step became too small$"):
+        advance(3.0)
+    program.begin(start)
+    assert program.clock() == 0, "a run begins with no time spent"
+
+
+def test_a_compiler_that_is_not_there_is_named() -> None:
+    with pytest.raises(native.CannotBuild, match="^no-such-compiler: No such file or directory$"):
+        native.compiled("sundials.c", "no-such-compiler", [], [])
