@@ -54,7 +54,7 @@ enum Command {
     },
     /// Measure what accuracy costs in time, write the page target/report/index.html
     Report(report::Options),
-    /// Compare with other programs on the same scenes, write target/peers/peers.csv; needs packages of its own, some 1.5 GB
+    /// Compare with other programs on the same scenes, write target/peers/peers.csv; needs packages of its own, some 2 GB
     Peers {
         /// Names of those to run; all of them
         only: Vec<String>,
