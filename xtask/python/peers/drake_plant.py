@@ -10,7 +10,7 @@ from pydrake.systems.analysis import Simulator
 
 from machine import BASE, COM, INERTIA, LENGTH, MASS, G, Peer, Setting
 
-STEPS = (1e-3, 1e-4)
+STEPS = (1e-3, 1e-4, 1e-5)
 
 
 def peer() -> Peer:

@@ -1,7 +1,9 @@
 """SUNDIALS' CVODE and IDA in C; headers and libraries are those of Debian's package libsundials-dev."""
 
+import functools
 import re
 import subprocess
+from pathlib import Path
 
 import native
 from machine import Peer, Setting
@@ -25,10 +27,16 @@ def ida() -> Peer:
 
 
 def _peer(name: str, methods: tuple[str, ...]) -> Peer:
-    program = native.compiled("sundials.c", "gcc", FLAGS, [*(f"-lsundials_{library}" for library in LIBRARIES), "-lm"])
+    program = _program()
     runs = [(method, tolerance, native.Program(program, method, tolerance)) for method in methods for tolerance in TOLERANCES]
     settings = [Setting(f"{METHODS[m]}, rtol = atol = {x:g}, C by gcc -O3", run.begin, run.clock) for m, x, run in runs]
     return Peer(name, _version(), settings)
+
+
+@functools.cache
+def _program() -> Path:
+    """One for both."""
+    return native.compiled("sundials.c", "gcc", FLAGS, [*(f"-lsundials_{library}" for library in LIBRARIES), "-lm"])
 
 
 def _version() -> str:
