@@ -92,6 +92,13 @@ def test_a_program_tells_its_own_time_and_why_it_ends() -> None:
     assert program.clock() == 0, "a run begins with no time spent"
 
 
+def test_a_program_that_sticks_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(native, "BUDGET", 1)
+    advance = native.Program(sys.executable, "-c", "while True: pass").begin(np.zeros(8))
+    with pytest.raises(RuntimeError, match="^takes longer than"):
+        advance(1.0)
+
+
 def test_a_compiler_that_is_not_there_is_named() -> None:
     with pytest.raises(native.CannotBuild, match="^no-such-compiler: No such file or directory$"):
         native.compiled("sundials.c", "no-such-compiler", [], [])

@@ -5,6 +5,8 @@ and the state there, four angles and four rates. So neither Python nor the pipe 
 """
 
 import os
+import resource
+import signal
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +16,10 @@ import numpy as np
 REPOSITORY = Path(__file__).resolve().parents[3]
 SOURCES = REPOSITORY / "xtask" / "peers"
 BUILT = REPOSITORY / "target" / "peers"
+
+# Seconds of the processor's time after which a run is ended: at the next whole simulated second, or at once in a program of its own.
+BUDGET = 10
+TOO_LONG = f"takes longer than {BUDGET} s"
 
 
 class CannotBuild(Exception):
@@ -75,6 +81,8 @@ class _Run:
     def __init__(self, command: list[str]) -> None:
         pipe = subprocess.PIPE
         self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
+        # A solver may stick in steps of no size.
+        resource.prlimit(self.process.pid, resource.RLIMIT_CPU, (BUDGET, BUDGET + 1))
 
     def ask(self, until: float) -> list[float]:
         try:
@@ -84,7 +92,8 @@ class _Run:
             pass  # its last words tell why
         answer = self.process.stdout.readline().split()
         if len(answer) != 9:
-            self.process.kill()
+            if self.process.wait() == -signal.SIGXCPU:
+                raise RuntimeError(TOO_LONG)
             last = self.process.stderr.read().strip().splitlines()
             raise RuntimeError(last[-1] if last else "the program ended without a word")
         return [float(number) for number in answer]

@@ -34,8 +34,6 @@ PEERS = {
     "rapier2d": ("rapier", "peer"),
 }
 
-# Seconds of the processor's time after which a run is ended at the next whole simulated second.
-BUDGET = 20.0
 # A run is repeated as long as it and its repeats have taken fewer seconds, up to a number of times; the least time counts.
 REPEATED, REPEATS = 0.2, 20
 START = {"fall_90_120": (math.radians(90), 2.0943951023931953), "paper_free_fall": (math.radians(90), math.radians(90))}
@@ -149,8 +147,8 @@ def once(row: Row, setting: machine.Setting, start: np.ndarray, tips: dict[int, 
             row.energy_error_mgL = max(row.energy_error_mgL or 0.0, abs(machine.energy(y) - before) / machine.MGL)
             if row.scene == "fall_90_120":
                 setattr(row, f"error_{second}s_m", float(np.hypot(*(machine.tip(y) - tips[second]))))
-            if spent > BUDGET and second < END[row.scene]:
-                raise RuntimeError(f"takes longer than {BUDGET:g} s")
+            if spent > native.BUDGET and second < END[row.scene]:
+                raise RuntimeError(native.TOO_LONG)
     except FAILURES as error:
         return done, spent, f"ended after {done} s: {words(error)}"
     return done, spent, ""
