@@ -31,7 +31,7 @@ const EXPORTS: [&str; 34] = [
 ];
 
 /// Libraries that are part of every Windows since 10; those of the C runtime beside them begin with `api-ms-win-`.
-const WINDOWS: [&str; 4] = ["bcryptprimitives.dll", "kernel32.dll", "ntdll.dll", "ucrtbase.dll"];
+const WINDOWS: [&str; 4] = ["bcryptprimitives.dll", "kernel32.dll", "msvcrt.dll", "ntdll.dll"];
 
 /// Files that every .fmu of this project has.
 const REQUIRED: [&str; 4] = ["modelDescription.xml", "model.png", "documentation/index.html", "documentation/licenses/license.txt"];
