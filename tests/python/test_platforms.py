@@ -31,8 +31,8 @@ SCENES = sorted((REPOSITORY / "scenes").glob("*.json"))
 # Seconds of each scene, and the communication step: enough for whips, impacts and singularities under an emulator.
 LONGEST, SIZE = 2.0, 0.01
 
-# Where a stored state is taken, s, and the file that it goes to, in the folder of its machine.
-STORED_AT, STORED = 0.5, "state.bin"
+# When a state is stored that another machine goes on with, s.
+STORED_AT = 0.5
 
 # Lines of a driver's script; what a driver printed for each script, by name, for each round.
 Script = list[str]
@@ -214,20 +214,21 @@ def test_same_sentences_on_every_machine(bench: Bench, model: ModelDescription, 
 @on_every_machine
 def test_a_motion_goes_on_on_another_machine(bench: Bench, model: ModelDescription, machine: Machine) -> None:
     """A state that was stored here is the same bytes there, and continues there with the same bits."""
+    storing, going_on = {}, {}
     for name, number in methods(model).items():
-        values = every_effect(model) | {"solver.method": number}
-        whole = motion(model, values, 1.0)
-        middle = whole.index(next(line for line in whole if line.startswith(f"step {bits(STORED_AT)} ")))
-        start = next(i for i, line in enumerate(whole) if line.startswith("start "))
-        storing = {name: [*whole[:middle], f"store {STORED}", *whole[middle:]]}
-        (uninterrupted,) = bench.run(HERE, storing)[name]
-        bench.run(machine, storing)
-        here, there = (bench.place(where) / STORED for where in (HERE, machine))
-        assert there.read_bytes() == here.read_bytes(), name
-        going_on = {name: [*whole[: start + 1], f"restore {STORED}", *whole[middle:]]}
-        ((first, *rest),) = bench.run(machine, going_on)[name]
-        assert first.startswith("log ") and " ready: " in first
-        assert rest == uninterrupted[-len(rest) :] and len(rest) > 100, name
+        script = motion(model, every_effect(model) | {"solver.method": number}, 1.0)
+        first = next(i for i, line in enumerate(script) if line.startswith(f"step {bits(STORED_AT)} "))
+        start = next(i for i, line in enumerate(script) if line.startswith("start "))
+        storing[name] = [*script[:first], f"store {name}.state", *script[first:]]
+        going_on[name] = [*script[: start + 1], f"restore {name}.state", *script[first:]]
+    uninterrupted = bench.run(HERE, storing)
+    bench.run(machine, storing)
+    for state in (f"{name}.state" for name in storing):
+        here, there = (bench.place(where) / state for where in (HERE, machine))
+        assert there.read_bytes() == here.read_bytes(), state
+    for name, ((ready, *rest),) in bench.run(machine, going_on).items():
+        assert ready.startswith("log ") and " ready: " in ready
+        assert len(rest) > 100 and rest == uninterrupted[name][0][-len(rest) :], name
 
 
 @on_every_machine

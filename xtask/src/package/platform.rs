@@ -124,8 +124,12 @@ impl Platform {
 
     /// Every machine that `--all-platforms` packs a library for.
     fn all() -> Vec<Self> {
-        let platform =
-            |(folder, triple, extension, flags): (&str, _, _, _)| Self { folder: folder.into(), extension, cross: Some(triple), flags };
+        let platform = |(folder, triple, extension, flags): (&str, _, _, _)| Self {
+            folder: folder.into(),
+            extension,
+            cross: Some(triple),
+            flags,
+        };
         SHIPPED.map(platform).into()
     }
 
