@@ -9,7 +9,7 @@ use super::outputs::{DISTAL, PROXIMAL};
 use super::values::{check_settable, lookup};
 use super::{Instance, Rejection, bindings};
 use crate::observers::{self, Motion, OutputChanges};
-use crate::simulation::{Direction, ORDERS};
+use crate::simulation::{Direction, ORDERS, Signal};
 use crate::variables::{Access, RealOutput, Slot, Value, Variable};
 
 impl Instance {
@@ -35,12 +35,14 @@ impl Instance {
                 )));
             }
         }
+        let mut derivatives = self.signal.derivatives();
         for (reference, order, value) in triples {
-            let derivative = &mut self.signal.derivatives[order as usize - 1];
+            let derivative = &mut derivatives[order as usize - 1];
             if !bindings::write(&mut self.parameters, derivative, lookup(reference, Access::Real)?, Value::Real(value)) {
                 unreachable!("derivative {order} of value reference {reference} has been checked");
             }
         }
+        self.signal = Signal::new(self.signal.value, derivatives);
         Ok(())
     }
 

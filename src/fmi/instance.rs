@@ -40,7 +40,7 @@ impl Instance {
         Self {
             stage: Stage::Instantiated,
             parameters: bindings::default_parameters(),
-            signal: Signal { value: bindings::default_inputs(), ..Signal::default() },
+            signal: Signal::held(bindings::default_inputs()),
             clock: None,
             simulation: None,
             tuned: false,
@@ -250,7 +250,7 @@ impl Instance {
         match simulation.advance_along(&self.signal, plan.h, plan.steps) {
             Ok(()) => {
                 clock.advance(plan);
-                self.signal = self.signal.after(size);
+                self.signal.end(size);
                 report_passes(&mut self.log, &before, &simulation.state().core, point, point + size);
                 if !self.warned_of_stiffness && simulation.is_stiff() {
                     self.warned_of_stiffness = true;
