@@ -173,9 +173,9 @@ def motions(model: ModelDescription) -> dict[str, Script]:
     for path in SCENES:
         read = scene.read(path, model)
         named[read.name] = motion(model, read.variants[0].values, min(read.stop_time, LONGEST), signals=read.signals)
+    fall = scene.read(REPOSITORY / "scenes" / "fall_90_120.json", model).variants[0].values
     for name, number in methods(model).items():
-        fall: Values = {"init.theta[2]": 2.0943951023931953, "solver.method": number}
-        named[f"method_{name}"] = motion(model, fall, 1.0)
+        named[f"method_{name}"] = motion(model, fall | {"solver.method": number}, 1.0)
     named["every_effect"] = motion(model, every_effect(model), LONGEST)
     return named
 
@@ -191,7 +191,7 @@ def expected(bench: Bench, model: ModelDescription) -> Printed:
     """What the library for this machine makes of the motions."""
     printed = bench.run(HERE, motions(model))
     for name, (lines,) in printed.items():
-        assert not [line for line in lines if "status" in line and "Derivative" not in line], f"{name} does not run to its end"
+        assert not [line for line in lines if "status" in line], f"{name} does not run to its end"
     return printed
 
 
