@@ -14,7 +14,7 @@ const GLIBC_FLOOR: [u32; 2] = [2, 17];
 /// What `--all-platforms` packs: folder under `binaries/`, Rust's target triple, ending, flags for rustc.
 const SHIPPED: [(&str, &str, &str, &[&str]); 3] = [
     ("linux64", "x86_64-unknown-linux-gnu", "so", &[]),
-    ("win64", "x86_64-pc-windows-gnu", "dll", &[WINDOWS_THREAD_LOCALS]),
+    ("win64", "x86_64-pc-windows-gnu", "dll", &[WINDOWS_THREAD_LOCALS, NO_TIME]),
     ("aarch64-linux", "aarch64-unknown-linux-gnu", "so", &[]),
 ];
 
@@ -31,6 +31,9 @@ const STANDARD_LIBRARY: &str = "/usr/lib/rustlib/src/rust/library/Cargo.lock";
 
 /// The linker for Windows.
 const WINDOWS_LINKER: &str = "x86_64-w64-mingw32-gcc";
+
+/// The linker for Windows writes the time into a library unless it is told not to: the same sources give the same bytes.
+const NO_TIME: &str = "-Clink-arg=-Wl,--no-insert-timestamp";
 
 /// For which machines a unit is packed.
 #[derive(Clone, Copy)]
