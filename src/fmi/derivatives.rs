@@ -89,13 +89,14 @@ impl Instance {
         }
         let outputs = self.outputs()?;
         let (model, state) = (outputs.simulation.model(), outputs.state());
-        let changes = observers::output_changes(model, state, &state.varied(model, &direction)?);
+        let along = state.varied(model, &direction)?;
+        let changes = observers::output_changes(model, state, &along);
         for (position, &unknown) in unknowns.iter().enumerate() {
             let Slot::RealOutput(output) = find(unknown)?.slot else {
                 take(position, 0.0);
                 continue;
             };
-            take(position, output_change(&changes, output));
+            take(position, output_change(&changes, output, || observers::sigma_phi_change(model, state, &along)));
         }
         Ok(())
     }
@@ -126,7 +127,7 @@ fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Res
 }
 
 /// The change of an output.
-fn output_change(changes: &OutputChanges, output: RealOutput) -> f64 {
+fn output_change(changes: &OutputChanges, output: RealOutput, sigma_phi: impl FnOnce() -> f64) -> f64 {
     use RealOutput as V;
     let OutputChanges { motion, reactions, singularity, .. } = changes;
     match output {
@@ -155,7 +156,7 @@ fn output_change(changes: &OutputChanges, output: RealOutput) -> f64 {
         V::SingularDetJq => singularity.det_jq,
         V::SingularSigmaJx => singularity.sigma_jx,
         V::SingularSigmaJq => singularity.sigma_jq,
-        V::SingularSigmaPhi => singularity.sigma_phi,
+        V::SingularSigmaPhi => sigma_phi(),
         V::EnergyInput | V::EnergyDissipated | V::SolverPositionError | V::SolverVelocityError | V::SolverErrorEstimate => 0.0,
     }
 }

@@ -75,7 +75,7 @@ fn attempt<const N: usize, const M: usize>(
     spent: &mut Spent,
 ) -> Result<Attempt<N, M>, Failure> {
     if h < SHORTEST_FOR_NEWTON {
-        return Ok(Attempt::moved_on(system, state, h));
+        return Ok(Attempt::moved_on(&system.rare(), state, h));
     }
 
     let step = Step::predict(state, h, constraint_tolerance(settings, system.size(), h));
@@ -83,7 +83,7 @@ fn attempt<const N: usize, const M: usize>(
         Ok(found) => found,
         Err(failure) => {
             let from_prediction = Step { delta: [0.0; N], ..step };
-            let second = descent::descend(system, settings, from_prediction, &mut spent.iterations);
+            let second = descent::descend(&system.rare(), settings, from_prediction, &mut spent.iterations);
             spent.rescued += u64::from(second.is_some());
             second.ok_or(failure)?
         }
@@ -94,7 +94,7 @@ fn attempt<const N: usize, const M: usize>(
     let projection = projection::velocity(system, &pose, &mass, &v);
     let mut v = add(&v, &projection);
     if let Some(energy) = energy {
-        v = vertex::with_energy(system, &q, &pose, &v, energy, h)?;
+        v = vertex::with_energy(&system.rare(), &q, &pose, &v, energy, h)?;
     }
     let (a, lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
 
@@ -298,15 +298,17 @@ fn divided<const N: usize, const M: usize>(
     let (mut substep, mut error) = (duration, f64::INFINITY);
     for _ in 0..MOST_SUBSTEPS {
         let free = Care { longest: f64::INFINITY, round_off: 0.0, softness: settings.softness, energy: None };
-        let verdict =
-            if settings.adaptive { vertex::verdict(system, &gate, state, rest, settings.softness) } else { Verdict::Free };
+        let verdict = match system.vertex(&state.q, &state.v) {
+            Some(vertex) if settings.adaptive => vertex::near(&system.rare(), &gate, state, rest, settings.softness, vertex),
+            _ => Verdict::Free,
+        };
         let care = match verdict {
             Verdict::Free => free,
             Verdict::Near(care) => care,
             Verdict::Carry(ray) => {
                 let Settings { softness, max_iterations, tolerance, .. } = *settings;
                 let projection = Projection { softness, tolerance: tolerance * system.size(), max_iterations };
-                if vertex::carry(system, &ray, state, &projection, power)? {
+                if vertex::carry(&system.rare(), &ray, state, &projection, power)? {
                     if ray.duration() >= rest {
                         return Ok(());
                     }

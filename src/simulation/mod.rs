@@ -315,7 +315,7 @@ fn macro_steps<L: LinearSolve>(
     // A single fixed step changes nothing before it has succeeded: what a real-time user asks costs no copy.
     let same = state.inputs == *inputs;
     let single = same && steps == 1 && !model.stepper.divides();
-    let before = (!single).then(|| (state.core, state.turns, state.inputs));
+    let before = if single { None } else { Some((state.core, state.turns, state.inputs)) };
     if !same {
         state.hold(model, inputs);
     }

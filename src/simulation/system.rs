@@ -443,8 +443,15 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     }
 }
 
-impl<L: LinearSolve> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
+impl<'a, L: LinearSolve> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, L> {
     type Tangent = L::Tangent;
+    type Rare = FiveBar<'a, General>;
+
+    #[inline(always)]
+    fn rare(&self) -> FiveBar<'a, General> {
+        let Self { model, inputs, turns, follows_work, .. } = *self;
+        FiveBar { model, inputs, turns, follows_work, linear_solve: PhantomData }
+    }
 
     #[inline(always)]
     fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {
