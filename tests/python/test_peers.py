@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-pytest.importorskip("resource", reason="programs are driven on Unix only")
+from peers import ahead, native
+from report import sections, tables
 
-from peers import ahead, native  # noqa: E402  (after the line above, without which it fails elsewhere)
-from report import sections, tables  # noqa: E402
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="peers are driven on Unix")
 
 HEAD = ("scene", "peer", "version", "settings", "error_1s_m", "error_2s_m", "ms_per_simulated_second", "energy_error_mgL", "note")
 

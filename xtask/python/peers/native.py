@@ -5,8 +5,7 @@ and the state there, four angles and four rates. So neither Python nor the pipe 
 """
 
 import os
-import resource
-import signal
+import select
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +16,8 @@ REPOSITORY = Path(__file__).resolve().parents[3]
 SOURCES = REPOSITORY / "xtask" / "peers"
 BUILT = REPOSITORY / "target" / "peers"
 
-# Seconds of the processor's time after which a run is ended: at the next whole simulated second, or at once in a program of its own.
+# Seconds of the processor's time after which a run is ended at the next whole simulated second; a program of its own also when it has
+# not answered for so long.
 BUDGET = 10
 TOO_LONG = f"takes longer than {BUDGET} s"
 
@@ -81,8 +81,6 @@ class _Run:
     def __init__(self, command: list[str]) -> None:
         pipe = subprocess.PIPE
         self.process = subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, text=True)
-        # A solver may stick in steps of no size.
-        resource.prlimit(self.process.pid, resource.RLIMIT_CPU, (BUDGET, BUDGET + 1))
 
     def ask(self, until: float) -> list[float]:
         try:
@@ -90,10 +88,13 @@ class _Run:
             self.process.stdin.flush()
         except BrokenPipeError:
             pass  # its last words tell why
+        # A solver may stick in steps of no size. (A limit of the process would make its clock as coarse as the system's tick.)
+        if not select.select([self.process.stdout], [], [], BUDGET)[0]:
+            self.process.kill()
+            raise RuntimeError(TOO_LONG)
         answer = self.process.stdout.readline().split()
         if len(answer) != 9:
-            if self.process.wait() == -signal.SIGXCPU:
-                raise RuntimeError(TOO_LONG)
+            self.process.wait()
             last = self.process.stderr.read().strip().splitlines()
             raise RuntimeError(last[-1] if last else "the program ended without a word")
         return [float(number) for number in answer]
