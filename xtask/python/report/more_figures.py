@@ -93,7 +93,7 @@ def peers(rows: list[Row]) -> Figure:
     """Error after 1 s of the fall against time; our own methods, measured in the same run, stand out."""
     figure, axes = plt.subplots(figsize=(9.4, 5.2))
     names = list(dict.fromkeys(row["peer"] for row in rows if row["error_1s_m"]))
-    others = [name for name in names if not name.startswith(ahead.OURS)]
+    others = [name for name in names if name.removeprefix(ahead.OURS) not in COLOURS]
     colours = dict(zip(others, plt.get_cmap("tab10").colors))
     for name in names:
         points = [(number(row["ms_per_simulated_second"]), number(row["error_1s_m"])) for row in rows if row["peer"] == name]

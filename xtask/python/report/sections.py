@@ -198,7 +198,7 @@ def peers(m: Measurements) -> Section:
     section.parts.append("<h3>Who is ahead</h3>")
     section.text(
         "For each wanted error of the tip after 1 s and after 2 s our cheapest setting and the time of the cheapest setting of each peer, "
-        "relative to ours. A small error by luck counts for a peer; one of our settings counts only if all dearer ones of its method are "
+        "relative to ours. Both are means over the 2 s of the run. A small error by luck counts for a peer; one of our settings counts only if all dearer ones of its method are "
         "good enough as well."
     )
     for second in (1, 2):
