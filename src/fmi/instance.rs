@@ -125,7 +125,11 @@ impl Instance {
             parameters: parameters.clone(),
             signal: *signal,
             clock: clock.clone(),
-            simulation: simulation.clone(),
+            // Before the run it is there only if somebody has looked, and looking changes nothing.
+            simulation: match stage {
+                Stage::Instantiated | Stage::InitializationMode => None,
+                Stage::StepComplete | Stage::StepFailed | Stage::Terminated => simulation.clone(),
+            },
             tuned: *tuned,
             warned_of_references: *warned_of_references,
             warned_of_stiffness: *warned_of_stiffness,
@@ -235,23 +239,24 @@ impl Instance {
             unreachable!("initialisation has made both");
         };
         let plan = clock.plan(point, size, self.parameters.settings.step_size)?;
+        // What a discarded step goes back to: the parameters that act at the communication point as well.
+        let untuned = self.tuned.then(|| simulation.clone());
         if self.tuned {
             simulation.tune(&self.parameters.effects)?;
-            self.cache = Cache::default();
-            self.tuned = false;
-        }
-        if self.signal.value.refers() && !simulation.model().servo && !self.warned_of_references {
-            self.warned_of_references = true;
-            self.log.push(Status::Warning, || {
-                "servo.theta or servo.omega is not 0, but no active effect reads them: servo.enabled is false.".to_owned()
-            });
         }
         let before = simulation.state().core.counters;
         match simulation.advance_along(&self.signal, plan.h, plan.steps) {
             Ok(()) => {
                 clock.advance(plan);
                 self.signal = self.signal.after(size);
+                self.tuned = false;
                 report_passes(&mut self.log, &before, &simulation.state().core, point, point + size);
+                if self.signal.value.refers() && !simulation.model().servo && !self.warned_of_references {
+                    self.warned_of_references = true;
+                    self.log.push(Status::Warning, || {
+                        "servo.theta or servo.omega is not 0, but no active effect reads them: servo.enabled is false.".to_owned()
+                    });
+                }
                 if !self.warned_of_stiffness && simulation.is_stiff() {
                     self.warned_of_stiffness = true;
                     self.log.push(Status::Warning, || {
@@ -266,6 +271,9 @@ impl Instance {
                 Ok(())
             }
             Err(failure) => {
+                if let Some(untuned) = untuned {
+                    *simulation = untuned;
+                }
                 self.stage = Stage::StepFailed;
                 Err(Rejection::discard(format!(
                     "the step from {point:?} s by {size:?} s gave up at {:?} s: {}; the state is still that of {point:?} s.",
