@@ -226,7 +226,7 @@ impl Settings {
             ("penalty", self.penalty, "N/m"),
             ("penaltyScale", self.penalty_scale, "(relative)"),
         ] {
-            crate::mechanism::positive(&format!("solver.{name}"), value, unit)?;
+            crate::mechanism::positive(format_args!("solver.{name}"), value, unit)?;
         }
         if self.max_iterations == 0 {
             return Err(Refusal("solver.maxIterations = 0 is not allowed: it must be 1 or more.".into()));
