@@ -129,6 +129,26 @@ fn a_step_that_cannot_be_done_is_discarded_and_leaves_everything_as_it_was() {
     assert_eq!(host.call(fmi2Terminate), fmi2OK);
 }
 
+/// What was tuned acts from a step that is done; a discarded one has not begun. The same of the warning about references.
+#[test]
+fn a_discarded_step_leaves_tuned_parameters_pending() {
+    let host = hopeless();
+    let energies = || {
+        let mut values = [f64::NAN; 3];
+        let names = ["energy.potential", "energy.input", "energy.error"];
+        assert_eq!(host.get_real(&names.map(reference), &mut values), fmi2OK);
+        values.map(f64::to_bits)
+    };
+    let before = energies();
+    assert_eq!(host.set_real(&["gravity.g", "servo.theta[1]"].map(reference), &[5.0, 1.0]), fmi2OK);
+    assert_eq!(host.do_step(0.0, 0.2), fmi2Discard);
+    assert_eq!(energies(), before);
+    assert_eq!(host.take().len(), 1, "the sentence of the discarded step, and no warning yet");
+    assert_eq!(host.do_step(0.0, 1e-9), fmi2OK);
+    assert_ne!(energies(), before);
+    assert!(host.line().contains("no active effect reads them"));
+}
+
 #[test]
 fn inputs_act_from_the_point_where_they_are_set() {
     let host = Host::ready(&[("init.theta[2]", 2.0)]);

@@ -106,6 +106,12 @@ def test_no_allocation_in_a_run(run: Run) -> None:
     assert "no allocation" in run("allocation", 200)
 
 
+def test_bytes_go_on_in_another_process(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "states"
+    run("bytes", "write", file)
+    assert "the same bits" in run("bytes", "read", file)
+
+
 @pytest.mark.full
 def test_surroundings_stay(run: Run, tmp_path: Path) -> None:
     locale = "de_DE.UTF-8"
