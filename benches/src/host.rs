@@ -16,6 +16,14 @@ type Get<T> = unsafe extern "C" fn(fmi2Component, *const fmi2ValueReference, usi
 type Set<T> = unsafe extern "C" fn(fmi2Component, *const fmi2ValueReference, usize, *const T) -> fmi2Status;
 type Plain = unsafe extern "C" fn(fmi2Component) -> fmi2Status;
 
+/// A stored state, or none yet: of the library, until [`Host::free`].
+pub(crate) struct Stored(fmi2FMUstate);
+
+impl Stored {
+    /// None yet.
+    pub(crate) const NONE: Self = Self(null_mut());
+}
+
 /// An instance that is ready to step from 0 s; freed when dropped.
 pub(crate) struct Host {
     component: fmi2Component,
@@ -28,8 +36,8 @@ pub(crate) struct Host {
 }
 
 impl Host {
-    /// From fmi2Instantiate to fmi2ExitInitializationMode, with variables set by name.
-    pub(crate) fn ready(values: &[(String, Value)]) -> Result<Self> {
+    /// From fmi2Instantiate to fmi2ExitInitializationMode, with variables set by reference.
+    pub(crate) fn ready(values: &[(u32, Value)]) -> Result<Self> {
         let (name, guid) = (c"bench", CString::new(GUID)?);
         let callbacks = fmi2CallbackFunctions {
             logger: None,
@@ -51,29 +59,135 @@ impl Host {
             set_real: black_box(fmi2SetReal),
             free: black_box(fmi2FreeInstance),
         };
-        let plain = |call: Plain| {
-            // SAFETY: the component is live.
-            let status = unsafe { black_box(call)(component) };
-            ensure!(status == fmi2OK, "a call of initialisation gave status {status}");
-            Ok(())
-        };
-        // SAFETY: the component is live.
-        ensure!(unsafe { fmi2SetupExperiment(component, fmi2False, 0.0, 0.0, fmi2False, 0.0) } == fmi2OK, "fmi2SetupExperiment");
-        plain(fmi2EnterInitializationMode)?;
-        for (name, value) in values {
-            let reference = reference(name)?;
+        host.begin();
+        for &(reference, value) in values {
             // SAFETY: the component is live, the places hold one value each.
             let status = unsafe {
-                match *value {
+                match value {
                     Value::Real(x) => fmi2SetReal(component, &reference, 1, &x),
                     Value::Integer(n) => fmi2SetInteger(component, &reference, 1, &n),
                     Value::Boolean(b) => fmi2SetBoolean(component, &reference, 1, &fmi2Boolean::from(b)),
                 }
             };
-            ensure!(status == fmi2OK, "{name} cannot be set to {value}");
+            ensure!(status == fmi2OK, "value reference {reference} cannot be set to {value}");
         }
-        plain(fmi2ExitInitializationMode)?;
+        host.plain(fmi2ExitInitializationMode);
         Ok(host)
+    }
+
+    fn plain(&self, call: Plain) {
+        // SAFETY: the component is live.
+        assert_eq!(unsafe { black_box(call)(self.component) }, fmi2OK, "a call of the life cycle");
+    }
+
+    /// Into initialization mode.
+    fn begin(&self) {
+        // SAFETY: the component is live.
+        let status = unsafe { fmi2SetupExperiment(self.component, fmi2False, 0.0, 0.0, fmi2False, 0.0) };
+        assert_eq!(status, fmi2OK, "fmi2SetupExperiment");
+        self.plain(fmi2EnterInitializationMode);
+    }
+
+    /// Starts anew at 0 s with these Reals.
+    pub(crate) fn again(&mut self, references: &[u32], values: &[f64]) {
+        self.plain(fmi2Reset);
+        self.begin();
+        self.write(references, values);
+        self.plain(fmi2ExitInitializationMode);
+        self.point = 0.0;
+    }
+
+    /// Stores the state, over the one that is there or as a new one.
+    pub(crate) fn store(&self, stored: &mut Stored) {
+        // SAFETY: the component is live, the state is null or comes from this library.
+        assert_eq!(unsafe { black_box(fmi2GetFMUstate)(self.component, &mut stored.0) }, fmi2OK, "fmi2GetFMUstate");
+    }
+
+    /// Back into a stored state.
+    pub(crate) fn restore(&self, stored: &Stored) {
+        // SAFETY: both are live.
+        assert_eq!(unsafe { black_box(fmi2SetFMUstate)(self.component, stored.0) }, fmi2OK, "fmi2SetFMUstate");
+    }
+
+    /// Frees a stored state.
+    pub(crate) fn free(&self, mut stored: Stored) {
+        // SAFETY: both are live.
+        assert_eq!(unsafe { black_box(fmi2FreeFMUstate)(self.component, &mut stored.0) }, fmi2OK, "fmi2FreeFMUstate");
+    }
+
+    /// The size of a stored state as bytes.
+    pub(crate) fn size(&self, stored: &Stored) -> usize {
+        let mut size = 0;
+        // SAFETY: both are live, the place is ours.
+        let status = unsafe { black_box(fmi2SerializedFMUstateSize)(self.component, stored.0, &mut size) };
+        assert_eq!(status, fmi2OK, "fmi2SerializedFMUstateSize");
+        size
+    }
+
+    /// A stored state as bytes, as many as there are.
+    pub(crate) fn serialise(&self, stored: &Stored, bytes: &mut [u8]) {
+        let place = bytes.as_mut_ptr().cast::<fmi2Byte>();
+        // SAFETY: both are live, the place has the length given.
+        let status = unsafe { black_box(fmi2SerializeFMUstate)(self.component, stored.0, place, bytes.len()) };
+        assert_eq!(status, fmi2OK, "fmi2SerializeFMUstate");
+    }
+
+    /// A stored state from bytes.
+    pub(crate) fn deserialise(&self, bytes: &[u8], stored: &mut Stored) {
+        let place = bytes.as_ptr().cast::<fmi2Byte>();
+        // SAFETY: both are live, the place has the length given.
+        let status = unsafe { black_box(fmi2DeSerializeFMUstate)(self.component, place, bytes.len(), &mut stored.0) };
+        assert_eq!(status, fmi2OK, "fmi2DeSerializeFMUstate");
+    }
+
+    /// How outputs change with inputs or states that change.
+    pub(crate) fn directional_derivative(&self, unknowns: &[u32], knowns: &[u32], changes: &[f64], values: &mut [f64]) {
+        assert_eq!((unknowns.len(), knowns.len()), (values.len(), changes.len()));
+        // SAFETY: the component is live, the arrays have the lengths given.
+        let status = unsafe {
+            black_box(fmi2GetDirectionalDerivative)(
+                self.component,
+                unknowns.as_ptr(),
+                unknowns.len(),
+                knowns.as_ptr(),
+                knowns.len(),
+                changes.as_ptr(),
+                values.as_mut_ptr(),
+            )
+        };
+        assert_eq!(status, fmi2OK, "fmi2GetDirectionalDerivative");
+    }
+
+    /// First derivatives of inputs.
+    pub(crate) fn input_rates(&self, references: &[u32], orders: &[i32], rates: &[f64]) {
+        assert_eq!((references.len(), references.len()), (orders.len(), rates.len()));
+        // SAFETY: the component is live, the arrays have the same length.
+        let status = unsafe {
+            black_box(fmi2SetRealInputDerivatives)(
+                self.component,
+                references.as_ptr(),
+                references.len(),
+                orders.as_ptr(),
+                rates.as_ptr(),
+            )
+        };
+        assert_eq!(status, fmi2OK, "fmi2SetRealInputDerivatives");
+    }
+
+    /// Derivatives of outputs.
+    pub(crate) fn output_rates(&self, references: &[u32], orders: &[i32], rates: &mut [f64]) {
+        assert_eq!((references.len(), references.len()), (orders.len(), rates.len()));
+        // SAFETY: the component is live, the arrays have the same length.
+        let status = unsafe {
+            black_box(fmi2GetRealOutputDerivatives)(
+                self.component,
+                references.as_ptr(),
+                references.len(),
+                orders.as_ptr(),
+                rates.as_mut_ptr(),
+            )
+        };
+        assert_eq!(status, fmi2OK, "fmi2GetRealOutputDerivatives");
     }
 
     /// A communication step of `size` seconds.

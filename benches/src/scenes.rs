@@ -37,8 +37,10 @@ pub(crate) fn rows(longest: f64) -> Result<Vec<Row>> {
 
 fn row(file: &Path, longest: f64) -> Result<Row> {
     let scene: serde_json::Map<String, Json> = serde_json::from_str(&fs::read_to_string(file)?)?;
-    let values =
-        scene.iter().filter_map(|(name, value)| Some(typed(Variable::named(name)?, value).map(|value| (name.clone(), value))));
+    let values = scene.iter().filter_map(|(name, value)| {
+        let variable = Variable::named(name)?;
+        Some(typed(variable, value).map(|value| (variable.reference, value)))
+    });
     let mut host = Host::ready(&values.collect::<Result<Vec<_>>>()?)?;
     let experiment = |key: &str| scene["experiment"][key].as_f64().with_context(|| format!("experiment.{key}"));
     let (step, substeps) = (experiment("stepSize")?, reference("solver.substeps")?);

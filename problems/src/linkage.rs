@@ -212,6 +212,11 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
 
 impl<const N: usize, const M: usize, const W: usize> Implicit<N, M> for Linkage<N, M, W> {
     type Tangent = Factor<N, M, W>;
+    type Rare = Self;
+
+    fn rare(&self) -> Self {
+        self.clone()
+    }
 
     fn phi_q_transposed_times(&self, pose: &Pose<M>, lambda: &[f64; M]) -> [f64; N] {
         pose.transposed_times(lambda)

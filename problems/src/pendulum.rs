@@ -18,6 +18,7 @@ pub const PERIOD: f64 = 2.367_841_947_576_237;
 pub const AT_10_S: [f64; 2] = [0.275_087_462_576_116_9, -0.961_419_205_099_125_1];
 
 /// M = 1 kg · identity, Φ_q = (x, y), Φ̇_q q̇ = |q̇|², ∂(Φ_qᵀλ)/∂q = λ · identity.
+#[derive(Clone, Debug)]
 pub struct Pendulum;
 
 /// The benchmark: the error is the distance from the position at 10 s, m.
@@ -92,6 +93,11 @@ impl System<2, 1> for Pendulum {
 
 impl Implicit<2, 1> for Pendulum {
     type Tangent = Factor;
+    type Rare = Self;
+
+    fn rare(&self) -> Self {
+        self.clone()
+    }
 
     fn phi_q_transposed_times(&self, q: &[f64; 2], [lambda]: &[f64; 1]) -> [f64; 2] {
         q.map(|q| q * lambda)

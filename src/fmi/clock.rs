@@ -66,7 +66,7 @@ impl Clock {
         if !(size.is_finite() && size > 0.0) {
             return Err(Rejection::error(format!("communicationStepSize is {size:?} s, must be positive and finite.")));
         }
-        if (point - self.point).abs() > tolerance(self.point, size) {
+        if point != self.point && (point - self.point).abs() > tolerance(self.point, size) {
             return Err(Rejection::error(format!("currentCommunicationPoint is {point:?} s, expected {:?} s.", self.point)));
         }
         let end = point + size;
@@ -99,6 +99,9 @@ fn tolerance(point: f64, size: f64) -> f64 {
 
 /// A communication step of `size` seconds from `point` as macro steps: their length and number.
 fn grid(point: f64, size: f64, h: f64) -> Result<(f64, u64), Rejection> {
+    if size == h {
+        return Ok((h, 1));
+    }
     let ratio = size / h;
     if ratio > MOST_STEPS {
         return Err(Rejection::error(format!("communicationStepSize is {size:?} s, more than 1e9 times solver.stepSize {h:?} s.")));

@@ -9,7 +9,7 @@ use super::outputs::{DISTAL, PROXIMAL};
 use super::values::{check_settable, lookup};
 use super::{Instance, Rejection, bindings};
 use crate::observers::{self, Motion, OutputChanges};
-use crate::simulation::{Direction, ORDERS};
+use crate::simulation::{Direction, ORDERS, Signal};
 use crate::variables::{Access, RealOutput, Slot, Value, Variable};
 
 impl Instance {
@@ -35,12 +35,14 @@ impl Instance {
                 )));
             }
         }
+        let mut derivatives = self.signal.derivatives();
         for (reference, order, value) in triples {
-            let derivative = &mut self.signal.derivatives[order as usize - 1];
+            let derivative = &mut derivatives[order as usize - 1];
             if !bindings::write(&mut self.parameters, derivative, lookup(reference, Access::Real)?, Value::Real(value)) {
                 unreachable!("derivative {order} of value reference {reference} has been checked");
             }
         }
+        self.signal = Signal::new(self.signal.value, derivatives);
         Ok(())
     }
 
@@ -87,13 +89,14 @@ impl Instance {
         }
         let outputs = self.outputs()?;
         let (model, state) = (outputs.simulation.model(), outputs.state());
-        let changes = observers::output_changes(model, state, &state.varied(model, &direction)?);
+        let along = state.varied(model, &direction)?;
+        let changes = observers::output_changes(model, state, &along);
         for (position, &unknown) in unknowns.iter().enumerate() {
             let Slot::RealOutput(output) = find(unknown)?.slot else {
                 take(position, 0.0);
                 continue;
             };
-            take(position, output_change(&changes, output));
+            take(position, output_change(&changes, output, || observers::sigma_phi_change(model, state, &along)));
         }
         Ok(())
     }
@@ -124,7 +127,7 @@ fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Res
 }
 
 /// The change of an output.
-fn output_change(changes: &OutputChanges, output: RealOutput) -> f64 {
+fn output_change(changes: &OutputChanges, output: RealOutput, sigma_phi: impl FnOnce() -> f64) -> f64 {
     use RealOutput as V;
     let OutputChanges { motion, reactions, singularity, .. } = changes;
     match output {
@@ -153,7 +156,7 @@ fn output_change(changes: &OutputChanges, output: RealOutput) -> f64 {
         V::SingularDetJq => singularity.det_jq,
         V::SingularSigmaJx => singularity.sigma_jx,
         V::SingularSigmaJq => singularity.sigma_jq,
-        V::SingularSigmaPhi => singularity.sigma_phi,
+        V::SingularSigmaPhi => sigma_phi(),
         V::EnergyInput | V::EnergyDissipated | V::SolverPositionError | V::SolverVelocityError | V::SolverErrorEstimate => 0.0,
     }
 }

@@ -97,6 +97,7 @@ const ANYWHERE: &[Stage] =
 impl Call {
     /// The stages in which the standard allows the call. The footnotes of the table (which variables may be set
     /// where) are in `values.rs`.
+    #[inline(always)]
     pub fn stages(self) -> &'static [Stage] {
         use Stage::{InitializationMode, Instantiated, StepComplete, StepFailed, Terminated};
         match self {
@@ -131,12 +132,15 @@ impl Call {
     }
 
     /// Refuses the call in a stage that does not allow it.
+    #[inline(always)]
     pub fn require(self, stage: Stage) -> Result<(), Rejection> {
         let allowed = self.stages();
-        if allowed.contains(&stage) {
-            return Ok(());
-        }
-        let names: Vec<String> = allowed.iter().map(Stage::to_string).collect();
-        Err(Rejection::error(format!("the state is \"{stage}\", allowed is: {}.", names.join(", "))))
+        if allowed.contains(&stage) { Ok(()) } else { Err(illegal(stage, allowed)) }
     }
+}
+
+#[cold]
+fn illegal(stage: Stage, allowed: &[Stage]) -> Rejection {
+    let names: Vec<String> = allowed.iter().map(Stage::to_string).collect();
+    Rejection::error(format!("the state is \"{stage}\", allowed is: {}.", names.join(", ")))
 }

@@ -74,7 +74,7 @@ impl Snapshot {
         let content = Content {
             stage: self.stage,
             values: values(&self.parameters, &self.signal.value),
-            input_derivatives: self.signal.derivatives,
+            input_derivatives: self.signal.derivatives(),
             clock: self.clock.clone(),
             simulation: self.simulation.as_ref().map(made),
             tuned: self.tuned,
@@ -94,7 +94,7 @@ impl Snapshot {
         let content =
             Content::try_from_slice(content(bytes)?).map_err(|error| wrong(&format!("their content is not a state: {error}")))?;
         let (parameters, value) = restored(&content.values)?;
-        let signal = Signal { value, derivatives: content.input_derivatives };
+        let signal = Signal::new(value, content.input_derivatives);
         let simulation = match content.simulation {
             Some(Made { values, solve, state }) => Some(Simulation::restored(&restored(&values)?.0, solve, state)?),
             None => None,

@@ -15,7 +15,7 @@ use super::projection::{self, Projection};
 use super::system::local_error;
 use super::vectors::{add, combine, finite, max_norm};
 use super::vertex::{self, Care, Gate, Ledger, Verdict};
-use super::{Failure, Implicit, Kkt, Power, State};
+use super::{Counters, Failure, Implicit, Kkt, Power, State};
 
 mod descent;
 
@@ -45,6 +45,13 @@ const SHORTEST_FOR_NEWTON: f64 = 1e-12;
 /// A last Newton correction below this leaves, by quadratic convergence, an error below round-off.
 const LAST_CORRECTION: f64 = 1e-5;
 
+/// What tries have cost, failed ones included.
+#[derive(Clone, Copy, Default)]
+struct Spent {
+    iterations: u64,
+    rescued: u64,
+}
+
 /// A sub-step that converged, not yet accepted.
 struct Attempt<const N: usize, const M: usize> {
     q: [f64; N],
@@ -62,22 +69,22 @@ struct Attempt<const N: usize, const M: usize> {
 fn attempt<const N: usize, const M: usize>(
     system: &impl Implicit<N, M>,
     settings: &Settings,
-    state: &mut State<N, M>,
+    state: &State<N, M>,
     h: f64,
     energy: Option<Ledger>,
+    spent: &mut Spent,
 ) -> Result<Attempt<N, M>, Failure> {
     if h < SHORTEST_FOR_NEWTON {
-        return Ok(Attempt::moved_on(system, state, h));
+        return Ok(Attempt::moved_on(&system.rare(), state, h));
     }
 
     let step = Step::predict(state, h, constraint_tolerance(settings, system.size(), h));
-    let counters = &mut state.counters;
-    let Found { q, pose, v } = match newton(system, settings, step, &mut counters.iterations) {
+    let Found { q, pose, v } = match newton(system, settings, step, &mut spent.iterations) {
         Ok(found) => found,
         Err(failure) => {
             let from_prediction = Step { delta: [0.0; N], ..step };
-            let second = descent::descend(system, settings, from_prediction, &mut counters.iterations);
-            counters.rescued += u64::from(second.is_some());
+            let second = descent::descend(&system.rare(), settings, from_prediction, &mut spent.iterations);
+            spent.rescued += u64::from(second.is_some());
             second.ok_or(failure)?
         }
     };
@@ -87,7 +94,7 @@ fn attempt<const N: usize, const M: usize>(
     let projection = projection::velocity(system, &pose, &mass, &v);
     let mut v = add(&v, &projection);
     if let Some(energy) = energy {
-        v = vertex::with_energy(system, &q, &pose, &v, energy, h)?;
+        v = vertex::with_energy(&system.rare(), &q, &pose, &v, energy, h)?;
     }
     let (a, lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
 
@@ -182,7 +189,9 @@ fn newton<const N: usize, const M: usize, S: Implicit<N, M>>(
         let inertia = system.mass_times(&pose, &step.acceleration());
         let b = combine([&force, &inertia], |[force, inertia]| beta * force - inertia);
         let c = combine([&phi, &step.lambda], |[phi, lambda]| -softness * beta * lambda - phi);
-        let (correction, y) = system.factor_tangent(&q, &pose, &v, &step.lambda, step.h, softness)?.solve(&b, &c);
+        // By reference: a factor may be large, and `?` would move it.
+        let tangent = system.factor_tangent(&q, &pose, &v, &step.lambda, step.h, softness);
+        let (correction, y) = tangent.as_ref().map_err(|failure| *failure)?.solve(&b, &c);
         step.lambda = combine([&y], |[y]| y / beta);
         step.delta = add(&step.delta, &correction);
         q = step.q();
@@ -207,6 +216,13 @@ fn constraint_tolerance(settings: &Settings, size: f64, h: f64) -> f64 {
     let scaled = settings.tolerance * (h / TOLERANCE_STEP) * (h / TOLERANCE_STEP);
     let round_off = 16.0 * f64::EPSILON;
     size * scaled.clamp(round_off.min(settings.tolerance), settings.tolerance)
+}
+
+impl Spent {
+    fn count(self, counters: &mut Counters) {
+        counters.iterations += self.iterations;
+        counters.rescued += self.rescued;
+    }
 }
 
 impl<const N: usize, const M: usize> Attempt<N, M> {
@@ -254,6 +270,7 @@ pub fn advance<const N: usize, const M: usize>(
 }
 
 /// The same at strictly fixed step, whatever the settings say: for who needs the last nanosecond, without the code around sub-steps.
+/// On failure the state is as before.
 pub fn fixed<const N: usize, const M: usize>(
     system: &impl Implicit<N, M>,
     settings: &Settings,
@@ -261,7 +278,9 @@ pub fn fixed<const N: usize, const M: usize>(
     duration: f64,
     power: &mut Power,
 ) -> Result<(), Failure> {
-    attempt(system, settings, state, duration, None)?.accept(state, duration, power);
+    let mut spent = Spent::default();
+    attempt(system, settings, state, duration, None, &mut spent)?.accept(state, duration, power);
+    spent.count(&mut state.counters);
     state.counters.steps += 1;
     Ok(())
 }
@@ -279,15 +298,17 @@ fn divided<const N: usize, const M: usize>(
     let (mut substep, mut error) = (duration, f64::INFINITY);
     for _ in 0..MOST_SUBSTEPS {
         let free = Care { longest: f64::INFINITY, round_off: 0.0, softness: settings.softness, energy: None };
-        let verdict =
-            if settings.adaptive { vertex::verdict(system, &gate, state, rest, settings.softness) } else { Verdict::Free };
+        let verdict = match system.vertex(&state.q, &state.v) {
+            Some(vertex) if settings.adaptive => vertex::near(&system.rare(), &gate, state, rest, settings.softness, vertex),
+            _ => Verdict::Free,
+        };
         let care = match verdict {
             Verdict::Free => free,
             Verdict::Near(care) => care,
             Verdict::Carry(ray) => {
                 let Settings { softness, max_iterations, tolerance, .. } = *settings;
                 let projection = Projection { softness, tolerance: tolerance * system.size(), max_iterations };
-                if vertex::carry(system, &ray, state, &projection, power)? {
+                if vertex::carry(&system.rare(), &ray, state, &projection, power)? {
                     if ray.duration() >= rest {
                         return Ok(());
                     }
@@ -305,7 +326,10 @@ fn divided<const N: usize, const M: usize>(
         };
         let h = rest / parts;
         (substep, error) = (h, f64::INFINITY);
-        match attempt(system, &Settings { softness: care.softness, ..*settings }, state, h, care.energy) {
+        let mut spent = Spent::default();
+        let attempt = attempt(system, &Settings { softness: care.softness, ..*settings }, state, h, care.energy, &mut spent);
+        spent.count(&mut state.counters);
+        match attempt {
             Ok(attempt) if attempt.error <= tolerance => {
                 if settings.adaptive {
                     let next = h * growth(tolerance, attempt.error).clamp(0.5, 2.0);

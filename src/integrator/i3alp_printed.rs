@@ -56,7 +56,9 @@ pub fn advance<const N: usize, const M: usize>(
         let constraint = system.phi_q_transposed_times(&pose, &state.lambda);
         let force = system.forces(&q, &pose, &v);
         let residual = std::array::from_fn(|i| -beta * (inertia[i] + constraint[i] - force[i]));
-        let tangent = system.factor_tangent(&q, &pose, &v, &no_multipliers, h, softness)?;
+        // By reference: a factor may be large, and `?` would move it.
+        let tangent = system.factor_tangent(&q, &pose, &v, &no_multipliers, h, softness);
+        let tangent = tangent.as_ref().map_err(|failure| *failure)?;
         let (correction, _) = tangent.solve(&residual, &minus(&phi));
         q = add(&q, &correction);
         pose = system.pose(&q);
@@ -74,7 +76,8 @@ pub fn advance<const N: usize, const M: usize>(
 
     // Project: A q̇ = W q̇*, then A q̈ = W q̈* − βα Φ_qᵀ Φ̇_q q̇, with W = M + h/2 C + h²/4 K.
     let v = velocity(&q);
-    let tangent = system.factor_tangent(&q, &pose, &v, &no_multipliers, h, softness)?;
+    let tangent = system.factor_tangent(&q, &pose, &v, &no_multipliers, h, softness);
+    let tangent = tangent.as_ref().map_err(|failure| *failure)?;
     let (projected, _) = tangent.solve(&system.weight_times(&q, &pose, &v, h, &v), &[0.0; M]);
     let centripetal = minus(&system.phi_q_dot_times(&pose, &projected));
     let (a, _) = tangent.solve(&system.weight_times(&q, &pose, &v, h, &acceleration(&q)), &centripetal);

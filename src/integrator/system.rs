@@ -78,7 +78,12 @@ pub trait System<const N: usize, const M: usize> {
 pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
     /// The factorised saddle-point matrix with the tangent matrix A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
     type Tangent: Kkt<N, M>;
+    /// The same system for what happens rarely.
+    type Rare: Implicit<N, M, Pose = Self::Pose>;
 
+    /// The same system for what happens rarely (a second try, the way through a vertex). A system that is compiled with several linear
+    /// solves gives the most general one: the code is there once, however many fast ones there are.
+    fn rare(&self) -> Self::Rare;
     /// Φ_qᵀ λ.
     fn phi_q_transposed_times(&self, pose: &Self::Pose, lambda: &[f64; M]) -> [f64; N];
     /// (M + h/2 C + h²/4 K) x with K = −∂Q/∂q and C = −∂Q/∂q̇: the weight of the printed projections.

@@ -120,30 +120,15 @@ fn acceleration_along<const N: usize, const M: usize>(
     dot(&forces, &motion) / dot(&motion, &system.mass_times(&pose, &motion))
 }
 
-/// The verdict for a state, of whose macro step `rest` seconds are left.
-#[inline(always)]
-pub(super) fn verdict<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
-    gate: &Gate,
-    state: &mut State<N, M>,
-    rest: f64,
-    softness: f64,
-) -> Verdict<N> {
-    match system.vertex(&state.q, &state.v) {
-        None => Verdict::Free,
-        Some((offset, rate)) => near(system, gate, state, rest, softness, offset, rate),
-    }
-}
-
+/// The verdict for a state near a vertex, with what [`System::vertex`] says of it, of whose macro step `rest` seconds are left.
 #[cold]
-fn near<const N: usize, const M: usize>(
+pub(super) fn near<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     gate: &Gate,
     state: &mut State<N, M>,
     rest: f64,
     softness: f64,
-    offset: [f64; N],
-    rate: [f64; N],
+    (offset, rate): ([f64; N], [f64; N]),
 ) -> Verdict<N> {
     let (distance, speed) = (dot(&offset, &offset).sqrt(), dot(&rate, &rate).sqrt());
     let before = if distance < CLOSE { ledger(system, &state.q, &state.v) } else { None };

@@ -11,7 +11,7 @@ use crate::mechanism::{Coordinates, Link, Multipliers};
 use crate::simulation::{Model, State};
 
 pub use crate::mechanism::singularity::{Singularity, SingularityKind};
-pub use variation::{OutputChanges, SingularityChanges, output_changes};
+pub use variation::{OutputChanges, SingularityChanges, output_changes, sigma_phi_change};
 
 /// Angles, rates and accelerations of the links, and the points that a user sees.
 #[derive(Clone, Copy, Debug, PartialEq)]

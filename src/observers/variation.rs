@@ -30,7 +30,7 @@ pub struct OutputChanges {
     pub singularity: SingularityChanges,
 }
 
-/// Changes of the determinants and smallest singular values, in the units of [`Singularity`](super::Singularity).
+/// Changes of the determinants and the smallest singular values of J_x and J_q, in the units of [`Singularity`](super::Singularity).
 #[derive(Clone, Copy, Debug)]
 pub struct SingularityChanges {
     /// Of det J_x.
@@ -41,8 +41,6 @@ pub struct SingularityChanges {
     pub sigma_jx: f64,
     /// Of that of J_q.
     pub sigma_jq: f64,
-    /// Of that of Φ_q.
-    pub sigma_phi: f64,
 }
 
 /// How the outputs change with a state.
@@ -131,7 +129,6 @@ fn singularity(model: &Model, state: &State, q: &Coordinates) -> SingularityChan
             (left.abs(), sign(left, l1 * l2) * left_change),
             (right.abs(), sign(right, l4 * l3) * right_change),
         ]),
-        sigma_phi: sigma_phi(model, state, q),
     }
 }
 
@@ -150,8 +147,10 @@ fn of_smallest<const K: usize>(values: [(f64, f64); K]) -> f64 {
     coinciding().map(|(_, change)| change).sum::<f64>() / coinciding().count() as f64
 }
 
-/// The change of the smallest singular value σ of Φ_q: uᵀ δΦ_q v with its singular vectors.
-fn sigma_phi(model: &Model, state: &State, q: &Coordinates) -> f64 {
+/// The change of the smallest singular value σ of Φ_q: uᵀ δΦ_q v with its singular vectors. By itself, since it costs more than all the
+/// others.
+pub fn sigma_phi_change(model: &Model, state: &State, along: &Variation) -> f64 {
+    let q = &along.change.q;
     let pose = model.mechanism.pose(&state.core.q);
     let svd = pose.phi_q().svd(true, true);
     let (Some(u), Some(v)) = (svd.u, svd.v_t) else { unreachable!("both have been asked for") };

@@ -134,11 +134,8 @@ impl Simulation {
 
     /// The same; `beyond`: whether a step may run past the end, since the inputs may stay.
     fn advance_held(&mut self, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
-        let State { core, turns, inputs: held, .. } = self.state;
         let inputs = self.model.heard(inputs);
-        let done = run(&self.model, &mut self.state, &inputs, h, steps, beyond);
-        // The running step of an explicit method is changed only when all has gone well.
-        done.inspect_err(|_| (self.state.core, self.state.turns, self.state.inputs) = (core, turns, held))
+        run(&self.model, &mut self.state, &inputs, h, steps, beyond)
     }
 
     /// The same with inputs that change: each macro step holds what they are in its middle, so that the impulse of a ramp is exact and
@@ -175,8 +172,10 @@ impl Simulation {
 
     /// The present state with the q̈ and λ that belong to `inputs`: what observers answer for.
     pub fn state_for(&self, inputs: &Inputs) -> State {
-        let mut state = self.state;
-        state.hold(&self.model, &self.model.heard(inputs));
+        let (mut state, inputs) = (self.state, self.model.heard(inputs));
+        if state.inputs != inputs {
+            state.hold(&self.model, &inputs);
+        }
         state
     }
 
@@ -250,18 +249,25 @@ impl State {
         }
     }
 
-    /// Holds `inputs` from now on; if they differ from the present ones, q̈, λ and the predictor start anew.
+    /// Holds other inputs from now on: q̈, λ and the predictor start anew.
+    #[inline(never)]
     fn hold(&mut self, model: &Model, inputs: &Inputs) {
-        if self.inputs != *inputs {
-            self.inputs = *inputs;
-            self.restart(model);
-        }
+        self.inputs = *inputs;
+        self.restart(model);
     }
 
     /// Solves M x + Φ_qᵀ y = b, Φ_q x − e y = c at the present pose.
     fn solved(&self, model: &Model, pose: &Pose, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         let State { inputs, turns, .. } = self;
         FiveBar::<General>::new(model, inputs, turns).factor_mass(pose, model.softness).solve(b, c)
+    }
+
+    /// Power of what is followed along the path.
+    #[inline(never)]
+    fn power(&self, model: &Model, inputs: &Inputs) -> Power {
+        let State { core, turns, .. } = self;
+        let system = FiveBar::<General>::new(model, inputs, turns);
+        system.power(&core.q, &system.pose(&core.q), &core.v)
     }
 
     /// The forces have changed at once: q̈, λ and the predictor start anew.
@@ -272,7 +278,7 @@ impl State {
 }
 
 /// The default method has compiled forms for the bare mechanism of their own; each more would take its place in the library. `beyond`:
-/// whether a step may run past the end of the call, as long as nothing changes there.
+/// whether a step may run past the end of the call, as long as nothing changes there. On failure the state is as before.
 fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
     match (&model.stepper, model.solve) {
         (Stepper::I3alp(settings), Solve::Bare) if settings.adaptive => {
@@ -306,14 +312,24 @@ fn macro_steps<L: LinearSolve>(
     steps: u64,
     advance: impl Fn(&FiveBar<'_, L>, &mut integrator::State<COORDINATES, MULTIPLIERS>, &mut Power) -> Result<(), Failure>,
 ) -> Result<(), StepFailure> {
-    state.hold(model, inputs);
-    let before = state.turns;
-    let system = FiveBar::<L>::new(model, inputs, &before);
-    let core = &state.core;
-    let mut power = if system.follows_work() { system.power(&core.q, &system.pose(&core.q), &core.v) } else { Power::default() };
+    // A single fixed step changes nothing before it has succeeded: what a real-time user asks costs no copy.
+    let same = state.inputs == *inputs;
+    let single = same && steps == 1 && !model.stepper.divides();
+    let before = if single { None } else { Some((state.core, state.turns, state.inputs)) };
+    if !same {
+        state.hold(model, inputs);
+    }
+    let turns_at_start = state.turns;
+    let system = FiveBar::<L>::new(model, inputs, &turns_at_start);
+    let mut power = if system.follows_work() { state.power(model, inputs) } else { Power::default() };
     for step in 0..steps {
         let State { core, turns, .. } = state;
-        advance(&system.with_turns(turns), core, &mut power).map_err(|cause| StepFailure { elapsed: step as f64 * h, cause })?;
+        if let Err(cause) = advance(&system.with_turns(turns), core, &mut power) {
+            if let Some(before) = before {
+                (state.core, state.turns, state.inputs) = before;
+            }
+            return Err(StepFailure { elapsed: step as f64 * h, cause });
+        }
         state.unwind();
     }
     Ok(())

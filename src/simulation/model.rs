@@ -68,6 +68,13 @@ pub enum Stepper {
     Dop853(dop853::Settings),
 }
 
+impl Stepper {
+    /// Whether it may divide a macro step, so that a failure can leave a part of it done.
+    pub(super) fn divides(&self) -> bool {
+        !matches!(self, Self::I3alp(i3alp::Settings { adaptive: false, .. }))
+    }
+}
+
 /// The linear solves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Solve {

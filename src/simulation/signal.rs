@@ -7,27 +7,44 @@ use crate::effects::Inputs;
 pub struct Signal {
     /// u, in the units of [`Inputs`].
     pub value: Inputs,
-    /// u′ and u″, in those per s and per s².
-    pub derivatives: [Inputs; ORDERS],
+    /// u′ and u″, unless all of them are 0.
+    derivatives: Option<[Inputs; ORDERS]>,
 }
 
 /// Orders of derivatives that a [`Signal`] has.
 pub const ORDERS: usize = 2;
 
 impl Signal {
+    /// Inputs that stay.
+    pub fn held(value: Inputs) -> Self {
+        Self { value, derivatives: None }
+    }
+
+    /// Inputs with u′ and u″, in their units per s and per s².
+    pub fn new(value: Inputs, derivatives: [Inputs; ORDERS]) -> Self {
+        Self { value, derivatives: (derivatives != [Inputs::default(); ORDERS]).then_some(derivatives) }
+    }
+
+    /// u′ and u″.
+    pub fn derivatives(&self) -> [Inputs; ORDERS] {
+        self.derivatives.unwrap_or_default()
+    }
+
     /// The inputs `elapsed` seconds after the beginning.
     pub fn at(&self, elapsed: f64) -> Inputs {
-        let [rate, curvature] = &self.derivatives;
-        self.value.plus(elapsed, rate).plus(elapsed * elapsed / 2.0, curvature)
+        self.derivatives
+            .map_or(self.value, |[rate, curvature]| self.value.plus(elapsed, &rate).plus(elapsed * elapsed / 2.0, &curvature))
     }
 
     /// Whether the inputs are held.
     pub fn is_held(&self) -> bool {
-        self.derivatives == [Inputs::default(); ORDERS]
+        self.derivatives.is_none()
     }
 
-    /// What follows an advance of `elapsed` seconds, unless the master says otherwise: the inputs reached, held.
-    pub fn after(&self, elapsed: f64) -> Self {
-        if self.is_held() { *self } else { Self { value: self.at(elapsed), ..Self::default() } }
+    /// Holds from now on what it is after an advance of `elapsed` seconds: what follows unless the master says otherwise.
+    pub fn end(&mut self, elapsed: f64) {
+        if !self.is_held() {
+            *self = Self::held(self.at(elapsed));
+        }
     }
 }

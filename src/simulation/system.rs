@@ -167,11 +167,11 @@ impl LinearSolve for General {
         softness: f64,
         definite: Definite,
     ) -> Result<Factor, Failure> {
-        Ok(match five_bar.model.solve {
-            Solve::Bare | Solve::TwoLegged => Factor::TwoLeg(five_bar.factor_two_leg(at, lambda, h, softness, definite)?),
-            Solve::LinksCoupled => Factor::Coupled(five_bar.factor_coupled(at, lambda, h, softness, definite)?),
-            Solve::Dense => Factor::Dense(five_bar.factor_dense(at, lambda, h, softness, definite)?),
-        })
+        match five_bar.model.solve {
+            Solve::Bare | Solve::TwoLegged => five_bar.factor_two_leg(at, lambda, h, softness, definite).map(Factor::TwoLeg),
+            Solve::LinksCoupled => five_bar.factor_coupled(at, lambda, h, softness, definite).map(Factor::Coupled),
+            Solve::Dense => five_bar.factor_dense(at, lambda, h, softness, definite).map(Factor::Dense),
+        }
     }
 }
 
@@ -443,8 +443,15 @@ impl<L: LinearSolve> System<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
     }
 }
 
-impl<L: LinearSolve> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'_, L> {
+impl<'a, L: LinearSolve> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, L> {
     type Tangent = L::Tangent;
+    type Rare = FiveBar<'a, General>;
+
+    #[inline(always)]
+    fn rare(&self) -> FiveBar<'a, General> {
+        let Self { model, inputs, turns, follows_work, .. } = *self;
+        FiveBar { model, inputs, turns, follows_work, linear_solve: PhantomData }
+    }
 
     #[inline(always)]
     fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {

@@ -182,7 +182,7 @@ fn changing_inputs_are_met_exactly() {
 fn ramps_waste_no_steps() {
     let mut simulation = fall(1e-9);
     let rate = Inputs { tau: [0.1, -0.05], ..default_inputs() };
-    let ramp = Signal { derivatives: [rate, Inputs::default()], ..Signal::default() };
+    let ramp = Signal::new(Inputs::default(), [rate, Inputs::default()]);
     simulation.advance_along(&ramp, 1e-3, 200).expect("steps");
     let counters = simulation.state().core.counters;
     assert!(counters.substeps >= 200 && counters.rejected < 20, "{counters:?}");

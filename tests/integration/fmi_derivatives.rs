@@ -378,7 +378,7 @@ fn a_ramp_turns_a_single_leg_as_it_must() {
     {
         parameters.settings.method = method;
         for (ramp, curvature) in [(0.2, 0.0), (0.2, 0.5), (0.0, 2.0)] {
-            let signal = Signal { value: torque(1e-3), derivatives: [torque(ramp), torque(curvature)] };
+            let signal = Signal::new(torque(1e-3), [torque(ramp), torque(curvature)]);
             let whirling = Simulation::at(&parameters, &default_inputs(), [0.4, 0.4 + PI, PI, PI], [2.0, 2.0, 0.0, 0.0]);
             let mut simulation = whirling.expect("a folded leg");
             simulation.advance_along(&signal, h, 100).expect("a step");

@@ -3,7 +3,7 @@
 use std::hint::black_box;
 
 use anyhow::Result;
-use fivebar::variables::{Slot, VARIABLES, Value};
+use fivebar::variables::{Method, Slot, VARIABLES, Value};
 
 use super::{H, STEPS, bare};
 use crate::case::{Case, Work};
@@ -11,14 +11,32 @@ use crate::host::{Host, reference};
 use crate::scene::Scene;
 
 /// The fall, as values of variables.
-fn fall() -> Vec<(String, Value)> {
-    vec![("init.theta[2]".into(), Value::Real(120f64.to_radians())), ("solver.adaptive".into(), Value::Boolean(false))]
+fn fall() -> Result<Vec<(u32, Value)>> {
+    Ok(vec![
+        (reference("init.theta[2]")?, Value::Real(120f64.to_radians())),
+        (reference("solver.adaptive")?, Value::Boolean(false)),
+    ])
 }
 
-/// Communication steps of one macro step each; `also` is done after each.
+/// The fall with another value.
+fn fall_with(name: &str, value: Value) -> Result<Vec<(u32, Value)>> {
+    Ok([fall()?, vec![(reference(name)?, value)]].concat())
+}
+
+/// Communication steps of one macro step each along the fall; `also` is done after each.
 fn calls(table: &'static str, name: impl Into<String>, also: impl FnMut(&mut Host) + Clone + 'static) -> Case {
+    calls_along(table, name, fall, also)
+}
+
+/// The same along another scene.
+fn calls_along(
+    table: &'static str,
+    name: impl Into<String>,
+    scene: impl Fn() -> Result<Vec<(u32, Value)>> + 'static,
+    also: impl FnMut(&mut Host) + Clone + 'static,
+) -> Case {
     Case::new(table, name, STEPS, move || {
-        let (mut host, mut also) = (Host::ready(&fall())?, also.clone());
+        let (mut host, mut also) = (Host::ready(&scene()?)?, also.clone());
         let work: Work = Box::new(move || {
             for _ in 0..STEPS {
                 host.step(H);
@@ -45,6 +63,13 @@ pub(super) fn cases() -> Result<Vec<Case>> {
         calls("dostep", "fmi2DoStep of 1 step, 4 inputs set to what they are", move |host| {
             host.write(black_box(&inputs), black_box(&[0.0; 4]));
         }),
+        calls_along("dostep", "fmi2DoStep of 1 step, adaptive", || fall_with("solver.adaptive", Value::Boolean(true)), |_| ()),
+        calls_along(
+            "dostep",
+            "fmi2DoStep of 1 step, dop853",
+            || fall_with("solver.method", Value::Integer(Method::Dop853 as i32)),
+            |_| (),
+        ),
         calls("outputs", "none", |_| ()),
     ];
     let outputs = || VARIABLES.iter().filter(|variable| matches!(variable.slot, Slot::RealOutput(_)));
@@ -63,8 +88,9 @@ pub(super) fn cases() -> Result<Vec<Case>> {
     cases.push(reading("all", outputs().map(|output| output.reference).collect()));
     let life = |name: &str, steps: u32| {
         Case::new("start-up", name, 1, move || {
+            let fall = fall()?;
             let work: Work = Box::new(move || {
-                let mut host = Host::ready(&fall()).expect("the fall is a legal scene");
+                let mut host = Host::ready(&fall).expect("the fall is a legal scene");
                 for _ in 0..steps {
                     host.step(H);
                 }

@@ -4,6 +4,7 @@ mod effects;
 mod fmi;
 mod growth;
 mod phases;
+mod state;
 mod steps;
 
 use anyhow::Result;
@@ -26,6 +27,7 @@ pub(crate) fn all() -> Result<Vec<Case>> {
     cases.extend(phases::cases()?);
     cases.extend(effects::cases()?);
     cases.extend(fmi::cases()?);
+    cases.extend(state::cases()?);
     cases.extend(growth::cases());
     Ok(cases)
 }

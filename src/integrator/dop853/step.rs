@@ -37,7 +37,8 @@ impl<const N: usize, const M: usize> Running<N, M> {
 
         // A ride along a ray knows friction at its end only: it may not be longer than the macro steps of the other methods.
         let ride = if system.conservative() { longest } else { longest.min(settings.first_step) };
-        match vertex::verdict(system, &GATE, &mut self.end, ride, settings.softness) {
+        let near = |vertex| vertex::near(system, &GATE, &mut self.end, ride, settings.softness, vertex);
+        match system.vertex(&self.start.q, &self.start.v).map_or(Verdict::Free, near) {
             Verdict::Free => {}
             Verdict::Near(care) => longest = longest.min(care.longest),
             Verdict::Carry(ray) => {
