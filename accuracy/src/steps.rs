@@ -57,8 +57,8 @@ pub fn write(folder: &Folder, extent: Extent) -> Result<()> {
                 (after.substeps - before.substeps).to_string(),
                 (after.iterations - before.iterations).to_string(),
                 format!("{:.3e}", singularity.sigma_phi),
-                format!("{:.3e}", singularity.sigma_jx),
-                format!("{:.3e}", singularity.sigma_jq),
+                format!("{:.3e}", singularity.jacobians.sigma_jx),
+                format!("{:.3e}", singularity.jacobians.sigma_jq),
             ]);
         }
     }

@@ -2,7 +2,8 @@
 
 use std::time::Instant;
 
-use fivebar::integrator::{Failure, Implicit, Power, State, i3alp, rk4};
+use fivebar::integrator::dop853::Running;
+use fivebar::integrator::{Failure, Implicit, Power, State, dop853, i3alp, rk4};
 
 /// A benchmark: a system, its start, its end and what is published about it.
 pub struct Problem<S, const N: usize, const M: usize> {
@@ -29,6 +30,8 @@ pub enum Method {
     I3alp(i3alp::Settings),
     /// Runge-Kutta with projection.
     Rk4(rk4::Settings),
+    /// The error-controlled explicit method.
+    Dop853(dop853::Settings),
 }
 
 /// What a run gives.
@@ -54,6 +57,8 @@ pub struct Outcome {
 const TOLERANCE: f64 = 5e-13;
 /// The five-bar's default.
 const MAX_ITERATIONS: u32 = 10;
+/// The first step that DOP853 tries, s; a longer one is soon found.
+const FIRST_STEP: f64 = 1e-5;
 
 impl<S: Implicit<N, M>, const N: usize, const M: usize> Problem<S, N, M> {
     /// i3-ALP at strictly fixed step.
@@ -86,6 +91,16 @@ impl<S: Implicit<N, M>, const N: usize, const M: usize> Problem<S, N, M> {
         })
     }
 
+    /// DOP853 with this local error, of the coordinates in their own units.
+    pub fn dop853(&self, error_tolerance: f64) -> Method {
+        Method::Dop853(dop853::Settings {
+            error_tolerance,
+            first_step: FIRST_STEP,
+            max_iterations: MAX_ITERATIONS,
+            softness: self.softness,
+        })
+    }
+
     /// Runs to the published time in macro steps of h seconds.
     pub fn run(&self, method: Method, h: f64) -> Result<Outcome, Failure> {
         self.watch(method, h, |_, _| {})
@@ -99,10 +114,17 @@ impl<S: Implicit<N, M>, const N: usize, const M: usize> Problem<S, N, M> {
         let energy = (self.energy)(system, &self.q, &self.v);
         let (mut energy_drift, mut violation) = (0.0f64, 0.0f64);
         let mut power = Power::default();
+        let mut running = match method {
+            Method::Dop853(settings) => Some(Running::start(system, self.q, self.v, &settings)),
+            _ => None,
+        };
         for step in 1..=(self.duration / h).round() as u64 {
             match method {
                 Method::I3alp(settings) => i3alp::advance(system, &settings, &mut state, h, &mut power)?,
                 Method::Rk4(settings) => rk4::advance(system, &settings, &mut state, h, &mut power)?,
+                Method::Dop853(settings) => {
+                    running.as_mut().map_or(Ok(()), |running| advance(system, &settings, running, &mut state, h))?
+                }
             }
             energy_drift = energy_drift.max(((self.energy)(system, &state.q, &state.v) - energy).abs());
             let phi = system.phi(&state.q, &system.pose(&state.q));
@@ -119,4 +141,19 @@ impl<S: Implicit<N, M>, const N: usize, const M: usize> Problem<S, N, M> {
             seconds: start.elapsed().as_secs_f64(),
         })
     }
+}
+
+/// A macro step of h seconds by DOP853, whose own steps run past its end: there the state is interpolated.
+fn advance<const N: usize, const M: usize>(
+    system: &impl Implicit<N, M>,
+    settings: &dop853::Settings,
+    running: &mut Running<N, M>,
+    state: &mut State<N, M>,
+    h: f64,
+) -> Result<(), Failure> {
+    running.advance(system, settings, h, [h, f64::INFINITY])?;
+    let sample = running.sample(system, settings)?;
+    running.record(&sample, state);
+    (state.q, state.v) = (sample.q, sample.v);
+    Ok(())
 }

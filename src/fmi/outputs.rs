@@ -5,7 +5,7 @@ use std::cell::OnceCell;
 use nalgebra::Vector2;
 
 use crate::mechanism;
-use crate::observers::{self, ConstraintNorms, Energies, Motion, Singularity};
+use crate::observers::{self, ConstraintNorms, Energies, Jacobians, Motion, Singularity};
 use crate::simulation::{Inputs, Simulation, State};
 use crate::variables::{
     Assembly, EnumerationOutput, IntegerOutput, RealOutput, SingularityKind, Slot, Value, Variable, WorkingMode,
@@ -18,6 +18,7 @@ pub(super) struct Cache {
     motion: OnceCell<Motion>,
     reactions: OnceCell<[Vector2<f64>; 5]>,
     energies: OnceCell<Energies>,
+    jacobians: OnceCell<Jacobians>,
     singularity: OnceCell<Singularity>,
     norms: OnceCell<ConstraintNorms>,
 }
@@ -74,10 +75,10 @@ impl Outputs<'_> {
             V::ServoTorque(i) => observers::servo_torques(self.simulation.model(), self.state())[i],
             V::ContactFx => observers::contact_force(self.simulation.model(), self.state()).x,
             V::ContactFy => observers::contact_force(self.simulation.model(), self.state()).y,
-            V::SingularDetJx => self.singularity().det_jx,
-            V::SingularDetJq => self.singularity().det_jq,
-            V::SingularSigmaJx => self.singularity().sigma_jx,
-            V::SingularSigmaJq => self.singularity().sigma_jq,
+            V::SingularDetJx => self.jacobians().det_jx,
+            V::SingularDetJq => self.jacobians().det_jq,
+            V::SingularSigmaJx => self.jacobians().sigma_jx,
+            V::SingularSigmaJq => self.jacobians().sigma_jq,
             V::SingularSigmaPhi => self.singularity().sigma_phi,
             V::SolverPositionError => self.norms().position,
             V::SolverVelocityError => self.norms().velocity,
@@ -104,20 +105,19 @@ impl Outputs<'_> {
     }
 
     fn enumeration(&self, variable: EnumerationOutput) -> i32 {
-        let singularity = self.singularity();
         match variable {
-            EnumerationOutput::SingularType => match singularity.kind {
+            EnumerationOutput::SingularType => match self.singularity().kind {
                 observers::SingularityKind::None => SingularityKind::None as i32,
                 observers::SingularityKind::Direct => SingularityKind::Direct as i32,
                 observers::SingularityKind::Inverse => SingularityKind::Inverse as i32,
                 observers::SingularityKind::Combined => SingularityKind::Combined as i32,
                 observers::SingularityKind::Constraint => SingularityKind::Constraint as i32,
             },
-            EnumerationOutput::ModeAssembly => match singularity.assembly {
+            EnumerationOutput::ModeAssembly => match self.jacobians().assembly {
                 mechanism::Assembly::Plus => Assembly::Plus as i32,
                 mechanism::Assembly::Minus => Assembly::Minus as i32,
             },
-            EnumerationOutput::ModeWorking => match singularity.working {
+            EnumerationOutput::ModeWorking => match self.jacobians().working {
                 [true, true] => WorkingMode::PlusPlus as i32,
                 [true, false] => WorkingMode::PlusMinus as i32,
                 [false, true] => WorkingMode::MinusPlus as i32,
@@ -146,6 +146,10 @@ impl Outputs<'_> {
 
     fn singularity(&self) -> &Singularity {
         self.cache.singularity.get_or_init(|| observers::singularity(self.simulation.model(), self.state()))
+    }
+
+    fn jacobians(&self) -> &Jacobians {
+        self.cache.jacobians.get_or_init(|| observers::jacobians(self.simulation.model(), self.state()))
     }
 
     fn norms(&self) -> &ConstraintNorms {

@@ -24,9 +24,9 @@ pub enum SingularityKind {
     Constraint,
 }
 
-/// Distance to the singularities, and the modes.
+/// The Jacobians of the closed loop, and the modes that their signs are.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Singularity {
+pub struct Jacobians {
     /// det J_x, m².
     pub det_jx: f64,
     /// det J_q, m⁴.
@@ -35,14 +35,21 @@ pub struct Singularity {
     pub sigma_jx: f64,
     /// Smallest singular value of J_q, m².
     pub sigma_jq: f64,
-    /// Smallest singular value of Φ_q (rows in m, columns in m and rad).
-    pub sigma_phi: f64,
-    /// The gravest singularity within reach.
-    pub kind: SingularityKind,
     /// Side on which the tip lies now: the sign of det J_x.
     pub assembly: Assembly,
     /// Whether the left and the right leg bend counter-clockwise.
     pub working: [bool; 2],
+}
+
+/// Distance to the singularities, and the modes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Singularity {
+    /// What costs little.
+    pub jacobians: Jacobians,
+    /// Smallest singular value of Φ_q (rows in m, columns in m and rad).
+    pub sigma_phi: f64,
+    /// The gravest singularity within reach.
+    pub kind: SingularityKind,
 }
 
 #[inline(always)]
@@ -62,8 +69,8 @@ impl Pose {
 }
 
 impl Mechanism {
-    /// Determinants, smallest singular values, kind and modes at a pose.
-    pub fn singularity(&self, pose: &Pose) -> Singularity {
+    /// Determinants, smallest singular values and modes at a pose.
+    pub fn jacobians(&self, pose: &Pose) -> Jacobians {
         let [p1, l2, l3, p4] = self.geometry.links.map(|link| link.length);
 
         let ([x2, x3], [y2, y3]) = (pose.u_d.x.to_array(), pose.u_d.y.to_array());
@@ -75,9 +82,23 @@ impl Mechanism {
         let bend = cross(pose.u_p, pose.u_d).to_array();
         let (left, right) = (p1 * l2 * bend[0], p4 * l3 * bend[1]);
 
+        Jacobians {
+            det_jx,
+            det_jq: left * right,
+            sigma_jx: det_jx.abs() / sigma_max,
+            sigma_jq: left.abs().min(right.abs()),
+            assembly: if det_jx >= 0.0 { Assembly::Plus } else { Assembly::Minus },
+            working: bend.map(|bend| bend >= 0.0),
+        }
+    }
+
+    /// All of it: the singular values of Φ_q cost some twenty times what the Jacobians do.
+    pub fn singularity(&self, pose: &Pose) -> Singularity {
+        let jacobians = self.jacobians(pose);
+        let [p1, l2, l3, p4] = self.geometry.links.map(|link| link.length);
         let sigma_phi = pose.phi_q().singular_values().min();
-        let direct = det_jx.abs() < NEAR * l2 * l3;
-        let inverse = (bend[0] * bend[1]).abs() < NEAR;
+        let direct = jacobians.det_jx.abs() < NEAR * l2 * l3;
+        let inverse = jacobians.det_jq.abs() < NEAR * p1 * l2 * p4 * l3;
         let kind = match (direct, inverse) {
             _ if sigma_phi < NEAR => SingularityKind::Constraint,
             (true, true) => SingularityKind::Combined,
@@ -85,15 +106,6 @@ impl Mechanism {
             (false, true) => SingularityKind::Inverse,
             (false, false) => SingularityKind::None,
         };
-        Singularity {
-            det_jx,
-            det_jq: left * right,
-            sigma_jx: det_jx.abs() / sigma_max,
-            sigma_jq: left.abs().min(right.abs()),
-            sigma_phi,
-            kind,
-            assembly: if det_jx >= 0.0 { Assembly::Plus } else { Assembly::Minus },
-            working: bend.map(|bend| bend >= 0.0),
-        }
+        Singularity { jacobians, sigma_phi, kind }
     }
 }

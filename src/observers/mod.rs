@@ -10,7 +10,7 @@ use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, 
 use crate::mechanism::{Coordinates, Link, Multipliers};
 use crate::simulation::{Model, State};
 
-pub use crate::mechanism::singularity::{Singularity, SingularityKind};
+pub use crate::mechanism::singularity::{Jacobians, Singularity, SingularityKind};
 pub use variation::{OutputChanges, SingularityChanges, output_changes, sigma_phi_change};
 
 /// Angles, rates and accelerations of the links, and the points that a user sees.
@@ -128,6 +128,11 @@ pub fn contact_force(model: &Model, state: &State) -> Vector2<f64> {
     let force =
         |effect: &Effect| if let Effect::Contact(contact) = effect { Some(state.at(model, |at| contact.force(at))) } else { None };
     model.effects.iter().find_map(force).unwrap_or_default().into()
+}
+
+/// Determinants and modes.
+pub fn jacobians(model: &Model, state: &State) -> Jacobians {
+    model.mechanism.jacobians(&model.mechanism.pose(&state.core.q))
 }
 
 /// Distance to the singularities, and the modes.

@@ -47,7 +47,7 @@ impl State {
         if let Some(proximal) = direction.proximal {
             let geometry = &model.mechanism.geometry;
             let largest = geometry.links[1].length * geometry.links[2].length;
-            let part = model.mechanism.singularity(&pose).det_jx.abs() / largest;
+            let part = model.mechanism.jacobians(&pose).det_jx.abs() / largest;
             if part < LEAST_DETERMINANT {
                 return Err(Refusal(format!(
                     "|singular.detJx|/(link[2].length link[3].length) = {part:e} is not allowed here: it must be at least \

@@ -38,7 +38,7 @@ fn starts_are_consistent() {
             assert!(norms.position < 1e-15 && norms.velocity < 1e-14 && norms.acceleration < 1e-9, "{norms:?}");
             let singularity = observers::singularity(simulation.model(), simulation.state());
             if singularity.kind == SingularityKind::None {
-                assert_eq!(singularity.assembly, assembly);
+                assert_eq!(singularity.jacobians.assembly, assembly);
             }
             let motion = observers::motion(simulation.model(), simulation.state());
             assert_eq!([motion.omega[0], motion.omega[3]], parameters.start.omega, "prescribed rates are kept exactly");
@@ -90,15 +90,18 @@ fn singular_values_vanish_with_their_determinants() {
     let [_, l2, l3, _] = unequal().geometry.links.map(|link| link.length);
     let theta = THETA.map(|i| simulation.state().core.q[i]);
     let jx = nalgebra::Matrix2::new(l2 * theta[1].cos(), l2 * theta[1].sin(), l3 * theta[2].cos(), l3 * theta[2].sin());
-    assert!((s.det_jx - jx.determinant()).abs() < 1e-15);
-    assert!((s.sigma_jx - jx.singular_values().min()).abs() < 1e-15);
+    assert!((s.jacobians.det_jx - jx.determinant()).abs() < 1e-15);
+    assert!((s.jacobians.sigma_jx - jx.singular_values().min()).abs() < 1e-15);
     let at_vertex = {
         let mut parameters = default_parameters();
         parameters.start.theta = [0.0, 0.0];
         let simulation = started(&parameters);
         observers::singularity(simulation.model(), simulation.state())
     };
-    assert!(at_vertex.sigma_phi < 1e-12 && at_vertex.sigma_jx < 1e-12 && at_vertex.sigma_jq < 1e-12, "{at_vertex:?}");
+    assert!(
+        at_vertex.sigma_phi < 1e-12 && at_vertex.jacobians.sigma_jx < 1e-12 && at_vertex.jacobians.sigma_jq < 1e-12,
+        "{at_vertex:?}"
+    );
 }
 
 #[test]
@@ -241,12 +244,15 @@ fn singularity_observers_agree_with_their_definitions() {
         let [p1, l2, l3, p4] = unequal().geometry.links.map(|link| link.length);
         let reach = |distal: f64, proximal: f64, d: f64, p: f64| d * p * (distal - proximal).sin();
         let legs = [reach(motion.theta[1], motion.theta[0], l2, p1), reach(motion.theta[2], motion.theta[3], l3, p4)];
-        assert!((s.det_jq - legs[0] * legs[1]).abs() < 1e-15 && (s.sigma_jq - legs[0].abs().min(legs[1].abs())).abs() < 1e-14);
+        assert!(
+            (s.jacobians.det_jq - legs[0] * legs[1]).abs() < 1e-15
+                && (s.jacobians.sigma_jq - legs[0].abs().min(legs[1].abs())).abs() < 1e-14
+        );
         let phi_q = simulation.model().mechanism.pose(&simulation.state().core.q).phi_q();
         let least = (phi_q * phi_q.transpose()).symmetric_eigenvalues().min();
         // The square root of round-off in the smallest eigenvalue.
         assert!((s.sigma_phi * s.sigma_phi - least).abs() < 1e-14, "{} {}", s.sigma_phi, least.sqrt());
-        assert_eq!(s.working, legs.map(|leg| leg >= 0.0));
+        assert_eq!(s.jacobians.working, legs.map(|leg| leg >= 0.0));
     }
     // Direct and inverse at once, away from the line of the motors: the elbows stretched, the left leg in line with them.
     let mut parameters = default_parameters();

@@ -79,8 +79,8 @@ pub(crate) struct Reference {
 impl Reference {
     /// Reads tests/data/reference/<name>.csv (its head says where it comes from).
     pub(crate) fn read(name: &str) -> Vec<Self> {
-        Self::text(name)
-            .lines()
+        let text = std::fs::read_to_string(file(&format!("tests/data/reference/{name}.csv"))).expect("reference file");
+        text.lines()
             .filter(|line| !line.starts_with(['#', 't']))
             .map(|line| {
                 let row: Vec<f64> = line.split(',').map(|cell| cell.parse().expect("a number")).collect();
@@ -92,17 +92,6 @@ impl Reference {
                 }
             })
             .collect()
-    }
-
-    /// Names and values that the file's head sets: the scene.
-    pub(crate) fn values(name: &str) -> Vec<(String, String)> {
-        let lines = Self::text(name);
-        let settings = lines.lines().filter_map(|line| line.strip_prefix("# ")?.split_once(" = "));
-        settings.map(|(name, value)| (name.to_owned(), value.to_owned())).collect()
-    }
-
-    fn text(name: &str) -> String {
-        std::fs::read_to_string(file(&format!("tests/data/reference/{name}.csv"))).expect("reference file")
     }
 
     /// q and q̇ of the reference.

@@ -6,9 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
+import fmpy
 import pytest
 
 from conftest import REPOSITORY
+from slave import Log, get_values, instantiate, set_values
 
 
 def output(fmu: Path, folder: Path, name: str) -> str:
@@ -40,6 +42,55 @@ def test_own_scene(fmu: Path, tmp_path: Path) -> None:
     start, furthest = (float(x) for x in re.findall(r"tip at x = (\S+) m", printed)[:2])
     assert furthest > start + 0.005
     assert float(re.findall(r"balance residual (\S+) J", printed)[0]) < 1e-6
+
+
+def test_look_ahead(fmu: Path, tmp_path: Path) -> None:
+    """The torque that leads highest is taken, and looking ahead leaves the twin where it was: the end is that without it."""
+    printed = output(fmu, tmp_path, "look_ahead.py")
+    ways = [[(float(torque), float(y)) for torque, y in re.findall(r"(\S+) N\.m leads to (\S+) m", line)] for line in printed.splitlines()]
+    taken = [float(torque) for torque in re.findall(r"taken: (\S+) N\.m", printed)]
+    assert len(taken) == 4
+    assert taken == [max(way, key=lambda torque_and_height: torque_and_height[1])[0] for way in ways if way]
+    directory = fmpy.extract(str(fmu), unzipdir=str(tmp_path / "unit"))
+    slave = instantiate(model := fmpy.read_model_description(directory), directory, Log())
+    set_values(slave, model, {"init.theta[2]": 2.0944, "viscous.enabled": True})
+    slave.setupExperiment()
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    for i, torque in enumerate(taken):
+        set_values(slave, model, {"tau[1]": torque})
+        slave.doStep(0.1 * i, 0.1)
+    assert f"y = {get_values(slave, model, ['tip.y'])['tip.y']:+.4f} m" in printed.splitlines()[-1]
+    slave.freeInstance()
+
+
+def test_resynchronise(fmu: Path, tmp_path: Path) -> None:
+    """Predictions are off by what the unknown payload does in half a second."""
+    printed = output(fmu, tmp_path, "resynchronise.py")
+    errors = [float(error) for error in re.findall(r"^ +0\.[5-9] +(\S+) +\d+$", printed, re.MULTILINE)]
+    assert len(errors) == 5 and 1 < max(errors) < 60, printed
+
+
+def test_resume(fmu: Path, tmp_path: Path) -> None:
+    assert output(fmu, tmp_path, "resume.py").endswith("the same bits\n")
+
+
+@pytest.mark.full
+def test_sweep(fmu: Path, tmp_path: Path) -> None:
+    """More friction, less height, for every payload that swings far."""
+    printed = output(fmu, tmp_path, "sweep.py")
+    rows = [[float(x) for x in line.split()[4:]] for line in printed.splitlines()[1:]]
+    assert len(rows) == 4 and all(len(row) == 6 for row in rows)
+    for heaviest in (4, 5):
+        assert [row[heaviest] for row in rows] == sorted((row[heaviest] for row in rows), reverse=True)
+
+
+def test_two_units(fmu: Path, tmp_path: Path) -> None:
+    """In the end the wall holds the follower, the operator's 0.5 N are a fifth of what it does, and the leader feels them."""
+    last = [float(x) for x in output(fmu, tmp_path, "two_units.py").splitlines()[-1].split()]
+    time, leader, follower, force, apart = last
+    # 2.5 N indent a wall of 2e4 N/m by 0.125 mm.
+    assert time == 1.0 and abs(force + 2.5) < 0.01 and abs(follower - 0.26) < 5e-4 and 0 < leader - follower < 1e-3 and apart < 5
 
 
 @pytest.mark.parametrize("path", sorted((REPOSITORY / "examples").glob("*.py")), ids=lambda path: path.name)

@@ -57,7 +57,7 @@ def write(path: Path, m: Measurements, curves: dict[str, dict[str, np.ndarray]])
         sections.matrix(m),
         sections.paper(curves),
         sections.peers(m, found),
-        sections.failures(m, found, judged),
+        sections.failures(m, found),
     ]
     caption = "Error against time, one scene of each kind. Lower and further left is better."
     main_picture = page.figure_element(figures.main_picture(found, judged), "main", caption, ["precision.csv"])

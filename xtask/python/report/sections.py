@@ -222,7 +222,7 @@ def listed(settings: list[str]) -> str:
     return f"{', '.join(values)} {units[0]}"
 
 
-def failures(m: Measurements, markers: list[Marker], references: list[Reference]) -> Section:
+def failures(m: Measurements, markers: list[Marker]) -> Section:
     """11: what failed, was left out, or could bias the comparison."""
     section = Section("failures", "What failed, was left out, or could bias the comparison")
     section.parts.append("<h3>Failed</h3>")
@@ -240,7 +240,6 @@ def failures(m: Measurements, markers: list[Marker], references: list[Reference]
     section.parts.append("<h3>What could bias it</h3>")
     spreads = sorted(r.spread for r in markers if r.complete)
     spread = f"the slowest round took {spreads[len(spreads) // 2]:.2g} times the fastest in the median, at most {spreads[-1]:.2g} times" if spreads else ""
-    own = [r.scene for r in references if "DOP853" in r.source]
     bias = [
         f"The machine did other things too: {spread}. The load at the start stands in section 1; instruction counts (section 7) do not depend on it.",
         "One machine, one compiler: other processors order methods of like cost differently.",
@@ -248,7 +247,5 @@ def failures(m: Measurements, markers: list[Marker], references: list[Reference]
         "The settings form a grid, by decades or so: between two markers a cheaper setting may exist.",
         "The error of a whole run is its largest at the reference's times; between them it may be larger near a whip.",
     ]
-    if own:
-        bias.append(f"The references of {html.escape('; '.join(own))} are our own dop853, checked against projected rk4; they could favour dop853 only near their own error; the reference itself is no marker.")
     section.bullets(bias)
     return section

@@ -9,7 +9,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-int n, m;
+int n, m, signals;
 real base, length[LINKS], theta_start[2], omega_start[2];
 int assembly;
 bool piece[SWITCHES], servo;
@@ -21,12 +21,14 @@ enum { MOST = 512 };
 static struct { char name[64]; real value; } table[MOST];
 static int entries;
 
-static real get(const char *name) {
+static real *find(const char *name) {
     for (int i = 0; i < entries; i++)
-        if (!strcmp(table[i].name, name)) return table[i].value;
+        if (!strcmp(table[i].name, name)) return &table[i].value;
     fprintf(stderr, "the scene has no %s\n", name);
     exit(1);
 }
+
+static real get(const char *name) { return *find(name); }
 
 static real get_i(const char *stem, int i, const char *rest) {
     char name[64];
@@ -51,9 +53,38 @@ static bool stops, contact;
 static real stop_limit[2][2], normal[2], offset, mu, slip_velocity;
 static Buffer stop_buffer, contact_buffer;
 
+/* The inputs from the table. */
+static void take_inputs(void) {
+    tip_force[0] = get("tip.fx");
+    tip_force[1] = get("tip.fy");
+    for (int i = 0; i < 2; i++) {
+        tau[i] = get_i("tau", i, "");
+        servo_theta[i] = get_i("servo.theta", i, "");
+        servo_omega[i] = get_i("servo.omega", i, "");
+    }
+}
+
+void read_signals(void) {
+    char name[64];
+    double value;
+    for (int i = 0; i < signals; i++) {
+        if (scanf("%63s %la", name, &value) != 2) {
+            fprintf(stderr, "the signals end too early\n");
+            exit(1);
+        }
+        *find(name) = value;
+    }
+    take_inputs();
+}
+
 void read_scene(void) {
     double value;
-    while (entries < MOST && scanf("%63s %la", table[entries].name, &value) == 2) table[entries++].value = value;
+    while (entries < MOST && scanf("%63s %la", table[entries].name, &value) == 2) {
+        table[entries++].value = value;
+        if (!strcmp(table[entries - 1].name, "signals")) break;
+    }
+    signals = (int)get("signals");
+    take_inputs();
     base = get("base.distance");
     for (int i = 0; i < LINKS; i++) {
         length[i] = get_i("link", i, ".length");
@@ -70,8 +101,6 @@ void read_scene(void) {
         gravity[0] = g * cosq(get("gravity.direction"));
         gravity[1] = g * sinq(get("gravity.direction"));
     }
-    tip_force[0] = get("tip.fx");
-    tip_force[1] = get("tip.fy");
     assembly = get("init.assembly") == 1 ? 1 : -1;
     stops = on("stop");
     contact = on("contact");
@@ -80,15 +109,12 @@ void read_scene(void) {
         int link = i ? 3 : 0;
         theta_start[i] = get_i("init.theta", i, "");
         omega_start[i] = get_i("init.omega", i, "");
-        tau[i] = get_i("tau", i, "");
         if (on("rotor")) inertia[link] += get_i("rotor.inertia", i, "") * get_i("rotor.gearRatio", i, "") * get_i("rotor.gearRatio", i, "");
         spring_k[i] = on("spring") ? get_i("spring.k", i, "") : 0;
         spring_theta[i] = get_i("spring.theta0", i, "");
         kp[i] = get_i("servo.kp", i, "");
         kd[i] = get_i("servo.kd", i, "");
         limit[i] = get_i("servo.limit", i, "");
-        servo_theta[i] = get_i("servo.theta", i, "");
-        servo_omega[i] = get_i("servo.omega", i, "");
         stop_limit[i][0] = get_i("stop.lower", i, "");
         stop_limit[i][1] = get_i("stop.upper", i, "");
     }

@@ -21,8 +21,14 @@ extern int assembly;
 /* Whether the scene has servos. */
 extern bool servo;
 
-/* Reads the scene from standard input. */
+/* How many inputs change with time. */
+extern int signals;
+
+/* Reads the scene from standard input, up to its line "signals COUNT". */
 void read_scene(void);
+
+/* Reads the next values of the inputs that change; held from now on. */
+void read_signals(void);
 
 /* Coordinates and velocities y from angles and rates of the links. */
 void place(const real theta[LINKS], const real omega[LINKS], real *y);

@@ -9,14 +9,16 @@ import subprocess
 import sys
 import tempfile
 import xml.etree.ElementTree as ET
+from itertools import pairwise
 from pathlib import Path
 
 import mpmath
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[3]
+MODEL = ROOT / "modelDescription/modelDescription.xml"
 
-# Scenes with constant inputs, and how long the reference is, in tenths of a second.
+# Scenes, and how long the reference is, in tenths of a second.
 SCENES = {
     "fall_90_120": 20,
     "friction_fall": 10,
@@ -25,6 +27,10 @@ SCENES = {
     "spring_payload": 10,
     "end_stops": 10,
     "bounce": 10,
+    "swing": 20,
+    "stiff_servo": 5,
+    "pick_and_place": 16,
+    "haptic": 20,
 }
 
 # Local error per step of midpoint.c: its result agrees with that at 1e-24 to more digits than are asked for.
@@ -50,8 +56,13 @@ def main() -> int:
 def make(scene: str, midpoint: Path) -> None:
     """Runs both programs on a scene and writes its file."""
     own = own_values(scene)
-    values = start_values() | own
-    text = "".join(f"{name} {float(value).hex()}\n" for name, value in values.items())
+    signals = own.get("signals", {})
+    items = enumeration_items()
+    values = start_values() | {name: items[name][value] if name in items else value for name, value in own.items() if name != "signals"}
+    lines = [*values.items(), ("signals", len(signals))]
+    for point in range(100 * SCENES[scene] if signals else 0):
+        lines += [(name, signal_at(signals, name, mpmath.mpf(point) / 1000)) for name in signals]
+    text = "".join(f"{name} {float(value).hex()}\n" for name, value in lines)
     tenths = str(SCENES[scene])
     first = run([midpoint, tenths, TOLERANCE], text)
     second = run([sys.executable, HERE / "taylor.py", tenths], text)
@@ -63,6 +74,7 @@ def make(scene: str, midpoint: Path) -> None:
     head = [
         f"scene {scene}, set below, everything else as in modelDescription.xml; each number is the double nearest to what is written.",
         f"Quadruple precision: extrapolated midpoint rule (12 or 14 Cartesian coordinates) and Taylor series (4 angles), agree to {digits} digits.",
+        *(["Inputs that change are held for 1 ms: the double nearest to the signal where each begins."] if signals else []),
         "th: absolute link angles, ccw from +x: 1 left proximal, 2 left distal (elbow to Q), 3 right distal, 4 right proximal; w: rates. SI units.",
         *(f"{name} = {json.dumps(value)}" for name, value in own.items()),
     ]
@@ -74,21 +86,51 @@ def make(scene: str, midpoint: Path) -> None:
 def start_values() -> dict[str, float]:
     """Parameters and inputs with their start values, from the model description."""
     values = {}
-    for variable in ET.parse(ROOT / "modelDescription/modelDescription.xml").iter("ScalarVariable"):
+    for variable in ET.parse(MODEL).iter("ScalarVariable"):
         if variable.get("causality") in ("parameter", "input"):
             start = variable[0].get("start")
             values[variable.get("name")] = float({"true": 1, "false": 0}.get(start, start))
     return values
 
 
-def own_values(scene: str) -> dict[str, float | bool]:
-    """What the scene sets."""
+def enumeration_items() -> dict[str, dict[str, int]]:
+    """Of every variable that is an enumeration: names of its items to their values."""
+    model = ET.parse(MODEL)
+    types = {
+        kind.get("name"): {item.get("name"): int(item.get("value")) for item in kind.iter("Item")} for kind in model.iter("SimpleType")
+    }
+    used = {variable.get("name"): variable[0].get("declaredType") for variable in model.iter("ScalarVariable")}
+    return {name: types[kind] for name, kind in used.items() if types.get(kind)}
+
+
+def own_values(scene: str) -> dict[str, float | bool | str | dict]:
+    """What the scene sets; enumerations by the names of their items, and its signals."""
     content = json.loads((ROOT / f"scenes/{scene}.json").read_text(encoding="utf-8"))
     own = {name: value for name, value in content.items() if name not in ("description", "experiment")}
-    odd = [name for name, value in own.items() if not isinstance(value, (bool, int, float))]
-    if odd:
-        raise SystemExit(f"{scene}: {odd[0]} is not a constant number; only scenes of constant numbers can have a reference.")
+    items = enumeration_items()
+    for name, value in own.items():
+        if value not in items.get(name, ()) and name != "signals" and not isinstance(value, (bool, int, float)):
+            raise SystemExit(f"{scene}: {name} is neither a constant nor the signals; only such scenes can have a reference.")
+    if "signals" in own and content["experiment"]["stepSize"] != 0.001:
+        raise SystemExit(f"{scene}: stepSize is not 0.001; inputs that change are held for 1 ms.")
     return own
+
+
+def signal_at(signals: dict[str, dict], name: str, time: mpmath.mpf) -> mpmath.mpf:
+    """An input that changes, as xtask/python/signals.py describes it, at a time in s."""
+    ((kind, value),) = signals[name].items()
+    rate = kind == "rateOf"
+    if rate:
+        ((kind, value),) = signals[value].items()
+    shape = {"linear": [0, 1], "minimumJerk": [0, 0, 0, 10, -15, 6]}[kind]  # a polynomial in u, rising powers
+    knots = [tuple(map(mpmath.mpf, knot)) for knot in value]
+    if not knots[0][0] <= time < knots[-1][0]:
+        return mpmath.mpf(0) if rate else knots[0][1] if time < knots[0][0] else knots[-1][1]
+    (begin, before), (end, after) = next(pair for pair in pairwise(knots) if pair[0][0] <= time < pair[1][0])
+    u = (time - begin) / (end - begin)
+    if rate:
+        return (after - before) / (end - begin) * sum(i * c * u ** (i - 1) for i, c in enumerate(shape) if i > 0)
+    return before + (after - before) * sum(c * u**i for i, c in enumerate(shape))
 
 
 def run(command: list, text: str) -> list[list[mpmath.mpf]]:

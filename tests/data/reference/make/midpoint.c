@@ -2,7 +2,8 @@
  *
  * Usage: midpoint TENTHS TOLERANCE < scene      (make.py calls it; README.md says more)
  *
- * Reads lines "name value" (value a C99 hexadecimal float: the very double that the unit under test is given) and writes rows
+ * Reads lines "name value" (value a C99 hexadecimal float: the very double that the unit under test is given), the last of them
+ * "signals COUNT", then COUNT such lines for each millisecond: the inputs that change, held over it. Writes rows
  * t, tip x, y, angles and rates of links 1 to 4, every 0.1 s for TENTHS tenths of a second, in SI units.
  *
  * Method: Gragg's midpoint rule, extrapolated at a fixed order, with step control (Hairer, Norsett, Wanner, Solving ODEs I, II.9).
@@ -97,7 +98,7 @@ static real to_crossing(const real *y, real h, real *out) {
     return h;
 }
 
-/* Advances y by exactly `duration`. */
+/* Advances y by exactly `duration`, inputs held. */
 static void advance(real *y, real duration) {
     static real h = 1e-5Q;
     /* A saturated servo is constant to the last digit: longer steps would pass over the instant at which it turns. */
@@ -170,8 +171,12 @@ int main(int argc, char **argv) {
     switches(y, g);
     for (int i = 0; i < SWITCHES; i++) piece[i] = g[i] > 0;
     print(0, y);
+    int holds = signals > 0 ? 100 : 1; /* in a tenth of a second: inputs that change are held for 1 ms */
     for (int i = 1; i <= tenths; i++) {
-        advance(y, 0.1Q);
+        for (int k = 0; k < holds; k++) {
+            read_signals();
+            advance(y, 0.1Q / holds);
+        }
         print(i, y);
     }
     fprintf(stderr, "\n");

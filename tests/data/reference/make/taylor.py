@@ -25,10 +25,19 @@ def quad(x) -> FP:
 
 
 class Scene(dict):
-    """Variable name to its double, as an exact mpmath number."""
+    """Variable name to its double, as an exact mpmath number; and the inputs that change, by the millisecond."""
 
     def __init__(self, lines):
-        super().__init__((name, mpmath.mpf(float.fromhex(value))) for name, value in map(str.split, lines))
+        pairs = [(name, mpmath.mpf(float.fromhex(value))) for name, value in map(str.split, lines)]
+        last = [name for name, _ in pairs].index("signals")
+        super().__init__(pairs[:last])
+        count, rest = int(pairs[last][1]), pairs[last + 1 :]
+        self.changing = [name for name, _ in rest[:count]]
+        self.held = [[quad(value) for _, value in rest[i : i + count]] for i in range(0, len(rest), count or 1)]
+
+    def input(self, name: str):
+        """An input as an expression: a parameter of the integrator if it changes."""
+        return hy.par[self.changing.index(name)] if name in self.changing else hy.expression(quad(self[name]))
 
     def row(self, pattern: str, count: int) -> list[mpmath.mpf]:
         """pattern with 1 .. count in place of #."""
@@ -105,7 +114,7 @@ class Machine:
     def piece(self, function):
         """The parameter that is 1 where `function` is positive."""
         self.switches.append(function)
-        return hy.par[len(self.switches) - 1]
+        return hy.par[len(self.scene.changing) + len(self.switches) - 1]
 
     def buffer(self, effect: str, depth, rate):
         """Force of a one-sided spring and damper."""
@@ -134,15 +143,16 @@ class Machine:
                 q[second] = q[second] + torque
         for i, link in enumerate((0, 3)):
             th, w, name = self.theta[link], self.omega[link], lambda stem: quad(scene[f"{stem}[{i + 1}]"])
-            q[link] = q[link] + name("tau")
+            at = lambda stem: scene.input(f"{stem}[{i + 1}]")
+            q[link] = q[link] + at("tau")
             if scene.on("spring"):
                 q[link] = q[link] - name("spring.k") * (th - name("spring.theta0"))
             if scene.on("servo"):
-                aim = name("servo.kp") * (name("servo.theta") - th) + name("servo.kd") * (name("servo.omega") - w)
+                aim = name("servo.kp") * (at("servo.theta") - th) + name("servo.kd") * (at("servo.omega") - w)
                 q[link] = q[link] + name("servo.limit") * hy.tanh(aim / name("servo.limit"))
             if scene.on("stop"):
                 q[link] = q[link] + self.buffer("stop", name("stop.lower") - th, -w) - self.buffer("stop", th - name("stop.upper"), w)
-        fx, fy = hy.expression(quad(scene["tip.fx"])), hy.expression(quad(scene["tip.fy"]))
+        fx, fy = scene.input("tip.fx"), scene.input("tip.fy")
         if scene.on("contact"):
             norm = mpmath.hypot(scene["contact.nx"], scene["contact.ny"])
             nx, ny = quad(scene["contact.nx"] / norm), quad(scene["contact.ny"] / norm)
@@ -183,8 +193,8 @@ class Machine:
         return [a + lx * x + ly * y for a, x, y in zip(free, by_x, by_y)]
 
 
-def events(switches):
-    """One event per switch: it turns the parameter that says which piece holds."""
+def events(switches, first):
+    """One event per switch: it turns the parameter that says which piece holds; `first` is the index of the first of them."""
 
     def turn(index):
         def callback(ta, _direction):
@@ -193,7 +203,7 @@ def events(switches):
 
         return callback
 
-    return [hy.t_event(function, callback=turn(i), fp_type=FP) for i, function in enumerate(switches)]
+    return [hy.t_event(function, callback=turn(i), fp_type=FP) for i, function in enumerate(switches, first)]
 
 
 def main() -> None:
@@ -206,18 +216,23 @@ def main() -> None:
     # Which side each switch starts on, in double precision: no scene starts on a switch.
     names = dict(zip((*map(str, machine.theta), *map(str, machine.omega)), map(float, state)))
     sides = [float(hy.cfunc([g], list((*machine.theta, *machine.omega)))(np.array(list(names.values())))[0]) for g in machine.switches]
-    pars = np.array([FP(1 if g > 0 else 0) for g in sides], dtype=FP)
-    kwargs = {"pars": pars, "t_events": events(machine.switches)} if machine.switches else {}
+    inputs = len(scene.changing)
+    pars = np.array([*(scene.held[0] if inputs else ()), *(FP(1 if g > 0 else 0) for g in sides)], dtype=FP)
+    kwargs = ({"pars": pars} if len(pars) else {}) | ({"t_events": events(machine.switches, inputs)} if machine.switches else {})
     ta = hy.taylor_adaptive(system, state, fp_type=FP, tol=FP("1e-30"), compact_mode=True, **kwargs)
     tip = hy.cfunc(list(machine.tip()[0]), list((*machine.theta, *machine.omega)), fp_type=FP)
     # A saturated servo is constant to the last digit: longer steps would pass over the instant at which it turns.
     longest = FP("2e-4" if scene.on("servo") else "2e-3")
-    for tenth in range(tenths + 1):
-        goal = FP(tenth) / FP(10)
+    holds = 100 if inputs else 1  # in a tenth of a second: inputs that change are held for 1 ms
+    for point in range(holds * tenths + 1):
+        goal = FP(point) / FP(10 * holds)
+        if inputs and point > 0:
+            ta.pars[:inputs] = scene.held[point - 1]
         while ta.time < goal:
             ta.propagate_until(goal, max_delta_t=longest)
-        numbers = [*tip(ta.state), *ta.state]
-        print(f"{tenth // 10}.{tenth % 10}", *(str(x) for x in numbers), sep=",", flush=True)
+        if point % holds == 0:
+            numbers = [*tip(ta.state), *ta.state]
+            print(f"{point // (10 * holds)}.{point // holds % 10}", *(str(x) for x in numbers), sep=",", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,43 @@
+"""A run that goes on in another process: the state as bytes in a file, to the same bits.
+
+`cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/resume.py
+The script calls itself for the second half, with the file and the time. The bytes belong to this FMU (they hold its GUID and a
+checksum), not to a machine or a process.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from unit import Unit
+
+START = {"init.theta[2]": 2.0944, "friction.enabled": True}
+OUTPUTS = ["theta[1]", "theta[2]", "tip.x", "tip.y", "energy.dissipated"]
+
+
+def second_half(unit: Unit) -> str:
+    """Steps to 1 s; the outputs there, every digit."""
+    for _ in range(500):
+        unit.step(1e-3)
+    return ", ".join(f"{name} = {value!r}" for name, value in zip(OUTPUTS, unit.get(*OUTPUTS)))
+
+
+if len(sys.argv) == 3:
+    with Unit() as unit:
+        unit.slave.setFMUstate(unit.slave.deSerializeFMUstate(Path(sys.argv[1]).read_bytes()))
+        unit.time = float(sys.argv[2])
+        print(second_half(unit))
+else:
+    with Unit(**START) as unit, tempfile.TemporaryDirectory() as folder:
+        unit.start({}).step(0.5)
+        stored, file = unit.slave.getFMUstate(), Path(folder) / "state"
+        file.write_bytes(unit.slave.serializeFMUstate(stored))
+        unit.slave.freeFMUstate(stored)
+        print(f"stored {file.stat().st_size} bytes at {unit.time} s")
+        command = [sys.executable, __file__, str(file), repr(unit.time)]
+        other = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+        here = second_half(unit)
+    print(f"this process:  {here}")
+    print(f"the other one: {other}")
+    print("the same bits" if here == other else "not the same")

@@ -1,0 +1,38 @@
+"""Two units in one co-simulation: an operator moves a leader, a servo-driven follower copies it and feels a wall for him.
+
+`cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/two_units.py
+Every millisecond the follower gets the leader's angles and rates as references, and the leader's tip gets part of the force of the
+wall that the follower touches, one step late, as in any co-simulation whose units step at the same time.
+"""
+
+from unit import Unit
+
+STEP, SCALE = 1e-3, 0.2
+"""Communication step, s; how much of the wall's force the operator feels."""
+
+SHARED = {"gravity.enabled": False, "viscous.enabled": True, "init.theta[1]": 1.7, "init.theta[2]": 1.9}
+DAMPED = {f"viscous.b[{joint}]": 0.02 for joint in (1, 5)}
+"""The operator's arm damps the leader's motors."""
+
+WALL = {"contact.enabled": True, "contact.nx": -1.0, "contact.ny": 0.0, "contact.offset": -0.26, "contact.k": 2e4, "contact.mu": 0.0}
+"""Free is what lies left of x = 0.26 m."""
+
+SERVO = {"servo.enabled": True} | {f"servo.{name}[{i}]": x for i in (1, 2) for name, x in (("kp", 200.0), ("kd", 2.0), ("limit", 20.0))}
+
+with Unit(**SHARED, **DAMPED) as leader, Unit(**SHARED, **SERVO, **WALL) as follower:
+    leader.start({})
+    angles = dict(zip(["servo.theta[1]", "servo.theta[2]"], leader.get("theta[1]", "theta[2]")))
+    follower.start(angles)
+    print("time (s)  leader x (m)  follower x (m)  wall force (N)  apart (mrad)")
+    for count in range(1001):
+        theta, omega = leader.get("theta[1]", "theta[2]"), leader.get("omega[1]", "omega[2]")
+        (force,) = follower.get("contact.fx")
+        if count % 100 == 0:
+            apart = max(abs(a - b) for a, b in zip(theta, follower.get("theta[1]", "theta[2]")))
+            x, y = leader.get("tip.x")[0], follower.get("tip.x")[0]
+            print(f"{leader.time:8.1f}  {x:12.4f}  {y:14.4f}  {force:14.3f}  {1e3 * apart:12.2f}")
+        # The operator pushes to the right with 0.5 N.
+        leader.set({"tip.fx": 0.5 + SCALE * force})
+        follower.set({f"servo.{name}[{i + 1}]": x[i] for i in (0, 1) for name, x in (("theta", theta), ("omega", omega))})
+        leader.step(STEP)
+        follower.step(STEP)
