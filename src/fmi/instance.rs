@@ -6,7 +6,7 @@
 use super::clock::Clock;
 use super::messages::{Log, Status};
 use super::outputs::{Cache, Outputs};
-use super::values::{check_settable, check_value, lookup};
+use super::values::{check_computed, check_settable, check_value, lookup};
 use super::{Rejection, Snapshot, Stage, bindings};
 use crate::integrator::{self, Counters};
 use crate::mechanism::{COORDINATES, MULTIPLIERS};
@@ -195,12 +195,17 @@ impl Instance {
     }
 
     /// fmi2GetReal, fmi2GetInteger, fmi2GetBoolean: hands each value with its position to `take`; nothing is handed
-    /// over unless every reference is right.
+    /// over unless every reference is right and every value finite.
     pub fn get(&mut self, access: Access, references: &[u32], mut take: impl FnMut(usize, Value)) -> Result<(), Rejection> {
         for &reference in references {
             let variable = lookup(reference, access)?;
             if variable.start.is_none() {
-                ready(&mut self.simulation, &self.parameters, &self.signal.value)?;
+                let outputs = self.outputs()?;
+                if access == Access::Real
+                    && let Some(Value::Real(value)) = outputs.read(variable)
+                {
+                    check_computed(|| variable.name.to_owned(), value)?;
+                }
             }
         }
         for (position, &reference) in references.iter().enumerate() {

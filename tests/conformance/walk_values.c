@@ -78,6 +78,12 @@ static double wrong_value(const Variable *v) {
     return one_in(2) ? NAN : one_in(2) ? INFINITY : -INFINITY;
 }
 
+/* What may come of asking for what is computed: before the run, what was set may make no machine; what was set may be so large that there
+ * is nothing to tell. */
+static int may_be_computed(const Slave *s) {
+    return DONE | (s->life.state == INITIALIZATION ? REFUSED : 0) | (largest > 100 ? DISCARDED : 0);
+}
+
 void get_values(Slave *s, Call call, Type type) {
     double reals[MOST];
     int wholes[MOST];
@@ -105,8 +111,7 @@ void get_values(Slave *s, Call call, Type type) {
         REQUIRE(type != INTEGER || (value >= v->min && value <= v->max), "%s is %g, must be from %g to %g", v->name, value, v->min, v->max);
         REQUIRE(type != BOOLEAN || value == fmi2False || value == fmi2True, "%s is %g", v->name, value);
     }
-    /* What was set may make no machine: then nothing can be computed, or not with these inputs. */
-    judge(s, call, status, flaw != NOTHING ? REFUSED : computed ? DONE | REFUSED : DONE);
+    judge(s, call, status, flaw == NOTHING ? computed ? may_be_computed(s) : DONE : REFUSED);
 }
 
 void set_values(Slave *s, Call call, Type type) {
@@ -201,8 +206,8 @@ void differentiate(Slave *s) {
     for (size_t i = 0; i < MOST; i++)
         REQUIRE(status == fmi2OK && i < n ? isfinite(found[i]) : found[i] == REAL_MARK,
                 "fmi2GetDirectionalDerivative: status %d, value %g of %u", status, found[i], unknowns[i]);
-    /* Refused by name in singular postures, and where what was set makes no machine. */
-    judge(s, GET_DIRECTIONAL_DERIVATIVE, status, flaw == NOTHING ? DONE | REFUSED : REFUSED);
+    /* Refused by name in singular postures. */
+    judge(s, GET_DIRECTIONAL_DERIVATIVE, status, flaw == NOTHING ? may_be_computed(s) | REFUSED : REFUSED);
 }
 
 void set_input_derivatives(Slave *s) {
@@ -245,5 +250,5 @@ void get_output_derivatives(Slave *s) {
     for (size_t i = 0; i < MOST; i++)
         REQUIRE(status == fmi2OK && i < n ? isfinite(values[i]) : values[i] == REAL_MARK,
                 "fmi2GetRealOutputDerivatives: status %d, value %g of %u", status, values[i], references[i]);
-    judge(s, GET_OUTPUT_DERIVATIVES, status, flaw == NOTHING ? DONE : REFUSED);
+    judge(s, GET_OUTPUT_DERIVATIVES, status, flaw == NOTHING ? may_be_computed(s) : REFUSED);
 }
