@@ -68,13 +68,6 @@ pub enum Stepper {
     Dop853(dop853::Settings),
 }
 
-impl Stepper {
-    /// Whether it may divide a macro step, so that a failure can leave a part of it done.
-    pub(super) fn divides(&self) -> bool {
-        !matches!(self, Self::I3alp(i3alp::Settings { adaptive: false, .. }))
-    }
-}
-
 /// The linear solves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Solve {
@@ -184,6 +177,12 @@ impl Model {
         self.conservative = effects.iter().all(Effect::conservative);
         self.effects = effects;
         Ok(changed)
+    }
+
+    /// Whether a macro step that fails changes nothing: that of [`i3alp::fixed`], which takes the bare mechanism at strictly fixed step.
+    #[inline(always)]
+    pub(super) fn fails_without_trace(&self) -> bool {
+        self.solve == Solve::Bare && matches!(self.stepper, Stepper::I3alp(i3alp::Settings { adaptive: false, .. }))
     }
 
     /// Potential energy of the active effects, J; 0 of their constant force at the left motor axis.

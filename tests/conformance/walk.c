@@ -2,8 +2,7 @@
  * instances and stored states. The standard's table says for each call what may come of it; whatever is not carried out must leave the
  * instance as it was, byte for byte, with one sentence in the log. At the end every call must have been tried in every state.
  *
- * LARGEST bounds values that are far from sensible, as a power of ten: with 300 some steps take seconds until they are given up, which
- * is too slow under valgrind. */
+ * LARGEST bounds values that are far from sensible, as a power of ten. */
 #include "walk.h"
 
 #include <inttypes.h>

@@ -7,6 +7,8 @@
 
 enum { SLAVES = 3, STORED = 4, MOST_BYTES = 1 << 13 };
 
+static const double FAR = 1e12;
+
 /* A serialised state. */
 typedef struct {
     size_t size;
@@ -20,6 +22,8 @@ typedef struct {
     double point, stop;
     /* A tunable parameter has been set since the last step: the next one may refuse it. */
     bool tuned;
+    /* Something larger than FAR has been set: steps may take seconds until they are given up, and few are made. */
+    bool far;
 } Life;
 
 /* An instance under test. */
@@ -66,7 +70,7 @@ void appear(Slave *s);
 /* Frees an instance. */
 void disappear(Slave *s);
 
-/* In initialization mode: makes a scene whose steps are discarded, since one iteration is not enough for a tenth of a second. */
+/* In initialization mode: makes a scene whose steps are discarded: one iteration is not enough for a tenth of a second. */
 void despair(Slave *s);
 
 /* Calls by kind; see their files. */

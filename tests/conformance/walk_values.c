@@ -128,12 +128,13 @@ void set_values(Slave *s, Call call, Type type) {
             p.variables[p.n] = v, p.references[p.n++] = v->reference;
     }
     if (flaw == WRONG_VALUE && (p.n == 0 || type == BOOLEAN)) flaw = NOTHING;
-    bool tunes = false;
+    bool tunes = false, far = false;
     for (size_t i = 0; i < p.n; i++) {
         const bool wrong = flaw == WRONG_VALUE && i == p.n - 1;
         const double value = wrong ? wrong_value(p.variables[i]) : p.variables[i]->role == OUTPUT ? 0.0 : allowed_value(p.variables[i]);
         tunes |= p.variables[i]->role == TUNABLE;
         reals[i] = value;
+        far |= fabs(value) > FAR;
         if (type != REAL) wholes[i] = (int)value;
     }
     const fmi2ValueReference *references = flaw == NO_REFERENCES || p.n == 0 ? NULL : p.references;
@@ -147,7 +148,7 @@ void set_values(Slave *s, Call call, Type type) {
         REQUIRE(strstr(s->log.text, name), "%s refuses %s without its name: %s", rules[call].name, name, s->log.text);
     }
     if (!judge(s, call, status, flaw == NOTHING ? DONE : REFUSED)) return;
-    s->life.tuned |= tunes;
+    s->life.tuned |= tunes, s->life.far |= far;
     if (!legal(s, type == REAL ? GET_REAL : GET_INTEGER) || p.n == 0) return;
     if (type == REAL) {
         REQUIRE(fmi2.GetReal(s->component, p.references, p.n, back) == fmi2OK, "reading what was set: %s", s->log.text);

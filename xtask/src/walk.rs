@@ -14,8 +14,8 @@ pub(crate) struct Options {
     /// Seed of the random numbers: the same seed, the same calls
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Power of ten that bounds values far from sensible; with 300 some steps take seconds until they are given up
-    #[arg(long, default_value_t = 12)]
+    /// Power of ten that bounds values far from sensible
+    #[arg(long, default_value_t = 308)]
     largest: u32,
 }
 
