@@ -14,7 +14,8 @@ use crate::variables::{
 /// What has been computed since the last step or change of inputs.
 #[derive(Debug, Default)]
 pub(super) struct Cache {
-    state: OnceCell<State>,
+    /// The state for inputs that are not those of the last step.
+    other: OnceCell<Option<State>>,
     motion: OnceCell<Motion>,
     reactions: OnceCell<[Vector2<f64>; 5]>,
     energies: OnceCell<Energies>,
@@ -129,7 +130,8 @@ impl Outputs<'_> {
     /// The present state with the accelerations and multipliers that belong to the present inputs, which the master
     /// may have changed since the last step.
     pub(super) fn state(&self) -> &State {
-        self.cache.state.get_or_init(|| self.simulation.state_for(self.inputs))
+        let other = self.cache.other.get_or_init(|| self.simulation.state_for(self.inputs));
+        other.as_ref().unwrap_or(self.simulation.state())
     }
 
     pub(super) fn motion(&self) -> &Motion {

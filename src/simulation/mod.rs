@@ -170,13 +170,14 @@ impl Simulation {
         &self.state
     }
 
-    /// The present state with the q̈ and λ that belong to `inputs`: what observers answer for.
-    pub fn state_for(&self, inputs: &Inputs) -> State {
-        let (mut state, inputs) = (self.state, self.model.heard(inputs));
-        if state.inputs != inputs {
+    /// The present state with the q̈ and λ that belong to other inputs: what observers answer for. `None` where the inputs are the same.
+    pub fn state_for(&self, inputs: &Inputs) -> Option<State> {
+        let inputs = self.model.heard(inputs);
+        (self.state.inputs != inputs).then(|| {
+            let mut state = self.state;
             state.hold(&self.model, &inputs);
-        }
-        state
+            state
+        })
     }
 
     /// Gives the active effects new parameters from now on; what that adds to the potential energy counts as input. Which effects
