@@ -126,7 +126,7 @@ static Call onwards(Slave *s) {
     case FAILED:
         return one_in(3) ? SET_REAL : DO_STEP;
     default:
-        return RESET;
+        return one_in(4) ? RESET : (Call)below(CALLS);
     }
 }
 
