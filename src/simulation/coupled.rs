@@ -4,10 +4,9 @@
 //! not be symmetric. The six outer ones keep their masses. The dual (Schur) matrix S = Φ_q A₀⁻¹ Φ_qᵀ + e is then full, 10×10:
 //! outer coordinates add 1/m between neighbouring joints, inner ones Φ_I A_I⁻¹ Φ_Iᵀ.
 
-use nalgebra::{Const, LU, SMatrix, SVector};
-
+use super::lu::{Lu, inverse};
 use crate::effects::tangents::{INNER, INNERS};
-use crate::integrator::{Failure, Kkt};
+use crate::integrator::{Kkt, combine};
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
@@ -30,51 +29,58 @@ pub struct Coupled {
     pose: Pose,
     /// 1/m of the outer coordinates.
     mobility: [f64; COORDINATES - INNERS],
-    /// A_I⁻¹.
-    compliance: SMatrix<f64, INNERS, INNERS>,
-    dual: LU<f64, Const<MULTIPLIERS>, Const<MULTIPLIERS>>,
+    /// A_I⁻¹ by rows.
+    compliance: [[f64; INNERS]; INNERS],
+    dual: Lu<MULTIPLIERS>,
 }
 
-/// Columns of Φ_q that belong to the inner coordinates.
-fn inner_columns(pose: &Pose) -> SMatrix<f64, MULTIPLIERS, INNERS> {
-    let mut columns = SMatrix::zeros();
-    for (column, [elbow, tip]) in [[2 * E_X, TIP_X], [2 * E_Y, TIP_Y]].into_iter().enumerate() {
-        columns[(elbow, column)] = 1.0;
-        columns[(tip, column)] = 1.0;
-    }
-    let turned =
+/// Φ_I X, the columns of Φ_q of the inner coordinates times a matrix, both by rows.
+#[inline(always)]
+fn phi_inner_times<const K: usize>(pose: &Pose, x: &[[f64; K]; INNERS]) -> [[f64; K]; MULTIPLIERS] {
+    /// Places of the angles of the proximal and the distal links, left and right; those of the position of link 2 are the axes.
+    const PROXIMAL: [usize; 2] = [2, 5];
+    const DISTAL: [usize; 2] = [3, 4];
+    let [a_p, b_p, a_d, sigma_b_d] =
         [pose.a_p, pose.b_p, pose.a_d, pose.sigma_b_d].map(|arm| arm.turned()).map(|arm| [arm.x.to_array(), arm.y.to_array()]);
-    let [a_p, b_p, a_d, sigma_b_d] = turned;
-    for (leg, [proximal, distal]) in [[2, 3], [5, 4]].into_iter().enumerate() {
-        for (axis, [ground, elbow, tip]) in [[2 * G_X, 2 * E_X, TIP_X], [2 * G_Y, 2 * E_Y, TIP_Y]].into_iter().enumerate() {
-            columns[(ground + leg, proximal)] = -a_p[axis][leg];
-            columns[(elbow + leg, proximal)] = -b_p[axis][leg];
-            columns[(elbow + leg, distal)] = -a_d[axis][leg];
-            columns[(tip, distal)] = sigma_b_d[axis][leg];
+    let mut product = [[0.0; K]; MULTIPLIERS];
+    for (axis, [ground, elbow, tip]) in [[2 * G_X, 2 * E_X, TIP_X], [2 * G_Y, 2 * E_Y, TIP_Y]].into_iter().enumerate() {
+        for leg in [0, 1] {
+            let [proximal, distal] = [&x[PROXIMAL[leg]], &x[DISTAL[leg]]];
+            product[ground + leg] = combine([proximal], |[p]| -a_p[axis][leg] * p);
+            product[elbow + leg] = combine([proximal, distal], |[p, d]| -b_p[axis][leg] * p - a_d[axis][leg] * d);
         }
+        let position = &x[axis];
+        product[elbow] = combine([&product[elbow], position], |[legs, position]| legs + position);
+        let [left, right] = sigma_b_d[axis];
+        product[tip] = combine([position, &x[DISTAL[0]], &x[DISTAL[1]]], |[position, l, r]| position + left * l + right * r);
     }
-    columns
+    product
+}
+
+fn transposed<const K: usize, const L: usize>(rows: &[[f64; K]; L]) -> [[f64; L]; K] {
+    std::array::from_fn(|j| std::array::from_fn(|i| rows[i][j]))
 }
 
 impl Coupled {
-    /// Factorises for the masses of the outer coordinates and the block of A₀ of the inner ones, whose symmetric part is positive.
-    pub fn factor(pose: &Pose, masses: &Coordinates, inner: SMatrix<f64, INNERS, INNERS>, softness: f64) -> Result<Self, Failure> {
-        // A block with a positive symmetric part is regular: only values that are not finite make it fail.
-        let compliance = inner.try_inverse().ok_or(Failure::NotFinite)?;
-        let columns = inner_columns(pose);
-        let mut dual = columns * compliance * columns.transpose();
+    /// Factorises for the masses of the outer coordinates and the block of A₀ of the inner ones by rows, whose symmetric part is
+    /// positive: so is that of the dual matrix. Where values are not finite, the caller's check of the results ends the step.
+    #[inline(always)]
+    pub fn factor(pose: &Pose, masses: &Coordinates, inner: [[f64; INNERS]; INNERS], softness: f64) -> Self {
+        let compliance = inverse(inner);
+        // Φ_I A_I⁻¹ Φ_Iᵀ from Φ_I A_I⁻ᵀ.
+        let mut dual = phi_inner_times(pose, &transposed(&phi_inner_times(pose, &transposed(&compliance))));
         let mobility = OUTER.map(|i| 1.0 / masses[i]);
         for (mobility, neighbours) in mobility.into_iter().zip(NEIGHBOURS) {
             for (row, sign) in neighbours {
                 for (column, other) in neighbours {
-                    dual[(row, column)] += sign * other * mobility;
+                    dual[row][column] += sign * other * mobility;
                 }
             }
         }
-        for i in 0..MULTIPLIERS {
-            dual[(i, i)] += softness;
+        for (i, row) in dual.iter_mut().enumerate() {
+            row[i] += softness;
         }
-        Ok(Self { pose: *pose, mobility, compliance, dual: dual.lu() })
+        Self { pose: *pose, mobility, compliance, dual: Lu::new(dual) }
     }
 
     /// A₀⁻¹ x.
@@ -83,9 +89,9 @@ impl Coupled {
         for (i, mobility) in OUTER.into_iter().zip(self.mobility) {
             result[i] = mobility * x[i];
         }
-        let inner = self.compliance * SVector::from(INNER.map(|i| x[i]));
-        for (i, value) in INNER.into_iter().zip(inner.iter()) {
-            result[i] = *value;
+        let inner = INNER.map(|i| x[i]);
+        for (i, row) in INNER.into_iter().zip(&self.compliance) {
+            result[i] = row.iter().zip(&inner).map(|(a, x)| a * x).sum();
         }
         result
     }
@@ -95,12 +101,7 @@ impl Kkt<COORDINATES, MULTIPLIERS> for Coupled {
     fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         let unconstrained = self.yielded(b);
         let velocity = self.pose.phi_q_times(&unconstrained);
-        let mut y = SVector::<f64, MULTIPLIERS>::from_fn(|i, _| velocity[i] - c[i]);
-        // Where extreme values have made it singular all the same, the caller's check for finite results ends the step.
-        if !self.dual.solve_mut(&mut y) {
-            y.fill(f64::NAN);
-        }
-        let y: Multipliers = y.into();
+        let y = self.dual.solve(std::array::from_fn(|i| velocity[i] - c[i]));
         let pull = self.yielded(&self.pose.phi_q_transposed_times(&y));
         (std::array::from_fn(|i| unconstrained[i] - pull[i]), y)
     }

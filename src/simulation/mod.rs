@@ -7,6 +7,7 @@ pub mod angles;
 pub mod coupled;
 pub mod dense;
 mod explicit;
+mod lu;
 pub mod model;
 mod signal;
 pub mod system;

@@ -169,7 +169,7 @@ impl LinearSolve for General {
     ) -> Result<Factor, Failure> {
         match five_bar.model.solve {
             Solve::Bare | Solve::TwoLegged => five_bar.factor_two_leg(at, lambda, h, softness, definite).map(Factor::TwoLeg),
-            Solve::LinksCoupled => five_bar.factor_coupled(at, lambda, h, softness, definite).map(Factor::Coupled),
+            Solve::LinksCoupled => five_bar.factor_coupled(at, lambda, h, softness, definite),
             Solve::Dense => five_bar.factor_dense(at, lambda, h, softness, definite).map(Factor::Dense),
         }
     }
@@ -208,6 +208,7 @@ impl<L: LinearSolve> FiveBar<'_, L> {
         }
     }
 
+    #[inline(always)]
     fn factor_coupled(
         &self,
         at: &Situation<'_>,
@@ -215,7 +216,7 @@ impl<L: LinearSolve> FiveBar<'_, L> {
         h: f64,
         softness: f64,
         definite: Definite,
-    ) -> Result<Coupled, Failure> {
+    ) -> Result<Factor, Failure> {
         let masses = self.model.mechanism.mass_times(&[1.0; COORDINATES]);
         let inner_masses = SMatrix::from_diagonal(&SVector::from(INNER.map(|i| masses[i])));
         let mut tangents = CoupledTangents::new(h);
@@ -225,7 +226,9 @@ impl<L: LinearSolve> FiveBar<'_, L> {
             let place = INNERS - 4 + i;
             a0[(place, place)] += h * h / 4.0 * stiffness;
         }
-        Coupled::factor(at.pose, &masses, made_definite(a0, &inner_masses, definite)?, softness)
+        let a0 = made_definite(a0, &inner_masses, definite)?;
+        let rows = std::array::from_fn(|i| std::array::from_fn(|j| a0[(i, j)]));
+        Ok(Factor::Coupled(Coupled::factor(at.pose, &masses, rows, softness)))
     }
 
     fn factor_dense(

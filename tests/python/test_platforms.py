@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import fmpy
@@ -18,72 +19,99 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 
 import scene
 from conftest import REPOSITORY
+from drive import communication_points
 from scene import Values
+from signals import Signal
 
 pytestmark = pytest.mark.platforms
 
 SOURCES = REPOSITORY / "tests" / "platforms"
+SCENES = sorted((REPOSITORY / "scenes").glob("*.json"))
 
-# Lines of a driver's script.
+# Seconds of each scene, and the communication step: enough for whips, impacts and singularities under an emulator.
+LONGEST, SIZE = 2.0, 0.01
+
+# When a state is stored that another machine goes on with, s.
+STORED_AT = 0.5
+
+# Lines of a driver's script; what a driver printed for each script, by name, for each round.
 Script = list[str]
+Printed = dict[str, list[list[str]]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Machine:
     """A machine: its folder of binaries/, the ending of its libraries, its C compiler (the one that links the library under
-    test), and what runs its programs here."""
+    test), what runs its programs here, and how often a library is loaded and unloaded in one process: more than Windows has
+    indexes for thread locals (1,088), which no library may use up; less where each loading is translated anew."""
 
+    name: str
     folder: str
     ending: str
     compiler: tuple[str, ...]
     runner: tuple[str, ...] = ()
+    loads: int = 1_500
 
 
 ZIG = (sys.executable, "-m", "ziglang", "cc", "-target")
 LINUX = (*ZIG, "x86_64-linux-gnu")
-HERE = Machine("linux64", "so", LINUX)
+ARM = (*ZIG, "aarch64-linux-gnu")
+HERE = Machine("here", "linux64", "so", LINUX)
 SHIPPED = [
-    Machine("linux64", "so", LINUX),
-    Machine("win64", "dll", ("x86_64-w64-mingw32-gcc",), ("wine",)),
-    Machine("aarch64-linux", "so", (*ZIG, "aarch64-linux-gnu"), ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu")),
+    Machine("linux64", "linux64", "so", LINUX),
+    Machine("win64", "win64", "dll", ("x86_64-w64-mingw32-gcc",), ("wine",)),
+    Machine("aarch64-linux", "aarch64-linux", "so", ARM, ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"), loads=100),
 ]
+on_every_machine = pytest.mark.parametrize("machine", SHIPPED, ids=lambda machine: machine.name)
 
 
-def compile_c(machine: Machine, source: str, output: Path, *options: str) -> None:
-    """A C program or library for `machine`."""
-    command = [*machine.compiler, "-std=c11", "-O1", "-Wall", "-Wextra", "-Werror"]
-    subprocess.run([*command, str(SOURCES / source), "-o", str(output), *options], check=True)
+class Bench:
+    """Where programs of all machines run: a driver and a folder of its own for each."""
+
+    def __init__(self, folder: Path, libraries: Callable[[Machine], Path], guid: str):
+        self.folder, self.libraries, self.guid = folder, libraries, guid
+        self.environment = os.environ | {"WINEPREFIX": str(folder / "wine"), "WINEDEBUG": "-all", "WINEARCH": "win64"}
+
+    def place(self, machine: Machine) -> Path:
+        """The folder of a machine, with its driver."""
+        place = self.folder / machine.name
+        if not place.exists():
+            place.mkdir()
+            command = [*machine.compiler, "-std=c11", "-O1", "-Wall", "-Wextra", "-Werror"]
+            subprocess.run([*command, str(SOURCES / "driver.c"), "-o", str(place / "driver.exe")], check=True)
+        return place
+
+    def run(self, machine: Machine, scripts: dict[str, Script], rounds: int = 1) -> Printed:
+        """Carries out all scripts in one process, `rounds` times, each with the library loaded before and unloaded after."""
+        place = self.place(machine)
+        for name, script in scripts.items():
+            (place / name).write_text("".join(f"{line}\n" for line in script))
+        command = [*machine.runner, str(place / "driver.exe"), str(self.libraries(machine)), self.guid, str(rounds), *scripts]
+        done = subprocess.run(command, cwd=place, env=self.environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{machine.name}: exit code {done.returncode}: {done.stderr[-2000:]}"
+        printed: Printed = {name: [] for name in scripts}
+        *lines, last = done.stdout.splitlines()
+        assert last == "done", last
+        for line in lines:
+            if line.startswith("script "):
+                current: list[str] = []
+                printed[line.removeprefix("script ")].append(current)
+            else:
+                current.append(line)
+        return printed
 
 
-@pytest.fixture(scope="session")
-def run(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPathFactory) -> Callable[[Machine, Script], list[str]]:
-    """Carries out a script on a machine: the lines that its driver printed."""
+@pytest.fixture(scope="module")
+def bench(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    """With the libraries under test, and the one that all other tests judge."""
     folder = tmp_path_factory.mktemp("platforms")
-    environment = os.environ | {"WINEPREFIX": str(folder / "wine"), "WINEDEBUG": "-all", "WINEARCH": "win64"}
-    here = fmpy.extract(os.environ["FIVEBAR_FMU_HERE"], unzipdir=str(folder / "here"))
-    drivers: dict[str, Path] = {}
+    here = fmpy.extract(os.environ["FIVEBAR_FMU_HERE"], unzipdir=str(folder / "fmu"))
 
-    def driver(machine: Machine) -> Path:
-        if machine.folder not in drivers:
-            program = folder / machine.folder / "driver.exe"
-            program.parent.mkdir()
-            compile_c(machine, "driver.c", program)
-            if machine.ending == "dll":
-                compile_c(machine, "bcryptprimitives.c", program.parent / "bcryptprimitives.dll", "-shared", "-ladvapi32")
-            drivers[machine.folder] = program
-        return drivers[machine.folder]
-
-    def carry_out(machine: Machine, script: Script) -> list[str]:
-        program = driver(machine)
-        (program.parent / "script.txt").write_text("".join(f"{line}\n" for line in script))
+    def library(machine: Machine) -> Path:
         root = Path(here if machine is HERE else directory)
-        library = root / "binaries" / machine.folder / f"{model.coSimulation.modelIdentifier}.{machine.ending}"
-        command = [*machine.runner, str(program), str(library), model.guid, "script.txt"]
-        done = subprocess.run(command, cwd=program.parent, env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{machine.folder}: exit code {done.returncode}: {done.stderr[-2000:]}"
-        return done.stdout.splitlines()
+        return root / "binaries" / machine.folder / f"{model.coSimulation.modelIdentifier}.{machine.ending}"
 
-    return carry_out
+    return Bench(folder, library, model.guid)
 
 
 def bits(value: float) -> str:
@@ -102,18 +130,29 @@ def setting(variable: ScalarVariable, value: float | int | bool) -> str:
             return f"integer {variable.valueReference} {value}"
 
 
-def motion(model: ModelDescription, values: Values, stop_time: float, size: float = 0.01) -> Script:
-    """A run from 0 to `stop_time`, with every output read at every communication point."""
+def motion(
+    model: ModelDescription, values: Values, stop_time: float, size: float = SIZE, signals: dict[str, Signal] | None = None
+) -> Script:
+    """A run from 0 to `stop_time`, with every output read at every communication point, `size` seconds apart."""
     variables = {v.name: v for v in model.modelVariables}
+    readings = read_all(model)
+    points = communication_points(stop_time, size)
+    inputs = {name: signal.at(points) for name, signal in (signals or {}).items()}
+    script = [setting(variables[name], value) for name, value in values.items()]
+    script += [f"start {bits(stop_time)}", *readings]
+    for i, (now, then) in enumerate(pairwise(points)):
+        script += [setting(variables[name], course[i]) for name, course in inputs.items()]
+        script += [f"step {bits(now)} {bits(then - now)}", *readings]
+    return script
+
+
+def read_all(model: ModelDescription) -> Script:
+    """Every output, and the derivative of every number with respect to the first torque."""
     outputs = [v for v in model.modelVariables if v.causality == "output"]
     reals = [str(v.valueReference) for v in outputs if v.type == "Real"]
     integers = [str(v.valueReference) for v in outputs if v.type != "Real"]
-    readings = [f"reals {' '.join(reals)}", f"integers {' '.join(integers)}"]
-    script = [setting(variables[name], value) for name, value in values.items()]
-    script += [f"start {bits(stop_time)}", *readings]
-    for i in range(round(stop_time / size)):
-        script += [f"step {bits(i * size)} {bits(size)}", *readings]
-    return script
+    (torque,) = [v.valueReference for v in model.modelVariables if v.name == "tau[1]"]
+    return [f"reals {' '.join(reals)}", f"integers {' '.join(integers)}", f"slopes {torque} {' '.join(reals)}"]
 
 
 def every_effect(model: ModelDescription) -> Values:
@@ -122,18 +161,22 @@ def every_effect(model: ModelDescription) -> Values:
     return switches | {"init.theta[2]": 2.0944, "contact.offset": 0.1, "servo.theta[1]": 2.0, "servo.theta[2]": 0.7, "tip.fx": 0.2}
 
 
-def methods(model: ModelDescription) -> list[int]:
-    """The numbers of all methods."""
+def methods(model: ModelDescription) -> dict[str, int]:
+    """The methods and their numbers."""
     (method,) = [v for v in model.modelVariables if v.name == "solver.method"]
-    return [int(item.value) for item in method.declaredType.items]
+    return {item.name: int(item.value) for item in method.declaredType.items}
 
 
-def scripts(model: ModelDescription) -> dict[str, Script]:
-    """What every machine has to carry out, by name."""
+def motions(model: ModelDescription) -> dict[str, Script]:
+    """What every machine has to carry out to its end: the scenes, every method, every effect at once."""
+    named = {}
+    for path in SCENES:
+        read = scene.read(path, model)
+        named[read.name] = motion(model, read.variants[0].values, min(read.stop_time, LONGEST), signals=read.signals)
     fall = scene.read(REPOSITORY / "scenes" / "fall_90_120.json", model).variants[0].values
-    named = {"fall": motion(model, fall, 5.0), "every effect": motion(model, every_effect(model), 5.0)}
-    for method in methods(model):
-        named[f"method {method}"] = motion(model, fall | {"solver.method": method}, 1.0)
+    for name, number in methods(model).items():
+        named[f"method_{name}"] = motion(model, fall | {"solver.method": number}, 1.0)
+    named["every_effect"] = motion(model, every_effect(model), LONGEST)
     return named
 
 
@@ -143,41 +186,61 @@ def sentence_of_a_discard(model: ModelDescription) -> Script:
     return motion(model, values, 1.0, 0.05)
 
 
-def two_rounds(lines: list[str]) -> list[str]:
-    """What one round printed; both must be equal, so that unloading and loading anew leaves nothing behind."""
-    assert lines[0] == "round 1" and lines[-1] == "done", lines[-3:]
-    middle = lines.index("round 2")
-    assert lines[1:middle] == lines[middle + 1 : -1], "the second round differs from the first"
-    return lines[1:middle]
+@pytest.fixture(scope="module")
+def expected(bench: Bench, model: ModelDescription) -> Printed:
+    """What the library for this machine makes of the motions."""
+    printed = bench.run(HERE, motions(model))
+    for name, (lines,) in printed.items():
+        assert not [line for line in lines if "status" in line], f"{name} does not run to its end"
+    return printed
 
 
-@pytest.mark.parametrize("machine", SHIPPED, ids=lambda machine: machine.folder)
-def test_same_bits_on_every_machine(run: Callable[[Machine, Script], list[str]], model: ModelDescription, machine: Machine) -> None:
+@on_every_machine
+def test_same_bits_on_every_machine(bench: Bench, model: ModelDescription, expected: Printed, machine: Machine) -> None:
     """The bound is zero: arithmetic, elementary functions and their order are the same everywhere."""
-    for name, script in scripts(model).items():
-        here = two_rounds(run(HERE, script))
-        assert not [line for line in here if "status" in line], f"{name} does not run to its end"
-        there = two_rounds(run(machine, script))
+    for name, (there,) in bench.run(machine, motions(model)).items():
+        (here,) = expected[name]
         assert there == here, f"{name}: {sum(a != b for a, b in zip(here, there, strict=False))} of {len(here)} lines differ"
 
 
-@pytest.mark.parametrize("machine", SHIPPED, ids=lambda machine: machine.folder)
-def test_same_sentences_on_every_machine(
-    run: Callable[[Machine, Script], list[str]], model: ModelDescription, machine: Machine
-) -> None:
-    script = sentence_of_a_discard(model)
-    here = two_rounds(run(HERE, script))
-    assert "fmi2DoStep: status 2" in here, "no step was discarded"
-    assert two_rounds(run(machine, script)) == here
+@on_every_machine
+def test_same_sentences_on_every_machine(bench: Bench, model: ModelDescription, machine: Machine) -> None:
+    scripts = {"discard": sentence_of_a_discard(model)}
+    here = bench.run(HERE, scripts)
+    assert "fmi2DoStep: status 2" in here["discard"][0], "no step was discarded"
+    assert bench.run(machine, scripts) == here
 
 
-def test_a_library_refuses_a_description_that_is_not_its_own(
-    run: Callable[[Machine, Script], list[str]], model: ModelDescription
-) -> None:
+@on_every_machine
+def test_a_motion_goes_on_on_another_machine(bench: Bench, model: ModelDescription, machine: Machine) -> None:
+    """A state that was stored here is the same bytes there, and continues there with the same bits."""
+    storing, going_on = {}, {}
+    for name, number in methods(model).items():
+        script = motion(model, every_effect(model) | {"solver.method": number}, 1.0)
+        first = next(i for i, line in enumerate(script) if line.startswith(f"step {bits(STORED_AT)} "))
+        start = next(i for i, line in enumerate(script) if line.startswith("start "))
+        storing[name] = [*script[:first], f"store {name}.state", *script[first:]]
+        going_on[name] = [*script[: start + 1], f"restore {name}.state", *script[first:]]
+    uninterrupted = bench.run(HERE, storing)
+    bench.run(machine, storing)
+    for state in (f"{name}.state" for name in storing):
+        here, there = (bench.place(where) / state for where in (HERE, machine))
+        assert there.read_bytes() == here.read_bytes(), state
+    for name, ((ready, *rest),) in bench.run(machine, going_on).items():
+        assert ready.startswith("log ") and " ready: " in ready
+        assert len(rest) > 100 and rest == uninterrupted[name][0][-len(rest) :], name
+
+
+@on_every_machine
+def test_loading_and_unloading_uses_nothing_up(bench: Bench, model: ModelDescription, machine: Machine) -> None:
+    """The driver checks after each round that the library is gone."""
+    script = motion(model, {}, SIZE)
+    first, *others = bench.run(machine, {"once": script}, machine.loads)["once"]
+    assert len(others) == machine.loads - 1 and all(lines == first for lines in others)
+
+
+def test_a_library_refuses_a_description_that_is_not_its_own(bench: Bench) -> None:
     """The driver notices what it should: without its GUID no library gives an instance."""
-    guid, model.guid = model.guid, "{not this one}"
-    try:
-        with pytest.raises(AssertionError, match="gave null for the GUID"):
-            run(HERE, [])
-    finally:
-        model.guid = guid
+    other = Bench(bench.folder, bench.libraries, "{not this one}")
+    with pytest.raises(AssertionError, match="gave null for the GUID"):
+        other.run(HERE, {"nothing": []})

@@ -40,7 +40,7 @@ enum Command {
         /// Also check what needs Debian packages (installed by .ci/setup): the page in a browser, memory and threads with valgrind
         #[arg(long)]
         full: bool,
-        /// Pack for all platforms and check these libraries alone, under wine and qemu (installed by .ci/setup-platforms)
+        /// Pack for all platforms and check that unit, its libraries under wine and qemu (installed by .ci/setup-platforms)
         #[arg(long, conflicts_with = "full")]
         platforms: bool,
         /// Check only that the master fmi-sim drives the FMU, which is built first and takes minutes (its needs: .ci/setup-fmi-sim)

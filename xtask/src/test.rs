@@ -171,7 +171,7 @@ enum Tests {
     Usual,
     /// And those that need a browser, valgrind or a locale, and a library whose fmi2CancelStep panics.
     Full { panicking: PathBuf },
-    /// Those that compare libraries of several machines, and no others.
+    /// The usual ones, on a unit for all platforms, and those that compare its libraries.
     Platforms,
     /// That of fmi-sim alone.
     FmiSim,
@@ -183,7 +183,7 @@ fn pytest(fmu: &Path, tests: &Tests) -> Result<()> {
     let (packages, marks) = match tests {
         Tests::Usual => (Packages::Usual, None),
         Tests::Full { .. } => (Packages::Full, Some("not platforms and not fmi_sim")),
-        Tests::Platforms => (Packages::Platforms, Some("platforms")),
+        Tests::Platforms => (Packages::Platforms, Some("not full and not fmi_sim")),
         Tests::FmiSim => (Packages::Usual, Some("fmi_sim")),
     };
     let mut command = venv::python(packages)?;

@@ -26,7 +26,7 @@ pub(super) fn build(platform: &Platform, linked: &Linked) -> Result<Library> {
             .args(["--locked", "--package", LIBRARY_CRATE])
             .args(["--lib", "--crate-type", "cdylib"])
             .arg("--message-format=json-render-diagnostics")
-            .env("CARGO_ENCODED_RUSTFLAGS", flags(linked)?.join("\u{1f}")),
+            .env("CARGO_ENCODED_RUSTFLAGS", flags(platform, linked)?.join("\u{1f}")),
     )?;
     let (file, built) = artifacts(&messages, platform.extension)?;
     let bytes = fs::read(&file).with_context(|| format!("{} cannot be read", file.display()))?;
@@ -38,13 +38,14 @@ pub(super) fn build(platform: &Platform, linked: &Linked) -> Result<Library> {
     Ok(Library { bytes, built })
 }
 
-/// The caller's flags, followed by those that keep this machine's paths out of the library.
-fn flags(linked: &Linked) -> Result<Vec<String>> {
+/// The caller's flags, followed by those that the platform needs and those that keep this machine's paths out of the library.
+fn flags(platform: &Platform, linked: &Linked) -> Result<Vec<String>> {
     let mut flags = match std::env::var("CARGO_ENCODED_RUSTFLAGS") {
         Ok(flags) if flags.is_empty() => Vec::new(),
         Ok(flags) => flags.split('\u{1f}').map(String::from).collect(),
         Err(_) => std::env::var("RUSTFLAGS").unwrap_or_default().split_whitespace().map(String::from).collect(),
     };
+    flags.extend(platform.flags.iter().map(|&flag| flag.to_owned()));
     // Where several fit, rustc takes the last one: the particular after the general.
     let mut remap = |from: &Path, to: &str| {
         flags.push(format!("--remap-path-prefix={}={to}", from.display()));

@@ -11,12 +11,17 @@ use std::process::Command;
 /// The newest glibc that a library for other machines may ask for: that of 2012, older than any Linux in support.
 const GLIBC_FLOOR: [u32; 2] = [2, 17];
 
-/// What `--all-platforms` packs: folder under `binaries/`, Rust's target triple, ending.
-const SHIPPED: [(&str, &str, &str); 3] = [
-    ("linux64", "x86_64-unknown-linux-gnu", "so"),
-    ("win64", "x86_64-pc-windows-gnu", "dll"),
-    ("aarch64-linux", "aarch64-unknown-linux-gnu", "so"),
+/// What `--all-platforms` packs: folder under `binaries/`, Rust's target triple, ending, flags for rustc.
+const SHIPPED: [(&str, &str, &str, &[&str]); 3] = [
+    ("linux64", "x86_64-unknown-linux-gnu", "so", &[]),
+    ("win64", "x86_64-pc-windows-gnu", "dll", &[WINDOWS_THREAD_LOCALS, NO_TIME]),
+    ("aarch64-linux", "aarch64-unknown-linux-gnu", "so", &[]),
 ];
+
+/// Thread locals by the loader of Windows, which frees them with the library. Those that this target has otherwise take one of
+/// the process's 1,088 indexes each time that the library is unloaded, and never give it back: some 1,000 runs later the next
+/// one would abort the host.
+const WINDOWS_THREAD_LOCALS: &str = "-Zhas-thread-local=yes";
 
 /// Where Debian's cargo and rustc are, of the packages cargo-web and rustc-web.
 const DEBIAN: &str = "/usr/bin";
@@ -26,6 +31,9 @@ const STANDARD_LIBRARY: &str = "/usr/lib/rustlib/src/rust/library/Cargo.lock";
 
 /// The linker for Windows.
 const WINDOWS_LINKER: &str = "x86_64-w64-mingw32-gcc";
+
+/// The linker for Windows writes the time into a library unless it is told not to: the same sources give the same bytes.
+const NO_TIME: &str = "-Clink-arg=-Wl,--no-insert-timestamp";
 
 /// For which machines a unit is packed.
 #[derive(Clone, Copy)]
@@ -98,6 +106,8 @@ pub(super) struct Platform {
     /// Rust's target triple where it is built with Debian's Rust and zig; none: with the cargo that runs this, for this
     /// machine.
     pub(super) cross: Option<&'static str>,
+    /// What rustc is told beside.
+    pub(super) flags: &'static [&'static str],
 }
 
 impl Platform {
@@ -112,12 +122,17 @@ impl Platform {
             ("macos", arch) => format!("{arch}-darwin"),
             (os, arch) => format!("{arch}-{os}"),
         };
-        Self { folder, extension: DLL_EXTENSION, cross: None }
+        Self { folder, extension: DLL_EXTENSION, cross: None, flags: &[] }
     }
 
     /// Every machine that `--all-platforms` packs a library for.
     fn all() -> Vec<Self> {
-        let platform = |(folder, triple, extension): (&str, _, _)| Self { folder: folder.into(), extension, cross: Some(triple) };
+        let platform = |(folder, triple, extension, flags): (&str, _, _, _)| Self {
+            folder: folder.into(),
+            extension,
+            cross: Some(triple),
+            flags,
+        };
         SHIPPED.map(platform).into()
     }
 

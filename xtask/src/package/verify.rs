@@ -30,8 +30,12 @@ const EXPORTS: [&str; 34] = [
     "fmi2GetStatus", "fmi2GetRealStatus", "fmi2GetIntegerStatus", "fmi2GetBooleanStatus", "fmi2GetStringStatus",
 ];
 
-/// Libraries that are part of every Windows since 10; those of the C runtime beside them begin with `api-ms-win-`.
-const WINDOWS: [&str; 4] = ["bcryptprimitives.dll", "kernel32.dll", "ntdll.dll", "ucrtbase.dll"];
+/// The libraries of the system that one which is shipped may need: glibc's, and those that every Windows since 8 brings.
+#[rustfmt::skip]
+const SYSTEM: [&str; 8] = [
+    "ld-linux-x86-64.so.2", "libc.so.6", "libdl.so.2", "libpthread.so.0",
+    "api-ms-win-core-synch-l1-2-0.dll", "kernel32.dll", "msvcrt.dll", "ntdll.dll",
+];
 
 /// Files that every .fmu of this project has.
 const REQUIRED: [&str; 4] = ["modelDescription.xml", "model.png", "documentation/index.html", "documentation/licenses/license.txt"];
@@ -46,16 +50,26 @@ pub(super) struct Report {
 struct Library {
     name: String,
     size: usize,
-    glibc: Option<String>,
+    needs: Needs,
+}
+
+/// What a library asks of the system.
+#[derive(Default)]
+struct Needs {
+    /// Names of the libraries that its symbols come from, in small letters.
+    libraries: BTreeSet<String>,
+    /// The newest version of glibc's symbols among them.
+    glibc: Option<Vec<u32>>,
 }
 
 impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "verified, {} kB, GUID {}", self.archive / 1000, self.guid)?;
         for library in &self.libraries {
-            write!(f, "; {} {} kB", library.name, library.size / 1000)?;
-            if let Some(version) = &library.glibc {
-                write!(f, ", needs glibc {version}")?;
+            let libraries = library.needs.libraries.iter().map(String::as_str).collect::<Vec<_>>().join(", ");
+            write!(f, "\n  {}: {} bytes, needs {libraries}", library.name, library.size)?;
+            if let Some(version) = &library.needs.glibc {
+                write!(f, " of glibc {}", dotted(version))?;
             }
         }
         Ok(())
@@ -113,24 +127,24 @@ fn library(name: &str, bytes: &[u8], guid: &str, glibc_floor: Option<&[u32]>) ->
     ensure!(bytes.len() < LARGEST_LIBRARY, "{} bytes are too many: the limit is {LARGEST_LIBRARY}", bytes.len());
     ensure!(contains(bytes, guid.as_bytes()), "the library does not know the GUID {guid} of modelDescription.xml");
     check_exports(exports(bytes)?)?;
-    check_imports(&object::File::parse(bytes)?)?;
-    let glibc = needed_glibc(bytes)?;
-    if let (Some(version), Some(floor)) = (&glibc, glibc_floor) {
-        let (version, floor) = (dotted(version), dotted(floor));
-        ensure!(glibc.as_deref() <= glibc_floor, "it asks for glibc {version}, and must run with glibc {floor}");
+    let needs = match object::FileKind::parse(bytes)? {
+        object::FileKind::Elf64 => elf_needs(bytes)?,
+        _ => imports(bytes)?,
+    };
+    if let Some(floor) = glibc_floor {
+        check_needs(&needs, floor)?;
     }
-    Ok(Library { name: name.to_owned(), size: bytes.len(), glibc: glibc.as_deref().map(dotted) })
+    Ok(Library { name: name.to_owned(), size: bytes.len(), needs })
 }
 
-/// Windows: a library that is not part of every Windows 10 is one that the .fmu would have to bring.
-fn check_imports(file: &object::File<'_>) -> Result<()> {
-    if file.format() != object::BinaryFormat::Pe {
-        return Ok(());
+/// A library that the system does not bring is one that the .fmu would have to bring.
+fn check_needs(needs: &Needs, glibc_floor: &[u32]) -> Result<()> {
+    for library in &needs.libraries {
+        ensure!(SYSTEM.contains(&library.as_str()), "it needs {library}, which the system does not bring");
     }
-    for import in file.imports()? {
-        let library = String::from_utf8_lossy(import?.library()).to_lowercase();
-        let known = WINDOWS.contains(&library.as_str()) || library.starts_with("api-ms-win-");
-        ensure!(known, "it needs {library}, which Windows does not bring");
+    if let Some(version) = &needs.glibc {
+        let (asked, floor) = (dotted(version), dotted(glibc_floor));
+        ensure!(version.as_slice() <= glibc_floor, "it asks for glibc {asked}, and must run with glibc {floor}");
     }
     Ok(())
 }
@@ -162,26 +176,33 @@ fn check_exports(found: BTreeSet<String>) -> Result<()> {
     Ok(())
 }
 
-/// The newest glibc version that an ELF library asks for; none for other formats.
-fn needed_glibc(bytes: &[u8]) -> Result<Option<Vec<u32>>> {
-    if object::FileKind::parse(bytes)? != object::FileKind::Elf64 {
-        return Ok(None);
+/// What a library for Windows or macOS imports.
+fn imports(bytes: &[u8]) -> Result<Needs> {
+    let mut needs = Needs::default();
+    for import in object::File::parse(bytes)?.imports()? {
+        needs.libraries.insert(String::from_utf8_lossy(import?.library()).to_lowercase());
     }
+    Ok(needs)
+}
+
+/// What an ELF library asks for, by the versions of its symbols.
+fn elf_needs(bytes: &[u8]) -> Result<Needs> {
     let header = FileHeader64::<Endianness>::parse(bytes)?;
     let endian = header.endian()?;
     let sections = header.sections(endian, bytes)?;
-    let Some((mut needs, link)) = sections.gnu_verneed(endian, bytes)? else {
-        return Ok(None);
+    let mut needs = Needs::default();
+    let Some((mut files, link)) = sections.gnu_verneed(endian, bytes)? else {
+        return Ok(needs);
     };
     let strings = sections.strings(endian, bytes, link)?;
-    let mut newest = None;
-    while let Some((_, mut versions)) = needs.next()? {
+    while let Some((file, mut versions)) = files.next()? {
+        needs.libraries.insert(String::from_utf8_lossy(file.file(endian, strings)?).into_owned());
         while let Some(version) = versions.next()? {
             let name = String::from_utf8_lossy(version.name(endian, strings)?);
-            newest = newest.max(name.strip_prefix("GLIBC_").and_then(numbers));
+            needs.glibc = needs.glibc.max(name.strip_prefix("GLIBC_").and_then(numbers));
         }
     }
-    Ok(newest)
+    Ok(needs)
 }
 
 /// `[2, 17]` as `2.17`.
@@ -221,6 +242,16 @@ mod tests {
         assert_eq!(identity(xml).unwrap(), ("{1}".into(), "M".into()));
         let error = identity(&xml.replace("{1}", "")).unwrap_err().to_string();
         assert_eq!(error, "modelDescription.xml has no guid");
+    }
+
+    #[test]
+    fn a_library_may_need_the_system_and_nothing_else() {
+        let needs = |library: &str, version: &[u32]| Needs { libraries: [library.into()].into(), glibc: Some(version.into()) };
+        assert!(check_needs(&needs("libc.so.6", &[2, 17]), &[2, 17]).is_ok());
+        let error = check_needs(&needs("libc.so.6", &[2, 18]), &[2, 17]).unwrap_err().to_string();
+        assert_eq!(error, "it asks for glibc 2.18, and must run with glibc 2.17");
+        let error = check_needs(&needs("libgcc_s.so.1", &[2, 17]), &[2, 17]).unwrap_err().to_string();
+        assert_eq!(error, "it needs libgcc_s.so.1, which the system does not bring");
     }
 
     #[test]
