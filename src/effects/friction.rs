@@ -74,14 +74,12 @@ impl Force for Friction {
         let mut curves = [None; JOINTS];
         for (joint, curve) in curves.iter_mut().enumerate() {
             let (coulomb, breakaway) = (parameters.coulomb[joint], parameters.breakaway[joint]);
-            let name = |what: &str| format!("friction.{what}[{}]", joint + 1);
-            not_negative(&name("coulomb"), coulomb, "N.m")?;
-            not_negative(&name("breakaway"), breakaway, "N.m")?;
+            not_negative(format_args!("friction.coulomb[{}]", joint + 1), coulomb, "N.m")?;
+            not_negative(format_args!("friction.breakaway[{}]", joint + 1), breakaway, "N.m")?;
             if breakaway < coulomb {
                 return Err(Refusal(format!(
-                    "{} = {breakaway} N.m is not allowed: it must be at least {} = {coulomb} N.m.",
-                    name("breakaway"),
-                    name("coulomb")
+                    "friction.breakaway[{0}] = {breakaway} N.m is not allowed: it must be at least friction.coulomb[{0}] = {coulomb} N.m.",
+                    joint + 1
                 )));
             }
             if breakaway > 0.0 {

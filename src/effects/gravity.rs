@@ -26,7 +26,7 @@ impl Parameters {
     pub fn add_weight(&self, mechanism: &Mechanism, weight: &mut Coordinates) -> Result<(), Refusal> {
         let Self { g, tilt, direction, .. } = *self;
         for (name, value, unit) in [("g", g, "m/s2"), ("tilt", tilt, "rad"), ("direction", direction, "rad")] {
-            finite(&format!("gravity.{name}"), value, unit)?;
+            finite(format_args!("gravity.{name}"), value, unit)?;
         }
         if g < 0.0 {
             return Err(Refusal(format!(

@@ -26,8 +26,8 @@ impl Parameters {
     pub fn add_masses(&self, geometry: &mut Geometry) -> Result<(), Refusal> {
         for (i, link) in DRIVEN.into_iter().enumerate() {
             let (inertia, ratio) = (self.inertia[i], self.gear_ratio[i]);
-            not_negative(&format!("rotor.inertia[{}]", i + 1), inertia, "kg.m2")?;
-            finite(&format!("rotor.gearRatio[{}]", i + 1), ratio, "(ratio)")?;
+            not_negative(format_args!("rotor.inertia[{}]", i + 1), inertia, "kg.m2")?;
+            finite(format_args!("rotor.gearRatio[{}]", i + 1), ratio, "(ratio)")?;
             geometry.links[link].inertia += ratio * ratio * inertia;
         }
         Ok(())

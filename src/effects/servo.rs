@@ -54,9 +54,9 @@ impl Force for Servo {
     fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
         let Parameters { kp, kd, limit, .. } = *parameters;
         for i in 0..2 {
-            not_negative(&format!("servo.kp[{}]", i + 1), kp[i], "N.m/rad")?;
-            not_negative(&format!("servo.kd[{}]", i + 1), kd[i], "N.m.s/rad")?;
-            positive(&format!("servo.limit[{}]", i + 1), limit[i], "N.m")?;
+            not_negative(format_args!("servo.kp[{}]", i + 1), kp[i], "N.m/rad")?;
+            not_negative(format_args!("servo.kd[{}]", i + 1), kd[i], "N.m.s/rad")?;
+            positive(format_args!("servo.limit[{}]", i + 1), limit[i], "N.m")?;
         }
         Ok(Self { kp, kd, limit })
     }

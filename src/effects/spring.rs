@@ -31,8 +31,8 @@ impl Force for Spring {
     fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
         let Parameters { k, theta0, .. } = *parameters;
         for i in 0..2 {
-            not_negative(&format!("spring.k[{}]", i + 1), k[i], "N.m/rad")?;
-            finite(&format!("spring.theta0[{}]", i + 1), theta0[i], "rad")?;
+            not_negative(format_args!("spring.k[{}]", i + 1), k[i], "N.m/rad")?;
+            finite(format_args!("spring.theta0[{}]", i + 1), theta0[i], "rad")?;
         }
         Ok(Self { k, theta0 })
     }

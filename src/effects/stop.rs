@@ -50,8 +50,8 @@ impl Force for Stop {
     fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
         let Parameters { lower, upper, k, d, width, .. } = *parameters;
         for i in 0..2 {
-            finite(&format!("stop.lower[{}]", i + 1), lower[i], "rad")?;
-            finite(&format!("stop.upper[{}]", i + 1), upper[i], "rad")?;
+            finite(format_args!("stop.lower[{}]", i + 1), lower[i], "rad")?;
+            finite(format_args!("stop.upper[{}]", i + 1), upper[i], "rad")?;
             if lower[i] >= upper[i] {
                 return Err(Refusal(format!(
                     "stop.lower[{0}] = {1} rad is not allowed: it must be below stop.upper[{0}] = {2} rad.",

@@ -40,7 +40,7 @@ impl Force for Viscous {
     fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
         let b = parameters.b;
         for (i, b) in b.into_iter().enumerate() {
-            not_negative(&format!("viscous.b[{}]", i + 1), b, "N.m.s/rad")?;
+            not_negative(format_args!("viscous.b[{}]", i + 1), b, "N.m.s/rad")?;
         }
         Ok(Self { b, inner: (0..JOINTS).any(|joint| is_inner(joint) && b[joint] != 0.0) })
     }

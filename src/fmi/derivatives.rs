@@ -5,8 +5,10 @@
 //! reached and its derivatives are 0: a master that goes on with a ramp sets them at each communication point. The standard fixes
 //! the beginning and leaves the end open. After a discarded step they are as before it.
 
+use std::cell::OnceCell;
+
 use super::outputs::{DISTAL, PROXIMAL};
-use super::values::{check_settable, lookup};
+use super::values::{check_computed, check_settable, lookup};
 use super::{Instance, Rejection, bindings};
 use crate::observers::{self, Motion, OutputChanges};
 use crate::simulation::{Direction, ORDERS, Signal};
@@ -57,9 +59,11 @@ impl Instance {
         let outputs = self.outputs()?;
         let value = |(&reference, &order): (&u32, &i32)| {
             let variable = lookup(reference, Access::Real)?;
-            time_derivative(outputs.motion(), variable, order)
+            let value = time_derivative(outputs.motion(), variable, order)?;
+            check_computed(|| format!("derivative {order} of {}", variable.name), value)?;
+            Ok(value)
         };
-        let values = references.iter().zip(orders).map(value).collect::<Result<Vec<f64>, _>>()?;
+        let values = references.iter().zip(orders).map(value).collect::<Result<Vec<f64>, Rejection>>()?;
         for (position, value) in values.into_iter().enumerate() {
             take(position, value);
         }
@@ -91,12 +95,18 @@ impl Instance {
         let (model, state) = (outputs.simulation.model(), outputs.state());
         let along = state.varied(model, &direction)?;
         let changes = observers::output_changes(model, state, &along);
+        let sigma_phi = OnceCell::new();
+        let change = |unknown: u32| {
+            let variable = find(unknown)?;
+            let Slot::RealOutput(output) = variable.slot else { return Ok(0.0) };
+            let sigma_phi_change = || *sigma_phi.get_or_init(|| observers::sigma_phi_change(model, state, &along));
+            let change = output_change(&changes, output, sigma_phi_change);
+            check_computed(|| format!("change of {}", variable.name), change)?;
+            Ok::<f64, Rejection>(change)
+        };
+        unknowns.iter().try_for_each(|&unknown| change(unknown).map(drop))?;
         for (position, &unknown) in unknowns.iter().enumerate() {
-            let Slot::RealOutput(output) = find(unknown)?.slot else {
-                take(position, 0.0);
-                continue;
-            };
-            take(position, output_change(&changes, output, || observers::sigma_phi_change(model, state, &along)));
+            take(position, change(unknown)?);
         }
         Ok(())
     }

@@ -6,7 +6,7 @@
 use super::clock::Clock;
 use super::messages::{Log, Status};
 use super::outputs::{Cache, Outputs};
-use super::values::{check_settable, check_value, lookup};
+use super::values::{check_computed, check_settable, check_value, lookup};
 use super::{Rejection, Snapshot, Stage, bindings};
 use crate::integrator::{self, Counters};
 use crate::mechanism::{COORDINATES, MULTIPLIERS};
@@ -125,7 +125,11 @@ impl Instance {
             parameters: parameters.clone(),
             signal: *signal,
             clock: clock.clone(),
-            simulation: simulation.clone(),
+            // Before the run it is there only if somebody has looked, and looking changes nothing.
+            simulation: match stage {
+                Stage::Instantiated | Stage::InitializationMode => None,
+                Stage::StepComplete | Stage::StepFailed | Stage::Terminated => simulation.clone(),
+            },
             tuned: *tuned,
             warned_of_references: *warned_of_references,
             warned_of_stiffness: *warned_of_stiffness,
@@ -191,12 +195,17 @@ impl Instance {
     }
 
     /// fmi2GetReal, fmi2GetInteger, fmi2GetBoolean: hands each value with its position to `take`; nothing is handed
-    /// over unless every reference is right.
+    /// over unless every reference is right and every value finite.
     pub fn get(&mut self, access: Access, references: &[u32], mut take: impl FnMut(usize, Value)) -> Result<(), Rejection> {
         for &reference in references {
             let variable = lookup(reference, access)?;
             if variable.start.is_none() {
-                ready(&mut self.simulation, &self.parameters, &self.signal.value)?;
+                let outputs = self.outputs()?;
+                if access == Access::Real
+                    && let Some(Value::Real(value)) = outputs.read(variable)
+                {
+                    check_computed(|| variable.name.to_owned(), value)?;
+                }
             }
         }
         for (position, &reference) in references.iter().enumerate() {
@@ -235,23 +244,24 @@ impl Instance {
             unreachable!("initialisation has made both");
         };
         let plan = clock.plan(point, size, self.parameters.settings.step_size)?;
+        // What a discarded step goes back to: the parameters that act at the communication point as well.
+        let untuned = self.tuned.then(|| simulation.clone());
         if self.tuned {
             simulation.tune(&self.parameters.effects)?;
-            self.cache = Cache::default();
-            self.tuned = false;
-        }
-        if self.signal.value.refers() && !simulation.model().servo && !self.warned_of_references {
-            self.warned_of_references = true;
-            self.log.push(Status::Warning, || {
-                "servo.theta or servo.omega is not 0, but no active effect reads them: servo.enabled is false.".to_owned()
-            });
         }
         let before = simulation.state().core.counters;
         match simulation.advance_along(&self.signal, plan.h, plan.steps) {
             Ok(()) => {
                 clock.advance(plan);
                 self.signal.end(size);
+                self.tuned = false;
                 report_passes(&mut self.log, &before, &simulation.state().core, point, point + size);
+                if self.signal.value.refers() && !simulation.model().servo && !self.warned_of_references {
+                    self.warned_of_references = true;
+                    self.log.push(Status::Warning, || {
+                        "servo.theta or servo.omega is not 0, but no active effect reads them: servo.enabled is false.".to_owned()
+                    });
+                }
                 if !self.warned_of_stiffness && simulation.is_stiff() {
                     self.warned_of_stiffness = true;
                     self.log.push(Status::Warning, || {
@@ -266,6 +276,9 @@ impl Instance {
                 Ok(())
             }
             Err(failure) => {
+                if let Some(untuned) = untuned {
+                    *simulation = untuned;
+                }
                 self.stage = Stage::StepFailed;
                 Err(Rejection::discard(format!(
                     "the step from {point:?} s by {size:?} s gave up at {:?} s: {}; the state is still that of {point:?} s.",
@@ -276,8 +289,11 @@ impl Instance {
         }
     }
 
-    /// fmi2CancelStep: a step is never pending.
+    /// fmi2CancelStep: a step is never pending. In a test build with `--cfg forced_panic` a panic, to see what becomes of one.
     pub fn cancel_step(&self) -> Result<(), Rejection> {
+        if cfg!(forced_panic) {
+            panic!("forced by the test build");
+        }
         Err(Rejection::error("no step is pending: fmi2DoStep never returns fmi2Pending."))
     }
 }

@@ -100,6 +100,14 @@ impl Snapshot {
             None => None,
         };
         let Content { stage, clock, tuned, warned_of_references, warned_of_stiffness, .. } = content;
+        let whole = match stage {
+            Stage::Instantiated => true,
+            Stage::InitializationMode => clock.is_some(),
+            Stage::StepComplete | Stage::StepFailed | Stage::Terminated => clock.is_some() && simulation.is_some(),
+        };
+        if !whole {
+            return Err(wrong(&format!("they say \"{stage}\", and what belongs to it is missing")));
+        }
         Ok(Self { stage, parameters, signal, clock, simulation, tuned, warned_of_references, warned_of_stiffness })
     }
 }

@@ -64,6 +64,17 @@ pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), Rejec
     }
 }
 
+/// What has been computed is told where it is a number: inputs and parameters that are allowed one by one may be too large together.
+pub(super) fn check_computed(name: impl FnOnce() -> String, value: f64) -> Result<(), Rejection> {
+    if value.is_finite() {
+        return Ok(());
+    }
+    Err(Rejection::discard(format!(
+        "{} = {value} cannot be told: it must be finite; an input or a parameter is too large or too small for double precision.",
+        name()
+    )))
+}
+
 /// A bound in its shortest form: 0, 100, 1e-9.
 fn shortest(bound: f64) -> String {
     let (plain, scientific) = (format!("{bound}"), format!("{bound:e}"));

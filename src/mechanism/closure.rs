@@ -104,8 +104,8 @@ fn rounded(value: f64) -> f64 {
 /// the assembly.
 pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordinates), Refusal> {
     for i in 0..2 {
-        finite(&format!("init.theta[{}]", i + 1), start.theta[i], "rad")?;
-        finite(&format!("init.omega[{}]", i + 1), start.omega[i], "rad/s")?;
+        finite(format_args!("init.theta[{}]", i + 1), start.theta[i], "rad")?;
+        finite(format_args!("init.omega[{}]", i + 1), start.omega[i], "rad/s")?;
     }
     let [_, l2, l3, _] = geometry.links.map(|link| link.length);
     let span = Span::new(geometry, start.theta)?;

@@ -40,20 +40,21 @@ impl fmt::Display for Refusal {
 
 impl std::error::Error for Refusal {}
 
-/// Refuses a value that is not finite and positive.
-pub(crate) fn positive(name: &str, value: f64, unit: &str) -> Result<(), Refusal> {
-    finite(name, value, unit)?;
+/// Refuses a value that is not finite and positive; text is made by a refusal only, here and below: a step that finds a parameter tuned
+/// allocates nothing.
+pub(crate) fn positive(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), Refusal> {
+    finite(&name, value, unit)?;
     if value > 0.0 { Ok(()) } else { Err(Refusal(format!("{name} = {value} {unit} is not allowed: it must be positive."))) }
 }
 
 /// Refuses a value that is not finite or is negative.
-pub(crate) fn not_negative(name: &str, value: f64, unit: &str) -> Result<(), Refusal> {
-    finite(name, value, unit)?;
+pub(crate) fn not_negative(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), Refusal> {
+    finite(&name, value, unit)?;
     if value >= 0.0 { Ok(()) } else { Err(Refusal(format!("{name} = {value} {unit} is not allowed: it must be 0 or positive."))) }
 }
 
 /// Refuses NaN and infinities.
-pub(crate) fn finite(name: &str, value: f64, unit: &str) -> Result<(), Refusal> {
+pub(crate) fn finite(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), Refusal> {
     if value.is_finite() { Ok(()) } else { Err(Refusal(format!("{name} = {value} {unit} is not allowed: it must be finite."))) }
 }
 
@@ -63,10 +64,10 @@ impl Geometry {
         not_negative("base.distance", self.base_distance, "m")?;
         for (i, link) in self.links.iter().enumerate() {
             let name = |what: &str| format!("link[{}].{what}", i + 1);
-            positive(&name("length"), link.length, "m")?;
-            positive(&name("mass"), link.mass, "kg")?;
-            positive(&name("inertia"), link.inertia, "kg.m2")?;
-            finite(&name("com"), link.com, "m")?;
+            positive(name("length"), link.length, "m")?;
+            positive(name("mass"), link.mass, "kg")?;
+            positive(name("inertia"), link.inertia, "kg.m2")?;
+            finite(name("com"), link.com, "m")?;
         }
         Ok(())
     }

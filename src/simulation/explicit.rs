@@ -36,8 +36,8 @@ pub(super) fn resume(model: &Model, state: &mut State, put_in: f64) {
     running.restart(&ByAngles::new(&five_bar), settings, put_in);
 }
 
-/// `steps` macro steps of `h` seconds with `inputs` held; `beyond`: whether a step may run past their end. On failure the running step is
-/// as before, the rest undefined.
+/// `steps` macro steps of `h` seconds with `inputs` held; `beyond`: whether a step may run past their end. On failure the state is as
+/// before.
 pub(super) fn run(
     model: &Model,
     settings: &Settings,
@@ -47,8 +47,8 @@ pub(super) fn run(
     steps: u64,
     beyond: bool,
 ) -> Result<(), StepFailure> {
-    let before = state.running;
-    forward(model, settings, state, inputs, h, steps, beyond).inspect_err(|_| state.running = before)
+    let before = *state;
+    forward(model, settings, state, inputs, h, steps, beyond).inspect_err(|_| *state = before)
 }
 
 fn forward(

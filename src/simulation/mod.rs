@@ -314,9 +314,9 @@ fn macro_steps<L: LinearSolve>(
     steps: u64,
     advance: impl Fn(&FiveBar<'_, L>, &mut integrator::State<COORDINATES, MULTIPLIERS>, &mut Power) -> Result<(), Failure>,
 ) -> Result<(), StepFailure> {
-    // A single fixed step changes nothing before it has succeeded: what a real-time user asks costs no copy.
+    // What a real-time user asks, a single fixed step of the bare mechanism, costs no copy.
     let same = state.inputs == *inputs;
-    let single = same && steps == 1 && !model.stepper.divides();
+    let single = same && steps == 1 && model.fails_without_trace();
     let before = if single { None } else { Some((state.core, state.turns, state.inputs)) };
     if !same {
         state.hold(model, inputs);

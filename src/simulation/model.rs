@@ -68,13 +68,6 @@ pub enum Stepper {
     Dop853(dop853::Settings),
 }
 
-impl Stepper {
-    /// Whether it may divide a macro step, so that a failure can leave a part of it done.
-    pub(super) fn divides(&self) -> bool {
-        !matches!(self, Self::I3alp(i3alp::Settings { adaptive: false, .. }))
-    }
-}
-
 /// The linear solves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Solve {
@@ -186,6 +179,12 @@ impl Model {
         Ok(changed)
     }
 
+    /// Whether a macro step that fails changes nothing: that of [`i3alp::fixed`], which takes the bare mechanism at strictly fixed step.
+    #[inline(always)]
+    pub(super) fn fails_without_trace(&self) -> bool {
+        self.solve == Solve::Bare && matches!(self.stepper, Stepper::I3alp(i3alp::Settings { adaptive: false, .. }))
+    }
+
     /// Potential energy of the active effects, J; 0 of their constant force at the left motor axis.
     pub fn potential(&self, at: &Situation) -> f64 {
         let weight: f64 = at.q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum();
@@ -233,7 +232,7 @@ impl Settings {
             ("penalty", self.penalty, "N/m"),
             ("penaltyScale", self.penalty_scale, "(relative)"),
         ] {
-            crate::mechanism::positive(&format!("solver.{name}"), value, unit)?;
+            crate::mechanism::positive(format_args!("solver.{name}"), value, unit)?;
         }
         if self.max_iterations == 0 {
             return Err(Refusal("solver.maxIterations = 0 is not allowed: it must be 1 or more.".into()));

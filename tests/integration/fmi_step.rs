@@ -129,6 +129,59 @@ fn a_step_that_cannot_be_done_is_discarded_and_leaves_everything_as_it_was() {
     assert_eq!(host.call(fmi2Terminate), fmi2OK);
 }
 
+/// Not even in a counter, with any method and solve, whether the inputs are those of the last step or not.
+#[test]
+fn a_discarded_step_leaves_no_trace() {
+    for (method, adaptive, payload, friction) in
+        [(1, 0, 0, 0), (1, 0, 1, 0), (1, 0, 0, 1), (1, 1, 0, 0), (2, 1, 0, 0), (2, 1, 0, 1), (3, 1, 0, 0), (4, 1, 0, 0)]
+    {
+        let host = Host::initializing(0.0, None);
+        assert_eq!(host.set_integer(&["solver.method", "solver.maxIterations"].map(reference), &[method, 1]), fmi2OK);
+        let switches = ["solver.adaptive", "payload.enabled", "friction.enabled"].map(reference);
+        assert_eq!(host.set_boolean(&switches, &[adaptive, payload, friction]), fmi2OK);
+        // Too long for all of them; the gravity is for those that divide it.
+        let (names, values) = (["solver.stepSize", "init.theta[2]", "init.omega[1]", "gravity.g"], [0.1, 2.0, 5.0, 1e12]);
+        assert_eq!(host.set_real(&names.map(reference), &values), fmi2OK);
+        assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
+        let bytes = |host: &Host| {
+            let mut state = host.state();
+            let (_, size) = host.serialized_size(state);
+            let bytes = host.serialize(state, size).1;
+            assert_eq!(host.free_state(&mut state), fmi2OK);
+            bytes
+        };
+        for torque in [0.0, 0.0, 1.0, 1.0] {
+            assert_eq!(host.set_real(&[reference("tau[1]")], &[torque]), fmi2OK);
+            let before = bytes(&host);
+            assert_eq!(host.do_step(0.0, 0.1), fmi2Discard, "method {method}, adaptive {adaptive}");
+            // But for the stage of life, which comes first, and the checksum, at the end.
+            let (inside, after) = (59..before.len() - 4, bytes(&host));
+            assert!(before[inside.clone()] == after[inside], "method {method}, adaptive {adaptive}, {payload}, {friction}");
+        }
+        host.take();
+    }
+}
+
+/// What was tuned acts from a step that is done; a discarded one has not begun. The same of the warning about references.
+#[test]
+fn a_discarded_step_leaves_tuned_parameters_pending() {
+    let host = hopeless();
+    let energies = || {
+        let mut values = [f64::NAN; 3];
+        let names = ["energy.potential", "energy.input", "energy.error"];
+        assert_eq!(host.get_real(&names.map(reference), &mut values), fmi2OK);
+        values.map(f64::to_bits)
+    };
+    let before = energies();
+    assert_eq!(host.set_real(&["gravity.g", "servo.theta[1]"].map(reference), &[5.0, 1.0]), fmi2OK);
+    assert_eq!(host.do_step(0.0, 0.2), fmi2Discard);
+    assert_eq!(energies(), before);
+    assert_eq!(host.take().len(), 1, "the sentence of the discarded step, and no warning yet");
+    assert_eq!(host.do_step(0.0, 1e-9), fmi2OK);
+    assert_ne!(energies(), before);
+    assert!(host.line().contains("no active effect reads them"));
+}
+
 #[test]
 fn inputs_act_from_the_point_where_they_are_set() {
     let host = Host::ready(&[("init.theta[2]", 2.0)]);

@@ -196,3 +196,26 @@ fn reading_changes_nothing_and_gives_the_same_bits_in_any_order() {
     assert_eq!(unread.get_real(&forwards, &mut values), fmi2OK);
     assert_eq!(bits(&values), first);
 }
+
+/// Inputs that are finite and too large: what cannot be told is discarded by name and nothing is handed over; the rest can be read.
+#[test]
+fn what_is_not_finite_is_never_told() {
+    let host = Host::ready(&[("init.theta[2]", 2.0)]);
+    assert_eq!(host.set_real(&[reference("tau[1]")], &[1e308]), fmi2OK);
+    let mut values = [7.0; 2];
+    assert_eq!(host.get_real(&["tip.x", "alpha[1]"].map(reference), &mut values), fmi2Discard);
+    let text = host.line();
+    assert!(text.starts_with("fmi2GetReal: alpha[1] = ") && text.contains("it must be finite"), "{text}");
+    assert_eq!(values, [7.0; 2]);
+    assert_eq!(host.get_real(&["tip.x", "tau[1]"].map(reference), &mut values), fmi2OK);
+    assert_eq!(values[1], 1e308);
+    assert_eq!(host.output_derivative(reference("tip.x"), 2).0, fmi2Discard);
+    assert!(host.line().contains("derivative 2 of tip.x = "));
+    assert_eq!(host.set_real(&[reference("tau[1]")], &[0.0]), fmi2OK);
+    let knowns = ["tau[1]", "tau[2]"].map(|name| (reference(name), 1e308));
+    values = [7.0; 2];
+    assert_eq!(host.directional_derivative(&["tip.x", "alpha[1]"].map(reference), &knowns, &mut values), fmi2Discard);
+    assert!(host.line().contains("change of alpha[1] = "));
+    assert_eq!(values, [7.0; 2]);
+    assert_eq!(host.get_real(&[reference("alpha[1]")], &mut values[..1]), fmi2OK);
+}

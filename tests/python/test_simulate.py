@@ -27,6 +27,17 @@ def test_five_lines(fmu: Path) -> None:
     assert np.max(np.abs(result["energy.error"])) < 1e-5
 
 
+def test_the_default_experiment_is_interesting(fmu: Path) -> None:
+    """As it stands, with no argument but what to look at: the paper's free fall through many singularities, with its energy kept."""
+    names = ["tip.y", "energy.error", "singular.passes.direct", "singular.passes.inverse[1]"]
+    result = simulate_fmu(str(fmu), output=names)
+    assert result["time"][0] == 0 and result["time"][-1] == pytest.approx(50)
+    assert np.ptp(result["tip.y"]) > 0.5, "a fall from 0.21 m above the motors to 0.4 m below them"
+    assert result["singular.passes.direct"][-1] > 100 and result["singular.passes.inverse[1]"][-1] > 100
+    # 2.12e-4 mgL, the README's line, is 7.4e-6 J.
+    assert np.max(np.abs(result["energy.error"])) < 1e-5
+
+
 def test_input_from_a_table(fmu: Path) -> None:
     """FMPy's own input table drives the motor."""
     torque = np.array([(0.0, 0.0), (0.1, 0.0), (0.1, 0.02), (0.2, 0.02)], dtype=[("time", float), ("tau[1]", float)])

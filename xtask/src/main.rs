@@ -12,6 +12,7 @@ mod run;
 mod scenes;
 mod test;
 mod venv;
+mod walk;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
@@ -36,7 +37,7 @@ enum Command {
     },
     /// Check everything: format, lints, Rust tests, documentation, packaging, Python tests
     Test {
-        /// Also check what needs Debian packages (installed by .ci/setup): the page in a browser, memory with valgrind
+        /// Also check what needs Debian packages (installed by .ci/setup): the page in a browser, memory and threads with valgrind
         #[arg(long)]
         full: bool,
         /// Pack for all platforms and check that unit, its libraries under wine and qemu (installed by .ci/setup-platforms)
@@ -46,6 +47,8 @@ enum Command {
         #[arg(long, conflicts_with_all = ["full", "platforms"])]
         fmi_sim: bool,
     },
+    /// Make random calls, legal and illegal, on the packed library, each judged by FMI's table
+    Walk(walk::Options),
     /// Run the battery of hard cases by every method, write tables and pictures to target/hard-cases/
     HardCases {
         /// A sample of every case
@@ -95,6 +98,7 @@ fn command(command: Command) -> Result<()> {
         Command::Test { platforms: true, .. } => test::platforms(),
         Command::Test { fmi_sim: true, .. } => test::fmi_sim(),
         Command::Test { full, .. } => test::test(full),
+        Command::Walk(options) => walk::walk(&options),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
         Command::Report(options) => report::report(&options),
         Command::Peers { only } => peers::peers(&only),

@@ -9,15 +9,16 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// What `--full` adds, for the last line of the short form.
-const LEFT_OUT: &str =
-    "the page in a real browser, masters other than FMPy, memory errors and leaks, and instructions per step, with valgrind";
+const LEFT_OUT: &str = "the page in a real browser, masters other than FMPy, a forced panic, a foreign locale, and with valgrind memory errors, leaks, races \
+     and instructions per step";
 
 /// Programs that `--full` needs, and the Debian package of each.
-const FULL_NEEDS: [(&str, &str); 4] = [
+const FULL_NEEDS: [(&str, &str); 5] = [
     ("chromium", "chromium"),
     ("chromedriver", "chromium-driver"),
     ("/usr/lib/x86_64-linux-gnu/libtbb.so.12", "libtbb12"),
     ("valgrind", "valgrind"),
+    ("/usr/share/i18n/locales/de_DE", "locales"),
 ];
 
 /// The master fmi-sim: its version, and what its build needs.
@@ -48,7 +49,8 @@ pub(crate) fn test(full: bool) -> Result<()> {
         steps.run("instructions", bench::check)?;
     }
     let fmu = steps.run("package", || package::package(Scope::Here))?;
-    steps.run("Python tests", || pytest(&fmu, if full { Tests::Full } else { Tests::Usual }))?;
+    let tests = if full { Tests::Full { panicking: steps.run("panicking build", panicking)? } } else { Tests::Usual };
+    steps.run("Python tests", || pytest(&fmu, &tests))?;
     steps.summary();
     if !full {
         println!("left out, `cargo xtask test --full` has it: {LEFT_OUT}");
@@ -62,7 +64,7 @@ pub(crate) fn platforms() -> Result<()> {
     let mut steps = Steps::default();
     steps.run("package", || package::package(Scope::Here))?;
     let fmu = steps.run("package, all platforms", || package::package(Scope::All))?;
-    steps.run("Python tests", || pytest(&fmu, Tests::Platforms))?;
+    steps.run("Python tests", || pytest(&fmu, &Tests::Platforms))?;
     steps.summary();
     Ok(())
 }
@@ -77,7 +79,7 @@ pub(crate) fn fmi_sim() -> Result<()> {
         process::run(process::cargo().args(install).arg(paths::fmi_sim()))
     })?;
     let fmu = steps.run("package", || package::package(Scope::Here))?;
-    steps.run("Python tests", || pytest(&fmu, Tests::FmiSim))?;
+    steps.run("Python tests", || pytest(&fmu, &Tests::FmiSim))?;
     steps.summary();
     Ok(())
 }
@@ -148,13 +150,27 @@ fn test_executable(target: &str) -> Result<PathBuf> {
     bail!("cargo built no program for tests/{target}")
 }
 
+/// Builds the library so that fmi2CancelStep panics, and gives back its file. The dependencies are those of the Rust tests.
+fn panicking() -> Result<PathBuf> {
+    let build = ["rustc", "--locked", "--lib", "--crate-type", "cdylib", "--message-format=json-render-diagnostics"];
+    let messages = process::run_for_output(process::cargo().args(build).args(["--", "--cfg", "forced_panic"]))?;
+    for message in Message::parse_stream(messages.as_bytes()) {
+        if let Message::CompilerArtifact(artifact) = message?
+            && let Some(library) = artifact.filenames.iter().find(|file| file.extension() == Some(std::env::consts::DLL_EXTENSION))
+            && artifact.target.name == "fivebar"
+        {
+            return Ok(library.into());
+        }
+    }
+    bail!("cargo built no library that panics")
+}
+
 /// Which of the Python tests.
-#[derive(Clone, Copy)]
 enum Tests {
     /// Those that need Python packages only.
     Usual,
-    /// And those that need a browser.
-    Full,
+    /// And those that need a browser, valgrind or a locale, and a library whose fmi2CancelStep panics.
+    Full { panicking: PathBuf },
     /// The usual ones, on a unit for all platforms, and those that compare its libraries.
     Platforms,
     /// That of fmi-sim alone.
@@ -163,10 +179,10 @@ enum Tests {
 
 /// Runs the Python tests on the packed unit, last of all: the line it ends with is the one that CI reads. pytest.ini
 /// leaves those out that need more than Python packages, unless asked for.
-fn pytest(fmu: &Path, tests: Tests) -> Result<()> {
+fn pytest(fmu: &Path, tests: &Tests) -> Result<()> {
     let (packages, marks) = match tests {
         Tests::Usual => (Packages::Usual, None),
-        Tests::Full => (Packages::Full, Some("not platforms and not fmi_sim")),
+        Tests::Full { .. } => (Packages::Full, Some("not platforms and not fmi_sim")),
         Tests::Platforms => (Packages::Platforms, Some("not full and not fmi_sim")),
         Tests::FmiSim => (Packages::Usual, Some("fmi_sim")),
     };
@@ -178,6 +194,9 @@ fn pytest(fmu: &Path, tests: Tests) -> Result<()> {
         .env("FIVEBAR_FMU", fmu)
         .env("FIVEBAR_FMU_HERE", paths::fmu())
         .env("FMI_SIM", paths::fmi_sim().join("bin/fmi-sim"));
+    if let Tests::Full { panicking } = tests {
+        command.env("FIVEBAR_PANICKING", panicking);
+    }
     if let Some(marks) = marks {
         command.args(["-m", marks]);
     }

@@ -1,0 +1,182 @@
+/* `walk LIBRARY GUID VARIABLES CALLS SEED LARGEST`: a random walk over legal and illegal calls, with right and wrong arguments, over several
+ * instances and stored states. The standard's table says for each call what may come of it; whatever is not carried out must leave the
+ * instance as it was, byte for byte, with one sentence in the log. At the end every call must have been tried in every state.
+ *
+ * LARGEST bounds values that are far from sensible, as a power of ten. */
+#include "walk.h"
+
+#include <inttypes.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+Stored stored[STORED];
+Bytes fresh;
+const char *guid;
+double largest;
+static Slave slaves[SLAVES];
+
+/* How often each call was tried and carried out, by state. */
+static struct {
+    unsigned long tried, done;
+} seen[CALLS][STATES];
+static unsigned long calls, discarded, reset_after_refusal;
+
+bool legal(const Slave *s, Call call) { return rules[call].allowed[s->life.state] != '-'; }
+
+bool same(const Bytes *one, const Bytes *other) {
+    return one->size == other->size && memcmp(one->bytes, other->bytes, one->size) == 0;
+}
+
+void serialize(Slave *s, Bytes *bytes) {
+    fmi2FMUstate state = NULL;
+    REQUIRE(fmi2.GetFMUstate(s->component, &state) == fmi2OK, "fmi2GetFMUstate: %s", s->log.text);
+    REQUIRE(fmi2.SerializedFMUstateSize(s->component, state, &bytes->size) == fmi2OK, "fmi2SerializedFMUstateSize: %s", s->log.text);
+    REQUIRE(bytes->size <= MOST_BYTES, "a state of %zu bytes", bytes->size);
+    REQUIRE(fmi2.SerializeFMUstate(s->component, state, bytes->bytes, bytes->size) == fmi2OK, "fmi2SerializeFMUstate: %s", s->log.text);
+    REQUIRE(fmi2.FreeFMUstate(s->component, &state) == fmi2OK && !state, "fmi2FreeFMUstate: %s", s->log.text);
+}
+
+void begin(Slave *s) {
+    s->log.lines = 0;
+    s->log.text[0] = '\0';
+}
+
+/* The sentence that must come with a status: begins with the function, ends with a full stop, has no line break. */
+static void judge_sentence(const Slave *s, Call call, fmi2Status status, bool allowed) {
+    static const char *const categories[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
+    const char *text = s->log.text, *name = rules[call].name;
+    const size_t length = strlen(text);
+    if (!(s->wanted & 1u << status)) return;
+    REQUIRE(s->log.lines == 1, "%s: status %d with %d lines: %s", name, status, s->log.lines, text);
+    REQUIRE(s->log.status == status, "%s: status %d, that of the line is %d: %s", name, status, s->log.status, text);
+    REQUIRE(strcmp(s->log.category, categories[status]) == 0, "%s: category %s: %s", name, s->log.category, text);
+    REQUIRE(strncmp(text, name, strlen(name)) == 0 && text[strlen(name)] == ':', "%s: begins with another name: %s", name, text);
+    REQUIRE(length > 0 && text[length - 1] == '.' && !strpbrk(text, "\n\r\t"), "%s: no sentence: %s", name, text);
+    if (!allowed && call != CANCEL_STEP) {
+        char expected[64];
+        snprintf(expected, sizeof expected, "the state is \"%s\"", state_names[s->life.state]);
+        REQUIRE(strstr(text, expected), "%s: expected %s: %s", name, expected, text);
+    }
+}
+
+/* Calls that must leave the instance as it is even where they are carried out. */
+static bool only_looks(Call call) {
+    switch (call) {
+    case SET_DEBUG_LOGGING:
+    case GET_REAL:
+    case GET_INTEGER:
+    case GET_BOOLEAN:
+    case GET_STRING:
+    case SET_STRING:
+    case GET_STATE:
+    case FREE_STATE:
+    case SERIALIZED_SIZE:
+    case SERIALIZE:
+    case DESERIALIZE:
+    case GET_DIRECTIONAL_DERIVATIVE:
+    case GET_OUTPUT_DERIVATIVES:
+    case GET_STATUS:
+    case GET_REAL_STATUS:
+    case GET_INTEGER_STATUS:
+    case GET_BOOLEAN_STATUS:
+    case GET_STRING_STATUS:
+        return true;
+    default:
+        return false;
+    }
+}
+
+bool judge(Slave *s, Call call, fmi2Status status, int possible) {
+    static Bytes after;
+    const bool allowed = legal(s, call), done = status == fmi2OK;
+    const char *name = rules[call].name, *state = state_names[s->life.state];
+    if (!allowed) possible = REFUSED;
+    REQUIRE((unsigned)status <= fmi2Error && (possible & 1 << status), "call %lu, %s in %s: status %d, possible were %#x: %s", calls, name,
+            state, status, (unsigned)possible, s->log.text);
+    if (!done) judge_sentence(s, call, status, allowed);
+    REQUIRE(!done || s->log.lines == 0 || s->log.status < fmi2Discard, "%s: fmi2OK, but: %s", name, s->log.text);
+    calls++;
+    seen[call][s->life.state].tried++;
+    seen[call][s->life.state].done += done;
+    serialize(s, &after);
+    /* A discarded step leads to another state of life; do_step() judges the rest. */
+    if (call == DO_STEP && status == fmi2Discard)
+        discarded++;
+    else if (!done || only_looks(call))
+        REQUIRE(same(&s->now, &after), "call %lu, %s in %s: status %d, and the instance has changed: %s", calls, name, state, status,
+                s->log.text);
+    s->now = after;
+    if (!done && one_in(16)) {
+        reset_after_refusal++;
+        make(s, RESET);
+    }
+    return done;
+}
+
+/* The call that leads on from the present state, most of the time. */
+static Call onwards(Slave *s) {
+    switch (s->life.state) {
+    case INSTANTIATED:
+        return one_in(3) ? (one_in(2) ? SET_REAL : SET_BOOLEAN) : s->life.experiment ? ENTER_INITIALIZATION : SETUP_EXPERIMENT;
+    case INITIALIZATION:
+        if (one_in(8)) despair(s);
+        return one_in(2) ? EXIT_INITIALIZATION : one_in(2) ? SET_REAL : SET_INTEGER;
+    case COMPLETE:
+    case FAILED:
+        return one_in(3) ? SET_REAL : DO_STEP;
+    default:
+        return one_in(4) ? RESET : (Call)below(CALLS);
+    }
+}
+
+static void visit(Slave *s) {
+    if (!s->component)
+        appear(s);
+    else if (one_in(400))
+        disappear(s);
+    else
+        make(s, one_in(2) ? onwards(s) : (Call)below(CALLS));
+}
+
+/* Every call in every state; carried out at least once wherever it is allowed. */
+static void judge_coverage(void) {
+    for (Call call = 0; call < CALLS; call++)
+        for (State state = 0; state < STATES; state++) {
+            const bool answered = call >= GET_STATUS && call != GET_REAL_STATUS && call != GET_BOOLEAN_STATUS;
+            REQUIRE(seen[call][state].tried > 0, "%s was never tried in %s", rules[call].name, state_names[state]);
+            /* Three status functions have nothing to tell, ever. */
+            REQUIRE(rules[call].allowed[state] == '-' || answered || seen[call][state].done > 0, "%s was never done in %s",
+                    rules[call].name, state_names[state]);
+        }
+}
+
+int main(int count, char **arguments) {
+    REQUIRE(count == 7, "usage: walk LIBRARY GUID VARIABLES CALLS SEED LARGEST");
+    guid = arguments[2];
+    read_variables(arguments[3]);
+    const unsigned long wanted = strtoul(arguments[4], NULL, 10);
+    seed = strtoull(arguments[5], NULL, 10);
+    largest = strtod(arguments[6], NULL);
+    void *library = load(arguments[1]);
+    REQUIRE(library, "the library cannot be loaded: %s", arguments[1]);
+
+    Slave *first = &slaves[0];
+    while (!first->component) appear(first);
+    fresh = first->now;
+    while (calls < wanted) visit(&slaves[below(SLAVES)]);
+
+    /* Whoever is left frees the stored states. */
+    while (!first->component) appear(first);
+    for (size_t i = 0; i < STORED; i++) REQUIRE(fmi2.FreeFMUstate(first->component, &stored[i].state) == fmi2OK, "freeing");
+    for (size_t i = 0; i < SLAVES; i++) disappear(&slaves[i]);
+    unload(library);
+
+    unsigned long done = 0;
+    for (Call call = 0; call < CALLS; call++)
+        for (State state = 0; state < STATES; state++) done += seen[call][state].done;
+    if (calls >= 50000) judge_coverage();
+    printf("%lu calls, seed %s: %lu carried out, %lu steps discarded, the rest refused; %lu resets after a refusal\n", calls,
+           arguments[5], done, discarded, reset_after_refusal);
+    return 0;
+}

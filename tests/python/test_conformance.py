@@ -1,0 +1,126 @@
+"""The programs of tests/conformance/ on the library inside the .fmu: masters in C, compiled against the standard's own headers."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import fmpy
+import pytest
+from fmpy.model_description import ModelDescription, ScalarVariable
+
+from conftest import REPOSITORY
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the programs look at /proc and use dlopen")
+
+SOURCES = REPOSITORY / "tests" / "conformance"
+HEADERS = Path(fmpy.__file__).parent / "c-code"
+SHARED = ("master.c", "scenes.c")
+WALK = ("walk_life.c", "walk_values.c", "walk_states.c")
+
+MEMCHECK = ("valgrind", "--quiet", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=definite,indirect,possible")
+HELGRIND = ("valgrind", "--quiet", "--error-exitcode=9", "--tool=helgrind")
+
+# Runs a program with arguments behind library, GUID and table: the line that it prints.
+Run = Callable[..., str]
+
+
+def row(variable: ScalarVariable) -> str:
+    """A variable as master.c reads it: reference, type, role, min, max, start, name; reals in hexadecimal."""
+    kind = {"Real": "R", "Boolean": "B"}.get(variable.type, "I")
+    role = {"input": "i", "parameter": "t" if variable.variability == "tunable" else "f"}.get(variable.causality, "o")
+    if variable.type == "Enumeration":
+        items = [float(item.value) for item in variable.declaredType.items]
+        low, high = min(items), max(items)
+    else:
+        widest = 2.0**31 - 1 if variable.type == "Integer" else float("inf")
+        low, high = float(variable.min or -widest), float(variable.max or widest)
+    start = {"true": 1.0, "false": 0.0, None: float("nan")}.get(variable.start)
+    start = float(variable.start) if start is None else start
+    return f"{variable.valueReference} {kind} {role} {low.hex()} {high.hex()} {start.hex()} {variable.name}"
+
+
+@pytest.fixture(scope="session")
+def run(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Compiles a program when it is first asked for, and runs it in an empty folder, which must stay empty."""
+    folder = tmp_path_factory.mktemp("conformance")
+    table = folder / "variables.txt"
+    # A derivative shares its reference with an output.
+    rows = {v.valueReference: row(v) for v in reversed(model.modelVariables)}
+    table.write_text("".join(f"{text}\n" for text in rows.values()))
+    shipped = Path(directory) / "binaries" / "linux64" / f"{model.coSimulation.modelIdentifier}.so"
+
+    def carry_out(name: str, *arguments: object, under: tuple[str, ...] = (), library: Path = shipped, **environment: str) -> str:
+        program = folder / name
+        if not program.exists():
+            sources = [str(SOURCES / source) for source in (f"{name}.c", *SHARED, *(WALK if name == "walk" else ()))]
+            options = ["-std=c11", "-D_GNU_SOURCE", "-O1", "-g", "-Wall", "-Wextra", "-Werror", "-isystem", str(HEADERS)]
+            subprocess.run(["cc", *options, *sources, "-o", str(program), "-ldl", "-lm", "-pthread"], check=True)
+        here = tmp_path_factory.mktemp(name)
+        command = [*under, str(program), str(library), model.guid, str(table), *map(str, arguments)]
+        done = subprocess.run(command, cwd=here, env=os.environ | environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{name}: exit code {done.returncode}: {done.stderr[-4000:]}"
+        assert library != shipped or done.stderr == "", "something was written to standard error"
+        assert list(here.iterdir()) == [], "something was written to the working directory"
+        lines = done.stdout.splitlines()
+        assert len(lines) == 1, lines
+        print(lines[0])
+        return lines[0]
+
+    return carry_out
+
+
+# Calls, seed and magnitude of values, as a power of ten; one walk of one's own where `cargo xtask walk` says so.
+OWN_WALK = os.environ.get("FIVEBAR_WALK")
+WALKS = [tuple(OWN_WALK.split())] if OWN_WALK else [(100_000, 1, 12), (100_000, 5, 12), (100_000, 6, 308)]
+
+
+@pytest.mark.parametrize(("calls", "seed", "largest"), WALKS)
+def test_random_walk(run: Run, calls: object, seed: object, largest: object) -> None:
+    assert "steps discarded" in run("walk", calls, seed, largest)
+
+
+@pytest.mark.full
+def test_random_walk_under_valgrind(run: Run) -> None:
+    # Values up to 1e2: what needs many sub-steps takes fifty times as long here.
+    assert "steps discarded" in run("walk", 100_000, 4, 2, under=MEMCHECK)
+
+
+def test_load_run_free_without_growth(run: Run) -> None:
+    # Without the caches of its threads the C library counts what is in use to the byte.
+    assert "1500 cycles" in run("cycles", 1500, GLIBC_TUNABLES="glibc.malloc.tcache_count=0")
+
+
+def test_threads_have_the_same_bits(run: Run) -> None:
+    assert "the same bits" in run("threads", 4, 200)
+
+
+@pytest.mark.full
+def test_threads_under_helgrind(run: Run) -> None:
+    assert "the same bits" in run("threads", 2, 4, under=HELGRIND)
+
+
+def test_no_allocation_in_a_run(run: Run) -> None:
+    assert "no allocation" in run("allocation", 200)
+
+
+def test_bytes_go_on_in_another_process(run: Run, tmp_path: Path) -> None:
+    file = tmp_path / "states"
+    run("bytes", "write", file)
+    assert "the same bits" in run("bytes", "read", file)
+
+
+@pytest.mark.full
+def test_surroundings_stay(run: Run, tmp_path: Path) -> None:
+    locale = "de_DE.UTF-8"
+    subprocess.run(["localedef", "-i", "de_DE", "-f", "UTF-8", str(tmp_path / locale)], check=True)
+    line = run("surroundings", locale, LOCPATH=str(tmp_path))
+    # Round-off of 25 steps, magnified by the passes of a fall; a function that fails under another rounding would show at once.
+    assert float(line.split()[-2]) < 1e-8
+
+
+@pytest.mark.full
+def test_a_forced_panic_is_fatal(run: Run) -> None:
+    library = Path(os.environ["FIVEBAR_PANICKING"])
+    assert "a panic is fmi2Fatal" in run("panic", library=library)
