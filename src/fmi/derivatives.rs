@@ -12,7 +12,7 @@ use super::values::{check_computed, check_settable, lookup};
 use super::{Instance, Rejection, bindings};
 use crate::observers::{self, Motion, OutputChanges};
 use crate::simulation::{Direction, ORDERS, Signal};
-use crate::variables::{Access, RealOutput, Slot, Value, Variable};
+use crate::variables::{Access, RealOutput, Slot, VARIABLES, Value, Variable};
 
 impl Instance {
     /// fmi2SetRealInputDerivatives: (reference, order, value), all or none.
@@ -72,7 +72,7 @@ impl Instance {
 
     /// fmi2GetDirectionalDerivative: how unknowns (outputs and derivatives of the continuous states, which share references with outputs)
     /// change with knowns (inputs and continuous states: reference, change) at the present communication point. Hands each change with its
-    /// position to `take`; nothing is handed over unless every reference is right.
+    /// position to `take`; nothing is handed over unless every reference is right and every value finite.
     ///
     /// What is only counted, judged or followed along the path (enumerations, counters, work, `solver.*`) does not change.
     pub fn directional_derivative(
@@ -110,6 +110,26 @@ impl Instance {
         }
         Ok(())
     }
+}
+
+/// Refuses inputs whose derivatives lead to values that are not finite within `size` seconds.
+pub(super) fn check_reach(signal: &Signal, size: f64) -> Result<(), Rejection> {
+    if signal.is_held() {
+        return Ok(());
+    }
+    let mut reached = signal.at(size);
+    for variable in VARIABLES {
+        let Slot::RealInput(input) = variable.slot else { continue };
+        let value = *bindings::real_input(&mut reached, input);
+        if !value.is_finite() {
+            return Err(Rejection::error(format!(
+                "{} would become {value} {} within {size:?} s by its derivatives, must stay finite.",
+                variable.name,
+                variable.unit.unwrap_or_default()
+            )));
+        }
+    }
+    Ok(())
 }
 
 fn find(reference: u32) -> Result<&'static Variable, Rejection> {

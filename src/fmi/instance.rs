@@ -4,6 +4,7 @@
 //! and turns a [`Rejection`] into a log line and a status.
 
 use super::clock::Clock;
+use super::derivatives::check_reach;
 use super::messages::{Log, Status};
 use super::outputs::{Cache, Outputs};
 use super::values::{check_computed, check_settable, check_value, lookup};
@@ -244,6 +245,7 @@ impl Instance {
             unreachable!("initialisation has made both");
         };
         let plan = clock.plan(point, size, self.parameters.settings.step_size)?;
+        check_reach(&self.signal, size)?;
         // What a discarded step goes back to: the parameters that act at the communication point as well.
         let untuned = self.tuned.then(|| simulation.clone());
         if self.tuned {

@@ -16,6 +16,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::clock::Clock;
+use super::derivatives::check_reach;
 use super::values::{check_value, lookup};
 use super::{Rejection, Stage, bindings};
 use crate::simulation::{self, Inputs, ORDERS, Parameters, Signal, Simulation, Solve};
@@ -23,7 +24,7 @@ use crate::variables::{GUID, Value};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Must change with every change of what is stored.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
 const CHECKSUM: usize = size_of::<u32>();
 
@@ -95,6 +96,7 @@ impl Snapshot {
             Content::try_from_slice(content(bytes)?).map_err(|error| wrong(&format!("their content is not a state: {error}")))?;
         let (parameters, value) = restored(&content.values)?;
         let signal = Signal::new(value, content.input_derivatives);
+        check_reach(&signal, 1.0)?;
         let simulation = match content.simulation {
             Some(Made { values, solve, state }) => Some(Simulation::restored(&restored(&values)?.0, solve, state)?),
             None => None,

@@ -102,9 +102,14 @@ impl Simulation {
         Ok(simulation)
     }
 
-    /// The same from a state of a simulation with these parameters and that linear solve.
+    /// The same from a state of a simulation with these parameters and that linear solve; refused if it is of another method.
     pub fn restored(parameters: &Parameters, solve: Solve, state: State) -> Result<Self, Refusal> {
-        Ok(Self { model: Model { solve, ..Model::new(parameters)? }, parameters: parameters.clone(), state })
+        let model = Model { solve, ..Model::new(parameters)? };
+        if matches!(model.stepper, Stepper::Dop853(_)) != state.running.is_some() {
+            let method = parameters.settings.method;
+            return Err(Refusal(format!("the state belongs to another solver.method than {method:?}, which is set in it.")));
+        }
+        Ok(Self { model, parameters: parameters.clone(), state })
     }
 
     fn started(parameters: &Parameters, model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {

@@ -510,3 +510,18 @@ fn pending_derivatives_are_state() {
     assert_eq!(host.do_step(0.0, 1e-9), fmi2OK, "{:?}", host.take());
     assert_eq!(real(&host, "tau[1]"), 1e-3 * 1e-9);
 }
+
+/// A derivative that leads out of the range of double precision within the step is refused by name, and a shorter step is not.
+#[test]
+fn a_ramp_stays_finite() {
+    let host = Host::ready(&[]);
+    assert_eq!(host.set_input_derivatives(&[(reference("servo.theta[1]"), 1, 1e308)]), fmi2OK);
+    assert_eq!(host.do_step(0.0, 2.0), fmi2Error);
+    let refusal = format!("{:?}", host.take());
+    assert!(
+        refusal.contains("servo.theta[1] would become inf rad within 2.0 s by its derivatives, must stay finite."),
+        "{refusal}"
+    );
+    assert_eq!(real(&host, "servo.theta[1]"), 0.0);
+    assert_eq!(host.do_step(0.0, 1.0), fmi2OK, "{:?}", host.take());
+}

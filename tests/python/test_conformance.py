@@ -49,7 +49,7 @@ def run(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPa
     # A derivative shares its reference with an output.
     rows = {v.valueReference: row(v) for v in reversed(model.modelVariables)}
     table.write_text("".join(f"{text}\n" for text in rows.values()))
-    shipped = Path(directory) / "binaries" / "linux64" / f"{model.coSimulation.modelIdentifier}.so"
+    shipped = Path(directory) / "binaries" / fmpy.platform / f"{model.coSimulation.modelIdentifier}.so"
 
     def carry_out(name: str, *arguments: object, under: tuple[str, ...] = (), library: Path = shipped, **environment: str) -> str:
         program = folder / name

@@ -20,8 +20,7 @@ pub(super) fn cases() -> Result<Vec<Case>> {
     let motors = references(&["tau[1]", "tau[2]"])?;
     let torque = motors[..1].to_vec();
     let measured = references(&["init.theta[1]", "init.theta[2]", "init.omega[1]", "init.omega[2]"])?;
-    let mut values = [0.0; 4];
-    let changes = values;
+    let (mut changes, mut rates) = ([0.0; 4], [0.0; 4]);
     Ok(vec![
         calls("fmi2GetFMUstate, new, and fmi2FreeFMUstate", |host| {
             let mut stored = Stored::NONE;
@@ -33,10 +32,9 @@ pub(super) fn cases() -> Result<Vec<Case>> {
         with_stored("fmi2SerializeFMUstate", |host, stored, bytes| host.serialise(stored, bytes)),
         with_stored("fmi2DeSerializeFMUstate", |host, stored, bytes| host.deserialise(bytes, stored)),
         calls("fmi2GetDirectionalDerivative, 4 accelerations by a torque", move |host| {
-            host.directional_derivative(&accelerations, black_box(&torque), &[1.0], &mut values);
+            host.directional_derivative(&accelerations, black_box(&torque), &[1.0], &mut changes);
         }),
         calls("fmi2GetRealOutputDerivatives of 4 outputs", move |host| {
-            let mut rates = changes;
             host.output_rates(black_box(&tip), &[1; 4], &mut rates);
         }),
         calls("fmi2SetRealInputDerivatives of 2 inputs", move |host| {
