@@ -48,8 +48,8 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2GetRealOutputDerivatives: hands each value with its position to `take`; nothing is handed over unless every reference and
-    /// order is right.
+    /// fmi2GetRealOutputDerivatives: hands each value with its position to `take`; nothing is handed over unless every reference
+    /// and order is right and every value finite.
     pub fn output_derivatives(
         &mut self,
         references: &[u32],

@@ -6,11 +6,11 @@
 //!        v        EnterInitializationMode                          v
 //!  Instantiated -------------------------> InitializationMode   Instantiated
 //!                                                | ExitInitializationMode
-//!                                                v                        Terminate
-//!                    DoStep: OK .----------> StepComplete --------------------------> Terminated
-//!                               '--------------- | ^                                     ^
-//!                                DoStep: Discard v | DoStep: OK, with another step size  |
-//!                                            StepFailed ---------------------------------'
+//!                                                v                Terminate
+//!                    DoStep: OK .----------> StepComplete ------------------> Terminated
+//!                               '--------------- | ^                             ^
+//!                                DoStep: Discard v | DoStep: OK, tried again     |
+//!                                            StepFailed -------------------------'
 //! ```
 //!
 //! The standard's states stepInProgress and stepCanceled do not exist here: a step is never pending. Its state error

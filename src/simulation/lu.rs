@@ -1,5 +1,6 @@
-//! Gauss's elimination for small matrices whose symmetric part is positive. They need no row exchanges (Golub and Van Loan, Matrix
-//! Computations, section 4.1.4), and without them every loop has a length that is known to the compiler.
+//! Gauss's elimination for small matrices whose symmetric part T is positive and outweighs the other part S. They need no row exchanges
+//! (Golub and Van Loan, Matrix Computations, third edition, section 4.2.2: growth is bounded by that of T and S T⁻¹ Sᵀ), and without them
+//! every loop has a length that is known to the compiler.
 
 /// A factorised matrix L U with N rows.
 #[derive(Clone, Debug)]
