@@ -29,6 +29,8 @@ struct Measured<'a> {
     /// `complete`, or why and when it ended early.
     ending: String,
     counters: Counters,
+    /// Whether stability limited the steps of an explicit method.
+    stiff: bool,
     /// Wall times, s, lap by lap: one entry per round.
     laps: Vec<Vec<f64>>,
 }
@@ -56,7 +58,7 @@ pub fn write(folder: &Folder, scenes: &[Scene], extent: Extent) -> Result<()> {
         .into_iter()
         .chain(HEAD)
         .chain(["error [m]", "us per simulated ms", "best us per simulated ms", "worst us per simulated ms"])
-        .chain(["sub-steps", "rejected", "iterations", "ending"])
+        .chain(["sub-steps", "rejected", "iterations", "stiff", "ending"])
         .collect();
     folder.write("precision", &head, measured.into_iter().map(Measured::cells))
 }
@@ -67,7 +69,7 @@ impl<'a> Measured<'a> {
         let mut laps = vec![Vec::new(); (scene.end / LAP).round() as usize];
         let (tips, ending) = time(scene, &mut run, &mut laps);
         let error = if tips.len() == scene.reference.points.len() { scene.reference.error(&tips) } else { f64::INFINITY };
-        let counters = run.simulation.state().core.counters;
+        let (counters, stiff) = (run.simulation.state().core.counters, run.simulation.is_stiff());
         eprintln!(
             "precision: {}: {}, {} {:e} {}: {error:.1e} m",
             scene.title(),
@@ -76,7 +78,7 @@ impl<'a> Measured<'a> {
             choice.value,
             choice.unit
         );
-        Ok(Self { scene, choice, error, ending, counters, laps })
+        Ok(Self { scene, choice, error, ending, counters, stiff, laps })
     }
 
     fn again(&mut self) -> Result<()> {
@@ -101,7 +103,7 @@ impl<'a> Measured<'a> {
             .chain([format!("{:.3e}", self.error)])
             .chain([median, best, worst].map(per_ms))
             .chain([substeps, rejected, iterations].map(|count| count.to_string()))
-            .chain([self.ending])
+            .chain([if self.stiff { "yes" } else { "no" }.into(), self.ending])
             .collect()
     }
 }

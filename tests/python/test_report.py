@@ -33,7 +33,8 @@ def precision() -> list[list[object]]:
                 failed = method == "rk4" and v == STEPS[0]
                 e, us = (math.inf, math.nan) if failed else (error(v), cost(v))
                 ending = "ended early at 0.1 s: <never> converged" if failed else "complete"
-                rows.append([scene, kind, 1, method, knob, v, unit, e, us, 0.9 * us, 2 * us, 10, 0, 10, ending])
+                stiff = "yes" if kind == "stiff" and method == "dop853" else "no"
+                rows.append([scene, kind, 1, method, knob, v, unit, e, us, 0.9 * us, 2 * us, 10, 0, 10, stiff, ending])
     return rows
 
 
@@ -52,7 +53,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     data.mkdir()
     choice = ["method", "knob", "value", "unit"]
     us = [f"{prefix}us per simulated ms" for prefix in ("", "best ", "worst ")]
-    counts = ["sub-steps", "rejected", "iterations", "ending"]
+    counts = ["sub-steps", "rejected", "iterations", "stiff", "ending"]
     write(data, "precision", ["scene", "kind", "end [s]", *choice, "error [m]", *us, *counts], precision())
     write(data, "references", ["scene", "kind", "own error [m]", "source"], [[*scene, "by other means"] for scene in SCENES])
     fall = [row for row in precision() if row[0] == SCENES[1][0]]
@@ -88,7 +89,7 @@ def page(measured: Path) -> Path:
 
 def marker(method: str, error: float, cost: float, ending: str = "complete", step: float | None = None) -> Marker:
     """A marker of which only these things matter; what costs more has the smaller step, unless one is given."""
-    return Marker("fall", "whipping", method, "step", step or 1e-3 / cost, "s", error, cost, 1.0, 1, ending)
+    return Marker("fall", "whipping", method, "step", step or 1e-3 / cost, "s", error, cost, 1.0, 1, False, ending)
 
 
 def test_the_cheapest_that_is_good_enough() -> None:
@@ -127,7 +128,7 @@ def test_real_time_factor(us: float, text: str) -> None:
 
 def test_slope_is_the_order() -> None:
     line = [
-        Marker("fall", "whipping", "rk4", "step", h, "s", 2e5 * h**4 + 1e-13, 1.0, 1.0, 1, "complete") for h in (1e-2, 1e-3, 5e-4, 1e-4)
+        Marker("fall", "whipping", "rk4", "step", h, "s", 2e5 * h**4 + 1e-13, 1.0, 1.0, 1, False, "complete") for h in (1e-2, 1e-3, 5e-4, 1e-4)
     ]
     # Round-off in the last is 1e-13 of 2e-11, which changes the slope by less than 1e-2 over two decades of steps.
     assert figures.fitted_slope(line, 1e-15) == pytest.approx(4, abs=0.01)

@@ -1,11 +1,14 @@
 //! The bare step of every method: macro steps of 1 ms along 1 s of the fall, in one call.
 
 use anyhow::{Context, Result};
-use fivebar::variables::{Value, Variable};
+use fivebar::variables::{Method, Value, Variable};
 
 use super::{STEPS, bare};
 use crate::case::Case;
 use crate::scene::Scene;
+
+/// Tolerances at which the error of the fall after 1 s is below 1e-5, 2e-9 and 1e-12 m (test `the_goals_of_accuracy_are_met`), rad.
+const TOLERANCES: [f64; 3] = [1e-6, 1e-9, 1e-14];
 
 /// One case per item of `solver.method`, and the default with its sub-steps.
 pub(super) fn cases() -> Result<Vec<Case>> {
@@ -14,6 +17,11 @@ pub(super) fn cases() -> Result<Vec<Case>> {
     for method in methods {
         let scene = Scene::fall().with("solver.method", Value::Integer(method.value))?;
         cases.push(bare("steps", method.name, scene, STEPS));
+    }
+    for tolerance in TOLERANCES {
+        let scene = Scene::fall().with("solver.method", Value::Integer(Method::Dop853 as i32))?;
+        let scene = scene.with("solver.errorTolerance", Value::Real(tolerance))?;
+        cases.push(bare("steps", format!("dop853, {tolerance:e} rad"), scene, STEPS));
     }
     let adaptive = Scene::fall().with("solver.adaptive", Value::Boolean(true))?;
     cases.push(bare("steps", "i3alp, sub-steps of 3e-9 rad", adaptive, STEPS));

@@ -57,6 +57,12 @@ def need(markers: list[Marker], references: list[Reference]) -> Section:
         section.parts.append(f"<h3>{reference.kind}: {html.escape(reference.scene)}</h3>")
         head = ["error below", "method", "setting", "its error", "µs per ms", "× real time", "next method, cost against the first"]
         section.parts.append(table(head, rows, (4, 5)))
+        stiff = sorted({m.method for m in markers if m.scene == reference.scene and m.stiff})
+        if stiff:
+            section.text(
+                f"The loads of this scene are too stiff for {' and '.join(stiff)}: its steps were limited by its stability and not by the "
+                "wanted error, whatever the tolerance. The unit's log says so in such a run."
+            )
     section.text('Data: <a href="data/precision.csv">precision.csv</a>.')
     return section
 

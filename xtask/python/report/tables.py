@@ -59,6 +59,8 @@ class Marker:
     spread: float
     """Worst over best of the repeats."""
     substeps: int
+    stiff: bool
+    """Whether stability limited the steps of an explicit method."""
     ending: str
 
     @property
@@ -91,6 +93,7 @@ def markers(table: Table) -> list[Marker]:
             float(row["us per simulated ms"]),
             float(row["worst us per simulated ms"]) / max(float(row["best us per simulated ms"]), 1e-9),
             int(row["sub-steps"]),
+            row["stiff"] == "yes",
             row["ending"],
         )
         for row in table.rows
