@@ -177,6 +177,7 @@ def test_what_failed_and_what_is_left_out_is_said(page: Path) -> None:
     for command in ("cargo xtask hard-cases", "cargo xtask peers", "cargo xtask bench", "cargo xtask run --scene paper_torque"):
         assert f"<code>{command}</code> measures it" in text
     assert "below the reference's own error" in text
+    assert text.count("The loads of this scene are too stiff for dop853") == 1
 
 
 @pytest.mark.parametrize("content", ["", "old\n"])
