@@ -306,8 +306,11 @@ fn divided<const N: usize, const M: usize>(
             Verdict::Free => free,
             Verdict::Near(care) => care,
             Verdict::Carry(ray) => {
-                let Settings { softness, max_iterations, tolerance, .. } = *settings;
-                let projection = Projection { softness, tolerance: tolerance * system.size(), max_iterations };
+                let Settings { softness, max_iterations, .. } = *settings;
+                // To round-off: a violation over the small singular value there is an error of angles, which the next sub-step would
+                // see however short it is.
+                let projection =
+                    Projection { softness, tolerance: constraint_tolerance(settings, system.size(), 0.0), max_iterations };
                 if vertex::carry(&system.rare(), &ray, state, &projection, power)? {
                     if ray.duration() >= rest {
                         return Ok(());
