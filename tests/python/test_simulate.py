@@ -34,7 +34,7 @@ def test_the_default_experiment_is_interesting(fmu: Path) -> None:
     assert result["time"][0] == 0 and result["time"][-1] == pytest.approx(50)
     assert np.ptp(result["tip.y"]) > 0.5, "a fall from 0.21 m above the motors to 0.4 m below them"
     assert result["singular.passes.direct"][-1] > 100 and result["singular.passes.inverse[1]"][-1] > 100
-    # 2.12e-4 mgL, the README's line, is 7.4e-6 J.
+    # 1.69e-4 mgL, the README's line, is 5.9e-6 J.
     assert np.max(np.abs(result["energy.error"])) < 1e-5
 
 
