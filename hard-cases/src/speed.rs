@@ -10,7 +10,7 @@ use crate::setting::Setting;
 /// How many falls.
 const FALLS: usize = 200;
 /// Communication steps, s: a whole fall in one call, then shorter ones.
-pub const STEPS: [f64; 3] = [f64::INFINITY, 50e-3, 1e-3];
+const STEPS: [f64; 3] = [f64::INFINITY, 50e-3, 1e-3];
 
 /// The falls in communication steps of one length.
 #[derive(Clone, Debug)]
@@ -48,7 +48,7 @@ pub fn falls(extent: Extent, step: f64) -> Case {
     case
 }
 
-/// Times the falls one after the other, each in all [`STEPS`] in turn, so that what disturbs the machine disturbs all of them alike;
+/// Times the falls one after the other, each in all communication steps in turn, so that what disturbs the machine disturbs all of them alike;
 /// then judges them. Says what went wrong where a fall does not come to its end.
 pub fn rows(extent: Extent) -> Result<Vec<Row>, String> {
     let cases = STEPS.map(|step| falls(extent, step));
