@@ -1,4 +1,5 @@
-//! `cargo xtask bench`: times and instructions, and the falls of the battery; tables under `target/bench/`. With `--check` the instructions that CI checks.
+//! `cargo xtask bench`: times and instructions, and the falls of the battery; tables under `target/bench/`. With `--check` the
+//! instructions that CI checks.
 
 use crate::{hard_cases, paths, process};
 use anyhow::Result;
