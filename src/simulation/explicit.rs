@@ -64,11 +64,15 @@ fn forward(
     beyond: bool,
 ) -> Result<(), StepFailure> {
     let at = |step: u64| move |cause| StepFailure { elapsed: step as f64 * h, cause };
-    if state.inputs != *inputs {
+    let changed = state.inputs != *inputs;
+    if changed {
         stop(model, state).map_err(at(0))?;
         state.inputs = *inputs;
         resume(model, state, 0.0);
     }
+    // Inputs that change from call to call will change at the end of this one: a step past it would be in vain.
+    let beyond = beyond && !(changed && state.changed);
+    state.changed = changed;
     let State { running: Some(running), turns, .. } = state else { unreachable!("the method has a running step") };
     for step in 0..steps {
         let five_bar = FiveBar::<General>::new(model, inputs, turns);
@@ -83,17 +87,17 @@ fn forward(
 /// The present state in the twelve coordinates, with q̈ and λ from equilibrium: what the running step gives, worked out when somebody
 /// looks. Nothing that is looked at is built upon.
 pub(super) fn present(model: &Model, state: &State) -> State {
-    let mut present = *state;
-    let State { core, running: Some(running), turns, inputs, .. } = &mut present else { return present };
-    let Stepper::Dop853(settings) = &model.stepper else { return present };
-    let five_bar = FiveBar::<General>::new(model, inputs, turns);
-    let system = ByAngles::new(&five_bar);
-    let sample = running.sample(&system, settings);
-    running.record(&sample, core);
-    (core.q, core.v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
-    let mass = five_bar.factor_mass(&sample.pose, model.softness);
-    (core.a, core.lambda) = equilibrium_at(&five_bar, &core.q, &sample.pose, &core.v, &mass);
-    present
+    let mut core = state.core;
+    if let (Some(running), Stepper::Dop853(settings)) = (&state.running, &model.stepper) {
+        let five_bar = FiveBar::<General>::new(model, &state.inputs, &state.turns);
+        let system = ByAngles::new(&five_bar);
+        let sample = running.sample(&system, settings);
+        running.record(&sample, &mut core);
+        (core.q, core.v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
+        let mass = five_bar.factor_mass(&sample.pose, model.softness);
+        (core.a, core.lambda) = equilibrium_at(&five_bar, &core.q, &sample.pose, &core.v, &mass);
+    }
+    State { core, ..*state }
 }
 
 /// Moves whole turns of the angles into `turns`, where they are more than two: as [`State::unwind`] does with q.

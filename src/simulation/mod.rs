@@ -47,6 +47,8 @@ pub struct State {
     pub turns: [i64; 4],
     /// The inputs to which q̈ and λ belong.
     pub inputs: Inputs,
+    /// Of [`Method::Dop853`]: whether they have changed at the beginning of the last call.
+    pub changed: bool,
     /// Kinetic plus potential energy at the start, J.
     pub energy_at_start: f64,
 }
@@ -119,7 +121,7 @@ impl Simulation {
     fn started(parameters: &Parameters, model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
         let (inputs, turns) = (model.heard(inputs), [0; 4]);
         let core = integrator::State::start(&FiveBar::<General>::new(&model, &inputs, &turns), q, v, model.softness);
-        let mut state = State { core, running: None, turns, inputs, energy_at_start: 0.0 };
+        let mut state = State { core, running: None, turns, inputs, changed: false, energy_at_start: 0.0 };
         state.unwind();
         if let Stepper::Dop853(settings) = &model.stepper {
             state.running = Some(explicit::start(&model, settings, &state));

@@ -177,6 +177,19 @@ fn changing_inputs_are_met_exactly() {
     assert!(energies.input.abs() > 0.01 * MGL && energies.error.abs() < 1e-6 * MGL, "{energies:?}");
 }
 
+/// Inputs that change from call to call: after the first two no step is made in vain, and the motion is that of one that was thrown
+/// away and made again.
+#[test]
+fn inputs_that_change_at_every_point_waste_no_steps() {
+    let mut simulation = fall(1e-9);
+    for i in 0..200 {
+        let inputs = Inputs { tau: [1e-4 * f64::from(i), 0.0], ..default_inputs() };
+        simulation.advance(&inputs, 1e-3, 1).expect("a step");
+    }
+    let counters = simulation.state().core.counters;
+    assert!(counters.substeps >= 200 && counters.rejected < 20, "{counters:?}");
+}
+
 /// A ramp of inputs: steps end where the held value changes, and none is made in vain.
 #[test]
 fn ramps_waste_no_steps() {

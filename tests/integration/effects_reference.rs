@@ -153,6 +153,7 @@ fn dop853_bounces() {
 
 #[test]
 fn dop853_follows_inputs() {
-    is_met_by_dop853("pick_and_place", 0.5, 0.03);
+    // The worst is at rest between the moves, where steps are as long as the servos' decay lets them be.
+    is_met_by_dop853("pick_and_place", 0.03, 0.45);
     is_met_by_dop853("haptic", 20.0, 0.4);
 }

@@ -56,6 +56,9 @@ fn reading(name: impl Into<String>, references: Vec<u32>) -> Case {
 /// Tables `dostep`, `outputs` and `start-up`.
 pub(super) fn cases() -> Result<Vec<Case>> {
     let inputs: Vec<u32> = ["tau[1]", "tau[2]", "tip.fx", "tip.fy"].into_iter().map(reference).collect::<Result<_>>()?;
+    let by_dop853 = || fall_with("solver.method", Value::Integer(Method::Dop853 as i32));
+    let tip = [reference("tip.x")?, reference("tip.y")?];
+    let (tau, mut torque) = (reference("tau[1]")?, 1e-3);
     let mut cases = vec![
         bare("dostep", "bare step, 1000 in a call", Scene::fall(), STEPS),
         bare("dostep", "bare step, 1 in a call", Scene::fall(), 1),
@@ -64,12 +67,14 @@ pub(super) fn cases() -> Result<Vec<Case>> {
             host.write(black_box(&inputs), black_box(&[0.0; 4]));
         }),
         calls_along("dostep", "fmi2DoStep of 1 step, adaptive", || fall_with("solver.adaptive", Value::Boolean(true)), |_| ()),
-        calls_along(
-            "dostep",
-            "fmi2DoStep of 1 step, dop853",
-            || fall_with("solver.method", Value::Integer(Method::Dop853 as i32)),
-            |_| (),
-        ),
+        calls_along("dostep", "fmi2DoStep of 1 step, dop853", by_dop853, |_| ()),
+        calls_along("dostep", "fmi2DoStep of 1 step, dop853, the tip read", by_dop853, move |host| {
+            host.read(black_box(&tip), &mut [0.0; 2]);
+        }),
+        calls_along("dostep", "fmi2DoStep of 1 step, dop853, a torque changed", by_dop853, move |host| {
+            torque = -torque;
+            host.write(black_box(&[tau]), black_box(&[torque]));
+        }),
         calls("outputs", "none", |_| ()),
     ];
     let outputs = || VARIABLES.iter().filter(|variable| matches!(variable.slot, Slot::RealOutput(_)));
