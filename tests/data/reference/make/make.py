@@ -47,7 +47,7 @@ COLUMNS = "t,Qx,Qy,th1,th2,th3,th4,w1,w2,w3,w4"
 def main() -> int:
     parser = argparse.ArgumentParser(description="Makes reference trajectories.")
     parser.add_argument("scenes", nargs="*", default=list(SCENES), help="scenes of the table in this file; all of them")
-    mpmath.mp.dps = 40
+    mpmath.mp.dps = 80  # so that a signal at its last knot is the nearest double, too, and not round-off
     with tempfile.TemporaryDirectory() as folder:
         midpoint = Path(folder) / "midpoint"
         sources = [HERE / "midpoint.c", HERE / "machine.c"]
