@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from peers import ahead, native
+from peers import ahead, native, timing
 from report import sections, tables
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="peers are driven on Unix")
@@ -99,6 +99,18 @@ def test_a_program_that_sticks_is_ended(monkeypatch: pytest.MonkeyPatch) -> None
     advance = native.Program(sys.executable, "-c", "while True: pass").begin(np.zeros(8))
     with pytest.raises(RuntimeError, match="^takes longer than"):
         advance(1.0)
+
+
+@pytest.mark.parametrize(("seconds", "runs"), [(1e-3, timing.MOST), (0.03, 7), (0.1, timing.LEAST), (0.4, timing.LEAST), (0.6, 1)])
+def test_short_runs_are_repeated(seconds: float, runs: int) -> None:
+    times = [seconds]
+    while not timing.enough(times):
+        times.append(seconds)
+    assert len(times) == runs
+
+
+def test_the_median_counts() -> None:
+    assert timing.counted([0.1, 9.0, 0.2, 0.15, 0.01]) == 0.15
 
 
 def test_a_compiler_that_is_not_there_is_named() -> None:

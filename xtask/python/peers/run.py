@@ -21,6 +21,7 @@ import ahead
 import machine
 import native
 import own
+import timing
 
 # Module and function of each peer; one whose package, compiler or library is not installed is listed as left out.
 PEERS = {
@@ -34,8 +35,6 @@ PEERS = {
     "rapier2d": ("rapier", "peer"),
 }
 
-# A run is repeated as long as it and its repeats have taken fewer seconds, up to a number of times; the least time counts.
-REPEATED, REPEATS = 0.2, 20
 START = {"fall_90_120": (math.radians(90), 2.0943951023931953), "paper_free_fall": (math.radians(90), math.radians(90))}
 END = {"fall_90_120": 2, "paper_free_fall": 50}
 # What a peer that gives up may raise.
@@ -116,18 +115,16 @@ def reference(file: Path) -> dict[int, np.ndarray]:
 def measure(scene: str, peer: machine.Peer, setting: machine.Setting, tips: dict[int, np.ndarray]) -> Row:
     """A setting over a scene. Building the model and compiling, in a run of 1 ms before, are not in the time."""
     row = Row(scene, peer.name, peer.version, setting.text)
-    start, least, total = machine.closed(*START[scene]), math.inf, 0.0
+    start, times = machine.closed(*START[scene]), []
     try:
         setting.begin(start)(1e-3)
-        for _ in range(REPEATS):
+        while not times or not (row.note or timing.enough(times)):
             done, spent, row.note = once(row, setting, start, tips)
-            least, total = min(least, spent), total + spent
-            if row.note or total > REPEATED:
-                break
+            times.append(spent)
     except FAILURES as error:
         done, row.note = 0, f"ended at the start: {words(error)}"
     if done:
-        row.ms_per_simulated_second = 1e3 * least / done
+        row.ms_per_simulated_second = 1e3 * timing.counted(times) / done
     return row
 
 
