@@ -23,15 +23,40 @@ pub struct Inputs {
     pub servo_omega: [f64; 2],
 }
 
+/// Whether any is not 0; asked in every step, and so without a branch for each.
+#[inline(always)]
+fn any(values: [[f64; 2]; 2]) -> bool {
+    // Without the sign: −0 is 0.
+    values.as_flattened().iter().fold(0, |bits, value| bits | value.to_bits()) << 1 != 0
+}
+
+/// Whether all are the same; likewise.
+#[inline(always)]
+fn same(a: [[f64; 2]; 2], b: [[f64; 2]; 2]) -> bool {
+    a.as_flattened().iter().zip(b.as_flattened()).fold(true, |same, (a, b)| same & (a == b))
+}
+
 impl Inputs {
     /// Whether any load is there.
     pub fn load(&self) -> bool {
-        self.tau != [0.0; 2] || self.tip_force != [0.0; 2]
+        any([self.tau, self.tip_force])
+    }
+
+    /// Whether loads are the same.
+    #[inline(always)]
+    pub fn same_loads(&self, other: &Self) -> bool {
+        same([self.tau, self.tip_force], [other.tau, other.tip_force])
+    }
+
+    /// Whether servo references are the same.
+    #[inline(always)]
+    pub fn same_references(&self, other: &Self) -> bool {
+        same([self.servo_theta, self.servo_omega], [other.servo_theta, other.servo_omega])
     }
 
     /// Whether any servo reference is not 0.
     pub fn refers(&self) -> bool {
-        self.servo_theta != [0.0; 2] || self.servo_omega != [0.0; 2]
+        any([self.servo_theta, self.servo_omega])
     }
 
     /// The same with servo references 0: what a scene without servos hears of them.

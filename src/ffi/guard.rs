@@ -40,7 +40,14 @@ impl Component {
     }
 
     /// Sends what has gathered in the instance's log.
+    #[inline(always)]
     pub(super) fn send_all(&mut self) {
+        if !self.instance.log.is_empty() {
+            self.send_gathered();
+        }
+    }
+
+    fn send_gathered(&mut self) {
         for message in self.instance.log.drain() {
             Self::send(&self.name, &self.callbacks, &message);
         }

@@ -60,20 +60,10 @@ impl Clock {
 
     /// Checks a communication step of `size` seconds from `point` and divides it into macro steps of about `h` seconds.
     pub fn plan(&self, point: f64, size: f64, h: f64) -> Result<Plan, Rejection> {
-        if !point.is_finite() {
-            return Err(Rejection::error(format!("currentCommunicationPoint is {point} s, expected {:?} s.", self.point)));
-        }
-        if !(size.is_finite() && size > 0.0) {
-            return Err(Rejection::error(format!("communicationStepSize is {size:?} s, must be positive and finite.")));
-        }
-        if point != self.point && (point - self.point).abs() > tolerance(self.point, size) {
-            return Err(Rejection::error(format!("currentCommunicationPoint is {point:?} s, expected {:?} s.", self.point)));
-        }
         let end = point + size;
-        if !(end.is_finite() && end > point) {
-            return Err(Rejection::error(format!(
-                "communicationStepSize is {size:?} s, which does not advance the clock at {point:?} s."
-            )));
+        let expected = point == self.point || (point - self.point).abs() <= tolerance(self.point, size);
+        if !(expected && end > point && end < f64::INFINITY) {
+            return Err(self.refusal(point, size, expected));
         }
         if let Some(stop) = self.stop
             && end > stop + tolerance(stop, size)
@@ -82,7 +72,20 @@ impl Clock {
                 "currentCommunicationPoint + communicationStepSize is {end:?} s, which is past stopTime {stop:?} s."
             )));
         }
-        grid(point, size, h).map(|(h, steps)| Plan { h, steps, end })
+        let (h, steps) = if size == h { (h, 1) } else { grid(point, size, h)? };
+        Ok(Plan { h, steps, end })
+    }
+
+    /// What is wrong with a communication step, whose point is the `expected` one or not.
+    #[cold]
+    fn refusal(&self, point: f64, size: f64, expected: bool) -> Rejection {
+        Rejection::error(if !(size > 0.0 && size.is_finite()) {
+            format!("communicationStepSize is {size:?} s, must be positive and finite.")
+        } else if expected {
+            format!("communicationStepSize is {size:?} s, which does not advance the clock at {point:?} s.")
+        } else {
+            format!("currentCommunicationPoint is {point:?} s, expected {:?} s.", self.point)
+        })
     }
 
     /// The planned step has been taken.
@@ -99,9 +102,6 @@ fn tolerance(point: f64, size: f64) -> f64 {
 
 /// A communication step of `size` seconds from `point` as macro steps: their length and number.
 fn grid(point: f64, size: f64, h: f64) -> Result<(f64, u64), Rejection> {
-    if size == h {
-        return Ok((h, 1));
-    }
     let ratio = size / h;
     if ratio > MOST_STEPS {
         return Err(Rejection::error(format!("communicationStepSize is {size:?} s, more than 1e9 times solver.stepSize {h:?} s.")));

@@ -9,9 +9,9 @@ use super::messages::{Log, Status};
 use super::outputs::{Cache, Outputs};
 use super::values::{check_computed, check_settable, check_value, lookup};
 use super::{Rejection, Snapshot, Stage, bindings};
-use crate::integrator::{self, Counters};
+use crate::integrator::{self, MODES};
 use crate::mechanism::{COORDINATES, MULTIPLIERS};
-use crate::simulation::{Inputs, Parameters, Signal, Simulation};
+use crate::simulation::{Inputs, Parameters, Signal, Simulation, StepFailure};
 use crate::variables::{Access, Value, Variable};
 
 /// An instance of the FMU.
@@ -241,54 +241,47 @@ impl Instance {
 
     /// fmi2DoStep: from `point`, s, by `size`, s. Discarded if the integrator gives up, with everything as before.
     pub fn do_step(&mut self, point: f64, size: f64) -> Result<(), Rejection> {
-        let (Some(clock), Some(simulation)) = (&mut self.clock, &mut self.simulation) else {
-            unreachable!("initialisation has made both");
-        };
+        let Some(clock) = &mut self.clock else { unreachable!("fmi2SetupExperiment has made it") };
+        let Some(simulation) = &mut self.simulation else { unreachable!("initialisation has made it") };
         let plan = clock.plan(point, size, self.parameters.settings.step_size)?;
-        check_reach(&self.signal, size)?;
-        // What a discarded step goes back to: the parameters that act at the communication point as well.
-        let untuned = self.tuned.then(|| simulation.clone());
-        if self.tuned {
-            simulation.tune(&self.parameters.effects)?;
+        if !self.signal.is_held() {
+            check_reach(&self.signal, size)?;
         }
-        let before = simulation.state().core.counters;
-        match simulation.advance_along(&self.signal, plan.h, plan.steps) {
-            Ok(()) => {
-                clock.advance(plan);
-                self.signal.end(size);
-                self.tuned = false;
-                report_passes(&mut self.log, &before, &simulation.state().core, point, point + size);
-                if self.signal.value.refers() && !simulation.model().servo && !self.warned_of_references {
-                    self.warned_of_references = true;
-                    self.log.push(Status::Warning, || {
-                        "servo.theta or servo.omega is not 0, but no active effect reads them: servo.enabled is false.".to_owned()
-                    });
-                }
-                if !self.warned_of_stiffness && simulation.is_stiff() {
-                    self.warned_of_stiffness = true;
-                    self.log.push(Status::Warning, || {
-                        format!(
-                            "at {:?} s: steps of method dop853 are limited by its stability: the scene has stiff loads; i3alp would do better.",
-                            point + size
-                        )
-                    });
-                }
-                self.cache = Cache::default();
-                self.stage = Stage::StepComplete;
-                Ok(())
+        let untuned = if self.tuned { Some(tune(simulation, &self.parameters)?) } else { None };
+        let before = simulation.state().core.counters.singular();
+        if let Err(failure) = simulation.advance_along(&self.signal, plan.h, plan.steps) {
+            if let Some(untuned) = untuned {
+                *simulation = *untuned;
             }
-            Err(failure) => {
-                if let Some(untuned) = untuned {
-                    *simulation = untuned;
-                }
-                self.stage = Stage::StepFailed;
-                Err(Rejection::discard(format!(
-                    "the step from {point:?} s by {size:?} s gave up at {:?} s: {}; the state is still that of {point:?} s.",
-                    point + failure.elapsed,
-                    failure.cause
-                )))
-            }
+            self.stage = Stage::StepFailed;
+            return Err(gave_up(point, size, &failure));
         }
+        clock.advance(plan);
+        self.signal.end(size);
+        self.tuned = false;
+        // They only grow.
+        let total = |counts: [u64; MODES + 2]| counts.iter().sum::<u64>();
+        if total(simulation.state().core.counters.singular()) != total(before) {
+            report_passes(&mut self.log, before, &simulation.state().core, point, point + size);
+        }
+        if self.signal.value.refers() && !simulation.model().servo && !self.warned_of_references {
+            self.warned_of_references = true;
+            warn(&mut self.log, || {
+                "servo.theta or servo.omega is not 0, but no active effect reads them: servo.enabled is false.".to_owned()
+            });
+        }
+        if !self.warned_of_stiffness && simulation.is_stiff() {
+            self.warned_of_stiffness = true;
+            warn(&mut self.log, || {
+                format!(
+                    "at {:?} s: steps of method dop853 are limited by its stability: the scene has stiff loads; i3alp would do better.",
+                    point + size
+                )
+            });
+        }
+        self.cache = Cache::default();
+        self.stage = Stage::StepComplete;
+        Ok(())
     }
 
     /// fmi2CancelStep: a step is never pending. In a test build with `--cfg forced_panic` a panic, to see what becomes of one.
@@ -300,26 +293,46 @@ impl Instance {
     }
 }
 
+// What a step does rarely, apart from what it always does.
+
+/// Makes the tunable parameters act: the simulation as it was, for a step that is discarded.
+#[cold]
+fn tune(simulation: &mut Simulation, parameters: &Parameters) -> Result<Box<Simulation>, Rejection> {
+    let untuned = Box::new(simulation.clone());
+    simulation.tune(&parameters.effects)?;
+    Ok(untuned)
+}
+
+#[cold]
+fn gave_up(point: f64, size: f64, failure: &StepFailure) -> Rejection {
+    let StepFailure { elapsed, cause } = failure;
+    Rejection::discard(format!(
+        "the step from {point:?} s by {size:?} s gave up at {:?} s: {cause}; the state is still that of {point:?} s.",
+        point + elapsed
+    ))
+}
+
+#[cold]
+fn warn(log: &mut Log, text: impl FnOnce() -> String) {
+    log.push(Status::Warning, text);
+}
+
 /// One line for each kind of singularity that a step has passed, and for a start from rest in a vertex.
-fn report_passes(log: &mut Log, before: &Counters, after: &integrator::State<COORDINATES, MULTIPLIERS>, from: f64, to: f64) {
-    let counters = &after.counters;
-    if counters.mode_changes == before.mode_changes
-        && counters.vertex_passes == before.vertex_passes
-        && counters.launches == before.launches
-    {
-        return;
-    }
-    let mut report = |count: u64, what: &str| {
+#[cold]
+fn report_passes(log: &mut Log, before: [u64; MODES + 2], after: &integrator::State<COORDINATES, MULTIPLIERS>, from: f64, to: f64) {
+    let counts = after.counters.singular();
+    let [launches, passes @ ..]: [u64; MODES + 2] = std::array::from_fn(|i| counts[i] - before[i]);
+    for (count, what) in passes.into_iter().zip([
+        "constraint singularity (all links in line), straight through",
+        "direct singularity (distal links in line)",
+        "inverse singularity of the left leg",
+        "inverse singularity of the right leg",
+    ]) {
         if count > 0 {
             log.push(Status::Ok, || format!("passed between {from:?} s and {to:?} s: {what}, {count} times"));
         }
-    };
-    let passes = |i: usize| counters.mode_changes[i] - before.mode_changes[i];
-    report(passes(0), "direct singularity (distal links in line)");
-    report(passes(1), "inverse singularity of the left leg");
-    report(passes(2), "inverse singularity of the right leg");
-    report(counters.vertex_passes - before.vertex_passes, "constraint singularity (all links in line), straight through");
-    if counters.launches > before.launches {
+    }
+    if launches > 0 {
         log.push(Status::Ok, || {
             format!(
                 "between {from:?} s and {to:?} s: started from rest in a constraint singularity on the branch of least constraint, \

@@ -99,6 +99,11 @@ impl Log {
         }
     }
 
+    /// Whether nothing has gathered.
+    pub fn is_empty(&self) -> bool {
+        self.queue.is_empty()
+    }
+
     /// Takes what has gathered.
     pub fn drain(&mut self) -> impl Iterator<Item = Message> {
         self.queue.drain(..)

@@ -78,11 +78,11 @@ fn attempt<const N: usize, const M: usize>(
         return Ok(Attempt::moved_on(&system.rare(), state, h));
     }
 
-    let step = Step::predict(state, h, constraint_tolerance(settings, system.size(), h));
-    let Found { q, pose, v } = match newton(system, settings, step, &mut spent.iterations) {
+    let mut step = Step::predict(state, h, constraint_tolerance(settings, system.size(), h));
+    let Found { q, pose, v } = match newton(system, settings, &mut step, &mut spent.iterations) {
         Ok(found) => found,
         Err(failure) => {
-            let from_prediction = Step { delta: [0.0; N], ..step };
+            let from_prediction = Step { delta: [0.0; N], lambda: state.lambda, ..step };
             let second = descent::descend(&system.rare(), settings, from_prediction, &mut spent.iterations);
             spent.rescued += u64::from(second.is_some());
             second.ok_or(failure)?
@@ -172,7 +172,7 @@ impl<const N: usize, const M: usize> Step<N, M> {
 fn newton<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
-    mut step: Step<N, M>,
+    step: &mut Step<N, M>,
     spent: &mut u64,
 ) -> Result<Found<N, S::Pose>, Failure> {
     let (softness, beta) = (settings.softness, step.beta);
@@ -212,6 +212,7 @@ fn newton<const N: usize, const M: usize, S: Implicit<N, M>>(
 }
 
 /// Newton's bound on max |Φ|, m: scaled with the machine and with h², never below round-off.
+#[inline(always)]
 fn constraint_tolerance(settings: &Settings, size: f64, h: f64) -> f64 {
     let scaled = settings.tolerance * (h / TOLERANCE_STEP) * (h / TOLERANCE_STEP);
     let round_off = 16.0 * f64::EPSILON;
@@ -271,6 +272,7 @@ pub fn advance<const N: usize, const M: usize>(
 
 /// The same at strictly fixed step, whatever the settings say: for who needs the last nanosecond, without the code around sub-steps.
 /// On failure the state is as before.
+#[inline(always)]
 pub fn fixed<const N: usize, const M: usize>(
     system: &impl Implicit<N, M>,
     settings: &Settings,

@@ -41,6 +41,14 @@ pub struct Counters {
     pub mode_changes: [u64; MODES],
 }
 
+impl Counters {
+    /// Singularities: starts from rest in a vertex, vertices passed, changes of each mode.
+    pub fn singular(&self) -> [u64; MODES + 2] {
+        let [first, second, third] = self.mode_changes;
+        [self.launches, self.vertex_passes, first, second, third]
+    }
+}
+
 /// Bits of [`System::modes`] that are counted.
 pub const MODES: usize = 3;
 

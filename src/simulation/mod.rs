@@ -140,8 +140,7 @@ impl Simulation {
 
     /// The same; `beyond`: whether a step may run past the end, since the inputs may stay.
     fn advance_held(&mut self, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
-        let inputs = self.model.heard(inputs);
-        run(&self.model, &mut self.state, &inputs, h, steps, beyond)
+        run(&self.model, &mut self.state, inputs, h, steps, beyond)
     }
 
     /// The same with inputs that change: each macro step holds what they are in its middle, so that the impulse of a ramp is exact and
@@ -269,14 +268,6 @@ impl State {
         FiveBar::<General>::new(model, inputs, turns).factor_mass(pose, model.softness).solve(b, c)
     }
 
-    /// Power of what is followed along the path.
-    #[inline(never)]
-    fn power(&self, model: &Model, inputs: &Inputs) -> Power {
-        let State { core, turns, .. } = self;
-        let system = FiveBar::<General>::new(model, inputs, turns);
-        system.power(&core.q, &system.pose(&core.q), &core.v)
-    }
-
     /// The forces have changed at once: q̈, λ and the predictor start anew.
     fn restart(&mut self, model: &Model) {
         let State { core, inputs, turns, .. } = self;
@@ -284,9 +275,25 @@ impl State {
     }
 }
 
-/// The default method has compiled forms for the bare mechanism of their own; each more would take its place in the library. `beyond`:
-/// whether a step may run past the end of the call, as long as nothing changes there. On failure the state is as before.
+/// `beyond`: whether a step may run past the end of the call, as long as nothing changes there. On failure the state is as before.
+#[inline(always)]
 fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
+    // What a real-time user asks: a single step costs no copy, and is compiled without the loop.
+    if steps == 1
+        && model.solve == Solve::Bare
+        && let Stepper::I3alp(settings) = &model.stepper
+        && !settings.adaptive
+        && model.hears_the_same(&state.inputs, inputs)
+    {
+        return single(model, settings, state, h);
+    }
+    many(model, state, inputs, h, steps, beyond)
+}
+
+#[inline(never)]
+fn many(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
+    // The default method has compiled forms for the bare mechanism of their own; each more would take its place in the library.
+    let inputs = &model.heard(inputs);
     match (&model.stepper, model.solve) {
         (Stepper::I3alp(settings), Solve::Bare) if settings.adaptive => {
             macro_steps::<Bare>(model, state, inputs, h, steps, |system, core, power| {
@@ -309,8 +316,19 @@ fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64, be
     }
 }
 
+/// One strictly fixed step of the bare mechanism under the inputs that it has.
+#[inline(never)]
+fn single(model: &Model, settings: &i3alp::Settings, state: &mut State, h: f64) -> Result<(), StepFailure> {
+    let State { core, turns, inputs, .. } = state;
+    let system = FiveBar::<Bare>::new(model, inputs, turns);
+    let mut power = if system.follows_work() { system.power_of(core) } else { Power::default() };
+    i3alp::fixed(&system, settings, core, h, &mut power).map_err(|cause| StepFailure { elapsed: 0.0, cause })?;
+    state.unwind();
+    Ok(())
+}
+
 /// By a method whose steps end with the macro steps.
-#[inline(always)]
+#[inline(never)]
 fn macro_steps<L: LinearSolve>(
     model: &Model,
     state: &mut State,
@@ -319,22 +337,17 @@ fn macro_steps<L: LinearSolve>(
     steps: u64,
     advance: impl Fn(&FiveBar<'_, L>, &mut integrator::State<COORDINATES, MULTIPLIERS>, &mut Power) -> Result<(), Failure>,
 ) -> Result<(), StepFailure> {
-    // What a real-time user asks, a single fixed step of the bare mechanism, costs no copy.
-    let same = state.inputs == *inputs;
-    let single = same && steps == 1 && model.fails_without_trace();
-    let before = if single { None } else { Some((state.core, state.turns, state.inputs)) };
-    if !same {
+    let before = (state.core, state.turns, state.inputs);
+    if state.inputs != *inputs {
         state.hold(model, inputs);
     }
     let turns_at_start = state.turns;
     let system = FiveBar::<L>::new(model, inputs, &turns_at_start);
-    let mut power = if system.follows_work() { state.power(model, inputs) } else { Power::default() };
+    let mut power = if system.follows_work() { system.power_of(&state.core) } else { Power::default() };
     for step in 0..steps {
         let State { core, turns, .. } = state;
         if let Err(cause) = advance(&system.with_turns(turns), core, &mut power) {
-            if let Some(before) = before {
-                (state.core, state.turns, state.inputs) = before;
-            }
+            (state.core, state.turns, state.inputs) = before;
             return Err(StepFailure { elapsed: step as f64 * h, cause });
         }
         state.unwind();

@@ -179,12 +179,6 @@ impl Model {
         Ok(changed)
     }
 
-    /// Whether a macro step that fails changes nothing: that of [`i3alp::fixed`], which takes the bare mechanism at strictly fixed step.
-    #[inline(always)]
-    pub(super) fn fails_without_trace(&self) -> bool {
-        self.solve == Solve::Bare && matches!(self.stepper, Stepper::I3alp(i3alp::Settings { adaptive: false, .. }))
-    }
-
     /// Potential energy of the active effects, J; 0 of their constant force at the left motor axis.
     pub fn potential(&self, at: &Situation) -> f64 {
         let weight: f64 = at.q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum();
@@ -195,6 +189,12 @@ impl Model {
     pub fn potential_change(&self, at: &Situation, change: &Change) -> f64 {
         let weight: f64 = change.q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum();
         self.effects.iter().map(|effect| effect.potential_change(at, change)).sum::<f64>() - weight
+    }
+
+    /// Whether the scene hears no difference between two inputs.
+    #[inline(always)]
+    pub fn hears_the_same(&self, a: &Inputs, b: &Inputs) -> bool {
+        a.same_loads(b) && (!self.servo || a.same_references(b))
     }
 
     /// The part of the inputs that the scene hears: without servos no references.

@@ -10,7 +10,7 @@ use super::model::{Model, Solve};
 use super::two_leg::TwoLeg;
 use crate::effects::tangents::{CoupledTangents, DiagonalTangents, FullTangents, INNER, INNERS};
 use crate::effects::{Inputs, Situation, Tangents};
-use crate::integrator::{Failure, Implicit, Kkt, Power, System};
+use crate::integrator::{self, Failure, Implicit, Kkt, Power, System};
 use crate::mechanism::closure::assemble;
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, largest_angle, legs_of};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose, vertex};
@@ -292,6 +292,12 @@ impl<'a, L: LinearSolve> FiveBar<'a, L> {
         'a: 'b,
     {
         FiveBar { turns, ..*self }
+    }
+
+    /// Power of what is followed along the path.
+    #[inline(never)]
+    pub(super) fn power_of(&self, core: &integrator::State<COORDINATES, MULTIPLIERS>) -> Power {
+        self.power(&core.q, &self.pose(&core.q), &core.v)
     }
 
     /// The model.
