@@ -50,7 +50,7 @@ pub(crate) fn run(out: &Path, quick: bool) -> Result<()> {
         "changed": !said("git", &["status", "--porcelain", "--untracked-files=no"]).is_empty(),
         "command": if quick { "cargo xtask bench --quick" } else { "cargo xtask bench" },
         "repeats": repeats,
-        "time": "median over the repeats, all cases of a table in turn",
+        "time": "median over the repeats, in falls.csv over the falls; what a table compares takes turns",
     });
     fs::write(out.join("bench.json"), format!("{made_on:#}\n")).context("bench.json cannot be written")
 }

@@ -11,6 +11,7 @@ mod machine;
 mod random;
 mod report;
 mod setting;
+pub mod speed;
 mod trial;
 mod vertex;
 mod watch;

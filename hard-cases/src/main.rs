@@ -1,13 +1,14 @@
 //! Runs the battery and writes its tables; `cargo xtask hard-cases` builds it, calls it and draws the pictures.
 
 use std::fs::{self, File};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
 use hard_cases::cases::{bits_row, fingerprint, hour};
-use hard_cases::{Case, Extent, Row, Verdict, horizon, write_csv, write_markdown};
+use hard_cases::{Case, Extent, Row, Verdict, horizon, speed, write_csv, write_markdown};
 
 /// The battery of hard cases
 #[derive(Parser)]
@@ -33,6 +34,15 @@ enum Task {
         #[arg(long)]
         unoptimised: Option<PathBuf>,
     },
+    /// Time the falls by the explicit method; falls.csv goes to a folder
+    Falls {
+        /// The folder
+        #[arg(long)]
+        out: PathBuf,
+        /// A sample of them
+        #[arg(long)]
+        quick: bool,
+    },
     /// Print the bits of a sample of the battery
     Fingerprint,
 }
@@ -53,10 +63,16 @@ impl Task {
     fn run(self) -> Result<bool> {
         match self {
             Self::Run { out, quick, only, unoptimised } => {
-                let extent = if quick { Extent::Quick } else { Extent::Full };
-                let rows = rows(extent, only.as_deref().unwrap_or_default(), unoptimised.as_deref())?;
+                let rows = rows(extent(quick), only.as_deref().unwrap_or_default(), unoptimised.as_deref())?;
                 write(&out, &rows)?;
                 Ok(rows.iter().all(|row| row.verdict != Verdict::Fail))
+            }
+            Self::Falls { out, quick } => {
+                let rows = speed::rows(extent(quick)).map_err(anyhow::Error::msg)?;
+                println!("\nfalls\n");
+                speed::write_markdown(&rows, io::stdout())?;
+                speed::write_csv(&rows, file(&out, "falls.csv")?)?;
+                Ok(rows.iter().all(|row| row.falls.verdict == Verdict::Pass))
             }
             Self::Fingerprint => {
                 print!("{}", fingerprint());
@@ -64,6 +80,10 @@ impl Task {
             }
         }
     }
+}
+
+fn extent(quick: bool) -> Extent {
+    if quick { Extent::Quick } else { Extent::Full }
 }
 
 fn rows(extent: Extent, only: &str, unoptimised: Option<&Path>) -> Result<Vec<Row>> {
@@ -103,13 +123,15 @@ fn other_process() -> Result<String> {
 }
 
 fn write(folder: &Path, rows: &[Row]) -> Result<()> {
-    fs::create_dir_all(folder).with_context(|| format!("{} cannot be made", folder.display()))?;
-    let file = |name: &str| {
-        let path = folder.join(name);
-        File::create(&path).with_context(|| format!("{} cannot be written", path.display()))
-    };
-    write_csv(rows, file("hard-cases.csv")?)?;
-    write_markdown(rows, file("hard-cases.md")?)?;
-    horizon::write(file("horizon.csv")?)?;
+    write_csv(rows, file(folder, "hard-cases.csv")?)?;
+    write_markdown(rows, file(folder, "hard-cases.md")?)?;
+    horizon::write(file(folder, "horizon.csv")?)?;
     Ok(())
+}
+
+/// A new file in a folder, which is made if need be.
+fn file(folder: &Path, name: &str) -> Result<File> {
+    fs::create_dir_all(folder).with_context(|| format!("{} cannot be made", folder.display()))?;
+    let path = folder.join(name);
+    File::create(&path).with_context(|| format!("{} cannot be written", path.display()))
 }

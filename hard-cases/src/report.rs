@@ -122,25 +122,43 @@ impl fmt::Display for Row {
 
 /// The rows as CSV.
 pub fn write_csv(rows: &[Row], to: impl Write) -> csv::Result<()> {
+    csv_table(HEADER, rows.iter().map(Row::cells), to)
+}
+
+/// A table as CSV.
+pub(crate) fn csv_table<const N: usize>(
+    header: [&str; N],
+    rows: impl Iterator<Item = [String; N]>,
+    to: impl Write,
+) -> csv::Result<()> {
     let mut writer = csv::Writer::from_writer(to);
-    writer.write_record(HEADER)?;
+    writer.write_record(header)?;
     for row in rows {
-        writer.write_record(row.cells())?;
+        writer.write_record(row)?;
     }
-    writer.flush()?;
-    Ok(())
+    Ok(writer.flush()?)
+}
+
+/// A table in Markdown.
+pub(crate) fn markdown_table<const N: usize>(
+    header: [&str; N],
+    rows: impl Iterator<Item = [String; N]>,
+    to: &mut impl Write,
+) -> io::Result<()> {
+    let line = |cells: [String; N]| format!("| {} |", cells.map(|cell| cell.replace('|', "\\|")).join(" | "));
+    writeln!(to, "{}\n|{}", line(header.map(String::from)), " --- |".repeat(N))?;
+    rows.map(line).try_for_each(|line| writeln!(to, "{line}"))
 }
 
 /// The rows as a table in Markdown, and below it what was not met by the judged ones.
 pub fn write_markdown(rows: &[Row], mut to: impl Write) -> io::Result<()> {
     // Criteria and exact inputs are too long for a table.
     let columns = [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12, 14, 15];
-    writeln!(to, "| {} |", columns.map(|i| HEADER[i].replace('|', "\\|")).join(" | "))?;
-    writeln!(to, "|{}", " --- |".repeat(columns.len()))?;
-    for row in rows {
+    let cells = |row: &Row| {
         let cells = row.cells();
-        writeln!(to, "| {} |", columns.map(|i| cells[i].replace('|', "\\|")).join(" | "))?;
-    }
+        columns.map(|i| cells[i].clone())
+    };
+    markdown_table(columns.map(|i| HEADER[i]), rows.iter().map(cells), &mut to)?;
     writeln!(to, "\nCriteria:\n")?;
     for row in rows.iter().filter(|row| row.verdict != Verdict::ForComparison) {
         writeln!(to, "- {} {}, {}: {}.", row.item, row.case, row.setting, row.criterion)?;

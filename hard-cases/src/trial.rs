@@ -31,6 +31,13 @@ pub struct Span {
     pub count: u64,
 }
 
+impl Span {
+    /// How long it is, s.
+    pub fn duration(&self) -> f64 {
+        self.size * self.count as f64
+    }
+}
+
 /// A run to be made.
 #[derive(Clone, Debug)]
 pub struct Trial {
@@ -126,6 +133,11 @@ impl Trial {
         Self { beginning: Beginning::Links(theta, omega), ..self }
     }
 
+    /// How long it is, s.
+    pub fn duration(&self) -> f64 {
+        self.schedule.iter().map(Span::duration).sum()
+    }
+
     /// The scene with the setting in it.
     fn scene(&self, setting: Setting) -> Parameters {
         let mut parameters = self.parameters.clone();
@@ -199,18 +211,21 @@ impl Trial {
         outcome
     }
 
-    fn follow(&self, simulation: &mut Simulation, step: f64, outcome: &mut Outcome, path: &mut Vec<Sample>) -> Ending {
-        let unit = mgl(&self.parameters.geometry);
-        let size = relative_size(&self.parameters.geometry);
+    /// Wall seconds of its communication steps, with nothing observed; what went wrong where they do not come to their end.
+    pub fn time(&self, setting: Setting) -> Result<f64, String> {
+        let scene = self.scene(setting);
+        let mut simulation = self.made_ready(&scene).map_err(|refusal| refusal.to_string())?;
+        let begin = Instant::now();
+        match self.drive(&mut simulation, scene.settings.step_size, |_, _, _| true) {
+            Ending::Complete => Ok(begin.elapsed().as_secs_f64()),
+            other => Err(format!("{}: {other:?}", self.label)),
+        }
+    }
+
+    /// Makes the communication steps; after each `look` is shown the simulation, how many macro steps it took and the time reached, s,
+    /// and tells whether everything is finite.
+    fn drive(&self, simulation: &mut Simulation, step: f64, mut look: impl FnMut(&Simulation, u64, f64) -> bool) -> Ending {
         let mut clock = Clock::new(0.0, None).expect("a start at 0");
-        let mut peak: f64 = 0.0;
-        let mut sample = |simulation: &Simulation, time: f64| {
-            if self.watch.needs_path() {
-                path.push((time, observers::motion(simulation.model(), simulation.state()).theta));
-            }
-        };
-        sample(simulation, 0.0);
-        let mut error: f64 = 0.0;
         for span in &self.schedule {
             let origin = clock.point();
             for i in 0..span.count {
@@ -219,32 +234,51 @@ impl Trial {
                     Ok(plan) => plan,
                     Err(rejection) => return Ending::Refused(rejection.message),
                 };
-                let before = simulation.state().core.counters;
                 if let Err(failure) = simulation.advance(&span.inputs, plan.h, plan.steps) {
                     return Ending::Status(failure.cause.to_string(), point + failure.elapsed);
                 }
                 clock.advance(plan);
-                let core = &simulation.state().core;
-                let sum: f64 = core.q.iter().chain(&core.v).chain(&core.a).chain(&core.lambda).sum();
-                let energies = observers::energies(simulation.model(), simulation.state());
-                if !(sum + energies.error).is_finite() {
+                if !look(simulation, plan.steps, clock.point()) {
                     return Ending::NotFinite(clock.point());
                 }
-                let norms = observers::constraint_norms(simulation.model(), simulation.state());
-                peak = peak.max(energies.kinetic);
-                error = error.max(energies.error.abs());
-                outcome.energy = error / unit.max(self.kinetic_part * peak);
-                outcome.position = outcome.position.max(norms.position / size);
-                outcome.velocity = outcome.velocity.max(norms.velocity / size);
-                if !(self.vertex_outputs && in_vertex(simulation)) {
-                    outcome.judged = [outcome.judged[0].max(norms.position / size), outcome.judged[1].max(norms.velocity / size)];
-                }
-                let taken = core.counters.substeps - before.substeps;
-                outcome.most = outcome.most.max(taken.div_ceil(plan.steps));
-                sample(simulation, clock.point());
             }
         }
         Ending::Complete
+    }
+
+    fn follow(&self, simulation: &mut Simulation, step: f64, outcome: &mut Outcome, path: &mut Vec<Sample>) -> Ending {
+        let unit = mgl(&self.parameters.geometry);
+        let size = relative_size(&self.parameters.geometry);
+        let mut sample = |simulation: &Simulation, time: f64| {
+            if self.watch.needs_path() {
+                path.push((time, observers::motion(simulation.model(), simulation.state()).theta));
+            }
+        };
+        sample(simulation, 0.0);
+        let (mut peak, mut error): (f64, f64) = (0.0, 0.0);
+        let mut before = simulation.state().core.counters.substeps;
+        self.drive(simulation, step, |simulation, steps, time| {
+            let core = &simulation.state().core;
+            let sum: f64 = core.q.iter().chain(&core.v).chain(&core.a).chain(&core.lambda).sum();
+            let energies = observers::energies(simulation.model(), simulation.state());
+            if !(sum + energies.error).is_finite() {
+                return false;
+            }
+            let norms = observers::constraint_norms(simulation.model(), simulation.state());
+            peak = peak.max(energies.kinetic);
+            error = error.max(energies.error.abs());
+            outcome.energy = error / unit.max(self.kinetic_part * peak);
+            outcome.position = outcome.position.max(norms.position / size);
+            outcome.velocity = outcome.velocity.max(norms.velocity / size);
+            if !(self.vertex_outputs && in_vertex(simulation)) {
+                outcome.judged = [outcome.judged[0].max(norms.position / size), outcome.judged[1].max(norms.velocity / size)];
+            }
+            let taken = core.counters.substeps - before;
+            before = core.counters.substeps;
+            outcome.most = outcome.most.max(taken.div_ceil(steps));
+            sample(simulation, time);
+            true
+        })
     }
 }
 

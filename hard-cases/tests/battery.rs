@@ -3,7 +3,7 @@
 use std::process::Command;
 
 use hard_cases::cases::{bits_row, fingerprint, hour};
-use hard_cases::{Case, Ending, Extent, Row, Setting, Verdict};
+use hard_cases::{Case, Ending, Extent, Row, Setting, Verdict, speed};
 
 /// The judged settings meet the demands of every case of an item.
 fn hold(item: u8) {
@@ -26,6 +26,30 @@ fn complaint(row: &Row) -> Option<String> {
 #[test]
 fn perturbed_free_falls_keep_energy_and_constraints() {
     hold(1);
+}
+
+/// The energy half of the goal of 200 falls of 50 s; their times are shown by `cargo xtask bench` and judged nowhere.
+#[test]
+fn falls_of_50_s_keep_energy_by_the_explicit_method() {
+    let falls = speed::falls(Extent::Full, 50e-3);
+    assert_eq!((falls.trials.len(), falls.demand(Setting::EXPLICIT).energy), (200, 1e-7));
+    assert!(falls.trials.iter().all(|fall| fall.schedule.len() == 1 && fall.schedule[0].count == 1000 && fall.duration() == 50.0));
+    assert_eq!(complaint(&falls.measure(Setting::EXPLICIT)), None);
+}
+
+/// The table of times has a row for each communication step, and the very sub-steps of one call: on the grid nobody sees who looked.
+#[test]
+fn falls_are_timed_in_communication_steps_of_several_lengths() {
+    let rows = speed::rows(Extent::Quick).expect("falls that come to their end");
+    let steps: Vec<f64> = rows.iter().map(|row| row.step).collect();
+    assert_eq!(steps, [5.0, 50e-3, 1e-3]);
+    for row in &rows {
+        assert_eq!((row.duration, row.falls.verdict, row.falls.mean), (5.0, Verdict::Pass, rows[0].falls.mean));
+        assert!(row.cost[0] > 0.0 && row.cost[1] >= row.cost[0], "{:?}", row.cost);
+    }
+    let mut table = Vec::new();
+    speed::write_markdown(&rows, &mut table).expect("a table");
+    assert_eq!(String::from_utf8(table).expect("text").lines().count(), 2 + rows.len());
 }
 
 #[test]

@@ -152,7 +152,7 @@ fn advance<const N: usize, const M: usize>(
     h: f64,
 ) -> Result<(), Failure> {
     running.advance(system, settings, h, [h, f64::INFINITY])?;
-    let sample = running.sample(system, settings)?;
+    let sample = running.sample(system, settings);
     running.record(&sample, state);
     (state.q, state.v) = (sample.q, sample.v);
     Ok(())

@@ -85,7 +85,7 @@ impl Log {
     }
 
     /// Whether messages of that status are passed on.
-    fn wants(&self, status: Status) -> bool {
+    pub fn wants(&self, status: Status) -> bool {
         match &self.choice {
             Choice::Default { events } => *events || status > Status::Ok,
             Choice::Explicit(chosen) => chosen.contains(&Category::LogAll) || chosen.contains(&status.category()),

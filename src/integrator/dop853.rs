@@ -89,6 +89,12 @@ impl<const N: usize, const M: usize> Running<N, M> {
         }
     }
 
+    /// Whether the running step reaches beyond h seconds from now.
+    #[inline(always)]
+    pub fn reaches(&self, h: f64) -> bool {
+        h <= self.length - self.elapsed
+    }
+
     /// One macro step of h seconds. In `ahead` seconds somebody looks, or never while a step is under way: it is interpolated only then.
     /// No step that is made goes farther than `limit` seconds. On failure the run is undefined: the caller keeps a copy.
     #[inline(always)]
@@ -101,13 +107,13 @@ impl<const N: usize, const M: usize> Running<N, M> {
     ) -> Result<(), Failure> {
         let mut rest = h;
         for _ in 0..MOST_SUBSTEPS {
-            let left = self.length - self.elapsed;
-            if rest <= left {
+            if self.reaches(rest) {
                 self.elapsed += rest;
                 self.start.counters.steps += 1;
                 self.end.counters.steps += 1;
                 return Ok(());
             }
+            let left = self.length - self.elapsed;
             (rest, ahead, limit) = (rest - left, ahead - left, limit - left);
             self.step(system, settings, limit, ahead)?;
         }
@@ -163,19 +169,20 @@ impl<const N: usize, const M: usize> Running<N, M> {
         self.controller.stiff
     }
 
-    /// Coordinates, rates and work at the present time, on the constraints.
+    /// Coordinates, rates and work at the present time, on the constraints: inside the step the interpolant projected, or as it is where
+    /// the projection does not converge.
     #[inline(always)]
-    pub fn sample<S: System<N, M>>(&self, system: &S, settings: &Settings) -> Result<Sample<N, S::Pose>, Failure> {
+    pub fn sample<S: System<N, M>>(&self, system: &S, settings: &Settings) -> Sample<N, S::Pose> {
         let Self { start, end, .. } = self;
         if self.elapsed == self.length {
-            return Ok(Sample { q: end.q, v: end.v, pose: system.pose(&end.q), work: end.work, modes: end.modes });
+            return Sample { q: end.q, v: end.v, pose: system.pose(&end.q), work: end.work, modes: end.modes };
         }
         let part = self.elapsed / self.length;
         let interpolated = |from: f64, to: f64, [rate, rate_to]: [f64; 2], higher: [f64; 4]| {
             interpolated(part, [from, to], [self.length * rate, self.length * rate_to], higher)
         };
-        let mut q = std::array::from_fn(|i| interpolated(start.q[i], end.q[i], [start.v[i], end.v[i]], self.dense.map(|d| d.q[i])));
-        let mut v = if self.on_ray {
+        let q = std::array::from_fn(|i| interpolated(start.q[i], end.q[i], [start.v[i], end.v[i]], self.dense.map(|d| d.q[i])));
+        let v = if self.on_ray {
             std::array::from_fn(|i| start.v[i] + part * (end.v[i] - start.v[i]))
         } else {
             std::array::from_fn(|i| interpolated(start.v[i], end.v[i], [start.a[i], end.a[i]], self.dense.map(|d| d.v[i])))
@@ -189,9 +196,11 @@ impl<const N: usize, const M: usize> Running<N, M> {
         } else {
             start.work
         };
-        let pose = if self.on_ray { system.pose(&q) } else { settings.project(system, &mut q, &mut v)?.1 };
+        let (mut on_q, mut on_v) = (q, v);
+        let projected = if self.on_ray { None } else { settings.project(system, &mut on_q, &mut on_v).ok() };
+        let (q, v, pose) = projected.map_or_else(|| (q, v, system.pose(&q)), |(_, pose, _)| (on_q, on_v, pose));
         let modes = system.modes(&pose);
-        Ok(Sample { q, v, pose, work, modes })
+        Sample { q, v, pose, work, modes }
     }
 
     /// Writes into a state of the same system in any coordinates what does not depend on the coordinates.

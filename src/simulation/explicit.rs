@@ -1,5 +1,5 @@
 //! A run by the explicit method, whose steps go past the communication points: the running step in the link angles, and the state in
-//! the twelve coordinates that it gives at the end of a call.
+//! the twelve coordinates that it gives where somebody looks.
 
 use std::f64::consts::TAU;
 
@@ -8,8 +8,7 @@ use super::model::Stepper;
 use super::system::{FiveBar, General};
 use super::{Inputs, Model, State, StepFailure};
 use crate::integrator::dop853::{Running, Settings};
-use crate::integrator::{self, Failure, System, equilibrium_at};
-use crate::mechanism::{COORDINATES, MULTIPLIERS, Pose};
+use crate::integrator::{Failure, System, equilibrium_at};
 
 /// The run that begins with a state.
 pub(super) fn start(model: &Model, settings: &Settings, state: &State) -> Running<ANGLES, CLOSURES> {
@@ -20,12 +19,10 @@ pub(super) fn start(model: &Model, settings: &Settings, state: &State) -> Runnin
 /// Before model or inputs change: what runs past the present time is thrown away, and the present state is the end of a step. On
 /// failure the state is undefined.
 pub(super) fn stop(model: &Model, state: &mut State) -> Result<(), Failure> {
-    let State { core, running: Some(running), turns, inputs, .. } = state else { return Ok(()) };
+    let State { running: Some(running), turns, inputs, .. } = state else { return Ok(()) };
     let Stepper::Dop853(settings) = &model.stepper else { return Ok(()) };
     let five_bar = FiveBar::<General>::new(model, inputs, turns);
-    let system = ByAngles::new(&five_bar);
-    running.cut(&system, settings)?;
-    look(&system, settings, running, core).map(drop)
+    running.cut(&ByAngles::new(&five_bar), settings)
 }
 
 /// After they have changed, which put in some energy, J.
@@ -37,7 +34,7 @@ pub(super) fn resume(model: &Model, state: &mut State, put_in: f64) {
 }
 
 /// `steps` macro steps of `h` seconds with `inputs` held; `beyond`: whether a step may run past their end. On failure the state is as
-/// before.
+/// before. Afterwards its core is out of date, see [`present`].
 pub(super) fn run(
     model: &Model,
     settings: &Settings,
@@ -47,8 +44,14 @@ pub(super) fn run(
     steps: u64,
     beyond: bool,
 ) -> Result<(), StepFailure> {
-    let before = *state;
-    forward(model, settings, state, inputs, h, steps, beyond).inspect_err(|_| *state = before)
+    // A call that ends inside the running step, as most do, cannot fail and costs no copy.
+    let inside = |state: &State| steps == 1 && state.running.is_some_and(|running| running.reaches(h));
+    let before = if state.inputs == *inputs && inside(state) { None } else { Some(*state) };
+    forward(model, settings, state, inputs, h, steps, beyond).inspect_err(|_| {
+        if let Some(before) = before {
+            *state = before;
+        }
+    })
 }
 
 fn forward(
@@ -66,7 +69,7 @@ fn forward(
         state.inputs = *inputs;
         resume(model, state, 0.0);
     }
-    let State { core, running: Some(running), turns, .. } = state else { unreachable!("the method has a running step") };
+    let State { running: Some(running), turns, .. } = state else { unreachable!("the method has a running step") };
     for step in 0..steps {
         let five_bar = FiveBar::<General>::new(model, inputs, turns);
         let rest = (steps - step) as f64 * h;
@@ -74,24 +77,23 @@ fn forward(
         running.advance(&ByAngles::new(&five_bar), settings, h, ahead_and_limit).map_err(at(step))?;
         unwind(running, turns);
     }
-    let five_bar = FiveBar::<General>::new(model, inputs, turns);
-    let pose = look(&ByAngles::new(&five_bar), settings, running, core).map_err(at(steps))?;
-    (core.a, core.lambda) = equilibrium_at(&five_bar, &core.q, &pose, &core.v, &five_bar.factor_mass(&pose, model.softness));
     Ok(())
 }
 
-/// The present state in the twelve coordinates, but for q̈ and λ; the pose there.
-#[inline(always)]
-fn look(
-    system: &ByAngles<'_, General>,
-    settings: &Settings,
-    running: &Running<ANGLES, CLOSURES>,
-    core: &mut integrator::State<COORDINATES, MULTIPLIERS>,
-) -> Result<Pose, Failure> {
-    let sample = running.sample(system, settings)?;
+/// The present state in the twelve coordinates, with q̈ and λ from equilibrium: what the running step gives, worked out when somebody
+/// looks. Nothing that is looked at is built upon.
+pub(super) fn present(model: &Model, state: &State) -> State {
+    let mut present = *state;
+    let State { core, running: Some(running), turns, inputs, .. } = &mut present else { return present };
+    let Stepper::Dop853(settings) = &model.stepper else { return present };
+    let five_bar = FiveBar::<General>::new(model, inputs, turns);
+    let system = ByAngles::new(&five_bar);
+    let sample = running.sample(&system, settings);
     running.record(&sample, core);
     (core.q, core.v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
-    Ok(sample.pose)
+    let mass = five_bar.factor_mass(&sample.pose, model.softness);
+    (core.a, core.lambda) = equilibrium_at(&five_bar, &core.q, &sample.pose, &core.v, &mass);
+    present
 }
 
 /// Moves whole turns of the angles into `turns`, where they are more than two: as [`State::unwind`] does with q.

@@ -14,6 +14,7 @@ pub mod system;
 pub mod two_leg;
 mod variation;
 
+use std::cell::OnceCell;
 use std::f64::consts::TAU;
 use std::fmt;
 
@@ -72,7 +73,10 @@ impl std::error::Error for StepFailure {}
 pub struct Simulation {
     parameters: Parameters,
     model: Model,
+    /// Of [`Method::Dop853`] out of date but for the running step: see `present`.
     state: State,
+    /// Of [`Method::Dop853`]: the state at the present time, since somebody has looked.
+    present: Option<Box<OnceCell<State>>>,
 }
 
 impl Simulation {
@@ -109,7 +113,7 @@ impl Simulation {
             let method = parameters.settings.method;
             return Err(Refusal(format!("the state belongs to another solver.method than {method:?}, which is set in it.")));
         }
-        Ok(Self { model, parameters: parameters.clone(), state })
+        Ok(Self { model, parameters: parameters.clone(), present: state.looked_at(), state })
     }
 
     fn started(parameters: &Parameters, model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
@@ -128,19 +132,16 @@ impl Simulation {
                     .into(),
             ));
         }
-        Ok(Self { parameters: parameters.clone(), model, state })
+        Ok(Self { parameters: parameters.clone(), model, present: state.looked_at(), state })
     }
 
     /// `steps` macro steps of `h` seconds with `inputs` held.
     ///
     /// On failure the state is as it was before the call. Allocates nothing.
     pub fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> Result<(), StepFailure> {
-        self.advance_held(inputs, h, steps, true)
-    }
-
-    /// The same; `beyond`: whether a step may run past the end, since the inputs may stay.
-    fn advance_held(&mut self, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
-        run(&self.model, &mut self.state, inputs, h, steps, beyond)
+        run(&self.model, &mut self.state, inputs, h, steps, true)?;
+        self.moved();
+        Ok(())
     }
 
     /// The same with inputs that change: each macro step holds what they are in its middle, so that the impulse of a ramp is exact and
@@ -152,12 +153,21 @@ impl Simulation {
         let before = self.state;
         for step in 0..steps {
             let begin = step as f64 * h;
-            self.advance_held(&signal.at(begin + h / 2.0), h, 1, false).map_err(|failure| {
+            run(&self.model, &mut self.state, &signal.at(begin + h / 2.0), h, 1, false).map_err(|failure| {
                 self.state = before;
                 StepFailure { elapsed: begin + failure.elapsed, ..failure }
             })?;
         }
+        self.moved();
         Ok(())
+    }
+
+    /// What somebody has seen is past.
+    #[inline(always)]
+    fn moved(&mut self) {
+        if let Some(present) = &mut self.present {
+            present.take();
+        }
     }
 
     /// What it runs with.
@@ -172,14 +182,17 @@ impl Simulation {
 
     /// Everything that changes; q̈ and λ belong to the inputs of the last step.
     pub fn state(&self) -> &State {
-        &self.state
+        match &self.present {
+            Some(present) => present.get_or_init(|| explicit::present(&self.model, &self.state)),
+            None => &self.state,
+        }
     }
 
     /// The present state with the q̈ and λ that belong to other inputs: what observers answer for. `None` where the inputs are the same.
     pub fn state_for(&self, inputs: &Inputs) -> Option<State> {
         let inputs = self.model.heard(inputs);
         (self.state.inputs != inputs).then(|| {
-            let mut state = self.state;
+            let mut state = *self.state();
             state.hold(&self.model, &inputs);
             state
         })
@@ -194,12 +207,13 @@ impl Simulation {
             explicit::stop(&self.model, &mut state).map_err(|failure| {
                 Refusal(format!("the step that is under way could not be redone up to the present time: {failure}."))
             })?;
+            state = explicit::present(&self.model, &state);
             let put_in = state.potential_energy(&model) - state.potential_energy(&self.model);
             state.core.work.input += put_in;
             state.restart(&model);
             explicit::resume(&model, &mut state, put_in);
             self.parameters.effects = parameters.clone();
-            (self.model, self.state) = (model, state);
+            (self.model, self.state, self.present) = (model, state, state.looked_at());
         }
         Ok(())
     }
@@ -216,6 +230,11 @@ impl Simulation {
 }
 
 impl State {
+    /// This state as what somebody has looked at, where that is kept.
+    fn looked_at(&self) -> Option<Box<OnceCell<State>>> {
+        self.running.map(|_| Box::new(OnceCell::from(*self)))
+    }
+
     /// Kinetic energy, J.
     pub fn kinetic_energy(&self, model: &Model) -> f64 {
         let momentum = model.mechanism.mass_times(&self.core.v);

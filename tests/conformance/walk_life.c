@@ -270,8 +270,8 @@ void make(Slave *s, Call call) {
     case SERIALIZE:
     case DESERIALIZE: states(s, call); break;
     case GET_DIRECTIONAL_DERIVATIVE: differentiate(s); break;
-    case SET_INPUT_DERIVATIVES: set_input_derivatives(s); break;
-    case GET_OUTPUT_DERIVATIVES: get_output_derivatives(s); break;
+    case SET_INPUT_DERIVATIVES:
+    case GET_OUTPUT_DERIVATIVES: derivatives(s, call); break;
     case DO_STEP: do_step(s); break;
     default: ask_status(s, call); break;
     }

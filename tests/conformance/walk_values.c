@@ -211,45 +211,33 @@ void differentiate(Slave *s) {
     judge(s, GET_DIRECTIONAL_DERIVATIVE, status, flaw == NOTHING ? may_be_computed(s) | REFUSED : REFUSED);
 }
 
-void set_input_derivatives(Slave *s) {
+/* First and second derivatives: of inputs to be set, of outputs to be read. */
+void derivatives(Slave *s, Call call) {
+    static const char *const differentiable[] = {"theta[1]", "passive.theta[2]", "tip.x", "tip.y", "elbow[1].x"};
+    const bool set = call == SET_INPUT_DERIVATIVES;
     fmi2ValueReference references[MOST];
     int orders[MOST];
     double values[MOST];
     size_t n = below(4);
     const Flaw flaw = any_flaw(WRONG_VALUE);
     if (flaw != NOTHING) n += n == 0;
-    for (size_t i = 0; i < MOST; i++)
-        references[i] = real_of(INPUT, false)->reference, orders[i] = 1 + (int)below(2), values[i] = uniform(-1.0, 1.0);
+    for (size_t i = 0; i < MOST; i++) {
+        references[i] = (set ? real_of(INPUT, false) : variable(differentiable[below(5)]))->reference;
+        orders[i] = 1 + (int)below(2), values[i] = set ? uniform(-1.0, 1.0) : REAL_MARK;
+    }
     if (flaw == UNKNOWN) references[n - 1] = 99999;
-    if (flaw == WRONG_TYPE) references[n - 1] = real_of(one_in(2) ? OUTPUT : FIXED, false)->reference;
-    if (flaw == WRONG_VALUE && one_in(2))
+    if (flaw == WRONG_TYPE) references[n - 1] = real_of(one_in(2) ? FIXED : set ? OUTPUT : INPUT, false)->reference;
+    if (flaw == WRONG_VALUE && set && one_in(2))
         values[n - 1] = one_in(2) ? NAN : -INFINITY;
     else if (flaw == WRONG_VALUE)
         orders[n - 1] = one_in(2) ? 0 : 3;
+    const fmi2ValueReference *whose = flaw == NO_REFERENCES ? NULL : references;
+    double *place = flaw == NO_VALUES ? NULL : values;
     begin(s);
-    const fmi2Status status = fmi2.SetRealInputDerivatives(s->component, flaw == NO_REFERENCES ? NULL : references, n, orders,
-                                                           flaw == NO_VALUES ? NULL : values);
-    judge(s, SET_INPUT_DERIVATIVES, status, flaw == NOTHING ? DONE : REFUSED);
-}
-
-void get_output_derivatives(Slave *s) {
-    static const char *const names[] = {"theta[1]", "passive.theta[2]", "tip.x", "tip.y", "elbow[1].x"};
-    fmi2ValueReference references[MOST];
-    int orders[MOST];
-    double values[MOST];
-    size_t n = below(4);
-    const Flaw flaw = any_flaw(WRONG_VALUE);
-    if (flaw != NOTHING) n += n == 0;
-    for (size_t i = 0; i < MOST; i++)
-        references[i] = variable(names[below(5)])->reference, orders[i] = 1 + (int)below(2), values[i] = REAL_MARK;
-    if (flaw == UNKNOWN) references[n - 1] = 99999;
-    if (flaw == WRONG_TYPE) references[n - 1] = real_of(one_in(2) ? INPUT : FIXED, false)->reference;
-    if (flaw == WRONG_VALUE) orders[n - 1] = one_in(2) ? 0 : 3;
-    begin(s);
-    const fmi2Status status = fmi2.GetRealOutputDerivatives(s->component, flaw == NO_REFERENCES ? NULL : references, n, orders,
-                                                            flaw == NO_VALUES ? NULL : values);
-    for (size_t i = 0; i < MOST; i++)
-        REQUIRE(status == fmi2OK && i < n ? isfinite(values[i]) : values[i] == REAL_MARK,
-                "fmi2GetRealOutputDerivatives: status %d, value %g of %u", status, values[i], references[i]);
-    judge(s, GET_OUTPUT_DERIVATIVES, status, flaw == NOTHING ? may_be_computed(s) : REFUSED);
+    const fmi2Status status = set ? fmi2.SetRealInputDerivatives(s->component, whose, n, orders, place)
+                                  : fmi2.GetRealOutputDerivatives(s->component, whose, n, orders, place);
+    for (size_t i = 0; !set && i < MOST; i++)
+        REQUIRE(status == fmi2OK && i < n ? isfinite(values[i]) : values[i] == REAL_MARK, "%s: status %d, value %g of %u", rules[call].name,
+                status, values[i], references[i]);
+    judge(s, call, status, flaw != NOTHING ? REFUSED : set ? DONE : may_be_computed(s));
 }

@@ -1,6 +1,7 @@
-//! `cargo xtask bench`: times and instructions, tables under `target/bench/`; with `--check` the instructions that CI checks.
+//! `cargo xtask bench`: times and instructions, and the falls of the battery; tables under `target/bench/`. With `--check` the
+//! instructions that CI checks.
 
-use crate::{paths, process};
+use crate::{hard_cases, paths, process};
 use anyhow::Result;
 use std::process::Command;
 
@@ -9,12 +10,14 @@ const CRATE: &str = "benches";
 
 /// Measures everything, `quick` with few repeats.
 pub(crate) fn bench(quick: bool) -> Result<()> {
-    let mut command = benches();
-    command.args(["run", "--out"]).arg(paths::in_root("target/bench"));
-    if quick {
-        command.arg("--quick");
+    for (mut program, task) in [(benches(), "run"), (hard_cases::battery(), "falls")] {
+        program.args([task, "--out"]).arg(paths::in_root("target/bench"));
+        if quick {
+            program.arg("--quick");
+        }
+        process::run(&mut program)?;
     }
-    process::run(&mut command)
+    Ok(())
 }
 
 /// Instructions against their ceilings, and that what is off costs nothing.

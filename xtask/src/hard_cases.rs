@@ -5,6 +5,7 @@ use crate::{paths, process};
 use anyhow::{Context, Result, ensure};
 use std::fs;
 use std::path::PathBuf;
+use std::process::Command;
 
 /// The crate that holds the battery.
 const CRATE: &str = "hard-cases";
@@ -14,8 +15,8 @@ pub(crate) fn hard_cases(quick: bool) -> Result<()> {
     let out = paths::in_root("target/hard-cases");
     fs::create_dir_all(&out).with_context(|| format!("{} cannot be made", paths::short(&out)))?;
     let unoptimised = unoptimised_fingerprint(&out)?;
-    let mut battery = process::cargo();
-    battery.args(["run", "--release", "--locked", "--package", CRATE, "--", "run", "--out"]).arg(&out);
+    let mut battery = battery();
+    battery.args(["run", "--out"]).arg(&out);
     battery.arg("--unoptimised").arg(unoptimised);
     if quick {
         battery.arg("--quick");
@@ -28,6 +29,13 @@ pub(crate) fn hard_cases(quick: bool) -> Result<()> {
     process::run(venv::python(Packages::Usual)?.arg("xtask/python/hard_cases.py").arg("--folder").arg(&out))?;
     outcome
         .with_context(|| format!("a case is not met; {} says which, with exact inputs", paths::short(&out.join("hard-cases.md"))))
+}
+
+/// The battery's program, to be told what to do.
+pub(crate) fn battery() -> Command {
+    let mut cargo = process::cargo();
+    cargo.args(["run", "--release", "--locked", "--package", CRATE, "--"]);
+    cargo
 }
 
 /// The bits of a sample of the battery from a build in which nothing is optimised, in a file.

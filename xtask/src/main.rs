@@ -64,7 +64,7 @@ enum Command {
     },
     /// Measure times and instructions, write tables to target/bench/
     Bench {
-        /// Few repeats, scenes up to 2 s
+        /// Few repeats, scenes up to 2 s, a sample of the falls
         #[arg(long)]
         quick: bool,
         /// Only instructions, against the ceilings of benches/ceilings.csv; needs valgrind, as all of it does

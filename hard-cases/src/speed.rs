@@ -1,0 +1,100 @@
+//! A goal: the battery's first 200 perturbed falls by the explicit method, in communication steps of several lengths; what they lose
+//! in energy, and how long a simulated second takes. Part of `cargo xtask bench`.
+
+use std::io::{self, Write};
+
+use crate::cases::{Case, Extent};
+use crate::report;
+use crate::setting::Setting;
+
+/// How many falls.
+const FALLS: usize = 200;
+/// Communication steps, s: a whole fall in one call, then shorter ones.
+const STEPS: [f64; 3] = [f64::INFINITY, 50e-3, 1e-3];
+
+/// The falls in communication steps of one length.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// Length of a communication step, s.
+    pub step: f64,
+    /// How long a fall is, s.
+    pub duration: f64,
+    /// The battery's judgement.
+    pub falls: report::Row,
+    /// Milliseconds of wall time per simulated second, on one core: the median over the falls and the largest.
+    pub cost: [f64; 2],
+}
+
+const HEADER: [&str; 8] = [
+    "communication step [s]",
+    "falls",
+    "each of [s]",
+    "verdict",
+    "worst |dE| [mgL]",
+    "sub-steps per ms",
+    "median time [ms/s]",
+    "largest time [ms/s]",
+];
+
+/// The first falls of the battery, in communication steps of `step` s or, where that is longer, in one.
+pub fn falls(extent: Extent, step: f64) -> Case {
+    let mut case = Case::of_item(extent, 1).swap_remove(0);
+    case.trials.truncate(FALLS);
+    for span in case.trials.iter_mut().flat_map(|trial| &mut trial.schedule) {
+        let duration = span.duration();
+        span.size = step.min(duration);
+        span.count = (duration / span.size).round() as u64;
+    }
+    case
+}
+
+/// Times the falls one after the other, each in all communication steps in turn, so that what disturbs the machine disturbs all of them alike;
+/// then judges them. Says what went wrong where a fall does not come to its end.
+pub fn rows(extent: Extent) -> Result<Vec<Row>, String> {
+    let cases = STEPS.map(|step| falls(extent, step));
+    let mut costs = [const { Vec::new() }; STEPS.len()];
+    for i in 0..cases[0].trials.len() {
+        for (case, costs) in cases.iter().zip(&mut costs) {
+            let trial = &case.trials[i];
+            costs.push(1e3 * trial.time(Setting::EXPLICIT)? / trial.duration());
+        }
+    }
+    let row = |(case, mut costs): (&Case, Vec<f64>)| {
+        costs.sort_by(f64::total_cmp);
+        let fall = &case.trials[0];
+        Row {
+            step: fall.schedule[0].size,
+            duration: fall.duration(),
+            falls: case.measure(Setting::EXPLICIT),
+            cost: [costs[costs.len() / 2], costs[costs.len() - 1]],
+        }
+    };
+    Ok(cases.iter().zip(costs).map(row).collect())
+}
+
+impl Row {
+    fn cells(&self) -> [String; 8] {
+        [
+            self.step.to_string(),
+            self.falls.runs.to_string(),
+            self.duration.to_string(),
+            self.falls.verdict.to_string(),
+            format!("{:.1e}", self.falls.energy),
+            format!("{:.2}", self.falls.mean),
+            format!("{:.3}", self.cost[0]),
+            format!("{:.3}", self.cost[1]),
+        ]
+    }
+}
+
+/// The rows as CSV.
+pub fn write_csv(rows: &[Row], to: impl Write) -> csv::Result<()> {
+    report::csv_table(HEADER, rows.iter().map(Row::cells), to)
+}
+
+/// The rows as a table in Markdown, and below it what was not met.
+pub fn write_markdown(rows: &[Row], mut to: impl Write) -> io::Result<()> {
+    report::markdown_table(HEADER, rows.iter().map(Row::cells), &mut to)?;
+    let objections = rows.iter().flat_map(|row| &row.falls.objections);
+    objections.into_iter().try_for_each(|objection| writeln!(to, "- {objection}."))
+}
