@@ -21,7 +21,7 @@ const TIGHTEST: f64 = 1e-12;
 /// Writes `energy.csv`: the largest energy error of each choice over 50 s (`Quick`: 2 s).
 pub fn write(folder: &Folder, extent: Extent) -> Result<()> {
     let end: f64 = if extent == Extent::Full { 50.0 } else { 2.0 };
-    let (parameters, inputs) = scene::load(SCENE)?;
+    let (parameters, inputs) = scene::load(SCENE, end)?;
     let unit = mgl(&parameters.geometry);
     let mut rows = Vec::new();
     let least = |choice: &Choice| if choice.knob == "step" { SHORTEST } else { TIGHTEST };

@@ -20,7 +20,7 @@ const STRIDE: f64 = 4e-3;
 /// Writes `horizon.csv`, when each choice parts from the best run, and `growth.csv`, how two runs that are all but equal part.
 pub fn write(folder: &Folder, extent: Extent) -> Result<()> {
     let end = if extent == Extent::Full { 12.0 } else { 3.0 };
-    let (parameters, inputs) = scene::load(SCENE)?;
+    let (parameters, inputs) = scene::load(SCENE, end)?;
     let mut best = Run::new(&parameters, &inputs, BEST)?;
     let times: Vec<f64> = (1..=(end / STRIDE).round() as u32).map(|i| f64::from(i) * STRIDE).collect();
     let path: Vec<[f64; 2]> =

@@ -26,7 +26,7 @@ struct Measured<'a> {
     choice: Choice,
     /// Largest distance of the tip from the reference, m; infinite if the run ended early.
     error: f64,
-    /// `complete`, or why and when it ended early.
+    /// `complete`, why and when it ended early, or why it was left out.
     ending: String,
     counters: Counters,
     /// Whether stability limited the steps of an explicit method.
@@ -65,8 +65,11 @@ pub fn write(folder: &Folder, scenes: &[Scene], extent: Extent) -> Result<()> {
 
 impl<'a> Measured<'a> {
     fn first(scene: &'a Scene, choice: Choice) -> Result<Self> {
-        let mut run = Run::new(&scene.parameters, &scene.inputs, choice.setting)?;
         let mut laps = vec![Vec::new(); (scene.end / LAP).round() as usize];
+        if let Some(ending) = scene.leaves_out(&choice) {
+            return Ok(Self { scene, choice, error: f64::INFINITY, ending, counters: Counters::default(), stiff: false, laps });
+        }
+        let mut run = Run::new(&scene.parameters, &scene.inputs, choice.setting)?;
         let (tips, ending) = time(scene, &mut run, &mut laps);
         let error = if tips.len() == scene.reference.points.len() { scene.reference.error(&tips) } else { f64::INFINITY };
         let (counters, stiff) = (run.simulation.state().core.counters, run.simulation.is_stiff());
@@ -93,7 +96,7 @@ impl<'a> Measured<'a> {
         let whole = |round: usize| self.laps.iter().map(|lap| lap[round]).sum::<f64>();
         let worst = (0..rounds).map(whole).fold(0.0, f64::max);
         self.laps.iter_mut().for_each(|lap| lap.sort_by(f64::total_cmp));
-        // Of a run that ended early there is no whole time.
+        // Of a run that ended early, or was left out, there is no whole time.
         let sum = |of: fn(&[f64]) -> f64| if rounds == 0 { f64::NAN } else { self.laps.iter().map(|lap| of(lap)).sum() };
         let (median, best) = (sum(|lap| lap[lap.len() / 2]), sum(|lap| lap[0]));
         let Counters { substeps, rejected, iterations, .. } = self.counters;

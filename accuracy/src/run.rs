@@ -1,6 +1,8 @@
 //! A scene under way, in communication steps as a master makes them.
 
-use anyhow::{Result, anyhow};
+use std::rc::Rc;
+
+use anyhow::{Result, anyhow, ensure};
 use fivebar::observers;
 use fivebar::simulation::{Inputs, Parameters, Simulation, StepFailure};
 use hard_cases::Setting;
@@ -13,7 +15,8 @@ pub const COMMUNICATION: f64 = 1e-3;
 pub struct Run {
     /// The simulation.
     pub simulation: Simulation,
-    inputs: Inputs,
+    /// What is held over each communication step; the last one over all that follow.
+    inputs: Rc<[Inputs]>,
     /// Macro step, s.
     step: f64,
     /// Macro steps per communication step.
@@ -23,14 +26,15 @@ pub struct Run {
 }
 
 impl Run {
-    /// At the start.
-    pub fn new(parameters: &Parameters, inputs: &Inputs, setting: Setting) -> Result<Self> {
+    /// At the start. More than one entry of `inputs` is refused for steps beyond 1 ms, over which a master cannot change them.
+    pub fn new(parameters: &Parameters, inputs: &Rc<[Inputs]>, setting: Setting) -> Result<Self> {
         let mut parameters = parameters.clone();
         setting.apply(&mut parameters);
         let step = parameters.settings.step_size;
         let steps = (COMMUNICATION / step).round().max(1.0) as u64;
-        let simulation = Simulation::new(&parameters, inputs).map_err(|refusal| anyhow!("{}", refusal.0))?;
-        Ok(Self { simulation, inputs: *inputs, step, steps, done: 0 })
+        ensure!(inputs.len() == 1 || step <= COMMUNICATION, "inputs change every 1 ms, and the step is {} ms", 1e3 * step);
+        let simulation = Simulation::new(&parameters, &inputs[0]).map_err(|refusal| anyhow!("{}", refusal.0))?;
+        Ok(Self { simulation, inputs: inputs.clone(), step, steps, done: 0 })
     }
 
     /// Length of a communication step, s.
@@ -46,7 +50,8 @@ impl Run {
     /// One communication step.
     #[inline]
     pub fn advance(&mut self) -> Result<(), StepFailure> {
-        self.simulation.advance(&self.inputs, self.step, self.steps)?;
+        let inputs = &self.inputs[self.inputs.len().min(self.done as usize + 1) - 1];
+        self.simulation.advance(inputs, self.step, self.steps)?;
         self.done += 1;
         Ok(())
     }

@@ -6,7 +6,7 @@ use anyhow::Result;
 use fivebar::observers;
 use hard_cases::Setting;
 
-use crate::{Extent, Folder, Run, scene};
+use crate::{COMMUNICATION, Extent, Folder, Run, scene};
 
 /// The scene: a fall with many whips.
 const SCENE: &str = "fall_90_120";
@@ -22,7 +22,7 @@ const SETTINGS: [(&str, Setting); 4] = [
 /// the first one is what a master would have seen on this machine.
 pub fn write(folder: &Folder, extent: Extent) -> Result<()> {
     let (calls, repeats) = if extent == Extent::Full { (5_000, 9) } else { (500, 2) };
-    let (parameters, inputs) = scene::load(SCENE)?;
+    let (parameters, inputs) = scene::load(SCENE, calls as f64 * COMMUNICATION)?;
     let mut rows = Vec::new();
     for (name, setting) in SETTINGS {
         eprintln!("steps: {name}");

@@ -3,12 +3,40 @@
 use std::collections::HashMap;
 use std::fs;
 
-use accuracy::{Choice, Extent, Folder, Scene, precision};
+use accuracy::{COMMUNICATION, Choice, Extent, Folder, Run, Scene, precision};
 use hard_cases::Setting;
+use scenes::Scene as File;
 
-fn fall() -> Scene {
+fn judged(title: &str) -> Scene {
     let scenes = Scene::judged(Extent::Quick).expect("scenes with references");
-    scenes.into_iter().find(|scene| scene.title() == "fall_90_120, 1 s").expect("the fall")
+    scenes.into_iter().find(|scene| scene.title() == title).expect(title)
+}
+
+/// A row by the names of its columns.
+type Row = HashMap<String, String>;
+
+/// The rows of precision.csv of a small sample, and the text above them.
+fn measured(scene: Scene) -> (String, Vec<Row>) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let tables = Folder::new(folder.path().into(), "a\ntest".into()).expect("the folder");
+    precision::write(&tables, &[scene], Extent::Quick).expect("measured");
+    let text = fs::read_to_string(folder.path().join("precision.csv")).expect("the table");
+    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).from_reader(text.as_bytes());
+    let rows: Vec<Row> = reader.deserialize().collect::<Result<_, _>>().expect("rows");
+    assert_eq!(rows.len(), Choice::all(Extent::Quick).len());
+    (text.lines().next().expect("a line").into(), rows)
+}
+
+fn number(row: &Row, name: &str) -> f64 {
+    row[name].parse().expect("a number")
+}
+
+#[test]
+fn every_scene_is_judged() {
+    let judged = Scene::judged(Extent::Full).expect("scenes with references");
+    for scene in File::all().expect("shipped scenes") {
+        assert!(judged.iter().any(|judged| judged.name == scene.name), "{} is not in the table", scene.name);
+    }
 }
 
 #[test]
@@ -20,18 +48,11 @@ fn every_value_of_a_line_is_another_run() {
     assert!(choices.iter().any(|choice| choice.setting == Setting::Tolerance(3e-9)), "the default tolerance is on its line");
 }
 
-/// The tables of a small sample: one row per scene and choice, with the origin on top; i3alp at fixed step is of second order.
+/// One row per choice, with the origin on top; i3alp at fixed step is of second order.
 #[test]
 fn tables_are_complete() {
-    let (folder, scenes) = (tempfile::tempdir().expect("a folder"), [fall()]);
-    let tables = Folder::new(folder.path().into(), "a\ntest".into()).expect("the folder");
-    precision::write(&tables, &scenes, Extent::Quick).expect("measured");
-    let text = fs::read_to_string(folder.path().join("precision.csv")).expect("the table");
-    assert!(text.starts_with("# a test\n"), "{}", &text[..40]);
-    let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).from_reader(text.as_bytes());
-    let rows: Vec<HashMap<String, String>> = reader.deserialize().collect::<Result<_, _>>().expect("rows");
-    assert_eq!(rows.len(), Choice::all(Extent::Quick).len());
-    let number = |row: &HashMap<String, String>, name: &str| row[name].parse::<f64>().expect("a number");
+    let (about, rows) = measured(judged("fall_90_120, 1 s"));
+    assert_eq!(about, "# a test");
     for row in rows.iter().filter(|row| row["ending"] == "complete") {
         let [best, median, worst] =
             ["best us per simulated ms", "us per simulated ms", "worst us per simulated ms"].map(|n| number(row, n));
@@ -43,4 +64,23 @@ fn tables_are_complete() {
     let order =
         (number(coarse, "error [m]") / number(fine, "error [m]")).ln() / (number(coarse, "value") / number(fine, "value")).ln();
     assert!((order - 2.0).abs() < 0.1, "order {order}");
+}
+
+/// Inputs that change are those of the reference: else no tolerance would help. Steps longer than what they are held for are named.
+#[test]
+fn a_driven_scene_follows_its_reference() {
+    let scene = judged("pick_and_place, 1.6 s");
+    assert_eq!(scene.inputs.len(), 1600);
+    assert!(Run::new(&scene.parameters, &scene.inputs, Setting::Rk4(2e-3)).is_err());
+    let (_, rows) = measured(scene);
+    let (longer, others): (Vec<_>, Vec<_>) =
+        rows.iter().partition(|row| row["knob"] == "step" && number(row, "value") > COMMUNICATION);
+    for row in &longer {
+        assert_eq!(row["ending"], "left out: inputs are held for 1 ms, a longer step would be another motion");
+        assert_eq!((&*row["error [m]"], &*row["us per simulated ms"]), ("inf", "NaN"));
+    }
+    assert_eq!(longer.len(), 3, "4 ms by three methods");
+    let [.., finest] = *others.iter().filter(|row| row["method"] == "dop853").collect::<Vec<_>>() else { panic!("dop853") };
+    // Three times what was seen, at 1e-12 rad.
+    assert!(number(finest, "error [m]") < 2e-13, "{finest:?}");
 }

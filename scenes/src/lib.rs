@@ -64,8 +64,22 @@ impl Scene {
 
     /// Parameters and inputs at the start.
     pub fn start(&self) -> Result<(Parameters, Inputs)> {
+        self.with(self.signals_at(0.0))
+    }
+
+    /// Parameters, and the inputs of each millisecond up to `end` s as the reference trajectories hold them: signals are the doubles
+    /// nearest to what they are where it begins. Without signals there is one entry, for all.
+    pub fn held(&self, end: f64) -> Result<(Parameters, Vec<Inputs>)> {
+        let last = if self.signals.is_empty() { 1 } else { (1e3 * end).round() as u32 };
+        let nearest = |i| self.signals.iter().map(move |signal| (signal.variable, Value::Real(signal.nearest(i))));
+        let each = (0..last).map(|i| Ok(self.with(nearest(i))?.1)).collect::<Result<_>>()?;
+        Ok((self.with(nearest(0))?.0, each))
+    }
+
+    /// What the scene sets, and then `signals`.
+    fn with(&self, signals: impl Iterator<Item = (&'static Variable, Value)>) -> Result<(Parameters, Inputs)> {
         let (mut parameters, mut inputs) = (default_parameters(), default_inputs());
-        for (variable, value) in self.values.iter().copied().chain(self.signals_at(0.0)) {
+        for (variable, value) in self.values.iter().copied().chain(signals) {
             let written = bindings::write(&mut parameters, &mut inputs, variable, value);
             ensure!(written, "scenes/{}.json: {} cannot be set to {value}", self.name, variable.name);
         }
@@ -121,6 +135,9 @@ mod tests {
         assert!(scenes.len() > 10 && scenes.iter().all(|scene| scene.start().is_ok()));
         let moved = scenes.iter().find(|scene| scene.name == "pick_and_place").expect("it has signals");
         assert_eq!((moved.signals.len(), moved.start().expect("values").1.servo_theta), (4, [2.7567, 1.345]));
+        let (_, each) = moved.held(0.5).expect("values");
+        // The middle of the first way; 0.2 and 0.7 as doubles are round-off away from what is written.
+        assert!(each.len() == 500 && (each[450].servo_theta[0] - (2.7567 + 1.7966) / 2.0).abs() < 1e-15);
     }
 
     #[test]

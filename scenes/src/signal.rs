@@ -2,6 +2,8 @@
 
 use anyhow::{Context, Result, bail, ensure};
 use fivebar::variables::Variable;
+use num_rational::BigRational;
+use num_traits::{FromPrimitive, Num, ToPrimitive, clamp};
 use serde_json::{Map, Value as Json};
 
 /// One input's way through its knots.
@@ -23,20 +25,34 @@ enum Shape {
     MinimumJerk,
 }
 
+/// What a signal is computed in: doubles, or fractions without round-off.
+trait Number: Num + Clone + PartialOrd + FromPrimitive {}
+impl<T: Num + Clone + PartialOrd + FromPrimitive> Number for T {}
+
+fn number<T: Number>(value: f64) -> T {
+    T::from_f64(value).expect("JSON has finite numbers only")
+}
+
 impl Shape {
     /// From 0 to 1 while u goes from 0 to 1.
-    fn way(self, u: f64) -> f64 {
+    fn way<T: Number>(self, u: T) -> T {
         match self {
             Self::Linear => u,
-            Self::MinimumJerk => u * u * u * (10.0 - 15.0 * u + 6.0 * u * u),
+            Self::MinimumJerk => {
+                let bend = number::<T>(10.0) - number::<T>(15.0) * u.clone() + number::<T>(6.0) * u.clone() * u.clone();
+                u.clone() * u.clone() * u * bend
+            }
         }
     }
 
     /// Its derivative.
-    fn slope(self, u: f64) -> f64 {
+    fn slope<T: Number>(self, u: T) -> T {
         match self {
-            Self::Linear => 1.0,
-            Self::MinimumJerk => 30.0 * u * u * (1.0 - u) * (1.0 - u),
+            Self::Linear => T::one(),
+            Self::MinimumJerk => {
+                let left = T::one() - u.clone();
+                number::<T>(30.0) * u.clone() * u * left.clone() * left
+            }
         }
     }
 }
@@ -67,15 +83,25 @@ fn signal(given: &Map<String, Json>, name: &str) -> Result<Signal> {
 }
 
 impl Signal {
-    /// Its value at a time, s.
+    /// Its value at a time, s, to a few units of the last place.
     pub fn at(&self, time: f64) -> f64 {
-        let segment = self.knots.windows(2).rfind(|knots| knots[0].0 <= time).unwrap_or(&self.knots[..2]);
-        let [(from, before), (to, after)] = [segment[0], segment[1]];
-        let (u, change) = ((time - from) / (to - from), after - before);
+        self.value(time)
+    }
+
+    /// The double nearest to its value at the beginning of a millisecond, counted from 0.
+    pub fn nearest(&self, millisecond: u32) -> f64 {
+        self.value(BigRational::new(millisecond.into(), 1000.into())).to_f64().expect("between finite knots")
+    }
+
+    fn value<T: Number>(&self, time: T) -> T {
+        let segment = self.knots.windows(2).rfind(|knots| number::<T>(knots[0].0) <= time).unwrap_or(&self.knots[..2]);
+        let [(from, before), (to, after)] = [segment[0], segment[1]].map(|(time, value)| (number::<T>(time), number::<T>(value)));
+        let (duration, change) = (to - from.clone(), after - before.clone());
+        let u = (time - from) / duration.clone();
         match self.rate {
-            false => before + change * self.shape.way(u.clamp(0.0, 1.0)),
-            true if (0.0..1.0).contains(&u) => change / (to - from) * self.shape.slope(u),
-            true => 0.0,
+            false => before + change * self.shape.way(clamp(u, T::zero(), T::one())),
+            true if T::zero() <= u && u < T::one() => change / duration * self.shape.slope(u),
+            true => T::zero(),
         }
     }
 }
@@ -105,5 +131,25 @@ mod tests {
             assert!((rate.at(time) - difference).abs() < 1e-7, "{time} s: {} and {difference}", rate.at(time));
         }
         assert_eq!(of("tip.fx").at(0.25), 0.5);
+    }
+
+    /// To the bit what tests/data/reference/make/make.py holds: values of its `signal_at`, in 80 digits.
+    #[test]
+    fn the_nearest_double_is_what_references_hold() {
+        let held = [
+            ("haptic", 1005, "tip.fx", 1.19861025),
+            ("haptic", 1100, "tip.fx", 8.407790785948869e-45), // the last knot, 1.1 as a double, is after the millisecond
+            ("pick_and_place", 207, "servo.omega[1]", -0.010976847264095969),
+            ("pick_and_place", 450, "servo.theta[2]", 0.8649499999999999),
+            ("pick_and_place", 1340, "servo.omega[2]", 0.6423852441599988),
+        ];
+        for (scene, millisecond, name, value) in held {
+            let scene = crate::Scene::read(scene).expect("a shipped scene");
+            let signal = scene.signals.iter().find(|signal| signal.variable.name == name).expect("its signal");
+            assert_eq!(signal.nearest(millisecond), value, "{name} at {millisecond} ms");
+            // Doubles are off by some units of the last place, 4e-16 of values around 3.
+            let double = signal.at(1e-3 * f64::from(millisecond));
+            assert!((double - value).abs() < 5e-15, "{name} at {millisecond} ms: {double}");
+        }
     }
 }

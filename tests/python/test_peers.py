@@ -6,15 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from peers import ahead, native
+from peers import ahead, native, timing
 from report import sections, tables
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="peers are driven on Unix")
 
 HEAD = ("scene", "peer", "version", "settings", "error_1s_m", "error_2s_m", "ms_per_simulated_second", "energy_error_mgL", "note")
+FALL = ahead.SCENES[0]
 
 
-def row(peer: str, settings: str, error: object, ms: object, note: str = "", scene: str = ahead.SCENE) -> dict[str, str]:
+def row(peer: str, settings: str, error: object, ms: object, note: str = "", scene: str = FALL) -> dict[str, str]:
     """A row of peers.csv; the error after 2 s is a hundred times that after 1 s."""
     later = 100 * error if error else ""
     return dict(zip(HEAD, map(str, (scene, peer, "1.0", settings, error, later, ms, "", note))))
@@ -33,13 +34,14 @@ ROWS = [
     row("Fast & rough", "lucky", 1e-6, 1.2),
     row("Fast & rough", "fine", 1e-5, 30),
     row("Never", "any", "", "", "ended after 0 s: NaN"),
-    row("Fast & rough", "fine", 1e-12, 0.01, scene="paper_free_fall"),
+    # Another scene's.
+    row("Fast & rough", "fine", 1e-12, 0.01, scene="swing"),
     row("Absent", "", "", "", "left out: not installed (no <wheel>)", scene=""),
 ]
 
 
 def test_the_cheapest_of_ours_against_the_cheapest_of_each_peer() -> None:
-    answers = {f"{a.wanted:.0e}": a for a in ahead.table(ROWS, 1)}
+    answers = {f"{a.wanted:.0e}": a for a in ahead.table(ROWS, FALL, 1)}
     assert list(answers) == [f"1e-{n:02}" for n in range(2, 11)]
     assert (answers["1e-02"].method, answers["1e-02"].ratios) == ("dop853, 1e-4", {"Fast & rough": 0.05 / 0.1, "Never": None})
     assert answers["1e-03"].method == answers["1e-04"].method == "dop853, 1e-5"
@@ -48,11 +50,11 @@ def test_the_cheapest_of_ours_against_the_cheapest_of_each_peer() -> None:
     assert answers["1e-06"].ratios["Fast & rough"] == pytest.approx(1.2 / 0.4)  # a quotient of these numbers to a round-off
     assert answers["1e-08"].ratios["Fast & rough"] is None
     assert answers["1e-10"].method == ""
-    assert ahead.table(ROWS, 2)[-2].method == "" and ahead.table(ROWS, 2)[5].method == "dop853, 1e-12"
+    assert ahead.table(ROWS, FALL, 2)[-2].method == "" and ahead.table(ROWS, FALL, 2)[5].method == "dop853, 1e-12"
 
 
 def test_the_table_says_who_is_behind() -> None:
-    lines = ahead.markdown(ahead.table(ROWS, 1))
+    lines = ahead.markdown(ahead.table(ROWS, FALL, 1))
     assert lines[0] == "| error below | ours | ms/s | Fast & rough | Never |"
     assert lines[2] == "| 1e-2 m | dop853, 1e-4 | 0.1 | 0.5 ×, behind | not reached |"
     assert lines[6] == "| 1e-6 m | dop853, 1e-12 | 0.4 | 3 × | not reached |"
@@ -99,6 +101,18 @@ def test_a_program_that_sticks_is_ended(monkeypatch: pytest.MonkeyPatch) -> None
     advance = native.Program(sys.executable, "-c", "while True: pass").begin(np.zeros(8))
     with pytest.raises(RuntimeError, match="^takes longer than"):
         advance(1.0)
+
+
+@pytest.mark.parametrize(("seconds", "runs"), [(1e-3, timing.MOST), (0.03, 7), (0.1, timing.LEAST), (0.4, timing.LEAST), (0.6, 1)])
+def test_short_runs_are_repeated(seconds: float, runs: int) -> None:
+    times = [seconds]
+    while not timing.enough(times):
+        times.append(seconds)
+    assert len(times) == runs
+
+
+def test_the_median_counts() -> None:
+    assert timing.counted([0.1, 9.0, 0.2, 0.15, 0.01]) == 0.15
 
 
 def test_a_compiler_that_is_not_there_is_named() -> None:

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 OURS = "FiveBar "
 """What the names of our methods begin with."""
 
-SCENE = "fall_90_120"
+SCENES = ("fall_90_120", "swing")
+"""Those whose errors are compared: a whipping one and a smooth one."""
+
 WANTED = tuple(10.0**-n for n in range(2, 11))
 """Errors of the tip, m."""
 
@@ -25,11 +27,11 @@ class Answer:
     """The peer's time over ours; None for a peer that does not get there."""
 
 
-def table(rows: list[Row], second: int) -> list[Answer]:
-    """The answers, for the error after 1 or 2 seconds. A small error by luck counts for a peer; for one of our methods a setting
+def table(rows: list[Row], scene: str, second: int) -> list[Answer]:
+    """The answers for a scene, for the error after 1 or 2 seconds. A small error by luck counts for a peer; for one of our methods a setting
     counts only if all its dearer ones are good enough as well."""
     column = f"error_{second}s_m"
-    done = [r for r in rows if r["scene"] == SCENE and r[column] and r["ms_per_simulated_second"]]
+    done = [r for r in rows if r["scene"] == scene and r[column] and r["ms_per_simulated_second"]]
     points = [(r["peer"], r["settings"], float(r[column]), float(r["ms_per_simulated_second"])) for r in done]
     ours = [p for p in points if p[0].startswith(OURS)]
     # Also those that never gave a result, so that they are seen; not those that were left out, which have no scene.

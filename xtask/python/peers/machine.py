@@ -42,13 +42,13 @@ class Peer:
     settings: Iterable[Setting]
 
 
-def closed(left: float, right: float) -> np.ndarray:
-    """The state at rest with these proximal angles and the tip to the left of the arrow between the elbows."""
+def closed(left: float, right: float, side: int) -> np.ndarray:
+    """The state at rest with these proximal angles and the tip to the left (1) or right (-1) of the arrow between the elbows."""
     ax, ay = LENGTH * math.cos(left), LENGTH * math.sin(left)
     bx, by = BASE + LENGTH * math.cos(right), LENGTH * math.sin(right)
     gap = math.hypot(bx - ax, by - ay)
     # Equal distal links: an isosceles triangle over the line between the elbows.
-    base_angle, line = math.acos(min(1.0, gap / (2 * LENGTH))), math.atan2(by - ay, bx - ax)
+    base_angle, line = side * math.acos(min(1.0, gap / (2 * LENGTH))), math.atan2(by - ay, bx - ax)
     return np.array([left, line + base_angle, line + math.pi - base_angle, right, 0.0, 0.0, 0.0, 0.0])
 
 

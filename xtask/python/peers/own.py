@@ -1,5 +1,6 @@
 """This repository's methods, through the packed .fmu: what the peers are compared with."""
 
+import math
 import sys
 from pathlib import Path
 
@@ -31,19 +32,25 @@ def peers(fmu: Path) -> list[Peer]:
     model = fmpy.read_model_description(directory, validate=False)
     method = next(v for v in model.modelVariables if v.name == "solver.method")
     numbers = {item.name: int(item.value) for item in method.declaredType.items}
+    assembly = next(v for v in model.modelVariables if v.name == "init.assembly")
+    sides = {item.name: int(item.value) for item in assembly.declaredType.items}
     version = model.version or "this .fmu"
     return [
-        Peer(f"{ahead.OURS}{name}", version, [_setting(model, directory, numbers[method], run) for run in runs])
+        Peer(f"{ahead.OURS}{name}", version, [_setting(model, directory, sides, run | {"solver.method": numbers[method]}) for run in runs])
         for name, (method, runs) in RUNS.items()
         if method in numbers
     ]
 
 
-def _setting(model, directory: str, method: int, settings: dict[str, float | bool]) -> Setting:
+def _setting(model, directory: str, sides: dict[str, int], settings: dict[str, float | bool]) -> Setting:
+    text = ", ".join(f"{name} = {value}" for name, value in settings.items() if name != "solver.method")
+
     def begin(start):
         log = Log()
         slave = instantiate(model, directory, log)
-        set_values(slave, model, {"init.theta[1]": start[0], "init.theta[2]": start[3], "solver.method": method} | settings)
+        # Equal distal links: the tip is on the right where they turn clockwise from the left one to the right one.
+        side = sides["plus" if math.sin(start[2] - start[1]) >= 0 else "minus"]
+        set_values(slave, model, {"init.theta[1]": start[0], "init.theta[2]": start[3], "init.assembly": side} | settings)
         slave.setupExperiment(startTime=0.0)
         slave.enterInitializationMode()
         slave.exitInitializationMode()
@@ -60,4 +67,4 @@ def _setting(model, directory: str, method: int, settings: dict[str, float | boo
 
         return advance
 
-    return Setting(", ".join(f"{name} = {value}" for name, value in settings.items()), begin)
+    return Setting(text, begin)

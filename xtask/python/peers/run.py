@@ -8,6 +8,7 @@ Times are the processor's, of the process that does the work alone: other work o
 import argparse
 import csv
 import importlib
+import itertools
 import math
 import os
 import sys
@@ -21,6 +22,7 @@ import ahead
 import machine
 import native
 import own
+import timing
 
 # Module and function of each peer; one whose package, compiler or library is not installed is listed as left out.
 PEERS = {
@@ -34,10 +36,15 @@ PEERS = {
     "rapier2d": ("rapier", "peer"),
 }
 
-# A run is repeated as long as it and its repeats have taken fewer seconds, up to a number of times; the least time counts.
-REPEATED, REPEATS = 0.2, 20
-START = {"fall_90_120": (math.radians(90), 2.0943951023931953), "paper_free_fall": (math.radians(90), math.radians(90))}
-END = {"fall_90_120": 2, "paper_free_fall": 50}
+# Both proximal angles, and the side of the tip.
+START = {
+    "fall_90_120": (math.radians(90), 2.0943951023931953, 1),
+    "swing": (-1.05, -1.7, -1),
+    "paper_free_fall": (math.radians(90), math.radians(90), 1),
+}
+END = {"fall_90_120": 2, "swing": 2, "paper_free_fall": 50}
+# Of the scenes with a reference, the tip at whole seconds.
+Tips = dict[str, dict[int, np.ndarray]]
 # What a peer that gives up may raise.
 FAILURES = (RuntimeError, ValueError, ArithmeticError)
 
@@ -67,7 +74,7 @@ def main() -> int:
     options = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
-    tips = reference(options.references / "fall_90_120.csv")
+    tips = {scene: reference(options.references / f"{scene}.csv") for scene in ahead.SCENES}
     peers, left_out = find(options.fmu, options.only)
     rows = []
     for peer in peers:
@@ -76,9 +83,9 @@ def main() -> int:
                 rows.append(measure(scene, peer, setting, tips))
                 show(rows[-1])
     cells = [{name: "" if value is None else str(value) for name, value in asdict(row).items()} for row in rows]
-    for second in (1, 2):
-        print(f"\nTime against ours for an error of the tip after {second} s of fall_90_120:\n")
-        print("\n".join(ahead.markdown(ahead.table(cells, second))))
+    for scene, second in itertools.product(ahead.SCENES, (1, 2)):
+        print(f"\nTime against ours for an error of the tip after {second} s of {scene}:\n")
+        print("\n".join(ahead.markdown(ahead.table(cells, scene, second))))
     print()
     rows += [Row("", name, "", "", note=f"left out: {why}") for name, why in left_out.items()]
     for row in rows[len(rows) - len(left_out) :]:
@@ -113,25 +120,23 @@ def reference(file: Path) -> dict[int, np.ndarray]:
     return {t: rows[float(t)] for t in (1, 2)}
 
 
-def measure(scene: str, peer: machine.Peer, setting: machine.Setting, tips: dict[int, np.ndarray]) -> Row:
+def measure(scene: str, peer: machine.Peer, setting: machine.Setting, tips: Tips) -> Row:
     """A setting over a scene. Building the model and compiling, in a run of 1 ms before, are not in the time."""
     row = Row(scene, peer.name, peer.version, setting.text)
-    start, least, total = machine.closed(*START[scene]), math.inf, 0.0
+    start, times = machine.closed(*START[scene]), []
     try:
         setting.begin(start)(1e-3)
-        for _ in range(REPEATS):
+        while not times or not (row.note or timing.enough(times)):
             done, spent, row.note = once(row, setting, start, tips)
-            least, total = min(least, spent), total + spent
-            if row.note or total > REPEATED:
-                break
+            times.append(spent)
     except FAILURES as error:
         done, row.note = 0, f"ended at the start: {words(error)}"
     if done:
-        row.ms_per_simulated_second = 1e3 * least / done
+        row.ms_per_simulated_second = 1e3 * timing.counted(times) / done
     return row
 
 
-def once(row: Row, setting: machine.Setting, start: np.ndarray, tips: dict[int, np.ndarray]) -> tuple[int, float, str]:
+def once(row: Row, setting: machine.Setting, start: np.ndarray, tips: Tips) -> tuple[int, float, str]:
     """One run: whole seconds done, the time of them, and why it ended early. Errors go to the row."""
     before, spent, done = machine.energy(start), 0.0, 0
     row.energy_error_mgL = None
@@ -145,8 +150,8 @@ def once(row: Row, setting: machine.Setting, start: np.ndarray, tips: dict[int, 
                 raise RuntimeError("NaN")
             done, spent = second, spent + took
             row.energy_error_mgL = max(row.energy_error_mgL or 0.0, abs(machine.energy(y) - before) / machine.MGL)
-            if row.scene == "fall_90_120":
-                setattr(row, f"error_{second}s_m", float(np.hypot(*(machine.tip(y) - tips[second]))))
+            if row.scene in tips:
+                setattr(row, f"error_{second}s_m", float(np.hypot(*(machine.tip(y) - tips[row.scene][second]))))
             if spent > native.BUDGET and second < END[row.scene]:
                 raise RuntimeError(native.TOO_LONG)
     except FAILURES as error:

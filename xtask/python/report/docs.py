@@ -8,7 +8,7 @@ END = "<!-- accuracy: end -->"
 FILES = {"README.md": "docs/images/accuracy.svg", "docs/accuracy.md": "images/accuracy.svg"}
 """The files, and where each sees the picture."""
 
-CAPTION = "Error of the tip against time on one core, by method; smooth, whipping and stiff motion"
+CAPTION = "Error of the tip against time on one core, by method, for one scene of each kind"
 
 
 def block(text: str, name: str) -> str:

@@ -164,9 +164,9 @@ def _own_error(axes: Axes, reference: Reference) -> None:
 
 
 def _legend(figure: Figure, *panels: Axes) -> None:
-    """One legend below all panels."""
+    """One legend below all panels, in two lines where there is room for one panel only."""
     found = {label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels())}
-    figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=len(found), fontsize=9)
+    figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=len(found) if figure.get_figwidth() > 6 else 3, fontsize=9)
 
 
 def _inverse(cost: np.ndarray) -> np.ndarray:

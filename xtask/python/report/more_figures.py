@@ -90,20 +90,25 @@ def paper(curves: dict[str, np.ndarray], figures: tuple[str, str]) -> Figure:
 
 
 def peers(rows: list[Row]) -> Figure:
-    """Error after 1 s of the fall against time; our own methods, measured in the same run, stand out."""
-    figure, axes = plt.subplots(figsize=(9.4, 5.2))
-    names = list(dict.fromkeys(row["peer"] for row in rows if row["error_1s_m"]))
+    """Error after 1 s against time, a panel per scene; our own methods, measured in the same run, stand out."""
+    figure, panels = plt.subplots(1, len(ahead.SCENES), figsize=(11.2, 5.6), sharey=True)
+    rows = [row for row in rows if row["error_1s_m"]]
+    names = list(dict.fromkeys(row["peer"] for row in rows))
     others = [name for name in names if name.removeprefix(ahead.OURS) not in COLOURS]
     colours = dict(zip(others, plt.get_cmap("tab10").colors))
-    for name in names:
-        points = [(number(row["ms_per_simulated_second"]), number(row["error_1s_m"])) for row in rows if row["peer"] == name]
-        # A tip that is off by more than a link is long says nothing.
-        points = sorted(point for point in points if 0 < point[1] < 0.21)
-        own = name.removeprefix(ahead.OURS)
-        colour, marker = (colours[name], "x") if name in colours else (COLOURS[own], SHAPES[own])
-        axes.plot([p[0] for p in points], [p[1] for p in points], marker=marker, color=colour, linestyle="", markersize=5, label=name)
-    logarithmic(axes, xlabel="ms per simulated second, one core", ylabel="error of the tip after 1 s  (m)")
-    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=8)
+    handles = {}
+    for axes, scene in zip(panels, ahead.SCENES):
+        for name in names:
+            own = [row for row in rows if row["peer"] == name and row["scene"] == scene]
+            points = [(number(row["ms_per_simulated_second"]), number(row["error_1s_m"])) for row in own]
+            # A tip that is off by more than a link is long says nothing.
+            points = sorted(point for point in points if 0 < point[1] < 0.21)
+            method = name.removeprefix(ahead.OURS)
+            colour, marker = (colours[name], "x") if name in colours else (COLOURS[method], SHAPES[method])
+            [handles[name]] = axes.plot([p[0] for p in points], [p[1] for p in points], marker=marker, color=colour, linestyle="", markersize=5)
+        logarithmic(axes, xlabel="ms per simulated second, one core", title=scene)
+    panels[0].set_ylabel("error of the tip after 1 s  (m)")
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=6, fontsize=8)
     return figure
 
 

@@ -31,8 +31,8 @@ def svg(figure: Figure, name: str, alt: str) -> str:
     # Fonts give the same ids in every figure, and clips may.
     drawing = re.sub(r'(\bid="|xlink:href="#|url\(#)', rf"\g<1>{name}-", drawing)
     label = html.escape(alt, quote=True)
-    # Width and height follow the page; the viewBox keeps the proportions.
-    return re.sub(r'<svg ([^>]*?)width="[^"]*"', rf'<svg role="img" aria-label="{label}" \1', re.sub(r'(<svg [^>]*?)height="[^"]*" ', r"\1", drawing, count=1), count=1)  # fmt: skip
+    # Width and height follow the page, up to what was drawn; the viewBox keeps the proportions.
+    return re.sub(r'<svg ([^>]*?)width="([^"]*)"', rf'<svg role="img" aria-label="{label}" style="max-width: \2" \1', re.sub(r'(<svg [^>]*?)height="[^"]*" ', r"\1", drawing, count=1), count=1)  # fmt: skip
 
 
 def table(head: list[str], rows: list[list[str]], numbers: tuple[int, ...] = ()) -> str:

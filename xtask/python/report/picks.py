@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from report.tables import Marker, Reference
+from report.tables import Marker, Reference, by_kind
 
 WANTED = tuple(10.0**-n for n in range(2, 13))
 """Errors, m, that somebody may ask for."""
@@ -72,7 +72,7 @@ def power(value: float) -> str:
 
 def one_of_each_kind(references: list[Reference]) -> list[Reference]:
     """The first scene of each kind."""
-    return list({r.kind: r for r in reversed(references)}.values())[::-1]
+    return [scenes[0] for scenes in by_kind(references).values()]
 
 
 def short_table(markers: list[Marker], references: list[Reference]) -> list[str]:
@@ -89,8 +89,8 @@ def short_table(markers: list[Marker], references: list[Reference]) -> list[str]
 def sentences(markers: list[Marker], references: list[Reference]) -> list[tuple[str, str]]:
     """For people with five minutes: per kind of motion, what to take from coarse to fine, and what it costs."""
     result = []
-    for kind in dict.fromkeys(r.kind for r in references):
-        found = [p for r in references if r.kind == kind for p in picks(markers, r) if p.resolved and p.best]
+    for kind, scenes in by_kind(references).items():
+        found = [p for r in scenes for p in picks(markers, r) if p.resolved and p.best]
         stretches: list[tuple[str, list[Pick]]] = []
         for wanted in sorted({p.wanted for p in found}, reverse=True):
             here = [p for p in found if p.wanted == wanted]

@@ -1,6 +1,7 @@
 """What the page says: one function per section."""
 
 import html
+import itertools
 import re
 
 import numpy as np
@@ -9,7 +10,7 @@ import hard_cases
 from peers import ahead
 from report import figures, more_figures, picks
 from report.page import Section, table
-from report.tables import Marker, Measurements, Reference, setting
+from report.tables import Marker, Measurements, Reference, by_kind, setting
 
 def run(m: Measurements, about: str) -> Section:
     """1: what was run, where, how to repeat it."""
@@ -26,8 +27,8 @@ def run(m: Measurements, about: str) -> Section:
         section.bullets([f"<code>{html.escape(name)}</code>: {html.escape(text)}" for name, text in tables])
     section.text(
         "Each run goes in communication steps of 1 ms (or of the internal step, where that is longer), as a co-simulation master "
-        "makes them; no outputs are read in between. All methods run in turn within one process, round after round; the median of the "
-        "rounds counts, on one core. The error is the largest distance of the tip from the reference at the reference's times."
+        "makes them; no outputs are read in between. Inputs that change are held for 1 ms each, as in the reference. All methods run in "
+        "turn within one process, round after round; the median of the rounds counts, on one core. The error is the largest distance of the tip from the reference at the reference's times."
     )
     return section
 
@@ -41,49 +42,69 @@ def need(markers: list[Marker], references: list[Reference]) -> Section:
         "those of the whole run, so a setting is good for motions that last as long as the scene, of a like kind. µs per ms: microseconds of one core per "
         "simulated millisecond."
     )
+    cells = [[r.kind, html.escape(r.scene), *(answer(picks.pick(markers, r, wanted)) for wanted in picks.SHORT)] for r in references]
+    section.parts.append(table(["kind", "scene", *(f"{picks.power(wanted)} m" for wanted in picks.SHORT)], cells))
+    section.text("The time is that of one simulated millisecond. All decades, scene by scene:")
     for reference in references:
-        rows = []
-        for choice in picks.picks(markers, reference):
-            wanted = f"{picks.power(choice.wanted)} m"
-            if not choice.resolved:
-                rows.append([wanted, '<span class="none">below the reference\'s own error</span>', "", "", "", "", ""])
-            elif choice.best is None:
-                rows.append([wanted, '<span class="none">reached by nothing measured</span>', "", "", "", "", ""])
-            else:
-                best, second = choice.best, choice.second
-                other = f"{second.method}, {second.setting}: {picks.cost(second.cost / best.cost)} ×" if second else "none"
-                cells = [wanted, f"<b>{best.method}</b>", f"{best.knob} {best.setting}", f"{best.error:.1e} m"]
-                rows.append([*cells, picks.cost(best.cost), picks.factor(best.cost), other])
-        section.parts.append(f"<h3>{reference.kind}: {html.escape(reference.scene)}</h3>")
-        head = ["error below", "method", "setting", "its error", "µs per ms", "× real time", "next method, cost against the first"]
-        section.parts.append(table(head, rows, (4, 5)))
-        stiff = sorted({m.method for m in markers if m.scene == reference.scene and m.stiff})
-        if stiff:
-            section.text(
-                f"The loads of this scene are too stiff for {' and '.join(stiff)}: its steps were limited by its stability and not by the "
-                "wanted error, whatever the tolerance. The unit's log says so in such a run."
-            )
+        section.folded(f"{reference.kind}: {html.escape(reference.scene)}", decades(markers, reference))
     section.text('Data: <a href="data/precision.csv">precision.csv</a>.')
     return section
+
+
+def answer(choice: picks.Pick) -> str:
+    """A cell of the overview."""
+    if choice.best is None or not choice.resolved:
+        return f'<span class="none">{picks.answer(choice)}</span>'
+    return f"<b>{choice.best.method}</b><br>{choice.best.setting}: {picks.cost(choice.best.cost)} µs"
+
+
+def decades(markers: list[Marker], reference: Reference) -> str:
+    """The table of a scene: what to take for each wanted error."""
+    rows = []
+    for choice in picks.picks(markers, reference):
+        wanted = f"{picks.power(choice.wanted)} m"
+        if not choice.resolved:
+            rows.append([wanted, '<span class="none">below the reference\'s own error</span>', "", "", "", "", ""])
+        elif choice.best is None:
+            rows.append([wanted, '<span class="none">reached by nothing measured</span>', "", "", "", "", ""])
+        else:
+            best, second = choice.best, choice.second
+            other = f"{second.method}, {second.setting}: {picks.cost(second.cost / best.cost)} ×" if second else "none"
+            cells = [wanted, f"<b>{best.method}</b>", f"{best.knob} {best.setting}", f"{best.error:.1e} m"]
+            rows.append([*cells, picks.cost(best.cost), picks.factor(best.cost), other])
+    head = ["error below", "method", "setting", "its error", "µs per ms", "× real time", "next method, cost against the first"]
+    stiff = sorted({m.method for m in markers if m.scene == reference.scene and m.stiff})
+    note = (
+        f"<p>The loads of this scene are too stiff for {' and '.join(stiff)}: its steps were limited by its stability and not by the "
+        "wanted error, whatever the tolerance. The unit's log says so in such a run.</p>"
+    )
+    return table(head, rows, (4, 5)) + (note if stiff else "")
 
 
 def precision(markers: list[Marker], references: list[Reference]) -> Section:
     """3: work and precision."""
     section = Section("precision", "Error against time")
     section.text("Lower and further left is better. Step or tolerance stands beside every third marker.")
-    caption = "Work and precision: a line per method, from its coarsest to its finest setting. Runs that ended early are left out."
-    section.figure(figures.work_precision(markers, references), "precision", caption, ["precision.csv", "references.csv"])
+    for kind, scenes in by_kind(references).items():
+        caption = f"Work and precision, {kind}: a line per method, from its coarsest to its finest setting. Runs that ended early are left out."
+        section.figure(figures.work_precision(markers, scenes), f"precision-{name_of(kind)}", caption, ["precision.csv", "references.csv"])
     return section
+
+
+def name_of(kind: str) -> str:
+    """A kind as part of an id."""
+    return kind.replace(" ", "-")
 
 
 def order(markers: list[Marker], references: list[Reference], energy: list[dict[str, str]]) -> Section:
     """4: error against step, the references, and energy."""
     section = Section("order", "Error against step and tolerance, and how good the references are")
-    caption = (
-        "Left: error against step, slopes by least squares where the order shows. Right: error against tolerance. Grey: below the "
-        "reference's own error nothing can be told."
-    )
-    section.figure(figures.order(markers, references), "order", caption, ["precision.csv", "references.csv"])
+    for kind, scenes in by_kind(references).items():
+        caption = (
+            f"{kind.capitalize()}. Left: error against step, slopes by least squares where the order shows. Right: error against "
+            "tolerance. Grey: below the reference's own error nothing can be told."
+        )
+        section.figure(figures.order(markers, scenes), f"order-{name_of(kind)}", caption, ["precision.csv", "references.csv"])
     rows = [[r.kind, html.escape(r.scene), f"{r.own_error:.1e} m", html.escape(r.source)] for r in references]
     section.parts.append(table(["kind", "scene", "own error of the reference", "where it comes from"], rows))
     if energy:
@@ -204,14 +225,14 @@ def peers(m: Measurements) -> Section:
     section.parts.append("<h3>Who is ahead</h3>")
     section.text(
         "For each wanted error of the tip after 1 s and after 2 s our cheapest setting and the time of the cheapest setting of each peer, "
-        "relative to ours. Both are means over the 2 s of the run. A small error by luck counts for a peer; one of our settings counts only if all dearer ones of its method are "
-        "good enough as well."
+        "relative to ours, in a motion that whips and in a smooth one. Both are means over the 2 s of the run. A small error by luck "
+        "counts for a peer; one of our settings counts only if all dearer ones of its method are good enough as well."
     )
-    for second in (1, 2):
-        head, *lines = [[html.escape(cell) for cell in line] for line in ahead.cells(ahead.table(m.peers.rows, second))]
-        section.parts.append(f"<h3>Error after {second} s of {ahead.SCENE}</h3>")
+    for scene, second in itertools.product(ahead.SCENES, (1, 2)):
+        head, *lines = [[html.escape(cell) for cell in line] for line in ahead.cells(ahead.table(m.peers.rows, scene, second))]
+        section.parts.append(f"<h3>Error after {second} s of {scene}</h3>")
         section.parts.append(table(head, lines, tuple(range(2, len(head)))))
-    caption = "Error of the tip after 1 s of fall_90_120 against time, each program at several settings; FiveBar through the .fmu, in steps of 1 s."
+    caption = "Error of the tip after 1 s against time, each program at several settings; FiveBar through the .fmu, in steps of 1 s."
     section.figure(more_figures.peers(m.peers.rows), "peers", caption, ["peers.csv"])
     absent = [row for row in m.peers.rows if not row["scene"]]
     ended = [row for row in m.peers.rows if row["scene"] and row["note"]]
@@ -241,7 +262,7 @@ def failed(m: Measurements, markers: list[Marker]) -> dict[tuple[str, str, str],
         found.setdefault((scene, method, html.escape(why)), []).append(chosen)
 
     for r in markers:
-        if not r.complete or r.error >= figures.USELESS:
+        if not r.left_out and (not r.complete or r.error >= figures.USELESS):
             add(r.scene, r.method, r.setting, r.ending, f"ran to the end, more than {figures.USELESS:g} m off")
     for row in m.energy.rows:
         if row["ending"] != "complete" or float(row["worst |dE| [mgL]"]) > 1:
@@ -268,6 +289,13 @@ def failures(m: Measurements, markers: list[Marker]) -> Section:
     section.parts.append("<h3>Left out</h3>")
     absent = [t.file.name for t in vars(m).values() if not t]
     left_out = [f"no table <code>{html.escape(name)}</code> was there" for name in absent]
+    aside: dict[tuple[str, str], dict[str, list[str]]] = {}
+    for r in markers:
+        if r.left_out:
+            aside.setdefault((r.scene, r.left_out), {}).setdefault(r.method, []).append(r.setting)
+    for (scene, why), chosen in aside.items():
+        settings_of = "; ".join(f"{method} at {listed(settings)}" for method, settings in chosen.items())
+        left_out.append(html.escape(f"{scene}: {settings_of}: {why}"))
     left_out.append("settings coarser or finer than those in the tables; fixed steps below 10 µs; the cost of reading outputs and of the FMI calls")
     section.bullets(left_out)
     section.parts.append("<h3>What could bias it</h3>")

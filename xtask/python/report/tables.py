@@ -7,6 +7,9 @@ from pathlib import Path
 
 Row = dict[str, str]
 
+LEFT_OUT = "left out: "
+"""How the ending of a run begins that was not measured on purpose."""
+
 
 @dataclass
 class Table:
@@ -69,6 +72,11 @@ class Marker:
         return self.ending == "complete"
 
     @property
+    def left_out(self) -> str:
+        """Why it was not measured; empty if it was."""
+        return self.ending.removeprefix(LEFT_OUT) if self.ending.startswith(LEFT_OUT) else ""
+
+    @property
     def setting(self) -> str:
         """Step or tolerance, as people read it."""
         return setting(self.knob, self.value)
@@ -108,6 +116,12 @@ class Reference:
     kind: str
     own_error: float
     source: str
+
+
+def by_kind(references: list[Reference]) -> dict[str, list[Reference]]:
+    """Kinds of motion in their order, with their scenes."""
+    kinds = dict.fromkeys(r.kind for r in references)
+    return {kind: [r for r in references if r.kind == kind] for kind in kinds}
 
 
 def references(table: Table) -> list[Reference]:

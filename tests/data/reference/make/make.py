@@ -31,6 +31,10 @@ SCENES = {
     "stiff_servo": 5,
     "pick_and_place": 16,
     "haptic": 20,
+    "flat_table": 30,
+    "paper_free_fall": 20,
+    "paper_torque_gravity": 25,
+    "singular_crossing": 4,  # to before its vertex, at 0.5 s
 }
 
 # Local error per step of midpoint.c: its result agrees with that at 1e-24 to more digits than are asked for.
@@ -43,7 +47,7 @@ COLUMNS = "t,Qx,Qy,th1,th2,th3,th4,w1,w2,w3,w4"
 def main() -> int:
     parser = argparse.ArgumentParser(description="Makes reference trajectories.")
     parser.add_argument("scenes", nargs="*", default=list(SCENES), help="scenes of the table in this file; all of them")
-    mpmath.mp.dps = 40
+    mpmath.mp.dps = 80  # so that a signal at its last knot is the nearest double, too, and not round-off
     with tempfile.TemporaryDirectory() as folder:
         midpoint = Path(folder) / "midpoint"
         sources = [HERE / "midpoint.c", HERE / "machine.c"]
@@ -106,7 +110,7 @@ def enumeration_items() -> dict[str, dict[str, int]]:
 def own_values(scene: str) -> dict[str, float | bool | str | dict]:
     """What the scene sets; enumerations by the names of their items, and its signals."""
     content = json.loads((ROOT / f"scenes/{scene}.json").read_text(encoding="utf-8"))
-    own = {name: value for name, value in content.items() if name not in ("description", "experiment")}
+    own = {name: value for name, value in content.items() if name not in ("description", "experiment", "overlay")}
     items = enumeration_items()
     for name, value in own.items():
         if value not in items.get(name, ()) and name != "signals" and not isinstance(value, (bool, int, float)):

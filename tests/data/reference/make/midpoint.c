@@ -138,14 +138,16 @@ static void print(int tenths, const real *y) {
     fflush(stdout);
 }
 
-/* The passive angles and rates that close the loop; the tip is to the left (assembly +1) or right of the arrow between the elbows. */
+/* The passive angles and rates that close the loop; the tip is to the left (assembly +1) or right of the arrow between the elbows.
+ * With both distal links in one line (a direct singularity), where paper scenes start, the tip is on the arrow to the last digit: the
+ * difference of squares is written as a product. There is a start at rest only, for the rates divide by det. */
 static void start(real *y) {
     real theta[LINKS] = { theta_start[0], 0, 0, theta_start[1] }, omega[LINKS] = { omega_start[0], 0, 0, omega_start[1] };
     real ax = length[0] * cosq(theta[0]), ay = length[0] * sinq(theta[0]);
     real bx = base + length[3] * cosq(theta[3]), by = length[3] * sinq(theta[3]);
     real dx = bx - ax, dy = by - ay, distance = hypotq(dx, dy);
-    real along = (distance * distance + length[1] * length[1] - length[2] * length[2]) / (2 * distance);
-    real across = assembly * sqrtq(length[1] * length[1] - along * along);
+    real along = distance / 2 + (length[1] - length[2]) * (length[1] + length[2]) / (2 * distance);
+    real across = assembly * sqrtq((length[1] - along) * (length[1] + along));
     real x = ax + (along * dx - across * dy) / distance, yy = ay + (along * dy + across * dx) / distance;
     theta[1] = atan2q(yy - ay, x - ax);
     theta[2] = atan2q(yy - by, x - bx);
@@ -153,8 +155,10 @@ static void start(real *y) {
     real ux = x - ax, uy = yy - ay, wx = x - bx, wy = yy - by;
     real gx = -omega[3] * by + omega[0] * ay, gy = omega[3] * (bx - base) - omega[0] * ax;
     real det = -uy * wx + ux * wy;
-    omega[1] = (gx * wx + gy * wy) / det;
-    omega[2] = (gx * ux + gy * uy) / det;
+    if (gx != 0 || gy != 0) {
+        omega[1] = (gx * wx + gy * wy) / det;
+        omega[2] = (gx * ux + gy * uy) / det;
+    }
     place(theta, omega, y);
 }
 

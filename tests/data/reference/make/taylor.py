@@ -15,7 +15,8 @@ import mpmath
 import numpy as np
 
 FP = hy.real128
-mpmath.mp.dps = 40
+# Twice what is wanted of the start: at a direct singularity, where paper scenes start, the elbow's angle keeps half the digits.
+mpmath.mp.dps = 80
 JOINTS = ((0, None), (1, 0), (1, 2), (2, 3), (3, None))
 
 
@@ -56,14 +57,14 @@ def start(scene: Scene) -> list[mpmath.mpf]:
     right = base + lengths[3] * turn(proximal[1])
     gap = abs(right - left)
     # Angle at the left elbow between the line to the other elbow and the distal link, by the cosine law.
-    angle = mpmath.acos((gap**2 + lengths[1] ** 2 - lengths[2] ** 2) / (2 * gap * lengths[1]))
+    angle = mpmath.acos(min(mpmath.mpf(1), (gap**2 + lengths[1] ** 2 - lengths[2] ** 2) / (2 * gap * lengths[1])))
     side = 1 if scene["init.assembly"] == 1 else -1
     first = mpmath.arg(right - left) + side * angle
     tip = left + lengths[1] * turn(first)
     first, second = mpmath.arg(tip - left), mpmath.arg(tip - right)
-    # i (w1 left + w2 (tip - left)) = i (w4 (right - base) + w3 (tip - right))
+    # i (w1 left + w2 (tip - left)) = i (w4 (right - base) + w3 (tip - right)); at rest without dividing, as at a direct singularity
     a, b, c = tip - left, right - tip, rates[1] * (right - base) - rates[0] * left
-    solution = mpmath.lu_solve(mpmath.matrix([[a.real, b.real], [a.imag, b.imag]]), mpmath.matrix([c.real, c.imag]))
+    solution = mpmath.lu_solve(mpmath.matrix([[a.real, b.real], [a.imag, b.imag]]), mpmath.matrix([c.real, c.imag])) if c else (0, 0)
     return [proximal[0], first, second, proximal[1], rates[0], solution[0], solution[1], rates[1]]
 
 
