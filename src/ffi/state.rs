@@ -16,16 +16,16 @@ unsafe fn stored<'a>(state: fmi2FMUstate) -> Result<&'a mut Snapshot, Rejection>
     unsafe { state.cast::<Snapshot>().as_mut() }.ok_or_else(|| Rejection::error("FMUstate is null."))
 }
 
-/// Puts a snapshot into the place that `state` points to: a new one if there is null, otherwise over the old one.
+/// Copies a snapshot into the place that `state` points to: a new one if there is null, otherwise over the old one.
 ///
 /// # Safety
 /// `state` is not null, and what it points to is null or comes from this library and has not been freed.
-unsafe fn store(state: *mut fmi2FMUstate, snapshot: Snapshot) {
+unsafe fn store(state: *mut fmi2FMUstate, snapshot: &Snapshot) {
     // SAFETY: the caller vouches for both pointers.
     unsafe {
         match state.read().cast::<Snapshot>().as_mut() {
-            Some(old) => *old = snapshot,
-            None => state.write(Box::into_raw(Box::new(snapshot)).cast()),
+            Some(old) => old.copy(snapshot),
+            None => state.write(Box::into_raw(Box::new(snapshot.clone())).cast()),
         }
     }
 }
@@ -141,7 +141,7 @@ pub unsafe extern "C" fn fmi2DeSerializeFMUstate(
         let bytes = unsafe { slice("serializedState", serializedState.cast::<u8>(), size) }?;
         let snapshot = Snapshot::from_bytes(bytes)?;
         // SAFETY: not null, and the caller vouches for the rest.
-        unsafe { store(FMUstate, snapshot) };
+        unsafe { store(FMUstate, &snapshot) };
         Ok(())
     };
     // SAFETY: the caller vouches for the component.

@@ -22,7 +22,7 @@ impl Instance {
             let Slot::RealInput(_) = variable.slot else {
                 return Err(Rejection::error(format!("{} is no input: only inputs have input derivatives.", variable.name)));
             };
-            check_settable(variable, self.stage)?;
+            check_settable(variable, self.now.stage)?;
             if !(1..=ORDERS as i32).contains(&order) {
                 return Err(Rejection::error(format!(
                     "order of a derivative of {} is {order}, must be 1 to {ORDERS}; its value is set by fmi2SetReal.",
@@ -37,14 +37,14 @@ impl Instance {
                 )));
             }
         }
-        let mut derivatives = self.signal.derivatives();
+        let mut derivatives = self.now.signal.derivatives();
         for (reference, order, value) in triples {
             let derivative = &mut derivatives[order as usize - 1];
-            if !bindings::write(&mut self.parameters, derivative, lookup(reference, Access::Real)?, Value::Real(value)) {
+            if !bindings::write(&mut self.now.parameters, derivative, lookup(reference, Access::Real)?, Value::Real(value)) {
                 unreachable!("derivative {order} of value reference {reference} has been checked");
             }
         }
-        self.signal = Signal::new(self.signal.value, derivatives);
+        self.now.signal = Signal::new(self.now.signal.value, derivatives);
         Ok(())
     }
 
@@ -96,17 +96,17 @@ impl Instance {
         let along = state.varied(model, &direction)?;
         let changes = observers::output_changes(model, state, &along);
         let sigma_phi = OnceCell::new();
-        let change = |unknown: u32| {
+        let change = |&unknown: &u32| {
             let variable = find(unknown)?;
             let Slot::RealOutput(output) = variable.slot else { return Ok(0.0) };
             let sigma_phi_change = || *sigma_phi.get_or_init(|| observers::sigma_phi_change(model, state, &along));
             let change = output_change(&changes, output, sigma_phi_change);
             check_computed(|| format!("change of {}", variable.name), change)?;
-            Ok::<f64, Rejection>(change)
+            Ok(change)
         };
-        unknowns.iter().try_for_each(|&unknown| change(unknown).map(drop))?;
-        for (position, &unknown) in unknowns.iter().enumerate() {
-            take(position, change(unknown)?);
+        let values = unknowns.iter().map(change).collect::<Result<Vec<f64>, Rejection>>()?;
+        for (position, change) in values.into_iter().enumerate() {
+            take(position, change);
         }
         Ok(())
     }

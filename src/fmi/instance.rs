@@ -11,25 +11,14 @@ use super::values::{check_computed, check_settable, check_value, lookup};
 use super::{Rejection, Snapshot, Stage, bindings};
 use crate::integrator::{self, MODES};
 use crate::mechanism::{COORDINATES, MULTIPLIERS};
-use crate::simulation::{Inputs, Parameters, Signal, Simulation, StepFailure};
+use crate::simulation::{Inputs, Parameters, Simulation, StepFailure};
 use crate::variables::{Access, Value, Variable};
 
 /// An instance of the FMU.
 #[derive(Debug)]
 pub struct Instance {
-    pub(super) stage: Stage,
-    pub(super) parameters: Parameters,
-    /// The inputs from the present communication point on.
-    pub(super) signal: Signal,
-    /// Set by fmi2SetupExperiment.
-    clock: Option<Clock>,
-    /// Made at the end of initialisation, or earlier when an output is read there.
-    simulation: Option<Simulation>,
-    /// Whether a tunable parameter has changed since the last step: the next one makes it act.
-    tuned: bool,
-    /// Whether the master has been told that no active effect reads the servo references.
-    warned_of_references: bool,
-    warned_of_stiffness: bool,
+    /// What a stored state is a copy of.
+    pub(super) now: Snapshot,
     cache: Cache,
     /// Lines for the master.
     pub log: Log,
@@ -38,28 +27,17 @@ pub struct Instance {
 impl Instance {
     /// A fresh instance; `logging_on` as given to fmi2Instantiate.
     pub fn new(logging_on: bool) -> Self {
-        Self {
-            stage: Stage::Instantiated,
-            parameters: bindings::default_parameters(),
-            signal: Signal::held(bindings::default_inputs()),
-            clock: None,
-            simulation: None,
-            tuned: false,
-            warned_of_references: false,
-            warned_of_stiffness: false,
-            cache: Cache::default(),
-            log: Log::new(logging_on),
-        }
+        Self { now: Snapshot::fresh(), cache: Cache::default(), log: Log::new(logging_on) }
     }
 
     /// Where the instance is in its life.
     pub fn stage(&self) -> Stage {
-        self.stage
+        self.now.stage
     }
 
     /// The master's clock, after fmi2SetupExperiment.
     pub fn clock(&self) -> Option<&Clock> {
-        self.clock.as_ref()
+        self.now.clock.as_ref()
     }
 
     /// fmi2SetDebugLogging.
@@ -70,7 +48,7 @@ impl Instance {
     /// fmi2SetupExperiment; `tolerance` and `stop` where they are defined. The tolerance is not used:
     /// `solver.errorTolerance` rules, in units that a relative tolerance does not have.
     pub fn setup_experiment(&mut self, tolerance: Option<f64>, start: f64, stop: Option<f64>) -> Result<(), Rejection> {
-        self.clock = Some(Clock::new(start, stop)?);
+        self.now.clock = Some(Clock::new(start, stop)?);
         if let Some(tolerance) = tolerance {
             self.log.push(Status::Warning, || {
                 format!("fmi2SetupExperiment: tolerance {tolerance:?} is not used, solver.errorTolerance is.")
@@ -81,17 +59,17 @@ impl Instance {
 
     /// fmi2EnterInitializationMode.
     pub fn enter_initialization_mode(&mut self) -> Result<(), Rejection> {
-        if self.clock.is_none() {
+        if self.now.clock.is_none() {
             return Err(Rejection::error("fmi2SetupExperiment must be called before."));
         }
-        self.stage = Stage::InitializationMode;
+        self.now.stage = Stage::InitializationMode;
         Ok(())
     }
 
     /// fmi2ExitInitializationMode: validates the scene and closes the loop, or refuses and stays.
     pub fn exit_initialization_mode(&mut self) -> Result<(), Rejection> {
-        let simulation = ready(&mut self.simulation, &self.parameters, &self.signal.value)?;
-        let settings = &self.parameters.settings;
+        let simulation = ready(&mut self.now.simulation, &self.now.parameters, &self.now.signal.value)?;
+        let settings = &self.now.parameters.settings;
         self.log.push(Status::Ok, || {
             let effects = simulation.active_effects();
             format!(
@@ -102,63 +80,25 @@ impl Instance {
                 if effects.is_empty() { "none".to_owned() } else { effects.join(", ") }
             )
         });
-        self.tuned = false;
-        self.stage = Stage::StepComplete;
+        self.now.tuned = false;
+        self.now.stage = Stage::StepComplete;
         Ok(())
     }
 
-    /// fmi2GetFMUstate.
-    pub fn snapshot(&self) -> Snapshot {
-        let Self {
-            stage,
-            parameters,
-            signal,
-            clock,
-            simulation,
-            tuned,
-            warned_of_references,
-            warned_of_stiffness,
-            cache: _,
-            log: _,
-        } = self;
-        Snapshot {
-            stage: *stage,
-            parameters: parameters.clone(),
-            signal: *signal,
-            clock: clock.clone(),
-            // Before the run it is there only if somebody has looked, and looking changes nothing.
-            simulation: match stage {
-                Stage::Instantiated | Stage::InitializationMode => None,
-                Stage::StepComplete | Stage::StepFailed | Stage::Terminated => simulation.clone(),
-            },
-            tuned: *tuned,
-            warned_of_references: *warned_of_references,
-            warned_of_stiffness: *warned_of_stiffness,
-        }
+    /// What fmi2GetFMUstate makes a copy of.
+    pub fn snapshot(&self) -> &Snapshot {
+        &self.now
     }
 
     /// fmi2SetFMUstate: everything as it was, but the log and what the master wants to hear of it.
     pub fn restore(&mut self, snapshot: &Snapshot) {
-        let Snapshot { stage, parameters, signal, clock, simulation, tuned, warned_of_references, warned_of_stiffness } =
-            snapshot.clone();
-        let log = std::mem::replace(&mut self.log, Log::new(false));
-        *self = Self {
-            stage,
-            parameters,
-            signal,
-            clock,
-            simulation,
-            tuned,
-            warned_of_references,
-            warned_of_stiffness,
-            cache: Cache::default(),
-            log,
-        };
+        self.now.copy(snapshot);
+        self.cache = Cache::default();
     }
 
     /// fmi2Terminate.
     pub fn terminate(&mut self) -> Result<(), Rejection> {
-        self.stage = Stage::Terminated;
+        self.now.stage = Stage::Terminated;
         self.log.push(Status::Ok, || "terminated".to_owned());
         Ok(())
     }
@@ -177,20 +117,20 @@ impl Instance {
     pub fn set(&mut self, pairs: impl Iterator<Item = (u32, Value)> + Clone) -> Result<(), Rejection> {
         for (reference, value) in pairs.clone() {
             let variable = lookup(reference, value.access())?;
-            check_settable(variable, self.stage)?;
+            check_settable(variable, self.now.stage)?;
             check_value(variable, value)?;
         }
         for (reference, value) in pairs {
             let variable = lookup(reference, value.access())?;
-            if !bindings::write(&mut self.parameters, &mut self.signal.value, variable, value) {
+            if !bindings::write(&mut self.now.parameters, &mut self.now.signal.value, variable, value) {
                 unreachable!("{} = {value} has been checked", variable.name);
             }
             self.cache = Cache::default();
-            if matches!(self.stage, Stage::Instantiated | Stage::InitializationMode) {
+            if matches!(self.now.stage, Stage::Instantiated | Stage::InitializationMode) {
                 // A scene that was made ready to read an output is made anew with the new values.
-                self.simulation = None;
+                self.now.simulation = None;
             }
-            self.tuned |= variable.tunable;
+            self.now.tuned |= variable.tunable;
         }
         Ok(())
     }
@@ -216,7 +156,7 @@ impl Instance {
     }
 
     fn read(&mut self, variable: &Variable) -> Result<Value, Rejection> {
-        if let Some(value) = bindings::read(&mut self.parameters, &mut self.signal.value, variable) {
+        if let Some(value) = bindings::read(&mut self.now.parameters, &mut self.now.signal.value, variable) {
             return Ok(value);
         }
         Ok(self.outputs()?.read(variable).unwrap_or_else(|| unreachable!("{} is bound", variable.name)))
@@ -224,8 +164,8 @@ impl Instance {
 
     /// The outputs at the present communication point, for the present inputs.
     pub(super) fn outputs(&mut self) -> Result<Outputs<'_>, Rejection> {
-        let simulation = ready(&mut self.simulation, &self.parameters, &self.signal.value)?;
-        Ok(Outputs { simulation, inputs: &self.signal.value, cache: &self.cache })
+        let simulation = ready(&mut self.now.simulation, &self.now.parameters, &self.now.signal.value)?;
+        Ok(Outputs { simulation, inputs: &self.now.signal.value, cache: &self.cache })
     }
 
     /// fmi2GetString and fmi2SetString: there are no String variables.
@@ -241,36 +181,36 @@ impl Instance {
 
     /// fmi2DoStep: from `point`, s, by `size`, s. Discarded if the integrator gives up, with everything as before.
     pub fn do_step(&mut self, point: f64, size: f64) -> Result<(), Rejection> {
-        let Some(clock) = &mut self.clock else { unreachable!("fmi2SetupExperiment has made it") };
-        let Some(simulation) = &mut self.simulation else { unreachable!("initialisation has made it") };
-        let plan = clock.plan(point, size, self.parameters.settings.step_size)?;
-        if !self.signal.is_held() {
-            check_reach(&self.signal, size)?;
+        let Some(clock) = &mut self.now.clock else { unreachable!("fmi2SetupExperiment has made it") };
+        let Some(simulation) = &mut self.now.simulation else { unreachable!("initialisation has made it") };
+        let plan = clock.plan(point, size, self.now.parameters.settings.step_size)?;
+        if !self.now.signal.is_held() {
+            check_reach(&self.now.signal, size)?;
         }
-        let untuned = if self.tuned { Some(tune(simulation, &self.parameters)?) } else { None };
+        let untuned = if self.now.tuned { Some(tune(simulation, &self.now.parameters)?) } else { None };
         // To look has its price, and so it is done only for somebody who wants to hear of it.
         let before = self.log.wants(Status::Ok).then(|| simulation.state().core.counters.singular());
-        if let Err(failure) = simulation.advance_along(&self.signal, plan.h, plan.steps) {
+        if let Err(failure) = simulation.advance_along(&self.now.signal, plan.h, plan.steps) {
             if let Some(untuned) = untuned {
-                *simulation = *untuned;
+                *simulation = untuned;
             }
-            self.stage = Stage::StepFailed;
+            self.now.stage = Stage::StepFailed;
             return Err(gave_up(point, size, &failure));
         }
         clock.advance(plan);
-        self.signal.end(size);
-        self.tuned = false;
+        self.now.signal.end(size);
+        self.now.tuned = false;
         if let Some(before) = before {
             report_passes(&mut self.log, before, &simulation.state().core, point, point + size);
         }
-        if self.signal.value.refers() && !simulation.model().servo && !self.warned_of_references {
-            self.warned_of_references = true;
+        if self.now.signal.value.refers() && !simulation.model().servo && !self.now.warned_of_references {
+            self.now.warned_of_references = true;
             warn(&mut self.log, || {
                 "servo.theta or servo.omega is not 0, but no active effect reads them: servo.enabled is false.".to_owned()
             });
         }
-        if !self.warned_of_stiffness && simulation.is_stiff() {
-            self.warned_of_stiffness = true;
+        if !self.now.warned_of_stiffness && simulation.is_stiff() {
+            self.now.warned_of_stiffness = true;
             warn(&mut self.log, || {
                 format!(
                     "at {:?} s: steps of method dop853 are limited by its stability: the scene has stiff loads; i3alp would do better.",
@@ -279,7 +219,7 @@ impl Instance {
             });
         }
         self.cache = Cache::default();
-        self.stage = Stage::StepComplete;
+        self.now.stage = Stage::StepComplete;
         Ok(())
     }
 
@@ -296,8 +236,8 @@ impl Instance {
 
 /// Makes the tunable parameters act: the simulation as it was, for a step that is discarded.
 #[cold]
-fn tune(simulation: &mut Simulation, parameters: &Parameters) -> Result<Box<Simulation>, Rejection> {
-    let untuned = Box::new(simulation.clone());
+fn tune(simulation: &mut Box<Simulation>, parameters: &Parameters) -> Result<Box<Simulation>, Rejection> {
+    let untuned = simulation.clone();
     simulation.tune(&parameters.effects)?;
     Ok(untuned)
 }
@@ -344,12 +284,12 @@ fn report_passes(log: &mut Log, before: [u64; MODES + 2], after: &integrator::St
 
 /// The simulation, made ready with the present values if there is none yet.
 fn ready<'a>(
-    simulation: &'a mut Option<Simulation>,
+    simulation: &'a mut Option<Box<Simulation>>,
     parameters: &Parameters,
     inputs: &Inputs,
 ) -> Result<&'a mut Simulation, Rejection> {
     match simulation {
         Some(simulation) => Ok(simulation),
-        None => Ok(simulation.insert(Simulation::new(parameters, inputs)?)),
+        None => Ok(simulation.insert(Box::new(Simulation::new(parameters, inputs)?))),
     }
 }

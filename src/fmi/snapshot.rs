@@ -28,16 +28,22 @@ const FORMAT: u32 = 3;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
 const CHECKSUM: usize = size_of::<u32>();
 
-/// A stored state.
+/// Everything that an instance holds but its log: a stored state.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
     pub(super) stage: Stage,
     pub(super) parameters: Parameters,
+    /// The inputs from the present communication point on.
     pub(super) signal: Signal,
+    /// Set by fmi2SetupExperiment.
     pub(super) clock: Option<Clock>,
-    pub(super) simulation: Option<Simulation>,
+    /// Made at the end of initialisation, or earlier when an output is read there.
+    pub(super) simulation: Option<Box<Simulation>>,
+    /// Whether a tunable parameter has changed since the last step: the next one makes it act.
     pub(super) tuned: bool,
+    /// Whether the master has been told that no active effect reads the servo references.
     pub(super) warned_of_references: bool,
+    /// Whether it has been told that the loads are stiff.
     pub(super) warned_of_stiffness: bool,
 }
 
@@ -65,6 +71,33 @@ struct Made {
 }
 
 impl Snapshot {
+    /// That of an instance just made.
+    pub(super) fn fresh() -> Self {
+        Self {
+            stage: Stage::Instantiated,
+            parameters: bindings::default_parameters(),
+            signal: Signal::held(bindings::default_inputs()),
+            clock: None,
+            simulation: None,
+            tuned: false,
+            warned_of_references: false,
+            warned_of_stiffness: false,
+        }
+    }
+
+    /// Becomes what `other` is. Where both hold a simulation it allocates nothing.
+    pub fn copy(&mut self, other: &Self) {
+        let Self { stage, parameters, signal, clock, simulation, tuned, warned_of_references, warned_of_stiffness } = other;
+        self.stage = *stage;
+        self.parameters.clone_from(parameters);
+        self.signal = *signal;
+        self.clock.clone_from(clock);
+        self.simulation.clone_from(simulation);
+        self.tuned = *tuned;
+        self.warned_of_references = *warned_of_references;
+        self.warned_of_stiffness = *warned_of_stiffness;
+    }
+
     /// The state as bytes.
     pub fn to_bytes(&self) -> Result<Vec<u8>, Rejection> {
         let made = |simulation: &Simulation| Made {
@@ -77,7 +110,11 @@ impl Snapshot {
             values: values(&self.parameters, &self.signal.value),
             input_derivatives: self.signal.derivatives(),
             clock: self.clock.clone(),
-            simulation: self.simulation.as_ref().map(made),
+            simulation: match self.stage {
+                // Before the run it is there only if somebody has looked, and looking changes nothing.
+                Stage::Instantiated | Stage::InitializationMode => None,
+                Stage::StepComplete | Stage::StepFailed | Stage::Terminated => self.simulation.as_deref().map(made),
+            },
             tuned: self.tuned,
             warned_of_references: self.warned_of_references,
             warned_of_stiffness: self.warned_of_stiffness,
@@ -98,7 +135,7 @@ impl Snapshot {
         let signal = Signal::new(value, content.input_derivatives);
         check_reach(&signal, 1.0)?;
         let simulation = match content.simulation {
-            Some(Made { values, solve, state }) => Some(Simulation::restored(&restored(&values)?.0, solve, state)?),
+            Some(Made { values, solve, state }) => Some(Box::new(Simulation::restored(&restored(&values)?.0, solve, state)?)),
             None => None,
         };
         let Content { stage, clock, tuned, warned_of_references, warned_of_stiffness, .. } = content;

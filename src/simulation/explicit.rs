@@ -86,17 +86,16 @@ fn forward(
 
 /// The present state in the twelve coordinates, with q̈ and λ from equilibrium: what the running step gives, worked out when somebody
 /// looks. Nothing that is looked at is built upon.
-pub(super) fn present(model: &Model, state: &State) -> State {
+pub(super) fn present(model: &Model, state: &State, running: &Running<ANGLES, CLOSURES>) -> State {
+    let Stepper::Dop853(settings) = &model.stepper else { unreachable!("the method has a running step") };
+    let five_bar = FiveBar::<General>::new(model, &state.inputs, &state.turns);
+    let system = ByAngles::new(&five_bar);
+    let sample = running.sample(&system, settings);
     let mut core = state.core;
-    if let (Some(running), Stepper::Dop853(settings)) = (&state.running, &model.stepper) {
-        let five_bar = FiveBar::<General>::new(model, &state.inputs, &state.turns);
-        let system = ByAngles::new(&five_bar);
-        let sample = running.sample(&system, settings);
-        running.record(&sample, &mut core);
-        (core.q, core.v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
-        let mass = five_bar.factor_mass(&sample.pose, model.softness);
-        (core.a, core.lambda) = equilibrium_at(&five_bar, &core.q, &sample.pose, &core.v, &mass);
-    }
+    running.record(&sample, &mut core);
+    (core.q, core.v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
+    let mass = five_bar.factor_mass(&sample.pose, model.softness);
+    (core.a, core.lambda) = equilibrium_at(&five_bar, &core.q, &sample.pose, &core.v, &mass);
     State { core, ..*state }
 }
 

@@ -78,7 +78,7 @@ pub struct Simulation {
     /// Of [`Method::Dop853`] out of date but for the running step: see `present`.
     state: State,
     /// Of [`Method::Dop853`]: the state at the present time, since somebody has looked.
-    present: Option<Box<OnceCell<State>>>,
+    present: OnceCell<State>,
 }
 
 impl Simulation {
@@ -115,7 +115,7 @@ impl Simulation {
             let method = parameters.settings.method;
             return Err(Refusal(format!("the state belongs to another solver.method than {method:?}, which is set in it.")));
         }
-        Ok(Self { model, parameters: parameters.clone(), present: state.looked_at(), state })
+        Ok(Self { model, parameters: parameters.clone(), present: OnceCell::from(state), state })
     }
 
     fn started(parameters: &Parameters, model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
@@ -134,7 +134,7 @@ impl Simulation {
                     .into(),
             ));
         }
-        Ok(Self { parameters: parameters.clone(), model, present: state.looked_at(), state })
+        Ok(Self { parameters: parameters.clone(), model, present: OnceCell::from(state), state })
     }
 
     /// `steps` macro steps of `h` seconds with `inputs` held.
@@ -167,9 +167,7 @@ impl Simulation {
     /// What somebody has seen is past.
     #[inline(always)]
     fn moved(&mut self) {
-        if let Some(present) = &mut self.present {
-            present.take();
-        }
+        self.present.take();
     }
 
     /// What it runs with.
@@ -184,8 +182,8 @@ impl Simulation {
 
     /// Everything that changes; q̈ and λ belong to the inputs of the last step.
     pub fn state(&self) -> &State {
-        match &self.present {
-            Some(present) => present.get_or_init(|| explicit::present(&self.model, &self.state)),
+        match &self.state.running {
+            Some(running) => self.present.get_or_init(|| explicit::present(&self.model, &self.state, running)),
             None => &self.state,
         }
     }
@@ -209,13 +207,15 @@ impl Simulation {
             explicit::stop(&self.model, &mut state).map_err(|failure| {
                 Refusal(format!("the step that is under way could not be redone up to the present time: {failure}."))
             })?;
-            state = explicit::present(&self.model, &state);
+            if let Some(running) = &state.running {
+                state = explicit::present(&self.model, &state, running);
+            }
             let put_in = state.potential_energy(&model) - state.potential_energy(&self.model);
             state.core.work.input += put_in;
             state.restart(&model);
             explicit::resume(&model, &mut state, put_in);
             self.parameters.effects = parameters.clone();
-            (self.model, self.state, self.present) = (model, state, state.looked_at());
+            (self.model, self.state, self.present) = (model, state, OnceCell::from(state));
         }
         Ok(())
     }
@@ -232,11 +232,6 @@ impl Simulation {
 }
 
 impl State {
-    /// This state as what somebody has looked at, where that is kept.
-    fn looked_at(&self) -> Option<Box<OnceCell<State>>> {
-        self.running.map(|_| Box::new(OnceCell::from(*self)))
-    }
-
     /// Kinetic energy, J.
     pub fn kinetic_energy(&self, model: &Model) -> f64 {
         let momentum = model.mechanism.mass_times(&self.core.v);
