@@ -30,6 +30,18 @@ pub enum Definite {
     Enforced,
 }
 
+/// Of which step the tangent A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q) is factorised.
+pub struct TangentOf<'a> {
+    at: Situation<'a>,
+    /// Multipliers, N for constraints in m.
+    lambda: &'a Multipliers,
+    /// The step, s.
+    h: f64,
+    /// e of the saddle-point matrix, 1/kg.
+    softness: f64,
+    definite: Definite,
+}
+
 /// How saddle-point matrices are factorised: chosen once, when the scene is made ready.
 pub trait LinearSolve: Sized {
     /// The factor with M, which is always diagonal, in the corner.
@@ -43,15 +55,8 @@ pub trait LinearSolve: Sized {
     /// Factorises with M.
     fn factor_mass(five_bar: &FiveBar<'_, Self>, pose: &Pose, softness: f64) -> Self::Mass;
 
-    /// Factorises with A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q).
-    fn factor(
-        five_bar: &FiveBar<'_, Self>,
-        at: &Situation<'_>,
-        lambda: &Multipliers,
-        h: f64,
-        softness: f64,
-        definite: Definite,
-    ) -> Result<Self::Tangent, Failure>;
+    /// Factorises with A₀.
+    fn factor(five_bar: &FiveBar<'_, Self>, of: &TangentOf<'_>) -> Result<Self::Tangent, Failure>;
 }
 
 /// For scenes without effects whose force depends on the motion, with inertias of like size: what a bare mechanism needs, and no code
@@ -70,15 +75,8 @@ impl LinearSolve for Bare {
     }
 
     #[inline(always)]
-    fn factor(
-        five_bar: &FiveBar<'_, Self>,
-        at: &Situation<'_>,
-        lambda: &Multipliers,
-        h: f64,
-        softness: f64,
-        definite: Definite,
-    ) -> Result<TwoLeg, Failure> {
-        five_bar.factor_two_leg(at, lambda, h, softness, definite)
+    fn factor(five_bar: &FiveBar<'_, Self>, of: &TangentOf<'_>) -> Result<TwoLeg, Failure> {
+        five_bar.factor_two_leg(of)
     }
 }
 
@@ -159,32 +157,19 @@ impl LinearSolve for General {
         }
     }
 
-    fn factor(
-        five_bar: &FiveBar<'_, Self>,
-        at: &Situation<'_>,
-        lambda: &Multipliers,
-        h: f64,
-        softness: f64,
-        definite: Definite,
-    ) -> Result<Factor, Failure> {
+    fn factor(five_bar: &FiveBar<'_, Self>, of: &TangentOf<'_>) -> Result<Factor, Failure> {
         match five_bar.model.solve {
-            Solve::Bare | Solve::TwoLegged => five_bar.factor_two_leg(at, lambda, h, softness, definite).map(Factor::TwoLeg),
-            Solve::LinksCoupled => five_bar.factor_coupled(at, lambda, h, softness, definite),
-            Solve::Dense => five_bar.factor_dense(at, lambda, h, softness, definite).map(Factor::Dense),
+            Solve::Bare | Solve::TwoLegged => five_bar.factor_two_leg(of).map(Factor::TwoLeg),
+            Solve::LinksCoupled => five_bar.factor_coupled(of),
+            Solve::Dense => five_bar.factor_dense(of).map(Factor::Dense),
         }
     }
 }
 
 impl<L: LinearSolve> FiveBar<'_, L> {
     #[inline(always)]
-    fn factor_two_leg(
-        &self,
-        at: &Situation<'_>,
-        lambda: &Multipliers,
-        h: f64,
-        softness: f64,
-        definite: Definite,
-    ) -> Result<TwoLeg, Failure> {
+    fn factor_two_leg(&self, of: &TangentOf<'_>) -> Result<TwoLeg, Failure> {
+        let &TangentOf { ref at, lambda, h, softness, definite } = of;
         let (model, pose) = (self.model, at.pose);
         let mechanism = &model.mechanism;
         let mut tangents = DiagonalTangents::new(h);
@@ -209,14 +194,8 @@ impl<L: LinearSolve> FiveBar<'_, L> {
     }
 
     #[inline(always)]
-    fn factor_coupled(
-        &self,
-        at: &Situation<'_>,
-        lambda: &Multipliers,
-        h: f64,
-        softness: f64,
-        definite: Definite,
-    ) -> Result<Factor, Failure> {
+    fn factor_coupled(&self, of: &TangentOf<'_>) -> Result<Factor, Failure> {
+        let &TangentOf { ref at, lambda, h, softness, definite } = of;
         let masses = self.model.mechanism.mass_times(&[1.0; COORDINATES]);
         let inner_masses = SMatrix::from_diagonal(&SVector::from(INNER.map(|i| masses[i])));
         let mut tangents = CoupledTangents::new(h);
@@ -231,14 +210,8 @@ impl<L: LinearSolve> FiveBar<'_, L> {
         Ok(Factor::Coupled(Coupled::factor(at.pose, &masses, rows, softness)))
     }
 
-    fn factor_dense(
-        &self,
-        at: &Situation<'_>,
-        lambda: &Multipliers,
-        h: f64,
-        softness: f64,
-        definite: Definite,
-    ) -> Result<Dense, Failure> {
+    fn factor_dense(&self, of: &TangentOf<'_>) -> Result<Dense, Failure> {
+        let &TangentOf { ref at, lambda, h, softness, definite } = of;
         let mass = self.mass_matrix();
         let mut a0 = mass + self.full_tangents(at, h);
         for (i, stiffness) in THETA.into_iter().zip(geometric_stiffness(at.pose, lambda)) {
@@ -482,7 +455,7 @@ impl<'a, L: LinearSolve> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, L> {
         h: f64,
         softness: f64,
     ) -> Result<L::Tangent, Failure> {
-        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Demanded)
+        L::factor(self, &TangentOf { at: self.at(q, pose, v), lambda, h, softness, definite: Definite::Demanded })
     }
 
     fn factor_descent(
@@ -494,6 +467,6 @@ impl<'a, L: LinearSolve> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, L> {
         h: f64,
         softness: f64,
     ) -> Option<L::Tangent> {
-        L::factor(self, &self.at(q, pose, v), lambda, h, softness, Definite::Enforced).ok()
+        L::factor(self, &TangentOf { at: self.at(q, pose, v), lambda, h, softness, definite: Definite::Enforced }).ok()
     }
 }
