@@ -118,13 +118,14 @@ fn time(scene: &Scene, run: &mut Run, laps: &mut [Vec<f64>]) -> (Vec<[f64; 2]>, 
     for (i, lap) in laps.iter_mut().enumerate() {
         let end = (i + 1) as f64 * LAP;
         let start = Instant::now();
-        let done = run.to(end);
+        let due = points.next_if(|(t, _)| (t - end).abs() < LAP / 2.0).is_some();
+        let tip = run.to(end).map(|()| due.then(|| run.tip()));
         lap.push(start.elapsed().as_secs_f64());
-        if let Err(failure) = done {
-            return (tips, format!("ended early at {:.4} s: {}", run.time() + failure.elapsed, failure.cause));
-        }
-        if points.next_if(|(t, _)| (t - end).abs() < LAP / 2.0).is_some() {
-            tips.push(run.tip());
+        match tip {
+            Ok(tip) => tips.extend(tip),
+            Err(failure) => {
+                return (tips, format!("ended early at {:.4} s: {}", run.time() + failure.elapsed, failure.cause));
+            }
         }
     }
     (tips, "complete".into())

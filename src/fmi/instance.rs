@@ -11,7 +11,7 @@ use super::values::{check_computed, check_settable, check_value, lookup};
 use super::{Rejection, Snapshot, Stage, bindings};
 use crate::integrator::{self, MODES};
 use crate::mechanism::{COORDINATES, MULTIPLIERS};
-use crate::simulation::{Inputs, Parameters, Simulation, StepFailure};
+use crate::simulation::{Inputs, Parameters, Signal, Simulation, StepFailure};
 use crate::variables::{Access, Value, Variable};
 
 /// An instance of the FMU.
@@ -187,13 +187,14 @@ impl Instance {
         if !self.now.signal.is_held() {
             check_reach(&self.now.signal, size)?;
         }
-        let untuned = if self.now.tuned { Some(tune(simulation, &self.now.parameters)?) } else { None };
         // To look has its price, and so it is done only for somebody who wants to hear of it.
         let before = self.log.wants(Status::Ok).then(|| simulation.state().core.counters.singular());
-        if let Err(failure) = simulation.advance_along(&self.now.signal, plan.h, plan.steps) {
-            if let Some(untuned) = untuned {
-                *simulation = untuned;
-            }
+        let advanced = if self.now.tuned {
+            advance_tuned(simulation, &self.now.parameters, &self.now.signal, plan.h, plan.steps)?
+        } else {
+            simulation.advance_along(&self.now.signal, plan.h, plan.steps)
+        };
+        if let Err(failure) = advanced {
             self.now.stage = Stage::StepFailed;
             return Err(gave_up(point, size, &failure));
         }
@@ -234,12 +235,22 @@ impl Instance {
 
 // What a step does rarely, apart from what it always does.
 
-/// Makes the tunable parameters act: the simulation as it was, for a step that is discarded.
+/// A step for which tunable parameters begin to act; they do not if it fails.
 #[cold]
-fn tune(simulation: &mut Box<Simulation>, parameters: &Parameters) -> Result<Box<Simulation>, Rejection> {
+fn advance_tuned(
+    simulation: &mut Simulation,
+    parameters: &Parameters,
+    signal: &Signal,
+    h: f64,
+    steps: u64,
+) -> Result<Result<(), StepFailure>, Rejection> {
     let untuned = simulation.clone();
     simulation.tune(&parameters.effects)?;
-    Ok(untuned)
+    let advanced = simulation.advance_along(signal, h, steps);
+    if advanced.is_err() {
+        *simulation = untuned;
+    }
+    Ok(advanced)
 }
 
 #[cold]

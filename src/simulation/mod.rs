@@ -148,6 +148,7 @@ impl Simulation {
 
     /// The same with inputs that change: each macro step holds what they are in its middle, so that the impulse of a ramp is exact and
     /// the whole of second order in h.
+    #[inline(always)]
     pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
         if signal.is_held() {
             return self.advance(&signal.value, h, steps);
