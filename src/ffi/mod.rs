@@ -21,6 +21,8 @@
 //! Required of the caller, as in the standard:
 //! - a component comes from [`fmi2Instantiate`] of this library and has not been freed;
 //! - an instance is used by one thread at a time (different instances are independent);
+//! - a stored state comes from this library and has not been freed; it is not overwritten or freed while another thread reads it
+//!   (to put an instance into it and to serialise it only read);
 //! - arrays have the length that is passed along, strings end with a zero byte, and neither changes during the call;
 //! - the callbacks stay valid until the instance is freed; the logger does not call back into the same instance and
 //!   does not unwind.

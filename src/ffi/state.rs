@@ -11,9 +11,9 @@ use crate::fmi::{Call, Instance, Rejection, Snapshot};
 ///
 /// # Safety
 /// The contract of [`crate::ffi`]: `state` is null or comes from this library and has not been freed.
-unsafe fn stored<'a>(state: fmi2FMUstate) -> Result<&'a mut Snapshot, Rejection> {
+unsafe fn stored<'a>(state: fmi2FMUstate) -> Result<&'a Snapshot, Rejection> {
     // SAFETY: the caller vouches for the pointer unless it is null.
-    unsafe { state.cast::<Snapshot>().as_mut() }.ok_or_else(|| Rejection::error("FMUstate is null."))
+    unsafe { state.cast::<Snapshot>().as_ref() }.ok_or_else(|| Rejection::error("FMUstate is null."))
 }
 
 /// Copies a snapshot into the place that `state` points to: a new one if there is null, otherwise over the old one.

@@ -114,9 +114,6 @@ impl Instance {
 
 /// Refuses inputs whose derivatives lead to values that are not finite within `size` seconds.
 pub(super) fn check_reach(signal: &Signal, size: f64) -> Result<(), Rejection> {
-    if signal.is_held() {
-        return Ok(());
-    }
     let mut reached = signal.at(size);
     for variable in VARIABLES {
         let Slot::RealInput(input) = variable.slot else { continue };

@@ -271,7 +271,7 @@ fn warn(log: &mut Log, text: impl FnOnce() -> String) {
 #[cold]
 fn report_passes(log: &mut Log, before: [u64; MODES + 2], after: &integrator::State<COORDINATES, MULTIPLIERS>, from: f64, to: f64) {
     let counts = after.counters.singular();
-    let [launches, passes @ ..]: [u64; MODES + 2] = std::array::from_fn(|i| counts[i] - before[i]);
+    let [launches, passes @ ..]: [u64; MODES + 2] = std::array::from_fn(|i| counts[i].saturating_sub(before[i]));
     for (count, what) in passes.into_iter().zip([
         "constraint singularity (all links in line), straight through",
         "direct singularity (distal links in line)",

@@ -103,7 +103,7 @@ impl Snapshot {
         let made = |simulation: &Simulation| Made {
             values: values(simulation.parameters(), &self.signal.value),
             solve: simulation.model().solve,
-            state: *simulation.state(),
+            state: simulation.stored_state(),
         };
         let content = Content {
             stage: self.stage,

@@ -35,6 +35,9 @@ pub struct Settings {
 /// More accepted steps than this in one macro step end it with a status: a call never hangs.
 const MOST_SUBSTEPS: u32 = 100_000;
 
+/// Sums of macro steps are rounded by this part of a step, or less.
+const ROUNDED: f64 = 64.0 * f64::EPSILON;
+
 /// A run: the step that is under way.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Running<const N: usize, const M: usize> {
@@ -89,10 +92,18 @@ impl<const N: usize, const M: usize> Running<N, M> {
         }
     }
 
-    /// Whether the running step reaches beyond h seconds from now.
+    /// One macro step of h seconds within the running step; false, and nothing has changed, if that ends before.
     #[inline(always)]
-    pub fn reaches(&self, h: f64) -> bool {
-        h <= self.length - self.elapsed
+    pub fn pass(&mut self, h: f64) -> bool {
+        let (left, rounded) = (self.length - self.elapsed, ROUNDED * self.length);
+        if h > left + rounded {
+            return false;
+        }
+        // What ends with the step but for round-off ends with it.
+        self.elapsed = if h < left - rounded { self.elapsed + h } else { self.length };
+        self.start.counters.steps += 1;
+        self.end.counters.steps += 1;
+        true
     }
 
     /// One macro step of h seconds. In `ahead` seconds somebody looks, or never while a step is under way: it is interpolated only then.
@@ -107,10 +118,7 @@ impl<const N: usize, const M: usize> Running<N, M> {
     ) -> Result<(), Failure> {
         let mut rest = h;
         for _ in 0..MOST_SUBSTEPS {
-            if self.reaches(rest) {
-                self.elapsed += rest;
-                self.start.counters.steps += 1;
-                self.end.counters.steps += 1;
+            if self.pass(rest) {
                 return Ok(());
             }
             let left = self.length - self.elapsed;

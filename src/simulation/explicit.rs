@@ -44,14 +44,17 @@ pub(super) fn run(
     steps: u64,
     beyond: bool,
 ) -> Result<(), StepFailure> {
-    // A call that ends inside the running step, as most do, cannot fail and costs no copy.
-    let inside = |state: &State| steps == 1 && state.running.is_some_and(|running| running.reaches(h));
-    let before = if state.inputs == *inputs && inside(state) { None } else { Some(*state) };
-    forward(model, settings, state, inputs, h, steps, beyond).inspect_err(|_| {
-        if let Some(before) = before {
-            *state = before;
-        }
-    })
+    // A call that ends inside the running step, as most do, costs no copy.
+    if steps == 1
+        && state.inputs == *inputs
+        && let Some(running) = &mut state.running
+        && running.pass(h)
+    {
+        state.held[1] += 1;
+        return Ok(());
+    }
+    let before = *state;
+    forward(model, settings, state, inputs, h, steps, beyond).inspect_err(|_| *state = before)
 }
 
 fn forward(
@@ -64,22 +67,34 @@ fn forward(
     beyond: bool,
 ) -> Result<(), StepFailure> {
     let at = |step: u64| move |cause| StepFailure { elapsed: step as f64 * h, cause };
-    let changed = state.inputs != *inputs;
-    if changed {
+    if state.inputs != *inputs {
         stop(model, state).map_err(at(0))?;
         state.inputs = *inputs;
+        state.held = [state.held[1], 0];
         resume(model, state, 0.0);
     }
-    // Inputs that change from call to call will change at the end of this one: a step past it would be in vain.
-    let beyond = beyond && !(changed && state.changed);
-    state.changed = changed;
-    let State { running: Some(running), turns, .. } = state else { unreachable!("the method has a running step") };
+    let State { running: Some(running), turns, held: [before, now], .. } = state else {
+        unreachable!("the method has a running step")
+    };
     for step in 0..steps {
-        let five_bar = FiveBar::<General>::new(model, inputs, turns);
-        let rest = (steps - step) as f64 * h;
-        let ahead_and_limit = if beyond { [rest, f64::INFINITY] } else { [f64::INFINITY, rest] };
-        running.advance(&ByAngles::new(&five_bar), settings, h, ahead_and_limit).map_err(at(step))?;
-        unwind(running, turns);
+        if !running.pass(h) {
+            let five_bar = FiveBar::<General>::new(model, inputs, turns);
+            let rest = (steps - step) as f64 * h;
+            // Inputs that have changed may change again after as many macro steps as before: to step past that would be in vain.
+            let same = before.saturating_sub(*now);
+            let limit = if !beyond {
+                rest
+            } else if same > 0 {
+                same as f64 * h
+            } else {
+                f64::INFINITY
+            };
+            // Nobody looks into a step that ends with the call.
+            let ahead = if limit > rest { rest } else { f64::INFINITY };
+            running.advance(&ByAngles::new(&five_bar), settings, h, [ahead, limit]).map_err(at(step))?;
+            unwind(running, turns);
+        }
+        *now += 1;
     }
     Ok(())
 }

@@ -20,7 +20,8 @@ use std::fmt;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use crate::integrator::{self, Failure, Kkt, Power, System, dop853, i3alp, i3alp_printed, rk4};
+use crate::integrator::dop853::Running;
+use crate::integrator::{self, Failure, Kkt, Power, System, i3alp, i3alp_printed, rk4};
 use crate::mechanism::constraints::largest;
 use crate::mechanism::coordinates::{THETA, largest_angle};
 use crate::mechanism::{self, COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose, Refusal, closure};
@@ -41,14 +42,14 @@ pub struct State {
     /// Coordinates, velocities, accelerations, multipliers, predictor, sub-step memory, work, counters.
     pub core: integrator::State<COORDINATES, MULTIPLIERS>,
     /// Of [`Method::Dop853`], whose steps run past the communication points: the step that is under way, in the link angles.
-    pub running: Option<dop853::Running<ANGLES, CLOSURES>>,
+    pub running: Option<Running<ANGLES, CLOSURES>>,
     /// Whole turns by which the angles of links 1 to 4 are larger than those in q: there they stay within some turns, so that their
     /// round-off does not grow while a link spins.
     pub turns: [i64; 4],
     /// The inputs to which q̈ and λ belong.
     pub inputs: Inputs,
-    /// Of [`Method::Dop853`]: whether they have changed at the beginning of the last call.
-    pub changed: bool,
+    /// Of [`Method::Dop853`]: for how many macro steps the inputs before them were held, 0 at first, and these so far.
+    pub held: [u64; 2],
     /// Kinetic plus potential energy at the start, J.
     pub energy_at_start: f64,
 }
@@ -115,13 +116,13 @@ impl Simulation {
             let method = parameters.settings.method;
             return Err(Refusal(format!("the state belongs to another solver.method than {method:?}, which is set in it.")));
         }
-        Ok(Self { model, parameters: parameters.clone(), present: OnceCell::from(state), state })
+        Ok(Self::in_state(parameters, model, state))
     }
 
     fn started(parameters: &Parameters, model: Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Result<Self, Refusal> {
         let (inputs, turns) = (model.heard(inputs), [0; 4]);
         let core = integrator::State::start(&FiveBar::<General>::new(&model, &inputs, &turns), q, v, model.softness);
-        let mut state = State { core, running: None, turns, inputs, changed: false, energy_at_start: 0.0 };
+        let mut state = State { core, running: None, turns, inputs, held: [0; 2], energy_at_start: 0.0 };
         state.unwind();
         if let Stepper::Dop853(settings) = &model.stepper {
             state.running = Some(explicit::start(&model, settings, &state));
@@ -134,7 +135,11 @@ impl Simulation {
                     .into(),
             ));
         }
-        Ok(Self { parameters: parameters.clone(), model, present: OnceCell::from(state), state })
+        Ok(Self::in_state(parameters, model, state))
+    }
+
+    fn in_state(parameters: &Parameters, model: Model, state: State) -> Self {
+        Self { parameters: parameters.clone(), model, state, present: seen(&state) }
     }
 
     /// `steps` macro steps of `h` seconds with `inputs` held.
@@ -189,12 +194,20 @@ impl Simulation {
         }
     }
 
+    /// The same, without keeping what had to be worked out: a simulation that is only stored stays as it is.
+    pub fn stored_state(&self) -> State {
+        match (&self.state.running, self.present.get()) {
+            (Some(running), None) => explicit::present(&self.model, &self.state, running),
+            (Some(_), Some(present)) => *present,
+            (None, _) => self.state,
+        }
+    }
+
     /// The present state with the q̈ and λ that belong to other inputs: what observers answer for. `None` where the inputs are the same.
     pub fn state_for(&self, inputs: &Inputs) -> Option<State> {
-        let inputs = self.model.heard(inputs);
-        (self.state.inputs != inputs).then(|| {
+        (!self.model.hears_the_same(&self.state.inputs, inputs)).then(|| {
             let mut state = *self.state();
-            state.hold(&self.model, &inputs);
+            state.hold(&self.model, &self.model.heard(inputs));
             state
         })
     }
@@ -216,20 +229,25 @@ impl Simulation {
             state.restart(&model);
             explicit::resume(&model, &mut state, put_in);
             self.parameters.effects = parameters.clone();
-            (self.model, self.state, self.present) = (model, state, OnceCell::from(state));
+            (self.model, self.state, self.present) = (model, state, seen(&state));
         }
         Ok(())
     }
 
     /// Whether the loads are too stiff for an explicit method: its steps have been limited by stability instead of accuracy.
     pub fn is_stiff(&self) -> bool {
-        self.state.running.is_some_and(|running| running.is_stiff())
+        self.state.running.as_ref().is_some_and(Running::is_stiff)
     }
 
     /// Names of the active effects, e.g. `gravity`.
     pub fn active_effects(&self) -> &[&'static str] {
         &self.model.effect_names
     }
+}
+
+/// What somebody who looks at a state sees, where that has to be worked out otherwise.
+fn seen(state: &State) -> OnceCell<State> {
+    if state.running.is_some() { OnceCell::from(*state) } else { OnceCell::new() }
 }
 
 impl State {

@@ -177,17 +177,30 @@ fn changing_inputs_are_met_exactly() {
     assert!(energies.input.abs() > 0.01 * MGL && energies.error.abs() < 1e-6 * MGL, "{energies:?}");
 }
 
-/// Inputs that change from call to call: after the first two no step is made in vain, and the motion is that of one that was thrown
-/// away and made again.
+/// Inputs that change every so many macro steps: after the first changes no step is made in vain, however the calls divide the time,
+/// and the motion is exact.
 #[test]
-fn inputs_that_change_at_every_point_waste_no_steps() {
-    let mut simulation = fall(1e-9);
-    for i in 0..200 {
-        let inputs = Inputs { tau: [1e-4 * f64::from(i), 0.0], ..default_inputs() };
-        simulation.advance(&inputs, 1e-3, 1).expect("a step");
+fn inputs_that_change_again_and_again_waste_no_steps() {
+    let end = |tolerance: f64, every: u64, calls: u64| {
+        let mut simulation = fall(tolerance);
+        for i in 0..200 / every {
+            let inputs = Inputs { tau: [1e-4 * i as f64, 0.0], ..default_inputs() };
+            for _ in 0..calls {
+                simulation.advance(&inputs, 1e-3, every / calls).expect("steps");
+            }
+        }
+        simulation
+    };
+    for every in [1, 10] {
+        let simulation = end(1e-9, every, 1);
+        let counters = simulation.state().core.counters;
+        // The first change finds a step that runs past it, and every start a first step that may be too long.
+        assert!(counters.substeps >= 200 / every && counters.rejected < 10, "every {every}: {counters:?}");
+        // Steps of 1e-9 rad, amplified by the motion.
+        let error = angle_error(&simulation.state().core.q, &end(1e-13, every, 1).state().core.q);
+        assert!(error < 1e-7, "every {every}: {error:e} rad");
     }
-    let counters = simulation.state().core.counters;
-    assert!(counters.substeps >= 200 && counters.rejected < 20, "{counters:?}");
+    assert_eq!(end(1e-9, 10, 1).state().core, end(1e-9, 10, 10).state().core);
 }
 
 /// A ramp of inputs: steps end where the held value changes, and none is made in vain.

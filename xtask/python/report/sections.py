@@ -27,7 +27,7 @@ def run(m: Measurements, about: str) -> Section:
         section.bullets([f"<code>{html.escape(name)}</code>: {html.escape(text)}" for name, text in tables])
     section.text(
         "Each run goes in communication steps of 1 ms (or of the internal step, where that is longer), as a co-simulation master "
-        "makes them; no outputs are read in between. Inputs that change are held for 1 ms each, as in the reference. All methods run in "
+        "makes them; the tip is read at the reference's times, nothing else. Inputs that change are held for 1 ms each, as in the reference. All methods run in "
         "turn within one process, round after round; the median of the rounds counts, on one core. The error is the largest distance of the tip from the reference at the reference's times."
     )
     return section
@@ -145,7 +145,7 @@ def steps(m: Measurements) -> Section:
         "Who runs in real time asks for the slowest call, not for the mean. Left: the least time of each call over some repeats of the "
         "same run, which is what the method asks for. Right: one run as it came, with everything else that the machine did meanwhile."
     )
-    caption = "Share of the calls of 1 ms that take longer than a time, fall_90_120."
+    caption = "Share of the calls of 1 ms, each followed by reading the tip, that take longer than a time, fall_90_120."
     section.figure(more_figures.step_times(m.steps.rows), "steps", caption, ["steps.csv"])
     caption = "Sub-steps and iterations against the smallest singular values, a dot per call. Many of them are asked for by whips, which come near singularities but reach beyond them."
     section.figure(more_figures.near_singularities(m.steps.rows), "singular", caption, ["steps.csv"])
@@ -296,7 +296,7 @@ def failures(m: Measurements, markers: list[Marker]) -> Section:
     for (scene, why), chosen in aside.items():
         settings_of = "; ".join(f"{method} at {listed(settings)}" for method, settings in chosen.items())
         left_out.append(html.escape(f"{scene}: {settings_of}: {why}"))
-    left_out.append("settings coarser or finer than those in the tables; fixed steps below 10 µs; the cost of reading outputs and of the FMI calls")
+    left_out.append("settings coarser or finer than those in the tables; fixed steps below 10 µs; the cost of reading more than the tip, and of the FMI calls")
     section.bullets(left_out)
     section.parts.append("<h3>What could bias it</h3>")
     spreads = sorted(r.spread for r in markers if r.complete)
