@@ -96,7 +96,8 @@ impl<const N: usize, const M: usize> Running<N, M> {
     #[inline(always)]
     pub fn pass(&mut self, h: f64) -> bool {
         let (left, rounded) = (self.length - self.elapsed, ROUNDED * self.length);
-        if h > left + rounded {
+        // At its very end even the shortest step goes past it.
+        if left == 0.0 || h > left + rounded {
             return false;
         }
         // What ends with the step but for round-off ends with it.
