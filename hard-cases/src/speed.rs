@@ -48,8 +48,8 @@ pub fn falls(extent: Extent, step: f64) -> Case {
     case
 }
 
-/// Times the falls one after the other, each in all communication steps in turn, so that what disturbs the machine disturbs all of them alike;
-/// then judges them. Says what went wrong where a fall does not come to its end.
+/// Times the falls one after the other, each in all communication steps in turn, so that what disturbs the machine disturbs all of them
+/// alike; then judges them. Says what went wrong where a fall does not come to its end.
 pub fn rows(extent: Extent) -> Result<Vec<Row>, String> {
     let cases = STEPS.map(|step| falls(extent, step));
     let mut costs = [const { Vec::new() }; STEPS.len()];

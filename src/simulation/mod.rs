@@ -325,6 +325,7 @@ fn run(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64, be
     many(model, state, inputs, h, steps, beyond)
 }
 
+/// The same by any method.
 #[inline(never)]
 fn many(model: &Model, state: &mut State, inputs: &Inputs, h: f64, steps: u64, beyond: bool) -> Result<(), StepFailure> {
     // The default method has compiled forms for the bare mechanism of their own; each more would take its place in the library.

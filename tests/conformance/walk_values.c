@@ -84,6 +84,12 @@ static int may_be_computed(const Slave *s) {
     return DONE | (s->life.state == INITIALIZATION ? REFUSED : 0) | (largest > 100 ? DISCARDED : 0);
 }
 
+static fmi2Status get_typed(const Slave *s, Type type, const fmi2ValueReference *references, size_t n, double *reals, int *wholes) {
+    return type == REAL      ? fmi2.GetReal(s->component, references, n, reals)
+           : type == INTEGER ? fmi2.GetInteger(s->component, references, n, wholes)
+                             : fmi2.GetBoolean(s->component, references, n, wholes);
+}
+
 void get_values(Slave *s, Call call, Type type) {
     double reals[MOST];
     int wholes[MOST];
@@ -96,9 +102,7 @@ void get_values(Slave *s, Call call, Type type) {
     const fmi2ValueReference *references = flaw == NO_REFERENCES || p.n == 0 ? NULL : p.references;
     const bool nowhere = flaw == NO_VALUES || p.n == 0;
     begin(s);
-    const fmi2Status status = type == REAL      ? fmi2.GetReal(s->component, references, p.n, nowhere ? NULL : reals)
-                              : type == INTEGER ? fmi2.GetInteger(s->component, references, p.n, nowhere ? NULL : wholes)
-                                                : fmi2.GetBoolean(s->component, references, p.n, nowhere ? NULL : wholes);
+    const fmi2Status status = get_typed(s, type, references, p.n, nowhere ? NULL : reals, nowhere ? NULL : wholes);
     for (size_t i = 0; i < MOST; i++) {
         if (status != fmi2OK || i >= p.n) {
             REQUIRE(reals[i] == REAL_MARK && wholes[i] == WHOLE_MARK, "%s: status %d, %zu asked for, and has written", rules[call].name,
@@ -150,13 +154,7 @@ void set_values(Slave *s, Call call, Type type) {
     if (!judge(s, call, status, flaw == NOTHING ? DONE : REFUSED)) return;
     s->life.tuned |= tunes, s->life.far |= far;
     if (!legal(s, type == REAL ? GET_REAL : GET_INTEGER) || p.n == 0) return;
-    if (type == REAL) {
-        REQUIRE(fmi2.GetReal(s->component, p.references, p.n, back) == fmi2OK, "reading what was set: %s", s->log.text);
-    } else {
-        const fmi2Status read = type == INTEGER ? fmi2.GetInteger(s->component, p.references, p.n, whole_back)
-                                                : fmi2.GetBoolean(s->component, p.references, p.n, whole_back);
-        REQUIRE(read == fmi2OK, "reading what was set: %s", s->log.text);
-    }
+    REQUIRE(get_typed(s, type, p.references, p.n, back, whole_back) == fmi2OK, "reading what was set: %s", s->log.text);
     for (size_t i = 0; i < p.n; i++) {
         bool again = false;
         for (size_t later = i + 1; later < p.n; later++) again |= p.references[later] == p.references[i];
