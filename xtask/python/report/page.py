@@ -35,11 +35,16 @@ def svg(figure: Figure, name: str, alt: str) -> str:
     return re.sub(r'<svg ([^>]*?)width="([^"]*)"', rf'<svg role="img" aria-label="{label}" style="max-width: \2" \1', re.sub(r'(<svg [^>]*?)height="[^"]*" ', r"\1", drawing, count=1), count=1)  # fmt: skip
 
 
+# Characters: what is longer is not kept on one line of a table.
+SENTENCE = 48
+
+
 def table(head: list[str], rows: list[list[str]], numbers: tuple[int, ...] = ()) -> str:
-    """A table of cells that are HTML already; the columns `numbers` are set flush right."""
+    """A table of cells that are HTML already; the columns `numbers` are set flush right, a sentence may take several lines."""
 
     def line(tag: str, cells: list[str]) -> str:
-        return "".join(f'<{tag} class="n">{c}</{tag}>' if i in numbers else f"<{tag}>{c}</{tag}>" for i, c in enumerate(cells))
+        kinds = (' class="n"' if i in numbers else ' class="long"' if "<" not in c and len(c) > SENTENCE else "" for i, c in enumerate(cells))
+        return "".join(f"<{tag}{kind}>{c}</{tag}>" for kind, c in zip(kinds, cells, strict=True))
 
     body = "\n".join(f"<tr>{line('td', row)}</tr>" for row in rows)
     return f'<div class="scroll"><table><thead><tr>{line("th", head)}</tr></thead><tbody>\n{body}\n</tbody></table></div>'
