@@ -116,7 +116,7 @@ fn families(description: &ModelDescription, code: &mut String) -> Written {
         }
         writeln!(code, "}}")?;
     }
-    writeln!(code, "\n/// A variable of any type and role.\n#[derive(Clone, Copy, Debug, PartialEq, Eq)]\npub enum Slot {{")?;
+    writeln!(code, "\n/// A variable of any type and role.\n#[derive(Clone, Copy, Debug, PartialEq, Eq)]\npub enum VariableId {{")?;
     for group in groups.keys() {
         writeln!(code, "    /// See [`{group}`].\n    {group}({group}),")?;
     }
@@ -151,7 +151,7 @@ fn table(description: &ModelDescription, code: &mut String) -> Written {
         };
         writeln!(
             code,
-            "    Variable {{ name: {:?}, reference: {}, slot: Slot::{group}({group}::{}{index}), unit: {:?}, \
+            "    Variable {{ name: {:?}, reference: {}, id: VariableId::{group}({group}::{}{index}), unit: {:?}, \
              start: {}, min: {min:?}, max: {max:?}, items: {items}, tunable: {} }},",
             variable.name.full,
             variable.reference,

@@ -67,11 +67,11 @@ impl Run {
 
     /// Position of the tip, m.
     pub fn tip(&self) -> [f64; 2] {
-        observers::motion(self.simulation.model(), self.simulation.state()).tip.into()
+        observers::motion(self.simulation.model(), &self.simulation.state()).tip.into()
     }
 
     /// Residual of the energy balance, J.
     pub fn energy_error(&self) -> f64 {
-        observers::energies(self.simulation.model(), self.simulation.state()).error
+        observers::energies(self.simulation.model(), &self.simulation.state()).error
     }
 }

@@ -50,7 +50,7 @@ pub fn write(folder: &Folder, extent: Extent) -> Result<()> {
                 break;
             }
             let after = run.simulation.state().core.counters;
-            let singularity = observers::singularity(run.simulation.model(), run.simulation.state());
+            let singularity = observers::singularity(run.simulation.model(), &run.simulation.state());
             rows.push(vec![
                 name.to_owned(),
                 format!("{:.3}", run.time()),

@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, ensure};
 use fivebar::fmi::bindings::{default_inputs, default_parameters, write};
 use fivebar::simulation::{Inputs, Parameters, Simulation};
-use fivebar::variables::{Slot, VARIABLES, Value, Variable};
+use fivebar::variables::{VARIABLES, Value, Variable, VariableId};
 
 /// A scene before it is made ready.
 #[derive(Clone)]
@@ -46,7 +46,7 @@ impl Scene {
         Ok(scene)
     }
 
-    /// Made ready.
+    /// StoredSimulation ready.
     pub(crate) fn simulation(&self) -> Result<Simulation> {
         Ok(Simulation::new(&self.parameters, &self.inputs)?)
     }
@@ -61,8 +61,8 @@ pub(crate) fn effects() -> impl Iterator<Item = &'static str> {
 pub(crate) fn other_values(effect: &str) -> impl Iterator<Item = (&'static str, Value)> {
     VARIABLES.iter().filter_map(move |variable| {
         let own = variable.name.strip_prefix(effect).is_some_and(|rest| rest.starts_with('.'));
-        match (variable.slot, variable.start) {
-            (Slot::RealParameter(_), Some(Value::Real(start))) if own => {
+        match (variable.id, variable.start) {
+            (VariableId::RealParameter(_), Some(Value::Real(start))) if own => {
                 Some((variable.name, Value::Real((1.25 * start + 0.125).min(variable.max.unwrap_or(f64::INFINITY)))))
             }
             _ => None,

@@ -1,14 +1,15 @@
 //! Gauss's principle on the tangent cone, by brute force: the acceleration at rest in a vertex, independent of the library's own.
 //!
 //! Among the motions d of the cone the true one maximises (F·d)²/(d·M d), F the loads and M the mass matrix in link angles; then
-//! q̈ = d (F·d)/(d·M d) (`frontier.md` section 4.3). Every local maximum is a branch on which the machine may leave.
+//! q̈ = d (F·d)/(d·M d). Every local maximum is a branch on which the machine may leave.
 
 use std::f64::consts::TAU;
 
 use fivebar::integrator::System;
-use fivebar::mechanism::Refusal;
-use fivebar::simulation::system::{FiveBar, General};
+use fivebar::mechanism::SceneError;
+use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::{Inputs, Parameters, Simulation};
+use fivebar::vector::Vector;
 
 use crate::machine::unit_motion;
 use crate::vertex::Vertex;
@@ -26,12 +27,12 @@ pub struct Branch {
 const DIRECTIONS: u32 = 3600;
 
 /// The branches on which the machine may leave rest in `vertex` under its loads, the strongest first; none without loads that do work.
-pub fn branches(parameters: &Parameters, inputs: &Inputs, vertex: Vertex) -> Result<Vec<Branch>, Refusal> {
+pub fn branches(parameters: &Parameters, inputs: &Inputs, vertex: Vertex) -> Result<Vec<Branch>, SceneError> {
     let simulation = Simulation::at(parameters, inputs, vertex.theta, [0.0; 4])?;
     let model = simulation.model();
-    let system = FiveBar::<General>::new(model, inputs, &[0; 4]);
+    let system = FiveBar::<false>::new(model, inputs, &[0; 4]);
     let q = simulation.state().core.q;
-    let forces = system.forces(&q, &system.pose(&q), &[0.0; 12]);
+    let forces = system.forces(&q, &system.pose(&q), &Vector::ZERO);
     let motions: [_; 4] = std::array::from_fn(|i| unit_motion(&parameters.geometry, vertex.theta, i));
     let product = |x: &[f64; 12], y: &[f64; 12]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
     let load: [f64; 4] = std::array::from_fn(|i| product(&motions[i], &forces));

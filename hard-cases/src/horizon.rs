@@ -48,7 +48,7 @@ fn part(mut parameters: Parameters) -> Vec<(f64, f64)> {
     let mut other = start(&parameters);
     let mut rows = Vec::new();
     for i in 0..(DURATION / STEP).round() as u64 / STRIDE {
-        let theta = [&one, &other].map(|run| observers::motion(run.model(), run.state()).theta);
+        let theta = [&one, &other].map(|run| observers::motion(run.model(), &run.state()).theta);
         let difference = (0..4).map(|k| (theta[0][k] - theta[1][k]).abs()).fold(0.0, f64::max);
         rows.push((i as f64 * STRIDE as f64 * STEP, difference));
         if [&mut one, &mut other].into_iter().any(|run| run.advance(&NO_LOAD, STEP, STRIDE).is_err()) {

@@ -18,7 +18,7 @@ pub fn mgl(geometry: &Geometry) -> f64 {
 
 /// The machine's size in sizes of the paper's machine: what bounds in m and m/s scale with.
 pub(crate) fn relative_size(geometry: &Geometry) -> f64 {
-    geometry.size() / default_parameters().geometry.size()
+    geometry.length_scale() / default_parameters().geometry.length_scale()
 }
 
 /// The paper's machine under gravity, proximal angles 90° and 120°, at rest.

@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use fivebar::fmi::clock::Clock;
-use fivebar::mechanism::Refusal;
+use fivebar::mechanism::SceneError;
 use fivebar::observers;
 use fivebar::simulation::{Inputs, Parameters, Simulation, State};
 
@@ -150,11 +150,11 @@ impl Trial {
     }
 
     /// The scene made ready.
-    pub fn start(&self, setting: Setting) -> Result<Simulation, Refusal> {
+    pub fn start(&self, setting: Setting) -> Result<Simulation, SceneError> {
         self.made_ready(&self.scene(setting))
     }
 
-    fn made_ready(&self, parameters: &Parameters) -> Result<Simulation, Refusal> {
+    fn made_ready(&self, parameters: &Parameters) -> Result<Simulation, SceneError> {
         let inputs = self.schedule.first().map_or(NO_LOAD, |span| span.inputs);
         let simulation = match self.beginning {
             Beginning::Proximal => Simulation::new(parameters, &inputs)?,
@@ -164,11 +164,11 @@ impl Trial {
     }
 
     /// The motion followed for a while and turned round.
-    fn turned(&self, parameters: &Parameters, mut simulation: Simulation) -> Result<Simulation, Refusal> {
+    fn turned(&self, parameters: &Parameters, mut simulation: Simulation) -> Result<Simulation, SceneError> {
         let step = parameters.settings.step_size;
         let away = simulation.advance(&NO_LOAD, step, (self.turned_after / step).round() as u64);
-        away.map_err(|failure| Refusal(format!("on the way out: {failure}.")))?;
-        let motion = observers::motion(simulation.model(), simulation.state());
+        away.map_err(|failure| SceneError(format!("on the way out: {failure}.")))?;
+        let motion = observers::motion(simulation.model(), &simulation.state());
         let (theta, omega) = closed(&parameters.geometry, motion.theta, motion.omega);
         Simulation::at(parameters, &NO_LOAD, theta, omega.map(|rate| -rate))
     }
@@ -204,7 +204,7 @@ impl Trial {
                     outcome.objection = Some("passes through no such singularity".into());
                 }
                 (outcome.steps, outcome.substeps) = (counters.steps, counters.substeps);
-                outcome.state = Some(*simulation.state());
+                outcome.state = Some(simulation.state());
             }
         }
         outcome.seconds = begin.elapsed().as_secs_f64();
@@ -251,7 +251,7 @@ impl Trial {
         let size = relative_size(&self.parameters.geometry);
         let mut sample = |simulation: &Simulation, time: f64| {
             if self.watch.needs_path() {
-                path.push((time, observers::motion(simulation.model(), simulation.state()).theta));
+                path.push((time, observers::motion(simulation.model(), &simulation.state()).theta));
             }
         };
         sample(simulation, 0.0);
@@ -260,11 +260,11 @@ impl Trial {
         self.drive(simulation, step, |simulation, steps, time| {
             let core = &simulation.state().core;
             let sum: f64 = core.q.iter().chain(&core.v).chain(&core.a).chain(&core.lambda).sum();
-            let energies = observers::energies(simulation.model(), simulation.state());
+            let energies = observers::energies(simulation.model(), &simulation.state());
             if !(sum + energies.error).is_finite() {
                 return false;
             }
-            let norms = observers::constraint_norms(simulation.model(), simulation.state());
+            let norms = observers::constraint_norms(simulation.model(), &simulation.state());
             peak = peak.max(energies.kinetic);
             error = error.max(energies.error.abs());
             outcome.energy = error / unit.max(self.kinetic_part * peak);
@@ -283,5 +283,5 @@ impl Trial {
 }
 
 fn in_vertex(simulation: &Simulation) -> bool {
-    observers::singularity(simulation.model(), simulation.state()).kind == observers::SingularityKind::Constraint
+    observers::singularity(simulation.model(), &simulation.state()).kind == observers::SingularityKind::Constraint
 }

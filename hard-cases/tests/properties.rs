@@ -115,7 +115,7 @@ fn follow(
             prop_assert!(!failure.to_string().is_empty());
             return Ok(());
         }
-        let (model, state) = (simulation.model(), simulation.state());
+        let (model, state) = (simulation.model(), &simulation.state());
         let core = &state.core;
         let sum: f64 = core.q.iter().chain(&core.v).chain(&core.a).chain(&core.lambda).sum();
         prop_assert!(sum.is_finite(), "not finite after step {}", step + 1);

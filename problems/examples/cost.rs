@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release -p problems --example cost`
 
-use fivebar::integrator::{Failure, Implicit};
+use fivebar::integrator::{Implicit, StepError};
 use problems::{Method, Outcome, Problem, four_bars, pendulum, squeezer};
 
 fn main() {
@@ -37,7 +37,7 @@ fn show<S: Implicit<N, M>, const N: usize, const M: usize>(
     }
 }
 
-fn row(name: &str, method: &str, h: f64, outcome: Result<Outcome, Failure>) {
+fn row(name: &str, method: &str, h: f64, outcome: Result<Outcome, StepError>) {
     match outcome {
         Ok(Outcome { error, energy_drift, violation, substeps, rejected, iterations, seconds }) => println!(
             "| {name} | {method} | {h:.0e} | {error:.1e} | {energy_drift:.1e} | {violation:.0e} | {substeps} | {rejected} | {iterations} | {seconds:.3} |"

@@ -12,16 +12,21 @@ fn main() {
         "| problem | e, 1/kg | method | macro steps | failed | median error, m | worst error, m | worst energy drift, J | rejected |"
     );
     println!("| --- | --- | --- | --- | --- | --- | --- | --- | --- |");
-    for softness in [1e-10, 1e-12, 1e-15, 1e-18] {
-        show("N = 2", four_bars::two(), softness, 100);
+    for regularization in [1e-10, 1e-12, 1e-15, 1e-18] {
+        show("N = 2", four_bars::two(), regularization, 100);
     }
-    for softness in [1e-12, 1e-15] {
-        show("N = 40", four_bars::forty(), softness, 10);
+    for regularization in [1e-12, 1e-15] {
+        show("N = 40", four_bars::forty(), regularization, 10);
     }
 }
 
-fn show<S: Implicit<N, M>, const N: usize, const M: usize>(name: &str, mut problem: Problem<S, N, M>, softness: f64, runs: u32) {
-    problem.softness = softness;
+fn show<S: Implicit<N, M>, const N: usize, const M: usize>(
+    name: &str,
+    mut problem: Problem<S, N, M>,
+    regularization: f64,
+    runs: u32,
+) {
+    problem.regularization = regularization;
     let (coarse, fine) = ((problem.duration / 1e-2).round() as u32, (problem.duration / 1e-3).round() as u32);
     for (method_name, method, least) in [
         ("i3-ALP, fixed", problem.fixed(), coarse),
@@ -32,7 +37,7 @@ fn show<S: Implicit<N, M>, const N: usize, const M: usize>(name: &str, mut probl
         ("RK4, projected", problem.rk4(), fine),
     ] {
         let row = Row::of(&problem, method, least, runs);
-        println!("| {name} | {softness:.0e} | {method_name} | {least} … | {row}");
+        println!("| {name} | {regularization:.0e} | {method_name} | {least} … | {row}");
     }
 }
 

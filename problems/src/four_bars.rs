@@ -14,6 +14,7 @@ use std::f64::consts::FRAC_PI_2;
 
 use crate::linkage::{Body, End};
 use crate::{Linkage, Problem};
+use fivebar::vector::Vector;
 
 /// Gravity, m/s².
 const G: f64 = 9.81;
@@ -29,17 +30,17 @@ pub const FORTY_AT_20_S: [f64; 2] = [0.410_901_153_762_945_2, 0.911_679_900_971_
 
 /// The benchmark with N = 2 over 10 s: the error is the distance of B0 from the published position, m.
 pub fn two() -> Problem<Linkage<15, 14, W>, 15, 14> {
-    problem(10.0, |q| distance(tip(q), TWO_AT_10_S))
+    problem(10.0, |q| distance(tip(&q[..]), TWO_AT_10_S))
 }
 
 /// The benchmark with N = 40 over 20 s: the error is the distance of B0 from the published position, m.
 pub fn forty() -> Problem<Linkage<243, 242, W>, 243, 242> {
-    problem(20.0, |q| distance(tip(q), FORTY_AT_20_S))
+    problem(20.0, |q| distance(tip(&q[..]), FORTY_AT_20_S))
 }
 
 /// The benchmark with as many loops as N coordinates have, over 1 s, for cost: the error is the distance of B0 from its circle, m.
 pub fn row<const N: usize, const M: usize>() -> Problem<Linkage<N, M, W>, N, M> {
-    problem(1.0, |q| (tip(q)[0].hypot(tip(q)[1]) - 1.0).abs())
+    problem(1.0, |q| (tip(&q[..])[0].hypot(tip(&q[..])[1]) - 1.0).abs())
 }
 
 /// φ(t) of the equivalent pendulum for N = `loops`, rad: c φ̈ = p g sin φ, φ(0) = 0, φ̇(0) = 1/s. The standing links turn about their
@@ -76,13 +77,13 @@ fn distance(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 /// Links in the order from left to right: standing 0, bar 1, standing 1, bar 2 …
-fn problem<const N: usize, const M: usize>(duration: f64, error: fn(&[f64; N]) -> f64) -> Problem<Linkage<N, M, W>, N, M> {
+fn problem<const N: usize, const M: usize>(duration: f64, error: fn(&Vector<N>) -> f64) -> Problem<Linkage<N, M, W>, N, M> {
     const { assert!(N % 6 == 3 && M == N - 1, "3 (2 n + 1) coordinates and 2 (3 n + 1) constraints") };
     let loops = (N / 3 - 1) / 2;
     let (standing, bar) = (|k: usize| 2 * k, |k: usize| 2 * k - 1);
     let (begin, end) = ([-0.5, 0.0], [0.5, 0.0]);
 
-    let (mut q, mut v) = ([0.0; N], [0.0; N]);
+    let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
     let mut joints = Vec::new();
     for k in 0..=loops {
         let x = k as f64;
@@ -109,7 +110,7 @@ fn problem<const N: usize, const M: usize>(duration: f64, error: fn(&[f64; N]) -
         q,
         v,
         duration,
-        softness: SOFTNESS,
+        regularization: SOFTNESS,
         error,
         energy: Linkage::energy,
     }

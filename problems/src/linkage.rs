@@ -10,12 +10,13 @@ mod pose;
 pub use factor::Factor;
 pub use pose::Pose;
 
-use fivebar::integrator::{Failure, Implicit, Power, System};
+use fivebar::integrator::{Implicit, Kkt, Passage, StepError, System, TangentPoint, Work};
+use fivebar::vector::Vector;
 pub(crate) use pose::rotated;
 use pose::{Side, quarter_turn};
 
 /// A point in the plane or a vector, m.
-pub type Vector = [f64; 2];
+pub type Planar = [f64; 2];
 
 /// A rigid body.
 #[derive(Clone, Copy, Debug)]
@@ -32,9 +33,9 @@ pub struct Body {
 #[derive(Clone, Copy, Debug)]
 pub enum End {
     /// A point of the ground.
-    Ground(Vector),
+    Ground(Planar),
     /// A point of a body, seen from its centre of mass in its own axes.
-    Body(usize, Vector),
+    Body(usize, Planar),
 }
 
 /// A linear spring between a point of a body and a point of the ground.
@@ -43,9 +44,9 @@ pub struct Spring {
     /// The body.
     pub body: usize,
     /// Where it holds the body, from the centre of mass in the body's axes.
-    pub at: Vector,
+    pub at: Planar,
     /// Where it holds the ground.
-    pub ground: Vector,
+    pub ground: Planar,
     /// Stiffness, N/m.
     pub stiffness: f64,
     /// Length without force, m.
@@ -63,7 +64,7 @@ pub struct Linkage<const N: usize, const M: usize, const W: usize> {
     /// Springs, at most one per body.
     pub springs: Vec<Spring>,
     /// Gravity, m/s².
-    pub gravity: Vector,
+    pub gravity: Planar,
     /// The largest magnitude a coordinate can have, m.
     pub size: f64,
 }
@@ -73,7 +74,7 @@ type Block = [[f64; 3]; 3];
 
 impl<const N: usize, const M: usize, const W: usize> Linkage<N, M, W> {
     /// Kinetic and potential energy, J; that of a constant torque is −torque · θ.
-    pub fn energy(&self, q: &[f64; N], v: &[f64; N]) -> f64 {
+    pub fn energy(&self, q: &Vector<N>, v: &Vector<N>) -> f64 {
         let bodies: f64 = (self.bodies.iter().zip(q.chunks_exact(3)).zip(v.chunks_exact(3)))
             .map(|((body, q), v)| {
                 let kinetic = (body.mass * (v[0] * v[0] + v[1] * v[1]) + body.inertia * v[2] * v[2]) / 2.0;
@@ -90,7 +91,7 @@ impl<const N: usize, const M: usize, const W: usize> Linkage<N, M, W> {
     }
 
     /// M + factor · K of a body.
-    fn block(&self, body: usize, q: &[f64; N], factor: f64) -> Block {
+    fn block(&self, body: usize, q: &Vector<N>, factor: f64) -> Block {
         let Body { mass, inertia, .. } = self.bodies[body];
         let mut block = [[mass, 0.0, 0.0], [0.0, mass, 0.0], [0.0, 0.0, inertia]];
         for spring in self.springs.iter().filter(|spring| spring.body == body) {
@@ -107,8 +108,8 @@ impl<const N: usize, const M: usize, const W: usize> Linkage<N, M, W> {
 
 /// A spring at a posture: arm from the centre of mass, direction from ground to body, length.
 struct Stretch {
-    arm: Vector,
-    direction: Vector,
+    arm: Planar,
+    direction: Planar,
     length: f64,
 }
 
@@ -147,11 +148,11 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
     type Pose = Pose<M>;
     type Mass = Factor<N, M, W>;
 
-    fn pose(&self, q: &[f64; N]) -> Pose<M> {
-        Pose::new(&self.joints, q)
+    fn pose(&self, q: &Vector<N>) -> Pose<M> {
+        Pose::new(&self.joints, &q[..])
     }
-    fn phi(&self, q: &[f64; N], pose: &Pose<M>) -> [f64; M] {
-        std::array::from_fn(|row| {
+    fn phi(&self, q: &Vector<N>, pose: &Pose<M>) -> Vector<M> {
+        Vector::from_fn(|row| {
             let point = |end: &End, side: &Option<Side>| match (end, side) {
                 (_, Some(side)) => q[3 * side.body + row % 2] + side.arm,
                 (End::Ground(point), None) => point[row % 2],
@@ -162,20 +163,20 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
             point(first, to_first) - point(second, to_second)
         })
     }
-    fn phi_q_times(&self, pose: &Pose<M>, v: &[f64; N]) -> [f64; M] {
+    fn phi_q_times(&self, pose: &Pose<M>, v: &Vector<N>) -> Vector<M> {
         pose.times(v)
     }
-    fn phi_q_dot_times(&self, pose: &Pose<M>, v: &[f64; N]) -> [f64; M] {
+    fn phi_q_dot_times(&self, pose: &Pose<M>, v: &Vector<N>) -> Vector<M> {
         pose.dot_times(v)
     }
-    fn mass_times(&self, _: &Pose<M>, x: &[f64; N]) -> [f64; N] {
-        std::array::from_fn(|i| {
+    fn mass_times(&self, _: &Pose<M>, x: &Vector<N>) -> Vector<N> {
+        Vector::from_fn(|i| {
             let body = &self.bodies[i / 3];
             x[i] * if i % 3 == 2 { body.inertia } else { body.mass }
         })
     }
-    fn forces(&self, q: &[f64; N], _: &Pose<M>, _: &[f64; N]) -> [f64; N] {
-        let mut forces = std::array::from_fn(|i| {
+    fn forces(&self, q: &Vector<N>, _: &Pose<M>, _: &Vector<N>) -> Vector<N> {
+        let mut forces = Vector::from_fn(|i| {
             let body = &self.bodies[i / 3];
             if i % 3 == 2 { body.torque } else { body.mass * self.gravity[i % 3] }
         });
@@ -187,68 +188,60 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
         }
         forces
     }
-    fn factor_mass(&self, pose: &Pose<M>, softness: f64) -> Factor<N, M, W> {
+    fn factor_mass(&self, pose: &Pose<M>, regularization: f64) -> Factor<N, M, W> {
         let inverses = std::array::from_fn(|i| {
             let Body { mass, inertia, .. } = self.bodies[i / 3];
             let mut row = [0.0; 3];
             row[i % 3] = 1.0 / if i % 3 == 2 { inertia } else { mass };
             row
         });
-        Factor::new(pose, inverses, softness)
+        Factor::new(pose, inverses, regularization)
     }
     fn follows_work(&self) -> bool {
         false
     }
-    fn power(&self, _: &[f64; N], _: &Pose<M>, _: &[f64; N]) -> Power {
-        Power::default()
+    fn power(&self, _: &Vector<N>, _: &Pose<M>, _: &Vector<N>) -> Work {
+        Work::default()
     }
-    fn angle_norm(&self, x: &[f64; N]) -> f64 {
+    fn angle_norm(&self, x: &Vector<N>) -> f64 {
         x.iter().skip(2).step_by(3).fold(0.0, |largest, x| largest.max(x.abs()))
     }
-    fn size(&self) -> f64 {
+    fn length_scale(&self) -> f64 {
         self.size
     }
 }
 
 impl<const N: usize, const M: usize, const W: usize> Implicit<N, M> for Linkage<N, M, W> {
-    type Tangent = Factor<N, M, W>;
-    type Rare = Self;
-
-    fn rare(&self) -> Self {
-        self.clone()
-    }
-
-    fn phi_q_transposed_times(&self, pose: &Pose<M>, lambda: &[f64; M]) -> [f64; N] {
+    fn phi_q_transposed_times(&self, pose: &Pose<M>, lambda: &Vector<M>) -> Vector<N> {
         pose.transposed_times(lambda)
     }
-    fn weight_times(&self, q: &[f64; N], _: &Pose<M>, _: &[f64; N], h: f64, x: &[f64; N]) -> [f64; N] {
-        let mut product = [0.0; N];
+    fn weight_times(&self, at: &TangentPoint<'_, Pose<M>, N, M>, x: &Vector<N>) -> Vector<N> {
+        let mut product = Vector::ZERO;
         for body in 0..N / 3 {
-            let block = self.block(body, q, h * h / 4.0);
+            let block = self.block(body, at.q, at.h * at.h / 4.0);
             for (row, entries) in block.iter().enumerate() {
                 product[3 * body + row] = (0..3).map(|i| entries[i] * x[3 * body + i]).sum();
             }
         }
         product
     }
-    fn factor_tangent(
+    fn solve_tangent(
         &self,
-        q: &[f64; N],
-        pose: &Pose<M>,
-        _: &[f64; N],
-        lambda: &[f64; M],
-        h: f64,
-        softness: f64,
-    ) -> Result<Factor<N, M, W>, Failure> {
-        let beta = h * h / 4.0;
-        let geometric = pose.geometric_stiffness::<N>(lambda);
+        at: &TangentPoint<'_, Pose<M>, N, M>,
+        regularization: f64,
+        (b, c): (&Vector<N>, &Vector<M>),
+    ) -> Result<(Vector<N>, Vector<M>), StepError> {
+        let beta = at.h * at.h / 4.0;
+        let geometric = at.pose.geometric_stiffness::<N>(at.lambda);
         let mut inverses = [[0.0; 3]; N];
         for body in 0..N / 3 {
-            let mut block = self.block(body, q, beta);
+            let mut block = self.block(body, at.q, beta);
             block[2][2] += beta * geometric[3 * body + 2];
-            let inverse = factor::inverse(&block, 0.1 * self.bodies[body].inertia).ok_or(Failure::IndefiniteTangent)?;
+            let inverse = factor::inverse(&block, 0.1 * self.bodies[body].inertia).ok_or(StepError::IndefiniteTangent)?;
             inverses[3 * body..3 * body + 3].copy_from_slice(&inverse);
         }
-        Ok(Factor::new(pose, inverses, softness))
+        Ok(Factor::<N, M, W>::new(at.pose, inverses, regularization).solve(b, c))
     }
 }
+
+impl<const N: usize, const M: usize, const W: usize> Passage<N> for Linkage<N, M, W> {}

@@ -6,9 +6,10 @@
 //! Source: Library of Computational Benchmark Problems, IFToMM Technical Committee for Multibody Dynamics, problem A01. The position
 //! at 10 s follows from Jacobi's elliptic functions.
 
-use fivebar::integrator::{Failure, Implicit, Kkt, Power, System};
+use fivebar::integrator::{Implicit, Kkt, Passage, StepError, System, TangentPoint, Work};
 
 use crate::Problem;
+use fivebar::vector::Vector;
 
 /// Gravity, m/s².
 const G: f64 = 9.81;
@@ -25,95 +26,83 @@ pub struct Pendulum;
 pub fn problem() -> Problem<Pendulum, 2, 1> {
     Problem {
         system: Pendulum,
-        q: [1.0, 0.0],
-        v: [0.0; 2],
+        q: [1.0, 0.0].into(),
+        v: Vector::ZERO,
         duration: 10.0,
-        softness: 1e-12,
+        regularization: 1e-12,
         error: |q| (q[0] - AT_10_S[0]).hypot(q[1] - AT_10_S[1]),
-        energy: |_, q, v| dot(v, v) / 2.0 + G * q[1],
+        energy: |_, q, v| v.dot(v) / 2.0 + G * q[1],
     }
-}
-
-fn dot([a, b]: &[f64; 2], [c, d]: &[f64; 2]) -> f64 {
-    a * c + b * d
 }
 
 /// [a · identity, (x, y)ᵀ; (x, y), −e].
 pub struct Factor {
     a: f64,
-    q: [f64; 2],
-    softness: f64,
+    q: Vector<2>,
+    regularization: f64,
 }
 
 impl Kkt<2, 1> for Factor {
-    fn solve(&self, b: &[f64; 2], [c]: &[f64; 1]) -> ([f64; 2], [f64; 1]) {
-        let y = (dot(&self.q, b) / self.a - c) / (dot(&self.q, &self.q) / self.a + self.softness);
-        ([(b[0] - self.q[0] * y) / self.a, (b[1] - self.q[1] * y) / self.a], [y])
+    fn solve(&self, b: &Vector<2>, c: &Vector<1>) -> (Vector<2>, Vector<1>) {
+        let y = (self.q.dot(b) / self.a - c[0]) / (self.q.dot(&self.q) / self.a + self.regularization);
+        ((*b - y * self.q) / self.a, [y].into())
     }
 }
 
 impl System<2, 1> for Pendulum {
-    type Pose = [f64; 2];
+    type Pose = Vector<2>;
     type Mass = Factor;
 
-    fn pose(&self, q: &[f64; 2]) -> [f64; 2] {
+    fn pose(&self, q: &Vector<2>) -> Vector<2> {
         *q
     }
-    fn phi(&self, q: &[f64; 2], _: &[f64; 2]) -> [f64; 1] {
-        [(dot(q, q) - 1.0) / 2.0]
+    fn phi(&self, q: &Vector<2>, _: &Vector<2>) -> Vector<1> {
+        [(q.dot(q) - 1.0) / 2.0].into()
     }
-    fn phi_q_times(&self, q: &[f64; 2], v: &[f64; 2]) -> [f64; 1] {
-        [dot(q, v)]
+    fn phi_q_times(&self, q: &Vector<2>, v: &Vector<2>) -> Vector<1> {
+        [q.dot(v)].into()
     }
-    fn phi_q_dot_times(&self, _: &[f64; 2], v: &[f64; 2]) -> [f64; 1] {
-        [dot(v, v)]
+    fn phi_q_dot_times(&self, _: &Vector<2>, v: &Vector<2>) -> Vector<1> {
+        [v.dot(v)].into()
     }
-    fn mass_times(&self, _: &[f64; 2], x: &[f64; 2]) -> [f64; 2] {
+    fn mass_times(&self, _: &Vector<2>, x: &Vector<2>) -> Vector<2> {
         *x
     }
-    fn forces(&self, _: &[f64; 2], _: &[f64; 2], _: &[f64; 2]) -> [f64; 2] {
-        [0.0, -G]
+    fn forces(&self, _: &Vector<2>, _: &Vector<2>, _: &Vector<2>) -> Vector<2> {
+        [0.0, -G].into()
     }
-    fn factor_mass(&self, q: &[f64; 2], softness: f64) -> Factor {
-        Factor { a: 1.0, q: *q, softness }
+    fn factor_mass(&self, q: &Vector<2>, regularization: f64) -> Factor {
+        Factor { a: 1.0, q: *q, regularization }
     }
     fn follows_work(&self) -> bool {
         false
     }
-    fn power(&self, _: &[f64; 2], _: &[f64; 2], _: &[f64; 2]) -> Power {
-        Power::default()
+    fn power(&self, _: &Vector<2>, _: &Vector<2>, _: &Vector<2>) -> Work {
+        Work::default()
     }
-    fn angle_norm(&self, x: &[f64; 2]) -> f64 {
+    fn angle_norm(&self, x: &Vector<2>) -> f64 {
         x[0].abs().max(x[1].abs())
     }
-    fn size(&self) -> f64 {
+    fn length_scale(&self) -> f64 {
         1.0
     }
 }
 
 impl Implicit<2, 1> for Pendulum {
-    type Tangent = Factor;
-    type Rare = Self;
-
-    fn rare(&self) -> Self {
-        self.clone()
+    fn phi_q_transposed_times(&self, q: &Vector<2>, lambda: &Vector<1>) -> Vector<2> {
+        lambda[0] * *q
     }
-
-    fn phi_q_transposed_times(&self, q: &[f64; 2], [lambda]: &[f64; 1]) -> [f64; 2] {
-        q.map(|q| q * lambda)
-    }
-    fn weight_times(&self, _: &[f64; 2], _: &[f64; 2], _: &[f64; 2], _: f64, x: &[f64; 2]) -> [f64; 2] {
+    fn weight_times(&self, _: &TangentPoint<'_, Vector<2>, 2, 1>, x: &Vector<2>) -> Vector<2> {
         *x
     }
-    fn factor_tangent(
+    fn solve_tangent(
         &self,
-        q: &[f64; 2],
-        _: &[f64; 2],
-        _: &[f64; 2],
-        [lambda]: &[f64; 1],
-        h: f64,
-        softness: f64,
-    ) -> Result<Factor, Failure> {
-        Ok(Factor { a: 1.0 + h * h / 4.0 * lambda, q: *q, softness })
+        at: &TangentPoint<'_, Vector<2>, 2, 1>,
+        regularization: f64,
+        (b, c): (&Vector<2>, &Vector<1>),
+    ) -> Result<(Vector<2>, Vector<1>), StepError> {
+        Ok(Factor { a: 1.0 + at.h * at.h / 4.0 * at.lambda[0], q: *at.q, regularization }.solve(b, c))
     }
 }
+
+impl Passage<2> for Pendulum {}

@@ -2,25 +2,26 @@
 
 use std::time::Instant;
 
-use fivebar::integrator::dop853::Running;
-use fivebar::integrator::{Failure, Implicit, Power, State, dop853, i3alp, rk4};
+use fivebar::integrator::dop853::{DenseStep, Horizon};
+use fivebar::integrator::{Implicit, Passage, State, StepError, dop853, i3alp, rk4};
+use fivebar::vector::Vector;
 
 /// A benchmark: a system, its start, its end and what is published about it.
 pub struct Problem<S, const N: usize, const M: usize> {
     /// The system.
     pub system: S,
     /// Coordinates at the start.
-    pub q: [f64; N],
+    pub q: Vector<N>,
     /// Velocities at the start.
-    pub v: [f64; N],
+    pub v: Vector<N>,
     /// When the published values hold, s.
     pub duration: f64,
     /// e of the methods' saddle-point systems, 1/kg: 1e-12 over the mean mass if nothing is said.
-    pub softness: f64,
+    pub regularization: f64,
     /// How far coordinates at the end are from the published values; each benchmark says in which unit.
-    pub error: fn(&[f64; N]) -> f64,
+    pub error: fn(&Vector<N>) -> f64,
     /// What the motion keeps, J: kinetic and potential energy, that of constant torques included.
-    pub energy: fn(&S, &[f64; N], &[f64; N]) -> f64,
+    pub energy: fn(&S, &Vector<N>, &Vector<N>) -> f64,
 }
 
 /// A method with its settings.
@@ -60,7 +61,7 @@ const MAX_ITERATIONS: u32 = 10;
 /// The first step that DOP853 tries, s; a longer one is soon found.
 const FIRST_STEP: f64 = 1e-5;
 
-impl<S: Implicit<N, M>, const N: usize, const M: usize> Problem<S, N, M> {
+impl<S: Implicit<N, M> + Passage<N>, const N: usize, const M: usize> Problem<S, N, M> {
     /// i3-ALP at strictly fixed step.
     pub fn fixed(&self) -> Method {
         Method::I3alp(i3alp::Settings { adaptive: false, ..self.i3alp(f64::INFINITY) })
@@ -77,7 +78,7 @@ impl<S: Implicit<N, M>, const N: usize, const M: usize> Problem<S, N, M> {
             error_tolerance,
             tolerance: TOLERANCE,
             max_iterations: MAX_ITERATIONS,
-            softness: self.softness,
+            regularization: self.regularization,
         }
     }
 
@@ -85,7 +86,7 @@ impl<S: Implicit<N, M>, const N: usize, const M: usize> Problem<S, N, M> {
     pub fn rk4(&self) -> Method {
         Method::Rk4(rk4::Settings {
             projection: true,
-            softness: self.softness,
+            regularization: self.regularization,
             tolerance: TOLERANCE,
             max_iterations: MAX_ITERATIONS,
         })
@@ -97,31 +98,30 @@ impl<S: Implicit<N, M>, const N: usize, const M: usize> Problem<S, N, M> {
             error_tolerance,
             first_step: FIRST_STEP,
             max_iterations: MAX_ITERATIONS,
-            softness: self.softness,
+            regularization: self.regularization,
         })
     }
 
     /// Runs to the published time in macro steps of h seconds.
-    pub fn run(&self, method: Method, h: f64) -> Result<Outcome, Failure> {
+    pub fn run(&self, method: Method, h: f64) -> Result<Outcome, StepError> {
         self.watch(method, h, |_, _| {})
     }
 
     /// The same; `look` sees time and state after each macro step.
-    pub fn watch(&self, method: Method, h: f64, mut look: impl FnMut(f64, &State<N, M>)) -> Result<Outcome, Failure> {
+    pub fn watch(&self, method: Method, h: f64, mut look: impl FnMut(f64, &State<N, M>)) -> Result<Outcome, StepError> {
         let system = &self.system;
         let start = Instant::now();
-        let mut state = State::start(system, self.q, self.v, self.softness);
+        let mut state = State::start(system, self.q, self.v, self.regularization);
         let energy = (self.energy)(system, &self.q, &self.v);
         let (mut energy_drift, mut violation) = (0.0f64, 0.0f64);
-        let mut power = Power::default();
         let mut running = match method {
-            Method::Dop853(settings) => Some(Running::start(system, self.q, self.v, &settings)),
+            Method::Dop853(settings) => Some(DenseStep::start(system, self.q, self.v, &settings)),
             _ => None,
         };
         for step in 1..=(self.duration / h).round() as u64 {
             match method {
-                Method::I3alp(settings) => i3alp::advance(system, &settings, &mut state, h, &mut power)?,
-                Method::Rk4(settings) => rk4::advance(system, &settings, &mut state, h, &mut power)?,
+                Method::I3alp(settings) => i3alp::advance(system, &settings, &mut state, h)?,
+                Method::Rk4(settings) => rk4::advance(system, &settings, &mut state, h)?,
                 Method::Dop853(settings) => {
                     running.as_mut().map_or(Ok(()), |running| advance(system, &settings, running, &mut state, h))?
                 }
@@ -145,13 +145,13 @@ impl<S: Implicit<N, M>, const N: usize, const M: usize> Problem<S, N, M> {
 
 /// A macro step of h seconds by DOP853, whose own steps run past its end: there the state is interpolated.
 fn advance<const N: usize, const M: usize>(
-    system: &impl Implicit<N, M>,
+    system: &(impl Implicit<N, M> + Passage<N>),
     settings: &dop853::Settings,
-    running: &mut Running<N, M>,
+    running: &mut DenseStep<N, M>,
     state: &mut State<N, M>,
     h: f64,
-) -> Result<(), Failure> {
-    running.advance(system, settings, h, [h, f64::INFINITY])?;
+) -> Result<(), StepError> {
+    running.advance(system, settings, h, Horizon { output: h, limit: f64::INFINITY })?;
     let sample = running.sample(system, settings);
     running.record(&sample, state);
     (state.q, state.v) = (sample.q, sample.v);

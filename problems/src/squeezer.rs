@@ -19,7 +19,7 @@
 //! Source: Test Set for Initial Value Problem Solvers (Lioen, de Swart, Mazzia, Magherini), "Andrews' squeezing mechanism"; Hairer and
 //! Wanner, Solving Ordinary Differential Equations II, VII.7; also IFToMM benchmark A03. The values at 30 ms are the test set's.
 
-use crate::linkage::{Body, End, Spring, Vector, rotated};
+use crate::linkage::{Body, End, Planar, Spring, rotated};
 use crate::{Linkage, Problem};
 
 /// Names of the published angles, in their order.
@@ -52,9 +52,9 @@ const INERTIAS: [f64; 7] = [2.194e-6, 4.410e-7, 5.255e-6, 5.667e-7, 1.169e-5, 5.
 /// Torque of the motor, N m.
 const MOM: f64 = 0.033;
 
-const A: Vector = [-0.06934, -0.00227];
-const B: Vector = [-0.03635, 0.03273];
-const C: Vector = [0.014, 0.072];
+const A: Planar = [-0.06934, -0.00227];
+const B: Planar = [-0.03635, 0.03273];
+const C: Planar = [0.014, 0.072];
 const D: f64 = 0.028;
 const DA: f64 = 0.0115;
 const E: f64 = 0.02;
@@ -78,7 +78,7 @@ const C0: f64 = 4530.0;
 const L0: f64 = 0.07785;
 
 /// Centres of mass, in the axes of the body from its hinge.
-const CENTRES: [Vector; 7] = [[RA, 0.0], [-DA, 0.0], [SB, -SA], [0.0, EA - E], [TA, TB], [ZF - FA, 0.0], [-UB, -UA]];
+const CENTRES: [Planar; 7] = [[RA, 0.0], [-DA, 0.0], [SB, -SA], [0.0, EA - E], [TA, TB], [ZF - FA, 0.0], [-UB, -UA]];
 
 /// Number of coordinates, of constraints, and of entries of a row of the dual matrix up to its diagonal: joints of the same body are
 /// at most three places apart.
@@ -87,7 +87,7 @@ type Squeezer = Linkage<21, 20, 8>;
 /// The benchmark: the error is the largest relative error of the seven angles at 30 ms.
 pub fn problem() -> Problem<Squeezer, 21, 20> {
     let [k1, k2, k3, k4, k5, k6, k7] = std::array::from_fn(|i| i);
-    let at = |body: usize, [x, y]: Vector| End::Body(body, [x - CENTRES[body][0], y - CENTRES[body][1]]);
+    let at = |body: usize, [x, y]: Planar| End::Body(body, [x - CENTRES[body][0], y - CENTRES[body][1]]);
     let hinge = |body: usize| at(body, [0.0; 2]);
     let e_of_k3 = at(k3, [0.0, -SS]);
     let bodies = (MASSES.iter().zip(INERTIAS))
@@ -114,10 +114,10 @@ pub fn problem() -> Problem<Squeezer, 21, 20> {
             gravity: [0.0; 2],
             size: 0.1,
         },
-        q: assembled(START),
-        v: [0.0; 21],
+        q: assembled(START).into(),
+        v: [0.0; 21].into(),
         duration: 0.03,
-        softness: 1e-12 / 0.03,
+        regularization: 1e-12 / 0.03,
         error: |q| {
             let angles = published(q);
             (0..7).map(|i| (angles[i] / AT_30_MS[i] - 1.0).abs()).fold(0.0, f64::max)
@@ -129,7 +129,7 @@ pub fn problem() -> Problem<Squeezer, 21, 20> {
 /// x, y, θ of the bodies from the published angles.
 fn assembled([beta, theta, gamma, phi, delta, omega, epsilon]: [f64; 7]) -> [f64; 21] {
     let angles = [beta, beta + theta, gamma, phi + delta, delta, omega + epsilon, epsilon];
-    let from = |[x, y]: Vector, body: usize, point: Vector| {
+    let from = |[x, y]: Planar, body: usize, point: Planar| {
         let [dx, dy] = rotated(point, angles[body]);
         [x + dx, y + dy]
     };

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, ensure};
 use fivebar::fmi::bindings::{self, default_inputs, default_parameters};
 use fivebar::simulation::{Inputs, Parameters};
-use fivebar::variables::{Access, Value, Variable};
+use fivebar::variables::{FmiType, Value, Variable};
 use serde_json::{Map, Value as Json};
 
 pub use signal::Signal;
@@ -103,11 +103,11 @@ fn named(name: &str) -> Result<&'static Variable> {
 /// A variable with its value; those of enumerations are given by the names of their items.
 fn typed(name: &str, value: &Json) -> Result<(&'static Variable, Value)> {
     let variable = named(name)?;
-    let typed = match variable.access() {
-        Access::Real => value.as_f64().map(Value::Real),
-        Access::Boolean => value.as_bool().map(Value::Boolean),
-        Access::Integer if variable.items.is_empty() => value.as_i64().and_then(|n| i32::try_from(n).ok()).map(Value::Integer),
-        Access::Integer => {
+    let typed = match variable.fmi_type() {
+        FmiType::Real => value.as_f64().map(Value::Real),
+        FmiType::Boolean => value.as_bool().map(Value::Boolean),
+        FmiType::Integer if variable.items.is_empty() => value.as_i64().and_then(|n| i32::try_from(n).ok()).map(Value::Integer),
+        FmiType::Integer => {
             variable.items.iter().find(|item| value.as_str() == Some(item.name)).map(|item| Value::Integer(item.value))
         }
     };

@@ -6,19 +6,19 @@
 //! F = N (n − mu tanh(v_t/slipVelocity) t),      N = max(0, s(d)(k d + d_coeff ḋ))
 //! ```
 //!
-//! see `buffer.rs` for N; the tangential part is Coulomb friction, regularised. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ,
+//! see `unilateral_spring.rs` for N; the tangential part is Coulomb friction, regularised. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ,
 //! C = −∂F/∂ṗ; both couple the coordinates of link 2 and are not symmetric. Potential: the spring part of N; the damper and the
 //! friction dissipate. Defaults: a floor 1 m below the motor axes, which the paper's mechanism does not reach; k 2e3 N/m and 5 N·s/m,
 //! a soft fingertip or a haptic wall; mu 0.3, slip velocity 0.01 m/s, ramp 0.1 mm.
 //! Limits: a point against a plane; under a tangential load below mu N it creeps at about slipVelocity F_t/(mu N).
 
-use super::buffer::Buffer;
-use super::situation::{Situation, Tip};
+use super::unilateral_spring::UnilateralSpring;
+use super::force_context::{ForceContext, Tip};
 use super::{Force, Tangents};
-use crate::mechanism::{Coordinates, Mechanism, Refusal, finite, not_negative, positive};
+use crate::mechanism::{Coordinates, Mechanism, SceneError, finite, not_negative, positive};
 
 /// The `contact.*` variables.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
     /// Whether the scene has the plane.
     pub enabled: bool,
@@ -45,7 +45,7 @@ pub struct Parameters {
 pub struct Contact {
     normal: [f64; 2],
     offset: f64,
-    buffer: Buffer,
+    spring: UnilateralSpring,
     mu: f64,
     slip_velocity: f64,
 }
@@ -65,7 +65,7 @@ fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 impl Contact {
-    fn touch(&self, at: &Situation) -> Touch {
+    fn touch(&self, at: &ForceContext) -> Touch {
         let tip = at.tip();
         let depth = self.offset - dot(self.normal, tip.position);
         let rate = -dot(self.normal, tip.velocity);
@@ -83,12 +83,12 @@ impl Contact {
     }
 
     /// The force on the tip, N.
-    pub fn force(&self, at: &Situation) -> [f64; 2] {
+    pub fn force(&self, at: &ForceContext) -> [f64; 2] {
         self.force_of(&self.touch(at))
     }
 
     fn force_of(&self, touch: &Touch) -> [f64; 2] {
-        let normal = self.buffer.force(touch.depth, touch.rate);
+        let normal = self.spring.force(touch.depth, touch.rate);
         self.direction(touch.slip).map(|x| normal * x)
     }
 }
@@ -96,7 +96,7 @@ impl Contact {
 impl Force for Contact {
     type Parameters = Parameters;
 
-    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
+    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { nx, ny, offset, k, d, width, mu, slip_velocity, .. } = *parameters;
         finite("contact.nx", nx, "(ratio)")?;
         finite("contact.ny", ny, "(ratio)")?;
@@ -108,10 +108,10 @@ impl Force for Contact {
         positive("contact.slipVelocity", slip_velocity, "m/s")?;
         let length = libm::hypot(nx, ny);
         if length == 0.0 {
-            return Err(Refusal("contact.nx = 0 and contact.ny = 0 are not allowed together: the plane needs a normal.".into()));
+            return Err(SceneError("contact.nx = 0 and contact.ny = 0 are not allowed together: the plane needs a normal.".into()));
         }
-        let buffer = Buffer { stiffness: k, damping: d, width };
-        Ok(Self { normal: [nx / length, ny / length], offset, buffer, mu, slip_velocity })
+        let spring = UnilateralSpring { stiffness: k, damping: d, width };
+        Ok(Self { normal: [nx / length, ny / length], offset, spring, mu, slip_velocity })
     }
 
     fn couples_links(&self) -> bool {
@@ -119,11 +119,11 @@ impl Force for Contact {
     }
 
     fn conservative(&self) -> bool {
-        self.buffer.damping == 0.0 && self.mu == 0.0
+        self.spring.damping == 0.0 && self.mu == 0.0
     }
 
     #[inline(never)]
-    fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+    fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
         let touch = self.touch(at);
         if touch.depth > 0.0 {
             touch.tip.add_force(self.force_of(&touch), forces);
@@ -131,13 +131,13 @@ impl Force for Contact {
     }
 
     #[inline(never)]
-    fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
+    fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
         let touch = self.touch(at);
         if touch.depth <= 0.0 {
             return;
         }
-        let normal_force = self.buffer.force(touch.depth, touch.rate);
-        let [by_depth, by_rate] = self.buffer.slopes(touch.depth, touch.rate);
+        let normal_force = self.spring.force(touch.depth, touch.rate);
+        let [by_depth, by_rate] = self.spring.slopes(touch.depth, touch.rate);
         let tanh = libm::tanh(touch.slip / self.slip_velocity);
         let by_slip = self.mu * normal_force * (1.0 - tanh * tanh) / self.slip_velocity;
         let (normal, tangent, direction) = (self.normal, self.tangent(), self.direction(touch.slip));
@@ -148,13 +148,13 @@ impl Force for Contact {
         touch.tip.add_geometric_stiffness(direction.map(|x| normal_force * x), tangents);
     }
 
-    fn potential(&self, at: &Situation) -> f64 {
-        self.buffer.potential(self.touch(at).depth)
+    fn potential(&self, at: &ForceContext) -> f64 {
+        self.spring.potential(self.touch(at).depth)
     }
 
-    fn dissipation(&self, at: &Situation) -> f64 {
+    fn dissipation(&self, at: &ForceContext) -> f64 {
         let touch = self.touch(at);
         let friction = self.mu * libm::tanh(touch.slip / self.slip_velocity) * touch.slip;
-        self.buffer.dissipation(touch.depth, touch.rate) + self.buffer.force(touch.depth, touch.rate) * friction
+        self.spring.dissipation(touch.depth, touch.rate) + self.spring.force(touch.depth, touch.rate) * friction
     }
 }

@@ -11,12 +11,12 @@
 //! Limits: no true sticking. Under a load T below breakaway a joint creeps at about w_c T/T_c; that is the price of a smooth law. Its
 //! rate near w = 0 is T_c/(w_c I), some 1,500/s for the paper's links: stiff for explicit methods. Beyond w_brk the slope is negative.
 
-use super::situation::{JOINTS, Situation, add_joint_damping, add_joint_torque, is_inner};
+use super::force_context::{JOINTS, ForceContext, add_joint_damping, add_joint_torque, is_inner};
 use super::{Force, Tangents};
-use crate::mechanism::{Coordinates, Mechanism, Refusal, not_negative, positive};
+use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative, positive};
 
 /// The `friction.*` variables.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
     /// Whether the scene has dry friction.
     pub enabled: bool,
@@ -70,14 +70,14 @@ impl Friction {
 impl Force for Friction {
     type Parameters = Parameters;
 
-    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
+    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let mut curves = [None; JOINTS];
         for (joint, curve) in curves.iter_mut().enumerate() {
             let (coulomb, breakaway) = (parameters.coulomb[joint], parameters.breakaway[joint]);
             not_negative(format_args!("friction.coulomb[{}]", joint + 1), coulomb, "N.m")?;
             not_negative(format_args!("friction.breakaway[{}]", joint + 1), breakaway, "N.m")?;
             if breakaway < coulomb {
-                return Err(Refusal(format!(
+                return Err(SceneError(format!(
                     "friction.breakaway[{0}] = {breakaway} N.m is not allowed: it must be at least friction.coulomb[{0}] = {coulomb} N.m.",
                     joint + 1
                 )));
@@ -101,20 +101,20 @@ impl Force for Friction {
     }
 
     #[inline(never)]
-    fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+    fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
         for curve in self.curves() {
             add_joint_torque(curve.joint, -self.drag(curve, at.joint_rate(curve.joint)), forces);
         }
     }
 
     #[inline(never)]
-    fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
+    fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
         for curve in self.curves() {
             add_joint_damping(curve.joint, self.slope(curve, at.joint_rate(curve.joint)), tangents);
         }
     }
 
-    fn dissipation(&self, at: &Situation) -> f64 {
+    fn dissipation(&self, at: &ForceContext) -> f64 {
         self.curves().map(|curve| (self.drag(curve, at.joint_rate(curve.joint)), curve)).map(|(drag, curve)| drag * at.joint_rate(curve.joint)).sum()
     }
 }

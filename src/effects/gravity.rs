@@ -6,10 +6,10 @@
 
 use crate::mechanism::coordinates::{D_X, D_Y, P_X, P_Y, add_legs};
 use crate::mechanism::legs::both;
-use crate::mechanism::{Coordinates, Mechanism, Refusal, finite};
+use crate::mechanism::{Coordinates, Mechanism, SceneError, finite};
 
 /// The `gravity.*` variables.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
     /// Whether the scene has gravity.
     pub enabled: bool,
@@ -23,13 +23,13 @@ pub struct Parameters {
 
 impl Parameters {
     /// Adds the links' weights.
-    pub fn add_weight(&self, mechanism: &Mechanism, weight: &mut Coordinates) -> Result<(), Refusal> {
+    pub fn add_weight(&self, mechanism: &Mechanism, weight: &mut Coordinates) -> Result<(), SceneError> {
         let Self { g, tilt, direction, .. } = *self;
         for (name, value, unit) in [("g", g, "m/s2"), ("tilt", tilt, "rad"), ("direction", direction, "rad")] {
             finite(format_args!("gravity.{name}"), value, unit)?;
         }
         if g < 0.0 {
-            return Err(Refusal(format!(
+            return Err(SceneError(format!(
                 "gravity.g = {g} m/s2 is not allowed: it must be 0 or positive; gravity.direction turns it round."
             )));
         }

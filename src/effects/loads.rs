@@ -7,8 +7,8 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::Tangents;
-use super::situation::{MOTORS, Situation};
-use crate::mechanism::{COORDINATES, Coordinates};
+use super::force_context::{ForceContext, MOTORS};
+use crate::mechanism::Coordinates;
 
 /// What the master sets: held over a macro step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -37,6 +37,11 @@ fn same(a: [[f64; 2]; 2], b: [[f64; 2]; 2]) -> bool {
 }
 
 impl Inputs {
+    /// Whether all are numbers.
+    pub fn are_finite(&self) -> bool {
+        [self.tau, self.tip_force, self.servo_theta, self.servo_omega].as_flattened().iter().all(|x| x.is_finite())
+    }
+
     /// Whether any load is there.
     pub fn load(&self) -> bool {
         any([self.tau, self.tip_force])
@@ -55,7 +60,7 @@ impl Inputs {
     }
 
     /// Whether any servo reference is not 0.
-    pub fn refers(&self) -> bool {
+    pub fn has_servo_reference(&self) -> bool {
         any([self.servo_theta, self.servo_omega])
     }
 
@@ -77,7 +82,7 @@ impl Inputs {
 
     /// Adds the generalised forces.
     #[inline(always)]
-    pub fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+    pub fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
         for (motor, tau) in MOTORS.into_iter().zip(self.tau) {
             forces[motor] += tau;
         }
@@ -86,21 +91,21 @@ impl Inputs {
 
     /// Adds their tangents.
     #[inline(always)]
-    pub fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
+    pub fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
         at.tip().add_geometric_stiffness(self.tip_force, tangents);
     }
 
     /// Potential of the held loads, J: −τ·θ − F·tip. Angles without whole turns, which a step does not change.
-    pub fn potential(&self, at: &Situation) -> f64 {
+    pub fn potential(&self, at: &ForceContext) -> f64 {
         let ([x, y], [fx, fy]) = (at.tip().position, self.tip_force);
         -(self.tau[0] * at.q[MOTORS[0]] + self.tau[1] * at.q[MOTORS[1]] + fx * x + fy * y)
     }
 
     /// Power of the loads, W.
     #[inline(always)]
-    pub fn power(&self, at: &Situation) -> f64 {
-        let mut forces = [0.0; COORDINATES];
+    pub fn power(&self, at: &ForceContext) -> f64 {
+        let mut forces = Coordinates::ZERO;
         self.add_forces(at, &mut forces);
-        forces.iter().zip(at.v).map(|(force, v)| force * v).sum()
+        forces.dot(at.v)
     }
 }

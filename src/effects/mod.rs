@@ -5,20 +5,20 @@
 //!
 //! Invariant: does no input or output; the same input bits give the same output bits.
 
-mod buffer;
+mod force_context;
 pub mod loads;
-mod situation;
 pub mod tangents;
+mod unilateral_spring;
 mod variation;
 
+pub use force_context::{ForceContext, JOINTS};
 pub use loads::Inputs;
-pub use situation::{JOINTS, Situation};
 pub use tangents::Tangents;
-pub use variation::Change;
+pub use variation::Perturbation;
 
 use arrayvec::ArrayVec;
 
-use crate::mechanism::{COORDINATES, Coordinates, Geometry, Mechanism, Refusal};
+use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError};
 
 /// An effect with a force that depends on the motion, ready to act. Its file says what it adds and where it comes from.
 ///
@@ -28,7 +28,7 @@ trait Force: Sized {
     type Parameters;
 
     /// Made ready from checked parameters.
-    fn new(parameters: &Self::Parameters, mechanism: &Mechanism) -> Result<Self, Refusal>;
+    fn new(parameters: &Self::Parameters, mechanism: &Mechanism) -> Result<Self, SceneError>;
 
     /// Whether its tangents couple links, so that the fast linear solve will not do.
     fn couples_links(&self) -> bool {
@@ -41,26 +41,26 @@ trait Force: Sized {
     }
 
     /// Adds the generalised force Q.
-    fn add_forces(&self, at: &Situation, forces: &mut Coordinates);
+    fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates);
 
     /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.
-    fn add_tangents(&self, _at: &Situation, _tangents: &mut impl Tangents) {}
+    fn add_tangents(&self, _at: &ForceContext, _tangents: &mut impl Tangents) {}
 
     /// Adds ∂Q/∂u δu for inputs u that it reads.
-    fn add_input_change(&self, _at: &Situation, _change: &Inputs, _forces: &mut Coordinates) {}
+    fn add_input_change(&self, _at: &ForceContext, _change: &Inputs, _forces: &mut Coordinates) {}
 
     /// Potential energy, J.
-    fn potential(&self, _at: &Situation) -> f64 {
+    fn potential(&self, _at: &ForceContext) -> f64 {
         0.0
     }
 
     /// Power put in from outside, W.
-    fn input_power(&self, _at: &Situation) -> f64 {
+    fn input_power(&self, _at: &ForceContext) -> f64 {
         0.0
     }
 
     /// Power dissipated, W. The force's power is input − dissipation − dU/dt.
-    fn dissipation(&self, _at: &Situation) -> f64 {
+    fn dissipation(&self, _at: &ForceContext) -> f64 {
         0.0
     }
 }
@@ -75,7 +75,7 @@ macro_rules! effects {
         $(pub use $force::$Force;)+
 
         /// The parameters of every effect, whether the scene calls for it or not.
-        #[derive(Clone, Debug, PartialEq)]
+        #[derive(Clone, Debug, Default, PartialEq)]
         pub struct Parameters {
             $(#[doc = concat!("See [`", stringify!($mass), "`].")] pub $mass: $mass::Parameters,)+
             $(#[doc = concat!("See [`", stringify!($weight), "`].")] pub $weight: $weight::Parameters,)+
@@ -107,21 +107,21 @@ macro_rules! effects {
             }
 
             /// The geometry with the masses of the effects that are enabled.
-            pub fn burdened(&self, geometry: &Geometry) -> Result<Geometry, Refusal> {
-                let mut burdened = *geometry;
-                $(if self.$mass.enabled { self.$mass.add_masses(&mut burdened)?; })+
-                Ok(burdened)
+            pub fn with_added_masses(&self, geometry: &Geometry) -> Result<Geometry, SceneError> {
+                let mut with_added_masses = *geometry;
+                $(if self.$mass.enabled { self.$mass.add_masses(&mut with_added_masses)?; })+
+                Ok(with_added_masses)
             }
 
             /// The constant generalised force of the effects that are enabled.
-            pub fn weight(&self, mechanism: &Mechanism) -> Result<Coordinates, Refusal> {
-                let mut weight = [0.0; COORDINATES];
+            pub fn weight(&self, mechanism: &Mechanism) -> Result<Coordinates, SceneError> {
+                let mut weight = Coordinates::ZERO;
                 $(if self.$weight.enabled { self.$weight.add_weight(mechanism, &mut weight)?; })+
                 Ok(weight)
             }
 
             /// The effects whose force depends on the motion that are enabled, in the order in which they act.
-            pub fn active(&self, mechanism: &Mechanism) -> Result<Active, Refusal> {
+            pub fn active(&self, mechanism: &Mechanism) -> Result<Active, SceneError> {
                 let mut active = Active::new();
                 $(if self.$force.enabled { active.push(Effect::$Force($Force::new(&self.$force, mechanism)?)); })+
                 Ok(active)
@@ -146,33 +146,33 @@ macro_rules! effects {
 
             /// Adds the generalised force Q.
             #[inline(always)]
-            pub fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+            pub fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
                 match self { $(Self::$Force(force) => force.add_forces(at, forces),)+ }
             }
 
             /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.
             #[inline(always)]
-            pub fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
+            pub fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
                 match self { $(Self::$Force(force) => force.add_tangents(at, tangents),)+ }
             }
 
             /// Adds ∂Q/∂u δu for inputs u that it reads.
-            fn add_input_change(&self, at: &Situation, change: &Inputs, forces: &mut Coordinates) {
+            fn add_input_change(&self, at: &ForceContext, change: &Inputs, forces: &mut Coordinates) {
                 match self { $(Self::$Force(force) => force.add_input_change(at, change, forces),)+ }
             }
 
             /// Potential energy, J.
-            pub fn potential(&self, at: &Situation) -> f64 {
+            pub fn potential(&self, at: &ForceContext) -> f64 {
                 match self { $(Self::$Force(force) => force.potential(at),)+ }
             }
 
             /// Power put in from outside, W.
-            pub fn input_power(&self, at: &Situation) -> f64 {
+            pub fn input_power(&self, at: &ForceContext) -> f64 {
                 match self { $(Self::$Force(force) => force.input_power(at),)+ }
             }
 
             /// Power dissipated, W.
-            pub fn dissipation(&self, at: &Situation) -> f64 {
+            pub fn dissipation(&self, at: &ForceContext) -> f64 {
                 match self { $(Self::$Force(force) => force.dissipation(at),)+ }
             }
         }

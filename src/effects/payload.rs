@@ -5,10 +5,10 @@
 //! energy and gravity include it. Default: 0.05 kg, three times a link of the paper's mechanism.
 //! Limits: a point, without inertia of its own; rigidly held. Reaction 3 is what link 3 adds to link 2 with its payload.
 
-use crate::mechanism::{Geometry, Refusal, not_negative};
+use crate::mechanism::{Geometry, SceneError, not_negative};
 
 /// The `payload.*` variables.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
     /// Whether the scene has a payload.
     pub enabled: bool,
@@ -21,7 +21,7 @@ const CARRIER: usize = 1;
 
 impl Parameters {
     /// Adds the payload to the left distal link.
-    pub fn add_masses(&self, geometry: &mut Geometry) -> Result<(), Refusal> {
+    pub fn add_masses(&self, geometry: &mut Geometry) -> Result<(), SceneError> {
         not_negative("payload.mass", self.mass, "kg")?;
         let link = &mut geometry.links[CARRIER];
         let total = link.mass + self.mass;

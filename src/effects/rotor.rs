@@ -5,10 +5,10 @@
 //! the kinetic energy counts it. Defaults: 1e-5 kg·m², a small brushless motor's, without gear (ratio 1).
 //! Limits: no gear friction, play or elasticity; the rotor's axis is fixed to the ground, so no gyroscopic coupling.
 
-use crate::mechanism::{Geometry, Refusal, finite, not_negative};
+use crate::mechanism::{Geometry, SceneError, finite, not_negative};
 
 /// The `rotor.*` variables.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
     /// Whether the scene has rotors.
     pub enabled: bool,
@@ -23,7 +23,7 @@ const DRIVEN: [usize; 2] = [0, 3];
 
 impl Parameters {
     /// Adds the rotors to the proximal links.
-    pub fn add_masses(&self, geometry: &mut Geometry) -> Result<(), Refusal> {
+    pub fn add_masses(&self, geometry: &mut Geometry) -> Result<(), SceneError> {
         for (i, link) in DRIVEN.into_iter().enumerate() {
             let (inertia, ratio) = (self.inertia[i], self.gear_ratio[i]);
             not_negative(format_args!("rotor.inertia[{}]", i + 1), inertia, "kg.m2")?;

@@ -9,12 +9,12 @@
 //! input. θ counts whole turns. Defaults: kp 2 N·m/rad, kd 0.02 N·m·s/rad, a desk-top device's; limit 1 N·m.
 //! Limits: continuous in time (no sampling, no delay, no quantisation), no integral action; motor dynamics are not modelled.
 
-use super::situation::{MOTORS, Situation};
+use super::force_context::{MOTORS, ForceContext};
 use super::{Force, Inputs, Tangents};
-use crate::mechanism::{Coordinates, Mechanism, Refusal, not_negative, positive};
+use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative, positive};
 
 /// The `servo.*` parameters.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
     /// Whether the scene has servos.
     pub enabled: bool,
@@ -36,14 +36,14 @@ pub struct Servo {
 
 impl Servo {
     /// T/limit of a servo.
-    fn drive(&self, at: &Situation, i: usize) -> f64 {
+    fn drive(&self, at: &ForceContext, i: usize) -> f64 {
         let angle = self.kp[i] * (at.inputs.servo_theta[i] - at.motor_angle(i));
         let rate = self.kd[i] * (at.inputs.servo_omega[i] - at.motor_rate(i));
         libm::tanh((angle + rate) / self.limit[i])
     }
 
     /// Torques of the left and right servo, N·m.
-    pub fn torques(&self, at: &Situation) -> [f64; 2] {
+    pub fn torques(&self, at: &ForceContext) -> [f64; 2] {
         [0, 1].map(|i| self.limit[i] * self.drive(at, i))
     }
 }
@@ -51,7 +51,7 @@ impl Servo {
 impl Force for Servo {
     type Parameters = Parameters;
 
-    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
+    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { kp, kd, limit, .. } = *parameters;
         for i in 0..2 {
             not_negative(format_args!("servo.kp[{}]", i + 1), kp[i], "N.m/rad")?;
@@ -66,14 +66,14 @@ impl Force for Servo {
     }
 
     #[inline(never)]
-    fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+    fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
         for (motor, torque) in MOTORS.into_iter().zip(self.torques(at)) {
             forces[motor] += torque;
         }
     }
 
     #[inline(never)]
-    fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
+    fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
         for (i, motor) in MOTORS.into_iter().enumerate() {
             let drive = self.drive(at, i);
             let open = 1.0 - drive * drive;
@@ -82,7 +82,7 @@ impl Force for Servo {
         }
     }
 
-    fn add_input_change(&self, at: &Situation, change: &Inputs, forces: &mut Coordinates) {
+    fn add_input_change(&self, at: &ForceContext, change: &Inputs, forces: &mut Coordinates) {
         for (i, motor) in MOTORS.into_iter().enumerate() {
             let drive = self.drive(at, i);
             let pull = self.kp[i] * change.servo_theta[i] + self.kd[i] * change.servo_omega[i];
@@ -90,7 +90,7 @@ impl Force for Servo {
         }
     }
 
-    fn input_power(&self, at: &Situation) -> f64 {
+    fn input_power(&self, at: &ForceContext) -> f64 {
         let torques = self.torques(at);
         torques[0] * at.motor_rate(0) + torques[1] * at.motor_rate(1)
     }

@@ -3,12 +3,12 @@
 //! K = k, C = 0; potential k (θ − θ₀)²/2; conservative. θ counts whole turns. Defaults: 0.05 N·m/rad, about what the links of the
 //! paper's mechanism weigh, relaxed upright (θ₀ = π/2). Limits: linear, massless, without hysteresis.
 
-use super::situation::{MOTORS, Situation};
+use super::force_context::{MOTORS, ForceContext};
 use super::{Force, Tangents};
-use crate::mechanism::{Coordinates, Mechanism, Refusal, finite, not_negative};
+use crate::mechanism::{Coordinates, Mechanism, SceneError, finite, not_negative};
 
 /// The `spring.*` variables.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
     /// Whether the scene has springs.
     pub enabled: bool,
@@ -28,7 +28,7 @@ pub struct Spring {
 impl Force for Spring {
     type Parameters = Parameters;
 
-    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
+    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { k, theta0, .. } = *parameters;
         for i in 0..2 {
             not_negative(format_args!("spring.k[{}]", i + 1), k[i], "N.m/rad")?;
@@ -38,20 +38,20 @@ impl Force for Spring {
     }
 
     #[inline(never)]
-    fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+    fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
         for (i, motor) in MOTORS.into_iter().enumerate() {
             forces[motor] -= self.k[i] * (at.motor_angle(i) - self.theta0[i]);
         }
     }
 
     #[inline(never)]
-    fn add_tangents(&self, _at: &Situation, tangents: &mut impl Tangents) {
+    fn add_tangents(&self, _at: &ForceContext, tangents: &mut impl Tangents) {
         for (i, motor) in MOTORS.into_iter().enumerate() {
             tangents.stiffness(motor, motor, self.k[i]);
         }
     }
 
-    fn potential(&self, at: &Situation) -> f64 {
+    fn potential(&self, at: &ForceContext) -> f64 {
         let stretch = |i: usize| at.motor_angle(i) - self.theta0[i];
         (0..2).map(|i| self.k[i] / 2.0 * stretch(i) * stretch(i)).sum()
     }

@@ -1,17 +1,17 @@
 //! Stop: one-sided end stops on the motor axes, at `lower` and `upper`.
 //!
-//! Beyond a limit by d > 0 a torque N = max(0, s(d)(k d + d_coeff ḋ)) drives the axis back: see `buffer.rs` for the ramp
+//! Beyond a limit by d > 0 a torque N = max(0, s(d)(k d + d_coeff ḋ)) drives the axis back: see `unilateral_spring.rs` for the ramp
 //! s, the potential and what is dissipated. K = ∂N/∂d, C = ∂N/∂ḋ. Angles count whole turns. Defaults: lower 0, upper π rad, the
 //! half turn of a table-top pantograph; k 50 N·m/rad and 0.02 N·m·s/rad, a rubber buffer at some centimetres; ramp 1 mrad.
 //! Limits: no friction in the stop; restitution follows from k and d and is not a parameter.
 
-use super::buffer::Buffer;
-use super::situation::{MOTORS, Situation};
+use super::unilateral_spring::UnilateralSpring;
+use super::force_context::{MOTORS, ForceContext};
 use super::{Force, Tangents};
-use crate::mechanism::{Coordinates, Mechanism, Refusal, finite, not_negative, positive};
+use crate::mechanism::{Coordinates, Mechanism, SceneError, finite, not_negative, positive};
 
 /// The `stop.*` variables.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
     /// Whether the scene has stops.
     pub enabled: bool,
@@ -32,12 +32,12 @@ pub struct Parameters {
 pub struct Stop {
     lower: [f64; 2],
     upper: [f64; 2],
-    buffer: Buffer,
+    spring: UnilateralSpring,
 }
 
 impl Stop {
     /// Direction of the axis into the nearer stop, penetration (rad, negative in free motion) and its rate.
-    fn reach(&self, at: &Situation, i: usize) -> (f64, f64, f64) {
+    fn reach(&self, at: &ForceContext, i: usize) -> (f64, f64, f64) {
         let (angle, rate) = (at.motor_angle(i), at.motor_rate(i));
         let (above, below) = (angle - self.upper[i], self.lower[i] - angle);
         if above > below { (1.0, above, rate) } else { (-1.0, below, -rate) }
@@ -47,13 +47,13 @@ impl Stop {
 impl Force for Stop {
     type Parameters = Parameters;
 
-    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
+    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { lower, upper, k, d, width, .. } = *parameters;
         for i in 0..2 {
             finite(format_args!("stop.lower[{}]", i + 1), lower[i], "rad")?;
             finite(format_args!("stop.upper[{}]", i + 1), upper[i], "rad")?;
             if lower[i] >= upper[i] {
-                return Err(Refusal(format!(
+                return Err(SceneError(format!(
                     "stop.lower[{0}] = {1} rad is not allowed: it must be below stop.upper[{0}] = {2} rad.",
                     i + 1,
                     lower[i],
@@ -64,36 +64,36 @@ impl Force for Stop {
         not_negative("stop.k", k, "N.m/rad")?;
         not_negative("stop.d", d, "N.m.s/rad")?;
         positive("stop.width", width, "rad")?;
-        Ok(Self { lower, upper, buffer: Buffer { stiffness: k, damping: d, width } })
+        Ok(Self { lower, upper, spring: UnilateralSpring { stiffness: k, damping: d, width } })
     }
 
     fn conservative(&self) -> bool {
-        self.buffer.damping == 0.0
+        self.spring.damping == 0.0
     }
 
     #[inline(never)]
-    fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+    fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
         for (i, motor) in MOTORS.into_iter().enumerate() {
             let (direction, depth, rate) = self.reach(at, i);
-            forces[motor] -= direction * self.buffer.force(depth, rate);
+            forces[motor] -= direction * self.spring.force(depth, rate);
         }
     }
 
     #[inline(never)]
-    fn add_tangents(&self, at: &Situation, tangents: &mut impl Tangents) {
+    fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
         for (i, motor) in MOTORS.into_iter().enumerate() {
             let (_, depth, rate) = self.reach(at, i);
-            let [stiffness, damping] = self.buffer.slopes(depth, rate);
+            let [stiffness, damping] = self.spring.slopes(depth, rate);
             tangents.stiffness(motor, motor, stiffness);
             tangents.damping(motor, motor, damping);
         }
     }
 
-    fn potential(&self, at: &Situation) -> f64 {
-        (0..2).map(|i| self.buffer.potential(self.reach(at, i).1)).sum()
+    fn potential(&self, at: &ForceContext) -> f64 {
+        (0..2).map(|i| self.spring.potential(self.reach(at, i).1)).sum()
     }
 
-    fn dissipation(&self, at: &Situation) -> f64 {
-        (0..2).map(|i| self.reach(at, i)).map(|(_, depth, rate)| self.buffer.dissipation(depth, rate)).sum()
+    fn dissipation(&self, at: &ForceContext) -> f64 {
+        (0..2).map(|i| self.reach(at, i)).map(|(_, depth, rate)| self.spring.dissipation(depth, rate)).sum()
     }
 }

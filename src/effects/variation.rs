@@ -1,11 +1,11 @@
 //! How forces and potentials change with what they depend on: products with the tangents that the implicit steps use.
 
-use super::{Effect, Inputs, Situation, Tangents};
-use crate::mechanism::{COORDINATES, Coordinates};
+use super::{Effect, ForceContext, Inputs, Tangents};
+use crate::mechanism::Coordinates;
 
-/// A small change of what a [`Situation`] holds, or a derivative of it.
+/// A small change of what a [`ForceContext`] holds, or a derivative of it.
 #[derive(Clone, Copy, Debug)]
-pub struct Change {
+pub struct Perturbation {
     /// Of the coordinates.
     pub q: Coordinates,
     /// Of the velocities.
@@ -16,7 +16,7 @@ pub struct Change {
 
 /// Takes tangents as their products with a change: −K δq − C δv.
 struct Products<'a> {
-    change: &'a Change,
+    change: &'a Perturbation,
     forces: Coordinates,
 }
 
@@ -32,8 +32,8 @@ impl Tangents for Products<'_> {
 
 impl Inputs {
     /// How the generalised force of the loads changes.
-    pub fn force_change(&self, at: &Situation, change: &Change) -> Coordinates {
-        let mut products = Products { change, forces: [0.0; COORDINATES] };
+    pub fn force_change(&self, at: &ForceContext, change: &Perturbation) -> Coordinates {
+        let mut products = Products { change, forces: Coordinates::ZERO };
         self.add_tangents(at, &mut products);
         // The force is linear in the loads.
         change.inputs.add_forces(at, &mut products.forces);
@@ -43,20 +43,20 @@ impl Inputs {
 
 impl Effect {
     /// How the generalised force changes.
-    pub fn force_change(&self, at: &Situation, change: &Change) -> Coordinates {
-        let mut products = Products { change, forces: [0.0; COORDINATES] };
+    pub fn force_change(&self, at: &ForceContext, change: &Perturbation) -> Coordinates {
+        let mut products = Products { change, forces: Coordinates::ZERO };
         self.add_tangents(at, &mut products);
         self.add_input_change(at, &change.inputs, &mut products.forces);
         products.forces
     }
 
     /// How the potential energy changes, J.
-    pub fn potential_change(&self, at: &Situation, change: &Change) -> f64 {
+    pub fn potential_change(&self, at: &ForceContext, change: &Perturbation) -> f64 {
         // A motion along δq passes the potential at the rate that input, dissipation and the force's power leave.
-        let moving = Situation { v: &change.q, ..*at };
-        let mut forces = [0.0; COORDINATES];
+        let moving = ForceContext { v: &change.q, ..*at };
+        let mut forces = Coordinates::ZERO;
         self.add_forces(&moving, &mut forces);
-        let power: f64 = forces.iter().zip(&change.q).map(|(force, v)| force * v).sum();
+        let power = forces.dot(&change.q);
         self.input_power(&moving) - self.dissipation(&moving) - power
     }
 }

@@ -4,12 +4,12 @@
 //! its second. C = b_j over the two links, K = 0; dissipates b_j w_j². Default: 1e-4 N·m·s/rad, a lubricated miniature bearing with
 //! its seal. Limits: linear; no dependence on load or temperature.
 
-use super::situation::{JOINTS, Situation, add_joint_damping, add_joint_torque, is_inner};
+use super::force_context::{JOINTS, ForceContext, add_joint_damping, add_joint_torque, is_inner};
 use super::{Force, Tangents};
-use crate::mechanism::{Coordinates, Mechanism, Refusal, not_negative};
+use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative};
 
 /// The `viscous.*` variables.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
     /// Whether the scene has viscous friction.
     pub enabled: bool,
@@ -37,7 +37,7 @@ impl Viscous {
 impl Force for Viscous {
     type Parameters = Parameters;
 
-    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, Refusal> {
+    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let b = parameters.b;
         for (i, b) in b.into_iter().enumerate() {
             not_negative(format_args!("viscous.b[{}]", i + 1), b, "N.m.s/rad")?;
@@ -54,21 +54,21 @@ impl Force for Viscous {
     }
 
     #[inline(never)]
-    fn add_forces(&self, at: &Situation, forces: &mut Coordinates) {
+    fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
         for (joint, b) in self.joints() {
             add_joint_torque(joint, -b * at.joint_rate(joint), forces);
         }
     }
 
     #[inline(never)]
-    fn add_tangents(&self, _at: &Situation, tangents: &mut impl Tangents) {
+    fn add_tangents(&self, _at: &ForceContext, tangents: &mut impl Tangents) {
         for (joint, b) in self.joints() {
             add_joint_damping(joint, b, tangents);
         }
     }
 
     #[inline(never)]
-    fn dissipation(&self, at: &Situation) -> f64 {
+    fn dissipation(&self, at: &ForceContext) -> f64 {
         self.joints().map(|(joint, b)| b * at.joint_rate(joint) * at.joint_rate(joint)).sum()
     }
 }

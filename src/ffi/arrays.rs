@@ -3,13 +3,13 @@
 use std::ffi::CStr;
 
 use super::fmi2String;
-use crate::fmi::Rejection;
+use crate::fmi::CallError;
 
 /// An array to read; null is as good as empty where the length is 0.
 ///
 /// # Safety
 /// `pointer` is null or points to `length` initialised values that do not change while the slice is in use.
-pub(super) unsafe fn slice<'a, T>(name: &str, pointer: *const T, length: usize) -> Result<&'a [T], Rejection> {
+pub(super) unsafe fn slice<'a, T>(name: &str, pointer: *const T, length: usize) -> Result<&'a [T], CallError> {
     if length == 0 {
         return Ok(&[]);
     }
@@ -19,17 +19,17 @@ pub(super) unsafe fn slice<'a, T>(name: &str, pointer: *const T, length: usize) 
 }
 
 /// Refuses null.
-pub(super) fn not_null<T>(name: &str, pointer: *const T) -> Result<(), Rejection> {
-    if pointer.is_null() { Err(Rejection::error(format!("{name} is null."))) } else { Ok(()) }
+pub(super) fn not_null<T>(name: &str, pointer: *const T) -> Result<(), CallError> {
+    if pointer.is_null() { Err(CallError::error(format!("{name} is null."))) } else { Ok(()) }
 }
 
 /// A string to read.
 ///
 /// # Safety
 /// `pointer` is null or points to a string that ends with a zero byte and does not change while the result is in use.
-pub(super) unsafe fn string<'a>(name: &str, pointer: fmi2String) -> Result<&'a str, Rejection> {
+pub(super) unsafe fn string<'a>(name: &str, pointer: fmi2String) -> Result<&'a str, CallError> {
     not_null(name, pointer)?;
     // SAFETY: not null, and the caller vouches for the end.
     let text = unsafe { CStr::from_ptr(pointer) };
-    text.to_str().map_err(|_| Rejection::error(format!("{name} is not UTF-8.")))
+    text.to_str().map_err(|_| CallError::error(format!("{name} is not UTF-8.")))
 }

@@ -10,8 +10,8 @@ use super::types::{
     fmi2Boolean, fmi2CallbackFunctions, fmi2CoSimulation, fmi2Component, fmi2False, fmi2Integer, fmi2Real, fmi2Status, fmi2String,
     fmi2Type, fmi2ValueReference,
 };
-use crate::fmi::{Call, Instance, Rejection};
-use crate::variables::{Access, GUID, Value};
+use crate::fmi::{Call, CallError, Instance};
+use crate::variables::{FmiType, GUID, Value};
 
 /// The platform of the types: `default` (section 2.1.2).
 #[unsafe(no_mangle)]
@@ -69,15 +69,15 @@ pub unsafe extern "C" fn fmi2Instantiate(
     }
 }
 
-fn check_identity(name: &CStr, kind: fmi2Type, guid: &str) -> Result<(), Rejection> {
+fn check_identity(name: &CStr, kind: fmi2Type, guid: &str) -> Result<(), CallError> {
     if name.is_empty() {
-        return Err(Rejection::error("instanceName is null or empty."));
+        return Err(CallError::error("instanceName is null or empty."));
     }
     if kind != fmi2CoSimulation {
-        return Err(Rejection::error(format!("fmuType is {kind}, must be fmi2CoSimulation ({fmi2CoSimulation}).")));
+        return Err(CallError::error(format!("fmuType is {kind}, must be fmi2CoSimulation ({fmi2CoSimulation}).")));
     }
     if guid != GUID {
-        return Err(Rejection::error(format!("fmuGUID is {guid}, this library belongs to {GUID}.")));
+        return Err(CallError::error(format!("fmuGUID is {guid}, this library belongs to {GUID}.")));
     }
     Ok(())
 }
@@ -185,7 +185,7 @@ macro_rules! access {
                 if nvr > 0 {
                     not_null("value", value)?;
                 }
-                instance.get(Access::$access, references, |position, found| {
+                instance.get(FmiType::$access, references, |position, found| {
                     let to_c: fn(Value) -> Option<$c_type> = $to_c;
                     if let Some(found) = to_c(found) {
                         // SAFETY: not null, and the caller vouches for nvr places, one per reference.

@@ -67,7 +67,7 @@ pub unsafe extern "C" fn fmi2GetBooleanStatus(c: fmi2Component, s: fmi2StatusKin
 }
 
 /// Defines the status functions that have nothing to tell: fmi2Discard (section 4.2.3).
-macro_rules! nothing_to_tell {
+macro_rules! unavailable_status {
     ($($name:ident: $call:ident, $kind:ty;)+) => {$(
         /// fmi2Discard: there is nothing of this type to tell (section 4.2.3).
         ///
@@ -82,7 +82,7 @@ macro_rules! nothing_to_tell {
     )+};
 }
 
-nothing_to_tell! {
+unavailable_status! {
     fmi2GetStatus: GetStatus, fmi2Status;
     fmi2GetIntegerStatus: GetIntegerStatus, fmi2Integer;
     fmi2GetStringStatus: GetStringStatus, fmi2String;

@@ -5,7 +5,7 @@ use std::ffi::CString;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::types::{fmi2CallbackFunctions, fmi2Component, fmi2Error, fmi2Fatal, fmi2Status, number};
-use crate::fmi::{Call, Instance, Message, Rejection, Status};
+use crate::fmi::{Call, CallError, Instance, Message, Status};
 
 /// What an fmi2Component points to.
 pub(super) struct Component {
@@ -62,7 +62,7 @@ impl Component {
 pub(super) unsafe fn guard(
     component: fmi2Component,
     call: Call,
-    body: impl FnOnce(&mut Instance) -> Result<(), Rejection>,
+    body: impl FnOnce(&mut Instance) -> Result<(), CallError>,
 ) -> fmi2Status {
     // SAFETY: the caller vouches for the pointer unless it is null.
     let Some(component) = (unsafe { component.cast::<Component>().as_mut() }) else {

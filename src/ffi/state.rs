@@ -5,15 +5,15 @@ use std::ptr::null_mut;
 use super::arrays::{not_null, slice};
 use super::guard::guard;
 use super::types::{fmi2Byte, fmi2Component, fmi2FMUstate, fmi2Status};
-use crate::fmi::{Call, Instance, Rejection, Snapshot};
+use crate::fmi::{Call, CallError, Instance, Snapshot};
 
 /// The snapshot behind a stored state; null is refused.
 ///
 /// # Safety
 /// The contract of [`crate::ffi`]: `state` is null or comes from this library and has not been freed.
-unsafe fn stored<'a>(state: fmi2FMUstate) -> Result<&'a Snapshot, Rejection> {
+unsafe fn stored<'a>(state: fmi2FMUstate) -> Result<&'a Snapshot, CallError> {
     // SAFETY: the caller vouches for the pointer unless it is null.
-    unsafe { state.cast::<Snapshot>().as_ref() }.ok_or_else(|| Rejection::error("FMUstate is null."))
+    unsafe { state.cast::<Snapshot>().as_ref() }.ok_or_else(|| CallError::error("FMUstate is null."))
 }
 
 /// Copies a snapshot into the place that `state` points to: a new one if there is null, otherwise over the old one.
@@ -113,7 +113,7 @@ pub unsafe extern "C" fn fmi2SerializeFMUstate(
         // SAFETY: the caller vouches for the state.
         let bytes = unsafe { stored(FMUstate) }?.to_bytes()?;
         if size < bytes.len() {
-            return Err(Rejection::error(format!("size is {size}, must be at least {}.", bytes.len())));
+            return Err(CallError::error(format!("size is {size}, must be at least {}.", bytes.len())));
         }
         // SAFETY: not null, and the caller vouches for `size` places, which are enough; our own bytes do not overlap them.
         unsafe { serializedState.copy_from_nonoverlapping(bytes.as_ptr().cast(), bytes.len()) };

@@ -3,11 +3,11 @@
 //! The matches are exhaustive over the enums that `build.rs` makes from the XML, so a variable that is not bound here
 //! does not compile. Outputs are bound in `outputs.rs`.
 
-use crate::effects::{self, JOINTS};
-use crate::mechanism::{self, Geometry, Link, Start};
-use crate::simulation::{self, Inputs, Parameters, Settings};
+use crate::mechanism;
+use crate::simulation::{self, Inputs, Parameters};
 use crate::variables::{
-    self, BooleanParameter, EnumerationParameter, IntegerParameter, RealInput, RealParameter, Slot, VARIABLES, Value, Variable,
+    self, BooleanParameter, EnumerationParameter, IntegerParameter, RealInput, RealParameter, VARIABLES, Value, Variable,
+    VariableId,
 };
 
 /// The place of a Real parameter.
@@ -134,42 +134,57 @@ pub(super) fn method_name(method: simulation::Method) -> &'static str {
     items.find(|item| item.value == method.number()).map_or("", |item| item.name)
 }
 
-/// The present value of a parameter or input; `None` for an output.
-pub(super) fn read(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable) -> Option<Value> {
-    Some(match variable.slot {
-        Slot::RealParameter(v) => Value::Real(*real_parameter(parameters, v)),
-        Slot::RealInput(v) => Value::Real(*real_input(inputs, v)),
-        Slot::IntegerParameter(v) => {
+/// The present value of a parameter; `None` for any other variable.
+pub(super) fn read_parameter(parameters: &mut Parameters, variable: &Variable) -> Option<Value> {
+    Some(match variable.id {
+        VariableId::RealParameter(v) => Value::Real(*real_parameter(parameters, v)),
+        VariableId::IntegerParameter(v) => {
             // What was written came from an i32, or is the start value, which the table holds as one.
             Value::Integer(i32::try_from(*integer_parameter(parameters, v)).unwrap_or(i32::MAX))
         }
-        Slot::BooleanParameter(v) => Value::Boolean(*boolean_parameter(parameters, v)),
-        Slot::EnumerationParameter(v) => Value::Integer(enumeration_parameter(parameters, v).number()),
-        Slot::RealOutput(_) | Slot::IntegerOutput(_) | Slot::EnumerationOutput(_) => return None,
+        VariableId::BooleanParameter(v) => Value::Boolean(*boolean_parameter(parameters, v)),
+        VariableId::EnumerationParameter(v) => Value::Integer(enumeration_parameter(parameters, v).number()),
+        VariableId::RealInput(_) | VariableId::RealOutput(_) | VariableId::IntegerOutput(_) | VariableId::EnumerationOutput(_) => {
+            return None;
+        }
     })
 }
 
-/// Every parameter and input.
-pub(super) fn settable() -> impl Iterator<Item = &'static Variable> {
-    VARIABLES.iter().filter(|variable| variable.start.is_some())
+/// Writes a parameter; false where the value is not of its type or the variable is none.
+pub(super) fn write_parameter(parameters: &mut Parameters, variable: &Variable, value: Value) -> bool {
+    match (variable.id, value) {
+        (VariableId::RealParameter(v), Value::Real(x)) => *real_parameter(parameters, v) = x,
+        (VariableId::IntegerParameter(v), Value::Integer(n)) => match u32::try_from(n) {
+            Ok(n) => *integer_parameter(parameters, v) = n,
+            Err(_) => return false,
+        },
+        (VariableId::BooleanParameter(v), Value::Boolean(b)) => *boolean_parameter(parameters, v) = b,
+        (VariableId::EnumerationParameter(v), Value::Integer(n)) => return enumeration_parameter(parameters, v).choose(n),
+        _ => return false,
+    }
+    true
 }
 
 /// Writes a parameter or input; false where the value is not of its type or the variable is an output.
 pub fn write(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable, value: Value) -> bool {
-    match (variable.slot, value) {
-        (Slot::RealParameter(v), Value::Real(x)) => *real_parameter(parameters, v) = x,
-        (Slot::RealInput(v), Value::Real(x)) => *real_input(inputs, v) = x,
-        (Slot::IntegerParameter(v), Value::Integer(n)) => match u32::try_from(n) {
-            Ok(n) => *integer_parameter(parameters, v) = n,
-            Err(_) => return false,
-        },
-        (Slot::BooleanParameter(v), Value::Boolean(b)) => *boolean_parameter(parameters, v) = b,
-        (Slot::EnumerationParameter(v), Value::Integer(n)) => {
-            return enumeration_parameter(parameters, v).choose(n);
-        }
-        _ => return false,
+    if let (VariableId::RealInput(input), Value::Real(x)) = (variable.id, value) {
+        *real_input(inputs, input) = x;
+        return true;
     }
-    true
+    write_parameter(parameters, variable, value)
+}
+
+/// Every parameter.
+pub(super) fn parameters() -> impl Iterator<Item = &'static Variable> {
+    VARIABLES.iter().filter(|variable| variable.start.is_some() && !matches!(variable.id, VariableId::RealInput(_)))
+}
+
+/// Every input.
+pub(super) fn inputs() -> impl Iterator<Item = (&'static Variable, RealInput)> {
+    VARIABLES.iter().filter_map(|variable| match variable.id {
+        VariableId::RealInput(input) => Some((variable, input)),
+        _ => None,
+    })
 }
 
 /// The scene that a fresh instance has: the start values of the XML.
@@ -183,57 +198,7 @@ pub fn default_inputs() -> Inputs {
 }
 
 fn starts() -> (Parameters, Inputs) {
-    // Every value below is overwritten by the loop: the XML is the one place where starts stand.
-    let link = Link { length: f64::NAN, mass: f64::NAN, inertia: f64::NAN, com: f64::NAN };
-    let mut parameters = Parameters {
-        geometry: Geometry { base_distance: f64::NAN, links: [link; 4] },
-        start: Start { theta: [f64::NAN; 2], omega: [f64::NAN; 2], assembly: mechanism::Assembly::Plus },
-        settings: Settings {
-            method: simulation::Method::I3alp,
-            step_size: f64::NAN,
-            adaptive: false,
-            error_tolerance: f64::NAN,
-            tolerance: f64::NAN,
-            max_iterations: 0,
-            penalty: f64::NAN,
-            penalty_scale: f64::NAN,
-        },
-        effects: effects::Parameters {
-            rotor: effects::rotor::Parameters { enabled: false, inertia: [f64::NAN; 2], gear_ratio: [f64::NAN; 2] },
-            payload: effects::payload::Parameters { enabled: false, mass: f64::NAN },
-            gravity: effects::gravity::Parameters { enabled: false, g: f64::NAN, tilt: f64::NAN, direction: f64::NAN },
-            viscous: effects::viscous::Parameters { enabled: false, b: [f64::NAN; JOINTS] },
-            friction: effects::friction::Parameters {
-                enabled: false,
-                coulomb: [f64::NAN; JOINTS],
-                breakaway: [f64::NAN; JOINTS],
-                breakaway_velocity: f64::NAN,
-            },
-            spring: effects::spring::Parameters { enabled: false, k: [f64::NAN; 2], theta0: [f64::NAN; 2] },
-            stop: effects::stop::Parameters {
-                enabled: false,
-                lower: [f64::NAN; 2],
-                upper: [f64::NAN; 2],
-                k: f64::NAN,
-                d: f64::NAN,
-                width: f64::NAN,
-            },
-            contact: effects::contact::Parameters {
-                enabled: false,
-                nx: f64::NAN,
-                ny: f64::NAN,
-                offset: f64::NAN,
-                k: f64::NAN,
-                d: f64::NAN,
-                width: f64::NAN,
-                mu: f64::NAN,
-                slip_velocity: f64::NAN,
-            },
-            servo: effects::servo::Parameters { enabled: false, kp: [f64::NAN; 2], kd: [f64::NAN; 2], limit: [f64::NAN; 2] },
-        },
-    };
-    let nan = [f64::NAN; 2];
-    let mut inputs = Inputs { tau: nan, tip_force: nan, servo_theta: nan, servo_omega: nan };
+    let (mut parameters, mut inputs) = Default::default();
     for variable in VARIABLES {
         if let Some(start) = variable.start {
             let written = write(&mut parameters, &mut inputs, variable, start);
@@ -246,7 +211,14 @@ fn starts() -> (Parameters, Inputs) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::variables::Access;
+    use crate::variables::FmiType;
+
+    fn read(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable) -> Option<Value> {
+        match variable.id {
+            VariableId::RealInput(input) => Some(Value::Real(*real_input(inputs, input))),
+            _ => read_parameter(parameters, variable),
+        }
+    }
 
     #[test]
     fn starts_are_those_of_the_xml() {
@@ -262,11 +234,11 @@ mod tests {
     fn what_is_written_is_read_and_nothing_else_changes() {
         let (mut parameters, mut inputs) = starts();
         for variable in VARIABLES.iter().filter(|variable| variable.start.is_some()) {
-            let value = match (variable.access(), variable.items) {
-                (Access::Real, _) => Value::Real(0.125),
-                (Access::Integer, []) => Value::Integer(7),
-                (Access::Integer, items) => Value::Integer(items[items.len() - 1].value),
-                (Access::Boolean, _) => Value::Boolean(variable.start != Some(Value::Boolean(true))),
+            let value = match (variable.fmi_type(), variable.items) {
+                (FmiType::Real, _) => Value::Real(0.125),
+                (FmiType::Integer, []) => Value::Integer(7),
+                (FmiType::Integer, items) => Value::Integer(items[items.len() - 1].value),
+                (FmiType::Boolean, _) => Value::Boolean(variable.start != Some(Value::Boolean(true))),
             };
             let before = (parameters.clone(), inputs);
             assert!(write(&mut parameters, &mut inputs, variable, value), "{}", variable.name);

@@ -7,7 +7,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::Rejection;
+use super::CallError;
 
 /// Relative tolerance to which a master's points and steps are taken as what was meant.
 const RELATIVE: f64 = 1e-9;
@@ -38,19 +38,26 @@ pub struct Plan {
 
 impl Clock {
     /// fmi2SetupExperiment: a clock at `start`, s, with an end that must not be passed, where one is given.
-    pub fn new(start: f64, stop: Option<f64>) -> Result<Self, Rejection> {
+    pub fn new(start: f64, stop: Option<f64>) -> Result<Self, CallError> {
         if !start.is_finite() {
-            return Err(Rejection::error(format!("startTime is {start} s, must be finite.")));
+            return Err(CallError::error(format!("startTime is {start} s, must be finite.")));
         }
         match stop {
             Some(stop) if !stop.is_finite() => {
-                Err(Rejection::error(format!("stopTime is {stop} s, must be finite; leave it undefined for an open end.")))
+                Err(CallError::error(format!("stopTime is {stop} s, must be finite; leave it undefined for an open end.")))
             }
             Some(stop) if stop < start => {
-                Err(Rejection::error(format!("stopTime is {stop:?} s, must not be before startTime, which is {start:?} s.")))
+                Err(CallError::error(format!("stopTime is {stop:?} s, must not be before startTime, which is {start:?} s.")))
             }
             stop => Ok(Self { point: start, stop }),
         }
+    }
+
+    /// Refuses a clock that no run can have.
+    pub(super) fn check(&self) -> Result<(), CallError> {
+        // The last point may be past the end by rounding.
+        let slack = self.stop.map_or(0.0, |stop| RELATIVE * stop.abs().max(1.0));
+        Self::new(self.point, self.stop.map(|stop| stop + slack)).map(drop)
     }
 
     /// The communication point reached, s.
@@ -59,7 +66,7 @@ impl Clock {
     }
 
     /// Checks a communication step of `size` seconds from `point` and divides it into macro steps of about `h` seconds.
-    pub fn plan(&self, point: f64, size: f64, h: f64) -> Result<Plan, Rejection> {
+    pub fn plan(&self, point: f64, size: f64, h: f64) -> Result<Plan, CallError> {
         let end = point + size;
         let expected = point == self.point || (point - self.point).abs() <= tolerance(self.point, size);
         if !(expected && end > point && end < f64::INFINITY) {
@@ -68,7 +75,7 @@ impl Clock {
         if let Some(stop) = self.stop
             && end > stop + tolerance(stop, size)
         {
-            return Err(Rejection::error(format!(
+            return Err(CallError::error(format!(
                 "currentCommunicationPoint + communicationStepSize is {end:?} s, which is past stopTime {stop:?} s."
             )));
         }
@@ -78,8 +85,8 @@ impl Clock {
 
     /// What is wrong with a communication step, whose point is the `expected` one or not.
     #[cold]
-    fn refusal(&self, point: f64, size: f64, expected: bool) -> Rejection {
-        Rejection::error(if !(size > 0.0 && size.is_finite()) {
+    fn refusal(&self, point: f64, size: f64, expected: bool) -> CallError {
+        CallError::error(if !(size > 0.0 && size.is_finite()) {
             format!("communicationStepSize is {size:?} s, must be positive and finite.")
         } else if expected {
             format!("communicationStepSize is {size:?} s, which does not advance the clock at {point:?} s.")
@@ -101,10 +108,10 @@ fn tolerance(point: f64, size: f64) -> f64 {
 }
 
 /// A communication step of `size` seconds from `point` as macro steps: their length and number.
-fn grid(point: f64, size: f64, h: f64) -> Result<(f64, u64), Rejection> {
+fn grid(point: f64, size: f64, h: f64) -> Result<(f64, u64), CallError> {
     let ratio = size / h;
     if ratio > MOST_STEPS {
-        return Err(Rejection::error(format!("communicationStepSize is {size:?} s, more than 1e9 times solver.stepSize {h:?} s.")));
+        return Err(CallError::error(format!("communicationStepSize is {size:?} s, more than 1e9 times solver.stepSize {h:?} s.")));
     }
     let multiple = ratio.round();
     let rounding = ULPS * f64::EPSILON * point.abs().max((point + size).abs());

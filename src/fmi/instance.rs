@@ -1,25 +1,28 @@
 //! An instance: parameters, inputs, a simulation once there is one, a clock and a log.
 //!
 //! Every call either does what it says or changes nothing; the C border asks [`Call::require`](super::Call::require) first
-//! and turns a [`Rejection`] into a log line and a status.
+//! and turns a [`CallError`] into a log line and a status.
 
 use super::clock::Clock;
 use super::derivatives::check_reach;
 use super::messages::{Log, Status};
-use super::outputs::{Cache, Outputs};
+use super::snapshot::Scene;
 use super::values::{check_computed, check_settable, check_value, lookup};
-use super::{Rejection, Snapshot, Stage, bindings};
-use crate::integrator::{self, MODES};
-use crate::mechanism::{COORDINATES, MULTIPLIERS};
-use crate::simulation::{Inputs, Parameters, Signal, Simulation, StepFailure};
-use crate::variables::{Access, Value, Variable};
+use super::{CallError, Snapshot, Stage, bindings, outputs};
+use crate::integrator::MODES;
+use crate::observers::{Observation, Observed};
+use crate::simulation::{Signal, Simulation, StepFailure};
+use crate::variables::{FmiType, Value, Variable};
 
 /// An instance of the FMU.
 #[derive(Debug)]
 pub struct Instance {
-    /// What a stored state is a copy of.
+    /// What a stored state is a copy of; changed through [`Instance::change`] only.
     pub(super) now: Snapshot,
-    cache: Cache,
+    /// What has been observed since the last change.
+    observation: Option<Observation>,
+    /// Before the end of initialisation: the scene made ready with the present values, where an output has been read.
+    preview: Option<Box<Simulation>>,
     /// Lines for the master.
     pub log: Log,
 }
@@ -27,7 +30,15 @@ pub struct Instance {
 impl Instance {
     /// A fresh instance; `logging_on` as given to fmi2Instantiate.
     pub fn new(logging_on: bool) -> Self {
-        Self { now: Snapshot::fresh(), cache: Cache::default(), log: Log::new(logging_on) }
+        Self { now: Snapshot::fresh(), observation: None, preview: None, log: Log::new(logging_on) }
+    }
+
+    /// What is about to change: whatever has been observed of it does not hold any more.
+    #[inline(always)]
+    pub(super) fn change(&mut self) -> &mut Snapshot {
+        self.observation = None;
+        self.preview = None;
+        &mut self.now
     }
 
     /// Where the instance is in its life.
@@ -41,14 +52,15 @@ impl Instance {
     }
 
     /// fmi2SetDebugLogging.
-    pub fn set_debug_logging<'a>(&mut self, on: bool, categories: impl Iterator<Item = &'a str>) -> Result<(), Rejection> {
+    pub fn set_debug_logging<'a>(&mut self, on: bool, categories: impl Iterator<Item = &'a str>) -> Result<(), CallError> {
         self.log.choose(on, categories)
     }
 
     /// fmi2SetupExperiment; `tolerance` and `stop` where they are defined. The tolerance is not used:
     /// `solver.errorTolerance` rules, in units that a relative tolerance does not have.
-    pub fn setup_experiment(&mut self, tolerance: Option<f64>, start: f64, stop: Option<f64>) -> Result<(), Rejection> {
-        self.now.clock = Some(Clock::new(start, stop)?);
+    pub fn setup_experiment(&mut self, tolerance: Option<f64>, start: f64, stop: Option<f64>) -> Result<(), CallError> {
+        let clock = Clock::new(start, stop)?;
+        self.change().clock = Some(clock);
         if let Some(tolerance) = tolerance {
             self.log.push(Status::Warning, || {
                 format!("fmi2SetupExperiment: tolerance {tolerance:?} is not used, solver.errorTolerance is.")
@@ -58,18 +70,19 @@ impl Instance {
     }
 
     /// fmi2EnterInitializationMode.
-    pub fn enter_initialization_mode(&mut self) -> Result<(), Rejection> {
+    pub fn enter_initialization_mode(&mut self) -> Result<(), CallError> {
         if self.now.clock.is_none() {
-            return Err(Rejection::error("fmi2SetupExperiment must be called before."));
+            return Err(CallError::error("fmi2SetupExperiment must be called before."));
         }
-        self.now.stage = Stage::InitializationMode;
+        self.change().stage = Stage::InitializationMode;
         Ok(())
     }
 
     /// fmi2ExitInitializationMode: validates the scene and closes the loop, or refuses and stays.
-    pub fn exit_initialization_mode(&mut self) -> Result<(), Rejection> {
-        let simulation = ready(&mut self.now.simulation, &self.now.parameters, &self.now.signal.value)?;
-        let settings = &self.now.parameters.settings;
+    pub fn exit_initialization_mode(&mut self) -> Result<(), CallError> {
+        self.observe()?;
+        let Some(simulation) = self.preview.take() else { unreachable!("an observation before the run makes it") };
+        let settings = &simulation.parameters().settings;
         self.log.push(Status::Ok, || {
             let effects = simulation.active_effects();
             format!(
@@ -80,8 +93,10 @@ impl Instance {
                 if effects.is_empty() { "none".to_owned() } else { effects.join(", ") }
             )
         });
-        self.now.tuned = false;
-        self.now.stage = Stage::StepComplete;
+        let now = self.change();
+        now.next.take_held_inputs();
+        now.scene = Scene::Ready(simulation);
+        now.stage = Stage::StepComplete;
         Ok(())
     }
 
@@ -92,20 +107,19 @@ impl Instance {
 
     /// fmi2SetFMUstate: everything as it was, but the log and what the master wants to hear of it.
     pub fn restore(&mut self, snapshot: &Snapshot) {
-        self.now.copy(snapshot);
-        self.cache = Cache::default();
+        self.change().copy(snapshot);
     }
 
     /// fmi2Terminate.
-    pub fn terminate(&mut self) -> Result<(), Rejection> {
-        self.now.stage = Stage::Terminated;
+    pub fn terminate(&mut self) -> Result<(), CallError> {
+        self.change().stage = Stage::Terminated;
         self.log.push(Status::Ok, || "terminated".to_owned());
         Ok(())
     }
 
     /// fmi2Reset: as fresh as after fmi2Instantiate. Only the master's choice of log categories stays, which is about
     /// the log and not about the simulation.
-    pub fn reset(&mut self) -> Result<(), Rejection> {
+    pub fn reset(&mut self) -> Result<(), CallError> {
         let fresh = Self::new(false);
         let log = std::mem::replace(self, fresh).log;
         self.log = log;
@@ -114,97 +128,121 @@ impl Instance {
     }
 
     /// fmi2SetReal, fmi2SetInteger, fmi2SetBoolean: nothing is written unless every value is allowed.
-    pub fn set(&mut self, pairs: impl Iterator<Item = (u32, Value)> + Clone) -> Result<(), Rejection> {
+    pub fn set(&mut self, pairs: impl Iterator<Item = (u32, Value)> + Clone) -> Result<(), CallError> {
         for (reference, value) in pairs.clone() {
-            let variable = lookup(reference, value.access())?;
+            let variable = lookup(reference, value.fmi_type())?;
             check_settable(variable, self.now.stage)?;
             check_value(variable, value)?;
         }
+        let now = self.change();
         for (reference, value) in pairs {
-            let variable = lookup(reference, value.access())?;
-            if !bindings::write(&mut self.now.parameters, &mut self.now.signal.value, variable, value) {
-                unreachable!("{} = {value} has been checked", variable.name);
-            }
-            self.cache = Cache::default();
-            if matches!(self.now.stage, Stage::Instantiated | Stage::InitializationMode) {
-                // A scene that was made ready to read an output is made anew with the new values.
-                self.now.simulation = None;
-            }
-            self.now.tuned |= variable.tunable;
+            let variable = lookup(reference, value.fmi_type())?;
+            now.set(variable, value);
         }
         Ok(())
     }
 
     /// fmi2GetReal, fmi2GetInteger, fmi2GetBoolean: hands each value with its position to `take`; nothing is handed
     /// over unless every reference is right and every value finite.
-    pub fn get(&mut self, access: Access, references: &[u32], mut take: impl FnMut(usize, Value)) -> Result<(), Rejection> {
+    pub fn get(&mut self, fmi_type: FmiType, references: &[u32], mut take: impl FnMut(usize, Value)) -> Result<(), CallError> {
         for &reference in references {
-            let variable = lookup(reference, access)?;
-            if variable.start.is_none() {
-                let outputs = self.outputs()?;
-                if access == Access::Real
-                    && let Some(Value::Real(value)) = outputs.read(variable)
-                {
-                    check_computed(|| variable.name.to_owned(), value)?;
-                }
+            let variable = lookup(reference, fmi_type)?;
+            if let Value::Real(value) = self.read(variable)? {
+                check_computed(|| variable.name.to_owned(), value)?;
             }
         }
         for (position, &reference) in references.iter().enumerate() {
-            take(position, self.read(lookup(reference, access)?)?);
+            take(position, self.read(lookup(reference, fmi_type)?)?);
         }
         Ok(())
     }
 
-    fn read(&mut self, variable: &Variable) -> Result<Value, Rejection> {
-        if let Some(value) = bindings::read(&mut self.now.parameters, &mut self.now.signal.value, variable) {
+    fn read(&mut self, variable: &Variable) -> Result<Value, CallError> {
+        if let Some(value) = self.now.read(variable) {
             return Ok(value);
         }
-        Ok(self.outputs()?.read(variable).unwrap_or_else(|| unreachable!("{} is bound", variable.name)))
+        Ok(outputs::read(&self.observe()?, variable).unwrap_or_else(|| unreachable!("{} is bound", variable.name)))
     }
 
-    /// The outputs at the present communication point, for the present inputs.
-    pub(super) fn outputs(&mut self) -> Result<Outputs<'_>, Rejection> {
-        let simulation = ready(&mut self.now.simulation, &self.now.parameters, &self.now.signal.value)?;
-        Ok(Outputs { simulation, inputs: &self.now.signal.value, cache: &self.cache })
+    /// What is to be seen at the present communication point, with the accelerations and multipliers that belong to the present inputs,
+    /// which the master may have changed since the last step.
+    pub(super) fn observe(&mut self) -> Result<Observed<'_, f64>, CallError> {
+        let Self { now, observation, preview, .. } = self;
+        let simulation = match (&now.scene, preview) {
+            (Scene::Ready(simulation), _) => simulation,
+            (Scene::Draft(_), Some(simulation)) => &*simulation,
+            (Scene::Draft(parameters), none) => none.insert(Box::new(Simulation::new(parameters, &now.inputs())?)),
+        };
+        let model = simulation.model();
+        let observation = observation.get_or_insert_with(|| Observation::new(model, simulation.state_for(&now.inputs())));
+        Ok(Observed::new(model, observation))
     }
 
     /// fmi2GetString and fmi2SetString: there are no String variables.
-    pub fn no_strings(&self, references: &[u32]) -> Result<(), Rejection> {
+    pub fn no_strings(&self, references: &[u32]) -> Result<(), CallError> {
         match references {
             [] => Ok(()),
-            [first, ..] => Err(Rejection::error(match Variable::find(*first) {
-                Some(variable) => format!("{} is of type {}, not String.", variable.name, variable.access()),
+            [first, ..] => Err(CallError::error(match Variable::find(*first) {
+                Some(variable) => format!("{} is of type {}, not String.", variable.name, variable.fmi_type()),
                 None => format!("value reference {first} belongs to no variable."),
             })),
         }
     }
 
     /// fmi2DoStep: from `point`, s, by `size`, s. Discarded if the integrator gives up, with everything as before.
-    pub fn do_step(&mut self, point: f64, size: f64) -> Result<(), Rejection> {
-        let Some(clock) = &mut self.now.clock else { unreachable!("fmi2SetupExperiment has made it") };
-        let Some(simulation) = &mut self.now.simulation else { unreachable!("initialisation has made it") };
-        let plan = clock.plan(point, size, self.now.parameters.settings.step_size)?;
-        if !self.now.signal.is_held() {
-            check_reach(&self.now.signal, size)?;
-        }
-        // To look has its price, and so it is done only for somebody who wants to hear of it.
-        let before = self.log.wants(Status::Ok).then(|| simulation.state().core.counters.singular());
-        let advanced = if self.now.tuned {
-            advance_tuned(simulation, &self.now.parameters, &self.now.signal, plan.h, plan.steps)?
-        } else {
-            simulation.advance_along(&self.now.signal, plan.h, plan.steps)
+    pub fn do_step(&mut self, point: f64, size: f64) -> Result<(), CallError> {
+        let wants_events = self.log.wants(Status::Ok);
+        let now = self.change();
+        let (Some(clock), Scene::Ready(simulation)) = (&mut now.clock, &mut now.scene) else {
+            unreachable!("initialisation has made both")
+        };
+        let plan = clock.plan(point, size, simulation.parameters().settings.step_size)?;
+        // To look has its price: it is paid only where the log wants the events.
+        let before = wants_events.then(|| simulation.singular());
+        let advanced = match (&now.next.parameters, &now.next.signal) {
+            (None, None) => {
+                let inputs = *simulation.inputs();
+                simulation.advance(&inputs, plan.h, plan.steps)
+            }
+            (None, Some(signal)) => {
+                check_reach(signal, size)?;
+                simulation.advance_along(signal, plan.h, plan.steps)
+            }
+            (Some(parameters), signal) => {
+                let signal = signal.unwrap_or(Signal::held(*simulation.inputs()));
+                check_reach(&signal, size)?;
+                let untuned = simulation.clone();
+                simulation.tune(&parameters.effects)?;
+                simulation.advance_along(&signal, plan.h, plan.steps).inspect_err(|_| *simulation = untuned)
+            }
         };
         if let Err(failure) = advanced {
-            self.now.stage = Stage::StepFailed;
-            return Err(gave_up(point, size, &failure));
+            now.stage = Stage::StepFailed;
+            return Err(step_discarded(point, size, &failure));
         }
         clock.advance(plan);
-        self.now.signal.end(size);
-        self.now.tuned = false;
+        now.next.after_step(size);
+        now.stage = Stage::StepComplete;
+        self.warn(point + size);
         if let Some(before) = before {
-            report_passes(&mut self.log, before, &simulation.state().core, point, point + size);
+            self.report_passes(before, point, point + size)?;
         }
-        if self.now.signal.value.refers() && !simulation.model().servo && !self.now.warned_of_references {
+        Ok(())
+    }
+
+    /// fmi2CancelStep: a step is never pending. In a test build with `--cfg forced_panic` a panic, to see what becomes of one.
+    pub fn cancel_step(&self) -> Result<(), CallError> {
+        if cfg!(forced_panic) {
+            panic!("forced by the test build");
+        }
+        Err(CallError::error("no step is pending: fmi2DoStep never returns fmi2Pending."))
+    }
+
+    /// Tells once that servo references are not read, and once that loads are stiff.
+    #[inline(always)]
+    fn warn(&mut self, time: f64) {
+        let Scene::Ready(simulation) = &self.now.scene else { return };
+        if !self.now.warned_of_references && !simulation.model().has_servo && simulation.inputs().has_servo_reference() {
             self.now.warned_of_references = true;
             warn(&mut self.log, || {
                 "servo.theta or servo.omega is not 0, but no active effect reads them: servo.enabled is false.".to_owned()
@@ -214,49 +252,45 @@ impl Instance {
             self.now.warned_of_stiffness = true;
             warn(&mut self.log, || {
                 format!(
-                    "at {:?} s: steps of method dop853 are limited by its stability: the scene has stiff loads; i3alp would do better.",
-                    point + size
+                    "at {time:?} s: steps of method dop853 are limited by its stability: the scene has stiff loads; i3alp would do better."
                 )
             });
         }
-        self.cache = Cache::default();
-        self.now.stage = Stage::StepComplete;
+    }
+
+    /// One line for each kind of singularity that a step has passed, and for a start from rest in a vertex.
+    #[cold]
+    fn report_passes(&mut self, before: [u64; MODES + 2], from: f64, to: f64) -> Result<(), CallError> {
+        let core = self.observe()?.observation().state().core;
+        let counts = core.counters.singular();
+        let [launches, passes @ ..]: [u64; MODES + 2] = std::array::from_fn(|i| counts[i].saturating_sub(before[i]));
+        for (count, what) in passes.into_iter().zip([
+            "constraint singularity (all links in line), straight through",
+            "direct singularity (distal links in line)",
+            "inverse singularity of the left leg",
+            "inverse singularity of the right leg",
+        ]) {
+            if count > 0 {
+                self.log.push(Status::Ok, || format!("passed between {from:?} s and {to:?} s: {what}, {count} times"));
+            }
+        }
+        if launches > 0 {
+            self.log.push(Status::Ok, || {
+                format!(
+                    "between {from:?} s and {to:?} s: started from rest in a constraint singularity on the branch of least constraint, \
+                     {} other local minima",
+                    core.alternatives
+                )
+            });
+        }
         Ok(())
     }
-
-    /// fmi2CancelStep: a step is never pending. In a test build with `--cfg forced_panic` a panic, to see what becomes of one.
-    pub fn cancel_step(&self) -> Result<(), Rejection> {
-        if cfg!(forced_panic) {
-            panic!("forced by the test build");
-        }
-        Err(Rejection::error("no step is pending: fmi2DoStep never returns fmi2Pending."))
-    }
-}
-
-// What a step does rarely, apart from what it always does.
-
-/// A step for which tunable parameters begin to act; they do not if it fails.
-#[cold]
-fn advance_tuned(
-    simulation: &mut Simulation,
-    parameters: &Parameters,
-    signal: &Signal,
-    h: f64,
-    steps: u64,
-) -> Result<Result<(), StepFailure>, Rejection> {
-    let untuned = simulation.clone();
-    simulation.tune(&parameters.effects)?;
-    let advanced = simulation.advance_along(signal, h, steps);
-    if advanced.is_err() {
-        *simulation = untuned;
-    }
-    Ok(advanced)
 }
 
 #[cold]
-fn gave_up(point: f64, size: f64, failure: &StepFailure) -> Rejection {
+fn step_discarded(point: f64, size: f64, failure: &StepFailure) -> CallError {
     let StepFailure { elapsed, cause } = failure;
-    Rejection::discard(format!(
+    CallError::discard(format!(
         "the step from {point:?} s by {size:?} s gave up at {:?} s: {cause}; the state is still that of {point:?} s.",
         point + elapsed
     ))
@@ -265,42 +299,4 @@ fn gave_up(point: f64, size: f64, failure: &StepFailure) -> Rejection {
 #[cold]
 fn warn(log: &mut Log, text: impl FnOnce() -> String) {
     log.push(Status::Warning, text);
-}
-
-/// One line for each kind of singularity that a step has passed, and for a start from rest in a vertex.
-#[cold]
-fn report_passes(log: &mut Log, before: [u64; MODES + 2], after: &integrator::State<COORDINATES, MULTIPLIERS>, from: f64, to: f64) {
-    let counts = after.counters.singular();
-    let [launches, passes @ ..]: [u64; MODES + 2] = std::array::from_fn(|i| counts[i].saturating_sub(before[i]));
-    for (count, what) in passes.into_iter().zip([
-        "constraint singularity (all links in line), straight through",
-        "direct singularity (distal links in line)",
-        "inverse singularity of the left leg",
-        "inverse singularity of the right leg",
-    ]) {
-        if count > 0 {
-            log.push(Status::Ok, || format!("passed between {from:?} s and {to:?} s: {what}, {count} times"));
-        }
-    }
-    if launches > 0 {
-        log.push(Status::Ok, || {
-            format!(
-                "between {from:?} s and {to:?} s: started from rest in a constraint singularity on the branch of least constraint, \
-                 {} other local minima",
-                after.alternatives
-            )
-        });
-    }
-}
-
-/// The simulation, made ready with the present values if there is none yet.
-fn ready<'a>(
-    simulation: &'a mut Option<Box<Simulation>>,
-    parameters: &Parameters,
-    inputs: &Inputs,
-) -> Result<&'a mut Simulation, Rejection> {
-    match simulation {
-        Some(simulation) => Ok(simulation),
-        None => Ok(simulation.insert(Box::new(Simulation::new(parameters, inputs)?))),
-    }
 }

@@ -20,7 +20,7 @@ use std::fmt;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::Rejection;
+use super::CallError;
 
 /// Where an instance is in its life.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
@@ -133,14 +133,14 @@ impl Call {
 
     /// Refuses the call in a stage that does not allow it.
     #[inline(always)]
-    pub fn require(self, stage: Stage) -> Result<(), Rejection> {
+    pub fn require(self, stage: Stage) -> Result<(), CallError> {
         let allowed = self.stages();
         if allowed.contains(&stage) { Ok(()) } else { Err(illegal(stage, allowed)) }
     }
 }
 
 #[cold]
-fn illegal(stage: Stage, allowed: &[Stage]) -> Rejection {
+fn illegal(stage: Stage, allowed: &[Stage]) -> CallError {
     let names: Vec<String> = allowed.iter().map(Stage::to_string).collect();
-    Rejection::error(format!("the state is \"{stage}\", allowed is: {}.", names.join(", ")))
+    CallError::error(format!("the state is \"{stage}\", allowed is: {}.", names.join(", ")))
 }

@@ -4,7 +4,7 @@
 //! loggingOn of fmi2Instantiate adds the events. From then on the master's choice holds: nothing, everything, or the
 //! categories that it names (FMI 2.0.4, section 2.1.5).
 
-use super::Rejection;
+use super::CallError;
 use crate::variables::Category;
 
 /// fmi2Status (FMI 2.0.4, section 2.1.3) without fmi2Pending: a step is never pending. In the order of severity.
@@ -67,13 +67,13 @@ impl Log {
     }
 
     /// fmi2SetDebugLogging: no categories means all of them.
-    pub fn choose<'a>(&mut self, on: bool, names: impl Iterator<Item = &'a str>) -> Result<(), Rejection> {
+    pub fn choose<'a>(&mut self, on: bool, names: impl Iterator<Item = &'a str>) -> Result<(), CallError> {
         let mut chosen = Vec::new();
         for name in names {
             let category = Category::LIST.iter().find(|category| category.name() == name);
             chosen.push(*category.ok_or_else(|| {
                 let declared: Vec<&str> = Category::LIST.iter().map(|category| category.name()).collect();
-                Rejection::error(format!("log category \"{name}\" is not declared, declared are: {}.", declared.join(", ")))
+                CallError::error(format!("log category \"{name}\" is not declared, declared are: {}.", declared.join(", ")))
             })?);
         }
         self.choice = Choice::Explicit(match (on, chosen.is_empty()) {

@@ -31,14 +31,14 @@ pub use snapshot::Snapshot;
 
 /// A call that was not carried out; nothing was changed.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Rejection {
+pub struct CallError {
     /// What the call returns: [`Status::Discard`] or [`Status::Error`].
     pub status: Status,
     /// One sentence naming the variable, its value and what is allowed.
     pub message: String,
 }
 
-impl Rejection {
+impl CallError {
     /// The call was wrong.
     pub fn error(message: impl Into<String>) -> Self {
         Self { status: Status::Error, message: message.into() }
@@ -50,8 +50,8 @@ impl Rejection {
     }
 }
 
-impl From<crate::mechanism::Refusal> for Rejection {
-    fn from(refusal: crate::mechanism::Refusal) -> Self {
+impl From<crate::mechanism::SceneError> for CallError {
+    fn from(refusal: crate::mechanism::SceneError) -> Self {
         Self::error(refusal.0)
     }
 }

@@ -1,6 +1,6 @@
 //! The status functions of co-simulation (FMI 2.0.4, section 4.2.3).
 
-use super::{Instance, Rejection};
+use super::{CallError, Instance};
 
 /// fmi2StatusKind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,19 +17,19 @@ pub enum StatusKind {
 
 impl StatusKind {
     /// The kind of that number in fmi2FunctionTypes.h.
-    pub fn from_number(number: i32) -> Result<Self, Rejection> {
+    pub fn from_number(number: i32) -> Result<Self, CallError> {
         match number {
             0 => Ok(Self::DoStepStatus),
             1 => Ok(Self::PendingStatus),
             2 => Ok(Self::LastSuccessfulTime),
             3 => Ok(Self::Terminated),
-            _ => Err(Rejection::error(format!("status kind is {number}, must be 0 to 3."))),
+            _ => Err(CallError::error(format!("status kind is {number}, must be 0 to 3."))),
         }
     }
 
     /// Nothing to tell: fmi2Discard is the standard's answer.
-    fn nothing(self) -> Rejection {
-        Rejection::discard(match self {
+    fn nothing(self) -> CallError {
+        CallError::discard(match self {
             Self::DoStepStatus => "there is no fmi2DoStepStatus: a step is never pending.",
             Self::PendingStatus => "there is no fmi2PendingStatus: a step is never pending.",
             Self::LastSuccessfulTime => "fmi2LastSuccessfulTime is a Real, ask fmi2GetRealStatus.",
@@ -40,7 +40,7 @@ impl StatusKind {
 
 impl Instance {
     /// fmi2GetRealStatus: the communication point reached, s.
-    pub fn real_status(&self, kind: StatusKind) -> Result<f64, Rejection> {
+    pub fn real_status(&self, kind: StatusKind) -> Result<f64, CallError> {
         match (kind, self.clock()) {
             (StatusKind::LastSuccessfulTime, Some(clock)) => Ok(clock.point()),
             _ => Err(kind.nothing()),
@@ -48,7 +48,7 @@ impl Instance {
     }
 
     /// fmi2GetBooleanStatus: this library never wants to end the simulation.
-    pub fn boolean_status(&self, kind: StatusKind) -> Result<bool, Rejection> {
+    pub fn boolean_status(&self, kind: StatusKind) -> Result<bool, CallError> {
         match kind {
             StatusKind::Terminated => Ok(false),
             _ => Err(kind.nothing()),
@@ -56,7 +56,7 @@ impl Instance {
     }
 
     /// fmi2GetStatus, fmi2GetIntegerStatus and fmi2GetStringStatus, which have nothing to tell.
-    pub fn other_status(&self, kind: StatusKind) -> Result<(), Rejection> {
+    pub fn other_status(&self, kind: StatusKind) -> Result<(), CallError> {
         Err(kind.nothing())
     }
 }

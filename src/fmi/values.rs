@@ -1,17 +1,17 @@
 //! The checks that come before a value is read or written (rules 29 and 30 of this project).
 
-use super::{Rejection, Stage};
-use crate::variables::{Access, Slot, Value, Variable};
+use super::{CallError, Stage};
+use crate::variables::{FmiType, Value, Variable, VariableId};
 
 /// The variable of a reference, where it is one of the function's type.
-pub(super) fn lookup(reference: u32, access: Access) -> Result<&'static Variable, Rejection> {
+pub(super) fn lookup(reference: u32, fmi_type: FmiType) -> Result<&'static Variable, CallError> {
     let variable = Variable::find(reference)
-        .ok_or_else(|| Rejection::error(format!("value reference {reference} belongs to no variable.")))?;
-    if variable.access() != access {
-        return Err(Rejection::error(format!(
-            "{} (value reference {reference}) is of type {}, not {access}.",
+        .ok_or_else(|| CallError::error(format!("value reference {reference} belongs to no variable.")))?;
+    if variable.fmi_type() != fmi_type {
+        return Err(CallError::error(format!(
+            "{} (value reference {reference}) is of type {}, not {fmi_type}.",
             variable.name,
-            variable.access()
+            variable.fmi_type()
         )));
     }
     Ok(variable)
@@ -19,27 +19,28 @@ pub(super) fn lookup(reference: u32, access: Access) -> Result<&'static Variable
 
 /// Whether a variable may be set in a stage that allows setting: inputs and tunable parameters always, other parameters before
 /// the run, outputs never (FMI 2.0.4, section 2.2.7 and footnotes of the table in 4.2.4).
-pub(super) fn check_settable(variable: &Variable, stage: Stage) -> Result<(), Rejection> {
-    match variable.slot {
-        Slot::RealInput(_) => Ok(()),
+pub(super) fn check_settable(variable: &Variable, stage: Stage) -> Result<(), CallError> {
+    match variable.id {
+        VariableId::RealInput(_) => Ok(()),
         _ if variable.tunable => Ok(()),
-        Slot::RealParameter(_) | Slot::IntegerParameter(_) | Slot::BooleanParameter(_) | Slot::EnumerationParameter(_) => {
-            match stage {
-                Stage::Instantiated | Stage::InitializationMode => Ok(()),
-                Stage::StepComplete | Stage::StepFailed | Stage::Terminated => Err(Rejection::error(format!(
-                    "{} is a fixed parameter and can only be set before fmi2ExitInitializationMode.",
-                    variable.name
-                ))),
-            }
-        }
-        Slot::RealOutput(_) | Slot::IntegerOutput(_) | Slot::EnumerationOutput(_) => {
-            Err(Rejection::error(format!("{} is an output and cannot be set.", variable.name)))
+        VariableId::RealParameter(_)
+        | VariableId::IntegerParameter(_)
+        | VariableId::BooleanParameter(_)
+        | VariableId::EnumerationParameter(_) => match stage {
+            Stage::Instantiated | Stage::InitializationMode => Ok(()),
+            Stage::StepComplete | Stage::StepFailed | Stage::Terminated => Err(CallError::error(format!(
+                "{} is a fixed parameter and can only be set before fmi2ExitInitializationMode.",
+                variable.name
+            ))),
+        },
+        VariableId::RealOutput(_) | VariableId::IntegerOutput(_) | VariableId::EnumerationOutput(_) => {
+            Err(CallError::error(format!("{} is an output and cannot be set.", variable.name)))
         }
     }
 }
 
 /// A variable's own bounds; relations between variables are checked when the scene is made ready.
-pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), Rejection> {
+pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), CallError> {
     let number = match value {
         Value::Real(x) => x,
         Value::Integer(n) => f64::from(n),
@@ -48,7 +49,7 @@ pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), Rejec
     // Only a refusal makes text: setting an input allocates nothing.
     let unit = || variable.unit.filter(|unit| *unit != "1").map(|unit| format!(" {unit}")).unwrap_or_default();
     let refuse = |allowed: String| {
-        Err(Rejection::error(format!("{} = {value}{} is not allowed: it must be {allowed}.", variable.name, unit())))
+        Err(CallError::error(format!("{} = {value}{} is not allowed: it must be {allowed}.", variable.name, unit())))
     };
     if !number.is_finite() {
         return refuse("finite".to_owned());
@@ -65,11 +66,11 @@ pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), Rejec
 }
 
 /// What has been computed is told where it is a number: inputs and parameters that are allowed one by one may be too large together.
-pub(super) fn check_computed(name: impl FnOnce() -> String, value: f64) -> Result<(), Rejection> {
+pub(super) fn check_computed(name: impl FnOnce() -> String, value: f64) -> Result<(), CallError> {
     if value.is_finite() {
         return Ok(());
     }
-    Err(Rejection::discard(format!(
+    Err(CallError::discard(format!(
         "{} = {value} cannot be told: it must be finite; an input or a parameter is too large or too small for double precision.",
         name()
     )))

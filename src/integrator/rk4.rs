@@ -3,10 +3,8 @@
 //! (M + Φ_qᵀαΦ_q) q̈ = Q − Φ_qᵀα Φ̇_q q̇, solved as a saddle-point system with e = 1/α. The stabilising terms 2μωΦ̇ + ω²Φ are left
 //! out (μ = ω = 0): the projection after each step does their work, and exactly.
 
-use super::equilibrium::{equilibrium, equilibrium_at};
-use super::projection::{self, Projection};
-use super::vectors::{add, finite};
-use super::{Failure, Power, State, System};
+use super::equilibrium::equilibrium;
+use super::{Arrival, Projection, State, StepError, System, velocity_correction};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,7 +12,7 @@ pub struct Settings {
     /// Whether positions and velocities are projected onto the constraints after each step.
     pub projection: bool,
     /// e = 1/α of the index-1 form, 1/kg.
-    pub softness: f64,
+    pub regularization: f64,
     /// Projection: constraint violation relative to the system's size.
     pub tolerance: f64,
     /// Most iterations of the position projection.
@@ -28,53 +26,40 @@ pub fn advance<const N: usize, const M: usize>(
     settings: &Settings,
     state: &mut State<N, M>,
     h: f64,
-    power: &mut Power,
-) -> Result<(), Failure> {
+) -> Result<(), StepError> {
+    let &Settings { regularization, max_iterations, .. } = settings;
     // The first stage is the state's own q̈. Work has the weights of the stages.
-    let (q0, v0) = (state.q, state.v);
+    let State { q: q0, v: v0, .. } = *state;
     let (mut q_sum, mut v_sum) = (v0, state.a);
     let (mut q_rate, mut v_rate) = (v0, state.a);
-    state.work = state.work.plus(h / 6.0, *power);
+    let mut work = state.work.plus(h / 6.0, state.power);
     for (part, weight) in [(0.5, 2.0), (0.5, 2.0), (1.0, 1.0)] {
-        let q = std::array::from_fn(|i| q0[i] + part * h * q_rate[i]);
-        let v = std::array::from_fn(|i| v0[i] + part * h * v_rate[i]);
-        (v_rate, _) = equilibrium(system, &q, &v, settings.softness);
+        let q = q0 + part * h * q_rate;
+        let v = v0 + part * h * v_rate;
+        (v_rate, _) = equilibrium(system, &q, &v, regularization);
         q_rate = v;
-        for i in 0..N {
-            q_sum[i] += weight * q_rate[i];
-            v_sum[i] += weight * v_rate[i];
-        }
+        q_sum += weight * q_rate;
+        v_sum += weight * v_rate;
         if system.follows_work() {
-            state.work = state.work.plus(weight * h / 6.0, system.power(&q, &system.pose(&q), &v));
+            work = work.plus(weight * h / 6.0, system.power(&q, &system.pose(&q), &v));
         }
     }
-    state.q = std::array::from_fn(|i| q0[i] + h / 6.0 * q_sum[i]);
-    state.v = std::array::from_fn(|i| v0[i] + h / 6.0 * v_sum[i]);
-    if !(finite(&state.q) && finite(&state.v)) {
-        return Err(Failure::NotFinite);
+    let (mut q, mut v) = (q0 + h / 6.0 * q_sum, v0 + h / 6.0 * v_sum);
+    if !(q.is_finite() && v.is_finite()) {
+        return Err(StepError::NotFinite);
     }
 
     if settings.projection {
-        let &Settings { softness, max_iterations, .. } = settings;
-        let projection = Projection { softness, tolerance: settings.tolerance * system.size(), max_iterations };
-        let (iterations, _) = projection.position(system, &mut state.q)?;
+        let tolerance = settings.tolerance * system.length_scale();
+        let (iterations, _) = Projection { regularization, tolerance, max_iterations }.position(system, &mut q)?;
         state.counters.iterations += u64::from(iterations);
     }
-    let pose = system.pose(&state.q);
-    let mass = system.factor_mass(&pose, settings.softness);
+    let pose = system.pose(&q);
+    let mass = system.factor_mass(&pose, regularization);
     if settings.projection {
-        let correction = projection::velocity(system, &pose, &mass, &state.v);
-        state.v = add(&state.v, &correction);
+        v += velocity_correction(system, &pose, &mass, &v);
     }
-    (state.a, state.lambda) = equilibrium_at(system, &state.q, &pose, &state.v, &mass);
-    if !finite(&state.a) {
-        return Err(Failure::NotFinite);
-    }
-    if system.follows_work() {
-        *power = system.power(&state.q, &pose, &state.v);
-    }
-    state.observe_modes(system.modes(&pose));
-    state.counters.steps += 1;
-    state.counters.substeps += 1;
+    state.work = work;
+    state.arrive(Arrival::in_balance(system, [q, v], &pose, &mass).finite()?);
     Ok(())
 }

@@ -11,7 +11,7 @@
 use super::equilibrium::equilibrium_at;
 use super::projection::{self, Projection};
 use super::vectors::finite;
-use super::{Failure, Power, State, System, equilibrium};
+use super::{StepError, Power, State, System, equilibrium};
 
 /// How close to a vertex the gate works.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,7 +75,7 @@ pub(super) struct Care {
     pub(super) round_off: f64,
     /// e of the saddle-point systems, 1/kg: it must stay small against the smallest eigenvalue of S, which falls with the square of
     /// the distance.
-    pub(super) softness: f64,
+    pub(super) regularization: f64,
     /// What is known of the energy, which is to be kept: close to a vertex round-off in the direction of the velocity would change it.
     pub(super) energy: Option<Ledger>,
 }
@@ -127,7 +127,7 @@ pub(super) fn near<const N: usize, const M: usize>(
     gate: &Gate,
     state: &mut State<N, M>,
     rest: f64,
-    softness: f64,
+    regularization: f64,
     (offset, rate): ([f64; N], [f64; N]),
 ) -> Verdict<N> {
     let (distance, speed) = (dot(&offset, &offset).sqrt(), dot(&rate, &rate).sqrt());
@@ -136,7 +136,7 @@ pub(super) fn near<const N: usize, const M: usize>(
         Verdict::Near(Care {
             longest,
             round_off: ROUND_OFF / distance.max(NEAREST),
-            softness: NEAR_SOFTNESS * softness,
+            regularization: NEAR_SOFTNESS * regularization,
             energy: before,
         })
     };
@@ -165,7 +165,7 @@ pub(super) fn near<const N: usize, const M: usize>(
         return free(f64::INFINITY);
     };
     // What forces across the ray could do meanwhile must stay below the miss. A start from rest is on its branch already.
-    let (pull, _) = equilibrium(system, &state.q, &[0.0; N], softness);
+    let (pull, _) = equilibrium(system, &state.q, &[0.0; N], regularization);
     if !state.on_ray && 0.5 * system.angle_norm(&pull) * duration * duration > gate.miss {
         return free(f64::INFINITY);
     }
@@ -262,7 +262,7 @@ pub(super) fn carry<const N: usize, const M: usize>(
     state: &mut State<N, M>,
     projection: &Projection,
     power: &mut Power,
-) -> Result<bool, Failure> {
+) -> Result<bool, StepError> {
     let Ray { aside, direction, position, speed, acceleration, duration, .. } = ray;
     let before = ledger(system, &state.q, &state.v);
     let (offset, _) = system.vertex(&state.q, &state.v).unwrap_or(([0.0; N], [0.0; N]));
@@ -275,7 +275,7 @@ pub(super) fn carry<const N: usize, const M: usize>(
         return Ok(false);
     }
     let pose = system.pose(&q);
-    let mass = system.factor_mass(&pose, projection.softness);
+    let mass = system.factor_mass(&pose, projection.regularization);
     if ray.leaves {
         let correction = projection::velocity(system, &pose, &mass, &v);
         v = std::array::from_fn(|i| v[i] + correction[i]);
@@ -290,7 +290,7 @@ pub(super) fn carry<const N: usize, const M: usize>(
 
     (state.a, state.lambda) = equilibrium_at(system, &q, &pose, &v, &mass);
     if !finite(&state.a) {
-        return Err(Failure::NotFinite);
+        return Err(StepError::NotFinite);
     }
     (state.q, state.v, state.jerk) = (q, v, [0.0; N]);
     state.on_ray = !ray.leaves;
@@ -333,7 +333,7 @@ pub(super) fn with_energy<const N: usize, const M: usize, S: System<N, M>>(
     v: &[f64; N],
     before: Ledger,
     h: f64,
-) -> Result<[f64; N], Failure> {
+) -> Result<[f64; N], StepError> {
     let Some(potential) = system.potential(q, pose) else { return Ok(*v) };
     let kinetic = dot(v, &system.mass_times(pose, v)) / 2.0;
     let work = h / 2.0 * (before.power + system.power_without_potential(q, pose, v));
@@ -342,7 +342,7 @@ pub(super) fn with_energy<const N: usize, const M: usize, S: System<N, M>>(
     }
     let change = (before.energy + work - potential) / kinetic - 1.0;
     if change.abs() > ENERGY_CHANGE {
-        Err(Failure::EnergyChange { part: change })
+        Err(StepError::EnergyChange { part: change })
     } else {
         Ok(v.map(|v| v * (1.0 + change).sqrt()))
     }

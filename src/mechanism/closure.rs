@@ -2,14 +2,15 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::coordinates::{COORDINATES, THETA, X, Y};
+use super::coordinates::{THETA, X, Y};
 use super::model::finite;
-use super::{Coordinates, Geometry, Link, Refusal};
+use super::{Coordinates, Geometry, Link, SceneError};
 
 /// Side of the arrow from left elbow to right elbow on which the tip lies.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Assembly {
     /// To the left of the arrow.
+    #[default]
     Plus,
     /// To the right of the arrow.
     Minus,
@@ -25,7 +26,7 @@ impl Assembly {
 }
 
 /// What a run starts from: the proximal links (left, right) and the choice of closure.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Start {
     /// Proximal angles, rad.
     pub theta: [f64; 2],
@@ -63,16 +64,16 @@ struct Span {
 }
 
 impl Span {
-    fn new(geometry: &Geometry, theta: [f64; 2]) -> Result<Self, Refusal> {
+    fn new(geometry: &Geometry, theta: [f64; 2]) -> Result<Self, SceneError> {
         let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
         let arrow = Vector2::new(geometry.base_distance, 0.0) + direction(theta[1]).0 * l4 - direction(theta[0]).0 * l1;
         let distance = libm::hypot(arrow.x, arrow.y);
         let (shortest, longest) = ((l2 - l3).abs(), l2 + l3);
         let start = format!("init.theta = ({:?}, {:?}) rad", theta[0], theta[1]);
         // Round-off of the elbows' positions must not make a fully stretched start unreachable.
-        let round_off = ROUND_OFF * geometry.size();
+        let round_off = ROUND_OFF * geometry.length_scale();
         if distance > longest + round_off || distance < shortest - round_off {
-            return Err(Refusal(format!(
+            return Err(SceneError(format!(
                 "{start} cannot be closed: the elbows are {:?} m apart, link[2].length and link[3].length allow {:?} to {:?} m.",
                 rounded(distance),
                 rounded(shortest),
@@ -80,7 +81,7 @@ impl Span {
             )));
         }
         if distance < IN_LINE * longest {
-            return Err(Refusal(format!(
+            return Err(SceneError(format!(
                 "{start} puts both elbows on the same point, {:?} m apart: the direction to the tip is undetermined, the elbows must be apart.",
                 rounded(distance)
             )));
@@ -102,7 +103,7 @@ fn rounded(value: f64) -> f64 {
 /// are refused and the tip's rate across the line, which they leave open, is 0. With all links on one line (a vertex of the
 /// configuration space) the passive rates are a root of the tangent cone's quadratic, the one that moves the tip to the side of
 /// the assembly.
-pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordinates), Refusal> {
+pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordinates), SceneError> {
     for i in 0..2 {
         finite(format_args!("init.theta[{}]", i + 1), start.theta[i], "rad")?;
         finite(format_args!("init.omega[{}]", i + 1), start.omega[i], "rad/s")?;
@@ -133,7 +134,7 @@ fn distal_rates(geometry: &Geometry, [u2, u3]: [Vector2<f64>; 2], parting: Vecto
 }
 
 /// Rates of the four links from those of the proximal ones.
-fn rates(geometry: &Geometry, span: &Span, theta: [f64; 4], start: &Start) -> Result<[f64; 4], Refusal> {
+fn rates(geometry: &Geometry, span: &Span, theta: [f64; 4], start: &Start) -> Result<[f64; 4], SceneError> {
     let [w1, w4] = start.omega;
     let [(_, n1), (u2, n2), (u3, n3), (_, n4)] = theta.map(direction);
     let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
@@ -151,7 +152,7 @@ fn rates(geometry: &Geometry, span: &Span, theta: [f64; 4], start: &Start) -> Re
     let speed = (l1 * w1).abs() + (l4 * w4).abs();
     let opening = parting.dot(&line);
     if opening.abs() > IN_LINE * speed {
-        return Err(Refusal(format!(
+        return Err(SceneError(format!(
             "init.omega = ({w1:?}, {w4:?}) rad/s cannot be met: the distal links are in line (direct singularity) and the elbows would part at {:?} m/s, allowed is 0.",
             rounded(opening)
         )));
@@ -165,7 +166,7 @@ fn rates(geometry: &Geometry, span: &Span, theta: [f64; 4], start: &Start) -> Re
 
 /// Passive rates with all links on one line: with the signed lengths s along it, s ω summed around the loop is 0, and so is s ω²
 /// (closure to second order).
-fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start: &Start) -> Result<[f64; 4], Refusal> {
+fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start: &Start) -> Result<[f64; 4], SceneError> {
     let [w1, w4] = start.omega;
     let mut arm = [0.0; 4];
     for (i, arm) in arm.iter_mut().enumerate() {
@@ -178,7 +179,7 @@ fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start:
     let discriminant = c2 * c3 * (first * first + second * (c3 - c2));
     let scale = c2.abs().max(c3.abs()).powi(2) * (c1 * w1).abs().max((c4 * w4).abs()).powi(2);
     if discriminant < -IN_LINE * scale {
-        return Err(Refusal(format!(
+        return Err(SceneError(format!(
             "init.omega = ({w1:?}, {w4:?}) rad/s cannot be met: with all links on one line no rates of the distal links keep the loop closed to second order."
         )));
     }
@@ -222,7 +223,7 @@ fn carried(geometry: &Geometry, theta: [f64; 4], [first, fourth]: [f64; 2], alon
 
 /// The coordinates whose angles are the components across the links, per length; positions add up along each leg.
 fn along_legs(geometry: &Geometry, theta: [f64; 4], across: [f64; 4], along: [f64; 4]) -> Coordinates {
-    let mut x = [0.0; COORDINATES];
+    let mut x = Coordinates::ZERO;
     for [proximal, distal] in [[0, 1], [3, 2]] {
         let mut joint = Vector2::zeros();
         for i in [proximal, distal] {
@@ -239,7 +240,7 @@ fn along_legs(geometry: &Geometry, theta: [f64; 4], across: [f64; 4], along: [f6
 
 /// q and q̇ of all links from their angles and rates, each leg built up from its motor axis.
 pub fn assemble(geometry: &Geometry, theta: [f64; 4], omega: [f64; 4]) -> (Coordinates, Coordinates) {
-    let (mut q, mut v) = ([0.0; COORDINATES], [0.0; COORDINATES]);
+    let (mut q, mut v) = (Coordinates::ZERO, Coordinates::ZERO);
     for (base, [proximal, distal]) in [(0.0, [0, 1]), (geometry.base_distance, [3, 2])] {
         let mut joint = (Vector2::new(base, 0.0), Vector2::zeros());
         for i in [proximal, distal] {

@@ -82,7 +82,7 @@ impl Mechanism {
     /// Φ(q), m.
     #[inline(always)]
     pub fn phi(&self, q: &Coordinates, pose: &Pose) -> Multipliers {
-        let mut phi = [0.0; MULTIPLIERS];
+        let mut phi = Multipliers::ZERO;
         set_legs(&mut phi, G_X, legs_of(q, P_X) - pose.a_p.x - self.ground_x);
         set_legs(&mut phi, G_Y, legs_of(q, P_Y) - pose.a_p.y);
         set_legs(&mut phi, E_X, legs_of(q, D_X) - pose.a_d.x - legs_of(q, P_X) - pose.b_p.x);
@@ -100,7 +100,7 @@ impl Pose {
         let (w_p, w_d) = (legs_of(v, P_THETA), legs_of(v, D_THETA));
         let (a_p, b_p) = (self.a_p.turned(), self.b_p.turned());
         let (a_d, sigma_b_d) = (self.a_d.turned(), self.sigma_b_d.turned());
-        let mut product = [0.0; MULTIPLIERS];
+        let mut product = Multipliers::ZERO;
         set_legs(&mut product, G_X, legs_of(v, P_X) - a_p.x * w_p);
         set_legs(&mut product, G_Y, legs_of(v, P_Y) - a_p.y * w_p);
         set_legs(&mut product, E_X, legs_of(v, D_X) - a_d.x * w_d - legs_of(v, P_X) - b_p.x * w_p);
@@ -114,7 +114,7 @@ impl Pose {
     #[inline(always)]
     pub fn phi_q_transposed_times(&self, lambda: &Multipliers) -> Coordinates {
         let at = by_joint(lambda);
-        let mut product = [0.0; COORDINATES];
+        let mut product = Coordinates::ZERO;
         set_legs(&mut product, P_X, at.ground.x - at.elbow.x);
         set_legs(&mut product, P_Y, at.ground.y - at.elbow.y);
         set_legs(&mut product, P_THETA, -self.a_p.turned().dot(at.ground) - self.b_p.turned().dot(at.elbow));
@@ -129,7 +129,7 @@ impl Pose {
     pub fn phi_q_dot_times(&self, v: &Coordinates) -> Multipliers {
         let (w_p, w_d) = (legs_of(v, P_THETA), legs_of(v, D_THETA));
         let (w_p, w_d) = (w_p * w_p, w_d * w_d);
-        let mut product = [0.0; MULTIPLIERS];
+        let mut product = Multipliers::ZERO;
         set_legs(&mut product, G_X, self.a_p.x * w_p);
         set_legs(&mut product, G_Y, self.a_p.y * w_p);
         set_legs(&mut product, E_X, self.a_d.x * w_d + self.b_p.x * w_p);
@@ -162,7 +162,7 @@ impl Pose {
 
     /// (∂Φ_q/∂q w) v, of which Φ̇_q q̇ is the case v = w = q̇; symmetric in v and w.
     pub fn phi_q_varied_times(&self, w: &Coordinates, v: &Coordinates) -> Multipliers {
-        let mut turning = [0.0; COORDINATES];
+        let mut turning = Coordinates::ZERO;
         for i in THETA {
             turning[i] = v[i];
         }
@@ -173,9 +173,7 @@ impl Pose {
     pub fn phi_q(&self) -> SMatrix<f64, MULTIPLIERS, COORDINATES> {
         let mut matrix = SMatrix::<f64, MULTIPLIERS, COORDINATES>::zeros();
         for j in 0..COORDINATES {
-            let mut unit = [0.0; COORDINATES];
-            unit[j] = 1.0;
-            matrix.column_mut(j).copy_from_slice(&self.phi_q_times(&unit));
+            matrix.column_mut(j).copy_from_slice(&self.phi_q_times(&Coordinates::unit(j))[..]);
         }
         matrix
     }

@@ -4,15 +4,16 @@
 //! Both are stored by legs, left and right side by side: `[x_P left, x_P right, y_P left, …]`.
 
 use super::legs::Legs;
+use crate::vector::Vector;
 
 /// Number of coordinates.
 pub const COORDINATES: usize = 12;
 /// Number of constraint equations and multipliers.
 pub const MULTIPLIERS: usize = 10;
 /// q, q̇, q̈, Q and the like.
-pub type Coordinates = [f64; COORDINATES];
+pub type Coordinates = Vector<COORDINATES>;
 /// Φ, λ and the like.
-pub type Multipliers = [f64; MULTIPLIERS];
+pub type Multipliers = Vector<MULTIPLIERS>;
 
 /// x of the proximal links' centres of mass.
 pub const P_X: usize = 0;

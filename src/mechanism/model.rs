@@ -2,12 +2,12 @@
 
 use std::fmt;
 
+use super::Coordinates;
 use super::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
 use super::legs::{Legs, SIGMA, both};
-use super::{COORDINATES, Coordinates};
 
 /// One link: a rigid bar between two revolute joints.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Link {
     /// Distance between the link's two joints, m.
     pub length: f64,
@@ -20,7 +20,7 @@ pub struct Link {
 }
 
 /// What defines the mechanism: links in the order left proximal, left distal, right distal, right proximal.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Geometry {
     /// Distance between the motor axes, both on the x axis, the left one at the origin, m. 0 = coaxial motors.
     pub base_distance: f64,
@@ -30,37 +30,41 @@ pub struct Geometry {
 
 /// A value that cannot be simulated: one sentence naming the variable, its value and what is allowed.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Refusal(pub String);
+pub struct SceneError(pub String);
 
-impl fmt::Display for Refusal {
+impl fmt::Display for SceneError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.0)
     }
 }
 
-impl std::error::Error for Refusal {}
+impl std::error::Error for SceneError {}
 
 /// Refuses a value that is not finite and positive; text is made by a refusal only, here and below: a step that finds a parameter tuned
 /// allocates nothing.
-pub(crate) fn positive(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), Refusal> {
+pub(crate) fn positive(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
     finite(&name, value, unit)?;
-    if value > 0.0 { Ok(()) } else { Err(Refusal(format!("{name} = {value} {unit} is not allowed: it must be positive."))) }
+    if value > 0.0 { Ok(()) } else { Err(SceneError(format!("{name} = {value} {unit} is not allowed: it must be positive."))) }
 }
 
 /// Refuses a value that is not finite or is negative.
-pub(crate) fn not_negative(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), Refusal> {
+pub(crate) fn not_negative(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
     finite(&name, value, unit)?;
-    if value >= 0.0 { Ok(()) } else { Err(Refusal(format!("{name} = {value} {unit} is not allowed: it must be 0 or positive."))) }
+    if value >= 0.0 {
+        Ok(())
+    } else {
+        Err(SceneError(format!("{name} = {value} {unit} is not allowed: it must be 0 or positive.")))
+    }
 }
 
 /// Refuses NaN and infinities.
-pub(crate) fn finite(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), Refusal> {
-    if value.is_finite() { Ok(()) } else { Err(Refusal(format!("{name} = {value} {unit} is not allowed: it must be finite."))) }
+pub(crate) fn finite(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
+    if value.is_finite() { Ok(()) } else { Err(SceneError(format!("{name} = {value} {unit} is not allowed: it must be finite."))) }
 }
 
 impl Geometry {
     /// Checks every length, mass and inertia by name.
-    pub fn check(&self) -> Result<(), Refusal> {
+    pub fn check(&self) -> Result<(), SceneError> {
         not_negative("base.distance", self.base_distance, "m")?;
         for (i, link) in self.links.iter().enumerate() {
             let name = |what: &str| format!("link[{}].{what}", i + 1);
@@ -73,7 +77,7 @@ impl Geometry {
     }
 
     /// The largest coordinate magnitude that the machine can have, m: what round-off in Φ is proportional to.
-    pub fn size(&self) -> f64 {
+    pub fn length_scale(&self) -> f64 {
         let [left_proximal, left_distal, right_distal, right_proximal] = self.links;
         let arm = |link: Link| link.length.max(link.com.abs()).max((link.length - link.com).abs());
         self.base_distance + (arm(left_proximal) + arm(left_distal)).max(arm(right_proximal) + arm(right_distal))
@@ -111,7 +115,7 @@ pub struct Mechanism {
 
 impl Mechanism {
     /// Checks the geometry and arranges it by legs.
-    pub fn new(geometry: &Geometry) -> Result<Self, Refusal> {
+    pub fn new(geometry: &Geometry) -> Result<Self, SceneError> {
         geometry.check()?;
         let [left_proximal, left_distal, right_distal, right_proximal] = geometry.links;
         let proximal = |of: fn(Link) -> f64| Legs::new([of(left_proximal), of(right_proximal)]);
@@ -133,7 +137,7 @@ impl Mechanism {
     /// M x, with the diagonal and constant mass matrix of centre-of-mass coordinates.
     #[inline(always)]
     pub fn mass_times(&self, x: &Coordinates) -> Coordinates {
-        let mut product = [0.0; COORDINATES];
+        let mut product = Coordinates::ZERO;
         for (i, m) in self.mass_diagonal().into_iter().enumerate() {
             set_legs(&mut product, i, m * legs_of(x, i));
         }

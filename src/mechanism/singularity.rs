@@ -4,10 +4,11 @@
 //! det J_x = l₂ l₃ û₂ × û₃ and det J_q = Π l_P l_D û_P × û_D.
 
 use super::legs::{Legs, Legs2};
-use super::{Assembly, Mechanism, Pose};
+use super::{Assembly, Geometry, Pose};
+use crate::scalar::Scalar;
 
 /// Relative size of a determinant, and absolute size of the smallest singular value of Φ_q, that counts as singular.
-const NEAR: f64 = 1e-3;
+const NEAR_SINGULAR: f64 = 1e-3;
 
 /// The gravest singularity within reach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,15 +27,15 @@ pub enum SingularityKind {
 
 /// The Jacobians of the closed loop, and the modes that their signs are.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Jacobians {
+pub struct Jacobians<T = f64> {
     /// det J_x, m².
-    pub det_jx: f64,
+    pub det_jx: T,
     /// det J_q, m⁴.
-    pub det_jq: f64,
+    pub det_jq: T,
     /// Smallest singular value of J_x, m.
-    pub sigma_jx: f64,
+    pub sigma_jx: T,
     /// Smallest singular value of J_q, m².
-    pub sigma_jq: f64,
+    pub sigma_jq: T,
     /// Side on which the tip lies now: the sign of det J_x.
     pub assembly: Assembly,
     /// Whether the left and the right leg bend counter-clockwise.
@@ -44,7 +45,7 @@ pub struct Jacobians {
 /// Distance to the singularities, and the modes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Singularity {
-    /// What costs little.
+    /// Determinants and modes.
     pub jacobians: Jacobians,
     /// Smallest singular value of Φ_q (rows in m, columns in m and rad).
     pub sigma_phi: f64,
@@ -68,44 +69,52 @@ impl Pose {
     }
 }
 
-impl Mechanism {
-    /// Determinants, smallest singular values and modes at a pose.
-    pub fn jacobians(&self, pose: &Pose) -> Jacobians {
-        let [p1, l2, l3, p4] = self.geometry.links.map(|link| link.length);
+impl Pose {
+    /// Directions û of links 1 to 4.
+    pub fn directions(&self) -> [[f64; 2]; 4] {
+        let [p_x, p_y, d_x, d_y] = [self.u_p.x, self.u_p.y, self.u_d.x, self.u_d.y].map(|x| x.to_array());
+        [[p_x[0], p_y[0]], [d_x[0], d_y[0]], [d_x[1], d_y[1]], [p_x[1], p_y[1]]]
+    }
+}
 
-        let ([x2, x3], [y2, y3]) = (pose.u_d.x.to_array(), pose.u_d.y.to_array());
-        let det_jx = l2 * l3 * (x2 * y3 - y2 * x3);
+impl Geometry {
+    /// Determinants, smallest singular values and modes from the directions of links 1 to 4.
+    pub fn jacobians<T: Scalar>(&self, directions: [[T; 2]; 4]) -> Jacobians<T> {
+        let [p1, l2, l3, p4] = self.links.map(|link| link.length);
+        let sine = |from: usize, to: usize| {
+            let ([x, y], [x_to, y_to]) = (directions[from], directions[to]);
+            x * y_to - y * x_to
+        };
+
+        let det_jx = sine(1, 2) * (l2 * l3);
         // σ_max σ_min = |det|, σ_max² + σ_min² = l₂² + l₃²: no cancellation in σ_min near a singularity.
         let trace = l2 * l2 + l3 * l3;
-        let sigma_max = ((trace + ((trace - 2.0 * det_jx.abs()) * (trace + 2.0 * det_jx.abs())).max(0.0).sqrt()) / 2.0).sqrt();
+        let det = det_jx.magnitude(l2 * l3);
+        let spread = ((-det * 2.0 + trace) * (det * 2.0 + trace)).root(trace * trace);
+        let sigma_max = ((spread + trace) / 2.0).sqrt();
 
-        let bend = cross(pose.u_p, pose.u_d).to_array();
-        let (left, right) = (p1 * l2 * bend[0], p4 * l3 * bend[1]);
-
+        let (left, right) = (sine(0, 1) * (p1 * l2), sine(3, 2) * (p4 * l3));
         Jacobians {
             det_jx,
             det_jq: left * right,
-            sigma_jx: det_jx.abs() / sigma_max,
-            sigma_jq: left.abs().min(right.abs()),
-            assembly: if det_jx >= 0.0 { Assembly::Plus } else { Assembly::Minus },
-            working: bend.map(|bend| bend >= 0.0),
+            sigma_jx: det / sigma_max,
+            sigma_jq: T::smallest([left.magnitude(p1 * l2), right.magnitude(p4 * l3)]),
+            assembly: if det_jx.value() >= 0.0 { Assembly::Plus } else { Assembly::Minus },
+            working: [left, right].map(|bend| bend.value() >= 0.0),
         }
     }
 
-    /// All of it: the singular values of Φ_q cost some twenty times what the Jacobians do.
-    pub fn singularity(&self, pose: &Pose) -> Singularity {
-        let jacobians = self.jacobians(pose);
-        let [p1, l2, l3, p4] = self.geometry.links.map(|link| link.length);
-        let sigma_phi = pose.phi_q().singular_values().min();
-        let direct = jacobians.det_jx.abs() < NEAR * l2 * l3;
-        let inverse = jacobians.det_jq.abs() < NEAR * p1 * l2 * p4 * l3;
-        let kind = match (direct, inverse) {
-            _ if sigma_phi < NEAR => SingularityKind::Constraint,
+    /// The gravest singularity within reach.
+    pub fn singularity_kind(&self, jacobians: &Jacobians, sigma_phi: f64) -> SingularityKind {
+        let [p1, l2, l3, p4] = self.links.map(|link| link.length);
+        let direct = jacobians.det_jx.abs() < NEAR_SINGULAR * l2 * l3;
+        let inverse = jacobians.det_jq.abs() < NEAR_SINGULAR * p1 * l2 * p4 * l3;
+        match (direct, inverse) {
+            _ if sigma_phi < NEAR_SINGULAR => SingularityKind::Constraint,
             (true, true) => SingularityKind::Combined,
             (true, false) => SingularityKind::Direct,
             (false, true) => SingularityKind::Inverse,
             (false, false) => SingularityKind::None,
-        };
-        Singularity { jacobians, sigma_phi, kind }
+        }
     }
 }

@@ -5,48 +5,41 @@
 
 use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector3, Vector4};
 
-use super::coordinates::{D_THETA, P_THETA, THETA, legs_of};
+use super::Geometry;
 use super::legs::{Legs, both};
-use super::{Coordinates, Geometry};
 
 /// Farther than this from every vertex, rad, nothing about vertices is asked.
-const NEAR: f64 = 0.3;
+const NEIGHBOURHOOD: f64 = 0.3;
 
-/// Displacements of the link angles (in the order of THETA) from the nearest vertex; `None` if any is larger than 0.3 rad.
+/// Displacements of the link angles (proximal, distal) from the nearest vertex; `None` if any is larger than 0.3 rad.
 #[inline(always)]
-pub fn offset(q: &Coordinates) -> Option<[f64; 4]> {
+pub fn offset(angles: [Legs; 2]) -> Option<[Legs; 2]> {
     // Adding 1.5·2^52 rounds to an integer.
     const ROUND: f64 = 6_755_399_441_055_744.0;
-    let from_axis = |angle: Legs| {
+    let [proximal, distal] = angles.map(|angle| {
         let turns = (angle * both(std::f64::consts::FRAC_1_PI) + both(ROUND)) - both(ROUND);
         angle - turns * both(std::f64::consts::PI)
-    };
-    let (proximal, distal) = (from_axis(legs_of(q, P_THETA)), from_axis(legs_of(q, D_THETA)));
+    });
     let [left, right] = proximal.abs().fast_max(distal.abs()).to_array();
-    if left < NEAR && right < NEAR {
-        let ([p_left, p_right], [d_left, d_right]) = (proximal.to_array(), distal.to_array());
-        Some([p_left, d_left, d_right, p_right])
-    } else {
-        None
-    }
+    (left < NEIGHBOURHOOD && right < NEIGHBOURHOOD).then_some([proximal, distal])
 }
 
 /// The branch of least constraint at rest in a vertex.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Branch {
+pub struct Branch<A = [f64; 4]> {
     /// Unit direction of the link angles, along which the mechanism starts.
-    pub direction: [f64; 4],
+    pub direction: A,
     /// Local maxima of the gain other than this one: branches on which it could start as well.
     pub alternatives: u32,
 }
 
-/// Gauss's principle on the tangent cone: of all directions d of the cone, the motion from rest takes the one with the largest
+/// Gauss's principle on the tangent cone at the angles of links 1 to 4: of all directions d of the cone, the motion from rest takes the one with the largest
 /// (g·d)²/(d·M d), with g the generalised forces and M the mass matrix in the link angles.
 ///
 /// Where several local maxima exist each is a branch that theory allows; the largest is taken, the first found around the cone if
 /// two are equal. `None` where no direction is driven, or where the cone is a single point (the links lock).
-pub fn least_constraint(geometry: &Geometry, q: &Coordinates, force: [f64; 4], mass: [[f64; 4]; 4]) -> Option<Branch> {
-    let cone = Cone::new(geometry, q)?;
+pub fn least_constraint(geometry: &Geometry, theta: [f64; 4], force: [f64; 4], mass: [[f64; 4]; 4]) -> Option<Branch> {
+    let cone = Cone::new(geometry, theta)?;
     let (force, mass) = (Vector4::from(force), Matrix4::from_fn(|i, j| mass[i][j]));
     let gain = |angle: f64| {
         let direction = cone.direction(angle);
@@ -87,10 +80,10 @@ struct Cone {
 }
 
 impl Cone {
-    fn new(geometry: &Geometry, q: &Coordinates) -> Option<Self> {
+    fn new(geometry: &Geometry, theta: [f64; 4]) -> Option<Self> {
         let s = Vector4::from_fn(|i, _| {
             let side = if i < 2 { 1.0 } else { -1.0 };
-            side * libm::cos(q[THETA[i]]).signum() * geometry.links[i].length
+            side * libm::cos(theta[i]).signum() * geometry.links[i].length
         });
         // An orthonormal basis of Σ s w = 0: the images of three axes under the reflection that takes the fourth to s.
         let last = s.iamax();
@@ -146,7 +139,7 @@ fn golden_maximum(f: &impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mechanism::{Link, closure::assemble};
+    use crate::mechanism::Link;
     use std::f64::consts::PI;
 
     fn paper() -> Geometry {
@@ -162,8 +155,7 @@ mod tests {
             link.length = length;
         }
         for (geometry, theta) in [(paper(), [PI, 0.0, PI, PI]), (paper(), [0.0, 0.0, PI, 0.0]), (unequal, [0.0, PI, PI, 0.0])] {
-            let (q, _) = assemble(&geometry, theta, [0.0; 4]);
-            let cone = Cone::new(&geometry, &q).expect("a cone");
+            let cone = Cone::new(&geometry, theta).expect("a cone");
             for k in 0..12 {
                 let w = cone.direction(f64::from(k) * 0.5);
                 let s = Vector4::from_fn(|i, _| [1.0, 1.0, -1.0, -1.0][i] * theta[i].cos() * geometry.links[i].length);
@@ -175,12 +167,12 @@ mod tests {
 
     #[test]
     fn only_postures_near_the_axis_have_an_offset() {
-        let (q, _) = assemble(&paper(), [PI + 0.01, -0.02, 3.0 * PI + 0.03, -PI], [0.0; 4]);
-        let offset = offset(&q).expect("near");
-        for (got, want) in offset.into_iter().zip([0.01, -0.02, 0.03, 0.0]) {
-            assert!((got - want).abs() < 1e-14, "{offset:?}");
+        let legs = |[left, right]: [f64; 2]| Legs::new([left, right]);
+        let near = offset([legs([PI + 0.01, -PI]), legs([-0.02, 3.0 * PI + 0.03])]).expect("near");
+        let near = near.map(|legs| legs.to_array());
+        for (got, want) in near.as_flattened().iter().zip([0.01, 0.0, -0.02, 0.03]) {
+            assert!((got - want).abs() < 1e-14, "{near:?}");
         }
-        let (q, _) = assemble(&paper(), [PI + 0.31, 0.0, PI, PI], [0.0; 4]);
-        assert_eq!(super::offset(&q), None);
+        assert!(offset([legs([PI + 0.31, PI]), legs([0.0, PI])]).is_none());
     }
 }

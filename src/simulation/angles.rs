@@ -12,22 +12,25 @@
 //! Forces, power and potential are those of the twelve coordinates, carried over by their derivatives with respect to the angles: an
 //! effect is written once.
 
-use super::system::{FiveBar, LinearSolve};
-use crate::integrator::{Kkt, Power, System};
+use super::five_bar::FiveBar;
+use super::model::Model;
+use crate::integrator::{Kkt, System, Work};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
+use crate::mechanism::vertex::{self, Branch};
 use crate::mechanism::{Coordinates, Mechanism, Pose};
+use crate::vector::Vector;
 
 /// Number of angles.
 pub const ANGLES: usize = 4;
 /// Number of closure equations.
 pub const CLOSURES: usize = 2;
 /// Link angles or what belongs to them, by legs: proximal left and right, distal left and right.
-pub type Angles = [f64; ANGLES];
+pub type Angles = Vector<ANGLES>;
 
-/// The proximal links among the pairs of [`Angles`].
+/// The angles of the proximal links among the pairs of [`Angles`].
 const PROXIMAL: usize = 0;
-/// The distal links.
+/// Those of the distal links.
 const DISTAL: usize = 1;
 
 /// Places of links 1 to 4 (left proximal, left distal, right distal, right proximal).
@@ -36,7 +39,7 @@ pub const LINKS: [usize; 4] = [2 * PROXIMAL, 2 * DISTAL, 2 * DISTAL + 1, 2 * PRO
 /// The link angles among the twelve coordinates.
 #[inline(always)]
 pub fn angles_of(x: &Coordinates) -> Angles {
-    let mut angles = [0.0; ANGLES];
+    let mut angles = Angles::ZERO;
     set_legs(&mut angles, PROXIMAL, legs_of(x, P_THETA));
     set_legs(&mut angles, DISTAL, legs_of(x, D_THETA));
     angles
@@ -45,25 +48,71 @@ pub fn angles_of(x: &Coordinates) -> Angles {
 /// The twelve coordinates with these angles and 0 elsewhere.
 #[inline(always)]
 fn in_place(angles: &Angles) -> Coordinates {
-    let mut x = [0.0; _];
+    let mut x = Coordinates::ZERO;
     set_legs(&mut x, P_THETA, legs_of(angles, PROXIMAL));
     set_legs(&mut x, D_THETA, legs_of(angles, DISTAL));
     x
 }
 
 /// A five-bar seen in its link angles.
-#[derive(Debug)]
-pub struct ByAngles<'a, L> {
-    five_bar: &'a FiveBar<'a, L>,
+#[derive(Clone, Copy, Debug)]
+pub struct ByAngles<'a> {
+    five_bar: FiveBar<'a>,
     mechanism: &'a Mechanism,
-    inertia: Inertia,
+    inertia: &'a Inertia,
 }
 
-impl<'a, L: LinearSolve> ByAngles<'a, L> {
+impl<'a> ByAngles<'a> {
     /// The same model under the same inputs.
-    pub fn new(five_bar: &'a FiveBar<'a, L>) -> Self {
-        let mechanism = &five_bar.model().mechanism;
-        Self { five_bar, mechanism, inertia: Inertia::new(mechanism) }
+    #[inline(always)]
+    pub fn new(five_bar: FiveBar<'a>) -> Self {
+        Self { five_bar, mechanism: &five_bar.model.mechanism, inertia: &five_bar.model.inertia }
+    }
+
+    /// The model.
+    pub(super) fn model(&self) -> &'a Model {
+        self.five_bar.model
+    }
+
+    /// e of the saddle-point systems, 1/kg.
+    pub(super) fn regularization(&self) -> f64 {
+        self.five_bar.model.regularization_by_angles
+    }
+
+    /// Displacement from the nearest vertex, if one is near. With coaxial motors all links in line are no isolated posture: there they
+    /// turn together.
+    #[inline(always)]
+    pub(super) fn offset(&self, q: &Angles) -> Option<Angles> {
+        if self.mechanism.geometry.base_distance == 0.0 {
+            return None;
+        }
+        let [proximal, distal] = vertex::offset([legs_of(q, PROXIMAL), legs_of(q, DISTAL)])?;
+        let mut offset = Angles::ZERO;
+        set_legs(&mut offset, PROXIMAL, proximal);
+        set_legs(&mut offset, DISTAL, distal);
+        Some(offset)
+    }
+
+    /// At rest in a vertex: the branch on which the forces start the motion.
+    pub(super) fn branch_of_least_constraint(&self, q: &Angles) -> Option<Branch<Angles>> {
+        let pose = self.pose(q);
+        let in_order = |x: &Angles| LINKS.map(|i| x[i]);
+        let force = in_order(&self.forces(q, &pose, &Angles::ZERO));
+        let mass = LINKS.map(|i| in_order(&self.mass_times(&pose, &Angles::unit(i))));
+        let branch = vertex::least_constraint(&self.mechanism.geometry, in_order(q), force, mass)?;
+        let mut direction = Angles::ZERO;
+        for (i, value) in LINKS.into_iter().zip(branch.direction) {
+            direction[i] = value;
+        }
+        Some(Branch { direction, alternatives: branch.alternatives })
+    }
+
+    /// Kinetic energy, J, potential energy with that of the held loads, J, and power of the forces that have no potential, W.
+    pub(super) fn energies(&self, q: &Angles, v: &Angles) -> [f64; 3] {
+        let pose = self.pose(q);
+        let (x, rates) = self.coordinates(&pose, q, v);
+        let kinetic = self.mass_times(&pose, v).dot(v) / 2.0;
+        [kinetic, self.five_bar.potential_energy(&x, &pose), self.five_bar.power_without_potential(&x, &pose, &rates)]
     }
 
     /// The twelve coordinates and their rates, each leg built up from its motor axis.
@@ -121,16 +170,16 @@ impl Mass {
     #[inline(always)]
     fn times(&self, x: &Angles) -> Angles {
         let (p, d) = (legs_of(x, PROXIMAL), legs_of(x, DISTAL));
-        let mut product = [0.0; ANGLES];
+        let mut product = Angles::ZERO;
         set_legs(&mut product, PROXIMAL, self.proximal * p + self.coupling * d);
         set_legs(&mut product, DISTAL, self.coupling * p + self.distal * d);
         product
     }
 }
 
-/// What of the mass matrix is constant.
-#[derive(Debug)]
-struct Inertia {
+/// What of the mass matrix in the angles is constant.
+#[derive(Clone, Copy, Debug)]
+pub struct Inertia {
     /// I_P + m_P a_P² + m_D l_P².
     proximal: Legs,
     /// I_D + m_D a_D².
@@ -142,7 +191,8 @@ struct Inertia {
 }
 
 impl Inertia {
-    fn new(mechanism: &Mechanism) -> Self {
+    /// Of a mechanism.
+    pub fn new(mechanism: &Mechanism) -> Self {
         let &Mechanism { mass_p, mass_d, inertia_p, inertia_d, a_p, b_p, a_d, .. } = mechanism;
         let (own, swung) = (inertia_p + mass_p * a_p * a_p, mass_d * (a_p + b_p) * (a_p + b_p));
         let distal = inertia_d + mass_d * a_d * a_d;
@@ -176,15 +226,15 @@ pub struct Factor {
 
 impl Factor {
     #[inline(always)]
-    fn new(inertia: &Inertia, pose: &Pose, softness: f64) -> Self {
+    fn new(inertia: &Inertia, pose: &Pose, regularization: f64) -> Self {
         let mobility = inertia.mobility(pose);
         let [p, d] = phi_q(pose);
-        let yielded =
+        let apply_inverse_mass =
             |p: Legs, d: Legs| [mobility.proximal * p + mobility.coupling * d, mobility.coupling * p + mobility.distal * d];
-        let ([px, dx], [py, dy]) = (yielded(p.x, d.x), yielded(p.y, d.y));
-        let xx = sum(p.x * px + d.x * dx) + softness;
+        let ([px, dx], [py, dy]) = (apply_inverse_mass(p.x, d.x), apply_inverse_mass(p.y, d.y));
+        let xx = sum(p.x * px + d.x * dx) + regularization;
         let xy = sum(p.x * py + d.x * dy);
-        let yy = sum(p.y * py + d.y * dy) + softness;
+        let yy = sum(p.y * py + d.y * dy) + regularization;
         let reciprocal = 1.0 / (xx * yy - xy * xy);
         Self { mobility, phi_q: [p, d], dual: [yy * reciprocal, -xy * reciprocal, xx * reciprocal] }
     }
@@ -192,29 +242,27 @@ impl Factor {
 
 /// Φ_q v.
 #[inline(always)]
-fn end_velocity([p, d]: &[Legs2; 2], v: &Angles) -> [f64; CLOSURES] {
+fn end_velocity([p, d]: &[Legs2; 2], v: &Angles) -> Vector<CLOSURES> {
     let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
-    [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)]
+    [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)].into()
 }
 
 impl Kkt<ANGLES, CLOSURES> for Factor {
     #[inline(always)]
-    fn solve(&self, b: &Angles, c: &[f64; CLOSURES]) -> (Angles, [f64; CLOSURES]) {
+    fn solve(&self, b: &Angles, c: &Vector<CLOSURES>) -> (Angles, Vector<CLOSURES>) {
         let unconstrained = self.mobility.times(b);
-        let velocity = end_velocity(&self.phi_q, &unconstrained);
-        let (x, y) = (velocity[0] - c[0], velocity[1] - c[1]);
+        let [x, y] = *(end_velocity(&self.phi_q, &unconstrained) - *c);
         let [xx, xy, yy] = self.dual;
         let (x, y) = (xx * x + xy * y, xy * x + yy * y);
         let [p, d] = self.phi_q;
-        let mut force = [0.0; ANGLES];
+        let mut force = Angles::ZERO;
         set_legs(&mut force, PROXIMAL, p.x * both(x) + p.y * both(y));
         set_legs(&mut force, DISTAL, d.x * both(x) + d.y * both(y));
-        let pull = self.mobility.times(&force);
-        (std::array::from_fn(|i| unconstrained[i] - pull[i]), [x, y])
+        (unconstrained - self.mobility.times(&force), [x, y].into())
     }
 }
 
-impl<L: LinearSolve> System<ANGLES, CLOSURES> for ByAngles<'_, L> {
+impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     type Pose = Pose;
     type Mass = Factor;
 
@@ -224,25 +272,25 @@ impl<L: LinearSolve> System<ANGLES, CLOSURES> for ByAngles<'_, L> {
     }
 
     #[inline(always)]
-    fn phi(&self, _q: &Angles, pose: &Pose) -> [f64; CLOSURES] {
+    fn phi(&self, _q: &Angles, pose: &Pose) -> Vector<CLOSURES> {
         let (l, a) = (proximal_arm(pose), pose.a_d);
         let x = SIGMA * (self.mechanism.ground_x + l.x + a.x) + pose.sigma_b_d.x;
         let y = SIGMA * (l.y + a.y) + pose.sigma_b_d.y;
-        [sum(x), sum(y)]
+        [sum(x), sum(y)].into()
     }
 
     #[inline(always)]
-    fn phi_q_times(&self, pose: &Pose, v: &Angles) -> [f64; CLOSURES] {
+    fn phi_q_times(&self, pose: &Pose, v: &Angles) -> Vector<CLOSURES> {
         end_velocity(&phi_q(pose), v)
     }
 
     #[inline(always)]
-    fn phi_q_dot_times(&self, pose: &Pose, v: &Angles) -> [f64; CLOSURES] {
+    fn phi_q_dot_times(&self, pose: &Pose, v: &Angles) -> Vector<CLOSURES> {
         // n̂ turned on: −l ω², and Φ_q is turned already.
         let [p, d] = phi_q(pose).map(Legs2::turned);
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
         let (w_p, w_d) = (w_p * w_p, w_d * w_d);
-        [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)]
+        [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)].into()
     }
 
     #[inline(always)]
@@ -261,38 +309,15 @@ impl<L: LinearSolve> System<ANGLES, CLOSURES> for ByAngles<'_, L> {
         let centripetal = self.mechanism.mass_d * l.turned().dot(a_d);
         let proximal = legs_of(&applied, P_THETA) + pose.a_p.turned().dot(on_p) + l.turned().dot(on_d) + centripetal * w_d * w_d;
         let distal = legs_of(&applied, D_THETA) + a_d.turned().dot(on_d) - centripetal * w_p * w_p;
-        let mut forces = [0.0; ANGLES];
+        let mut forces = Angles::ZERO;
         set_legs(&mut forces, PROXIMAL, proximal);
         set_legs(&mut forces, DISTAL, distal);
         forces
     }
 
     #[inline(always)]
-    fn factor_mass(&self, pose: &Pose, softness: f64) -> Factor {
-        Factor::new(&self.inertia, pose, softness)
-    }
-
-    fn potential(&self, q: &Angles, pose: &Pose) -> Option<f64> {
-        self.five_bar.potential(&self.placed(q, pose), pose)
-    }
-
-    fn conservative(&self) -> bool {
-        self.five_bar.conservative()
-    }
-
-    fn power_without_potential(&self, q: &Angles, pose: &Pose, v: &Angles) -> f64 {
-        self.five_bar.power_without_potential(&self.placed(q, pose), pose, &self.moving(v, pose))
-    }
-
-    #[inline(always)]
-    fn vertex(&self, q: &Angles, v: &Angles) -> Option<(Angles, Angles)> {
-        let (offset, rate) = self.five_bar.vertex(&in_place(q), &in_place(v))?;
-        Some((angles_of(&offset), angles_of(&rate)))
-    }
-
-    fn least_constraint(&self, q: &Angles) -> Option<(Angles, u32)> {
-        let (direction, alternatives) = self.five_bar.least_constraint(&self.placed(q, &self.pose(q)))?;
-        Some((angles_of(&direction), alternatives))
+    fn factor_mass(&self, pose: &Pose, regularization: f64) -> Factor {
+        Factor::new(self.inertia, pose, regularization)
     }
 
     #[inline(always)]
@@ -306,17 +331,17 @@ impl<L: LinearSolve> System<ANGLES, CLOSURES> for ByAngles<'_, L> {
     }
 
     #[inline(always)]
-    fn power(&self, q: &Angles, pose: &Pose, v: &Angles) -> Power {
+    fn power(&self, q: &Angles, pose: &Pose, v: &Angles) -> Work {
         self.five_bar.power(&self.placed(q, pose), pose, &self.moving(v, pose))
     }
 
     #[inline(always)]
     fn angle_norm(&self, x: &Angles) -> f64 {
-        x.iter().fold(0.0, |largest, x| if x.abs() > largest { x.abs() } else { largest })
+        x.max_norm()
     }
 
     #[inline(always)]
-    fn size(&self) -> f64 {
-        self.five_bar.size()
+    fn length_scale(&self) -> f64 {
+        self.five_bar.length_scale()
     }
 }

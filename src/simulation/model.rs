@@ -1,17 +1,18 @@
 //! The constant part of a scene made ready, and what it is made from.
 
 use arrayvec::ArrayVec;
-use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::two_leg::Elimination;
-use crate::effects::{self, Active, Change, Effect, Inputs, Situation};
-use crate::integrator::{dop853, i3alp, i3alp_printed, rk4};
-use crate::mechanism::{Coordinates, Geometry, Mechanism, Refusal, Start};
+use super::angles::Inertia;
+use crate::effects::{self, Active, Effect, ForceContext, Inputs, Perturbation};
+use crate::integrator::{MacroStepMethod, dop853, i3alp, i3alp_printed, rk4};
+use crate::linear::{LinearSolve, LinearSolver};
+use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError, Start};
 
 /// How the equations of motion are integrated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {
     /// Index-3 augmented Lagrangian with projections in dual form.
+    #[default]
     I3alp,
     /// The same with the paper's parameters and approximate tangent.
     I3alpPrinted,
@@ -22,7 +23,7 @@ pub enum Method {
 }
 
 /// The solver's settings: the `solver.*` variables of the same names.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Settings {
     /// Method.
     pub method: Method,
@@ -43,7 +44,7 @@ pub struct Settings {
 }
 
 /// Everything that defines a scene, before it is made ready.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
     /// The mechanism.
     pub geometry: Geometry,
@@ -58,27 +59,10 @@ pub struct Parameters {
 /// The integrator with the settings it reads.
 #[derive(Clone, Copy, Debug)]
 pub enum Stepper {
-    /// The default.
-    I3alp(i3alp::Settings),
-    /// As printed in the paper.
-    I3alpPrinted(i3alp_printed::Settings),
-    /// Runge–Kutta.
-    Rk4(rk4::Settings),
-    /// Runge–Kutta with error control, in the link angles.
-    Dop853(dop853::Settings),
-}
-
-/// The linear solves.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
-pub enum Solve {
-    /// Leg by leg, without effects whose force depends on the motion. See [`two_leg`](super::two_leg).
-    Bare,
-    /// Leg by leg: no active effect couples links.
-    TwoLegged,
-    /// Active effects couple links. See [`coupled`](super::coupled).
-    LinksCoupled,
-    /// Anything: compliances are far apart. See [`dense`](super::dense).
-    Dense,
+    /// Steps end with the macro step.
+    MacroStep(MacroStepMethod),
+    /// Runge–Kutta with error control, in the link angles: steps run past it.
+    Dense(dop853::Settings),
 }
 
 /// The constant part of a scene made ready.
@@ -95,111 +79,92 @@ pub struct Model {
     /// Whether all forces have a potential.
     pub conservative: bool,
     /// Whether an active effect reads the servo references.
-    pub servo: bool,
-    /// What the fast linear solve has computed beforehand.
-    pub elimination: Elimination,
+    pub has_servo: bool,
+    /// The linear solve that the scene needs.
+    pub solver: LinearSolver,
+    /// The mass matrix in the link angles.
+    pub(super) inertia: Inertia,
     /// What round-off in Φ is proportional to, m.
-    pub size: f64,
+    pub length_scale: f64,
     /// e of the saddle-point systems outside the printed method, 1/kg.
-    pub softness: f64,
+    pub regularization: f64,
+    /// The same in the link angles.
+    pub(super) regularization_by_angles: f64,
+    /// Most Newton iterations.
+    pub(super) max_iterations: u32,
     /// The integrator.
     pub stepper: Stepper,
-    /// The linear solve that the scene needs.
-    pub solve: Solve,
 }
 
 impl Model {
     /// Checks the parameters and fixes everything that stays constant.
-    pub fn new(parameters: &Parameters) -> Result<Self, Refusal> {
+    pub fn new(parameters: &Parameters) -> Result<Self, SceneError> {
         let settings = &parameters.settings;
         settings.check()?;
         parameters.geometry.check()?;
-        let geometry = parameters.effects.burdened(&parameters.geometry)?;
+        let geometry = parameters.effects.with_added_masses(&parameters.geometry)?;
         let mechanism = Mechanism::new(&geometry)?;
         let effects = parameters.effects.active(&mechanism)?;
         // e = 1/(αβ) with α = κ m̄/β.
-        let softness = 1.0 / (settings.penalty_scale * geometry.mean_mass());
-        let Settings { tolerance, max_iterations, .. } = *settings;
-        let stepper = match settings.method {
-            Method::I3alp => Stepper::I3alp(i3alp::Settings {
-                adaptive: settings.adaptive,
-                error_tolerance: settings.error_tolerance,
-                tolerance,
-                max_iterations,
-                softness,
-            }),
-            Method::I3alpPrinted => Stepper::I3alpPrinted(i3alp_printed::Settings { penalty: settings.penalty, max_iterations }),
-            Method::Dop853 => Stepper::Dop853(dop853::Settings {
-                error_tolerance: settings.error_tolerance,
-                first_step: settings.step_size,
-                max_iterations,
-                softness: if geometry.base_distance == 0.0 { COAXIAL } else { RANK_LOSS } / geometry.mean_mass(),
-            }),
-            Method::Rk4 => Stepper::Rk4(rk4::Settings { projection: true, softness, tolerance, max_iterations }),
-        };
+        let regularization = 1.0 / (settings.penalty_scale * geometry.mean_mass());
+        let regularization_by_angles = if geometry.base_distance == 0.0 { COAXIAL } else { RANK_LOSS } / geometry.mean_mass();
         Ok(Self {
-            solve: if compliance_spread(&geometry) > LARGEST_SPREAD {
-                Solve::Dense
-            } else if effects.iter().any(Effect::couples_links) {
-                Solve::LinksCoupled
-            } else if effects.is_empty() {
-                Solve::Bare
-            } else {
-                Solve::TwoLegged
-            },
             conservative: effects.iter().all(Effect::conservative),
-            servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
+            has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
-            size: geometry.size(),
+            length_scale: geometry.length_scale(),
             weight: parameters.effects.weight(&mechanism)?,
-            elimination: Elimination::new(&mechanism, softness),
+            solver: LinearSolver::new(LinearSolve::choose(&geometry, &effects), &mechanism, regularization),
+            inertia: Inertia::new(&mechanism),
             mechanism,
             effects,
-            softness,
-            stepper,
+            regularization,
+            regularization_by_angles,
+            max_iterations: settings.max_iterations,
+            stepper: settings.stepper(regularization, regularization_by_angles),
         })
     }
 
-    /// Gives the active effects new parameters; the list of effects and the linear solve stay. Whether that changed anything; on
-    /// refusal nothing has.
-    pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<bool, Refusal> {
-        let effects = parameters.active(&self.mechanism)?;
-        if let Some(effect) = effects.iter().find(|effect| effect.couples_links() && self.solve == Solve::TwoLegged) {
-            return Err(Refusal(format!(
-                "{0}.* at joints 2 to 4 is not allowed to become positive now: it was 0 at the end of initialisation, which fixed a linear \
-                 solve without coupled links; start with a positive value there.",
-                effect.name()
-            )));
+    /// Whether no effect has a force that depends on the motion, and the solve is leg by leg.
+    #[inline(always)]
+    pub(super) fn is_bare(&self) -> bool {
+        self.effects.is_empty() && self.solver.linear_solve() == LinearSolve::TwoLeg
+    }
+
+    /// Settings of the explicit method.
+    pub(super) fn dense_settings(&self) -> &dop853::Settings {
+        match &self.stepper {
+            Stepper::Dense(settings) => settings,
+            Stepper::MacroStep(_) => unreachable!("a run is made for its method"),
         }
+    }
+
+    /// Gives the active effects new parameters; the list of effects stays. Whether that changed anything; on refusal nothing has.
+    pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<bool, SceneError> {
+        let effects = parameters.active(&self.mechanism)?;
         let weight = parameters.weight(&self.mechanism)?;
         let changed = weight != self.weight || effects != self.effects;
         self.weight = weight;
         self.conservative = effects.iter().all(Effect::conservative);
+        self.solver.choose(LinearSolve::choose(&self.mechanism.geometry, &effects));
         self.effects = effects;
         Ok(changed)
     }
 
     /// Potential energy of the active effects, J; 0 of their constant force at the left motor axis.
-    pub fn potential(&self, at: &Situation) -> f64 {
-        let weight: f64 = at.q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum();
-        self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - weight
+    pub fn potential(&self, at: &ForceContext) -> f64 {
+        self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - at.q.dot(&self.weight)
     }
 
     /// How it changes, J.
-    pub fn potential_change(&self, at: &Situation, change: &Change) -> f64 {
-        let weight: f64 = change.q.iter().zip(&self.weight).map(|(x, weight)| x * weight).sum();
-        self.effects.iter().map(|effect| effect.potential_change(at, change)).sum::<f64>() - weight
+    pub fn potential_change(&self, at: &ForceContext, change: &Perturbation) -> f64 {
+        self.effects.iter().map(|effect| effect.potential_change(at, change)).sum::<f64>() - change.q.dot(&self.weight)
     }
 
-    /// Whether the scene hears no difference between two inputs.
+    /// Whether two inputs are the same as far as they act: without servos their references do not.
     #[inline(always)]
-    pub fn hears_the_same(&self, a: &Inputs, b: &Inputs) -> bool {
-        a.same_loads(b) && (!self.servo || a.same_references(b))
-    }
-
-    /// The part of the inputs that the scene hears: without servos no references.
-    pub fn heard(&self, inputs: &Inputs) -> Inputs {
-        if self.servo { *inputs } else { inputs.without_references() }
+    pub fn same_active_inputs(&self, a: &Inputs, b: &Inputs) -> bool {
+        a.same_loads(b) && (!self.has_servo || a.same_references(b))
     }
 }
 
@@ -209,22 +174,33 @@ const RANK_LOSS: f64 = 1e-20;
 /// The same with coaxial motors, where links of equal lengths lose rank in every direction and no gate helps: motions must pass softly.
 const COAXIAL: f64 = 1e-10;
 
-/// Beyond this spread of compliances the differences of the two-leg elimination lose too many digits: its error is the square of the
-/// spread times ε. The paper's links have 3.
-const LARGEST_SPREAD: f64 = 1e4;
-
-/// Largest over smallest compliance of the links' ends, 1/m and arm²/I.
-fn compliance_spread(geometry: &Geometry) -> f64 {
-    let compliances = geometry.links.iter().flat_map(|link| {
-        let arm = link.com.abs().max((link.length - link.com).abs());
-        [1.0 / link.mass, (1.0 / link.mass).max(arm * arm / link.inertia)]
-    });
-    let (least, most) = compliances.fold((f64::INFINITY, 0.0_f64), |(least, most), x| (least.min(x), most.max(x)));
-    most / least
-}
-
 impl Settings {
-    fn check(&self) -> Result<(), Refusal> {
+    fn stepper(&self, regularization: f64, regularization_by_angles: f64) -> Stepper {
+        let &Self { tolerance, max_iterations, .. } = self;
+        Stepper::MacroStep(match self.method {
+            Method::I3alp => MacroStepMethod::I3alp(i3alp::Settings {
+                adaptive: self.adaptive,
+                error_tolerance: self.error_tolerance,
+                tolerance,
+                max_iterations,
+                regularization,
+            }),
+            Method::I3alpPrinted => {
+                MacroStepMethod::I3alpPrinted(i3alp_printed::Settings { penalty: self.penalty, max_iterations })
+            }
+            Method::Rk4 => MacroStepMethod::Rk4(rk4::Settings { projection: true, regularization, tolerance, max_iterations }),
+            Method::Dop853 => {
+                return Stepper::Dense(dop853::Settings {
+                    error_tolerance: self.error_tolerance,
+                    first_step: self.step_size,
+                    max_iterations,
+                    regularization: regularization_by_angles,
+                });
+            }
+        })
+    }
+
+    fn check(&self) -> Result<(), SceneError> {
         for (name, value, unit) in [
             ("stepSize", self.step_size, "s"),
             ("errorTolerance", self.error_tolerance, "rad"),
@@ -235,7 +211,7 @@ impl Settings {
             crate::mechanism::positive(format_args!("solver.{name}"), value, unit)?;
         }
         if self.max_iterations == 0 {
-            return Err(Refusal("solver.maxIterations = 0 is not allowed: it must be 1 or more.".into()));
+            return Err(SceneError("solver.maxIterations = 0 is not allowed: it must be 1 or more.".into()));
         }
         Ok(())
     }

@@ -10,9 +10,9 @@
 //! proximal ones by J_x ([`closure::varied`]).
 
 use super::{Model, State};
-use crate::effects::{Change, Inputs};
+use crate::effects::{Inputs, Perturbation};
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of, set_legs};
-use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Refusal, closure};
+use crate::mechanism::{Coordinates, Multipliers, SceneError, closure};
 
 /// Below this part of its largest possible value det J_x makes the proximal angles no coordinates.
 const LEAST_DETERMINANT: f64 = 1e-8;
@@ -30,7 +30,7 @@ pub struct Direction {
 #[derive(Clone, Copy, Debug)]
 pub struct Variation {
     /// Coordinates, velocities, inputs.
-    pub change: Change,
+    pub change: Perturbation,
     /// Accelerations.
     pub a: Coordinates,
     /// Multipliers.
@@ -40,27 +40,27 @@ pub struct Variation {
 impl State {
     /// How the state changes in a direction. With proximal angles or rates: refused where |det J_x| is below 1e-8 of its largest possible
     /// value. Inputs can be varied everywhere.
-    pub fn varied(&self, model: &Model, direction: &Direction) -> Result<Variation, Refusal> {
+    pub fn varied(&self, model: &Model, direction: &Direction) -> Result<Variation, SceneError> {
         let core = &self.core;
         let pose = model.mechanism.pose(&core.q);
-        let (mut q, mut v) = ([0.0; COORDINATES], [0.0; COORDINATES]);
+        let (mut q, mut v) = (Coordinates::ZERO, Coordinates::ZERO);
         if let Some(proximal) = direction.proximal {
             let geometry = &model.mechanism.geometry;
             let largest = geometry.links[1].length * geometry.links[2].length;
-            let part = model.mechanism.jacobians(&pose).det_jx.abs() / largest;
+            let part = geometry.jacobians(pose.directions()).det_jx.abs() / largest;
             if part < LEAST_DETERMINANT {
-                return Err(Refusal(format!(
+                return Err(SceneError(format!(
                     "|singular.detJx|/(link[2].length link[3].length) = {part:e} is not allowed here: it must be at least \
                      {LEAST_DETERMINANT:e}, the distal links are in line and theta, omega are no coordinates."
                 )));
             }
             (q, v) = closure::varied(geometry, THETA.map(|i| core.q[i]), THETA.map(|i| core.v[i]), proximal);
         }
-        let change = Change { q, v, inputs: direction.inputs };
+        let change = Perturbation { q, v, inputs: direction.inputs };
 
         let mut force = self.at(model, |at| {
             let effects = model.effects.iter().map(|effect| effect.force_change(at, &change));
-            effects.fold(self.inputs.force_change(at, &change), |sum, force| std::array::from_fn(|i| sum[i] + force[i]))
+            effects.fold(self.inputs.force_change(at, &change), |sum, force| sum + force)
         });
         let (stiffness_p, stiffness_d) = pose.geometric_stiffness(&core.lambda);
         for (angles, stiffness) in [(P_THETA, stiffness_p), (D_THETA, stiffness_d)] {
@@ -72,8 +72,8 @@ impl State {
         let turning = pose.phi_q_varied_times(&q, &core.a);
         let arms = pose.varied(&q).phi_q_dot_times(&core.v);
         let rates = pose.phi_q_varied_times(&core.v, &v);
-        let centripetal: [f64; MULTIPLIERS] = std::array::from_fn(|i| -turning[i] - arms[i] - 2.0 * rates[i]);
-        let (a, lambda) = self.solved(model, &pose, &force, &centripetal);
+        let centripetal = -turning - arms - 2.0 * rates;
+        let (a, lambda) = self.solve(model, &pose, &force, &centripetal);
         Ok(Variation { change, a, lambda })
     }
 }

@@ -16,7 +16,7 @@ pub struct Variable {
     /// Value reference.
     pub reference: u32,
     /// Type, role and family: what the bindings match over.
-    pub slot: Slot,
+    pub id: VariableId,
     /// Unit of the value and its bounds, for Reals.
     pub unit: Option<&'static str>,
     /// Start value, in `unit`; outputs have none.
@@ -53,11 +53,11 @@ pub enum Value {
 
 impl Value {
     /// The type of the value.
-    pub fn access(self) -> Access {
+    pub fn fmi_type(self) -> FmiType {
         match self {
-            Self::Real(_) => Access::Real,
-            Self::Integer(_) => Access::Integer,
-            Self::Boolean(_) => Access::Boolean,
+            Self::Real(_) => FmiType::Real,
+            Self::Integer(_) => FmiType::Integer,
+            Self::Boolean(_) => FmiType::Boolean,
         }
     }
 }
@@ -74,7 +74,7 @@ impl fmt::Display for Value {
 
 /// The pair of functions that reads and writes a variable: fmi2GetReal and fmi2SetReal, and so on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Access {
+pub enum FmiType {
     /// fmi2GetReal, fmi2SetReal.
     Real,
     /// fmi2GetInteger, fmi2SetInteger: integers and enumerations.
@@ -83,7 +83,7 @@ pub enum Access {
     Boolean,
 }
 
-impl fmt::Display for Access {
+impl fmt::Display for FmiType {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Real => "Real",
@@ -106,13 +106,14 @@ impl Variable {
     }
 
     /// The functions that read and write it.
-    pub fn access(&self) -> Access {
-        match self.slot {
-            Slot::RealParameter(_) | Slot::RealInput(_) | Slot::RealOutput(_) => Access::Real,
-            Slot::BooleanParameter(_) => Access::Boolean,
-            Slot::IntegerParameter(_) | Slot::IntegerOutput(_) | Slot::EnumerationParameter(_) | Slot::EnumerationOutput(_) => {
-                Access::Integer
-            }
+    pub fn fmi_type(&self) -> FmiType {
+        match self.id {
+            VariableId::RealParameter(_) | VariableId::RealInput(_) | VariableId::RealOutput(_) => FmiType::Real,
+            VariableId::BooleanParameter(_) => FmiType::Boolean,
+            VariableId::IntegerParameter(_)
+            | VariableId::IntegerOutput(_)
+            | VariableId::EnumerationParameter(_)
+            | VariableId::EnumerationOutput(_) => FmiType::Integer,
         }
     }
 }
@@ -134,7 +135,7 @@ mod tests {
     #[test]
     fn a_few_entries_are_as_in_the_xml() {
         let tau = Variable::find(101).expect("tau[2]");
-        assert_eq!((tau.name, tau.slot, tau.unit), ("tau[2]", Slot::RealInput(RealInput::Tau(1)), Some("N.m")));
+        assert_eq!((tau.name, tau.id, tau.unit), ("tau[2]", VariableId::RealInput(RealInput::Tau(1)), Some("N.m")));
         let method = Variable::named("solver.method").expect("solver.method");
         assert_eq!(method.items[2], Item { name: "rk4", value: 3 });
         assert_eq!(Method::from_number(3), Some(Method::Rk4));

@@ -3,7 +3,7 @@
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator::{self, rk4};
 use fivebar::observers;
-use fivebar::simulation::system::{Bare, FiveBar};
+use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::{Inputs, Method, Simulation};
 
 use crate::support::{Reference, angle_error, fall_90_120, run, slope, tip_error, torque};
@@ -16,8 +16,8 @@ fn fall_at_1s() -> (Reference, [[f64; 12]; 3]) {
     let (q, v) = reference.coordinates(&parameters.geometry);
     let simulation = Simulation::new(&parameters, &Inputs::default()).expect("scene");
     let inputs = Inputs::default();
-    let system = FiveBar::<Bare>::new(simulation.model(), &inputs, &[0; 4]);
-    let (a, _) = integrator::equilibrium(&system, &q, &v, simulation.model().softness);
+    let system = FiveBar::new(simulation.model(), &inputs, &[0; 4]);
+    let (a, _) = integrator::equilibrium(&system, &q, &v, simulation.model().regularization);
     (reference, [q, v, a])
 }
 
@@ -55,10 +55,10 @@ fn rk4_is_of_fourth_order() {
     let scene = Simulation::new(&fall_90_120(Method::Rk4), &Inputs::default()).expect("scene");
     let model = scene.model();
     let inputs = Inputs::default();
-    let system = FiveBar::<Bare>::new(model, &inputs, &[0; 4]);
+    let system = FiveBar::new(model, &inputs, &[0; 4]);
     // Without projection the asymptotic range begins below 1 ms; with it 1 ms is still better than its order.
     for (projection, least, most) in [(false, 3.7, 4.3), (true, 3.7, 5.0)] {
-        let settings = rk4::Settings { projection, softness: model.softness, tolerance: 5e-13, max_iterations: 10 };
+        let settings = rk4::Settings { projection, regularization: model.regularization, tolerance: 5e-13, max_iterations: 10 };
         let mut points = vec![];
         for h in [1e-3, 5e-4, 2.5e-4, 1e-4] {
             let mut state = scene.state().core;
@@ -92,7 +92,7 @@ fn i3alp_is_of_second_order_under_inputs_that_change() {
             simulation.advance(&inputs, h, 1).expect("step");
         }
         let core = &simulation.state().core;
-        (core.q, core.v, observers::energies(simulation.model(), simulation.state()).error)
+        (core.q, core.v, observers::energies(simulation.model(), &simulation.state()).error)
     };
     let (q_reference, v_reference, _) = end(5e-6);
     let (mut positions, mut velocities, mut energies) = (vec![], vec![], vec![]);
@@ -117,7 +117,7 @@ fn constraints_hold_at_every_step() {
         let mut simulation = Simulation::new(&parameters, &Inputs::default()).expect("scene");
         for _ in 0..(1.0_f64 / h).round() as u64 {
             simulation.advance(&Inputs::default(), h, 1).expect("step");
-            let norms = observers::constraint_norms(simulation.model(), simulation.state());
+            let norms = observers::constraint_norms(simulation.model(), &simulation.state());
             assert!(norms.position <= 1e-12 && norms.velocity <= 1e-9 && norms.acceleration <= 1e-8, "h = {h}: {norms:?}");
         }
     }
@@ -188,7 +188,7 @@ fn the_free_fall_turns_when_it_should() {
         let target = (t / 1e-5_f64).round() as u64;
         simulation.advance(&default_inputs(), 1e-5, target - steps).expect("steps");
         steps = target;
-        let velocity = observers::motion(simulation.model(), simulation.state()).tip_velocity;
+        let velocity = observers::motion(simulation.model(), &simulation.state()).tip_velocity;
         // Half a unit of the last digit times an acceleration of some 10 m/s².
         assert!(velocity.norm() < 1e-4, "t = {t}: {velocity}");
     }

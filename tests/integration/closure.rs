@@ -33,14 +33,14 @@ fn starts_are_consistent() {
             let mut parameters = base.clone();
             parameters.start.assembly = assembly;
             let simulation = started(&parameters);
-            let norms = observers::constraint_norms(simulation.model(), simulation.state());
+            let norms = observers::constraint_norms(simulation.model(), &simulation.state());
             // Round-off of sums of lengths below 1 m, and of rates below 10 rad/s; e λ with e = 6e-11 1/kg at acceleration level.
             assert!(norms.position < 1e-15 && norms.velocity < 1e-14 && norms.acceleration < 1e-9, "{norms:?}");
-            let singularity = observers::singularity(simulation.model(), simulation.state());
+            let singularity = observers::singularity(simulation.model(), &simulation.state());
             if singularity.kind == SingularityKind::None {
                 assert_eq!(singularity.jacobians.assembly, assembly);
             }
-            let motion = observers::motion(simulation.model(), simulation.state());
+            let motion = observers::motion(simulation.model(), &simulation.state());
             assert_eq!([motion.omega[0], motion.omega[3]], parameters.start.omega, "prescribed rates are kept exactly");
         }
     }
@@ -50,9 +50,9 @@ fn starts_are_consistent() {
 #[test]
 fn the_paper_start_is_a_direct_singularity() {
     let simulation = started(&default_parameters());
-    let motion = observers::motion(simulation.model(), simulation.state());
+    let motion = observers::motion(simulation.model(), &simulation.state());
     assert!((motion.tip.x - 0.21).abs() < 1e-16 && (motion.tip.y - 0.21).abs() < 1e-16, "{}", motion.tip);
-    assert_eq!(observers::singularity(simulation.model(), simulation.state()).kind, SingularityKind::Direct);
+    assert_eq!(observers::singularity(simulation.model(), &simulation.state()).kind, SingularityKind::Direct);
 }
 
 #[test]
@@ -66,7 +66,7 @@ fn singular_postures_are_told_apart() {
         let mut parameters = default_parameters();
         parameters.start = Start { theta, omega: [0.0; 2], assembly };
         let simulation = started(&parameters);
-        let singularity = observers::singularity(simulation.model(), simulation.state());
+        let singularity = observers::singularity(simulation.model(), &simulation.state());
         assert_eq!(singularity.kind, kind, "{theta:?}: {singularity:?}");
     }
     // Inverse: the left leg folded back on itself, the tip on the left motor; the right leg closes 0.42 m from its motor.
@@ -77,7 +77,7 @@ fn singular_postures_are_told_apart() {
     let kinds = [Assembly::Plus, Assembly::Minus].map(|assembly| {
         folded.start.assembly = assembly;
         let simulation = started(&folded);
-        observers::singularity(simulation.model(), simulation.state()).kind
+        observers::singularity(simulation.model(), &simulation.state()).kind
     });
     assert!(kinds.contains(&SingularityKind::Inverse), "{kinds:?}");
 }
@@ -86,7 +86,7 @@ fn singular_postures_are_told_apart() {
 #[test]
 fn singular_values_vanish_with_their_determinants() {
     let simulation = started(&unequal());
-    let s = observers::singularity(simulation.model(), simulation.state());
+    let s = observers::singularity(simulation.model(), &simulation.state());
     let [_, l2, l3, _] = unequal().geometry.links.map(|link| link.length);
     let theta = THETA.map(|i| simulation.state().core.q[i]);
     let jx = nalgebra::Matrix2::new(l2 * theta[1].cos(), l2 * theta[1].sin(), l3 * theta[2].cos(), l3 * theta[2].sin());
@@ -96,7 +96,7 @@ fn singular_values_vanish_with_their_determinants() {
         let mut parameters = default_parameters();
         parameters.start.theta = [0.0, 0.0];
         let simulation = started(&parameters);
-        observers::singularity(simulation.model(), simulation.state())
+        observers::singularity(simulation.model(), &simulation.state())
     };
     assert!(
         at_vertex.sigma_phi < 1e-12 && at_vertex.jacobians.sigma_jx < 1e-12 && at_vertex.jacobians.sigma_jq < 1e-12,
@@ -210,7 +210,7 @@ fn rates_just_off_a_direct_singularity_close_the_loop() {
             let mut parameters = default_parameters();
             parameters.start = Start { theta, omega: [1.0, 1.0], assembly: Assembly::Plus };
             let Ok(simulation) = Simulation::new(&parameters, &default_inputs()) else { continue };
-            let norms = observers::constraint_norms(simulation.model(), simulation.state());
+            let norms = observers::constraint_norms(simulation.model(), &simulation.state());
             // Where the closing has no rank any more, rates that miss it by 1e-9 are accepted.
             assert!(norms.position < 1e-14 && norms.velocity < 1e-9, "{theta:?}: {norms:?}");
         }
@@ -239,8 +239,8 @@ fn singularity_observers_agree_with_their_definitions() {
     let mut simulation = started(&unequal());
     for _ in 0..40 {
         simulation.advance(&default_inputs(), 1e-3, 25).expect("steps");
-        let s = observers::singularity(simulation.model(), simulation.state());
-        let motion = observers::motion(simulation.model(), simulation.state());
+        let s = observers::singularity(simulation.model(), &simulation.state());
+        let motion = observers::motion(simulation.model(), &simulation.state());
         let [p1, l2, l3, p4] = unequal().geometry.links.map(|link| link.length);
         let reach = |distal: f64, proximal: f64, d: f64, p: f64| d * p * (distal - proximal).sin();
         let legs = [reach(motion.theta[1], motion.theta[0], l2, p1), reach(motion.theta[2], motion.theta[3], l3, p4)];
@@ -266,5 +266,5 @@ fn singularity_observers_agree_with_their_definitions() {
     parameters.geometry.base_distance = elbow[0] + aside;
     parameters.start.theta = [1.0, elbow[1].atan2(-aside)];
     let simulation = started(&parameters);
-    assert_eq!(observers::singularity(simulation.model(), simulation.state()).kind, SingularityKind::Combined);
+    assert_eq!(observers::singularity(simulation.model(), &simulation.state()).kind, SingularityKind::Combined);
 }

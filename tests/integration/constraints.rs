@@ -65,9 +65,9 @@ fn the_geometric_stiffness_is_the_change_of_the_constraint_forces() {
         let ([p_left, p_right], [d_left, d_right]) = (p.to_array(), d.to_array());
         let stiffness = [p_left, d_left, d_right, p_right];
         for j in 0..COORDINATES {
-            let mut direction = [0.0; COORDINATES];
+            let mut direction = Coordinates::ZERO;
             direction[j] = 1.0;
-            let mut expected = [0.0; COORDINATES];
+            let mut expected = Coordinates::ZERO;
             if let Some(link) = THETA.iter().position(|&i| i == j) {
                 expected[j] = stiffness[link];
             }

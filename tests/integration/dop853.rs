@@ -22,7 +22,7 @@ fn fall(tolerance: f64) -> Simulation {
 }
 
 fn balance(simulation: &Simulation) -> f64 {
-    observers::energies(simulation.model(), simulation.state()).error.abs()
+    observers::energies(simulation.model(), &simulation.state()).error.abs()
 }
 
 /// The goals of the issue at 1 s of fall-90-120; what they cost is measured by the report.
@@ -125,7 +125,7 @@ fn interpolated_outputs_are_on_the_constraints() {
         let mut simulation = fall(tolerance);
         for _ in 0..1000 {
             simulation.advance(&default_inputs(), 1e-3, 1).expect("step");
-            let norms = observers::constraint_norms(simulation.model(), simulation.state());
+            let norms = observers::constraint_norms(simulation.model(), &simulation.state());
             // Round-off of positions of 0.4 m and velocities of some m/s; accelerations of 1e3 m/s² relax e = 1e-12 of themselves.
             assert!(norms.position < 1e-14 && norms.velocity < 1e-13 && norms.acceleration < 1e-8, "{norms:?}");
             // The interpolant has one order less than the step.
@@ -146,7 +146,7 @@ fn an_interpolant_that_cannot_be_projected_is_seen_as_it_is() {
         let mut worst = 0.0_f64;
         for _ in 0..1000 {
             simulation.advance(&default_inputs(), 1e-3, 1).expect("a step");
-            worst = worst.max(observers::constraint_norms(simulation.model(), simulation.state()).position);
+            worst = worst.max(observers::constraint_norms(simulation.model(), &simulation.state()).position);
         }
         worst
     };
@@ -195,7 +195,7 @@ fn changing_inputs_are_met_exactly() {
     // 100 steps or more of 1e-9 rad, amplified by the motion.
     let error = angle_error(&coarse.state().core.q, &fine.state().core.q);
     assert!(error < 1e-6, "{error:e} rad");
-    let energies = observers::energies(coarse.model(), coarse.state());
+    let energies = observers::energies(coarse.model(), &coarse.state());
     assert!(energies.input.abs() > 0.01 * MGL && energies.error.abs() < 1e-6 * MGL, "{energies:?}");
 }
 
@@ -298,7 +298,7 @@ fn many_turns_lose_no_digits() {
     let turned = simulation.state().angles()[0] - theta[0];
     // Without round-off 100 rad. The branch is unstable: some 30 passes through vertices let round-off grow.
     assert!((turned - 100.0).abs() < 1e-9, "{turned}");
-    let norms = observers::constraint_norms(simulation.model(), simulation.state());
+    let norms = observers::constraint_norms(simulation.model(), &simulation.state());
     assert!(norms.position < 1e-14 && simulation.state().turns[0] >= 12, "{norms:?}");
 }
 

@@ -1,19 +1,20 @@
 //! DOP853 alone, on systems without constraints whose solutions are known: orders of the step and of the interpolant, stiffness.
 
-use fivebar::integrator::dop853::{Running, Settings};
-use fivebar::integrator::{Kkt, Power, System};
+use fivebar::integrator::dop853::{DenseStep, Horizon, Settings};
+use fivebar::integrator::{Kkt, Passage, System, Work};
+use fivebar::vector::Vector;
 
 use crate::support::slope;
 
 /// A point of unit mass in the plane: q̈ = f(q, q̇).
-struct Point(fn(&[f64; 2], &[f64; 2]) -> [f64; 2]);
+struct Point(fn(&Vector<2>, &Vector<2>) -> Vector<2>);
 
 /// The identity: unit mass, no constraints.
 struct Free;
 
 impl Kkt<2, 0> for Free {
-    fn solve(&self, b: &[f64; 2], _: &[f64; 0]) -> ([f64; 2], [f64; 0]) {
-        (*b, [])
+    fn solve(&self, b: &Vector<2>, _: &Vector<0>) -> (Vector<2>, Vector<0>) {
+        (*b, Vector::ZERO)
     }
 }
 
@@ -21,20 +22,20 @@ impl System<2, 0> for Point {
     type Pose = ();
     type Mass = Free;
 
-    fn pose(&self, _: &[f64; 2]) {}
-    fn phi(&self, _: &[f64; 2], (): &()) -> [f64; 0] {
-        []
+    fn pose(&self, _: &Vector<2>) {}
+    fn phi(&self, _: &Vector<2>, (): &()) -> Vector<0> {
+        Vector::ZERO
     }
-    fn phi_q_times(&self, (): &(), _: &[f64; 2]) -> [f64; 0] {
-        []
+    fn phi_q_times(&self, (): &(), _: &Vector<2>) -> Vector<0> {
+        Vector::ZERO
     }
-    fn phi_q_dot_times(&self, (): &(), _: &[f64; 2]) -> [f64; 0] {
-        []
+    fn phi_q_dot_times(&self, (): &(), _: &Vector<2>) -> Vector<0> {
+        Vector::ZERO
     }
-    fn mass_times(&self, (): &(), x: &[f64; 2]) -> [f64; 2] {
+    fn mass_times(&self, (): &(), x: &Vector<2>) -> Vector<2> {
         *x
     }
-    fn forces(&self, q: &[f64; 2], (): &(), v: &[f64; 2]) -> [f64; 2] {
+    fn forces(&self, q: &Vector<2>, (): &(), v: &Vector<2>) -> Vector<2> {
         (self.0)(q, v)
     }
     fn factor_mass(&self, (): &(), _: f64) -> Free {
@@ -44,23 +45,21 @@ impl System<2, 0> for Point {
         true
     }
     /// The work of everything that accelerates: what the kinetic energy gains.
-    fn power(&self, q: &[f64; 2], (): &(), v: &[f64; 2]) -> Power {
-        let [fx, fy] = (self.0)(q, v);
-        Power { input: fx * v[0] + fy * v[1], dissipated: 0.0 }
+    fn power(&self, q: &Vector<2>, (): &(), v: &Vector<2>) -> Work {
+        Work { input: (self.0)(q, v).dot(v), dissipated: 0.0 }
     }
-    fn angle_norm(&self, x: &[f64; 2]) -> f64 {
-        x[0].abs().max(x[1].abs())
+    fn angle_norm(&self, x: &Vector<2>) -> f64 {
+        x.max_norm()
     }
-    fn size(&self) -> f64 {
+    fn length_scale(&self) -> f64 {
         1.0
     }
 }
 
+impl Passage<2> for Point {}
+
 /// Kepler's problem with unit constants: q̈ = −q/|q|³.
-const KEPLER: Point = Point(|[x, y], _| {
-    let cube = (x * x + y * y).powf(1.5);
-    [-x / cube, -y / cube]
-});
+const KEPLER: Point = Point(|q, _| -1.0 / q.dot(q).powf(1.5) * *q);
 
 /// Position and velocity on an ellipse of eccentricity 0.3 and unit axis, at a mean anomaly: Kepler's equation by iteration.
 fn ellipse(mean: f64) -> [[f64; 2]; 2] {
@@ -75,7 +74,7 @@ fn ellipse(mean: f64) -> [[f64; 2]; 2] {
 }
 
 fn settings(error_tolerance: f64, first_step: f64) -> Settings {
-    Settings { error_tolerance, first_step, max_iterations: 10, softness: 0.0 }
+    Settings { error_tolerance, first_step, max_iterations: 10, regularization: 0.0 }
 }
 
 /// One step of h leaves an error of h⁹, its interpolant h⁸; the work along it has the same orders. A wrong coefficient would
@@ -89,8 +88,8 @@ fn the_step_is_of_order_8_and_its_interpolant_of_order_7() {
             let [q, v] = ellipse(START);
             // Every step is accepted, so that the first has this length.
             let settings = settings(1e6, h);
-            let mut running = Running::start(&KEPLER, q, v, &settings);
-            running.advance(&KEPLER, &settings, part * h, [part * h, f64::INFINITY]).expect("a step");
+            let mut running = DenseStep::start(&KEPLER, q.into(), v.into(), &settings);
+            running.advance(&KEPLER, &settings, part * h, Horizon { output: part * h, limit: f64::INFINITY }).expect("a step");
             let sample = running.sample(&KEPLER, &settings);
             let [position, velocity] = ellipse(START + part * h);
             let energy = |[x, y]: [f64; 2]| (x * x + y * y) / 2.0;
@@ -112,9 +111,9 @@ fn the_error_follows_the_tolerance() {
     for tolerance in [1e-4, 1e-6, 1e-8, 1e-10, 1e-12] {
         let settings = settings(tolerance, 1e-3);
         let [q, v] = ellipse(0.0);
-        let mut running = Running::start(&KEPLER, q, v, &settings);
+        let mut running = DenseStep::start(&KEPLER, q.into(), v.into(), &settings);
         let orbits = 10.0 * std::f64::consts::TAU;
-        running.advance(&KEPLER, &settings, orbits, [orbits, f64::INFINITY]).expect("steps");
+        running.advance(&KEPLER, &settings, orbits, Horizon { output: orbits, limit: f64::INFINITY }).expect("steps");
         let sample = running.sample(&KEPLER, &settings);
         // Local errors add up to one of the period, and that to one of the place: with the square of the number of steps, some 1e2.
         let error = (sample.q[0] - q[0]).hypot(sample.q[1] - q[1]);
@@ -125,9 +124,9 @@ fn the_error_follows_the_tolerance() {
 /// A damper, and a damped spring, far stiffer than their motion: steps of a few times the inverse rate, and the verdict.
 #[test]
 fn stiffness_is_noticed() {
-    for stiff in [Point(|_, v| v.map(|v| -1e4 * v)), Point(|q, v| std::array::from_fn(|i| -1e8 * q[i] - 1e3 * v[i]))] {
+    for stiff in [Point(|_, v| -1e4 * *v), Point(|q, v| -1e8 * *q - 1e3 * *v)] {
         let settings = settings(1e-6, 1e-3);
-        let mut running = Running::start(&stiff, [1e-3, 2e-3], [1.0, -1.0], &settings);
+        let mut running = DenseStep::start(&stiff, [1e-3, 2e-3].into(), [1.0, -1.0].into(), &settings);
         let mut steps = 0;
         while !running.is_stiff() {
             steps += 1;

@@ -2,10 +2,10 @@
 
 use fivebar::fmi::bindings::default_inputs;
 use fivebar::integrator::{self, Kkt, System, i3alp};
-use fivebar::mechanism::{COORDINATES, MULTIPLIERS};
-use fivebar::simulation::dense::Dense;
-use fivebar::simulation::system::{Bare, FiveBar};
-use fivebar::simulation::two_leg::TwoLeg;
+use fivebar::linear::dense::Dense;
+use fivebar::linear::two_leg::{Elimination, TwoLeg};
+use fivebar::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
+use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::{Inputs, Model, Simulation};
 use nalgebra::{SMatrix, SVector};
 
@@ -25,18 +25,18 @@ fn penalty_step(
     state: &integrator::State<COORDINATES, MULTIPLIERS>,
     h: f64,
 ) -> [Vector<COORDINATES>; 3] {
-    let system = FiveBar::<Bare>::new(model, inputs, &[0; 4]);
+    let system = FiveBar::<true>::new(model, inputs, &[0; 4]);
     let mechanism = &model.mechanism;
     let beta = h * h / 4.0;
     let alpha = KAPPA * mechanism.geometry.mean_mass() / beta;
-    let mass = Matrix::<COORDINATES, COORDINATES>::from_diagonal(&Vector::from(mechanism.mass_times(&[1.0; COORDINATES])));
-    let [q0, v0, a0] = [state.q, state.v, state.a].map(Vector::from);
-    let mut multipliers = Vector::<MULTIPLIERS>::from(state.lambda);
+    let mass = Matrix::<COORDINATES, COORDINATES>::from_diagonal(&Vector::from(*mechanism.mass_times(&[1.0; COORDINATES].into())));
+    let [q0, v0, a0] = [state.q, state.v, state.a].map(|x| Vector::from(*x));
+    let mut multipliers = Vector::<MULTIPLIERS>::from(*state.lambda);
     let at = |q: &Vector<COORDINATES>| {
-        let q: [f64; COORDINATES] = (*q).into();
+        let q = Coordinates::from(<[f64; COORDINATES]>::from(*q));
         let pose = mechanism.pose(&q);
-        let force = Vector::from(system.forces(&q, &pose, &[0.0; COORDINATES]));
-        (pose.phi_q(), Vector::from(mechanism.phi(&q, &pose)), force, pose)
+        let force = Vector::from(*system.forces(&q, &pose, &Coordinates::ZERO));
+        (pose.phi_q(), Vector::from(*mechanism.phi(&q, &pose)), force, pose)
     };
 
     let mut q = q0 + v0 * h + a0 * (h * h / 2.0);
@@ -45,13 +45,13 @@ fn penalty_step(
         let a = (q - q0 - v0 * h) * (4.0 / (h * h)) - a0;
         let residual = (mass * a + jacobian.transpose() * (phi * alpha + multipliers) - force) * beta;
         let mut tangent = mass + jacobian.transpose() * jacobian * (alpha * beta);
-        let total: [f64; MULTIPLIERS] = (phi * alpha + multipliers).into();
+        let total = Multipliers::from(<[f64; MULTIPLIERS]>::from(phi * alpha + multipliers));
         // ∂(Φ_qᵀλ)/∂q by central differences: independent of the formula under test.
         for j in 0..COORDINATES {
             let moved = |step: f64| {
-                let mut q: [f64; COORDINATES] = q.into();
+                let mut q = Coordinates::from(<[f64; COORDINATES]>::from(q));
                 q[j] += step;
-                Vector::from(mechanism.pose(&q).phi_q_transposed_times(&total))
+                Vector::from(*mechanism.pose(&q).phi_q_transposed_times(&total))
             };
             tangent.column_mut(j).axpy(beta, &((moved(1e-5) - moved(-1e-5)) / 2e-5), 1.0);
         }
@@ -66,7 +66,7 @@ fn penalty_step(
     for _ in 0..2 {
         v -= projector.solve(&(jacobian.transpose() * (jacobian * v) * (alpha * beta))).expect("a regular projector");
     }
-    let centripetal = Vector::from(pose.phi_q_dot_times(&v.into()));
+    let centripetal = Vector::from(*pose.phi_q_dot_times(&<[f64; COORDINATES]>::from(v).into()));
     let (mut a, mut total) = (Vector::zeros(), Vector::<MULTIPLIERS>::zeros());
     for _ in 0..6 {
         let right = force - jacobian.transpose() * (total + centripetal * (alpha * beta));
@@ -89,24 +89,24 @@ fn penalty_and_dual_steps_agree() {
             let model = simulation.model();
             let mut dual = simulation.state().core;
             // The penalty step starts from q + h q̇ + h²/2 q̈: no extrapolated increment.
-            dual.jerk = [0.0; COORDINATES];
+            dual.jerk = Coordinates::ZERO;
             let penalty = penalty_step(model, &inputs, &dual, h);
             let settings = i3alp::Settings {
                 adaptive: false,
                 error_tolerance: 1.0,
                 tolerance: 1e-15,
                 max_iterations: 20,
-                softness: model.softness,
+                regularization: model.regularization,
             };
-            let system = FiveBar::<Bare>::new(model, &inputs, &[0; 4]);
-            i3alp::advance(&system, &settings, &mut dual, h, &mut Default::default()).expect("step");
+            let system = FiveBar::<true>::new(model, &inputs, &[0; 4]);
+            i3alp::advance(&system, &settings, &mut dual, h).expect("step");
             // The penalty form's own round-off is κ ε = 2e-10 of the velocities and accelerations; one projection at κ = 1e6
             // leaves 1e-6 of what it removes, itself below 1e-6 of the velocity.
             for ((what, bound), (dual, penalty)) in
                 [("q", 1e-12), ("q̇", 1e-8), ("q̈", 1e-4)].into_iter().zip([dual.q, dual.v, dual.a].into_iter().zip(penalty))
             {
                 let scale = penalty.amax().max(1.0);
-                let difference = (Vector::from(dual) - penalty).amax() / scale;
+                let difference = (Vector::from(*dual) - penalty).amax() / scale;
                 assert!(difference < bound, "{what} at h = {h}: {difference:e}");
             }
         }
@@ -122,19 +122,23 @@ fn two_leg_elimination_solves_the_dense_system() {
             simulation.advance(&default_inputs(), 1e-3, 10).expect("steps");
             let mechanism = &simulation.model().mechanism;
             let pose = mechanism.pose(&simulation.state().core.q);
-            let mass = Matrix::from_diagonal(&Vector::from(mechanism.mass_times(&[1.0; COORDINATES])));
-            let b: [f64; COORDINATES] = std::array::from_fn(|i| ((i * 7 + k) as f64).sin());
-            let c: [f64; MULTIPLIERS] = std::array::from_fn(|i| ((i * 5 + 3 * k) as f64).cos());
-            for softness in [1e-10, 1e-2, 10.0] {
-                let fast = TwoLeg::factor_mass(&simulation.model().elimination, &pose, softness);
-                let dense = Dense::factor(&pose, &mass, softness);
+            let mass = Matrix::from_diagonal(&Vector::from(*mechanism.mass_times(&[1.0; COORDINATES].into())));
+            let b = Coordinates::from_fn(|i| ((i * 7 + k) as f64).sin());
+            let c = Multipliers::from_fn(|i| ((i * 5 + 3 * k) as f64).cos());
+            let elimination = Elimination::new(mechanism, 1e-8);
+            for regularization in [1e-10, 1e-2, 10.0] {
+                let fast = TwoLeg::factor_mass(&elimination, &pose, regularization);
+                let dense = Dense::factor(&pose, &mass, regularization);
                 let ((x, y), (x_dense, y_dense)) = (fast.solve(&b, &c), dense.solve(&b, &c));
                 let close = |fast: &[f64], dense: &[f64]| {
                     let scale = dense.iter().fold(1.0, |largest: f64, x| largest.max(x.abs()));
                     fast.iter().zip(dense).all(|(x, y)| (x - y).abs() < 1e-9 * scale)
                 };
-                assert!(close(&x, &x_dense) && close(&y, &y_dense), "softness {softness}, sample {k}");
-                assert!(close(&fast.correction(&c), &dense.correction(&c)), "correction, softness {softness}, sample {k}");
+                assert!(close(&x, &x_dense) && close(&y, &y_dense), "regularization {regularization}, sample {k}");
+                assert!(
+                    close(&fast.correction(&c), &dense.correction(&c)),
+                    "correction, regularization {regularization}, sample {k}"
+                );
             }
         }
     }

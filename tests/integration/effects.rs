@@ -5,12 +5,13 @@ use std::f64::consts::PI;
 use fivebar::effects::NAMES;
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator::{Implicit, System, i3alp};
+use fivebar::linear::LinearSolve;
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::mechanism::{COORDINATES, Coordinates};
 use fivebar::observers;
+use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::model::Stepper;
-use fivebar::simulation::system::{Bare, FiveBar, General, LinearSolve};
-use fivebar::simulation::{Inputs, Method, Model, Parameters, Simulation, Solve};
+use fivebar::simulation::{Inputs, Method, Parameters, Simulation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
@@ -86,11 +87,11 @@ fn tangents_are_derivatives_of_forces() {
     for (name, parameters) in each_and_all() {
         let inputs = references();
         let simulation = Simulation::new(&parameters, &inputs).expect(&name);
-        let system = FiveBar::<General>::new(simulation.model(), &inputs, &[1, 0, 0, -2]);
+        let system = FiveBar::new(simulation.model(), &inputs, &[1, 0, 0, -2]);
         for (q, v) in random_states(20) {
             let pose = system.pose(&q);
             for j in 0..COORDINATES {
-                let mut unit = [0.0; COORDINATES];
+                let mut unit = Coordinates::ZERO;
                 unit[j] = 1.0;
                 let mass = system.mass_times(&pose, &unit);
                 let weight = |h: f64| system.weight_times(&q, &pose, &v, h, &unit);
@@ -118,8 +119,8 @@ fn powers_and_potentials_account_for_every_force() {
         let simulation = Simulation::new(&parameters, &inputs).expect(&name);
         let turns = [1, 0, 0, -2];
         let (system, unloaded) =
-            (FiveBar::<General>::new(simulation.model(), &inputs, &turns), Inputs { tau: [0.0; 2], tip_force: [0.0; 2], ..inputs });
-        let potential_only = FiveBar::<General>::new(simulation.model(), &unloaded, &turns);
+            (FiveBar::new(simulation.model(), &inputs, &turns), Inputs { tau: [0.0; 2], tip_force: [0.0; 2], ..inputs });
+        let potential_only = FiveBar::new(simulation.model(), &unloaded, &turns);
         for (q, v) in random_states(50) {
             let pose = system.pose(&q);
             let mechanical: f64 = system.forces(&q, &pose, &v).iter().zip(&v).map(|(force, v)| force * v).sum();
@@ -146,7 +147,7 @@ fn the_energy_balance_closes_with_the_order_of_the_method() {
             .map(|h| {
                 let mut simulation = Simulation::new(&parameters, &references()).expect(&name);
                 run(&mut simulation, &references(), h, 0.2);
-                (h, observers::energies(simulation.model(), simulation.state()).error.abs())
+                (h, observers::energies(simulation.model(), &simulation.state()).error.abs())
             })
             .collect();
         let order = slope(&errors);
@@ -162,7 +163,7 @@ fn methods_agree_with_all_effects_on() {
         (parameters.settings.method, parameters.settings.error_tolerance) = (method, 1e-11);
         let mut simulation = Simulation::new(&parameters, &references()).expect("all");
         run(&mut simulation, &references(), h, 0.3);
-        let energies = observers::energies(simulation.model(), simulation.state());
+        let energies = observers::energies(simulation.model(), &simulation.state());
         (simulation.state().angles(), energies.input, energies.dissipated)
     };
     let implicit = end(Method::I3alp, 1e-3);
@@ -176,38 +177,37 @@ fn methods_agree_with_all_effects_on() {
     }
 }
 
-/// q after 0.3 s of fixed 1 ms steps with a linear solve: which one of those that are [`General`], the model says.
-fn end<L: LinearSolve>(scene: &Simulation, inputs: &Inputs, solve: Solve) -> Coordinates {
-    let model = Model { solve, ..scene.model().clone() };
-    let Stepper::I3alp(settings) = scene.model().stepper else { panic!("the default is i3-ALP") };
+/// q after 0.3 s of fixed 1 ms steps with a linear solve, in the form for the bare mechanism or in that for any scene.
+fn end<const BARE: bool>(scene: &Simulation, inputs: &Inputs, solve: LinearSolve) -> Coordinates {
+    let mut model = scene.model().clone();
+    model.solver.choose(solve);
+    let Stepper::MacroStep(method) = model.stepper else { panic!("the default is i3-ALP") };
     let mut core = scene.state().core;
     for _ in 0..300 {
-        let system = FiveBar::<L>::new(&model, inputs, &[0; 4]);
-        i3alp::advance(&system, &settings, &mut core, 1e-3, &mut Default::default()).expect("step");
+        method.advance(&FiveBar::<BARE>::new(&model, inputs, &[0; 4]), &mut core, 1e-3).expect("step");
     }
     core.q
 }
 
 /// The linear solves are the same step but for round-off, which the motion lets grow: all three without effects, the two that can do
-/// it with effects that couple links in every way.
+/// it with effects that couple links in every way. The form for the bare mechanism is the same to the bit.
 #[test]
 fn the_linear_solves_agree() {
     let mut parameters = unequal();
     parameters.settings.adaptive = false;
     let inputs = Inputs { tau: [0.01, -0.02], tip_force: [0.1, 0.05], ..Inputs::default() };
     let bare = Simulation::new(&parameters, &inputs).expect("scene");
-    let dense = end::<General>(&bare, &inputs, Solve::Dense);
-    for (name, q) in
-        [("two legs", end::<Bare>(&bare, &inputs, Solve::Bare)), ("coupled", end::<General>(&bare, &inputs, Solve::LinksCoupled))]
-    {
-        let error = angle_error(&q, &dense);
-        assert!(error < 1e-10, "{name}: {error:e} rad");
+    let dense = end::<false>(&bare, &inputs, LinearSolve::Dense);
+    for solve in [LinearSolve::TwoLeg, LinearSolve::Coupled] {
+        let error = angle_error(&end::<false>(&bare, &inputs, solve), &dense);
+        assert!(error < 1e-10, "{solve:?}: {error:e} rad");
     }
+    assert_eq!(end::<true>(&bare, &inputs, LinearSolve::TwoLeg), end::<false>(&bare, &inputs, LinearSolve::TwoLeg));
     let (_, mut all) = each_and_all().pop().expect("all");
     all.settings.adaptive = false;
     let all = Simulation::new(&all, &references()).expect("scene");
-    let error =
-        angle_error(&end::<General>(&all, &references(), Solve::LinksCoupled), &end::<General>(&all, &references(), Solve::Dense));
+    let ends = [LinearSolve::Coupled, LinearSolve::Dense].map(|solve| end::<false>(&all, &references(), solve));
+    let error = angle_error(&ends[0], &ends[1]);
     assert!(error < 1e-10, "{error:e} rad");
 }
 
@@ -282,22 +282,22 @@ fn what_is_off_is_not_there() {
     assert_eq!(simulation.state(), hears_nothing.state());
 }
 
-/// The fast linear solve, unless an active effect couples links; without code for effects where none depends on the motion.
+/// The fast linear solve, unless an active effect couples links.
 #[test]
 fn the_scene_chooses_the_linear_solve() {
+    let solve = |parameters| Simulation::new(parameters, &references()).expect("scene").model().solver.linear_solve();
     for (name, parameters) in each_and_all() {
         let couples = ["viscous", "friction", "contact", "all"].contains(&name.as_str());
-        let constant = ["gravity", "rotor", "payload"].contains(&name.as_str());
-        let expected = match (couples, constant) {
-            (true, _) => Solve::LinksCoupled,
-            (_, true) => Solve::Bare,
-            _ => Solve::TwoLegged,
-        };
-        assert_eq!(Simulation::new(&parameters, &references()).expect(&name).model().solve, expected, "{name}");
+        assert_eq!(solve(&parameters), if couples { LinearSolve::Coupled } else { LinearSolve::TwoLeg }, "{name}");
     }
-    // Bearings of the motors alone couple nothing.
+    // Bearings of the motors alone couple nothing, until a tuned value makes those of the elbows do so.
     let mut parameters = acting();
     parameters.effects.viscous.enabled = true;
     parameters.effects.viscous.b = [1e-3, 0.0, 0.0, 0.0, 1e-3];
-    assert_eq!(Simulation::new(&parameters, &references()).expect("scene").model().solve, Solve::TwoLegged);
+    assert_eq!(solve(&parameters), LinearSolve::TwoLeg);
+    let mut simulation = Simulation::new(&parameters, &references()).expect("scene");
+    parameters.effects.viscous.b = [1e-3; 5];
+    simulation.tune(&parameters.effects).expect("allowed");
+    assert_eq!(simulation.model().solver.linear_solve(), LinearSolve::Coupled);
+    simulation.advance(&references(), 1e-3, 10).expect("steps");
 }

@@ -33,13 +33,13 @@ fn whirling(parameters: &Parameters, inputs: &Inputs, angle: f64, rate: f64) -> 
 
 /// Angle and rate of the leg; the stretched leg has not moved.
 fn leg(simulation: &Simulation) -> (f64, f64) {
-    let motion = observers::motion(simulation.model(), simulation.state());
+    let motion = observers::motion(simulation.model(), &simulation.state());
     assert!((motion.theta[2] - PI).abs() < 1e-9 && (motion.theta[3] - PI).abs() < 1e-9, "{motion:?}");
     (motion.theta[0], motion.omega[0])
 }
 
 fn energies(simulation: &Simulation) -> Energies {
-    observers::energies(simulation.model(), simulation.state())
+    observers::energies(simulation.model(), &simulation.state())
 }
 
 /// I ω̇ = −b ω: ω = ω₀ exp(−b t/I).
@@ -134,7 +134,7 @@ fn a_servo_answers_a_step_like_a_second_order_system() {
         let t = 0.02 * f64::from(i);
         let expected = 1.2 - 0.5 * (-decay * t).exp() * ((frequency * t).cos() + decay / frequency * (frequency * t).sin());
         assert!((leg(&simulation).0 - expected).abs() < 1e-5, "{t} s: {} {expected} rad", leg(&simulation).0);
-        let torque = observers::servo_torques(simulation.model(), simulation.state())[0];
+        let torque = observers::servo_torques(simulation.model(), &simulation.state())[0];
         let (angle, rate) = leg(&simulation);
         assert!((torque - (0.2 * (1.2 - angle) - 4e-3 * rate)).abs() < 1e-9, "{torque} N.m");
     }
@@ -143,7 +143,7 @@ fn a_servo_answers_a_step_like_a_second_order_system() {
     // A saturated servo gives its limit.
     parameters.effects.servo.limit = [0.01, 1.0];
     let pushed = whirling(&parameters, &inputs, 0.7, 0.0);
-    let torque = observers::servo_torques(pushed.model(), pushed.state())[0];
+    let torque = observers::servo_torques(pushed.model(), &pushed.state())[0];
     assert!((torque - 0.01 * 10f64.tanh()).abs() < 1e-12, "{torque} N.m");
 }
 
@@ -188,7 +188,7 @@ fn contact_at_rest_balances_the_weight() {
     parameters.effects.viscous.b = [5e-3; 5];
     let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
     run(&mut simulation, &default_inputs(), 1e-3, 20.0);
-    let (model, state) = (simulation.model(), simulation.state());
+    let (model, state) = (simulation.model(), &simulation.state());
     let motion = observers::motion(model, state);
     let force = observers::contact_force(model, state);
     assert!(motion.omega.iter().all(|rate| rate.abs() < 1e-2) && force.y > 0.1, "{motion:?} {force}");
@@ -235,7 +235,7 @@ fn a_payload_is_a_heavier_distal_link() {
     let bare = unequal();
     let start = |parameters: &Parameters| {
         let simulation = Simulation::new(parameters, &default_inputs()).expect("scene");
-        (observers::motion(simulation.model(), simulation.state()), energies(&simulation))
+        (observers::motion(simulation.model(), &simulation.state()), energies(&simulation))
     };
     let ((at, with), (_, without)) = (start(&loaded), start(&bare));
     let (kinetic, potential) = (0.025 * at.tip_velocity.norm_squared(), 0.05 * 9.81 * at.tip.y);
@@ -256,7 +256,7 @@ fn a_rotor_is_a_proximal_link_with_more_inertia() {
     let tip = |parameters: &Parameters| {
         let mut simulation = Simulation::new(parameters, &default_inputs()).expect("scene");
         run(&mut simulation, &default_inputs(), 1e-3, 1.0);
-        observers::motion(simulation.model(), simulation.state()).tip
+        observers::motion(simulation.model(), &simulation.state()).tip
     };
     // The same arithmetic but for one rounding of the sum.
     assert!((tip(&geared) - tip(&heavier)).norm() < 1e-9);

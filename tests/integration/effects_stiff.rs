@@ -28,7 +28,7 @@ fn a_load_below_breakaway_only_creeps() {
         let mut last = f64::INFINITY;
         for _ in 0..1000 {
             run(&mut simulation, &inputs, 1e-3, 1e-3);
-            let rate = observers::motion(simulation.model(), simulation.state()).omega[0];
+            let rate = observers::motion(simulation.model(), &simulation.state()).omega[0];
             // T_c tanh(w/w_c) alone, at joint 1 alone, would let it creep at this rate; every other joint slows it down.
             let fastest = 0.01 * (8e-4_f64 / 1e-3).atanh();
             assert!(rate > 0.0 && rate < fastest, "{rate} rad/s, at most {fastest}");
@@ -53,11 +53,11 @@ fn friction_through_zero_speed_does_not_chatter() {
         let (mut changes, mut last) = (0, 0.0);
         for _ in 0..4000 {
             run(&mut simulation, &default_inputs(), 1e-3, 1e-3);
-            let rate = observers::motion(simulation.model(), simulation.state()).omega[0];
+            let rate = observers::motion(simulation.model(), &simulation.state()).omega[0];
             changes += u32::from(rate * last < 0.0);
             last = rate;
         }
-        let energies = observers::energies(simulation.model(), simulation.state());
+        let energies = observers::energies(simulation.model(), &simulation.state());
         // 0.05 N·m/rad against 5 mN·m of friction in all: a few swings of 0.1 s.
         assert!((1..=40).contains(&changes), "adaptive {adaptive}: {changes} changes of sign");
         assert!(energies.kinetic < 1e-6 * MGL && last.abs() < 0.01, "adaptive {adaptive}: {last} rad/s, {energies:?}");
@@ -75,11 +75,11 @@ fn stops_and_contact_are_hit_at_20_rad_per_s() {
         parameters.effects.stop.upper = [2.6, 2.6];
         parameters.effects.contact.offset = 0.15;
         let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
-        let before = observers::energies(simulation.model(), simulation.state()).kinetic;
+        let before = observers::energies(simulation.model(), &simulation.state()).kinetic;
         let mut hit = false;
         for _ in 0..2000 {
             run(&mut simulation, &default_inputs(), 1e-3, 1e-3);
-            let energies = observers::energies(simulation.model(), simulation.state());
+            let energies = observers::energies(simulation.model(), &simulation.state());
             hit |= energies.potential > 1e-3 * before;
             assert!(energies.kinetic + energies.potential <= before * (1.0 + 1e-3), "{effect}: {energies:?}");
             // The default tolerance in some ten hits.
@@ -102,7 +102,7 @@ fn a_servo_with_a_high_gain_is_stable() {
         let inputs = Inputs { servo_theta: [1.8, 1.9], ..default_inputs() };
         let mut simulation = Simulation::new(&parameters, &inputs).expect("scene");
         run(&mut simulation, &inputs, 1e-3, 1.0);
-        let motion = observers::motion(simulation.model(), simulation.state());
+        let motion = observers::motion(simulation.model(), &simulation.state());
         for (motor, reference) in [(0, 1.8), (3, 1.9)] {
             // Gravity pulls with some 0.1 N·m at most.
             assert!((motion.theta[motor] - reference).abs() < 2e-4, "{motion:?}");
@@ -110,7 +110,7 @@ fn a_servo_with_a_high_gain_is_stable() {
         }
         let counters = simulation.state().core.counters;
         assert!(counters.substeps > counters.steps, "{counters:?}");
-        let energies = observers::energies(simulation.model(), simulation.state());
+        let energies = observers::energies(simulation.model(), &simulation.state());
         // It moves and brakes the links with up to 1 N·m over 0.2 rad.
         assert!(energies.error.abs() < 1e-3 * 0.2, "{energies:?}");
     }
@@ -134,15 +134,15 @@ fn a_tuned_parameter_acts_and_its_energy_is_counted() {
 
     let mut tuned = parameters.effects.clone();
     (tuned.gravity.g, tuned.spring.k) = (1.62, [0.2; 2]);
-    let before = observers::energies(simulation.model(), simulation.state());
+    let before = observers::energies(simulation.model(), &simulation.state());
     simulation.tune(&tuned).expect("allowed");
-    let after = observers::energies(simulation.model(), simulation.state());
+    let after = observers::energies(simulation.model(), &simulation.state());
     assert!((after.input - before.input - (after.potential - before.potential)).abs() < 1e-15, "{before:?} {after:?}");
     assert!((after.potential - before.potential).abs() > 1e-3, "{before:?} {after:?}");
     run(&mut simulation, &inputs, 1e-3, 0.3);
     run(&mut untouched, &inputs, 1e-3, 0.3);
     assert_ne!(simulation.state().core.q, untouched.state().core.q);
-    let energies = observers::energies(simulation.model(), simulation.state());
+    let energies = observers::energies(simulation.model(), &simulation.state());
     assert!(energies.error.abs() < 1e-4 * MGL, "{energies:?}");
 
     // What would need another linear solve, or is nonsense, is refused and changes nothing.
@@ -171,10 +171,10 @@ fn friction_holds_a_load_in_a_vertex() {
         let mut fastest: f64 = 0.0;
         for _ in 0..200 {
             run(&mut simulation, &inputs, 1e-3, 1e-3);
-            let motion = observers::motion(simulation.model(), simulation.state());
+            let motion = observers::motion(simulation.model(), &simulation.state());
             fastest = motion.omega.iter().fold(fastest, |fastest, rate| fastest.max(rate.abs()));
         }
-        let energies = observers::energies(simulation.model(), simulation.state());
+        let energies = observers::energies(simulation.model(), &simulation.state());
         // The weights pull with some 0.1 N·m: against 2 N·m they creep at about 0.01 rad/s · 0.1/2.
         assert!(if goes { fastest > 1.0 } else { fastest < 2e-3 }, "{friction} N.m: {fastest} rad/s");
         assert!(energies.error.abs() < 1e-2 * MGL, "{friction} N.m: {energies:?}");

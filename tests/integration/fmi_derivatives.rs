@@ -7,7 +7,7 @@ use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::fmi::{Instance, Snapshot};
 use fivebar::observers;
 use fivebar::simulation::{Inputs, Method, Signal, Simulation};
-use fivebar::variables::{Access, Slot, VARIABLES, Value, Variable};
+use fivebar::variables::{FmiType, VARIABLES, Value, Variable, VariableId};
 use model_description::ModelDescription;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
@@ -50,7 +50,7 @@ fn real(host: &Host, name: &str) -> f64 {
 
 /// Every Real output.
 fn outputs() -> Vec<&'static Variable> {
-    VARIABLES.iter().filter(|variable| matches!(variable.slot, Slot::RealOutput(_))).collect()
+    VARIABLES.iter().filter(|variable| matches!(variable.id, VariableId::RealOutput(_))).collect()
 }
 
 fn read(host: &Host) -> Vec<f64> {
@@ -96,7 +96,7 @@ fn declared() -> Vec<(String, String)> {
 }
 
 fn inputs() -> Vec<&'static Variable> {
-    VARIABLES.iter().filter(|variable| matches!(variable.slot, Slot::RealInput(_))).collect()
+    VARIABLES.iter().filter(|variable| matches!(variable.id, VariableId::RealInput(_))).collect()
 }
 
 /// Every pair of an output and a known at the present state of `host`, whose scene and state are given: declared ones equal central
@@ -382,7 +382,7 @@ fn a_ramp_turns_a_single_leg_as_it_must() {
             let whirling = Simulation::at(&parameters, &default_inputs(), [0.4, 0.4 + PI, PI, PI], [2.0, 2.0, 0.0, 0.0]);
             let mut simulation = whirling.expect("a folded leg");
             simulation.advance_along(&signal, h, 100).expect("a step");
-            let motion = observers::motion(simulation.model(), simulation.state());
+            let motion = observers::motion(simulation.model(), &simulation.state());
             let impulse = 1e-3 * t + ramp * t * t / 2.0 + curvature * t * t * t / 6.0;
             let twice = 1e-3 * t * t / 2.0 + ramp * t * t * t / 6.0 + curvature * t * t * t * t / 24.0;
             let short = curvature * h * h * t / 24.0;
@@ -491,7 +491,7 @@ fn pending_derivatives_are_state() {
                 values[i] = x.to_bits()
             }
         };
-        instance.get(Access::Real, &references, take).expect("values");
+        instance.get(FmiType::Real, &references, take).expect("values");
         values
     };
     let first = after(&mut instance);

@@ -122,13 +122,13 @@ fn a_scene_that_cannot_be_made_ready_is_refused_and_can_be_mended() {
 
 /// The bits of every variable.
 fn everything(host: &Host) -> Vec<u64> {
-    use fivebar::variables::Access;
+    use fivebar::variables::FmiType;
     let read = |variable: &fivebar::variables::Variable| {
         let (reference, mut real, mut integer) = ([variable.reference], [0.0], [0]);
-        let status = match variable.access() {
-            Access::Real => host.get_real(&reference, &mut real),
-            Access::Integer => host.get_integer(&reference, &mut integer),
-            Access::Boolean => host.get_boolean(&reference, &mut integer),
+        let status = match variable.fmi_type() {
+            FmiType::Real => host.get_real(&reference, &mut real),
+            FmiType::Integer => host.get_integer(&reference, &mut integer),
+            FmiType::Boolean => host.get_boolean(&reference, &mut integer),
         };
         assert_eq!(status, fmi2OK, "{}: {:?}", variable.name, host.take());
         f64::to_bits(real[0]) ^ u64::from(integer[0].cast_unsigned())

@@ -10,7 +10,7 @@ use crate::fmi_host::{Host, reference};
 /// Every Real that can be read, as bits.
 fn reals(host: &Host) -> Vec<u64> {
     let references: Vec<u32> =
-        VARIABLES.iter().filter(|v| v.access() == fivebar::variables::Access::Real).map(|v| v.reference).collect();
+        VARIABLES.iter().filter(|v| v.fmi_type() == fivebar::variables::FmiType::Real).map(|v| v.reference).collect();
     let mut values = vec![0.0; references.len()];
     assert_eq!(host.get_real(&references, &mut values), fmi2OK, "{:?}", host.take());
     values.into_iter().map(f64::to_bits).collect()

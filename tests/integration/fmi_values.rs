@@ -1,7 +1,7 @@
 //! Reading and writing variables (rules 29, 30, 31, 35, 48 of this project).
 
 use fivebar::ffi::*;
-use fivebar::variables::{Access, Slot, VARIABLES, Value};
+use fivebar::variables::{FmiType, VARIABLES, Value, VariableId};
 
 use super::fmi_host::{Host, reference};
 
@@ -117,7 +117,7 @@ fn what_may_be_set_depends_on_role_and_state() {
     // Every input and tunable parameter in every settable state; every other parameter before the run only.
     let parameters = |host: &Host, expected: fmi2Status| {
         for variable in VARIABLES.iter().filter(|variable| variable.start.is_some()) {
-            let always = variable.tunable || matches!(variable.slot, Slot::RealInput(_));
+            let always = variable.tunable || matches!(variable.id, VariableId::RealInput(_));
             let reference = [variable.reference];
             let status = match variable.start {
                 Some(Value::Real(start)) => host.set_real(&reference, &[start]),
@@ -177,7 +177,7 @@ fn outputs_answer_for_the_present_inputs() {
 
 #[test]
 fn reading_changes_nothing_and_gives_the_same_bits_in_any_order() {
-    let real = || VARIABLES.iter().filter(|variable| variable.access() == Access::Real);
+    let real = || VARIABLES.iter().filter(|variable| variable.fmi_type() == FmiType::Real);
     let forwards: Vec<u32> = real().map(|variable| variable.reference).collect();
     let backwards: Vec<u32> = forwards.iter().rev().copied().collect();
     let (read, unread) = (Host::ready(&[("tau[1]", 0.1)]), Host::ready(&[("tau[1]", 0.1)]));

@@ -5,8 +5,8 @@ use fivebar::integrator::{self, i3alp};
 use fivebar::mechanism::Assembly;
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::observers;
+use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::model::Stepper;
-use fivebar::simulation::system::{Bare, FiveBar};
 use fivebar::simulation::{Inputs, Method, Simulation};
 
 use crate::support::{MGL, angle_error, run, torque, unequal};
@@ -18,7 +18,7 @@ fn the_paper_free_fall_keeps_its_energy_for_50_s() {
     let mut worst: f64 = 0.0;
     for _ in 0..50_000 {
         simulation.advance(&default_inputs(), 1e-3, 1).expect("step");
-        worst = worst.max(observers::energies(simulation.model(), simulation.state()).error.abs());
+        worst = worst.max(observers::energies(simulation.model(), &simulation.state()).error.abs());
     }
     assert!(worst <= 1e-2 * MGL, "{:e} mgL", worst / MGL);
     assert!(simulation.state().core.q.iter().all(|x| x.is_finite()));
@@ -33,7 +33,7 @@ fn after_a_vertex_the_fall_goes_on() {
     parameters.start.assembly = Assembly::Minus;
     let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
     simulation.advance(&default_inputs(), 1e-3, 50_000).expect("all of it");
-    let error = observers::energies(simulation.model(), simulation.state()).error.abs();
+    let error = observers::energies(simulation.model(), &simulation.state()).error.abs();
     assert!(error <= 1e-2 * MGL, "{:e} mgL", error / MGL);
 }
 
@@ -76,9 +76,9 @@ fn a_reversed_motion_returns() {
     assert!(angle_error(&end.q, &start.state().core.q) > 0.5, "it has moved");
 
     let model = there.model();
-    let system = FiveBar::<Bare>::new(model, &inputs, &[0; 4]);
+    let system = FiveBar::new(model, &inputs, &[0; 4]);
     let Stepper::I3alp(settings) = model.stepper else { panic!("the default is i3-ALP") };
-    let mut back = integrator::State::start(&system, end.q, end.v.map(|v| -v), model.softness);
+    let mut back = integrator::State::start(&system, end.q, end.v.map(|v| -v), model.regularization);
     for _ in 0..2000 {
         i3alp::advance(&system, &settings, &mut back, 1e-4, &mut Default::default()).expect("step");
     }
@@ -107,7 +107,7 @@ fn the_printed_method_ends_with_a_status() {
         assert!(simulation.state().core.q.iter().chain(&simulation.state().core.a).all(|x| x.is_finite()));
     };
     assert!(steps > 1000, "it should live for more than a second, failed after {steps} steps: {failure}");
-    assert!(matches!(failure.cause, integrator::Failure::NotConverged { .. }), "{failure}");
+    assert!(matches!(failure.cause, integrator::StepError::NotConverged { .. }), "{failure}");
 }
 
 /// Inputs set to equal values change no bit, and H = n · H/n.
@@ -132,7 +132,7 @@ fn observers_answer_for_the_new_input() {
     let push = Inputs { tip_force: [0.0, 1.0], ..Inputs::default() };
     let seen = simulation.state_for(&push).expect("other inputs");
     let change = observers::motion(simulation.model(), &seen).tip_acceleration
-        - observers::motion(simulation.model(), simulation.state()).tip_acceleration;
+        - observers::motion(simulation.model(), &simulation.state()).tip_acceleration;
     assert!(change.y > 0.0, "an upward push accelerates the tip upward: {change}");
     assert_eq!(simulation.state_for(&default_inputs()), None);
 }
@@ -164,12 +164,12 @@ fn rest_in_a_vertex_starts_on_the_branch_of_least_constraint() {
         let mut parameters = default_parameters();
         parameters.settings.adaptive = adaptive;
         let mut simulation = Simulation::at(&parameters, &default_inputs(), [PI, 0.0, PI, PI], [0.0; 4]).expect("a vertex");
-        let alpha = observers::motion(simulation.model(), simulation.state()).alpha;
+        let alpha = observers::motion(simulation.model(), &simulation.state()).alpha;
         for (got, want) in alpha.into_iter().zip([61.4, 19.4, -14.4, 56.5]) {
             assert!((got - want).abs() < 0.06, "{alpha:?}");
         }
         run(&mut simulation, &default_inputs(), 1e-3, 0.3);
-        let energies = observers::energies(simulation.model(), simulation.state());
+        let energies = observers::energies(simulation.model(), &simulation.state());
         assert!(energies.error.abs() < 1e-2 * MGL, "{energies:?}");
         assert!(!adaptive || simulation.state().core.counters.launches > 0);
     }
@@ -205,6 +205,6 @@ fn a_tolerance_below_round_off_ends_with_a_status() {
     let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
     let before = *simulation.state();
     let failure = simulation.advance(&default_inputs(), 10.0, 1).expect_err("too much to ask");
-    assert!(matches!(failure.cause, integrator::Failure::TooManySubsteps { most: 100_000, .. }), "{failure}");
+    assert!(matches!(failure.cause, integrator::StepError::TooManySubsteps { most: 100_000, .. }), "{failure}");
     assert_eq!(*simulation.state(), before);
 }

@@ -102,7 +102,7 @@ impl Reference {
 
 /// Distance between the simulation's tip and a point, m.
 pub(crate) fn tip_error(simulation: &Simulation, [x, y]: [f64; 2]) -> f64 {
-    let tip = observers::motion(simulation.model(), simulation.state()).tip;
+    let tip = observers::motion(simulation.model(), &simulation.state()).tip;
     (tip.x - x).hypot(tip.y - y)
 }
 

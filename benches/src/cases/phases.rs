@@ -6,21 +6,20 @@
 use std::hint::black_box;
 
 use anyhow::Result;
-use fivebar::integrator::{Implicit, Kkt, State, System};
+use fivebar::integrator::{Implicit, Kkt, State, System, TangentPoint};
 use fivebar::mechanism::{COORDINATES, MULTIPLIERS};
-use fivebar::simulation::system::{Bare, FiveBar};
+use fivebar::simulation::five_bar::FiveBar;
 
 use super::{H, advance};
 use crate::case::{Case, Work};
 use crate::scene::Scene;
 
 type Core = State<COORDINATES, MULTIPLIERS>;
-type BareFiveBar<'a> = FiveBar<'a, Bare>;
 
 /// Recorded states, 5 ms apart.
 const SAMPLES: u64 = 200;
 
-fn phase(name: &str, run: impl Fn(&BareFiveBar<'_>, &Core, f64) + Copy + 'static) -> Case {
+fn phase(name: &str, run: impl Fn(&FiveBar<'_>, &Core, f64) + Copy + 'static) -> Case {
     Case::new("phases", name, SAMPLES, move || {
         let scene = Scene::fall();
         let mut simulation = scene.simulation()?;
@@ -31,10 +30,10 @@ fn phase(name: &str, run: impl Fn(&BareFiveBar<'_>, &Core, f64) + Copy + 'static
             })
             .collect();
         let work: Work = Box::new(move || {
-            let (model, turns) = (simulation.model(), simulation.state().turns);
-            let system = BareFiveBar::new(model, &scene.inputs, &turns);
+            let (model, turns) = (simulation.model(), &simulation.state().turns);
+            let system = FiveBar::<false>::new(model, &scene.inputs, &turns);
             for state in &states {
-                run(black_box(&system), black_box(state), model.softness);
+                run(black_box(&system), black_box(state), model.regularization);
             }
         });
         Ok(work)
@@ -51,18 +50,14 @@ pub(super) fn cases() -> Result<Vec<Case>> {
         phase("pose alone, which each of the following contains", |system, state, _| {
             black_box(system.pose(&state.q));
         }),
-        phase("factor the tangent", |system, state, softness| {
+        phase("factor the tangent and solve", |system, state, regularization| {
             let pose = system.pose(&state.q);
-            black_box(system.factor_tangent(&state.q, &pose, &state.v, &state.lambda, H, softness).expect("positive"));
+            let at = TangentPoint { q: &state.q, pose: &pose, v: &state.v, lambda: &state.lambda, h: H };
+            black_box(system.solve_tangent(&at, regularization, (&state.a, &state.lambda)).expect("positive"));
         }),
-        phase("factor the tangent and solve", |system, state, softness| {
+        phase("project: factor M, velocity, acceleration", |system, state, regularization| {
             let pose = system.pose(&state.q);
-            let tangent = system.factor_tangent(&state.q, &pose, &state.v, &state.lambda, H, softness).expect("positive");
-            black_box(tangent.solve(&state.a, &state.lambda));
-        }),
-        phase("project: factor M, velocity, acceleration", |system, state, softness| {
-            let pose = system.pose(&state.q);
-            let mass = system.factor_mass(&pose, softness);
+            let mass = system.factor_mass(&pose, regularization);
             let correction = mass.correction(&system.phi_q_times(&pose, &state.v));
             let forces = system.forces(&state.q, &pose, &state.v);
             black_box((correction, mass.solve(&forces, &system.phi_q_dot_times(&pose, &state.v))));

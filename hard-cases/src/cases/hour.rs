@@ -84,14 +84,14 @@ fn advance(
         let before = simulation.state().core.counters.substeps;
         simulation.advance(&NO_LOAD, plan.h, plan.steps).map_err(|failure| failure.to_string())?;
         clock.advance(plan);
-        let energies = observers::energies(simulation.model(), simulation.state());
+        let energies = observers::energies(simulation.model(), &simulation.state());
         if !energies.error.is_finite() {
             return Err(format!("not finite at {} s", clock.point()));
         }
         row.energy = row.energy.max(energies.error.abs() / unit);
         row.most = row.most.max(simulation.state().core.counters.substeps - before);
         if i % 100 == 0 {
-            let norms = observers::constraint_norms(simulation.model(), simulation.state());
+            let norms = observers::constraint_norms(simulation.model(), &simulation.state());
             row.position = row.position.max(norms.position);
             row.velocity = row.velocity.max(norms.velocity);
         }

@@ -4,6 +4,7 @@ use fivebar::integrator::Kkt;
 
 use super::Block;
 use super::pose::{Pose, SIGN, Side};
+use fivebar::vector::Vector;
 
 /// [A Φ_qᵀ; Φ_q −e] with A of one 3×3 block per body.
 pub struct Factor<const N: usize, const M: usize, const W: usize> {
@@ -32,13 +33,13 @@ pub(super) fn inverse(a: &Block, least: f64) -> Option<Block> {
 }
 
 impl<const N: usize, const M: usize, const W: usize> Factor<N, M, W> {
-    pub(super) fn new(pose: &Pose<M>, inverses: [[f64; 3]; N], softness: f64) -> Self {
+    pub(super) fn new(pose: &Pose<M>, inverses: [[f64; 3]; N], regularization: f64) -> Self {
         let mut factor = Self { pose: *pose, inverses, rows: [[0.0; W]; M] };
         for row in 0..M {
             for column in row.saturating_sub(W - 1)..=row {
                 factor.rows[row][W - 1 + column - row] = factor.dual(row, column);
             }
-            factor.rows[row][W - 1] += softness;
+            factor.rows[row][W - 1] += regularization;
         }
         factor.eliminate();
         factor
@@ -88,7 +89,7 @@ impl<const N: usize, const M: usize, const W: usize> Factor<N, M, W> {
         }
     }
 
-    fn solve_dual(&self, mut y: [f64; M]) -> [f64; M] {
+    fn solve_dual(&self, mut y: Vector<M>) -> Vector<M> {
         for i in 0..M {
             for j in i.saturating_sub(W - 1)..i {
                 y[i] -= self.rows[i][W - 1 + j - i] * y[j];
@@ -106,8 +107,8 @@ impl<const N: usize, const M: usize, const W: usize> Factor<N, M, W> {
     }
 
     /// A⁻¹ b.
-    fn bodies(&self, b: &[f64; N]) -> [f64; N] {
-        std::array::from_fn(|i| {
+    fn bodies(&self, b: &Vector<N>) -> Vector<N> {
+        Vector::from_fn(|i| {
             let first = i - i % 3;
             let [x, y, theta] = self.inverses[i];
             x * b[first] + y * b[first + 1] + theta * b[first + 2]
@@ -116,10 +117,10 @@ impl<const N: usize, const M: usize, const W: usize> Factor<N, M, W> {
 }
 
 impl<const N: usize, const M: usize, const W: usize> Kkt<N, M> for Factor<N, M, W> {
-    fn solve(&self, b: &[f64; N], c: &[f64; M]) -> ([f64; N], [f64; M]) {
+    fn solve(&self, b: &Vector<N>, c: &Vector<M>) -> (Vector<N>, Vector<M>) {
         let free = self.pose.times(&self.bodies(b));
-        let y = self.solve_dual(std::array::from_fn(|i| free[i] - c[i]));
-        let held: [f64; N] = self.pose.transposed_times(&y);
-        (self.bodies(&std::array::from_fn(|i| b[i] - held[i])), y)
+        let y = self.solve_dual(free - *c);
+        let held: Vector<N> = self.pose.transposed_times(&y);
+        (self.bodies(&(*b - held)), y)
     }
 }

@@ -1,6 +1,7 @@
 //! Φ_q of a posture as a sparse matrix.
 
-use super::{End, Vector};
+use super::{End, Planar};
+use fivebar::vector::Vector;
 
 /// What one of the two ends of a joint adds to a row of Φ_q, if it is a body's: ±1 at x or y of the body, ±`turn` at its θ. The sign
 /// is + for the first end, − for the second.
@@ -40,20 +41,20 @@ impl<const M: usize> Pose<M> {
     }
 
     /// Sum over the sides of each row.
-    fn per_row(&self, term: impl Fn(usize, &Side) -> f64) -> [f64; M] {
-        std::array::from_fn(|row| {
+    fn per_row(&self, term: impl Fn(usize, &Side) -> f64) -> Vector<M> {
+        Vector::from_fn(|row| {
             let terms = self.rows[row].iter().zip(SIGN);
             terms.filter_map(|(side, sign)| side.as_ref().map(|side| sign * term(row, side))).sum()
         })
     }
 
     /// Φ_q v.
-    pub(super) fn times<const N: usize>(&self, v: &[f64; N]) -> [f64; M] {
+    pub(super) fn times<const N: usize>(&self, v: &Vector<N>) -> Vector<M> {
         self.per_row(|row, side| v[3 * side.body + row % 2] + side.turn * v[3 * side.body + 2])
     }
 
     /// Φ̇_q v at velocity v: arms turn about the centre of mass.
-    pub(super) fn dot_times<const N: usize>(&self, v: &[f64; N]) -> [f64; M] {
+    pub(super) fn dot_times<const N: usize>(&self, v: &Vector<N>) -> Vector<M> {
         self.per_row(|_, side| {
             let omega = v[3 * side.body + 2];
             -omega * omega * side.arm
@@ -61,8 +62,8 @@ impl<const M: usize> Pose<M> {
     }
 
     /// Φ_qᵀ λ.
-    pub(super) fn transposed_times<const N: usize>(&self, lambda: &[f64; M]) -> [f64; N] {
-        let mut product = [0.0; N];
+    pub(super) fn transposed_times<const N: usize>(&self, lambda: &Vector<M>) -> Vector<N> {
+        let mut product = Vector::ZERO;
         for (row, (sides, lambda)) in self.rows.iter().zip(lambda).enumerate() {
             for (side, sign) in sides.iter().zip(SIGN) {
                 if let Some(side) = side {
@@ -75,8 +76,8 @@ impl<const M: usize> Pose<M> {
     }
 
     /// The diagonal of ∂(Φ_qᵀλ)/∂q, which is all of it: ∓ arm · λ at θ, N m.
-    pub(super) fn geometric_stiffness<const N: usize>(&self, lambda: &[f64; M]) -> [f64; N] {
-        let mut diagonal = [0.0; N];
+    pub(super) fn geometric_stiffness<const N: usize>(&self, lambda: &Vector<M>) -> Vector<N> {
+        let mut diagonal = Vector::ZERO;
         for (sides, lambda) in self.rows.iter().zip(lambda) {
             for (side, sign) in sides.iter().zip(SIGN) {
                 if let Some(side) = side {
@@ -89,12 +90,12 @@ impl<const M: usize> Pose<M> {
 }
 
 /// A vector of a body at angle θ, in the axes of the ground.
-pub(crate) fn rotated([x, y]: Vector, theta: f64) -> Vector {
+pub(crate) fn rotated([x, y]: Planar, theta: f64) -> Planar {
     let (sin, cos) = theta.sin_cos();
     [cos * x - sin * y, sin * x + cos * y]
 }
 
 /// Turned by +90°.
-pub(super) fn quarter_turn([x, y]: Vector) -> Vector {
+pub(super) fn quarter_turn([x, y]: Planar) -> Planar {
     [-y, x]
 }

@@ -74,13 +74,13 @@ fn check<S: Implicit<N, M>, const N: usize, const M: usize>(mut problem: Problem
             let weight = weight(&x);
             let first: [f64; N] = std::array::from_fn(|i| weight[i] + geometric * change[i] + transposed[i] - b[i]);
             let product = system.phi_q_times(&pose, &x);
-            let second: [f64; M] = std::array::from_fn(|i| product[i] - problem.softness * y[i] - c[i]);
+            let second: [f64; M] = std::array::from_fn(|i| product[i] - problem.regularization * y[i] - c[i]);
             (largest(&first) / largest(&transposed), largest(&second) / (1.0 + largest(&x)))
         };
         let (first, second) =
-            residual(system.factor_mass(&pose, problem.softness).solve(&b, &c), 0.0, &|x| system.mass_times(&pose, x));
+            residual(system.factor_mass(&pose, problem.regularization).solve(&b, &c), 0.0, &|x| system.mass_times(&pose, x));
         assert!(first < 1e-9 && second < 1e-9, "mass: {first:e} {second:e}");
-        let tangent = system.factor_tangent(&q, &pose, &v, &lambda, h, problem.softness).expect("a step short enough");
+        let tangent = system.factor_tangent(&q, &pose, &v, &lambda, h, problem.regularization).expect("a step short enough");
         let (first, second) = residual(tangent.solve(&b, &c), beta, &weighed);
         assert!(first < 1e-8 && second < 1e-9, "tangent: {first:e} {second:e}");
     }

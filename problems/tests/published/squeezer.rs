@@ -14,7 +14,7 @@ fn the_start_is_the_published_one() {
     assert!(phi.iter().all(|phi| phi.abs() < 1e-16), "{phi:?}");
     assert!(published(&problem.q).iter().zip(START).all(|(angle, start)| (angle - start).abs() < 1e-15));
 
-    // Without softness, whose part in the accelerations is 3e-11.
+    // Without regularization, whose part in the accelerations is 3e-11.
     let accelerations = published(&State::start(system, problem.q, problem.v, 0.0).a);
     for (i, name) in NAMES.iter().enumerate() {
         let expected = START_ACCELERATIONS.get(i).copied().unwrap_or(0.0);

@@ -4,47 +4,48 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::tableau::{A, ALL, DENSE, END, ERROR_3, ERROR_5, Row, STAGES};
 use crate::integrator::equilibrium::equilibrium_at;
-use crate::integrator::{Power, State, System};
+use crate::integrator::{State, System, Work};
+use crate::vector::Vector;
 
 /// The derivatives of q, q̇ and the work, or a sum of such.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Slope<const N: usize> {
-    pub(super) q: [f64; N],
-    pub(super) v: [f64; N],
-    pub(super) power: Power,
+    pub(super) q: Vector<N>,
+    pub(super) v: Vector<N>,
+    pub(super) power: Work,
 }
 
 impl<const N: usize> Slope<N> {
-    pub(super) const NONE: Self = Self { q: [0.0; N], v: [0.0; N], power: Power { input: 0.0, dissipated: 0.0 } };
+    pub(super) const NONE: Self = Self { q: Vector::ZERO, v: Vector::ZERO, power: Work { input: 0.0, dissipated: 0.0 } };
 
     #[inline(always)]
-    fn at<const M: usize, S: System<N, M>>(system: &S, softness: f64, q: &[f64; N], v: &[f64; N]) -> Self {
+    fn at<const M: usize, S: System<N, M>>(system: &S, regularization: f64, q: &Vector<N>, v: &Vector<N>) -> Self {
         let pose = system.pose(q);
-        let (a, _) = equilibrium_at(system, q, &pose, v, &system.factor_mass(&pose, softness));
-        Self { q: *v, v: a, power: if system.follows_work() { system.power(q, &pose, v) } else { Power::default() } }
+        let (a, _) = equilibrium_at(system, q, &pose, v, &system.factor_mass(&pose, regularization));
+        Self { q: *v, v: a, power: if system.follows_work() { system.power(q, &pose, v) } else { Work::default() } }
     }
 }
 
 /// A step from a state, stage by stage.
 pub(super) struct Stages<const N: usize> {
     slopes: [Slope<N>; ALL],
-    q: [f64; N],
-    v: [f64; N],
+    q: Vector<N>,
+    v: Vector<N>,
     /// The step, s.
-    h: f64,
+    pub(super) h: f64,
     /// Where the last stage is evaluated: at the end of the step as well, but of lower order.
-    last: [f64; N],
+    last: Vector<N>,
 }
 
 impl<const N: usize> Stages<N> {
-    /// All stages of a step of h seconds; `power` is that at its beginning.
+    /// All stages of a step of h seconds.
     #[inline(always)]
-    pub(super) fn new<const M: usize>(system: &impl System<N, M>, softness: f64, from: &State<N, M>, power: Power, h: f64) -> Self {
+    pub(super) fn new<const M: usize>(system: &impl System<N, M>, regularization: f64, from: &State<N, M>, h: f64) -> Self {
         let mut stages = Self { slopes: [Slope::NONE; ALL], q: from.q, v: from.v, h, last: from.q };
-        stages.slopes[0] = Slope { q: from.v, v: from.a, power };
+        stages.slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
         for (stage, row) in A.iter().enumerate().take(STAGES).skip(1) {
             let [q, v] = stages.at(row);
-            stages.slopes[stage] = Slope::at(system, softness, &q, &v);
+            stages.slopes[stage] = Slope::at(system, regularization, &q, &v);
             stages.last = q;
         }
         stages
@@ -52,46 +53,44 @@ impl<const N: usize> Stages<N> {
 
     /// Σ coefficient · slope over q and q̇.
     #[inline(always)]
-    fn sum(&self, row: Row) -> [[f64; N]; 2] {
-        let (mut q, mut v) = ([0.0; N], [0.0; N]);
+    fn sum(&self, row: Row) -> [Vector<N>; 2] {
+        let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
         for &(stage, coefficient) in row {
             // The remainder changes nothing and is cheaper than a check.
             let slope = &self.slopes[stage % ALL];
-            for i in 0..N {
-                q[i] += coefficient * slope.q[i];
-                v[i] += coefficient * slope.v[i];
-            }
+            q += coefficient * slope.q;
+            v += coefficient * slope.v;
         }
         [q, v]
     }
 
     /// The same over the power.
-    fn power(&self, row: Row) -> Power {
-        row.iter().fold(Power::default(), |sum, &(stage, coefficient)| sum.plus(coefficient, self.slopes[stage].power))
+    fn power(&self, row: Row) -> Work {
+        row.iter().fold(Work::default(), |sum, &(stage, coefficient)| sum.plus(coefficient, self.slopes[stage].power))
     }
 
     /// q and q̇ at the place of a row.
     #[inline(always)]
-    fn at(&self, row: Row) -> [[f64; N]; 2] {
+    fn at(&self, row: Row) -> [Vector<N>; 2] {
         let [q, v] = self.sum(row);
-        [std::array::from_fn(|i| self.q[i] + self.h * q[i]), std::array::from_fn(|i| self.v[i] + self.h * v[i])]
+        [self.q + self.h * q, self.v + self.h * v]
     }
 
     /// q and q̇ at the end of the step, of order 8.
     #[inline(always)]
-    pub(super) fn end(&self) -> [[f64; N]; 2] {
+    pub(super) fn end(&self) -> [Vector<N>; 2] {
         self.at(A[END])
     }
 
     /// Mean power over the step, of order 8.
-    pub(super) fn mean_power(&self) -> Power {
+    pub(super) fn mean_power(&self) -> Work {
         self.power(A[END])
     }
 
     /// Estimated error in units of the tolerances: `tolerance` for the coordinates, tolerance · (10/s + |q̇|) for their rates, root of
     /// the mean square. The estimate of order 5 is damped by that of order 3 (Hairer, Nørsett, Wanner, section II.5, eq. 5.17).
     #[inline(always)]
-    pub(super) fn error(&self, tolerance: f64, v_end: &[f64; N]) -> f64 {
+    pub(super) fn error(&self, tolerance: f64, v_end: &Vector<N>) -> f64 {
         let norm = |row: Row| {
             let [q, v] = self.sum(row);
             let mut sum = 0.0;
@@ -109,10 +108,9 @@ impl<const N: usize> Stages<N> {
 
     /// The fastest rate of change, 1/s, that the difference between the last stage and the end of the step shows: the r of
     /// r² |Δq| + r |Δq̇| = |Δq̈|, which is the frequency of a spring and the decay of a damper.
-    pub(super) fn fastest_rate(&self, [q, v, a]: [&[f64; N]; 3]) -> f64 {
-        let distance = |x: &[f64; N], y: &[f64; N]| x.iter().zip(y).map(|(x, y)| (x - y) * (x - y)).sum::<f64>().sqrt();
+    pub(super) fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64 {
         let last = &self.slopes[STAGES - 1];
-        let (dq, dv, da) = (distance(q, &self.last), distance(v, &last.q), distance(a, &last.v));
+        let (dq, dv, da) = ((end.q - self.last).norm(), (end.v - last.q).norm(), (end.a - last.v).norm());
         let both = dv + (dv * dv + 4.0 * dq * da).sqrt();
         if both > 0.0 { 2.0 * da / both } else { 0.0 }
     }
@@ -122,19 +120,18 @@ impl<const N: usize> Stages<N> {
     pub(super) fn dense<const M: usize>(
         &mut self,
         system: &impl System<N, M>,
-        softness: f64,
+        regularization: f64,
         end: &State<N, M>,
-        power: Power,
     ) -> [Slope<N>; 4] {
-        self.slopes[END] = Slope { q: end.v, v: end.a, power };
+        self.slopes[END] = Slope { q: end.v, v: end.a, power: end.power };
         for (stage, row) in A.iter().enumerate().skip(END + 1) {
             let [q, v] = self.at(row);
-            self.slopes[stage] = Slope::at(system, softness, &q, &v);
+            self.slopes[stage] = Slope::at(system, regularization, &q, &v);
         }
         DENSE.map(|row| {
             let [q, v] = self.sum(row);
-            let power = if system.follows_work() { self.power(row) } else { Power::default() };
-            Slope { q: q.map(|q| self.h * q), v: v.map(|v| self.h * v), power: Power::default().plus(self.h, power) }
+            let power = if system.follows_work() { self.power(row) } else { Work::default() };
+            Slope { q: self.h * q, v: self.h * v, power: Work::default().plus(self.h, power) }
         })
     }
 }

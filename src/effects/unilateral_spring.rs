@@ -10,7 +10,7 @@
 
 /// A one-sided spring and damper.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Buffer {
+pub(super) struct UnilateralSpring {
     /// Stiffness k, N/m or N·m/rad.
     pub(super) stiffness: f64,
     /// Damping c, N·s/m or N·m·s/rad.
@@ -19,7 +19,7 @@ pub(super) struct Buffer {
     pub(super) width: f64,
 }
 
-impl Buffer {
+impl UnilateralSpring {
     /// s and ds/dd at a penetration above 0.
     fn ramp(&self, depth: f64) -> [f64; 2] {
         let u = depth / self.width;
@@ -75,7 +75,7 @@ impl Buffer {
 mod tests {
     use super::*;
 
-    const BUFFER: Buffer = Buffer { stiffness: 50.0, damping: 0.02, width: 1e-3 };
+    const SPRING: UnilateralSpring = UnilateralSpring { stiffness: 50.0, damping: 0.02, width: 1e-3 };
 
     /// Central differences; their error here is (step/width)² of the value, their round-off ε·value/step.
     #[test]
@@ -83,13 +83,13 @@ mod tests {
         let step = 1e-8;
         for depth in [1e-5, 3e-4, 7e-4, 9.9e-4, 1.5e-3, 0.1] {
             for rate in [-0.5, 0.0, 2.0] {
-                let [by_depth, by_rate] = BUFFER.slopes(depth, rate);
+                let [by_depth, by_rate] = SPRING.slopes(depth, rate);
                 let difference = |at: &dyn Fn(f64) -> f64| (at(step) - at(-step)) / (2.0 * step);
-                let numeric = [difference(&|x| BUFFER.force(depth + x, rate)), difference(&|x| BUFFER.force(depth, rate + x))];
+                let numeric = [difference(&|x| SPRING.force(depth + x, rate)), difference(&|x| SPRING.force(depth, rate + x))];
                 assert!((by_depth - numeric[0]).abs() < 1e-5 * (1.0 + by_depth.abs()), "{depth} {rate}: {by_depth} {numeric:?}");
                 assert!((by_rate - numeric[1]).abs() < 1e-6, "{depth} {rate}: {by_rate} {numeric:?}");
             }
-            let spring = Buffer { damping: 0.0, ..BUFFER };
+            let spring = UnilateralSpring { damping: 0.0, ..SPRING };
             let numeric = (spring.potential(depth + step) - spring.potential(depth - step)) / (2.0 * step);
             assert!((spring.force(depth, 0.0) - numeric).abs() < 1e-6 * (1.0 + numeric), "{depth}: {numeric}");
         }
@@ -99,9 +99,9 @@ mod tests {
     fn it_never_pulls_and_never_gives_energy() {
         for depth in [-1.0, 0.0, 1e-4, 1e-3, 0.2] {
             for rate in [-1e4, -1.0, 0.0, 1.0, 1e4] {
-                assert!(BUFFER.force(depth, rate) >= 0.0 && BUFFER.dissipation(depth, rate) >= 0.0, "{depth} {rate}");
+                assert!(SPRING.force(depth, rate) >= 0.0 && SPRING.dissipation(depth, rate) >= 0.0, "{depth} {rate}");
             }
         }
-        assert_eq!(BUFFER.force(0.1, -1e4), 0.0);
+        assert_eq!(SPRING.force(0.1, -1e4), 0.0);
     }
 }

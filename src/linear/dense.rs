@@ -15,14 +15,15 @@ pub struct Dense {
 
 impl Dense {
     /// Factorises for any A₀ whose symmetric part is positive: with e > 0 the matrix is then regular.
-    pub fn factor(pose: &Pose, a0: &SMatrix<f64, COORDINATES, COORDINATES>, softness: f64) -> Self {
+    #[inline(never)]
+    pub fn factor(pose: &Pose, a0: &SMatrix<f64, COORDINATES, COORDINATES>, regularization: f64) -> Self {
         let phi_q = pose.phi_q();
         let mut matrix = SMatrix::<f64, SIZE, SIZE>::zeros();
         matrix.fixed_view_mut::<COORDINATES, COORDINATES>(0, 0).copy_from(a0);
         matrix.fixed_view_mut::<MULTIPLIERS, COORDINATES>(COORDINATES, 0).copy_from(&phi_q);
         matrix.fixed_view_mut::<COORDINATES, MULTIPLIERS>(0, COORDINATES).copy_from(&phi_q.transpose());
         for i in COORDINATES..SIZE {
-            matrix[(i, i)] = -softness;
+            matrix[(i, i)] = -regularization;
         }
         Self { lu: matrix.lu() }
     }
@@ -31,12 +32,12 @@ impl Dense {
 impl Kkt<COORDINATES, MULTIPLIERS> for Dense {
     fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         let mut xy = SVector::<f64, SIZE>::zeros();
-        xy.fixed_rows_mut::<COORDINATES>(0).copy_from_slice(b);
-        xy.fixed_rows_mut::<MULTIPLIERS>(COORDINATES).copy_from_slice(c);
+        xy.fixed_rows_mut::<COORDINATES>(0).copy_from_slice(&b[..]);
+        xy.fixed_rows_mut::<MULTIPLIERS>(COORDINATES).copy_from_slice(&c[..]);
         // Where extreme values have made it singular all the same, the caller's check for finite results ends the step.
         if !self.lu.solve_mut(&mut xy) {
             xy.fill(f64::NAN);
         }
-        (std::array::from_fn(|i| xy[i]), std::array::from_fn(|i| xy[COORDINATES + i]))
+        (Coordinates::from_fn(|i| xy[i]), Multipliers::from_fn(|i| xy[COORDINATES + i]))
     }
 }

@@ -13,7 +13,7 @@
 //!
 //! Both legs go through the same instructions in the two lanes of a register.
 
-use crate::integrator::{Kkt, combine};
+use crate::integrator::Kkt;
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers, Pose};
@@ -56,7 +56,7 @@ impl Symmetric {
 #[derive(Clone, Copy, Debug)]
 pub struct Elimination {
     mechanism: Mechanism,
-    softness: f64,
+    regularization: f64,
     ground: Ground,
     /// For A₀ = M.
     mass: Compliance,
@@ -94,8 +94,8 @@ impl Elimination {
     /// For a mechanism and e, 1/kg.
     #[cold]
     #[inline(never)]
-    pub fn new(mechanism: &Mechanism, softness: f64) -> Self {
-        let (e, mu, a, b) = (both(softness), both(1.0) / mechanism.mass_p, mechanism.a_p, mechanism.b_p);
+    pub fn new(mechanism: &Mechanism, regularization: f64) -> Self {
+        let (e, mu, a, b) = (both(regularization), both(1.0) / mechanism.mass_p, mechanism.a_p, mechanism.b_p);
         let along = both(1.0) / (mu + e);
         let ground = Ground {
             mu,
@@ -109,13 +109,13 @@ impl Elimination {
             lever: mu * (a + b) * (a + b) + e * b * b,
         };
         let mass = ground.compliance([mechanism.inertia_p, mechanism.inertia_d]);
-        Self { mechanism: *mechanism, softness, ground, mass }
+        Self { mechanism: *mechanism, regularization, ground, mass }
     }
 
     /// The same for another e, where it is another: close to a vertex, in the printed method.
     #[inline(always)]
-    fn with<'a>(&'a self, softness: f64, other: &'a mut Option<Self>) -> &'a Self {
-        if softness == self.softness { self } else { other.insert(Self::new(&self.mechanism, softness)) }
+    fn with<'a>(&'a self, regularization: f64, other: &'a mut Option<Self>) -> &'a Self {
+        if regularization == self.regularization { self } else { other.insert(Self::new(&self.mechanism, regularization)) }
     }
 }
 
@@ -155,28 +155,28 @@ pub struct TwoLeg {
 impl TwoLeg {
     /// Factorises for the inertias I′ of A₀ (proximal, distal), kg·m².
     #[inline(always)]
-    pub fn factor(elimination: &Elimination, pose: &Pose, inertias: [Legs; 2], softness: f64) -> Self {
+    pub fn factor(elimination: &Elimination, pose: &Pose, inertias: [Legs; 2], regularization: f64) -> Self {
         let mut other = None;
-        let elimination = elimination.with(softness, &mut other);
+        let elimination = elimination.with(regularization, &mut other);
         Self::eliminate(elimination, &elimination.ground.compliance(inertias), pose)
     }
 
     /// Factorises with the mass matrix in the corner.
     #[inline(always)]
-    pub fn factor_mass(elimination: &Elimination, pose: &Pose, softness: f64) -> Self {
+    pub fn factor_mass(elimination: &Elimination, pose: &Pose, regularization: f64) -> Self {
         let mut other = None;
-        let elimination = elimination.with(softness, &mut other);
+        let elimination = elimination.with(regularization, &mut other);
         Self::eliminate(elimination, &elimination.mass, pose)
     }
 
     #[inline(always)]
     fn eliminate(elimination: &Elimination, compliance: &Compliance, pose: &Pose) -> Self {
-        let Elimination { softness, ground: Ground { mu, along, couple_along, elbow_along, .. }, .. } = *elimination;
+        let Elimination { regularization, ground: Ground { mu, along, couple_along, elbow_along, .. }, .. } = *elimination;
         let mu_d = both(1.0) / elimination.mechanism.mass_d;
 
         // Elbow.
         let (n_p, n_a, n_b) = (pose.u_p.turned(), pose.a_d.turned(), pose.sigma_b_d.turned());
-        let elbow_inverse = Symmetric::new(mu_d + both(softness) + elbow_along, compliance.elbow_excess, n_p)
+        let elbow_inverse = Symmetric::new(mu_d + both(regularization) + elbow_along, compliance.elbow_excess, n_p)
             .plus(compliance.distal, n_a)
             .inverse();
         // n_a and n_b are parallel, so that their product is symmetric.
@@ -188,9 +188,9 @@ impl TwoLeg {
         let gain @ [first, second] = [Legs2 { x: elbow_tip.xx, y: elbow_tip.xy }, Legs2 { x: elbow_tip.xy, y: elbow_tip.yy }]
             .map(|t| elbow_inverse.times(t));
         let own = Symmetric::new(mu_d, compliance.distal, n_b);
-        let xx = sum(own.xx - (elbow_tip.xx * first.x + elbow_tip.xy * first.y)) + softness;
+        let xx = sum(own.xx - (elbow_tip.xx * first.x + elbow_tip.xy * first.y)) + regularization;
         let xy = sum(own.xy - (elbow_tip.xx * second.x + elbow_tip.xy * second.y));
-        let yy = sum(own.yy - (elbow_tip.xy * second.x + elbow_tip.yy * second.y)) + softness;
+        let yy = sum(own.yy - (elbow_tip.xy * second.x + elbow_tip.yy * second.y)) + regularization;
         let reciprocal = 1.0 / (xx * yy - xy * xy);
 
         Self {
@@ -206,10 +206,15 @@ impl TwoLeg {
         }
     }
 
+    /// The pose for which it is.
+    pub fn pose(&self) -> &Pose {
+        &self.pose
+    }
+
     /// A₀⁻¹ x.
     #[inline(always)]
-    fn yielded(&self, x: &Coordinates) -> Coordinates {
-        let mut result = [0.0; COORDINATES];
+    fn apply_inverse_mass(&self, x: &Coordinates) -> Coordinates {
+        let mut result = Coordinates::ZERO;
         for (i, mobility) in self.mobility.into_iter().enumerate() {
             set_legs(&mut result, i, mobility * legs_of(x, i));
         }
@@ -240,7 +245,7 @@ impl TwoLeg {
         let own = framed(self.ground_along, self.ground_excess, ground);
         let carried = framed(self.couple_along, self.couple_excess, elbow);
 
-        let mut y = [0.0; MULTIPLIERS];
+        let mut y = Multipliers::ZERO;
         set_legs(&mut y, G_X, own.x - carried.x);
         set_legs(&mut y, G_Y, own.y - carried.y);
         set_legs(&mut y, E_X, elbow.x);
@@ -254,16 +259,14 @@ impl TwoLeg {
 impl Kkt<COORDINATES, MULTIPLIERS> for TwoLeg {
     #[inline(always)]
     fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
-        let unconstrained = self.yielded(b);
-        let velocity = self.pose.phi_q_times(&unconstrained);
-        let y = self.dual(&combine([&velocity, c], |[velocity, c]| velocity - c));
-        let pull = self.yielded(&self.pose.phi_q_transposed_times(&y));
-        (combine([&unconstrained, &pull], |[x, pull]| x - pull), y)
+        let unconstrained = self.apply_inverse_mass(b);
+        let y = self.dual(&(self.pose.phi_q_times(&unconstrained) - *c));
+        (unconstrained - self.apply_inverse_mass(&self.pose.phi_q_transposed_times(&y)), y)
     }
 
     #[inline(always)]
     fn correction(&self, c: &Multipliers) -> Coordinates {
-        self.yielded(&self.pose.phi_q_transposed_times(&self.dual(c)))
+        self.apply_inverse_mass(&self.pose.phi_q_transposed_times(&self.dual(c)))
     }
 }
 

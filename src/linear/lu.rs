@@ -2,30 +2,24 @@
 //! (Golub and Van Loan, Matrix Computations, third edition, section 4.2.2: growth is bounded by that of T and S T⁻¹ Sᵀ), and without them
 //! every loop has a length that is known to the compiler.
 
+use crate::vector::Vector;
+
 /// A factorised matrix L U with N rows.
 #[derive(Clone, Debug)]
 pub(super) struct Lu<const N: usize> {
     /// Columns of L below the diagonal, 0 elsewhere.
-    lower: [[f64; N]; N],
+    lower: [Vector<N>; N],
     /// Rows of U above the diagonal, 0 elsewhere.
-    upper: [[f64; N]; N],
+    upper: [Vector<N>; N],
     /// 1 over the diagonal of U.
-    pivots: [f64; N],
-}
-
-/// x − factor·y.
-#[inline(always)]
-fn less<const N: usize>(x: &mut [f64; N], factor: f64, y: &[f64; N]) {
-    for (x, y) in x.iter_mut().zip(y) {
-        *x -= factor * y;
-    }
+    pivots: Vector<N>,
 }
 
 impl<const N: usize> Lu<N> {
     /// Factorises a matrix given by rows. Where it is singular all the same, the solutions are not finite.
     #[inline(always)]
-    pub(super) fn new(mut rows: [[f64; N]; N]) -> Self {
-        let (mut lower, mut pivots) = ([[0.0; N]; N], [0.0; N]);
+    pub(super) fn new(mut rows: [Vector<N>; N]) -> Self {
+        let (mut lower, mut pivots) = ([Vector::ZERO; N], Vector::ZERO);
         for k in 0..N {
             pivots[k] = 1.0 / rows[k][k];
             // Whole rows: what is left of the diagonal is 0 by now.
@@ -35,7 +29,7 @@ impl<const N: usize> Lu<N> {
                 let factor = rows[i][k] * pivots[k];
                 lower[k][i] = factor;
                 rows[i][k] = 0.0;
-                less(&mut rows[i], factor, &row);
+                rows[i] = rows[i] - factor * row;
             }
         }
         Self { lower, upper: rows, pivots }
@@ -43,15 +37,14 @@ impl<const N: usize> Lu<N> {
 
     /// A⁻¹ b.
     #[inline(always)]
-    pub(super) fn solve(&self, mut b: [f64; N]) -> [f64; N] {
+    pub(super) fn solve(&self, mut b: Vector<N>) -> Vector<N> {
         for k in 0..N {
             let factor = b[k];
-            less(&mut b, factor, &self.lower[k]);
+            b = b - factor * self.lower[k];
         }
-        let mut x = [0.0; N];
+        let mut x = Vector::ZERO;
         for k in (0..N).rev() {
-            let known: f64 = self.upper[k].iter().zip(&x).map(|(u, x)| u * x).sum();
-            x[k] = (b[k] - known) * self.pivots[k];
+            x[k] = (b[k] - self.upper[k].dot(&x)) * self.pivots[k];
         }
         x
     }
@@ -59,16 +52,16 @@ impl<const N: usize> Lu<N> {
 
 /// A⁻¹, both by rows: where it is asked for so often that solving would cost more, and the matrix is well-conditioned.
 #[inline(always)]
-pub(super) fn inverse<const N: usize>(mut rows: [[f64; N]; N]) -> [[f64; N]; N] {
+pub(super) fn inverse<const N: usize>(mut rows: [Vector<N>; N]) -> [Vector<N>; N] {
     for k in 0..N {
         let pivot = 1.0 / rows[k][k];
         rows[k][k] = 1.0;
-        let row = rows[k].map(|x| pivot * x);
+        let row = pivot * rows[k];
         rows[k] = row;
         for i in (0..N).filter(|&i| i != k) {
             let factor = rows[i][k];
             rows[i][k] = 0.0;
-            less(&mut rows[i], factor, &row);
+            rows[i] = rows[i] - factor * row;
         }
     }
     rows
@@ -81,17 +74,17 @@ mod tests {
     /// Far from symmetric, and badly scaled.
     #[test]
     fn solves_what_nalgebra_solves() {
-        let rows: [[f64; 5]; 5] = std::array::from_fn(|i| {
-            std::array::from_fn(|j| {
+        let rows: [Vector<5>; 5] = std::array::from_fn(|i| {
+            Vector::from_fn(|j| {
                 let skew = ((3 * i + 5 * j) % 7) as f64 - ((3 * j + 5 * i) % 7) as f64;
                 if i == j { 10f64.powi(i as i32) } else { skew }
             })
         });
-        let b = [1.0, -2.0, 3.0, 0.5, 4.0];
-        let vector = nalgebra::SVector::<f64, 5>::from(b);
+        let b = Vector::from([1.0, -2.0, 3.0, 0.5, 4.0]);
+        let vector = nalgebra::SVector::<f64, 5>::from(*b);
         let matrix = nalgebra::SMatrix::<f64, 5, 5>::from_fn(|i, j| rows[i][j]);
         let expected = matrix.lu().solve(&vector).expect("a regular matrix");
-        let by_inverse = inverse(rows).map(|row| row.iter().zip(&b).map(|(a, b)| a * b).sum::<f64>());
+        let by_inverse = Vector::from(inverse(rows).map(|row| row.dot(&b)));
         for solution in [Lu::new(rows).solve(b), by_inverse] {
             for (x, expected) in solution.iter().zip(expected.iter()) {
                 // Round-off of a matrix of condition below 1e5.
@@ -102,6 +95,7 @@ mod tests {
 
     #[test]
     fn a_singular_matrix_gives_nothing_finite() {
-        assert!(Lu::new([[0.0, 0.0], [0.0, 1.0]]).solve([1.0, 1.0]).iter().any(|x| !x.is_finite()));
+        let singular = [Vector::ZERO, Vector::unit(1)];
+        assert!(!Lu::new(singular).solve(Vector::from([1.0, 1.0])).is_finite());
     }
 }

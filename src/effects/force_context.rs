@@ -21,7 +21,7 @@ const TIP_LINK: usize = 1;
 
 /// What forces depend on.
 #[derive(Clone, Copy)]
-pub struct Situation<'a> {
+pub struct ForceContext<'a> {
     /// Coordinates, m and rad.
     pub q: &'a Coordinates,
     /// Velocities, m/s and rad/s.
@@ -34,7 +34,7 @@ pub struct Situation<'a> {
     pub turns: &'a [i64; 4],
 }
 
-impl Situation<'_> {
+impl ForceContext<'_> {
     /// Absolute angle of a motor axis, rad, whole turns included.
     #[inline(always)]
     pub fn motor_angle(&self, motor: usize) -> f64 {

@@ -5,10 +5,11 @@
 //! outer coordinates add 1/m between neighbouring joints, inner ones Φ_I A_I⁻¹ Φ_Iᵀ.
 
 use super::lu::{Lu, inverse};
-use crate::effects::tangents::{INNER, INNERS};
-use crate::integrator::{Kkt, combine};
+use super::tangents::{INNER, INNERS};
+use crate::integrator::Kkt;
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
+use crate::vector::Vector;
 
 /// Coordinates whose rows of A₀ hold nothing but a mass.
 const OUTER: [usize; COORDINATES - INNERS] = [X[0], X[2], X[3], Y[0], Y[2], Y[3]];
@@ -30,42 +31,42 @@ pub struct Coupled {
     /// 1/m of the outer coordinates.
     mobility: [f64; COORDINATES - INNERS],
     /// A_I⁻¹ by rows.
-    compliance: [[f64; INNERS]; INNERS],
+    compliance: [Vector<INNERS>; INNERS],
     dual: Lu<MULTIPLIERS>,
 }
 
 /// Φ_I X, the columns of Φ_q of the inner coordinates times a matrix, both by rows.
 #[inline(always)]
-fn phi_inner_times<const K: usize>(pose: &Pose, x: &[[f64; K]; INNERS]) -> [[f64; K]; MULTIPLIERS] {
+fn phi_inner_times<const K: usize>(pose: &Pose, x: &[Vector<K>; INNERS]) -> [Vector<K>; MULTIPLIERS] {
     /// Places of the angles of the proximal and the distal links, left and right; those of the position of link 2 are the axes.
     const PROXIMAL: [usize; 2] = [2, 5];
     const DISTAL: [usize; 2] = [3, 4];
     let [a_p, b_p, a_d, sigma_b_d] =
         [pose.a_p, pose.b_p, pose.a_d, pose.sigma_b_d].map(|arm| arm.turned()).map(|arm| [arm.x.to_array(), arm.y.to_array()]);
-    let mut product = [[0.0; K]; MULTIPLIERS];
+    let mut product = [Vector::ZERO; MULTIPLIERS];
     for (axis, [ground, elbow, tip]) in [[2 * G_X, 2 * E_X, TIP_X], [2 * G_Y, 2 * E_Y, TIP_Y]].into_iter().enumerate() {
         for leg in [0, 1] {
-            let [proximal, distal] = [&x[PROXIMAL[leg]], &x[DISTAL[leg]]];
-            product[ground + leg] = combine([proximal], |[p]| -a_p[axis][leg] * p);
-            product[elbow + leg] = combine([proximal, distal], |[p, d]| -b_p[axis][leg] * p - a_d[axis][leg] * d);
+            let [proximal, distal] = [x[PROXIMAL[leg]], x[DISTAL[leg]]];
+            product[ground + leg] = -a_p[axis][leg] * proximal;
+            product[elbow + leg] = -b_p[axis][leg] * proximal - a_d[axis][leg] * distal;
         }
-        let position = &x[axis];
-        product[elbow] = combine([&product[elbow], position], |[legs, position]| legs + position);
+        let position = x[axis];
+        product[elbow] += position;
         let [left, right] = sigma_b_d[axis];
-        product[tip] = combine([position, &x[DISTAL[0]], &x[DISTAL[1]]], |[position, l, r]| position + left * l + right * r);
+        product[tip] = position + left * x[DISTAL[0]] + right * x[DISTAL[1]];
     }
     product
 }
 
-fn transposed<const K: usize, const L: usize>(rows: &[[f64; K]; L]) -> [[f64; L]; K] {
-    std::array::from_fn(|j| std::array::from_fn(|i| rows[i][j]))
+fn transposed<const K: usize, const L: usize>(rows: &[Vector<K>; L]) -> [Vector<L>; K] {
+    std::array::from_fn(|j| Vector::from_fn(|i| rows[i][j]))
 }
 
 impl Coupled {
     /// Factorises for the masses of the outer coordinates and the block of A₀ of the inner ones by rows, whose symmetric part is
     /// positive: so is that of the dual matrix. Where values are not finite, the caller's check of the results ends the step.
     #[inline(always)]
-    pub fn factor(pose: &Pose, masses: &Coordinates, inner: [[f64; INNERS]; INNERS], softness: f64) -> Self {
+    pub fn factor(pose: &Pose, masses: &Coordinates, inner: [Vector<INNERS>; INNERS], regularization: f64) -> Self {
         let compliance = inverse(inner);
         // Φ_I A_I⁻¹ Φ_Iᵀ from Φ_I A_I⁻ᵀ.
         let mut dual = phi_inner_times(pose, &transposed(&phi_inner_times(pose, &transposed(&compliance))));
@@ -78,20 +79,20 @@ impl Coupled {
             }
         }
         for (i, row) in dual.iter_mut().enumerate() {
-            row[i] += softness;
+            row[i] += regularization;
         }
         Self { pose: *pose, mobility, compliance, dual: Lu::new(dual) }
     }
 
     /// A₀⁻¹ x.
-    fn yielded(&self, x: &Coordinates) -> Coordinates {
-        let mut result = [0.0; COORDINATES];
+    fn apply_inverse_mass(&self, x: &Coordinates) -> Coordinates {
+        let mut result = Coordinates::ZERO;
         for (i, mobility) in OUTER.into_iter().zip(self.mobility) {
             result[i] = mobility * x[i];
         }
-        let inner = INNER.map(|i| x[i]);
+        let inner = Vector::from(INNER.map(|i| x[i]));
         for (i, row) in INNER.into_iter().zip(&self.compliance) {
-            result[i] = row.iter().zip(&inner).map(|(a, x)| a * x).sum();
+            result[i] = row.dot(&inner);
         }
         result
     }
@@ -99,10 +100,8 @@ impl Coupled {
 
 impl Kkt<COORDINATES, MULTIPLIERS> for Coupled {
     fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
-        let unconstrained = self.yielded(b);
-        let velocity = self.pose.phi_q_times(&unconstrained);
-        let y = self.dual.solve(std::array::from_fn(|i| velocity[i] - c[i]));
-        let pull = self.yielded(&self.pose.phi_q_transposed_times(&y));
-        (std::array::from_fn(|i| unconstrained[i] - pull[i]), y)
+        let unconstrained = self.apply_inverse_mass(b);
+        let y = self.dual.solve(self.pose.phi_q_times(&unconstrained) - *c);
+        (unconstrained - self.apply_inverse_mass(&self.pose.phi_q_transposed_times(&y)), y)
     }
 }

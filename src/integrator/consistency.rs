@@ -1,0 +1,102 @@
+//! Whether a state that comes from outside is one that a step can have left.
+
+use super::equilibrium::equilibrium;
+use super::{Counters, Passage, State, System};
+use crate::vector::Vector;
+
+/// What is wrong with a state, as the end of a sentence that begins with it.
+pub type Inconsistency = &'static str;
+
+/// How far a state may be from what its coordinates and rates give.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounds {
+    /// Of max |Φ|, in multiples of the system's size.
+    pub position: f64,
+    /// Of max |Φ_q q̇|, in multiples of its largest term.
+    pub velocity: f64,
+    /// Of q̈, λ and the power against equilibrium, relative; `None` for a method whose q̈ is another.
+    pub balance: Option<f64>,
+    /// e of the saddle-point systems, far from every vertex and near one, 1/kg.
+    pub regularizations: [f64; 2],
+}
+
+/// Larger counters have not been counted: they would take longer than a lifetime.
+const MOST_COUNTED: u64 = 1 << 62;
+
+/// On a ray through a vertex nothing is projected: positions and rates are off by this at most, see [`Bounds`].
+const ON_RAY: [f64; 2] = [1e-4, 1e-1];
+
+impl Counters {
+    fn are_countable(&self) -> bool {
+        let &Self { steps, substeps, iterations, rejected, rescued, restarts, launches, vertex_passes, mode_changes } = self;
+        let counters = [steps, substeps, iterations, rejected, rescued, restarts, launches, vertex_passes];
+        counters.iter().chain(&mode_changes).all(|count| *count < MOST_COUNTED)
+    }
+}
+
+impl<const N: usize, const M: usize> State<N, M> {
+    /// Whether all that follows from coordinates, rates and forces is what these give, and the rest is possible.
+    pub fn check<S: System<N, M> + Passage<N>>(&self, system: &S, bounds: &Bounds) -> Result<(), Inconsistency> {
+        let vectors = [&self.q, &self.v, &self.a, &self.jerk];
+        let energies = [self.work.input, self.work.dissipated, self.power.input, self.power.dissipated];
+        if !(vectors.iter().all(|x| x.is_finite()) && self.lambda.is_finite() && energies.iter().all(|x| x.is_finite())) {
+            return Err("a coordinate, rate, acceleration, force or energy is not finite");
+        }
+        if !(self.substep > 0.0 && self.error_estimate >= 0.0 && self.error_estimate.is_finite()) {
+            return Err("a step or a local error is no positive number");
+        }
+        if !self.counters.are_countable() {
+            return Err("a counter is larger than anything that can be counted");
+        }
+        self.check_constraints(system, bounds)?;
+        if let Some(bound) = bounds.balance {
+            self.check_balance(system, bounds.regularizations, bound)?;
+        }
+        let pose = system.pose(&self.q);
+        if self.modes != system.modes(&pose) {
+            return Err("its modes are not those of the posture");
+        }
+        Ok(())
+    }
+
+    fn check_constraints<S: System<N, M> + Passage<N>>(&self, system: &S, bounds: &Bounds) -> Result<(), Inconsistency> {
+        if self.on_ray && !system.is_near_vertex(&self.q) {
+            return Err("it is on a ray through a vertex, and none is near");
+        }
+        let [position, velocity] = if self.on_ray { ON_RAY } else { [bounds.position, bounds.velocity] };
+        let pose = system.pose(&self.q);
+        if system.phi(&self.q, &pose).max_norm() > position * system.length_scale() {
+            return Err("the loop is open");
+        }
+        // The largest term of Φ_q q̇: each coordinate alone.
+        let terms = (0..N).map(|i| system.phi_q_times(&pose, &(self.v[i] * Vector::unit(i))).max_norm());
+        if system.phi_q_times(&pose, &self.v).max_norm() > velocity * terms.fold(0.0, f64::max) {
+            return Err("the rates tear the loop apart");
+        }
+        Ok(())
+    }
+
+    fn check_balance<S: System<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        regularizations: [f64; 2],
+        bound: f64,
+    ) -> Result<(), Inconsistency> {
+        let close = |x: f64, y: f64, scale: f64| (x - y).abs() <= bound * (1.0 + scale);
+        let in_balance = regularizations.into_iter().any(|regularization| {
+            let (a, lambda) = equilibrium(system, &self.q, &self.v, regularization);
+            let a = system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
+            close((a - self.a).max_norm(), 0.0, a.max_norm()) && close((lambda - self.lambda).max_norm(), 0.0, lambda.max_norm())
+        });
+        if !in_balance {
+            return Err("accelerations and joint forces do not balance the loads");
+        }
+        let power = if system.follows_work() { system.power(&self.q, &system.pose(&self.q), &self.v) } else { Default::default() };
+        let same = |x: f64, y: f64| close(x, y, y.abs());
+        if same(self.power.input, power.input) && same(self.power.dissipated, power.dissipated) {
+            Ok(())
+        } else {
+            Err("the power is not that of the loads")
+        }
+    }
+}

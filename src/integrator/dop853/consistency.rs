@@ -1,0 +1,75 @@
+//! Whether a step under way that comes from outside is one that the method makes: it is made once more.
+
+use super::stages::{Slope, Stages};
+use super::step::LONGEST;
+use super::{DenseStep, LEAST_LOG_ERROR, Memory, Settings};
+use crate::integrator::consistency::{Bounds, Inconsistency};
+use crate::integrator::{Approach, Departure, Passage, StepError, System};
+use crate::vector::Vector;
+
+/// Part of each value by which the step made once more may differ: its angles may since have been moved by whole turns.
+const SAME: f64 = 1e-7;
+
+fn close<const K: usize>(x: &Vector<K>, y: &Vector<K>) -> bool {
+    x.iter().zip(y.iter()).all(|(x, y)| (x - y).abs() <= SAME * (1.0 + y.abs()))
+}
+
+impl Memory {
+    fn is_possible(&self) -> bool {
+        // The error of an accepted step is 1 tolerance at most.
+        (LEAST_LOG_ERROR..=0.0).contains(&self.log_error) && self.stiffness.is_consistent()
+    }
+}
+
+impl<const N: usize> Slope<N> {
+    fn is_close(&self, other: &Self) -> bool {
+        let power = |slope: &Self| Vector::from([slope.power.input, slope.power.dissipated]);
+        close(&self.q, &other.q) && close(&self.v, &other.v) && close(&power(self), &power(other))
+    }
+}
+
+impl<const N: usize, const M: usize> DenseStep<N, M> {
+    /// Whether both ends are states, and the step leads from one to the other.
+    pub fn check<S: System<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+        bounds: &Bounds,
+    ) -> Result<(), Inconsistency> {
+        self.start.check(system, bounds)?;
+        self.end.check(system, bounds)?;
+        if !(self.memory.is_possible() && self.before.is_possible()) {
+            return Err("the step-size controller remembers the impossible");
+        }
+        if !(0.0..=LONGEST).contains(&self.length) || !(0.0..=self.length).contains(&self.elapsed) {
+            return Err("the time is not within the step under way");
+        }
+        if self.length == 0.0 {
+            let same = self.start == self.end && self.dense == [Slope::NONE; 4] && !self.straight;
+            return if same { Ok(()) } else { Err("a step of no length leads elsewhere") };
+        }
+        match self.again(system, settings) {
+            Ok(true) => Ok(()),
+            _ => Err("the step under way does not lead from its beginning to its end"),
+        }
+    }
+
+    /// Makes the step once more: whether it leads to the same end.
+    fn again<S: System<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> Result<bool, StepError> {
+        let mut end = self.start;
+        if self.straight {
+            let from = Departure { q: &self.start.q, v: &self.start.v, on_ray: self.start.on_ray, rest: self.length };
+            let Approach::Passed(transit) = system.approach(&settings.passage(), &from) else { return Ok(false) };
+            end.pass_through(system, &transit, settings.regularization)?;
+            let same = (transit.duration - self.length).abs() <= SAME * self.length && end.on_ray == self.end.on_ray;
+            return Ok(same && self.dense == [Slope::NONE; 4] && close(&end.q, &self.end.q) && close(&end.v, &self.end.v));
+        }
+        let mut stages = Stages::new(system, settings.regularization, &self.start, self.length);
+        let (_, arrival) = settings.project_and_evaluate(system, stages.end())?;
+        end.arrive(arrival);
+        let dense = stages.dense(system, settings.regularization, &end);
+        let interpolated = self.dense == [Slope::NONE; 4] && self.elapsed == self.length
+            || self.dense.iter().zip(&dense).all(|(stored, made)| stored.is_close(made));
+        Ok(interpolated && close(&end.q, &self.end.q) && close(&end.v, &self.end.v))
+    }
+}

@@ -1,0 +1,50 @@
+//! Whether the scene is too stiff for an explicit method (Hairer, Wanner II, section IV.2, the test of DOP853).
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+/// Accepted steps between two checks.
+const INTERVAL: u64 = 1000;
+/// A step whose product with the fastest rate is larger than this is at the border of stability: there the estimated product is 3.9 for
+/// a damper and in the mean 3.3 for a damped spring (the true ones are 6.4 and 5.5), and below 1.7 where accuracy limits the step.
+const STABILITY_LIMIT: f64 = 2.5;
+/// So many steps there in all, without [`NONSTIFF_STEPS`] others in a row between them, are no accident.
+const STIFF_STEPS: u8 = 15;
+/// So many steps away from the border begin the count anew.
+const NONSTIFF_STEPS: u8 = 6;
+
+/// What has been seen of the border of stability.
+#[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct Stiffness {
+    at_border: u8,
+    away: u8,
+    /// Whether steps have been limited by stability and not by accuracy.
+    pub(super) found: bool,
+}
+
+impl Stiffness {
+    /// Whether a check is due after this many accepted steps.
+    #[inline(always)]
+    pub(super) fn is_due(&self, substeps: u64) -> bool {
+        !self.found && (self.at_border > 0 || substeps.is_multiple_of(INTERVAL))
+    }
+
+    /// A check by the product of a step with the fastest rate.
+    #[cold]
+    pub(super) fn check(&mut self, step_times_rate: f64) {
+        if step_times_rate > STABILITY_LIMIT {
+            self.away = 0;
+            self.at_border += 1;
+            self.found = self.at_border == STIFF_STEPS;
+        } else if self.at_border > 0 {
+            self.away += 1;
+            if self.away == NONSTIFF_STEPS {
+                (self.at_border, self.away) = (0, 0);
+            }
+        }
+    }
+
+    /// Whether the counts are such as checks leave behind.
+    pub(super) fn is_consistent(&self) -> bool {
+        self.at_border <= STIFF_STEPS && self.away < NONSTIFF_STEPS && self.found == (self.at_border == STIFF_STEPS)
+    }
+}

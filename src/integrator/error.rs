@@ -1,0 +1,72 @@
+//! Why a step could not be done.
+
+use std::fmt;
+
+/// Why a step could not be done.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum StepError {
+    /// Newton did not meet its tolerance.
+    NotConverged {
+        /// Iterations spent.
+        iterations: u32,
+        /// Largest constraint violation left, m.
+        violation: f64,
+        /// What was asked for, m.
+        tolerance: f64,
+        /// Largest last correction of a coordinate, m or rad, which is judged as well.
+        correction: f64,
+    },
+    /// The tangent matrix is not positive: the step is too long for this posture and load.
+    IndefiniteTangent,
+    /// A value became NaN or infinite.
+    NotFinite,
+    /// Close to a vertex a sub-step changed the energy.
+    EnergyChange {
+        /// By this part of the kinetic energy.
+        part: f64,
+    },
+    /// The local error is too large however short the sub-step.
+    StepTooShort {
+        /// The last sub-step tried, s.
+        substep: f64,
+        /// Its local error, rad; NaN if it failed altogether.
+        error: f64,
+    },
+    /// The local error, or sub-steps that failed, asked for more sub-steps than one macro step may have.
+    TooManySubsteps {
+        /// The bound.
+        most: u32,
+        /// The last sub-step tried, s.
+        substep: f64,
+        /// Its local error, rad; infinite if it failed altogether.
+        error: f64,
+    },
+}
+
+impl fmt::Display for StepError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotConverged { iterations, violation, tolerance, correction } => write!(
+                f,
+                "the iteration did not converge: after {iterations} iterations the constraints are violated by {violation:.3e} m \
+                 (allowed {tolerance:.3e} m) and the last correction was {correction:.3e} m or rad"
+            ),
+            Self::IndefiniteTangent => {
+                f.write_str("the tangent matrix is not positive definite: the step is too long for this posture and load")
+            }
+            Self::EnergyChange { part } => {
+                write!(f, "next to a constraint singularity a sub-step changed the kinetic energy by {part:.3e} of itself")
+            }
+            Self::NotFinite => f.write_str("a coordinate, velocity or acceleration is not finite"),
+            Self::StepTooShort { substep, error } => {
+                write!(f, "a sub-step of only {substep:.3e} s still had a local error of {error:.3e} rad")
+            }
+            Self::TooManySubsteps { most, substep, error } => write!(
+                f,
+                "a macro step needs more than {most} sub-steps: the last, of {substep:.3e} s, had a local error of {error:.3e} rad"
+            ),
+        }
+    }
+}
+
+impl std::error::Error for StepError {}

@@ -1,0 +1,127 @@
+//! The nonlinear equations of a step, by Newton's method.
+
+use super::super::projection::ROUND_OFF;
+use super::Settings;
+use crate::integrator::{Counters, Implicit, State, StepError, TangentPoint};
+use crate::vector::Vector;
+
+/// The step at which [`Settings::tolerance`] holds, s. Multiplier noise is Φ/β, so the tolerance falls with h².
+const TOLERANCE_STEP: f64 = 1e-3;
+/// Newton's bound on |Φ| never falls below this part of the system's size.
+const LEAST_TOLERANCE: f64 = 16.0 * f64::EPSILON;
+/// A last Newton correction below this leaves, by quadratic convergence, an error below round-off.
+pub(super) const LAST_CORRECTION: f64 = 1e-5;
+
+/// A step in the making: what it starts from and its two unknowns.
+pub(super) struct Step<const N: usize, const M: usize> {
+    pub(super) h: f64,
+    /// β = h²/4.
+    pub(super) beta: f64,
+    /// Bound on max |Φ|, m.
+    pub(super) tolerance: f64,
+    /// q + h q̇ + h²/2 q̈.
+    pub(super) predicted: Vector<N>,
+    /// q̇ + h q̈.
+    v: Vector<N>,
+    /// β q̈.
+    pub(super) inertia: Vector<N>,
+    /// δ, the increment against the prediction.
+    pub(super) delta: Vector<N>,
+    /// λ, the total multipliers.
+    pub(super) lambda: Vector<M>,
+}
+
+/// Where the unknowns of a step lead.
+pub(super) struct Found<const N: usize, P> {
+    pub(super) q: Vector<N>,
+    pub(super) pose: P,
+    /// q̇ of the trapezoidal rule.
+    pub(super) v: Vector<N>,
+}
+
+impl<const N: usize, const M: usize> Step<N, M> {
+    /// δ is the increment against q + h q̇ + h²/2 q̈: an unknown without the round-off of q̈ = 4/h² (q − …).
+    #[inline(always)]
+    pub(super) fn predict(state: &State<N, M>, h: f64, tolerance: f64) -> Self {
+        let State { q, v, a, jerk, lambda, .. } = *state;
+        let beta = h * h / 4.0;
+        Self {
+            h,
+            beta,
+            tolerance,
+            predicted: q + h * (v + h / 2.0 * a),
+            v: v + h * a,
+            inertia: beta * a,
+            delta: beta * h * jerk,
+            lambda,
+        }
+    }
+
+    /// The same step from the prediction without the jerk.
+    pub(super) fn anew(&self, state: &State<N, M>) -> Self {
+        Self { delta: Vector::ZERO, lambda: state.lambda, ..*self }
+    }
+
+    pub(super) fn q(&self) -> Vector<N> {
+        self.predicted + self.delta
+    }
+
+    /// q̇ of the trapezoidal rule.
+    pub(super) fn velocity(&self) -> Vector<N> {
+        self.v + 2.0 / self.h * self.delta
+    }
+
+    /// β q̈ + δ: β times q̈ of the trapezoidal rule.
+    pub(super) fn acceleration(&self) -> Vector<N> {
+        self.inertia + self.delta
+    }
+}
+
+/// Newton's method on δ and λ.
+#[inline(always)]
+pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
+    system: &S,
+    settings: &Settings,
+    step: &mut Step<N, M>,
+    counters: &mut Counters,
+) -> Result<Found<N, S::Pose>, StepError> {
+    let &Settings { regularization, max_iterations, .. } = settings;
+    let beta = step.beta;
+    let mut q = step.q();
+    let mut pose = system.pose(&q);
+    let mut phi = system.phi(&q, &pose);
+    let mut violation = phi.max_norm();
+    let mut iterations = 0;
+    loop {
+        iterations += 1;
+        counters.iterations += 1;
+        let v = step.velocity();
+        let b = beta * system.forces(&q, &pose, &v) - system.mass_times(&pose, &step.acceleration());
+        let c = -regularization * beta * step.lambda - phi;
+        let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &step.lambda, h: step.h };
+        let (correction, y) = system.solve_tangent(&at, regularization, (&b, &c))?;
+        step.lambda = y / beta;
+        step.delta += correction;
+        q = step.q();
+        pose = system.pose(&q);
+        phi = system.phi(&q, &pose);
+
+        let previous = violation;
+        violation = phi.max_norm();
+        let at_round_off = violation >= previous && violation < ROUND_OFF * system.length_scale();
+        let correction = correction.max_norm();
+        if (violation < step.tolerance || at_round_off) && correction < LAST_CORRECTION {
+            return Ok(Found { q, pose, v: step.velocity() });
+        }
+        if iterations >= max_iterations {
+            return Err(StepError::NotConverged { iterations, violation, tolerance: step.tolerance, correction });
+        }
+    }
+}
+
+/// Newton's bound on max |Φ|, m: scaled with the machine and with h², never below round-off.
+#[inline(always)]
+pub(super) fn constraint_tolerance(settings: &Settings, length_scale: f64, h: f64) -> f64 {
+    let scaled = settings.tolerance * (h / TOLERANCE_STEP) * (h / TOLERANCE_STEP);
+    length_scale * scaled.clamp(LEAST_TOLERANCE.min(settings.tolerance), settings.tolerance)
+}

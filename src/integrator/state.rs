@@ -1,0 +1,171 @@
+//! What changes during a run, and how a step ends.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::equilibrium::{equilibrium, equilibrium_at};
+use super::{Passage, StepError, System, Work};
+use crate::vector::Vector;
+
+/// What the integrator has done since the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+pub struct Counters {
+    /// Macro steps.
+    pub steps: u64,
+    /// Accepted sub-steps.
+    pub substeps: u64,
+    /// Newton iterations, those of rejected sub-steps included.
+    pub iterations: u64,
+    /// Rejected sub-steps.
+    pub rejected: u64,
+    /// Sub-steps that converged by the line-search fallback only.
+    pub rescued: u64,
+    /// Times that q̈ and λ were found anew from equilibrium because the inputs had changed.
+    pub restarts: u64,
+    /// Starts from rest in a vertex.
+    pub launches: u64,
+    /// Vertices of the configuration space passed straight through.
+    pub vertex_passes: u64,
+    /// Changes of each bit of [`System::modes`].
+    pub mode_changes: [u64; MODES],
+}
+
+impl Counters {
+    /// Singularities: starts from rest in a vertex, vertices passed, changes of each mode.
+    pub fn singular(&self) -> [u64; MODES + 2] {
+        let [first, second, third] = self.mode_changes;
+        [self.launches, self.vertex_passes, first, second, third]
+    }
+}
+
+/// Bits of [`System::modes`] that are counted.
+pub const MODES: usize = 3;
+
+/// Everything that changes during a run: a copy of it is a complete snapshot.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub struct State<const N: usize, const M: usize> {
+    /// Coordinates q, m and rad.
+    pub q: Vector<N>,
+    /// Velocities q̇, m/s and rad/s.
+    pub v: Vector<N>,
+    /// Accelerations q̈ from equilibrium, m/s² and rad/s².
+    pub a: Vector<N>,
+    /// Multipliers λ from equilibrium, N for constraints in m.
+    pub lambda: Vector<M>,
+    /// (q̈ₙ − q̈ₙ₋₁)/h of the last sub-step, m/s³ and rad/s³, for the predictor; 0 after a restart.
+    pub jerk: Vector<N>,
+    /// The sub-step that the local error last asked for, s; infinite before the first.
+    pub substep: f64,
+    /// Local error of the last accepted sub-step, rad; see [`System::angle_norm`].
+    pub error_estimate: f64,
+    /// Work since the start, J: along the path, by the order of the method.
+    pub work: Work,
+    /// Its rate, W; 0 unless [`System::follows_work`].
+    pub power: Work,
+    /// [`System::modes`] of q.
+    pub modes: u8,
+    /// Whether it is on a ray through a vertex: not projected until it leaves the ball.
+    pub on_ray: bool,
+    /// Other branches on which the last start from rest in a vertex could have gone as well.
+    pub alternatives: u32,
+    /// Counters since the start.
+    pub counters: Counters,
+}
+
+impl<const N: usize, const M: usize> State<N, M> {
+    /// The state at the start, with q̈ and λ from equilibrium (λ of minimum norm where the constraints lose rank).
+    pub fn start<S: System<N, M> + Passage<N>>(system: &S, q: Vector<N>, v: Vector<N>, regularization: f64) -> Self {
+        let mut state = Self {
+            q,
+            v,
+            a: Vector::ZERO,
+            lambda: Vector::ZERO,
+            jerk: Vector::ZERO,
+            substep: f64::INFINITY,
+            error_estimate: 0.0,
+            work: Work::default(),
+            power: Work::default(),
+            modes: system.modes(&system.pose(&q)),
+            on_ray: false,
+            alternatives: 0,
+            counters: Counters::default(),
+        };
+        state.balance(system, regularization);
+        state
+    }
+
+    /// The forces have changed at once: q̈ and λ follow from equilibrium, the predictor starts anew.
+    ///
+    /// Without it a new input would act half a step late and every driven scene would be first order only.
+    pub fn restart<S: System<N, M> + Passage<N>>(&mut self, system: &S, regularization: f64) {
+        self.balance(system, regularization);
+        self.jerk = Vector::ZERO;
+        self.counters.restarts += 1;
+    }
+
+    /// q̈ and λ from equilibrium, and the power; at rest exactly in a vertex q̈ is that of the branch of least constraint.
+    pub fn balance<S: System<N, M> + Passage<N>>(&mut self, system: &S, regularization: f64) {
+        let (a, lambda) = equilibrium(system, &self.q, &self.v, regularization);
+        self.a = system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
+        self.lambda = lambda;
+        self.power = power(system, &self.q, &system.pose(&self.q), &self.v);
+    }
+
+    /// Counts the determinants that have changed sign.
+    #[inline(always)]
+    pub(super) fn observe_modes(&mut self, modes: u8) {
+        if modes != self.modes {
+            for (bit, changes) in self.counters.mode_changes.iter_mut().enumerate() {
+                *changes += u64::from((modes ^ self.modes) >> bit & 1);
+            }
+            self.modes = modes;
+        }
+    }
+
+    /// Becomes what a step has led to. The work, the predictor and the steps to come are the method's.
+    #[inline(always)]
+    pub(super) fn arrive(&mut self, arrival: Arrival<N, M>) {
+        let Arrival { q, v, a, lambda, power, modes } = arrival;
+        (self.q, self.v, self.a, self.lambda, self.power) = (q, v, a, lambda, power);
+        self.on_ray = false;
+        self.observe_modes(modes);
+        self.counters.substeps += 1;
+    }
+}
+
+/// Where a step leads.
+pub(super) struct Arrival<const N: usize, const M: usize> {
+    pub(super) q: Vector<N>,
+    pub(super) v: Vector<N>,
+    pub(super) a: Vector<N>,
+    pub(super) lambda: Vector<M>,
+    pub(super) power: Work,
+    pub(super) modes: u8,
+}
+
+impl<const N: usize, const M: usize> Arrival<N, M> {
+    /// At q and q̇ with these q̈ and λ.
+    #[inline(always)]
+    pub(super) fn new<S: System<N, M>>(system: &S, [q, v, a]: [Vector<N>; 3], pose: &S::Pose, lambda: Vector<M>) -> Self {
+        Self { q, v, a, lambda, power: power(system, &q, pose, &v), modes: system.modes(pose) }
+    }
+
+    /// At q and q̇ with q̈ and λ from equilibrium.
+    #[inline(always)]
+    pub(super) fn in_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose, mass: &S::Mass) -> Self {
+        let (a, lambda) = equilibrium_at(system, &q, pose, &v, mass);
+        Self::new(system, [q, v, a], pose, lambda)
+    }
+
+    /// Refuses what is not finite.
+    #[inline(always)]
+    pub(super) fn finite(self) -> Result<Self, StepError> {
+        let finite = self.q.is_finite() && self.v.is_finite() && self.a.is_finite();
+        if finite { Ok(self) } else { Err(StepError::NotFinite) }
+    }
+}
+
+/// The power that is followed, W.
+#[inline(always)]
+fn power<const N: usize, const M: usize, S: System<N, M>>(system: &S, q: &Vector<N>, pose: &S::Pose, v: &Vector<N>) -> Work {
+    if system.follows_work() { system.power(q, pose, v) } else { Work::default() }
+}

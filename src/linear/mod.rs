@@ -1,0 +1,299 @@
+//! The saddle-point systems of the five-bar, [A Φ_qᵀ; Φ_q −e] with A = M or the tangent A₀, and the choice of their linear solve.
+//!
+//! | file | solves |
+//! | --- | --- |
+//! | `two_leg.rs` | joint by joint along both legs at once: A is diagonal |
+//! | `coupled.rs` | effects couple links: A is full in six inner coordinates |
+//! | `dense.rs` | anything: inertias are far apart |
+//! | `lu.rs` | Gauss's elimination for `coupled.rs` |
+//! | `tangents.rs` | A₀ as each of them needs it |
+
+pub mod coupled;
+pub mod dense;
+mod lu;
+pub mod tangents;
+pub mod two_leg;
+
+use nalgebra::{SMatrix, SVector};
+
+use crate::effects::{Effect, Tangents};
+use crate::integrator::{Kkt, StepError};
+use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
+use crate::mechanism::{COORDINATES, Coordinates, Geometry, MULTIPLIERS, Mechanism, Multipliers, Pose};
+use crate::vector::Vector;
+use coupled::Coupled;
+use dense::Dense;
+use tangents::{CoupledTangents, DiagonalTangents, FullTangents, INNER, INNERS};
+use two_leg::{Elimination, TwoLeg};
+
+/// The linear solves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LinearSolve {
+    /// Leg by leg: no active effect couples links. See [`two_leg`].
+    TwoLeg,
+    /// Active effects couple links. See [`coupled`].
+    Coupled,
+    /// Anything: inertias are far apart. See [`dense`].
+    Dense,
+}
+
+impl LinearSolve {
+    /// The fastest that a machine with these effects allows.
+    pub fn choose(geometry: &Geometry, effects: &[Effect]) -> Self {
+        if compliance_spread(geometry) > LARGEST_SPREAD {
+            Self::Dense
+        } else if effects.iter().any(Effect::couples_links) {
+            Self::Coupled
+        } else {
+            Self::TwoLeg
+        }
+    }
+}
+
+/// Beyond this spread of compliances the differences of the two-leg elimination lose too many digits: its error is the square of the
+/// spread times ε. The paper's links have 3.
+const LARGEST_SPREAD: f64 = 1e4;
+
+/// Largest over smallest compliance of the links' ends, 1/m and arm²/I.
+fn compliance_spread(geometry: &Geometry) -> f64 {
+    let compliances = geometry.links.iter().flat_map(|link| {
+        let arm = link.com.abs().max((link.length - link.com).abs());
+        [1.0 / link.mass, (1.0 / link.mass).max(arm * arm / link.inertia)]
+    });
+    let (least, most) = compliances.fold((f64::INFINITY, 0.0_f64), |(least, most), x| (least.min(x), most.max(x)));
+    most / least
+}
+
+/// The tangent must keep at least this part of the mass matrix; below it the step is too long for a Newton step to be a descent.
+const LEAST_INERTIA: f64 = 0.1;
+
+/// What a descent direction needs: at least this part of the mass matrix.
+const DESCENT_INERTIA: f64 = 0.3;
+
+/// What to do where A₀ is not sufficiently positive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Definite {
+    /// Refuse it: the step is too long.
+    Demanded,
+    /// Raise it until it is: a descent direction.
+    Enforced,
+}
+
+/// The forces whose tangents are in A₀.
+pub trait TangentSource {
+    /// Adds K and C.
+    fn add_tangents(&self, tangents: &mut impl Tangents);
+}
+
+/// Of which step the tangent A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q) is factorised.
+pub struct TangentOf<'a, F> {
+    /// The forces at its end.
+    pub forces: &'a F,
+    /// The pose there.
+    pub pose: &'a Pose,
+    /// Multipliers, N for constraints in m.
+    pub lambda: &'a Multipliers,
+    /// The step, s.
+    pub h: f64,
+    /// e of the saddle-point matrix, 1/kg.
+    pub regularization: f64,
+    /// What to do where A₀ is not sufficiently positive.
+    pub definite: Definite,
+}
+
+/// A mechanism with its linear solve.
+#[derive(Clone, Debug)]
+pub struct LinearSolver {
+    solve: LinearSolve,
+    mechanism: Mechanism,
+    elimination: Elimination,
+}
+
+/// The factorised saddle-point matrix with M, which is always diagonal, in the corner. Where the inertias are far apart, it is factorised
+/// densely at each solve instead: those machines are rare.
+#[derive(Clone, Debug)]
+pub struct MassFactor<'a, const BARE: bool> {
+    solver: &'a LinearSolver,
+    two_leg: TwoLeg,
+    regularization: f64,
+}
+
+impl<const BARE: bool> Kkt<COORDINATES, MULTIPLIERS> for MassFactor<'_, BARE> {
+    #[inline(always)]
+    fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
+        if !BARE && self.solver.solve == LinearSolve::Dense {
+            return self.solver.solve_dense_mass(self.two_leg.pose(), self.regularization, (b, c));
+        }
+        self.two_leg.solve(b, c)
+    }
+
+    #[inline(always)]
+    fn correction(&self, c: &Multipliers) -> Coordinates {
+        if !BARE && self.solver.solve == LinearSolve::Dense {
+            return self.solver.solve_dense_mass(self.two_leg.pose(), self.regularization, (&Coordinates::ZERO, c)).0;
+        }
+        self.two_leg.correction(c)
+    }
+}
+
+/// x and y of a saddle-point system.
+type Solution = (Coordinates, Multipliers);
+
+impl LinearSolver {
+    /// For a mechanism whose saddle-point systems have this e, 1/kg, most of the time.
+    pub fn new(solve: LinearSolve, mechanism: &Mechanism, regularization: f64) -> Self {
+        Self { solve, mechanism: *mechanism, elimination: Elimination::new(mechanism, regularization) }
+    }
+
+    /// The same mechanism with another solve.
+    pub fn choose(&mut self, solve: LinearSolve) {
+        self.solve = solve;
+    }
+
+    /// Which solve it is.
+    pub fn linear_solve(&self) -> LinearSolve {
+        self.solve
+    }
+
+    /// Factorises with M in the corner. `BARE`: the solve is known to be leg by leg.
+    #[inline(always)]
+    pub fn factor_mass<const BARE: bool>(&self, pose: &Pose, regularization: f64) -> MassFactor<'_, BARE> {
+        MassFactor { solver: self, two_leg: TwoLeg::factor_mass(&self.elimination, pose, regularization), regularization }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn solve_dense_mass(&self, pose: &Pose, regularization: f64, (b, c): (&Coordinates, &Multipliers)) -> Solution {
+        Dense::factor(pose, &self.mass_matrix(), regularization).solve(b, c)
+    }
+
+    /// Solves with A₀ in the corner. `BARE`: as above.
+    #[inline(always)]
+    pub fn solve_tangent<const BARE: bool>(
+        &self,
+        of: &TangentOf<'_, impl TangentSource>,
+        right: (&Coordinates, &Multipliers),
+    ) -> Result<Solution, StepError> {
+        match self.solve {
+            _ if BARE => Ok(self.factor_two_leg(of)?.solve(right.0, right.1)),
+            LinearSolve::TwoLeg => Ok(self.factor_two_leg(of)?.solve(right.0, right.1)),
+            LinearSolve::Coupled => self.solve_coupled(of, right),
+            LinearSolve::Dense => self.solve_dense(of, right),
+        }
+    }
+
+    /// (M + h/2 C + h²/4 K) x.
+    pub fn weight_times(&self, forces: &impl TangentSource, h: f64, x: &Coordinates) -> Coordinates {
+        let weight = self.mass_matrix() + full_tangents(forces, h);
+        <[f64; COORDINATES]>::from(weight * SVector::from(**x)).into()
+    }
+
+    #[inline(always)]
+    fn factor_two_leg(&self, of: &TangentOf<'_, impl TangentSource>) -> Result<TwoLeg, StepError> {
+        let &TangentOf { forces, pose, lambda, h, regularization, definite } = of;
+        let mut tangents = DiagonalTangents::new(h);
+        forces.add_tangents(&mut tangents);
+        let beta = h * h / 4.0;
+        let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
+        let (mass_p, mass_d) = (self.mechanism.inertia_p, self.mechanism.inertia_d);
+        let mut inertia_p = mass_p + beta * stiffness_p + legs_of(&tangents.weighted, P_THETA);
+        let mut inertia_d = mass_d + beta * stiffness_d + legs_of(&tangents.weighted, D_THETA);
+        match definite {
+            Definite::Enforced => {
+                inertia_p = inertia_p.max(DESCENT_INERTIA * mass_p);
+                inertia_d = inertia_d.max(DESCENT_INERTIA * mass_d);
+            }
+            Definite::Demanded => {
+                let margin = (inertia_p - LEAST_INERTIA * mass_p).fast_min(inertia_d - LEAST_INERTIA * mass_d);
+                let [left, right] = margin.to_array();
+                if !(left > 0.0 && right > 0.0) {
+                    return Err(StepError::IndefiniteTangent);
+                }
+            }
+        }
+        Ok(TwoLeg::factor(&self.elimination, pose, [inertia_p, inertia_d], regularization))
+    }
+
+    #[inline(never)]
+    fn solve_coupled(
+        &self,
+        of: &TangentOf<'_, impl TangentSource>,
+        (b, c): (&Coordinates, &Multipliers),
+    ) -> Result<Solution, StepError> {
+        let &TangentOf { forces, pose, lambda, h, regularization, definite } = of;
+        let masses = self.masses();
+        let inner_masses = SMatrix::from_diagonal(&SVector::from(INNER.map(|i| masses[i])));
+        let mut tangents = CoupledTangents::new(h);
+        forces.add_tangents(&mut tangents);
+        let mut a0 = inner_masses + tangents.weighted;
+        for (i, stiffness) in geometric_stiffness(pose, lambda).into_iter().enumerate() {
+            let place = INNERS - 4 + i;
+            a0[(place, place)] += h * h / 4.0 * stiffness;
+        }
+        let a0 = made_definite(a0, &inner_masses, definite)?;
+        let rows = std::array::from_fn(|i| Vector::from_fn(|j| a0[(i, j)]));
+        Ok(Coupled::factor(pose, &masses, rows, regularization).solve(b, c))
+    }
+
+    #[inline(never)]
+    fn solve_dense(
+        &self,
+        of: &TangentOf<'_, impl TangentSource>,
+        (b, c): (&Coordinates, &Multipliers),
+    ) -> Result<Solution, StepError> {
+        let &TangentOf { forces, pose, lambda, h, regularization, definite } = of;
+        let mass = self.mass_matrix();
+        let mut a0 = mass + full_tangents(forces, h);
+        for (i, stiffness) in THETA.into_iter().zip(geometric_stiffness(pose, lambda)) {
+            a0[(i, i)] += h * h / 4.0 * stiffness;
+        }
+        Ok(Dense::factor(pose, &made_definite(a0, &mass, definite)?, regularization).solve(b, c))
+    }
+
+    /// The diagonal of M.
+    fn masses(&self) -> Coordinates {
+        self.mechanism.mass_times(&[1.0; COORDINATES].into())
+    }
+
+    fn mass_matrix(&self) -> SMatrix<f64, COORDINATES, COORDINATES> {
+        SMatrix::from_diagonal(&SVector::from(*self.masses()))
+    }
+}
+
+fn full_tangents(forces: &impl TangentSource, h: f64) -> SMatrix<f64, COORDINATES, COORDINATES> {
+    let mut tangents = FullTangents::new(h);
+    forces.add_tangents(&mut tangents);
+    tangents.weighted
+}
+
+/// The geometric stiffness of links 1 to 4, N·m/rad.
+fn geometric_stiffness(pose: &Pose, lambda: &Multipliers) -> [f64; 4] {
+    let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
+    let ([p_left, p_right], [d_left, d_right]) = (stiffness_p.to_array(), stiffness_d.to_array());
+    [p_left, d_left, d_right, p_right]
+}
+
+/// A₀ if it is sufficiently positive, or made so.
+fn made_definite<const K: usize>(
+    mut a0: SMatrix<f64, K, K>,
+    mass: &SMatrix<f64, K, K>,
+    definite: Definite,
+) -> Result<SMatrix<f64, K, K>, StepError> {
+    let keeps = |a0: &SMatrix<f64, K, K>, part: f64| ((a0 + a0.transpose()) / 2.0 - mass * part).cholesky().is_some();
+    match definite {
+        Definite::Demanded if !keeps(&a0, LEAST_INERTIA) => return Err(StepError::IndefiniteTangent),
+        Definite::Demanded => {}
+        // Doubling ends: some multiple of M outweighs any tangent that is finite.
+        Definite::Enforced => {
+            let mut more = DESCENT_INERTIA;
+            while !keeps(&a0, DESCENT_INERTIA) {
+                a0 += mass * more;
+                more *= 2.0;
+                if !more.is_finite() {
+                    return Err(StepError::NotFinite);
+                }
+            }
+        }
+    }
+    Ok(a0)
+}

@@ -1,0 +1,109 @@
+//! What forces put their tangents K = −∂Q/∂q and C = −∂Q/∂q̇ into, weighted as a step of h needs them: h/2 C + h²/4 K.
+
+use nalgebra::SMatrix;
+
+use crate::effects::Tangents;
+use crate::mechanism::coordinates::{THETA, X, Y};
+use crate::mechanism::{COORDINATES, Coordinates};
+
+/// Tangents of scenes without coupled links: only the diagonal, and only of the link angles.
+#[derive(Clone, Copy, Debug)]
+pub struct DiagonalTangents {
+    half_step: f64,
+    /// h/2 C + h²/4 K, kg·m².
+    pub weighted: Coordinates,
+}
+
+/// Number of coordinates that effects may couple.
+pub const INNERS: usize = 6;
+
+/// The coordinates that effects may couple: the position of link 2, which carries what acts on the tip, and all link angles.
+pub const INNER: [usize; INNERS] = [X[1], Y[1], THETA[0], THETA[1], THETA[2], THETA[3]];
+
+/// Place of each coordinate in [`INNER`]; beyond its end where it is not there.
+const PLACE: [usize; COORDINATES] = {
+    let mut place = [INNERS; COORDINATES];
+    let mut i = 0;
+    while i < INNERS {
+        place[INNER[i]] = i;
+        i += 1;
+    }
+    place
+};
+
+/// Tangents of scenes whose effects couple links.
+#[derive(Clone, Copy, Debug)]
+pub struct CoupledTangents {
+    half_step: f64,
+    /// h/2 C + h²/4 K of the coordinates [`INNER`].
+    pub weighted: SMatrix<f64, INNERS, INNERS>,
+}
+
+impl CoupledTangents {
+    /// None yet, for a step of h seconds.
+    pub fn new(h: f64) -> Self {
+        Self { half_step: h / 2.0, weighted: SMatrix::zeros() }
+    }
+}
+
+impl Tangents for CoupledTangents {
+    fn stiffness(&mut self, row: usize, column: usize, value: f64) {
+        self.weighted[(PLACE[row], PLACE[column])] += self.half_step * self.half_step * value;
+    }
+
+    fn damping(&mut self, row: usize, column: usize, value: f64) {
+        self.weighted[(PLACE[row], PLACE[column])] += self.half_step * value;
+    }
+}
+
+/// Tangents of any kind.
+#[derive(Clone, Copy, Debug)]
+pub struct FullTangents {
+    half_step: f64,
+    /// h/2 C + h²/4 K.
+    pub weighted: SMatrix<f64, COORDINATES, COORDINATES>,
+}
+
+impl DiagonalTangents {
+    /// None yet, for a step of h seconds.
+    #[inline(always)]
+    pub fn new(h: f64) -> Self {
+        Self { half_step: h / 2.0, weighted: Coordinates::ZERO }
+    }
+
+    #[inline(always)]
+    fn add(&mut self, row: usize, column: usize, value: f64) {
+        // Costs nothing where row and column are constants.
+        assert!(row == column && THETA.contains(&row), "an effect that couples links must say so");
+        self.weighted[row] += value;
+    }
+}
+
+impl Tangents for DiagonalTangents {
+    #[inline(always)]
+    fn stiffness(&mut self, row: usize, column: usize, value: f64) {
+        self.add(row, column, self.half_step * self.half_step * value);
+    }
+
+    #[inline(always)]
+    fn damping(&mut self, row: usize, column: usize, value: f64) {
+        self.add(row, column, self.half_step * value);
+    }
+}
+
+impl FullTangents {
+    /// None yet, for a step of h seconds.
+    pub fn new(h: f64) -> Self {
+        Self { half_step: h / 2.0, weighted: SMatrix::zeros() }
+    }
+}
+
+impl Tangents for FullTangents {
+    fn stiffness(&mut self, row: usize, column: usize, value: f64) {
+        self.weighted[(row, column)] += self.half_step * self.half_step * value;
+    }
+
+    fn damping(&mut self, row: usize, column: usize, value: f64) {
+        self.weighted[(row, column)] += self.half_step * value;
+    }
+}

@@ -1,0 +1,202 @@
+//! The formulas of the outputs, once for their values and for their changes along a direction.
+
+use std::marker::PhantomData;
+
+use num_dual::Dual64;
+
+use super::Observation;
+use crate::effects::{Effect, ForceContext};
+use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
+use crate::mechanism::singularity::Jacobians;
+use crate::mechanism::{Coordinates, MULTIPLIERS};
+use crate::scalar::Scalar;
+use crate::simulation::{Model, Variation};
+
+/// An observation seen in numbers, or in dual numbers that carry the changes along a direction.
+#[derive(Clone, Copy, Debug)]
+pub struct Observed<'a, T> {
+    model: &'a Model,
+    observation: &'a Observation,
+    along: Option<&'a Variation>,
+    scalar: PhantomData<T>,
+}
+
+/// A point that a user sees.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Point {
+    /// Where the distal links meet.
+    Tip,
+    /// That of the left (0) or right (1) leg.
+    Elbow(usize),
+}
+
+impl<'a> Observed<'a, f64> {
+    /// The values.
+    pub fn new(model: &'a Model, observation: &'a Observation) -> Self {
+        Self { model, observation, along: None, scalar: PhantomData }
+    }
+}
+
+impl<'a> Observed<'a, Dual64> {
+    /// The values with their changes along a direction.
+    pub fn along(model: &'a Model, observation: &'a Observation, along: &'a Variation) -> Self {
+        Self { model, observation, along: Some(along), scalar: PhantomData }
+    }
+}
+
+impl<T: Scalar> Observed<'_, T> {
+    /// The model.
+    pub fn model(&self) -> &Model {
+        self.model
+    }
+
+    /// The observation.
+    pub fn observation(&self) -> &Observation {
+        self.observation
+    }
+
+    /// A value with its change.
+    fn varying(&self, value: f64, change: impl FnOnce(&Variation) -> f64) -> T {
+        T::with(value, || self.along.map_or(0.0, change))
+    }
+
+    /// A value that does not change: what is only counted, judged or followed along the path.
+    pub fn constant(&self, value: f64) -> T {
+        T::with(value, || 0.0)
+    }
+
+    /// Derivative of an order up to 2 of a coordinate with respect to time.
+    fn coordinate(&self, place: usize, order: usize) -> T {
+        let core = &self.observation.state.core;
+        match order {
+            0 => self.varying(core.q[place], |along| along.change.q[place]),
+            1 => self.varying(core.v[place], |along| along.change.v[place]),
+            _ => self.varying(core.a[place], |along| along.a[place]),
+        }
+    }
+
+    /// Absolute angle of a link from 0 to 3, rad, not wrapped, or its derivative of an order up to 2.
+    pub fn angle(&self, link: usize, order: usize) -> T {
+        match order {
+            0 => self.varying(self.observation.state.angles()[link], |along| along.change.q[THETA[link]]),
+            _ => self.coordinate(THETA[link], order),
+        }
+    }
+
+    /// Direction û of a link.
+    fn direction(&self, link: usize) -> [T; 2] {
+        let [x, y] = self.observation.pose.directions()[link];
+        let turned = |along: &Variation| along.change.q[THETA[link]];
+        [self.varying(x, |along| -y * turned(along)), self.varying(y, |along| x * turned(along))]
+    }
+
+    /// Position of a point, m, or its derivative of an order up to 2.
+    pub fn point(&self, point: Point, order: usize) -> [T; 2] {
+        let link = match point {
+            Point::Tip => 1,
+            Point::Elbow(leg) => [0, 3][leg],
+        };
+        let body = self.model.mechanism.geometry.links[link];
+        let [x, y] = self.direction(link).map(|u| u * (body.length - body.com));
+        let [centre_x, centre_y] = [X[link], Y[link]].map(|place| self.coordinate(place, order));
+        match order {
+            0 => [centre_x + x, centre_y + y],
+            1 => {
+                let omega = self.angle(link, 1);
+                [centre_x - y * omega, centre_y + x * omega]
+            }
+            _ => {
+                let (omega, alpha) = (self.angle(link, 1), self.angle(link, 2));
+                [centre_x - y * alpha - x * (omega * omega), centre_y + x * alpha - y * (omega * omega)]
+            }
+        }
+    }
+
+    /// Force of a joint from 0 to 4 (left base, left elbow, tip, right elbow, right base) on its first-named link (1, 2, 2, 3, 4), N.
+    ///
+    /// M q̈ = Q − Φ_qᵀλ: each constraint pulls with −λ on the link that enters it with a plus.
+    pub fn reaction(&self, joint: usize) -> [T; 2] {
+        let places = match joint {
+            0 => [2 * G_X, 2 * G_Y],
+            1 => [2 * E_X, 2 * E_Y],
+            2 => [TIP_X, TIP_Y],
+            3 => [2 * E_X + 1, 2 * E_Y + 1],
+            _ => [2 * G_X + 1, 2 * G_Y + 1],
+        };
+        places.map(|i| self.varying(-self.observation.state.core.lambda[i], |along| -along.lambda[i]))
+    }
+
+    /// Kinetic energy, J.
+    pub fn kinetic_energy(&self) -> T {
+        let [kinetic, _] = self.observation.energies(self.model);
+        let v = &self.observation.state.core.v;
+        self.varying(kinetic, |along| self.model.mechanism.mass_times(v).dot(&along.change.v))
+    }
+
+    /// Potential energy, J.
+    pub fn potential_energy(&self) -> T {
+        let [_, potential] = self.observation.energies(self.model);
+        self.varying(potential, |along| self.at(|at| self.model.potential_change(at, &along.change)))
+    }
+
+    /// Balance residual of the energy, J.
+    pub fn energy_error(&self) -> T {
+        let (state, work) = (&self.observation.state, self.observation.state.core.work);
+        self.kinetic_energy() + self.potential_energy() + self.constant(work.dissipated)
+            - self.constant(work.input)
+            - self.constant(state.energy_at_start)
+    }
+
+    /// Torques of the left and right servo on their proximal links, N·m; 0 without servos.
+    pub fn servo_torques(&self) -> [T; 2] {
+        let Some((effect, torques)) = self.model.effects.iter().find_map(|effect| match effect {
+            Effect::Servo(servo) => Some((effect, self.at(|at| servo.torques(at)))),
+            _ => None,
+        }) else {
+            return [self.constant(0.0); 2];
+        };
+        [0, 1].map(|i| self.varying(torques[i], |along| self.force_change(effect, along)[[THETA[0], THETA[3]][i]]))
+    }
+
+    /// Force of the contact plane on the tip, N; 0 without contact.
+    pub fn contact_force(&self) -> [T; 2] {
+        let Some((effect, force)) = self.model.effects.iter().find_map(|effect| match effect {
+            Effect::Contact(contact) => Some((effect, self.at(|at| contact.force(at)))),
+            _ => None,
+        }) else {
+            return [self.constant(0.0); 2];
+        };
+        // What acts on the tip acts on link 2, with its force in the rows of the centre of mass.
+        [0, 1].map(|i| self.varying(force[i], |along| self.force_change(effect, along)[[X[1], Y[1]][i]]))
+    }
+
+    /// How the generalised force of an effect changes.
+    fn force_change(&self, effect: &Effect, along: &Variation) -> Coordinates {
+        self.at(|at| effect.force_change(at, &along.change))
+    }
+
+    /// What effects answer.
+    fn at<R>(&self, answer: impl FnOnce(&ForceContext) -> R) -> R {
+        self.observation.state.at(self.model, answer)
+    }
+
+    /// Determinants, smallest singular values and modes.
+    pub fn jacobians(&self) -> Jacobians<T> {
+        self.model.mechanism.geometry.jacobians([0, 1, 2, 3].map(|link| self.direction(link)))
+    }
+
+    /// Smallest singular value σ of Φ_q (rows in m, columns in m and rad). Its change is uᵀ δΦ_q v with its singular vectors.
+    pub fn sigma_phi(&self) -> T {
+        self.varying(self.observation.sigma_phi(), |along| {
+            let svd = self.observation.pose.phi_q().svd(true, true);
+            let (Some(u), Some(v)) = (svd.u, svd.v_t) else { unreachable!("both have been asked for") };
+            let changed = |i: usize| {
+                let right = Coordinates::from_fn(|j| v[(i, j)]);
+                let product = self.observation.pose.phi_q_varied_times(&along.change.q, &right);
+                product.iter().zip(u.column(i).iter()).map(|(x, y)| x * y).sum()
+            };
+            let values = std::array::from_fn::<_, MULTIPLIERS, _>(|i| Dual64::new(svd.singular_values[i], changed(i)));
+            Dual64::smallest(values).eps
+        })
+    }
+}

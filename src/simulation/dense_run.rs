@@ -1,0 +1,145 @@
+//! A run by the explicit method, whose steps go past the communication points: the step under way in the link angles.
+
+use std::f64::consts::TAU;
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, LINKS, angles_of};
+use super::five_bar::FiveBar;
+use super::run::{MacroSteps, StepFailure};
+use super::state::{Core, State, whole_turns};
+use super::{Inputs, Model};
+use crate::integrator::dop853::{DenseStep, Horizon, Settings};
+use crate::integrator::{Bounds, Counters, Inconsistency, StepError, Work};
+use crate::mechanism::{Coordinates, Multipliers};
+
+/// The step under way, and for how long inputs are held.
+#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct DenseRun {
+    pub(super) step: DenseStep<ANGLES, CLOSURES>,
+    /// For how many macro steps the inputs before the present ones were held, 0 at first, and these so far.
+    held: [u64; 2],
+}
+
+impl DenseRun {
+    /// The run that begins with a state.
+    pub(super) fn start(model: &Model, settings: &Settings, state: &State) -> Self {
+        let system = ByAngles::new(FiveBar::<false>::new(model, &state.inputs, &state.turns));
+        let step = DenseStep::start(&system, angles_of(&state.core.q), angles_of(&state.core.v), settings);
+        Self { step, held: [0; 2] }
+    }
+
+    /// Before model or inputs change: what runs past the present time is thrown away, and the present state is the end of a step. On
+    /// failure the run is undefined.
+    pub(super) fn stop(&mut self, model: &Model, settings: &Settings, inputs: &Inputs, turns: &[i64; 4]) -> Result<(), StepError> {
+        self.step.truncate_and_redo(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings)
+    }
+
+    /// After they have changed, which put in some energy, J.
+    pub(super) fn resume(&mut self, model: &Model, settings: &Settings, (inputs, turns): (&Inputs, &[i64; 4]), put_in: f64) {
+        self.step.restart(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings, put_in);
+    }
+
+    /// The present state in the twelve coordinates, made with the inputs held, and with the q̈ and λ that belong to others. Interpolated
+    /// states are for output only; integration never starts from them.
+    pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> Core {
+        let system = ByAngles::new(FiveBar::<false>::new(model, held, turns));
+        let sample = self.step.sample(&system, model.dense_settings());
+        let (q, v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
+        let mut core = Core {
+            q,
+            v,
+            a: Coordinates::ZERO,
+            lambda: Multipliers::ZERO,
+            jerk: Coordinates::ZERO,
+            substep: 0.0,
+            error_estimate: 0.0,
+            work: Work::default(),
+            power: Work::default(),
+            modes: 0,
+            on_ray: false,
+            alternatives: 0,
+            counters: Counters::default(),
+        };
+        self.step.record(&sample, &mut core);
+        core.balance(&FiveBar::<false>::new(model, inputs, turns), model.regularization);
+        core
+    }
+
+    /// Refuses a run that is none of this system.
+    pub(super) fn check(&self, system: &ByAngles<'_>, settings: &Settings, bounds: &Bounds) -> Result<(), Inconsistency> {
+        if self.held.iter().any(|steps| *steps > self.step.steps()) {
+            return Err("inputs were held for longer than the run is");
+        }
+        self.step.check(system, settings, bounds)
+    }
+
+    /// How long steps may be while the inputs stay, with `left` macro steps of the call to come.
+    fn horizon(&self, steps: MacroSteps, left: u64) -> Horizon {
+        let rest = left as f64 * steps.h;
+        // Inputs that have changed may change again after as many macro steps as before: to step past that would be in vain.
+        let limit = match self.held[0].saturating_sub(self.held[1]) {
+            _ if !steps.open_ended => rest,
+            0 => f64::INFINITY,
+            same => same as f64 * steps.h,
+        };
+        // A step that ends with the call is never interpolated.
+        Horizon { output: if limit > rest { rest } else { f64::INFINITY }, limit }
+    }
+}
+
+/// Macro steps with inputs held. On failure everything is as before.
+pub(super) fn advance(
+    model: &Model,
+    settings: &Settings,
+    run: &mut DenseRun,
+    (held, turns): (&mut Inputs, &mut [i64; 4]),
+    (inputs, steps): (&Inputs, MacroSteps),
+) -> Result<(), StepFailure> {
+    // A call that ends inside the step under way, as most do, costs no copy.
+    if steps.count == 1 && held == inputs && run.step.advance_within(steps.h) {
+        run.held[1] += 1;
+        return Ok(());
+    }
+    let before = (run.clone(), *held, *turns);
+    forward(model, settings, run, (held, turns), (inputs, steps)).inspect_err(|_| (*run, *held, *turns) = before)
+}
+
+#[inline(never)]
+fn forward(
+    model: &Model,
+    settings: &Settings,
+    run: &mut DenseRun,
+    (held, turns): (&mut Inputs, &mut [i64; 4]),
+    (inputs, steps): (&Inputs, MacroSteps),
+) -> Result<(), StepFailure> {
+    if !model.same_active_inputs(held, inputs) {
+        run.stop(model, settings, held, turns).map_err(|cause| steps.failure(0, cause))?;
+        run.held = [run.held[1], 0];
+        run.resume(model, settings, (inputs, turns), 0.0);
+    }
+    *held = *inputs;
+    for step in 0..steps.count {
+        if !run.step.advance_within(steps.h) {
+            let horizon = run.horizon(steps, steps.count - step);
+            let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
+            run.step.advance(&system, settings, steps.h, horizon).map_err(|cause| steps.failure(step, cause))?;
+            unwind(&mut run.step, turns);
+        }
+        run.held[1] += 1;
+    }
+    Ok(())
+}
+
+/// Moves whole turns of the angles into `turns`, where they are more than two: as [`super::state::unwind`] does with q.
+#[inline(always)]
+fn unwind(step: &mut DenseStep<ANGLES, CLOSURES>, turns: &mut [i64; 4]) {
+    if step.origin().max_norm() <= 2.0 * TAU {
+        return;
+    }
+    let mut shift = Angles::ZERO;
+    for (turns, i) in turns.iter_mut().zip(LINKS) {
+        shift[i] = -whole_turns(step.origin()[i], turns) * TAU;
+    }
+    step.shift(&shift);
+}

@@ -1,0 +1,215 @@
+//! The five-bar with its active effects and held inputs, as the integrator sees it in its twelve coordinates.
+
+use super::model::Model;
+use crate::effects::{ForceContext, Inputs, Tangents};
+use crate::integrator::{Implicit, StepError, System, TangentPoint, Work};
+use crate::linear::{Definite, MassFactor, TangentOf, TangentSource};
+use crate::mechanism::coordinates::largest_angle;
+use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
+
+/// A model with the inputs and whole turns that stay while it is stepped.
+///
+/// `BARE`: without effects whose force depends on the motion, and solved leg by leg. A form of its own, for it keeps the whole step in
+/// registers: it saves 330 of 2,780 instructions of a fixed step (`cargo xtask bench`, table steps).
+#[derive(Clone, Copy, Debug)]
+pub struct FiveBar<'a, const BARE: bool = false> {
+    pub(super) model: &'a Model,
+    inputs: &'a Inputs,
+    turns: &'a [i64; 4],
+    follows_work: bool,
+}
+
+/// A tangent is asked for at these coordinates and multipliers.
+type At<'a> = TangentPoint<'a, Pose, COORDINATES, MULTIPLIERS>;
+
+impl<'a, const BARE: bool> FiveBar<'a, BARE> {
+    /// `model` under `inputs`, with the whole turns of links 1 to 4 that q leaves out.
+    pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
+        Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative }
+    }
+
+    /// The same after whole turns have changed.
+    #[inline(always)]
+    pub(super) fn with_turns<'b>(&self, turns: &'b [i64; 4]) -> FiveBar<'b, BARE>
+    where
+        'a: 'b,
+    {
+        FiveBar { turns, ..*self }
+    }
+
+    /// The same in the form for any scene.
+    pub(super) fn general(self) -> FiveBar<'a> {
+        let Self { model, inputs, turns, follows_work } = self;
+        FiveBar { model, inputs, turns, follows_work }
+    }
+
+    #[inline(always)]
+    fn context<'b>(&'b self, q: &'b Coordinates, pose: &'b Pose, v: &'b Coordinates) -> ForceContext<'b> {
+        ForceContext { q, v, pose, inputs: self.inputs, turns: self.turns }
+    }
+
+    /// Potential energy of all forces that have one, held loads included, J.
+    pub(super) fn potential_energy(&self, q: &Coordinates, pose: &Pose) -> f64 {
+        let at = self.context(q, pose, &Coordinates::ZERO);
+        self.model.potential(&at) + self.inputs.potential(&at)
+    }
+
+    /// Power of the forces that have no potential, W.
+    pub(super) fn power_without_potential(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
+        let at = self.context(q, pose, v);
+        self.model.effects.iter().map(|effect| effect.input_power(&at) - effect.dissipation(&at)).sum()
+    }
+
+    #[inline(always)]
+    fn solve_tangent_as(
+        &self,
+        definite: Definite,
+        at: &At<'_>,
+        regularization: f64,
+        right: (&Coordinates, &Multipliers),
+    ) -> Result<(Coordinates, Multipliers), StepError> {
+        let &TangentPoint { q, pose, v, lambda, h } = at;
+        let forces = &Tangible::<BARE> { model: self.model, at: self.context(q, pose, v) };
+        self.model.solver.solve_tangent::<BARE>(&TangentOf { forces, pose, lambda, h, regularization, definite }, right)
+    }
+}
+
+impl<const BARE: bool> FiveBar<'_, BARE> {
+    /// The forces with those of the effects. It takes copies, which are made only where there are effects: what is pointed to has to be in
+    /// memory, and without effects it stays in registers (8 % of an evaluation by dop853).
+    #[inline(never)]
+    fn with_effects(&self, mut forces: Coordinates, q: Coordinates, pose: Pose, v: Coordinates) -> Coordinates {
+        let at = self.context(&q, &pose, &v);
+        for effect in &self.model.effects {
+            effect.add_forces(&at, &mut forces);
+        }
+        forces
+    }
+}
+
+/// The forces of a model, for their tangents.
+struct Tangible<'a, const BARE: bool> {
+    model: &'a Model,
+    at: ForceContext<'a>,
+}
+
+impl<const BARE: bool> TangentSource for Tangible<'_, BARE> {
+    #[inline(always)]
+    fn add_tangents(&self, tangents: &mut impl Tangents) {
+        self.at.inputs.add_tangents(&self.at, tangents);
+        if !BARE {
+            for effect in &self.model.effects {
+                effect.add_tangents(&self.at, tangents);
+            }
+        }
+    }
+}
+
+impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE> {
+    type Pose = Pose;
+    type Mass = MassFactor<'a, BARE>;
+
+    #[inline(always)]
+    fn pose(&self, q: &Coordinates) -> Pose {
+        self.model.mechanism.pose(q)
+    }
+
+    #[inline(always)]
+    fn phi(&self, q: &Coordinates, pose: &Pose) -> Multipliers {
+        self.model.mechanism.phi(q, pose)
+    }
+
+    #[inline(always)]
+    fn phi_q_times(&self, pose: &Pose, v: &Coordinates) -> Multipliers {
+        pose.phi_q_times(v)
+    }
+
+    #[inline(always)]
+    fn phi_q_dot_times(&self, pose: &Pose, v: &Coordinates) -> Multipliers {
+        pose.phi_q_dot_times(v)
+    }
+
+    #[inline(always)]
+    fn mass_times(&self, _pose: &Pose, x: &Coordinates) -> Coordinates {
+        self.model.mechanism.mass_times(x)
+    }
+
+    #[inline(always)]
+    fn forces(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Coordinates {
+        let at = self.context(q, pose, v);
+        let mut forces = self.model.weight;
+        self.inputs.add_forces(&at, &mut forces);
+        if BARE || self.model.effects.is_empty() { forces } else { self.with_effects(forces, *q, *pose, *v) }
+    }
+
+    #[inline(always)]
+    fn factor_mass(&self, pose: &Pose, regularization: f64) -> MassFactor<'a, BARE> {
+        self.model.solver.factor_mass(pose, regularization)
+    }
+
+    #[inline(always)]
+    fn modes(&self, pose: &Pose) -> u8 {
+        pose.modes()
+    }
+
+    #[inline(always)]
+    fn follows_work(&self) -> bool {
+        self.follows_work
+    }
+
+    #[inline(always)]
+    fn power(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Work {
+        let at = self.context(q, pose, v);
+        let mut power = Work { input: self.inputs.power(&at), dissipated: 0.0 };
+        for effect in &self.model.effects {
+            power.input += effect.input_power(&at);
+            power.dissipated += effect.dissipation(&at);
+        }
+        power
+    }
+
+    #[inline(always)]
+    fn angle_norm(&self, x: &Coordinates) -> f64 {
+        largest_angle(x)
+    }
+
+    #[inline(always)]
+    fn length_scale(&self) -> f64 {
+        self.model.length_scale
+    }
+}
+
+impl<const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> {
+    #[inline(always)]
+    fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {
+        pose.phi_q_transposed_times(lambda)
+    }
+
+    fn weight_times(&self, at: &At<'_>, x: &Coordinates) -> Coordinates {
+        let &TangentPoint { q, pose, v, h, .. } = at;
+        self.model.solver.weight_times(&Tangible::<BARE> { model: self.model, at: self.context(q, pose, v) }, h, x)
+    }
+
+    #[inline(always)]
+    fn solve_tangent(
+        &self,
+        at: &At<'_>,
+        regularization: f64,
+        right: (&Coordinates, &Multipliers),
+    ) -> Result<(Coordinates, Multipliers), StepError> {
+        self.solve_tangent_as(Definite::Demanded, at, regularization, right)
+    }
+
+    fn solve_descent(
+        &self,
+        at: &At<'_>,
+        regularization: f64,
+        right: (&Coordinates, &Multipliers),
+    ) -> Option<(Coordinates, Multipliers)> {
+        self.solve_tangent_as(Definite::Enforced, at, regularization, right).ok()
+    }
+
+    fn potential(&self, q: &Coordinates, pose: &Pose) -> Option<f64> {
+        self.model.conservative.then(|| self.potential_energy(q, pose))
+    }
+}

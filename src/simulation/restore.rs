@@ -1,0 +1,56 @@
+//! Whether a run that comes from outside is one of a scene with these parameters.
+
+use super::angles::ByAngles;
+use super::five_bar::FiveBar;
+use super::model::{Model, Stepper};
+use super::passage::REGULARIZATION;
+use super::run::{Progress, Run};
+use super::{Method, Parameters, Settings};
+use crate::integrator::Bounds;
+use crate::mechanism::SceneError;
+
+/// Constraints hold to this part of the machine's size, or to some times what the solver is told to allow.
+const CLOSED: f64 = 1e-10;
+/// The same for the printed method, whose Newton loop stops at 1e-8.
+const PRINTED: f64 = 1e-7;
+/// Rates meet the constraints to this part of their largest term; those of the printed method are projected once, by a finite penalty.
+const CLOSED_RATES: [f64; 2] = [1e-7, 1e-2];
+/// Accelerations, joint forces and power are those of equilibrium, to this part: whole turns of an angle may have been taken off since.
+const BALANCED: f64 = 1e-7;
+
+impl Run {
+    /// Refuses a run that is none of this model.
+    pub(super) fn check(&self, model: &Model, parameters: &Parameters) -> Result<(), SceneError> {
+        let Self { turns, inputs, energy_at_start, progress } = self;
+        if !inputs.are_finite() || !energy_at_start.is_finite() {
+            return Err(SceneError("an input or an energy is not finite".into()));
+        }
+        let system = FiveBar::<false>::new(model, inputs, turns);
+        match (&model.stepper, progress) {
+            (Stepper::MacroStep(_), Progress::WithCall(core)) => core.check(&system, &bounds(model, &parameters.settings)),
+            (Stepper::Dense(settings), Progress::PastCall(run)) => {
+                let e = settings.regularization;
+                let bounds = Bounds { regularizations: [e, e], ..bounds(model, &parameters.settings) };
+                run.check(&ByAngles::new(system), settings, &bounds)
+            }
+            _ => Err("it belongs to another solver.method than the one that is set in it"),
+        }
+        .map_err(|what| SceneError(what.into()))
+    }
+}
+
+/// What the method holds its constraints and equilibrium to.
+fn bounds(model: &Model, settings: &Settings) -> Bounds {
+    let e = model.regularization;
+    let regularizations = [e, REGULARIZATION * e];
+    let allowed = 4.0 * settings.tolerance;
+    match settings.method {
+        Method::I3alpPrinted => Bounds { position: PRINTED, velocity: CLOSED_RATES[1], balance: None, regularizations },
+        Method::I3alp | Method::Rk4 | Method::Dop853 => Bounds {
+            position: CLOSED.max(allowed),
+            velocity: CLOSED_RATES[0].max(allowed),
+            balance: Some(BALANCED),
+            regularizations,
+        },
+    }
+}

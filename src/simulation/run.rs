@@ -1,0 +1,167 @@
+//! A run under way, by either kind of method: steps end with the call, or a step runs past it.
+
+use std::fmt;
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::dense_run::{self, DenseRun};
+use super::five_bar::FiveBar;
+use super::model::{Model, Stepper};
+use super::state::{Core, State, unwind};
+use crate::effects::Inputs;
+use crate::integrator::{MacroStepMethod, StepError};
+use crate::mechanism::Coordinates;
+
+/// Everything that changes during a run. A copy is a complete snapshot.
+#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub struct Run {
+    /// Whole turns of links 1 to 4 that the angles under way leave out.
+    pub(super) turns: [i64; 4],
+    /// The inputs that are held.
+    pub(super) inputs: Inputs,
+    /// Kinetic plus potential energy at the start, J.
+    pub(super) energy_at_start: f64,
+    pub(super) progress: Progress,
+}
+
+/// Where steps end.
+#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+#[expect(clippy::large_enum_variant, reason = "a step allocates nothing")]
+pub(super) enum Progress {
+    /// With the call: the state there.
+    WithCall(Core),
+    /// Wherever the error lets them: the step that runs past the call.
+    PastCall(DenseRun),
+}
+
+/// Why a simulation could not advance. It is as it was before the call.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StepFailure {
+    /// How far the call had come, s after its beginning.
+    pub elapsed: f64,
+    /// Why it went no further.
+    pub cause: StepError,
+}
+
+impl fmt::Display for StepFailure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} s into the call, {}", self.elapsed, self.cause)
+    }
+}
+
+impl std::error::Error for StepFailure {}
+
+/// Equal macro steps with inputs held.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct MacroSteps {
+    /// Their length, s.
+    pub(super) h: f64,
+    /// Their number.
+    pub(super) count: u64,
+    /// Whether the inputs may stay after them, so that a step may run past their end.
+    pub(super) open_ended: bool,
+}
+
+impl MacroSteps {
+    /// Why the one of this index failed.
+    pub(super) fn failure(&self, step: u64, cause: StepError) -> StepFailure {
+        StepFailure { elapsed: step as f64 * self.h, cause }
+    }
+}
+
+impl Run {
+    /// Begins with q and q̇, which meet the constraints.
+    pub(super) fn start(model: &Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Self {
+        let mut turns = [0; 4];
+        let mut core = Core::start(&FiveBar::<false>::new(model, inputs, &turns), q, v, model.regularization);
+        unwind(&mut core, &mut turns);
+        let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0 };
+        state.energy_at_start = state.kinetic_energy(model) + state.potential_energy(model);
+        let progress = match &model.stepper {
+            Stepper::MacroStep(_) => Progress::WithCall(core),
+            Stepper::Dense(settings) => Progress::PastCall(DenseRun::start(model, settings, &state)),
+        };
+        Self { turns, inputs: *inputs, energy_at_start: state.energy_at_start, progress }
+    }
+
+    /// On failure everything is as before.
+    #[inline(always)]
+    pub(super) fn advance(&mut self, model: &Model, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
+        match (&model.stepper, &mut self.progress) {
+            (Stepper::MacroStep(method), Progress::WithCall(core)) => {
+                let before = (*core, self.turns, self.inputs);
+                if !model.same_active_inputs(&self.inputs, inputs) {
+                    core.restart(&FiveBar::<false>::new(model, inputs, &self.turns), model.regularization);
+                }
+                self.inputs = *inputs;
+                let held = (&self.inputs, &mut self.turns);
+                let advanced = if model.is_bare() {
+                    macro_steps::<true>(model, method, core, held, steps)
+                } else {
+                    macro_steps::<false>(model, method, core, held, steps)
+                };
+                advanced.inspect_err(|_| (*core, self.turns, self.inputs) = before)
+            }
+            (Stepper::Dense(settings), Progress::PastCall(run)) => {
+                dense_run::advance(model, settings, run, (&mut self.inputs, &mut self.turns), (inputs, steps))
+            }
+            _ => unreachable!("a run is made for its method"),
+        }
+    }
+
+    /// What holds now, with the q̈ and λ that belong to some inputs.
+    pub(super) fn state(&self, model: &Model, inputs: &Inputs) -> State {
+        let &Self { turns, energy_at_start, ref progress, .. } = self;
+        let same = model.same_active_inputs(&self.inputs, inputs);
+        let core = match progress {
+            Progress::WithCall(core) if same => *core,
+            Progress::WithCall(core) => {
+                let mut core = *core;
+                core.balance(&FiveBar::<false>::new(model, inputs, &turns), model.regularization);
+                core
+            }
+            Progress::PastCall(run) => run.core(model, [&self.inputs, inputs], &turns),
+        };
+        State { core, turns, inputs: *inputs, energy_at_start }
+    }
+
+    /// The model has other effects from now on; what that adds to the potential energy counts as input. On failure nothing has changed.
+    pub(super) fn tune(&mut self, before: &Model, after: &Model) -> Result<(), StepError> {
+        let mut tuned = self.clone();
+        if let (Stepper::Dense(settings), Progress::PastCall(run)) = (&before.stepper, &mut tuned.progress) {
+            run.stop(before, settings, &tuned.inputs, &tuned.turns)?;
+        }
+        let present = tuned.state(before, &self.inputs);
+        let put_in = present.potential_energy(after) - present.potential_energy(before);
+        match (&after.stepper, &mut tuned.progress) {
+            (Stepper::Dense(settings), Progress::PastCall(run)) => {
+                run.resume(after, settings, (&tuned.inputs, &tuned.turns), put_in);
+            }
+            (_, Progress::WithCall(core)) => {
+                core.work.input += put_in;
+                core.restart(&FiveBar::<false>::new(after, &tuned.inputs, &tuned.turns), after.regularization);
+            }
+            _ => unreachable!("a run is made for its method"),
+        }
+        *self = tuned;
+        Ok(())
+    }
+}
+
+/// By a method whose steps end with the macro steps. On failure the state is undefined.
+#[inline(always)]
+fn macro_steps<const BARE: bool>(
+    model: &Model,
+    method: &MacroStepMethod,
+    core: &mut Core,
+    (inputs, turns): (&Inputs, &mut [i64; 4]),
+    steps: MacroSteps,
+) -> Result<(), StepFailure> {
+    let turns_at_start = *turns;
+    let system = FiveBar::<BARE>::new(model, inputs, &turns_at_start);
+    for step in 0..steps.count {
+        method.advance(&system.with_turns(turns), core, steps.h).map_err(|cause| steps.failure(step, cause))?;
+        unwind(core, turns);
+    }
+    Ok(())
+}

@@ -1,0 +1,86 @@
+//! What holds at an instant, in the twelve coordinates: what observers answer for.
+
+use std::f64::consts::TAU;
+
+use super::Model;
+use super::five_bar::FiveBar;
+use crate::effects::{ForceContext, Inputs};
+use crate::integrator;
+use crate::mechanism::coordinates::{THETA, largest_angle};
+use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
+
+/// Coordinates, velocities, accelerations, multipliers and what the integrator remembers.
+pub type Core = integrator::State<COORDINATES, MULTIPLIERS>;
+
+/// What holds at an instant.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct State {
+    /// Coordinates, velocities, accelerations, multipliers, predictor, sub-step memory, work, counters.
+    pub core: Core,
+    /// Whole turns by which the angles of links 1 to 4 are larger than those in q: there they stay within some turns, so that their
+    /// round-off does not grow while a link spins.
+    pub turns: [i64; 4],
+    /// The inputs to which q̈ and λ belong.
+    pub inputs: Inputs,
+    /// Kinetic plus potential energy at the start, J.
+    pub energy_at_start: f64,
+}
+
+impl State {
+    /// Kinetic energy, J.
+    pub fn kinetic_energy(&self, model: &Model) -> f64 {
+        model.mechanism.mass_times(&self.core.v).dot(&self.core.v) / 2.0
+    }
+
+    /// Potential energy of the active effects, J; the held loads count as work instead.
+    pub fn potential_energy(&self, model: &Model) -> f64 {
+        self.at(model, |at| model.potential(at))
+    }
+
+    /// Kinetic + potential + dissipated − input, minus its value at the start, J.
+    pub fn energy_error(&self, model: &Model) -> f64 {
+        let work = self.core.work;
+        let energy = self.kinetic_energy(model) + self.potential_energy(model);
+        energy + work.dissipated - work.input - self.energy_at_start
+    }
+
+    /// What effects answer for the present state.
+    pub fn at<T>(&self, model: &Model, answer: impl FnOnce(&ForceContext) -> T) -> T {
+        let State { core, inputs, turns, .. } = self;
+        let pose = model.mechanism.pose(&core.q);
+        answer(&ForceContext { q: &core.q, v: &core.v, pose: &pose, inputs, turns })
+    }
+
+    /// Absolute angles of links 1 to 4, rad, not wrapped.
+    pub fn angles(&self) -> [f64; 4] {
+        std::array::from_fn(|link| self.core.q[THETA[link]] + self.turns[link] as f64 * TAU)
+    }
+
+    /// Solves M x + Φ_qᵀ y = b, Φ_q x − e y = c at the present pose.
+    pub(super) fn solve(&self, model: &Model, pose: &Pose, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
+        use crate::integrator::{Kkt, System};
+        let State { inputs, turns, .. } = self;
+        FiveBar::<false>::new(model, inputs, turns).factor_mass(pose, model.regularization).solve(b, c)
+    }
+}
+
+/// Moves whole turns of the angles from q into `turns`, where they are more than two.
+#[inline(always)]
+pub(super) fn unwind(core: &mut Core, turns: &mut [i64; 4]) {
+    if largest_angle(&core.q) <= 2.0 * TAU {
+        return;
+    }
+    for (turns, i) in turns.iter_mut().zip(THETA) {
+        core.q[i] -= whole_turns(core.q[i], turns) * TAU;
+    }
+}
+
+/// The whole turns of an angle that is more than two, after adding them to those counted; otherwise 0.
+pub(super) fn whole_turns(angle: f64, turns: &mut i64) -> f64 {
+    if angle.abs() <= 2.0 * TAU {
+        return 0.0;
+    }
+    let whole = (angle / TAU).round();
+    *turns = turns.saturating_add(whole as i64);
+    whole
+}

@@ -1,0 +1,190 @@
+//! Vectors of coordinates and of multipliers, with the operators of algebra.
+//!
+//! They work on two elements at a time, from the first on: the five-bar has its two legs side by side, and pairs that stay together need
+//! no shuffling. Left to itself the compiler pairs the second with the third, as it does with nalgebra's vectors, by which the bare step
+//! costs more instructions (`cargo xtask bench`, table steps).
+
+use std::ops::{Add, AddAssign, Deref, DerefMut, Div, Mul, Neg, Sub};
+
+use borsh::{BorshDeserialize, BorshSerialize};
+use wide::f64x2;
+
+/// A vector with N elements: an array that can be added and scaled.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+#[repr(C, align(16))] // pairs of elements are read from memory by the instruction that uses them
+pub struct Vector<const N: usize>([f64; N]);
+
+impl<const N: usize> Vector<N> {
+    /// All elements 0.
+    pub const ZERO: Self = Self([0.0; N]);
+
+    /// The element at each place from its index.
+    #[inline(always)]
+    pub fn from_fn(element: impl FnMut(usize) -> f64) -> Self {
+        Self(std::array::from_fn(element))
+    }
+
+    /// 1 in one place, 0 elsewhere.
+    pub fn unit(place: usize) -> Self {
+        let mut unit = Self::ZERO;
+        unit[place] = 1.0;
+        unit
+    }
+
+    /// The scalar product.
+    #[inline(always)]
+    pub fn dot(&self, other: &Self) -> f64 {
+        self.iter().zip(other.iter()).map(|(x, y)| x * y).sum()
+    }
+
+    /// The Euclidean length.
+    pub fn norm(&self) -> f64 {
+        self.dot(self).sqrt()
+    }
+
+    /// The largest magnitude of those elements that are numbers, by one instruction for each pair. NaN is caught where a step ends.
+    #[inline(always)]
+    pub fn max_norm(&self) -> f64 {
+        let larger = |largest: f64, value: f64| if value.abs() > largest { value.abs() } else { largest };
+        let (pairs, single) = self.as_chunks::<2>();
+        let [left, right] = pairs.iter().fold([0.0; 2], |[left, right], pair| [larger(left, pair[0]), larger(right, pair[1])]);
+        single.iter().copied().fold(larger(left, right), larger)
+    }
+
+    /// Whether all elements are finite, and not so large that their sum is infinite.
+    #[inline(always)]
+    pub fn is_finite(&self) -> bool {
+        let (pairs, single) = self.as_chunks::<2>();
+        let [left, right] = pairs.iter().fold([0.0; 2], |[left, right], pair| [left + pair[0], right + pair[1]]);
+        single.iter().fold(left + right, |sum, x| sum + x).is_finite()
+    }
+
+    /// Element by element a function of this and another vector, pair by pair.
+    #[inline(always)]
+    fn with(&self, other: &Self, function: impl Fn(f64x2, f64x2) -> f64x2) -> Self {
+        let mut result = Self::ZERO;
+        let (pairs, single) = result.as_chunks_mut::<2>();
+        for (i, pair) in pairs.iter_mut().enumerate() {
+            let [x, y] = [self, other].map(|vector| f64x2::new([vector[2 * i], vector[2 * i + 1]]));
+            *pair = function(x, y).to_array();
+        }
+        if let [last] = single {
+            *last = function(f64x2::splat(self[N - 1]), f64x2::splat(other[N - 1])).to_array()[0];
+        }
+        result
+    }
+}
+
+impl<const N: usize> From<[f64; N]> for Vector<N> {
+    #[inline(always)]
+    fn from(elements: [f64; N]) -> Self {
+        Self(elements)
+    }
+}
+
+impl<const N: usize> From<Vector<N>> for [f64; N] {
+    fn from(vector: Vector<N>) -> Self {
+        vector.0
+    }
+}
+
+impl<const N: usize> Deref for Vector<N> {
+    type Target = [f64; N];
+
+    #[inline(always)]
+    fn deref(&self) -> &[f64; N] {
+        &self.0
+    }
+}
+
+impl<const N: usize> DerefMut for Vector<N> {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut [f64; N] {
+        &mut self.0
+    }
+}
+
+impl<'a, const N: usize> IntoIterator for &'a Vector<N> {
+    type Item = &'a f64;
+    type IntoIter = std::slice::Iter<'a, f64>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.iter()
+    }
+}
+
+impl<const N: usize> Add for Vector<N> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self.with(&other, |x, y| x + y)
+    }
+}
+
+impl<const N: usize> AddAssign for Vector<N> {
+    #[inline(always)]
+    fn add_assign(&mut self, other: Self) {
+        *self = *self + other;
+    }
+}
+
+impl<const N: usize> Sub for Vector<N> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        self.with(&other, |x, y| x - y)
+    }
+}
+
+impl<const N: usize> Neg for Vector<N> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn neg(self) -> Self {
+        self.with(&self, |x, _| -x)
+    }
+}
+
+impl<const N: usize> Mul<Vector<N>> for f64 {
+    type Output = Vector<N>;
+
+    #[inline(always)]
+    fn mul(self, vector: Vector<N>) -> Vector<N> {
+        vector.with(&vector, |x, _| f64x2::splat(self) * x)
+    }
+}
+
+impl<const N: usize> Div<f64> for Vector<N> {
+    type Output = Self;
+
+    #[inline(always)]
+    fn div(self, divisor: f64) -> Self {
+        self.with(&self, |x, _| x / f64x2::splat(divisor))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Odd and even lengths: the last element has a way of its own.
+    #[test]
+    fn operators_are_those_of_algebra() {
+        let (x, y) = (Vector::from([1.0, -2.0, 3.0]), Vector::from([4.0, 5.0, -6.0]));
+        assert_eq!(*(x + y), [5.0, 3.0, -3.0]);
+        assert_eq!(*(x - y), [-3.0, -7.0, 9.0]);
+        assert_eq!(*(2.0 * -x), [-2.0, 4.0, -6.0]);
+        assert_eq!(*(y / 2.0), [2.0, 2.5, -3.0]);
+        assert_eq!((x.dot(&y), y.max_norm(), Vector::from([3.0, 4.0]).norm()), (-24.0, 6.0, 5.0));
+        assert_eq!(*Vector::<2>::unit(1), [0.0, 1.0]);
+    }
+
+    #[test]
+    fn what_is_not_a_number_is_seen() {
+        assert!(Vector::from([1.0, 2.0, 3.0]).is_finite());
+        assert!(!Vector::from([1.0, f64::NAN, 3.0]).is_finite());
+        assert!(!Vector::from([1.0, 2.0, f64::INFINITY]).is_finite());
+    }
+}
