@@ -1,6 +1,5 @@
 """compare.py: what a difference between two builds amounts to, on runs made up for the purpose; and a build against itself."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 import compare
 from compare import Verdict
 from drive import Run
+from made_scene import made_scene, write
 
 TIME = np.arange(101) * 0.01
 
@@ -65,7 +65,7 @@ def test_ends_are_the_same(other: Run) -> None:
 
 
 def test_a_build_is_what_it_is(fmu: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "short.json").write_text(json.dumps({"experiment": {"stopTime": 0.1}, "init.theta[2]": 2.0944}), encoding="utf-8")
+    write(tmp_path / "short.json", made_scene({"init.theta[2]": 2.0944}, 0.1))
     assert compare.main(["--before", str(fmu), "--after", str(fmu), "--scenes", str(tmp_path)]) == 0
     *lines, _, total = capsys.readouterr().out.splitlines()
     assert len(lines) == 5 and all(line.endswith("same bits") for line in lines)

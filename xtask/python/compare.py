@@ -1,6 +1,6 @@
 """Compares two builds of the library: every scene by every method, in bits.
 
-python compare.py --before target/compare/26ed735/target/fmu/FiveBar.fmu --after target/fmu/FiveBar.fmu --scenes scenes
+python compare.py --before target/compare/26ed735/target/fmu/FiveBar.fmu --after target/fmu/FiveBar.fmu --scenes target/scenes
 """
 
 import argparse
@@ -85,20 +85,19 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Compares two builds of the library, every scene by every method.")
     parser.add_argument("--before", type=Path, required=True, help="the .fmu that is right")
     parser.add_argument("--after", type=Path, required=True, help="the .fmu that is judged")
-    parser.add_argument("--scenes", type=Path, required=True, help="the folder of the scenes")
+    parser.add_argument("--scenes", type=Path, required=True, help="the folder target/scenes/")
     options = parser.parse_args(arguments)
     begin = time.perf_counter()
     with _extracted(options.before) as before, _extracted(options.after) as after:
         verdicts: Counter[Verdict] = Counter()
         for path in sorted(options.scenes.glob("*.json")):
-            scene = read(path, after.model)
-            short = replace(scene, stop_time=min(scene.stop_time, LONGEST), step_size=max(scene.step_size, COARSEST))
+            scene = read(path).coarser(COARSEST, LONGEST)
             unknown = {*scene.variants[0].values, *scene.signals} - {v.name for v in before.model.modelVariables}
             if unknown:
                 print(f"{scene.name:20} left out: the old build does not know {', '.join(sorted(unknown))}")
                 continue
             for variant in _by_every_method(before.model, after.model, scene.variants[0].values):
-                verdict, difference = _judge(before, after, short, variant)
+                verdict, difference = _judge(before, after, scene, variant)
                 print(f"{scene.name:20} {variant.label:18} {_line(verdict, difference)}", flush=True)
                 verdicts[verdict] += 1
     print(f"\n{_total(verdicts)} ({time.perf_counter() - begin:.0f} s)")
