@@ -10,7 +10,7 @@ import shutil
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -44,7 +44,7 @@ class Verdict(StrEnum):
 
     SAME = "same bits"
     ROUND_OFF = "round-off"
-    CHAOTIC = "chaotic: the old build does the same with a start angle moved by 1e-14 rad"
+    CHAOTIC = "chaotic"
     BROKEN = "NOT round-off"
 
 
@@ -97,9 +97,9 @@ def main(arguments: list[str] | None = None) -> int:
                 print(f"{scene.name:20} left out: the old build does not know {', '.join(sorted(unknown))}")
                 continue
             for variant in _by_every_method(before.model, after.model, scene.variants[0].values):
-                verdict, difference = _judge(before, after, scene, variant)
-                print(f"{scene.name:20} {variant.label:18} {_line(verdict, difference)}", flush=True)
-                verdicts[verdict] += 1
+                judged, words = _judge(before, after, scene, variant)
+                print(f"{scene.name:20} {variant.label:18} {words}", flush=True)
+                verdicts[judged] += 1
     print(f"\n{_total(verdicts)} ({time.perf_counter() - begin:.0f} s)")
     return 1 if verdicts[Verdict.BROKEN] else 0
 
@@ -123,10 +123,8 @@ def difference(before: Run, after: Run) -> Difference:
     return Difference(since, float(np.max(early)), tuple(counters), " but then ".join(ends) if ends[0] != ends[1] else None)
 
 
-def verdict(found: Difference, nudged: Iterable[Difference]) -> Verdict:
-    """What `found` between two builds amounts to; `nudged` are those between the old build and itself with other starts, which
-    are made only where they are needed.
-    """
+def verdict(found: Difference, nudged: list[Difference]) -> Verdict:
+    """What `found` between two builds amounts to; `nudged` are those between the old build and itself with other starts."""
     if found.since is None and found.ends is None:
         return Verdict.SAME
     if found.small:
@@ -134,10 +132,19 @@ def verdict(found: Difference, nudged: Iterable[Difference]) -> Verdict:
     return Verdict.BROKEN if all(other.small for other in nudged) else Verdict.CHAOTIC
 
 
-def _judge(before: Build, after: Build, scene: Scene, variant: Variant) -> tuple[Verdict, Difference]:
+def _judge(before: Build, after: Build, scene: Scene, variant: Variant) -> tuple[Verdict, str]:
+    """The verdict, and words for it; the other starts are made only where they are needed."""
     old = _run(before, scene, variant)
     found = difference(old, _run(after, scene, variant))
-    return verdict(found, (difference(old, _run(before, scene, nudged)) for nudged in _nudged(variant, before.model))), found
+    judged = verdict(found, [])
+    if judged is Verdict.SAME:
+        return judged, str(judged)
+    if judged is Verdict.ROUND_OFF:
+        return judged, f"{found} ({judged})"
+    nudged = [difference(old, _run(before, scene, other)) for other in _nudged(variant, before.model)]
+    judged = verdict(found, nudged)
+    moved = max(other.tip for other in nudged)
+    return judged, f"{found} ({judged}: {NUDGES[0]:g} rad at the start move the old build's tip by {moved:.1e} m)"
 
 
 def _nudged(variant: Variant, model: ModelDescription) -> Iterator[Variant]:
@@ -180,13 +187,10 @@ def _end(run: Run) -> str:
     return f"an end at {run.time[-1]:g} s: {run.failure}" if len(run.time) else f"no start: {run.failure}"
 
 
-def _line(judged: Verdict, found: Difference) -> str:
-    return str(judged) if judged is Verdict.SAME else f"{found} ({judged})"
-
-
 def _total(verdicts: Counter[Verdict]) -> str:
     return (
-        f"{verdicts[Verdict.SAME]} of {verdicts.total()} runs have the same bits, {verdicts[Verdict.ROUND_OFF]} differ by round-off, "
+        f"{verdicts[Verdict.SAME]} of {verdicts.total()} runs have the same bits, "
+        f"{verdicts[Verdict.ROUND_OFF]} differ by round-off, "
         f"{verdicts[Verdict.CHAOTIC]} are chaotic before {EARLY:g} s, {verdicts[Verdict.BROKEN]} differ by more than round-off"
     )
 
