@@ -53,7 +53,7 @@ def test_every_effect_is_known(model: ModelDescription) -> None:
 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_docs_have_the_start_values_of_effects(model: ModelDescription, effect: str) -> None:
-    """The last column of a row of docs/effects.md has every parameter, with start value and unit: "tunable: `b[1..5]` 1e-4 N·m·s/rad"."""
+    """Every parameter stands in the last column, with start value and unit: "tunable: `b[1..5]` 1e-4 N·m·s/rad"."""
     (row,) = re.findall(rf'^\| (?:{effect} \(|`{{"{effect}\.).* \| ([^|]*) \|$', text("docs/effects.md"), re.MULTILINE)
     stated = {}
     for name, count, number, shown in re.findall(rf"`(\w+)(?:\[1\.\.(\d)\])?` {QUANTITY}", row):
@@ -71,7 +71,8 @@ def test_docs_have_the_start_values_of_effects(model: ModelDescription, effect: 
 @pytest.mark.parametrize("effect", EFFECTS)
 def test_sources_have_the_start_values_of_effects(model: ModelDescription, effect: str) -> None:
     """Every number after "Default" on top of an effect's file is the start value of one of its parameters, but for the sign."""
-    head = " ".join(line.removeprefix("//!").strip() for line in text(f"src/effects/{effect}.rs").splitlines() if line.startswith("//!"))
+    lines = text(f"src/effects/{effect}.rs").splitlines()
+    head = " ".join(line.removeprefix("//!").strip() for line in lines if line.startswith("//!"))
     (defaults,) = re.findall(r"Defaults?: (.*?) Limits: ", head)
     known = [(abs(float(v.start)), unit(v)) for v in parameters(model, effect).values()]
     stated = re.findall(QUANTITY, defaults)
@@ -109,7 +110,8 @@ def test_readme_and_docs_have_the_same_sizes() -> None:
 def test_libraries_have_the_sizes_that_docs_say(fmu: Path) -> None:
     """Of the unit for all platforms, within 10 %: the library for one machine alone has a standard library of another build."""
     with zipfile.ZipFile(fmu) as archive:
-        packed = {Path(item.filename).parent.name: item.file_size for item in archive.infolist() if item.filename.startswith("binaries/")}
+        libraries = [item for item in archive.infolist() if item.filename.startswith("binaries/")]
+    packed = {Path(item.filename).parent.name: item.file_size for item in libraries}
     assert packed.keys() == SIZES.keys()
     for platform, size in packed.items():
         assert size == pytest.approx(int(SIZES[platform]), rel=0.1), platform

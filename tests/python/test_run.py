@@ -65,7 +65,8 @@ def test_files(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
 def test_pictures_show_what_a_scene_has(fmu: Path, tmp_path: Path) -> None:
     """Servos, stops, a plane and a changing load have pictures of their own, and the signals are in the table."""
     effects: Values = {f"{effect}.enabled": True for effect in ("servo", "stop", "contact")}
-    signals = {"tip.fx": np.linspace(0, 0.2, 101), "servo.theta[1]": np.linspace(1.5708, 1.5, 101), "servo.omega[1]": np.full(101, -0.7)}
+    theta, omega = np.linspace(1.5708, 1.5, 101), np.full(101, -0.708)
+    signals = {"tip.fx": np.linspace(0, 0.2, 101), "servo.theta[1]": theta, "servo.omega[1]": omega}
     process = run(fmu, tmp_path, replace(made_scene(effects | {"servo.theta[2]": 2.0}, 0.1), signals=signals))
     assert process.returncode == 0, process.stderr
     assert {f"{name}.png" for name in ("servo", "stop", "contact", "inputs")} <= {file.name for file in (tmp_path / "out").iterdir()}

@@ -29,7 +29,8 @@ def test_every_shipped_scene_is_read(scenes: Path, model: ModelDescription) -> N
 
 def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
     fine = scene.Variant("fine", {"solver.method": METHODS["rk4"], "solver.stepSize": 1e-5})
-    made = replace(made_scene({"tau[1]": 1.0, "gravity.enabled": False}, 0.1, 0.05, fine), signals={"tip.fx": np.array([0.0, 0.1, 1 / 3])})
+    made = made_scene({"tau[1]": 1.0, "gravity.enabled": False}, 0.1, 0.05, fine)
+    made = replace(made, signals={"tip.fx": np.array([0.0, 0.1, 1 / 3])})
     ready = scene.read(write(tmp_path / "trial.json", made))
     assert ready.signals["tip.fx"].tolist() == [0.0, 0.1, 1 / 3]
     assert replace(ready, signals={}) == replace(made, signals={})

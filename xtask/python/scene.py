@@ -1,5 +1,5 @@
-"""Scenes as `cargo xtask package` writes them to target/scenes/: read and checked by the workspace's crate `scenes`, with values as
-calls carry them and with signals as they are at each communication point. What a file of scenes/ may hold is said in docs/effects.md.
+"""Scenes as `cargo xtask package` writes them to target/scenes/: checked by the workspace's crate `scenes`, values as calls carry
+them, signals as they are at each communication point. What a file of scenes/ may hold is said in docs/effects.md.
 """
 
 import json
