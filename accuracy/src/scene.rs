@@ -2,8 +2,10 @@
 
 use std::rc::Rc;
 
-use anyhow::Result;
+use anyhow::{Context, Result, ensure};
+use fivebar::fmi::bindings::{self, default_inputs, default_parameters};
 use fivebar::simulation::{Inputs, Parameters};
+use fivebar::variables::{Value, Variable};
 use scenes::Scene as File;
 
 use crate::{COMMUNICATION, Choice, Extent, Reference};
@@ -111,8 +113,48 @@ impl Scene {
     }
 }
 
-/// Parameters and inputs of a file of `scenes/` up to `end` s, the inputs as references hold them.
+/// Parameters of a file of `scenes/`, and the inputs of each millisecond up to `end` s as references hold them. Without signals there
+/// is one entry, for all.
 pub(crate) fn load(name: &str, end: f64) -> Result<(Parameters, Rc<[Inputs]>)> {
-    let (parameters, inputs) = File::read(name)?.held(end)?;
-    Ok((parameters, inputs.into()))
+    let file = File::read(name)?;
+    let mut now = (default_parameters(), default_inputs());
+    for &setting in &file.values {
+        write(&mut now, setting)?;
+    }
+    let last = if file.signals.is_empty() { 1 } else { (1e3 * end).round() as u32 };
+    let each = (0..last).map(|millisecond| {
+        file.signals_held(millisecond).try_for_each(|setting| write(&mut now, setting))?;
+        Ok(now.1)
+    });
+    let held = each.collect::<Result<_>>()?;
+    Ok((now.0, held))
+}
+
+/// What a scene sets, in the library's own form.
+fn write((parameters, inputs): &mut (Parameters, Inputs), (variable, value): (&scenes::Variable, scenes::Value)) -> Result<()> {
+    let (name, value) = (&variable.name.full, value.fold(Value::Real, Value::Integer, Value::Boolean));
+    let variable = Variable::named(name).with_context(|| format!("the library has no variable {name}"))?;
+    ensure!(bindings::write(parameters, inputs, variable, value), "{name} cannot be set to {value}");
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scene_is_what_its_file_says() {
+        let (parameters, inputs) = load("stiff_servo", 0.5).expect("a shipped scene");
+        assert!(parameters.effects.servo.enabled && inputs.len() == 1);
+        assert_eq!((parameters.effects.servo.kp, inputs[0].servo_theta[0]), ([1e6, 0.0], std::f64::consts::FRAC_PI_2));
+        assert_eq!(parameters.geometry, default_parameters().geometry);
+    }
+
+    /// 0.2 and 0.7 as doubles are round-off away from what is written: so is the middle of the first way.
+    #[test]
+    fn signals_are_held() {
+        let (_, inputs) = load("pick_and_place", 0.5).expect("a shipped scene");
+        assert!(inputs.len() == 500 && inputs[0].servo_theta == [2.7567, 1.345]);
+        assert!((inputs[450].servo_theta[0] - (2.7567 + 1.7966) / 2.0).abs() < 1e-15);
+    }
 }

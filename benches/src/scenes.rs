@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use ::scenes::Scene;
 use anyhow::{Context, Result};
+use fivebar::variables::Value;
 use serde::Serialize;
 
 use crate::case::quantile;
@@ -31,7 +32,8 @@ pub(crate) fn rows(longest: f64) -> Result<Vec<Row>> {
 
 fn row(scene: &Scene, longest: f64) -> Result<Row> {
     let start = scene.values.iter().copied().chain(scene.signals_at(0.0));
-    let mut host = Host::ready(&start.map(|(variable, value)| (variable.reference, value)).collect::<Vec<_>>())?;
+    let start = start.map(|(variable, value)| (variable.reference, value.fold(Value::Real, Value::Integer, Value::Boolean)));
+    let mut host = Host::ready(&start.collect::<Vec<_>>())?;
     let (step, substeps) = (scene.step_size, reference("solver.substeps")?);
     let calls = (scene.stop_time.min(longest) / step).round() as usize;
     let references: Vec<u32> = scene.signals.iter().map(|signal| signal.variable.reference).collect();

@@ -9,6 +9,8 @@ pub struct ModelDescription {
     pub model_name: String,
     /// Name of the library file and of the .fmu.
     pub model_identifier: String,
+    /// What a master runs that is told nothing else.
+    pub experiment: Experiment,
     /// Units, in the order of the file.
     pub units: Vec<Unit>,
     /// Declared types, in the order of the file.
@@ -19,6 +21,15 @@ pub struct ModelDescription {
     pub variables: Vec<Variable>,
     /// What depends on what.
     pub structure: Structure,
+}
+
+/// Length and communication step of a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Experiment {
+    /// End, s.
+    pub stop_time: f64,
+    /// Communication step, s.
+    pub step_size: f64,
 }
 
 /// A unit of measurement.

@@ -24,8 +24,8 @@ mod parse;
 use std::fmt;
 
 pub use data::{
-    Bounds, Category, Causality, Enumeration, Initial, Item, Kind, ModelDescription, Name, SimpleType, Structure, TypeKind, Unit,
-    Unknown, Variability, Variable,
+    Bounds, Category, Causality, Enumeration, Experiment, Initial, Item, Kind, ModelDescription, Name, SimpleType, Structure,
+    TypeKind, Unit, Unknown, Variability, Variable,
 };
 
 /// The text of `modelDescription/modelDescription.xml`.

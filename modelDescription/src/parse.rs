@@ -4,8 +4,8 @@ use std::str::FromStr;
 
 use crate::Error;
 use crate::data::{
-    Bounds, Category, Causality, Enumeration, Initial, Item, Kind, ModelDescription, Name, SimpleType, Structure, TypeKind, Unit,
-    Unknown, Variability, Variable,
+    Bounds, Category, Causality, Enumeration, Experiment, Initial, Item, Kind, ModelDescription, Name, SimpleType, Structure,
+    TypeKind, Unit, Unknown, Variability, Variable,
 };
 use crate::element::Element;
 
@@ -19,6 +19,7 @@ pub(crate) fn description(xml: &str) -> Result<ModelDescription, Error> {
         xml: xml.to_owned(),
         model_name: root.required("modelName")?.to_owned(),
         model_identifier: root.child("CoSimulation")?.required("modelIdentifier")?.to_owned(),
+        experiment: experiment(root.child("DefaultExperiment")?)?,
         units: each(root.child("UnitDefinitions")?, unit)?,
         types,
         categories: each(root.child("LogCategories")?, category)?,
@@ -40,6 +41,13 @@ fn text(element: &Element, attribute: &str) -> Option<String> {
 
 fn description_of(element: &Element) -> String {
     text(element, "description").unwrap_or_default()
+}
+
+fn experiment(element: &Element) -> Result<Experiment, Error> {
+    element.allow(&["startTime", "stopTime", "stepSize"])?;
+    let seconds =
+        |attribute| number(element, element, attribute)?.ok_or_else(|| Error(format!("{element} has no attribute {attribute}")));
+    Ok(Experiment { stop_time: seconds("stopTime")?, step_size: seconds("stepSize")? })
 }
 
 fn unit(element: &Element) -> Result<Unit, Error> {

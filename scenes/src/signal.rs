@@ -1,10 +1,22 @@
-//! Inputs that change with time, as `xtask/python/signals.py` defines and checks them.
+//! Inputs that change with time, given by a few knots [time in s, value].
+//!
+//! `{"linear": [[t, v], ...]}` joins the knots by straight lines; `{"minimumJerk": [[t, v], ...]}` goes from knot to knot and rests in
+//! each, by 10u³ − 15u⁴ + 6u⁵, the path of least mean square jerk between two rests (Flash and Hogan, J. Neurosci. 5 (1985) 1688,
+//! eq. 3); `{"rateOf": "servo.theta[1]"}` is the derivative of another signal. Before its first and after its last knot a signal stays
+//! what it is there.
 
-use anyhow::{Context, Result, bail, ensure};
-use fivebar::variables::Variable;
+use anyhow::{Context, Result, bail};
+use model_description::Variable;
 use num_rational::BigRational;
 use num_traits::{FromPrimitive, Num, ToPrimitive, clamp};
 use serde_json::{Map, Value as Json};
+
+use crate::names::{self, unit};
+
+const LINEAR: &str = "linear";
+const MINIMUM_JERK: &str = "minimumJerk";
+const RATE_OF: &str = "rateOf";
+const KINDS: [&str; 3] = [LINEAR, MINIMUM_JERK, RATE_OF];
 
 /// One input's way through its knots.
 #[derive(Clone, Debug)]
@@ -58,28 +70,43 @@ impl Shape {
 }
 
 /// The signals of a file.
-pub(crate) fn read(given: &Json) -> Result<Vec<Signal>> {
-    let given = given.as_object().context("signals are an object of inputs")?;
-    given.keys().map(|name| signal(given, name).with_context(|| format!("signal {name}"))).collect()
+pub(crate) fn read(given: Option<&Json>) -> Result<Vec<Signal>> {
+    let given = match given {
+        None => return Ok(Vec::new()),
+        Some(Json::Object(given)) => given,
+        Some(other) => bail!("'signals' must be an object of input names and signals, not {other}"),
+    };
+    given.keys().map(|name| signal(given, name).with_context(|| format!("signal '{name}'"))).collect()
 }
 
 fn signal(given: &Map<String, Json>, name: &str) -> Result<Signal> {
-    let variable = crate::named(name)?;
-    let (kind, value) = given[name].as_object().and_then(|kinds| kinds.iter().next()).context("it is no object with one key")?;
-    let shape = match kind.as_str() {
-        "linear" => Shape::Linear,
-        "minimumJerk" => Shape::MinimumJerk,
-        "rateOf" => {
-            let source = value.as_str().filter(|source| given.contains_key(*source)).context("rateOf names no other signal")?;
-            let source = signal(given, source)?;
-            ensure!(!source.rate, "rateOf names a rate");
-            return Ok(Signal { variable, rate: true, ..source });
-        }
-        other => bail!("there is no kind {other}"),
+    let variable = names::input(name)?;
+    let (kind, value) = kind(&given[name])?;
+    if kind == RATE_OF {
+        let source = value.as_str().filter(|source| given.contains_key(*source)).map(|source| signal(given, source)).transpose()?;
+        let fits = |source: &Signal| !source.rate && unit(variable) == format!("{}/s", unit(source.variable));
+        return match source.filter(fits) {
+            Some(source) => Ok(Signal { variable, rate: true, ..source }),
+            None => bail!("'{RATE_OF}' must name a signal with knots whose rate has the unit {}, not {value}", unit(variable)),
+        };
+    }
+    let shape = if kind == LINEAR { Shape::Linear } else { Shape::MinimumJerk };
+    let knots: Vec<(f64, f64)> = match serde_json::from_value::<Vec<_>>(value.clone()) {
+        Ok(knots) if knots.len() > 1 => knots,
+        _ => bail!("'{kind}' must be a list of two or more knots [time in s, value], not {value}"),
     };
-    let knots: Vec<(f64, f64)> = serde_json::from_value(value.clone()).context("knots are pairs of time and value")?;
-    ensure!(knots.len() > 1 && knots.is_sorted_by(|a, b| a.0 < b.0), "knots are two or more, their times increase");
+    if let Some(pair) = knots.windows(2).find(|pair| pair[1].0 <= pair[0].0) {
+        bail!("the knots' times must increase, but {} s follows {} s", pair[1].0, pair[0].0);
+    }
     Ok(Signal { variable, shape, rate: false, knots })
+}
+
+/// The one key of a signal, one of [`KINDS`], and its value.
+fn kind(given: &Json) -> Result<(&str, &Json)> {
+    match given.as_object().map(|kinds| kinds.iter().collect::<Vec<_>>()).as_deref() {
+        Some([(kind, value)]) if KINDS.contains(&kind.as_str()) => Ok((kind, value)),
+        _ => bail!("it must be an object with one key, one of {}, not {given}", KINDS.join(", ")),
+    }
 }
 
 impl Signal {
@@ -111,26 +138,39 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    /// Knots are met, the way rests before and after, the rate is the derivative by central differences.
+    fn signals(given: Json) -> Vec<Signal> {
+        read(Some(&given)).expect("signals")
+    }
+
+    /// Between knots the value is that of the path, outside it stays, the rate is the derivative by central differences.
     #[test]
     fn a_signal_meets_its_knots_and_its_rate() {
-        let given = json!({
-            "servo.theta[1]": { "minimumJerk": [[0.2, 1.0], [0.6, 3.0], [0.8, 3.0]] },
-            "servo.omega[1]": { "rateOf": "servo.theta[1]" },
-            "tip.fx": { "linear": [[0.0, 0.0], [1.0, 2.0]] },
-        });
-        let signals = read(&given).expect("signals");
-        let of = |name: &str| signals.iter().find(|signal| signal.variable.name == name).expect("signal");
-        let (way, rate) = (of("servo.theta[1]"), of("servo.omega[1]"));
-        for (time, value) in [(0.0, 1.0), (0.2, 1.0), (0.4, 2.0), (0.6, 3.0), (2.0, 3.0)] {
-            assert!((way.at(time) - value).abs() < 1e-14, "{time} s: {}", way.at(time));
+        let knots = json!([[0.5, 1.0], [1.0, 3.0], [2.0, 2.0]]);
+        for shape in KINDS.into_iter().filter(|kind| *kind != RATE_OF) {
+            let given = json!({ "servo.theta[1]": { shape: knots }, "servo.omega[1]": { RATE_OF: "servo.theta[1]" } });
+            let [way, rate] = signals(given).try_into().expect("two");
+            for (time, value) in [(-1.0, 1.0), (0.0, 1.0), (0.5, 1.0), (0.75, 2.0), (1.0, 3.0), (2.0, 2.0), (9.0, 2.0)] {
+                assert_eq!(way.at(time), value, "{shape}, {time} s");
+            }
+            for time in [0.1, 0.55, 0.7, 0.95, 1.1, 1.6, 1.99, 2.5] {
+                // The differences' error is d²/6 times the third derivative, some 1e3.
+                let difference = (way.at(time + 1e-5) - way.at(time - 1e-5)) / 2e-5;
+                assert!((rate.at(time) - difference).abs() < 1e-6, "{shape}, {time} s: {} and {difference}", rate.at(time));
+            }
         }
-        for time in [0.1, 0.25, 0.33, 0.5, 0.7, 0.9] {
-            // The differences' error is d²/6 times the third derivative, below 2e3 here.
-            let difference = (way.at(time + 1e-5) - way.at(time - 1e-5)) / 2e-5;
-            assert!((rate.at(time) - difference).abs() < 1e-7, "{time} s: {} and {difference}", rate.at(time));
+    }
+
+    /// Rate and acceleration are 0 there, to the first order in the distance of 1e-6 s times the jerk of some 1e3.
+    #[test]
+    fn a_minimum_jerk_rests_in_its_knots() {
+        let way = json!({ MINIMUM_JERK: [[0.5, 1.0], [1.0, 3.0], [2.0, 2.0]] });
+        let [_, rate] =
+            signals(json!({ "servo.theta[1]": way, "servo.omega[1]": { RATE_OF: "servo.theta[1]" } })).try_into().expect("two");
+        for knot in [0.5, 1.0, 2.0] {
+            let [before, at, after] = [-1e-6, 0.0, 1e-6].map(|close| rate.at(knot + close));
+            assert!([before, at, after].iter().all(|rate| rate.abs() < 1e-8), "{knot} s: {before}, {at}, {after}");
+            assert!((at - before).abs().max((after - at).abs()) / 1e-6 < 1e-2, "{knot} s: {before}, {at}, {after}");
         }
-        assert_eq!(of("tip.fx").at(0.25), 0.5);
     }
 
     /// To the bit what tests/data/reference/make/make.py holds: values of its `signal_at`, in 80 digits.
@@ -145,7 +185,7 @@ mod tests {
         ];
         for (scene, millisecond, name, value) in held {
             let scene = crate::Scene::read(scene).expect("a shipped scene");
-            let signal = scene.signals.iter().find(|signal| signal.variable.name == name).expect("its signal");
+            let signal = scene.signals.iter().find(|signal| signal.variable.name.full == name).expect("its signal");
             assert_eq!(signal.nearest(millisecond), value, "{name} at {millisecond} ms");
             // Doubles are off by some units of the last place, 4e-16 of values around 3.
             let double = signal.at(1e-3 * f64::from(millisecond));

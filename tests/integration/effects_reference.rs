@@ -1,8 +1,8 @@
 //! Every scene with a reference made by tests/data/reference/make: stiff, driven, along signals, with contacts; through the C functions.
 
 use fivebar::ffi::{fmi2ExitInitializationMode, fmi2OK};
-use fivebar::variables::{Method, Value, Variable};
-use scenes::Scene;
+use fivebar::variables::Method;
+use scenes::{Scene, Value, Variable};
 
 use crate::fmi_host::{Host, reference};
 use crate::support::Reference;
@@ -14,12 +14,13 @@ fn errors(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 2] {
     let name = &scene.name;
     let host = Host::initializing(0.0, None);
     let set = |(variable, value): (&Variable, Value)| {
-        let status = match value {
-            Value::Real(value) => host.set_real(&[variable.reference], &[value]),
-            Value::Boolean(value) => host.set_boolean(&[variable.reference], &[value.into()]),
-            Value::Integer(value) => host.set_integer(&[variable.reference], &[value]),
-        };
-        assert_eq!(status, fmi2OK, "{name}: {}", variable.name);
+        let reference = [variable.reference];
+        let status = value.fold(
+            |value| host.set_real(&reference, &[value]),
+            |value| host.set_integer(&reference, &[value]),
+            |value| host.set_boolean(&reference, &[value.into()]),
+        );
+        assert_eq!(status, fmi2OK, "{name}: {}", variable.name.full);
     };
     scene.values.iter().copied().chain(scene.signals_at(0.0)).for_each(set);
     for (name, value) in settings {

@@ -38,8 +38,10 @@ def model(directory: str) -> ModelDescription:
 
 @pytest.fixture(scope="session")
 def scenes() -> Path:
-    """The folder of the scenes."""
-    return REPOSITORY / "scenes"
+    """The folder of the scenes as Python reads them."""
+    folder = REPOSITORY / "target" / "scenes"
+    assert folder.is_dir(), f"there are no scenes in {folder}: run `cargo xtask package`"
+    return folder
 
 
 @pytest.fixture

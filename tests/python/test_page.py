@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from made_scene import made_scene, write
+
 pytestmark = pytest.mark.full
 
 FLAGS = (
@@ -125,8 +127,7 @@ def test_the_graver_kinds_have_a_lane(browser: object, fmu: Path, tmp_path: Path
     """A start with all links in line is a constraint singularity, and the page names it so."""
     import run
 
-    scene = tmp_path / "in_line.json"
-    scene.write_text('{"experiment": {"stopTime": 0.3}, "init.theta[1]": 0, "init.theta[2]": 0}', encoding="utf-8")
+    scene = write(tmp_path / "in_line.json", made_scene({"init.theta[1]": 0.0, "init.theta[2]": 0.0}, 0.3))
     assert run.main(["--fmu", str(fmu), "--scene", str(scene), "--out", str(tmp_path)]) == 0
     browser.get((tmp_path / "in_line.html").as_uri())
     mark = browser.find_element("css selector", ".lane.grave .mark.constraint")

@@ -14,20 +14,16 @@ from itertools import pairwise
 from pathlib import Path
 
 import fmpy
+import numpy as np
 import pytest
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-import scene
 from conftest import REPOSITORY
-from drive import communication_points
-from scene import Values
-from signals import Signal
+from scene import Values, communication_points, read
 
 pytestmark = pytest.mark.platforms
 
 SOURCES = REPOSITORY / "tests" / "platforms"
-SCENES = sorted((REPOSITORY / "scenes").glob("*.json"))
-
 # Seconds of each scene, and the communication step: enough for whips, impacts and singularities under an emulator.
 LONGEST, SIZE = 2.0, 0.01
 
@@ -131,17 +127,16 @@ def setting(variable: ScalarVariable, value: float | int | bool) -> str:
 
 
 def motion(
-    model: ModelDescription, values: Values, stop_time: float, size: float = SIZE, signals: dict[str, Signal] | None = None
+    model: ModelDescription, values: Values, stop_time: float, size: float = SIZE, inputs: dict[str, np.ndarray] | None = None
 ) -> Script:
     """A run from 0 to `stop_time`, with every output read at every communication point, `size` seconds apart."""
     variables = {v.name: v for v in model.modelVariables}
     readings = read_all(model)
     points = communication_points(stop_time, size)
-    inputs = {name: signal.at(points) for name, signal in (signals or {}).items()}
     script = [setting(variables[name], value) for name, value in values.items()]
     script += [f"start {bits(stop_time)}", *readings]
     for i, (now, then) in enumerate(pairwise(points)):
-        script += [setting(variables[name], course[i]) for name, course in inputs.items()]
+        script += [setting(variables[name], course[i]) for name, course in (inputs or {}).items()]
         script += [f"step {bits(now)} {bits(then - now)}", *readings]
     return script
 
@@ -167,13 +162,14 @@ def methods(model: ModelDescription) -> dict[str, int]:
     return {item.name: int(item.value) for item in method.declaredType.items}
 
 
-def motions(model: ModelDescription) -> dict[str, Script]:
+@pytest.fixture(scope="module")
+def motions(scenes: Path, model: ModelDescription) -> dict[str, Script]:
     """What every machine has to carry out to its end: the scenes, every method, every effect at once."""
     named = {}
-    for path in SCENES:
-        read = scene.read(path, model)
-        named[read.name] = motion(model, read.variants[0].values, min(read.stop_time, LONGEST), signals=read.signals)
-    fall = scene.read(REPOSITORY / "scenes" / "fall_90_120.json", model).variants[0].values
+    for path in sorted(scenes.glob("*.json")):
+        scene = read(path).coarser(SIZE, LONGEST)
+        named[scene.name] = motion(model, scene.variants[0].values, scene.stop_time, inputs=scene.signals)
+    fall = read(scenes / "fall_90_120.json").variants[0].values
     for name, number in methods(model).items():
         named[f"method_{name}"] = motion(model, fall | {"solver.method": number}, 1.0)
     named["every_effect"] = motion(model, every_effect(model), LONGEST)
@@ -187,18 +183,18 @@ def sentence_of_a_discard(model: ModelDescription) -> Script:
 
 
 @pytest.fixture(scope="module")
-def expected(bench: Bench, model: ModelDescription) -> Printed:
+def expected(bench: Bench, motions: dict[str, Script]) -> Printed:
     """What the library for this machine makes of the motions."""
-    printed = bench.run(HERE, motions(model))
+    printed = bench.run(HERE, motions)
     for name, (lines,) in printed.items():
         assert not [line for line in lines if "status" in line], f"{name} does not run to its end"
     return printed
 
 
 @on_every_machine
-def test_same_bits_on_every_machine(bench: Bench, model: ModelDescription, expected: Printed, machine: Machine) -> None:
+def test_same_bits_on_every_machine(bench: Bench, motions: dict[str, Script], expected: Printed, machine: Machine) -> None:
     """The bound is zero: arithmetic, elementary functions and their order are the same everywhere."""
-    for name, (there,) in bench.run(machine, motions(model)).items():
+    for name, (there,) in bench.run(machine, motions).items():
         (here,) = expected[name]
         assert there == here, f"{name}: {sum(a != b for a, b in zip(here, there, strict=False))} of {len(here)} lines differ"
 

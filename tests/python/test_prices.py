@@ -1,21 +1,20 @@
 """prices.py: a table of what effects cost. The times are whatever they are; the scenes, effects and counts are not."""
 
 import csv
-import json
 from pathlib import Path
 
 import pytest
 
 import prices
+from made_scene import made_scene, write
 
 
 def test_prices(fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr(prices, "REPEATS", 2)
     folder = tmp_path / "scenes"
     folder.mkdir()
-    short = {"experiment": {"stopTime": 0.2}, "init.theta[2]": 2.0944}
     for name, effects in (("bare", {}), ("damped", {"viscous.enabled": True, "gravity.enabled": False, "tau[1]": 0.01})):
-        (folder / f"{name}.json").write_text(json.dumps(short | effects), encoding="utf-8")
+        write(folder / f"{name}.json", made_scene({"init.theta[2]": 2.0944} | effects, 0.2))
     out = tmp_path / "run" / "prices.csv"
     assert prices.main(["--fmu", str(fmu), "--scenes", str(folder), "--out", str(out)]) == 0
     with out.open(encoding="utf-8") as file:

@@ -2,8 +2,10 @@
 
 import csv
 import json
+import math
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,21 +15,21 @@ from PIL import Image
 import summary
 from conftest import REPOSITORY
 from drive import Run
+from made_scene import METHODS, made_scene, write
+from scene import Scene, Values, Variant
 
 RUN = REPOSITORY / "xtask" / "python" / "run.py"
-SHORT = {
-    "description": "A short trial </script> of everything.",
-    "experiment": {"stopTime": 0.2, "stepSize": 0.002},
-    "tau[1]": 0.25,
-    "overlay": [{"label": "RK4, fine", "solver.method": "rk4", "solver.stepSize": 2e-4}],
-}
+PUSH: Values = {"tau[1]": 0.25}
+FINE = Variant("RK4, fine", PUSH | {"solver.method": METHODS["rk4"], "solver.stepSize": 2e-4})
+SHORT = made_scene(PUSH, 0.2, 0.002, FINE, description="A short trial </script> of everything.")
+HOPELESS: Values = {"tau[1]": 50.0, "solver.adaptive": False, "solver.maxIterations": 1}
+UNREACHABLE: Values = {"init.theta[1]": math.pi, "init.theta[2]": 0.0}
 
 
-def run(fmu: Path, folder: Path, content: dict[str, object]) -> subprocess.CompletedProcess[str]:
-    """Runs the scene `content`; everything is written to `folder`/out."""
-    scene = folder / "short.json"
-    scene.write_text(json.dumps(content), encoding="utf-8")
-    command = [sys.executable, str(RUN), "--fmu", str(fmu), "--scene", str(scene), "--out", str(folder / "out")]
+def run(fmu: Path, folder: Path, scene: Scene) -> subprocess.CompletedProcess[str]:
+    """Runs a scene; everything is written to `folder`/out."""
+    file = write(folder / "short.json", scene)
+    command = [sys.executable, str(RUN), "--fmu", str(fmu), "--scene", str(file), "--out", str(folder / "out")]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
@@ -62,10 +64,10 @@ def test_files(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
 
 def test_pictures_show_what_a_scene_has(fmu: Path, tmp_path: Path) -> None:
     """Servos, stops, a plane and a changing load have pictures of their own, and the signals are in the table."""
-    effects = {f"{effect}.enabled": True for effect in ("servo", "stop", "contact")}
-    theta = {"minimumJerk": [[0, 1.5708], [0.1, 1.5]]}
-    signals = {"tip.fx": {"linear": [[0, 0], [0.1, 0.2]]}, "servo.theta[1]": theta, "servo.omega[1]": {"rateOf": "servo.theta[1]"}}
-    process = run(fmu, tmp_path, {"experiment": {"stopTime": 0.1}, **effects, "servo.theta[2]": 2, "signals": signals})
+    effects: Values = {f"{effect}.enabled": True for effect in ("servo", "stop", "contact")}
+    theta, omega = np.linspace(1.5708, 1.5, 101), np.full(101, -0.708)
+    signals = {"tip.fx": np.linspace(0, 0.2, 101), "servo.theta[1]": theta, "servo.omega[1]": omega}
+    process = run(fmu, tmp_path, replace(made_scene(effects | {"servo.theta[2]": 2.0}, 0.1), signals=signals))
     assert process.returncode == 0, process.stderr
     assert {f"{name}.png" for name in ("servo", "stop", "contact", "inputs")} <= {file.name for file in (tmp_path / "out").iterdir()}
     header = (tmp_path / "out" / "short.csv").read_text(encoding="utf-8").splitlines()[0]
@@ -83,7 +85,7 @@ def test_an_earlier_run_leaves_nothing(fmu: Path, tmp_path: Path) -> None:
     own = {file.name for file in out.iterdir()}
     for foreign in ("notes.csv", "shorter.csv", "my.png", "short.txt"):
         (out / foreign).write_text("mine")
-    again = run(fmu, tmp_path, {"experiment": {"stopTime": 0.1}, "gravity.enabled": False, "tau[1]": 0.25})
+    again = run(fmu, tmp_path, made_scene(PUSH | {"gravity.enabled": False}, 0.1))
     assert again.returncode == 0, again.stderr
     left = {file.name for file in out.iterdir()}
     assert left == own - {"short.rk4-fine.csv", "difference.png"} | {"notes.csv", "shorter.csv", "my.png", "short.txt"}
@@ -134,34 +136,28 @@ def test_page(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     assert "{{" not in page
     # The description cannot end the script element that holds the data.
     data = page.split('<script type="application/json" id="data">')[1].split("</script>")[0]
-    assert json.loads(data)["description"] == SHORT["description"]
+    assert json.loads(data)["description"] == SHORT.description
     assert len(json.loads(data)["runs"]) == 2
 
 
 def test_a_run_that_fails_writes_what_it_has(fmu: Path, tmp_path: Path) -> None:
     """The printed method without sub-steps does not survive a violent torque; exit code 1 and the FMU's sentence."""
-    hopeless = {"experiment": {"stopTime": 0.2}, "tau[1]": 50, "solver.adaptive": False, "solver.maxIterations": 1}
-    process = run(fmu, tmp_path, hopeless)
+    process = run(fmu, tmp_path, made_scene(HOPELESS, 0.2))
     assert process.returncode == 1
     assert "ended early" in process.stdout and "0.2 s" in process.stdout
     assert (tmp_path / "out" / "short.csv").is_file() and (tmp_path / "out" / "short.html").is_file()
 
 
 def test_an_overlay_that_fails_is_part_of_the_summary(fmu: Path, tmp_path: Path) -> None:
-    overlay = {"label": "hopeless", "tau[1]": 50, "solver.adaptive": False, "solver.maxIterations": 1}
-    unreachable = {"label": "unreachable", "init.theta[1]": 3.141592653589793, "init.theta[2]": 0}
-    process = run(fmu, tmp_path, {"experiment": {"stopTime": 0.2}, "overlay": [overlay, unreachable]})
+    overlays = [Variant("hopeless", HOPELESS), Variant("unreachable", UNREACHABLE)]
+    process = run(fmu, tmp_path, made_scene({}, 0.2, 1e-3, *overlays))
     assert process.returncode == 0, process.stderr
     assert "ended early" in process.stdout and "unreachable did not start" in process.stdout
 
 
-@pytest.mark.parametrize(
-    ("content", "word"),
-    [({"gravity.enable": True}, "gravity.enabled"), ({"init.theta[1]": 3.141592653589793, "init.theta[2]": 0}, "0.84")],
-)
-def test_refused(fmu: Path, tmp_path: Path, content: dict[str, object], word: str) -> None:
-    """A scene that cannot be read or started: one sentence, exit code 1, no traceback, nothing written."""
-    process = run(fmu, tmp_path, content)
+def test_refused(fmu: Path, tmp_path: Path) -> None:
+    """A scene that cannot be started: one sentence, exit code 1, no traceback, nothing written."""
+    process = run(fmu, tmp_path, made_scene(UNREACHABLE, 0.2))
     assert process.returncode == 1
-    assert word in process.stderr and "Traceback" not in process.stderr
+    assert "0.84" in process.stderr and "Traceback" not in process.stderr
     assert not (tmp_path / "out").exists()

@@ -1,112 +1,82 @@
-"""Scenes: what is read, and the sentence for what is not."""
+"""Scenes: what Python makes of the files that the crate `scenes` has checked and written, and how a run applies signals."""
 
-import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from fmpy.model_description import ModelDescription
 
 import scene
+from conftest import REPOSITORY
+from drive import Progress, Run, drive
+from made_scene import METHODS, made_scene, write
 
 
-def write(folder: Path, content: object) -> Path:
-    """A scene file with `content`, a text or something for JSON."""
-    path = folder / "trial.json"
-    path.write_text(content if isinstance(content, str) else json.dumps(content), encoding="utf-8")
-    return path
-
-
-def test_shipped_scenes(scenes: Path, model: ModelDescription) -> None:
+def test_every_shipped_scene_is_read(scenes: Path, model: ModelDescription) -> None:
+    """The methods' numbers, which tests use, are those of the FMU."""
     names = {path.stem for path in scenes.glob("*.json")}
-    paper = {"paper_free_fall", "paper_torque", "paper_torque_gravity"}
-    assert names >= paper | {"fall_90_120", "flat_table", "singular_crossing", "haptic", "pick_and_place", "end_stops", "run_down"}
+    assert names == {path.stem for path in (REPOSITORY / "scenes").glob("*.json")} >= {"paper_free_fall", "haptic"}
     for name in names:
-        ready = scene.read(scenes / f"{name}.json", model)
-        assert ready.description and ready.stop_time > 0 and ready.step_size > 0
+        ready = scene.read(scenes / f"{name}.json")
+        assert ready.name == name and ready.description and ready.variants[0].label == "i3alp"
+        points = scene.communication_points(ready.stop_time, ready.step_size)
+        assert all(len(values) == len(points) for values in ready.signals.values())
+    (method,) = (v for v in model.modelVariables if v.name == "solver.method")
+    assert {item.name: int(item.value) for item in method.declaredType.items} == METHODS
 
 
-def test_shipped_scenes_say_only_what_differs(scenes: Path, model: ModelDescription) -> None:
-    starts = {v.name: v.start for v in model.modelVariables}
-    for path in scenes.glob("*.json"):
-        for name, value in scene.read(path, model).variants[0].values.items():
-            plain = {"true": 1, "false": 0}.get(starts[name], starts[name])
-            assert float(plain) != float(value), f"{path.name} repeats the default of {name}"
+def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
+    fine = scene.Variant("fine", {"solver.method": METHODS["rk4"], "solver.stepSize": 1e-5})
+    made = made_scene({"tau[1]": 1.0, "gravity.enabled": False}, 0.1, 0.05, fine)
+    made = replace(made, signals={"tip.fx": np.array([0.0, 0.1, 1 / 3])})
+    ready = scene.read(write(tmp_path / "trial.json", made))
+    assert ready.signals["tip.fx"].tolist() == [0.0, 0.1, 1 / 3]
+    assert replace(ready, signals={}) == replace(made, signals={})
 
 
-def test_docs_list_every_scene_with_its_effects(scenes: Path, model: ModelDescription) -> None:
-    """docs/effects.md, and the scene that it shows can be read."""
-    text = (scenes.parent / "docs" / "effects.md").read_text(encoding="utf-8")
-    rows = dict(re.findall(r"^\| \[`(\w+)`\]\([^)]*\) \| [^|]* \| ([^|]*) \|", text, re.MULTILINE))
-    switches = {v.name.removesuffix(".enabled"): v.start == "true" for v in model.modelVariables if v.name.endswith(".enabled")}
-    for path in scenes.glob("*.json"):
-        values = scene.read(path, model).variants[0].values
-        active = [name for name, start in switches.items() if values.get(f"{name}.enabled", start)]
-        assert rows.pop(path.stem) == (", ".join(active) or "none"), path.stem
-    assert rows == {}
-
-
-def test_the_scene_in_the_docs_is_one(scenes: Path, model: ModelDescription, tmp_path: Path) -> None:
-    text = (scenes.parent / "docs" / "effects.md").read_text(encoding="utf-8")
-    (block,) = re.findall(r"^```json\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
-    assert set(scene.read(write(tmp_path, block), model).signals) == {"servo.theta[1]", "servo.omega[1]"}
-
-
-def test_values_and_overlays(tmp_path: Path, model: ModelDescription) -> None:
-    path = write(
-        tmp_path,
-        {
-            "description": "trial",
-            "experiment": {"stopTime": 2},
-            "tau[1]": 1,
-            "gravity.enabled": False,
-            "solver.maxIterations": 20,
-            "overlay": [{"label": "fine", "solver.method": "rk4", "tau[1]": 0.5}],
-        },
-    )
-    ready = scene.read(path, model)
-    assert (ready.name, ready.stop_time, ready.step_size) == ("trial", 2.0, 0.001)
-    own, overlay = ready.variants
-    assert own == scene.Variant("i3alp", {"tau[1]": 1.0, "gravity.enabled": False, "solver.maxIterations": 20})
-    assert overlay.label == "fine"
-    assert overlay.values == own.values | {"tau[1]": 0.5, "solver.method": 3}
+def test_a_scene_as_users_write_it_is_not_taken_for_one(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match=re.escape("fall_90_120.json is not as `cargo xtask package` writes scenes")):
+        scene.read(REPOSITORY / "scenes" / "fall_90_120.json")
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("step", "stop", "expected"),
     [
-        ({"gravity.enable": False}, ("gravity.enable", "did you mean", "gravity.enabled")),
-        ({"descripton": "x"}, ("descripton", "description")),
-        ({"zzz": 1}, ("zzz", "known")),
-        ({"tip.x": 0.1}, ("tip.x", "cannot be set")),
-        ({"solver.method": "euler"}, ("solver.method", "i3alp", "rk4", "euler")),
-        ({"solver.method": 3}, ("solver.method", "i3alp")),
-        ({"tau[1]": "much"}, ("tau[1]", "N.m", "much")),
-        ({"tau[1]": True}, ("tau[1]", "true")),
-        ({"gravity.enabled": 1}, ("gravity.enabled", "true or false")),
-        ({"solver.maxIterations": 1.5}, ("solver.maxIterations", "whole")),
-        ('{"tau[1]": NaN}', ("tau[1]", "NaN")),
-        ('{"tau[1]": 1, "tau[1]": 2}', ("tau[1]", "twice")),
-        ('{"tau[1]": }', ("trial.json", "JSON", "line 1")),
-        ("[]", ("trial.json", "object")),
-        ({"experiment": {"stoptime": 1}}, ("stoptime", "stopTime")),
-        ({"experiment": {"stopTime": -1}}, ("experiment.stopTime", "-1")),
-        ({"experiment": {"stepSize": "1 ms"}}, ("experiment.stepSize", "1 ms")),
-        ({"experiment": 5}, ("experiment",)),
-        ({"overlay": {}}, ("overlay", "list")),
-        ({"overlay": [{"tau[1]": 1}]}, ("overlay 1", "label")),
-        ({"overlay": [{"label": "a", "tau[3]": 1}]}, ("overlay 1", "tau[3]", "tau[1]")),
-        ({"overlay": [{"label": "a"}, {"label": "a"}]}, ("'a'", "labels")),
-        ({"description": 5}, ("description",)),
+        (0.01, 9.0, (0.01, 0.05, [0, 1, 2, 3, 4, 5])),
+        (0.001, 9.0, (0.01, 0.05, [0, 1, 2, 3, 4, 5])),
+        (0.02, 9.0, (0.02, 0.05, [0, 2, 4, 5])),
+        (0.015, 0.04, (0.02, 0.04, [0, 2, 4])),
+        (9.0, 0.03, (9.0, 0.03, [0, 5])),
     ],
 )
-def test_refused(tmp_path: Path, model: ModelDescription, content: object, words: tuple[str, ...]) -> None:
-    with pytest.raises(scene.SceneError) as refusal:
-        scene.read(write(tmp_path, content), model)
-    for word in words:
-        assert word in str(refusal.value)
+def test_coarser(step: float, stop: float, expected: tuple[float, float, list[int]]) -> None:
+    """Whole numbers of the scene's own steps; at the end a signal is what it was there."""
+    fine = replace(made_scene({}, 0.05, 0.01), signals={"tau[1]": np.arange(6.0)})
+    coarse = fine.coarser(step, stop)
+    assert (coarse.step_size, coarse.stop_time, coarse.signals["tau[1]"].tolist()) == expected
 
 
-def test_a_missing_scene_lists_its_neighbours(scenes: Path, model: ModelDescription) -> None:
-    with pytest.raises(scene.SceneError, match=r"paper_fall.*fall_90_120.*paper_torque"):
-        scene.read(scenes / "paper_fall.json", model)
+def run(ready: scene.Scene, model: ModelDescription, directory: str) -> Run:
+    """A run of a scene."""
+    return drive(model, directory, ready, ready.variants[0], Progress("trial", ready.stop_time))
+
+
+def test_a_signal_is_held_from_each_communication_point(model: ModelDescription, directory: str) -> None:
+    """A ramp sampled at 0, 10, 20, ... ms is a flight of stairs that begins at 0."""
+    ramp = np.linspace(0, 1e-3, 11)
+    rest = made_scene({"gravity.enabled": False, "solver.stepSize": 1e-3}, 0.1, 0.01)
+    signalled = run(replace(rest, signals={"tau[1]": ramp}), model, directory)
+    assert signalled["tau[1]"].tolist() == ramp.tolist()
+    # The first step is made with the value at 0, which is none: the rest stays one, but for round-off.
+    assert abs(signalled["omega[1]"][1]) < 1e-15 < 1e-4 < signalled["omega[1]"][2]
+    # Work put in is held torque times turned angle, step by step; 1e-6 of it is the integrator's error.
+    work = np.sum(signalled["tau[1]"][:-1] * np.diff(signalled["theta[1]"]))
+    assert signalled["energy.input"][-1] == pytest.approx(work, rel=1e-6)
+
+
+def test_the_start_has_the_signals_first_values(model: ModelDescription, directory: str) -> None:
+    push = replace(made_scene({"gravity.enabled": False}, 0.01), signals={"tau[1]": np.linspace(0.1, 0.2, 11)})
+    held = run(made_scene({"gravity.enabled": False, "tau[1]": 0.1}, 0.01), model, directory)
+    assert run(push, model, directory)["alpha[1]"][0] == held["alpha[1]"][0] != 0.0

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from fmpy.model_description import ModelDescription
 
-import scene
 import singularities
-from drive import Progress, Run, communication_points, drive
+from drive import Progress, Run, drive
+from made_scene import made_scene
+from scene import communication_points
 from singularities import Event
 
 LENGTH = 0.21
@@ -152,13 +153,12 @@ def test_a_start_with_all_links_in_line() -> None:
     assert outlines(run) == ["constraint start: folded folded stretched"]
 
 
-def test_kinds_are_those_of_the_fmu(model: ModelDescription, directory: str, tmp_path: Path) -> None:
+def test_kinds_are_those_of_the_fmu(model: ModelDescription, directory: str) -> None:
     """While singular.type says combined or constraint, no pair of links has an event of its own.
 
     The run starts with all links in line: a motion that only comes near that would depend on the last bit.
     """
-    (tmp_path / "in_line.json").write_text('{"experiment": {"stopTime": 0.3}, "init.theta[1]": 0, "init.theta[2]": 0}')
-    ready = scene.read(tmp_path / "in_line.json", model)
+    ready = made_scene({"init.theta[1]": 0.0, "init.theta[2]": 0.0}, 0.3)
     run = drive(model, directory, ready, ready.variants[0], Progress("", ready.stop_time, StringIO()))
     items = run.items["singular.type"]
     assert tuple(items.values()) == ("none", *singularities.KINDS)

@@ -13,7 +13,7 @@ from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-from scene import Scene, Variant, unit
+from scene import Scene, Variant, communication_points, unit
 from slave import Log, get_values, instantiate, set_values
 
 
@@ -57,14 +57,6 @@ class Run:
 
 class StartRefused(Exception):
     """The FMU refused the start values; the text is its sentence."""
-
-
-def communication_points(stop_time: float, step_size: float) -> np.ndarray:
-    """0, H, 2H, ... and the stop time; a remainder within rounding is no step of its own."""
-    count = max(1, math.ceil(stop_time / step_size - 1e-9))
-    points = np.arange(count + 1) * step_size
-    points[-1] = stop_time
-    return points
 
 
 class _Recorder:
@@ -137,11 +129,11 @@ class Progress:
 class _Signals:
     """The scene's signals: each is set at the communication point and held over the step that follows."""
 
-    def __init__(self, slave: fmi2.FMU2Slave, model: ModelDescription, scene: Scene, points: np.ndarray):
+    def __init__(self, slave: fmi2.FMU2Slave, model: ModelDescription, scene: Scene):
         self.slave = slave
-        self.references = [v.valueReference for v in model.modelVariables if v.name in scene.signals]
-        self.columns = {v.name: scene.signals[v.name].at(points) for v in model.modelVariables if v.name in scene.signals}
-        self.rows = np.column_stack(list(self.columns.values())).tolist() if self.columns else []
+        references = {v.name: v.valueReference for v in model.modelVariables}
+        self.references = [references[name] for name in scene.signals]
+        self.rows = np.column_stack(list(scene.signals.values())).tolist() if scene.signals else []
 
     def hold(self, row: int) -> None:
         if self.rows:
@@ -156,7 +148,7 @@ def drive(model: ModelDescription, directory: str, scene: Scene, variant: Varian
     log = Log()
     slave = instantiate(model, directory, log, name=scene.name)
     try:
-        signals = _Signals(slave, model, scene, points)
+        signals = _Signals(slave, model, scene)
         _initialise(slave, model, scene, variant, signals, log)
         recorder = _Recorder(slave, outputs, len(points))
         recorder.record()
@@ -172,7 +164,7 @@ def drive(model: ModelDescription, directory: str, scene: Scene, variant: Varian
         stop_time=scene.stop_time,
         step_size=scene.step_size,
         units={"time": "s"} | {v.name: unit(v) for v in model.modelVariables},
-        columns=recorder.columns(points) | {name: column[: recorder.rows] for name, column in signals.columns.items()},
+        columns=recorder.columns(points) | {name: column[: recorder.rows] for name, column in scene.signals.items()},
         parameters=parameters,
         items={v.name: {int(i.value): i.name for i in v.declaredType.items} for v in outputs if v.type == "Enumeration"},
         call_seconds=call_seconds,

@@ -1,6 +1,6 @@
 """What the effects of each scene cost against the bare mechanism: seconds in fmi2DoStep and sub-steps, as a table and as CSV.
 
-python prices.py --fmu target/fmu/FiveBar.fmu --scenes scenes --out target/run/prices.csv
+python prices.py --fmu target/fmu/FiveBar.fmu --scenes target/scenes --out target/run/prices.csv
 """
 
 import argparse
@@ -8,7 +8,7 @@ import csv
 import io
 import shutil
 import sys
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import fmpy
@@ -45,13 +45,13 @@ def main(arguments: list[str] | None = None) -> int:
     """Measures all scenes of a folder."""
     parser = argparse.ArgumentParser(description="What the effects of each scene cost against the bare mechanism.")
     parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
-    parser.add_argument("--scenes", type=Path, required=True, help="the folder of the scenes")
+    parser.add_argument("--scenes", type=Path, required=True, help="the folder target/scenes/")
     parser.add_argument("--out", type=Path, required=True, help="the CSV file to write")
     options = parser.parse_args(arguments)
     directory = fmpy.extract(str(options.fmu))
     try:
         model = fmpy.read_model_description(directory, validate=False)
-        prices = [_price(model, directory, read(path, model)) for path in sorted(options.scenes.glob("*.json"))]
+        prices = [_price(model, directory, read(path)) for path in sorted(options.scenes.glob("*.json"))]
     finally:
         shutil.rmtree(directory, ignore_errors=True)
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -78,7 +78,7 @@ def table(prices: list[Price]) -> str:
 
 
 def _price(model: ModelDescription, directory: str, scene: Scene) -> Price:
-    scene = replace(scene, step_size=STEP)
+    scene = scene.coarser(STEP)
     own = scene.variants[0]
     switches = {v.name: v.start == "true" for v in model.modelVariables if v.name.endswith(".enabled")}
     active = [name for name, start in switches.items() if own.values.get(name, start)]

@@ -1,6 +1,7 @@
 //! The commands of this repository, started as `cargo xtask`: one file per command.
 
 mod bench;
+mod compare;
 mod hard_cases;
 mod package;
 mod paths;
@@ -46,6 +47,12 @@ enum Command {
         /// Check only that the master fmi-sim drives the FMU, which is built first and takes minutes (its needs: .ci/setup-fmi-sim)
         #[arg(long, conflicts_with_all = ["full", "platforms"])]
         fmi_sim: bool,
+    },
+    /// Compare the library with that of an earlier revision, every scene by every method: same bits, or by how much they differ
+    Compare {
+        /// What git calls a revision
+        #[arg(default_value = "HEAD")]
+        revision: String,
     },
     /// Make random calls, legal and illegal, on the packed library, each judged by FMI's table
     Walk(walk::Options),
@@ -98,6 +105,7 @@ fn command(command: Command) -> Result<()> {
         Command::Test { platforms: true, .. } => test::platforms(),
         Command::Test { fmi_sim: true, .. } => test::fmi_sim(),
         Command::Test { full, .. } => test::test(full),
+        Command::Compare { revision } => compare::compare(&revision),
         Command::Walk(options) => walk::walk(&options),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
         Command::Report(options) => report::report(&options),

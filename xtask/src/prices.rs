@@ -14,7 +14,7 @@ pub(crate) fn prices() -> Result<()> {
             .arg("--fmu")
             .arg(fmu)
             .arg("--scenes")
-            .arg(paths::scenes())
+            .arg(paths::resolved_scenes())
             .arg("--out")
             .arg(paths::in_root("target/run/prices.csv")),
     )

@@ -8,7 +8,7 @@ use anyhow::Result;
 /// Packs the unit and runs a scene; CSV, pictures and the page go to `target/run/NAME/`.
 pub(crate) fn run(scene: &str) -> Result<()> {
     // First of all, so that a misspelt name does not cost a build.
-    let file = scenes::find(scene)?;
+    scenes::check(scene)?;
     let fmu = package::package(Scope::Here)?;
     process::run(
         venv::python(Packages::Usual)?
@@ -16,7 +16,7 @@ pub(crate) fn run(scene: &str) -> Result<()> {
             .arg("--fmu")
             .arg(fmu)
             .arg("--scene")
-            .arg(file)
+            .arg(paths::resolved_scenes().join(scene).with_extension("json"))
             .arg("--out")
             .arg(paths::in_root("target/run").join(scene)),
     )

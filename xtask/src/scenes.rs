@@ -1,72 +1,38 @@
-//! The scenes: one JSON file each, variable name to start value, with a `description`.
+//! The scenes: known by their names, and written as Python reads them.
 
 use crate::paths;
-use anyhow::{Context, Result, bail};
-use serde_json::{Map, Value};
+use anyhow::{Context, Result, ensure};
+use scenes::Scene;
 use std::fmt::Write;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-/// The file of a scene; an unknown name is answered with the list of those that exist.
-pub(crate) fn find(name: &str) -> Result<PathBuf> {
-    find_in(&paths::scenes(), name)
+/// Whether there is a scene of that name; an unknown one is answered with the list of those that exist.
+pub(crate) fn check(name: &str) -> Result<()> {
+    check_in(&Scene::all()?, name)
 }
 
-fn find_in(folder: &Path, name: &str) -> Result<PathBuf> {
-    let scenes = list(folder)?;
-    match scenes.iter().find(|scene| scene.name == name) {
-        Some(scene) => Ok(scene.file.clone()),
-        None => bail!("there is no scene `{name}`; the scenes are:\n{}", table(&scenes)),
+fn check_in(scenes: &[Scene], name: &str) -> Result<()> {
+    let known = scenes.iter().any(|scene| scene.name == name);
+    ensure!(known, "there is no scene `{name}`; the scenes are:\n{}", table(scenes));
+    Ok(())
+}
+
+/// Writes them to `target/scenes/`, and nothing else is left there.
+pub(crate) fn write(scenes: &[Scene]) -> Result<()> {
+    let folder = paths::resolved_scenes();
+    write_to(&folder, scenes).with_context(|| format!("the scenes cannot be written to {}", paths::short(&folder)))
+}
+
+fn write_to(folder: &Path, scenes: &[Scene]) -> Result<()> {
+    if folder.exists() {
+        fs::remove_dir_all(folder)?;
     }
-}
-
-/// A scene as its file has it.
-pub(crate) struct Scene {
-    /// The file's name without its ending.
-    pub(crate) name: String,
-    file: PathBuf,
-    /// What it shows.
-    pub(crate) description: String,
-    /// Values that differ from the start values: variable name to value, in the order of the file.
-    pub(crate) values: Map<String, Value>,
-    /// Inputs that change with time.
-    pub(crate) changing: Vec<String>,
-}
-
-/// Keys of a scene that are not variables.
-const RESERVED: [&str; 4] = ["description", "experiment", "signals", "overlay"];
-
-/// All scenes, by name.
-pub(crate) fn all() -> Result<Vec<Scene>> {
-    list(&paths::scenes())
-}
-
-fn list(folder: &Path) -> Result<Vec<Scene>> {
-    let entries = fs::read_dir(folder).with_context(|| format!("the folder of scenes {} cannot be read", paths::short(folder)))?;
-    let mut scenes = Vec::new();
-    for entry in entries {
-        let file = entry?.path();
-        if file.extension().is_none_or(|extension| extension != "json") {
-            continue;
-        }
-        let name = file.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-        scenes.push(read(name, file)?);
+    fs::create_dir_all(folder)?;
+    for scene in scenes {
+        fs::write(folder.join(&scene.name).with_extension("json"), scene.resolved()?.to_string())?;
     }
-    scenes.sort_by(|a, b| a.name.cmp(&b.name));
-    Ok(scenes)
-}
-
-fn read(name: String, file: PathBuf) -> Result<Scene> {
-    let text = fs::read_to_string(&file).with_context(|| format!("scene {} cannot be read", paths::short(&file)))?;
-    let mut values: Map<String, Value> =
-        serde_json::from_str(&text).with_context(|| format!("scene {} is not valid JSON", paths::short(&file)))?;
-    let Some(description) = values.get("description").and_then(Value::as_str).map(String::from) else {
-        bail!("scene {} has no text `description`", paths::short(&file));
-    };
-    let signals = values.get("signals").and_then(Value::as_object);
-    let changing = signals.map(|signals| signals.keys().cloned().collect()).unwrap_or_default();
-    values.retain(|key, _| !RESERVED.contains(&key.as_str()));
-    Ok(Scene { name, file, description, values, changing })
+    Ok(())
 }
 
 fn table(scenes: &[Scene]) -> String {
@@ -83,35 +49,27 @@ fn table(scenes: &[Scene]) -> String {
 mod tests {
     use super::*;
 
-    fn folder(files: &[(&str, &str)]) -> tempfile::TempDir {
-        let folder = tempfile::tempdir().unwrap();
-        for (name, text) in files {
-            fs::write(folder.path().join(name), text).unwrap();
-        }
-        folder
-    }
-
-    #[test]
-    fn a_known_scene_is_found() {
-        let folder = folder(&[("fall.json", r#"{"description": "Falls"}"#)]);
-        assert_eq!(find_in(folder.path(), "fall").unwrap(), folder.path().join("fall.json"));
+    fn scenes() -> [Scene; 2] {
+        let scene = |name, text| Scene::parse(name, text).unwrap();
+        [scene("fall", r#"{"description": "Falls"}"#), scene("torque", r#"{"description": "Turns", "tau[1]": 1}"#)]
     }
 
     #[test]
     fn an_unknown_scene_lists_those_there_are() {
-        let folder = folder(&[
-            ("torque.json", r#"{"description": "Turns"}"#),
-            ("fall.json", r#"{"description": "Falls"}"#),
-            ("notes.txt", "not a scene"),
-        ]);
-        let error = find_in(folder.path(), "fly").unwrap_err().to_string();
+        assert!(check_in(&scenes(), "fall").is_ok());
+        let error = check_in(&scenes(), "fly").unwrap_err().to_string();
         assert_eq!(error, "there is no scene `fly`; the scenes are:\n  fall    Falls\n  torque  Turns");
     }
 
     #[test]
-    fn a_scene_without_description_is_named() {
-        let folder = folder(&[("fall.json", "{}")]);
-        let error = find_in(folder.path(), "fall").unwrap_err().to_string();
-        assert!(error.contains("fall.json has no text `description`"), "{error}");
+    fn what_python_reads_is_what_there_is() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("scenes");
+        write_to(&target, &scenes()).unwrap();
+        write_to(&target, &scenes()[1..]).unwrap();
+        let files: Vec<_> = fs::read_dir(&target).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        assert_eq!(files, ["torque.json"]);
+        let text = fs::read_to_string(target.join("torque.json")).unwrap();
+        assert!(text.contains(r#""values":{"tau[1]":1.0}"#), "{text}");
     }
 }

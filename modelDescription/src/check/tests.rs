@@ -73,6 +73,7 @@ fn broken_copies_are_refused_by_name() {
             r#"name="der(theta[1])" valueReference="604""#,
             "variable der(theta[1]): alpha[1] has the same reference and another",
         ),
+        (r#"stepSize="0.001""#, "", "<DefaultExperiment> has no attribute stepSize"),
         ("</ModelVariables>", "", "byte"),
     ] {
         let error = broken(old, new);

@@ -2,10 +2,10 @@
 //! scenes and the change log put in.
 
 use crate::paths;
-use crate::scenes::{self, Scene};
 use anyhow::{Context, Result, ensure};
 use model_description::{Causality, Kind, ModelDescription, TypeKind, Variability, Variable};
 use pulldown_cmark::{Event, HeadingLevel, Parser, Tag, TagEnd};
+use scenes::Scene;
 use std::fmt::{Display, Write};
 use std::fs;
 
@@ -18,12 +18,12 @@ const PLACES: [&str; 5] =
     ["<!-- picture -->", "<!-- scenes -->", "<!-- variables -->", "<!-- enumerations -->", "<!-- changes -->"];
 
 /// The finished page; it refers to nothing outside itself.
-pub(super) fn page(description: &ModelDescription, picture: &str) -> Result<String> {
+pub(super) fn page(description: &ModelDescription, scenes: &[Scene], picture: &str) -> Result<String> {
     let mut page = fs::read_to_string(paths::in_root(SOURCE)).with_context(|| format!("{SOURCE} cannot be read"))?;
     let changes = fs::read_to_string(paths::in_root(CHANGES)).with_context(|| format!("{CHANGES} cannot be read"))?;
     let contents = [
         inline(picture).to_owned(),
-        scene_rows(&scenes::all()?),
+        scene_rows(description, scenes),
         variables(description),
         enumerations(description),
         change_log(&changes),
@@ -122,11 +122,14 @@ fn enumerations(description: &ModelDescription) -> String {
     rows
 }
 
-fn scene_rows(scenes: &[Scene]) -> String {
+fn scene_rows(description: &ModelDescription, scenes: &[Scene]) -> String {
     let mut rows = String::new();
     for scene in scenes {
-        let constant = scene.values.iter().map(|(name, value)| format!("{name} = {value}"));
-        let changing = scene.changing.iter().map(|name| format!("{name} changes with time"));
+        let constant = scene.values.iter().map(|(variable, value)| {
+            let whole = |number: i32| item(description, variable, number).unwrap_or_else(|| number.to_string());
+            format!("{} = {}", variable.name.full, value.fold(real, whole, |truth| truth.to_string()))
+        });
+        let changing = scene.signals.iter().map(|signal| format!("{} changes with time", signal.variable.name.full));
         let values: Vec<String> = constant.chain(changing).collect();
         writeln!(
             rows,
@@ -173,12 +176,13 @@ mod tests {
     #[test]
     fn the_page_names_every_variable_and_needs_nothing_outside_itself() {
         let description = ModelDescription::read().unwrap();
-        let page = page(&description, &icon::picture().unwrap()).unwrap();
+        let scenes = Scene::all().unwrap();
+        let page = page(&description, &scenes, &icon::picture().unwrap()).unwrap();
         for variable in &description.variables {
             let name = format!("<code>{}</code>", variable.name.full);
             assert!(page.contains(&name), "{name} is missing");
         }
-        for scene in scenes::all().unwrap() {
+        for scene in scenes {
             assert!(page.contains(&format!("<code>{}</code>", scene.name)), "{} is missing", scene.name);
         }
         for outside in ["<link", "<script", "<img", "src=", "url(http", "@import"] {

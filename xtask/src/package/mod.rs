@@ -1,5 +1,6 @@
 //! `cargo xtask package`: `target/fmu/FiveBar.fmu`, the same bytes wherever it is built, verified after packing; with
-//! `--all-platforms` one with a library for every machine that is shipped.
+//! `--all-platforms` one with a library for every machine that is shipped. The scenes, which its documentation lists, are checked and
+//! written to `target/scenes/` for the Python programs that drive it.
 
 mod archive;
 mod documentation;
@@ -12,7 +13,8 @@ mod verify;
 
 pub(crate) use platform::Scope;
 
-use crate::paths;
+use crate::{paths, scenes};
+use ::scenes::Scene;
 use anyhow::{Context, Result};
 use model_description::ModelDescription;
 use std::collections::{BTreeMap, HashSet};
@@ -25,6 +27,8 @@ type Files = BTreeMap<String, Vec<u8>>;
 /// Builds, packs, verifies; gives back the file of the packed unit.
 pub(crate) fn package(scope: Scope) -> Result<PathBuf> {
     let description = ModelDescription::read().context("modelDescription/modelDescription.xml")?;
+    let scenes = Scene::all()?;
+    scenes::write(&scenes)?;
     let mut linked = linked::Linked::read(scope)?;
     let mut files = Files::new();
     let mut built = HashSet::new();
@@ -40,7 +44,7 @@ pub(crate) fn package(scope: Scope) -> Result<PathBuf> {
 
     files.insert("modelDescription.xml".into(), description.to_fmi(env!("CARGO_PKG_VERSION")).into_bytes());
     files.insert("model.png".into(), icon::render(&picture)?);
-    files.insert("documentation/index.html".into(), documentation::page(&description, &picture)?.into_bytes());
+    files.insert("documentation/index.html".into(), documentation::page(&description, &scenes, &picture)?.into_bytes());
     files.extend(licenses::collect(&linked, scope)?);
 
     let fmu = scope.file();

@@ -110,7 +110,7 @@ def enumeration_items() -> dict[str, dict[str, int]]:
 def own_values(scene: str) -> dict[str, float | bool | str | dict]:
     """What the scene sets; enumerations by the names of their items, and its signals."""
     content = json.loads((ROOT / f"scenes/{scene}.json").read_text(encoding="utf-8"))
-    own = {name: value for name, value in content.items() if name not in ("description", "experiment", "overlay")}
+    own = {name: value for name, value in content.items() if name in {"signals", *start_values()}}
     items = enumeration_items()
     for name, value in own.items():
         if value not in items.get(name, ()) and name != "signals" and not isinstance(value, (bool, int, float)):
@@ -121,7 +121,7 @@ def own_values(scene: str) -> dict[str, float | bool | str | dict]:
 
 
 def signal_at(signals: dict[str, dict], name: str, time: mpmath.mpf) -> mpmath.mpf:
-    """An input that changes, as xtask/python/signals.py describes it, at a time in s."""
+    """An input that changes, as scenes/src/signal.rs describes it, at a time in s."""
     ((kind, value),) = signals[name].items()
     rate = kind == "rateOf"
     if rate:

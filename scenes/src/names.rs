@@ -1,0 +1,82 @@
+//! Variables by name, and those that a misspelt name may mean.
+
+use std::sync::LazyLock;
+
+use anyhow::{Result, bail};
+use model_description::{Causality, Item, ModelDescription, TypeKind, Variable};
+
+/// The model description that all scenes are checked against.
+pub(crate) fn model() -> Result<&'static ModelDescription> {
+    static MODEL: LazyLock<Result<ModelDescription, model_description::Error>> = LazyLock::new(ModelDescription::read);
+    Ok(MODEL.as_ref()?)
+}
+
+/// The variable that a scene gives a start value; `reserved` are other keys that a misspelt name may mean.
+pub(crate) fn settable(name: &str, reserved: &[&str]) -> Result<&'static Variable> {
+    let variables = &model()?.variables;
+    let can_be_set = |variable: &&Variable| matches!(variable.causality, Causality::Parameter | Causality::Input);
+    match variables.iter().find(|variable| variable.name.full == name) {
+        Some(variable) if can_be_set(&variable) => Ok(variable),
+        Some(_) => bail!("'{name}' is computed by the FMU and cannot be set"),
+        None => {
+            let known = variables.iter().filter(can_be_set).map(|variable| variable.name.full.as_str());
+            bail!("there is no variable '{name}'{}", similar(name, known.chain(reserved.iter().copied())))
+        }
+    }
+}
+
+/// The input that a scene gives a signal.
+pub(crate) fn input(name: &str) -> Result<&'static Variable> {
+    let inputs = || model().into_iter().flat_map(|model| &model.variables).filter(|v| v.causality == Causality::Input);
+    match inputs().find(|variable| variable.name.full == name) {
+        Some(variable) => Ok(variable),
+        None => bail!("'{name}' is not an input of the FMU{}", similar(name, inputs().map(|variable| variable.name.full.as_str()))),
+    }
+}
+
+/// The unit of a variable, `1` if it has none.
+pub(crate) fn unit(variable: &Variable) -> &str {
+    variable.unit.as_deref().unwrap_or("1")
+}
+
+/// The items of a variable that is an enumeration.
+pub(crate) fn items(variable: &Variable) -> Result<&'static [Item]> {
+    let declared = model()?.types.iter().find(|declared| Some(&declared.name) == variable.declared_type.as_ref());
+    match declared.map(|declared| &declared.kind) {
+        Some(TypeKind::Enumeration(enumeration)) => Ok(&enumeration.items),
+        _ => Ok(&[]),
+    }
+}
+
+/// The end of a sentence about an unknown name: those it may have been meant to be.
+pub(crate) fn similar<'a>(name: &str, known: impl Iterator<Item = &'a str>) -> String {
+    /// From here on two names look alike: 0.4 of the letters may differ.
+    const ALIKE: f64 = 0.6;
+    const MOST_ALIKE: usize = 3;
+    const MOST_KNOWN: usize = 6;
+    let known: Vec<&str> = known.collect();
+    let rate = |other: &&'a str| (strsim::normalized_damerau_levenshtein(name, other), *other);
+    let mut near: Vec<(f64, &str)> = known.iter().map(rate).filter(|(likeness, _)| *likeness >= ALIKE).collect();
+    near.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let quoted: Vec<String> = near.iter().take(MOST_ALIKE).map(|(_, other)| format!("'{other}'")).collect();
+    match (quoted.as_slice(), known.len().saturating_sub(MOST_KNOWN)) {
+        ([], 0) => format!("; known are {}", known.join(", ")),
+        ([], more) => format!("; known are {} and {more} more", known[..MOST_KNOWN].join(", ")),
+        _ => format!("; did you mean {}?", quoted.join(" or ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_nearest_names_come_first_and_are_few() {
+        let known = ["tau[1]", "tau[2]", "tip.fx", "tau.g[1]", "gravity.g"];
+        assert_eq!(similar("tau[3]", known.into_iter()), "; did you mean 'tau[1]' or 'tau[2]' or 'tau.g[1]'?");
+        assert_eq!(similar("gravty.g", known.into_iter()), "; did you mean 'gravity.g'?");
+        assert_eq!(similar("zzz", known.into_iter()), "; known are tau[1], tau[2], tip.fx, tau.g[1], gravity.g");
+        let more = known.into_iter().chain(["aaa", "bbb", "ccc"]);
+        assert_eq!(similar("zzz", more), "; known are tau[1], tau[2], tip.fx, tau.g[1], gravity.g, aaa and 2 more");
+    }
+}

@@ -1,0 +1,138 @@
+//! A file's keys, runs and experiment.
+
+use anyhow::{Context, Result, bail, ensure};
+use model_description::Kind;
+use serde_json::{Map, Value as Json};
+
+use crate::names::{items, model, settable, similar};
+use crate::{Overlay, Scene, Value, Values, json, signal};
+
+/// Keys of a scene that are no variables.
+const RESERVED: [&str; 4] = [DESCRIPTION, EXPERIMENT, SIGNALS, OVERLAY];
+
+const DESCRIPTION: &str = "description";
+const EXPERIMENT: &str = "experiment";
+const SIGNALS: &str = "signals";
+const OVERLAY: &str = "overlay";
+
+/// The key of an overlay that is no variable.
+const LABEL: &str = "label";
+
+impl Scene {
+    /// A scene from the text of its file.
+    pub fn parse(name: &str, text: &str) -> Result<Self> {
+        let content = json::read(text).context("it is not valid JSON")?;
+        let content = content.as_object().context("a scene must be an object of variable names and values")?;
+        let own = content.iter().filter(|(key, _)| !RESERVED.contains(&key.as_str()));
+        let values = values(own, &RESERVED)?;
+        let (stop_time, step_size) = experiment(content.get(EXPERIMENT))?;
+        let scene = Self {
+            name: name.to_owned(),
+            description: text_of(DESCRIPTION, content.get(DESCRIPTION))?,
+            stop_time,
+            step_size,
+            overlays: overlays(content.get(OVERLAY), &values)?,
+            values,
+            signals: signal::read(content.get(SIGNALS))?,
+        };
+        scene.check_labels()?;
+        scene.check_signals()?;
+        Ok(scene)
+    }
+
+    /// The labels of its runs: of its own the method, and those of the overlays.
+    pub(crate) fn labels(&self) -> Result<Vec<&str>> {
+        let own = method(&self.values)?;
+        Ok([own].into_iter().chain(self.overlays.iter().map(|overlay| overlay.label.as_str())).collect())
+    }
+
+    fn check_labels(&self) -> Result<()> {
+        let labels = self.labels()?;
+        for (i, label) in labels.iter().enumerate() {
+            ensure!(!labels[..i].contains(label), "two runs have the label '{label}', but labels must differ");
+        }
+        Ok(())
+    }
+
+    fn check_signals(&self) -> Result<()> {
+        let mut set = self.overlays.iter().map(|overlay| &overlay.values).chain([&self.values]).flatten();
+        match set.find(|(variable, _)| self.signals.iter().any(|signal| signal.variable.reference == variable.reference)) {
+            Some((variable, _)) => bail!("'{}' is given a signal and a value, but only one of them can hold", variable.name.full),
+            None => Ok(()),
+        }
+    }
+}
+
+fn values<'a>(given: impl Iterator<Item = (&'a String, &'a Json)>, reserved: &[&str]) -> Result<Values> {
+    given
+        .map(|(name, value)| {
+            let variable = settable(name, reserved)?;
+            Ok((variable, Value::read(variable, value)?))
+        })
+        .collect()
+}
+
+fn text_of(key: &str, given: Option<&Json>) -> Result<String> {
+    let text = given.with_context(|| format!("it has no text '{key}'"))?;
+    match text.as_str() {
+        Some(words) if !words.trim().is_empty() => Ok(words.to_owned()),
+        _ => bail!("'{key}' must be a text, not {text}"),
+    }
+}
+
+/// Stop time and communication step, s; where they are not given, those of the model description.
+fn experiment(given: Option<&Json>) -> Result<(f64, f64)> {
+    const KEYS: [&str; 2] = ["stopTime", "stepSize"];
+    let none = Map::new();
+    let given = match given {
+        None => &none,
+        Some(Json::Object(given)) => given,
+        Some(other) => bail!(r#"'{EXPERIMENT}' must be an object such as {{"stopTime": 2, "stepSize": 0.001}}, not {other}"#),
+    };
+    if let Some(unknown) = given.keys().find(|key| !KEYS.contains(&key.as_str())) {
+        bail!("'{EXPERIMENT}' has no key '{unknown}'{}", similar(unknown, KEYS.into_iter()));
+    }
+    let default = model()?.experiment;
+    let seconds = |key, default| match given.get(key) {
+        None => Ok(default),
+        Some(value) => match value.as_f64().filter(|&seconds| seconds > 0.0) {
+            Some(seconds) => Ok(seconds),
+            None => bail!("'{EXPERIMENT}.{key}' must be a positive number of seconds, not {value}"),
+        },
+    };
+    Ok((seconds(KEYS[0], default.stop_time)?, seconds(KEYS[1], default.step_size)?))
+}
+
+fn overlays(given: Option<&Json>, own: &Values) -> Result<Vec<Overlay>> {
+    let given = match given {
+        None => return Ok(Vec::new()),
+        Some(Json::Array(given)) => given,
+        Some(other) => bail!("'{OVERLAY}' must be a list of runs, not {other}"),
+    };
+    let numbered = given.iter().zip(1..);
+    numbered.map(|(item, number)| overlay(item, own).with_context(|| format!("overlay {number}"))).collect()
+}
+
+fn overlay(given: &Json, own: &Values) -> Result<Overlay> {
+    let Some(given) = given.as_object() else {
+        bail!("it must be an object with a '{LABEL}' and the values that replace the scene's, not {given}");
+    };
+    let label = text_of(LABEL, given.get(LABEL))?;
+    let changes = values(given.iter().filter(|(key, _)| *key != LABEL), &[LABEL])?;
+    let kept = own.iter().filter(|(variable, _)| changes.iter().all(|(changed, _)| changed.reference != variable.reference));
+    let values = kept.chain(&changes).copied().collect();
+    Ok(Overlay { label, values })
+}
+
+/// The name of the method that a run has.
+fn method(values: &Values) -> Result<&'static str> {
+    let variable = settable("solver.method", &[])?;
+    let given = values.iter().find(|(set, _)| set.reference == variable.reference).map(|(_, value)| *value);
+    let number = match (given, &variable.kind) {
+        (Some(Value::Integer(number)), _) => Some(number),
+        (_, Kind::Enumeration { start }) => *start,
+        _ => None,
+    };
+    let item = items(variable)?.iter().find(|item| Some(item.value) == number);
+    item.map(|item| item.name.as_str()).context("solver.method has no start value among its items")
+}

@@ -1,0 +1,43 @@
+//! What Python is given: a scene with nothing left to look up.
+
+use anyhow::Result;
+use serde_json::{Map, Value as Json, json};
+
+use crate::{Scene, Values};
+
+impl Scene {
+    /// Every run with its label and its values as calls carry them, and every signal at every communication point.
+    pub fn resolved(&self) -> Result<Json> {
+        let runs = [&self.values].into_iter().chain(self.overlays.iter().map(|overlay| &overlay.values));
+        let variants: Vec<Json> = self
+            .labels()?
+            .into_iter()
+            .zip(runs)
+            .map(|(label, values)| json!({ "label": label, "values": by_name(values) }))
+            .collect();
+        let points = self.communication_points();
+        let signals: Map<String, Json> = self
+            .signals
+            .iter()
+            .map(|signal| (signal.variable.name.full.clone(), points.iter().map(|&time| signal.at(time)).collect()))
+            .collect();
+        Ok(json!({
+            "name": self.name,
+            "description": self.description,
+            "stopTime": self.stop_time,
+            "stepSize": self.step_size,
+            "variants": variants,
+            "signals": signals,
+        }))
+    }
+
+    /// 0, H, 2H, ... and the stop time; a remainder within rounding is no step of its own.
+    fn communication_points(&self) -> Vec<f64> {
+        let count = (self.stop_time / self.step_size - 1e-9).ceil().max(1.0) as u32;
+        (0..count).map(|i| f64::from(i) * self.step_size).chain([self.stop_time]).collect()
+    }
+}
+
+fn by_name(values: &Values) -> Map<String, Json> {
+    values.iter().map(|(variable, value)| (variable.name.full.clone(), value.fold(Json::from, Json::from, Json::from))).collect()
+}

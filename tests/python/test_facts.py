@@ -1,0 +1,117 @@
+"""Facts that stand in more than one place: start values of effects, what README.md prints of a run, sizes of libraries."""
+
+import io
+import math
+import re
+import zipfile
+from pathlib import Path
+
+import pytest
+from fmpy.model_description import ModelDescription, ScalarVariable
+
+import singularities
+import summary
+from conftest import REPOSITORY
+from drive import Progress, drive
+from scene import read, unit
+
+EFFECTS = ("gravity", "rotor", "payload", "viscous", "friction", "spring", "stop", "contact", "servo")
+
+NUMBER = r"[−-]?(?:π(?:/\d)?|\d+(?:\.\d+)?(?:e-?\d+)?)"
+QUANTITY = rf"({NUMBER})(?: ([A-Za-z·/²]+))?"
+MILLI = 1e-3
+
+
+def text(path: str) -> str:
+    """A file of the repository."""
+    return (REPOSITORY / path).read_text(encoding="utf-8")
+
+
+def value(number: str) -> float:
+    """The value of what NUMBER matches."""
+    plain = number.replace("−", "-")
+    if "π" not in plain:
+        return float(plain)
+    factor, _, divisor = plain.partition("π")
+    return (-1 if factor else 1) * math.pi / float(divisor.removeprefix("/") or 1)
+
+
+def as_in_the_xml(shown: str) -> str:
+    """A unit as the model description has it."""
+    return shown.replace("·", ".").replace("²", "2")
+
+
+def parameters(model: ModelDescription, effect: str) -> dict[str, ScalarVariable]:
+    """The parameters of an effect but its switch, by what follows its name."""
+    named = {v.name.removeprefix(f"{effect}."): v for v in model.modelVariables if v.name.startswith(f"{effect}.")}
+    return {name: v for name, v in named.items() if v.causality == "parameter" and name != "enabled"}
+
+
+def test_every_effect_is_known(model: ModelDescription) -> None:
+    assert {v.name for v in model.modelVariables if v.name.endswith(".enabled")} == {f"{effect}.enabled" for effect in EFFECTS}
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_docs_have_the_start_values_of_effects(model: ModelDescription, effect: str) -> None:
+    """Every parameter stands in the last column, with start value and unit: "tunable: `b[1..5]` 1e-4 N·m·s/rad"."""
+    (row,) = re.findall(rf'^\| (?:{effect} \(|`{{"{effect}\.).* \| ([^|]*) \|$', text("docs/effects.md"), re.MULTILINE)
+    stated = {}
+    for name, count, number, shown in re.findall(rf"`(\w+)(?:\[1\.\.(\d)\])?` {QUANTITY}", row):
+        for one in [f"{name}[{i + 1}]" for i in range(int(count))] if count else [name]:
+            stated[one] = (value(number), as_in_the_xml(shown))
+    known = parameters(model, effect)
+    assert stated.keys() == known.keys()
+    for name, (start, shown) in stated.items():
+        assert start == float(known[name].start), name
+        assert shown == unit(known[name]) or (not shown and (start == 0.0 or unit(known[name]) == "1")), name
+    (variability,) = {v.variability for v in known.values()}
+    assert row.startswith(f"{variability}: ")
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_sources_have_the_start_values_of_effects(model: ModelDescription, effect: str) -> None:
+    """Every number after "Default" on top of an effect's file is the start value of one of its parameters, but for the sign."""
+    lines = text(f"src/effects/{effect}.rs").splitlines()
+    head = " ".join(line.removeprefix("//!").strip() for line in lines if line.startswith("//!"))
+    (defaults,) = re.findall(r"Defaults?: (.*?) Limits: ", head)
+    known = [(abs(float(v.start)), unit(v)) for v in parameters(model, effect).values()]
+    stated = re.findall(QUANTITY, defaults)
+    assert stated
+    for number, shown in stated:
+        name, size = as_in_the_xml(shown), abs(value(number))
+        if name not in {of for _, of in known} and name.startswith("m"):
+            name, size = name[1:], size * MILLI
+        fits = [start for start, of in known if math.isclose(start, size, rel_tol=1e-15) and name in ("", of)]
+        assert fits, f"{number} {shown} is no start value of {effect}"
+
+
+def test_readme_prints_what_a_run_prints(model: ModelDescription, directory: str, scenes: Path) -> None:
+    """All lines of the summary but the times."""
+    scene = read(scenes / "paper_free_fall.json")
+    run = drive(model, directory, scene, scene.variants[0], Progress("", scene.stop_time, io.StringIO()))
+    (block,) = re.findall(r"^```text\n(  tip at the end.*?)^```$", text("README.md"), re.MULTILINE | re.DOTALL)
+
+    def lasting(lines: list[str]) -> list[str]:
+        return [line for line in lines if not line.startswith(("  wall time", "  real-time factor"))]
+
+    assert lasting(block.splitlines()) == lasting(summary.lines(run, singularities.find(run)))
+
+
+SIZES = dict(re.findall(r"^  binaries/([\w-]+)/FiveBar\.\w+: (\d+) bytes", text("docs/platforms.md"), re.MULTILINE))
+
+
+def test_readme_and_docs_have_the_same_sizes() -> None:
+    """README.md in kB what docs/platforms.md has in bytes."""
+    stated = dict(re.findall(r"(aarch64-linux|linux64|win64)\W{1,4}(\d+) kB", text("README.md")))
+    assert stated == {platform: f"{int(size) / 1e3:.0f}" for platform, size in SIZES.items()} and len(stated) == 3
+
+
+@pytest.mark.platforms
+def test_libraries_have_the_sizes_that_docs_say(fmu: Path) -> None:
+    """Of the unit for all platforms, within 10 %: the library for one machine alone has a standard library of another build."""
+    with zipfile.ZipFile(fmu) as archive:
+        libraries = [item for item in archive.infolist() if item.filename.startswith("binaries/")]
+    packed = {Path(item.filename).parent.name: item.file_size for item in libraries}
+    assert packed.keys() == SIZES.keys()
+    for platform, size in packed.items():
+        assert size == pytest.approx(int(SIZES[platform]), rel=0.1), platform

@@ -1,0 +1,208 @@
+"""Compares two builds of the library: every scene by every method, in bits.
+
+python compare.py --before target/compare/26ed735/target/fmu/FiveBar.fmu --after target/fmu/FiveBar.fmu --scenes target/scenes
+"""
+
+import argparse
+import contextlib
+import io
+import shutil
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+
+import fmpy
+import numpy as np
+from fmpy.model_description import ModelDescription
+
+from drive import Progress, Run, StartRefused, drive
+from scene import Scene, Values, Variant, read
+from summary import tip_distance
+
+LONGEST = 2.0
+"""Seconds of a scene that are compared."""
+
+COARSEST = 0.01
+"""Communication step, s, of scenes whose own is shorter. Reading outputs more often would tell little more: what differs stays."""
+
+EARLY = 0.5
+"""Seconds in which round-off may not grow."""
+
+ROUND_OFF = 1e-12
+"""By how much tips may differ until then, m."""
+
+NUDGES = (1e-14, -1e-14)
+"""Changes of the start angle init.theta[1], rad, that tell whether a run amplifies round-off by itself."""
+
+
+class Verdict(StrEnum):
+    """What a difference amounts to."""
+
+    SAME = "same bits"
+    ROUND_OFF = "round-off"
+    CHAOTIC = "chaotic"
+    BROKEN = "NOT round-off"
+
+
+@dataclass(frozen=True)
+class Build:
+    """A unit, extracted."""
+
+    model: ModelDescription
+    directory: str
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Between two runs of a scene: the first time at which any output differs, the largest distance of the tips in the first
+    EARLY seconds, counters and other whole numbers that differ at the end, and how the ends differ."""
+
+    since: float | None
+    tip: float
+    counters: tuple[str, ...]
+    ends: str | None
+
+    @property
+    def small(self) -> bool:
+        """Whether it may be round-off."""
+        return self.tip <= ROUND_OFF and self.ends is None
+
+    def __str__(self) -> str:
+        words = []
+        if self.since is not None:
+            words.append(f"differ from {self.since:g} s on, tips by {self.tip:.1e} m up to {EARLY:g} s")
+        if self.counters:
+            words.append(f"counted otherwise: {', '.join(self.counters)}")
+        return "; ".join(words + [self.ends] if self.ends else words)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Compares all scenes; the exit code: 0 no more than round-off differs, 1 something else does."""
+    parser = argparse.ArgumentParser(description="Compares two builds of the library, every scene by every method.")
+    parser.add_argument("--before", type=Path, required=True, help="the .fmu that is right")
+    parser.add_argument("--after", type=Path, required=True, help="the .fmu that is judged")
+    parser.add_argument("--scenes", type=Path, required=True, help="the folder target/scenes/")
+    options = parser.parse_args(arguments)
+    begin = time.perf_counter()
+    with _extracted(options.before) as before, _extracted(options.after) as after:
+        verdicts: Counter[Verdict] = Counter()
+        for path in sorted(options.scenes.glob("*.json")):
+            scene = read(path).coarser(COARSEST, LONGEST)
+            unknown = {*scene.variants[0].values, *scene.signals} - {v.name for v in before.model.modelVariables}
+            if unknown:
+                print(f"{scene.name:20} left out: the old build does not know {', '.join(sorted(unknown))}")
+                continue
+            for variant in _by_every_method(before.model, after.model, scene.variants[0].values):
+                judged, words = _judge(before, after, scene, variant)
+                print(f"{scene.name:20} {variant.label:18} {words}", flush=True)
+                verdicts[judged] += 1
+    print(f"\n{_total(verdicts)} ({time.perf_counter() - begin:.0f} s)")
+    return 1 if verdicts[Verdict.BROKEN] else 0
+
+
+def difference(before: Run, after: Run) -> Difference:
+    """Between two runs of the same scene, over the outputs that both have."""
+    names = [name for name in before.columns if name in after.columns]
+    rows = min(len(before.time), len(after.time))
+    apart = np.zeros(rows, dtype=bool)
+    counters = []
+    for name in names:
+        old, new = (np.ascontiguousarray(run[name][:rows]) for run in (before, after))
+        # Integers with eight bytes: not a number equals itself, and 0 is not -0.
+        unequal = old.view(np.int64) != new.view(np.int64)
+        apart |= unequal
+        if old.dtype.kind == "i" and rows and unequal[-1]:
+            counters.append(name)
+    since = float(before.time[np.argmax(apart)]) if apart.any() else None
+    early = tip_distance(before, after)[before.time[:rows] <= EARLY] if rows else np.zeros(1)
+    ends = [_end(run) for run in (before, after)]
+    return Difference(since, float(np.max(early)), tuple(counters), " but then ".join(ends) if ends[0] != ends[1] else None)
+
+
+def verdict(found: Difference, nudged: list[Difference]) -> Verdict:
+    """What `found` between two builds amounts to; `nudged` are those between the old build and itself with other starts."""
+    if found.since is None and found.ends is None:
+        return Verdict.SAME
+    if found.small:
+        return Verdict.ROUND_OFF
+    return Verdict.BROKEN if all(other.small for other in nudged) else Verdict.CHAOTIC
+
+
+def _judge(before: Build, after: Build, scene: Scene, variant: Variant) -> tuple[Verdict, str]:
+    """The verdict, and words for it; the other starts are made only where they are needed."""
+    old = _run(before, scene, variant)
+    found = difference(old, _run(after, scene, variant))
+    judged = verdict(found, [])
+    if judged is Verdict.SAME:
+        return judged, str(judged)
+    if judged is Verdict.ROUND_OFF:
+        return judged, f"{found} ({judged})"
+    nudged = [difference(old, _run(before, scene, other)) for other in _nudged(variant, before.model)]
+    judged = verdict(found, nudged)
+    moved = max(other.tip for other in nudged)
+    return judged, f"{found} ({judged}: {NUDGES[0]:g} rad at the start move the old build's tip by {moved:.1e} m)"
+
+
+def _nudged(variant: Variant, model: ModelDescription) -> Iterator[Variant]:
+    angle = "init.theta[1]"
+    (start,) = (float(v.start) for v in model.modelVariables if v.name == angle)
+    for nudge in NUDGES:
+        yield replace(variant, values=variant.values | {angle: variant.values.get(angle, start) + nudge})
+
+
+def _run(build: Build, scene: Scene, variant: Variant) -> Run:
+    """One run; a start that is refused is a run without a row."""
+    try:
+        return drive(build.model, build.directory, scene, variant, Progress(scene.name, scene.stop_time, io.StringIO()))
+    except StartRefused as sentence:
+        nothing = {name: np.empty(0) for name in ("time", "tip.x", "tip.y")}
+        return Run(variant.label, scene.stop_time, scene.step_size, {}, nothing, {}, failure=str(sentence))
+
+
+def _by_every_method(before: ModelDescription, after: ModelDescription, values: Values) -> Iterator[Variant]:
+    """A scene by each method that both builds have; `i3alp` also with a fixed step."""
+    old, new = (_methods(model) for model in (before, after))
+    for name, number in old.items():
+        if name not in new:
+            continue
+        if new[name] != number:
+            raise SystemExit(f"method {name} has the number {number} in one build and {new[name]} in the other.")
+        yield Variant(name, values | {"solver.method": number, "solver.adaptive": True})
+        if name == "i3alp":
+            yield Variant("i3alp, fixed step", values | {"solver.method": number, "solver.adaptive": False})
+
+
+def _methods(model: ModelDescription) -> dict[str, int]:
+    (method,) = (v for v in model.modelVariables if v.name == "solver.method")
+    return {item.name: int(item.value) for item in method.declaredType.items}
+
+
+def _end(run: Run) -> str:
+    if run.failure is None:
+        return "a run to the end"
+    return f"an end at {run.time[-1]:g} s: {run.failure}" if len(run.time) else f"no start: {run.failure}"
+
+
+def _total(verdicts: Counter[Verdict]) -> str:
+    return (
+        f"{verdicts[Verdict.SAME]} of {verdicts.total()} runs have the same bits, "
+        f"{verdicts[Verdict.ROUND_OFF]} differ by round-off, "
+        f"{verdicts[Verdict.CHAOTIC]} are chaotic before {EARLY:g} s, {verdicts[Verdict.BROKEN]} differ by more than round-off"
+    )
+
+
+@contextlib.contextmanager
+def _extracted(fmu: Path) -> Iterator[Build]:
+    directory = fmpy.extract(str(fmu))
+    try:
+        yield Build(fmpy.read_model_description(directory, validate=False), directory)
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,61 @@
+//! `cargo xtask compare`: two builds of the library over every scene by every method; what differs, and whether it is round-off.
+
+use crate::package::{self, Scope};
+use crate::venv::{self, Packages};
+use crate::{paths, process};
+use anyhow::{Context, Result};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use zip::ZipArchive;
+
+/// Where older revisions are built; each is kept.
+const FOLDER: &str = "target/compare";
+
+/// Compares the working tree with a revision.
+pub(crate) fn compare(revision: &str) -> Result<()> {
+    let before = packed(revision).with_context(|| format!("revision {revision} could not be packed"))?;
+    let after = package::package(Scope::Here)?;
+    process::run(
+        venv::python(Packages::Usual)?
+            .arg("xtask/python/compare.py")
+            .arg("--before")
+            .arg(before)
+            .arg("--after")
+            .arg(after)
+            .arg("--scenes")
+            .arg(paths::resolved_scenes()),
+    )
+}
+
+/// The unit of a revision, packed by its own sources where this was not done before.
+fn packed(revision: &str) -> Result<PathBuf> {
+    let commit = format!("{revision}^{{commit}}");
+    let hash = process::output(process::program("git").args(["rev-parse", "--short=12", "--verify", "--end-of-options", &commit]))?;
+    let folder = paths::in_root(FOLDER).join(hash.trim());
+    let fmu = folder.join("target/fmu/FiveBar.fmu");
+    if !fmu.is_file() {
+        if !folder.is_dir() {
+            check_out(hash.trim(), &folder)?;
+        }
+        process::run(
+            process::cargo()
+                .args(["run", "--quiet", "--locked", "--package", "xtask", "--", "package"])
+                .current_dir(&folder)
+                // One for all revisions, so that crates from elsewhere are built once.
+                .env("CARGO_TARGET_DIR", paths::in_root(FOLDER).join("cargo")),
+        )?;
+    }
+    Ok(fmu)
+}
+
+/// Writes the files of a commit to `folder`, without a trace in `.git`.
+fn check_out(commit: &str, folder: &Path) -> Result<()> {
+    let unfinished = folder.with_extension("unfinished");
+    let archive = folder.with_extension("zip");
+    fs::create_dir_all(paths::in_root(FOLDER))?;
+    process::run(process::program("git").args(["archive", "--format=zip", "--output"]).arg(&archive).arg(commit))?;
+    ZipArchive::new(File::open(&archive)?)?.extract(&unfinished)?;
+    fs::remove_file(&archive)?;
+    // A checkout that was interrupted never gets the name under which one is looked for.
+    fs::rename(&unfinished, folder).with_context(|| format!("{} cannot be written", paths::short(folder)))
+}
