@@ -21,7 +21,9 @@ NOT_YET = ("ARCHITECTURE.md", "src/")
 """Being rebuilt: they still point to the sections of the undivided docs/method.md."""
 
 LINK = re.compile(r"\]\(([^)\s]+)\)")
-POINTER = re.compile(r"docs/(\w[\w-]*)\.md[`)]*, (?:section (?P<section>[\d.]*\d)|equation \((?P<equation>\d+)\)|\"(?P<title>[^\"]+)\")")
+POINTER = re.compile(
+    r"docs/(\w[\w-]*)\.md[`)]*, (?:section (?P<section>[\d.]*\d)|equation \((?P<equation>\d+)\)|\"(?P<title>[^\"]+)\")"
+)
 
 
 def tracked(*patterns: str) -> list[Path]:
