@@ -1,10 +1,13 @@
 """The papers hold together: links lead somewhere, equations are numbered in order, what is named is there."""
 
+import json
 import re
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
+from fmpy import simulate_fmu
 
 from conftest import REPOSITORY
 
@@ -106,3 +109,24 @@ def test_no_paper_is_named_that_is_not_there() -> None:
         if file != Path(__file__):
             missing = set(re.findall(r"[\w-]+\.md\b", file.read_text(encoding="utf-8"))) - there
             assert not missing, f"{short(file)} names {sorted(missing)}"
+
+
+def test_tests_named_in_papers_are_there() -> None:
+    """Names with underscores in docs/scope.md and CONTRIBUTING.md: a test, a scene, or something else that a source defines."""
+    code = "\n".join(source.read_text(encoding="utf-8") for source in SOURCES if source.suffix in (".rs", ".py"))
+    known = set(re.findall(r"\b(?:fn|def) (\w+)", code)) | {path.stem for path in (REPOSITORY / "scenes").glob("*.json")}
+    for paper in ("docs/scope.md", "CONTRIBUTING.md"):
+        names = set(re.findall(r"`([a-z][a-z0-9]*_[a-z0-9_]+)`", (REPOSITORY / paper).read_text(encoding="utf-8")))
+        assert names and names <= known, f"{paper} names {sorted(names - known)}"
+
+
+def test_the_machine_of_the_readme_runs(fmu: Path) -> None:
+    """The scene that the README shows as a machine of one's own, here as start values; its motion stays finite and balanced."""
+    (block,) = re.findall(r"^```json\n(.*?)^```$", (REPOSITORY / "README.md").read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    values = json.loads(block)
+    stop = values.pop("experiment")["stopTime"]
+    assert values.pop("description")
+    result = simulate_fmu(str(fmu), stop_time=stop, start_values=values, output=["tip.x", "energy.error"])
+    assert np.ptp(result["tip.x"]) > 0.001
+    # The energies of this machine are some mJ.
+    assert np.max(np.abs(result["energy.error"])) < 1e-6
