@@ -60,7 +60,7 @@ class StartRefused(Exception):
 
 
 def communication_points(stop_time: float, step_size: float) -> np.ndarray:
-    """0, H, 2H, ... and the stop time; a remainder within rounding is no step of its own."""
+    """0, H, 2H, ... and the stop time; a remainder that is only rounding does not become a step."""
     count = max(1, math.ceil(stop_time / step_size - 1e-9))
     points = np.arange(count + 1) * step_size
     points[-1] = stop_time
