@@ -145,9 +145,10 @@ def _path(run: Run, view: View, clock: Clock, frames: np.ndarray) -> str:
     points = view.points(run["tip.x"], run["tip.y"])[frames]
     way = np.concatenate(([0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))))
     left = clock.animate("stroke-dashoffset", [clock.share(t) for t in run.time[frames]], [_number(way[-1] - w, 1) for w in way])
-    length = _number(way[-1], 1)
+    # The gap is longer than the way, or the next dash would show as a dot at the end.
+    length, gap = _number(way[-1], 1), _number(way[-1] + 20, 1)
     return (
-        f'<polyline stroke="{TIP}" stroke-width="1.8" opacity="0.75" stroke-dasharray="{length} {length}" '
+        f'<polyline stroke="{TIP}" stroke-width="1.8" opacity="0.75" stroke-dasharray="{length} {gap}" '
         f'points="{_list(points)}">{left}</polyline>'
     )
 
