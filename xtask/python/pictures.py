@@ -24,7 +24,7 @@ from summary import CLOSE, energy_note, energy_scale, sampling, tip_distance
 KINETIC, POTENTIAL, TOTAL, INPUT, DISSIPATED = "#1864ab", "#e8590c", "#343a40", "#2b8a3e", "#862e9c"
 
 LONGEST_SVG = 5.0
-"""Longest run, s, whose path is also written as SVG, as the README shows it: longer ones would be megabytes."""
+"""Longest run, s, whose path is also written as SVG: longer ones would be megabytes."""
 
 LEAST_ENERGY = 1e-16
 """Balance residual, J, below which there is only round-off."""
