@@ -1,7 +1,7 @@
 //! Gauss's principle on the tangent cone, by brute force: the acceleration at rest in a vertex, independent of the library's own.
 //!
 //! Among the motions d of the cone the true one maximises (F·d)²/(d·M d), F the loads and M the mass matrix in link angles; then
-//! q̈ = d (F·d)/(d·M d). Every local maximum is a branch on which the machine may leave.
+//! q̈ = d (F·d)/(d·M d) (`docs/vertices.md`, "The start from rest"). Every local maximum is a branch on which the machine may leave.
 
 use std::f64::consts::TAU;
 

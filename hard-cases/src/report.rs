@@ -28,7 +28,7 @@ impl fmt::Display for Verdict {
 /// A case by one method with its setting.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {
-    /// Number in the list of the issue.
+    /// Number of its group: the column *item* of `docs/hard-cases.md`.
     pub item: u8,
     /// The case.
     pub case: &'static str,

@@ -1,7 +1,7 @@
 //! The four postures in which the constraints of the paper's machine lose rank, and the cone of motions through each.
 //!
 //! With s the signs of cos θ with which the links enter closure, the motions are Σ s ω = 0, Σ s ω² = 0: one link has the odd
-//! sign, the other three lie on a circle around a third of it (`numerics.md` section 3, `frontier.md` section 4.3).
+//! sign, the other three lie on a circle around a third of it (`docs/method.md`, equation (23)).
 
 use std::f64::consts::PI;
 

@@ -1,7 +1,8 @@
 //! What acts on the mechanism: one file per effect a scene may call for, and the loads that a master sets.
 //!
 //! An effect that is off is not in memory: a scene made ready holds those that are enabled, and a step goes through that list
-//! without asking. A new effect is one file and one line in the list below; its variables stand in the XML.
+//! without asking. A new effect is one file and one word in the list below, and its variables in the XML with their bindings; `CONTRIBUTING.md` names
+//! everything else that it touches.
 //!
 //! Invariant: does no input or output; the same input bits give the same output bits.
 

@@ -1,4 +1,4 @@
-//! i3-ALP as the paper prints it, its misprints corrected (`docs/method.md`, "Errata"): for comparison.
+//! i3-ALP as the paper prints it, its misprints corrected (`docs/method.md`, "Errata of the paper"): for comparison.
 //!
 //! A fixed penalty α, the tangent without the derivative of Φ_qᵀλ, absolute unknowns, one projection, no sub-steps. Every linear
 //! system (A₀ + αβ Φ_qᵀΦ_q) x = r + αβ Φ_qᵀ c is solved as [A₀ Φ_qᵀ; Φ_q −e] [x; y] = [r; c] with e = 1/(αβ): the same x.

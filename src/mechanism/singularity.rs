@@ -1,4 +1,4 @@
-//! Distance to the singularities, and their kinds (`docs/method.md`, "Singularities").
+//! Distance to the singularities, and their kinds (`docs/vertices.md`, "Singularities").
 //!
 //! From |Q − A_i|² = const, with A_i the elbows: J_x ẋ = J_q θ̇, rows (Q − A_i) of J_x. In link directions
 //! det J_x = l₂ l₃ û₂ × û₃ and det J_q = Π l_P l_D û_P × û_D.

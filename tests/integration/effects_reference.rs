@@ -68,7 +68,7 @@ fn is_met(scene: &str, bounds: [f64; 2]) {
 /// `dop853` at tolerances from 1e-6 to 1e-12 rad: half the runs are within `typical` tolerances of the reference, which is what the
 /// motion makes of errors of single steps; all of them within `worst` tolerance^(3/4). For a kink of a law (a servo that leaves its
 /// saturation, a stop, a contact) inside a step may hide from the estimated error, e5²/(0.1 e3), where a smooth step at its tolerance has an
-/// e5 of some tolerance^(3/4) already (docs/method.md, section 11).
+/// e5 of some tolerance^(3/4) already (docs/explicit.md, "The step").
 fn is_met_by_dop853(scene: &str, typical: f64, worst: f64) {
     let mut parts: Vec<f64> = (6..=12)
         .map(|digits| {

@@ -57,7 +57,7 @@ def test_summary(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
 def test_files(done: tuple[Path, subprocess.CompletedProcess[str]]) -> None:
     out, process = done
     pictures = {"tip", "path", "energy", "constraints", "singularity", "substeps", "difference"}
-    expected = {f"{p}.png" for p in pictures} | {"path.svg", "short.csv", "short.rk4-fine.csv", "singularities.csv", "short.html"}
+    expected = {f"{p}.png" for p in pictures} | {"path.svg", "animation.svg", "short.csv", "short.rk4-fine.csv", "singularities.csv", "short.html"}
     assert {file.name for file in out.iterdir()} == expected
     assert all(str(Path("out") / name) in process.stdout for name in expected)
 

@@ -94,6 +94,15 @@ def full_decades(axes: Axes, values: np.ndarray) -> None:
     axes.yaxis.set_minor_formatter(NullFormatter())
 
 
+def extent(run: Run, axis: str) -> tuple[float, float]:
+    """Limits along x or y that show the base, the elbows and the tip all the time."""
+    feet = np.array([0.0, run.parameters["base.distance"] if axis == "x" else 0.0])
+    parts = [feet, run[f"tip.{axis}"], run[f"elbow[1].{axis}"], run[f"elbow[2].{axis}"]]
+    low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
+    margin = 0.05 * max(high - low, 0.1)
+    return low - margin, high + margin
+
+
 def surroundings(axes: Axes, run: Run) -> None:
     """The motors, and what their links and the tip may run against: end stops and a plane."""
     p = run.parameters

@@ -14,7 +14,7 @@ from matplotlib.ticker import FuncFormatter
 import effect_pictures
 from drawing import (
     FAINT, INK, KIND_COLOURS, LEFT, RIGHT, RUN_COLOURS, STYLE, TIP,
-    drawing_order, full_decades, ordered_legend, positive, run_label, run_style, surroundings, thinned, time_axis,
+    drawing_order, extent, full_decades, ordered_legend, positive, run_label, run_style, surroundings, thinned, time_axis,
 )  # fmt: skip
 from drive import Run
 from scene import Scene
@@ -24,7 +24,7 @@ from summary import CLOSE, energy_note, energy_scale, sampling, tip_distance
 KINETIC, POTENTIAL, TOTAL, INPUT, DISSIPATED = "#1864ab", "#e8590c", "#343a40", "#2b8a3e", "#862e9c"
 
 LONGEST_SVG = 5.0
-"""Longest run, s, whose path is also written as SVG, as the README shows it: longer ones would be megabytes."""
+"""Longest run, s, whose path is also written as SVG: longer ones would be megabytes."""
 
 LEAST_ENERGY = 1e-16
 """Balance residual, J, below which there is only round-off."""
@@ -72,7 +72,7 @@ def _tip(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
 def _path(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
     run = runs[0]
     window = min(POSE_WINDOW, float(run.time[-1]))
-    x_limits, y_limits = _extent(run, "x"), _extent(run, "y")
+    x_limits, y_limits = extent(run, "x"), extent(run, "y")
     # Two panels of 4.4 in with equal scales on both axes, and room for titles and labels.
     height = 4.4 * (y_limits[1] - y_limits[0]) / (x_limits[1] - x_limits[0]) + 1.0
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, min(max(height, 3), 8)), sharex=True, sharey=True)
@@ -203,15 +203,6 @@ def _difference(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
     axes.legend(loc="lower right")
     time_axis(axes, runs)
     return figure
-
-
-def _extent(run: Run, axis: str) -> tuple[float, float]:
-    """Limits along x or y that show the base, the elbows and the tip all the time."""
-    feet = np.array([0.0, run.parameters["base.distance"] if axis == "x" else 0.0])
-    parts = [feet, run[f"tip.{axis}"], run[f"elbow[1].{axis}"], run[f"elbow[2].{axis}"]]
-    low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
-    margin = 0.05 * max(high - low, 0.1)
-    return low - margin, high + margin
 
 
 def _poses(axes: Axes, run: Run, window: float) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import fmpy
 
+import moving_picture
 import page
 import pictures
 import singularities
@@ -18,6 +19,10 @@ import summary
 import table
 from drive import Progress, Run, StartRefused, drive
 from scene import Scene, read
+
+
+ANIMATION = "animation.svg"
+"""Name of the picture that moves."""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -80,6 +85,9 @@ def report(scene: Scene, runs: list[Run], refused: list[str], out: Path) -> None
     files.append(out / "singularities.csv")
     singularities.write(files[-1], events[0])
     files += pictures.draw_all(out, scene, runs, events[0])
+    if moving_picture.wanted(runs[0]):
+        files.append(out / ANIMATION)
+        moving_picture.write(files[-1], scene, runs[0], events[0])
     files.append(out / f"{scene.name}.html")
     page.write(files[-1], scene, runs, events[0])
     print("\nWritten:")
@@ -90,7 +98,7 @@ def report(scene: Scene, runs: list[Run], refused: list[str], out: Path) -> None
 def remove_earlier(out: Path, name: str) -> None:
     """Removes what an earlier run of the scene `name` wrote to `out`, and nothing else."""
     own_table = re.compile(re.escape(name) + r"(\.[a-z0-9-]*)?\.csv")
-    fixed = {"singularities.csv", f"{name}.html", *pictures.FILES}
+    fixed = {"singularities.csv", f"{name}.html", ANIMATION, *pictures.FILES}
     for file in out.iterdir():
         if file.is_file() and (file.name in fixed or own_table.fullmatch(file.name)):
             file.unlink()

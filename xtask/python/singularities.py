@@ -58,6 +58,11 @@ def find(run: Run) -> list[Event]:
     return sorted(events + single, key=lambda event: event.time)
 
 
+def alignments(run: Run) -> np.ndarray:
+    """How far from being in line each of `PAIRS` is, one row per pair: a signal in [-1, 1] that is 0 there."""
+    return _signals(run).signal
+
+
 def write(path: Path, events: list[Event]) -> None:
     """Writes the events as CSV."""
     with path.open("w", newline="", encoding="utf-8") as file:

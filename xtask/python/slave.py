@@ -23,7 +23,7 @@ class Message:
 
 @dataclass
 class Log:
-    """Everything that an instance told its logger."""
+    """Everything that an instance has logged."""
 
     messages: list[Message] = field(default_factory=list)
 

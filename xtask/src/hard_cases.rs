@@ -31,7 +31,7 @@ pub(crate) fn hard_cases(quick: bool) -> Result<()> {
         .with_context(|| format!("a case is not met; {} says which, with exact inputs", paths::short(&out.join("hard-cases.md"))))
 }
 
-/// The battery's program, to be told what to do.
+/// The battery's program; its arguments are still to be added.
 pub(crate) fn battery() -> Command {
     let mut cargo = process::cargo();
     cargo.args(["run", "--release", "--locked", "--package", CRATE, "--"]);

@@ -30,21 +30,21 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Build and pack the FMU, drive it through FMPy over a scene, write CSV and pictures to target/run/
+    /// Build and pack the FMU, run a scene through FMPy, write CSV, pictures and an animation to target/run/
     Run {
-        /// A file of scenes/, without its ending
+        /// A file of scenes/, without `.json`
         #[arg(long, default_value = "paper_free_fall")]
         scene: String,
     },
     /// Check everything: format, lints, Rust tests, documentation, packaging, Python tests
     Test {
-        /// Also check what needs Debian packages (installed by .ci/setup): the page in a browser, memory and threads with valgrind
+        /// Also run what needs Debian packages (installed by .ci/setup): the page in a browser, memory and threads under valgrind
         #[arg(long)]
         full: bool,
-        /// Pack for all platforms and check that unit, its libraries under wine and qemu (installed by .ci/setup-platforms)
+        /// Pack for all platforms and test that unit, its libraries under wine and qemu (installed by .ci/setup-platforms)
         #[arg(long, conflicts_with = "full")]
         platforms: bool,
-        /// Check only that the master fmi-sim drives the FMU, which is built first and takes minutes (its needs: .ci/setup-fmi-sim)
+        /// Only build the master fmi-sim, which takes minutes, and let it drive the FMU (its needs: .ci/setup-fmi-sim)
         #[arg(long, conflicts_with_all = ["full", "platforms"])]
         fmi_sim: bool,
     },
@@ -58,23 +58,23 @@ enum Command {
     Walk(walk::Options),
     /// Run the battery of hard cases by every method, write tables and pictures to target/hard-cases/
     HardCases {
-        /// A sample of every case
+        /// Run only a sample of every case
         #[arg(long)]
         quick: bool,
     },
     /// Measure what accuracy costs in time, write the page target/report/index.html
     Report(report::Options),
-    /// Compare with other programs on the same scenes, write target/peers/peers.csv; needs packages of its own, some 2 GB
+    /// Run other programs on the same scenes beside ours, write target/peers/peers.csv; needs packages of some 2 GB
     Peers {
-        /// Names of those to run; all of them
+        /// Names of the programs to run [default: all]
         only: Vec<String>,
     },
     /// Measure times and instructions, write tables to target/bench/
     Bench {
-        /// Few repeats, scenes up to 2 s, a sample of the falls
+        /// Few repeats, scenes of at most 2 s, a sample of the falls
         #[arg(long)]
         quick: bool,
-        /// Only instructions, against the ceilings of benches/ceilings.csv; needs valgrind, as all of it does
+        /// Only hold instructions against the ceilings of benches/ceilings.csv; needs valgrind, like the whole command
         #[arg(long, conflicts_with = "quick")]
         check: bool,
     },
@@ -92,7 +92,7 @@ fn main() -> ExitCode {
     match command(Arguments::parse().command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // What failed and why on one line; where in this program it was noticed helps nobody.
+            // What failed and why, on one line; where in this program it was noticed would not help.
             eprintln!("error: {error:#}");
             ExitCode::FAILURE
         }

@@ -14,10 +14,10 @@ const PAPER: [&str; 2] = ["paper_torque", "paper_free_fall"];
 /// How much is done.
 #[derive(Args)]
 pub(crate) struct Options {
-    /// A sample of everything
+    /// Measure only a sample of everything
     #[arg(long)]
     quick: bool,
-    /// Measure nothing, draw again what was measured before
+    /// Do not measure; draw the last measurements again
     #[arg(long, conflicts_with = "quick")]
     reuse: bool,
     /// Also write the main table and picture into README.md and docs/accuracy.md
@@ -54,10 +54,10 @@ fn measure(quick: bool) -> Result<()> {
     for scene in PAPER {
         run::run(scene)?;
     }
-    // A case that is not met belongs on the page, above all; so does that valgrind, which counts instructions, is not there.
+    // A case that is not met belongs on the page above all; so does the absence of valgrind, which counts instructions.
     for outcome in [hard_cases::hard_cases(quick), bench::bench(quick)] {
         if let Err(error) = outcome {
-            eprintln!("the page will say so: {error:#}");
+            eprintln!("the page will mention it: {error:#}");
         }
     }
     Ok(())
@@ -68,7 +68,7 @@ pub(crate) fn about(command: &str) -> Result<String> {
     let said = |program: &str, arguments: &[&str]| process::output(process::program(program).args(arguments));
     let cpu_info = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let cpu = cpu_info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
-    let cpu = cpu.map_or("a processor that does not tell its name", |(_, name)| name.trim());
+    let cpu = cpu.map_or("an unnamed processor", |(_, name)| name.trim());
     let cores = std::thread::available_parallelism()?;
     let load = fs::read_to_string("/proc/loadavg").unwrap_or_default();
     let load = load.split(' ').next().filter(|load| !load.is_empty()).unwrap_or("unknown");

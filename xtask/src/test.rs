@@ -53,7 +53,7 @@ pub(crate) fn test(full: bool) -> Result<()> {
     steps.run("Python tests", || pytest(&fmu, &tests))?;
     steps.summary();
     if !full {
-        println!("left out, `cargo xtask test --full` has it: {LEFT_OUT}");
+        println!("left out here, part of `cargo xtask test --full`: {LEFT_OUT}");
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `cargo xtask walk`: the random walk of the conformance tests, as long and from whatever seed one likes.
+//! `cargo xtask walk`: the random walk of the conformance tests, of any length and from any seed.
 
 use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
@@ -14,7 +14,7 @@ pub(crate) struct Options {
     /// Seed of the random numbers: the same seed, the same calls
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Power of ten that bounds values far from sensible
+    /// Largest power of ten among values that are far from sensible
     #[arg(long, default_value_t = 308)]
     largest: u32,
 }

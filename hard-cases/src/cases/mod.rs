@@ -1,4 +1,4 @@
-//! The cases, numbered as in the list of the issue that asked for them.
+//! The cases, in numbered groups: the column *item* of `docs/hard-cases.md`.
 
 mod bits;
 mod falls;

@@ -30,7 +30,7 @@ class Setting:
     text: str
     begin: Callable[[np.ndarray], Callable[[float], np.ndarray]]
     clock: Callable[[], float] = time.process_time
-    """The processor's seconds so far, of this process; of the run begun last for a program of its own."""
+    """Processor time so far, in s: of this process, or of the last run if the peer is a program by itself."""
 
 
 @dataclass(frozen=True)

@@ -62,7 +62,7 @@ class Program:
         self.spent = 0.0
 
     def clock(self) -> float:
-        """The processor's seconds of the run begun last, as it told them last."""
+        """Processor time of the last run, in s, as it last reported it."""
         return self.spent
 
     def begin(self, start: np.ndarray) -> Callable[[float], np.ndarray]:

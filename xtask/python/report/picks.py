@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from report.tables import Marker, Reference, by_kind
 
 WANTED = tuple(10.0**-n for n in range(2, 13))
-"""Errors, m, that somebody may ask for."""
+"""Wanted errors, m."""
 
 SHORT = (1e-3, 1e-6, 1e-9, 1e-11)
 """Those of the short table."""

@@ -18,7 +18,7 @@ def run(m: Measurements, about: str) -> Section:
     section.text(
         "<code>cargo xtask report</code> builds the measuring programs with the release profile, runs them on this machine and writes "
         "this page to <code>target/report/index.html</code>, with all tables in <code>target/report/data/</code>. "
-        "<code>--quick</code> takes a sample of everything, <code>--reuse</code> only draws again what was measured before."
+        "<code>--quick</code> takes a sample of everything, <code>--reuse</code> only draws the last measurements again."
     )
     section.text(f"This page was drawn from: {html.escape(about)}.")
     tables = [(t.file.name, t.about) for t in vars(m).values() if t.about and t.about != about]
@@ -26,8 +26,8 @@ def run(m: Measurements, about: str) -> Section:
         section.text("Some tables are from other runs:")
         section.bullets([f"<code>{html.escape(name)}</code>: {html.escape(text)}" for name, text in tables])
     section.text(
-        "Each run goes in communication steps of 1 ms (or of the internal step, where that is longer), as a co-simulation master "
-        "makes them; the tip is read at the reference's times, nothing else. Inputs that change are held for 1 ms each, as in the reference. All methods run in "
+        "Each run takes communication steps of 1 ms (or of the internal step, where that is longer), as a co-simulation master "
+        "would; only the tip is read, at the reference's times. Inputs that change are held for 1 ms each, as in the reference. All methods run in "
         "turn within one process, round after round; the median of the rounds counts, on one core. The error is the largest distance of the tip from the reference at the reference's times."
     )
     return section
@@ -37,9 +37,9 @@ def need(markers: list[Marker], references: list[Reference]) -> Section:
     """2: the table of wanted accuracy."""
     section = Section("need", "I need an error below …")
     section.text(
-        "The cheapest setting that was measured to stay below the wanted error, as all finer ones of its method do, and the cheapest of "
+        "The cheapest setting that was measured and stays below the wanted error, as all finer ones of its method do, and the cheapest of "
         "the other methods. Errors are "
-        "those of the whole run, so a setting is good for motions that last as long as the scene, of a like kind. µs per ms: microseconds of one core per "
+        "those of the whole run, so a setting is good for motions of a similar kind that last as long as the scene. µs per ms: microseconds of one core per "
         "simulated millisecond."
     )
     cells = [[r.kind, html.escape(r.scene), *(answer(picks.pick(markers, r, wanted)) for wanted in picks.SHORT)] for r in references]
@@ -102,7 +102,7 @@ def order(markers: list[Marker], references: list[Reference], energy: list[dict[
     for kind, scenes in by_kind(references).items():
         caption = (
             f"{kind.capitalize()}. Left: error against step, slopes by least squares where the order shows. Right: error against "
-            "tolerance. Grey: below the reference's own error nothing can be told."
+            "tolerance. Grey: below the reference's own error no error can be measured."
         )
         section.figure(figures.order(markers, scenes), f"order-{name_of(kind)}", caption, ["precision.csv", "references.csv"])
     rows = [[r.kind, html.escape(r.scene), f"{r.own_error:.1e} m", html.escape(r.source)] for r in references]
@@ -111,7 +111,7 @@ def order(markers: list[Marker], references: list[Reference], energy: list[dict[
         section.parts.append("<h3>Energy over 50 s</h3>")
         section.text(
             "Beyond the horizon of the next section no error of position means anything; energy still does. The scene has no input and "
-            "no friction, so its energy must stay. 1 mgL is 0.035 J."
+            "no friction, so its energy must stay constant. 1 mgL is 0.035 J."
         )
         caption = "Largest energy error of the fall over 50 s. Settings that ended early or are more than 1000 mgL off are in section 11."
         section.figure(figures.energy(energy), "energy", caption, ["energy.csv"])
@@ -142,16 +142,16 @@ def steps(m: Measurements) -> Section:
     """6: what single milliseconds cost."""
     section = Section("steps", "What single milliseconds cost")
     section.text(
-        "Who runs in real time asks for the slowest call, not for the mean. Left: the least time of each call over some repeats of the "
-        "same run, which is what the method asks for. Right: one run as it came, with everything else that the machine did meanwhile."
+        "In real time the slowest call counts, not the mean. Left: the least time of each call over some repeats of the "
+        "same run, which is what the method needs. Right: a single run, with everything else that the machine did meanwhile."
     )
     caption = "Share of the calls of 1 ms, each followed by reading the tip, that take longer than a time, fall_90_120."
     section.figure(more_figures.step_times(m.steps.rows), "steps", caption, ["steps.csv"])
-    caption = "Sub-steps and iterations against the smallest singular values, a dot per call. Many of them are asked for by whips, which come near singularities but reach beyond them."
+    caption = "Sub-steps and iterations against the smallest singular values, a dot per call. Many of them are due to whips, which happen near singularities but reach beyond them."
     section.figure(more_figures.near_singularities(m.steps.rows), "singular", caption, ["steps.csv"])
     if m.calls:
         section.parts.append("<h3>By scene</h3>")
-        section.text("At the default settings, one call for each communication step of the scene. The largest time is mostly the machine's.")
+        section.text("At the default settings, one call for each communication step of the scene. The largest time is mostly due to the machine.")
         head = ["scene", "calls", "step, ms", "mean, µs", "p50, µs", "p99, µs", "largest, µs", "mean sub-steps", "most sub-steps"]
         section.parts.append(table(head, [calls_of(row) for row in m.calls.rows], tuple(range(1, len(head)))))
         section.text('Data: <a href="data/scenes.csv">scenes.csv</a>.')
@@ -183,7 +183,7 @@ def matrix(m: Measurements) -> Section:
     """8: the hard cases."""
     section = Section("hard-cases", "Hard cases")
     if m.hard_cases:
-        section.text("Motion through and near singularities, what each method makes of it; docs/hard-cases.md explains the cases.")
+        section.text("Motion through and near singularities, and how each method copes with it; docs/hard-cases.md explains the cases.")
         caption = "Worst energy error by case and method, and how many runs do not meet the demand."
         section.figure(hard_cases.matrix(m.hard_cases.rows), "hard-cases", caption, ["hard-cases.csv"])
     else:
@@ -206,7 +206,7 @@ def paper(curves: dict[str, dict[str, np.ndarray]]) -> Section:
         else:
             section.missing(f"the curves of {scene}", f"cargo xtask run --scene {scene}")
     section.text(
-        "The free fall is symmetric until round-off breaks the symmetry after some seconds, which the paper's run shows as well: after "
+        "The free fall is symmetric until round-off breaks the symmetry after some seconds, which the paper's run shows as well; after "
         "that no two programs show the same curve."
     )
     return section
@@ -219,8 +219,8 @@ def peers(m: Measurements) -> Section:
         section.missing("all other programs: none is needed to make this page", "cargo xtask peers")
         return section
     section.text(
-        "<code>cargo xtask peers</code> runs them and the packed unit over the same scenes, one after the other on one core; how, and which "
-        'way each is run: docs/accuracy.md. Times are the processor\'s, of the process that does the work; building a model is not in them.'
+        "<code>cargo xtask peers</code> runs them and the packed unit over the same scenes, one after the other on one core; "
+        "docs/accuracy.md says how. Times are processor times of the process that does the work, without building the model."
     )
     section.parts.append("<h3>Who is ahead</h3>")
     section.text(
@@ -283,12 +283,12 @@ def failures(m: Measurements, markers: list[Marker]) -> Section:
     rows = [[html.escape(scene), method, listed(settings), why] for (scene, method, why), settings in failed(m, markers).items()]
     if rows:
         section.parts.append(table(["scene", "method", "settings", "what happened"], rows))
-        section.text("The exact words and times stand in precision.csv and energy.csv.")
+        section.text("The exact messages and times are in precision.csv and energy.csv.")
     else:
         section.text("Nothing.")
     section.parts.append("<h3>Left out</h3>")
     absent = [t.file.name for t in vars(m).values() if not t]
-    left_out = [f"no table <code>{html.escape(name)}</code> was there" for name in absent]
+    left_out = [f"the table <code>{html.escape(name)}</code> was missing" for name in absent]
     aside: dict[tuple[str, str], dict[str, list[str]]] = {}
     for r in markers:
         if r.left_out:
@@ -303,8 +303,8 @@ def failures(m: Measurements, markers: list[Marker]) -> Section:
     spread = f"the slowest round took {spreads[len(spreads) // 2]:.2g} times the fastest in the median, at most {spreads[-1]:.2g} times" if spreads else ""
     bias = [
         f"The machine did other things too: {spread}. The load at the start stands in section 1; instruction counts (section 7) do not depend on it.",
-        "One machine, one compiler: other processors order methods of like cost differently.",
-        "All methods are ours and share the mechanism's code, so they compare methods, not programs; peers in section 10 are others' programs.",
+        "One machine, one compiler: other processors may order methods of similar cost differently.",
+        "All methods are ours and share the mechanism's code, so they compare methods, not programs; the peers in section 10 are other people's programs.",
         "The settings form a grid, by decades or so: between two markers a cheaper setting may exist.",
         "The error of a whole run is its largest at the reference's times; between them it may be larger near a whip.",
     ]
