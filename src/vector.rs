@@ -19,7 +19,7 @@ impl<const N: usize> Vector<N> {
     pub const ZERO: Self = Self([0.0; N]);
 
     /// The element at each place from its index.
-    #[inline(always)]
+    #[inline]
     pub fn from_fn(element: impl FnMut(usize) -> f64) -> Self {
         Self(std::array::from_fn(element))
     }
@@ -32,7 +32,7 @@ impl<const N: usize> Vector<N> {
     }
 
     /// The scalar product.
-    #[inline(always)]
+    #[inline]
     pub fn dot(&self, other: &Self) -> f64 {
         self.iter().zip(other.iter()).map(|(x, y)| x * y).sum()
     }
@@ -43,7 +43,7 @@ impl<const N: usize> Vector<N> {
     }
 
     /// The largest magnitude of those elements that are numbers, by one instruction for each pair. NaN is caught where a step ends.
-    #[inline(always)]
+    #[inline]
     pub fn max_norm(&self) -> f64 {
         let larger = |largest: f64, value: f64| if value.abs() > largest { value.abs() } else { largest };
         let (pairs, single) = self.as_chunks::<2>();
@@ -52,7 +52,7 @@ impl<const N: usize> Vector<N> {
     }
 
     /// Whether all elements are finite, and not so large that their sum is infinite.
-    #[inline(always)]
+    #[inline]
     pub fn is_finite(&self) -> bool {
         let (pairs, single) = self.as_chunks::<2>();
         let [left, right] = pairs.iter().fold([0.0; 2], |[left, right], pair| [left + pair[0], right + pair[1]]);
@@ -60,7 +60,7 @@ impl<const N: usize> Vector<N> {
     }
 
     /// Element by element a function of this and another vector, pair by pair.
-    #[inline(always)]
+    #[inline]
     fn with(&self, other: &Self, function: impl Fn(f64x2, f64x2) -> f64x2) -> Self {
         let mut result = Self::ZERO;
         let (pairs, single) = result.as_chunks_mut::<2>();
@@ -76,7 +76,7 @@ impl<const N: usize> Vector<N> {
 }
 
 impl<const N: usize> From<[f64; N]> for Vector<N> {
-    #[inline(always)]
+    #[inline]
     fn from(elements: [f64; N]) -> Self {
         Self(elements)
     }
@@ -91,14 +91,14 @@ impl<const N: usize> From<Vector<N>> for [f64; N] {
 impl<const N: usize> Deref for Vector<N> {
     type Target = [f64; N];
 
-    #[inline(always)]
+    #[inline]
     fn deref(&self) -> &[f64; N] {
         &self.0
     }
 }
 
 impl<const N: usize> DerefMut for Vector<N> {
-    #[inline(always)]
+    #[inline]
     fn deref_mut(&mut self) -> &mut [f64; N] {
         &mut self.0
     }
@@ -116,14 +116,14 @@ impl<'a, const N: usize> IntoIterator for &'a Vector<N> {
 impl<const N: usize> Add for Vector<N> {
     type Output = Self;
 
-    #[inline(always)]
+    #[inline]
     fn add(self, other: Self) -> Self {
         self.with(&other, |x, y| x + y)
     }
 }
 
 impl<const N: usize> AddAssign for Vector<N> {
-    #[inline(always)]
+    #[inline]
     fn add_assign(&mut self, other: Self) {
         *self = *self + other;
     }
@@ -132,7 +132,7 @@ impl<const N: usize> AddAssign for Vector<N> {
 impl<const N: usize> Sub for Vector<N> {
     type Output = Self;
 
-    #[inline(always)]
+    #[inline]
     fn sub(self, other: Self) -> Self {
         self.with(&other, |x, y| x - y)
     }
@@ -141,7 +141,7 @@ impl<const N: usize> Sub for Vector<N> {
 impl<const N: usize> Neg for Vector<N> {
     type Output = Self;
 
-    #[inline(always)]
+    #[inline]
     fn neg(self) -> Self {
         self.with(&self, |x, _| -x)
     }
@@ -150,7 +150,7 @@ impl<const N: usize> Neg for Vector<N> {
 impl<const N: usize> Mul<Vector<N>> for f64 {
     type Output = Vector<N>;
 
-    #[inline(always)]
+    #[inline]
     fn mul(self, vector: Vector<N>) -> Vector<N> {
         vector.with(&vector, |x, _| f64x2::splat(self) * x)
     }
@@ -159,7 +159,7 @@ impl<const N: usize> Mul<Vector<N>> for f64 {
 impl<const N: usize> Div<f64> for Vector<N> {
     type Output = Self;
 
-    #[inline(always)]
+    #[inline]
     fn div(self, divisor: f64) -> Self {
         self.with(&self, |x, _| x / f64x2::splat(divisor))
     }

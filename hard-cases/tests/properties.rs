@@ -109,9 +109,9 @@ fn follow(
         if simulation.state().core.counters.substeps > MOST_SUBSTEPS {
             return Ok(());
         }
-        let before = *simulation.state();
+        let before = simulation.state();
         if let Err(failure) = simulation.advance(inputs, h, 1) {
-            prop_assert_eq!(before, *simulation.state(), "a failed step has changed the state: {}", failure);
+            prop_assert_eq!(before, simulation.state(), "a failed step has changed the state: {}", failure);
             prop_assert!(!failure.to_string().is_empty());
             return Ok(());
         }

@@ -36,27 +36,27 @@ pub struct ForceContext<'a> {
 
 impl ForceContext<'_> {
     /// Absolute angle of a motor axis, rad, whole turns included.
-    #[inline(always)]
+    #[inline]
     pub fn motor_angle(&self, motor: usize) -> f64 {
         const TURNS: [usize; 2] = [0, 3];
         self.q[MOTORS[motor]] + self.turns[TURNS[motor]] as f64 * TAU
     }
 
     /// Rate of a motor axis, rad/s.
-    #[inline(always)]
+    #[inline]
     pub fn motor_rate(&self, motor: usize) -> f64 {
         self.v[MOTORS[motor]]
     }
 
     /// Rate of a joint, rad/s.
-    #[inline(always)]
+    #[inline]
     pub fn joint_rate(&self, joint: usize) -> f64 {
         let (first, second) = LINKS[joint];
         self.v[THETA[first]] - second.map_or(0.0, |second| self.v[THETA[second]])
     }
 
     /// The tip.
-    #[inline(always)]
+    #[inline]
     pub fn tip(&self) -> Tip {
         let [rx, ry] = tip_arm(self.pose);
         let (x, y, theta) = (X[TIP_LINK], Y[TIP_LINK], THETA[TIP_LINK]);
@@ -71,13 +71,13 @@ impl ForceContext<'_> {
 }
 
 /// Arm from the centre of mass of link 2 to the tip, m. The left leg's sign in the tip's closure is +.
-#[inline(always)]
+#[inline]
 fn tip_arm(pose: &Pose) -> [f64; 2] {
     [pose.sigma_b_d.x.to_array()[0], pose.sigma_b_d.y.to_array()[0]]
 }
 
 /// Adds a torque at a joint, N·m.
-#[inline(always)]
+#[inline]
 pub(super) fn add_joint_torque(joint: usize, torque: f64, forces: &mut Coordinates) {
     let (first, second) = LINKS[joint];
     forces[THETA[first]] += torque;
@@ -87,7 +87,7 @@ pub(super) fn add_joint_torque(joint: usize, torque: f64, forces: &mut Coordinat
 }
 
 /// Adds the tangent of a joint torque: damping = −∂T/∂w, N·m·s/rad.
-#[inline(always)]
+#[inline]
 pub(super) fn add_joint_damping(joint: usize, damping: f64, tangents: &mut impl Tangents) {
     let (first, second) = LINKS[joint];
     tangents.damping(THETA[first], THETA[first], damping);
@@ -117,7 +117,7 @@ pub struct Tip {
 
 impl Tip {
     /// Adds a force on the tip, N.
-    #[inline(always)]
+    #[inline]
     pub fn add_force(&self, [fx, fy]: [f64; 2], forces: &mut Coordinates) {
         let [rx, ry] = self.arm;
         forces[X[TIP_LINK]] += fx;
@@ -126,7 +126,7 @@ impl Tip {
     }
 
     /// Adds what the turning arm makes of a force: K = r·F in the angle.
-    #[inline(always)]
+    #[inline]
     pub fn add_geometric_stiffness(&self, [fx, fy]: [f64; 2], tangents: &mut impl Tangents) {
         let [rx, ry] = self.arm;
         tangents.stiffness(THETA[TIP_LINK], THETA[TIP_LINK], rx * fx + ry * fy);

@@ -24,14 +24,14 @@ pub struct Inputs {
 }
 
 /// Whether any is not 0; asked in every step, and so without a branch for each.
-#[inline(always)]
+#[inline]
 fn any(values: [[f64; 2]; 2]) -> bool {
     // Without the sign: −0 is 0.
     values.as_flattened().iter().fold(0, |bits, value| bits | value.to_bits()) << 1 != 0
 }
 
 /// Whether all are the same; likewise.
-#[inline(always)]
+#[inline]
 fn same(a: [[f64; 2]; 2], b: [[f64; 2]; 2]) -> bool {
     a.as_flattened().iter().zip(b.as_flattened()).fold(true, |same, (a, b)| same & (a == b))
 }
@@ -48,13 +48,13 @@ impl Inputs {
     }
 
     /// Whether loads are the same.
-    #[inline(always)]
+    #[inline]
     pub fn same_loads(&self, other: &Self) -> bool {
         same([self.tau, self.tip_force], [other.tau, other.tip_force])
     }
 
     /// Whether servo references are the same.
-    #[inline(always)]
+    #[inline]
     pub fn same_references(&self, other: &Self) -> bool {
         same([self.servo_theta, self.servo_omega], [other.servo_theta, other.servo_omega])
     }
@@ -81,7 +81,7 @@ impl Inputs {
     }
 
     /// Adds the generalised forces.
-    #[inline(always)]
+    #[inline]
     pub fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
         for (motor, tau) in MOTORS.into_iter().zip(self.tau) {
             forces[motor] += tau;
@@ -90,7 +90,7 @@ impl Inputs {
     }
 
     /// Adds their tangents.
-    #[inline(always)]
+    #[inline]
     pub fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
         at.tip().add_geometric_stiffness(self.tip_force, tangents);
     }
@@ -102,7 +102,7 @@ impl Inputs {
     }
 
     /// Power of the loads, W.
-    #[inline(always)]
+    #[inline]
     pub fn power(&self, at: &ForceContext) -> f64 {
         let mut forces = Coordinates::ZERO;
         self.add_forces(at, &mut forces);

@@ -146,13 +146,13 @@ macro_rules! effects {
             }
 
             /// Adds the generalised force Q.
-            #[inline(always)]
+            #[inline]
             pub fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
                 match self { $(Self::$Force(force) => force.add_forces(at, forces),)+ }
             }
 
             /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.
-            #[inline(always)]
+            #[inline]
             pub fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
                 match self { $(Self::$Force(force) => force.add_tangents(at, tangents),)+ }
             }

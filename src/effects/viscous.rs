@@ -27,7 +27,7 @@ pub struct Viscous {
 
 impl Viscous {
     /// Joints that may have a coefficient.
-    #[inline(always)]
+    #[inline]
     fn joints(&self) -> impl Iterator<Item = (usize, f64)> {
         let inner = self.inner;
         self.b.into_iter().enumerate().filter(move |(joint, _)| inner || !is_inner(*joint))

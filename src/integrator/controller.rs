@@ -26,7 +26,7 @@ pub(super) struct StepSizeController {
 
 impl StepSizeController {
     /// By how much the step may change after one that was accepted; `before` is ln of the error before it.
-    #[inline(always)]
+    #[inline]
     pub(super) fn growth(&self, error: f64, before: f64) -> f64 {
         let change = SAFETY * libm::exp(self.memory * before - self.exponent * libm::log(error));
         change.clamp(self.accepted[0], self.accepted[1])
@@ -43,13 +43,13 @@ impl StepSizeController {
 
 /// The step wanted next after one of h seconds, where `wanted` had been wanted: a step cut short by a limit says nothing against longer
 /// ones.
-#[inline(always)]
+#[inline]
 pub(super) fn next_step(h: f64, growth: f64, wanted: f64) -> f64 {
     if is_cut_short(h, wanted) { (h * growth).max(wanted) } else { h * growth }
 }
 
 /// Whether a step was cut short by a limit.
-#[inline(always)]
+#[inline]
 pub(super) fn is_cut_short(h: f64, wanted: f64) -> bool {
     wanted.is_finite() && h < 0.5 * wanted
 }

@@ -129,7 +129,7 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
     }
 
     /// One macro step of h seconds within the step under way; false, and nothing has changed, if that ends before.
-    #[inline(always)]
+    #[inline]
     pub fn advance_within(&mut self, h: f64) -> bool {
         let (left, rounded) = (self.length - self.elapsed, ROUNDED * self.length);
         // At its very end even the shortest macro step goes past it.
@@ -144,7 +144,7 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
     }
 
     /// One macro step of h seconds. On failure the run is undefined: the caller keeps a copy.
-    #[inline(always)]
+    #[inline]
     pub fn advance<S: System<N, M> + Passage<N>>(
         &mut self,
         system: &S,
@@ -222,7 +222,7 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
 
     /// Coordinates, rates and work at the present time, on the constraints: inside the step the interpolant projected, or as it is where
     /// the projection does not converge.
-    #[inline(always)]
+    #[inline]
     pub fn sample<S: System<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> Sample<N, S::Pose> {
         let Self { end, .. } = self;
         if self.elapsed == self.length {
@@ -237,7 +237,7 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
     }
 
     /// What the interpolant says at the present time, inside the step.
-    #[inline(always)]
+    #[inline]
     fn interpolated(&self, follows_work: bool) -> ([Vector<N>; 2], Work) {
         let Self { start, end, length, .. } = self;
         let part = self.elapsed / length;
@@ -278,7 +278,7 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
 }
 
 /// The interpolant at a part of the step, from the values and the derivatives (times the step) at its ends and the higher coefficients.
-#[inline(always)]
+#[inline]
 fn interpolant<const K: usize>(
     part: f64,
     [from, to]: [Vector<K>; 2],

@@ -6,6 +6,7 @@ use crate::vector::Vector;
 /// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇.
 ///
 /// With e = 1/(κ m̄) in the place of 0 the solution is unique also where Φ_q loses rank: the multipliers are then those of minimum norm.
+#[inline(never)]
 pub fn equilibrium<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     q: &Vector<N>,

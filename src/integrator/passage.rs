@@ -140,9 +140,7 @@ impl<const N: usize, const M: usize> State<N, M> {
         transit: &Transit<N>,
         regularization: f64,
     ) -> Result<(), StepError> {
-        let pose = system.pose(&transit.q);
-        let mass = system.factor_mass(&pose, regularization);
-        let arrival = Arrival::in_balance(system, [transit.q, transit.v], &pose, &mass).finite()?;
+        let arrival = Arrival::out_of_line(system, [transit.q, transit.v], regularization).finite()?;
         self.work = self.work.plus(transit.duration / 2.0, self.power).plus(transit.duration / 2.0, arrival.power);
         self.jerk = Vector::ZERO;
         self.arrive(arrival);

@@ -19,7 +19,7 @@ pub struct Projection {
 
 impl Projection {
     /// Newton onto Φ = 0; the iterations spent, and the pose there.
-    #[inline(always)]
+    #[inline]
     pub fn position<const N: usize, const M: usize, S: System<N, M>>(
         &self,
         system: &S,
@@ -44,7 +44,7 @@ impl Projection {
 }
 
 /// What q̇ lacks for Φ_q q̇ = 0, with the mass factor at hand.
-#[inline(always)]
+#[inline]
 pub fn velocity_correction<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
     pose: &S::Pose,

@@ -156,6 +156,12 @@ impl<const N: usize, const M: usize> Arrival<N, M> {
         Self::new(system, [q, v, a], pose, lambda)
     }
 
+    /// The same for what happens rarely, without code of its own.
+    pub(super) fn out_of_line<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], regularization: f64) -> Self {
+        let (a, lambda) = equilibrium(system, &q, &v, regularization);
+        Self::new(system, [q, v, a], &system.pose(&q), lambda)
+    }
+
     /// Refuses what is not finite.
     #[inline(always)]
     pub(super) fn finite(self) -> Result<Self, StepError> {

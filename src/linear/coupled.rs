@@ -36,7 +36,7 @@ pub struct Coupled {
 }
 
 /// Φ_I X, the columns of Φ_q of the inner coordinates times a matrix, both by rows.
-#[inline(always)]
+#[inline]
 fn phi_inner_times<const K: usize>(pose: &Pose, x: &[Vector<K>; INNERS]) -> [Vector<K>; MULTIPLIERS] {
     /// Places of the angles of the proximal and the distal links, left and right; those of the position of link 2 are the axes.
     const PROXIMAL: [usize; 2] = [2, 5];
@@ -65,7 +65,7 @@ fn transposed<const K: usize, const L: usize>(rows: &[Vector<K>; L]) -> [Vector<
 impl Coupled {
     /// Factorises for the masses of the outer coordinates and the block of A₀ of the inner ones by rows, whose symmetric part is
     /// positive: so is that of the dual matrix. Where values are not finite, the caller's check of the results ends the step.
-    #[inline(always)]
+    #[inline]
     pub fn factor(pose: &Pose, masses: &Coordinates, inner: [Vector<INNERS>; INNERS], regularization: f64) -> Self {
         let compliance = inverse(inner);
         // Φ_I A_I⁻¹ Φ_Iᵀ from Φ_I A_I⁻ᵀ.

@@ -17,7 +17,7 @@ pub(super) struct Lu<const N: usize> {
 
 impl<const N: usize> Lu<N> {
     /// Factorises a matrix given by rows. Where it is singular all the same, the solutions are not finite.
-    #[inline(always)]
+    #[inline]
     pub(super) fn new(mut rows: [Vector<N>; N]) -> Self {
         let (mut lower, mut pivots) = ([Vector::ZERO; N], Vector::ZERO);
         for k in 0..N {
@@ -36,7 +36,7 @@ impl<const N: usize> Lu<N> {
     }
 
     /// A⁻¹ b.
-    #[inline(always)]
+    #[inline]
     pub(super) fn solve(&self, mut b: Vector<N>) -> Vector<N> {
         for k in 0..N {
             let factor = b[k];
@@ -51,7 +51,7 @@ impl<const N: usize> Lu<N> {
 }
 
 /// A⁻¹, both by rows: where it is asked for so often that solving would cost more, and the matrix is well-conditioned.
-#[inline(always)]
+#[inline]
 pub(super) fn inverse<const N: usize>(mut rows: [Vector<N>; N]) -> [Vector<N>; N] {
     for k in 0..N {
         let pivot = 1.0 / rows[k][k];

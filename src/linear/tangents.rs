@@ -66,12 +66,12 @@ pub struct FullTangents {
 
 impl DiagonalTangents {
     /// None yet, for a step of h seconds.
-    #[inline(always)]
+    #[inline]
     pub fn new(h: f64) -> Self {
         Self { half_step: h / 2.0, weighted: Coordinates::ZERO }
     }
 
-    #[inline(always)]
+    #[inline]
     fn add(&mut self, row: usize, column: usize, value: f64) {
         // Costs nothing where row and column are constants.
         assert!(row == column && THETA.contains(&row), "an effect that couples links must say so");
@@ -80,12 +80,12 @@ impl DiagonalTangents {
 }
 
 impl Tangents for DiagonalTangents {
-    #[inline(always)]
+    #[inline]
     fn stiffness(&mut self, row: usize, column: usize, value: f64) {
         self.add(row, column, self.half_step * self.half_step * value);
     }
 
-    #[inline(always)]
+    #[inline]
     fn damping(&mut self, row: usize, column: usize, value: f64) {
         self.add(row, column, self.half_step * value);
     }

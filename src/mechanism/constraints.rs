@@ -42,7 +42,7 @@ struct ByJoint {
     tip: Legs2,
 }
 
-#[inline(always)]
+#[inline]
 fn by_joint(lambda: &Multipliers) -> ByJoint {
     ByJoint {
         ground: Legs2 { x: legs_of(lambda, G_X), y: legs_of(lambda, G_Y) },
@@ -58,13 +58,13 @@ pub fn largest(values: &Multipliers) -> f64 {
 
 impl Mechanism {
     /// Directions and arms at q.
-    #[inline(always)]
+    #[inline]
     pub fn pose(&self, q: &Coordinates) -> Pose {
         self.pose_at([legs_of(q, P_THETA), legs_of(q, D_THETA)])
     }
 
     /// The same from the angles of the proximal and the distal links.
-    #[inline(always)]
+    #[inline]
     pub(crate) fn pose_at(&self, [proximal, distal]: [Legs; 2]) -> Pose {
         let (sin_p, cos_p) = sin_cos(proximal);
         let (sin_d, cos_d) = sin_cos(distal);
@@ -80,7 +80,7 @@ impl Mechanism {
     }
 
     /// Φ(q), m.
-    #[inline(always)]
+    #[inline]
     pub fn phi(&self, q: &Coordinates, pose: &Pose) -> Multipliers {
         let mut phi = Multipliers::ZERO;
         set_legs(&mut phi, G_X, legs_of(q, P_X) - pose.a_p.x - self.ground_x);
@@ -95,7 +95,7 @@ impl Mechanism {
 
 impl Pose {
     /// Φ_q v.
-    #[inline(always)]
+    #[inline]
     pub fn phi_q_times(&self, v: &Coordinates) -> Multipliers {
         let (w_p, w_d) = (legs_of(v, P_THETA), legs_of(v, D_THETA));
         let (a_p, b_p) = (self.a_p.turned(), self.b_p.turned());
@@ -111,7 +111,7 @@ impl Pose {
     }
 
     /// Φ_qᵀ λ.
-    #[inline(always)]
+    #[inline]
     pub fn phi_q_transposed_times(&self, lambda: &Multipliers) -> Coordinates {
         let at = by_joint(lambda);
         let mut product = Coordinates::ZERO;
@@ -125,7 +125,7 @@ impl Pose {
     }
 
     /// Φ̇_q q̇, m/s²: the centripetal accelerations of the arms.
-    #[inline(always)]
+    #[inline]
     pub fn phi_q_dot_times(&self, v: &Coordinates) -> Multipliers {
         let (w_p, w_d) = (legs_of(v, P_THETA), legs_of(v, D_THETA));
         let (w_p, w_d) = (w_p * w_p, w_d * w_d);
@@ -140,7 +140,7 @@ impl Pose {
     }
 
     /// The geometric stiffness ∂(Φ_qᵀλ)/∂q, N·m/rad: diagonal, and only in the angles (proximal, distal).
-    #[inline(always)]
+    #[inline]
     pub fn geometric_stiffness(&self, lambda: &Multipliers) -> (Legs, Legs) {
         let at = by_joint(lambda);
         (self.a_p.dot(at.ground) + self.b_p.dot(at.elbow), self.a_d.dot(at.elbow) - self.sigma_b_d.dot(at.tip))

@@ -12,13 +12,13 @@ pub type Legs = f64x2;
 pub const SIGMA: Legs = Legs::new([1.0, -1.0]);
 
 /// The same value for both legs.
-#[inline(always)]
+#[inline]
 pub fn both(value: f64) -> Legs {
     Legs::splat(value)
 }
 
 /// Left + right.
-#[inline(always)]
+#[inline]
 pub fn sum(legs: Legs) -> f64 {
     let [left, right] = legs.to_array();
     left + right
@@ -35,19 +35,19 @@ pub struct Legs2 {
 
 impl Legs2 {
     /// Times a scalar of each leg.
-    #[inline(always)]
+    #[inline]
     pub fn scaled(self, factor: Legs) -> Self {
         Self { x: self.x * factor, y: self.y * factor }
     }
 
     /// The scalar product, leg by leg.
-    #[inline(always)]
+    #[inline]
     pub fn dot(self, other: Self) -> Legs {
         self.x * other.x + self.y * other.y
     }
 
     /// Turned by +90°: the derivative of an arm with respect to its angle.
-    #[inline(always)]
+    #[inline]
     pub fn turned(self) -> Self {
         Self { x: -self.y, y: self.x }
     }
@@ -58,7 +58,7 @@ impl Legs2 {
 /// The same bits on every platform (no FMA, no platform libm): three-part Cody–Waite reduction by π/2 and the minimax
 /// polynomials of FreeBSD's msun `k_sin.c`, `k_cos.c`, two lanes at a time. Beyond 2²⁰·π/2 rad, where that reduction ends, and
 /// for non-finite angles: the libm crate.
-#[inline(always)]
+#[inline]
 pub fn sin_cos(angle: Legs) -> (Legs, Legs) {
     const LIMIT: f64 = 1_647_099.0; // 2^20 · π/2
     if angle.abs().simd_lt(both(LIMIT)).all() { sin_cos_reduced(angle) } else { sin_cos_far(angle) }
@@ -72,7 +72,7 @@ fn sin_cos_far(angle: Legs) -> (Legs, Legs) {
     (Legs::new([sl, sr]), Legs::new([cl, cr]))
 }
 
-#[inline(always)]
+#[inline]
 fn sin_cos_reduced(angle: Legs) -> (Legs, Legs) {
     // π/2 in three parts; the first two have 33 bits, so that k times them is exact for |k| < 2^20.
     const HALF_PI_1: f64 = 1.570_796_326_734_125_6;

@@ -135,7 +135,7 @@ impl Mechanism {
     }
 
     /// M x, with the diagonal and constant mass matrix of centre-of-mass coordinates.
-    #[inline(always)]
+    #[inline]
     pub fn mass_times(&self, x: &Coordinates) -> Coordinates {
         let mut product = Coordinates::ZERO;
         for (i, m) in self.mass_diagonal().into_iter().enumerate() {
@@ -145,7 +145,7 @@ impl Mechanism {
     }
 
     /// The diagonal of M by legs, in the order of the coordinates.
-    #[inline(always)]
+    #[inline]
     pub fn mass_diagonal(&self) -> [Legs; 6] {
         let mut diagonal = [both(0.0); 6];
         diagonal[P_X] = self.mass_p;

@@ -53,7 +53,7 @@ pub struct Singularity {
     pub kind: SingularityKind,
 }
 
-#[inline(always)]
+#[inline]
 fn cross(a: Legs2, b: Legs2) -> Legs {
     a.x * b.y - a.y * b.x
 }
@@ -61,7 +61,7 @@ fn cross(a: Legs2, b: Legs2) -> Legs {
 impl Pose {
     /// The signs that tell modes apart, a bit for each that is negative: det J_x (assembly), bend of the left and right leg (working
     /// mode). A bit that changes is a direct or inverse singularity passed.
-    #[inline(always)]
+    #[inline]
     pub fn modes(&self) -> u8 {
         let ([x2, x3], [y2, y3]) = (self.u_d.x.to_array(), self.u_d.y.to_array());
         let [left, right] = cross(self.u_p, self.u_d).to_array();

@@ -37,7 +37,7 @@ const DISTAL: usize = 1;
 pub const LINKS: [usize; 4] = [2 * PROXIMAL, 2 * DISTAL, 2 * DISTAL + 1, 2 * PROXIMAL + 1];
 
 /// The link angles among the twelve coordinates.
-#[inline(always)]
+#[inline]
 pub fn angles_of(x: &Coordinates) -> Angles {
     let mut angles = Angles::ZERO;
     set_legs(&mut angles, PROXIMAL, legs_of(x, P_THETA));
@@ -46,7 +46,7 @@ pub fn angles_of(x: &Coordinates) -> Angles {
 }
 
 /// The twelve coordinates with these angles and 0 elsewhere.
-#[inline(always)]
+#[inline]
 fn in_place(angles: &Angles) -> Coordinates {
     let mut x = Coordinates::ZERO;
     set_legs(&mut x, P_THETA, legs_of(angles, PROXIMAL));
@@ -64,7 +64,7 @@ pub struct ByAngles<'a> {
 
 impl<'a> ByAngles<'a> {
     /// The same model under the same inputs.
-    #[inline(always)]
+    #[inline]
     pub fn new(five_bar: FiveBar<'a>) -> Self {
         Self { five_bar, mechanism: &five_bar.model.mechanism, inertia: &five_bar.model.inertia }
     }
@@ -81,7 +81,7 @@ impl<'a> ByAngles<'a> {
 
     /// Displacement from the nearest vertex, if one is near. With coaxial motors all links in line are no isolated posture: there they
     /// turn together.
-    #[inline(always)]
+    #[inline]
     pub(super) fn offset(&self, q: &Angles) -> Option<Angles> {
         if self.mechanism.geometry.base_distance == 0.0 {
             return None;
@@ -116,12 +116,12 @@ impl<'a> ByAngles<'a> {
     }
 
     /// The twelve coordinates and their rates, each leg built up from its motor axis.
-    #[inline(always)]
+    #[inline]
     pub fn coordinates(&self, pose: &Pose, q: &Angles, v: &Angles) -> (Coordinates, Coordinates) {
         (self.placed(q, pose), self.moving(v, pose))
     }
 
-    #[inline(always)]
+    #[inline]
     fn placed(&self, q: &Angles, pose: &Pose) -> Coordinates {
         let elbow = Legs2 { x: self.mechanism.ground_x + pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y };
         let mut x = in_place(q);
@@ -132,7 +132,7 @@ impl<'a> ByAngles<'a> {
         x
     }
 
-    #[inline(always)]
+    #[inline]
     fn moving(&self, v: &Angles, pose: &Pose) -> Coordinates {
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
         let (n_p, n_l, n_d) = (pose.a_p.turned(), proximal_arm(pose).turned(), pose.a_d.turned());
@@ -146,13 +146,13 @@ impl<'a> ByAngles<'a> {
 }
 
 /// Motor axis to elbow.
-#[inline(always)]
+#[inline]
 fn proximal_arm(pose: &Pose) -> Legs2 {
     Legs2 { x: pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y }
 }
 
 /// Φ_q: how the end of each leg moves with its proximal and its distal angle, with the leg's sign.
-#[inline(always)]
+#[inline]
 fn phi_q(pose: &Pose) -> [Legs2; 2] {
     let distal = Legs2 { x: SIGMA * pose.a_d.x + pose.sigma_b_d.x, y: SIGMA * pose.a_d.y + pose.sigma_b_d.y };
     [proximal_arm(pose).scaled(SIGMA).turned(), distal.turned()]
@@ -167,7 +167,7 @@ struct Mass {
 }
 
 impl Mass {
-    #[inline(always)]
+    #[inline]
     fn times(&self, x: &Angles) -> Angles {
         let (p, d) = (legs_of(x, PROXIMAL), legs_of(x, DISTAL));
         let mut product = Angles::ZERO;
@@ -199,13 +199,13 @@ impl Inertia {
         Self { proximal: own + swung, distal, carried: mass_d, stretched: own * distal + swung * inertia_d }
     }
 
-    #[inline(always)]
+    #[inline]
     fn mass(&self, pose: &Pose) -> Mass {
         Mass { proximal: self.proximal, distal: self.distal, coupling: self.carried * proximal_arm(pose).dot(pose.a_d) }
     }
 
     /// M⁻¹. Nothing cancels in the determinant with links of little inertia.
-    #[inline(always)]
+    #[inline]
     fn mobility(&self, pose: &Pose) -> Mass {
         let (l, a) = (proximal_arm(pose), pose.a_d);
         let across = self.carried * (l.x * a.y - l.y * a.x);
@@ -225,7 +225,7 @@ pub struct Factor {
 }
 
 impl Factor {
-    #[inline(always)]
+    #[inline]
     fn new(inertia: &Inertia, pose: &Pose, regularization: f64) -> Self {
         let mobility = inertia.mobility(pose);
         let [p, d] = phi_q(pose);
@@ -241,14 +241,14 @@ impl Factor {
 }
 
 /// Φ_q v.
-#[inline(always)]
+#[inline]
 fn end_velocity([p, d]: &[Legs2; 2], v: &Angles) -> Vector<CLOSURES> {
     let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
     [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)].into()
 }
 
 impl Kkt<ANGLES, CLOSURES> for Factor {
-    #[inline(always)]
+    #[inline]
     fn solve(&self, b: &Angles, c: &Vector<CLOSURES>) -> (Angles, Vector<CLOSURES>) {
         let unconstrained = self.mobility.times(b);
         let [x, y] = *(end_velocity(&self.phi_q, &unconstrained) - *c);
@@ -266,12 +266,12 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     type Pose = Pose;
     type Mass = Factor;
 
-    #[inline(always)]
+    #[inline]
     fn pose(&self, q: &Angles) -> Pose {
         self.mechanism.pose_at([legs_of(q, PROXIMAL), legs_of(q, DISTAL)])
     }
 
-    #[inline(always)]
+    #[inline]
     fn phi(&self, _q: &Angles, pose: &Pose) -> Vector<CLOSURES> {
         let (l, a) = (proximal_arm(pose), pose.a_d);
         let x = SIGMA * (self.mechanism.ground_x + l.x + a.x) + pose.sigma_b_d.x;
@@ -279,12 +279,12 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         [sum(x), sum(y)].into()
     }
 
-    #[inline(always)]
+    #[inline]
     fn phi_q_times(&self, pose: &Pose, v: &Angles) -> Vector<CLOSURES> {
         end_velocity(&phi_q(pose), v)
     }
 
-    #[inline(always)]
+    #[inline]
     fn phi_q_dot_times(&self, pose: &Pose, v: &Angles) -> Vector<CLOSURES> {
         // n̂ turned on: −l ω², and Φ_q is turned already.
         let [p, d] = phi_q(pose).map(Legs2::turned);
@@ -293,13 +293,13 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)].into()
     }
 
-    #[inline(always)]
+    #[inline]
     fn mass_times(&self, pose: &Pose, x: &Angles) -> Angles {
         self.inertia.mass(pose).times(x)
     }
 
     /// The applied forces, and the centripetal ones of the distal centre of mass.
-    #[inline(always)]
+    #[inline]
     fn forces(&self, q: &Angles, pose: &Pose, v: &Angles) -> Angles {
         let applied = self.five_bar.forces(&self.placed(q, pose), pose, &self.moving(v, pose));
         let (l, a_d) = (proximal_arm(pose), pose.a_d);
@@ -315,32 +315,32 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         forces
     }
 
-    #[inline(always)]
+    #[inline]
     fn factor_mass(&self, pose: &Pose, regularization: f64) -> Factor {
         Factor::new(self.inertia, pose, regularization)
     }
 
-    #[inline(always)]
+    #[inline]
     fn modes(&self, pose: &Pose) -> u8 {
         self.five_bar.modes(pose)
     }
 
-    #[inline(always)]
+    #[inline]
     fn follows_work(&self) -> bool {
         self.five_bar.follows_work()
     }
 
-    #[inline(always)]
+    #[inline]
     fn power(&self, q: &Angles, pose: &Pose, v: &Angles) -> Work {
         self.five_bar.power(&self.placed(q, pose), pose, &self.moving(v, pose))
     }
 
-    #[inline(always)]
+    #[inline]
     fn angle_norm(&self, x: &Angles) -> f64 {
         x.max_norm()
     }
 
-    #[inline(always)]
+    #[inline]
     fn length_scale(&self) -> f64 {
         self.five_bar.length_scale()
     }

@@ -87,6 +87,18 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
     }
 }
 
+impl<const BARE: bool> FiveBar<'_, BARE> {
+    /// The power with that of the effects.
+    #[inline(never)]
+    fn with_effect_power(&self, mut power: Work, at: &ForceContext) -> Work {
+        for effect in &self.model.effects {
+            power.input += effect.input_power(at);
+            power.dissipated += effect.dissipation(at);
+        }
+        power
+    }
+}
+
 /// The forces of a model, for their tangents.
 struct Tangible<'a, const BARE: bool> {
     model: &'a Model,
@@ -157,15 +169,11 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         self.follows_work
     }
 
-    #[inline(always)]
+    #[inline]
     fn power(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Work {
         let at = self.context(q, pose, v);
-        let mut power = Work { input: self.inputs.power(&at), dissipated: 0.0 };
-        for effect in &self.model.effects {
-            power.input += effect.input_power(&at);
-            power.dissipated += effect.dissipation(&at);
-        }
-        power
+        let power = Work { input: self.inputs.power(&at), dissipated: 0.0 };
+        if BARE || self.model.effects.is_empty() { power } else { self.with_effect_power(power, &at) }
     }
 
     #[inline(always)]

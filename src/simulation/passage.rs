@@ -65,7 +65,7 @@ struct Ray {
 }
 
 impl Passage<ANGLES> for ByAngles<'_> {
-    #[inline(always)]
+    #[inline]
     fn approach(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>) -> Approach<ANGLES> {
         match self.offset(from.q) {
             Some(offset) => self.near(limits, from, offset),
@@ -85,7 +85,7 @@ impl Passage<ANGLES> for ByAngles<'_> {
         if part.abs() > ENERGY_CHANGE { Err(StepError::EnergyChange { part }) } else { Ok((1.0 + part).sqrt()) }
     }
 
-    #[inline(always)]
+    #[inline]
     fn can_project(&self, q: &Angles) -> bool {
         self.offset(q).is_none_or(|offset| offset.dot(&offset) >= NEAREST * NEAREST)
     }
@@ -248,7 +248,7 @@ fn time_to(reach: f64, position: f64, speed: f64, acceleration: f64) -> Option<f
 
 /// The same in the twelve coordinates: each leg is built up from its motor axis.
 impl<const BARE: bool> Passage<COORDINATES> for FiveBar<'_, BARE> {
-    #[inline(always)]
+    #[inline]
     fn approach(&self, limits: &PassageLimits, from: &Departure<'_, COORDINATES>) -> Approach<COORDINATES> {
         let by_angles = ByAngles::new(self.general());
         let (q, v) = (angles_of(from.q), angles_of(from.v));

@@ -9,7 +9,7 @@ use super::five_bar::FiveBar;
 use super::model::{Model, Stepper};
 use super::state::{Core, State, unwind};
 use crate::effects::Inputs;
-use crate::integrator::{MacroStepMethod, StepError};
+use crate::integrator::{MacroStepMethod, StepError, i3alp};
 use crate::mechanism::Coordinates;
 
 /// Everything that changes during a run. A copy is a complete snapshot.
@@ -95,10 +95,12 @@ impl Run {
                 }
                 self.inputs = *inputs;
                 let held = (&self.inputs, &mut self.turns);
-                let advanced = if model.is_bare() {
-                    macro_steps::<true>(model, method, core, held, steps)
-                } else {
-                    macro_steps::<false>(model, method, core, held, steps)
+                let advanced = match method {
+                    // The default method has a compiled form for the bare mechanism; of the others it would only take place.
+                    MacroStepMethod::I3alp(settings) if model.is_bare() => {
+                        macro_steps::<true>(model, core, held, steps, |system, core, h| i3alp::advance(system, settings, core, h))
+                    }
+                    _ => macro_steps::<false>(model, core, held, steps, |system, core, h| method.advance(system, core, h)),
                 };
                 advanced.inspect_err(|_| (*core, self.turns, self.inputs) = before)
             }
@@ -152,15 +154,16 @@ impl Run {
 #[inline(always)]
 fn macro_steps<const BARE: bool>(
     model: &Model,
-    method: &MacroStepMethod,
     core: &mut Core,
     (inputs, turns): (&Inputs, &mut [i64; 4]),
     steps: MacroSteps,
+    advance: impl Fn(&FiveBar<'_, BARE>, &mut Core, f64) -> Result<(), StepError>,
 ) -> Result<(), StepFailure> {
     let turns_at_start = *turns;
     let system = FiveBar::<BARE>::new(model, inputs, &turns_at_start);
     for step in 0..steps.count {
-        method.advance(&system.with_turns(turns), core, steps.h).map_err(|cause| steps.failure(step, cause))?;
+        advance(&system.with_turns(turns), core, steps.h).map_err(|cause| steps.failure(step, cause))?;
+        core.counters.steps += 1;
         unwind(core, turns);
     }
     Ok(())

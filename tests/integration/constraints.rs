@@ -4,19 +4,22 @@ use fivebar::fmi::bindings::default_inputs;
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::mechanism::{COORDINATES, Coordinates, Mechanism, Multipliers};
 use fivebar::simulation::{Method, Simulation};
+use fivebar::vector::Vector;
+use nalgebra::SVector;
 
 use crate::support::{fall_90_120, unequal};
 
 /// Central difference of f along a direction.
-fn along<const K: usize>(q: &Coordinates, direction: &Coordinates, f: impl Fn(&Coordinates) -> [f64; K]) -> [f64; K] {
+fn along<const K: usize>(q: &Coordinates, direction: &Coordinates, f: impl Fn(&Coordinates) -> Vector<K>) -> Vector<K> {
     let step = 1e-6;
-    let moved = |s: f64| f(&std::array::from_fn(|i| q[i] + s * direction[i]));
-    let (ahead, behind) = (moved(step), moved(-step));
-    std::array::from_fn(|i| (ahead[i] - behind[i]) / (2.0 * step))
+    let moved = |s: f64| f(&(*q + s * *direction));
+    (moved(step) - moved(-step)) / (2.0 * step)
 }
 
-fn largest_difference<const K: usize>(x: &[f64; K], y: &[f64; K]) -> f64 {
-    x.iter().zip(y).map(|(x, y)| (x - y).abs()).fold(0.0, f64::max)
+/// NaN, which the norm passes over, counts as infinite.
+fn largest_difference<const K: usize>(x: Vector<K>, y: Vector<K>) -> f64 {
+    let difference = x - y;
+    if difference.is_finite() { difference.max_norm() } else { f64::INFINITY }
 }
 
 /// Calls `check` with (mechanism, q, q̇, λ) every 20 ms of two motions, one with nothing equal.
@@ -38,11 +41,10 @@ fn the_jacobian_is_the_derivative_of_phi() {
     along_motions(|mechanism, q, v, lambda| {
         let pose = mechanism.pose(q);
         let phi = |q: &Coordinates| mechanism.phi(q, &mechanism.pose(q));
-        let scale = v.iter().fold(1.0, |largest: f64, v| largest.max(v.abs()));
-        assert!(largest_difference(&along(q, &v.map(|v| v / scale), phi).map(|x| x * scale), &pose.phi_q_times(v)) < 1e-7);
+        let scale = v.max_norm().max(1.0);
+        assert!(largest_difference(scale * along(q, &(*v / scale), phi), pose.phi_q_times(v)) < 1e-7);
         // The transposed product is the same matrix.
-        let (left, right) = (pose.phi_q_times(v), pose.phi_q_transposed_times(lambda));
-        let powers = [left.iter().zip(lambda).map(|(x, l)| x * l).sum::<f64>(), right.iter().zip(v).map(|(x, v)| x * v).sum()];
+        let powers = [pose.phi_q_times(v).dot(lambda), pose.phi_q_transposed_times(lambda).dot(v)];
         assert!((powers[0] - powers[1]).abs() <= 1e-12 * (1.0 + powers[0].abs()), "{powers:?}");
     });
 }
@@ -50,11 +52,11 @@ fn the_jacobian_is_the_derivative_of_phi() {
 #[test]
 fn the_velocity_term_is_the_change_of_the_jacobian() {
     along_motions(|mechanism, q, v, _| {
-        let scale = v.iter().fold(1.0, |largest: f64, v| largest.max(v.abs()));
-        let unit = v.map(|v| v / scale);
-        let change = along(q, &unit, |q| mechanism.pose(q).phi_q_times(&unit)).map(|x| x * scale * scale);
+        let scale = v.max_norm().max(1.0);
+        let unit = *v / scale;
+        let change = scale * scale * along(q, &unit, |q| mechanism.pose(q).phi_q_times(&unit));
         let term = mechanism.pose(q).phi_q_dot_times(v);
-        assert!(largest_difference(&change, &term) < 1e-8 * scale * scale, "{change:?} {term:?}");
+        assert!(largest_difference(change, term) < 1e-8 * scale * scale, "{change:?} {term:?}");
     });
 }
 
@@ -65,14 +67,10 @@ fn the_geometric_stiffness_is_the_change_of_the_constraint_forces() {
         let ([p_left, p_right], [d_left, d_right]) = (p.to_array(), d.to_array());
         let stiffness = [p_left, d_left, d_right, p_right];
         for j in 0..COORDINATES {
-            let mut direction = Coordinates::ZERO;
-            direction[j] = 1.0;
-            let mut expected = Coordinates::ZERO;
-            if let Some(link) = THETA.iter().position(|&i| i == j) {
-                expected[j] = stiffness[link];
-            }
-            let change = along(q, &direction, |q| mechanism.pose(q).phi_q_transposed_times(lambda));
-            assert!(largest_difference(&change, &expected) < 1e-7, "column {j}: {change:?} {expected:?}");
+            let unit = Coordinates::unit(j);
+            let expected = THETA.iter().position(|&i| i == j).map_or(0.0, |link| stiffness[link]) * unit;
+            let change = along(q, &unit, |q| mechanism.pose(q).phi_q_transposed_times(lambda));
+            assert!(largest_difference(change, expected) < 1e-7, "column {j}: {change:?} {expected:?}");
         }
     });
 }
@@ -82,9 +80,9 @@ fn the_matrix_holds_the_same_as_the_products() {
     along_motions(|mechanism, q, v, lambda| {
         let pose = mechanism.pose(q);
         let matrix = pose.phi_q();
-        let product: Multipliers = (matrix * nalgebra::SVector::from(*v)).into();
-        let transposed: Coordinates = (matrix.transpose() * nalgebra::SVector::from(*lambda)).into();
-        assert!(largest_difference(&product, &pose.phi_q_times(v)) < 1e-12);
-        assert!(largest_difference(&transposed, &pose.phi_q_transposed_times(lambda)) < 1e-12);
+        let product = Multipliers::from_fn(|i| (matrix.row(i) * SVector::from(**v))[0]);
+        let transposed = Coordinates::from_fn(|j| matrix.column(j).dot(&SVector::from(**lambda)));
+        assert!(largest_difference(product, pose.phi_q_times(v)) < 1e-12);
+        assert!(largest_difference(transposed, pose.phi_q_transposed_times(lambda)) < 1e-12);
     });
 }

@@ -131,7 +131,7 @@ fn stiffness_is_noticed() {
         while !running.is_stiff() {
             steps += 1;
             assert!(steps < 5000, "5 s without a verdict");
-            running.advance(&stiff, &settings, 1e-3, [1e-3, f64::INFINITY]).expect("steps");
+            running.advance(&stiff, &settings, 1e-3, Horizon { output: 1e-3, limit: f64::INFINITY }).expect("steps");
         }
     }
 }

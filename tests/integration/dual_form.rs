@@ -134,9 +134,9 @@ fn two_leg_elimination_solves_the_dense_system() {
                     let scale = dense.iter().fold(1.0, |largest: f64, x| largest.max(x.abs()));
                     fast.iter().zip(dense).all(|(x, y)| (x - y).abs() < 1e-9 * scale)
                 };
-                assert!(close(&x, &x_dense) && close(&y, &y_dense), "regularization {regularization}, sample {k}");
+                assert!(close(&x[..], &x_dense[..]) && close(&y[..], &y_dense[..]), "regularization {regularization}, sample {k}");
                 assert!(
-                    close(&fast.correction(&c), &dense.correction(&c)),
+                    close(&fast.correction(&c)[..], &dense.correction(&c)[..]),
                     "correction, regularization {regularization}, sample {k}"
                 );
             }

@@ -192,7 +192,7 @@ fn contact_at_rest_balances_the_weight() {
     let motion = observers::motion(model, state);
     let force = observers::contact_force(model, state);
     assert!(motion.omega.iter().all(|rate| rate.abs() < 1e-2) && force.y > 0.1, "{motion:?} {force}");
-    let reactions = observers::reactions(state);
+    let reactions = observers::reactions(model, state);
     let weight = (4.0 * 0.017 + 0.05) * 9.81;
     // What is left of the motion is the creep that the regularised friction allows.
     assert!((reactions[0].y + reactions[4].y + force.y - weight).abs() < 1e-3 * weight, "{reactions:?} {force}");
@@ -219,10 +219,9 @@ fn a_payload_is_a_heavier_distal_link() {
     let motion = |parameters: &Parameters| {
         let mut parameters = parameters.clone();
         parameters.settings.error_tolerance = 1e-11;
-        let parameters = &parameters;
-        let mut simulation = Simulation::new(parameters, &default_inputs()).expect("scene");
+        let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
         run(&mut simulation, &default_inputs(), 1e-3, 0.2);
-        let state = *simulation.state();
+        let state = simulation.state();
         (observers::motion(simulation.model(), &state), energies(&simulation))
     };
     let (payload, energy) = motion(&loaded);

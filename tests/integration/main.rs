@@ -22,6 +22,8 @@ mod fmi_state; // stored states: complete, in any order, as bytes
 mod fmi_step; // communication points, the step grid, discard, status functions
 mod fmi_values; // reading and writing variables
 
+mod forged_states; // stored states changed byte by byte: refused, or motions that go on (not `fmi_`: too many for valgrind)
+
 // What they share.
 mod fmi_host; // a small master: C calls are made here and nowhere else
 mod support; // scenes, reference files, slopes

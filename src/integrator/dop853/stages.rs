@@ -39,7 +39,7 @@ pub(super) struct Stages<const N: usize> {
 
 impl<const N: usize> Stages<N> {
     /// All stages of a step of h seconds.
-    #[inline(always)]
+    #[inline(never)]
     pub(super) fn new<const M: usize>(system: &impl System<N, M>, regularization: f64, from: &State<N, M>, h: f64) -> Self {
         let mut stages = Self { slopes: [Slope::NONE; ALL], q: from.q, v: from.v, h, last: from.q };
         stages.slopes[0] = Slope { q: from.v, v: from.a, power: from.power };

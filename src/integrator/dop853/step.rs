@@ -79,7 +79,7 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
     }
 
     /// The step has reached its end.
-    #[inline(always)]
+    #[inline]
     fn accept(&mut self, system: &impl System<N, M>, stages: &Stages<N>, (iterations, arrival): (u32, Arrival<N, M>)) {
         self.length = stages.h;
         self.end.arrive(arrival);
@@ -90,7 +90,7 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
     }
 
     /// The step to come, from the error of this one.
-    #[inline(always)]
+    #[inline]
     fn adapt(&mut self, error: f64, wanted: f64, rejected: bool) {
         let growth = CONTROLLER.growth(error, self.memory.log_error);
         let growth = if rejected { growth.min(1.0) } else { growth };
@@ -110,7 +110,7 @@ impl Settings {
     }
 
     /// Puts the end of a step onto the constraints: the iterations spent, and what holds there.
-    #[inline(always)]
+    #[inline]
     pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
@@ -122,7 +122,7 @@ impl Settings {
 
     /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
     /// spent, with pose and mass factor.
-    #[inline(always)]
+    #[inline]
     pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,

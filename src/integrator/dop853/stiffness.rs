@@ -23,7 +23,7 @@ pub(super) struct Stiffness {
 
 impl Stiffness {
     /// Whether a check is due after this many accepted steps.
-    #[inline(always)]
+    #[inline]
     pub(super) fn is_due(&self, substeps: u64) -> bool {
         !self.found && (self.at_border > 0 || substeps.is_multiple_of(INTERVAL))
     }
