@@ -14,7 +14,7 @@ pub(super) const MOTORS: [usize; 2] = [THETA[0], THETA[3]];
 
 /// Joint rates are differences of link rates: joint j turns at the rate of its first link minus that of its second, if any. A joint
 /// torque acts with + on the first and with − on the second.
-const LINKS: [(usize, Option<usize>); JOINTS] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
+const JOINED: [(usize, Option<usize>); JOINTS] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
 
 /// Index of the link that carries what acts on the tip.
 const TIP_LINK: usize = 1;
@@ -51,7 +51,7 @@ impl ForceContext<'_> {
     /// Rate of a joint, rad/s.
     #[inline]
     pub fn joint_rate(&self, joint: usize) -> f64 {
-        let (first, second) = LINKS[joint];
+        let (first, second) = JOINED[joint];
         self.v[THETA[first]] - second.map_or(0.0, |second| self.v[THETA[second]])
     }
 
@@ -79,7 +79,7 @@ fn tip_arm(pose: &Pose) -> [f64; 2] {
 /// Adds a torque at a joint, N·m.
 #[inline]
 pub(super) fn add_joint_torque(joint: usize, torque: f64, forces: &mut Coordinates) {
-    let (first, second) = LINKS[joint];
+    let (first, second) = JOINED[joint];
     forces[THETA[first]] += torque;
     if let Some(second) = second {
         forces[THETA[second]] -= torque;
@@ -89,7 +89,7 @@ pub(super) fn add_joint_torque(joint: usize, torque: f64, forces: &mut Coordinat
 /// Adds the tangent of a joint torque: damping = −∂T/∂w, N·m·s/rad.
 #[inline]
 pub(super) fn add_joint_damping(joint: usize, damping: f64, tangents: &mut impl Tangents) {
-    let (first, second) = LINKS[joint];
+    let (first, second) = JOINED[joint];
     tangents.damping(THETA[first], THETA[first], damping);
     if let Some(second) = second {
         tangents.damping(THETA[second], THETA[second], damping);
@@ -100,7 +100,7 @@ pub(super) fn add_joint_damping(joint: usize, damping: f64, tangents: &mut impl 
 
 /// Whether a torque at the joint couples two links.
 pub(super) fn is_inner(joint: usize) -> bool {
-    LINKS[joint].1.is_some()
+    JOINED[joint].1.is_some()
 }
 
 /// The tip as the end of link 2.

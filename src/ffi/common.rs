@@ -4,6 +4,8 @@ use std::ffi::CStr;
 use std::panic::catch_unwind;
 use std::ptr::null_mut;
 
+use libc::size_t;
+
 use super::arrays::{not_null, slice, string};
 use super::guard::{Component, guard};
 use super::types::{
@@ -102,7 +104,7 @@ pub unsafe extern "C" fn fmi2FreeInstance(c: fmi2Component) {
 pub unsafe extern "C" fn fmi2SetDebugLogging(
     c: fmi2Component,
     loggingOn: fmi2Boolean,
-    nCategories: usize,
+    nCategories: size_t,
     categories: *const fmi2String,
 ) -> fmi2Status {
     let body = |instance: &mut Instance| {
@@ -176,7 +178,7 @@ macro_rules! access {
         pub unsafe extern "C" fn $get(
             c: fmi2Component,
             vr: *const fmi2ValueReference,
-            nvr: usize,
+            nvr: size_t,
             value: *mut $c_type,
         ) -> fmi2Status {
             let body = |instance: &mut Instance| {
@@ -205,7 +207,7 @@ macro_rules! access {
         pub unsafe extern "C" fn $set(
             c: fmi2Component,
             vr: *const fmi2ValueReference,
-            nvr: usize,
+            nvr: size_t,
             value: *const $c_type,
         ) -> fmi2Status {
             let body = |instance: &mut Instance| {
@@ -238,7 +240,7 @@ access! {
 pub unsafe extern "C" fn fmi2GetString(
     c: fmi2Component,
     vr: *const fmi2ValueReference,
-    nvr: usize,
+    nvr: size_t,
     _value: *mut fmi2String,
 ) -> fmi2Status {
     let body = |instance: &mut Instance| {
@@ -258,7 +260,7 @@ pub unsafe extern "C" fn fmi2GetString(
 pub unsafe extern "C" fn fmi2SetString(
     c: fmi2Component,
     vr: *const fmi2ValueReference,
-    nvr: usize,
+    nvr: size_t,
     _value: *const fmi2String,
 ) -> fmi2Status {
     let body = |instance: &mut Instance| {

@@ -1,6 +1,8 @@
 //! Derivatives: of outputs with respect to inputs and continuous states (FMI 2.0.4, section 2.1.9), of inputs and outputs with respect
 //! to time (section 4.2.1).
 
+use libc::size_t;
+
 use super::arrays::{not_null, slice};
 use super::guard::guard;
 use super::types::{fmi2Component, fmi2Integer, fmi2Real, fmi2Status, fmi2ValueReference};
@@ -14,9 +16,9 @@ use crate::fmi::{Call, Instance};
 pub unsafe extern "C" fn fmi2GetDirectionalDerivative(
     c: fmi2Component,
     vUnknown_ref: *const fmi2ValueReference,
-    nUnknown: usize,
+    nUnknown: size_t,
     vKnown_ref: *const fmi2ValueReference,
-    nKnown: usize,
+    nKnown: size_t,
     dvKnown: *const fmi2Real,
     dvUnknown: *mut fmi2Real,
 ) -> fmi2Status {
@@ -49,7 +51,7 @@ pub unsafe extern "C" fn fmi2GetDirectionalDerivative(
 pub unsafe extern "C" fn fmi2SetRealInputDerivatives(
     c: fmi2Component,
     vr: *const fmi2ValueReference,
-    nvr: usize,
+    nvr: size_t,
     order: *const fmi2Integer,
     value: *const fmi2Real,
 ) -> fmi2Status {
@@ -72,7 +74,7 @@ pub unsafe extern "C" fn fmi2SetRealInputDerivatives(
 pub unsafe extern "C" fn fmi2GetRealOutputDerivatives(
     c: fmi2Component,
     vr: *const fmi2ValueReference,
-    nvr: usize,
+    nvr: size_t,
     order: *const fmi2Integer,
     value: *mut fmi2Real,
 ) -> fmi2Status {

@@ -2,6 +2,8 @@
 
 use std::ptr::null_mut;
 
+use libc::size_t;
+
 use super::arrays::{not_null, slice};
 use super::guard::guard;
 use super::types::{fmi2Byte, fmi2Component, fmi2FMUstate, fmi2Status};
@@ -84,7 +86,7 @@ pub unsafe extern "C" fn fmi2FreeFMUstate(c: fmi2Component, FMUstate: *mut fmi2F
 /// # Safety
 /// See the contract of [`crate::ffi`].
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn fmi2SerializedFMUstateSize(c: fmi2Component, FMUstate: fmi2FMUstate, size: *mut usize) -> fmi2Status {
+pub unsafe extern "C" fn fmi2SerializedFMUstateSize(c: fmi2Component, FMUstate: fmi2FMUstate, size: *mut size_t) -> fmi2Status {
     let body = |_: &mut Instance| {
         not_null("size", size)?;
         // SAFETY: the caller vouches for the state.
@@ -106,7 +108,7 @@ pub unsafe extern "C" fn fmi2SerializeFMUstate(
     c: fmi2Component,
     FMUstate: fmi2FMUstate,
     serializedState: *mut fmi2Byte,
-    size: usize,
+    size: size_t,
 ) -> fmi2Status {
     let body = |_: &mut Instance| {
         not_null("serializedState", serializedState)?;
@@ -132,7 +134,7 @@ pub unsafe extern "C" fn fmi2SerializeFMUstate(
 pub unsafe extern "C" fn fmi2DeSerializeFMUstate(
     c: fmi2Component,
     serializedState: *const fmi2Byte,
-    size: usize,
+    size: size_t,
     FMUstate: *mut fmi2FMUstate,
 ) -> fmi2Status {
     let body = |_: &mut Instance| {

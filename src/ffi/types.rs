@@ -2,7 +2,7 @@
 //!
 //! Enumerations are plain integers: a Rust enum must not hold a number that C may pass by mistake.
 
-use std::ffi::{c_char, c_int, c_uint, c_void};
+use libc::{c_char, c_int, c_uint, c_void, size_t};
 
 use crate::fmi::Status;
 
@@ -63,7 +63,7 @@ pub type fmi2CallbackLogger = unsafe extern "C" fn(
     ...
 );
 /// Not used.
-pub type fmi2CallbackAllocateMemory = unsafe extern "C" fn(nobj: usize, size: usize) -> *mut c_void;
+pub type fmi2CallbackAllocateMemory = unsafe extern "C" fn(nobj: size_t, size: size_t) -> *mut c_void;
 /// Not used.
 pub type fmi2CallbackFreeMemory = unsafe extern "C" fn(obj: *mut c_void);
 /// Not used: steps are never pending.

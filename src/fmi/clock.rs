@@ -15,7 +15,7 @@ const RELATIVE: f64 = 1e-9;
 /// Rounding of H when the master computes it as a difference of two points, in ulps of the larger point.
 const ULPS: f64 = 4.0;
 
-/// More macro steps than this in one call would not end while somebody waits: minutes at least.
+/// More macro steps than this in one call would take minutes at least.
 const MOST_STEPS: f64 = 1e9;
 
 /// The master's clock.

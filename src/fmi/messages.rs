@@ -92,7 +92,7 @@ impl Log {
         }
     }
 
-    /// Queues a message; the text is only made if somebody wants it.
+    /// Queues a message; the text is made only if the choice of categories passes it on.
     pub fn push(&mut self, status: Status, text: impl FnOnce() -> String) {
         if self.wants(status) {
             self.queue.push(Message { status, text: text() });

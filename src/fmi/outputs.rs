@@ -8,8 +8,8 @@ use crate::variables::{
 };
 
 /// Links of the left and the right leg.
-const PROXIMAL: [usize; 2] = [0, 3];
-const DISTAL: [usize; 2] = [1, 2];
+const PROXIMAL_LINKS: [usize; 2] = [0, 3];
+const DISTAL_LINKS: [usize; 2] = [1, 2];
 
 /// The value of an output; `None` for any other variable.
 pub(super) fn read(of: &Observed<'_, f64>, variable: &Variable) -> Option<Value> {
@@ -31,11 +31,11 @@ pub(super) fn real<T: Scalar>(of: &Observed<'_, T>, output: RealOutput, order: u
     // Positions, velocities and accelerations are known: orders 0, 1 and 2 of a motion.
     let order_of = |own: usize| Some(own + order).filter(|order| *order <= 2);
     Some(match output {
-        V::Theta(i) => of.angle(PROXIMAL[i], order_of(0)?),
-        V::Omega(i) => of.angle(PROXIMAL[i], order_of(1)?),
-        V::Alpha(i) => of.angle(PROXIMAL[i], order_of(2)?),
-        V::PassiveTheta(i) => of.angle(DISTAL[i], order_of(0)?),
-        V::PassiveOmega(i) => of.angle(DISTAL[i], order_of(1)?),
+        V::Theta(i) => of.angle(PROXIMAL_LINKS[i], order_of(0)?),
+        V::Omega(i) => of.angle(PROXIMAL_LINKS[i], order_of(1)?),
+        V::Alpha(i) => of.angle(PROXIMAL_LINKS[i], order_of(2)?),
+        V::PassiveTheta(i) => of.angle(DISTAL_LINKS[i], order_of(0)?),
+        V::PassiveOmega(i) => of.angle(DISTAL_LINKS[i], order_of(1)?),
         V::TipX => of.point(Point::Tip, order_of(0)?)[0],
         V::TipY => of.point(Point::Tip, order_of(0)?)[1],
         V::TipVx => of.point(Point::Tip, order_of(1)?)[0],

@@ -44,6 +44,7 @@ pub struct Snapshot {
 
 /// The scene, before and after the end of initialisation.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "to set a parameter allocates nothing")]
 pub(super) enum Scene {
     /// Its parameters as the master sets them.
     Draft(Parameters),

@@ -17,7 +17,7 @@ mod tableau;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::controller::LEAST_LOG_ERROR;
-use super::{Counters, Passage, Projection, State, StepError, System, Work};
+use super::{Counters, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
 use stages::Slope;
 use stiffness::Stiffness;
@@ -33,17 +33,6 @@ pub struct Settings {
     pub max_iterations: u32,
     /// e of the saddle-point systems, 1/kg (in the units of Φ_q M⁻¹ Φ_qᵀ): so small that it is seen only where that loses rank.
     pub regularization: f64,
-}
-
-/// Projections aim at a violation of this part of the system's size.
-const PROJECTED: f64 = 8.0 * f64::EPSILON;
-
-impl Settings {
-    /// How far q is projected.
-    pub fn projection<const N: usize, const M: usize>(&self, system: &impl System<N, M>) -> Projection {
-        let &Self { regularization, max_iterations, .. } = self;
-        Projection { regularization, tolerance: PROJECTED * system.length_scale(), max_iterations }
-    }
 }
 
 /// More accepted steps than this in one macro step end it with a status: a call never hangs.

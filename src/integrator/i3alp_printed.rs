@@ -70,9 +70,9 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
     // Project: A q̇ = W q̇*, then A q̈ = W q̈* − βα Φ_qᵀ Φ̇_q q̇, with W = M + h/2 C + h²/4 K.
     let v = velocity(q);
     let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &Vector::ZERO, h };
-    let (projected, _) = system.solve_tangent(&at, regularization, (&system.weight_times(&at, &v), &Vector::ZERO))?;
+    let (projected, _) = system.solve_tangent(&at, regularization, (&system.effective_mass_times(&at, &v), &Vector::ZERO))?;
     let centripetal = -system.phi_q_dot_times(&pose, &projected);
-    let (a, _) = system.solve_tangent(&at, regularization, (&system.weight_times(&at, &acceleration(q)), &centripetal))?;
+    let (a, _) = system.solve_tangent(&at, regularization, (&system.effective_mass_times(&at, &acceleration(q)), &centripetal))?;
 
     let end = Arrival::new(system, [q, projected, a], &pose, state.lambda).finite()?;
     state.error_estimate = local_error(system, h, &(a - a0), &(projected - v));

@@ -17,7 +17,15 @@ pub struct Projection {
     pub max_iterations: u32,
 }
 
+/// Where a projection goes as far as round-off lets it: a violation of this part of the system's size.
+const TO_ROUND_OFF: f64 = 8.0 * f64::EPSILON;
+
 impl Projection {
+    /// As far as round-off lets it, in a system of this [`System::length_scale`].
+    pub fn to_round_off(length_scale: f64, regularization: f64, max_iterations: u32) -> Self {
+        Self { regularization, tolerance: TO_ROUND_OFF * length_scale, max_iterations }
+    }
+
     /// Newton onto Φ = 0; the iterations spent, and the pose there.
     #[inline]
     pub fn position<const N: usize, const M: usize, S: System<N, M>>(

@@ -48,7 +48,7 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
     /// Φ_qᵀ λ.
     fn phi_q_transposed_times(&self, pose: &Self::Pose, lambda: &Vector<M>) -> Vector<N>;
     /// (M + h/2 C + h²/4 K) x with K = −∂Q/∂q and C = −∂Q/∂q̇: the weight of the printed projections.
-    fn weight_times(&self, at: &TangentPoint<'_, Self::Pose, N, M>, x: &Vector<N>) -> Vector<N>;
+    fn effective_mass_times(&self, at: &TangentPoint<'_, Self::Pose, N, M>, x: &Vector<N>) -> Vector<N>;
     /// Solves A₀ x + Φ_qᵀ y = b, Φ_q x − e y = c with the tangent matrix A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q);
     /// [`StepError::IndefiniteTangent`] where the step is too long for A₀ to be a minimum.
     fn solve_tangent(

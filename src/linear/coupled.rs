@@ -39,21 +39,21 @@ pub struct Coupled {
 #[inline]
 fn phi_inner_times<const K: usize>(pose: &Pose, x: &[Vector<K>; INNERS]) -> [Vector<K>; MULTIPLIERS] {
     /// Places of the angles of the proximal and the distal links, left and right; those of the position of link 2 are the axes.
-    const PROXIMAL: [usize; 2] = [2, 5];
-    const DISTAL: [usize; 2] = [3, 4];
+    const INNER_PROXIMAL: [usize; 2] = [2, 5];
+    const INNER_DISTAL: [usize; 2] = [3, 4];
     let [a_p, b_p, a_d, sigma_b_d] =
         [pose.a_p, pose.b_p, pose.a_d, pose.sigma_b_d].map(|arm| arm.turned()).map(|arm| [arm.x.to_array(), arm.y.to_array()]);
     let mut product = [Vector::ZERO; MULTIPLIERS];
     for (axis, [ground, elbow, tip]) in [[2 * G_X, 2 * E_X, TIP_X], [2 * G_Y, 2 * E_Y, TIP_Y]].into_iter().enumerate() {
         for leg in [0, 1] {
-            let [proximal, distal] = [x[PROXIMAL[leg]], x[DISTAL[leg]]];
+            let [proximal, distal] = [x[INNER_PROXIMAL[leg]], x[INNER_DISTAL[leg]]];
             product[ground + leg] = -a_p[axis][leg] * proximal;
             product[elbow + leg] = -b_p[axis][leg] * proximal - a_d[axis][leg] * distal;
         }
         let position = x[axis];
         product[elbow] += position;
         let [left, right] = sigma_b_d[axis];
-        product[tip] = position + left * x[DISTAL[0]] + right * x[DISTAL[1]];
+        product[tip] = position + left * x[INNER_DISTAL[0]] + right * x[INNER_DISTAL[1]];
     }
     product
 }

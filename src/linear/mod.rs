@@ -183,7 +183,7 @@ impl LinearSolver {
     }
 
     /// (M + h/2 C + h²/4 K) x.
-    pub fn weight_times(&self, forces: &impl TangentSource, h: f64, x: &Coordinates) -> Coordinates {
+    pub fn effective_mass_times(&self, forces: &impl TangentSource, h: f64, x: &Coordinates) -> Coordinates {
         let weight = self.mass_matrix() + full_tangents(forces, h);
         <[f64; COORDINATES]>::from(weight * SVector::from(**x)).into()
     }

@@ -40,7 +40,7 @@ pub struct Start {
 pub(crate) const IN_LINE: f64 = 1e-9;
 
 /// Round-off of the elbows' distance in multiples of the mechanism's size.
-const ROUND_OFF: f64 = 16.0 * f64::EPSILON;
+const DISTANCE_ROUND_OFF: f64 = 16.0 * f64::EPSILON;
 
 /// Below this part of their lengths the closing of the distal links across each other is round-off.
 const RANK: f64 = 1e-12;
@@ -71,7 +71,7 @@ impl Span {
         let (shortest, longest) = ((l2 - l3).abs(), l2 + l3);
         let start = format!("init.theta = ({:?}, {:?}) rad", theta[0], theta[1]);
         // Round-off of the elbows' positions must not make a fully stretched start unreachable.
-        let round_off = ROUND_OFF * geometry.length_scale();
+        let round_off = DISTANCE_ROUND_OFF * geometry.length_scale();
         if distance > longest + round_off || distance < shortest - round_off {
             return Err(SceneError(format!(
                 "{start} cannot be closed: the elbows are {:?} m apart, link[2].length and link[3].length allow {:?} to {:?} m.",

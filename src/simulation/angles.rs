@@ -34,7 +34,7 @@ const PROXIMAL: usize = 0;
 const DISTAL: usize = 1;
 
 /// Places of links 1 to 4 (left proximal, left distal, right distal, right proximal).
-pub const LINKS: [usize; 4] = [2 * PROXIMAL, 2 * DISTAL, 2 * DISTAL + 1, 2 * PROXIMAL + 1];
+pub const PLACES: [usize; 4] = [2 * PROXIMAL, 2 * DISTAL, 2 * DISTAL + 1, 2 * PROXIMAL + 1];
 
 /// The link angles among the twelve coordinates.
 #[inline]
@@ -75,7 +75,7 @@ impl<'a> ByAngles<'a> {
     }
 
     /// e of the saddle-point systems, 1/kg.
-    pub(super) fn regularization(&self) -> f64 {
+    pub(super) fn regularization_by_angles(&self) -> f64 {
         self.five_bar.model.regularization_by_angles
     }
 
@@ -96,12 +96,12 @@ impl<'a> ByAngles<'a> {
     /// At rest in a vertex: the branch on which the forces start the motion.
     pub(super) fn branch_of_least_constraint(&self, q: &Angles) -> Option<Branch<Angles>> {
         let pose = self.pose(q);
-        let in_order = |x: &Angles| LINKS.map(|i| x[i]);
+        let in_order = |x: &Angles| PLACES.map(|i| x[i]);
         let force = in_order(&self.forces(q, &pose, &Angles::ZERO));
-        let mass = LINKS.map(|i| in_order(&self.mass_times(&pose, &Angles::unit(i))));
+        let mass = PLACES.map(|i| in_order(&self.mass_times(&pose, &Angles::unit(i))));
         let branch = vertex::least_constraint(&self.mechanism.geometry, in_order(q), force, mass)?;
         let mut direction = Angles::ZERO;
-        for (i, value) in LINKS.into_iter().zip(branch.direction) {
+        for (i, value) in PLACES.into_iter().zip(branch.direction) {
             direction[i] = value;
         }
         Some(Branch { direction, alternatives: branch.alternatives })

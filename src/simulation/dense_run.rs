@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, LINKS, angles_of};
+use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, PLACES, angles_of};
 use super::five_bar::FiveBar;
 use super::run::{MacroSteps, StepFailure};
 use super::state::{Core, State, whole_turns};
@@ -138,7 +138,7 @@ fn unwind(step: &mut DenseStep<ANGLES, CLOSURES>, turns: &mut [i64; 4]) {
         return;
     }
     let mut shift = Angles::ZERO;
-    for (turns, i) in turns.iter_mut().zip(LINKS) {
+    for (turns, i) in turns.iter_mut().zip(PLACES) {
         shift[i] = -whole_turns(step.origin()[i], turns) * TAU;
     }
     step.shift(&shift);

@@ -10,7 +10,7 @@ use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose}
 /// A model with the inputs and whole turns that stay while it is stepped.
 ///
 /// `BARE`: without effects whose force depends on the motion, and solved leg by leg. A form of its own, for it keeps the whole step in
-/// registers: it saves 330 of 2,780 instructions of a fixed step (`cargo xtask bench`, table steps).
+/// registers: it saves 580 of 2,970 instructions of a fixed step (`cargo xtask bench`, table steps).
 #[derive(Clone, Copy, Debug)]
 pub struct FiveBar<'a, const BARE: bool = false> {
     pub(super) model: &'a Model,
@@ -193,9 +193,9 @@ impl<const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
         pose.phi_q_transposed_times(lambda)
     }
 
-    fn weight_times(&self, at: &At<'_>, x: &Coordinates) -> Coordinates {
+    fn effective_mass_times(&self, at: &At<'_>, x: &Coordinates) -> Coordinates {
         let &TangentPoint { q, pose, v, h, .. } = at;
-        self.model.solver.weight_times(&Tangible::<BARE> { model: self.model, at: self.context(q, pose, v) }, h, x)
+        self.model.solver.effective_mass_times(&Tangible::<BARE> { model: self.model, at: self.context(q, pose, v) }, h, x)
     }
 
     #[inline(always)]

@@ -43,9 +43,6 @@ const LOST: f64 = 1e-9;
 /// singular value of Φ_q relative to its largest, which is proportional to the distance.
 const ANGULAR_ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
-/// Projections aim at a violation of this part of the machine's size.
-const PROJECTED: f64 = 8.0 * f64::EPSILON;
-
 /// Most rounds in which the time along a ray and the acceleration on the way settle.
 const ROUNDS: u32 = 20;
 
@@ -143,7 +140,7 @@ impl ByAngles<'_> {
             return limited(f64::INFINITY);
         };
         // What forces across the ray could do meanwhile must stay below the impact parameter. A start from rest is on its branch already.
-        let (pull, _) = equilibrium(self, from.q, &Angles::ZERO, self.regularization());
+        let (pull, _) = equilibrium(self, from.q, &Angles::ZERO, self.regularization_by_angles());
         if !from.on_ray && 0.5 * self.angle_norm(&pull) * duration * duration > limits.impact_parameter {
             return limited(f64::INFINITY);
         }
@@ -185,7 +182,7 @@ impl ByAngles<'_> {
         let mut v = (speed + acceleration * duration) * direction;
         if leaves {
             let (_, pose) = self.projection().position(self, &mut q).ok()?;
-            v += velocity_correction(self, &pose, &self.factor_mass(&pose, self.regularization()), &v);
+            v += velocity_correction(self, &pose, &self.factor_mass(&pose, self.regularization_by_angles()), &v);
         }
         // The rate along the ray is known from the energy better than from the acceleration, which was taken as constant.
         let scale = self.energy_scale(&self.energy_balance(from.q, from.v), &q, &v, duration).ok()?;
@@ -235,8 +232,7 @@ impl ByAngles<'_> {
     /// Onto the closure, as far as round-off lets it.
     fn projection(&self) -> Projection {
         let model = self.model();
-        let tolerance = PROJECTED * model.length_scale;
-        Projection { regularization: self.regularization(), tolerance, max_iterations: model.max_iterations }
+        Projection::to_round_off(model.length_scale, self.regularization_by_angles(), model.max_iterations)
     }
 }
 

@@ -1,4 +1,4 @@
-//! The variables, generated from `modelDescription/modelDescription.xml`: data only, knows nobody.
+//! The variables, generated from `modelDescription/modelDescription.xml`: data only.
 //!
 //! `build.rs` writes the constants, the enums and the table [`VARIABLES`]; this file says what they are made of.
 

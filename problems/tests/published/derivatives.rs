@@ -11,11 +11,7 @@ use problems::{Problem, four_bars, pendulum, squeezer};
 const STEP: f64 = 1e-6;
 
 /// Derivative of f at x along a direction of any length.
-fn along<const N: usize, const K: usize>(
-    x: &Vector<N>,
-    direction: &Vector<N>,
-    f: impl Fn(&Vector<N>) -> Vector<K>,
-) -> Vector<K> {
+fn along<const N: usize, const K: usize>(x: &Vector<N>, direction: &Vector<N>, f: impl Fn(&Vector<N>) -> Vector<K>) -> Vector<K> {
     let scale = direction.max_norm().max(f64::MIN_POSITIVE);
     let moved = |step: f64| f(&(*x + step / scale * *direction));
     scale * ((moved(STEP) - moved(-STEP)) / (2.0 * STEP))
@@ -27,11 +23,7 @@ fn any<const K: usize>(seed: f64) -> Vector<K> {
 }
 
 /// Checks everything at 20 points of the motion. `h` is a step for the tangent: as long as it may be, so that stiffnesses weigh.
-fn check<S: Implicit<N, M> + Passage<N>, const N: usize, const M: usize>(
-    mut problem: Problem<S, N, M>,
-    duration: f64,
-    h: f64,
-) {
+fn check<S: Implicit<N, M> + Passage<N>, const N: usize, const M: usize>(mut problem: Problem<S, N, M>, duration: f64, h: f64) {
     problem.duration = duration;
     let method = problem.adaptive(1e-6);
     let mut points = Vec::new();
@@ -61,7 +53,7 @@ fn check<S: Implicit<N, M> + Passage<N>, const N: usize, const M: usize>(
             system.mass_times(&pose, x) - h / 2.0 * damping - beta * stiffness
         };
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &lambda, h };
-        let weight = system.weight_times(&at, &some);
+        let weight = system.effective_mass_times(&at, &some);
         assert!((weight - weighed(&some)).max_norm() < 1e-8 * weight.max_norm());
 
         // Both linear solves, put into their own equations.
@@ -73,7 +65,8 @@ fn check<S: Implicit<N, M> + Passage<N>, const N: usize, const M: usize>(
             let second = system.phi_q_times(&pose, &x) - regularization * y - c;
             (first.max_norm() / transposed.max_norm(), second.max_norm() / (1.0 + x.max_norm()))
         };
-        let (first, second) = residual(system.factor_mass(&pose, regularization).solve(&b, &c), 0.0, &|x| system.mass_times(&pose, x));
+        let (first, second) =
+            residual(system.factor_mass(&pose, regularization).solve(&b, &c), 0.0, &|x| system.mass_times(&pose, x));
         assert!(first < 1e-9 && second < 1e-9, "mass: {first:e} {second:e}");
         let solution = system.solve_tangent(&at, regularization, (&b, &c)).expect("a step short enough");
         let (first, second) = residual(solution, beta, &weighed);

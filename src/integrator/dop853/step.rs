@@ -3,7 +3,7 @@
 use super::stages::{Slope, Stages};
 use super::{DenseStep, Horizon, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, StepSizeController, is_cut_short, next_step};
-use crate::integrator::{Approach, Arrival, Passage, PassageLimits, StepError, System, velocity_correction};
+use crate::integrator::{Approach, Arrival, Passage, PassageLimits, Projection, StepError, System, velocity_correction};
 use crate::vector::Vector;
 
 /// A step below this, s, that is rejected is not made shorter.
@@ -134,7 +134,8 @@ impl Settings {
             let mass = system.factor_mass(&pose, self.regularization);
             return Ok((0, pose, mass));
         }
-        let (iterations, pose) = self.projection(system).position(system, q)?;
+        let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
+        let (iterations, pose) = projection.position(system, q)?;
         let mass = system.factor_mass(&pose, self.regularization);
         *v += velocity_correction(system, &pose, &mass, v);
         Ok((iterations, pose, mass))
