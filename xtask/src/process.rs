@@ -2,8 +2,9 @@
 
 use crate::paths;
 use anyhow::{Context, Result, bail, ensure};
-use std::path::Path;
-use std::process::{Command, ExitStatus, Stdio};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
 
 /// The cargo that runs this xtask, so that a toolchain chosen on the command line stays chosen.
 pub(crate) fn cargo() -> Command {
@@ -21,7 +22,41 @@ pub(crate) fn program(name: impl AsRef<std::ffi::OsStr>) -> Command {
 pub(crate) fn run(command: &mut Command) -> Result<()> {
     println!("$ {}", short_form(command));
     let status = command.status().with_context(|| format!("`{}` could not be started", short_form(command)))?;
-    check(command, status)
+    check(&short_form(command), status)
+}
+
+/// A command that runs beside others; ended with this value.
+pub(crate) struct Beside {
+    child: Child,
+    command: String,
+    log: PathBuf,
+}
+
+/// Shows the command and starts it; what it writes is shown when it has ended.
+pub(crate) fn start(command: &mut Command) -> Result<Beside> {
+    let (text, log) = (short_form(command), paths::in_root("target/beside.log"));
+    println!("$ {text} &");
+    let file = File::create(&log).with_context(|| paths::short(&log))?;
+    command.stdout(file.try_clone()?).stderr(file);
+    let child = command.spawn().with_context(|| format!("`{text}` could not be started"))?;
+    Ok(Beside { child, command: text, log })
+}
+
+impl Beside {
+    /// Waits for its end, shows what it wrote, and fails if it failed.
+    pub(crate) fn finish(mut self) -> Result<()> {
+        let status = self.child.wait()?;
+        print!("{}", fs::read_to_string(&self.log)?);
+        check(&self.command, status)
+    }
+}
+
+impl Drop for Beside {
+    fn drop(&mut self) {
+        // Of a command that has ended already there is nothing to end.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
 }
 
 /// Shows the command and gives back what it wrote to its standard output.
@@ -34,7 +69,7 @@ pub(crate) fn run_for_output(command: &mut Command) -> Result<String> {
 pub(crate) fn output(command: &mut Command) -> Result<String> {
     let output =
         command.stderr(Stdio::inherit()).output().with_context(|| format!("`{}` could not be started", short_form(command)))?;
-    check(command, output.status)?;
+    check(&short_form(command), output.status)?;
     String::from_utf8(output.stdout).with_context(|| format!("`{}` wrote no UTF-8", short_form(command)))
 }
 
@@ -51,11 +86,11 @@ pub(crate) fn need(command: &str, script: &str, programs: &[(&str, &str)]) -> Re
     Ok(())
 }
 
-fn check(command: &Command, status: ExitStatus) -> Result<()> {
+fn check(command: &str, status: ExitStatus) -> Result<()> {
     match status.code() {
         Some(0) => Ok(()),
-        Some(code) => bail!("`{}` failed with exit code {code}", short_form(command)),
-        None => bail!("`{}` was ended by a signal", short_form(command)),
+        Some(code) => bail!("`{command}` failed with exit code {code}"),
+        None => bail!("`{command}` was ended by a signal"),
     }
 }
 

@@ -6,6 +6,7 @@ use crate::{bench, paths, process};
 use anyhow::{Context, Result, bail, ensure};
 use cargo_metadata::Message;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 /// What `--full` adds, for the last line of the short form.
@@ -44,12 +45,16 @@ pub(crate) fn test(full: bool) -> Result<()> {
     steps.run("Rust documentation", || {
         process::run(process::cargo().args(["doc", "--locked", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
     })?;
+    // One core is enough for valgrind: the rest goes on beside it.
+    let memory = if full { Some(process::start(&mut valgrind()?)?) } else { None };
     if full {
-        steps.run("memory", valgrind)?;
         steps.run("instructions", bench::check)?;
     }
     let fmu = steps.run("package", || package::package(Scope::Here))?;
     let tests = if full { Tests::Full { panicking: steps.run("panicking build", panicking)? } } else { Tests::Usual };
+    if let Some(memory) = memory {
+        steps.run("memory (the rest)", || memory.finish())?;
+    }
     steps.run("Python tests", || pytest(&fmu, &tests))?;
     steps.summary();
     if !full {
@@ -118,20 +123,20 @@ impl Steps {
     }
 }
 
-/// Runs the tests that go through the C functions under valgrind's memory checker.
-fn valgrind() -> Result<()> {
+/// The tests that go through the C functions, under valgrind's memory checker.
+fn valgrind() -> Result<Command> {
     let (target, filter) = C_TESTS;
     let executable = test_executable(target)?;
     let names = process::output(process::program(&executable).args([filter, "--list"]))?;
     ensure!(names.lines().any(|line| line.ends_with(": test")), "tests/{target} has no test with `{filter}` in its name");
-    process::run(
-        process::program("valgrind")
-            .args(["--quiet", "--error-exitcode=1", "--leak-check=full"])
-            // What is still reachable at the end belongs to Rust's test harness and its threads.
-            .args(["--show-leak-kinds=definite,indirect", "--errors-for-leak-kinds=definite,indirect"])
-            .arg(executable)
-            .args([filter, "--test-threads=1"]),
-    )
+    let mut command = process::program("valgrind");
+    command
+        .args(["--quiet", "--error-exitcode=1", "--leak-check=full"])
+        // What is still reachable at the end belongs to Rust's test harness and its threads.
+        .args(["--show-leak-kinds=definite,indirect", "--errors-for-leak-kinds=definite,indirect"])
+        .arg(executable)
+        .args([filter, "--test-threads=1"]);
+    Ok(command)
 }
 
 /// Builds an integration test and gives back its program.
