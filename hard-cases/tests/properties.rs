@@ -103,7 +103,7 @@ fn follow(
     judged: bool,
 ) -> Result<(), TestCaseError> {
     let unit = mgl(&parameters.geometry);
-    let size = parameters.geometry.size() / default_parameters().geometry.size();
+    let size = parameters.geometry.length_scale() / default_parameters().geometry.length_scale();
     let mut peak: f64 = 0.0;
     for step in 0..steps {
         if simulation.state().core.counters.substeps > MOST_SUBSTEPS {

@@ -89,7 +89,7 @@ fn tangents_are_derivatives_of_forces() {
                 let unit = Coordinates::unit(j);
                 let mass = system.mass_times(&pose, &unit);
                 let weight = |h: f64| {
-                    system.weight_times(&TangentPoint { q: &q, pose: &pose, v: &v, lambda: &Multipliers::ZERO, h }, &unit)
+                    system.effective_mass_times(&TangentPoint { q: &q, pose: &pose, v: &v, lambda: &Multipliers::ZERO, h }, &unit)
                 };
                 let (two, four) = (weight(2.0), weight(4.0));
                 let stiffness = (four - 2.0 * two + mass) / 2.0;

@@ -176,7 +176,8 @@ fn bytes_that_are_no_state_are_refused() {
 }
 
 /// Bytes changed by somebody who mends the checksum, which is no secret, are refused or are a state: never a panic, whatever is done with
-/// it. Every content byte is turned round, at a stage with a scene and at one without.
+/// it. Here some content bytes, at a stage with a scene and at one without: this runs under valgrind too; every byte by every method is
+/// in `forged_states.rs`.
 #[test]
 fn forged_bytes_are_never_fatal() {
     const HEAD: usize = 58;
@@ -185,8 +186,8 @@ fn forged_bytes_are_never_fatal() {
         let (_, size) = host.serialized_size(state);
         let (_, bytes) = host.serialize(state, size);
         let (mut refused, other) = (0, Host::new());
-        for position in HEAD..size - 4 {
-            for change in [1, 3, 7, 0x80] {
+        for position in (HEAD..size - 4).step_by(3) {
+            for change in [1, 0x80] {
                 let mut forged = bytes.clone();
                 forged[position] ^= change;
                 let checksum = adler2::adler32_slice(&forged[..size - 4]);

@@ -21,8 +21,8 @@ mod fmi_log; // categories, logger, environment
 mod fmi_state; // stored states: complete, in any order, as bytes
 mod fmi_step; // communication points, the step grid, discard, status functions
 mod fmi_values; // reading and writing variables
-
-mod forged_states; // stored states changed byte by byte: refused, or motions that go on (not `fmi_`: too many for valgrind)
+mod forged_states; // stored states changed byte by byte: refused, or motions that go on (more than valgrind has time for)
+mod legal_states; // stored states of any motion are read back, and go on to the same bits
 
 // What they share.
 mod fmi_host; // a small master: C calls are made here and nowhere else

@@ -1,0 +1,381 @@
+//! Stored states changed by somebody who mends the checksum, which is no secret: each is refused, or is a motion that can go on.
+//!
+//! Every byte of every kind of state is changed: by every method and every linear solve, at every stage of an instance's life.
+
+use std::collections::HashMap;
+use std::ptr::null_mut;
+use std::sync::LazyLock;
+
+use fivebar::ffi::*;
+use fivebar::variables::{FmiType, VARIABLES, Variable};
+
+use crate::fmi_host::Host;
+use crate::support::MGL;
+
+/// What comes before the content: name, format, GUID, length. `bytes_that_are_no_state_are_refused` changes it.
+const HEAD: usize = 58;
+const CHECKSUM: usize = 4;
+
+/// What a byte may become. In each case each byte becomes one of these, a neighbouring byte another, and in the next case each another:
+/// so all are tried at every field. `FORGERIES=all` tries all of them everywhere, which takes minutes.
+const CHANGES: [fn(u8) -> u8; 7] = [
+    |byte| byte ^ 0x01,
+    |byte| byte ^ 0x80,
+    |_| 0x00,
+    |_| 0xff,
+    |byte| byte ^ 0x03,
+    |byte| byte ^ 0x40,
+    |byte| byte.wrapping_add(2),
+];
+
+/// A step of the master, s.
+const STEP: f64 = 2e-3;
+
+/// A state to be forged, with what is known of it.
+struct Case {
+    name: String,
+    bytes: Vec<u8>,
+    /// What follows without a forgery: the outputs now and some steps later.
+    untouched: Option<[Outputs; 2]>,
+}
+
+/// All real variables by their places in [`REALS`]; `None` where they cannot be told.
+type Outputs = Option<Vec<f64>>;
+
+/// References of variables by their names: looked for once, not for every forgery.
+static REFERENCES: LazyLock<HashMap<&str, u32>> =
+    LazyLock::new(|| VARIABLES.iter().map(|variable| (variable.name, variable.reference)).collect());
+
+/// The references of all real variables.
+static REALS: LazyLock<Vec<u32>> = LazyLock::new(|| {
+    VARIABLES.iter().filter(|variable| variable.fmi_type() == FmiType::Real).map(|variable| variable.reference).collect()
+});
+
+fn reference(name: &str) -> u32 {
+    REFERENCES[name]
+}
+
+fn value(outputs: &[f64], name: &str) -> f64 {
+    outputs[REALS.binary_search(&reference(name)).expect("a real variable")]
+}
+
+/// Whether initialisation is over.
+fn is_running(host: &Host) -> bool {
+    host.real_status(2).0 == fmi2OK
+}
+
+/// Largest violation of the constraints by the method, of positions, m, and of velocities, m/s; and how far the motion that is made of
+/// an accepted run may be from that without a forgery, m and J.
+///
+/// A step leaves round-off, with a wide margin. Angles of so many turns that their own round-off is more belong to whoever sets them.
+/// The steps of another predictor have other local errors of some 1e-9 rad, and an equilibrium that is off by 1e-7 of some 100 m/s² makes
+/// less of 6 ms. The printed method stops at 1e-8 of some 0.9 m, projects its velocities once, by a finite penalty, and has accelerations
+/// that are within some percent those of equilibrium.
+fn bounds(host: &Host) -> ([f64; 2], [f64; 2]) {
+    let (mut method, mut theta) = ([0], [0.0; 2]);
+    assert_eq!(host.get_integer(&[reference("solver.method")], &mut method), fmi2OK);
+    assert_eq!(host.get_real(&["init.theta[1]", "init.theta[2]"].map(reference), &mut theta), fmi2OK);
+    let rounded = 4.0 * f64::EPSILON * theta[0].abs().max(theta[1].abs());
+    if method == [2] { ([1e-7 + rounded, 1e-2], [1e-4, 1e-2 * MGL]) } else { ([1e-10 + rounded, 1e-8], [1e-8, 1e-5 * MGL]) }
+}
+
+/// Reads everything; what is told is finite.
+fn outputs(host: &Host) -> Result<Outputs, String> {
+    let mut values = vec![f64::NAN; REALS.len()];
+    let mut places = vec![0; 3];
+    let integers = ["singular.type", "mode.working", "solver.steps"].map(reference);
+    match (host.get_real(&REALS, &mut values), host.get_integer(&integers, &mut places)) {
+        (_, status) if status != fmi2OK => Err(format!("integers cannot be read: {:?}", host.take())),
+        (status, _) if status == fmi2OK => match values.iter().position(|value| !value.is_finite()) {
+            None => Ok(Some(values)),
+            Some(place) => Err(format!("variable {} is not finite", REALS[place])),
+        },
+        (status, _) if status == fmi2Discard => Ok(None),
+        (status, _) => Err(format!("reading is answered with {status}: {:?}", host.take())),
+    }
+}
+
+/// What is wrong with a forged state, where anything is. Whether it has been refused.
+fn judge(case: &Case, forged: &[u8], field: &str) -> Result<bool, String> {
+    let host = Host::new();
+    let mut state = null_mut();
+    let status = host.deserialize(forged, &mut state);
+    if status == fmi2Error {
+        let line = host.line();
+        return if line.starts_with("fmi2DeSerializeFMUstate: ") { Ok(true) } else { Err(format!("refused by \"{line}\"")) };
+    }
+    if status != fmi2OK || host.set_state(state) != fmi2OK {
+        return Err(format!("answered with {status}: {:?}", host.take()));
+    }
+    if host.free_state(&mut state) != fmi2OK {
+        return Err("cannot be freed".into());
+    }
+    follow(&host, case, field).map(|()| false)
+}
+
+/// Looks at an accepted state and goes on from it.
+fn follow(host: &Host, case: &Case, field: &str) -> Result<(), String> {
+    // Setting up again, where it says that nothing has been set up, and initialising may be refused, as with any parameters.
+    host.setup(None, 0.0, None);
+    let initialised = [fmi2EnterInitializationMode, fmi2ExitInitializationMode].map(|function| host.call(function));
+    if initialised.iter().any(|status| *status == fmi2Fatal) {
+        return Err(format!("initialising is fatal: {:?}", host.take()));
+    }
+    let running = is_running(host);
+    host.take();
+    if !running {
+        return Ok(());
+    }
+    // Where in the step under way the present time is, is told by nothing else: there the motion is the same, at another time.
+    let in_run = field.starts_with("run.") && field != "run.elapsed";
+    let (closed, same) = bounds(host);
+    for (moment, name) in ["at once", "later"].into_iter().enumerate() {
+        let done = if moment == 0 { Done::All } else { steps(host)? };
+        if done == Done::Refused {
+            return Ok(());
+        }
+        let Some(seen) = outputs(host)? else { continue };
+        let [position, velocity] = ["solver.positionError", "solver.velocityError"].map(|name| value(&seen, name));
+        if position > closed[0] || velocity > closed[1] {
+            return Err(format!("{name}: the loop is open by {position:e} m, {velocity:e} m/s"));
+        }
+        if done == Done::Discarded {
+            continue;
+        }
+        let Some(untouched) = case.untouched.as_ref().and_then(|untouched| untouched[moment].as_ref()) else { continue };
+        let difference = |name: &str| (value(&seen, name) - value(untouched, name)).abs();
+        if moment == 0 && difference("energy.error") > 0.0 {
+            return Err(format!("{name}: the energy error is another, by {:e} J", difference("energy.error")));
+        }
+        let (moved, energy) = (difference("tip.x").hypot(difference("tip.y")), difference("energy.error"));
+        if in_run && (moved > same[0] || energy > same[1]) {
+            return Err(format!("{name}: another motion, by {moved:e} m, energy error {energy:e} J"));
+        }
+    }
+    Ok(())
+}
+
+/// What has come of some steps.
+#[derive(Debug, PartialEq)]
+enum Done {
+    All,
+    /// One of them, and the rest has not been tried.
+    Discarded,
+    /// The master has been told that it cannot step like that.
+    Refused,
+}
+
+/// Some steps.
+fn steps(host: &Host) -> Result<Done, String> {
+    let mut size = [0.0];
+    host.get_real(&[reference("solver.stepSize")], &mut size);
+    // At most a few macro steps for each: a call may make a thousand million.
+    let size = STEP.min(4.0 * size[0]);
+    for _ in 0..3 {
+        let (_, point) = host.real_status(2);
+        let status = host.do_step(point, size);
+        let lines = host.take();
+        match status {
+            _ if status == fmi2OK => {}
+            _ if status == fmi2Discard => return Ok(Done::Discarded),
+            _ if status == fmi2Error => {
+                // Not in this stage; a clock so far on, or so close to its end, that the step is nothing, or too much; a tuned value.
+                let known =
+                    ["the state is \"terminated\"", "does not advance", "past stopTime", "would become", "must be", "must not"];
+                let expected = lines.last().is_some_and(|line| known.iter().any(|known| line.text.contains(known)));
+                return if expected { Ok(Done::Refused) } else { Err(format!("a step is refused: {lines:?}")) };
+            }
+            _ => return Err(format!("a step is answered with {status}: {lines:?}")),
+        }
+    }
+    Ok(Done::All)
+}
+
+/// The names of the fields of the content, each where it begins.
+fn layout(content: &[u8]) -> Vec<(usize, String)> {
+    let (mut fields, mut at) = (Vec::new(), 0);
+    let mut next = |name: &str, size: usize| {
+        fields.push((at, name.to_owned()));
+        at += size;
+        at - size
+    };
+    let number = |at: usize| u32::from_le_bytes(content[at..at + 4].try_into().expect("four bytes")) as usize;
+    next("stage", 1);
+    if content[next("clock.some", 1)] == 1 {
+        next("clock.point", 8);
+        if content[next("clock.stop.some", 1)] == 1 {
+            next("clock.stop", 8);
+        }
+    }
+    let values = |next: &mut dyn FnMut(&str, usize) -> usize, prefix: &str| {
+        let count = number(next(&format!("{prefix}.count"), 4));
+        for _ in 0..count {
+            let reference = number(next(&format!("{prefix}.reference"), 4));
+            let name = Variable::find(reference as u32).map_or("?", |variable| variable.name);
+            let kind = content[next(&format!("{prefix}.{name}.type"), 1)];
+            next(&format!("{prefix}.{name}"), [8, 4, 1][kind as usize]);
+        }
+    };
+    values(&mut next, "values");
+    if content[next("run.some", 1)] == 1 {
+        next("run.turns", 32);
+        next("run.inputs", 64);
+        next("run.energy_at_start", 8);
+        let dense = content[next("run.progress", 1)] == 1;
+        let (n, m) = if dense { (4, 2) } else { (12, 10) };
+        for end in if dense { &["start.", "end."][..] } else { &[""] } {
+            for (name, size) in [("q", 8 * n), ("v", 8 * n), ("a", 8 * n), ("lambda", 8 * m), ("jerk", 8 * n), ("substep", 8)] {
+                next(&format!("run.{end}{name}"), size);
+            }
+            for (name, size) in
+                [("error_estimate", 8), ("work", 16), ("power", 16), ("modes", 1), ("on_ray", 1), ("alternatives", 4)]
+            {
+                next(&format!("run.{end}{name}"), size);
+            }
+            for name in ["steps", "substeps", "iterations", "rejected", "rescued", "restarts", "launches", "vertex_passes"] {
+                next(&format!("run.{end}counters.{name}"), 8);
+            }
+            next(&format!("run.{end}counters.mode_changes"), 24);
+        }
+        if dense {
+            next("run.length", 8);
+            next("run.elapsed", 8);
+            next("run.dense", 4 * (16 * n + 16));
+            next("run.straight", 1);
+            for memory in ["memory", "before"] {
+                next(&format!("run.{memory}.log_error"), 8);
+                next(&format!("run.{memory}.stiffness"), 3);
+            }
+            next("run.held", 16);
+        }
+        next("run.energy_error", 8);
+    }
+    if content[next("signal.some", 1)] == 1 {
+        next("signal.value", 64);
+        next("signal.derivatives", 128);
+    }
+    if content[next("tuned.some", 1)] == 1 {
+        values(&mut next, "tuned");
+    }
+    next("warned_of_references", 1);
+    next("warned_of_stiffness", 1);
+    assert_eq!(at, content.len(), "the layout is another");
+    fields
+}
+
+/// Forges every byte of the content.
+fn forge(case: &Case, number: usize, wrong: &mut Vec<String>) -> [usize; 2] {
+    let all = std::env::var("FORGERIES").is_ok_and(|which| which == "all");
+    let end = case.bytes.len() - CHECKSUM;
+    let fields = layout(&case.bytes[HEAD..end]);
+    let (mut refused, mut accepted) = (0, 0);
+    for position in HEAD..end {
+        let (begin, field) = &fields[fields.partition_point(|(begin, _)| begin + HEAD <= position) - 1];
+        for (kind, change) in CHANGES.into_iter().enumerate() {
+            let mut forged = case.bytes.clone();
+            forged[position] = change(forged[position]);
+            // Parameters are the same in every case: each case takes its share of them.
+            let turn = kind == (position + number) % CHANGES.len() && (!field.starts_with("values.") || position % 6 == number % 6);
+            if forged == case.bytes || !(all || turn) {
+                continue;
+            }
+            let checksum = adler2::adler32_slice(&forged[..end]);
+            forged[end..].copy_from_slice(&checksum.to_le_bytes());
+            match judge(case, &forged, field) {
+                Ok(true) => refused += 1,
+                Ok(false) => accepted += 1,
+                Err(what) => {
+                    let (place, [was, is]) = (position - HEAD - begin, [case.bytes[position], forged[position]]);
+                    wrong.push(format!("{}: {field}, byte {place}, {was:#04x} → {is:#04x}: {what}", case.name));
+                }
+            }
+        }
+    }
+    [refused, accepted]
+}
+
+/// The state of an instance, and what follows from it without a forgery.
+fn case(name: &str, host: &Host) -> Case {
+    let mut state = host.state();
+    let (_, size) = host.serialized_size(state);
+    let (status, bytes) = host.serialize(state, size);
+    assert_eq!((status, host.free_state(&mut state)), (fmi2OK, fmi2OK));
+    let mut case = Case { name: name.to_owned(), bytes, untouched: None };
+    assert_eq!(judge(&case, &case.bytes, "nothing"), Ok(false), "{name}");
+    if is_running(host) {
+        let now = outputs(host).expect(name);
+        assert_eq!(steps(host), Ok(Done::All), "{name}");
+        case.untouched = Some([now, outputs(host).expect(name)]);
+    }
+    host.take();
+    case
+}
+
+/// A scene by a method and a linear solve, on its way for 10 steps.
+fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
+    let host = Host::initializing(0.0, None);
+    let integers = [reference("solver.method")];
+    assert_eq!(host.set_integer(&integers, &[method]), fmi2OK);
+    let booleans = ["solver.adaptive", "friction.enabled"].map(reference);
+    assert_eq!(host.set_boolean(&booleans, &[adaptive.into(), (solve == "coupled").into()]), fmi2OK);
+    let mut values = vec![("init.theta[2]", 2.0), ("tau[1]", 0.01), ("solver.stepSize", 1e-3)];
+    if solve == "dense" {
+        values.extend(
+            (1..=4).map(|link| (["link[1].inertia", "link[2].inertia", "link[3].inertia", "link[4].inertia"][link - 1], 1e-9)),
+        );
+    }
+    for (name, value) in values {
+        assert_eq!(host.set_real(&[reference(name)], &[value]), fmi2OK, "{name}: {:?}", host.take());
+    }
+    assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
+    for step in 0..10 {
+        if changing {
+            assert_eq!(host.set_real(&[reference("tau[1]")], &[1e-3 * f64::from(step)]), fmi2OK);
+        }
+        assert_eq!(host.do_step(f64::from(step) * STEP, STEP), fmi2OK, "{method} {solve}: {:?}", host.take());
+    }
+    host
+}
+
+/// Every method with every linear solve; the explicit one in the middle of a step and, where inputs change, at its end.
+#[test]
+fn forged_runs_are_refused_or_go_on() {
+    let (mut wrong, mut counts, mut number) = (Vec::new(), Vec::new(), 0);
+    for solve in ["two-leg", "coupled", "dense"] {
+        for (method, adaptive, changing) in
+            [(1, true, false), (1, false, false), (2, false, false), (3, false, false), (4, true, false), (4, true, true)]
+        {
+            let name = format!("method {method}, adaptive {adaptive}, changing {changing}, {solve}");
+            let case = case(&name, &running(method, adaptive, solve, changing));
+            counts.push((forge(&case, number, &mut wrong), name));
+            number += 1;
+        }
+    }
+    assert!(wrong.is_empty(), "{} forgeries:\n{}", wrong.len(), wrong.join("\n"));
+    // Most of a run follows from the rest of it.
+    assert!(counts.iter().all(|([refused, accepted], _)| refused > accepted && *accepted > 0), "{counts:?}");
+}
+
+/// Before a run and after it, and with what is pending: inputs with derivatives, a tuned parameter.
+#[test]
+fn forged_stages_and_pending_values_are_refused_or_go_on() {
+    let pending = running(1, true, "two-leg", false);
+    assert_eq!(pending.set_real(&[reference("gravity.g"), reference("tip.fx")], &[5.0, 0.1]), fmi2OK);
+    assert_eq!(pending.set_input_derivatives(&[(reference("tau[1]"), 1, 0.5), (reference("tau[2]"), 2, -3.0)]), fmi2OK);
+    let ending = Host::initializing(0.0, Some(1.0));
+    assert_eq!(ending.call(fmi2ExitInitializationMode), fmi2OK);
+    let mut wrong = Vec::new();
+    for (number, (name, host)) in [
+        ("instantiated", Host::new()),
+        ("initializing", Host::initializing(0.0, Some(1.0))),
+        ("with a stop time", ending),
+        ("pending", pending),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let [refused, accepted] = forge(&case(name, &host), number, &mut wrong);
+        assert!(refused > 0 && accepted > 0, "{name}");
+    }
+    assert!(wrong.is_empty(), "{} forgeries:\n{}", wrong.len(), wrong.join("\n"));
+}

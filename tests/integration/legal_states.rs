@@ -1,0 +1,296 @@
+//! A stored state of any motion is read back, however strange the motion, and goes on to the same bits. What must not be read back is in
+//! `forged_states.rs`.
+
+use std::f64::consts::{PI, TAU};
+
+use fivebar::effects;
+use fivebar::fmi::Snapshot;
+use fivebar::fmi::bindings::{default_inputs, default_parameters};
+use fivebar::mechanism::Assembly;
+use fivebar::observers;
+use fivebar::simulation::{Inputs, Method, Parameters, Run, Signal, Simulation};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+use crate::support::{enable, unequal};
+
+/// Masters store in one thread what they go on with in another.
+#[test]
+fn simulations_and_stored_states_may_change_threads() {
+    const fn may_change_threads<T: Send + Sync>() {}
+    const { may_change_threads::<Simulation>() };
+    const { may_change_threads::<Snapshot>() };
+}
+
+/// The methods, the default one also at strictly fixed steps.
+const METHODS: [(Method, bool); 5] =
+    [(Method::I3alp, true), (Method::I3alp, false), (Method::I3alpPrinted, false), (Method::Rk4, false), (Method::Dop853, true)];
+
+/// Two runs of a scene: one that nobody looks at, one that goes through bytes before every call.
+struct Twins {
+    name: String,
+    free: Simulation,
+    stored: Simulation,
+}
+
+impl Twins {
+    fn new(name: String, free: Simulation) -> Self {
+        let stored = free.clone();
+        let mut twins = Self { name, free, stored };
+        twins.store();
+        twins
+    }
+
+    fn bytes(simulation: &Simulation) -> Vec<u8> {
+        borsh::to_vec(simulation.run()).expect("bytes")
+    }
+
+    /// Puts one of them through bytes, and checks that it is still the other.
+    fn store(&mut self) {
+        let Self { name, free, stored } = self;
+        let bytes = Self::bytes(stored);
+        assert_eq!(bytes, Self::bytes(free), "{name}: the runs have parted");
+        let run: Run = borsh::from_slice(&bytes).expect("a run");
+        let energy_error = stored.state().energy_error(stored.model());
+        *stored = Simulation::restored(stored.parameters(), run, energy_error).unwrap_or_else(|refusal| {
+            let (norms, core) = (observers::constraint_norms(stored.model(), &stored.state()), stored.state().core);
+            panic!("{name}: {refusal}: {norms:?}, rates of {:e}, {:?}", core.v.max_norm(), core.counters)
+        });
+    }
+
+    /// The same call of both; false where they cannot do it.
+    fn both<E: PartialEq + std::fmt::Debug>(&mut self, call: impl Fn(&mut Simulation) -> Result<(), E>) -> bool {
+        let outcomes = [&mut self.free, &mut self.stored].map(call);
+        assert_eq!(outcomes[0], outcomes[1], "{}", self.name);
+        self.store();
+        outcomes[0].is_ok()
+    }
+
+    fn advance(&mut self, inputs: &Inputs, h: f64, steps: u64) -> bool {
+        self.both(|simulation| simulation.advance(inputs, h, steps))
+    }
+
+    /// A step under new parameters, as the master's calls make it: what cannot be done changes nothing.
+    fn tune(&mut self, effects: &effects::Parameters, inputs: &Inputs, h: f64) -> bool {
+        self.both(|simulation| {
+            let before = simulation.clone();
+            let tuned = simulation.tune(effects).map_err(|refusal| refusal.to_string());
+            let done = tuned.and_then(|()| simulation.advance(inputs, h, 1).map_err(|failure| failure.to_string()));
+            done.inspect_err(|_| *simulation = before)
+        })
+    }
+}
+
+struct Random(ChaCha8Rng);
+
+impl Random {
+    /// Between two numbers.
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * (self.0.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
+    }
+
+    /// One of `count`.
+    fn one_of(&mut self, count: usize) -> usize {
+        (self.0.next_u64() % count as u64) as usize
+    }
+
+    fn pair(&mut self, largest: f64) -> [f64; 2] {
+        [self.between(-largest, largest), self.between(-largest, largest)]
+    }
+
+    fn inputs(&mut self) -> Inputs {
+        let (tau, tip_force) = (self.pair(0.05), self.pair(0.2));
+        Inputs { tau, tip_force, servo_theta: self.pair(3.0), servo_omega: self.pair(3.0) }
+    }
+
+    /// A machine with any effects that moves anyhow.
+    fn scene(&mut self, (method, adaptive): (Method, bool)) -> Parameters {
+        let mut parameters = if self.one_of(2) == 0 { unequal() } else { default_parameters() };
+        (parameters.settings.method, parameters.settings.adaptive) = (method, adaptive);
+        parameters.settings.error_tolerance = self.between(-10.0, -5.0).exp2().powi(4);
+        parameters.start.theta = self.pair(PI);
+        parameters.start.omega = self.pair(15.0);
+        parameters.start.assembly = if self.one_of(2) == 0 { Assembly::Plus } else { Assembly::Minus };
+        parameters.geometry.base_distance *= [1.0, 0.5, 0.0][self.one_of(3)];
+        if self.one_of(4) == 0 {
+            parameters.geometry.links[self.one_of(4)].inertia = 1e-9;
+        }
+        parameters.effects.gravity.enabled = self.one_of(2) == 0;
+        for effect in effects::NAMES {
+            if self.one_of(4) == 0 {
+                enable(&mut parameters, effect);
+            }
+        }
+        parameters
+    }
+
+    /// Other values of what may be tuned.
+    fn tuned(&mut self, effects: &effects::Parameters) -> effects::Parameters {
+        let mut effects = effects.clone();
+        match self.one_of(5) {
+            0 => effects.gravity.g = self.between(0.0, 20.0),
+            1 => effects.spring.k = [self.between(0.0, 0.2); 2],
+            2 => effects.viscous.b[self.one_of(5)] = self.between(0.0, 1e-3),
+            3 => effects.friction.coulomb[self.one_of(5)] = self.between(0.0, 5e-4),
+            _ => effects.servo.kp = [self.between(0.0, 2.0); 2],
+        }
+        effects
+    }
+}
+
+/// Any machine, effects, inputs that are held, change or ramp, tuned parameters, grids that change.
+#[test]
+fn states_of_random_motions_are_read_back() {
+    let mut random = Random(ChaCha8Rng::seed_from_u64(11));
+    let (mut scenes, mut calls) = (0, 0);
+    while scenes < 100 {
+        let method = METHODS[scenes % METHODS.len()];
+        let parameters = random.scene(method);
+        let mut inputs = random.inputs();
+        // Many of these machines cannot be put together.
+        let Ok(start) = Simulation::new(&parameters, &inputs) else { continue };
+        let mut twins = Twins::new(format!("scene {scenes}: {parameters:?}"), start);
+        scenes += 1;
+        for _ in 0..60 {
+            let (h, steps) = (random.between(1e-4, 2e-3), 1 + random.one_of(5) as u64);
+            let done = match random.one_of(8) {
+                0..4 => twins.advance(&inputs, h, steps),
+                4 | 5 => {
+                    inputs = random.inputs();
+                    twins.advance(&inputs, h, steps)
+                }
+                6 => {
+                    let signal = Signal::new(inputs, [random.inputs(), random.inputs()]);
+                    inputs = signal.at(h * steps as f64);
+                    twins.both(|simulation| simulation.advance_along(&signal, h, steps))
+                }
+                _ => {
+                    let tuned = random.tuned(&twins.free.parameters().effects);
+                    twins.tune(&tuned, &inputs, h)
+                }
+            };
+            if !done {
+                break;
+            }
+            calls += 1;
+        }
+    }
+    // Some methods give up early where motions are hard.
+    assert!(calls > 60 * scenes / 2, "{calls} calls");
+}
+
+/// The postures in which the paper's machine has all its links in line, the signs with which link rates enter closure there, and a
+/// direction of motion through each: Σ s ω = 0, Σ s ω² = 0 (`docs/method.md`, equation (23)).
+fn vertices() -> impl Iterator<Item = [[f64; 4]; 2]> {
+    let postures = [[0.0, 0.0, PI, 0.0], [0.0, 0.0, 0.0, PI], [0.0, PI, PI, PI], [PI, 0.0, PI, PI]];
+    postures.into_iter().map(|theta| {
+        let [c1, c2, c3, c4] = theta.map(|theta: f64| theta.cos().signum());
+        let signs = [c1, c2, -c3, -c4];
+        let sum: f64 = signs.iter().sum();
+        let odd = signs.iter().position(|sign| sign * sum < 0.0).expect("one sign differs");
+        // (1; a, b, c) with a + b + c = 1 = a² + b² + c²: a point of that circle without symmetry.
+        let (sin, cos) = 0.7_f64.sin_cos();
+        let (e1, e2) = (cos / 3.0_f64.sqrt(), sin / 3.0);
+        let mut rest = [1.0 / 3.0 + e1 + e2, 1.0 / 3.0 - e1 + e2, 1.0 / 3.0 - 2.0 * e2].into_iter();
+        let omega = std::array::from_fn(|i| if i == odd { 1.0 } else { rest.next().expect("three others") });
+        [theta, omega]
+    })
+}
+
+/// Through vertices, from rest in them, and near them; with and without what drives or dissipates.
+#[test]
+fn states_in_and_near_vertices_are_read_back() {
+    for (method, adaptive) in METHODS {
+        for [theta, omega] in vertices() {
+            for (rate, gravity, friction) in [
+                (0.0, true, false),
+                (0.0, false, false),
+                (3.0, false, false),
+                (20.0, true, false),
+                (-5.0, true, true),
+                (0.0, true, true),
+            ] {
+                let mut parameters = default_parameters();
+                (parameters.settings.method, parameters.settings.adaptive) = (method, adaptive);
+                parameters.effects.gravity.enabled = gravity;
+                parameters.effects.viscous.enabled = friction;
+                // A little before the vertex, so that the motion meets it, and exactly in it.
+                for before in [0.0, 3.3e-3] {
+                    let omega = omega.map(|omega| omega * rate);
+                    let theta: [f64; 4] = std::array::from_fn(|i| theta[i] - before * omega[i]);
+                    let name =
+                        format!("{method:?}, adaptive {adaptive}, {theta:?}, {omega:?}, gravity {gravity}, friction {friction}");
+                    // The cone is curved: before the vertex the rates alone close the loop to second order only.
+                    let Ok(start) = Simulation::at(&parameters, &default_inputs(), theta, omega) else { continue };
+                    let mut twins = Twins::new(name, start);
+                    let pushed = Inputs { tau: [0.01, 0.0], ..default_inputs() };
+                    for step in 0..60 {
+                        let inputs = if step < 40 { default_inputs() } else { pushed };
+                        if !twins.advance(&inputs, 1e-3 / 3.0, 1) {
+                            break;
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Links that spin: whole turns move from the angles to their counters, also in the middle of a step.
+#[test]
+fn states_with_many_turns_are_read_back() {
+    for (method, adaptive) in METHODS {
+        for effect in ["spring", "gravity", "servo"] {
+            let mut parameters = default_parameters();
+            (parameters.settings.method, parameters.settings.adaptive) = (method, adaptive);
+            parameters.effects.gravity.enabled = false;
+            enable(&mut parameters, effect);
+            parameters.effects.spring.k = [1e-5; 2];
+            (parameters.effects.servo.kp, parameters.effects.servo.kd) = ([1e-5; 2], [0.0; 2]);
+            parameters.geometry.base_distance = 0.0;
+            parameters.start.theta = [2.0, 1.0];
+            parameters.start.omega = [60.0, 60.0];
+            let start = Simulation::new(&parameters, &default_inputs()).expect("scene");
+            let mut twins = Twins::new(format!("{method:?}, adaptive {adaptive}, {effect}"), start);
+            let done = (0..200).take_while(|_| twins.advance(&default_inputs(), 1e-3, 5)).count();
+            // Fixed steps may meet one that cannot be done.
+            assert!(done == 200 || !adaptive, "{}: {done}", twins.name);
+            if done == 200 {
+                let turned = twins.free.state().angles()[0] / TAU;
+                assert!(turned.abs() > 4.0, "{}: {turned} turns", twins.name);
+            }
+        }
+    }
+}
+
+/// A single leg that whirls, folded, about the axis of the left motor: the determinants of its posture are round-off, of either sign.
+#[test]
+fn states_of_a_folded_leg_that_whirls_are_read_back() {
+    for (method, adaptive) in METHODS {
+        let mut parameters = default_parameters();
+        (parameters.settings.method, parameters.settings.adaptive) = (method, adaptive);
+        parameters.effects.gravity.enabled = false;
+        for rate in [10.0, -20.0] {
+            let start = Simulation::at(&parameters, &default_inputs(), [0.3, 0.3 + PI, PI, PI], [rate, rate, 0.0, 0.0]);
+            let mut twins = Twins::new(format!("{method:?}, adaptive {adaptive}, {rate} rad/s"), start.expect("a folded leg"));
+            let done = (0..1500).take_while(|_| twins.advance(&default_inputs(), 1e-3, 1)).count();
+            assert!(done == 1500 || !adaptive, "{}: {done}", twins.name);
+        }
+    }
+}
+
+/// The fall of 50 s that the paper shows passes singularities of every kind; its state is stored now and then.
+#[test]
+fn states_of_a_long_fall_are_read_back() {
+    for (method, adaptive) in [(Method::I3alp, true), (Method::Dop853, true)] {
+        let mut parameters = default_parameters();
+        (parameters.settings.method, parameters.settings.adaptive) = (method, adaptive);
+        let mut twins = Twins::new(format!("{method:?}"), Simulation::new(&parameters, &default_inputs()).expect("scene"));
+        for _ in 0..700 {
+            // A number of steps that is no divisor of anything.
+            assert!(twins.advance(&default_inputs(), 1e-3, 71), "{}", twins.name);
+        }
+        let passes = twins.free.singular();
+        assert!(passes.iter().sum::<u64>() > 100, "{passes:?}");
+    }
+}
