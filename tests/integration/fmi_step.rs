@@ -25,15 +25,20 @@ fn steps(host: &Host) -> i32 {
 
 #[test]
 fn one_long_step_is_many_short_ones_bit_for_bit() {
-    let run = |size: f64, count: u32| {
-        let host = Host::ready(&[("tau[1]", 0.05)]);
-        host.run(size, count);
-        (motion(&host), steps(&host))
-    };
-    let reference = run(0.4, 1);
-    assert_eq!(reference.1, 400);
-    for (size, count) in [(0.2, 2), (0.1, 4), (0.01, 40), (1e-3, 400)] {
-        assert_eq!(run(size, count), reference, "{count} steps of {size} s");
+    for method in 1..=4 {
+        let run = |size: f64, count: u32| {
+            let host = Host::initializing(0.0, None);
+            assert_eq!(host.set_integer(&[reference("solver.method")], &[method]), fmi2OK);
+            assert_eq!(host.set_real(&[reference("tau[1]"), reference("init.theta[2]")], &[0.05, 2.1]), fmi2OK);
+            assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK);
+            host.run(size, count);
+            (motion(&host), steps(&host))
+        };
+        let together = run(0.12, 1);
+        assert_eq!(together.1, 120);
+        for (size, count) in [(0.06, 2), (0.01, 12), (1e-3, 120)] {
+            assert_eq!(run(size, count), together, "method {method}: {count} steps of {size} s");
+        }
     }
 }
 
