@@ -19,7 +19,7 @@ use super::clock::Clock;
 use super::derivatives::check_reach;
 use super::values::{check_value, lookup};
 use super::{CallError, Stage, bindings};
-use crate::simulation::{Inputs, ORDERS, Parameters, Run, Signal, Simulation};
+use crate::simulation::{Inputs, ORDERS, Parameters, Residuals, Run, Signal, Simulation};
 use crate::variables::{GUID, Value, Variable, VariableId};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
@@ -103,8 +103,8 @@ type Values = Vec<(u32, Value)>;
 #[derive(BorshSerialize, BorshDeserialize)]
 struct StoredRun {
     run: Run,
-    /// Residual of the energy balance, J: energies have to add up to it.
-    energy_error: f64,
+    /// Energies and forces have to add up to them.
+    residuals: Residuals,
 }
 
 impl Snapshot {
@@ -190,8 +190,8 @@ impl Snapshot {
         let (parameters, run) = match &self.scene {
             Scene::Draft(parameters) => (parameters, None),
             Scene::Ready(simulation) => {
-                let energy_error = simulation.state().energy_error(simulation.model());
-                (simulation.parameters(), Some(StoredRun { run: simulation.run().clone(), energy_error }))
+                let stored = StoredRun { run: simulation.run().clone(), residuals: simulation.residuals() };
+                (simulation.parameters(), Some(stored))
             }
         };
         let content = Content {
@@ -225,8 +225,8 @@ impl Snapshot {
         }
         let scene = match (stage, run) {
             (Stage::Instantiated | Stage::InitializationMode, None) if next.parameters.is_none() => Scene::Draft(parameters),
-            (Stage::StepComplete | Stage::StepFailed | Stage::Terminated, Some(StoredRun { run, energy_error })) => {
-                let simulation = Simulation::restored(&parameters, run, energy_error);
+            (Stage::StepComplete | Stage::StepFailed | Stage::Terminated, Some(StoredRun { run, residuals })) => {
+                let simulation = Simulation::restored(&parameters, run, &residuals);
                 Scene::Ready(Box::new(simulation.map_err(|error| wrong(&error.to_string()))?))
             }
             _ => return Err(wrong(&format!("they say \"{stage}\", and what belongs to it is missing or too much"))),

@@ -1,7 +1,7 @@
 //! Whether a state that comes from outside is one that a step can have left.
 
 use super::equilibrium::equilibrium;
-use super::{Counters, Passage, State, System};
+use super::{Counters, Passage, State, System, Work};
 use crate::vector::Vector;
 
 /// What is wrong with a state, as the end of a sentence that begins with it.
@@ -14,14 +14,20 @@ pub struct Bounds {
     pub position: f64,
     /// Of max |Φ_q q̇|, in multiples of its largest term.
     pub velocity: f64,
-    /// Of q̈, λ and the power against equilibrium, relative; `None` for a method whose q̈ is another.
-    pub balance: Option<f64>,
+    /// Whether q̈ and λ are those of equilibrium.
+    pub in_balance: bool,
     /// e of the saddle-point systems, far from every vertex and near one, 1/kg.
     pub regularizations: [f64; 2],
 }
 
+/// q̈, λ and the power are those of q and q̇ to this part: whole turns of an angle may have been taken off since.
+const BALANCED: f64 = 1e-7;
+
 /// Larger counters have not been counted: they would take longer than a lifetime.
 const MOST_COUNTED: u64 = 1 << 62;
+
+/// Rates below this, 1/s, are those of a system at rest, and may be round-off.
+const AT_REST: f64 = 1e-9;
 
 /// On a ray through a vertex nothing is projected: positions and rates are off by this at most, see [`Bounds`].
 const ON_RAY: [f64; 2] = [1e-4, 1e-1];
@@ -49,11 +55,16 @@ impl<const N: usize, const M: usize> State<N, M> {
             return Err("a counter is larger than anything that can be counted");
         }
         self.check_constraints(system, bounds)?;
-        if let Some(bound) = bounds.balance {
-            self.check_balance(system, bounds.regularizations, bound)?;
+        if bounds.in_balance {
+            self.check_balance(system, bounds.regularizations)?;
         }
         let pose = system.pose(&self.q);
-        if self.modes != system.modes(&pose) {
+        let power = if system.follows_work() { system.power(&self.q, &pose, &self.v) } else { Work::default() };
+        let same = |x: f64, y: f64| (x - y).abs() <= BALANCED * (1.0 + y.abs());
+        if !(same(self.power.input, power.input) && same(self.power.dissipated, power.dissipated)) {
+            return Err("the power is not that of the loads");
+        }
+        if (self.modes ^ system.modes(&pose)) & !system.uncertain_modes(&pose) != 0 {
             return Err("its modes are not those of the posture");
         }
         Ok(())
@@ -70,33 +81,20 @@ impl<const N: usize, const M: usize> State<N, M> {
         }
         // The largest term of Φ_q q̇: each coordinate alone.
         let terms = (0..N).map(|i| system.phi_q_times(&pose, &(self.v[i] * Vector::unit(i))).max_norm());
-        if system.phi_q_times(&pose, &self.v).max_norm() > velocity * terms.fold(0.0, f64::max) {
+        let allowed = velocity * terms.fold(0.0, f64::max) + AT_REST * system.length_scale();
+        if system.phi_q_times(&pose, &self.v).max_norm() > allowed {
             return Err("the rates tear the loop apart");
         }
         Ok(())
     }
 
-    fn check_balance<S: System<N, M> + Passage<N>>(
-        &self,
-        system: &S,
-        regularizations: [f64; 2],
-        bound: f64,
-    ) -> Result<(), Inconsistency> {
-        let close = |x: f64, y: f64, scale: f64| (x - y).abs() <= bound * (1.0 + scale);
+    fn check_balance<S: System<N, M> + Passage<N>>(&self, system: &S, regularizations: [f64; 2]) -> Result<(), Inconsistency> {
         let in_balance = regularizations.into_iter().any(|regularization| {
             let (a, lambda) = equilibrium(system, &self.q, &self.v, regularization);
             let a = system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
-            close((a - self.a).max_norm(), 0.0, a.max_norm()) && close((lambda - self.lambda).max_norm(), 0.0, lambda.max_norm())
+            let close = |difference: f64, scale: f64| difference <= BALANCED * (1.0 + scale);
+            close((a - self.a).max_norm(), a.max_norm()) && close((lambda - self.lambda).max_norm(), lambda.max_norm())
         });
-        if !in_balance {
-            return Err("accelerations and joint forces do not balance the loads");
-        }
-        let power = if system.follows_work() { system.power(&self.q, &system.pose(&self.q), &self.v) } else { Default::default() };
-        let same = |x: f64, y: f64| close(x, y, y.abs());
-        if same(self.power.input, power.input) && same(self.power.dissipated, power.dissipated) {
-            Ok(())
-        } else {
-            Err("the power is not that of the loads")
-        }
+        if in_balance { Ok(()) } else { Err("accelerations and joint forces do not balance the loads") }
     }
 }

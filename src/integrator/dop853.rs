@@ -194,9 +194,9 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
         self.end.q += *shift;
     }
 
-    /// Coordinates at the beginning of the step.
-    pub fn origin(&self) -> &Vector<N> {
-        &self.start.q
+    /// Coordinates at the end of the step.
+    pub fn end(&self) -> &Vector<N> {
+        &self.end.q
     }
 
     /// Macro steps since the start.

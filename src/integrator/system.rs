@@ -33,6 +33,10 @@ pub trait System<const N: usize, const M: usize> {
     fn modes(&self, _pose: &Self::Pose) -> u8 {
         0
     }
+    /// Those bits of [`System::modes`] whose determinants are round-off of 0.
+    fn uncertain_modes(&self, _pose: &Self::Pose) -> u8 {
+        0
+    }
     /// Whether any force does work that must be followed along the path.
     fn follows_work(&self) -> bool;
     /// Power of the inputs and of dissipation, W. Asked only if [`System::follows_work`].

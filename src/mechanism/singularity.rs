@@ -10,6 +10,9 @@ use crate::scalar::Scalar;
 /// Relative size of a determinant, and absolute size of the smallest singular value of Φ_q, that counts as singular.
 const NEAR_SINGULAR: f64 = 1e-3;
 
+/// A sine below this has a sign by accident: angles of some turns have errors of 1e-15, and so have its products.
+const ROUND_OFF_OF_SINES: f64 = 1e-13;
+
 /// The gravest singularity within reach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SingularityKind {
@@ -63,9 +66,22 @@ impl Pose {
     /// mode). A bit that changes is a direct or inverse singularity passed.
     #[inline]
     pub fn modes(&self) -> u8 {
+        let [tip, left, right] = self.sines();
+        u8::from(tip < 0.0) | u8::from(left < 0.0) << 1 | u8::from(right < 0.0) << 2
+    }
+
+    /// The bits of those signs that are lost in round-off.
+    pub fn uncertain_modes(&self) -> u8 {
+        let [tip, left, right] = self.sines().map(|sine| u8::from(sine.abs() < ROUND_OFF_OF_SINES));
+        tip | left << 1 | right << 2
+    }
+
+    /// Sines of the angles between the distal links and in the left and right elbow.
+    #[inline]
+    fn sines(&self) -> [f64; 3] {
         let ([x2, x3], [y2, y3]) = (self.u_d.x.to_array(), self.u_d.y.to_array());
         let [left, right] = cross(self.u_p, self.u_d).to_array();
-        u8::from(x2 * y3 - y2 * x3 < 0.0) | u8::from(left < 0.0) << 1 | u8::from(right < 0.0) << 2
+        [x2 * y3 - y2 * x3, left, right]
     }
 }
 

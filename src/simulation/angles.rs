@@ -325,6 +325,10 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         self.five_bar.modes(pose)
     }
 
+    fn uncertain_modes(&self, pose: &Pose) -> u8 {
+        pose.uncertain_modes()
+    }
+
     #[inline]
     fn follows_work(&self) -> bool {
         self.five_bar.follows_work()

@@ -121,10 +121,11 @@ fn forward(
     *held = *inputs;
     for step in 0..steps.count {
         if !run.step.advance_within(steps.h) {
+            // Before a new step begins, so that each is made from the angles that it has.
+            unwind(&mut run.step, turns);
             let horizon = run.horizon(steps, steps.count - step);
             let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
             run.step.advance(&system, settings, steps.h, horizon).map_err(|cause| steps.failure(step, cause))?;
-            unwind(&mut run.step, turns);
         }
         run.held[1] += 1;
     }
@@ -134,12 +135,12 @@ fn forward(
 /// Moves whole turns of the angles into `turns`, where they are more than two: as [`super::state::unwind`] does with q.
 #[inline(always)]
 fn unwind(step: &mut DenseStep<ANGLES, CLOSURES>, turns: &mut [i64; 4]) {
-    if step.origin().max_norm() <= 2.0 * TAU {
+    if step.end().max_norm() <= 2.0 * TAU {
         return;
     }
     let mut shift = Angles::ZERO;
     for (turns, i) in turns.iter_mut().zip(PLACES) {
-        shift[i] = -whole_turns(step.origin()[i], turns) * TAU;
+        shift[i] = -whole_turns(step.end()[i], turns) * TAU;
     }
     step.shift(&shift);
 }

@@ -164,6 +164,10 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         pose.modes()
     }
 
+    fn uncertain_modes(&self, pose: &Pose) -> u8 {
+        pose.uncertain_modes()
+    }
+
     #[inline(always)]
     fn follows_work(&self) -> bool {
         self.follows_work

@@ -14,6 +14,8 @@ mod signal;
 mod state;
 mod variation;
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 use crate::effects;
 use crate::integrator::MODES;
 use crate::mechanism::constraints::largest;
@@ -27,6 +29,23 @@ pub use run::{Run, StepFailure};
 pub use signal::{ORDERS, Signal};
 pub use state::{Core, State};
 pub use variation::{Direction, Variation};
+
+/// What the balances of energy and of forces and the closure of the rates leave.
+#[derive(Clone, Copy, Debug, BorshSerialize, BorshDeserialize)]
+pub struct Residuals {
+    /// See [`State::energy_error`], J.
+    pub energy: f64,
+    /// Of the equations of motion, N and N·m summed up.
+    pub forces: f64,
+    /// Of the constraints' rates, m/s summed up.
+    pub closure: f64,
+}
+
+impl Residuals {
+    fn bits(&self) -> [u64; 3] {
+        [self.energy, self.forces, self.closure].map(f64::to_bits)
+    }
+}
 
 /// A scene made ready. A clone goes on by itself, to the same bits.
 #[derive(Clone, Debug)]
@@ -76,17 +95,24 @@ impl Simulation {
         Ok(simulation)
     }
 
-    /// A run that goes on, with the parameters in force and the residual of its energy balance, J. Refused unless whatever in it follows
-    /// from the parameters is what they give, and the rest is a motion.
-    pub fn restored(parameters: &Parameters, run: Run, energy_error: f64) -> Result<Self, SceneError> {
+    /// A run that goes on, with the parameters in force and the residuals that it had. Refused unless whatever in it follows from the
+    /// parameters is what they give, and the rest is a motion.
+    pub fn restored(parameters: &Parameters, run: Run, residuals: &Residuals) -> Result<Self, SceneError> {
         let simulation = Self { parameters: parameters.clone(), model: Model::new(parameters)?, run };
         simulation.run.check(&simulation.model, parameters)?;
         // Worked out from the same numbers by the same operations: a difference of one bit is a number that has been changed.
-        let error = simulation.state().energy_error(&simulation.model);
-        if error.to_bits() != energy_error.to_bits() {
-            return Err(SceneError(format!("its energies add up to {error:e} J, not to {energy_error:e} J")));
+        let found = simulation.residuals();
+        if found.bits() != residuals.bits() {
+            return Err(SceneError(format!("energies, forces and closure leave {found:?}, not {residuals:?}")));
         }
         Ok(simulation)
+    }
+
+    /// What balances leave at present: of a motion that is stored and goes on they are part.
+    pub fn residuals(&self) -> Residuals {
+        let h = self.parameters.settings.step_size;
+        let [forces, closure] = self.run.errors(&self.model, h);
+        Residuals { energy: self.state().energy_error(&self.model), forces, closure }
     }
 
     /// `steps` macro steps of `h` seconds with `inputs` held.

@@ -118,7 +118,7 @@ fn follow(host: &Host, case: &Case, field: &str) -> Result<(), String> {
     // Setting up again, where it says that nothing has been set up, and initialising may be refused, as with any parameters.
     host.setup(None, 0.0, None);
     let initialised = [fmi2EnterInitializationMode, fmi2ExitInitializationMode].map(|function| host.call(function));
-    if initialised.iter().any(|status| *status == fmi2Fatal) {
+    if initialised.contains(&fmi2Fatal) {
         return Err(format!("initialising is fatal: {:?}", host.take()));
     }
     let running = is_running(host);
@@ -248,7 +248,7 @@ fn layout(content: &[u8]) -> Vec<(usize, String)> {
             }
             next("run.held", 16);
         }
-        next("run.energy_error", 8);
+        next("run.residuals", 24);
     }
     if content[next("signal.some", 1)] == 1 {
         next("signal.value", 64);

@@ -51,8 +51,8 @@ impl Twins {
         let bytes = Self::bytes(stored);
         assert_eq!(bytes, Self::bytes(free), "{name}: the runs have parted");
         let run: Run = borsh::from_slice(&bytes).expect("a run");
-        let energy_error = stored.state().energy_error(stored.model());
-        *stored = Simulation::restored(stored.parameters(), run, energy_error).unwrap_or_else(|refusal| {
+        let residuals = stored.residuals();
+        *stored = Simulation::restored(stored.parameters(), run, &residuals).unwrap_or_else(|refusal| {
             let (norms, core) = (observers::constraint_norms(stored.model(), &stored.state()), stored.state().core);
             panic!("{name}: {refusal}: {norms:?}, rates of {:e}, {:?}", core.v.max_norm(), core.counters)
         });
