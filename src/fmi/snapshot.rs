@@ -214,6 +214,7 @@ impl Snapshot {
 
     /// The state that bytes hold, or one sentence that says what is wrong with them. Whatever in them follows from the parameters has to
     /// be what these give, and the rest has to be a motion that can go on.
+    #[cold]
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CallError> {
         let content =
             Content::try_from_slice(content(bytes)?).map_err(|error| wrong(&format!("their content is not a state: {error}")))?;

@@ -42,6 +42,7 @@ impl Counters {
 
 impl<const N: usize, const M: usize> State<N, M> {
     /// Whether all that follows from coordinates, rates and forces is what these give, and the rest is possible.
+    #[cold]
     pub fn check<S: System<N, M> + Passage<N>>(&self, system: &S, bounds: &Bounds) -> Result<(), Inconsistency> {
         let vectors = [&self.q, &self.v, &self.a, &self.jerk];
         let energies = [self.work.input, self.work.dissipated, self.power.input, self.power.dissipated];
@@ -70,6 +71,7 @@ impl<const N: usize, const M: usize> State<N, M> {
         Ok(())
     }
 
+    #[cold]
     fn check_constraints<S: System<N, M> + Passage<N>>(&self, system: &S, bounds: &Bounds) -> Result<(), Inconsistency> {
         if self.on_ray && !system.is_near_vertex(&self.q) {
             return Err("it is on a ray through a vertex, and none is near");
@@ -88,6 +90,7 @@ impl<const N: usize, const M: usize> State<N, M> {
         Ok(())
     }
 
+    #[cold]
     fn check_balance<S: System<N, M> + Passage<N>>(&self, system: &S, regularizations: [f64; 2]) -> Result<(), Inconsistency> {
         let in_balance = regularizations.into_iter().any(|regularization| {
             let (a, lambda) = equilibrium(system, &self.q, &self.v, regularization);

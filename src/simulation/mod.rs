@@ -97,13 +97,13 @@ impl Simulation {
 
     /// A run that goes on, with the parameters in force and the residuals that it had. Refused unless whatever in it follows from the
     /// parameters is what they give, and the rest is a motion.
+    #[cold]
     pub fn restored(parameters: &Parameters, run: Run, residuals: &Residuals) -> Result<Self, SceneError> {
         let simulation = Self { parameters: parameters.clone(), model: Model::new(parameters)?, run };
         simulation.run.check(&simulation.model, parameters)?;
         // Worked out from the same numbers by the same operations: a difference of one bit is a number that has been changed.
-        let found = simulation.residuals();
-        if found.bits() != residuals.bits() {
-            return Err(SceneError(format!("energies, forces and closure leave {found:?}, not {residuals:?}")));
+        if simulation.residuals().bits() != residuals.bits() {
+            return Err(SceneError("its energies, forces and rates do not add up".into()));
         }
         Ok(simulation)
     }

@@ -23,6 +23,7 @@ impl Memory {
 
 impl<const N: usize, const M: usize> DenseStep<N, M> {
     /// Whether both ends are states, and the step leads from one to the other.
+    #[cold]
     pub fn check<S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
@@ -48,6 +49,7 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
     }
 
     /// Makes the step once more: whether it leads to the same end.
+    #[cold]
     fn again<S: System<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> Result<bool, StepError> {
         let mut end = self.start;
         if self.straight {
