@@ -7,6 +7,7 @@ use anyhow::{Context, Result, bail, ensure};
 use cargo_metadata::Message;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::thread;
 use std::time::{Duration, Instant};
 
 /// What `--full` adds, for the last line of the short form.
@@ -36,6 +37,8 @@ pub(crate) fn test(full: bool) -> Result<()> {
     if full {
         process::need("cargo xtask test --full", ".ci/setup", &FULL_NEEDS)?;
     }
+    // The network has its own pace: what Python needs is fetched meanwhile.
+    let environment = thread::spawn(move || venv::python(if full { Packages::Full } else { Packages::Usual }).map(drop));
     let mut steps = Steps::default();
     steps.run("format", || process::run(process::cargo().args(["fmt", "--all", "--check"])))?;
     steps.run("lints", || {
@@ -55,6 +58,7 @@ pub(crate) fn test(full: bool) -> Result<()> {
     if let Some(memory) = memory {
         steps.run("memory (the rest)", || memory.finish())?;
     }
+    steps.run("Python environment (the rest)", || environment.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))?;
     steps.run("Python tests", || pytest(&fmu, &tests))?;
     steps.summary();
     if !full {
@@ -109,7 +113,7 @@ impl Steps {
             }
             Err(error) => {
                 self.summary();
-                println!("  {name:22} FAILED after {:.1} s", time.as_secs_f64());
+                println!("  {name:30} FAILED after {:.1} s", time.as_secs_f64());
                 Err(error.context(format!("step `{name}` failed")))
             }
         }
@@ -118,7 +122,7 @@ impl Steps {
     fn summary(&self) {
         println!("\n== summary ==");
         for (name, time) in &self.done {
-            println!("  {name:22} ok {:7.1} s", time.as_secs_f64());
+            println!("  {name:30} ok {:7.1} s", time.as_secs_f64());
         }
     }
 }
@@ -142,7 +146,10 @@ fn valgrind() -> Result<Command> {
 /// Builds an integration test and gives back its program.
 fn test_executable(target: &str) -> Result<PathBuf> {
     let messages = process::run_for_output(
-        process::cargo().args(["test", "--locked", "--no-run", "--test", target]).arg("--message-format=json-render-diagnostics"),
+        // With the whole workspace, whose tests have been built already: alone it would be built with other features once more.
+        process::cargo()
+            .args(["test", "--locked", "--workspace", "--no-run", "--test", target])
+            .arg("--message-format=json-render-diagnostics"),
     )?;
     for message in Message::parse_stream(messages.as_bytes()) {
         if let Message::CompilerArtifact(artifact) = message?
@@ -193,7 +200,8 @@ fn pytest(fmu: &Path, tests: &Tests) -> Result<()> {
     };
     let mut command = venv::python(packages)?;
     command
-        .args(["-m", "pytest", "tests/python"])
+        // Two files of tests at a time.
+        .args(["-m", "pytest", "tests/python", "--numprocesses", "2", "--dist", "loadfile"])
         .arg("--override-ini")
         .arg(format!("cache_dir={}", paths::in_root("target/pytest").display()))
         .env("FIVEBAR_FMU", fmu)
