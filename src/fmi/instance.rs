@@ -211,9 +211,10 @@ impl Instance {
             (Some(parameters), signal) => {
                 let signal = signal.unwrap_or(Signal::held(*simulation.inputs()));
                 check_reach(&signal, size)?;
-                let untuned = simulation.clone();
+                // The simulation, not its box: a step allocates nothing.
+                let untuned = Simulation::clone(simulation);
                 simulation.tune(&parameters.effects)?;
-                simulation.advance_along(&signal, plan.h, plan.steps).inspect_err(|_| *simulation = untuned)
+                simulation.advance_along(&signal, plan.h, plan.steps).inspect_err(|_| **simulation = untuned)
             }
         };
         if let Err(failure) = advanced {

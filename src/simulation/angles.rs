@@ -13,6 +13,7 @@
 //! effect is written once.
 
 use super::five_bar::FiveBar;
+use super::inertia::{Inertia, Mass, proximal_arm};
 use super::model::Model;
 use crate::integrator::{Kkt, System, Work};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
@@ -29,9 +30,9 @@ pub const CLOSURES: usize = 2;
 pub type Angles = Vector<ANGLES>;
 
 /// The angles of the proximal links among the pairs of [`Angles`].
-const PROXIMAL: usize = 0;
+pub(super) const PROXIMAL: usize = 0;
 /// Those of the distal links.
-const DISTAL: usize = 1;
+pub(super) const DISTAL: usize = 1;
 
 /// Places of links 1 to 4 (left proximal, left distal, right distal, right proximal).
 pub const PLACES: [usize; 4] = [2 * PROXIMAL, 2 * DISTAL, 2 * DISTAL + 1, 2 * PROXIMAL + 1];
@@ -145,74 +146,11 @@ impl<'a> ByAngles<'a> {
     }
 }
 
-/// Motor axis to elbow.
-#[inline]
-fn proximal_arm(pose: &Pose) -> Legs2 {
-    Legs2 { x: pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y }
-}
-
 /// Φ_q: how the end of each leg moves with its proximal and its distal angle, with the leg's sign.
 #[inline]
 fn phi_q(pose: &Pose) -> [Legs2; 2] {
     let distal = Legs2 { x: SIGMA * pose.a_d.x + pose.sigma_b_d.x, y: SIGMA * pose.a_d.y + pose.sigma_b_d.y };
     [proximal_arm(pose).scaled(SIGMA).turned(), distal.turned()]
-}
-
-/// The mass matrix of each leg, or its inverse.
-#[derive(Clone, Copy, Debug)]
-struct Mass {
-    proximal: Legs,
-    distal: Legs,
-    coupling: Legs,
-}
-
-impl Mass {
-    #[inline]
-    fn times(&self, x: &Angles) -> Angles {
-        let (p, d) = (legs_of(x, PROXIMAL), legs_of(x, DISTAL));
-        let mut product = Angles::ZERO;
-        set_legs(&mut product, PROXIMAL, self.proximal * p + self.coupling * d);
-        set_legs(&mut product, DISTAL, self.coupling * p + self.distal * d);
-        product
-    }
-}
-
-/// What of the mass matrix in the angles is constant.
-#[derive(Clone, Copy, Debug)]
-pub struct Inertia {
-    /// I_P + m_P a_P² + m_D l_P².
-    proximal: Legs,
-    /// I_D + m_D a_D².
-    distal: Legs,
-    /// m_D.
-    carried: Legs,
-    /// The determinant of M where the leg is stretched, a sum of positive terms; l_P × a_D adds its square times m_D².
-    stretched: Legs,
-}
-
-impl Inertia {
-    /// Of a mechanism.
-    pub fn new(mechanism: &Mechanism) -> Self {
-        let &Mechanism { mass_p, mass_d, inertia_p, inertia_d, a_p, b_p, a_d, .. } = mechanism;
-        let (own, swung) = (inertia_p + mass_p * a_p * a_p, mass_d * (a_p + b_p) * (a_p + b_p));
-        let distal = inertia_d + mass_d * a_d * a_d;
-        Self { proximal: own + swung, distal, carried: mass_d, stretched: own * distal + swung * inertia_d }
-    }
-
-    #[inline]
-    fn mass(&self, pose: &Pose) -> Mass {
-        Mass { proximal: self.proximal, distal: self.distal, coupling: self.carried * proximal_arm(pose).dot(pose.a_d) }
-    }
-
-    /// M⁻¹. Nothing cancels in the determinant with links of little inertia.
-    #[inline]
-    fn mobility(&self, pose: &Pose) -> Mass {
-        let (l, a) = (proximal_arm(pose), pose.a_d);
-        let across = self.carried * (l.x * a.y - l.y * a.x);
-        let reciprocal = both(1.0) / (self.stretched + across * across);
-        let coupling = self.mass(pose).coupling;
-        Mass { proximal: self.distal * reciprocal, distal: self.proximal * reciprocal, coupling: -coupling * reciprocal }
-    }
 }
 
 /// The factorised saddle-point matrix: M⁻¹ of each leg, and the inverse of S = Φ_q M⁻¹ Φ_qᵀ + e, 2×2 for both.

@@ -6,6 +6,7 @@
 pub mod angles;
 mod dense_run;
 pub mod five_bar;
+mod inertia;
 pub mod model;
 mod passage;
 mod restore;

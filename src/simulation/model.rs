@@ -2,7 +2,7 @@
 
 use arrayvec::ArrayVec;
 
-use super::angles::Inertia;
+use super::inertia::Inertia;
 use crate::effects::{self, Active, Effect, ForceContext, Inputs, Perturbation};
 use crate::integrator::{MacroStepMethod, dop853, i3alp, i3alp_printed, rk4};
 use crate::linear::{LinearSolve, LinearSolver};
