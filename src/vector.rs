@@ -1,8 +1,7 @@
 //! Vectors of coordinates and of multipliers, with the operators of algebra.
 //!
 //! They work on two elements at a time, from the first on: the five-bar has its two legs side by side, and pairs that stay together need
-//! no shuffling. Left to itself the compiler pairs the second with the third, as it does with nalgebra's vectors, by which the bare step
-//! costs more instructions (`cargo xtask bench`, table steps).
+//! no shuffling. Left to itself the compiler pairs the second with the third. As part of a stored state they have a specified layout.
 
 use std::ops::{Add, AddAssign, Deref, DerefMut, Div, Mul, Neg, Sub};
 
