@@ -105,7 +105,6 @@ pub struct TangentOf<'a, F> {
 #[derive(Clone, Debug)]
 pub struct LinearSolver {
     solve: LinearSolve,
-    mechanism: Mechanism,
     elimination: Elimination,
 }
 
@@ -142,7 +141,7 @@ type Solution = (Coordinates, Multipliers);
 impl LinearSolver {
     /// For a mechanism whose saddle-point systems have this e, 1/kg, most of the time.
     pub fn new(solve: LinearSolve, mechanism: &Mechanism, regularization: f64) -> Self {
-        Self { solve, mechanism: *mechanism, elimination: Elimination::new(mechanism, regularization) }
+        Self { solve, elimination: Elimination::new(mechanism, regularization) }
     }
 
     /// The same mechanism with another solve.
@@ -195,7 +194,7 @@ impl LinearSolver {
         forces.add_tangents(&mut tangents);
         let beta = h * h / 4.0;
         let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
-        let (mass_p, mass_d) = (self.mechanism.inertia_p, self.mechanism.inertia_d);
+        let (mass_p, mass_d) = (self.elimination.mechanism.inertia_p, self.elimination.mechanism.inertia_d);
         let mut inertia_p = mass_p + beta * stiffness_p + legs_of(&tangents.weighted, P_THETA);
         let mut inertia_d = mass_d + beta * stiffness_d + legs_of(&tangents.weighted, D_THETA);
         match definite {
@@ -252,7 +251,7 @@ impl LinearSolver {
 
     /// The diagonal of M.
     fn masses(&self) -> Coordinates {
-        self.mechanism.mass_times(&[1.0; COORDINATES].into())
+        self.elimination.mechanism.mass_times(&[1.0; COORDINATES].into())
     }
 
     fn mass_matrix(&self) -> SMatrix<f64, COORDINATES, COORDINATES> {

@@ -55,7 +55,7 @@ impl Symmetric {
 /// What of the elimination depends on the machine and on e only: computed once, when the scene is made ready.
 #[derive(Clone, Copy, Debug)]
 pub struct Elimination {
-    mechanism: Mechanism,
+    pub(super) mechanism: Mechanism,
     regularization: f64,
     ground: Ground,
     /// For A₀ = M.

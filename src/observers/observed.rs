@@ -149,25 +149,26 @@ impl<T: Scalar> Observed<'_, T> {
 
     /// Torques of the left and right servo on their proximal links, N·m; 0 without servos.
     pub fn servo_torques(&self) -> [T; 2] {
-        let Some((effect, torques)) = self.model.effects.iter().find_map(|effect| match effect {
-            Effect::Servo(servo) => Some((effect, self.at(|at| servo.torques(at)))),
+        self.force_of([THETA[0], THETA[3]], |effect, at| match effect {
+            Effect::Servo(servo) => Some(servo.torques(at)),
             _ => None,
-        }) else {
-            return [self.constant(0.0); 2];
-        };
-        [0, 1].map(|i| self.varying(torques[i], |along| self.force_change(effect, along)[[THETA[0], THETA[3]][i]]))
+        })
     }
 
     /// Force of the contact plane on the tip, N; 0 without contact.
     pub fn contact_force(&self) -> [T; 2] {
-        let Some((effect, force)) = self.model.effects.iter().find_map(|effect| match effect {
-            Effect::Contact(contact) => Some((effect, self.at(|at| contact.force(at)))),
-            _ => None,
-        }) else {
-            return [self.constant(0.0); 2];
-        };
         // What acts on the tip acts on link 2, with its force in the rows of the centre of mass.
-        [0, 1].map(|i| self.varying(force[i], |along| self.force_change(effect, along)[[X[1], Y[1]][i]]))
+        self.force_of([X[1], Y[1]], |effect, at| match effect {
+            Effect::Contact(contact) => Some(contact.force(at)),
+            _ => None,
+        })
+    }
+
+    /// What the one effect that answers says of its force, whose rows these are; 0 where none does.
+    fn force_of(&self, rows: [usize; 2], answer: impl Fn(&Effect, &ForceContext) -> Option<[f64; 2]>) -> [T; 2] {
+        let found = self.model.effects.iter().find_map(|effect| Some((effect, self.at(|at| answer(effect, at))?)));
+        let Some((effect, force)) = found else { return [self.constant(0.0); 2] };
+        [0, 1].map(|i| self.varying(force[i], |along| self.force_change(effect, along)[rows[i]]))
     }
 
     /// How the generalised force of an effect changes.

@@ -88,48 +88,53 @@ impl DenseRun {
     }
 }
 
-/// Macro steps with inputs held. On failure everything is as before.
-pub(super) fn advance(
-    model: &Model,
-    settings: &Settings,
-    run: &mut DenseRun,
-    (held, turns): (&mut Inputs, &mut [i64; 4]),
-    (inputs, steps): (&Inputs, MacroSteps),
-) -> Result<(), StepFailure> {
-    // A call that ends inside the step under way, as most do, costs no copy.
-    if steps.count == 1 && held == inputs && run.step.advance_within(steps.h) {
-        run.held[1] += 1;
-        return Ok(());
-    }
-    let before = (run.clone(), *held, *turns);
-    forward(model, settings, run, (held, turns), (inputs, steps)).inspect_err(|_| (*run, *held, *turns) = before)
+/// A run with what its steps hold.
+pub(super) struct Held<'a> {
+    pub(super) run: &'a mut DenseRun,
+    pub(super) inputs: &'a mut Inputs,
+    /// Whole turns of links 1 to 4 that the angles under way leave out.
+    pub(super) turns: &'a mut [i64; 4],
 }
 
-#[inline(never)]
-fn forward(
-    model: &Model,
-    settings: &Settings,
-    run: &mut DenseRun,
-    (held, turns): (&mut Inputs, &mut [i64; 4]),
-    (inputs, steps): (&Inputs, MacroSteps),
-) -> Result<(), StepFailure> {
-    if !model.same_active_inputs(held, inputs) {
-        run.stop(model, settings, held, turns).map_err(|cause| steps.failure(0, cause))?;
-        run.held = [run.held[1], 0];
-        run.resume(model, settings, (inputs, turns), 0.0);
-    }
-    *held = *inputs;
-    for step in 0..steps.count {
-        if !run.step.advance_within(steps.h) {
-            // Before a new step begins, so that each is made from the angles that it has.
-            unwind(&mut run.step, turns);
-            let horizon = run.horizon(steps, steps.count - step);
-            let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
-            run.step.advance(&system, settings, steps.h, horizon).map_err(|cause| steps.failure(step, cause))?;
+impl Held<'_> {
+    /// Macro steps with inputs held. On failure everything is as before.
+    pub(super) fn advance(
+        mut self,
+        model: &Model,
+        settings: &Settings,
+        inputs: &Inputs,
+        steps: MacroSteps,
+    ) -> Result<(), StepFailure> {
+        // A call that ends inside the step under way, as most do, costs no copy.
+        if steps.count == 1 && self.inputs == inputs && self.run.step.advance_within(steps.h) {
+            self.run.held[1] += 1;
+            return Ok(());
         }
-        run.held[1] += 1;
+        let before = (self.run.clone(), *self.inputs, *self.turns);
+        self.forward(model, settings, inputs, steps).inspect_err(|_| (*self.run, *self.inputs, *self.turns) = before)
     }
-    Ok(())
+
+    #[inline(never)]
+    fn forward(&mut self, model: &Model, settings: &Settings, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
+        let Self { run, inputs: held, turns } = self;
+        if !model.same_active_inputs(held, inputs) {
+            run.stop(model, settings, held, turns).map_err(|cause| steps.failure(0, cause))?;
+            run.held = [run.held[1], 0];
+            run.resume(model, settings, (inputs, turns), 0.0);
+        }
+        **held = *inputs;
+        for step in 0..steps.count {
+            if !run.step.advance_within(steps.h) {
+                // Before a new step begins, so that each is made from the angles that it has.
+                unwind(&mut run.step, turns);
+                let horizon = run.horizon(steps, steps.count - step);
+                let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
+                run.step.advance(&system, settings, steps.h, horizon).map_err(|cause| steps.failure(step, cause))?;
+            }
+            run.held[1] += 1;
+        }
+        Ok(())
+    }
 }
 
 /// Moves whole turns of the angles into `turns`, where they are more than two: as [`super::state::unwind`] does with q.

@@ -4,7 +4,7 @@ use std::fmt;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::dense_run::{self, DenseRun};
+use super::dense_run::{DenseRun, Held};
 use super::five_bar::FiveBar;
 use super::model::{Model, Stepper};
 use super::state::{Core, State, unwind};
@@ -105,7 +105,7 @@ impl Run {
                 advanced.inspect_err(|_| (*core, self.turns, self.inputs) = before)
             }
             (Stepper::Dense(settings), Progress::PastCall(run)) => {
-                dense_run::advance(model, settings, run, (&mut self.inputs, &mut self.turns), (inputs, steps))
+                Held { run, inputs: &mut self.inputs, turns: &mut self.turns }.advance(model, settings, inputs, steps)
             }
             _ => unreachable!("a run is made for its method"),
         }
