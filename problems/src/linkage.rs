@@ -10,7 +10,7 @@ mod pose;
 pub use factor::Factor;
 pub use pose::Pose;
 
-use fivebar::integrator::{Implicit, Kkt, Passage, StepError, System, TangentPoint, Work};
+use fivebar::integrator::{Implicit, Kinked, Kkt, Passage, StepError, System, TangentPoint, Work};
 use fivebar::vector::Vector;
 pub(crate) use pose::rotated;
 use pose::{Side, quarter_turn};
@@ -245,3 +245,9 @@ impl<const N: usize, const M: usize, const W: usize> Implicit<N, M> for Linkage<
 }
 
 impl<const N: usize, const M: usize, const W: usize> Passage<N> for Linkage<N, M, W> {}
+
+impl<const N: usize, const M: usize, const W: usize> Kinked<N> for Linkage<N, M, W> {
+    type Sides = ();
+
+    fn sides_of(&self, _: &Vector<N>, _: &Vector<N>) {}
+}

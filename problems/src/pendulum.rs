@@ -6,7 +6,7 @@
 //! Source: Library of Computational Benchmark Problems, IFToMM Technical Committee for Multibody Dynamics, problem A01. The position
 //! at 10 s follows from Jacobi's elliptic functions.
 
-use fivebar::integrator::{Implicit, Kkt, Passage, StepError, System, TangentPoint, Work};
+use fivebar::integrator::{Implicit, Kinked, Kkt, Passage, StepError, System, TangentPoint, Work};
 
 use crate::Problem;
 use fivebar::vector::Vector;
@@ -106,3 +106,9 @@ impl Implicit<2, 1> for Pendulum {
 }
 
 impl Passage<2> for Pendulum {}
+
+impl Kinked<2> for Pendulum {
+    type Sides = ();
+
+    fn sides_of(&self, _: &Vector<2>, _: &Vector<2>) {}
+}

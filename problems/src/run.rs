@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use fivebar::integrator::dop853::{DenseStep, Horizon};
-use fivebar::integrator::{Implicit, Passage, State, StepError, dop853, i3alp, rk4};
+use fivebar::integrator::{Implicit, Kinked, Passage, State, StepError, dop853, i3alp, rk4};
 use fivebar::vector::Vector;
 
 /// A benchmark: a system, its start, its end and what is published about it.
@@ -61,7 +61,7 @@ const MAX_ITERATIONS: u32 = 10;
 /// The first step that DOP853 tries, s; a longer one is soon found.
 const FIRST_STEP: f64 = 1e-5;
 
-impl<S: Implicit<N, M> + Passage<N>, const N: usize, const M: usize> Problem<S, N, M> {
+impl<S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>, const N: usize, const M: usize> Problem<S, N, M> {
     /// i3-ALP at strictly fixed step.
     pub fn fixed(&self) -> Method {
         Method::I3alp(i3alp::Settings { adaptive: false, ..self.i3alp(f64::INFINITY) })
@@ -144,10 +144,10 @@ impl<S: Implicit<N, M> + Passage<N>, const N: usize, const M: usize> Problem<S, 
 }
 
 /// A macro step of h seconds by DOP853, whose own steps run past its end: there the state is interpolated.
-fn advance<const N: usize, const M: usize>(
-    system: &(impl Implicit<N, M> + Passage<N>),
+fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>>(
+    system: &S,
     settings: &dop853::Settings,
-    running: &mut DenseStep<N, M>,
+    running: &mut DenseStep<N, M, S::Sides>,
     state: &mut State<N, M>,
     h: f64,
 ) -> Result<(), StepError> {

@@ -12,10 +12,13 @@
 //! a soft fingertip or a haptic wall; mu 0.3, slip velocity 0.01 m/s, ramp 0.1 mm.
 //! Limits: a point against a plane; under a tangential load below mu N it creeps at about slipVelocity F_t/(mu N).
 
-use super::unilateral_spring::UnilateralSpring;
+use arrayvec::ArrayVec;
+
 use super::force_context::{ForceContext, Tip};
+use super::kinks::{CONTACT, SPRINGS, Touch};
+use super::unilateral_spring::UnilateralSpring;
 use super::{Force, Tangents};
-use crate::mechanism::{Coordinates, Mechanism, SceneError, finite, not_negative, positive};
+use crate::mechanism::{Coordinates, LINKS, Mechanism, SceneError, finite, not_negative, positive};
 
 /// The `contact.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -48,16 +51,8 @@ pub struct Contact {
     spring: UnilateralSpring,
     mu: f64,
     slip_velocity: f64,
-}
-
-/// The tip against the plane.
-struct Touch {
-    tip: Tip,
-    /// d, m, and ḋ, m/s.
-    depth: f64,
-    rate: f64,
-    /// v_t, m/s.
-    slip: f64,
+    /// How far the tip moves with the angle of each link of the leg that carries it, m/rad.
+    arms: [f64; LINKS],
 }
 
 fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
@@ -65,11 +60,16 @@ fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 impl Contact {
-    fn touch(&self, at: &ForceContext) -> Touch {
-        let tip = at.tip();
+    /// The spring with d, m, and ḋ, m/s.
+    fn touch(&self, tip: &Tip) -> Touch<'_> {
         let depth = self.offset - dot(self.normal, tip.position);
         let rate = -dot(self.normal, tip.velocity);
-        Touch { depth, rate, slip: dot(self.tangent(), tip.velocity), tip }
+        Touch { place: CONTACT, spring: &self.spring, depth, rate, arms: self.arms }
+    }
+
+    /// v_t, m/s.
+    fn slip(&self, tip: &Tip) -> f64 {
+        dot(self.tangent(), tip.velocity)
     }
 
     fn tangent(&self) -> [f64; 2] {
@@ -84,19 +84,18 @@ impl Contact {
 
     /// The force on the tip, N.
     pub fn force(&self, at: &ForceContext) -> [f64; 2] {
-        self.force_of(&self.touch(at))
-    }
-
-    fn force_of(&self, touch: &Touch) -> [f64; 2] {
-        let normal = self.spring.force(touch.depth, touch.rate);
-        self.direction(touch.slip).map(|x| normal * x)
+        let tip = at.tip();
+        let normal = self.touch(&tip).force(at);
+        self.direction(self.slip(&tip)).map(|x| normal * x)
     }
 }
 
 impl Force for Contact {
     type Parameters = Parameters;
 
-    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
+    const TOUCHES: bool = true;
+
+    fn new(parameters: &Parameters, mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { nx, ny, offset, k, d, width, mu, slip_velocity, .. } = *parameters;
         finite("contact.nx", nx, "(ratio)")?;
         finite("contact.ny", ny, "(ratio)")?;
@@ -111,7 +110,9 @@ impl Force for Contact {
             return Err(SceneError("contact.nx = 0 and contact.ny = 0 are not allowed together: the plane needs a normal.".into()));
         }
         let spring = UnilateralSpring { stiffness: k, damping: d, width };
-        Ok(Self { normal: [nx / length, ny / length], offset, spring, mu, slip_velocity })
+        let [proximal, distal, ..] = mechanism.geometry.links;
+        let arms = [proximal.length, distal.length, 0.0, 0.0];
+        Ok(Self { normal: [nx / length, ny / length], offset, spring, mu, slip_velocity, arms })
     }
 
     fn couples_links(&self) -> bool {
@@ -124,37 +125,45 @@ impl Force for Contact {
 
     #[inline(never)]
     fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        let touch = self.touch(at);
-        if touch.depth > 0.0 {
-            touch.tip.add_force(self.force_of(&touch), forces);
+        let tip = at.tip();
+        let touch = self.touch(&tip);
+        if touch.is_free(at) {
+            return;
         }
+        let normal = touch.force(at);
+        tip.add_force(self.direction(self.slip(&tip)).map(|x| normal * x), forces);
     }
 
     #[inline(never)]
     fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
-        let touch = self.touch(at);
-        if touch.depth <= 0.0 {
+        let tip = at.tip();
+        let touch = self.touch(&tip);
+        if touch.is_free(at) {
             return;
         }
-        let normal_force = self.spring.force(touch.depth, touch.rate);
-        let [by_depth, by_rate] = self.spring.slopes(touch.depth, touch.rate);
-        let tanh = libm::tanh(touch.slip / self.slip_velocity);
+        let (normal_force, slip) = (touch.force(at), self.slip(&tip));
+        let [by_depth, by_rate] = touch.slopes(at);
+        let tanh = libm::tanh(slip / self.slip_velocity);
         let by_slip = self.mu * normal_force * (1.0 - tanh * tanh) / self.slip_velocity;
-        let (normal, tangent, direction) = (self.normal, self.tangent(), self.direction(touch.slip));
+        let (normal, tangent, direction) = (self.normal, self.tangent(), self.direction(slip));
         let matrix = |entry: &dyn Fn(usize, usize) -> f64| [[entry(0, 0), entry(0, 1)], [entry(1, 0), entry(1, 1)]];
         let stiffness = matrix(&|i, j| by_depth * direction[i] * normal[j]);
         let damping = matrix(&|i, j| by_rate * direction[i] * normal[j] + by_slip * tangent[i] * tangent[j]);
-        touch.tip.add_tangents(stiffness, damping, tangents);
-        touch.tip.add_geometric_stiffness(direction.map(|x| normal_force * x), tangents);
+        tip.add_tangents(stiffness, damping, tangents);
+        tip.add_geometric_stiffness(direction.map(|x| normal_force * x), tangents);
     }
 
     fn potential(&self, at: &ForceContext) -> f64 {
-        self.spring.potential(self.touch(at).depth)
+        self.touch(&at.tip()).potential(at)
     }
 
     fn dissipation(&self, at: &ForceContext) -> f64 {
-        let touch = self.touch(at);
-        let friction = self.mu * libm::tanh(touch.slip / self.slip_velocity) * touch.slip;
-        self.spring.dissipation(touch.depth, touch.rate) + self.spring.force(touch.depth, touch.rate) * friction
+        let tip = at.tip();
+        let (touch, slip) = (self.touch(&tip), self.slip(&tip));
+        touch.dissipation(at) + touch.force(at) * self.mu * libm::tanh(slip / self.slip_velocity) * slip
+    }
+
+    fn touches(&self, at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
+        ArrayVec::from_iter([self.touch(&at.tip())])
     }
 }

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::{Inputs, Tangents};
+use super::{Inputs, Sides, Tangents};
 use crate::mechanism::coordinates::{THETA, X, Y};
 use crate::mechanism::{Coordinates, Pose};
 
@@ -11,6 +11,9 @@ pub const JOINTS: usize = 5;
 
 /// Coordinates of the two motor angles: links 1 and 4.
 pub(super) const MOTORS: [usize; 2] = [THETA[0], THETA[3]];
+
+/// The links that the motors turn.
+pub(super) const MOTOR_LINKS: [usize; 2] = [0, 3];
 
 /// Joint rates are differences of link rates: joint j turns at the rate of its first link minus that of its second, if any. A joint
 /// torque acts with + on the first and with − on the second.
@@ -32,14 +35,15 @@ pub struct ForceContext<'a> {
     pub inputs: &'a Inputs,
     /// Whole turns of links 1 to 4 that q leaves out.
     pub turns: &'a [i64; 4],
+    /// On which sides of their kinks forces are.
+    pub sides: Sides,
 }
 
 impl ForceContext<'_> {
     /// Absolute angle of a motor axis, rad, whole turns included.
     #[inline]
     pub fn motor_angle(&self, motor: usize) -> f64 {
-        const TURNS: [usize; 2] = [0, 3];
-        self.q[MOTORS[motor]] + self.turns[TURNS[motor]] as f64 * TAU
+        self.q[MOTORS[motor]] + self.turns[MOTOR_LINKS[motor]] as f64 * TAU
     }
 
     /// Rate of a motor axis, rad/s.

@@ -7,12 +7,15 @@
 //! Invariant: does no input or output; the same input bits give the same output bits.
 
 mod force_context;
+pub mod kinks;
 pub mod loads;
 pub mod tangents;
 mod unilateral_spring;
 mod variation;
 
 pub use force_context::{ForceContext, JOINTS};
+pub use kinks::Sides;
+use kinks::{SPRINGS, Touch};
 pub use loads::Inputs;
 pub use tangents::Tangents;
 pub use variation::Perturbation;
@@ -63,6 +66,14 @@ trait Force: Sized {
     /// Power dissipated, W. The force's power is input − dissipation − dU/dt.
     fn dissipation(&self, _at: &ForceContext) -> f64 {
         0.0
+    }
+
+    /// Whether it has one-sided springs, whose kinks a method may follow.
+    const TOUCHES: bool = false;
+
+    /// Its one-sided springs.
+    fn touches(&self, _at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
+        ArrayVec::new()
     }
 }
 
@@ -175,6 +186,16 @@ macro_rules! effects {
             /// Power dissipated, W.
             pub fn dissipation(&self, at: &ForceContext) -> f64 {
                 match self { $(Self::$Force(force) => force.dissipation(at),)+ }
+            }
+
+            /// Whether its force has kinks that a method may follow.
+            pub fn has_kinks(&self) -> bool {
+                match self { $(Self::$Force(_) => $Force::TOUCHES,)+ }
+            }
+
+            /// Its one-sided springs.
+            fn touches(&self, at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
+                match self { $(Self::$Force(force) => force.touches(at),)+ }
             }
         }
     };

@@ -5,10 +5,13 @@
 //! half turn of a table-top pantograph; k 50 N·m/rad and 0.02 N·m·s/rad, a rubber buffer at some centimetres; ramp 1 mrad.
 //! Limits: no friction in the stop; restitution follows from k and d and is not a parameter.
 
+use arrayvec::ArrayVec;
+
+use super::force_context::{ForceContext, MOTOR_LINKS, MOTORS};
+use super::kinks::{SPRINGS, STOPS, Touch};
 use super::unilateral_spring::UnilateralSpring;
-use super::force_context::{MOTORS, ForceContext};
 use super::{Force, Tangents};
-use crate::mechanism::{Coordinates, Mechanism, SceneError, finite, not_negative, positive};
+use crate::mechanism::{Coordinates, LINKS, Mechanism, SceneError, finite, not_negative, positive};
 
 /// The `stop.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -36,16 +39,24 @@ pub struct Stop {
 }
 
 impl Stop {
-    /// Direction of the axis into the nearer stop, penetration (rad, negative in free motion) and its rate.
-    fn reach(&self, at: &ForceContext, i: usize) -> (f64, f64, f64) {
-        let (angle, rate) = (at.motor_angle(i), at.motor_rate(i));
-        let (above, below) = (angle - self.upper[i], self.lower[i] - angle);
-        if above > below { (1.0, above, rate) } else { (-1.0, below, -rate) }
+    /// Each stop, with its motor and the direction of the axis into it.
+    fn reaches(&self, at: &ForceContext) -> impl Iterator<Item = (usize, f64, Touch<'_>)> {
+        let axes = [0, 1].map(|motor| [at.motor_angle(motor), at.motor_rate(motor)]);
+        (0..2).flat_map(move |motor| {
+            let [angle, rate] = axes[motor];
+            let [lower, upper] = STOPS[motor];
+            let mut arms = [0.0; LINKS];
+            arms[MOTOR_LINKS[motor]] = 1.0;
+            let touch = |place, depth, rate| Touch { place, spring: &self.spring, depth, rate, arms };
+            [(motor, -1.0, touch(lower, self.lower[motor] - angle, -rate)), (motor, 1.0, touch(upper, angle - self.upper[motor], rate))]
+        })
     }
 }
 
 impl Force for Stop {
     type Parameters = Parameters;
+
+    const TOUCHES: bool = true;
 
     fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { lower, upper, k, d, width, .. } = *parameters;
@@ -73,27 +84,29 @@ impl Force for Stop {
 
     #[inline(never)]
     fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        for (i, motor) in MOTORS.into_iter().enumerate() {
-            let (direction, depth, rate) = self.reach(at, i);
-            forces[motor] -= direction * self.spring.force(depth, rate);
+        for (motor, direction, touch) in self.reaches(at) {
+            forces[MOTORS[motor]] -= direction * touch.force(at);
         }
     }
 
     #[inline(never)]
     fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
-        for (i, motor) in MOTORS.into_iter().enumerate() {
-            let (_, depth, rate) = self.reach(at, i);
-            let [stiffness, damping] = self.spring.slopes(depth, rate);
-            tangents.stiffness(motor, motor, stiffness);
-            tangents.damping(motor, motor, damping);
+        for (motor, _, touch) in self.reaches(at) {
+            let [stiffness, damping] = touch.slopes(at);
+            tangents.stiffness(MOTORS[motor], MOTORS[motor], stiffness);
+            tangents.damping(MOTORS[motor], MOTORS[motor], damping);
         }
     }
 
     fn potential(&self, at: &ForceContext) -> f64 {
-        (0..2).map(|i| self.spring.potential(self.reach(at, i).1)).sum()
+        self.reaches(at).map(|(.., touch)| touch.potential(at)).sum()
     }
 
     fn dissipation(&self, at: &ForceContext) -> f64 {
-        (0..2).map(|i| self.reach(at, i)).map(|(_, depth, rate)| self.spring.dissipation(depth, rate)).sum()
+        self.reaches(at).map(|(.., touch)| touch.dissipation(at)).sum()
+    }
+
+    fn touches(&self, at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
+        self.reaches(at).map(|(.., touch)| touch).collect()
     }
 }

@@ -8,6 +8,8 @@
 //! differentiable at d = 0; where max(0, ·) begins to act, on fast separation, N has a kink. The potential is that of the spring
 //! part, U = ∫ s k d dd; the rest of the power, (N − s k d) ḋ ≥ 0, is dissipated.
 
+use borsh::{BorshDeserialize, BorshSerialize};
+
 /// A one-sided spring and damper.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct UnilateralSpring {
@@ -19,55 +21,118 @@ pub(super) struct UnilateralSpring {
     pub(super) width: f64,
 }
 
+/// Between which of its kinks a spring is. In each phase N is one smooth formula, which goes on smoothly beyond the phase's borders.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+pub(super) enum Phase {
+    /// Not touching: N = 0.
+    Free,
+    /// On the ramp, pushing.
+    Ramp,
+    /// Beyond the ramp, pushing.
+    Full,
+    /// On the ramp, but separating so fast that it would have to pull: N = 0.
+    RampLetGo,
+    /// Likewise beyond the ramp.
+    FullLetGo,
+}
+
+/// A border of a phase.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Border {
+    /// How far beyond it, m or rad; negative on the near side.
+    pub(super) beyond: f64,
+    /// The phase behind it.
+    pub(super) behind: Phase,
+}
+
+/// For the border at which a spring lets go, a rate counts as the distance that it makes in this time, s: as in the error norm of the
+/// explicit method.
+const RATE_TIME: f64 = 0.1;
+
+impl Phase {
+    fn pushes(self) -> bool {
+        matches!(self, Self::Ramp | Self::Full)
+    }
+}
+
 impl UnilateralSpring {
-    /// s and ds/dd at a penetration above 0.
-    fn ramp(&self, depth: f64) -> [f64; 2] {
-        let u = depth / self.width;
-        if u >= 1.0 {
-            return [1.0, 0.0];
+    /// The phase of a penetration, m or rad, and its rate by themselves.
+    pub(super) fn phase(&self, depth: f64, rate: f64) -> Phase {
+        match (depth > 0.0, depth < self.width, self.push(depth, rate) > 0.0) {
+            (false, ..) => Phase::Free,
+            (true, true, true) => Phase::Ramp,
+            (true, true, false) => Phase::RampLetGo,
+            (true, false, true) => Phase::Full,
+            (true, false, false) => Phase::FullLetGo,
         }
-        [u * u * u * (u * (6.0 * u - 15.0) + 10.0), 30.0 * u * u * (1.0 - u) * (1.0 - u) / self.width]
     }
 
-    /// N at a penetration, m or rad, and its rate.
-    pub(super) fn force(&self, depth: f64, rate: f64) -> f64 {
-        if depth <= 0.0 {
-            return 0.0;
+    /// Where a motion leaves a phase.
+    pub(super) fn borders(&self, phase: Phase, depth: f64, rate: f64) -> [Option<Border>; 3] {
+        let deeper = |than: f64, behind| Some(Border { beyond: depth - than, behind });
+        let shallower = |than: f64, behind| Some(Border { beyond: than - depth, behind });
+        let push = self.push(depth, rate) / (self.stiffness + self.damping / RATE_TIME).max(f64::MIN_POSITIVE);
+        // Without damping what touches pushes.
+        let lets_go = |behind| (self.damping > 0.0).then_some(Border { beyond: -push, behind });
+        let pushes_again = |behind| Some(Border { beyond: push, behind });
+        match phase {
+            Phase::Free => [deeper(0.0, Phase::Ramp), None, None],
+            Phase::Ramp => [deeper(self.width, Phase::Full), shallower(0.0, Phase::Free), lets_go(Phase::RampLetGo)],
+            Phase::Full => [None, shallower(self.width, Phase::Ramp), lets_go(Phase::FullLetGo)],
+            Phase::RampLetGo => [deeper(self.width, Phase::FullLetGo), shallower(0.0, Phase::Free), pushes_again(Phase::Ramp)],
+            Phase::FullLetGo => [None, shallower(self.width, Phase::RampLetGo), pushes_again(Phase::Full)],
         }
-        (self.ramp(depth)[0] * (self.stiffness * depth + self.damping * rate)).max(0.0)
+    }
+
+    /// k d + c ḋ.
+    fn push(&self, depth: f64, rate: f64) -> f64 {
+        self.stiffness * depth + self.damping * rate
+    }
+
+    /// s and ds/dd.
+    fn ramp(&self, phase: Phase, depth: f64) -> [f64; 2] {
+        match phase {
+            Phase::Free => [0.0, 0.0],
+            Phase::Full | Phase::FullLetGo => [1.0, 0.0],
+            Phase::Ramp | Phase::RampLetGo => {
+                let u = depth / self.width;
+                [u * u * u * (u * (6.0 * u - 15.0) + 10.0), 30.0 * u * u * (1.0 - u) * (1.0 - u) / self.width]
+            }
+        }
+    }
+
+    /// N.
+    pub(super) fn force(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
+        if phase.pushes() { self.ramp(phase, depth)[0] * self.push(depth, rate) } else { 0.0 }
     }
 
     /// ∂N/∂d and ∂N/∂ḋ.
-    pub(super) fn slopes(&self, depth: f64, rate: f64) -> [f64; 2] {
-        let push = self.stiffness * depth + self.damping * rate;
-        if depth <= 0.0 || push <= 0.0 {
+    pub(super) fn slopes(&self, phase: Phase, depth: f64, rate: f64) -> [f64; 2] {
+        if !phase.pushes() {
             return [0.0; 2];
         }
-        let [ramp, slope] = self.ramp(depth);
-        [slope * push + ramp * self.stiffness, ramp * self.damping]
+        let [ramp, slope] = self.ramp(phase, depth);
+        [slope * self.push(depth, rate) + ramp * self.stiffness, ramp * self.damping]
     }
 
     /// U, J.
-    pub(super) fn potential(&self, depth: f64) -> f64 {
+    pub(super) fn potential(&self, phase: Phase, depth: f64) -> f64 {
         /// ∫ s u du over the ramp: 6/7 − 15/6 + 10/5.
         const RAMP: f64 = 5.0 / 14.0;
         let Self { stiffness: k, width, .. } = *self;
-        let u = depth / width;
-        if depth <= 0.0 {
-            0.0
-        } else if u >= 1.0 {
-            k * (width * width * RAMP + (depth * depth - width * width) / 2.0)
-        } else {
-            k * width * width * (u * u * u * u * u) * (u * (6.0 / 7.0 * u - 2.5) + 2.0)
+        match phase {
+            Phase::Free => 0.0,
+            Phase::Full | Phase::FullLetGo => k * (width * width * RAMP + (depth * depth - width * width) / 2.0),
+            Phase::Ramp | Phase::RampLetGo => {
+                let u = depth / width;
+                k * width * width * (u * u * u * u * u) * (u * (6.0 / 7.0 * u - 2.5) + 2.0)
+            }
         }
     }
 
     /// Power lost, W.
-    pub(super) fn dissipation(&self, depth: f64, rate: f64) -> f64 {
-        if depth <= 0.0 {
-            return 0.0;
-        }
-        (self.force(depth, rate) - self.ramp(depth)[0] * self.stiffness * depth) * rate
+    pub(super) fn dissipation(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
+        (self.force(phase, depth, rate) - self.ramp(phase, depth)[0] * self.stiffness * depth) * rate
     }
 }
 
@@ -83,15 +148,18 @@ mod tests {
         let step = 1e-8;
         for depth in [1e-5, 3e-4, 7e-4, 9.9e-4, 1.5e-3, 0.1] {
             for rate in [-0.5, 0.0, 2.0] {
-                let [by_depth, by_rate] = SPRING.slopes(depth, rate);
+                let phase = SPRING.phase(depth, rate);
+                let [by_depth, by_rate] = SPRING.slopes(phase, depth, rate);
                 let difference = |at: &dyn Fn(f64) -> f64| (at(step) - at(-step)) / (2.0 * step);
-                let numeric = [difference(&|x| SPRING.force(depth + x, rate)), difference(&|x| SPRING.force(depth, rate + x))];
+                let numeric =
+                    [difference(&|x| SPRING.force(phase, depth + x, rate)), difference(&|x| SPRING.force(phase, depth, rate + x))];
                 assert!((by_depth - numeric[0]).abs() < 1e-5 * (1.0 + by_depth.abs()), "{depth} {rate}: {by_depth} {numeric:?}");
                 assert!((by_rate - numeric[1]).abs() < 1e-6, "{depth} {rate}: {by_rate} {numeric:?}");
             }
             let spring = UnilateralSpring { damping: 0.0, ..SPRING };
-            let numeric = (spring.potential(depth + step) - spring.potential(depth - step)) / (2.0 * step);
-            assert!((spring.force(depth, 0.0) - numeric).abs() < 1e-6 * (1.0 + numeric), "{depth}: {numeric}");
+            let phase = spring.phase(depth, 0.0);
+            let numeric = (spring.potential(phase, depth + step) - spring.potential(phase, depth - step)) / (2.0 * step);
+            assert!((spring.force(phase, depth, 0.0) - numeric).abs() < 1e-6 * (1.0 + numeric), "{depth}: {numeric}");
         }
     }
 
@@ -99,9 +167,11 @@ mod tests {
     fn it_never_pulls_and_never_gives_energy() {
         for depth in [-1.0, 0.0, 1e-4, 1e-3, 0.2] {
             for rate in [-1e4, -1.0, 0.0, 1.0, 1e4] {
-                assert!(SPRING.force(depth, rate) >= 0.0 && SPRING.dissipation(depth, rate) >= 0.0, "{depth} {rate}");
+                let phase = SPRING.phase(depth, rate);
+                assert!(SPRING.force(phase, depth, rate) >= 0.0 && SPRING.dissipation(phase, depth, rate) >= 0.0, "{depth} {rate}");
             }
         }
-        assert_eq!(SPRING.force(0.1, -1e4), 0.0);
+        assert_eq!(SPRING.phase(0.1, -1e4), Phase::FullLetGo);
+        assert_eq!(SPRING.force(Phase::FullLetGo, 0.1, -1e4), 0.0);
     }
 }

@@ -6,9 +6,13 @@
 //! change at that point, and redone up to it ([`DenseStep::truncate_and_redo`]). So the state of a run is the step under way: both its
 //! ends, the interpolant's coefficients and the time into it.
 //!
+//! Where a force has a kink, a step ends there (`events.rs`).
+//!
 //! E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., sections II.5 and II.6.
 
 mod consistency;
+mod events;
+mod interpolant;
 mod stages;
 mod step;
 mod stiffness;
@@ -17,8 +21,9 @@ mod tableau;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::controller::LEAST_LOG_ERROR;
-use super::{Counters, Passage, State, StepError, System, Work};
+use super::{Counters, Kinked, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
+use interpolant::Interpolant;
 use stages::Slope;
 use stiffness::Stiffness;
 
@@ -59,7 +64,7 @@ impl Horizon {
 
 /// A run: the step that is under way.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub struct DenseStep<const N: usize, const M: usize> {
+pub struct DenseStep<const N: usize, const M: usize, K> {
     /// The last accepted state that time has passed: the beginning of the step.
     start: State<N, M>,
     /// Its end.
@@ -72,6 +77,9 @@ pub struct DenseStep<const N: usize, const M: usize> {
     dense: [Slope<N>; 4],
     /// Whether the step is a straight motion close to a vertex, where nothing may be projected.
     straight: bool,
+    /// On which sides of their kinks the forces are in the step, and from its end on.
+    sides: K,
+    sides_behind: K,
     memory: Memory,
     /// The memory at its beginning, for when the step is redone.
     before: Memory,
@@ -100,9 +108,14 @@ pub struct Sample<const N: usize, P> {
     modes: u8,
 }
 
-impl<const N: usize, const M: usize> DenseStep<N, M> {
+impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
     /// Begins with q and q̇, which meet the constraints.
-    pub fn start<S: System<N, M> + Passage<N>>(system: &S, q: Vector<N>, v: Vector<N>, settings: &Settings) -> Self {
+    pub fn start<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        system: &S,
+        q: Vector<N>,
+        v: Vector<N>,
+        settings: &Settings,
+    ) -> Self {
         let state = State::start(system, q, v, settings.regularization);
         let memory = Memory { log_error: LEAST_LOG_ERROR, stiffness: Stiffness::default() };
         Self {
@@ -112,6 +125,8 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
             elapsed: 0.0,
             dense: [Slope::NONE; 4],
             straight: false,
+            sides: system.sides_of(&q, &v),
+            sides_behind: system.sides_of(&q, &v),
             memory,
             before: memory,
         }
@@ -134,7 +149,7 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
 
     /// One macro step of h seconds. On failure the run is undefined: the caller keeps a copy.
     #[inline]
-    pub fn advance<S: System<N, M> + Passage<N>>(
+    pub fn advance<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -156,14 +171,16 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
 
     /// Ends the step at the present time, because what was held from here on will change: the step is redone, up to here and no
     /// further. `system` is that of the step. On failure the run is undefined.
-    pub fn truncate_and_redo<S: System<N, M> + Passage<N>>(&mut self, system: &S, settings: &Settings) -> Result<(), StepError> {
+    pub fn truncate_and_redo<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+    ) -> Result<(), StepError> {
         let mut rest = self.elapsed;
         if rest < self.length {
-            let Counters { rejected, iterations, .. } = self.end.counters;
             self.memory = self.before;
-            self.end = self.start;
-            self.end.counters.rejected = rejected + 1;
-            self.end.counters.iterations = iterations;
+            self.sides_behind = self.sides;
+            self.retract();
             for _ in 0..MOST_SUBSTEPS {
                 if rest <= 0.0 {
                     break;
@@ -181,11 +198,21 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
         Ok(())
     }
 
+    /// Takes the end of the step back to its beginning.
+    fn retract(&mut self) {
+        let Counters { rejected, iterations, .. } = self.end.counters;
+        self.end = self.start;
+        self.end.counters.rejected = rejected + 1;
+        self.end.counters.iterations = iterations;
+    }
+
     /// The forces have changed at once, after [`truncate_and_redo`](Self::truncate_and_redo), which put in some energy, J.
-    pub fn restart<S: System<N, M> + Passage<N>>(&mut self, system: &S, settings: &Settings, put_in: f64) {
+    pub fn restart<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, put_in: f64) {
         self.end.restart(system, settings.regularization);
         self.end.work.input += put_in;
         self.start = self.end;
+        self.sides_behind = system.sides_of(&self.end.q, &self.end.v);
+        self.sides = self.sides_behind;
     }
 
     /// Moves the origin of the coordinates: by `shift`, which the system does not notice (whole turns of angles).
@@ -212,7 +239,11 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
     /// Coordinates, rates and work at the present time, on the constraints: inside the step the interpolant projected, or as it is where
     /// the projection does not converge.
     #[inline]
-    pub fn sample<S: System<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> Sample<N, S::Pose> {
+    pub fn sample<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+    ) -> Sample<N, S::Pose> {
         let Self { end, .. } = self;
         if self.elapsed == self.length {
             return Sample { q: end.q, v: end.v, pose: system.pose(&end.q), work: end.work, modes: end.modes };
@@ -230,25 +261,37 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
     fn interpolated(&self, follows_work: bool) -> ([Vector<N>; 2], Work) {
         let Self { start, end, length, .. } = self;
         let part = self.elapsed / length;
-        let q = std::array::from_fn(|k| self.dense[k].q);
-        let q = interpolant(part, [start.q, end.q], [*length * start.v, *length * end.v], q);
-        let v = if self.straight {
-            start.v + part * (end.v - start.v)
-        } else {
-            let higher = std::array::from_fn(|k| self.dense[k].v);
-            interpolant(part, [start.v, end.v], [*length * start.a, *length * end.a], higher)
-        };
         let work = if follows_work {
             let both = |work: &Work| Vector::from([work.input, work.dissipated]);
             let higher = std::array::from_fn(|k| both(&self.dense[k].power));
             let ends = [&start.work, &end.work].map(both);
             let rates = [&start.power, &end.power].map(|power| *length * both(power));
-            let work = interpolant(part, ends, rates, higher);
+            let work = Interpolant::new(ends, rates, higher).at(part);
             Work { input: work[0], dissipated: work[1] }
         } else {
             start.work
         };
-        ([q, v], work)
+        (self.moved(part), work)
+    }
+
+    /// q and q̇ at a part of the step.
+    #[inline]
+    fn moved(&self, part: f64) -> [Vector<N>; 2] {
+        let Self { start, end, .. } = self;
+        let q = self.positions().at(part);
+        if self.straight { [q, start.v + part * (end.v - start.v)] } else { [q, self.velocities().at(part)] }
+    }
+
+    #[inline]
+    fn positions(&self) -> Interpolant<N> {
+        let Self { start, end, length, dense, .. } = self;
+        Interpolant::new([start.q, end.q], [*length * start.v, *length * end.v], std::array::from_fn(|k| dense[k].q))
+    }
+
+    #[inline]
+    fn velocities(&self) -> Interpolant<N> {
+        let Self { start, end, length, dense, .. } = self;
+        Interpolant::new([start.v, end.v], [*length * start.a, *length * end.a], std::array::from_fn(|k| dense[k].v))
     }
 
     /// Writes into a state of the same system in any coordinates what does not depend on the coordinates.
@@ -264,19 +307,4 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
         to.alternatives = self.end.alternatives;
         to.on_ray = self.straight;
     }
-}
-
-/// The interpolant at a part of the step, from the values and the derivatives (times the step) at its ends and the higher coefficients.
-#[inline]
-fn interpolant<const K: usize>(
-    part: f64,
-    [from, to]: [Vector<K>; 2],
-    [rate, rate_to]: [Vector<K>; 2],
-    [d, e, f, g]: [Vector<K>; 4],
-) -> Vector<K> {
-    let rest = 1.0 - part;
-    let difference = to - from;
-    let second = rate - difference;
-    let third = difference - rate_to - second;
-    from + part * (difference + rest * (second + part * (third + rest * (d + part * (e + rest * (f + part * g))))))
 }

@@ -26,5 +26,5 @@ pub mod vertex;
 pub use closure::{Assembly, Start, close};
 pub use constraints::Pose;
 pub use coordinates::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
-pub use model::{Geometry, Link, Mechanism, SceneError};
+pub use model::{Geometry, LINKS, Link, Mechanism, SceneError};
 pub(crate) use model::{finite, not_negative, positive};

@@ -19,13 +19,16 @@ pub struct Link {
     pub com: f64,
 }
 
+/// Number of links.
+pub const LINKS: usize = 4;
+
 /// What defines the mechanism: links in the order left proximal, left distal, right distal, right proximal.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Geometry {
     /// Distance between the motor axes, both on the x axis, the left one at the origin, m. 0 = coaxial motors.
     pub base_distance: f64,
     /// The four moving links.
-    pub links: [Link; 4],
+    pub links: [Link; LINKS],
 }
 
 /// A value that cannot be simulated: one sentence naming the variable, its value and what is allowed.

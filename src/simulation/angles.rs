@@ -70,6 +70,11 @@ impl<'a> ByAngles<'a> {
         Self { five_bar, mechanism: &five_bar.model.mechanism, inertia: &five_bar.model.inertia }
     }
 
+    /// The same in its twelve coordinates.
+    pub(super) fn five_bar(&self) -> &FiveBar<'a> {
+        &self.five_bar
+    }
+
     /// The model.
     pub(super) fn model(&self) -> &'a Model {
         self.five_bar.model

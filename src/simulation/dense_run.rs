@@ -9,6 +9,7 @@ use super::five_bar::FiveBar;
 use super::run::{MacroSteps, StepFailure};
 use super::state::{Core, State, whole_turns};
 use super::{Inputs, Model};
+use crate::effects::Sides;
 use crate::integrator::dop853::{DenseStep, Horizon, Settings};
 use crate::integrator::{Bounds, Counters, Inconsistency, StepError, Work};
 use crate::mechanism::{Coordinates, Multipliers};
@@ -16,7 +17,7 @@ use crate::mechanism::{Coordinates, Multipliers};
 /// The step under way, and for how long inputs are held.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct DenseRun {
-    pub(super) step: DenseStep<ANGLES, CLOSURES>,
+    pub(super) step: DenseStep<ANGLES, CLOSURES, Sides>,
     /// For how many macro steps the inputs before the present ones were held, 0 at first, and these so far.
     held: [u64; 2],
 }
@@ -139,7 +140,7 @@ impl Held<'_> {
 
 /// Moves whole turns of the angles into `turns`, where they are more than two: as [`super::state::unwind`] does with q.
 #[inline(always)]
-fn unwind(step: &mut DenseStep<ANGLES, CLOSURES>, turns: &mut [i64; 4]) {
+fn unwind(step: &mut DenseStep<ANGLES, CLOSURES, Sides>, turns: &mut [i64; 4]) {
     if step.end().max_norm() <= 2.0 * TAU {
         return;
     }

@@ -1,7 +1,7 @@
 //! The five-bar with its active effects and held inputs, as the integrator sees it in its twelve coordinates.
 
 use super::model::Model;
-use crate::effects::{ForceContext, Inputs, Tangents};
+use crate::effects::{ForceContext, Inputs, Sides, Tangents};
 use crate::integrator::{Implicit, StepError, System, TangentPoint, Work};
 use crate::linear::{Definite, MassFactor, TangentOf, TangentSource};
 use crate::mechanism::coordinates::largest_angle;
@@ -17,6 +17,7 @@ pub struct FiveBar<'a, const BARE: bool = false> {
     inputs: &'a Inputs,
     turns: &'a [i64; 4],
     follows_work: bool,
+    sides: Sides,
 }
 
 /// A tangent is asked for at these coordinates and multipliers.
@@ -25,7 +26,7 @@ type At<'a> = TangentPoint<'a, Pose, COORDINATES, MULTIPLIERS>;
 impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     /// `model` under `inputs`, with the whole turns of links 1 to 4 that q leaves out.
     pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
-        Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative }
+        Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, sides: Sides::BY_STATE }
     }
 
     /// The same after whole turns have changed.
@@ -39,13 +40,19 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
 
     /// The same in the form for any scene.
     pub(super) fn general(self) -> FiveBar<'a> {
-        let Self { model, inputs, turns, follows_work } = self;
-        FiveBar { model, inputs, turns, follows_work }
+        let Self { model, inputs, turns, follows_work, sides } = self;
+        FiveBar { model, inputs, turns, follows_work, sides }
+    }
+
+    /// The same with forces that stay on some sides of their kinks.
+    #[inline(always)]
+    pub(super) fn on(&self, sides: Sides) -> Self {
+        Self { sides, ..*self }
     }
 
     #[inline(always)]
-    fn context<'b>(&'b self, q: &'b Coordinates, pose: &'b Pose, v: &'b Coordinates) -> ForceContext<'b> {
-        ForceContext { q, v, pose, inputs: self.inputs, turns: self.turns }
+    pub(super) fn context<'b>(&'b self, q: &'b Coordinates, pose: &'b Pose, v: &'b Coordinates) -> ForceContext<'b> {
+        ForceContext { q, v, pose, inputs: self.inputs, turns: self.turns, sides: self.sides }
     }
 
     /// Potential energy of all forces that have one, held loads included, J.

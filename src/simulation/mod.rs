@@ -7,6 +7,7 @@ pub mod angles;
 mod dense_run;
 pub mod five_bar;
 mod inertia;
+mod kinks;
 pub mod model;
 mod passage;
 mod restore;

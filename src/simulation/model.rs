@@ -78,6 +78,8 @@ pub struct Model {
     pub effect_names: ArrayVec<&'static str, { effects::NAMES.len() }>,
     /// Whether all forces have a potential.
     pub conservative: bool,
+    /// Whether any has kinks that a method may follow.
+    pub has_kinks: bool,
     /// Whether an active effect reads the servo references.
     pub has_servo: bool,
     /// The linear solve that the scene needs.
@@ -110,6 +112,7 @@ impl Model {
         let regularization_by_angles = if geometry.base_distance == 0.0 { COAXIAL } else { RANK_LOSS } / geometry.mean_mass();
         Ok(Self {
             conservative: effects.iter().all(Effect::conservative),
+            has_kinks: effects.iter().any(Effect::has_kinks),
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use super::Model;
 use super::five_bar::FiveBar;
-use crate::effects::{ForceContext, Inputs};
+use crate::effects::{ForceContext, Inputs, Sides};
 use crate::integrator;
 use crate::mechanism::coordinates::{THETA, largest_angle};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
@@ -48,7 +48,7 @@ impl State {
     pub fn at<T>(&self, model: &Model, answer: impl FnOnce(&ForceContext) -> T) -> T {
         let State { core, inputs, turns, .. } = self;
         let pose = model.mechanism.pose(&core.q);
-        answer(&ForceContext { q: &core.q, v: &core.v, pose: &pose, inputs, turns })
+        answer(&ForceContext { q: &core.q, v: &core.v, pose: &pose, inputs, turns, sides: Sides::BY_STATE })
     }
 
     /// Absolute angles of links 1 to 4, rad, not wrapped.

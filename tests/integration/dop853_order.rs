@@ -1,7 +1,7 @@
 //! DOP853 alone, on systems without constraints whose solutions are known: orders of the step and of the interpolant, stiffness.
 
 use fivebar::integrator::dop853::{DenseStep, Horizon, Settings};
-use fivebar::integrator::{Kkt, Passage, System, Work};
+use fivebar::integrator::{Kinked, Kkt, Passage, System, Work};
 use fivebar::vector::Vector;
 
 use crate::support::slope;
@@ -57,6 +57,12 @@ impl System<2, 0> for Point {
 }
 
 impl Passage<2> for Point {}
+
+impl Kinked<2> for Point {
+    type Sides = ();
+
+    fn sides_of(&self, _: &Vector<2>, _: &Vector<2>) {}
+}
 
 /// Kepler's problem with unit constants: q̈ = −q/|q|³.
 const KEPLER: Point = Point(|q, _| -1.0 / q.dot(q).powf(1.5) * *q);

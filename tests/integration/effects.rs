@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use fivebar::effects::{ForceContext, NAMES};
+use fivebar::effects::{ForceContext, NAMES, Sides};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator::{Implicit, System, TangentPoint};
 use fivebar::linear::LinearSolve;
@@ -121,7 +121,14 @@ fn powers_and_potentials_account_for_every_force() {
             let power = system.power(&q, &pose, &v);
             let potential = |s: f64| {
                 let q = q + s * v;
-                model.potential(&ForceContext { q: &q, v: &v, pose: &system.pose(&q), inputs: &inputs, turns: &turns })
+                model.potential(&ForceContext {
+                    q: &q,
+                    v: &v,
+                    pose: &system.pose(&q),
+                    inputs: &inputs,
+                    turns: &turns,
+                    sides: Sides::BY_STATE,
+                })
             };
             let growth = (potential(1e-6) - potential(-1e-6)) / 2e-6;
             let expected = power.input - power.dissipated - growth;

@@ -12,6 +12,7 @@ mod effects; // each effect: tangents, powers, energy balance, absence
 mod effects_known; // effects against what is known without our code
 mod effects_reference; // scenes with effects against solutions in quadruple precision, through the C functions
 mod effects_stiff; // friction through zero, stops and contact hit fast, high gains
+mod kinks; // loads with kinks: touches, stops, what is dissipated
 mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
 
 // The FMI rooms, through the C functions.

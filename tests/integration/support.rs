@@ -100,10 +100,16 @@ impl Reference {
     }
 }
 
+/// The tip, m.
+pub(crate) fn tip(simulation: &Simulation) -> [f64; 2] {
+    let tip = observers::motion(simulation.model(), &simulation.state()).tip;
+    [tip.x, tip.y]
+}
+
 /// Distance between the simulation's tip and a point, m.
 pub(crate) fn tip_error(simulation: &Simulation, [x, y]: [f64; 2]) -> f64 {
-    let tip = observers::motion(simulation.model(), &simulation.state()).tip;
-    (tip.x - x).hypot(tip.y - y)
+    let tip = tip(simulation);
+    (tip[0] - x).hypot(tip[1] - y)
 }
 
 /// Largest difference of the link angles of two sets of coordinates.

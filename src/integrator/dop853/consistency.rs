@@ -1,10 +1,12 @@
 //! Whether a step under way that comes from outside is one that the method makes: it is made once more.
 
+use std::borrow::Borrow;
+
 use super::stages::{Slope, Stages};
 use super::step::LONGEST;
 use super::{DenseStep, LEAST_LOG_ERROR, Memory, Settings};
 use crate::integrator::consistency::{Bounds, Inconsistency};
-use crate::integrator::{Approach, Departure, Passage, StepError, System};
+use crate::integrator::{Approach, Departure, Kinked, Passage, StepError, System};
 use crate::vector::Vector;
 
 /// Part of each value by which a straight motion made once more may differ: it may have been cut short by something else.
@@ -21,10 +23,10 @@ impl Memory {
     }
 }
 
-impl<const N: usize, const M: usize> DenseStep<N, M> {
+impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Whether both ends are states, and the step leads from one to the other.
     #[cold]
-    pub fn check<S: System<N, M> + Passage<N>>(
+    pub fn check<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &self,
         system: &S,
         settings: &Settings,
@@ -50,7 +52,11 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
 
     /// Makes the step once more: whether it leads to the same end.
     #[cold]
-    fn again<S: System<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> Result<bool, StepError> {
+    fn again<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+    ) -> Result<bool, StepError> {
         let mut end = self.start;
         if self.straight {
             let from = Departure { q: &self.start.q, v: &self.start.v, on_ray: self.start.on_ray, rest: self.length };
@@ -59,6 +65,8 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
             let same = (transit.duration - self.length).abs() <= SAME * self.length && end.on_ray == self.end.on_ray;
             return Ok(same && self.dense == [Slope::NONE; 4] && close(&end.q, &self.end.q) && close(&end.v, &self.end.v));
         }
+        let system = system.on(self.sides);
+        let system = system.borrow();
         let mut stages = Stages::new(system, settings.regularization, &self.start, self.length);
         let (_, arrival) = settings.project_and_evaluate(system, stages.end())?;
         end.arrive(arrival);

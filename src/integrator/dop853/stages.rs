@@ -106,6 +106,15 @@ impl<const N: usize> Stages<N> {
         if damped == 0.0 { 0.0 } else { self.h * fifth / damped.sqrt() }
     }
 
+    /// The greatest magnitudes of q̇ and q̈ that the stages have seen.
+    pub(super) fn extremes(&self) -> [Vector<N>; 2] {
+        let mut extremes = [Vector::ZERO; 2];
+        for slope in &self.slopes[..STAGES] {
+            extremes = [(extremes[0], slope.q), (extremes[1], slope.v)].map(|(most, x)| Vector::from_fn(|i| most[i].max(x[i].abs())));
+        }
+        extremes
+    }
+
     /// The fastest rate of change, 1/s, that the difference between the last stage and the end of the step shows: the r of
     /// r² |Δq| + r |Δq̇| = |Δq̈|, which is the frequency of a spring and the decay of a damper.
     pub(super) fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64 {

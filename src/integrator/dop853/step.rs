@@ -1,9 +1,12 @@
 //! One accepted step: passage of a vertex, stages, error control, projection.
 
+use std::borrow::Borrow;
+
+use super::events::Border;
 use super::stages::{Slope, Stages};
 use super::{DenseStep, Horizon, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, StepSizeController, is_cut_short, next_step};
-use crate::integrator::{Approach, Arrival, Passage, PassageLimits, Projection, StepError, System, velocity_correction};
+use crate::integrator::{Approach, Arrival, Kinked, Passage, PassageLimits, Projection, StepError, System, velocity_correction};
 use crate::vector::Vector;
 
 /// A step below this, s, that is rejected is not made shorter.
@@ -21,10 +24,10 @@ const CONTROLLER: StepSizeController = StepSizeController {
     failed: 0.3,
 };
 
-impl<const N: usize, const M: usize> DenseStep<N, M> {
+impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
     /// The next step: its beginning is the end of the one under way.
     #[inline(never)]
-    pub(super) fn step<S: System<N, M> + Passage<N>>(
+    pub(super) fn step<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -37,26 +40,46 @@ impl<const N: usize, const M: usize> DenseStep<N, M> {
             Approach::Passed(transit) => {
                 self.end.pass_through(system, &transit, settings.regularization)?;
                 (self.length, self.straight) = (transit.duration, true);
+                self.sides_behind = system.sides_of(&self.end.q, &self.end.v);
                 return Ok(());
             }
         };
         let wanted = if self.start.substep.is_finite() { self.start.substep } else { settings.first_step };
         let mut h = wanted.min(longest).min(LONGEST);
         let mut rejected = false;
+        let mut on_sides = system.on(self.settle(system, settings));
+        let mut tries = 0;
         loop {
-            let mut stages = Stages::new(system, settings.regularization, &self.start, h);
+            let on: &S = on_sides.borrow();
+            let mut stages = Stages::new(on, settings.regularization, &self.start, h);
             let end = stages.end();
             let error = stages.error(settings.error_tolerance, &end[1]);
-            let arrival = if error <= 1.0 { settings.project_and_evaluate(system, end) } else { Err(StepError::NotFinite) };
+            let arrival = if error <= 1.0 { settings.project_and_evaluate(on, end) } else { Err(StepError::NotFinite) };
             if let Ok((iterations, arrival)) = arrival {
-                self.accept(system, &stages, (iterations, arrival));
+                self.accept(on, &stages, (iterations, arrival));
+                if system.has_kinks() {
+                    match self.border(on, settings, &mut stages, tries) {
+                        Border::Clear => {}
+                        Border::AtEnd => self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance),
+                        Border::Before(when) => {
+                            self.retract();
+                            tries += 1;
+                            if when < SHORTEST {
+                                on_sides = system.on(self.turn(on, settings));
+                            } else {
+                                h = when;
+                            }
+                            continue;
+                        }
+                    }
+                }
                 self.end.error_estimate = error * settings.error_tolerance;
                 self.adapt(error, wanted, rejected);
                 if self.memory.stiffness.is_due(self.end.counters.substeps) {
                     self.memory.stiffness.check(h * stages.fastest_rate(&self.end));
                 }
                 if horizon.output < WITH_ROUNDING * h {
-                    self.dense = stages.dense(system, settings.regularization, &self.end);
+                    self.dense = stages.dense(on, settings.regularization, &self.end);
                 }
                 return Ok(());
             }

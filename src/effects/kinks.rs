@@ -1,0 +1,170 @@
+//! Kinks of forces: where a formula changes, and on which side of each a motion is.
+//!
+//! A method that follows its error ends a step where its motion crosses a border, and begins the next behind it: within a step every
+//! force is one smooth formula, and an order stays what it is. Which sides hold is for the method to remember ([`Sides`]); by
+//! [`Sides::BY_STATE`], as all other methods have it, every formula is the one of the present state.
+//!
+//! Kinks are those of the one-sided springs of stops and contact. Friction and servos have smooth laws.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::unilateral_spring::{Border, Phase, UnilateralSpring};
+use super::{Active, ForceContext};
+use crate::mechanism::LINKS;
+
+/// One-sided springs: that of the contact, and two for each motor's stops.
+pub const SPRINGS: usize = 5;
+
+/// Place of the contact among them.
+pub(super) const CONTACT: usize = 0;
+
+/// Places of the lower and the upper stop of the motors.
+pub(super) const STOPS: [[usize; 2]; 2] = [[1, 2], [3, 4]];
+
+/// On which side of their kinks forces are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+pub struct Sides([Option<Phase>; SPRINGS]);
+
+impl Sides {
+    /// Wherever the state is.
+    pub const BY_STATE: Self = Self([None; SPRINGS]);
+
+    /// The sides of a state by itself.
+    pub fn of(effects: &Active, at: &ForceContext) -> Self {
+        let mut sides = Self::BY_STATE;
+        for_each_touch(effects, at, |touch| sides.0[touch.place] = Some(touch.spring.phase(touch.depth, touch.rate)));
+        sides
+    }
+
+    /// The sides behind the borders that a state is beyond, and behind the nearest one.
+    pub fn behind(self, effects: &Active, at: &ForceContext, tolerance: f64) -> Self {
+        let mut sides = self;
+        let nearest = beyond(effects, at, tolerance);
+        for_each_touch(effects, at, |touch| {
+            let borders = touch.borders(&self, tolerance).filter(|border| border.beyond >= nearest.min(0.0));
+            if let Some(border) = borders.max_by(|a, b| a.beyond.total_cmp(&b.beyond)) {
+                sides.0[touch.place] = Some(border.behind);
+            }
+        });
+        sides
+    }
+}
+
+/// A one-sided spring as it is now.
+#[derive(Clone, Copy)]
+pub(super) struct Touch<'a> {
+    /// Its place in [`Sides`].
+    pub(super) place: usize,
+    pub(super) spring: &'a UnilateralSpring,
+    /// Penetration, m or rad.
+    pub(super) depth: f64,
+    /// Its rate.
+    pub(super) rate: f64,
+    /// By how much the penetration changes with the angle of each link at most, m or rad.
+    pub(super) arms: [f64; LINKS],
+}
+
+impl Touch<'_> {
+    /// Whether it does not touch.
+    pub(super) fn is_free(&self, at: &ForceContext) -> bool {
+        self.phase(&at.sides) == Phase::Free
+    }
+
+    /// N, N or N·m.
+    pub(super) fn force(&self, at: &ForceContext) -> f64 {
+        self.spring.force(self.phase(&at.sides), self.depth, self.rate)
+    }
+
+    /// ∂N/∂d and ∂N/∂ḋ.
+    pub(super) fn slopes(&self, at: &ForceContext) -> [f64; 2] {
+        self.spring.slopes(self.phase(&at.sides), self.depth, self.rate)
+    }
+
+    /// U, J.
+    pub(super) fn potential(&self, at: &ForceContext) -> f64 {
+        self.spring.potential(self.phase(&at.sides), self.depth)
+    }
+
+    /// Power lost, W.
+    pub(super) fn dissipation(&self, at: &ForceContext) -> f64 {
+        self.spring.dissipation(self.phase(&at.sides), self.depth, self.rate)
+    }
+
+    /// The phase that holds.
+    fn phase(&self, sides: &Sides) -> Phase {
+        sides.0[self.place].unwrap_or_else(|| self.spring.phase(self.depth, self.rate))
+    }
+
+    /// What a motion may overlook at an angular tolerance, rad: its own error, or a part of the ramp, but no less than round-off.
+    fn unit(&self, tolerance: f64) -> f64 {
+        /// Part of a ramp that may be overlooked.
+        const PART: f64 = 0.01;
+        /// Round-off of an angle, rad.
+        const ROUND_OFF: f64 = 1e-13;
+        let scale: f64 = self.arms.iter().sum();
+        (tolerance * scale).min(PART * self.spring.width).max(ROUND_OFF * scale)
+    }
+
+    /// The borders of the phase that holds, in units of what may be overlooked.
+    fn borders(&self, sides: &Sides, tolerance: f64) -> impl Iterator<Item = Border> {
+        let unit = self.unit(tolerance);
+        let borders = self.spring.borders(self.phase(sides), self.depth, self.rate).into_iter().flatten();
+        borders.map(move |Border { beyond, behind }| Border { beyond: beyond / unit, behind })
+    }
+}
+
+fn for_each_touch<'a>(effects: &'a Active, at: &ForceContext, mut visit: impl FnMut(&Touch<'a>)) {
+    for effect in effects {
+        for touch in effect.touches(at) {
+            visit(&touch);
+        }
+    }
+}
+
+/// How far a state is beyond the border that it is farthest beyond, in units of what may be overlooked; negative on the near side of all.
+pub fn beyond(effects: &Active, at: &ForceContext, tolerance: f64) -> f64 {
+    let mut farthest = f64::NEG_INFINITY;
+    for_each_touch(effects, at, |touch| {
+        farthest = touch.borders(&at.sides, tolerance).fold(farthest, |beyond, border| beyond.max(border.beyond));
+    });
+    farthest
+}
+
+/// Whether any spring touches.
+pub fn touching(effects: &Active, at: &ForceContext) -> bool {
+    let mut any = false;
+    for_each_touch(effects, at, |touch| any |= !touch.is_free(at));
+    any
+}
+
+/// A stretch of a motion, and how fast links turn on it at most.
+pub struct Stretch<'a> {
+    /// Both ends.
+    pub ends: [ForceContext<'a>; 2],
+    /// s.
+    pub duration: f64,
+    /// Rates, rad/s, and accelerations, rad/s².
+    pub extremes: [[f64; LINKS]; 2],
+}
+
+/// Whether springs that do not touch at either end cannot have touched in between, deeper than may be overlooked.
+pub fn stays_free(effects: &Active, stretch: &Stretch<'_>, tolerance: f64) -> bool {
+    let Stretch { ends: [from, to], duration, extremes: [rates, accelerations] } = stretch;
+    effects.iter().all(|effect| {
+        let pairs = effect.touches(from).into_iter().zip(effect.touches(to));
+        pairs.filter(|(touch, _)| touch.is_free(from)).all(|(from, to)| {
+            let bend: f64 = (0..LINKS).map(|link| from.arms[link] * (accelerations[link] + rates[link] * rates[link])).sum();
+            deepest([from.depth, from.rate], [to.depth, to.rate], *duration, bend) <= from.unit(tolerance)
+        })
+    })
+}
+
+/// The greatest value that a function can have between two places, from values and slopes there and the bound on its second derivative:
+/// below both parabolas.
+fn deepest([x, u]: [f64; 2], [y, w]: [f64; 2], duration: f64, bend: f64) -> f64 {
+    let at = |start: f64, slope: f64, time: f64| start + time * (slope + bend / 2.0 * time);
+    // Where they meet: they differ by a linear function of time.
+    let meet = (y - x - w * duration + bend / 2.0 * duration * duration) / (u - w + bend * duration);
+    let meet = if meet.is_finite() { meet.clamp(0.0, duration) } else { duration / 2.0 };
+    x.max(y).max(at(x, u, meet).max(at(y, -w, duration - meet)))
+}

@@ -1,0 +1,174 @@
+//! Where a force has a kink, a step ends.
+//!
+//! A step is made on the sides on which it begins. Its interpolant tells where its motion first crosses a border: it is searched in
+//! halves of halves, and a stretch is left out only where both its ends and the greatest acceleration on it say that nothing deeper than
+//! the tolerance lies between. Then the step is made once more, up to the border.
+
+use std::borrow::Borrow;
+
+use super::stages::{Slope, Stages};
+use super::{DenseStep, Settings};
+use crate::integrator::{Kinked, Stretch, System};
+
+/// A step that ends at a border within what may be overlooked has found it.
+const AT_BORDER: f64 = 1.0;
+/// The first stretch that is looked at, as a part of the step: of what touches, borders are seen at the ends of stretches only.
+const FIRST: f64 = 0.25;
+/// A crossing in a stretch no longer than this part of the step is the first one there.
+const FINE: f64 = 1.0 / 32.0;
+/// No stretch is shorter than this part of the step.
+const FINEST: f64 = 1e-6;
+/// Most sides that a state passes at once.
+const MOST_SIDES: u32 = 8;
+/// So many tries to end at a border are enough.
+const MOST_TRIES: u32 = 8;
+/// The motion is straight over this part of a step.
+const NEARBY: f64 = 1e-6;
+/// The end of a step that was to end at a border is not farther from it than this part of the step.
+const NEAR: f64 = 0.1;
+/// By how much what the stages have seen of rates and accelerations may be exceeded on the way between them.
+const MARGIN: f64 = 1.5;
+/// The false position is good enough after so many rounds.
+const ROUNDS: u32 = 60;
+
+/// How a step stands to the borders of its sides.
+pub(super) enum Border {
+    /// It crosses none.
+    Clear,
+    /// It ends at one.
+    AtEnd,
+    /// It has to end before, so many seconds from its beginning.
+    Before(f64),
+}
+
+impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
+    /// Before a step: the sides on which it begins, behind all borders that its beginning is beyond.
+    pub(super) fn settle<S: Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) -> K {
+        self.sides = self.sides_behind;
+        if system.has_kinks() {
+            let [q, v] = [&self.start.q, &self.start.v];
+            for _ in 0..MOST_SIDES {
+                let on_sides = system.on(self.sides);
+                let on_sides = on_sides.borrow();
+                if on_sides.beyond(q, v, settings.error_tolerance) <= AT_BORDER {
+                    break;
+                }
+                self.sides = on_sides.behind(q, v, settings.error_tolerance);
+            }
+            self.sides_behind = self.sides;
+        }
+        self.sides
+    }
+
+    /// The step crosses a border at its very beginning: the sides behind it are its own.
+    pub(super) fn turn<S: Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) -> K {
+        self.sides = system.behind(&self.start.q, &self.start.v, settings.error_tolerance);
+        self.sides_behind = self.sides;
+        self.sides
+    }
+
+    /// Whether a step that is accepted otherwise has to end before, after so many tries; `system` is on its sides.
+    #[inline(never)]
+    pub(super) fn border<S: System<N, M> + Kinked<N, Sides = K>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        stages: &mut Stages<N>,
+        tries: u32,
+    ) -> Border {
+        if tries > 0 {
+            let beyond = self.beyond_at(system, settings, 0.0);
+            if beyond.abs() <= AT_BORDER {
+                return Border::AtEnd;
+            }
+            if tries >= MOST_TRIES {
+                return Border::Clear;
+            }
+            // The interpolant was not that exact: the end itself says how far to go.
+            let later = NEARBY * self.length;
+            let change = beyond * later / (self.beyond_at(system, settings, later) - beyond);
+            if change.abs() < NEAR * self.length {
+                return Border::Before(self.length - change);
+            }
+        }
+        if self.is_clear(system, settings, stages) {
+            return Border::Clear;
+        }
+        self.dense = stages.dense(system, settings.regularization, &self.end);
+        let crossing = self.first_crossing(system, settings);
+        self.dense = [Slope::NONE; 4];
+        crossing.map_or(Border::Clear, Border::Before)
+    }
+
+    /// How far the motion is beyond the borders so many seconds after the end of the step.
+    fn beyond_at<S: Kinked<N>>(&self, system: &S, settings: &Settings, later: f64) -> f64 {
+        let end = &self.end;
+        system.beyond(&(end.q + later * end.v), &(end.v + later * end.a), settings.error_tolerance)
+    }
+
+    /// Whether the step certainly crosses no border, by what its stages have seen of rates and accelerations.
+    fn is_clear<S: Kinked<N>>(&self, system: &S, settings: &Settings, stages: &Stages<N>) -> bool {
+        let Self { start, end, length, .. } = self;
+        let (extremes, tolerance) = (stages.extremes().map(|most| MARGIN * most), settings.error_tolerance);
+        let stretch = Stretch { ends: [&[start.q, start.v], &[end.q, end.v]], duration: *length, extremes: &extremes };
+        !system.touches(&start.q, &start.v)
+            && system.beyond(&end.q, &end.v, tolerance) <= AT_BORDER
+            && system.stays_within(&stretch, tolerance)
+    }
+
+    /// When the motion of the step first crosses a border, s from its beginning. The interpolant's coefficients must be there.
+    #[cold]
+    pub(super) fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings) -> Option<f64> {
+        let tolerance = settings.error_tolerance;
+        let velocities = self.velocities();
+        let [rates, changes] = velocities.extremes();
+        let extremes = [rates, changes / self.length];
+        let (mut part, mut here) = (0.0, [self.start.q, self.start.v]);
+        let mut stretch = FIRST;
+        while part < 1.0 {
+            let end = f64::min(part + stretch, 1.0);
+            let there = self.moved(end);
+            let crossed = system.beyond(&there[0], &there[1], tolerance) > AT_BORDER;
+            if crossed && stretch <= FINE {
+                return Some(self.length * self.border_between(system, tolerance, [part, end]));
+            }
+            let on_the_way = Stretch { ends: [&here, &there], duration: (end - part) * self.length, extremes: &extremes };
+            if crossed || (stretch > FINEST && !system.stays_within(&on_the_way, tolerance)) {
+                stretch /= 2.0;
+            } else {
+                (part, here) = (end, there);
+                stretch = f64::min(2.0 * stretch, FIRST);
+            }
+        }
+        None
+    }
+
+    /// The part of the step at which the motion is at a border, between one before it and one beyond: by false position (Illinois).
+    fn border_between<S: Kinked<N>>(&self, system: &S, tolerance: f64, [mut before, mut after]: [f64; 2]) -> f64 {
+        let beyond = |part: f64| {
+            let [q, v] = self.moved(part);
+            system.beyond(&q, &v, tolerance)
+        };
+        let (mut low, mut high) = (beyond(before), beyond(after));
+        if low >= 0.0 {
+            return before;
+        }
+        // Of the function only the sign and the size near the border matter.
+        low = low.max(-1e12);
+        for _ in 0..ROUNDS {
+            let part = after - high * (after - before) / (high - low);
+            let here = beyond(part);
+            if here.abs() <= 0.01 * AT_BORDER || after - before <= f64::EPSILON {
+                return part;
+            }
+            if here > 0.0 {
+                (after, high) = (part, here);
+                low /= 2.0;
+            } else {
+                (before, low) = (part, here);
+                high /= 2.0;
+            }
+        }
+        before
+    }
+}

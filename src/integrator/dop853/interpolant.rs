@@ -1,0 +1,54 @@
+//! The polynomial of degree 7 between the ends of a step (Hairer, Nørsett, Wanner, section II.6).
+
+use crate::vector::Vector;
+
+/// c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + (1−θ) (c₄ + …)))) with θ the part of the step.
+pub(super) struct Interpolant<const K: usize>([Vector<K>; 8]);
+
+impl<const K: usize> Interpolant<K> {
+    /// From the values and the derivatives (times the step) at both ends, and the higher coefficients.
+    #[inline]
+    pub(super) fn new([from, to]: [Vector<K>; 2], [rate, rate_to]: [Vector<K>; 2], [d, e, f, g]: [Vector<K>; 4]) -> Self {
+        let difference = to - from;
+        let second = rate - difference;
+        let third = difference - rate_to - second;
+        Self([from, difference, second, third, d, e, f, g])
+    }
+
+    /// At a part of the step.
+    #[inline]
+    pub(super) fn at(&self, part: f64) -> Vector<K> {
+        let rest = 1.0 - part;
+        let [from, difference, second, third, d, e, f, g] = self.0;
+        from + part * (difference + rest * (second + part * (third + rest * (d + part * (e + rest * (f + part * g))))))
+    }
+
+    /// Bounds on the magnitudes of the values and of the derivatives times the step: no product of θ and 1−θ is larger than 1/4 from
+    /// the third coefficient on, and none has a derivative larger than 1.
+    pub(super) fn extremes(&self) -> [Vector<K>; 2] {
+        let [from, difference, higher @ ..] = &self.0;
+        let sum = |i: usize| higher.iter().map(|coefficient| coefficient[i].abs()).sum::<f64>();
+        let value = Vector::from_fn(|i| from[i].abs().max((from[i] + difference[i]).abs()) + sum(i) / 4.0);
+        [value, Vector::from_fn(|i| difference[i].abs() + sum(i))]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn extremes_hold_on_the_whole_step() {
+        let numbers = [0.3, -1.2, 2.5, 0.7, -3.1, 1.9, 0.2, -0.8];
+        let [a, b, c, d, e, f, g, h] = numbers.map(|x| Vector::<1>::from([x]));
+        let interpolant = Interpolant::new([a, b], [c, d], [e, f, g, h]);
+        let [value, rate] = interpolant.extremes();
+        let step = 1e-6;
+        for i in 0..1000 {
+            let part = f64::from(i) / 1000.0;
+            let here = interpolant.at(part)[0];
+            let slope = (interpolant.at(part + step)[0] - here) / step;
+            assert!(here.abs() <= value[0] && slope.abs() <= rate[0] + 1e-4, "{part}: {here} {slope}");
+        }
+    }
+}
