@@ -96,6 +96,7 @@ impl<S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>, const N: usize, con
     pub fn dop853(&self, error_tolerance: f64) -> Method {
         Method::Dop853(dop853::Settings {
             error_tolerance,
+            energy_scale: 1.0,
             first_step: FIRST_STEP,
             max_iterations: MAX_ITERATIONS,
             regularization: self.regularization,

@@ -93,6 +93,8 @@ impl Contact {
 impl Force for Contact {
     type Parameters = Parameters;
 
+    const STEEP: bool = true;
+
     const TOUCHES: bool = true;
 
     fn new(parameters: &Parameters, mechanism: &Mechanism) -> Result<Self, SceneError> {

@@ -70,6 +70,8 @@ impl Friction {
 impl Force for Friction {
     type Parameters = Parameters;
 
+    const STEEP: bool = true;
+
     fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let mut curves = [None; JOINTS];
         for (joint, curve) in curves.iter_mut().enumerate() {

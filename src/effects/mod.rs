@@ -68,6 +68,9 @@ trait Force: Sized {
         0.0
     }
 
+    /// Whether the force changes so steeply in places that a long step may miss it.
+    const STEEP: bool = false;
+
     /// Whether it has one-sided springs, whose kinks a method may follow.
     const TOUCHES: bool = false;
 
@@ -191,6 +194,11 @@ macro_rules! effects {
             /// Whether its force has kinks that a method may follow.
             pub fn has_kinks(&self) -> bool {
                 match self { $(Self::$Force(_) => $Force::TOUCHES,)+ }
+            }
+
+            /// Whether the force changes so steeply in places that a long step may miss it.
+            pub fn is_steep(&self) -> bool {
+                match self { $(Self::$Force(_) => $Force::STEEP,)+ }
             }
 
             /// Its one-sided springs.

@@ -51,6 +51,8 @@ impl Servo {
 impl Force for Servo {
     type Parameters = Parameters;
 
+    const STEEP: bool = true;
+
     fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { kp, kd, limit, .. } = *parameters;
         for i in 0..2 {

@@ -56,6 +56,8 @@ impl Stop {
 impl Force for Stop {
     type Parameters = Parameters;
 
+    const STEEP: bool = true;
+
     const TOUCHES: bool = true;
 
     fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {

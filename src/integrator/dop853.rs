@@ -32,6 +32,8 @@ use stiffness::Stiffness;
 pub struct Settings {
     /// Local error allowed per step: of each coordinate this, of its rate this times (10/s + |q̇|); root of the mean square.
     pub error_tolerance: f64,
+    /// The work of forces with kinks may be off by the error tolerance times this, J, per step.
+    pub energy_scale: f64,
     /// The first step tried, s.
     pub first_step: f64,
     /// Most Newton iterations of a projection.

@@ -80,6 +80,8 @@ pub struct Model {
     pub conservative: bool,
     /// Whether any has kinks that a method may follow.
     pub has_kinks: bool,
+    /// Whether the force of any changes steeply in places.
+    pub is_steep: bool,
     /// Whether an active effect reads the servo references.
     pub has_servo: bool,
     /// The linear solve that the scene needs.
@@ -113,6 +115,7 @@ impl Model {
         Ok(Self {
             conservative: effects.iter().all(Effect::conservative),
             has_kinks: effects.iter().any(Effect::has_kinks),
+            is_steep: effects.iter().any(Effect::is_steep),
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
@@ -124,7 +127,7 @@ impl Model {
             regularization,
             regularization_by_angles,
             max_iterations: settings.max_iterations,
-            stepper: settings.stepper(regularization, regularization_by_angles),
+            stepper: settings.stepper(&geometry, regularization, regularization_by_angles),
         })
     }
 
@@ -171,6 +174,9 @@ impl Model {
     }
 }
 
+/// The rate, 1/s, at which the machine's motion has the energy whose part the work of forces with kinks may be off: that of the error norm.
+const RATE: f64 = 10.0;
+
 /// e of the explicit method in the link angles, in multiples of 1 over the mean mass: no more than round-off makes of a singular
 /// Φ_q M⁻¹ Φ_qᵀ. At 1e-14 passes close to a vertex were falsified.
 const RANK_LOSS: f64 = 1e-20;
@@ -178,7 +184,7 @@ const RANK_LOSS: f64 = 1e-20;
 const COAXIAL: f64 = 1e-10;
 
 impl Settings {
-    fn stepper(&self, regularization: f64, regularization_by_angles: f64) -> Stepper {
+    fn stepper(&self, geometry: &Geometry, regularization: f64, regularization_by_angles: f64) -> Stepper {
         let &Self { tolerance, max_iterations, .. } = self;
         Stepper::MacroStep(match self.method {
             Method::I3alp => MacroStepMethod::I3alp(i3alp::Settings {
@@ -195,6 +201,7 @@ impl Settings {
             Method::Dop853 => {
                 return Stepper::Dense(dop853::Settings {
                     error_tolerance: self.error_tolerance,
+                    energy_scale: geometry.mean_mass() * (geometry.length_scale() * RATE).powi(2),
                     first_step: self.step_size,
                     max_iterations,
                     regularization: regularization_by_angles,

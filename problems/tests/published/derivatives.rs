@@ -23,7 +23,11 @@ fn any<const K: usize>(seed: f64) -> Vector<K> {
 }
 
 /// Checks everything at 20 points of the motion. `h` is a step for the tangent: as long as it may be, so that stiffnesses weigh.
-fn check<S: Implicit<N, M> + Passage<N> + Kinked<N>, const N: usize, const M: usize>(mut problem: Problem<S, N, M>, duration: f64, h: f64) {
+fn check<S: Implicit<N, M> + Passage<N> + Kinked<N>, const N: usize, const M: usize>(
+    mut problem: Problem<S, N, M>,
+    duration: f64,
+    h: f64,
+) {
     problem.duration = duration;
     let method = problem.adaptive(1e-6);
     let mut points = Vec::new();

@@ -10,8 +10,13 @@ use super::stages::{Slope, Stages};
 use super::{DenseStep, Settings};
 use crate::integrator::{Kinked, Stretch, System};
 
-/// A step that ends at a border within what may be overlooked has found it.
-const AT_BORDER: f64 = 1.0;
+/// A step ends at a border where it is beyond it by half of what may be overlooked: on the sides behind it is then well on the near side of
+/// the same border.
+const AT_BORDER: f64 = 0.5;
+/// This near.
+const NEAR_ENOUGH: f64 = 0.4;
+/// Farther beyond, a border has been crossed.
+const CROSSED: f64 = 1.0;
 /// The first stretch that is looked at, as a part of the step: of what touches, borders are seen at the ends of stretches only.
 const FIRST: f64 = 0.25;
 /// A crossing in a stretch no longer than this part of the step is the first one there.
@@ -50,7 +55,7 @@ impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
             for _ in 0..MOST_SIDES {
                 let on_sides = system.on(self.sides);
                 let on_sides = on_sides.borrow();
-                if on_sides.beyond(q, v, settings.error_tolerance) <= AT_BORDER {
+                if on_sides.beyond(q, v, settings.error_tolerance) <= CROSSED {
                     break;
                 }
                 self.sides = on_sides.behind(q, v, settings.error_tolerance);
@@ -78,7 +83,7 @@ impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
     ) -> Border {
         if tries > 0 {
             let beyond = self.beyond_at(system, settings, 0.0);
-            if beyond.abs() <= AT_BORDER {
+            if (beyond - AT_BORDER).abs() <= NEAR_ENOUGH {
                 return Border::AtEnd;
             }
             if tries >= MOST_TRIES {
@@ -86,7 +91,7 @@ impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
             }
             // The interpolant was not that exact: the end itself says how far to go.
             let later = NEARBY * self.length;
-            let change = beyond * later / (self.beyond_at(system, settings, later) - beyond);
+            let change = (beyond - AT_BORDER) * later / (self.beyond_at(system, settings, later) - beyond);
             if change.abs() < NEAR * self.length {
                 return Border::Before(self.length - change);
             }
@@ -112,7 +117,7 @@ impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
         let (extremes, tolerance) = (stages.extremes().map(|most| MARGIN * most), settings.error_tolerance);
         let stretch = Stretch { ends: [&[start.q, start.v], &[end.q, end.v]], duration: *length, extremes: &extremes };
         !system.touches(&start.q, &start.v)
-            && system.beyond(&end.q, &end.v, tolerance) <= AT_BORDER
+            && system.beyond(&end.q, &end.v, tolerance) <= CROSSED
             && system.stays_within(&stretch, tolerance)
     }
 
@@ -128,7 +133,7 @@ impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
         while part < 1.0 {
             let end = f64::min(part + stretch, 1.0);
             let there = self.moved(end);
-            let crossed = system.beyond(&there[0], &there[1], tolerance) > AT_BORDER;
+            let crossed = system.beyond(&there[0], &there[1], tolerance) > CROSSED;
             if crossed && stretch <= FINE {
                 return Some(self.length * self.border_between(system, tolerance, [part, end]));
             }
@@ -147,7 +152,7 @@ impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
     fn border_between<S: Kinked<N>>(&self, system: &S, tolerance: f64, [mut before, mut after]: [f64; 2]) -> f64 {
         let beyond = |part: f64| {
             let [q, v] = self.moved(part);
-            system.beyond(&q, &v, tolerance)
+            system.beyond(&q, &v, tolerance) - AT_BORDER
         };
         let (mut low, mut high) = (beyond(before), beyond(after));
         if low >= 0.0 {
@@ -158,7 +163,7 @@ impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
         for _ in 0..ROUNDS {
             let part = after - high * (after - before) / (high - low);
             let here = beyond(part);
-            if here.abs() <= 0.01 * AT_BORDER || after - before <= f64::EPSILON {
+            if here.abs() <= 0.1 * NEAR_ENOUGH || after - before <= f64::EPSILON {
                 return part;
             }
             if here > 0.0 {

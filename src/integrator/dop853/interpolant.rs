@@ -23,6 +23,18 @@ impl<const K: usize> Interpolant<K> {
         from + part * (difference + rest * (second + part * (third + rest * (d + part * (e + rest * (f + part * g))))))
     }
 
+    /// Its derivative there, times the step.
+    pub(super) fn rate_at(&self, part: f64) -> Vector<K> {
+        let (mut value, mut rate) = (self.0[7], Vector::ZERO);
+        for place in (0..7).rev() {
+            // The factors are θ and 1−θ in turn.
+            let (factor, slope) = if place % 2 == 0 { (part, 1.0) } else { (1.0 - part, -1.0) };
+            rate = slope * value + factor * rate;
+            value = self.0[place] + factor * value;
+        }
+        rate
+    }
+
     /// Bounds on the magnitudes of the values and of the derivatives times the step: no product of θ and 1−θ is larger than 1/4 from
     /// the third coefficient on, and none has a derivative larger than 1.
     pub(super) fn extremes(&self) -> [Vector<K>; 2] {
@@ -49,6 +61,8 @@ mod tests {
             let here = interpolant.at(part)[0];
             let slope = (interpolant.at(part + step)[0] - here) / step;
             assert!(here.abs() <= value[0] && slope.abs() <= rate[0] + 1e-4, "{part}: {here} {slope}");
+            // Forward differences: the curvature times half the step.
+            assert!((interpolant.rate_at(part)[0] - slope).abs() < 1e-4, "{part}: {slope}");
         }
     }
 }

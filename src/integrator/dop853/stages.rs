@@ -26,6 +26,17 @@ impl<const N: usize> Slope<N> {
     }
 }
 
+/// What the local error of a step may be.
+pub(super) struct Allowed {
+    /// Of a coordinate.
+    pub(super) coordinate: f64,
+    /// Of the work, J, where it is judged.
+    pub(super) work: Option<f64>,
+}
+
+/// A rate may be off by what a coordinate may, times this and its own magnitude, 1/s.
+pub(super) const RATE: f64 = 10.0;
+
 /// A step from a state, stage by stage.
 pub(super) struct Stages<const N: usize> {
     slopes: [Slope<N>; ALL],
@@ -87,18 +98,21 @@ impl<const N: usize> Stages<N> {
         self.power(A[END])
     }
 
-    /// Estimated error in units of the tolerances: `tolerance` for the coordinates, tolerance · (10/s + |q̇|) for their rates, root of
+    /// Estimated error in units of what is allowed: of the coordinates, of their rates (10/s + |q̇| times that) and of the work; root of
     /// the mean square. The estimate of order 5 is damped by that of order 3 (Hairer, Nørsett, Wanner, section II.5, eq. 5.17).
     #[inline(always)]
-    pub(super) fn error(&self, tolerance: f64, v_end: &Vector<N>) -> f64 {
+    pub(super) fn error(&self, allowed: &Allowed, v_end: &Vector<N>) -> f64 {
         let norm = |row: Row| {
             let [q, v] = self.sum(row);
             let mut sum = 0.0;
             for i in 0..N {
-                let rate = v[i] / (10.0 + self.v[i].abs().max(v_end[i].abs()));
+                let rate = v[i] / (RATE + self.v[i].abs().max(v_end[i].abs()));
                 sum += q[i] * q[i] + rate * rate;
             }
-            sum / (2.0 * N as f64 * tolerance * tolerance)
+            let mean = sum / (2.0 * N as f64 * allowed.coordinate * allowed.coordinate);
+            let Some(work) = allowed.work else { return mean };
+            let Work { input, dissipated } = self.power(row);
+            mean + (input * input + dissipated * dissipated) / (work * work)
         };
         let (fifth, third) = (norm(ERROR_5), norm(ERROR_3));
         let damped = fifth + 0.01 * third;
@@ -110,7 +124,8 @@ impl<const N: usize> Stages<N> {
     pub(super) fn extremes(&self) -> [Vector<N>; 2] {
         let mut extremes = [Vector::ZERO; 2];
         for slope in &self.slopes[..STAGES] {
-            extremes = [(extremes[0], slope.q), (extremes[1], slope.v)].map(|(most, x)| Vector::from_fn(|i| most[i].max(x[i].abs())));
+            extremes =
+                [(extremes[0], slope.q), (extremes[1], slope.v)].map(|(most, x)| Vector::from_fn(|i| most[i].max(x[i].abs())));
         }
         extremes
     }

@@ -3,7 +3,7 @@
 use std::borrow::Borrow;
 
 use super::events::Border;
-use super::stages::{Slope, Stages};
+use super::stages::{Allowed, RATE, Slope, Stages};
 use super::{DenseStep, Horizon, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, StepSizeController, is_cut_short, next_step};
 use crate::integrator::{Approach, Arrival, Kinked, Passage, PassageLimits, Projection, StepError, System, velocity_correction};
@@ -15,6 +15,11 @@ const SHORTEST: f64 = 1e-15;
 pub(super) const LONGEST: f64 = 10.0;
 /// A step is interpolated if the next output is within this part of it, a little more than the whole: sums of macro steps are rounded.
 const WITH_ROUNDING: f64 = 1.000_001;
+/// An interpolant whose rates differ from the derivatives of its coordinates by more than so many tolerances is none; those of good steps
+/// differ by 60 at most.
+const GREATEST_DEFECT: f64 = 1e3;
+/// Round-off of a difference of coordinates, rad.
+const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 /// With the memory and growth by 3 at most a quarter of the rejections of the classical controller remain.
 const CONTROLLER: StepSizeController = StepSizeController {
     exponent: 1.0 / 8.0 - 0.75 * 0.02,
@@ -53,7 +58,7 @@ impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
             let on: &S = on_sides.borrow();
             let mut stages = Stages::new(on, settings.regularization, &self.start, h);
             let end = stages.end();
-            let error = stages.error(settings.error_tolerance, &end[1]);
+            let mut error = stages.error(&settings.allowed_of(on), &end[1]);
             let arrival = if error <= 1.0 { settings.project_and_evaluate(on, end) } else { Err(StepError::NotFinite) };
             if let Ok((iterations, arrival)) = arrival {
                 self.accept(on, &stages, (iterations, arrival));
@@ -73,15 +78,21 @@ impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
                         }
                     }
                 }
-                self.end.error_estimate = error * settings.error_tolerance;
-                self.adapt(error, wanted, rejected);
-                if self.memory.stiffness.is_due(self.end.counters.substeps) {
-                    self.memory.stiffness.check(h * stages.fastest_rate(&self.end));
-                }
-                if horizon.output < WITH_ROUNDING * h {
+                let interpolated = horizon.output < WITH_ROUNDING * h;
+                if interpolated {
                     self.dense = stages.dense(on, settings.regularization, &self.end);
                 }
-                return Ok(());
+                if !interpolated || !on.is_steep() || self.interpolates_well(settings) {
+                    self.end.error_estimate = error * settings.error_tolerance;
+                    self.adapt(error, wanted, rejected);
+                    if self.memory.stiffness.is_due(self.end.counters.substeps) {
+                        self.memory.stiffness.check(h * stages.fastest_rate(&self.end));
+                    }
+                    return Ok(());
+                }
+                self.retract();
+                self.end.counters.rejected -= 1;
+                error = f64::NAN;
             }
             self.end.counters.rejected += 1;
             rejected = true;
@@ -112,6 +123,21 @@ impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
         }
     }
 
+    /// Whether the interpolant is of one piece: its rates are the derivatives of its coordinates. Stages may miss what the further ones
+    /// of the interpolant meet.
+    #[cold]
+    fn interpolates_well(&self, settings: &Settings) -> bool {
+        let (positions, velocities) = (self.positions(), self.velocities());
+        [0.125, 0.5, 0.875].into_iter().all(|part| {
+            let v = velocities.at(part);
+            let defect = positions.rate_at(part) - self.length * v;
+            (0..N).all(|i| {
+                let allowed = GREATEST_DEFECT * settings.error_tolerance * (RATE + v[i].abs()) * self.length;
+                defect[i].abs() <= allowed + ROUND_OFF * (1.0 + self.end.q[i].abs())
+            })
+        })
+    }
+
     /// The step to come, from the error of this one.
     #[inline]
     fn adapt(&mut self, error: f64, wanted: f64, rejected: bool) {
@@ -127,6 +153,13 @@ impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
 }
 
 impl Settings {
+    /// What a step may be off. The work of forces with kinks is as large as they are, and the motion does not tell how well it is
+    /// known.
+    #[inline]
+    fn allowed_of<const N: usize>(&self, system: &impl Kinked<N>) -> Allowed {
+        Allowed { coordinate: self.error_tolerance, work: system.has_kinks().then_some(self.error_tolerance * self.energy_scale) }
+    }
+
     /// The error is far below what the impact parameter could hide, at any tolerance.
     pub(super) fn passage(&self) -> PassageLimits {
         PassageLimits { radius: 1e-4, impact_parameter: 1e-7, longest_with_dissipation: self.first_step }
