@@ -110,7 +110,7 @@ pub struct Sample<const N: usize, P> {
     modes: u8,
 }
 
-impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
+impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Begins with q and q̇, which meet the constraints.
     pub fn start<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         system: &S,

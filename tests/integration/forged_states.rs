@@ -191,6 +191,9 @@ fn steps(host: &Host) -> Result<Done, String> {
     Ok(Done::All)
 }
 
+/// One-sided springs of contact and stops.
+const SPRINGS: usize = 5;
+
 /// The names of the fields of the content, each where it begins.
 fn layout(content: &[u8]) -> Vec<(usize, String)> {
     let (mut fields, mut at) = (Vec::new(), 0);
@@ -242,6 +245,12 @@ fn layout(content: &[u8]) -> Vec<(usize, String)> {
             next("run.elapsed", 8);
             next("run.dense", 4 * (16 * n + 16));
             next("run.straight", 1);
+            for spring in 0..2 * SPRINGS {
+                let name = if spring < SPRINGS { "sides" } else { "sides_behind" };
+                if content[next(&format!("run.{name}.some"), 1)] == 1 {
+                    next(&format!("run.{name}"), 1);
+                }
+            }
             for memory in ["memory", "before"] {
                 next(&format!("run.{memory}.log_error"), 8);
                 next(&format!("run.{memory}.stiffness"), 3);

@@ -32,8 +32,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         bounds: &Bounds,
     ) -> Result<(), Inconsistency> {
-        self.start.check(system, bounds)?;
-        self.end.check(system, bounds)?;
+        let on_sides = system.on(self.sides);
+        self.start.check(on_sides.borrow(), bounds)?;
+        // A way straight through a vertex knows no sides.
+        self.end.check(if self.straight { system } else { on_sides.borrow() }, bounds)?;
         if !(self.memory.is_possible() && self.before.is_possible()) {
             return Err("the step-size controller remembers the impossible");
         }

@@ -8,7 +8,7 @@ use std::borrow::Borrow;
 
 use super::stages::{Slope, Stages};
 use super::{DenseStep, Settings};
-use crate::integrator::{Kinked, Stretch, System};
+use crate::integrator::{Kinked, Passage, Stretch, System};
 
 /// A step ends at a border where it is beyond it by half of what may be overlooked: on the sides behind it is then well on the near side of
 /// the same border.
@@ -46,30 +46,36 @@ pub(super) enum Border {
     Before(f64),
 }
 
-impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
+impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Before a step: the sides on which it begins, behind all borders that its beginning is beyond.
-    pub(super) fn settle<S: Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) -> K {
-        self.sides = self.sides_behind;
+    pub(super) fn settle<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) {
+        let mut sides = self.sides_behind;
         if system.has_kinks() {
-            let [q, v] = [&self.start.q, &self.start.v];
             for _ in 0..MOST_SIDES {
-                let on_sides = system.on(self.sides);
+                let on_sides = system.on(sides);
                 let on_sides = on_sides.borrow();
-                if on_sides.beyond(q, v, settings.error_tolerance) <= CROSSED {
+                if on_sides.beyond(&self.start.q, &self.start.v, settings.error_tolerance) <= CROSSED {
                     break;
                 }
-                self.sides = on_sides.behind(q, v, settings.error_tolerance);
+                sides = on_sides.behind(&self.start.q, &self.start.v, settings.error_tolerance);
             }
-            self.sides_behind = self.sides;
         }
-        self.sides
+        self.begin_on(system, settings, sides);
     }
 
-    /// The step crosses a border at its very beginning: the sides behind it are its own.
-    pub(super) fn turn<S: Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) -> K {
-        self.sides = system.behind(&self.start.q, &self.start.v, settings.error_tolerance);
-        self.sides_behind = self.sides;
-        self.sides
+    /// The sides behind a border that the step crosses at its very beginning.
+    pub(super) fn turn<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) {
+        let sides = system.on(self.sides).borrow().behind(&self.start.q, &self.start.v, settings.error_tolerance);
+        self.begin_on(system, settings, sides);
+    }
+
+    /// The sides of the step: where they are others than before, forces and accelerations are those behind the border.
+    fn begin_on<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, sides: K) {
+        if sides != self.sides {
+            self.start.balance(system.on(sides).borrow(), settings.regularization);
+            self.end = self.start;
+        }
+        (self.sides, self.sides_behind) = (sides, sides);
     }
 
     /// Whether a step that is accepted otherwise has to end before, after so many tries; `system` is on its sides.

@@ -29,7 +29,7 @@ const CONTROLLER: StepSizeController = StepSizeController {
     failed: 0.3,
 };
 
-impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
+impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The next step: its beginning is the end of the one under way.
     #[inline(never)]
     pub(super) fn step<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
@@ -52,7 +52,8 @@ impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
         let wanted = if self.start.substep.is_finite() { self.start.substep } else { settings.first_step };
         let mut h = wanted.min(longest).min(LONGEST);
         let mut rejected = false;
-        let mut on_sides = system.on(self.settle(system, settings));
+        self.settle(system, settings);
+        let mut on_sides = system.on(self.sides);
         let mut tries = 0;
         loop {
             let on: &S = on_sides.borrow();
@@ -70,7 +71,8 @@ impl<const N: usize, const M: usize, K: Copy> DenseStep<N, M, K> {
                             self.retract();
                             tries += 1;
                             if when < SHORTEST {
-                                on_sides = system.on(self.turn(on, settings));
+                                self.turn(system, settings);
+                                on_sides = system.on(self.sides);
                             } else {
                                 h = when;
                             }
