@@ -39,6 +39,8 @@ const MOST_SUBSTEPS: u32 = 100_000;
 const SHORTEST_FOR_JERK: f64 = 1e-10;
 /// A step shorter than this, s, moves on by its Taylor series, which is then exact: Newton would divide round-off by h².
 const SHORTEST_FOR_NEWTON: f64 = 1e-12;
+/// A rate may be off by what an angle may, times this and its own magnitude, 1/s.
+const RATE: f64 = 100.0;
 /// The local error is of third order.
 const CONTROLLER: StepSizeController =
     StepSizeController { exponent: 1.0 / 3.0, memory: 0.0, accepted: [0.5, 2.0], rejected: [0.1, 0.7], failed: 0.35 };
@@ -140,8 +142,26 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N>>(
         v = system.energy_scale(energy, &q, &v, h)? * v;
     }
     let end = Arrival::in_balance(system, [q, v], &pose, &mass);
-    let error = local_error(system, h, &(end.a - state.a), &correction);
+    let mut error = local_error(system, h, &(end.a - state.a), &correction);
+    if settings.watches_rates(system) {
+        error = error.max(rate_error(system, h, &(end.a - state.a - h * state.jerk), &end.v));
+    }
     if error.is_finite() && end.a.is_finite() { Ok(Attempt { end, error }) } else { Err(StepError::NotFinite) }
+}
+
+impl Settings {
+    /// Whether rates are judged beside the angles: where forces change steeply with them, the angles do not tell that they ring.
+    #[inline(always)]
+    fn watches_rates<const N: usize, const M: usize>(&self, system: &impl Implicit<N, M>) -> bool {
+        self.adaptive && system.is_steep()
+    }
+}
+
+/// Local error of the rates in a step of h, from the change of q̈ that the last step did not foretell, as an error of the angles: in units
+/// of [`RATE`] + |q̇|.
+#[cold]
+fn rate_error<const N: usize, const M: usize>(system: &impl Implicit<N, M>, h: f64, bend: &Vector<N>, v: &Vector<N>) -> f64 {
+    h / 12.0 * system.angle_norm(bend) / (RATE + system.angle_norm(v))
 }
 
 /// A step so short that q̈ and λ stay but for round-off.

@@ -21,11 +21,6 @@ pub trait Kinked<const N: usize>: Sized {
         false
     }
 
-    /// Whether its forces change so steeply in places that the stages of a step may miss it.
-    fn is_steep(&self) -> bool {
-        false
-    }
-
     /// The sides of a state by itself.
     fn sides_of(&self, q: &Vector<N>, v: &Vector<N>) -> Self::Sides;
 

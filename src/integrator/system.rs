@@ -29,6 +29,11 @@ pub trait System<const N: usize, const M: usize> {
     /// Factorises [M Φ_qᵀ; Φ_q −e].
     fn factor_mass(&self, pose: &Self::Pose, regularization: f64) -> Self::Mass;
 
+    /// Whether forces change so steeply in places that a step may miss it, or ring on it.
+    fn is_steep(&self) -> bool {
+        false
+    }
+
     /// One bit for each determinant whose sign tells modes apart. A changed bit is a singularity passed.
     fn modes(&self, _pose: &Self::Pose) -> u8 {
         0

@@ -264,6 +264,11 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline]
+    fn is_steep(&self) -> bool {
+        self.five_bar.is_steep()
+    }
+
+    #[inline]
     fn modes(&self, pose: &Pose) -> u8 {
         self.five_bar.modes(pose)
     }

@@ -167,6 +167,11 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     }
 
     #[inline(always)]
+    fn is_steep(&self) -> bool {
+        !BARE && self.model.is_steep
+    }
+
+    #[inline(always)]
     fn modes(&self, pose: &Pose) -> u8 {
         pose.modes()
     }

@@ -14,11 +14,6 @@ impl Kinked<ANGLES> for ByAngles<'_> {
         self.model().has_kinks
     }
 
-    #[inline]
-    fn is_steep(&self) -> bool {
-        self.model().is_steep
-    }
-
     fn sides_of(&self, q: &Angles, v: &Angles) -> Sides {
         self.at(q, v, |at| Sides::of(&self.model().effects, at))
     }

@@ -1,7 +1,7 @@
 //! The nonlinear equations of a step, by Newton's method.
 
 use super::super::projection::ROUND_OFF;
-use super::Settings;
+use super::{RATE, Settings};
 use crate::integrator::{Counters, Implicit, State, StepError, TangentPoint};
 use crate::vector::Vector;
 
@@ -110,13 +110,34 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         violation = phi.max_norm();
         let at_round_off = violation >= previous && violation < ROUND_OFF * system.length_scale();
         let correction = correction.max_norm();
-        if (violation < step.tolerance || at_round_off) && correction < LAST_CORRECTION {
+        let met = (violation < step.tolerance || at_round_off) && correction < LAST_CORRECTION;
+        if met && (!settings.watches_rates(system) || rates_hold(system, settings, step, &q, &pose)) {
             return Ok(Found { q, pose, v: step.velocity() });
         }
         if iterations >= max_iterations {
             return Err(StepError::NotConverged { iterations, violation, tolerance: step.tolerance, correction });
         }
     }
+}
+
+/// Whether what the equations of the step still leave changes rates by less than their tolerance: where forces change steeply with them, a
+/// small correction of the coordinates does not say so.
+#[cold]
+fn rates_hold<const N: usize, const M: usize, S: Implicit<N, M>>(
+    system: &S,
+    settings: &Settings,
+    step: &Step<N, M>,
+    q: &Vector<N>,
+    pose: &S::Pose,
+) -> bool {
+    /// Part of the tolerance.
+    const PART: f64 = 0.1;
+    let v = step.velocity();
+    let pull = system.phi_q_transposed_times(pose, &step.lambda);
+    let left = system.forces(q, pose, &v) - pull - system.mass_times(pose, &(step.acceleration() / step.beta));
+    let inertia = system.mass_times(pose, &Vector::from([1.0; N]));
+    let change = Vector::from_fn(|i| step.h / 2.0 * left[i] / inertia[i]);
+    system.angle_norm(&change) <= PART * settings.error_tolerance * (RATE + system.angle_norm(&v))
 }
 
 /// Newton's bound on max |Φ|, m: scaled with the machine and with h², never below round-off.
