@@ -248,6 +248,9 @@ impl<const N: usize, const M: usize, const W: usize> Passage<N> for Linkage<N, M
 
 impl<const N: usize, const M: usize, const W: usize> Kinked<N> for Linkage<N, M, W> {
     type Sides = ();
+    type Touches = ();
+
+    fn touches(&self, _: &Vector<N>, _: &Vector<N>) {}
 
     fn sides_of(&self, _: &Vector<N>, _: &Vector<N>) {}
 }

@@ -109,6 +109,9 @@ impl Passage<2> for Pendulum {}
 
 impl Kinked<2> for Pendulum {
     type Sides = ();
+    type Touches = ();
+
+    fn touches(&self, _: &Vector<2>, _: &Vector<2>) {}
 
     fn sides_of(&self, _: &Vector<2>, _: &Vector<2>) {}
 }

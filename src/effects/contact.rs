@@ -64,7 +64,7 @@ impl Contact {
     fn touch(&self, tip: &Tip) -> Touch<'_> {
         let depth = self.offset - dot(self.normal, tip.position);
         let rate = -dot(self.normal, tip.velocity);
-        Touch { place: CONTACT, spring: &self.spring, depth, rate, arms: self.arms }
+        Touch { place: CONTACT, spring: &self.spring, depth, rate, arms: &self.arms }
     }
 
     /// v_t, m/s.

@@ -12,9 +12,6 @@ pub const JOINTS: usize = 5;
 /// Coordinates of the two motor angles: links 1 and 4.
 pub(super) const MOTORS: [usize; 2] = [THETA[0], THETA[3]];
 
-/// The links that the motors turn.
-pub(super) const MOTOR_LINKS: [usize; 2] = [0, 3];
-
 /// Joint rates are differences of link rates: joint j turns at the rate of its first link minus that of its second, if any. A joint
 /// torque acts with + on the first and with − on the second.
 const JOINED: [(usize, Option<usize>); JOINTS] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
@@ -43,7 +40,8 @@ impl ForceContext<'_> {
     /// Absolute angle of a motor axis, rad, whole turns included.
     #[inline]
     pub fn motor_angle(&self, motor: usize) -> f64 {
-        self.q[MOTORS[motor]] + self.turns[MOTOR_LINKS[motor]] as f64 * TAU
+        const TURNS: [usize; 2] = [0, 3];
+        self.q[MOTORS[motor]] + self.turns[TURNS[motor]] as f64 * TAU
     }
 
     /// Rate of a motor axis, rad/s.

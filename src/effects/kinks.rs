@@ -6,6 +6,7 @@
 //!
 //! Kinks are those of the one-sided springs of stops and contact. Friction and servos have smooth laws.
 
+use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::unilateral_spring::{Border, Phase, UnilateralSpring};
@@ -13,7 +14,7 @@ use super::{Active, ForceContext};
 use crate::mechanism::LINKS;
 
 /// One-sided springs: that of the contact, and two for each motor's stops.
-pub const SPRINGS: usize = 5;
+pub(super) const SPRINGS: usize = 5;
 
 /// Place of the contact among them.
 pub(super) const CONTACT: usize = 0;
@@ -28,26 +29,6 @@ pub struct Sides([Option<Phase>; SPRINGS]);
 impl Sides {
     /// Wherever the state is.
     pub const BY_STATE: Self = Self([None; SPRINGS]);
-
-    /// The sides of a state by itself.
-    pub fn of(effects: &Active, at: &ForceContext) -> Self {
-        let mut sides = Self::BY_STATE;
-        for_each_touch(effects, at, |touch| sides.0[touch.place] = Some(touch.spring.phase(touch.depth, touch.rate)));
-        sides
-    }
-
-    /// The sides behind the borders that a state is beyond, and behind the nearest one.
-    pub fn behind(self, effects: &Active, at: &ForceContext, tolerance: f64) -> Self {
-        let mut sides = self;
-        let nearest = beyond(effects, at, tolerance);
-        for_each_touch(effects, at, |touch| {
-            let borders = touch.borders(&self, tolerance).filter(|border| border.beyond >= nearest.min(0.0));
-            if let Some(border) = borders.max_by(|a, b| a.beyond.total_cmp(&b.beyond)) {
-                sides.0[touch.place] = Some(border.behind);
-            }
-        });
-        sides
-    }
 }
 
 /// A one-sided spring as it is now.
@@ -61,7 +42,7 @@ pub(super) struct Touch<'a> {
     /// Its rate.
     pub(super) rate: f64,
     /// By how much the penetration changes with the angle of each link at most, m or rad.
-    pub(super) arms: [f64; LINKS],
+    pub(super) arms: &'a [f64; LINKS],
 }
 
 impl Touch<'_> {
@@ -113,50 +94,60 @@ impl Touch<'_> {
     }
 }
 
-fn for_each_touch<'a>(effects: &'a Active, at: &ForceContext, mut visit: impl FnMut(&Touch<'a>)) {
-    for effect in effects {
-        for touch in effect.touches(at) {
-            visit(&touch);
-        }
+/// The one-sided springs of a scene as they are now.
+pub struct Touches<'a>(ArrayVec<Touch<'a>, SPRINGS>);
+
+impl<'a> Touches<'a> {
+    /// Those of a state.
+    pub fn new(effects: &'a Active, at: &ForceContext) -> Self {
+        Self(effects.iter().flat_map(|effect| effect.touches(at)).collect())
     }
-}
 
-/// How far a state is beyond the border that it is farthest beyond, in units of what may be overlooked; negative on the near side of all.
-pub fn beyond(effects: &Active, at: &ForceContext, tolerance: f64) -> f64 {
-    let mut farthest = f64::NEG_INFINITY;
-    for_each_touch(effects, at, |touch| {
-        farthest = touch.borders(&at.sides, tolerance).fold(farthest, |beyond, border| beyond.max(border.beyond));
-    });
-    farthest
-}
+    /// The sides of the state by itself.
+    pub fn sides(&self) -> Sides {
+        let mut sides = Sides::BY_STATE;
+        for touch in &self.0 {
+            sides.0[touch.place] = Some(touch.spring.phase(touch.depth, touch.rate));
+        }
+        sides
+    }
 
-/// Whether any spring touches.
-pub fn touching(effects: &Active, at: &ForceContext) -> bool {
-    let mut any = false;
-    for_each_touch(effects, at, |touch| any |= !touch.is_free(at));
-    any
-}
+    /// Whether any touches.
+    pub fn any(&self, sides: &Sides) -> bool {
+        self.0.iter().any(|touch| touch.phase(sides) != Phase::Free)
+    }
 
-/// A stretch of a motion, and how fast links turn on it at most.
-pub struct Stretch<'a> {
-    /// Both ends.
-    pub ends: [ForceContext<'a>; 2],
-    /// s.
-    pub duration: f64,
-    /// Rates, rad/s, and accelerations, rad/s².
-    pub extremes: [[f64; LINKS]; 2],
-}
+    /// How far the state is beyond the border that it is farthest beyond, in units of what may be overlooked at an angular tolerance, rad;
+    /// negative on the near side of all.
+    pub fn beyond(&self, sides: &Sides, tolerance: f64) -> f64 {
+        let borders = self.0.iter().flat_map(|touch| touch.borders(sides, tolerance));
+        borders.fold(f64::NEG_INFINITY, |farthest, border| farthest.max(border.beyond))
+    }
 
-/// Whether springs that do not touch at either end cannot have touched in between, deeper than may be overlooked.
-pub fn stays_free(effects: &Active, stretch: &Stretch<'_>, tolerance: f64) -> bool {
-    let Stretch { ends: [from, to], duration, extremes: [rates, accelerations] } = stretch;
-    effects.iter().all(|effect| {
-        let pairs = effect.touches(from).into_iter().zip(effect.touches(to));
-        pairs.filter(|(touch, _)| touch.is_free(from)).all(|(from, to)| {
+    /// The sides behind the borders that the state is beyond, and behind the nearest one.
+    pub fn behind(&self, sides: Sides, tolerance: f64) -> Sides {
+        let nearest = self.beyond(&sides, tolerance).min(0.0);
+        let mut behind = sides;
+        for touch in &self.0 {
+            let crossed = touch.borders(&sides, tolerance).filter(|border| border.beyond >= nearest);
+            if let Some(border) = crossed.max_by(|a, b| a.beyond.total_cmp(&b.beyond)) {
+                behind.0[touch.place] = Some(border.behind);
+            }
+        }
+        behind
+    }
+
+    /// Whether springs that do not touch at one end of a motion cannot have touched on its way, deeper than may be overlooked: it takes
+    /// some seconds, and links turn at these rates, rad/s, and accelerations, rad/s², at most.
+    pub fn stay_free(ends: [&Self; 2], sides: &Sides, duration: f64, extremes: [[f64; LINKS]; 2], tolerance: f64) -> bool {
+        let [from, to] = ends;
+        let [rates, accelerations] = extremes;
+        let mut pairs = from.0.iter().zip(&to.0).filter(|(touch, _)| touch.phase(sides) == Phase::Free);
+        pairs.all(|(from, to)| {
             let bend: f64 = (0..LINKS).map(|link| from.arms[link] * (accelerations[link] + rates[link] * rates[link])).sum();
-            deepest([from.depth, from.rate], [to.depth, to.rate], *duration, bend) <= from.unit(tolerance)
+            deepest([from.depth, from.rate], [to.depth, to.rate], duration, bend) <= from.unit(tolerance)
         })
-    })
+    }
 }
 
 /// The greatest value that a function can have between two places, from values and slopes there and the bound on its second derivative:

@@ -7,15 +7,15 @@
 //! Invariant: does no input or output; the same input bits give the same output bits.
 
 mod force_context;
-pub mod kinks;
+mod kinks;
 pub mod loads;
 pub mod tangents;
 mod unilateral_spring;
 mod variation;
 
 pub use force_context::{ForceContext, JOINTS};
-pub use kinks::Sides;
 use kinks::{SPRINGS, Touch};
+pub use kinks::{Sides, Touches};
 pub use loads::Inputs;
 pub use tangents::Tangents;
 pub use variation::Perturbation;

@@ -7,7 +7,7 @@
 
 use arrayvec::ArrayVec;
 
-use super::force_context::{ForceContext, MOTOR_LINKS, MOTORS};
+use super::force_context::{ForceContext, MOTORS};
 use super::kinks::{SPRINGS, STOPS, Touch};
 use super::unilateral_spring::UnilateralSpring;
 use super::{Force, Tangents};
@@ -38,18 +38,34 @@ pub struct Stop {
     spring: UnilateralSpring,
 }
 
+/// By how much the penetrations of a motor's stops change with the angle of each link.
+const ARMS: [[f64; LINKS]; 2] = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
+
+/// Directions of an axis into its lower and its upper stop.
+const DIRECTIONS: [f64; 2] = [-1.0, 1.0];
+
 impl Stop {
-    /// Each stop, with its motor and the direction of the axis into it.
-    fn reaches(&self, at: &ForceContext) -> impl Iterator<Item = (usize, f64, Touch<'_>)> {
-        let axes = [0, 1].map(|motor| [at.motor_angle(motor), at.motor_rate(motor)]);
-        (0..2).flat_map(move |motor| {
-            let [angle, rate] = axes[motor];
-            let [lower, upper] = STOPS[motor];
-            let mut arms = [0.0; LINKS];
-            arms[MOTOR_LINKS[motor]] = 1.0;
-            let touch = |place, depth, rate| Touch { place, spring: &self.spring, depth, rate, arms };
-            [(motor, -1.0, touch(lower, self.lower[motor] - angle, -rate)), (motor, 1.0, touch(upper, angle - self.upper[motor], rate))]
+    /// A motor's lower and upper stop.
+    #[inline(always)]
+    fn touches_of(&self, at: &ForceContext, motor: usize) -> [Touch<'_>; 2] {
+        let (angle, rate) = (at.motor_angle(motor), at.motor_rate(motor));
+        let depths = [self.lower[motor] - angle, angle - self.upper[motor]];
+        [0, 1].map(|i| {
+            let rate = DIRECTIONS[i] * rate;
+            Touch { place: STOPS[motor][i], spring: &self.spring, depth: depths[i], rate, arms: &ARMS[motor] }
         })
+    }
+
+    /// Goes through the stops that touch: motor, direction of its axis into the stop, and the spring.
+    #[inline(always)]
+    fn for_each_touch(&self, at: &ForceContext, mut visit: impl FnMut(usize, f64, &Touch<'_>)) {
+        for motor in 0..2 {
+            for (direction, touch) in DIRECTIONS.into_iter().zip(self.touches_of(at, motor)) {
+                if !touch.is_free(at) {
+                    visit(motor, direction, &touch);
+                }
+            }
+        }
     }
 }
 
@@ -86,29 +102,31 @@ impl Force for Stop {
 
     #[inline(never)]
     fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        for (motor, direction, touch) in self.reaches(at) {
-            forces[MOTORS[motor]] -= direction * touch.force(at);
-        }
+        self.for_each_touch(at, |motor, direction, touch| forces[MOTORS[motor]] -= direction * touch.force(at));
     }
 
     #[inline(never)]
     fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
-        for (motor, _, touch) in self.reaches(at) {
+        self.for_each_touch(at, |motor, _, touch| {
             let [stiffness, damping] = touch.slopes(at);
             tangents.stiffness(MOTORS[motor], MOTORS[motor], stiffness);
             tangents.damping(MOTORS[motor], MOTORS[motor], damping);
-        }
+        });
     }
 
     fn potential(&self, at: &ForceContext) -> f64 {
-        self.reaches(at).map(|(.., touch)| touch.potential(at)).sum()
+        let mut energy = 0.0;
+        self.for_each_touch(at, |_, _, touch| energy += touch.potential(at));
+        energy
     }
 
     fn dissipation(&self, at: &ForceContext) -> f64 {
-        self.reaches(at).map(|(.., touch)| touch.dissipation(at)).sum()
+        let mut power = 0.0;
+        self.for_each_touch(at, |_, _, touch| power += touch.dissipation(at));
+        power
     }
 
     fn touches(&self, at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
-        self.reaches(at).map(|(.., touch)| touch).collect()
+        [0, 1].into_iter().flat_map(|motor| self.touches_of(at, motor)).collect()
     }
 }

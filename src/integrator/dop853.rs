@@ -65,7 +65,7 @@ impl Horizon {
 }
 
 /// A run: the step that is under way.
-#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+#[derive(Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct DenseStep<const N: usize, const M: usize, K> {
     /// The last accepted state that time has passed: the beginning of the step.
     start: State<N, M>,
@@ -85,6 +85,13 @@ pub struct DenseStep<const N: usize, const M: usize, K> {
     memory: Memory,
     /// The memory at its beginning, for when the step is redone.
     before: Memory,
+}
+
+impl<const N: usize, const M: usize, K: Copy> Clone for DenseStep<N, M, K> {
+    /// In one piece: the derived one would go field by field.
+    fn clone(&self) -> Self {
+        *self
+    }
 }
 
 /// What is remembered from step to step.

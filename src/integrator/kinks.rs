@@ -11,15 +11,20 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use crate::vector::Vector;
 
-/// A system that knows its kinks.
+/// A system that knows its kinks. By default it has none.
 pub trait Kinked<const N: usize>: Sized {
     /// On which side of each kink its forces are.
     type Sides: Copy + Debug + PartialEq + BorshSerialize + BorshDeserialize;
+    /// What a state is to its kinks.
+    type Touches;
 
     /// Whether it has any.
     fn has_kinks(&self) -> bool {
         false
     }
+
+    /// What a state is to its kinks.
+    fn touches(&self, q: &Vector<N>, v: &Vector<N>) -> Self::Touches;
 
     /// The sides of a state by itself.
     fn sides_of(&self, q: &Vector<N>, v: &Vector<N>) -> Self::Sides;
@@ -31,7 +36,7 @@ pub trait Kinked<const N: usize>: Sized {
 
     /// How far a state is beyond the sides that hold, in units of what a motion may overlook at a tolerance of its coordinates; negative
     /// within them.
-    fn beyond(&self, _q: &Vector<N>, _v: &Vector<N>, _tolerance: f64) -> f64 {
+    fn beyond(&self, _at: &Self::Touches, _tolerance: f64) -> f64 {
         f64::NEG_INFINITY
     }
 
@@ -40,25 +45,14 @@ pub trait Kinked<const N: usize>: Sized {
         self.sides_of(q, v)
     }
 
-    /// Whether a motion certainly crosses no border between two states by more than it may overlook. Borders of what touches are judged
-    /// at the two states only: the forces there keep steps short.
-    fn stays_within(&self, _stretch: &Stretch<'_, N>, _tolerance: f64) -> bool {
-        true
-    }
-
-    /// Whether borders are near that are judged at states only.
-    fn touches(&self, _q: &Vector<N>, _v: &Vector<N>) -> bool {
+    /// Whether any border is near that is judged at states only: the forces there keep steps short.
+    fn is_touching(&self, _at: &Self::Touches) -> bool {
         false
     }
-}
 
-/// A stretch of a motion.
-#[derive(Clone, Copy, Debug)]
-pub struct Stretch<'a, const N: usize> {
-    /// q and q̇ at both its ends.
-    pub ends: [&'a [Vector<N>; 2]; 2],
-    /// s.
-    pub duration: f64,
-    /// The greatest magnitudes of q̇ and q̈ on the way.
-    pub extremes: &'a [Vector<N>; 2],
+    /// Whether a motion from one state to another, with these greatest magnitudes of q̇ and q̈ on its way of some seconds, certainly
+    /// crosses no other border by more than it may overlook.
+    fn stays_within(&self, _ends: [&Self::Touches; 2], _duration: f64, _extremes: &[Vector<N>; 2], _tolerance: f64) -> bool {
+        true
+    }
 }

@@ -19,7 +19,7 @@ mod system;
 pub use consistency::{Bounds, Inconsistency};
 pub use equilibrium::{equilibrium, equilibrium_at};
 pub use error::StepError;
-pub use kinks::{Kinked, Stretch};
+pub use kinks::Kinked;
 pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, StepLimits, Transit};
 pub use projection::{Projection, velocity_correction};
 use state::Arrival;

@@ -50,6 +50,11 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
         Self { sides, ..*self }
     }
 
+    /// Those sides.
+    pub(super) fn sides(&self) -> Sides {
+        self.sides
+    }
+
     #[inline(always)]
     pub(super) fn context<'b>(&'b self, q: &'b Coordinates, pose: &'b Pose, v: &'b Coordinates) -> ForceContext<'b> {
         ForceContext { q, v, pose, inputs: self.inputs, turns: self.turns, sides: self.sides }

@@ -3,19 +3,27 @@
 use std::borrow::Borrow;
 
 use super::angles::{ANGLES, Angles, ByAngles, PLACES};
-use crate::effects::{ForceContext, Sides, kinks};
-use crate::integrator::{Kinked, Stretch, System};
+use crate::effects::{Sides, Touches};
+use crate::integrator::{Kinked, System};
 
-impl Kinked<ANGLES> for ByAngles<'_> {
+impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     type Sides = Sides;
+    type Touches = Touches<'a>;
 
     #[inline]
     fn has_kinks(&self) -> bool {
         self.model().has_kinks
     }
 
+    fn touches(&self, q: &Angles, v: &Angles) -> Touches<'a> {
+        let pose = self.pose(q);
+        let (x, rates) = self.coordinates(&pose, q, v);
+        Touches::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates))
+    }
+
+    #[inline]
     fn sides_of(&self, q: &Angles, v: &Angles) -> Sides {
-        self.at(q, v, |at| Sides::of(&self.model().effects, at))
+        if self.has_kinks() { self.touches(q, v).sides() } else { Sides::BY_STATE }
     }
 
     #[inline]
@@ -23,34 +31,20 @@ impl Kinked<ANGLES> for ByAngles<'_> {
         Self::new(self.five_bar().on(sides))
     }
 
-    fn beyond(&self, q: &Angles, v: &Angles, tolerance: f64) -> f64 {
-        self.at(q, v, |at| kinks::beyond(&self.model().effects, at, tolerance))
+    fn beyond(&self, at: &Touches<'a>, tolerance: f64) -> f64 {
+        at.beyond(&self.five_bar().sides(), tolerance)
     }
 
     fn behind(&self, q: &Angles, v: &Angles, tolerance: f64) -> Sides {
-        self.at(q, v, |at| at.sides.behind(&self.model().effects, at, tolerance))
+        self.touches(q, v).behind(self.five_bar().sides(), tolerance)
     }
 
-    fn touches(&self, q: &Angles, v: &Angles) -> bool {
-        self.at(q, v, |at| kinks::touching(&self.model().effects, at))
+    fn is_touching(&self, at: &Touches<'a>) -> bool {
+        at.any(&self.five_bar().sides())
     }
 
-    fn stays_within(&self, stretch: &Stretch<'_, ANGLES>, tolerance: f64) -> bool {
-        let &Stretch { ends: [[q, v], [to_q, to_v]], duration, extremes } = stretch;
+    fn stays_within(&self, ends: [&Touches<'a>; 2], duration: f64, extremes: &[Angles; 2], tolerance: f64) -> bool {
         let extremes = [0, 1].map(|order| PLACES.map(|i| extremes[order][i]));
-        self.at(q, v, |from| {
-            self.at(to_q, to_v, |to| {
-                kinks::stays_free(&self.model().effects, &kinks::Stretch { ends: [*from, *to], duration, extremes }, tolerance)
-            })
-        })
-    }
-}
-
-impl ByAngles<'_> {
-    /// What effects answer for a state.
-    fn at<T>(&self, q: &Angles, v: &Angles, answer: impl FnOnce(&ForceContext) -> T) -> T {
-        let pose = self.pose(q);
-        let (x, rates) = self.coordinates(&pose, q, v);
-        answer(&self.five_bar().context(&x, &pose, &rates))
+        Touches::stay_free(ends, &self.five_bar().sides(), duration, extremes, tolerance)
     }
 }

@@ -60,6 +60,9 @@ impl Passage<2> for Point {}
 
 impl Kinked<2> for Point {
     type Sides = ();
+    type Touches = ();
+
+    fn touches(&self, _: &Vector<2>, _: &Vector<2>) {}
 
     fn sides_of(&self, _: &Vector<2>, _: &Vector<2>) {}
 }

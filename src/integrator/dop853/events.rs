@@ -8,7 +8,7 @@ use std::borrow::Borrow;
 
 use super::stages::{Slope, Stages};
 use super::{DenseStep, Settings};
-use crate::integrator::{Kinked, Passage, Stretch, System};
+use crate::integrator::{Kinked, Passage, System};
 
 /// A step ends at a border where it is beyond it by half of what may be overlooked: on the sides behind it is then well on the near side of
 /// the same border.
@@ -51,10 +51,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     pub(super) fn settle<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) {
         let mut sides = self.sides_behind;
         if system.has_kinks() {
+            let touches = system.touches(&self.start.q, &self.start.v);
             for _ in 0..MOST_SIDES {
                 let on_sides = system.on(sides);
                 let on_sides = on_sides.borrow();
-                if on_sides.beyond(&self.start.q, &self.start.v, settings.error_tolerance) <= CROSSED {
+                if on_sides.beyond(&touches, settings.error_tolerance) <= CROSSED {
                     break;
                 }
                 sides = on_sides.behind(&self.start.q, &self.start.v, settings.error_tolerance);
@@ -114,37 +115,40 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// How far the motion is beyond the borders so many seconds after the end of the step.
     fn beyond_at<S: Kinked<N>>(&self, system: &S, settings: &Settings, later: f64) -> f64 {
         let end = &self.end;
-        system.beyond(&(end.q + later * end.v), &(end.v + later * end.a), settings.error_tolerance)
+        system.beyond(&system.touches(&(end.q + later * end.v), &(end.v + later * end.a)), settings.error_tolerance)
     }
 
     /// Whether the step certainly crosses no border, by what its stages have seen of rates and accelerations.
     fn is_clear<S: Kinked<N>>(&self, system: &S, settings: &Settings, stages: &Stages<N>) -> bool {
         let Self { start, end, length, .. } = self;
+        let [start, end] = [start, end].map(|state| system.touches(&state.q, &state.v));
         let (extremes, tolerance) = (stages.extremes().map(|most| MARGIN * most), settings.error_tolerance);
-        let stretch = Stretch { ends: [&[start.q, start.v], &[end.q, end.v]], duration: *length, extremes: &extremes };
-        !system.touches(&start.q, &start.v)
-            && system.beyond(&end.q, &end.v, tolerance) <= CROSSED
-            && system.stays_within(&stretch, tolerance)
+        !system.is_touching(&start)
+            && system.beyond(&end, tolerance) <= CROSSED
+            && system.stays_within([&start, &end], *length, &extremes, tolerance)
     }
 
     /// When the motion of the step first crosses a border, s from its beginning. The interpolant's coefficients must be there.
     #[cold]
-    pub(super) fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings) -> Option<f64> {
+    fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings) -> Option<f64> {
         let tolerance = settings.error_tolerance;
-        let velocities = self.velocities();
-        let [rates, changes] = velocities.extremes();
+        let [rates, changes] = self.velocities().extremes();
         let extremes = [rates, changes / self.length];
-        let (mut part, mut here) = (0.0, [self.start.q, self.start.v]);
+        let at = |part: f64| {
+            let [q, v] = self.moved(part);
+            system.touches(&q, &v)
+        };
+        let (mut part, mut here) = (0.0, at(0.0));
         let mut stretch = FIRST;
         while part < 1.0 {
             let end = f64::min(part + stretch, 1.0);
-            let there = self.moved(end);
-            let crossed = system.beyond(&there[0], &there[1], tolerance) > CROSSED;
+            let there = at(end);
+            let crossed = system.beyond(&there, tolerance) > CROSSED;
             if crossed && stretch <= FINE {
                 return Some(self.length * self.border_between(system, tolerance, [part, end]));
             }
-            let on_the_way = Stretch { ends: [&here, &there], duration: (end - part) * self.length, extremes: &extremes };
-            if crossed || (stretch > FINEST && !system.stays_within(&on_the_way, tolerance)) {
+            let duration = (end - part) * self.length;
+            if crossed || (stretch > FINEST && !system.stays_within([&here, &there], duration, &extremes, tolerance)) {
                 stretch /= 2.0;
             } else {
                 (part, here) = (end, there);
@@ -158,7 +162,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     fn border_between<S: Kinked<N>>(&self, system: &S, tolerance: f64, [mut before, mut after]: [f64; 2]) -> f64 {
         let beyond = |part: f64| {
             let [q, v] = self.moved(part);
-            system.beyond(&q, &v, tolerance) - AT_BORDER
+            system.beyond(&system.touches(&q, &v), tolerance) - AT_BORDER
         };
         let (mut low, mut high) = (beyond(before), beyond(after));
         if low >= 0.0 {
