@@ -40,7 +40,7 @@ const SHORTEST_FOR_JERK: f64 = 1e-10;
 /// A step shorter than this, s, moves on by its Taylor series, which is then exact: Newton would divide round-off by h².
 const SHORTEST_FOR_NEWTON: f64 = 1e-12;
 /// A rate may be off by what an angle may, times this and its own magnitude, 1/s.
-const RATE: f64 = 100.0;
+const RATE: f64 = 10.0;
 /// The local error is of third order.
 const CONTROLLER: StepSizeController =
     StepSizeController { exponent: 1.0 / 3.0, memory: 0.0, accepted: [0.5, 2.0], rejected: [0.1, 0.7], failed: 0.35 };
