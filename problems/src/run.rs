@@ -78,6 +78,7 @@ impl<S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>, const N: usize, con
             error_tolerance,
             tolerance: TOLERANCE,
             max_iterations: MAX_ITERATIONS,
+            energy_scale: 1.0,
             regularization: self.regularization,
         }
     }

@@ -14,7 +14,7 @@ mod line_search;
 mod newton;
 
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, next_step};
-use super::{Approach, Arrival, Implicit, Passage, PassageLimits, State, StepError, StepLimits, velocity_correction};
+use super::{Approach, Arrival, Implicit, Passage, PassageLimits, State, StepError, StepLimits, Work, velocity_correction};
 use crate::vector::Vector;
 use newton::{Found, Step, constraint_tolerance};
 
@@ -29,6 +29,8 @@ pub struct Settings {
     pub tolerance: f64,
     /// Most Newton iterations per sub-step.
     pub max_iterations: u32,
+    /// The balance of energy of a step may be off by the error tolerance times this, J, where forces change steeply.
+    pub energy_scale: f64,
     /// e = 1/(αβ) = 1/(κ m̄), 1/kg, for a penalty α of κ times m̄/β: the same at every h.
     pub regularization: f64,
 }
@@ -39,8 +41,8 @@ const MOST_SUBSTEPS: u32 = 100_000;
 const SHORTEST_FOR_JERK: f64 = 1e-10;
 /// A step shorter than this, s, moves on by its Taylor series, which is then exact: Newton would divide round-off by h².
 const SHORTEST_FOR_NEWTON: f64 = 1e-12;
-/// A rate may be off by what an angle may, times this and its own magnitude, 1/s.
-const RATE: f64 = 10.0;
+/// Where forces change steeply, a rate may be off by what an angle may, times this and its own magnitude, 1/s.
+const RATE: f64 = 100.0;
 /// The local error is of third order.
 const CONTROLLER: StepSizeController =
     StepSizeController { exponent: 1.0 / 3.0, memory: 0.0, accepted: [0.5, 2.0], rejected: [0.1, 0.7], failed: 0.35 };
@@ -144,7 +146,7 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N>>(
     let end = Arrival::in_balance(system, [q, v], &pose, &mass);
     let mut error = local_error(system, h, &(end.a - state.a), &correction);
     if settings.watches_rates(system) {
-        error = error.max(rate_error(system, h, &(end.a - state.a - h * state.jerk), &end.v));
+        error = error.max(steep_error(system, &settings, state, h, (&pose, &end)));
     }
     if error.is_finite() && end.a.is_finite() { Ok(Attempt { end, error }) } else { Err(StepError::NotFinite) }
 }
@@ -157,11 +159,23 @@ impl Settings {
     }
 }
 
-/// Local error of the rates in a step of h, from the change of q̈ that the last step did not foretell, as an error of the angles: in units
-/// of [`RATE`] + |q̇|.
+/// Where forces change steeply: what the angles do not tell, in their unit. The error of the rates, from the change of q̈ that the last step
+/// did not foretell, counts in units of [`RATE`] + |q̇|; what the balance of energy is off in the step, in units of the energy scale: a
+/// step across a kink leaves the motion almost right, and its work not.
 #[cold]
-fn rate_error<const N: usize, const M: usize>(system: &impl Implicit<N, M>, h: f64, bend: &Vector<N>, v: &Vector<N>) -> f64 {
-    h / 12.0 * system.angle_norm(bend) / (RATE + system.angle_norm(v))
+fn steep_error<const N: usize, const M: usize, S: Implicit<N, M>>(
+    system: &S,
+    settings: &Settings,
+    from: &State<N, M>,
+    h: f64,
+    (pose, to): (&S::Pose, &Arrival<N, M>),
+) -> f64 {
+    let bend = system.angle_norm(&(to.a - from.a - h * from.jerk));
+    let rates = h / 12.0 * bend / (RATE + system.angle_norm(&to.v));
+    let energy = system.energy(&to.q, pose, &to.v) - system.energy(&from.q, &system.pose(&from.q), &from.v);
+    let put_in = |power: Work| h / 2.0 * (power.input - power.dissipated);
+    let balance = energy - put_in(from.power) - put_in(to.power);
+    rates.max(balance.abs() / settings.energy_scale)
 }
 
 /// A step so short that q̈ and λ stay but for round-off.

@@ -46,6 +46,11 @@ pub trait System<const N: usize, const M: usize> {
     fn follows_work(&self) -> bool;
     /// Power of the inputs and of dissipation, W. Asked only if [`System::follows_work`].
     fn power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> Work;
+    /// Kinetic energy and that of the forces that have a potential, but for those of the inputs, J: what changes by [`System::power`].
+    /// Asked only of systems that are steep.
+    fn energy(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> f64 {
+        0.0
+    }
     /// Largest magnitude among those coordinates of x in which the local error is measured (link angles).
     fn angle_norm(&self, x: &Vector<N>) -> f64;
     /// The largest magnitude a coordinate in m can have: what round-off in Φ is proportional to.

@@ -197,6 +197,11 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         if BARE || self.model.effects.is_empty() { power } else { self.with_effect_power(power, &at) }
     }
 
+    #[cold]
+    fn energy(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
+        self.mass_times(pose, v).dot(v) / 2.0 + self.model.potential(&self.context(q, pose, v))
+    }
+
     #[inline(always)]
     fn angle_norm(&self, x: &Coordinates) -> f64 {
         largest_angle(x)

@@ -186,10 +186,12 @@ const COAXIAL: f64 = 1e-10;
 impl Settings {
     fn stepper(&self, geometry: &Geometry, regularization: f64, regularization_by_angles: f64) -> Stepper {
         let &Self { tolerance, max_iterations, .. } = self;
+        let energy_scale = geometry.mean_mass() * (geometry.length_scale() * RATE).powi(2);
         Stepper::MacroStep(match self.method {
             Method::I3alp => MacroStepMethod::I3alp(i3alp::Settings {
                 adaptive: self.adaptive,
                 error_tolerance: self.error_tolerance,
+                energy_scale,
                 tolerance,
                 max_iterations,
                 regularization,
@@ -201,7 +203,7 @@ impl Settings {
             Method::Dop853 => {
                 return Stepper::Dense(dop853::Settings {
                     error_tolerance: self.error_tolerance,
-                    energy_scale: geometry.mean_mass() * (geometry.length_scale() * RATE).powi(2),
+                    energy_scale,
                     first_step: self.step_size,
                     max_iterations,
                     regularization: regularization_by_angles,
