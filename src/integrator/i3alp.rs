@@ -14,7 +14,7 @@ mod line_search;
 mod newton;
 
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, next_step};
-use super::{Approach, Arrival, Implicit, Passage, PassageLimits, State, StepError, StepLimits, Work, velocity_correction};
+use super::{Approach, Arrival, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, Work, velocity_correction};
 use crate::vector::Vector;
 use newton::{Found, Step, constraint_tolerance};
 
@@ -50,7 +50,7 @@ const CONTROLLER: StepSizeController =
 /// One macro step of h seconds: in one step, or in sub-steps. On failure the state is undefined: the caller keeps a copy.
 #[inline(never)]
 pub fn advance<const N: usize, const M: usize>(
-    system: &(impl Implicit<N, M> + Passage<N>),
+    system: &(impl Implicit<N, M> + Passage<N> + Kinked<N>),
     settings: &Settings,
     state: &mut State<N, M>,
     h: f64,
@@ -65,7 +65,7 @@ pub fn advance<const N: usize, const M: usize>(
 /// A macro step in equal parts, as many as the local error asks, asked anew after each.
 #[inline(never)]
 fn in_substeps<const N: usize, const M: usize>(
-    system: &(impl Implicit<N, M> + Passage<N>),
+    system: &(impl Implicit<N, M> + Passage<N> + Kinked<N>),
     settings: &Settings,
     state: &mut State<N, M>,
     duration: f64,
@@ -118,7 +118,7 @@ struct Attempt<const N: usize, const M: usize> {
 
 /// One step of h: predictor, Newton on positions and total multipliers, velocity projection, acceleration from equilibrium.
 #[inline(always)]
-fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N>>(
+fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
     system: &S,
     settings: &Settings,
     state: &mut State<N, M>,
@@ -161,21 +161,33 @@ impl Settings {
 
 /// Where forces change steeply: what the angles do not tell, in their unit. The error of the rates, from the change of q̈ that the last step
 /// did not foretell, counts in units of [`RATE`] + |q̇|; what the balance of energy is off in the step, in units of the energy scale: a
-/// step across a kink leaves the motion almost right, and its work not.
+/// step across a kink leaves the motion almost right, and its work not. Infinite where the step may have overlooked a touch.
 #[cold]
-fn steep_error<const N: usize, const M: usize, S: Implicit<N, M>>(
+fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
     system: &S,
     settings: &Settings,
     from: &State<N, M>,
     h: f64,
     (pose, to): (&S::Pose, &Arrival<N, M>),
 ) -> f64 {
+    if system.has_kinks() && may_overlook(system, settings, [&[from.q, from.v, from.a], &[to.q, to.v, to.a]], h) {
+        return f64::INFINITY;
+    }
     let bend = system.angle_norm(&(to.a - from.a - h * from.jerk));
     let rates = h / 12.0 * bend / (RATE + system.angle_norm(&to.v));
     let energy = system.energy(&to.q, pose, &to.v) - system.energy(&from.q, &system.pose(&from.q), &from.v);
     let put_in = |power: Work| h / 2.0 * (power.input - power.dissipated);
     let balance = energy - put_in(from.power) - put_in(to.power);
     rates.max(balance.abs() / settings.energy_scale)
+}
+
+/// Whether between two states, given by q, q̇ and q̈, h seconds apart, something that touches at neither may have touched.
+fn may_overlook<const N: usize>(system: &impl Kinked<N>, settings: &Settings, [from, to]: [&[Vector<N>; 3]; 2], h: f64) -> bool {
+    /// By how much rates and accelerations on the way may exceed those at its ends.
+    const MARGIN: f64 = 1.5;
+    let [before, after] = [from, to].map(|[q, v, _]| system.touches(q, v));
+    let extremes = [1, 2].map(|order| Vector::from_fn(|i| MARGIN * from[order][i].abs().max(to[order][i].abs())));
+    !system.is_touching(&after) && !system.stays_within([&before, &after], h, &extremes, settings.error_tolerance)
 }
 
 /// A step so short that q̈ and λ stay but for round-off.

@@ -42,7 +42,7 @@ impl MacroStepMethod {
     #[inline(always)]
     pub fn advance<const N: usize, const M: usize>(
         &self,
-        system: &(impl Implicit<N, M> + Passage<N>),
+        system: &(impl Implicit<N, M> + Passage<N> + Kinked<N>),
         state: &mut State<N, M>,
         h: f64,
     ) -> Result<(), StepError> {
