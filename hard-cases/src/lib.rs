@@ -7,6 +7,7 @@
 pub mod cases;
 pub mod gauss;
 pub mod horizon;
+pub mod independent;
 mod machine;
 mod random;
 mod report;

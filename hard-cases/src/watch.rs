@@ -1,5 +1,11 @@
 //! What a trial asks beyond energy and constraints: of the path of the link angles.
 
+use std::f64::consts::TAU;
+use std::sync::OnceLock;
+
+use fivebar::simulation::{Inputs, Parameters};
+
+use crate::independent::Independent;
 use crate::vertex::{Vertex, cosine};
 
 /// A sample of the path: time (s) and link angles (rad).
@@ -39,6 +45,17 @@ pub enum Watch {
         /// Within this, rad, of both.
         within: f64,
     },
+    /// Ends where an independent program says, as far as that can be told.
+    Follows {
+        /// The scene.
+        parameters: Box<Parameters>,
+        /// Inputs that are held.
+        inputs: Inputs,
+        /// s.
+        duration: f64,
+        /// Where that program ends, and how far off a run may be, rad: worked out once.
+        end: OnceLock<Option<([f64; 4], f64)>>,
+    },
     /// Leaves rest in the vertex with one of these accelerations, the first where it can be told.
     Leaves {
         /// The vertex.
@@ -52,6 +69,13 @@ pub enum Watch {
 const LEAVING: f64 = 5e-3;
 /// Cosine from which two directions count as the same.
 const SAME: f64 = 0.999;
+
+/// An end that is farther off than this, rad, is wrong...
+const WRONG: f64 = 1e-3;
+/// ... unless a start that is so much off, rad and rad/s, ...
+const NUDGE: f64 = 1e-7;
+/// ... makes an end off by more than WRONG over this: bounces multiply errors.
+const MULTIPLIED: f64 = 100.0;
 
 impl Watch {
     /// What is wrong with a path; `failed` if the run ended early.
@@ -100,6 +124,16 @@ impl Watch {
                 (!failed && from_witness > *within)
                     .then(|| format!("ends {from_witness:.1e} rad from the witness, allowed {within:e} rad"))
             }
+            Self::Follows { parameters, inputs, duration, end } => {
+                if failed {
+                    return None;
+                }
+                let Some((end, allowed)) = end.get_or_init(|| independent_end(parameters, inputs, *duration)) else {
+                    return Some("the independent program gives up".into());
+                };
+                let off = apart(&last, end);
+                (off > *allowed).then(|| format!("ends {off:.1e} rad from an independent program, allowed {allowed:.1e} rad"))
+            }
             Self::Leaves { vertex, branches } => {
                 let Some((_, theta)) = path.iter().find(|(t, _)| *t >= LEAVING - 1e-9) else {
                     return (!failed).then(|| "the path is too short".into());
@@ -120,4 +154,18 @@ impl Watch {
     pub(crate) fn needs_path(&self) -> bool {
         !matches!(self, Self::Nothing)
     }
+}
+
+/// Where the independent program ends, and how far off a run may be, rad.
+fn independent_end(parameters: &Parameters, inputs: &Inputs, duration: f64) -> Option<([f64; 4], f64)> {
+    let program = Independent::new(parameters, inputs);
+    let start = program.start();
+    let angles = |start| program.after(start, duration).map(|end| std::array::from_fn(|i| end[i]));
+    let (end, other) = (angles(start)?, angles(program.closed(start.map(|x| x + NUDGE)))?);
+    Some((end, WRONG.max(MULTIPLIED * apart(&end, &other))))
+}
+
+/// The largest difference of two postures, rad, whole turns left out.
+fn apart(x: &[f64; 4], y: &[f64; 4]) -> f64 {
+    (0..4).map(|i| ((x[i] - y[i] + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0).abs()).fold(0.0, f64::max)
 }

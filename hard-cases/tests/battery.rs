@@ -116,3 +116,9 @@ fn no_method_ends_in_nan() {
         }
     }
 }
+
+/// Touches, stops, drives that saturate and friction end where a program without the library's code ends.
+#[test]
+fn loads_with_kinks_are_followed() {
+    hold(9);
+}

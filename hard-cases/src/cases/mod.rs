@@ -3,6 +3,7 @@
 mod bits;
 mod falls;
 mod hour;
+mod kinks;
 mod postures;
 mod scales;
 mod torque;
@@ -95,7 +96,7 @@ impl Case {
 
     /// All cases but the last two of the list, which are not made of trials: [`hour`] and [`bits_row`].
     pub fn all(extent: Extent) -> Vec<Self> {
-        (1..=6).flat_map(|item| Self::of_item(extent, item)).collect()
+        [1, 2, 3, 4, 5, 6, 9].into_iter().flat_map(|item| Self::of_item(extent, item)).collect()
     }
 
     /// The cases of an item of the list.
@@ -107,6 +108,7 @@ impl Case {
             4 => postures::cases(extent),
             5 => torque::cases(),
             6 => scales::cases(extent),
+            9 => kinks::cases(extent),
             _ => Vec::new(),
         }
     }

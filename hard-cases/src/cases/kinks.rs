@@ -1,0 +1,154 @@
+//! 9: loads with kinks, random: slow and fast touches, stops, drives that saturate, friction, and all of it together. Judged by a program of
+//! its own, `independent.rs`.
+
+use std::f64::consts::TAU;
+use std::sync::OnceLock;
+
+use fivebar::fmi::bindings::default_parameters;
+use fivebar::observers;
+use fivebar::simulation::{Inputs, Parameters, Simulation};
+
+use super::{Case, Extent};
+use crate::machine::NO_LOAD;
+use crate::random::Random;
+use crate::setting::Setting;
+use crate::trial::{Span, Trial};
+use crate::watch::Watch;
+
+/// How a random scene is made: its parameters, its inputs, and how long it is followed, s.
+type Scene = fn(&mut Random) -> (Parameters, Inputs, f64);
+
+pub(super) fn cases(extent: Extent) -> Vec<Case> {
+    let kinds: [(&str, Scene); 5] = [
+        ("slow touches", slow_touch),
+        ("fast touches", fast_touch),
+        ("stops", stops),
+        ("drives and friction", drives),
+        ("all loads with kinks", everything),
+    ];
+    kinds.into_iter().enumerate().map(|(kind, (name, scene))| case(name, kind as u64, scene, extent.pick(200, 3))).collect()
+}
+
+fn case(name: &'static str, kind: u64, scene: Scene, count: u64) -> Case {
+    let trials = (0..count).map(|number| {
+        let mut random = Random::new(1000 * (kind + 1) + number);
+        let (parameters, inputs, duration) = scene(&mut random);
+        let calls = 200;
+        Trial {
+            schedule: vec![Span { inputs, size: duration / calls as f64, count: calls }],
+            watch: Watch::Follows { parameters: Box::new(parameters.clone()), inputs, duration, end: OnceLock::new() },
+            ..Trial::free(format!("scene {number}"), parameters, duration)
+        }
+    });
+    Case {
+        also: "the end is that of an independent program",
+        explicit_energy: 1e-6,
+        settings: vec![Setting::Default, Setting::TIGHT, Setting::EXPLICIT],
+        // 1 µJ at the default tolerance is 2.9e-5 mgL.
+        ..Case::new(9, name, [2.9e-5, 1e-5], trials.collect())
+    }
+}
+
+/// A machine with motors 10 cm apart, at a regular posture.
+fn machine(random: &mut Random, fastest: f64) -> Parameters {
+    let mut parameters = default_parameters();
+    parameters.geometry.base_distance = 0.1;
+    parameters.start.theta = [random.uniform(1.8, 2.4), random.uniform(0.7, 1.3)];
+    parameters.start.omega = [random.uniform(-fastest, fastest), random.uniform(-fastest, fastest)];
+    parameters
+}
+
+/// A plane that the free motion reaches some way beyond.
+fn plane(random: &mut Random, parameters: &mut Parameters, inputs: &Inputs, duration: f64, [shallow, deep]: [f64; 2]) {
+    let angle = random.uniform(0.0, TAU);
+    let normal = [angle.cos(), angle.sin()];
+    let mut reach = f64::INFINITY;
+    if let Ok(mut free) = Simulation::new(parameters, inputs) {
+        for _ in 0..100 {
+            let tip = observers::motion(free.model(), &free.state()).tip;
+            reach = reach.min(normal[0] * tip.x + normal[1] * tip.y);
+            if free.advance(inputs, duration / 100.0, 1).is_err() {
+                break;
+            }
+        }
+    }
+    let contact = &mut parameters.effects.contact;
+    contact.enabled = true;
+    (contact.nx, contact.ny, contact.offset) = (normal[0], normal[1], reach + random.log_uniform(shallow, deep));
+    contact.k = random.log_uniform(1e3, 1e7);
+    contact.d = if random.sign() > 0.0 { 0.0 } else { random.log_uniform(0.1, 20.0) };
+    contact.width = random.log_uniform(1e-6, 1e-4);
+    contact.mu = random.uniform(0.0, 0.5);
+}
+
+fn slow_touch(random: &mut Random) -> (Parameters, Inputs, f64) {
+    let mut parameters = machine(random, 0.05);
+    parameters.effects.gravity.enabled = false;
+    let duration = random.uniform(2.0, 6.0);
+    plane(random, &mut parameters, &NO_LOAD, duration, [1e-6, 5e-5]);
+    (parameters, NO_LOAD, duration)
+}
+
+fn fast_touch(random: &mut Random) -> (Parameters, Inputs, f64) {
+    let mut parameters = machine(random, 5.0);
+    let duration = random.uniform(0.1, 0.4);
+    plane(random, &mut parameters, &NO_LOAD, duration, [1e-6, 1e-2]);
+    (parameters, NO_LOAD, duration)
+}
+
+fn limits(random: &mut Random, parameters: &mut Parameters) {
+    let stop = &mut parameters.effects.stop;
+    stop.enabled = true;
+    for motor in 0..2 {
+        let theta = parameters.start.theta[motor];
+        // Some start inside a stop.
+        stop.lower[motor] = theta - random.uniform(-0.02, 0.5);
+        stop.upper[motor] = f64::max(theta + random.uniform(-0.02, 0.5), stop.lower[motor] + 0.05);
+    }
+    stop.k = random.log_uniform(5.0, 5e3);
+    stop.d = if random.sign() > 0.0 { 0.0 } else { random.log_uniform(1e-3, 0.5) };
+    stop.width = random.log_uniform(1e-5, 1e-2);
+}
+
+fn stops(random: &mut Random) -> (Parameters, Inputs, f64) {
+    let mut parameters = machine(random, 5.0);
+    limits(random, &mut parameters);
+    (parameters, NO_LOAD, random.uniform(0.1, 0.4))
+}
+
+fn driven(random: &mut Random, parameters: &mut Parameters) -> Inputs {
+    let servo = &mut parameters.effects.servo;
+    servo.enabled = true;
+    for motor in 0..2 {
+        servo.kp[motor] = random.log_uniform(0.1, 1e3);
+        servo.kd[motor] = random.log_uniform(1e-3, 1.0);
+        servo.limit[motor] = random.log_uniform(0.01, 1.0);
+    }
+    let friction = &mut parameters.effects.friction;
+    friction.enabled = true;
+    for joint in 0..5 {
+        friction.coulomb[joint] = random.log_uniform(1e-4, 1e-2);
+        friction.breakaway[joint] = friction.coulomb[joint] * random.uniform(1.0, 1.5);
+    }
+    friction.breakaway_velocity = random.log_uniform(0.01, 0.3);
+    let theta = parameters.start.theta;
+    Inputs { servo_theta: [0, 1].map(|motor| theta[motor] + random.uniform(-0.3, 0.3)), ..NO_LOAD }
+}
+
+fn drives(random: &mut Random) -> (Parameters, Inputs, f64) {
+    let mut parameters = machine(random, 2.0);
+    let inputs = driven(random, &mut parameters);
+    (parameters, inputs, random.uniform(0.1, 0.4))
+}
+
+fn everything(random: &mut Random) -> (Parameters, Inputs, f64) {
+    let mut parameters = machine(random, 3.0);
+    let mut inputs = driven(random, &mut parameters);
+    inputs.tau = [random.uniform(-0.02, 0.02), random.uniform(-0.02, 0.02)];
+    parameters.effects.viscous.enabled = true;
+    parameters.effects.spring.enabled = true;
+    limits(random, &mut parameters);
+    let duration = random.uniform(0.1, 0.3);
+    plane(random, &mut parameters, &inputs, duration, [1e-6, 1e-2]);
+    (parameters, inputs, duration)
+}

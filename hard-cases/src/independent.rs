@@ -1,0 +1,306 @@
+//! A second program for the same motions, by another method and without the library's code: absolute link angles with Lagrange
+//! multipliers, Gauss elimination, and extrapolation of the modified midpoint rule (Gragg, Bulirsch and Stoer; Hairer, Nørsett, Wanner,
+//! section II.9). It shares the numbers of a scene with the library, and nothing else.
+//!
+//! No touch is stepped over by force: a step is never longer than what the fastest approach needs for the gap to the nearest stop or
+//! plane.
+
+use std::f64::consts::{E, SQRT_2};
+
+use fivebar::simulation::{Inputs, Parameters};
+
+/// Angles and rates of links 1 to 4, rad and rad/s.
+pub type Motion = [f64; 8];
+
+/// The columns of the extrapolation.
+const COLUMNS: usize = 6;
+/// Error of a step, rad and a tenth of a rad/s.
+const TOLERANCE: f64 = 1e-11;
+/// The longest step, s.
+const LONGEST: f64 = 5e-3;
+/// Joints as differences of links: left base, left elbow, tip, right elbow, right base.
+const JOINTS: [(usize, Option<usize>); 5] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
+
+/// A scene as this program sees it.
+#[derive(Clone, Debug)]
+pub struct Independent<'a> {
+    scene: &'a Parameters,
+    inputs: &'a Inputs,
+}
+
+fn along(angle: f64, length: f64) -> [f64; 2] {
+    [length * angle.cos(), length * angle.sin()]
+}
+
+impl<'a> Independent<'a> {
+    /// For the default orientation of gravity; rotors and payload are not known here.
+    pub fn new(scene: &'a Parameters, inputs: &'a Inputs) -> Self {
+        assert!(!scene.effects.rotor.enabled && !scene.effects.payload.enabled, "rotors and payload are not known here");
+        Self { scene, inputs }
+    }
+
+    /// The start, from the proximal angles and rates: tip to the left of the arrow from the left elbow to the right one.
+    pub fn start(&self) -> Motion {
+        let [left, distal_left, distal_right, right] = self.scene.geometry.links.map(|link| link.length);
+        let ([a, d], [wa, wd]) = (self.scene.start.theta, self.scene.start.omega);
+        let (p, r) = (along(a, left), along(d, right));
+        let q = [self.scene.geometry.base_distance + r[0], r[1]];
+        let (dx, dy) = (q[0] - p[0], q[1] - p[1]);
+        let distance = dx.hypot(dy);
+        let foot = (distance * distance + distal_left * distal_left - distal_right * distal_right) / (2.0 * distance);
+        let height = (distal_left * distal_left - foot * foot).sqrt();
+        let tip = [p[0] + (foot * dx - height * dy) / distance, p[1] + (foot * dy + height * dx) / distance];
+        let b = (tip[1] - p[1]).atan2(tip[0] - p[0]);
+        let c = (tip[1] - q[1]).atan2(tip[0] - q[0]);
+        // The closure's rates, solved for those of the distal links.
+        let [[jb, jc], [kb, kc]] =
+            [[-distal_left * b.sin(), distal_right * c.sin()], [distal_left * b.cos(), -distal_right * c.cos()]];
+        let x = left * a.sin() * wa - right * d.sin() * wd;
+        let y = -left * a.cos() * wa + right * d.cos() * wd;
+        let determinant = jb * kc - jc * kb;
+        [a, b, c, d, wa, (x * kc - jc * y) / determinant, (jb * y - kb * x) / determinant, wd]
+    }
+
+    /// After `duration` seconds; `None` where steps become too short.
+    pub fn after(&self, start: Motion, duration: f64) -> Option<Motion> {
+        let (mut state, mut time, mut wanted) = (start, 0.0, 1e-4_f64);
+        while time < duration {
+            let h = wanted.min(self.cap(&state)).min(duration - time);
+            if h < 1e-12 {
+                return if duration - time < 1e-11 { Some(state) } else { None };
+            }
+            let (end, error) = self.extrapolate(&state, h);
+            if error <= 1.0 {
+                state = self.closed(end);
+                time += h;
+            }
+            // Of the error of a small step round-off is the most, which does not fall with it: steps may grow faster than the order says.
+            wanted = h * (0.7 * error.max(1e-12).powf(-0.2)).clamp(0.2, 4.0);
+        }
+        Some(state)
+    }
+
+    /// The tip, m.
+    pub fn tip(&self, state: &Motion) -> [f64; 2] {
+        let links = &self.scene.geometry.links;
+        let (p, d) = (along(state[0], links[0].length), along(state[1], links[1].length));
+        [p[0] + d[0], p[1] + d[1]]
+    }
+
+    /// The longest step that cannot pass a gap, s.
+    fn cap(&self, state: &Motion) -> f64 {
+        /// Part of a ramp that a step may be longer than the way to it.
+        const PART: f64 = 0.3;
+        let effects = &self.scene.effects;
+        let mut cap = LONGEST;
+        let mut near = |gap: f64, width: f64, speed: f64| {
+            for border in [gap.abs(), (gap + width).abs()] {
+                cap = cap.min(border.max(PART * width) / (1.5 * speed + 1e-3));
+            }
+        };
+        if effects.contact.enabled {
+            let (contact, [x, y], length) = (&effects.contact, self.tip(state), effects.contact.nx.hypot(effects.contact.ny));
+            let links = &self.scene.geometry.links;
+            let speed = links[0].length * state[4].abs() + links[1].length * state[5].abs();
+            near((contact.nx * x + contact.ny * y) / length - contact.offset, contact.width, speed);
+        }
+        if effects.stop.enabled {
+            for (motor, link) in [0, 3].into_iter().enumerate() {
+                let (angle, speed) = (state[link], state[4 + link].abs());
+                near(effects.stop.upper[motor] - angle, effects.stop.width, speed);
+                near(angle - effects.stop.lower[motor], effects.stop.width, speed);
+            }
+        }
+        cap
+    }
+
+    /// A step by extrapolation, with its error in units of the tolerance.
+    fn extrapolate(&self, from: &Motion, h: f64) -> (Motion, f64) {
+        let mut table: Vec<Motion> = Vec::with_capacity(COLUMNS);
+        let mut error = f64::INFINITY;
+        for column in 0..COLUMNS {
+            let mut entry = self.midpoint(from, h, 2 * (column + 1));
+            for back in 0..column {
+                let ratio = ((column + 1) as f64 / (column - back) as f64).powi(2);
+                let previous = table[column - 1 - back];
+                let higher = std::array::from_fn(|i| entry[i] + (entry[i] - previous[i]) / (ratio - 1.0));
+                table[column - 1 - back] = entry;
+                if back + 1 == column {
+                    error = (0..8)
+                        .map(|i| (higher[i] - entry[i]).abs() / if i < 4 { TOLERANCE } else { 10.0 * TOLERANCE })
+                        .fold(0.0, f64::max);
+                }
+                entry = higher;
+            }
+            table.push(entry);
+        }
+        let end = table[COLUMNS - 1];
+        (end, if end.iter().all(|x| x.is_finite()) { error } else { f64::INFINITY })
+    }
+
+    /// The modified midpoint rule in so many parts.
+    fn midpoint(&self, from: &Motion, h: f64, parts: usize) -> Motion {
+        let part = h / parts as f64;
+        let add = |x: &Motion, factor: f64, slope: &Motion| -> Motion { std::array::from_fn(|i| x[i] + factor * slope[i]) };
+        let (mut before, mut here) = (*from, add(from, part, &self.slope(from)));
+        for _ in 1..parts {
+            let next = add(&before, 2.0 * part, &self.slope(&here));
+            (before, here) = (here, next);
+        }
+        // Gragg's last step.
+        let end = add(&before, part, &self.slope(&here));
+        std::array::from_fn(|i| (here[i] + end[i]) / 2.0)
+    }
+
+    /// Rates and accelerations.
+    fn slope(&self, state: &Motion) -> Motion {
+        let [a, b, c, d, wa, wb, wc, wd] = *state;
+        let links = &self.scene.geometry.links;
+        let mut matrix = [[0.0; 7]; 6];
+        let forces = self.forces(state);
+        // Each leg: proximal and distal link, their places, and the sign of the leg in the closure.
+        for ([proximal, distal], [angle, other], [rate, other_rate], sign) in
+            [([0, 1], [a, b], [wa, wb], 1.0), ([3, 2], [d, c], [wd, wc], -1.0)]
+        {
+            let (p, q) = (&links[proximal], &links[distal]);
+            let coupling = q.mass * p.length * q.com;
+            matrix[proximal][proximal] = p.inertia + p.mass * p.com * p.com + q.mass * p.length * p.length;
+            matrix[distal][distal] = q.inertia + q.mass * q.com * q.com;
+            matrix[proximal][distal] = coupling * (angle - other).cos();
+            matrix[distal][proximal] = matrix[proximal][distal];
+            matrix[proximal][6] = forces[proximal] - coupling * (angle - other).sin() * other_rate * other_rate;
+            matrix[distal][6] = forces[distal] + coupling * (angle - other).sin() * rate * rate;
+            for (link, angle, rate, length) in [(proximal, angle, rate, p.length), (distal, other, other_rate, q.length)] {
+                let [x, y] = along(angle, sign * length);
+                matrix[4][link] = -y;
+                matrix[5][link] = x;
+                matrix[link][4] = -y;
+                matrix[link][5] = x;
+                matrix[4][6] += x * rate * rate;
+                matrix[5][6] += y * rate * rate;
+            }
+        }
+        let solution = eliminate(matrix);
+        [wa, wb, wc, wd, solution[0], solution[1], solution[2], solution[3]]
+    }
+
+    /// Generalised forces in the link angles, N·m.
+    fn forces(&self, state: &Motion) -> [f64; 4] {
+        let (links, effects) = (&self.scene.geometry.links, &self.scene.effects);
+        let (angle, rate) = (&state[..4], &state[4..]);
+        let mut forces = [0.0; 4];
+        forces[0] += self.inputs.tau[0];
+        forces[3] += self.inputs.tau[1];
+        if effects.gravity.enabled {
+            let g = effects.gravity.g;
+            for (proximal, distal) in [(0, 1), (3, 2)] {
+                let (p, q) = (&links[proximal], &links[distal]);
+                forces[proximal] -= g * (p.mass * p.com + q.mass * p.length) * angle[proximal].cos();
+                forces[distal] -= g * q.mass * q.com * angle[distal].cos();
+            }
+        }
+        for (joint, (first, second)) in JOINTS.into_iter().enumerate() {
+            let w = rate[first] - second.map_or(0.0, |second| rate[second]);
+            let mut torque = 0.0;
+            if effects.viscous.enabled {
+                torque -= effects.viscous.b[joint] * w;
+            }
+            if effects.friction.enabled {
+                let friction = &effects.friction;
+                let (coulomb, breakaway, velocity) =
+                    (friction.coulomb[joint], friction.breakaway[joint], friction.breakaway_velocity);
+                let u = w / (SQRT_2 * velocity);
+                torque -= (2.0 * E).sqrt() * (breakaway - coulomb) * (-u * u).exp() * u + coulomb * (10.0 * w / velocity).tanh();
+            }
+            forces[first] += torque;
+            if let Some(second) = second {
+                forces[second] -= torque;
+            }
+        }
+        for (motor, link) in [0, 3].into_iter().enumerate() {
+            if effects.spring.enabled {
+                forces[link] -= effects.spring.k[motor] * (angle[link] - effects.spring.theta0[motor]);
+            }
+            if effects.servo.enabled {
+                let servo = &effects.servo;
+                let pull = servo.kp[motor] * (self.inputs.servo_theta[motor] - angle[link])
+                    + servo.kd[motor] * (self.inputs.servo_omega[motor] - rate[link]);
+                forces[link] += servo.limit[motor] * (pull / servo.limit[motor]).tanh();
+            }
+            if effects.stop.enabled {
+                let stop = &effects.stop;
+                forces[link] += push(stop.lower[motor] - angle[link], -rate[link], [stop.k, stop.d, stop.width]);
+                forces[link] -= push(angle[link] - stop.upper[motor], rate[link], [stop.k, stop.d, stop.width]);
+            }
+        }
+        if effects.contact.enabled {
+            let contact = &effects.contact;
+            let length = contact.nx.hypot(contact.ny);
+            let (n, [x, y]) = ([contact.nx / length, contact.ny / length], self.tip(state));
+            let arms = [(0, along(angle[0], links[0].length)), (1, along(angle[1], links[1].length))];
+            let v = arms.iter().fold([0.0; 2], |v, (link, [x, y])| [v[0] - rate[*link] * y, v[1] + rate[*link] * x]);
+            let depth = contact.offset - n[0] * x - n[1] * y;
+            let normal = push(depth, -n[0] * v[0] - n[1] * v[1], [contact.k, contact.d, contact.width]);
+            let drag = contact.mu * normal * ((n[0] * v[1] - n[1] * v[0]) / contact.slip_velocity).tanh();
+            let force = [normal * n[0] + drag * n[1], normal * n[1] - drag * n[0]];
+            for (link, [x, y]) in arms {
+                forces[link] += x * force[1] - y * force[0];
+            }
+        }
+        forces
+    }
+
+    /// Back onto the closure: the nearest angles, and then rates.
+    pub fn closed(&self, state: Motion) -> Motion {
+        let lengths = self.scene.geometry.links.map(|link| link.length);
+        let signs = [1.0, 1.0, -1.0, -1.0];
+        let mut state = state;
+        for round in 0..4 {
+            let arms: [[f64; 2]; 4] = std::array::from_fn(|i| along(state[i], signs[i] * lengths[i]));
+            let gap = match round {
+                3 => arms
+                    .iter()
+                    .enumerate()
+                    .fold([0.0; 2], |sum, (i, [x, y])| [sum[0] - y * state[4 + i], sum[1] + x * state[4 + i]]),
+                _ => arms.iter().fold([-self.scene.geometry.base_distance, 0.0], |sum, [x, y]| [sum[0] + x, sum[1] + y]),
+            };
+            let (xx, xy, yy) = arms.iter().fold((0.0, 0.0, 0.0), |(xx, xy, yy), [x, y]| (xx + y * y, xy - x * y, yy + x * x));
+            let determinant = xx * yy - xy * xy;
+            let pull = [(yy * gap[0] - xy * gap[1]) / determinant, (xx * gap[1] - xy * gap[0]) / determinant];
+            for (i, [x, y]) in arms.into_iter().enumerate() {
+                state[i + if round == 3 { 4 } else { 0 }] -= -y * pull[0] + x * pull[1];
+            }
+        }
+        state
+    }
+}
+
+/// A one-sided spring and damper with its ramp: max(0, s (k δ + c δ̇)).
+fn push(depth: f64, rate: f64, [stiffness, damping, width]: [f64; 3]) -> f64 {
+    if depth <= 0.0 {
+        return 0.0;
+    }
+    let u = (depth / width).min(1.0);
+    (u * u * u * (10.0 - 15.0 * u + 6.0 * u * u) * (stiffness * depth + damping * rate)).max(0.0)
+}
+
+/// Gauss elimination with the largest pivot of each column; the right-hand side is the last.
+fn eliminate(mut matrix: [[f64; 7]; 6]) -> [f64; 6] {
+    for column in 0..6 {
+        let pivot = (column..6).max_by(|i, j| matrix[*i][column].abs().total_cmp(&matrix[*j][column].abs())).unwrap_or(column);
+        matrix.swap(column, pivot);
+        for row in column + 1..6 {
+            let factor = matrix[row][column] / matrix[column][column];
+            let (above, below) = matrix.split_at_mut(row);
+            for (x, y) in below[0].iter_mut().zip(&above[column]).skip(column) {
+                *x -= factor * y;
+            }
+        }
+    }
+    let mut solution = [0.0; 6];
+    for row in (0..6).rev() {
+        let known: f64 = (row + 1..6).map(|k| matrix[row][k] * solution[k]).sum();
+        solution[row] = (matrix[row][6] - known) / matrix[row][row];
+    }
+    solution
+}
