@@ -19,15 +19,23 @@ const STARTS: [&str; 4] = ["init.theta[1]", "init.theta[2]", "init.omega[1]", "i
 
 /// A machine with its parameters, which can be started anew from any angles and rates.
 #[derive(Clone)]
-struct Scene {
-    reals: Vec<(String, f64)>,
-    enabled: Vec<&'static str>,
+pub(super) struct Scene {
+    pub(super) reals: Vec<(String, f64)>,
+    pub(super) enabled: Vec<&'static str>,
     /// 1 plus, 2 minus.
-    assembly: i32,
+    pub(super) assembly: i32,
 }
 
 impl Scene {
+    /// Initialised.
     fn start(&self, state: [f64; 4]) -> Host {
+        let host = self.initializing(state);
+        assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
+        host
+    }
+
+    /// In initialization mode.
+    pub(super) fn initializing(&self, state: [f64; 4]) -> Host {
         let host = Host::initializing(0.0, None);
         for (name, value) in &self.reals {
             assert_eq!(host.set_real(&[reference(name)], &[*value]), fmi2OK, "{name}: {:?}", host.take());
@@ -37,7 +45,6 @@ impl Scene {
         }
         assert_eq!(host.set_integer(&[reference("init.assembly")], &[self.assembly]), fmi2OK);
         assert_eq!(host.set_real(&STARTS.map(reference), &state), fmi2OK, "{:?}", host.take());
-        assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
         host
     }
 }
@@ -140,7 +147,7 @@ fn uniform(random: &mut ChaCha8Rng, low: f64, high: f64) -> f64 {
 }
 
 /// A machine in which nothing is equal, with all effects: the tip touches the plane and both axes are in their stops.
-fn everything(random: &mut ChaCha8Rng, assembly: i32) -> (Scene, [f64; 4]) {
+pub(super) fn everything(random: &mut ChaCha8Rng, assembly: i32) -> (Scene, [f64; 4]) {
     let mut reals: Vec<(String, f64)> = Vec::new();
     let mut set = |name: &str, value: f64| reals.push((name.to_owned(), value));
     for (i, [length, mass, inertia, com]) in
