@@ -4,6 +4,7 @@ use quick_xml::events::{BytesStart, BytesText, Event};
 use quick_xml::{Reader, Writer};
 
 use crate::data::{ModelDescription, Unknown};
+use crate::edit::{replace, value, write};
 
 /// Stands in the output instead of the comment on top of the source, which is about the source.
 const HEAD: &str = "\n<!-- Written by `cargo xtask package` from modelDescription/modelDescription.xml: do not edit. -->\n";
@@ -62,28 +63,6 @@ impl ModelDescription {
         element.push_attribute(("dependencies", known.join(" ").as_str()));
         element
     }
-}
-
-fn write(writer: &mut Writer<Vec<u8>>, event: Event<'_>) {
-    writer.write_event(event).expect("writing to memory does not fail");
-}
-
-/// Value of an attribute, where the element has it.
-fn value(element: &BytesStart<'_>, name: &str) -> Option<String> {
-    let attribute = element.try_get_attribute(name).expect("parse() has read the same element before");
-    attribute.map(|attribute| attribute.value.into_owned())
-}
-
-/// The same element with another value of one attribute, and every line break between the attributes kept.
-fn replace(element: &BytesStart<'_>, name: &str, new: &str) -> BytesStart<'static> {
-    let old = value(element, name).unwrap_or_default();
-    let content = format!("{}{}", element.name().0, element.attributes_raw());
-    // The blank before the name tells `version` from `fmiVersion`.
-    let pattern = |blank: char| format!("{blank}{name}=\"{old}\"");
-    let content = [' ', '\n']
-        .into_iter()
-        .fold(content, |content, blank| content.replacen(&pattern(blank), &format!("{blank}{name}=\"{new}\""), 1));
-    BytesStart::from_content(content, element.name().0.len())
 }
 
 #[cfg(test)]

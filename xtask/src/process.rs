@@ -112,7 +112,7 @@ mod tests {
     #[test]
     fn a_command_is_shown_relative_to_the_root() {
         let mut command = program(paths::in_root("target/venv/bin/python"));
-        command.arg("run.py").arg(paths::fmu());
+        command.arg("run.py").arg(paths::fmu("FiveBar"));
         assert_eq!(short_form(&command), "target/venv/bin/python run.py target/fmu/FiveBar.fmu");
     }
 

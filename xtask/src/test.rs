@@ -205,7 +205,7 @@ fn pytest(fmu: &Path, tests: &Tests) -> Result<()> {
         .arg("--override-ini")
         .arg(format!("cache_dir={}", paths::in_root("target/pytest").display()))
         .env("FIVEBAR_FMU", fmu)
-        .env("FIVEBAR_FMU_HERE", paths::fmu())
+        .env("FIVEBAR_FMU_HERE", paths::fmu("FiveBar"))
         .env("FMI_SIM", paths::fmi_sim().join("bin/fmi-sim"));
     if let Tests::Full { panicking } = tests {
         command.env("FIVEBAR_PANICKING", panicking);
