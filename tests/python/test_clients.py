@@ -20,7 +20,7 @@ import pytest
 from fmpy.model_description import ModelDescription
 
 from instance import Instance, Values
-from slave import Log, get_values, instantiate, set_values
+from slave import Log, computed, get_values, instantiate, set_values
 
 SIZE, STEPS = 0.01, 100
 STOP = SIZE * STEPS
@@ -33,8 +33,14 @@ WIRES = [(f"{sent}[{leg}]", f"servo.{sent}[{leg}]") for sent in ("theta", "omega
 
 @pytest.fixture(scope="module")
 def reals(model: ModelDescription) -> list[str]:
-    """The names of all outputs that are numbers."""
-    return [v.name for v in model.modelVariables if v.causality == "output" and v.type == "Real"]
+    """The names of all Reals that are computed."""
+    return [v.name for v in computed(model) if v.type == "Real"]
+
+
+@pytest.fixture(scope="module")
+def outputs(model: ModelDescription) -> list[str]:
+    """The names of the outputs."""
+    return [v.name for v in model.modelVariables if v.causality == "output"]
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +51,7 @@ def references(model: ModelDescription) -> dict[str, int]:
 
 @pytest.fixture
 def expected(new: Callable[..., Instance], reals: list[str]) -> list[float]:
-    """All real outputs at the end of the fall, through FMPy."""
+    """All of them at the end of the fall, through FMPy."""
     instance = new().initialise(FALL)
     instance.steps(STEPS, SIZE)
     return [instance.get(name) for name in reals]

@@ -29,7 +29,8 @@ Run = Callable[..., str]
 def row(variable: ScalarVariable) -> str:
     """A variable as master.c reads it: reference, type, role, min, max, start, name; reals in hexadecimal."""
     kind = {"Real": "R", "Boolean": "B"}.get(variable.type, "I")
-    role = {"input": "i", "parameter": "t" if variable.variability == "tunable" else "f"}.get(variable.causality, "o")
+    parameter = "t" if variable.variability == "tunable" else "f"
+    role = {"input": "i", "parameter": parameter, "output": "o", "local": "l"}[variable.causality]
     if variable.type == "Enumeration":
         items = [float(item.value) for item in variable.declaredType.items]
         low, high = min(items), max(items)

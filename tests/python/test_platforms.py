@@ -20,6 +20,7 @@ from fmpy.model_description import ModelDescription, ScalarVariable
 
 from conftest import REPOSITORY
 from scene import Values, communication_points, read
+from slave import computed
 
 pytestmark = pytest.mark.platforms
 
@@ -129,7 +130,7 @@ def setting(variable: ScalarVariable, value: float | int | bool) -> str:
 def motion(
     model: ModelDescription, values: Values, stop_time: float, size: float = SIZE, inputs: dict[str, np.ndarray] | None = None
 ) -> Script:
-    """A run from 0 to `stop_time`, with every output read at every communication point, `size` seconds apart."""
+    """A run from 0 to `stop_time`, with all that is computed read at every communication point, `size` seconds apart."""
     variables = {v.name: v for v in model.modelVariables}
     readings = read_all(model)
     points = communication_points(stop_time, size)
@@ -142,10 +143,9 @@ def motion(
 
 
 def read_all(model: ModelDescription) -> Script:
-    """Every output, and the derivative of every number with respect to the first torque."""
-    outputs = [v for v in model.modelVariables if v.causality == "output"]
-    reals = [str(v.valueReference) for v in outputs if v.type == "Real"]
-    integers = [str(v.valueReference) for v in outputs if v.type != "Real"]
+    """All that is computed, and the derivative of every number with respect to the first torque."""
+    reals = [str(v.valueReference) for v in computed(model) if v.type == "Real"]
+    integers = [str(v.valueReference) for v in computed(model) if v.type != "Real"]
     (torque,) = [v.valueReference for v in model.modelVariables if v.name == "tau[1]"]
     return [f"reals {' '.join(reals)}", f"integers {' '.join(integers)}", f"slopes {torque} {' '.join(reals)}"]
 

@@ -8,7 +8,6 @@ import shutil
 from pathlib import Path
 
 import fmpy
-from fmpy.fmi1 import FMICallException
 
 from slave import Log, instantiate
 
@@ -18,17 +17,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Initialises a unit with nothing set; prints why it refuses, or nothing.")
     parser.add_argument("fmu", type=Path)
     fmu = parser.parse_args().fmu
-    directory = fmpy.extract(str(fmu))
+    directory, log = fmpy.extract(str(fmu)), Log()
     try:
-        log = Log()
         slave = instantiate(fmpy.read_model_description(directory, validate=False), directory, log)
-        try:
-            slave.setupExperiment()
-            slave.enterInitializationMode()
-            slave.exitInitializationMode()
-        except FMICallException as error:
-            print(log.last() or error)
+        slave.setupExperiment()
+        slave.enterInitializationMode()
+        slave.exitInitializationMode()
         slave.freeInstance()
+    except Exception as error:  # FMPy's own where there is no instance
+        print(log.last() or error)
     finally:
         shutil.rmtree(directory, ignore_errors=True)
 

@@ -28,7 +28,8 @@ pub(super) fn build(platform: &Platform, linked: &Linked, unit: &Unit) -> Result
         .arg("--message-format=json-render-diagnostics")
         .env("CARGO_ENCODED_RUSTFLAGS", flags(platform, linked)?.join("\u{1f}"));
     if let Some(text) = unit.own_text()? {
-        // Read by build.rs. A feature, so that cargo keeps what it has built for the plain unit, and the crates that both share.
+        // Read by build.rs. A feature, so that nothing left in the environment can reach the plain unit. Both share their crates and, for
+        // cargo gives such a library no other name, its file: after the one, the other is linked anew, in some 20 s.
         cargo.args(["--features", "own-description"]).env("FIVEBAR_MODEL_DESCRIPTION", text);
     }
     let messages = process::run_for_output(&mut cargo)?;

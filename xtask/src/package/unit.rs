@@ -46,7 +46,8 @@ impl Unit {
             starts: starts(&scene).map(|(variable, value)| (variable.name.full.clone(), text(value))).collect(),
             name,
         };
-        let description = plain.own(&own).with_context(|| paths::short(file))?;
+        // Values have been checked with the scene: what is left to refuse is the name.
+        let description = plain.own(&own).context("--name gives the unit a name")?;
         Ok(Self { description, own: Some(OwnScene(scene)) })
     }
 
