@@ -220,7 +220,7 @@ fn pytest(fmu: &Path, own: &Path, tests: &Tests) -> Result<()> {
         .env("FIVEBAR_OWN_HERE", paths::fmu(OWN.1))
         .env("FMI_SIM", paths::fmi_sim().join("bin/fmi-sim"));
     if let Tests::Full { panicking } = tests {
-        command.env("FIVEBAR_PANICKING", panicking);
+        command.env("FIVEBAR_PANICKING", panicking).env("COFMUPY", venv::apart());
     }
     if let Some(marks) = marks {
         command.args(["-m", marks]);
