@@ -37,6 +37,12 @@ def model(directory: str) -> ModelDescription:
     return fmpy.read_model_description(directory)
 
 
+@pytest.fixture(scope="session")
+def outputs(model: ModelDescription) -> list[str]:
+    """The names of the outputs."""
+    return [v.name for v in model.modelVariables if v.causality == "output"]
+
+
 class Unit(NamedTuple):
     """A packed unit."""
 

@@ -42,12 +42,6 @@ def reals(model: ModelDescription) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def outputs(model: ModelDescription) -> list[str]:
-    """The names of the outputs."""
-    return [v.name for v in model.modelVariables if v.causality == "output"]
-
-
-@pytest.fixture(scope="module")
 def references(model: ModelDescription) -> dict[str, int]:
     """The value reference of every variable."""
     return {v.name: v.valueReference for v in model.modelVariables}
