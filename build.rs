@@ -167,8 +167,7 @@ fn table(description: &ModelDescription, code: &mut String) -> Written {
         writeln!(
             code,
             "    Variable {{ name: {:?}, reference: {}, id: VariableId::{group}({group}::{}{index}), unit: {:?}, \
-             start: {}, min: {min:?}, max: {max:?}, items: {items}, tunable: {}, \
-             output: {} }},",
+             start: {}, min: {min:?}, max: {max:?}, items: {items}, tunable: {}, output: {} }},",
             variable.name.full,
             variable.reference,
             camel(&variable.name.family),

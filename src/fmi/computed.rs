@@ -1,4 +1,5 @@
-//! Variables ← observers: what each output and local variable is, once for its value, its changes and its derivatives with respect to time.
+//! Variables ← observers: what each output and local variable is, once for its value, its changes and its derivatives with respect
+//! to time.
 
 use crate::mechanism;
 use crate::observers::{self, Observed, Point, SingularityKind as Kind};

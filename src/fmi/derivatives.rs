@@ -158,10 +158,10 @@ fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Res
 
 /// The derivative of an output with respect to time.
 fn time_derivative(observed: &Observed<'_, f64>, variable: &Variable, order: i32) -> Result<f64, CallError> {
-    let VariableId::RealComputed(output) = variable.id else { return Err(no_output(variable)) };
-    if !variable.output {
-        return Err(no_output(variable));
-    }
+    let output = match variable.id {
+        VariableId::RealComputed(output) if variable.output => output,
+        _ => return Err(CallError::error(format!("{} is no output: only outputs have output derivatives.", variable.name))),
+    };
     let positive = usize::try_from(order).ok().filter(|order| *order > 0);
     positive.and_then(|order| real(observed, output, order)).ok_or_else(|| {
         CallError::error(match (1..=ORDERS).take_while(|order| real(observed, output, *order).is_some()).count() {
@@ -170,8 +170,4 @@ fn time_derivative(observed: &Observed<'_, f64>, variable: &Variable, order: i32
             most => format!("order of the derivative of {} is {order}, must be 1 to {most}.", variable.name),
         })
     })
-}
-
-fn no_output(variable: &Variable) -> CallError {
-    CallError::error(format!("{} is no output: only outputs have output derivatives.", variable.name))
 }

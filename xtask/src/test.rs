@@ -199,8 +199,8 @@ enum Tests {
     FmiSim,
 }
 
-/// Runs the Python tests on the packed units, the plain one and one of one's own, last of all: the line it ends with is the one that CI reads. pytest.ini
-/// leaves those out that need more than Python packages, unless asked for.
+/// Runs the Python tests on the packed units, the plain one and one of one's own, last of all: the line it ends with is the one that
+/// CI reads. pytest.ini leaves those out that need more than Python packages, unless asked for.
 fn pytest(fmu: &Path, own: &Path, tests: &Tests) -> Result<()> {
     let (packages, marks) = match tests {
         Tests::Usual => (Packages::Usual, None),
