@@ -93,7 +93,7 @@ def test_random_walk(run: Run, calls: object, seed: object, largest: object) -> 
     assert "steps discarded" in run("walk", calls, seed, largest)
 
 
-def test_random_walk_on_a_unit_of_one_s_own(run_own: Run) -> None:
+def test_walk_on_a_unit_of_one_s_own(run_own: Run) -> None:
     assert "steps discarded" in run_own("walk", 50_000, 7, 12)
 
 
