@@ -44,9 +44,9 @@ fn starts() -> Vec<Start> {
             // So wide that breakaway and ramps are felt at these rates and depths.
             scene.reals.extend([("friction.breakawayVelocity".into(), 1.0), ("stop.width".into(), 0.1)]);
             if lower {
-                for leg in 0..2 {
-                    scene.reals.push((format!("stop.upper[{}]", leg + 1), state[leg] + 2.0));
-                    scene.reals.push((format!("stop.lower[{}]", leg + 1), state[leg] + 0.02));
+                for (leg, angle) in (1..=2).zip(state) {
+                    scene.reals.push((format!("stop.upper[{leg}]"), angle + 2.0));
+                    scene.reals.push((format!("stop.lower[{leg}]"), angle + 0.02));
                 }
             }
             starts.push(Start { scene, state, method });
