@@ -235,7 +235,7 @@ mod tests {
         let refused = clock.plan(point, 0.01, H).expect_err("past the end");
         assert_eq!(
             refused.message,
-            "currentCommunicationPoint + communicationStepSize is 10.00999999999983 s, which is past stopTime 10.0 s; the step starts \
+            "currentCommunicationPoint + communicationStepSize is 10.009999999999831 s, which is past stopTime 10.0 s; the step starts \
              1.7e-13 s before stopTime, which is rounding: the run has reached its end."
         );
         let mut clock = Clock::new(0.0, Some(1.0)).expect("a clock");
