@@ -122,7 +122,8 @@ fn description(scene: &Scene) -> String {
     if scene.signals.is_empty() {
         return scene.description.clone();
     }
-    format!("{} {}", scene.description, left_to_the_master(scene))
+    let end = if scene.description.ends_with(|c: char| c.is_ascii_punctuation()) { "" } else { "." };
+    format!("{}{end} {}", scene.description, left_to_the_master(scene))
 }
 
 fn left_to_the_master(scene: &Scene) -> String {
@@ -188,7 +189,7 @@ mod tests {
         assert_eq!(unit.name(), "MyMachine");
         let description = &unit.description;
         assert_eq!(description.experiment, Experiment { stop_time: 2.5, step_size: 0.002 });
-        assert!(description.description.starts_with("Turns & falls Inputs that the scene changes with time begin at"));
+        assert!(description.description.starts_with("Turns & falls. Inputs that the scene changes with time begin at"));
         for (name, start) in [("solver.method", "4"), ("init.assembly", "2"), ("servo.enabled", "true"), ("servo.theta[1]", "1.25")]
         {
             let line = description.xml.split(&format!("name=\"{name}\"")).nth(1).unwrap();
