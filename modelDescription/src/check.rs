@@ -113,9 +113,12 @@ fn check_role(variable: &Variable) -> Result<(), Error> {
     if variable.variability == Variability::Continuous && !matches!(variable.kind, Kind::Real { .. }) {
         return Err(Error("only a Real can be continuous".to_owned()));
     }
-    // Only parameters, inputs and outputs are bound to the library; a derivative shares an output's value.
-    if (variable.causality == Causality::Local) != variable.is_alias() {
-        return Err(Error("derivatives, and nothing else, are local".to_owned()));
+    // Beyond the standard: some masters read every output as a Real, and draw what is an output.
+    if variable.causality == Causality::Output && !matches!(variable.kind, Kind::Real { .. }) {
+        return Err(Error("an output must be a Real; what else is computed is local".to_owned()));
+    }
+    if variable.is_alias() && variable.causality != Causality::Local {
+        return Err(Error("a derivative must be local: it shares the value of another variable".to_owned()));
     }
     Ok(())
 }
@@ -159,26 +162,25 @@ fn within<T: PartialOrd + Display + Copy>(start: Option<T>, bounds: Bounds<T>) -
     }
 }
 
-/// A derivative has the reference and the type of an output, and is named after its state.
+/// A derivative has the reference and the type of another computed variable, and is named after its state.
 fn check_alias(description: &ModelDescription, variable: &Variable, state: &str) -> Result<(), Error> {
     if variable.name.full != format!("der({state})") {
         return Err(Error(format!("the derivative of {state} must be named der({state})")));
     }
-    let is_state =
-        |v: &Variable| v.name.full == state && v.causality == Causality::Output && v.variability == Variability::Continuous;
+    let is_state = |v: &Variable| v.name.full == state && v.is_computed() && v.variability == Variability::Continuous;
     if !description.variables.iter().any(is_state) {
-        return Err(Error(format!("{state} is not a continuous output")));
+        return Err(Error(format!("{state} is not computed and continuous")));
     }
     let original = description.variables.iter().find(|v| !v.is_alias() && v.reference == variable.reference);
     match original {
-        Some(original) if original.causality != Causality::Output => {
-            Err(Error(format!("reference {} belongs to {}, not to an output", variable.reference, original.name.full)))
+        Some(original) if !original.is_computed() => {
+            Err(Error(format!("reference {} belongs to {}, which is not computed", variable.reference, original.name.full)))
         }
         Some(original) if original.declared_type != variable.declared_type => {
             Err(Error(format!("{} has the same reference and another declaredType", original.name.full)))
         }
         Some(_) => Ok(()),
-        None => Err(Error(format!("no output has its reference {}", variable.reference))),
+        None => Err(Error(format!("no other variable has its reference {}", variable.reference))),
     }
 }
 
@@ -219,22 +221,18 @@ fn check_families(variables: &[Variable]) -> Result<(), Error> {
 }
 
 fn check_structure(description: &ModelDescription) -> Result<(), Error> {
-    let names = |wanted: fn(&Variable) -> bool| -> Vec<&str> {
+    let names = |wanted: &dyn Fn(&Variable) -> bool| -> Vec<&str> {
         description.variables.iter().filter(|v| wanted(v)).map(|v| v.name.full.as_str()).collect()
     };
-    same("Outputs", &description.structure.outputs, &names(|v| v.causality == Causality::Output))?;
-    same("Derivatives", &description.structure.derivatives, &names(Variable::is_alias))?;
-
-    let mut known: HashSet<&str> = names(|v| v.causality == Causality::Input).into_iter().collect();
-    known.extend(description.variables.iter().filter_map(|v| v.derivative_of.as_deref()));
-    for unknown in description.structure.outputs.iter().chain(&description.structure.derivatives) {
+    let structure = &description.structure;
+    same("Outputs", &structure.outputs, &names(&|v| v.causality == Causality::Output))?;
+    same("Derivatives", &structure.derivatives, &names(&Variable::is_alias))?;
+    // FMI 2.0.4, section 2.2.8: outputs, continuous states and their derivatives, for there are no calculated parameters.
+    let states = description.states();
+    let exposed = |v: &Variable| v.causality == Causality::Output || v.is_alias() || states.contains(&v.name.full.as_str());
+    same("InitialUnknowns", &structure.initial_unknowns, &names(&exposed))?;
+    for unknown in structure.outputs.iter().chain(&structure.derivatives).chain(&structure.initial_unknowns) {
         unique(&format!("variable {}: dependency", unknown.name), unknown.dependencies.iter())?;
-        if let Some(stranger) = unknown.dependencies.iter().find(|name| !known.contains(name.as_str())) {
-            return Err(Error(format!(
-                "variable {}: dependency {stranger} is neither an input nor a continuous state",
-                unknown.name
-            )));
-        }
     }
     Ok(())
 }

@@ -7,6 +7,8 @@ pub struct ModelDescription {
     pub xml: String,
     /// Name of the model.
     pub model_name: String,
+    /// What it is, in a sentence.
+    pub description: String,
     /// Name of the library file and of the .fmu.
     pub model_identifier: String,
     /// What a master runs that is told nothing else.
@@ -21,6 +23,13 @@ pub struct ModelDescription {
     pub variables: Vec<Variable>,
     /// What depends on what.
     pub structure: Structure,
+}
+
+impl ModelDescription {
+    /// Names of the continuous states: what has a derivative.
+    pub fn states(&self) -> Vec<&str> {
+        self.variables.iter().filter_map(|variable| variable.derivative_of.as_deref()).collect()
+    }
 }
 
 /// Length and communication step of a run.
@@ -123,9 +132,14 @@ pub struct Variable {
 }
 
 impl Variable {
-    /// A derivative shares the value of an output and adds nothing but its name.
+    /// A derivative shares the value of another variable and adds nothing but its name.
     pub fn is_alias(&self) -> bool {
         self.derivative_of.is_some()
+    }
+
+    /// Whether the library finds the value: outputs and local variables.
+    pub fn is_computed(&self) -> bool {
+        matches!(self.causality, Causality::Output | Causality::Local)
     }
 }
 
@@ -206,9 +220,9 @@ pub enum Causality {
     Parameter,
     /// Set by the master at communication points.
     Input,
-    /// Read by the master.
+    /// Read by the master, and connected.
     Output,
-    /// Not meant for connections.
+    /// Read by the master, not meant for connections.
     Local,
 }
 
@@ -241,6 +255,20 @@ pub struct Structure {
     pub outputs: Vec<Unknown>,
     /// What each derivative of a continuous state depends on.
     pub derivatives: Vec<Unknown>,
+    /// What the outputs, continuous states and derivatives depend on at the start.
+    pub initial_unknowns: Vec<Unknown>,
+}
+
+impl Structure {
+    /// The unknowns of an element of `<ModelStructure>`; `None` of any other element.
+    pub(crate) fn section(&self, tag: &str) -> Option<&[Unknown]> {
+        match tag {
+            "Outputs" => Some(&self.outputs),
+            "Derivatives" => Some(&self.derivatives),
+            "InitialUnknowns" => Some(&self.initial_unknowns),
+            _ => None,
+        }
+    }
 }
 
 /// An unknown and the known variables it depends on.
@@ -248,6 +276,6 @@ pub struct Structure {
 pub struct Unknown {
     /// Name of the unknown.
     pub name: String,
-    /// Names of inputs and continuous states.
+    /// Names of inputs and continuous states; at the start, of parameters and inputs.
     pub dependencies: Vec<String>,
 }

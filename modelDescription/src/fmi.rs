@@ -3,19 +3,21 @@
 use quick_xml::events::{BytesStart, BytesText, Event};
 use quick_xml::{Reader, Writer};
 
-use crate::data::{Causality, Initial, ModelDescription};
+use crate::data::{ModelDescription, Unknown};
+use crate::edit::{replace, value, write};
 
 /// Stands in the output instead of the comment on top of the source, which is about the source.
 const HEAD: &str = "\n<!-- Written by `cargo xtask package` from modelDescription/modelDescription.xml: do not edit. -->\n";
 
 impl ModelDescription {
-    /// The FMI 2.0 model description: GUID and version filled in, names replaced by the 1-based indices that FMI wants,
-    /// InitialUnknowns added. Everything else, comments and line breaks included, is as in the source.
+    /// The FMI 2.0 model description: GUID and version filled in, names replaced by the 1-based indices that FMI wants.
+    /// Everything else, comments and line breaks included, is as in the source.
     pub fn to_fmi(&self, version: &str) -> String {
         const CHECKED: &str = "parse() has read the same text before";
         let mut reader = Reader::from_str(&self.xml);
         let mut writer = Writer::new(Vec::new());
         let mut in_root = false;
+        let mut section: &[Unknown] = &[];
         loop {
             let event = reader.read_event().expect(CHECKED);
             let event = match event {
@@ -26,15 +28,19 @@ impl ModelDescription {
                     write(&mut writer, Event::Text(BytesText::from_escaped(HEAD)));
                     Event::Start(replace(&replace(&start, "guid", &self.guid()), "version", version).into_owned())
                 }
-                Event::Empty(element) if element.name().0 == "Unknown" => Event::Empty(self.unknown(&element)),
+                Event::Start(start) => {
+                    section = self.structure.section(start.name().0).unwrap_or(section);
+                    Event::Start(start)
+                }
+                Event::Empty(element) if element.name().0 == "Unknown" => {
+                    let (first, rest) = section.split_first().expect(CHECKED);
+                    section = rest;
+                    Event::Empty(self.unknown(first))
+                }
                 Event::Empty(element) => Event::Empty(match value(&element, "derivative") {
                     Some(state) => replace(&element, "derivative", &self.index(&state).to_string()),
                     None => element,
                 }),
-                Event::End(end) if end.name().0 == "ModelStructure" => {
-                    write(&mut writer, Event::Text(BytesText::from_escaped(self.initial_unknowns())));
-                    Event::End(end)
-                }
                 other => other,
             };
             write(&mut writer, event);
@@ -48,56 +54,15 @@ impl ModelDescription {
         position.expect("check() has looked every name up") + 1
     }
 
-    fn unknown(&self, element: &BytesStart<'_>) -> BytesStart<'static> {
-        const CHECKED: &str = "parse() requires both attributes";
-        let index = self.index(&value(element, "name").expect(CHECKED));
-        let mut known: Vec<usize> =
-            value(element, "dependencies").expect(CHECKED).split_whitespace().map(|name| self.index(name)).collect();
+    fn unknown(&self, unknown: &Unknown) -> BytesStart<'static> {
+        let mut known: Vec<usize> = unknown.dependencies.iter().map(|name| self.index(name)).collect();
         known.sort_unstable();
         let known: Vec<String> = known.iter().map(usize::to_string).collect();
-        let mut unknown = BytesStart::new("Unknown");
-        unknown.push_attribute(("index", index.to_string().as_str()));
-        unknown.push_attribute(("dependencies", known.join(" ").as_str()));
-        unknown
+        let mut element = BytesStart::new("Unknown");
+        element.push_attribute(("index", self.index(&unknown.name).to_string().as_str()));
+        element.push_attribute(("dependencies", known.join(" ").as_str()));
+        element
     }
-
-    /// FMI 2.0.4, section 2.2.8: every output, calculated parameter, continuous state and derivative whose start is
-    /// calculated, in order. The continuous states are outputs, and there are no calculated parameters.
-    ///
-    /// The knowns of initialisation are all parameters and inputs: which of the 40 an unknown needs stands nowhere in
-    /// the source and could not be derived from it, so `dependencies` is left out, which means "on all of them".
-    fn initial_unknowns(&self) -> String {
-        let mut list = String::from("  <InitialUnknowns>\n");
-        for (position, variable) in self.variables.iter().enumerate() {
-            let exposed = variable.causality == Causality::Output || variable.is_alias();
-            if exposed && variable.initial == Some(Initial::Calculated) {
-                list += &format!("      <Unknown index=\"{}\"/>\n", position + 1);
-            }
-        }
-        list + "    </InitialUnknowns>\n  "
-    }
-}
-
-fn write(writer: &mut Writer<Vec<u8>>, event: Event<'_>) {
-    writer.write_event(event).expect("writing to memory does not fail");
-}
-
-/// Value of an attribute, where the element has it.
-fn value(element: &BytesStart<'_>, name: &str) -> Option<String> {
-    let attribute = element.try_get_attribute(name).expect("parse() has read the same element before");
-    attribute.map(|attribute| attribute.value.into_owned())
-}
-
-/// The same element with another value of one attribute, and every line break between the attributes kept.
-fn replace(element: &BytesStart<'_>, name: &str, new: &str) -> BytesStart<'static> {
-    let old = value(element, name).unwrap_or_default();
-    let content = format!("{}{}", element.name().0, element.attributes_raw());
-    // The blank before the name tells `version` from `fmiVersion`.
-    let pattern = |blank: char| format!("{blank}{name}=\"{old}\"");
-    let content = [' ', '\n']
-        .into_iter()
-        .fold(content, |content, blank| content.replacen(&pattern(blank), &format!("{blank}{name}=\"{new}\""), 1));
-    BytesStart::from_content(content, element.name().0.len())
 }
 
 #[cfg(test)]
@@ -137,8 +102,12 @@ mod tests {
         let derivative = variables.iter().find(|v| v.attribute("name") == Some("der(omega[2])")).expect("it");
         assert_eq!(name(derivative.children[0].attribute("derivative").expect("derivative")), Some("omega[2]"));
 
-        let outputs = &root.child("ModelStructure").and_then(|s| s.child("Outputs")).expect("outputs").children;
-        for (written, source) in outputs.iter().zip(&description.structure.outputs) {
+        let structure = root.child("ModelStructure").expect("the structure");
+        let written = ["Outputs", "Derivatives", "InitialUnknowns"].map(|tag| &structure.child(tag).expect(tag).children);
+        let sources = &description.structure;
+        let sources = sources.outputs.iter().chain(&sources.derivatives).chain(&sources.initial_unknowns);
+        assert_eq!(written.map(Vec::len), [12, 4, 16]);
+        for (written, source) in written.into_iter().flatten().zip(sources) {
             assert_eq!(name(written.attribute("index").expect("index")), Some(source.name.as_str()));
             let mut names: Vec<&str> = written
                 .attribute("dependencies")
@@ -156,12 +125,25 @@ mod tests {
 
     #[test]
     fn initial_unknowns_are_the_calculated_outputs_and_derivatives() {
-        let (description, _, root) = written();
-        let list = &root.child("ModelStructure").and_then(|s| s.child("InitialUnknowns")).expect("list").children;
-        let indices: Vec<usize> = list.iter().map(|u| u.attribute("index").expect("index").parse().expect("a number")).collect();
+        let (description, _, _) = written();
         let structure = &description.structure;
-        assert_eq!(indices.len(), structure.outputs.len() + structure.derivatives.len());
-        assert!(indices.is_sorted_by(|a, b| a < b));
+        let names = |list: &[Unknown]| list.iter().map(|unknown| unknown.name.clone()).collect::<Vec<_>>();
+        assert_eq!(names(&structure.initial_unknowns), [names(&structure.outputs), names(&structure.derivatives)].concat());
+    }
+
+    /// The tip's start is that of the geometry: two units that are coupled through their tips form no loop.
+    #[test]
+    fn families_and_beginnings_become_names() {
+        let (description, _, _) = written();
+        let dependencies = |name: &str| {
+            let unknown = description.structure.initial_unknowns.iter().find(|unknown| unknown.name == name).expect(name);
+            unknown.dependencies.join(" ")
+        };
+        assert_eq!(
+            dependencies("tip.x"),
+            "base.distance link[1].length link[2].length link[3].length link[4].length init.theta[1] init.theta[2] init.assembly"
+        );
+        assert!(dependencies("der(omega[1])").starts_with("tau[1] tau[2] tip.fx tip.fy base.distance link[1].length link[1].mass"));
     }
 
     #[test]

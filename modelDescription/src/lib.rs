@@ -3,7 +3,7 @@
 //! `modelDescription.xml` beside this crate is the one place where a variable's name, reference, unit, start and text
 //! stand. [`ModelDescription::read`] turns it into plain data and refuses what FMI 2.0 or this project does not allow;
 //! `build.rs` makes the tables of `src/variables` from the data, and `cargo xtask package` packs the text of
-//! [`ModelDescription::to_fmi`].
+//! [`ModelDescription::to_fmi`]. [`ModelDescription::own`] makes the description of a unit of one's own of it.
 //!
 //! | file | holds |
 //! | --- | --- |
@@ -13,12 +13,16 @@
 //! | `names.rs` | the structured naming convention |
 //! | `check.rs` | what must hold between the parts |
 //! | `fmi.rs` | data + text → the file that the .fmu carries |
+//! | `own.rs` | data + text → the text of a unit of one's own |
+//! | `edit.rs` | small changes of the text |
 
 mod check;
 mod data;
+mod edit;
 mod element;
 mod fmi;
 mod names;
+mod own;
 mod parse;
 
 use std::fmt;
@@ -27,6 +31,8 @@ pub use data::{
     Bounds, Category, Causality, Enumeration, Experiment, Initial, Item, Kind, ModelDescription, Name, SimpleType, Structure,
     TypeKind, Unit, Unknown, Variability, Variable,
 };
+
+pub use own::Own;
 
 /// The text of `modelDescription/modelDescription.xml`.
 pub const XML: &str = include_str!("../modelDescription.xml");

@@ -14,20 +14,18 @@ pub(crate) fn description(xml: &str) -> Result<ModelDescription, Error> {
     let root = Element::parse(xml)?;
     let types = each(root.child("TypeDefinitions")?, simple_type)?;
     let variables = each(root.child("ModelVariables")?, |element| variable(element, &types))?;
-    let structure = root.child("ModelStructure")?;
+    let structure = structure(root.child("ModelStructure")?, &variables)?;
     Ok(ModelDescription {
         xml: xml.to_owned(),
         model_name: root.required("modelName")?.to_owned(),
+        description: root.required("description")?.to_owned(),
         model_identifier: root.child("CoSimulation")?.required("modelIdentifier")?.to_owned(),
         experiment: experiment(root.child("DefaultExperiment")?)?,
         units: each(root.child("UnitDefinitions")?, unit)?,
         types,
         categories: each(root.child("LogCategories")?, category)?,
         variables,
-        structure: Structure {
-            outputs: each(structure.child("Outputs")?, unknown)?,
-            derivatives: each(structure.child("Derivatives")?, unknown)?,
-        },
+        structure,
     })
 }
 
@@ -189,10 +187,34 @@ fn choice<T: Copy>(element: &Element, attribute: &str, choices: &[(&str, T)]) ->
     }
 }
 
-fn unknown(element: &Element) -> Result<Unknown, Error> {
-    element.allow(&["name", "dependencies"])?;
-    Ok(Unknown {
-        name: element.required("name")?.to_owned(),
-        dependencies: element.required("dependencies")?.split_whitespace().map(str::to_owned).collect(),
+fn structure(element: &Element, variables: &[Variable]) -> Result<Structure, Error> {
+    let is_state = |v: &Variable| variables.iter().any(|derivative| derivative.derivative_of.as_ref() == Some(&v.name.full));
+    let known = |wanted: &dyn Fn(&Variable) -> bool| variables.iter().filter(|v| wanted(v)).map(|v| &v.name).collect::<Vec<_>>();
+    let running = known(&|v| v.causality == Causality::Input || is_state(v));
+    let starting = known(&|v| matches!(v.causality, Causality::Parameter | Causality::Input));
+    let section = |tag, known: &[&Name], words| each(element.child(tag)?, |element| unknown(element, known, words));
+    Ok(Structure {
+        outputs: section("Outputs", &running, "an input nor a continuous state")?,
+        derivatives: section("Derivatives", &running, "an input nor a continuous state")?,
+        initial_unknowns: section("InitialUnknowns", &starting, "a parameter nor an input")?,
     })
+}
+
+/// A dependency is a known, a family of knowns without its index, or all knowns that begin alike (`servo.*`).
+fn unknown(element: &Element, known: &[&Name], words: &str) -> Result<Unknown, Error> {
+    element.allow(&["name", "dependencies"])?;
+    let name = element.required("name")?.to_owned();
+    let mut dependencies = Vec::new();
+    for pattern in element.required("dependencies")?.split_whitespace() {
+        let meant = |known: &&&Name| match pattern.strip_suffix('*') {
+            Some(beginning) => known.family.starts_with(beginning),
+            None => known.full == pattern || known.family == pattern,
+        };
+        let before = dependencies.len();
+        dependencies.extend(known.iter().filter(meant).map(|known| known.full.clone()));
+        if dependencies.len() == before {
+            return Err(Error(format!("variable {name}: dependency {pattern} is neither {words}")));
+        }
+    }
+    Ok(Unknown { name, dependencies })
 }

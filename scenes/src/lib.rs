@@ -66,8 +66,17 @@ pub struct Overlay {
 impl Scene {
     /// The scene of this name.
     pub fn read(name: &str) -> Result<Self> {
-        let text = fs::read_to_string(folder().join(name).with_extension("json")).context("it cannot be read");
-        text.and_then(|text| Self::parse(name, &text)).with_context(|| format!("scenes/{name}.json"))
+        Self::from_file(name, &folder().join(name).with_extension("json")).with_context(|| format!("scenes/{name}.json"))
+    }
+
+    /// The scene of any file, named after it.
+    pub fn read_file(file: &Path) -> Result<Self> {
+        let name = file.file_stem().unwrap_or_default().to_string_lossy();
+        Self::from_file(&name, file).with_context(|| file.display().to_string())
+    }
+
+    fn from_file(name: &str, file: &Path) -> Result<Self> {
+        Self::parse(name, &fs::read_to_string(file).context("it cannot be read")?)
     }
 
     /// All of them, by name.

@@ -1,7 +1,7 @@
 //! Variables ↔ parameters and inputs: one line per variable, the same for reading and writing.
 //!
 //! The matches are exhaustive over the enums that `build.rs` makes from the XML, so a variable that is not bound here
-//! does not compile. Outputs are bound in `outputs.rs`.
+//! does not compile. What is computed is bound in `computed.rs`.
 
 use crate::mechanism;
 use crate::simulation::{self, Inputs, Parameters};
@@ -144,7 +144,10 @@ pub(super) fn read_parameter(parameters: &mut Parameters, variable: &Variable) -
         }
         VariableId::BooleanParameter(v) => Value::Boolean(*boolean_parameter(parameters, v)),
         VariableId::EnumerationParameter(v) => Value::Integer(enumeration_parameter(parameters, v).number()),
-        VariableId::RealInput(_) | VariableId::RealOutput(_) | VariableId::IntegerOutput(_) | VariableId::EnumerationOutput(_) => {
+        VariableId::RealInput(_)
+        | VariableId::RealComputed(_)
+        | VariableId::IntegerComputed(_)
+        | VariableId::EnumerationComputed(_) => {
             return None;
         }
     })
@@ -165,7 +168,7 @@ pub(super) fn write_parameter(parameters: &mut Parameters, variable: &Variable, 
     true
 }
 
-/// Writes a parameter or input; false where the value is not of its type or the variable is an output.
+/// Writes a parameter or input; false where the value is not of its type or the variable is computed.
 pub fn write(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable, value: Value) -> bool {
     if let (VariableId::RealInput(input), Value::Real(x)) = (variable.id, value) {
         *real_input(inputs, input) = x;

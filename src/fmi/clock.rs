@@ -75,9 +75,7 @@ impl Clock {
         if let Some(stop) = self.stop
             && end > stop + tolerance(stop, size)
         {
-            return Err(CallError::error(format!(
-                "currentCommunicationPoint + communicationStepSize is {end:?} s, which is past stopTime {stop:?} s."
-            )));
+            return Err(past(stop, point, end, size));
         }
         let (h, steps) = if size == h { (h, 1) } else { grid(point, size, h)? };
         Ok(Plan { h, steps, end })
@@ -99,6 +97,23 @@ impl Clock {
     pub fn advance(&mut self, plan: Plan) {
         self.point = plan.end;
     }
+}
+
+/// The refusal of a step past the end. A master that loops while its own sum of step sizes is below stopTime makes one step too many
+/// where the sum has come out too small: it is told by how much.
+#[cold]
+fn past(stop: f64, point: f64, end: f64, size: f64) -> CallError {
+    let left = stop - point;
+    let start = if left <= 0.0 {
+        "at stopTime".to_owned()
+    } else if left <= tolerance(stop, size) {
+        format!("{left:.1e} s before stopTime, which is rounding: the run has reached its end")
+    } else {
+        format!("{left:?} s before stopTime")
+    };
+    CallError::error(format!(
+        "currentCommunicationPoint + communicationStepSize is {end:?} s, which is past stopTime {stop:?} s; the step starts {start}."
+    ))
 }
 
 /// How far a point may be off and still be meant: relative to the magnitude of the clock, which may have accumulated
@@ -197,7 +212,7 @@ mod tests {
             (0.0, 1e-3, "currentCommunicationPoint is 0.0 s, expected 2.0 s"),
             (2.001, 1e-3, "currentCommunicationPoint is 2.001 s, expected 2.0 s"),
             (2.0005, 1e-3, "currentCommunicationPoint is 2.0005 s, expected 2.0 s"),
-            (2.0, 1.001, "is 3.001 s, which is past stopTime 3.0 s"),
+            (2.0, 1.001, "is 3.001 s, which is past stopTime 3.0 s; the step starts 1.0 s before stopTime."),
             (2.0, 1e-17, "communicationStepSize is 1e-17 s, which does not advance the clock at 2.0 s"),
         ] {
             let refused = clock.plan(point, size, H).expect_err("a refusal");
@@ -205,6 +220,27 @@ mod tests {
         }
         assert!(clock.plan(2.0, 1.0 + 1e-12, H).is_ok(), "rounding at the stop time");
         assert!(Clock::new(0.0, None).expect("a clock").plan(0.0, 1e300, H).is_err(), "too many steps");
+    }
+
+    /// `while t < 10 { step(t, 0.01); t += 0.01 }` makes 1001 steps.
+    #[test]
+    fn one_step_too_many_is_told_to_be_rounding() {
+        let mut clock = Clock::new(0.0, Some(10.0)).expect("a clock");
+        let mut point = 0.0;
+        for _ in 0..1000 {
+            clock.advance(clock.plan(point, 0.01, H).expect("a step"));
+            point += 0.01;
+        }
+        assert!(point < 10.0);
+        let refused = clock.plan(point, 0.01, H).expect_err("past the end");
+        assert_eq!(
+            refused.message,
+            "currentCommunicationPoint + communicationStepSize is 10.009999999999831 s, which is past stopTime 10.0 s; the step starts \
+             1.7e-13 s before stopTime, which is rounding: the run has reached its end."
+        );
+        let mut clock = Clock::new(0.0, Some(1.0)).expect("a clock");
+        clock.advance(clock.plan(0.0, 1.0, H).expect("a step"));
+        assert!(clock.plan(1.0, H, H).is_err_and(|refused| refused.message.ends_with("the step starts at stopTime.")));
     }
 
     #[test]

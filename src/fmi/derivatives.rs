@@ -7,12 +7,12 @@
 
 use num_dual::Dual64;
 
-use super::outputs::real;
+use super::computed::real;
 use super::values::{check_computed, check_settable, lookup};
 use super::{CallError, Instance, bindings};
 use crate::observers::Observed;
 use crate::simulation::{Direction, ORDERS, Signal};
-use crate::variables::{FmiType, RealOutput, VARIABLES, Variable, VariableId};
+use crate::variables::{FmiType, RealComputed, VARIABLES, Variable, VariableId};
 
 impl Instance {
     /// fmi2SetRealInputDerivatives: (reference, order, value), all or none.
@@ -71,11 +71,12 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2GetDirectionalDerivative: how unknowns (outputs and derivatives of the continuous states, which share references with outputs)
-    /// change with knowns (inputs and continuous states: reference, change) at the present communication point. Hands each change with its
-    /// position to `take`; nothing is handed over unless every reference is right and every value finite.
+    /// fmi2GetDirectionalDerivative: how unknowns (outputs and derivatives of the continuous states, which share the references of omega
+    /// and alpha) change with knowns (inputs and continuous states: reference, change) at the present communication point. Hands each
+    /// change with its position to `take`; nothing is handed over unless every reference is right and every value finite.
     ///
-    /// What is only counted, judged or followed along the path (enumerations, counters, work, `solver.*`) does not change.
+    /// Beyond the standard, local variables are answered for as well. What is only counted, judged or followed along the path
+    /// (enumerations, counters, work, `solver.*`) does not change.
     pub fn directional_derivative(
         &mut self,
         unknowns: &[u32],
@@ -89,7 +90,7 @@ impl Instance {
         for &unknown in unknowns {
             let variable = find(unknown)?;
             if variable.start.is_some() {
-                return Err(CallError::error(format!("{} is no unknown: outputs and derivatives of states are.", variable.name)));
+                return Err(CallError::error(format!("{} is no unknown: only what is computed is.", variable.name)));
             }
         }
         let observed = self.observe()?;
@@ -98,8 +99,8 @@ impl Instance {
         let varied = Observed::<Dual64>::along(model, observation, &along);
         let change = |&unknown: &u32| {
             let variable = find(unknown)?;
-            let VariableId::RealOutput(output) = variable.id else { return Ok(0.0) };
-            let change = real(&varied, output, 0).map_or(0.0, |value| value.eps);
+            let VariableId::RealComputed(computed) = variable.id else { return Ok(0.0) };
+            let change = real(&varied, computed, 0).map_or(0.0, |value| value.eps);
             check_computed(|| format!("change of {}", variable.name), change)?;
             Ok(change)
         };
@@ -142,8 +143,8 @@ fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Res
     }
     let place = match variable.id {
         VariableId::RealInput(input) => bindings::real_input(&mut direction.inputs, input),
-        VariableId::RealOutput(RealOutput::Theta(i)) => &mut direction.proximal.get_or_insert_default()[0][i],
-        VariableId::RealOutput(RealOutput::Omega(i)) => &mut direction.proximal.get_or_insert_default()[1][i],
+        VariableId::RealComputed(RealComputed::Theta(i)) => &mut direction.proximal.get_or_insert_default()[0][i],
+        VariableId::RealComputed(RealComputed::Omega(i)) => &mut direction.proximal.get_or_insert_default()[1][i],
         _ => {
             return Err(CallError::error(format!(
                 "{} is no known: inputs and the continuous states theta[i], omega[i] are.",
@@ -157,8 +158,9 @@ fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Res
 
 /// The derivative of an output with respect to time.
 fn time_derivative(observed: &Observed<'_, f64>, variable: &Variable, order: i32) -> Result<f64, CallError> {
-    let VariableId::RealOutput(output) = variable.id else {
-        return Err(CallError::error(format!("{} is no output: only outputs have output derivatives.", variable.name)));
+    let output = match variable.id {
+        VariableId::RealComputed(output) if variable.output => output,
+        _ => return Err(CallError::error(format!("{} is no output: only outputs have output derivatives.", variable.name))),
     };
     let positive = usize::try_from(order).ok().filter(|order| *order > 0);
     positive.and_then(|order| real(observed, output, order)).ok_or_else(|| {

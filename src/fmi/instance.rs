@@ -8,7 +8,7 @@ use super::derivatives::check_reach;
 use super::messages::{Log, Status};
 use super::snapshot::Scene;
 use super::values::{check_computed, check_settable, check_value, lookup};
-use super::{CallError, Snapshot, Stage, bindings, outputs};
+use super::{CallError, Snapshot, Stage, bindings, computed};
 use crate::integrator::MODES;
 use crate::observers::{Observation, Observed};
 use crate::simulation::{Signal, Simulation, StepFailure};
@@ -62,7 +62,7 @@ impl Instance {
         let clock = Clock::new(start, stop)?;
         self.change().clock = Some(clock);
         if let Some(tolerance) = tolerance {
-            self.log.push(Status::Warning, || {
+            self.log.push(Status::Ok, || {
                 format!("fmi2SetupExperiment: tolerance {tolerance:?} is not used, solver.errorTolerance is.")
             });
         }
@@ -161,7 +161,7 @@ impl Instance {
         if let Some(value) = self.now.read(variable) {
             return Ok(value);
         }
-        Ok(outputs::read(&self.observe()?, variable).unwrap_or_else(|| unreachable!("{} is bound", variable.name)))
+        Ok(computed::read(&self.observe()?, variable).unwrap_or_else(|| unreachable!("{} is bound", variable.name)))
     }
 
     /// What is to be seen at the present communication point, with the accelerations and multipliers that belong to the present inputs,
@@ -183,7 +183,7 @@ impl Instance {
         match references {
             [] => Ok(()),
             [first, ..] => Err(CallError::error(match Variable::find(*first) {
-                Some(variable) => format!("{} is of type {}, not String.", variable.name, variable.fmi_type()),
+                Some(variable) => format!("{} is of type {}, not String.", variable.name, variable.type_name()),
                 None => format!("value reference {first} belongs to no variable."),
             })),
         }

@@ -6,7 +6,7 @@
 //! | `clock.rs` | communication points and the step grid |
 //! | `messages.rs` | the log queue and its categories |
 //! | `bindings.rs` | variables ↔ parameters and inputs |
-//! | `outputs.rs` | variables ← observers, computed when read |
+//! | `computed.rs` | variables ← observers, computed when read |
 //! | `values.rs` | the checks that come before a value is read or written |
 //! | `derivatives.rs` | derivatives of inputs and outputs |
 //! | `instance.rs` | an instance: all of these together |
@@ -15,11 +15,11 @@
 
 pub mod bindings;
 pub mod clock;
+mod computed;
 mod derivatives;
 pub mod instance;
 pub mod lifecycle;
 pub mod messages;
-mod outputs;
 pub mod snapshot;
 pub mod status;
 mod values;

@@ -11,14 +11,14 @@ pub(super) fn lookup(reference: u32, fmi_type: FmiType) -> Result<&'static Varia
         return Err(CallError::error(format!(
             "{} (value reference {reference}) is of type {}, not {fmi_type}.",
             variable.name,
-            variable.fmi_type()
+            variable.type_name()
         )));
     }
     Ok(variable)
 }
 
 /// Whether a variable may be set in a stage that allows setting: inputs and tunable parameters always, other parameters before
-/// the run, outputs never (FMI 2.0.4, section 2.2.7 and footnotes of the table in 4.2.4).
+/// the run, what is computed never (FMI 2.0.4, section 2.2.7 and footnotes of the table in 4.2.4).
 pub(super) fn check_settable(variable: &Variable, stage: Stage) -> Result<(), CallError> {
     match variable.id {
         VariableId::RealInput(_) => Ok(()),
@@ -33,8 +33,8 @@ pub(super) fn check_settable(variable: &Variable, stage: Stage) -> Result<(), Ca
                 variable.name
             ))),
         },
-        VariableId::RealOutput(_) | VariableId::IntegerOutput(_) | VariableId::EnumerationOutput(_) => {
-            Err(CallError::error(format!("{} is an output and cannot be set.", variable.name)))
+        VariableId::RealComputed(_) | VariableId::IntegerComputed(_) | VariableId::EnumerationComputed(_) => {
+            Err(CallError::error(format!("{} is computed and cannot be set.", variable.name)))
         }
     }
 }

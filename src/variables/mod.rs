@@ -19,7 +19,7 @@ pub struct Variable {
     pub id: VariableId,
     /// Unit of the value and its bounds, for Reals.
     pub unit: Option<&'static str>,
-    /// Start value, in `unit`; outputs have none.
+    /// Start value, in `unit`; what is computed has none.
     pub start: Option<Value>,
     /// Smallest value allowed, in `unit`.
     pub min: Option<f64>,
@@ -29,6 +29,8 @@ pub struct Variable {
     pub items: &'static [Item],
     /// For parameters: whether the value may be changed during a run.
     pub tunable: bool,
+    /// Whether it is an output, and not only to be read.
+    pub output: bool,
 }
 
 /// An item of an enumeration.
@@ -105,15 +107,25 @@ impl Variable {
         VARIABLES.iter().find(|variable| variable.name == name)
     }
 
+    /// The name of its type in the XML.
+    pub fn type_name(&self) -> &'static str {
+        match self.id {
+            VariableId::RealParameter(_) | VariableId::RealInput(_) | VariableId::RealComputed(_) => "Real",
+            VariableId::IntegerParameter(_) | VariableId::IntegerComputed(_) => "Integer",
+            VariableId::BooleanParameter(_) => "Boolean",
+            VariableId::EnumerationParameter(_) | VariableId::EnumerationComputed(_) => "Enumeration",
+        }
+    }
+
     /// The functions that read and write it.
     pub fn fmi_type(&self) -> FmiType {
         match self.id {
-            VariableId::RealParameter(_) | VariableId::RealInput(_) | VariableId::RealOutput(_) => FmiType::Real,
+            VariableId::RealParameter(_) | VariableId::RealInput(_) | VariableId::RealComputed(_) => FmiType::Real,
             VariableId::BooleanParameter(_) => FmiType::Boolean,
             VariableId::IntegerParameter(_)
-            | VariableId::IntegerOutput(_)
+            | VariableId::IntegerComputed(_)
             | VariableId::EnumerationParameter(_)
-            | VariableId::EnumerationOutput(_) => FmiType::Integer,
+            | VariableId::EnumerationComputed(_) => FmiType::Integer,
         }
     }
 }

@@ -51,7 +51,7 @@ fmi2Component instantiate(Log *log, const char *guid, bool logging_on);
 fmi2CallbackFunctions callbacks(Log *log);
 
 typedef enum { REAL, INTEGER, BOOLEAN } Type;
-typedef enum { INPUT, FIXED, TUNABLE, OUTPUT } Role;
+typedef enum { INPUT, FIXED, TUNABLE, OUTPUT, LOCAL } Role;
 
 /* A variable of the model description. */
 typedef struct {

@@ -25,6 +25,8 @@ static bool settable(const Slave *s, const Variable *v) {
     return v->role == INPUT || v->role == TUNABLE || (v->role == FIXED && s->life.state <= INITIALIZATION);
 }
 
+static bool is_computed(const Variable *v) { return v->role == OUTPUT || v->role == LOCAL; }
+
 /* A variable of that type, to be set or not; NULL where there is none. */
 static const Variable *any(const Slave *s, Type type, bool to_set) {
     for (int tries = 0; tries < 2000; tries++) {
@@ -98,7 +100,7 @@ void get_values(Slave *s, Call call, Type type) {
     if (!spoil(&p, type, flaw)) flaw = NOTHING;
     for (size_t i = 0; i < MOST; i++) reals[i] = REAL_MARK, wholes[i] = WHOLE_MARK;
     bool computed = false;
-    for (size_t i = 0; i < p.n; i++) computed |= p.variables[i]->role == OUTPUT;
+    for (size_t i = 0; i < p.n; i++) computed |= is_computed(p.variables[i]);
     const fmi2ValueReference *references = flaw == NO_REFERENCES || p.n == 0 ? NULL : p.references;
     const bool nowhere = flaw == NO_VALUES || p.n == 0;
     begin(s);
@@ -135,7 +137,7 @@ void set_values(Slave *s, Call call, Type type) {
     bool tunes = false, far = false;
     for (size_t i = 0; i < p.n; i++) {
         const bool wrong = flaw == WRONG_VALUE && i == p.n - 1;
-        const double value = wrong ? wrong_value(p.variables[i]) : p.variables[i]->role == OUTPUT ? 0.0 : allowed_value(p.variables[i]);
+        const double value = wrong ? wrong_value(p.variables[i]) : is_computed(p.variables[i]) ? 0.0 : allowed_value(p.variables[i]);
         tunes |= p.variables[i]->role == TUNABLE;
         reals[i] = value;
         far |= fabs(value) > FAR;
@@ -193,7 +195,7 @@ void differentiate(Slave *s) {
     const Flaw flaw = any_flaw(WRONG_VALUE);
     if (flaw != NOTHING) n += n == 0, m += m == 0;
     for (size_t i = 0; i < MOST; i++) {
-        unknowns[i] = real_of(OUTPUT, false)->reference, knowns[i] = real_of(INPUT, true)->reference;
+        unknowns[i] = real_of(one_in(2) ? OUTPUT : LOCAL, false)->reference, knowns[i] = real_of(INPUT, true)->reference;
         changes[i] = uniform(-1.0, 1.0), found[i] = REAL_MARK;
     }
     if (flaw == UNKNOWN) *(one_in(2) ? &unknowns[n - 1] : &knowns[m - 1]) = 99999;
@@ -211,7 +213,7 @@ void differentiate(Slave *s) {
 
 /* First and second derivatives: of inputs to be set, of outputs to be read. */
 void derivatives(Slave *s, Call call) {
-    static const char *const differentiable[] = {"theta[1]", "passive.theta[2]", "tip.x", "tip.y", "elbow[1].x"};
+    static const char *const differentiable[] = {"theta[1]", "theta[2]", "tip.x", "tip.y"};
     const bool set = call == SET_INPUT_DERIVATIVES;
     fmi2ValueReference references[MOST];
     int orders[MOST];
@@ -220,11 +222,11 @@ void derivatives(Slave *s, Call call) {
     const Flaw flaw = any_flaw(WRONG_VALUE);
     if (flaw != NOTHING) n += n == 0;
     for (size_t i = 0; i < MOST; i++) {
-        references[i] = (set ? real_of(INPUT, false) : variable(differentiable[below(5)]))->reference;
+        references[i] = (set ? real_of(INPUT, false) : variable(differentiable[below(4)]))->reference;
         orders[i] = 1 + (int)below(2), values[i] = set ? uniform(-1.0, 1.0) : REAL_MARK;
     }
     if (flaw == UNKNOWN) references[n - 1] = 99999;
-    if (flaw == WRONG_TYPE) references[n - 1] = real_of(one_in(2) ? FIXED : set ? OUTPUT : INPUT, false)->reference;
+    if (flaw == WRONG_TYPE) references[n - 1] = real_of(one_in(2) ? LOCAL : one_in(2) ? FIXED : set ? OUTPUT : INPUT, false)->reference;
     if (flaw == WRONG_VALUE && set && one_in(2))
         values[n - 1] = one_in(2) ? NAN : -INFINITY;
     else if (flaw == WRONG_VALUE)

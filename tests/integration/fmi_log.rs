@@ -25,11 +25,8 @@ fn logging(on: bool) -> Host {
 
 #[test]
 fn problems_pass_by_default_and_events_with_logging_on() {
-    assert_eq!(categories_of_a_run(&logging(false)), ["logStatusWarning", "logStatusError", "logStatusDiscard"]);
-    assert_eq!(
-        categories_of_a_run(&logging(true)),
-        ["logStatusWarning", "logEvents", "logStatusError", "logStatusDiscard", "logEvents"]
-    );
+    assert_eq!(categories_of_a_run(&logging(false)), ["logStatusError", "logStatusDiscard"]);
+    assert_eq!(categories_of_a_run(&logging(true)), ["logEvents", "logStatusError", "logStatusDiscard", "logEvents"]);
 }
 
 #[test]
@@ -39,8 +36,8 @@ fn the_masters_choice_of_categories_rules() {
         (false, &["logAll"], &[]),
         (true, &["logStatusError"], &["logStatusError"]),
         (true, &["logEvents", "logStatusDiscard"], &["logEvents", "logStatusDiscard", "logEvents"]),
-        (true, &[], &["logStatusWarning", "logEvents", "logStatusError", "logStatusDiscard", "logEvents"]),
-        (true, &["logAll"], &["logStatusWarning", "logEvents", "logStatusError", "logStatusDiscard", "logEvents"]),
+        (true, &[], &["logEvents", "logStatusError", "logStatusDiscard", "logEvents"]),
+        (true, &["logAll"], &["logEvents", "logStatusError", "logStatusDiscard", "logEvents"]),
     ] {
         let host = logging(true);
         assert_eq!(host.set_debug_logging(on, categories), fmi2OK);
@@ -75,6 +72,16 @@ fn the_line_of_a_scene_made_ready() {
             text: "ready: method i3alp, h = 0.001 s, adaptive true, effects: none".to_owned(),
         }]
     );
+}
+
+/// It is no problem of the master's that accuracy is set otherwise here.
+#[test]
+fn a_tolerance_is_answered_with_an_event() {
+    let host = logging(true);
+    assert_eq!(host.setup(Some(1e-6), 0.0, None), fmi2OK);
+    let line = &host.take()[0];
+    assert_eq!((line.status, line.category.as_str()), (fmi2OK, "logEvents"));
+    assert_eq!(line.text, "fmi2SetupExperiment: tolerance 1e-6 is not used, solver.errorTolerance is.");
 }
 
 #[test]

@@ -60,7 +60,11 @@ fn points_and_steps_that_cannot_be_meant_are_refused() {
         (2.0, 0.0, "communicationStepSize is 0.0 s, must be positive and finite."),
         (2.0, -1.0, "communicationStepSize is -1.0 s, must be positive and finite."),
         (2.0, f64::NAN, "communicationStepSize is NaN s, must be positive and finite."),
-        (2.0, 1.5, "currentCommunicationPoint + communicationStepSize is 3.5 s, which is past stopTime 3.0 s."),
+        (
+            2.0,
+            1.5,
+            "currentCommunicationPoint + communicationStepSize is 3.5 s, which is past stopTime 3.0 s; the step starts 1.0 s before stopTime.",
+        ),
     ] {
         assert_eq!(host.do_step(point, size), fmi2Error);
         assert_eq!(host.line(), format!("fmi2DoStep: {expected}"));

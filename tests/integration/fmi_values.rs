@@ -59,7 +59,7 @@ fn values_out_of_bounds_are_refused_by_name_and_nothing_is_written() {
         ("tip.fx", f64::NEG_INFINITY, "tip.fx = -inf N is not allowed: it must be finite."),
         ("link[3].mass", -0.5, "link[3].mass = -0.5 kg is not allowed: it must be at least 1e-9 kg."),
         ("solver.tolerance", -1e-3, "solver.tolerance = -0.001 is not allowed: it must be at least 1e-16."),
-        ("theta[1]", 0.0, "theta[1] is an output and cannot be set."),
+        ("theta[1]", 0.0, "theta[1] is computed and cannot be set."),
     ] {
         assert_eq!(host.set_real(&[tau, reference(name)], &[0.5, value]), fmi2Error);
         assert_eq!(host.line(), format!("fmi2SetReal: {expected}"));
@@ -68,8 +68,8 @@ fn values_out_of_bounds_are_refused_by_name_and_nothing_is_written() {
         ("solver.maxIterations", 0, "solver.maxIterations = 0 is not allowed: it must be at least 1."),
         ("solver.maxIterations", 101, "solver.maxIterations = 101 is not allowed: it must be at most 100."),
         ("init.assembly", 3, "init.assembly = 3 is not allowed: it must be one of 1 (plus), 2 (minus)."),
-        ("solver.steps", 3, "solver.steps is an output and cannot be set."),
-        ("mode.assembly", 1, "mode.assembly is an output and cannot be set."),
+        ("solver.steps", 3, "solver.steps is computed and cannot be set."),
+        ("mode.assembly", 1, "mode.assembly is computed and cannot be set."),
     ] {
         assert_eq!(host.set_integer(&[reference("solver.method"), reference(name)], &[3, value]), fmi2Error);
         assert_eq!(host.line(), format!("fmi2SetInteger: {expected}"));
@@ -87,7 +87,7 @@ fn unknown_references_and_wrong_types_are_refused_and_nothing_is_handed_over() {
     assert_eq!(host.get_real(&[reference("tau[1]"), 99_999], &mut values), fmi2Error);
     assert_eq!(host.line(), "fmi2GetReal: value reference 99999 belongs to no variable.");
     assert_eq!(host.get_real(&[reference("tau[1]"), reference("solver.method")], &mut values), fmi2Error);
-    assert_eq!(host.line(), "fmi2GetReal: solver.method (value reference 400) is of type Integer, not Real.");
+    assert_eq!(host.line(), "fmi2GetReal: solver.method (value reference 400) is of type Enumeration, not Real.");
     assert_eq!(values, [7.0; 2]);
     assert_eq!(host.get_integer(&[reference("tau[1]")], &mut [0]), fmi2Error);
     assert_eq!(host.get_boolean(&[reference("solver.maxIterations")], &mut [0]), fmi2Error);
@@ -95,6 +95,8 @@ fn unknown_references_and_wrong_types_are_refused_and_nothing_is_handed_over() {
     host.take();
     assert_eq!(host.strings(reference("tau[1]")), [fmi2Error; 2]);
     assert_eq!(host.take()[0].text, "fmi2GetString: tau[1] is of type Real, not String.");
+    assert_eq!(host.strings(reference("singular.type")), [fmi2Error; 2]);
+    assert_eq!(host.take()[0].text, "fmi2GetString: singular.type is of type Enumeration, not String.");
     assert_eq!(host.strings(99_999), [fmi2Error; 2]);
 }
 

@@ -17,6 +17,7 @@ mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal r
 
 // The FMI rooms, through the C functions.
 mod fmi_derivatives; // of outputs against inputs and states, of inputs and outputs against time
+mod fmi_initial; // what the start of each output depends on
 mod fmi_lifecycle; // instantiate, the order of calls, reset, independence
 mod fmi_log; // categories, logger, environment
 mod fmi_state; // stored states: complete, in any order, as bytes

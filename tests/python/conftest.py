@@ -1,9 +1,10 @@
-"""The FMU under test: FIVEBAR_FMU, or what `cargo xtask package` wrote. It is extracted once per session."""
+"""The units under test, each extracted once per session: FIVEBAR_FMU and FIVEBAR_OWN, or what `cargo xtask package` wrote."""
 
 import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import fmpy
 import pytest
@@ -37,6 +38,29 @@ def model(directory: str) -> ModelDescription:
 
 
 @pytest.fixture(scope="session")
+def outputs(model: ModelDescription) -> list[str]:
+    """The names of the outputs."""
+    return [v.name for v in model.modelVariables if v.causality == "output"]
+
+
+class Unit(NamedTuple):
+    """A packed unit."""
+
+    fmu: Path
+    directory: str
+    model: ModelDescription
+
+
+@pytest.fixture(scope="session")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Unit:
+    """The unit of one's own: FIVEBAR_OWN, or what `cargo xtask package --scene tests/data/own_machine.json` wrote."""
+    path = Path(os.environ.get("FIVEBAR_OWN", REPOSITORY / "target" / "fmu" / "OwnMachine.fmu")).resolve()
+    assert path.is_file(), f"there is no .fmu at {path}: run `cargo xtask package --scene tests/data/own_machine.json`"
+    directory = fmpy.extract(str(path), unzipdir=str(tmp_path_factory.mktemp("own")))
+    return Unit(path, directory, fmpy.read_model_description(directory))
+
+
+@pytest.fixture(scope="session")
 def scenes() -> Path:
     """The folder of the scenes as Python reads them."""
     folder = REPOSITORY / "target" / "scenes"
@@ -44,8 +68,7 @@ def scenes() -> Path:
     return folder
 
 
-@pytest.fixture
-def new(model: ModelDescription, directory: str) -> Iterator[Callable[..., Instance]]:
+def maker(model: ModelDescription, directory: str) -> Iterator[Callable[..., Instance]]:
     """Makes instances and frees them after the test."""
     made: list[Instance] = []
 
@@ -56,3 +79,15 @@ def new(model: ModelDescription, directory: str) -> Iterator[Callable[..., Insta
     yield make
     for instance in made:
         instance.slave.freeInstance()
+
+
+@pytest.fixture
+def new(model: ModelDescription, directory: str) -> Iterator[Callable[..., Instance]]:
+    """Makes instances of the plain unit."""
+    yield from maker(model, directory)
+
+
+@pytest.fixture
+def new_own(own: Unit) -> Iterator[Callable[..., Instance]]:
+    """Makes instances of the unit of one's own."""
+    yield from maker(own.model, own.directory)

@@ -7,7 +7,7 @@ from typing import Any
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription
 
-from slave import Log, get_values, instantiate, set_values
+from slave import Log, computed, get_values, instantiate, set_values
 
 Values = dict[str, float | int | bool]
 
@@ -18,7 +18,7 @@ class Instance:
     def __init__(self, model: ModelDescription, directory: str, name: str = "fivebar", logging_on: bool = False):
         self.model, self.log = model, Log()
         self.slave = instantiate(model, directory, self.log, name, logging_on)
-        self.outputs = [v.name for v in model.modelVariables if v.causality == "output"]
+        self.computed = [v.name for v in computed(model)]
 
     def enter(self) -> "Instance":
         """Goes to initialization mode, the first in which values can be read."""
@@ -52,8 +52,8 @@ class Instance:
             self.slave.doStep(begin + i * size, size)
 
     def bits(self) -> dict[str, bytes]:
-        """Every output, bit by bit."""
-        values = get_values(self.slave, self.model, self.outputs)
+        """All that is computed, bit by bit."""
+        values = get_values(self.slave, self.model, self.computed)
         return {name: struct.pack("<d" if isinstance(v, float) else "<q", v) for name, v in values.items()}
 
     def refusal(self, call: Callable[..., Any], *arguments: Any) -> tuple[int, str]:

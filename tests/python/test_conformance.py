@@ -10,7 +10,7 @@ import fmpy
 import pytest
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-from conftest import REPOSITORY
+from conftest import REPOSITORY, Unit
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the programs look at /proc and use dlopen")
 
@@ -29,7 +29,8 @@ Run = Callable[..., str]
 def row(variable: ScalarVariable) -> str:
     """A variable as master.c reads it: reference, type, role, min, max, start, name; reals in hexadecimal."""
     kind = {"Real": "R", "Boolean": "B"}.get(variable.type, "I")
-    role = {"input": "i", "parameter": "t" if variable.variability == "tunable" else "f"}.get(variable.causality, "o")
+    parameter = "t" if variable.variability == "tunable" else "f"
+    role = {"input": "i", "parameter": parameter, "output": "o", "local": "l"}[variable.causality]
     if variable.type == "Enumeration":
         items = [float(item.value) for item in variable.declaredType.items]
         low, high = min(items), max(items)
@@ -41,12 +42,11 @@ def row(variable: ScalarVariable) -> str:
     return f"{variable.valueReference} {kind} {role} {low.hex()} {high.hex()} {start.hex()} {variable.name}"
 
 
-@pytest.fixture(scope="session")
-def run(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPathFactory) -> Run:
+def runner(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Compiles a program when it is first asked for, and runs it in an empty folder, which must stay empty."""
     folder = tmp_path_factory.mktemp("conformance")
     table = folder / "variables.txt"
-    # A derivative shares its reference with an output.
+    # A derivative shares its reference with another variable.
     rows = {v.valueReference: row(v) for v in reversed(model.modelVariables)}
     table.write_text("".join(f"{text}\n" for text in rows.values()))
     shipped = Path(directory) / "binaries" / fmpy.platform / f"{model.coSimulation.modelIdentifier}.so"
@@ -71,6 +71,18 @@ def run(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPa
     return carry_out
 
 
+@pytest.fixture(scope="session")
+def run(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """On the plain unit."""
+    return runner(directory, model, tmp_path_factory)
+
+
+@pytest.fixture(scope="session")
+def run_own(own: Unit, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """On the unit of one's own."""
+    return runner(own.directory, own.model, tmp_path_factory)
+
+
 # Calls, seed and magnitude of values, as a power of ten; one walk of one's own where `cargo xtask walk` says so.
 OWN_WALK = os.environ.get("FIVEBAR_WALK")
 WALKS = [tuple(OWN_WALK.split())] if OWN_WALK else [(100_000, 1, 12), (100_000, 5, 12), (100_000, 6, 308)]
@@ -79,6 +91,10 @@ WALKS = [tuple(OWN_WALK.split())] if OWN_WALK else [(100_000, 1, 12), (100_000, 
 @pytest.mark.parametrize(("calls", "seed", "largest"), WALKS)
 def test_random_walk(run: Run, calls: object, seed: object, largest: object) -> None:
     assert "steps discarded" in run("walk", calls, seed, largest)
+
+
+def test_walk_on_a_unit_of_one_s_own(run_own: Run) -> None:
+    assert "steps discarded" in run_own("walk", 50_000, 7, 12)
 
 
 @pytest.mark.full
@@ -105,7 +121,9 @@ def test_no_allocation_in_a_run(run: Run) -> None:
     assert "no allocation" in run("allocation", 200)
 
 
-def test_bytes_go_on_in_another_process(run: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize("runs", ["run", "run_own"])
+def test_bytes_go_on_in_another_process(runs: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
+    run: Run = request.getfixturevalue(runs)
     file = tmp_path / "states"
     run("bytes", "write", file)
     assert "the same bits" in run("bytes", "read", file)

@@ -1,5 +1,7 @@
 """The packed .fmu and its model description: what FMPy checks, and what validators miss."""
 
+import copy
+import graphlib
 import math
 import re
 import zipfile
@@ -116,9 +118,10 @@ def test_causality_and_variability(variables: list[etree._Element]) -> None:
         "parameter": {("fixed", "exact"), ("tunable", "exact")},
         "input": {("continuous", None), ("discrete", None)},
         "output": {("continuous", "calculated"), ("discrete", "calculated")},
-        "local": {("continuous", "calculated")},
+        "local": {("continuous", "calculated"), ("discrete", "calculated")},
     }
     for variable in variables:
+        assert variable.get("causality") != "output" or value_element(variable).tag == "Real", variable.get("name")
         assert (variable.get("variability"), variable.get("initial")) in allowed[variable.get("causality")], variable.get("name")
         if value_element(variable).tag != "Real":
             assert variable.get("variability") != "continuous", variable.get("name")
@@ -180,14 +183,70 @@ def test_structure(root: etree._Element, variables: list[etree._Element]) -> Non
     # Every calculated output, continuous state and derivative is an initial unknown, once.
     initial = [int(u.get("index")) for u in structure.findall("InitialUnknowns/Unknown")]
     assert sorted(initial) == sorted({*outputs, *derivatives, *derivatives.values()})
-    inputs_and_states = {i for i, v in enumerate(variables, 1) if v.get("causality") == "input"} | set(derivatives.values())
-    for section in ("Outputs", "Derivatives"):
+    inputs = {i for i, v in enumerate(variables, 1) if v.get("causality") == "input"}
+    running = inputs | set(derivatives.values())
+    # FMI 2.0.4, section 2.2.8: at the start, what is exact is known.
+    starting = inputs | {i for i, v in enumerate(variables, 1) if v.get("initial") == "exact"}
+    for section, known in (("Outputs", running), ("Derivatives", running), ("InitialUnknowns", starting)):
         for unknown in structure.findall(f"{section}/Unknown"):
             dependencies = [int(d) for d in unknown.get("dependencies", "").split()]
             assert unknown.get("dependencies") is not None, "no declaration means: depends on everything"
-            assert set(dependencies) <= inputs_and_states and len(set(dependencies)) == len(dependencies)
+            assert set(dependencies) <= known and dependencies == sorted(set(dependencies))
             kinds = unknown.get("dependenciesKind")
             assert kinds is None or len(kinds.split()) == len(dependencies)
+
+
+def test_outputs_are_what_one_connects(variables: list[etree._Element]) -> None:
+    """In this order; all else that is computed is local."""
+    motion = ["tip.x", "tip.y", "tip.vx", "tip.vy", "theta[1]", "theta[2]", "omega[1]", "omega[2]"]
+    forces = ["servo.torque[1]", "servo.torque[2]", "contact.fx", "contact.fy"]
+    assert [v.get("name") for v in variables if v.get("causality") == "output"] == motion + forces
+
+
+class Loop(Exception):
+    """An algebraic loop, with the variables on it."""
+
+
+def order_of_evaluation(root: etree._Element, units: list[str], section: str, wires: list[tuple[str, str]]) -> list[str]:
+    """The order in which a master can compute coupled units, or a `Loop`. OMSimulator's rule: every unknown of the section comes after
+    its dependencies, or all inputs where none are declared; every input after the output that it is connected to."""
+    names = [v.get("name") for v in root.findall("ModelVariables/ScalarVariable")]
+    inputs = [v.get("name") for v in root.findall("ModelVariables/ScalarVariable") if v.get("causality") == "input"]
+    after: dict[str, set[str]] = {}
+    for unit in units:
+        for unknown in root.findall(f"ModelStructure/{section}/Unknown"):
+            declared = unknown.get("dependencies")
+            needed = inputs if declared is None else [names[int(i) - 1] for i in declared.split()]
+            mine = names[int(unknown.get("index")) - 1]
+            # A state that is listed with itself is no loop: it is known.
+            after[f"{unit}.{mine}"] = {f"{unit}.{name}" for name in needed if name != mine}
+    for source, sink in wires:
+        after.setdefault(sink, set()).add(source)
+    try:
+        return list(graphlib.TopologicalSorter(after).static_order())
+    except graphlib.CycleError as error:
+        raise Loop(error.args[1]) from None
+
+
+@pytest.mark.parametrize("section", ["Outputs", "InitialUnknowns"])
+def test_units_coupled_through_their_tips_form_no_loop(root: etree._Element, section: str) -> None:
+    """Each one's tip, angles and rates lead to forces and references of the other: neither at the start nor on the way is there a
+    loop. Torques of servos that follow each other are one, and without dependencies all would be."""
+
+    def both_ways(*pairs: tuple[str, str]) -> list[tuple[str, str]]:
+        return [(f"{a}.{source}", f"{b}.{sink}") for a, b in (("one", "two"), ("two", "one")) for source, sink in pairs]
+
+    motion = both_ways(
+        ("tip.x", "tip.fx"), ("tip.vy", "tip.fy"), ("theta[1]", "servo.theta[1]"), ("omega[2]", "servo.omega[2]"), ("contact.fx", "tau[1]")
+    )
+    assert order_of_evaluation(root, ["one", "two"], section, motion)
+    with pytest.raises(Loop, match="servo.torque"):
+        order_of_evaluation(root, ["one", "two"], section, both_ways(("servo.torque[1]", "servo.theta[1]")))
+    bare = copy.deepcopy(root)
+    for unknown in bare.iter("Unknown"):
+        del unknown.attrib["dependencies"]
+    with pytest.raises(Loop):
+        order_of_evaluation(bare, ["one", "two"], section, motion)
 
 
 def test_log_categories(root: etree._Element) -> None:

@@ -18,8 +18,9 @@ import numpy as np
 import pytest
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-from conftest import REPOSITORY
+from conftest import REPOSITORY, Unit
 from scene import Values, communication_points, read
+from slave import computed
 
 pytestmark = pytest.mark.platforms
 
@@ -97,17 +98,27 @@ class Bench:
         return printed
 
 
-@pytest.fixture(scope="module")
-def bench(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPathFactory) -> Bench:
-    """With the libraries under test, and the one that all other tests judge."""
-    folder = tmp_path_factory.mktemp("platforms")
-    here = fmpy.extract(os.environ["FIVEBAR_FMU_HERE"], unzipdir=str(folder / "fmu"))
+def bench_of(folder: Path, packed_here: str, directory: str, model: ModelDescription) -> Bench:
+    """With the libraries under test, extracted to `directory`, and the one that all other tests judge."""
+    here = fmpy.extract(packed_here, unzipdir=str(folder / "fmu"))
 
     def library(machine: Machine) -> Path:
         root = Path(here if machine is HERE else directory)
         return root / "binaries" / machine.folder / f"{model.coSimulation.modelIdentifier}.{machine.ending}"
 
     return Bench(folder, library, model.guid)
+
+
+@pytest.fixture(scope="module")
+def bench(directory: str, model: ModelDescription, tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    """Of the plain unit."""
+    return bench_of(tmp_path_factory.mktemp("platforms"), os.environ["FIVEBAR_FMU_HERE"], directory, model)
+
+
+@pytest.fixture(scope="module")
+def own_bench(own: Unit, tmp_path_factory: pytest.TempPathFactory) -> Bench:
+    """Of the unit of one's own."""
+    return bench_of(tmp_path_factory.mktemp("platforms"), os.environ["FIVEBAR_OWN_HERE"], own.directory, own.model)
 
 
 def bits(value: float) -> str:
@@ -129,7 +140,7 @@ def setting(variable: ScalarVariable, value: float | int | bool) -> str:
 def motion(
     model: ModelDescription, values: Values, stop_time: float, size: float = SIZE, inputs: dict[str, np.ndarray] | None = None
 ) -> Script:
-    """A run from 0 to `stop_time`, with every output read at every communication point, `size` seconds apart."""
+    """A run from 0 to `stop_time`, with all that is computed read at every communication point, `size` seconds apart."""
     variables = {v.name: v for v in model.modelVariables}
     readings = read_all(model)
     points = communication_points(stop_time, size)
@@ -142,10 +153,9 @@ def motion(
 
 
 def read_all(model: ModelDescription) -> Script:
-    """Every output, and the derivative of every number with respect to the first torque."""
-    outputs = [v for v in model.modelVariables if v.causality == "output"]
-    reals = [str(v.valueReference) for v in outputs if v.type == "Real"]
-    integers = [str(v.valueReference) for v in outputs if v.type != "Real"]
+    """All that is computed, and the derivative of every number with respect to the first torque."""
+    reals = [str(v.valueReference) for v in computed(model) if v.type == "Real"]
+    integers = [str(v.valueReference) for v in computed(model) if v.type != "Real"]
     (torque,) = [v.valueReference for v in model.modelVariables if v.name == "tau[1]"]
     return [f"reals {' '.join(reals)}", f"integers {' '.join(integers)}", f"slopes {torque} {' '.join(reals)}"]
 
@@ -210,9 +220,24 @@ def test_same_sentences_on_every_machine(bench: Bench, model: ModelDescription, 
 @on_every_machine
 def test_a_motion_goes_on_on_another_machine(bench: Bench, model: ModelDescription, machine: Machine) -> None:
     """A state that was stored here is the same bytes there, and continues there with the same bits."""
+    scripts = {name: every_effect(model) | {"solver.method": number} for name, number in methods(model).items()}
+    check_going_on(bench, machine, {name: motion(model, values, 1.0) for name, values in scripts.items()})
+
+
+@on_every_machine
+def test_a_unit_of_one_s_own_has_the_same_bits_on_every_machine(own_bench: Bench, own: Unit, machine: Machine) -> None:
+    """With nothing set; and a state that was stored on the way."""
+    scripts = {"own": motion(own.model, {}, LONGEST)}
+    here = own_bench.run(HERE, scripts)
+    assert not [line for line in here["own"][0] if "status" in line], "it does not run to its end"
+    assert own_bench.run(machine, scripts) == here
+    check_going_on(own_bench, machine, scripts)
+
+
+def check_going_on(bench: Bench, machine: Machine, scripts: dict[str, Script]) -> None:
+    """Stores a state on the way, here and there, which must be the same bytes, and goes on there from the bytes of here."""
     storing, going_on = {}, {}
-    for name, number in methods(model).items():
-        script = motion(model, every_effect(model) | {"solver.method": number}, 1.0)
+    for name, script in scripts.items():
         first = next(i for i, line in enumerate(script) if line.startswith(f"step {bits(STORED_AT)} "))
         start = next(i for i, line in enumerate(script) if line.startswith("start "))
         storing[name] = [*script[:first], f"store {name}.state", *script[first:]]

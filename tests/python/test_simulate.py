@@ -1,11 +1,14 @@
 """The plain way: simulate_fmu, and the script that the README quotes."""
 
+import os
 import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import matplotlib.image
 import numpy as np
 import pytest
 from fmpy import simulate_fmu
@@ -36,6 +39,43 @@ def test_the_default_experiment_is_interesting(fmu: Path) -> None:
     assert result["singular.passes.direct"][-1] > 100 and result["singular.passes.inverse[1]"][-1] > 100
     # 1.69e-4 mgL, the README's line, is 5.9e-6 J.
     assert np.max(np.abs(result["energy.error"])) < 1e-5
+
+
+@pytest.mark.full
+def test_fmpy_draws_a_picture(fmu: Path, outputs: list[str], tmp_path: Path) -> None:
+    """`fmpy simulate FiveBar.fmu --show-plot`, in a browser that takes a picture of what it is shown: a row for every output, each with
+    its curve from the beginning to the end, that of whatever moves with its ups and downs."""
+    picture = tmp_path / "picture.png"
+    browser = "chromium --headless=new --no-sandbox --disable-gpu --hide-scrollbars --window-size=1280,1600 --virtual-time-budget=8000"
+    environment = os.environ | {"BROWSER": f"{browser} --user-data-dir={tmp_path / 'profile'} --screenshot={picture} %s &"}
+    command = [str(Path(sys.executable).parent / "fmpy"), "simulate", str(fmu), "--show-plot"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    rows = rows_of_curves(picture)
+    assert len(rows) == len(outputs) == 12
+    assert all(width > 0.85 * 1280 for _, width in rows)
+    # What rests is a line of 1 or 2 pixels: without servos and plane, the last four.
+    assert [height > 20 for height, _ in rows] == [True] * 8 + [False] * 4
+
+
+def rows_of_curves(picture: Path) -> list[tuple[int, int]]:
+    """Height and width, in pixels, of each row in which FMPy's blue stands; waits until the picture is written."""
+    end = time.monotonic() + 60
+    while True:
+        try:
+            red, _, blue = np.moveaxis(matplotlib.image.imread(picture)[:, :, :3], 2, 0)
+            break
+        except (OSError, SyntaxError):
+            assert time.monotonic() < end, "the browser has taken no picture"
+            time.sleep(0.2)
+    # Bright blue on white, also where a line lies between two rows of pixels; text is dark.
+    curve = (blue > 0.7) & (blue - red > 0.3)
+    # Below the icons of the page.
+    curve[:28, 900:] = False
+    lines = np.flatnonzero(curve.any(axis=1))
+    bands = np.split(lines, np.flatnonzero(np.diff(lines) > 10) + 1)
+    columns = [np.flatnonzero(curve[band].any(axis=0)) for band in bands]
+    return [(int(band[-1] - band[0] + 1), int(column[-1] - column[0] + 1)) for band, column in zip(bands, columns, strict=True)]
 
 
 def test_input_from_a_table(fmu: Path) -> None:

@@ -23,9 +23,9 @@ def test_a_fresh_instance_holds_the_starts_of_the_xml(new: Callable[..., Instanc
         assert instance.get(variable.name) == parsed(variable), variable.name
 
 
-def test_every_output_can_be_read_after_initialisation(new: Callable[..., Instance]) -> None:
+def test_all_that_is_computed_can_be_read_after_initialisation(new: Callable[..., Instance]) -> None:
     instance = new().initialise({"init.theta[2]": 2.0943951023931953})
-    for name in instance.outputs:
+    for name in instance.computed:
         assert instance.get(name) == instance.get(name), f"{name} is NaN or changes when read"
 
 

@@ -1,4 +1,4 @@
-"""Drives one run of the FMU through FMPy and records its outputs at every communication point."""
+"""Drives one run of the FMU through FMPy and records all that it computes at every communication point."""
 
 import math
 import sys
@@ -14,14 +14,14 @@ from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription, ScalarVariable
 
 from scene import Scene, Variant, communication_points, unit
-from slave import Log, get_values, instantiate, set_values
+from slave import Log, computed, get_values, instantiate, set_values
 
 
 @dataclass
 class Run:
-    """What one run left: one row per communication point, the first at the start; outputs, then the scene's signals.
+    """What one run left: one row per communication point, the first at the start; all that is computed, then the scene's signals.
 
-    `items` has the names of the values of each output that is an enumeration.
+    `items` has the names of the values of each variable that is an enumeration.
     """
 
     label: str
@@ -60,13 +60,13 @@ class StartRefused(Exception):
 
 
 class _Recorder:
-    """Reads all outputs at once into two tables, one of numbers and one of integers."""
+    """Reads all variables at once into two tables, one of numbers and one of integers."""
 
-    def __init__(self, slave: fmi2.FMU2Slave, outputs: list[ScalarVariable], rows: int):
+    def __init__(self, slave: fmi2.FMU2Slave, variables: list[ScalarVariable], rows: int):
         self.slave = slave
         self.rows = 0
-        self.reals = [v for v in outputs if v.type == "Real"]
-        self.integers = [v for v in outputs if v.type in ("Integer", "Enumeration")]
+        self.reals = [v for v in variables if v.type == "Real"]
+        self.integers = [v for v in variables if v.type in ("Integer", "Enumeration")]
         self.real_table = np.empty((rows, len(self.reals)))
         self.integer_table = np.empty((rows, len(self.integers)), dtype=np.int64)
         self.real_references = (fmi2.fmi2ValueReference * len(self.reals))(*(v.valueReference for v in self.reals))
@@ -143,14 +143,14 @@ class _Signals:
 def drive(model: ModelDescription, directory: str, scene: Scene, variant: Variant, progress: Progress) -> Run:
     """Runs `variant` of `scene` with the FMU extracted to `directory`. A step that fails ends the run, not the program."""
     begin = time.perf_counter()
-    outputs = [v for v in model.modelVariables if v.causality == "output"]
+    variables = computed(model)
     points = communication_points(scene.stop_time, scene.step_size)
     log = Log()
     slave = instantiate(model, directory, log, name=scene.name)
     try:
         signals = _Signals(slave, model, scene)
         _initialise(slave, model, scene, variant, signals, log)
-        recorder = _Recorder(slave, outputs, len(points))
+        recorder = _Recorder(slave, variables, len(points))
         recorder.record()
         parameters = get_values(slave, model, [v.name for v in model.modelVariables if v.causality == "parameter"])
         call_seconds, failure = _step(slave, points, signals, recorder, progress, log)
@@ -166,7 +166,7 @@ def drive(model: ModelDescription, directory: str, scene: Scene, variant: Varian
         units={"time": "s"} | {v.name: unit(v) for v in model.modelVariables},
         columns=recorder.columns(points) | {name: column[: recorder.rows] for name, column in scene.signals.items()},
         parameters=parameters,
-        items={v.name: {int(i.value): i.name for i in v.declaredType.items} for v in outputs if v.type == "Enumeration"},
+        items={v.name: {int(i.value): i.name for i in v.declaredType.items} for v in variables if v.type == "Enumeration"},
         call_seconds=call_seconds,
         wall_seconds=time.perf_counter() - begin,
         failure=failure,

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from fmpy import fmi2
-from fmpy.model_description import ModelDescription
+from fmpy.model_description import ModelDescription, ScalarVariable
 
 STATUS = ("OK", "Warning", "Discard", "Error", "Fatal", "Pending")
 
@@ -62,6 +62,11 @@ def instantiate(
     )
     slave.instantiate(callbacks=log.callbacks(), loggingOn=logging_on)
     return slave
+
+
+def computed(model: ModelDescription) -> list[ScalarVariable]:
+    """What the FMU computes: its outputs, then its local variables. Derivatives are other names of some of them."""
+    return [v for v in model.modelVariables if v.causality in ("output", "local") and v.derivative is None]
 
 
 def set_values(slave: fmi2.FMU2Slave, model: ModelDescription, values: dict[str, float | int | bool]) -> None:

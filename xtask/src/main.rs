@@ -18,6 +18,7 @@ mod walk;
 use anyhow::Result;
 use clap::{Parser, Subcommand};
 use package::Scope;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 /// The commands of this repository
@@ -82,7 +83,14 @@ enum Command {
     Prices,
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package {
-        /// With a library for every machine that is shipped, as target/fmu/all-platforms/FiveBar.fmu: takes minutes
+        /// A unit of one's own, target/fmu/NAME.fmu: its start values, experiment and description come from this file, written like
+        /// those of scenes/
+        #[arg(long, value_name = "FILE")]
+        scene: Option<PathBuf>,
+        /// What that unit is called [default: the file's name in CamelCase]
+        #[arg(long, requires = "scene")]
+        name: Option<String>,
+        /// With a library for every machine that is shipped, in target/fmu/all-platforms/: takes minutes
         #[arg(long)]
         all_platforms: bool,
     },
@@ -113,7 +121,12 @@ fn command(command: Command) -> Result<()> {
         Command::Bench { check: true, .. } => bench::check(),
         Command::Bench { quick, .. } => bench::bench(quick),
         Command::Prices => prices::prices(),
-        Command::Package { all_platforms: false } => package::package(Scope::Here).map(drop),
-        Command::Package { all_platforms: true } => package::package(Scope::All).map(drop),
+        Command::Package { scene, name, all_platforms } => {
+            let scope = if all_platforms { Scope::All } else { Scope::Here };
+            match scene {
+                Some(file) => package::package_own(&file, name.as_deref(), scope).map(drop),
+                None => package::package(scope).map(drop),
+            }
+        }
     }
 }

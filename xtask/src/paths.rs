@@ -17,14 +17,14 @@ pub(crate) fn short(path: &Path) -> String {
     path.strip_prefix(root()).unwrap_or(path).display().to_string()
 }
 
-/// The packed unit for this machine.
-pub(crate) fn fmu() -> PathBuf {
-    in_root("target/fmu/FiveBar.fmu")
+/// The packed unit of that name, for this machine.
+pub(crate) fn fmu(name: &str) -> PathBuf {
+    in_root("target/fmu").join(name).with_extension("fmu")
 }
 
-/// The packed unit with a library for every machine.
-pub(crate) fn fmu_for_all_platforms() -> PathBuf {
-    in_root("target/fmu/all-platforms/FiveBar.fmu")
+/// The packed unit of that name, with a library for every machine.
+pub(crate) fn fmu_for_all_platforms(name: &str) -> PathBuf {
+    in_root("target/fmu/all-platforms").join(name).with_extension("fmu")
 }
 
 /// Where the master fmi-sim is installed.

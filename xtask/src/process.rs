@@ -32,9 +32,9 @@ pub(crate) struct Beside {
     log: PathBuf,
 }
 
-/// Shows the command and starts it; what it writes is shown when it has ended.
-pub(crate) fn start(command: &mut Command) -> Result<Beside> {
-    let (text, log) = (short_form(command), paths::in_root("target/beside.log"));
+/// Shows the command and starts it; what it writes is shown when it has ended. Until then it lies in a file of that name.
+pub(crate) fn start(name: &str, command: &mut Command) -> Result<Beside> {
+    let (text, log) = (short_form(command), paths::in_root("target").join(name).with_extension("log"));
     println!("$ {text} &");
     let file = File::create(&log).with_context(|| paths::short(&log))?;
     command.stdout(file.try_clone()?).stderr(file);
@@ -112,7 +112,7 @@ mod tests {
     #[test]
     fn a_command_is_shown_relative_to_the_root() {
         let mut command = program(paths::in_root("target/venv/bin/python"));
-        command.arg("run.py").arg(paths::fmu());
+        command.arg("run.py").arg(paths::fmu("FiveBar"));
         assert_eq!(short_form(&command), "target/venv/bin/python run.py target/fmu/FiveBar.fmu");
     }
 

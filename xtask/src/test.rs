@@ -5,6 +5,7 @@ use crate::venv::{self, Packages};
 use crate::{bench, paths, process};
 use anyhow::{Context, Result, bail, ensure};
 use cargo_metadata::Message;
+use std::env;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::thread;
@@ -29,6 +30,9 @@ const FMI_SIM: (&str, [(&str, &str); 1]) = ("0.7.0", [("/usr/lib/llvm-14/lib/lib
 /// Programs that `--platforms` needs on top of those that build.
 const PLATFORMS_NEEDS: [(&str, &str); 2] = [("wine", "wine"), ("qemu-aarch64", "qemu-user")];
 
+/// The scene of a unit of one's own, which the Python tests look at, and the unit's name.
+const OWN: (&str, &str) = ("tests/data/own_machine.json", "OwnMachine");
+
 /// The Rust tests that go through the C functions; the same names are run once more under valgrind.
 const C_TESTS: (&str, &str) = ("integration", "fmi_");
 
@@ -49,17 +53,20 @@ pub(crate) fn test(full: bool) -> Result<()> {
         process::run(process::cargo().args(["doc", "--locked", "--workspace", "--no-deps"]).env("RUSTDOCFLAGS", "-D warnings"))
     })?;
     // One core is enough for valgrind: the rest goes on beside it.
-    let memory = if full { Some(process::start(&mut valgrind()?)?) } else { None };
+    let memory = if full { Some(process::start("memory", &mut valgrind()?)?) } else { None };
     if full {
         steps.run("instructions", bench::check)?;
     }
     let fmu = steps.run("package", || package::package(Scope::Here))?;
+    steps.run("Python environment (the rest)", || environment.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))?;
+    // Linking it takes one core.
+    let own = process::start("own-machine", process::program(env::current_exe()?).args(["package", "--scene", OWN.0]))?;
     let tests = if full { Tests::Full { panicking: steps.run("panicking build", panicking)? } } else { Tests::Usual };
+    steps.run("package, own machine (the rest)", || own.finish())?;
     if let Some(memory) = memory {
         steps.run("memory (the rest)", || memory.finish())?;
     }
-    steps.run("Python environment (the rest)", || environment.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))?;
-    steps.run("Python tests", || pytest(&fmu, &tests))?;
+    steps.run("Python tests", || pytest(&fmu, &paths::fmu(OWN.1), &tests))?;
     steps.summary();
     if !full {
         println!("left out here, part of `cargo xtask test --full`: {LEFT_OUT}");
@@ -72,8 +79,11 @@ pub(crate) fn platforms() -> Result<()> {
     process::need("cargo xtask test --platforms", ".ci/setup-platforms", &PLATFORMS_NEEDS)?;
     let mut steps = Steps::default();
     steps.run("package", || package::package(Scope::Here))?;
+    let own = |scope| package::package_own(&paths::in_root(OWN.0), None, scope);
+    steps.run("package, own machine", || own(Scope::Here))?;
     let fmu = steps.run("package, all platforms", || package::package(Scope::All))?;
-    steps.run("Python tests", || pytest(&fmu, &Tests::Platforms))?;
+    let own = steps.run("package, own machine, all platforms", || own(Scope::All))?;
+    steps.run("Python tests", || pytest(&fmu, &own, &Tests::Platforms))?;
     steps.summary();
     Ok(())
 }
@@ -88,7 +98,7 @@ pub(crate) fn fmi_sim() -> Result<()> {
         process::run(process::cargo().args(install).arg(paths::fmi_sim()))
     })?;
     let fmu = steps.run("package", || package::package(Scope::Here))?;
-    steps.run("Python tests", || pytest(&fmu, &Tests::FmiSim))?;
+    steps.run("Python tests", || pytest(&fmu, &paths::fmu(OWN.1), &Tests::FmiSim))?;
     steps.summary();
     Ok(())
 }
@@ -189,9 +199,9 @@ enum Tests {
     FmiSim,
 }
 
-/// Runs the Python tests on the packed unit, last of all: the line it ends with is the one that CI reads. pytest.ini
-/// leaves those out that need more than Python packages, unless asked for.
-fn pytest(fmu: &Path, tests: &Tests) -> Result<()> {
+/// Runs the Python tests on the packed units, the plain one and one of one's own, last of all: the line it ends with is the one that
+/// CI reads. pytest.ini leaves those out that need more than Python packages, unless asked for.
+fn pytest(fmu: &Path, own: &Path, tests: &Tests) -> Result<()> {
     let (packages, marks) = match tests {
         Tests::Usual => (Packages::Usual, None),
         Tests::Full { .. } => (Packages::Full, Some("not platforms and not fmi_sim")),
@@ -205,10 +215,12 @@ fn pytest(fmu: &Path, tests: &Tests) -> Result<()> {
         .arg("--override-ini")
         .arg(format!("cache_dir={}", paths::in_root("target/pytest").display()))
         .env("FIVEBAR_FMU", fmu)
-        .env("FIVEBAR_FMU_HERE", paths::fmu())
+        .env("FIVEBAR_FMU_HERE", paths::fmu("FiveBar"))
+        .env("FIVEBAR_OWN", own)
+        .env("FIVEBAR_OWN_HERE", paths::fmu(OWN.1))
         .env("FMI_SIM", paths::fmi_sim().join("bin/fmi-sim"));
     if let Tests::Full { panicking } = tests {
-        command.env("FIVEBAR_PANICKING", panicking);
+        command.env("FIVEBAR_PANICKING", panicking).env("COFMUPY", venv::apart());
     }
     if let Some(marks) = marks {
         command.args(["-m", marks]);

@@ -9,12 +9,16 @@ use std::process::{Command, Stdio};
 /// The name under which a Python 3 is on the path.
 const PYTHON: &str = if cfg!(windows) { "python" } else { "python3" };
 
+/// Packages that need another version of one of the others: in a folder of their own within the environment, which only those see who
+/// put it on Python's path.
+const APART: &str = "xtask/python/requirements-cofmupy.txt";
+
 /// What the environment must hold; each file is a pinned closure.
 #[derive(Clone, Copy)]
 pub(crate) enum Packages {
     /// What a run and the Python tests need.
     Usual,
-    /// And what the tests in a browser need.
+    /// And what the tests in a browser and with other masters need.
     Full,
     /// And what builds libraries for other machines.
     Platforms,
@@ -27,7 +31,7 @@ impl Packages {
         const USUAL: &str = "xtask/python/requirements.txt";
         match self {
             Self::Usual => &[USUAL],
-            Self::Full => &[USUAL, "xtask/python/requirements-full.txt"],
+            Self::Full => &[USUAL, "xtask/python/requirements-full.txt", APART],
             Self::Platforms => &[USUAL, "xtask/python/requirements-platforms.txt"],
             Self::Peers => &["xtask/python/requirements-peers.txt"],
         }
@@ -65,6 +69,11 @@ pub(crate) fn site_packages(packages: Packages) -> Result<PathBuf> {
     Ok(process::output(python(packages)?.args(["-c", ask]))?.trim().into())
 }
 
+/// The folder of the packages that are kept apart.
+pub(crate) fn apart() -> PathBuf {
+    Packages::Full.folder().join("cofmupy")
+}
+
 /// A file of requirements and the copy of it that tells what is installed.
 struct Requirements {
     file: &'static str,
@@ -97,13 +106,16 @@ impl Requirements {
 
     fn install(&self, python: &Path) -> Result<()> {
         println!("installing the Python packages of {} (first run, or the file changed)", self.file);
-        process::run(
-            process::program(python)
-                .args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"])
-                .arg("--requirement")
-                .arg(paths::in_root(self.file)),
-        )
-        .context("the Python packages could not be installed")?;
+        let mut pip = process::program(python);
+        pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"])
+            // Nothing but what stands in the file, for each is a closure; what is never imported is not compiled.
+            .args(["--no-deps", "--no-compile"])
+            .arg("--requirement")
+            .arg(paths::in_root(self.file));
+        if self.file == APART {
+            pip.arg("--target").arg(apart());
+        }
+        process::run(&mut pip).context("the Python packages could not be installed")?;
         fs::write(&self.stamp, &self.text).with_context(|| format!("{} cannot be written", paths::short(&self.stamp)))
     }
 }
@@ -151,9 +163,10 @@ mod tests {
     }
 
     #[test]
-    fn the_two_files_of_requirements_have_stamps_of_their_own() {
+    fn each_file_of_requirements_has_a_stamp_of_its_own() {
         let folder = Path::new("venv");
         let stamps: Vec<_> = Packages::Full.files().iter().map(|file| Requirements::read(file, folder).unwrap().stamp).collect();
-        assert_eq!(stamps, [folder.join("requirements.installed"), folder.join("requirements-full.installed")]);
+        let names = ["requirements", "requirements-full", "requirements-cofmupy"];
+        assert_eq!(stamps, names.map(|name| folder.join(name).with_extension("installed")));
     }
 }

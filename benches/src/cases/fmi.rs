@@ -77,7 +77,7 @@ pub(super) fn cases() -> Result<Vec<Case>> {
         }),
         calls("outputs", "none", |_| ()),
     ];
-    let outputs = || VARIABLES.iter().filter(|variable| matches!(variable.id, VariableId::RealOutput(_)));
+    let outputs = || VARIABLES.iter().filter(|variable| matches!(variable.id, VariableId::RealComputed(_)));
     // Groups by the first part of the name; theta[1] and the like are one of their own.
     let group = |name: &'static str| name.split_once('.').map_or("joints", |(group, _)| group.split('[').next().unwrap_or(group));
     let mut groups: Vec<&str> = Vec::new();

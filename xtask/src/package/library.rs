@@ -2,6 +2,7 @@
 
 use super::linked::{LIBRARY_CRATE, Linked};
 use super::platform::Platform;
+use super::unit::Unit;
 use crate::{paths, process};
 use anyhow::{Context, Result, bail};
 use cargo_metadata::{Message, PackageId};
@@ -17,17 +18,21 @@ pub(super) struct Library {
     pub(super) built: HashSet<PackageId>,
 }
 
-/// Builds the library for a machine.
-pub(super) fn build(platform: &Platform, linked: &Linked) -> Result<Library> {
+/// Builds the library of a unit for a machine.
+pub(super) fn build(platform: &Platform, linked: &Linked, unit: &Unit) -> Result<Library> {
+    let mut cargo = platform.cargo_rustc()?;
     // Only as cdylib: cargo does no link-time optimisation where an rlib is built along.
-    let messages = process::run_for_output(
-        platform
-            .cargo_rustc()?
-            .args(["--locked", "--package", LIBRARY_CRATE])
-            .args(["--lib", "--crate-type", "cdylib"])
-            .arg("--message-format=json-render-diagnostics")
-            .env("CARGO_ENCODED_RUSTFLAGS", flags(platform, linked)?.join("\u{1f}")),
-    )?;
+    cargo
+        .args(["--locked", "--package", LIBRARY_CRATE])
+        .args(["--lib", "--crate-type", "cdylib"])
+        .arg("--message-format=json-render-diagnostics")
+        .env("CARGO_ENCODED_RUSTFLAGS", flags(platform, linked)?.join("\u{1f}"));
+    if let Some(text) = unit.own_text()? {
+        // Read by build.rs. A feature, so that nothing left in the environment can reach the plain unit. Both share their crates and, for
+        // cargo gives such a library no other name, its file: after the one, the other is linked anew, in some 20 s.
+        cargo.args(["--features", "own-description"]).env("FIVEBAR_MODEL_DESCRIPTION", text);
+    }
+    let messages = process::run_for_output(&mut cargo)?;
     let (file, built) = artifacts(&messages, platform.extension)?;
     let bytes = fs::read(&file).with_context(|| format!("{} cannot be read", file.display()))?;
     for path in [paths::root(), &linked.target, &cargo_home()?] {

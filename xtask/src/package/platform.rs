@@ -87,11 +87,11 @@ impl Scope {
         }
     }
 
-    /// The packed unit.
-    pub(super) fn file(self) -> PathBuf {
+    /// The packed unit of that name.
+    pub(super) fn file(self, name: &str) -> PathBuf {
         match self {
-            Self::Here => paths::fmu(),
-            Self::All => paths::fmu_for_all_platforms(),
+            Self::Here => paths::fmu(name),
+            Self::All => paths::fmu_for_all_platforms(name),
         }
     }
 }

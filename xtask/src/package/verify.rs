@@ -1,6 +1,7 @@
 //! Looks into the finished archive with other eyes than those that packed it.
 
 use super::library::contains;
+use super::platform::Scope;
 use anyhow::{Context, Result, bail, ensure};
 use object::elf::FileHeader64;
 use object::read::elf::FileHeader;
@@ -76,8 +77,8 @@ impl fmt::Display for Report {
     }
 }
 
-/// Opens the archive and checks what a host relies on; no library may ask for a glibc newer than the floor.
-pub(super) fn verify(fmu: &Path, glibc_floor: Option<&[u32]>) -> Result<Report> {
+/// Opens the archive and checks what a host relies on; no library may ask for a glibc newer than the scope allows.
+pub(super) fn verify(fmu: &Path, scope: Scope) -> Result<Report> {
     let file = File::open(fmu)?;
     let size = file.metadata()?.len();
     let mut archive = ZipArchive::new(file)?;
@@ -91,7 +92,7 @@ pub(super) fn verify(fmu: &Path, glibc_floor: Option<&[u32]>) -> Result<Report> 
         let stem = Path::new(name).file_stem().unwrap_or_default();
         ensure!(stem == identifier.as_str(), "{name} is not named after the modelIdentifier {identifier}");
         let bytes = read(&mut archive, name)?;
-        libraries.push(library(name, &bytes, &guid, glibc_floor).with_context(|| name.clone())?);
+        libraries.push(library(name, &bytes, &guid, scope.glibc_floor()).with_context(|| name.clone())?);
     }
     ensure!(!libraries.is_empty(), "binaries/ is empty");
     Ok(Report { archive: size, guid, libraries })

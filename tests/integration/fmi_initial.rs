@@ -1,0 +1,144 @@
+//! What each unknown depends on at the start: InitialUnknowns against what changes when a parameter or input is set otherwise (rule 20 of
+//! this project).
+
+use std::collections::BTreeSet;
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use fivebar::ffi::*;
+use model_description::{Causality, Kind, ModelDescription, Unknown, Variable};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+
+use super::fmi_derivatives::{Scene, everything};
+use super::fmi_host::{Host, reference};
+
+/// A scene, its proximal angles and rates, and the number of its method.
+struct Start {
+    scene: Scene,
+    state: [f64; 4],
+    method: i32,
+}
+
+impl Start {
+    fn host(&self) -> Host {
+        let host = self.scene.initializing(self.state);
+        assert_eq!(host.set_integer(&[reference("solver.method")], &[self.method]), fmi2OK);
+        host
+    }
+}
+
+/// Without effects: the paper's start (distal links in line), a bent posture that moves, all links in one line, at rest and moving; by
+/// every method with all effects on, in both assemblies, in either stop of each motor, with the tip in contact.
+fn starts() -> Vec<Start> {
+    let bare = |state| Start { scene: Scene { reals: Vec::new(), enabled: Vec::new(), assembly: 1 }, state, method: 1 };
+    let mut starts = vec![
+        bare([FRAC_PI_2, FRAC_PI_2, 0.0, 0.0]),
+        bare([1.1, 1.9, 0.5, -1.0]),
+        bare([PI, PI, 0.0, 0.0]),
+        bare([PI, PI, 2.0, 2.0]),
+    ];
+    let mut random = ChaCha8Rng::seed_from_u64(43);
+    for method in 1..=4 {
+        for (assembly, lower) in [(1, false), (2, true)] {
+            let (mut scene, state) = everything(&mut random, assembly);
+            // So wide that breakaway and ramps are felt at these rates and depths.
+            scene.reals.extend([("friction.breakawayVelocity".into(), 1.0), ("stop.width".into(), 0.1)]);
+            if lower {
+                for (leg, angle) in (1..=2).zip(state) {
+                    scene.reals.push((format!("stop.upper[{leg}]"), angle + 2.0));
+                    scene.reals.push((format!("stop.lower[{leg}]"), angle + 0.02));
+                }
+            }
+            starts.push(Start { scene, state, method });
+        }
+    }
+    starts
+}
+
+/// The unknowns; nothing where the start is refused.
+fn read(host: &Host, unknowns: &[Unknown]) -> Option<Vec<f64>> {
+    let references: Vec<u32> = unknowns.iter().map(|unknown| reference_of(&unknown.name)).collect();
+    let mut values = vec![f64::NAN; references.len()];
+    let status = host.get_real(&references, &mut values);
+    host.take();
+    (status == fmi2OK).then_some(values)
+}
+
+/// A derivative is no variable of the library: it shares the reference of another one.
+fn reference_of(name: &str) -> u32 {
+    match name.strip_prefix("der(theta") {
+        Some(rest) => reference(&format!("omega{}", rest.trim_end_matches(')'))),
+        None => match name.strip_prefix("der(omega") {
+            Some(rest) => reference(&format!("alpha{}", rest.trim_end_matches(')'))),
+            None => reference(name),
+        },
+    }
+}
+
+/// Sets a known otherwise, in several ways one after the other, and back; calls `look` after each way that is allowed.
+fn vary(host: &Host, known: &Variable, mut look: impl FnMut(&Host)) {
+    let reference = [known.reference];
+    match known.kind {
+        Kind::Real { bounds, .. } => {
+            let mut value = [f64::NAN];
+            assert_eq!(host.get_real(&reference, &mut value), fmi2OK);
+            let [value] = value;
+            let shift = 1e-3 * (1.0 + value.abs());
+            let ways = [value + shift, value - shift, 1.25 * value, 0.5 * value, 3.0 * value];
+            for other in ways.into_iter().chain(bounds.min.filter(|min| *min >= 0.0)) {
+                if host.set_real(&reference, &[other]) == fmi2OK {
+                    look(host);
+                }
+            }
+            assert_eq!(host.set_real(&reference, &[value]), fmi2OK);
+        }
+        Kind::Integer { .. } | Kind::Enumeration { .. } => {
+            let mut value = [0];
+            assert_eq!(host.get_integer(&reference, &mut value), fmi2OK);
+            for other in 1..=20 {
+                if host.set_integer(&reference, &[other]) == fmi2OK {
+                    look(host);
+                }
+            }
+            assert_eq!(host.set_integer(&reference, &value), fmi2OK);
+        }
+        Kind::Boolean { .. } => {
+            let mut value = [0];
+            assert_eq!(host.get_boolean(&reference, &mut value), fmi2OK);
+            assert_eq!(host.set_boolean(&reference, &[1 - value[0]]), fmi2OK);
+            look(host);
+            assert_eq!(host.set_boolean(&reference, &value), fmi2OK);
+        }
+    }
+    host.take();
+}
+
+/// What changes is declared, in every scene; what is declared changes, in one of them.
+#[test]
+fn initial_unknowns_depend_on_what_is_declared_and_on_nothing_else() {
+    let description = ModelDescription::read().expect("the shipped description");
+    let unknowns = &description.structure.initial_unknowns;
+    let is_known = |variable: &&Variable| matches!(variable.causality, Causality::Parameter | Causality::Input);
+    // The tip's position is found past the centre of mass of a link, and by each method in its own coordinates: what depends on it has
+    // round-off of 1e-16 m, of the contact's stiffness of 2e3 N/m and its damping in forces. The least change that counts is some 1e-6.
+    let differ = |before: f64, after: f64| (after - before).abs() > 1e-10 * (1.0 + before.abs());
+    let mut seen = BTreeSet::new();
+    for start in starts() {
+        let host = start.host();
+        let before = read(&host, unknowns).expect("a start");
+        for known in description.variables.iter().filter(is_known) {
+            vary(&host, known, |host| {
+                let Some(after) = read(host, unknowns) else { return };
+                let changed = unknowns.iter().zip(before.iter().zip(after)).filter(|(_, (before, after))| differ(**before, *after));
+                seen.extend(changed.map(|(unknown, _)| (unknown.name.clone(), known.name.full.clone())));
+            });
+            assert_eq!(read(&host, unknowns).as_ref(), Some(&before), "{} has been set back", known.name.full);
+        }
+    }
+    let pairs =
+        |unknown: &Unknown| unknown.dependencies.iter().map(|known| (unknown.name.clone(), known.clone())).collect::<Vec<_>>();
+    let declared: BTreeSet<_> = unknowns.iter().flat_map(pairs).collect();
+    let missing: Vec<_> = seen.difference(&declared).collect();
+    let idle: Vec<_> = declared.difference(&seen).collect();
+    assert!(missing.is_empty() && idle.is_empty(), "not declared: {missing:?}; declared, and nothing changes: {idle:?}");
+}
