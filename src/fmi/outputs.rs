@@ -74,6 +74,7 @@ fn integer(of: &Observed<'_, f64>, output: IntegerOutput) -> i32 {
         IntegerOutput::SolverIterations => counters.iterations,
         IntegerOutput::SolverRejected => counters.rejected,
         IntegerOutput::SolverRescued => counters.rescued,
+        IntegerOutput::SolverLastResorts => counters.last_resorts,
         IntegerOutput::SolverRestarts => counters.restarts,
         IntegerOutput::SolverLaunches => counters.launches,
         IntegerOutput::SolverVertexPasses => counters.vertex_passes,

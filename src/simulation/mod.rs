@@ -6,6 +6,7 @@
 pub mod angles;
 mod dense_run;
 pub mod five_bar;
+mod five_bar_steps;
 mod inertia;
 pub mod model;
 mod passage;
@@ -175,12 +176,18 @@ impl Simulation {
         self.run.state(&self.model, inputs)
     }
 
+    /// What the integrator has done since the start.
+    pub fn counters(&self) -> Counters {
+        match &self.run.progress {
+            Progress::WithCall(core) => core.counters,
+            Progress::Conserving(run) => run.counters,
+            Progress::PastCall(_) => self.state().core.counters,
+        }
+    }
+
     /// Singularities met since the start; see [`Counters::singular`].
     pub fn singular(&self) -> [u64; MODES + 2] {
-        match &self.run.progress {
-            Progress::WithCall(core) => core.counters.singular(),
-            Progress::PastCall(_) => self.state().core.counters.singular(),
-        }
+        self.counters().singular()
     }
 
     /// Gives the active effects new parameters from now on; what that adds to the potential energy counts as input. Which effects

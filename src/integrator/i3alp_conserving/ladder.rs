@@ -1,0 +1,162 @@
+//! What a step does whose equations plain Newton's method does not solve: other ways to the same root, at the full step.
+//!
+//! | rung | way |
+//! | --- | --- |
+//! | 1 | the whole tangent, from what equilibrium at the beginning predicts |
+//! | 2 | friction made soft and hardened again, each root the start of the next |
+//! | 3 | continuation: roots at h/8, 2h/8, … h |
+//! | 4 | a smaller e |
+//! | 5 | finer continuations, with the smaller e |
+//! | last | no root, which happens close to vertices: the energy–momentum step, whose velocities are projected and scaled to its energy |
+
+use super::Settings;
+use super::equations::{Step, Unknowns};
+use super::newton::{Allowance, TO_ROUND_OFF, evaluated, whole};
+use crate::integrator::{Discrete, NewtonSettings, Passage, StepError, velocity_correction};
+use crate::vector::Vector;
+
+/// By how much the rates at which friction turns are larger, on the way to its own law.
+const SOFTENINGS: [f64; 10] = [1e4, 1e3, 3e2, 1e2, 30.0, 10.0, 5.0, 2.5, 1.5, 1.0];
+/// Parts of e.
+const SMALLER: [f64; 2] = [1e-5, 1e-7];
+/// Stages of the finer continuations and their part of e.
+const FINER: [(u32, f64); 4] = [(32, 1.0), (8, 1e-5), (32, 1e-5), (128, 1e-5)];
+/// Last correction of an angle at the stages on the way, rad.
+const ON_THE_WAY: (u32, f64) = (10, 1e-8);
+/// Most iterations of each softening.
+const SOFTENED: u32 = 15;
+/// What the last rung may take beyond the step's allowance.
+pub(super) const LAST_RESORT: u32 = 200;
+
+/// A root that the ladder has found.
+pub(super) struct Rescued<const N: usize, const M: usize> {
+    pub(super) x: Unknowns<N, M>,
+    /// q̇₁, where it is not that of the equations: the last rung.
+    pub(super) projected: Option<Vector<N>>,
+}
+
+/// The unknowns that equilibrium at the beginning of a step predicts for one of h seconds, with these q̈ and λ.
+pub(super) fn from_equilibrium<const N: usize, const M: usize>(
+    v: &Vector<N>,
+    (a, lambda): (&Vector<N>, &Vector<M>),
+    h: f64,
+) -> Unknowns<N, M> {
+    Unknowns { d: h * (*v + (0.5 * h) * *a), lambda: (0.5 * h * h) * *lambda, nu: Vector::ZERO }
+}
+
+/// Up the ladder.
+#[cold]
+#[inline(never)]
+pub(super) fn climb<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
+    step: &Step<'_, S, N, M>,
+    settings: &Settings,
+    rest: (&Vector<N>, &Vector<M>),
+    allowance: &mut Allowance<'_>,
+) -> Result<Rescued<N, M>, StepError> {
+    match root(step, settings, rest, allowance) {
+        Some(x) => Ok(Rescued { x, projected: None }),
+        None => last_resort(step, settings, rest, allowance),
+    }
+}
+
+fn root<const N: usize, const M: usize, S: Discrete<N, M>>(
+    step: &Step<'_, S, N, M>,
+    settings: &Settings,
+    rest: (&Vector<N>, &Vector<M>),
+    allowance: &mut Allowance<'_>,
+) -> Option<Unknowns<N, M>> {
+    let with = |part: f64| NewtonSettings { regularization: part * settings.regularization, both_levels: true };
+    let start = from_equilibrium(&step.v, rest, step.h);
+    let at_once = |part: f64, allowance: &mut Allowance<'_>| {
+        let mut x = start;
+        whole(step, &mut x, with(part), TO_ROUND_OFF, allowance).map(|()| x)
+    };
+    at_once(1.0, allowance)
+        .or_else(|| if step.system.has_friction() { hardened(step, start, with(1.0), allowance) } else { None })
+        .or_else(|| continued(step, with(1.0), rest, 8, allowance))
+        .or_else(|| SMALLER.into_iter().find_map(|part| at_once(part, allowance)))
+        .or_else(|| FINER.into_iter().find_map(|(stages, part)| continued(step, with(part), rest, stages, allowance)))
+}
+
+/// Friction that turns at larger rates has a root that is easy to find; from there the law hardens.
+fn hardened<const N: usize, const M: usize, S: Discrete<N, M>>(
+    step: &Step<'_, S, N, M>,
+    mut x: Unknowns<N, M>,
+    settings: NewtonSettings,
+    allowance: &mut Allowance<'_>,
+) -> Option<Unknowns<N, M>> {
+    for softening in SOFTENINGS {
+        let (_, last_correction) = TO_ROUND_OFF;
+        whole(&step.softened(softening), &mut x, settings, (SOFTENED, last_correction), allowance)?;
+    }
+    Some(x)
+}
+
+/// The root is followed from that of a step of h/stages, which is small, to that of h.
+fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
+    step: &Step<'_, S, N, M>,
+    settings: NewtonSettings,
+    rest: (&Vector<N>, &Vector<M>),
+    stages: u32,
+    allowance: &mut Allowance<'_>,
+) -> Option<Unknowns<N, M>> {
+    let mut before = Unknowns { d: Vector::ZERO, lambda: Vector::ZERO, nu: Vector::ZERO };
+    let mut x = before;
+    for stage in 1..=stages {
+        let h = step.h * f64::from(stage) / f64::from(stages);
+        let next = match stage {
+            1 => from_equilibrium(&step.v, rest, h),
+            // d grows with h, the multipliers with its square.
+            2 => Unknowns { d: 2.0 * x.d, lambda: 4.0 * x.lambda, nu: 4.0 * x.nu },
+            _ => Unknowns {
+                d: 2.0 * x.d - before.d,
+                lambda: 2.0 * x.lambda - before.lambda,
+                nu: 2.0 * x.nu - before.nu,
+            },
+        };
+        (before, x) = (x, next);
+        let until = if stage < stages { ON_THE_WAY } else { TO_ROUND_OFF };
+        whole(&step.shortened(h), &mut x, settings, until, allowance)?;
+    }
+    Some(x)
+}
+
+/// The energy–momentum step has a root where that with both levels of the constraints has none. Its velocities violate the constraints:
+/// they are projected, and scaled to the kinetic energy that they had.
+fn last_resort<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
+    step: &Step<'_, S, N, M>,
+    settings: &Settings,
+    rest: (&Vector<N>, &Vector<M>),
+    allowance: &mut Allowance<'_>,
+) -> Result<Rescued<N, M>, StepError> {
+    let system = step.system;
+    allowance.left = LAST_RESORT;
+    let with = |part: f64| NewtonSettings { regularization: part * settings.regularization, both_levels: false };
+    let at_once = |part: f64, allowance: &mut Allowance<'_>| {
+        let mut x = from_equilibrium(&step.v, rest, step.h);
+        whole(step, &mut x, with(part), TO_ROUND_OFF, allowance).map(|()| x)
+    };
+    let found = at_once(1.0, allowance)
+        .or_else(|| continued(step, with(1.0), rest, 8, allowance))
+        .or_else(|| at_once(SMALLER[0], allowance))
+        .or_else(|| continued(step, with(SMALLER[0]), rest, 8, allowance));
+    let Some(x) = found else {
+        return Err(StepError::NoRoot);
+    };
+    let end = evaluated(step, &x);
+    let pose = S::end(&end.secant);
+    let kinetic = |v: &Vector<N>| system.mass_times(pose, v).dot(v);
+    let mass = system.factor_mass(pose, settings.equilibrium);
+    let mut v = end.v;
+    // Twice: close to a vertex the first leaves more than round-off.
+    for _ in 0..2 {
+        v += velocity_correction(system, pose, &mass, &v);
+    }
+    let (had, left) = (kinetic(&end.v), kinetic(&v));
+    let factor = if had > 0.0 { (had / left).sqrt() } else { 1.0 };
+    if !(factor * v).is_finite() {
+        return Err(StepError::NotFinite);
+    }
+    allowance.counters.last_resorts += 1;
+    Ok(Rescued { x, projected: Some(factor * v) })
+}

@@ -1,0 +1,125 @@
+//! The unknowns of a conserving step, by Newton's method: Λ and ν in turn where forces let it, or all at once.
+
+use super::equations::{Evaluation, Step, Unknowns};
+use crate::integrator::{Counters, Discrete, NewtonSettings, SecantFactor};
+
+/// Largest |M⁻¹f| of a step that has converged, m and rad.
+const OFFSET: f64 = 2e-12;
+/// Largest |Φ| and |J₁w| of it, in parts of the system's size.
+const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
+/// From this iteration on the matrix is factorised anew each time: the step is no easy one.
+const FRESH: u32 = 3;
+/// The same of the whole tangent's last correction of an angle, rad; and what may be left where corrections do not fall any more.
+const LAST_CORRECTION: f64 = 1e-13;
+const STAGNATION: f64 = 1e-10;
+/// A link that turns farther in one step, rad, is on its way to no root.
+const LARGEST_TURN: f64 = 6.0;
+
+/// Iterations that a step may still take.
+pub(super) struct Allowance<'a> {
+    pub(super) left: u32,
+    pub(super) counters: &'a mut Counters,
+}
+
+impl Allowance<'_> {
+    /// Takes one, if there is one.
+    #[inline(always)]
+    fn take(&mut self) -> Option<()> {
+        self.left = self.left.checked_sub(1)?;
+        self.counters.iterations += 1;
+        Some(())
+    }
+}
+
+/// Λ and ν in turn: ν by a linear equation for given d, Newton's method on d and Λ. Contracts by (hω)² per iteration.
+#[inline(always)]
+pub(super) fn alternate<const N: usize, const M: usize, S: Discrete<N, M>>(
+    step: &Step<'_, S, N, M>,
+    x: &mut Unknowns<N, M>,
+    regularization: f64,
+    most: u32,
+    allowance: &mut Allowance<'_>,
+) -> Option<Evaluation<S, N, M>> {
+    let system = step.system;
+    let bound = ROUND_OFF * system.length_scale();
+    let mut factor: Option<S::Factor> = None;
+    for iteration in 0..=most {
+        let secant = step.secant(&x.d);
+        let mut z = step.mean_motion(&secant, x);
+        let mut rate = f64::INFINITY;
+        if let Some(factor) = &factor {
+            let left = system.phi_q_times(S::end(&secant), &(z - (0.5 * step.h) * step.v));
+            rate = left.max_norm();
+            let nu = factor.dual(&left);
+            x.nu += nu;
+            z = z - system.apply_inverse_mass(&system.mean_transposed_times(&secant, &nu));
+        }
+        let found = step.evaluate(secant, z, x);
+        let Evaluation { secant, pull, v, offset, force, phi } = &found;
+        if offset.max_norm() < OFFSET && phi.max_norm() < bound && rate < 1e3 * bound {
+            return Some(found);
+        }
+        if iteration == most {
+            return None;
+        }
+        allowance.take()?;
+        if iteration == 0 || iteration >= FRESH {
+            factor = Some(system.factor_secant(&step.chord(secant, &x.d, v), (&x.lambda, pull), regularization));
+        }
+        let (d, lambda) = factor.as_ref()?.solve(&-*force, &-*phi);
+        x.d += d;
+        x.lambda += lambda;
+        if !(x.d.is_finite() && system.angle_norm(&x.d) < LARGEST_TURN) {
+            return None;
+        }
+    }
+    None
+}
+
+/// All unknowns at once, with the whole tangent. Stops at a last correction of an angle, or where round-off lets it go no further.
+#[inline(never)]
+pub(super) fn whole<const N: usize, const M: usize, S: Discrete<N, M>>(
+    step: &Step<'_, S, N, M>,
+    x: &mut Unknowns<N, M>,
+    settings: NewtonSettings,
+    (most, last_correction): (u32, f64),
+    allowance: &mut Allowance<'_>,
+) -> Option<()> {
+    let system = step.system;
+    let mut last = f64::INFINITY;
+    for _ in 0..most {
+        allowance.take()?;
+        let secant = step.secant(&x.d);
+        let z = step.mean_motion(&secant, x);
+        let Evaluation { secant, v, force, phi, .. } = step.evaluate(secant, z, x);
+        let rate = system.phi_q_times(S::end(&secant), &(step.h * v));
+        let chord = step.chord(&secant, &x.d, &v);
+        let (d, [lambda, nu]) = system.newton(&chord, [&x.lambda, &x.nu], (&force, &phi, &rate), settings);
+        x.d += d;
+        x.lambda += lambda;
+        x.nu += nu;
+        let correction = system.angle_norm(&d);
+        let finite = x.d.is_finite() && x.lambda.is_finite() && x.nu.is_finite();
+        if !(finite && system.angle_norm(&x.d) < LARGEST_TURN) {
+            return None;
+        }
+        if correction < last_correction || correction < STAGNATION && correction >= 0.25 * last {
+            return Some(());
+        }
+        last = correction;
+    }
+    None
+}
+
+/// Where unknowns that have been found lead.
+pub(super) fn evaluated<const N: usize, const M: usize, S: Discrete<N, M>>(
+    step: &Step<'_, S, N, M>,
+    x: &Unknowns<N, M>,
+) -> Evaluation<S, N, M> {
+    let secant = step.secant(&x.d);
+    let z = step.mean_motion(&secant, x);
+    step.evaluate(secant, z, x)
+}
+
+/// As far as round-off lets it.
+pub(super) const TO_ROUND_OFF: (u32, f64) = (10, LAST_CORRECTION);
