@@ -149,18 +149,12 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         };
         let mut allowance = Allowance { left: settings.max_iterations, counters: &mut self.counters };
         let &Settings { regularization, max_iterations, .. } = settings;
-        let found = if system.alternates() {
-            alternate(&step, &mut x, regularization, max_iterations, &mut allowance)
-        } else {
-            let settings = NewtonSettings { regularization, both_levels: true };
-            let (_, last_correction) = TO_ROUND_OFF;
-            whole(&step, &mut x, settings, (max_iterations, last_correction), &mut allowance).map(|()| evaluated(&step, &x))
-        };
-        let end = match found {
-            Some(end) => end,
-            None => return self.rescue(&step, settings),
-        };
-        self.arrive(&step, &x, &end)
+        if system.alternates()
+            && let Some(end) = alternate(&step, &mut x, regularization, max_iterations, &mut allowance)
+        {
+            return self.arrive(&step, &x, &end);
+        }
+        self.at_once(&step, settings, x)
     }
 
     /// What equilibrium predicts: at the start, after a change, and where the step has another length.
@@ -171,6 +165,24 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         let branch = system.acceleration_from_rest(&self.q, &self.v);
         self.counters.launches += u64::from(branch.is_some_and(|a| a.max_norm() > 0.0));
         from_equilibrium(&self.v, (&branch.unwrap_or(a), &lambda), h)
+    }
+
+    /// By the whole tangent from where Λ and ν in turn have come to, or up the ladder.
+    #[inline(never)]
+    fn at_once<S: Discrete<N, M> + Passage<N>>(
+        &mut self,
+        step: &Step<'_, S, N, M>,
+        settings: &Settings,
+        mut x: Unknowns<N, M>,
+    ) -> Result<(), StepError> {
+        let &Settings { regularization, max_iterations, .. } = settings;
+        let mut allowance = Allowance { left: max_iterations, counters: &mut self.counters };
+        let newton = NewtonSettings { regularization, both_levels: true };
+        let (_, last_correction) = TO_ROUND_OFF;
+        match whole(step, &mut x, newton, (max_iterations, last_correction), &mut allowance) {
+            Some(()) => self.arrive(step, &x, &evaluated(step, &x)),
+            None => self.rescue(step, settings),
+        }
     }
 
     #[cold]
@@ -184,15 +196,15 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         let a = step.system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
         let left = max_work.saturating_sub(max_iterations);
         let mut allowance = Allowance { left, counters: &mut self.counters };
-        let Rescued { x, projected } = climb(step, settings, (&a, &lambda), &mut allowance)?;
+        let rescued = climb(step, settings, (&a, &lambda), &mut allowance)?;
         self.counters.rescued += 1;
-        let end = evaluated(step, &x);
-        self.arrive(step, &x, &end)?;
-        if let Some(v) = projected {
-            self.v = v;
-            self.memory = Memory::NONE;
+        match rescued {
+            Rescued::Root(x) => self.arrive(step, &x, &evaluated(step, &x)),
+            Rescued::Landed { d, acting, v } => {
+                self.memory = Memory::NONE;
+                self.land(step, (&step.secant(&d), &d), [&acting, &v])
+            }
         }
-        Ok(())
     }
 
     #[inline(always)]
@@ -202,17 +214,29 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         x: &Unknowns<N, M>,
         end: &Evaluation<S, N, M>,
     ) -> Result<(), StepError> {
-        let Evaluation { secant, v, .. } = end;
-        let q = step.q + x.d;
-        if !(q.is_finite() && v.is_finite() && x.lambda.is_finite()) {
+        if !x.lambda.is_finite() {
             return Err(StepError::NotFinite);
         }
-        let system = step.system;
-        if system.follows_work() {
-            let work = system.work_over(&step.chord(secant, &x.d, v));
-            self.work = self.work.plus(1.0, work);
-        }
         self.memory.remember(step.h, x);
+        self.land(step, (&end.secant, &x.d), [&end.v, &end.v])
+    }
+
+    /// The run goes on from q₀ + d: with the rates at which forces have acted, and those at the end.
+    #[inline(always)]
+    fn land<S: Discrete<N, M>>(
+        &mut self,
+        step: &Step<'_, S, N, M>,
+        (secant, d): (&S::Secant, &Vector<N>),
+        [acting, v]: [&Vector<N>; 2],
+    ) -> Result<(), StepError> {
+        let system = step.system;
+        let q = step.q + *d;
+        if !(q.is_finite() && v.is_finite()) {
+            return Err(StepError::NotFinite);
+        }
+        if system.follows_work() {
+            self.work = self.work.plus(1.0, system.work_over(&step.chord(secant, d, acting)));
+        }
         (self.q, self.v) = (q, *v);
         let modes = system.modes(S::end(secant));
         if modes != self.modes {

@@ -7,12 +7,12 @@
 //! | 3 | continuation: roots at h/8, 2h/8, … h |
 //! | 4 | a smaller e |
 //! | 5 | finer continuations, with the smaller e |
-//! | last | no root, which happens close to vertices: the energy–momentum step, whose velocities are projected and scaled to its energy |
+//! | last | no root, which happens close to vertices: what equilibrium predicts, projected and scaled to the energy |
 
 use super::Settings;
 use super::equations::{Step, Unknowns};
-use super::newton::{Allowance, TO_ROUND_OFF, evaluated, whole};
-use crate::integrator::{Discrete, NewtonSettings, Passage, StepError, velocity_correction};
+use super::newton::{Allowance, TO_ROUND_OFF, whole};
+use crate::integrator::{Discrete, NewtonSettings, Passage, Projection, StepError, velocity_correction};
 use crate::vector::Vector;
 
 /// By how much the rates at which friction turns are larger, on the way to its own law.
@@ -25,14 +25,23 @@ const FINER: [(u32, f64); 4] = [(32, 1.0), (8, 1e-5), (32, 1e-5), (128, 1e-5)];
 const ON_THE_WAY: (u32, f64) = (10, 1e-8);
 /// Most iterations of each softening.
 const SOFTENED: u32 = 15;
-/// What the last rung may take beyond the step's allowance.
-pub(super) const LAST_RESORT: u32 = 200;
+/// Most iterations of a projection by the last rung, and most halvings of its way.
+const MOST_PROJECTIONS: u32 = 30;
+const MOST_HALVINGS: i32 = 12;
 
-/// A root that the ladder has found.
-pub(super) struct Rescued<const N: usize, const M: usize> {
-    pub(super) x: Unknowns<N, M>,
-    /// q̇₁, where it is not that of the equations: the last rung.
-    pub(super) projected: Option<Vector<N>>,
+/// What the ladder has found.
+pub(super) enum Rescued<const N: usize, const M: usize> {
+    /// A root.
+    Root(Unknowns<N, M>),
+    /// None: where the last rung leads.
+    Landed {
+        /// q₁ − q₀.
+        d: Vector<N>,
+        /// The rates with which forces have acted.
+        acting: Vector<N>,
+        /// q̇₁.
+        v: Vector<N>,
+    },
 }
 
 /// The unknowns that equilibrium at the beginning of a step predicts for one of h seconds, with these q̈ and λ.
@@ -54,7 +63,7 @@ pub(super) fn climb<const N: usize, const M: usize, S: Discrete<N, M> + Passage<
     allowance: &mut Allowance<'_>,
 ) -> Result<Rescued<N, M>, StepError> {
     match root(step, settings, rest, allowance) {
-        Some(x) => Ok(Rescued { x, projected: None }),
+        Some(x) => Ok(Rescued::Root(x)),
         None => last_resort(step, settings, rest, allowance),
     }
 }
@@ -121,42 +130,46 @@ fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
     Some(x)
 }
 
-/// The energy–momentum step has a root where that with both levels of the constraints has none. Its velocities violate the constraints:
-/// they are projected, and scaled to the kinetic energy that they had.
+/// Where the equations have no root: as far as equilibrium predicts, or half as far, and so on, projected onto the positions; the
+/// velocities of the mean rule, projected and scaled so that the energy is kept: what the forces have put in on that way is known.
 fn last_resort<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     step: &Step<'_, S, N, M>,
     settings: &Settings,
     rest: (&Vector<N>, &Vector<M>),
     allowance: &mut Allowance<'_>,
 ) -> Result<Rescued<N, M>, StepError> {
-    let system = step.system;
-    allowance.left = LAST_RESORT;
-    let with = |part: f64| NewtonSettings { regularization: part * settings.regularization, both_levels: false };
-    let at_once = |part: f64, allowance: &mut Allowance<'_>| {
-        let mut x = from_equilibrium(&step.v, rest, step.h);
-        whole(step, &mut x, with(part), TO_ROUND_OFF, allowance).map(|()| x)
-    };
-    let found = at_once(1.0, allowance)
-        .or_else(|| continued(step, with(1.0), rest, 8, allowance))
-        .or_else(|| at_once(SMALLER[0], allowance))
-        .or_else(|| continued(step, with(SMALLER[0]), rest, 8, allowance));
-    let Some(x) = found else {
-        return Err(StepError::NoRoot);
-    };
-    let end = evaluated(step, &x);
-    let pose = S::end(&end.secant);
-    let kinetic = |v: &Vector<N>| system.mass_times(pose, v).dot(v);
-    let mass = system.factor_mass(pose, settings.equilibrium);
-    let mut v = end.v;
-    // Twice: close to a vertex the first leaves more than round-off.
-    for _ in 0..2 {
-        v += velocity_correction(system, pose, &mass, &v);
+    let &Step { system, q, v: v0, h, .. } = step;
+    let predicted = from_equilibrium(&v0, rest, h);
+    let projection = Projection::to_round_off(system.length_scale(), settings.equilibrium, MOST_PROJECTIONS);
+    let mut failure = StepError::NotFinite;
+    for halvings in 0..MOST_HALVINGS {
+        let mut end = q + 0.5f64.powi(halvings) * predicted.d;
+        let pose = match projection.position(system, &mut end) {
+            Ok((iterations, pose)) => {
+                allowance.counters.iterations += u64::from(iterations);
+                pose
+            }
+            Err(cause) => {
+                failure = cause;
+                continue;
+            }
+        };
+        let d = end - q;
+        let mass = system.factor_mass(&pose, settings.equilibrium);
+        let mut v = (2.0 / h) * d - v0;
+        // Twice: close to a vertex the first leaves more than round-off.
+        for _ in 0..2 {
+            v += velocity_correction(system, &pose, &mass, &v);
+        }
+        let kinetic = |v: &Vector<N>| 0.5 * system.mass_times(&pose, v).dot(v);
+        let secant = step.secant(&d);
+        let put_in = system.mean_forces(&step.chord(&secant, &d, &v)).dot(&d);
+        let (wanted, got) = (kinetic(&v0) + put_in, kinetic(&v));
+        let scale = (wanted / got).sqrt();
+        if wanted > 0.0 && got > 0.0 && (scale * v).is_finite() {
+            allowance.counters.last_resorts += 1;
+            return Ok(Rescued::Landed { d, acting: v, v: scale * v });
+        }
     }
-    let (had, left) = (kinetic(&end.v), kinetic(&v));
-    let factor = if had > 0.0 { (had / left).sqrt() } else { 1.0 };
-    if !(factor * v).is_finite() {
-        return Err(StepError::NotFinite);
-    }
-    allowance.counters.last_resorts += 1;
-    Ok(Rescued { x, projected: Some(factor * v) })
+    Err(failure)
 }

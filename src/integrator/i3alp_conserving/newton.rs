@@ -3,12 +3,15 @@
 use super::equations::{Evaluation, Step, Unknowns};
 use crate::integrator::{Counters, Discrete, NewtonSettings, SecantFactor};
 
-/// Largest |M⁻¹f| of a step that has converged, m and rad.
-const OFFSET: f64 = 2e-12;
-/// Largest |Φ| and |J₁w| of it, in parts of the system's size.
+/// Largest |M⁻¹f| per second of step of one that has converged, m/s and rad/s: what is left does work, in proportion to it.
+const OFFSET: f64 = 1e-9;
+/// Largest |Φ| of it, in parts of the system's size.
 const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
-/// From this iteration on the matrix is factorised anew each time: the step is no easy one.
+/// Largest |J₁w|/2 per second of step, in parts of the system's size per second.
+const RATE: f64 = 5e-12;
+/// From this iteration on the matrix is factorised anew each time, and |M⁻¹f| has to fall to this part: the step is no easy one.
 const FRESH: u32 = 3;
+const CONTRACTION: f64 = 0.05;
 /// The same of the whole tangent's last correction of an angle, rad; and what may be left where corrections do not fall any more.
 const LAST_CORRECTION: f64 = 1e-13;
 const STAGNATION: f64 = 1e-10;
@@ -41,7 +44,10 @@ pub(super) fn alternate<const N: usize, const M: usize, S: Discrete<N, M>>(
     allowance: &mut Allowance<'_>,
 ) -> Option<Evaluation<S, N, M>> {
     let system = step.system;
-    let bound = ROUND_OFF * system.length_scale();
+    let size = system.length_scale();
+    let bound = ROUND_OFF * size;
+    let rate_bound = bound.max(RATE * step.h * size);
+    let mut before = f64::INFINITY;
     let mut factor: Option<S::Factor> = None;
     for iteration in 0..=most {
         let secant = step.secant(&x.d);
@@ -56,12 +62,14 @@ pub(super) fn alternate<const N: usize, const M: usize, S: Discrete<N, M>>(
         }
         let found = step.evaluate(secant, z, x);
         let Evaluation { secant, pull, v, offset, force, phi } = &found;
-        if offset.max_norm() < OFFSET && phi.max_norm() < bound && rate < 1e3 * bound {
+        let left = offset.max_norm();
+        if left < OFFSET * step.h && phi.max_norm() < bound && rate < rate_bound {
             return Some(found);
         }
-        if iteration == most {
+        if iteration == most || iteration >= FRESH && left > CONTRACTION * before {
             return None;
         }
+        before = left;
         allowance.take()?;
         if iteration == 0 || iteration >= FRESH {
             factor = Some(system.factor_secant(&step.chord(secant, &x.d, v), (&x.lambda, pull), regularization));
