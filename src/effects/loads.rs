@@ -6,8 +6,8 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::{StepContext, Tangents};
 use super::force_context::{ForceContext, MOTORS};
+use super::{StepContext, Tangents};
 use crate::mechanism::Coordinates;
 
 /// What the master sets: held over a macro step.

@@ -110,10 +110,7 @@ impl StepContext<'_> {
         TipStep {
             mean,
             // d mean/dθ: the middle turns by half, s = sinc(θ/2) falls.
-            mean_slope: [
-                -0.5 * sinc * middle[1] - turn / 12.0 * middle[0],
-                0.5 * sinc * middle[0] - turn / 12.0 * middle[1],
-            ],
+            mean_slope: [-0.5 * sinc * middle[1] - turn / 12.0 * middle[0], 0.5 * sinc * middle[0] - turn / 12.0 * middle[1]],
             end,
             rate,
             begin: [self.q[x] + self.d[x] + end[0] - change[0], self.q[y] + self.d[y] + end[1] - change[1]],

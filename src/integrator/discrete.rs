@@ -34,12 +34,8 @@ pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
     /// Whether Λ and ν may be found in turn: the forces depend on no rates and couple no coordinates.
     fn alternates(&self) -> bool;
     /// Factorises [A J_bᵀ; J₁ −e], A the tangent of the step's equations with respect to d. Asked only if [`Discrete::alternates`].
-    fn factor_secant(
-        &self,
-        over: &Chord<'_, Self::Secant, N>,
-        pull: (&Vector<M>, &Vector<N>),
-        regularization: f64,
-    ) -> Self::Factor;
+    fn factor_secant(&self, over: &Chord<'_, Self::Secant, N>, pull: (&Vector<M>, &Vector<N>), regularization: f64)
+    -> Self::Factor;
     /// Newton's increments of d, Λ and ν with the whole tangent.
     fn newton(
         &self,

@@ -59,9 +59,14 @@ impl fmt::Display for StepError {
                  (allowed {tolerance:.3e} m) and the last correction was {correction:.3e} m or rad"
             ),
             Self::NoRootWithin { iterations } => {
-                write!(f, "the step's equations were not solved in {iterations} iterations, and solver.maxWork = 0 allows no rescue")
+                write!(
+                    f,
+                    "the step's equations were not solved in {iterations} iterations, and solver.maxWork = 0 allows no rescue"
+                )
             }
-            Self::NoRoot => f.write_str("no way was found to solve the step's equations, not even without the velocity constraints"),
+            Self::NoRoot => {
+                f.write_str("no way was found to solve the step's equations, not even without the velocity constraints")
+            }
             Self::IndefiniteTangent => {
                 f.write_str("the tangent matrix is not positive definite: the step is too long for this posture and load")
             }

@@ -41,6 +41,8 @@ pub struct Settings {
 
 /// A step shorter than this, s, moves on by its Taylor series.
 const SHORTEST: f64 = 1e-12;
+/// Where |M⁻¹f| is larger than this, m and rad, after Λ and ν were looked for in turn, they have led nowhere.
+const NEARBY: f64 = 1e-3;
 /// Steps that the extrapolation of the unknowns looks back on.
 const REMEMBERED: usize = 3;
 
@@ -70,13 +72,17 @@ struct Memory<const N: usize, const M: usize> {
     /// The latest first.
     d: [Vector<N>; REMEMBERED],
     lambda: [Vector<M>; REMEMBERED],
-    /// Of the last step.
-    nu: Vector<M>,
+    nu: [Vector<M>; REMEMBERED],
 }
 
 impl<const N: usize, const M: usize> Memory<N, M> {
-    const NONE: Self =
-        Self { h: 0.0, known: 0, d: [Vector::ZERO; REMEMBERED], lambda: [Vector::ZERO; REMEMBERED], nu: Vector::ZERO };
+    const NONE: Self = Self {
+        h: 0.0,
+        known: 0,
+        d: [Vector::ZERO; REMEMBERED],
+        lambda: [Vector::ZERO; REMEMBERED],
+        nu: [Vector::ZERO; REMEMBERED],
+    };
 
     /// By a parabola through the last three steps of the same length.
     #[inline(always)]
@@ -85,7 +91,11 @@ impl<const N: usize, const M: usize> Memory<N, M> {
             return None;
         }
         let Self { d, lambda, nu, .. } = self;
-        Some(Unknowns { d: 3.0 * (d[0] - d[1]) + d[2], lambda: 3.0 * (lambda[0] - lambda[1]) + lambda[2], nu: *nu })
+        Some(Unknowns {
+            d: 3.0 * (d[0] - d[1]) + d[2],
+            lambda: 3.0 * (lambda[0] - lambda[1]) + lambda[2],
+            nu: 3.0 * (nu[0] - nu[1]) + nu[2],
+        })
     }
 
     #[inline(always)]
@@ -96,7 +106,7 @@ impl<const N: usize, const M: usize> Memory<N, M> {
         self.known = (self.known + 1).min(REMEMBERED as u8);
         self.d = [x.d, self.d[0], self.d[1]];
         self.lambda = [x.lambda, self.lambda[0], self.lambda[1]];
-        self.nu = x.nu;
+        self.nu = [x.nu, self.nu[0], self.nu[1]];
     }
 }
 
@@ -149,12 +159,14 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         };
         let mut allowance = Allowance { left: settings.max_iterations, counters: &mut self.counters };
         let &Settings { regularization, max_iterations, .. } = settings;
-        if system.alternates()
-            && let Some(end) = alternate(&step, &mut x, regularization, max_iterations, &mut allowance)
-        {
-            return self.arrive(&step, &x, &end);
+        let mut nearby = true;
+        if system.alternates() {
+            match alternate(&step, &mut x, regularization, max_iterations, &mut allowance) {
+                Ok(end) => return self.arrive(&step, &x, &end),
+                Err(left) => nearby = left < NEARBY,
+            }
         }
-        self.at_once(&step, settings, x)
+        self.at_once(&step, settings, nearby.then_some(x))
     }
 
     /// What equilibrium predicts: at the start, after a change, and where the step has another length.
@@ -173,9 +185,10 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         &mut self,
         step: &Step<'_, S, N, M>,
         settings: &Settings,
-        mut x: Unknowns<N, M>,
+        nearby: Option<Unknowns<N, M>>,
     ) -> Result<(), StepError> {
         let &Settings { regularization, max_iterations, .. } = settings;
+        let Some(mut x) = nearby else { return self.rescue(step, settings) };
         let mut allowance = Allowance { left: max_iterations, counters: &mut self.counters };
         let newton = NewtonSettings { regularization, both_levels: true };
         let (_, last_correction) = TO_ROUND_OFF;
@@ -197,7 +210,6 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         let left = max_work.saturating_sub(max_iterations);
         let mut allowance = Allowance { left, counters: &mut self.counters };
         let rescued = climb(step, settings, (&a, &lambda), &mut allowance)?;
-        self.counters.rescued += 1;
         match rescued {
             Rescued::Root(x) => self.arrive(step, &x, &evaluated(step, &x)),
             Rescued::Landed { d, acting, v } => {
@@ -261,7 +273,8 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
     #[cold]
     pub fn check<S: Discrete<N, M> + Passage<N>>(&self, system: &S, bounds: &Bounds) -> Result<(), Inconsistency> {
         let Memory { h, known, d, lambda, nu } = &self.memory;
-        let finite = d.iter().all(|d| d.is_finite()) && lambda.iter().all(|lambda| lambda.is_finite()) && nu.is_finite();
+        let finite =
+            d.iter().all(|d| d.is_finite()) && lambda.iter().all(|lambda| lambda.is_finite()) && nu.iter().all(|nu| nu.is_finite());
         if !(finite && *h >= 0.0 && h.is_finite() && usize::from(*known) <= REMEMBERED) {
             return Err("what it remembers of its last steps is not finite");
         }
@@ -272,6 +285,8 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
     pub fn remembered(&self) -> f64 {
         let Memory { h, d, lambda, nu, .. } = &self.memory;
         let sum = |x: &[f64]| x.iter().enumerate().map(|(i, x)| x.abs() * (i + 1) as f64).sum::<f64>();
-        h + d.iter().map(|d| sum(&d[..])).sum::<f64>() + lambda.iter().map(|l| sum(&l[..])).sum::<f64>() + sum(&nu[..])
+        h + d.iter().map(|d| sum(&d[..])).sum::<f64>()
+            + lambda.iter().map(|l| sum(&l[..])).sum::<f64>()
+            + nu.iter().map(|nu| sum(&nu[..])).sum::<f64>()
     }
 }

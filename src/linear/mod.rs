@@ -148,7 +148,12 @@ type Solution = (Coordinates, Multipliers);
 impl LinearSolver {
     /// For a mechanism whose saddle-point systems have this e, 1/kg, most of the time.
     pub fn new(solve: LinearSolve, mechanism: &Mechanism, regularization: f64) -> Self {
-        Self { solve, mechanism: *mechanism, elimination: Elimination::new(mechanism, regularization), legs: LegConstants::new(mechanism) }
+        Self {
+            solve,
+            mechanism: *mechanism,
+            elimination: Elimination::new(mechanism, regularization),
+            legs: LegConstants::new(mechanism),
+        }
     }
 
     /// The same mechanism with another solve.

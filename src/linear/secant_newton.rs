@@ -92,7 +92,8 @@ fn matrix(mechanism: &Mechanism, at: &StepPoint<'_>) -> SMatrix<f64, SIZE, SIZE>
     let masses = SVector::from(*mechanism.mass_times(&[1.0; COORDINATES].into()));
     let (middle, end) = (secant.middle.phi_q(), secant.end.phi_q());
     let (middle_turned, end_turned) = (turned(&secant.middle), turned(&secant.end));
-    let [sinc, cos] = [&secant.sinc, &secant.cos].map(|[p, d]| [p.to_array()[0], d.to_array()[0], d.to_array()[1], p.to_array()[1]]);
+    let [sinc, cos] =
+        [&secant.sinc, &secant.cos].map(|[p, d]| [p.to_array()[0], d.to_array()[0], d.to_array()[1], p.to_array()[1]]);
 
     let (mut discrete, mut mean) = (middle, middle);
     let mut a = Square::from_diagonal(&masses) + forces.stiffness;

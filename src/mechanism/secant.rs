@@ -38,7 +38,8 @@ fn small(angle: Legs) -> [Legs; 3] {
     let sinc = one - term(z, 6.0) * (one - term(z, 20.0) * (one - term(z, 42.0) * (one - term(z, 72.0) * (one - term(z, 110.0)))));
     let cos = one
         - term(z, 2.0)
-            * (one - term(z, 12.0) * (one - term(z, 30.0) * (one - term(z, 56.0) * (one - term(z, 90.0) * (one - term(z, 132.0))))));
+            * (one
+                - term(z, 12.0) * (one - term(z, 30.0) * (one - term(z, 56.0) * (one - term(z, 90.0) * (one - term(z, 132.0))))));
     [cos, angle * sinc, sinc]
 }
 

@@ -105,7 +105,9 @@ impl Run {
                 let advanced = match method {
                     // The default method has a compiled form for the bare mechanism; of the others it would only take place.
                     MacroStepMethod::I3alp(settings) if model.is_bare() => {
-                        macro_steps::<true, _>(model, core, held, steps, |system, core, h| i3alp::advance(system, settings, core, h))
+                        macro_steps::<true, _>(model, core, held, steps, |system, core, h| {
+                            i3alp::advance(system, settings, core, h)
+                        })
                     }
                     _ => macro_steps::<false, _>(model, core, held, steps, |system, core, h| method.advance(system, core, h)),
                 };

@@ -28,6 +28,9 @@ const SOFTENED: u32 = 15;
 /// Most iterations of a projection by the last rung, and most halvings of its way.
 const MOST_PROJECTIONS: u32 = 30;
 const MOST_HALVINGS: i32 = 12;
+/// Part of e of its projections, and of the rates what they may leave.
+const CLOSE_TO_VERTEX: f64 = 1e-4;
+const CLOSED: f64 = 64.0 * f64::EPSILON;
 
 /// What the ladder has found.
 pub(super) enum Rescued<const N: usize, const M: usize> {
@@ -80,8 +83,11 @@ fn root<const N: usize, const M: usize, S: Discrete<N, M>>(
         let mut x = start;
         whole(step, &mut x, with(part), TO_ROUND_OFF, allowance).map(|()| x)
     };
-    at_once(1.0, allowance)
-        .or_else(|| if step.system.has_friction() { hardened(step, start, with(1.0), allowance) } else { None })
+    if let Some(x) = at_once(1.0, allowance) {
+        return Some(x);
+    }
+    allowance.counters.rescued += 1;
+    None.or_else(|| if step.system.has_friction() { hardened(step, start, with(1.0), allowance) } else { None })
         .or_else(|| continued(step, with(1.0), rest, 8, allowance))
         .or_else(|| SMALLER.into_iter().find_map(|part| at_once(part, allowance)))
         .or_else(|| FINER.into_iter().find_map(|(stages, part)| continued(step, with(part), rest, stages, allowance)))
@@ -117,11 +123,7 @@ fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
             1 => from_equilibrium(&step.v, rest, h),
             // d grows with h, the multipliers with its square.
             2 => Unknowns { d: 2.0 * x.d, lambda: 4.0 * x.lambda, nu: 4.0 * x.nu },
-            _ => Unknowns {
-                d: 2.0 * x.d - before.d,
-                lambda: 2.0 * x.lambda - before.lambda,
-                nu: 2.0 * x.nu - before.nu,
-            },
+            _ => Unknowns { d: 2.0 * x.d - before.d, lambda: 2.0 * x.lambda - before.lambda, nu: 2.0 * x.nu - before.nu },
         };
         (before, x) = (x, next);
         let until = if stage < stages { ON_THE_WAY } else { TO_ROUND_OFF };
@@ -155,18 +157,22 @@ fn last_resort<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
             }
         };
         let d = end - q;
-        let mass = system.factor_mass(&pose, settings.equilibrium);
+        let mass = system.factor_mass(&pose, CLOSE_TO_VERTEX * settings.equilibrium);
         let mut v = (2.0 / h) * d - v0;
-        // Twice: close to a vertex the first leaves more than round-off.
-        for _ in 0..2 {
+        // Close to a vertex each leaves some of it, and the steps to come take for granted that nothing is left.
+        for _ in 0..MOST_PROJECTIONS {
             v += velocity_correction(system, &pose, &mass, &v);
+            if system.phi_q_times(&pose, &v).max_norm() <= CLOSED * v.max_norm() * system.length_scale() {
+                break;
+            }
         }
+        let closed = system.phi_q_times(&pose, &v).max_norm() <= CLOSED * v.max_norm() * system.length_scale();
         let kinetic = |v: &Vector<N>| 0.5 * system.mass_times(&pose, v).dot(v);
         let secant = step.secant(&d);
         let put_in = system.mean_forces(&step.chord(&secant, &d, &v)).dot(&d);
         let (wanted, got) = (kinetic(&v0) + put_in, kinetic(&v));
         let scale = (wanted / got).sqrt();
-        if wanted > 0.0 && got > 0.0 && (scale * v).is_finite() {
+        if closed && wanted > 0.0 && got > 0.0 && (scale * v).is_finite() {
             allowance.counters.last_resorts += 1;
             return Ok(Rescued::Landed { d, acting: v, v: scale * v });
         }

@@ -9,8 +9,9 @@ const OFFSET: f64 = 1e-9;
 const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
 /// Largest |J₁w|/2 per second of step, in parts of the system's size per second.
 const RATE: f64 = 5e-12;
-/// From this iteration on the matrix is factorised anew each time, and |M⁻¹f| has to fall to this part: the step is no easy one.
-const FRESH: u32 = 3;
+/// Most |M⁻¹f| after none, one and two iterations: where it is larger, the whole tangent takes less work.
+const PROMISING: [f64; 3] = [f64::INFINITY, 3e-3, 1e-7];
+/// After these the matrix is factorised anew each time, and |M⁻¹f| has to fall to this part.
 const CONTRACTION: f64 = 0.05;
 /// The same of the whole tangent's last correction of an angle, rad; and what may be left where corrections do not fall any more.
 const LAST_CORRECTION: f64 = 1e-13;
@@ -42,7 +43,7 @@ pub(super) fn alternate<const N: usize, const M: usize, S: Discrete<N, M>>(
     regularization: f64,
     most: u32,
     allowance: &mut Allowance<'_>,
-) -> Option<Evaluation<S, N, M>> {
+) -> Result<Evaluation<S, N, M>, f64> {
     let system = step.system;
     let size = system.length_scale();
     let bound = ROUND_OFF * size;
@@ -64,24 +65,26 @@ pub(super) fn alternate<const N: usize, const M: usize, S: Discrete<N, M>>(
         let Evaluation { secant, pull, v, offset, force, phi } = &found;
         let left = offset.max_norm();
         if left < OFFSET * step.h && phi.max_norm() < bound && rate < rate_bound {
-            return Some(found);
+            return Ok(found);
         }
-        if iteration == most || iteration >= FRESH && left > CONTRACTION * before {
-            return None;
+        let promising = PROMISING.get(iteration as usize).copied().unwrap_or(CONTRACTION * before);
+        if left > promising || iteration == most || allowance.take().is_none() {
+            return Err(left);
         }
         before = left;
-        allowance.take()?;
-        if iteration == 0 || iteration >= FRESH {
-            factor = Some(system.factor_secant(&step.chord(secant, &x.d, v), (&x.lambda, pull), regularization));
+        if iteration as usize >= PROMISING.len() {
+            factor = None;
         }
-        let (d, lambda) = factor.as_ref()?.solve(&-*force, &-*phi);
+        let factor =
+            factor.get_or_insert_with(|| system.factor_secant(&step.chord(secant, &x.d, v), (&x.lambda, pull), regularization));
+        let (d, lambda) = factor.solve(&-*force, &-*phi);
         x.d += d;
         x.lambda += lambda;
         if !(x.d.is_finite() && system.angle_norm(&x.d) < LARGEST_TURN) {
-            return None;
+            break;
         }
     }
-    None
+    Err(f64::INFINITY)
 }
 
 /// All unknowns at once, with the whole tangent. Stops at a last correction of an angle, or where round-off lets it go no further.
