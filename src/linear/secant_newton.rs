@@ -9,19 +9,18 @@
 //! with A = ∂f/∂d, N = −∂f/∂ν, W = ∂(J₁w)/∂d of the equations of `docs/conserving.md`. e weighs increments only, so that it moves no
 //! root; with it the matrix is regular also where the constraints lose rank.
 
-use nalgebra::{Const, LU, SMatrix, SVector};
+use nalgebra::SMatrix;
 
 use crate::effects::Tangents;
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::secant::Secant;
-use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers, Pose};
+use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers};
 
 const SIZE: usize = COORDINATES + 2 * MULTIPLIERS;
 /// Where the rows of ΔΛ and of Δν begin.
 const FIRST: usize = COORDINATES;
 const SECOND: usize = COORDINATES + MULTIPLIERS;
 type Square = SMatrix<f64, COORDINATES, COORDINATES>;
-type Jacobian = SMatrix<f64, MULTIPLIERS, COORDINATES>;
 
 /// Tangents of the mean forces over a step of h, K = −∂Q̄/∂d and C = −∂Q̄/∂q̇₁, weighted as the step's equations need them.
 #[derive(Clone, Copy, Debug)]
@@ -71,95 +70,122 @@ pub struct StepPoint<'a> {
 /// What the equations leave: f, Φ and J₁w.
 pub type Residuals<'a> = (&'a Coordinates, &'a Multipliers, &'a Multipliers);
 
+/// The matrix by rows, each with its right-hand side at the end.
+type Rows = [[f64; SIZE + 1]; SIZE];
+
 /// Δd, ΔΛ and Δν of Newton's method. Not finite where the matrix is singular all the same.
 #[inline(never)]
 pub fn newton(mechanism: &Mechanism, at: &StepPoint<'_>, (f, phi, rate): Residuals<'_>) -> (Coordinates, [Multipliers; 2]) {
-    let mut right = SVector::<f64, SIZE>::zeros();
-    right.fixed_rows_mut::<COORDINATES>(0).copy_from_slice(&f[..]);
-    right.fixed_rows_mut::<MULTIPLIERS>(FIRST).copy_from_slice(&phi[..]);
-    if at.both_levels {
-        right.fixed_rows_mut::<MULTIPLIERS>(SECOND).copy_from_slice(&rate[..]);
+    let mut rows = [[0.0; SIZE + 1]; SIZE];
+    fill(&mut rows, mechanism, at);
+    for (i, row) in rows.iter_mut().enumerate() {
+        row[SIZE] = match i {
+            ..FIRST => -f[i],
+            FIRST..SECOND => -phi[i - FIRST],
+            _ if at.both_levels => -rate[i - SECOND],
+            _ => 0.0,
+        };
     }
-    if !LU::<f64, Const<SIZE>, Const<SIZE>>::new(matrix(mechanism, at)).solve_mut(&mut right) {
-        right.fill(f64::NAN);
-    }
-    let part = |first: usize| Multipliers::from_fn(|i| -right[first + i]);
-    (Coordinates::from_fn(|i| -right[i]), [part(FIRST), part(SECOND)])
+    let x = eliminated(&mut rows);
+    let part = |first: usize| Multipliers::from_fn(|i| x[first + i]);
+    (Coordinates::from_fn(|i| x[i]), [part(FIRST), part(SECOND)])
 }
 
-fn matrix(mechanism: &Mechanism, at: &StepPoint<'_>) -> SMatrix<f64, SIZE, SIZE> {
+/// Gauss's elimination with row exchanges. Most of the matrix is 0: rows that have nothing below the pivot are passed over.
+fn eliminated(rows: &mut Rows) -> [f64; SIZE] {
+    let mut order: [usize; SIZE] = std::array::from_fn(|i| i);
+    for k in 0..SIZE {
+        let largest =
+            (k..SIZE).fold(k, |largest, i| if rows[order[i]][k].abs() > rows[order[largest]][k].abs() { i } else { largest });
+        order.swap(k, largest);
+        let pivot = rows[order[k]];
+        let reciprocal = 1.0 / pivot[k];
+        for &i in &order[k + 1..] {
+            let row = &mut rows[i];
+            if row[k] != 0.0 {
+                let factor = row[k] * reciprocal;
+                for (x, pivot) in row[k..].iter_mut().zip(&pivot[k..]) {
+                    *x -= factor * pivot;
+                }
+            }
+        }
+    }
+    let mut x = [0.0; SIZE];
+    for k in (0..SIZE).rev() {
+        let row = &rows[order[k]];
+        let known: f64 = row[k + 1..SIZE].iter().zip(&x[k + 1..]).map(|(a, x)| a * x).sum();
+        x[k] = (row[SIZE] - known) / row[k];
+    }
+    x
+}
+
+fn fill(rows: &mut Rows, mechanism: &Mechanism, at: &StepPoint<'_>) {
     let &StepPoint { secant, d, w, multipliers: [lambda, nu], forces, regularization, both_levels } = at;
-    let masses = SVector::from(*mechanism.mass_times(&[1.0; COORDINATES].into()));
-    let (middle, end) = (secant.middle.phi_q(), secant.end.phi_q());
-    let (middle_turned, end_turned) = (turned(&secant.middle), turned(&secant.end));
+    let masses = mechanism.mass_times(&[1.0; COORDINATES].into());
+    let all = Coordinates::from([1.0; COORDINATES]);
+    let (middle_varied, end_varied) = (secant.middle.varied(&all), secant.end.varied(&all));
     let [sinc, cos] =
         [&secant.sinc, &secant.cos].map(|[p, d]| [p.to_array()[0], d.to_array()[0], d.to_array()[1], p.to_array()[1]]);
-
-    let (mut discrete, mut mean) = (middle, middle);
-    let mut a = Square::from_diagonal(&masses) + forces.stiffness;
-    // d of the angles' middle rates against d and ν, in parts of those against z.
-    let mut shift = [1.0; COORDINATES];
-    let mut by_nu = Jacobian::zeros();
-    for (link, i) in THETA.into_iter().enumerate() {
-        let (s, c) = (sinc[link], cos[link]);
-        let [slope_s, slope_c] = slopes(d[i], s, c);
-        discrete.column_mut(i).scale_mut(s);
-        mean.column_mut(i).scale_mut(c);
-        // Rows of J_mᵀ and of its derivative, times Λ and ν.
-        let row = |jacobian: &Jacobian, y: &Multipliers| jacobian.column(i).iter().zip(y.iter()).map(|(x, y)| x * y).sum::<f64>();
-        let [pull, pull_nu] = [row(&middle, lambda), row(&middle, nu)];
-        let [turn, turn_nu] = [row(&middle_turned, lambda), row(&middle_turned, nu)];
-        let z = d[i] - c * pull_nu / masses[i];
-        let z_slope = 1.0 - (slope_c * pull_nu + 0.5 * c * turn_nu) / masses[i];
-        shift[i] = z_slope;
-        a[(i, i)] += slope_s * pull + 0.5 * s * turn - slope_c * pull_nu - 0.5 * c * turn_nu
-            + 0.5 * (z_slope * s * turn_nu + z * (slope_s * turn_nu - 0.5 * s * pull_nu));
-        // −N in the angles' rows, by columns of its transpose.
-        let along = middle.column(i) * (-c * (1.0 + 0.5 * s * turn_nu / masses[i]));
-        by_nu.set_column(i, &(along + middle_turned.column(i) * (0.5 * z * s)));
+    for (i, row) in rows.iter_mut().enumerate().take(COORDINATES) {
+        row[i] = masses[i];
     }
-    for i in (0..COORDINATES).filter(|i| !THETA.contains(i)) {
-        by_nu.set_column(i, &(-middle.column(i)));
-    }
-
-    // Forces at the rates of the end: w/h = (2z − h q̇₀)/h.
-    let mobility = Square::from_diagonal(&masses.map(|m| 1.0 / m));
-    let rates_by_nu = mobility * mean.transpose();
-    a += forces.damping * Square::from_diagonal(&SVector::from(shift));
-    let by_nu = by_nu.transpose() - forces.damping * rates_by_nu;
-
-    let mut matrix = SMatrix::<f64, SIZE, SIZE>::zeros();
-    matrix.fixed_view_mut::<COORDINATES, COORDINATES>(0, 0).copy_from(&a);
-    matrix.fixed_view_mut::<COORDINATES, MULTIPLIERS>(0, FIRST).copy_from(&discrete.transpose());
-    matrix.fixed_view_mut::<MULTIPLIERS, COORDINATES>(FIRST, 0).copy_from(&end);
-    for i in FIRST..SECOND {
-        matrix[(i, i)] = -regularization;
-    }
-    if both_levels {
-        let mut rate_by_d = end * Square::from_diagonal(&(2.0 * SVector::from(shift)));
-        for i in THETA {
-            let turning = end_turned.column(i) * w[i];
-            let mut column = rate_by_d.column_mut(i);
-            column += turning;
+    // ∂w/∂d in halves, and M⁻¹J_cᵀ by rows.
+    let (mut shift, mut mobile) = ([1.0; COORDINATES], [Multipliers::ZERO; COORDINATES]);
+    for i in 0..COORDINATES {
+        // Columns of Φ_q in the middle and at the end, and their derivatives with respect to their angles.
+        let unit = Coordinates::unit(i);
+        let (middle, end) = (secant.middle.phi_q_times(&unit), secant.end.phi_q_times(&unit));
+        let (mut discrete, mut by_nu, mut mean, mut rate_by_d) = (middle, -middle, middle, 2.0 * end);
+        if let Some(link) = THETA.iter().position(|&theta| theta == i) {
+            let (middle_turned, end_turned) = (middle_varied.phi_q_times(&unit), end_varied.phi_q_times(&unit));
+            let (s, c) = (sinc[link], cos[link]);
+            let [slope_s, slope_c] = slopes(d[i], s, c);
+            let [pull, pull_nu] = [middle.dot(lambda), middle.dot(nu)];
+            let [turn, turn_nu] = [middle_turned.dot(lambda), middle_turned.dot(nu)];
+            let z = d[i] - c * pull_nu / masses[i];
+            shift[i] = 1.0 - (slope_c * pull_nu + 0.5 * c * turn_nu) / masses[i];
+            rows[i][i] += slope_s * pull + 0.5 * s * turn - slope_c * pull_nu - 0.5 * c * turn_nu
+                + 0.5 * (shift[i] * s * turn_nu + z * (slope_s * turn_nu - 0.5 * s * pull_nu));
+            (discrete, mean) = (s * middle, c * middle);
+            by_nu = -c * (1.0 + 0.5 * s * turn_nu / masses[i]) * middle + 0.5 * z * s * middle_turned;
+            rate_by_d = 2.0 * shift[i] * end + w[i] * end_turned;
         }
-        matrix.fixed_view_mut::<COORDINATES, MULTIPLIERS>(0, SECOND).copy_from(&by_nu);
-        matrix.fixed_view_mut::<MULTIPLIERS, COORDINATES>(SECOND, 0).copy_from(&rate_by_d);
-        matrix.fixed_view_mut::<MULTIPLIERS, MULTIPLIERS>(SECOND, SECOND).copy_from(&(end * rates_by_nu * -2.0));
+        mobile[i] = mean / masses[i];
+        rows[i][FIRST..SECOND].copy_from_slice(&discrete[..]);
+        for m in 0..MULTIPLIERS {
+            rows[FIRST + m][i] = end[m];
+        }
+        if both_levels {
+            rows[i][SECOND..SIZE].copy_from_slice(&by_nu[..]);
+            for m in (0..MULTIPLIERS).filter(|&m| end[m] != 0.0) {
+                add(&mut rows[SECOND + m][SECOND..SIZE], -2.0 * end[m], &mobile[i]);
+            }
+            for m in 0..MULTIPLIERS {
+                rows[SECOND + m][i] = rate_by_d[m];
+            }
+        }
     }
-    for i in SECOND..SIZE {
-        matrix[(i, i)] -= if both_levels { 2.0 * regularization } else { 1.0 };
+    // Forces at the rates of the end, w/h.
+    for i in 0..COORDINATES {
+        for j in 0..COORDINATES {
+            let damping = forces.damping[(i, j)];
+            rows[i][j] += forces.stiffness[(i, j)] + damping * shift[j];
+            if both_levels && damping != 0.0 {
+                add(&mut rows[i][SECOND..SIZE], -damping, &mobile[j]);
+            }
+        }
     }
-    matrix
+    for m in 0..MULTIPLIERS {
+        rows[FIRST + m][FIRST + m] = -regularization;
+        rows[SECOND + m][SECOND + m] -= if both_levels { 2.0 * regularization } else { 1.0 };
+    }
 }
 
-/// The derivatives of the angles' columns of Φ_q, each with respect to its own angle: 0 elsewhere.
-fn turned(pose: &Pose) -> Jacobian {
-    let all = Coordinates::from([1.0; COORDINATES]);
-    let mut turned = pose.varied(&all).phi_q();
-    for i in (0..COORDINATES).filter(|i| !THETA.contains(i)) {
-        turned.column_mut(i).fill(0.0);
+/// y += factor·x.
+fn add(y: &mut [f64], factor: f64, x: &Multipliers) {
+    for (y, x) in y.iter_mut().zip(&x[..]) {
+        *y += factor * x;
     }
-    turned
 }
 
 /// Derivatives of s = sin(d/2)/(d/2) and of c = cos(d/2) with respect to d.

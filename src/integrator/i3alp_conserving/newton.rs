@@ -13,9 +13,11 @@ const RATE: f64 = 5e-12;
 const PROMISING: [f64; 3] = [f64::INFINITY, 3e-3, 1e-7];
 /// After these the matrix is factorised anew each time, and |M⁻¹f| has to fall to this part.
 const CONTRACTION: f64 = 0.05;
-/// The same of the whole tangent's last correction of an angle, rad; and what may be left where corrections do not fall any more.
+/// The whole tangent's last correction of an angle, rad; one that does not fall any more and is below the second; one that is left when
+/// no more iterations are allowed: round-off next to a vertex.
 const LAST_CORRECTION: f64 = 1e-13;
-const STAGNATION: f64 = 1e-10;
+const STAGNATION: f64 = 1e-12;
+const LARGEST_LEFT: f64 = 1e-10;
 /// A link that turns farther in one step, rad, is on its way to no root.
 const LARGEST_TURN: f64 = 6.0;
 
@@ -119,7 +121,7 @@ pub(super) fn whole<const N: usize, const M: usize, S: Discrete<N, M>>(
         }
         last = correction;
     }
-    None
+    (last < LARGEST_LEFT).then_some(())
 }
 
 /// Where unknowns that have been found lead.
