@@ -24,7 +24,7 @@ use super::{Bounds, Counters, Discrete, Inconsistency, NewtonSettings, Passage, 
 use crate::vector::Vector;
 use equations::{Evaluation, Step, Unknowns};
 use ladder::{Rescued, climb, from_equilibrium};
-use newton::{Allowance, TO_ROUND_OFF, alternate, evaluated, whole};
+use newton::{Allowance, Until, alternate, whole};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -191,9 +191,8 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         let Some(mut x) = nearby else { return self.rescue(step, settings) };
         let mut allowance = Allowance { left: max_iterations, counters: &mut self.counters };
         let newton = NewtonSettings { regularization, both_levels: true };
-        let (_, last_correction) = TO_ROUND_OFF;
-        match whole(step, &mut x, newton, (max_iterations, last_correction), &mut allowance) {
-            Some(()) => self.arrive(step, &x, &evaluated(step, &x)),
+        match whole(step, &mut x, newton, (max_iterations, Until::Solved), &mut allowance) {
+            Some(end) => self.arrive(step, &x, &end),
             None => self.rescue(step, settings),
         }
     }
@@ -211,7 +210,7 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         let mut allowance = Allowance { left, counters: &mut self.counters };
         let rescued = climb(step, settings, (&a, &lambda), &mut allowance)?;
         match rescued {
-            Rescued::Root(x) => self.arrive(step, &x, &evaluated(step, &x)),
+            Rescued::Root(x, end) => self.arrive(step, &x, &end),
             Rescued::Landed { d, acting, v } => {
                 self.memory = Memory::NONE;
                 self.land(step, (&step.secant(&d), &d), [&acting, &v])

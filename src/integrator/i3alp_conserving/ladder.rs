@@ -10,8 +10,8 @@
 //! | last | no root, which happens close to vertices: what equilibrium predicts, projected and scaled to the energy |
 
 use super::Settings;
-use super::equations::{Step, Unknowns};
-use super::newton::{Allowance, TO_ROUND_OFF, whole};
+use super::equations::{Evaluation, Step, Unknowns};
+use super::newton::{Allowance, Until, whole};
 use crate::integrator::{Discrete, NewtonSettings, Passage, Projection, StepError, velocity_correction};
 use crate::vector::Vector;
 
@@ -21,8 +21,9 @@ const SOFTENINGS: [f64; 10] = [1e4, 1e3, 3e2, 1e2, 30.0, 10.0, 5.0, 2.5, 1.5, 1.
 const SMALLER: [f64; 2] = [1e-5, 1e-7];
 /// Stages of the finer continuations and their part of e.
 const FINER: [(u32, f64); 4] = [(32, 1.0), (8, 1e-5), (32, 1e-5), (128, 1e-5)];
-/// Last correction of an angle at the stages on the way, rad.
-const ON_THE_WAY: (u32, f64) = (10, 1e-8);
+/// Most iterations to a root, and at the stages on the way there.
+const SOLVED: (u32, Until) = (10, Until::Solved);
+const ON_THE_WAY: (u32, Until) = (10, Until::Corrected(1e-8));
 /// Most iterations of each softening.
 const SOFTENED: u32 = 15;
 /// Most iterations of a projection by the last rung, and most halvings of its way.
@@ -33,9 +34,9 @@ const CLOSE_TO_VERTEX: f64 = 1e-4;
 const CLOSED: f64 = 64.0 * f64::EPSILON;
 
 /// What the ladder has found.
-pub(super) enum Rescued<const N: usize, const M: usize> {
-    /// A root.
-    Root(Unknowns<N, M>),
+pub(super) enum Rescued<S: Discrete<N, M>, const N: usize, const M: usize> {
+    /// A root, and where it leads.
+    Root(Unknowns<N, M>, Evaluation<S, N, M>),
     /// None: where the last rung leads.
     Landed {
         /// q₁ − q₀.
@@ -46,6 +47,9 @@ pub(super) enum Rescued<const N: usize, const M: usize> {
         v: Vector<N>,
     },
 }
+
+/// Unknowns that solve the equations, and where they lead.
+type Root<S, const N: usize, const M: usize> = (Unknowns<N, M>, Evaluation<S, N, M>);
 
 /// The unknowns that equilibrium at the beginning of a step predicts for one of h seconds, with these q̈ and λ.
 pub(super) fn from_equilibrium<const N: usize, const M: usize>(
@@ -64,9 +68,9 @@ pub(super) fn climb<const N: usize, const M: usize, S: Discrete<N, M> + Passage<
     settings: &Settings,
     rest: (&Vector<N>, &Vector<M>),
     allowance: &mut Allowance<'_>,
-) -> Result<Rescued<N, M>, StepError> {
+) -> Result<Rescued<S, N, M>, StepError> {
     match root(step, settings, rest, allowance) {
-        Some(x) => Ok(Rescued::Root(x)),
+        Some((x, end)) => Ok(Rescued::Root(x, end)),
         None => last_resort(step, settings, rest, allowance),
     }
 }
@@ -76,15 +80,15 @@ fn root<const N: usize, const M: usize, S: Discrete<N, M>>(
     settings: &Settings,
     rest: (&Vector<N>, &Vector<M>),
     allowance: &mut Allowance<'_>,
-) -> Option<Unknowns<N, M>> {
+) -> Option<Root<S, N, M>> {
     let with = |part: f64| NewtonSettings { regularization: part * settings.regularization, both_levels: true };
     let start = from_equilibrium(&step.v, rest, step.h);
     let at_once = |part: f64, allowance: &mut Allowance<'_>| {
         let mut x = start;
-        whole(step, &mut x, with(part), TO_ROUND_OFF, allowance).map(|()| x)
+        whole(step, &mut x, with(part), SOLVED, allowance).map(|end| (x, end))
     };
-    if let Some(x) = at_once(1.0, allowance) {
-        return Some(x);
+    if let Some(root) = at_once(1.0, allowance) {
+        return Some(root);
     }
     allowance.counters.rescued += 1;
     None.or_else(|| if step.system.has_friction() { hardened(step, start, with(1.0), allowance) } else { None })
@@ -99,12 +103,12 @@ fn hardened<const N: usize, const M: usize, S: Discrete<N, M>>(
     mut x: Unknowns<N, M>,
     settings: NewtonSettings,
     allowance: &mut Allowance<'_>,
-) -> Option<Unknowns<N, M>> {
+) -> Option<Root<S, N, M>> {
+    let mut end = None;
     for softening in SOFTENINGS {
-        let (_, last_correction) = TO_ROUND_OFF;
-        whole(&step.softened(softening), &mut x, settings, (SOFTENED, last_correction), allowance)?;
+        end = Some(whole(&step.softened(softening), &mut x, settings, (SOFTENED, Until::Solved), allowance)?);
     }
-    Some(x)
+    end.map(|end| (x, end))
 }
 
 /// The root is followed from that of a step of h/stages, which is small, to that of h.
@@ -114,9 +118,9 @@ fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
     rest: (&Vector<N>, &Vector<M>),
     stages: u32,
     allowance: &mut Allowance<'_>,
-) -> Option<Unknowns<N, M>> {
+) -> Option<Root<S, N, M>> {
     let mut before = Unknowns { d: Vector::ZERO, lambda: Vector::ZERO, nu: Vector::ZERO };
-    let mut x = before;
+    let (mut x, mut end) = (before, None);
     for stage in 1..=stages {
         let h = step.h * f64::from(stage) / f64::from(stages);
         let next = match stage {
@@ -126,10 +130,10 @@ fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
             _ => Unknowns { d: 2.0 * x.d - before.d, lambda: 2.0 * x.lambda - before.lambda, nu: 2.0 * x.nu - before.nu },
         };
         (before, x) = (x, next);
-        let until = if stage < stages { ON_THE_WAY } else { TO_ROUND_OFF };
-        whole(&step.shortened(h), &mut x, settings, until, allowance)?;
+        let until = if stage < stages { ON_THE_WAY } else { SOLVED };
+        end = Some(whole(&step.shortened(h), &mut x, settings, until, allowance)?);
     }
-    Some(x)
+    end.map(|end| (x, end))
 }
 
 /// Where the equations have no root: as far as equilibrium predicts, or half as far, and so on, projected onto the positions; the
@@ -139,7 +143,7 @@ fn last_resort<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     settings: &Settings,
     rest: (&Vector<N>, &Vector<M>),
     allowance: &mut Allowance<'_>,
-) -> Result<Rescued<N, M>, StepError> {
+) -> Result<Rescued<S, N, M>, StepError> {
     let &Step { system, q, v: v0, h, .. } = step;
     let predicted = from_equilibrium(&v0, rest, h);
     let projection = Projection::to_round_off(system.length_scale(), settings.equilibrium, MOST_PROJECTIONS);

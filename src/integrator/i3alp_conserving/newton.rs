@@ -2,6 +2,7 @@
 
 use super::equations::{Evaluation, Step, Unknowns};
 use crate::integrator::{Counters, Discrete, NewtonSettings, SecantFactor};
+use crate::vector::Vector;
 
 /// Largest |M⁻¹f| per second of step of one that has converged, m/s and rad/s: what is left does work, in proportion to it.
 const OFFSET: f64 = 1e-9;
@@ -13,13 +14,34 @@ const RATE: f64 = 5e-12;
 const PROMISING: [f64; 3] = [f64::INFINITY, 3e-3, 1e-7];
 /// After these the matrix is factorised anew each time, and |M⁻¹f| has to fall to this part.
 const CONTRACTION: f64 = 0.05;
-/// The whole tangent's last correction of an angle, rad; one that does not fall any more and is below the second; one that is left when
-/// no more iterations are allowed: round-off next to a vertex.
+/// The whole tangent ends where it meets these bounds, or where round-off lets it go no further: at a correction of an angle below the
+/// first, or one below the second that does not fall any more, rad, if |M⁻¹f| is below the third per second of step.
 const LAST_CORRECTION: f64 = 1e-13;
-const STAGNATION: f64 = 1e-12;
-const LARGEST_LEFT: f64 = 1e-10;
+const STAGNATION: f64 = 1e-10;
+const LARGEST_OFFSET: f64 = 1e-8;
 /// A link that turns farther in one step, rad, is on its way to no root.
 const LARGEST_TURN: f64 = 6.0;
+
+/// What a step that has converged may leave of its equations.
+struct Bounds {
+    offset: f64,
+    phi: f64,
+    rate: f64,
+}
+
+impl Bounds {
+    #[inline(always)]
+    fn new<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64) -> Self {
+        let size = system.length_scale();
+        Self { offset: OFFSET * h, phi: ROUND_OFF * size, rate: size * ROUND_OFF.max(RATE * h) }
+    }
+
+    /// By M⁻¹f, Φ and |J₁w|/2.
+    #[inline(always)]
+    fn are_met<const N: usize, const M: usize>(&self, offset: &Vector<N>, phi: &Vector<M>, rate: f64) -> bool {
+        offset.max_norm() < self.offset && phi.max_norm() < self.phi && rate < self.rate
+    }
+}
 
 /// Iterations that a step may still take.
 pub(super) struct Allowance<'a> {
@@ -47,9 +69,7 @@ pub(super) fn alternate<const N: usize, const M: usize, S: Discrete<N, M>>(
     allowance: &mut Allowance<'_>,
 ) -> Result<Evaluation<S, N, M>, f64> {
     let system = step.system;
-    let size = system.length_scale();
-    let bound = ROUND_OFF * size;
-    let rate_bound = bound.max(RATE * step.h * size);
+    let bounds = Bounds::new(system, step.h);
     let mut before = f64::INFINITY;
     let mut factor: Option<S::Factor> = None;
     for iteration in 0..=most {
@@ -66,7 +86,7 @@ pub(super) fn alternate<const N: usize, const M: usize, S: Discrete<N, M>>(
         let found = step.evaluate(secant, z, x);
         let Evaluation { secant, pull, v, offset, force, phi } = &found;
         let left = offset.max_norm();
-        if left < OFFSET * step.h && phi.max_norm() < bound && rate < rate_bound {
+        if bounds.are_met(offset, phi, rate) {
             return Ok(found);
         }
         let promising = PROMISING.get(iteration as usize).copied().unwrap_or(CONTRACTION * before);
@@ -89,50 +109,58 @@ pub(super) fn alternate<const N: usize, const M: usize, S: Discrete<N, M>>(
     Err(f64::INFINITY)
 }
 
-/// All unknowns at once, with the whole tangent. Stops at a last correction of an angle, or where round-off lets it go no further.
+/// Until when the whole tangent is used.
+#[derive(Clone, Copy)]
+pub(super) enum Until {
+    /// The equations are solved.
+    Solved,
+    /// A correction of an angle is below this, rad: on the way to another step's root.
+    Corrected(f64),
+}
+
+/// All unknowns at once, with the whole tangent.
 #[inline(never)]
 pub(super) fn whole<const N: usize, const M: usize, S: Discrete<N, M>>(
     step: &Step<'_, S, N, M>,
     x: &mut Unknowns<N, M>,
     settings: NewtonSettings,
-    (most, last_correction): (u32, f64),
+    (most, until): (u32, Until),
     allowance: &mut Allowance<'_>,
-) -> Option<()> {
+) -> Option<Evaluation<S, N, M>> {
     let system = step.system;
-    let mut last = f64::INFINITY;
-    for _ in 0..most {
-        allowance.take()?;
+    let bounds = Bounds::new(system, step.h);
+    let (mut correction, mut before) = (f64::INFINITY, f64::INFINITY);
+    for iteration in 0..=most {
         let secant = step.secant(&x.d);
         let z = step.mean_motion(&secant, x);
-        let Evaluation { secant, v, force, phi, .. } = step.evaluate(secant, z, x);
-        let rate = system.phi_q_times(S::end(&secant), &(step.h * v));
-        let chord = step.chord(&secant, &x.d, &v);
-        let (d, [lambda, nu]) = system.newton(&chord, [&x.lambda, &x.nu], (&force, &phi, &rate), settings);
+        let found = step.evaluate(secant, z, x);
+        let Evaluation { secant, v, offset, force, phi, .. } = &found;
+        let rate = system.phi_q_times(S::end(secant), &(step.h * *v));
+        let no_further = correction < LAST_CORRECTION || correction < STAGNATION && correction >= 0.25 * before;
+        let done = match until {
+            Until::Solved => {
+                let is_met = bounds.are_met(offset, phi, 0.5 * rate.max_norm());
+                no_further && (is_met || iteration == most && offset.max_norm() < LARGEST_OFFSET * step.h)
+            }
+            Until::Corrected(bound) => correction < bound || no_further,
+        };
+        if iteration > 0 && done {
+            return Some(found);
+        }
+        if iteration == most {
+            return None;
+        }
+        allowance.take()?;
+        let chord = step.chord(secant, &x.d, v);
+        let (d, [lambda, nu]) = system.newton(&chord, [&x.lambda, &x.nu], (force, phi, &rate), settings);
         x.d += d;
         x.lambda += lambda;
         x.nu += nu;
-        let correction = system.angle_norm(&d);
+        (before, correction) = (correction, system.angle_norm(&d));
         let finite = x.d.is_finite() && x.lambda.is_finite() && x.nu.is_finite();
         if !(finite && system.angle_norm(&x.d) < LARGEST_TURN) {
             return None;
         }
-        if correction < last_correction || correction < STAGNATION && correction >= 0.25 * last {
-            return Some(());
-        }
-        last = correction;
     }
-    (last < LARGEST_LEFT).then_some(())
+    None
 }
-
-/// Where unknowns that have been found lead.
-pub(super) fn evaluated<const N: usize, const M: usize, S: Discrete<N, M>>(
-    step: &Step<'_, S, N, M>,
-    x: &Unknowns<N, M>,
-) -> Evaluation<S, N, M> {
-    let secant = step.secant(&x.d);
-    let z = step.mean_motion(&secant, x);
-    step.evaluate(secant, z, x)
-}
-
-/// As far as round-off lets it.
-pub(super) const TO_ROUND_OFF: (u32, f64) = (10, LAST_CORRECTION);
