@@ -109,7 +109,7 @@ impl MeanForce for Servo {
     fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
         for (i, motor) in MOTORS.into_iter().enumerate() {
             let [drive, weight] = self.drive_over(over, i);
-            let open = 1.0 - drive * drive;
+            let open = (1.0 - drive * drive) / over.softening;
             let by_change = 0.5 * (1.0 + weight) * self.kp[i] + (1.0 - weight) * self.kd[i] / over.h;
             tangents.stiffness(motor, motor, by_change * open);
             tangents.damping(motor, motor, weight * self.kd[i] * open);
@@ -129,6 +129,6 @@ impl Servo {
         let weight = end_weight(over.decay(0.5 * over.h * self.kp[i] + self.kd[i]));
         let angle = self.kp[i] * (over.inputs.servo_theta[i] - (begin + 0.5 * (1.0 + weight) * change));
         let rate = self.kd[i] * (over.inputs.servo_omega[i] - (mean + weight * (end - mean)));
-        [libm::tanh((angle + rate) / self.limit[i]), weight]
+        [libm::tanh((angle + rate) / (over.softening * self.limit[i])), weight]
     }
 }

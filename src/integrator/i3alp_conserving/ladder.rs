@@ -15,8 +15,9 @@ use super::newton::{Allowance, Until, whole};
 use crate::integrator::{Discrete, NewtonSettings, Passage, Projection, StepError, velocity_correction};
 use crate::vector::Vector;
 
-/// By how much the rates at which friction turns are larger, on the way to its own law.
-const SOFTENINGS: [f64; 10] = [1e4, 1e3, 3e2, 1e2, 30.0, 10.0, 5.0, 2.5, 1.5, 1.0];
+/// Factor on the rates at which friction turns where its law is softest, and by which it hardens at a time: less where that is too much.
+const SOFTEST: f64 = 1e7;
+const HARDENING: [f64; 2] = [1.05, 30.0];
 /// Parts of e.
 const SMALLER: [f64; 2] = [1e-5, 1e-7];
 /// Stages of the finer continuations and their part of e.
@@ -28,7 +29,7 @@ const ON_THE_WAY: (u32, Until) = (10, Until::Corrected(1e-8));
 const SOFTENED: u32 = 15;
 /// Most iterations of a projection by the last rung, and most halvings of its way.
 const MOST_PROJECTIONS: u32 = 30;
-const MOST_HALVINGS: i32 = 12;
+const MOST_HALVINGS: i32 = 40;
 /// Part of e of its projections, and of the rates what they may leave.
 const CLOSE_TO_VERTEX: f64 = 1e-4;
 const CLOSED: f64 = 64.0 * f64::EPSILON;
@@ -104,11 +105,21 @@ fn hardened<const N: usize, const M: usize, S: Discrete<N, M>>(
     settings: NewtonSettings,
     allowance: &mut Allowance<'_>,
 ) -> Option<Root<S, N, M>> {
-    let mut end = None;
-    for softening in SOFTENINGS {
-        end = Some(whole(&step.softened(softening), &mut x, settings, (SOFTENED, Until::Solved), allowance)?);
+    let [least, most] = HARDENING;
+    let (_, on_the_way) = ON_THE_WAY;
+    whole(&step.softened(SOFTEST), &mut x, settings, (SOFTENED, on_the_way), allowance)?;
+    let (mut softening, mut ratio) = (SOFTEST, most);
+    while ratio > least {
+        let next = (softening / ratio).max(1.0);
+        let until = if next > 1.0 { on_the_way } else { Until::Solved };
+        let mut there = x;
+        match whole(&step.softened(next), &mut there, settings, (SOFTENED, until), allowance) {
+            Some(end) if next == 1.0 => return Some((there, end)),
+            Some(_) => (softening, x) = (next, there),
+            None => ratio = ratio.sqrt(),
+        }
     }
-    end.map(|end| (x, end))
+    None
 }
 
 /// The root is followed from that of a step of h/stages, which is small, to that of h.
@@ -145,11 +156,12 @@ fn last_resort<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     allowance: &mut Allowance<'_>,
 ) -> Result<Rescued<S, N, M>, StepError> {
     let &Step { system, q, v: v0, h, .. } = step;
-    let predicted = from_equilibrium(&v0, rest, h);
+    // What friction does at the beginning says nothing about the rest of the step.
+    let way = if system.has_friction() { h * v0 } else { from_equilibrium(&v0, rest, h).d };
     let projection = Projection::to_round_off(system.length_scale(), settings.equilibrium, MOST_PROJECTIONS);
     let mut failure = StepError::NotFinite;
     for halvings in 0..MOST_HALVINGS {
-        let mut end = q + 0.5f64.powi(halvings) * predicted.d;
+        let mut end = q + 0.5f64.powi(halvings) * way;
         let pose = match projection.position(system, &mut end) {
             Ok((iterations, pose)) => {
                 allowance.counters.iterations += u64::from(iterations);
@@ -162,7 +174,7 @@ fn last_resort<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
         };
         let d = end - q;
         let mass = system.factor_mass(&pose, CLOSE_TO_VERTEX * settings.equilibrium);
-        let mut v = (2.0 / h) * d - v0;
+        let mut v = d / h;
         // Close to a vertex each leaves some of it, and the steps to come take for granted that nothing is left.
         for _ in 0..MOST_PROJECTIONS {
             v += velocity_correction(system, &pose, &mass, &v);

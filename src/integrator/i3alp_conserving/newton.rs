@@ -18,7 +18,7 @@ const CONTRACTION: f64 = 0.05;
 /// first, or one below the second that does not fall any more, rad, if |M⁻¹f| is below the third per second of step.
 const LAST_CORRECTION: f64 = 1e-13;
 const STAGNATION: f64 = 1e-10;
-const LARGEST_OFFSET: f64 = 1e-8;
+const LARGEST_OFFSET: f64 = 3e-9;
 /// A link that turns farther in one step, rad, is on its way to no root.
 const LARGEST_TURN: f64 = 6.0;
 
@@ -140,7 +140,8 @@ pub(super) fn whole<const N: usize, const M: usize, S: Discrete<N, M>>(
         let done = match until {
             Until::Solved => {
                 let is_met = bounds.are_met(offset, phi, 0.5 * rate.max_norm());
-                no_further && (is_met || iteration == most && offset.max_norm() < LARGEST_OFFSET * step.h)
+                let is_last = correction < LAST_CORRECTION || iteration == most;
+                no_further && (is_met || is_last && offset.max_norm() < LARGEST_OFFSET * step.h)
             }
             Until::Corrected(bound) => correction < bound || no_further,
         };
