@@ -127,7 +127,8 @@ impl Servo {
         let ([begin, change], end) = (over.motor_angle(i), over.motor_rate(i));
         let mean = change / over.h;
         let weight = end_weight(over.decay(0.5 * over.h * self.kp[i] + self.kd[i]));
-        let angle = self.kp[i] * (over.inputs.servo_theta[i] - (begin + 0.5 * (1.0 + weight) * change));
+        // In this order: close to the reference their difference is exact, and finer than the angle's own round-off.
+        let angle = self.kp[i] * ((over.inputs.servo_theta[i] - begin) - 0.5 * (1.0 + weight) * change);
         let rate = self.kd[i] * (over.inputs.servo_omega[i] - (mean + weight * (end - mean)));
         [libm::tanh((angle + rate) / (over.softening * self.limit[i])), weight]
     }

@@ -63,7 +63,7 @@ impl MeanForce for Spring {
     fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
         for (i, motor) in MOTORS.into_iter().enumerate() {
             let [angle, change] = over.motor_angle(i);
-            forces[motor] -= self.k[i] * (angle + 0.5 * change - self.theta0[i]);
+            forces[motor] -= self.k[i] * ((angle - self.theta0[i]) + 0.5 * change);
         }
     }
 
