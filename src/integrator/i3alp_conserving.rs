@@ -43,6 +43,8 @@ pub struct Settings {
 const SHORTEST: f64 = 1e-12;
 /// Where |M⁻¹f| is larger than this, m and rad, after Λ and ν were looked for in turn, they have led nowhere.
 const NEARBY: f64 = 1e-3;
+/// Accelerations below this, m/s² and rad/s², are round-off.
+const BALANCED: f64 = 1e-12;
 /// Steps that the extrapolation of the unknowns looks back on.
 const REMEMBERED: usize = 3;
 
@@ -152,6 +154,10 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         if h < SHORTEST {
             return self.taylor_step(system, settings, h);
         }
+        if self.v.max_norm() == 0.0 && self.is_in_balance(system, settings) {
+            self.counters.substeps += 1;
+            return Ok(());
+        }
         let step = Step { system, q: self.q, v: self.v, pose: system.pose(&self.q), h, softening: 1.0 };
         let mut x = match self.memory.extrapolated(h) {
             Some(x) => x,
@@ -167,6 +173,14 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
             }
         }
         self.at_once(&step, settings, nearby.then_some(x))
+    }
+
+    /// Whether the system, at rest, stays there: what Newton's method makes of round-off would drive it from a vertex.
+    #[cold]
+    #[inline(never)]
+    fn is_in_balance<S: Discrete<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> bool {
+        let (a, _) = equilibrium(system, &self.q, &self.v, settings.equilibrium);
+        system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a).max_norm() < BALANCED
     }
 
     /// What equilibrium predicts: at the start, after a change, and where the step has another length.

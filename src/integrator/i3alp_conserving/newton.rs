@@ -14,11 +14,11 @@ const RATE: f64 = 5e-12;
 const PROMISING: [f64; 3] = [f64::INFINITY, 3e-3, 1e-7];
 /// After these the matrix is factorised anew each time, and |M⁻¹f| has to fall to this part.
 const CONTRACTION: f64 = 0.05;
-/// The whole tangent ends where it meets these bounds, or where round-off lets it go no further: at a correction of an angle below the
-/// first, or one below the second that does not fall any more, rad, if |M⁻¹f| is below the third per second of step.
+/// The whole tangent goes to round-off: to a correction of an angle below the first, or to one below the second that does not fall any
+/// more, rad. What is left then may be larger by the third where no more iterations are allowed.
 const LAST_CORRECTION: f64 = 1e-13;
 const STAGNATION: f64 = 1e-10;
-const LARGEST_OFFSET: f64 = 3e-9;
+const TOLERANCE: f64 = 3.0;
 /// A link that turns farther in one step, rad, is on its way to no root.
 const LARGEST_TURN: f64 = 6.0;
 
@@ -40,6 +40,11 @@ impl Bounds {
     #[inline(always)]
     fn are_met<const N: usize, const M: usize>(&self, offset: &Vector<N>, phi: &Vector<M>, rate: f64) -> bool {
         offset.max_norm() < self.offset && phi.max_norm() < self.phi && rate < self.rate
+    }
+
+    /// All of them by a factor larger.
+    fn times(&self, factor: f64) -> Self {
+        Self { offset: factor * self.offset, phi: factor * self.phi, rate: factor * self.rate }
     }
 }
 
@@ -139,9 +144,9 @@ pub(super) fn whole<const N: usize, const M: usize, S: Discrete<N, M>>(
         let no_further = correction < LAST_CORRECTION || correction < STAGNATION && correction >= 0.25 * before;
         let done = match until {
             Until::Solved => {
-                let is_met = bounds.are_met(offset, phi, 0.5 * rate.max_norm());
                 let is_last = correction < LAST_CORRECTION || iteration == most;
-                no_further && (is_met || is_last && offset.max_norm() < LARGEST_OFFSET * step.h)
+                let allowed = if is_last { bounds.times(TOLERANCE) } else { bounds.times(1.0) };
+                no_further && allowed.are_met(offset, phi, 0.5 * rate.max_norm())
             }
             Until::Corrected(bound) => correction < bound || no_further,
         };
