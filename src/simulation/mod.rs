@@ -185,6 +185,15 @@ impl Simulation {
         }
     }
 
+    /// Steps of the conserving method by the last rung of its ladder.
+    #[inline(always)]
+    pub fn last_resorts(&self) -> u64 {
+        match &self.run.progress {
+            Progress::Conserving(run) => run.counters.last_resorts,
+            Progress::WithCall(_) | Progress::PastCall(_) => 0,
+        }
+    }
+
     /// Singularities met since the start; see [`Counters::singular`].
     pub fn singular(&self) -> [u64; MODES + 2] {
         self.counters().singular()

@@ -31,10 +31,10 @@ pub struct Run {
 pub(super) enum Progress {
     /// With the call: the state there.
     WithCall(Core),
-    /// With the call, by the method that conserves.
-    Conserving(ConservingRun<COORDINATES, MULTIPLIERS>),
     /// Wherever the error lets them: the step that runs past the call.
     PastCall(DenseRun),
+    /// With the call, by the method that conserves: accelerations and joint forces are no part of the state.
+    Conserving(ConservingRun<COORDINATES, MULTIPLIERS>),
 }
 
 /// Why a simulation could not advance. It is as it was before the call.

@@ -276,3 +276,30 @@ fn the_work_of_a_step_is_bounded() {
     assert!(outcomes[1].0.is_none() && outcomes[1].1 > 0, "the last resort is taken");
     assert!(outcomes[2].0.is_none(), "{outcomes:?}");
 }
+
+/// All effects on at once, against steps of order 8 with an error of 1e-11 rad: of second order, the work of each kind too.
+#[test]
+fn effects_are_of_second_order() {
+    let end = |method: Method, h: f64| {
+        let mut parameters = conserving(unequal(), h);
+        (parameters.settings.method, parameters.settings.error_tolerance) = (method, 1e-11);
+        for effect in fivebar::effects::NAMES {
+            enable(&mut parameters, effect);
+        }
+        (parameters.effects.contact.offset, parameters.effects.stop.upper) = (0.1, [1.9; 2]);
+        // Friction that turns within a step is of first order until the step is shorter.
+        (parameters.effects.contact.mu, parameters.effects.friction.breakaway_velocity) = (0.0, 1.0);
+        let inputs = Inputs { servo_theta: [1.8, 1.2], ..default_inputs() };
+        let mut simulation = Simulation::new(&parameters, &inputs).expect("scene");
+        simulation.advance(&inputs, h, (0.2 / h).round() as u64).expect("a motion");
+        let energies = observers::energies(simulation.model(), &simulation.state());
+        let tip = observers::motion(simulation.model(), &simulation.state()).tip;
+        [tip.x, tip.y, energies.input, energies.dissipated]
+    };
+    let exact = end(Method::Dop853, 1e-3);
+    let runs = [5e-4, 2.5e-4, 1.25e-4].map(|h| (h, end(Method::I3alpConserving, h)));
+    for i in 0..exact.len() {
+        let errors = runs.map(|(h, run)| (h, (run[i] - exact[i]).abs()));
+        assert!(slope(&errors) > 1.7 && errors[0].1 < 1e-2 * exact[i].abs(), "{i}: {exact:?} {errors:?}");
+    }
+}
