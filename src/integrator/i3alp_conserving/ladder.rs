@@ -21,7 +21,7 @@ const HARDENING: [f64; 2] = [1.05, 30.0];
 /// Parts of e.
 const SMALLER: [f64; 2] = [1e-5, 1e-7];
 /// Stages of the finer continuations and their part of e.
-const FINER: [(u32, f64); 4] = [(32, 1.0), (8, 1e-5), (32, 1e-5), (128, 1e-5)];
+const FINER: [(u32, f64); 4] = [(8, 1e-5), (32, 1.0), (32, 1e-5), (128, 1e-5)];
 /// Most iterations to a root, and at the stages on the way there.
 const SOLVED: (u32, Until) = (10, Until::Solved);
 const ON_THE_WAY: (u32, Until) = (10, Until::Corrected(1e-8));

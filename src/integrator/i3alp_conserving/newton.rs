@@ -18,7 +18,7 @@ const CONTRACTION: f64 = 0.05;
 /// more, rad. What is left then may be larger by the third where no more iterations are allowed.
 const LAST_CORRECTION: f64 = 1e-13;
 const STAGNATION: f64 = 1e-10;
-const TOLERANCE: f64 = 3.0;
+const TOLERANCE: f64 = 1.0;
 /// A link that turns farther in one step, rad, is on its way to no root.
 const LARGEST_TURN: f64 = 6.0;
 
