@@ -148,31 +148,37 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         state
     }
 
-    /// One step of h seconds. On failure the run is undefined: the caller keeps a copy.
-    #[inline(always)]
-    pub fn advance<S: Discrete<N, M> + Passage<N>>(&mut self, system: &S, settings: &Settings, h: f64) -> Result<(), StepError> {
+    /// One step of h seconds. On failure the run is undefined: the caller keeps a copy. `general` is the same system, for what is rare:
+    /// a form of its own that `system` may have is compiled for the first try only.
+    #[inline(never)]
+    pub fn advance<S: Discrete<N, M>, G: Discrete<N, M> + Passage<N>>(
+        &mut self,
+        (system, general): (&S, &G),
+        settings: &Settings,
+        h: f64,
+    ) -> Result<(), StepError> {
         if h < SHORTEST {
-            return self.taylor_step(system, settings, h);
+            return self.taylor_step(general, settings, h);
         }
-        if self.v.max_norm() == 0.0 && self.is_in_balance(system, settings) {
+        if self.v.max_norm() == 0.0 && self.is_in_balance(general, settings) {
             self.counters.substeps += 1;
             return Ok(());
         }
-        let step = Step { system, q: self.q, v: self.v, pose: system.pose(&self.q), h, softening: 1.0 };
         let mut x = match self.memory.extrapolated(h) {
             Some(x) => x,
-            None => self.from_rest(system, settings, h),
+            None => self.from_rest(general, settings, h),
         };
-        let mut allowance = Allowance { left: settings.max_iterations, counters: &mut self.counters };
-        let &Settings { regularization, max_iterations, .. } = settings;
         let mut nearby = true;
         if system.alternates() {
+            let &Settings { regularization, max_iterations, .. } = settings;
+            let step = Step::new(system, [&self.q, &self.v], h);
+            let mut allowance = Allowance { left: max_iterations, counters: &mut self.counters };
             match alternate(&step, &mut x, regularization, max_iterations, &mut allowance) {
                 Ok(end) => return self.arrive(&step, &x, &end),
                 Err(left) => nearby = left < NEARBY,
             }
         }
-        self.at_once(&step, settings, nearby.then_some(x))
+        self.at_once(&Step::new(general, [&self.q, &self.v], h), settings, nearby.then_some(x))
     }
 
     /// Whether the system, at rest, stays there: what Newton's method makes of round-off would drive it from a vertex.

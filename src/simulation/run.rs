@@ -121,9 +121,13 @@ impl Run {
                 self.inputs = *inputs;
                 let held = (&self.inputs, &mut self.turns);
                 let advanced = if model.is_bare() {
-                    macro_steps::<true, _>(model, run, held, steps, |system, run, h| run.advance(system, settings, h))
+                    macro_steps::<true, _>(model, run, held, steps, |system, run, h| {
+                        run.advance((system, &system.general()), settings, h)
+                    })
                 } else {
-                    macro_steps::<false, _>(model, run, held, steps, |system, run, h| run.advance(system, settings, h))
+                    macro_steps::<false, _>(model, run, held, steps, |system, run, h| {
+                        run.advance((system, &system.general()), settings, h)
+                    })
                 };
                 advanced.inspect_err(|_| (*run, self.turns, self.inputs) = before)
             }
