@@ -31,7 +31,7 @@ struct Line {
 /// Steps that divide 1 ms, or are multiples of it.
 const STEPS: &[f64] = &[4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5, 2.5e-5, 1e-5];
 
-const LINES: [Line; 5] = [
+const LINES: [Line; 6] = [
     Line {
         method: "dop853",
         knob: "tolerance",
@@ -47,6 +47,7 @@ const LINES: [Line; 5] = [
         setting: Setting::Tolerance,
     },
     Line { method: "i3alp, fixed step", knob: "step", unit: "s", values: STEPS, setting: Setting::Fixed },
+    Line { method: "i3alpConserving", knob: "step", unit: "s", values: STEPS, setting: Setting::Conserving },
     Line { method: "i3alpPrinted", knob: "step", unit: "s", values: STEPS, setting: Setting::Printed },
     Line { method: "rk4", knob: "step", unit: "s", values: STEPS, setting: Setting::Rk4 },
 ];

@@ -12,9 +12,10 @@ use crate::{COMMUNICATION, Extent, Folder, Run, scene};
 /// The scene: a fall with many whips.
 const SCENE: &str = "fall_90_120";
 /// The settings, with the names that the legends show.
-const SETTINGS: [(&str, Setting); 4] = [
+const SETTINGS: [(&str, Setting); 5] = [
     ("i3alp, default tolerance", Setting::Default),
     ("i3alp, fixed 1 ms", Setting::Fixed(1e-3)),
+    ("i3alpConserving, 1 ms", Setting::Conserving(1e-3)),
     ("dop853, 1e-8 rad", Setting::Dop853(1e-8)),
     ("rk4, 1 ms", Setting::Rk4(1e-3)),
 ];

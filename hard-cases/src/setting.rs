@@ -15,6 +15,8 @@ pub enum Setting {
     Printed(f64),
     /// Runge-Kutta of order 4 with projection, at steps of this many seconds.
     Rk4(f64),
+    /// The conserving step, of this many seconds.
+    Conserving(f64),
     /// Runge-Kutta of order 8 with this error tolerance, rad.
     Dop853(f64),
 }
@@ -26,11 +28,16 @@ impl Setting {
     pub const REFERENCE: Self = Self::Tolerance(1e-11);
     /// The explicit method at the tolerance at which the battery judges it, rad.
     pub const EXPLICIT: Self = Self::Dop853(1e-10);
+    /// The conserving step at which every case is judged, s; falls are judged at all of its columns.
+    pub const CONSERVING: Self = Self::Conserving(1e-3);
     /// The columns of the matrix.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 12] = [
         Self::Default,
         Self::TIGHT,
         Self::EXPLICIT,
+        Self::Conserving(2.5e-4),
+        Self::CONSERVING,
+        Self::Conserving(4e-3),
         Self::Fixed(1e-3),
         Self::Fixed(1e-4),
         Self::Printed(1e-3),
@@ -56,6 +63,10 @@ impl Setting {
                 settings.adaptive = false;
                 step
             }
+            Self::Conserving(step) => {
+                settings.method = Method::I3alpConserving;
+                step
+            }
             Self::Printed(step) => {
                 settings.method = Method::I3alpPrinted;
                 step
@@ -68,16 +79,12 @@ impl Setting {
         settings.step_size = step;
     }
 
-    /// Whether the battery judges the result; the others are shown for comparison.
-    pub fn is_judged(self) -> bool {
-        matches!(self, Self::Default | Self::Tolerance(_) | Self::Dop853(_))
-    }
-
     /// The method's name, as `solver.method` has it.
     pub fn method(self) -> &'static str {
         match self {
             Self::Default | Self::Tolerance(_) | Self::Fixed(_) => "i3alp",
             Self::Printed(_) => "i3alpPrinted",
+            Self::Conserving(_) => "i3alpConserving",
             Self::Rk4(_) => "rk4",
             Self::Dop853(_) => "dop853",
         }
@@ -89,7 +96,7 @@ impl Setting {
             Self::Default => "default tolerance".into(),
             Self::Tolerance(tolerance) | Self::Dop853(tolerance) => format!("tolerance {tolerance:e} rad"),
             Self::Fixed(step) => format!("fixed {} ms", 1e3 * step),
-            Self::Printed(step) | Self::Rk4(step) => format!("{} ms", 1e3 * step),
+            Self::Printed(step) | Self::Conserving(step) | Self::Rk4(step) => format!("{} ms", 1e3 * step),
         }
     }
 }

@@ -32,6 +32,11 @@ pub struct Span {
 }
 
 impl Span {
+    /// The same in communication steps that are not shorter than the macro step.
+    fn in_steps_of(self, step: f64) -> Self {
+        if step <= self.size { self } else { Self { size: step, count: (self.duration() / step).round() as u64, ..self } }
+    }
+
     /// How long it is, s.
     pub fn duration(&self) -> f64 {
         self.size * self.count as f64
@@ -227,6 +232,7 @@ impl Trial {
     fn drive(&self, simulation: &mut Simulation, step: f64, mut look: impl FnMut(&Simulation, u64, f64) -> bool) -> Ending {
         let mut clock = Clock::new(0.0, None).expect("a start at 0");
         for span in &self.schedule {
+            let span = &span.in_steps_of(step);
             let origin = clock.point();
             for i in 0..span.count {
                 let point = if i == 0 { origin } else { origin + i as f64 * span.size };

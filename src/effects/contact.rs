@@ -16,8 +16,9 @@ use arrayvec::ArrayVec;
 
 use super::force_context::{ForceContext, Tip};
 use super::kinks::{CONTACT, SPRINGS, Touch};
-use super::unilateral_spring::UnilateralSpring;
-use super::{Force, Tangents};
+use super::unilateral_spring::{Push, UnilateralSpring};
+use super::step_context::{TipStep, end_weight};
+use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::{Coordinates, LINKS, Mechanism, SceneError, finite, not_negative, positive};
 
 /// The `contact.*` variables.
@@ -167,5 +168,69 @@ impl Force for Contact {
 
     fn touches(&self, at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
         ArrayVec::from_iter([self.touch(&at.tip())])
+    }
+}
+
+impl MeanForce for Contact {
+    #[inline(never)]
+    fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
+        if let Some(rub) = self.rub(over) {
+            rub.tip.add_force(self.mean_force(&rub), forces);
+        }
+    }
+
+    #[inline(never)]
+    fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
+        let Some(rub) = self.rub(over) else { return };
+        let Rub { push, steepness, weight, by_normal, .. } = &rub;
+        let (normal, tangent) = (self.normal, self.tangent());
+        let matrix = |entry: &dyn Fn(usize, usize) -> f64| [[entry(0, 0), entry(0, 1)], [entry(1, 0), entry(1, 1)]];
+        let stiffness = matrix(&|i, j| {
+            push.slope * (normal[i] - by_normal * tangent[i]) * normal[j] + steepness * (1.0 - weight) / over.h * tangent[i] * tangent[j]
+        });
+        let damping = matrix(&|i, j| steepness * weight * tangent[i] * tangent[j]);
+        rub.tip.add_tangents(stiffness, damping, tangents);
+        rub.tip.add_geometric_stiffness(self.mean_force(&rub), tangents);
+    }
+
+    fn dissipated_over(&self, over: &StepContext) -> f64 {
+        self.rub(over).map_or(0.0, |rub| rub.push.dissipated + rub.drag * dot(self.tangent(), rub.tip.change))
+    }
+}
+
+/// The tip against the plane over a step.
+struct Rub {
+    tip: TipStep,
+    push: Push,
+    /// Friction, N, along −t.
+    drag: f64,
+    /// How it changes with the slip, N·s/m, of which this part is that of the end, and with N.
+    steepness: f64,
+    weight: f64,
+    by_normal: f64,
+}
+
+impl Contact {
+    /// `None` where the tip is off the plane.
+    fn rub(&self, over: &StepContext) -> Option<Rub> {
+        let tip = over.tip();
+        let (depth, change) = (self.offset - dot(self.normal, tip.begin), -dot(self.normal, tip.change));
+        if depth <= 0.0 && depth + change <= 0.0 {
+            return None;
+        }
+        let push = self.spring.push_over(depth, change, over.h);
+        let slip_velocity = over.softening * self.slip_velocity;
+        let (mean, end) = (dot(self.tangent(), tip.change) / over.h, dot(self.tangent(), tip.velocity));
+        let decay = 0.5 * over.h * self.mu / (slip_velocity * over.inertia.tip);
+        let weight = end_weight(decay * push.force);
+        let tanh = libm::tanh((mean + weight * (end - mean)) / slip_velocity);
+        let steepness = self.mu * push.force * (1.0 - tanh * tanh) / slip_velocity;
+        let by_normal = self.mu * tanh + steepness * (end - mean) * decay * (1.0 - weight) * (1.0 - weight);
+        Some(Rub { tip, drag: self.mu * push.force * tanh, push, steepness, weight, by_normal })
+    }
+
+    fn mean_force(&self, rub: &Rub) -> [f64; 2] {
+        let tangent = self.tangent();
+        [0, 1].map(|i| rub.push.force * self.normal[i] - rub.drag * tangent[i])
     }
 }

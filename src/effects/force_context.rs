@@ -14,10 +14,10 @@ pub(super) const MOTORS: [usize; 2] = [THETA[0], THETA[3]];
 
 /// Joint rates are differences of link rates: joint j turns at the rate of its first link minus that of its second, if any. A joint
 /// torque acts with + on the first and with − on the second.
-const JOINED: [(usize, Option<usize>); JOINTS] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
+pub(super) const JOINED: [(usize, Option<usize>); JOINTS] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
 
 /// Index of the link that carries what acts on the tip.
-const TIP_LINK: usize = 1;
+pub(super) const TIP_LINK: usize = 1;
 
 /// What forces depend on.
 #[derive(Clone, Copy)]

@@ -12,7 +12,8 @@
 //! rate near w = 0 is T_c/(w_c I), some 1,500/s for the paper's links: stiff for explicit methods. Beyond w_brk the slope is negative.
 
 use super::force_context::{JOINTS, ForceContext, add_joint_damping, add_joint_torque, is_inner};
-use super::{Force, Tangents};
+use super::step_context::{add_joint_slopes, end_weight};
+use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative, positive};
 
 /// The `friction.*` variables.
@@ -118,5 +119,49 @@ impl Force for Friction {
 
     fn dissipation(&self, at: &ForceContext) -> f64 {
         self.curves().map(|curve| (self.drag(curve, at.joint_rate(curve.joint)), curve)).map(|(drag, curve)| drag * at.joint_rate(curve.joint)).sum()
+    }
+}
+
+impl MeanForce for Friction {
+    #[inline(never)]
+    fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
+        let softened = self.softened(over.softening);
+        for curve in self.curves() {
+            let rate = softened.rate_over(curve, over);
+            add_joint_torque(curve.joint, -softened.drag(curve, rate), forces);
+        }
+    }
+
+    #[inline(never)]
+    fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
+        let softened = self.softened(over.softening);
+        for curve in self.curves() {
+            let slope = softened.slope(curve, softened.rate_over(curve, over));
+            let weight = softened.end_weight(curve, over);
+            add_joint_slopes(curve.joint, [(1.0 - weight) * slope / over.h, weight * slope], tangents);
+        }
+    }
+
+    fn dissipated_over(&self, over: &StepContext) -> f64 {
+        self.curves().map(|curve| self.drag(curve, self.rate_over(curve, over)) * over.joint(curve.joint)[0]).sum()
+    }
+}
+
+impl Friction {
+    /// The same with its turn at rates that are larger by a factor.
+    fn softened(&self, factor: f64) -> Self {
+        Self { coulomb_rate: factor * self.coulomb_rate, stribeck_rate: factor * self.stribeck_rate, curves: self.curves }
+    }
+
+    /// Of the end's rate the part by which it rules: more the steeper the turn.
+    fn end_weight(&self, curve: &Curve, over: &StepContext) -> f64 {
+        end_weight(over.decay(self.slope(curve, 0.0)))
+    }
+
+    /// The rate at which the torque is taken, rad/s.
+    fn rate_over(&self, curve: &Curve, over: &StepContext) -> f64 {
+        let [change, end] = over.joint(curve.joint);
+        let mean = change / over.h;
+        mean + self.end_weight(curve, over) * (end - mean)
     }
 }

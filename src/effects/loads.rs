@@ -6,8 +6,8 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::Tangents;
 use super::force_context::{ForceContext, MOTORS};
+use super::{StepContext, Tangents};
 use crate::mechanism::Coordinates;
 
 /// What the master sets: held over a macro step.
@@ -93,6 +93,29 @@ impl Inputs {
     #[inline]
     pub fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
         at.tip().add_geometric_stiffness(self.tip_force, tangents);
+    }
+
+    /// Adds their mean over a step: their work is force times displacement.
+    #[inline]
+    pub fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
+        for (motor, tau) in MOTORS.into_iter().zip(self.tau) {
+            forces[motor] += tau;
+        }
+        over.tip().add_force(self.tip_force, forces);
+    }
+
+    /// Adds their tangents over a step.
+    #[inline]
+    pub fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
+        over.tip().add_geometric_stiffness(self.tip_force, tangents);
+    }
+
+    /// Work of the loads over a step, J.
+    #[inline]
+    pub fn input_over(&self, over: &StepContext) -> f64 {
+        let mut forces = Coordinates::ZERO;
+        self.add_mean_forces(over, &mut forces);
+        forces.dot(over.d)
     }
 
     /// Potential of the held loads, J: −τ·θ − F·tip. Angles without whole turns, which a step does not change.

@@ -9,6 +9,7 @@
 mod force_context;
 mod kinks;
 pub mod loads;
+mod step_context;
 pub mod tangents;
 mod unilateral_spring;
 mod variation;
@@ -17,6 +18,7 @@ pub use force_context::{ForceContext, JOINTS};
 use kinks::{SPRINGS, Touch};
 pub use kinks::{Sides, Touches};
 pub use loads::Inputs;
+pub use step_context::{StepContext, TypicalInertia};
 pub use tangents::Tangents;
 pub use variation::Perturbation;
 
@@ -77,6 +79,26 @@ trait Force: Sized {
     /// Its one-sided springs.
     fn touches(&self, _at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
         ArrayVec::new()
+    }
+}
+
+/// The same force over a finite step, for the method that conserves: its work, force times displacement, is exactly what its potential
+/// loses, what is put in and what is dissipated.
+trait MeanForce: Force {
+    /// Adds the mean generalised force Q̄ of a step.
+    fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates);
+
+    /// Adds K = −∂Q̄/∂d and C = −∂Q̄/∂q̇₁, of the change of the coordinates and the rates at the end.
+    fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents);
+
+    /// Work put in from outside, J.
+    fn input_over(&self, _over: &StepContext) -> f64 {
+        0.0
+    }
+
+    /// Energy dissipated, J.
+    fn dissipated_over(&self, _over: &StepContext) -> f64 {
+        0.0
     }
 }
 
@@ -174,6 +196,26 @@ macro_rules! effects {
             /// Adds ∂Q/∂u δu for inputs u that it reads.
             fn add_input_change(&self, at: &ForceContext, change: &Inputs, forces: &mut Coordinates) {
                 match self { $(Self::$Force(force) => force.add_input_change(at, change, forces),)+ }
+            }
+
+            /// Adds the mean generalised force Q̄ of a step.
+            pub fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
+                match self { $(Self::$Force(force) => force.add_mean_forces(over, forces),)+ }
+            }
+
+            /// Adds K = −∂Q̄/∂d and C = −∂Q̄/∂q̇₁.
+            pub fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
+                match self { $(Self::$Force(force) => force.add_mean_tangents(over, tangents),)+ }
+            }
+
+            /// Work put in from outside over a step, J.
+            pub fn input_over(&self, over: &StepContext) -> f64 {
+                match self { $(Self::$Force(force) => force.input_over(over),)+ }
+            }
+
+            /// Energy dissipated over a step, J.
+            pub fn dissipated_over(&self, over: &StepContext) -> f64 {
+                match self { $(Self::$Force(force) => force.dissipated_over(over),)+ }
             }
 
             /// Potential energy, J.

@@ -10,7 +10,8 @@
 //! Limits: continuous in time (no sampling, no delay, no quantisation), no integral action; motor dynamics are not modelled.
 
 use super::force_context::{MOTORS, ForceContext};
-use super::{Force, Inputs, Tangents};
+use super::step_context::end_weight;
+use super::{Force, Inputs, MeanForce, StepContext, Tangents};
 use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative, positive};
 
 /// The `servo.*` parameters.
@@ -95,5 +96,42 @@ impl Force for Servo {
     fn input_power(&self, at: &ForceContext) -> f64 {
         let torques = self.torques(at);
         torques[0] * at.motor_rate(0) + torques[1] * at.motor_rate(1)
+    }
+}
+
+impl MeanForce for Servo {
+    #[inline(never)]
+    fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
+        for (i, motor) in MOTORS.into_iter().enumerate() {
+            forces[motor] += self.limit[i] * self.drive_over(over, i)[0];
+        }
+    }
+
+    #[inline(never)]
+    fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
+        for (i, motor) in MOTORS.into_iter().enumerate() {
+            let [drive, weight] = self.drive_over(over, i);
+            let open = (1.0 - drive * drive) / over.softening;
+            let by_change = 0.5 * (1.0 + weight) * self.kp[i] + (1.0 - weight) * self.kd[i] / over.h;
+            tangents.stiffness(motor, motor, by_change * open);
+            tangents.damping(motor, motor, weight * self.kd[i] * open);
+        }
+    }
+
+    fn input_over(&self, over: &StepContext) -> f64 {
+        (0..2).map(|i| self.limit[i] * self.drive_over(over, i)[0] * over.motor_angle(i)[1]).sum()
+    }
+}
+
+impl Servo {
+    /// T/limit of a servo over a step, and the part by which angle and rate are those of its end.
+    fn drive_over(&self, over: &StepContext, i: usize) -> [f64; 2] {
+        let ([begin, change], end) = (over.motor_angle(i), over.motor_rate(i));
+        let mean = change / over.h;
+        let weight = end_weight(over.decay(0.5 * over.h * self.kp[i] + self.kd[i]));
+        // In this order: close to the reference their difference is exact, and finer than the angle's own round-off.
+        let angle = self.kp[i] * ((over.inputs.servo_theta[i] - begin) - 0.5 * (1.0 + weight) * change);
+        let rate = self.kd[i] * (over.inputs.servo_omega[i] - (mean + weight * (end - mean)));
+        [libm::tanh((angle + rate) / (over.softening * self.limit[i])), weight]
     }
 }

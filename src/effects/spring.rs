@@ -4,7 +4,7 @@
 //! paper's mechanism weigh, relaxed upright (θ₀ = π/2). Limits: linear, massless, without hysteresis.
 
 use super::force_context::{MOTORS, ForceContext};
-use super::{Force, Tangents};
+use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::{Coordinates, Mechanism, SceneError, finite, not_negative};
 
 /// The `spring.*` variables.
@@ -54,5 +54,23 @@ impl Force for Spring {
     fn potential(&self, at: &ForceContext) -> f64 {
         let stretch = |i: usize| at.motor_angle(i) - self.theta0[i];
         (0..2).map(|i| self.k[i] / 2.0 * stretch(i) * stretch(i)).sum()
+    }
+}
+
+impl MeanForce for Spring {
+    /// At the mean angle: the mean of a linear force.
+    #[inline(never)]
+    fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
+        for (i, motor) in MOTORS.into_iter().enumerate() {
+            let [angle, change] = over.motor_angle(i);
+            forces[motor] -= self.k[i] * ((angle - self.theta0[i]) + 0.5 * change);
+        }
+    }
+
+    #[inline(never)]
+    fn add_mean_tangents(&self, _over: &StepContext, tangents: &mut impl Tangents) {
+        for (i, motor) in MOTORS.into_iter().enumerate() {
+            tangents.stiffness(motor, motor, 0.5 * self.k[i]);
+        }
     }
 }

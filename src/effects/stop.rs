@@ -9,8 +9,8 @@ use arrayvec::ArrayVec;
 
 use super::force_context::{ForceContext, MOTORS};
 use super::kinks::{SPRINGS, STOPS, Touch};
-use super::unilateral_spring::UnilateralSpring;
-use super::{Force, Tangents};
+use super::unilateral_spring::{Push, UnilateralSpring};
+use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::{Coordinates, LINKS, Mechanism, SceneError, finite, not_negative, positive};
 
 /// The `stop.*` variables.
@@ -128,5 +128,36 @@ impl Force for Stop {
 
     fn touches(&self, at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
         [0, 1].into_iter().flat_map(|motor| self.touches_of(at, motor)).collect()
+    }
+}
+
+impl MeanForce for Stop {
+    #[inline(never)]
+    fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
+        for (motor, direction, push) in self.pushes(over) {
+            forces[MOTORS[motor]] -= direction * push.force;
+        }
+    }
+
+    #[inline(never)]
+    fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
+        for (motor, _, push) in self.pushes(over) {
+            tangents.stiffness(MOTORS[motor], MOTORS[motor], push.slope);
+        }
+    }
+
+    fn dissipated_over(&self, over: &StepContext) -> f64 {
+        self.pushes(over).map(|(_, _, push)| push.dissipated).sum()
+    }
+}
+
+impl Stop {
+    /// Motor, direction into the stop and what each stop pushes with over a step: a fast axis may leave one and reach the other.
+    fn pushes(&self, over: &StepContext) -> impl Iterator<Item = (usize, f64, Push)> {
+        (0..2).flat_map(move |motor| {
+            let [begin, change] = over.motor_angle(motor);
+            let push = |direction: f64, depth: f64| (motor, direction, self.spring.push_over(depth, direction * change, over.h));
+            [push(1.0, begin - self.upper[motor]), push(-1.0, self.lower[motor] - begin)]
+        })
     }
 }

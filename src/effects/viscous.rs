@@ -5,7 +5,8 @@
 //! its seal. Limits: linear; no dependence on load or temperature.
 
 use super::force_context::{JOINTS, ForceContext, add_joint_damping, add_joint_torque, is_inner};
-use super::{Force, Tangents};
+use super::step_context::{add_joint_slopes, end_weight};
+use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative};
 
 /// The `viscous.*` variables.
@@ -71,4 +72,32 @@ impl Force for Viscous {
     fn dissipation(&self, at: &ForceContext) -> f64 {
         self.joints().map(|(joint, b)| b * at.joint_rate(joint) * at.joint_rate(joint)).sum()
     }
+}
+
+impl MeanForce for Viscous {
+    #[inline(never)]
+    fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
+        for (joint, b) in self.joints() {
+            add_joint_torque(joint, -mean_drag(b, joint, over), forces);
+        }
+    }
+
+    #[inline(never)]
+    fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
+        for (joint, b) in self.joints() {
+            let weight = end_weight(over.decay(b));
+            add_joint_slopes(joint, [(1.0 - weight) * b / over.h, weight * b], tangents);
+        }
+    }
+
+    fn dissipated_over(&self, over: &StepContext) -> f64 {
+        self.joints().map(|(joint, b)| mean_drag(b, joint, over) * over.joint(joint)[0]).sum()
+    }
+}
+
+/// −T over a step, N·m.
+fn mean_drag(b: f64, joint: usize, over: &StepContext) -> f64 {
+    let [change, end] = over.joint(joint);
+    let mean = change / over.h;
+    b * (mean + end_weight(over.decay(b)) * (end - mean))
 }

@@ -62,6 +62,7 @@ fn real_parameter(p: &mut Parameters, variable: RealParameter) -> &mut f64 {
 fn integer_parameter(p: &mut Parameters, variable: IntegerParameter) -> &mut u32 {
     match variable {
         IntegerParameter::SolverMaxIterations => &mut p.settings.max_iterations,
+        IntegerParameter::SolverMaxWork => &mut p.settings.max_work,
     }
 }
 
@@ -125,7 +126,7 @@ macro_rules! choice {
     };
 }
 
-choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4, Dop853 });
+choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4, Dop853, I3alpConserving });
 choice!(mechanism::Assembly = variables::Assembly { Plus, Minus });
 
 /// The name of a method as in the XML.

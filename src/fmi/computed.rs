@@ -76,6 +76,7 @@ fn integer(of: &Observed<'_, f64>, computed: IntegerComputed) -> i32 {
         IntegerComputed::SolverIterations => counters.iterations,
         IntegerComputed::SolverRejected => counters.rejected,
         IntegerComputed::SolverRescued => counters.rescued,
+        IntegerComputed::SolverLastResorts => counters.last_resorts,
         IntegerComputed::SolverRestarts => counters.restarts,
         IntegerComputed::SolverLaunches => counters.launches,
         IntegerComputed::SolverVertexPasses => counters.vertex_passes,

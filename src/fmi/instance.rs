@@ -11,7 +11,7 @@ use super::values::{check_computed, check_settable, check_value, lookup};
 use super::{CallError, Snapshot, Stage, bindings, computed};
 use crate::integrator::MODES;
 use crate::observers::{Observation, Observed};
-use crate::simulation::{Signal, Simulation, StepFailure};
+use crate::simulation::{Method, Signal, Simulation, StepFailure};
 use crate::variables::{FmiType, Value, Variable};
 
 /// An instance of the FMU.
@@ -93,6 +93,10 @@ impl Instance {
                 if effects.is_empty() { "none".to_owned() } else { effects.join(", ") }
             )
         });
+        if settings.adaptive && settings.method == Method::I3alpConserving {
+            self.log
+                .push(Status::Ok, || "solver.adaptive is not used: the steps of i3alpConserving are strictly fixed.".to_owned());
+        }
         let now = self.change();
         now.next.take_held_inputs();
         now.scene = Scene::Ready(simulation);
@@ -199,6 +203,7 @@ impl Instance {
         let plan = clock.plan(point, size, simulation.parameters().settings.step_size)?;
         // To look has its price: it is paid only where the log wants the events.
         let before = wants_events.then(|| simulation.singular());
+        let last_resorts = simulation.last_resorts();
         let advanced = match (&now.next.parameters, &now.next.signal) {
             (None, None) => {
                 let inputs = *simulation.inputs();
@@ -221,9 +226,19 @@ impl Instance {
             now.stage = Stage::StepFailed;
             return Err(step_discarded(point, size, &failure));
         }
+        let last_resorts = simulation.last_resorts() - last_resorts;
         clock.advance(plan);
         now.next.after_step(size);
         now.stage = Stage::StepComplete;
+        if last_resorts > 0 {
+            warn(&mut self.log, || {
+                format!(
+                    "between {point:?} s and {:?} s: {last_resorts} steps by the last resort, their equations were not solved: the energy is \
+                     kept, the way is not known; see solver.lastResorts and solver.maxWork.",
+                    point + size
+                )
+            });
+        }
         self.warn(point + size);
         if let Some(before) = before {
             self.report_passes(before, point, point + size)?;

@@ -34,8 +34,9 @@ const ON_RAY: [f64; 2] = [1e-4, 1e-1];
 
 impl Counters {
     fn are_countable(&self) -> bool {
-        let &Self { steps, substeps, iterations, rejected, rescued, restarts, launches, vertex_passes, mode_changes } = self;
-        let counters = [steps, substeps, iterations, rejected, rescued, restarts, launches, vertex_passes];
+        let &Self { steps, substeps, iterations, rejected, rescued, restarts, launches, vertex_passes, mode_changes, last_resorts } =
+            self;
+        let counters = [steps, substeps, iterations, rejected, rescued, restarts, launches, vertex_passes, last_resorts];
         counters.iter().chain(&mode_changes).all(|count| *count < MOST_COUNTED)
     }
 }

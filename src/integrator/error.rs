@@ -18,6 +18,13 @@ pub enum StepError {
     },
     /// The tangent matrix is not positive: the step is too long for this posture and load.
     IndefiniteTangent,
+    /// The equations of a conserving step were not solved by plain Newton's method, and no rescue is allowed.
+    NoRootWithin {
+        /// Iterations spent.
+        iterations: u32,
+    },
+    /// Nor is there a root for the last rung of its ladder.
+    NoRoot,
     /// A value became NaN or infinite.
     NotFinite,
     /// Close to a vertex a sub-step changed the energy.
@@ -51,6 +58,15 @@ impl fmt::Display for StepError {
                 "the iteration did not converge: after {iterations} iterations the constraints are violated by {violation:.3e} m \
                  (allowed {tolerance:.3e} m) and the last correction was {correction:.3e} m or rad"
             ),
+            Self::NoRootWithin { iterations } => {
+                write!(
+                    f,
+                    "the step's equations were not solved in {iterations} iterations, and solver.maxWork = 0 allows no rescue"
+                )
+            }
+            Self::NoRoot => {
+                f.write_str("no way was found to solve the step's equations, not even without the velocity constraints")
+            }
             Self::IndefiniteTangent => {
                 f.write_str("the tangent matrix is not positive definite: the step is too long for this posture and load")
             }

@@ -4,10 +4,12 @@
 
 mod consistency;
 mod controller;
+mod discrete;
 pub mod dop853;
 mod equilibrium;
 mod error;
 pub mod i3alp;
+pub mod i3alp_conserving;
 pub mod i3alp_printed;
 mod kinks;
 mod passage;
@@ -17,6 +19,7 @@ mod state;
 mod system;
 
 pub use consistency::{Bounds, Inconsistency};
+pub use discrete::{Chord, Discrete, NewtonSettings, SecantFactor};
 pub use equilibrium::{equilibrium, equilibrium_at};
 pub use error::StepError;
 pub use kinks::Kinked;

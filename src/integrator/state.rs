@@ -27,9 +27,19 @@ pub struct Counters {
     pub vertex_passes: u64,
     /// Changes of each bit of [`System::modes`].
     pub mode_changes: [u64; MODES],
+    /// Steps of the conserving method by the last rung of its ladder.
+    pub last_resorts: u64,
 }
 
 impl Counters {
+    /// Counts the determinants that have changed sign.
+    #[inline(always)]
+    pub(super) fn observe_modes(&mut self, before: u8, after: u8) {
+        for (bit, changes) in self.mode_changes.iter_mut().enumerate() {
+            *changes += u64::from((before ^ after) >> bit & 1);
+        }
+    }
+
     /// Singularities: starts from rest in a vertex, vertices passed, changes of each mode.
     pub fn singular(&self) -> [u64; MODES + 2] {
         let [first, second, third] = self.mode_changes;
@@ -114,9 +124,7 @@ impl<const N: usize, const M: usize> State<N, M> {
     #[inline(always)]
     pub(super) fn observe_modes(&mut self, modes: u8) {
         if modes != self.modes {
-            for (bit, changes) in self.counters.mode_changes.iter_mut().enumerate() {
-                *changes += u64::from((modes ^ self.modes) >> bit & 1);
-            }
+            self.counters.observe_modes(self.modes, modes);
             self.modes = modes;
         }
     }

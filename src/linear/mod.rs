@@ -7,10 +7,14 @@
 //! | `dense.rs` | anything: inertias are far apart |
 //! | `lu.rs` | Gauss's elimination for `coupled.rs` |
 //! | `tangents.rs` | A₀ as each of them needs it |
+//! | `secant_legs.rs` | the conserving step's systems joint by joint along both legs |
+//! | `secant_newton.rs` | the whole tangent of that step |
 
 pub mod coupled;
 pub mod dense;
 mod lu;
+pub mod secant_legs;
+pub mod secant_newton;
 pub mod tangents;
 pub mod two_leg;
 
@@ -23,6 +27,7 @@ use crate::mechanism::{COORDINATES, Coordinates, Geometry, MULTIPLIERS, Mechanis
 use crate::vector::Vector;
 use coupled::Coupled;
 use dense::Dense;
+use secant_legs::LegConstants;
 use tangents::{CoupledTangents, DiagonalTangents, FullTangents, INNER, INNERS};
 use two_leg::{Elimination, TwoLeg};
 
@@ -106,6 +111,7 @@ pub struct TangentOf<'a, F> {
 pub struct LinearSolver {
     solve: LinearSolve,
     elimination: Elimination,
+    legs: LegConstants,
 }
 
 /// The factorised saddle-point matrix with M, which is always diagonal, in the corner. Where the inertias are far apart, it is factorised
@@ -141,12 +147,18 @@ type Solution = (Coordinates, Multipliers);
 impl LinearSolver {
     /// For a mechanism whose saddle-point systems have this e, 1/kg, most of the time.
     pub fn new(solve: LinearSolve, mechanism: &Mechanism, regularization: f64) -> Self {
-        Self { solve, elimination: Elimination::new(mechanism, regularization) }
+        Self { solve, elimination: Elimination::new(mechanism, regularization), legs: LegConstants::new(mechanism) }
     }
 
     /// The same mechanism with another solve.
     pub fn choose(&mut self, solve: LinearSolve) {
         self.solve = solve;
+    }
+
+    /// What the conserving step's solve knows of the machine.
+    #[inline(always)]
+    pub fn legs(&self) -> &LegConstants {
+        &self.legs
     }
 
     /// Which solve it is.

@@ -68,7 +68,12 @@ impl Mechanism {
     pub(crate) fn pose_at(&self, [proximal, distal]: [Legs; 2]) -> Pose {
         let (sin_p, cos_p) = sin_cos(proximal);
         let (sin_d, cos_d) = sin_cos(distal);
-        let (u_p, u_d) = (Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d });
+        self.pose_along([Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d }])
+    }
+
+    /// The same from the directions of the proximal and the distal links.
+    #[inline(always)]
+    pub(crate) fn pose_along(&self, [u_p, u_d]: [Legs2; 2]) -> Pose {
         Pose {
             u_p,
             u_d,

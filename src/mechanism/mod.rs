@@ -20,6 +20,7 @@ pub mod constraints;
 pub mod coordinates;
 pub mod legs;
 mod model;
+pub mod secant;
 pub mod singularity;
 pub mod vertex;
 

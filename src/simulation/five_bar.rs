@@ -14,8 +14,8 @@ use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose}
 #[derive(Clone, Copy, Debug)]
 pub struct FiveBar<'a, const BARE: bool = false> {
     pub(super) model: &'a Model,
-    inputs: &'a Inputs,
-    turns: &'a [i64; 4],
+    pub(super) inputs: &'a Inputs,
+    pub(super) turns: &'a [i64; 4],
     follows_work: bool,
     sides: Sides,
 }

@@ -6,6 +6,7 @@
 pub mod angles;
 mod dense_run;
 pub mod five_bar;
+mod five_bar_steps;
 mod inertia;
 mod kinks;
 pub mod model;
@@ -176,12 +177,27 @@ impl Simulation {
         self.run.state(&self.model, inputs)
     }
 
+    /// What the integrator has done since the start.
+    pub fn counters(&self) -> Counters {
+        match &self.run.progress {
+            Progress::WithCall(core) => core.counters,
+            Progress::Conserving(run) => run.counters,
+            Progress::PastCall(_) => self.state().core.counters,
+        }
+    }
+
+    /// Steps of the conserving method by the last rung of its ladder.
+    #[inline(always)]
+    pub fn last_resorts(&self) -> u64 {
+        match &self.run.progress {
+            Progress::Conserving(run) => run.counters.last_resorts,
+            Progress::WithCall(_) | Progress::PastCall(_) => 0,
+        }
+    }
+
     /// Singularities met since the start; see [`Counters::singular`].
     pub fn singular(&self) -> [u64; MODES + 2] {
-        match &self.run.progress {
-            Progress::WithCall(core) => core.counters.singular(),
-            Progress::PastCall(_) => self.state().core.counters.singular(),
-        }
+        self.counters().singular()
     }
 
     /// Gives the active effects new parameters from now on; what that adds to the potential energy counts as input. Which effects

@@ -3,8 +3,8 @@
 use arrayvec::ArrayVec;
 
 use super::inertia::Inertia;
-use crate::effects::{self, Active, Effect, ForceContext, Inputs, Perturbation};
-use crate::integrator::{MacroStepMethod, dop853, i3alp, i3alp_printed, rk4};
+use crate::effects::{self, Active, Effect, ForceContext, Inputs, Perturbation, TypicalInertia};
+use crate::integrator::{MacroStepMethod, dop853, i3alp, i3alp_conserving, i3alp_printed, rk4};
 use crate::linear::{LinearSolve, LinearSolver};
 use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError, Start};
 
@@ -20,6 +20,8 @@ pub enum Method {
     Rk4,
     /// Runge–Kutta of order 8 in the link angles, error-controlled, with dense output.
     Dop853,
+    /// Index-3 augmented Lagrangian by discrete derivatives: strictly fixed steps that keep energy and constraints.
+    I3alpConserving,
 }
 
 /// The solver's settings: the `solver.*` variables of the same names.
@@ -37,6 +39,8 @@ pub struct Settings {
     pub tolerance: f64,
     /// Most Newton iterations per sub-step.
     pub max_iterations: u32,
+    /// Most Newton iterations of one step of [`Method::I3alpConserving`], with those of its rescue; 0: no rescue.
+    pub max_work: u32,
     /// α of the printed method, N/m.
     pub penalty: f64,
     /// κ of the default method.
@@ -63,6 +67,8 @@ pub enum Stepper {
     MacroStep(MacroStepMethod),
     /// Runge–Kutta with error control, in the link angles: steps run past it.
     Dense(dop853::Settings),
+    /// Strictly fixed steps that conserve.
+    Conserving(i3alp_conserving::Settings),
 }
 
 /// The constant part of a scene made ready.
@@ -82,6 +88,8 @@ pub struct Model {
     pub has_kinks: bool,
     /// Whether the force of any changes steeply in places.
     pub is_steep: bool,
+    /// The inertias by which the conserving method judges how stiff a force is.
+    pub(super) typical_inertia: TypicalInertia,
     /// Whether an active effect reads the servo references.
     pub has_servo: bool,
     /// The linear solve that the scene needs.
@@ -113,6 +121,7 @@ impl Model {
         let regularization = 1.0 / (settings.penalty_scale * geometry.mean_mass());
         let regularization_by_angles = if geometry.base_distance == 0.0 { COAXIAL } else { RANK_LOSS } / geometry.mean_mass();
         Ok(Self {
+            typical_inertia: TypicalInertia::new(&geometry),
             conservative: effects.iter().all(Effect::conservative),
             has_kinks: effects.iter().any(Effect::has_kinks),
             is_steep: effects.iter().any(Effect::is_steep),
@@ -141,7 +150,7 @@ impl Model {
     pub(super) fn dense_settings(&self) -> &dop853::Settings {
         match &self.stepper {
             Stepper::Dense(settings) => settings,
-            Stepper::MacroStep(_) => unreachable!("a run is made for its method"),
+            Stepper::MacroStep(_) | Stepper::Conserving(_) => unreachable!("a run is made for its method"),
         }
     }
 
@@ -183,6 +192,10 @@ const RANK_LOSS: f64 = 1e-20;
 /// The same with coaxial motors, where links of equal lengths lose rank in every direction and no gate helps: motions must pass softly.
 const COAXIAL: f64 = 1e-10;
 
+/// e of the conserving step in multiples of 1 over the mean mass. It weighs increments only: smaller, Newton's method finds fewer roots
+/// next to vertices; larger, it takes more iterations.
+const CONSERVING: f64 = 1e-7;
+
 impl Settings {
     fn stepper(&self, geometry: &Geometry, regularization: f64, regularization_by_angles: f64) -> Stepper {
         let &Self { tolerance, max_iterations, .. } = self;
@@ -200,6 +213,14 @@ impl Settings {
                 MacroStepMethod::I3alpPrinted(i3alp_printed::Settings { penalty: self.penalty, max_iterations })
             }
             Method::Rk4 => MacroStepMethod::Rk4(rk4::Settings { projection: true, regularization, tolerance, max_iterations }),
+            Method::I3alpConserving => {
+                return Stepper::Conserving(i3alp_conserving::Settings {
+                    max_iterations,
+                    max_work: self.max_work,
+                    regularization: CONSERVING * regularization * self.penalty_scale,
+                    equilibrium: regularization,
+                });
+            }
             Method::Dop853 => {
                 return Stepper::Dense(dop853::Settings {
                     error_tolerance: self.error_tolerance,

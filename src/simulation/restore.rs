@@ -26,6 +26,7 @@ impl Run {
         let system = FiveBar::<false>::new(model, inputs, turns);
         match (&model.stepper, progress) {
             (Stepper::MacroStep(_), Progress::WithCall(core)) => core.check(&system, &bounds(model, &parameters.settings)),
+            (Stepper::Conserving(_), Progress::Conserving(run)) => run.check(&system, &bounds(model, &parameters.settings)),
             (Stepper::Dense(settings), Progress::PastCall(run)) => {
                 let e = settings.regularization;
                 let bounds = Bounds { regularizations: [e, e], ..bounds(model, &parameters.settings) };
@@ -41,12 +42,16 @@ impl Run {
     /// What the equations of motion leave, N and N·m summed up, with the acceleration that the predictor expects at the end of a macro step
     /// of h seconds; and the rates of closure, m/s. Where the step under way can be made once more they are not needed, and 0.
     pub(super) fn errors(&self, model: &Model, h: f64) -> [f64; 2] {
-        let Progress::WithCall(core) = &self.progress else { return [0.0; 2] };
         let system = FiveBar::<false>::new(model, &self.inputs, &self.turns);
+        let (core, remembered) = match &self.progress {
+            Progress::WithCall(core) => (*core, 0.0),
+            Progress::Conserving(run) => (run.state(&system, model.regularization), run.remembered()),
+            Progress::PastCall(_) => return [0.0; 2],
+        };
         let pose = system.pose(&core.q);
         let left = system.mass_times(&pose, &(core.a + h * core.jerk)) + system.phi_q_transposed_times(&pose, &core.lambda);
         let forces = left - system.forces(&core.q, &pose, &core.v);
-        [forces.iter().map(|x| x.abs()).sum(), system.phi_q_times(&pose, &core.v).iter().map(|x| x.abs()).sum()]
+        [forces.iter().map(|x| x.abs()).sum::<f64>() + remembered, system.phi_q_times(&pose, &core.v).iter().map(|x| x.abs()).sum()]
     }
 }
 
@@ -57,7 +62,7 @@ fn bounds(model: &Model, settings: &Settings) -> Bounds {
     let allowed = 4.0 * settings.tolerance;
     match settings.method {
         Method::I3alpPrinted => Bounds { position: PRINTED, velocity: CLOSED_RATES[1], in_balance: false, regularizations },
-        Method::I3alp | Method::Rk4 | Method::Dop853 => {
+        Method::I3alp | Method::Rk4 | Method::Dop853 | Method::I3alpConserving => {
             Bounds { position: CLOSED.max(allowed), velocity: CLOSED_RATES[0].max(allowed), in_balance: true, regularizations }
         }
     }

@@ -9,8 +9,9 @@ use super::five_bar::FiveBar;
 use super::model::{Model, Stepper};
 use super::state::{Core, State, unwind};
 use crate::effects::Inputs;
-use crate::integrator::{MacroStepMethod, StepError, i3alp};
-use crate::mechanism::Coordinates;
+use crate::integrator::i3alp_conserving::ConservingRun;
+use crate::integrator::{Counters, MacroStepMethod, StepError, i3alp};
+use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS};
 
 /// Everything that changes during a run. A copy is a complete snapshot.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -32,6 +33,8 @@ pub(super) enum Progress {
     WithCall(Core),
     /// Wherever the error lets them: the step that runs past the call.
     PastCall(DenseRun),
+    /// With the call, by the method that conserves: accelerations and joint forces are no part of the state.
+    Conserving(ConservingRun<COORDINATES, MULTIPLIERS>),
 }
 
 /// Why a simulation could not advance. It is as it was before the call.
@@ -74,11 +77,15 @@ impl Run {
     pub(super) fn start(model: &Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Self {
         let mut turns = [0; 4];
         let mut core = Core::start(&FiveBar::<false>::new(model, inputs, &turns), q, v, model.regularization);
-        unwind(&mut core, &mut turns);
+        unwind(&mut core.q, &mut turns);
         let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0 };
         state.energy_at_start = state.kinetic_energy(model) + state.potential_energy(model);
         let progress = match &model.stepper {
             Stepper::MacroStep(_) => Progress::WithCall(core),
+            Stepper::Conserving(_) => {
+                let system = FiveBar::<false>::new(model, inputs, &turns);
+                Progress::Conserving(ConservingRun::start(&system, core.q, core.v))
+            }
             Stepper::Dense(settings) => Progress::PastCall(DenseRun::start(model, settings, &state)),
         };
         Self { turns, inputs: *inputs, energy_at_start: state.energy_at_start, progress }
@@ -98,11 +105,31 @@ impl Run {
                 let advanced = match method {
                     // The default method has a compiled form for the bare mechanism; of the others it would only take place.
                     MacroStepMethod::I3alp(settings) if model.is_bare() => {
-                        macro_steps::<true>(model, core, held, steps, |system, core, h| i3alp::advance(system, settings, core, h))
+                        macro_steps::<true, _>(model, core, held, steps, |system, core, h| {
+                            i3alp::advance(system, settings, core, h)
+                        })
                     }
-                    _ => macro_steps::<false>(model, core, held, steps, |system, core, h| method.advance(system, core, h)),
+                    _ => macro_steps::<false, _>(model, core, held, steps, |system, core, h| method.advance(system, core, h)),
                 };
                 advanced.inspect_err(|_| (*core, self.turns, self.inputs) = before)
+            }
+            (Stepper::Conserving(settings), Progress::Conserving(run)) => {
+                let before = (*run, self.turns, self.inputs);
+                if !model.same_active_inputs(&self.inputs, inputs) {
+                    run.restart(0.0);
+                }
+                self.inputs = *inputs;
+                let held = (&self.inputs, &mut self.turns);
+                let advanced = if model.is_bare() {
+                    macro_steps::<true, _>(model, run, held, steps, |system, run, h| {
+                        run.advance((system, &system.general()), settings, h)
+                    })
+                } else {
+                    macro_steps::<false, _>(model, run, held, steps, |system, run, h| {
+                        run.advance((system, &system.general()), settings, h)
+                    })
+                };
+                advanced.inspect_err(|_| (*run, self.turns, self.inputs) = before)
             }
             (Stepper::Dense(settings), Progress::PastCall(run)) => {
                 Held { run, inputs: &mut self.inputs, turns: &mut self.turns }.advance(model, settings, inputs, steps)
@@ -122,6 +149,7 @@ impl Run {
                 core.balance(&FiveBar::<false>::new(model, inputs, &turns), model.regularization);
                 core
             }
+            Progress::Conserving(run) => run.state(&FiveBar::<false>::new(model, inputs, &turns), model.regularization),
             Progress::PastCall(run) => run.core(model, [&self.inputs, inputs], &turns),
         };
         State { core, turns, inputs: *inputs, energy_at_start }
@@ -139,6 +167,7 @@ impl Run {
             (Stepper::Dense(settings), Progress::PastCall(run)) => {
                 run.resume(after, settings, (&tuned.inputs, &tuned.turns), put_in);
             }
+            (_, Progress::Conserving(run)) => run.restart(put_in),
             (_, Progress::WithCall(core)) => {
                 core.work.input += put_in;
                 core.restart(&FiveBar::<false>::new(after, &tuned.inputs, &tuned.turns), after.regularization);
@@ -150,21 +179,51 @@ impl Run {
     }
 }
 
+/// What is common to runs whose steps end with the call.
+trait WithCall {
+    fn coordinates(&mut self) -> &mut Coordinates;
+    fn counters(&mut self) -> &mut Counters;
+}
+
+impl WithCall for Core {
+    #[inline(always)]
+    fn coordinates(&mut self) -> &mut Coordinates {
+        &mut self.q
+    }
+
+    #[inline(always)]
+    fn counters(&mut self) -> &mut Counters {
+        &mut self.counters
+    }
+}
+
+impl WithCall for ConservingRun<COORDINATES, MULTIPLIERS> {
+    #[inline(always)]
+    fn coordinates(&mut self) -> &mut Coordinates {
+        &mut self.q
+    }
+
+    #[inline(always)]
+    fn counters(&mut self) -> &mut Counters {
+        &mut self.counters
+    }
+}
+
 /// By a method whose steps end with the macro steps. On failure the state is undefined.
 #[inline(always)]
-fn macro_steps<const BARE: bool>(
+fn macro_steps<const BARE: bool, R: WithCall>(
     model: &Model,
-    core: &mut Core,
+    run: &mut R,
     (inputs, turns): (&Inputs, &mut [i64; 4]),
     steps: MacroSteps,
-    advance: impl Fn(&FiveBar<'_, BARE>, &mut Core, f64) -> Result<(), StepError>,
+    advance: impl Fn(&FiveBar<'_, BARE>, &mut R, f64) -> Result<(), StepError>,
 ) -> Result<(), StepFailure> {
     let turns_at_start = *turns;
     let system = FiveBar::<BARE>::new(model, inputs, &turns_at_start);
     for step in 0..steps.count {
-        advance(&system.with_turns(turns), core, steps.h).map_err(|cause| steps.failure(step, cause))?;
-        core.counters.steps += 1;
-        unwind(core, turns);
+        advance(&system.with_turns(turns), run, steps.h).map_err(|cause| steps.failure(step, cause))?;
+        run.counters().steps += 1;
+        unwind(run.coordinates(), turns);
     }
     Ok(())
 }

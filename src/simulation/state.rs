@@ -66,12 +66,12 @@ impl State {
 
 /// Moves whole turns of the angles from q into `turns`, where they are more than two.
 #[inline(always)]
-pub(super) fn unwind(core: &mut Core, turns: &mut [i64; 4]) {
-    if largest_angle(&core.q) <= 2.0 * TAU {
+pub(super) fn unwind(q: &mut Coordinates, turns: &mut [i64; 4]) {
+    if largest_angle(q) <= 2.0 * TAU {
         return;
     }
     for (turns, i) in turns.iter_mut().zip(THETA) {
-        core.q[i] -= whole_turns(core.q[i], turns) * TAU;
+        q[i] -= whole_turns(q[i], turns) * TAU;
     }
 }
 

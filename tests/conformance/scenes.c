@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-/* Reals, integers and booleans alike; `solver.method`: 1 i3alp, 2 i3alpPrinted, 3 rk4, 4 dop853. */
+/* Reals, integers and booleans alike; `solver.method`: 1 i3alp, 2 i3alpPrinted, 3 rk4, 4 dop853, 5 i3alpConserving. */
 #define BENT {"init.theta[2]", 2.0944}
 #define EVERY_EFFECT                                                                                                         \
     BENT, {"rotor.enabled", 1}, {"payload.enabled", 1}, {"viscous.enabled", 1}, {"friction.enabled", 1}, {"spring.enabled", 1}, \
@@ -23,6 +23,8 @@ const Scene scenes[] = {
     {"rk4, every effect", {EVERY_EFFECT, {"solver.method", 3}, {"solver.stepSize", 1e-4}}, 1e-3},
     {"dop853", {BENT, {"solver.method", 4}}, 1e-3},
     {"dop853, every effect", {EVERY_EFFECT, {"solver.method", 4}}, 1e-3},
+    {"i3alpConserving", {BENT, {"solver.method", 5}}, 1e-3},
+    {"i3alpConserving, every effect", {EVERY_EFFECT, {"solver.method", 5}}, 1e-3},
 };
 const size_t scene_count = sizeof scenes / sizeof scenes[0];
 

@@ -53,6 +53,8 @@ fn a_step_allocates_nothing() {
         (Method::I3alpPrinted, 6.23e-5),
         (Method::Rk4, 6.23e-5),
         (Method::Dop853, 6.23e-5),
+        (Method::I3alpConserving, 6.23e-5),
+        (Method::I3alpConserving, 1e-9),
     ] {
         let mut parameters = default_parameters();
         parameters.settings.method = method;

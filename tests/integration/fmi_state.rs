@@ -24,7 +24,7 @@ fn seen(host: &Host) -> (Vec<u64>, Vec<i32>, (fmi2Status, f64)) {
     (reals(host), counts.to_vec(), host.real_status(2))
 }
 
-const METHODS: [i32; 4] = [1, 2, 3, 4];
+const METHODS: [i32; 5] = [1, 2, 3, 4, 5];
 
 /// A driven scene with effects, ready to step: servos, friction, a payload.
 fn machine(method: i32) -> Host {

@@ -224,21 +224,31 @@ fn layout(content: &[u8]) -> Vec<(usize, String)> {
         next("run.turns", 32);
         next("run.inputs", 64);
         next("run.energy_at_start", 8);
-        let dense = content[next("run.progress", 1)] == 1;
+        let kind = content[next("run.progress", 1)];
+        let (dense, conserving) = (kind == 1, kind == 2);
         let (n, m) = if dense { (4, 2) } else { (12, 10) };
         for end in if dense { &["start.", "end."][..] } else { &[""] } {
-            for (name, size) in [("q", 8 * n), ("v", 8 * n), ("a", 8 * n), ("lambda", 8 * m), ("jerk", 8 * n), ("substep", 8)] {
-                next(&format!("run.{end}{name}"), size);
-            }
-            for (name, size) in
-                [("error_estimate", 8), ("work", 16), ("power", 16), ("modes", 1), ("on_ray", 1), ("alternatives", 4)]
-            {
+            let of_all = [("q", 8 * n), ("v", 8 * n)];
+            let of_state = [("a", 8 * n), ("lambda", 8 * m), ("jerk", 8 * n), ("substep", 8), ("error_estimate", 8)];
+            let work = [("work", 16)];
+            let of_end = [("power", 16), ("modes", 1), ("on_ray", 1), ("alternatives", 4)];
+            let fields = match conserving {
+                true => [&of_all[..], &work, &[("modes", 1)]].concat(),
+                false => [&of_all[..], &of_state, &work, &of_end].concat(),
+            };
+            for (name, size) in fields {
                 next(&format!("run.{end}{name}"), size);
             }
             for name in ["steps", "substeps", "iterations", "rejected", "rescued", "restarts", "launches", "vertex_passes"] {
                 next(&format!("run.{end}counters.{name}"), 8);
             }
             next(&format!("run.{end}counters.mode_changes"), 24);
+            next(&format!("run.{end}counters.last_resorts"), 8);
+        }
+        if conserving {
+            for (name, size) in [("h", 8), ("known", 1), ("d", 24 * n), ("lambda", 24 * m), ("nu", 24 * m)] {
+                next(&format!("run.memory.{name}"), size);
+            }
         }
         if dense {
             next("run.length", 8);
@@ -351,9 +361,15 @@ fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
 fn forged_runs_are_refused_or_go_on() {
     let (mut wrong, mut counts, mut number) = (Vec::new(), Vec::new(), 0);
     for solve in ["two-leg", "coupled", "dense"] {
-        for (method, adaptive, changing) in
-            [(1, true, false), (1, false, false), (2, false, false), (3, false, false), (4, true, false), (4, true, true)]
-        {
+        for (method, adaptive, changing) in [
+            (1, true, false),
+            (1, false, false),
+            (2, false, false),
+            (3, false, false),
+            (4, true, false),
+            (4, true, true),
+            (5, false, false),
+        ] {
             let name = format!("method {method}, adaptive {adaptive}, changing {changing}, {solve}");
             let case = case(&name, &running(method, adaptive, solve, changing));
             counts.push((forge(&case, number, &mut wrong), name));

@@ -23,8 +23,14 @@ fn simulations_and_stored_states_may_change_threads() {
 }
 
 /// The methods, the default one also at strictly fixed steps.
-const METHODS: [(Method, bool); 5] =
-    [(Method::I3alp, true), (Method::I3alp, false), (Method::I3alpPrinted, false), (Method::Rk4, false), (Method::Dop853, true)];
+const METHODS: [(Method, bool); 6] = [
+    (Method::I3alp, true),
+    (Method::I3alp, false),
+    (Method::I3alpPrinted, false),
+    (Method::Rk4, false),
+    (Method::Dop853, true),
+    (Method::I3alpConserving, false),
+];
 
 /// Two runs of a scene: one that nobody looks at, one that goes through bytes before every call.
 struct Twins {
@@ -282,7 +288,7 @@ fn states_of_a_folded_leg_that_whirls_are_read_back() {
 /// The fall of 50 s that the paper shows passes singularities of every kind; its state is stored now and then.
 #[test]
 fn states_of_a_long_fall_are_read_back() {
-    for (method, adaptive) in [(Method::I3alp, true), (Method::Dop853, true)] {
+    for (method, adaptive) in [(Method::I3alp, true), (Method::Dop853, true), (Method::I3alpConserving, false)] {
         let mut parameters = default_parameters();
         (parameters.settings.method, parameters.settings.adaptive) = (method, adaptive);
         let mut twins = Twins::new(format!("{method:?}"), Simulation::new(&parameters, &default_inputs()).expect("scene"));

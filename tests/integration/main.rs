@@ -4,6 +4,7 @@
 mod accuracy; // orders, round-off floor, reference values in quadruple precision, constraint norms
 mod allocation; // a counting allocator: a step allocates nothing
 mod closure; // starts: closed and consistent, or refused with one sentence; singular postures told apart
+mod conserving; // the strictly fixed step that conserves: energy, constraints, order, every effect, bounded work
 mod constraints; // Φ and its derivatives against finite differences along real motions
 mod dop853; // the error-controlled explicit method: accuracy, communication points, changing inputs
 mod dop853_order; // the same on problems with known solutions: orders of step and interpolant, stiffness

@@ -7,6 +7,7 @@ import argparse
 import re
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import fmpy
@@ -18,7 +19,7 @@ import singularities
 import summary
 import table
 from drive import Progress, Run, StartRefused, drive
-from scene import Scene, read
+from scene import Scene, Variant, read
 
 
 ANIMATION = "animation.svg"
@@ -31,6 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
     parser.add_argument("--scene", type=Path, required=True, help="the scene, a file of target/scenes/")
     parser.add_argument("--out", type=Path, required=True, help="folder for everything that is written")
+    parser.add_argument("--method", help="an item of solver.method, in the place of the scene's own")
     options = parser.parse_args(arguments)
     if not options.fmu.is_file():
         print(f"There is no .fmu at {options.fmu}; `cargo xtask package` makes it.", file=sys.stderr)
@@ -39,14 +41,31 @@ def main(arguments: list[str] | None = None) -> int:
     directory = fmpy.extract(str(options.fmu))
     try:
         model = fmpy.read_model_description(directory, validate=False)
+        if options.method:
+            scene = by_method(scene, model, options.method)
         runs, refused = _drive_all(model, directory, scene)
-    except StartRefused as error:
+    except (StartRefused, UnknownMethod) as error:
         print(error, file=sys.stderr)
         return 1
     finally:
         shutil.rmtree(directory, ignore_errors=True)
     report(scene, runs, refused, options.out)
     return 1 if runs[0].failed else 0
+
+
+class UnknownMethod(Exception):
+    """There is no such item of solver.method."""
+
+
+def by_method(scene: Scene, model: fmpy.model_description.ModelDescription, name: str) -> Scene:
+    """The scene with its own run by another method; its overlays stay."""
+    (method,) = (v for v in model.modelVariables if v.name == "solver.method")
+    numbers = {item.name: int(item.value) for item in method.declaredType.items}
+    if name not in numbers:
+        raise UnknownMethod(f"There is no method {name}; solver.method has: {', '.join(numbers)}.")
+    own, *overlays = scene.variants
+    own = Variant(f"{own.label}, {name}", own.values | {"solver.method": numbers[name]})
+    return replace(scene, variants=[own, *overlays])
 
 
 def _drive_all(model: fmpy.model_description.ModelDescription, directory: str, scene: Scene) -> tuple[list[Run], list[str]]:

@@ -36,6 +36,9 @@ enum Command {
         /// A file of scenes/, without `.json`
         #[arg(long, default_value = "paper_free_fall")]
         scene: String,
+        /// A method, an item of `solver.method`, in the place of the scene's own
+        #[arg(long)]
+        method: Option<String>,
     },
     /// Check everything: format, lints, Rust tests, documentation, packaging, Python tests
     Test {
@@ -109,7 +112,7 @@ fn main() -> ExitCode {
 
 fn command(command: Command) -> Result<()> {
     match command {
-        Command::Run { scene } => run::run(&scene),
+        Command::Run { scene, method } => run::run(&scene, method.as_deref()),
         Command::Test { platforms: true, .. } => test::platforms(),
         Command::Test { fmi_sim: true, .. } => test::fmi_sim(),
         Command::Test { full, .. } => test::test(full),

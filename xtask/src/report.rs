@@ -52,7 +52,7 @@ fn measure(quick: bool) -> Result<()> {
     }
     process::run(&mut accuracy)?;
     for scene in PAPER {
-        run::run(scene)?;
+        run::run(scene, None)?;
     }
     // A case that is not met belongs on the page above all; so does the absence of valgrind, which counts instructions.
     for outcome in [hard_cases::hard_cases(quick), bench::bench(quick)] {

@@ -5,8 +5,9 @@ use crate::venv::{self, Packages};
 use crate::{paths, process, scenes};
 use anyhow::Result;
 
-/// Packs the unit and runs a scene; CSV, pictures and the page go to `target/run/NAME/`.
-pub(crate) fn run(scene: &str) -> Result<()> {
+/// Packs the unit and runs a scene, by its own method or another one; CSV, pictures and the page go to `target/run/NAME/`, or to
+/// `target/run/NAME-METHOD/`.
+pub(crate) fn run(scene: &str, method: Option<&str>) -> Result<()> {
     // First of all, so that a misspelt name does not cost a build.
     scenes::check(scene)?;
     let fmu = package::package(Scope::Here)?;
@@ -18,6 +19,7 @@ pub(crate) fn run(scene: &str) -> Result<()> {
             .arg("--scene")
             .arg(paths::resolved_scenes().join(scene).with_extension("json"))
             .arg("--out")
-            .arg(paths::in_root("target/run").join(scene)),
+            .arg(paths::in_root("target/run").join(method.map_or(scene.to_owned(), |method| format!("{scene}-{method}"))))
+            .args(method.map(|method| format!("--method={method}"))),
     )
 }

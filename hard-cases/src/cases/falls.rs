@@ -4,7 +4,7 @@ use fivebar::fmi::bindings::default_parameters;
 use fivebar::mechanism::{Assembly, close};
 use std::f64::consts::FRAC_PI_2;
 
-use super::{Case, Extent};
+use super::{Case, Conserving, Extent};
 use crate::random::Random;
 use crate::trial::Trial;
 
@@ -39,6 +39,7 @@ pub(super) fn falls(extent: Extent) -> Case {
         compared: COMPARED.min(count),
         also: "both assemblies",
         explicit_energy: EXPLICIT_ENERGY,
+        conserving: Conserving { energy: 1e-8, constraints: [1e-14, 1e-11], path: true, all_steps: true },
         ..Case::new(1, name, [1e-2, 1e-3], trials)
     }
 }

@@ -5,7 +5,7 @@ use std::f64::consts::{PI, TAU};
 use fivebar::mechanism::coordinates::THETA;
 use rayon::prelude::*;
 
-use super::{Case, Extent};
+use super::{Case, Conserving, Extent};
 use crate::machine::{closed, weightless};
 use crate::setting::Setting;
 use crate::trial::{Ending, Trial};
@@ -52,7 +52,11 @@ fn crossings(extent: Extent) -> Case {
             }
         }
     }
-    Case { also: "crosses", ..Case::new(2, "exact crossings", [1e-2, 1e-2], trials) }
+    Case {
+        also: "crosses",
+        conserving: Conserving { energy: 1e-9, ..Conserving::USUAL },
+        ..Case::new(2, "exact crossings", [1e-2, 1e-2], trials)
+    }
 }
 
 /// The same, but aside by 1e-2 or 1e-3 rad: the motion is turned before the vertex, and goes as the same method at 1e-11 rad says, all
@@ -69,6 +73,7 @@ fn near_misses(extent: Extent) -> Case {
     }
     let trials = places.into_par_iter().map(|(vertex, f, rate, miss)| near_miss(vertex, f, rate, miss)).collect();
     Case {
+        conserving: Conserving { path: false, ..Conserving::USUAL },
         also: "turns, stays within 1e-2 rad of the tight solution, ends within 1e-2 rad of RK4 at 1 us (2, 10 rad/s)",
         ..Case::new(2, "near misses", [1e-2, 1e-2], trials)
     }

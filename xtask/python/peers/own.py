@@ -21,6 +21,7 @@ STATE = ["theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]", "omega[
 RUNS = {
     "i3alp, adaptive": ("i3alp", [{"solver.adaptive": True, "solver.errorTolerance": x} for x in (3e-7, 3e-9, 1e-11, 1e-13)]),
     "i3alp, fixed step": ("i3alp", [{"solver.adaptive": False, "solver.stepSize": h} for h in (1e-3, 1e-4, 1e-5)]),
+    "i3alpConserving": ("i3alpConserving", [{"solver.stepSize": h} for h in (4e-3, 2e-3, 1e-3, 1e-4)]),
     "rk4": ("rk4", [{"solver.stepSize": h} for h in (4e-3, 2e-3, 1e-3, 1e-4, 2e-5)]),
     "dop853": ("dop853", [{"solver.errorTolerance": 10.0**-n} for n in range(3, 15)]),
 }

@@ -17,12 +17,13 @@ COLOURS = {
     "dop853": "#1864ab",
     "i3alp, adaptive": "#e8590c",
     "i3alp, fixed step": "#f59f00",
+    "i3alpConserving": "#9c36b5",
     "i3alpPrinted": "#868e96",
     "rk4": "#2b8a3e",
 }
 """One colour per method, in every figure."""
 
-SHAPES = {"dop853": "o", "i3alp, adaptive": "s", "i3alp, fixed step": "D", "i3alpPrinted": "v", "rk4": "^"}
+SHAPES = {"dop853": "o", "i3alp, adaptive": "s", "i3alp, fixed step": "D", "i3alpConserving": "P", "i3alpPrinted": "v", "rk4": "^"}
 
 USELESS = 1.0
 """An error, m, above the size of the machine."""

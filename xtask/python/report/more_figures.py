@@ -14,6 +14,7 @@ from report.tables import Row
 SETTING_COLOURS = {
     "i3alp, default tolerance": COLOURS["i3alp, adaptive"],
     "i3alp, fixed 1 ms": COLOURS["i3alp, fixed step"],
+    "i3alpConserving, 1 ms": COLOURS["i3alpConserving"],
     "dop853, 1e-8 rad": COLOURS["dop853"],
     "rk4, 1 ms": COLOURS["rk4"],
 }

@@ -1,0 +1,311 @@
+//! The strictly fixed step that conserves: index-3 augmented Lagrangian on the energy–momentum rule, with both levels of the constraints
+//! met by discrete derivatives.
+//!
+//! `docs/conserving.md` derives it. Unknowns are the increments d = q₁ − q₀, Λ = h²λ/2 of the joint forces and ν, which holds the
+//! velocities; with z = d − M⁻¹J_cᵀν, the mean of h q̇₀ and h q̇₁:
+//!
+//! ```text
+//! M (z − h q̇₀) + J_bᵀ Λ + ½ K_b(z)ᵀ ν = ½ h² Q̄       momentum
+//! Φ(q₀ + d) = 0                                        positions
+//! J₁ w = 0,   w = h q̇₁ = 2z − h q̇₀                    velocities
+//! ```
+//!
+//! J_b d = ΔΦ = 0 and K_b(z) d = (J₁ − J₀) z make the constraints' forces do no work, whatever the step; Q̄ᵀd is what potentials lose.
+//! So energy, Φ and Φ̇ are kept to round-off, and no local error is estimated: the step is h. One that plain Newton's method does not
+//! solve climbs the [`ladder`].
+
+mod equations;
+mod ladder;
+mod newton;
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::{Bounds, Counters, Discrete, Inconsistency, NewtonSettings, Passage, State, StepError, Work, equilibrium};
+use crate::vector::Vector;
+use equations::{Evaluation, Step, Unknowns};
+use ladder::{Rescued, climb, from_equilibrium};
+use newton::{Allowance, Until, alternate, whole};
+
+/// Settings of the method.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Most Newton iterations of the first try.
+    pub max_iterations: u32,
+    /// Most Newton iterations of one step, with those of its rescue but the last rung; 0: no rescue.
+    pub max_work: u32,
+    /// e of the step's systems, 1/kg: it weighs increments, and moves no root.
+    pub regularization: f64,
+    /// e of equilibrium and projections, 1/kg.
+    pub equilibrium: f64,
+}
+
+/// A step shorter than this, s, moves on by its Taylor series.
+const SHORTEST: f64 = 1e-12;
+/// Where |M⁻¹f| is larger than this, m and rad, after Λ and ν were looked for in turn, they have led nowhere.
+const NEARBY: f64 = 1e-3;
+/// Accelerations below this, m/s² and rad/s², are round-off.
+const BALANCED: f64 = 1e-12;
+/// Steps that the extrapolation of the unknowns looks back on.
+const REMEMBERED: usize = 3;
+
+/// A run: accelerations and joint forces are no part of it, they follow from equilibrium when they are asked for.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub struct ConservingRun<const N: usize, const M: usize> {
+    /// Coordinates, m and rad.
+    pub q: Vector<N>,
+    /// Velocities, m/s and rad/s.
+    pub v: Vector<N>,
+    /// Work since the start, J: force times displacement, as the energy has it.
+    pub work: Work,
+    /// [`super::System::modes`] of q.
+    pub modes: u8,
+    /// Counters since the start.
+    pub counters: Counters,
+    memory: Memory<N, M>,
+}
+
+/// The unknowns of the last steps, from which those of the next are extrapolated.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+struct Memory<const N: usize, const M: usize> {
+    /// The length of these steps, s.
+    h: f64,
+    /// How many there are.
+    known: u8,
+    /// The latest first.
+    d: [Vector<N>; REMEMBERED],
+    lambda: [Vector<M>; REMEMBERED],
+    nu: [Vector<M>; REMEMBERED],
+}
+
+impl<const N: usize, const M: usize> Memory<N, M> {
+    const NONE: Self = Self {
+        h: 0.0,
+        known: 0,
+        d: [Vector::ZERO; REMEMBERED],
+        lambda: [Vector::ZERO; REMEMBERED],
+        nu: [Vector::ZERO; REMEMBERED],
+    };
+
+    /// By a parabola through the last three steps of the same length.
+    #[inline(always)]
+    fn extrapolated(&self, h: f64) -> Option<Unknowns<N, M>> {
+        if usize::from(self.known) < REMEMBERED || self.h != h {
+            return None;
+        }
+        let Self { d, lambda, nu, .. } = self;
+        Some(Unknowns {
+            d: 3.0 * (d[0] - d[1]) + d[2],
+            lambda: 3.0 * (lambda[0] - lambda[1]) + lambda[2],
+            nu: 3.0 * (nu[0] - nu[1]) + nu[2],
+        })
+    }
+
+    #[inline(always)]
+    fn remember(&mut self, h: f64, x: &Unknowns<N, M>) {
+        if self.h != h {
+            *self = Self { h, ..Self::NONE };
+        }
+        self.known = (self.known + 1).min(REMEMBERED as u8);
+        self.d = [x.d, self.d[0], self.d[1]];
+        self.lambda = [x.lambda, self.lambda[0], self.lambda[1]];
+        self.nu = [x.nu, self.nu[0], self.nu[1]];
+    }
+}
+
+impl<const N: usize, const M: usize> ConservingRun<N, M> {
+    /// Begins with q and q̇, which meet the constraints.
+    pub fn start<S: Discrete<N, M>>(system: &S, q: Vector<N>, v: Vector<N>) -> Self {
+        let modes = system.modes(&system.pose(&q));
+        Self { q, v, work: Work::default(), modes, counters: Counters::default(), memory: Memory::NONE }
+    }
+
+    /// The forces have changed at once, which put in some energy, J: what was extrapolated does not hold any more.
+    pub fn restart(&mut self, put_in: f64) {
+        self.work.input += put_in;
+        self.memory = Memory::NONE;
+        self.counters.restarts += 1;
+    }
+
+    /// The state, with q̈, λ and power from equilibrium. Nothing of it is fed back.
+    pub fn state<S: Discrete<N, M> + Passage<N>>(&self, system: &S, regularization: f64) -> State<N, M> {
+        let &Self { q, v, work, modes, counters, .. } = self;
+        let mut state = State {
+            q,
+            v,
+            a: Vector::ZERO,
+            lambda: Vector::ZERO,
+            jerk: Vector::ZERO,
+            substep: f64::INFINITY,
+            error_estimate: 0.0,
+            work,
+            power: Work::default(),
+            modes,
+            on_ray: false,
+            alternatives: 0,
+            counters,
+        };
+        state.balance(system, regularization);
+        state
+    }
+
+    /// One step of h seconds. On failure the run is undefined: the caller keeps a copy. `general` is the same system, for what is rare:
+    /// a form of its own that `system` may have is compiled for the first try only.
+    #[inline(never)]
+    pub fn advance<S: Discrete<N, M>, G: Discrete<N, M> + Passage<N>>(
+        &mut self,
+        (system, general): (&S, &G),
+        settings: &Settings,
+        h: f64,
+    ) -> Result<(), StepError> {
+        if h < SHORTEST {
+            return self.taylor_step(general, settings, h);
+        }
+        if self.v.max_norm() == 0.0 && self.is_in_balance(general, settings) {
+            self.counters.substeps += 1;
+            return Ok(());
+        }
+        let mut x = match self.memory.extrapolated(h) {
+            Some(x) => x,
+            None => self.from_rest(general, settings, h),
+        };
+        let mut nearby = true;
+        if system.alternates() {
+            let &Settings { regularization, max_iterations, .. } = settings;
+            let step = Step::new(system, [&self.q, &self.v], h);
+            let mut allowance = Allowance { left: max_iterations, counters: &mut self.counters };
+            match alternate(&step, &mut x, regularization, max_iterations, &mut allowance) {
+                Ok(end) => return self.arrive(&step, &x, &end),
+                Err(left) => nearby = left < NEARBY,
+            }
+        }
+        self.at_once(&Step::new(general, [&self.q, &self.v], h), settings, nearby.then_some(x))
+    }
+
+    /// Whether the system, at rest, stays there: what Newton's method makes of round-off would drive it from a vertex.
+    #[cold]
+    #[inline(never)]
+    fn is_in_balance<S: Discrete<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> bool {
+        let (a, _) = equilibrium(system, &self.q, &self.v, settings.equilibrium);
+        system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a).max_norm() < BALANCED
+    }
+
+    /// What equilibrium predicts: at the start, after a change, and where the step has another length.
+    #[cold]
+    #[inline(never)]
+    fn from_rest<S: Discrete<N, M> + Passage<N>>(&mut self, system: &S, settings: &Settings, h: f64) -> Unknowns<N, M> {
+        let (a, lambda) = equilibrium(system, &self.q, &self.v, settings.equilibrium);
+        let branch = system.acceleration_from_rest(&self.q, &self.v);
+        self.counters.launches += u64::from(branch.is_some_and(|a| a.max_norm() > 0.0));
+        from_equilibrium(&self.v, (&branch.unwrap_or(a), &lambda), h)
+    }
+
+    /// By the whole tangent from where Λ and ν in turn have come to, or up the ladder.
+    #[inline(never)]
+    fn at_once<S: Discrete<N, M> + Passage<N>>(
+        &mut self,
+        step: &Step<'_, S, N, M>,
+        settings: &Settings,
+        nearby: Option<Unknowns<N, M>>,
+    ) -> Result<(), StepError> {
+        let &Settings { regularization, max_iterations, .. } = settings;
+        let Some(mut x) = nearby else { return self.rescue(step, settings) };
+        let mut allowance = Allowance { left: max_iterations, counters: &mut self.counters };
+        let newton = NewtonSettings { regularization, both_levels: true };
+        match whole(step, &mut x, newton, (max_iterations, Until::Solved), &mut allowance) {
+            Some(end) => self.arrive(step, &x, &end),
+            None => self.rescue(step, settings),
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn rescue<S: Discrete<N, M> + Passage<N>>(&mut self, step: &Step<'_, S, N, M>, settings: &Settings) -> Result<(), StepError> {
+        let &Settings { max_iterations, max_work, equilibrium: e, .. } = settings;
+        if max_work == 0 {
+            return Err(StepError::NoRootWithin { iterations: max_iterations });
+        }
+        let (a, lambda) = equilibrium(step.system, &self.q, &self.v, e);
+        let a = step.system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
+        let left = max_work.saturating_sub(max_iterations);
+        let mut allowance = Allowance { left, counters: &mut self.counters };
+        let rescued = climb(step, settings, (&a, &lambda), &mut allowance)?;
+        match rescued {
+            Rescued::Root(x, end) => self.arrive(step, &x, &end),
+            Rescued::Landed { d, acting, v } => {
+                self.memory = Memory::NONE;
+                self.land(step, (&step.secant(&d), &d), [&acting, &v])
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn arrive<S: Discrete<N, M>>(
+        &mut self,
+        step: &Step<'_, S, N, M>,
+        x: &Unknowns<N, M>,
+        end: &Evaluation<S, N, M>,
+    ) -> Result<(), StepError> {
+        if !x.lambda.is_finite() {
+            return Err(StepError::NotFinite);
+        }
+        self.memory.remember(step.h, x);
+        self.land(step, (&end.secant, &x.d), [&end.v, &end.v])
+    }
+
+    /// The run goes on from q₀ + d: with the rates at which forces have acted, and those at the end.
+    #[inline(always)]
+    fn land<S: Discrete<N, M>>(
+        &mut self,
+        step: &Step<'_, S, N, M>,
+        (secant, d): (&S::Secant, &Vector<N>),
+        [acting, v]: [&Vector<N>; 2],
+    ) -> Result<(), StepError> {
+        let system = step.system;
+        let q = step.q + *d;
+        if !(q.is_finite() && v.is_finite()) {
+            return Err(StepError::NotFinite);
+        }
+        if system.follows_work() {
+            self.work = self.work.plus(1.0, system.work_over(&step.chord(secant, d, acting)));
+        }
+        (self.q, self.v) = (q, *v);
+        let modes = system.modes(S::end(secant));
+        if modes != self.modes {
+            self.counters.observe_modes(self.modes, modes);
+            self.modes = modes;
+        }
+        self.counters.substeps += 1;
+        Ok(())
+    }
+
+    /// A step so short that q̈ stays but for round-off.
+    #[cold]
+    fn taylor_step<S: Discrete<N, M> + Passage<N>>(&mut self, system: &S, settings: &Settings, h: f64) -> Result<(), StepError> {
+        let state = self.state(system, settings.equilibrium);
+        (self.q, self.v) = (self.q + h * self.v, self.v + h * state.a);
+        self.work = self.work.plus(h, state.power);
+        self.counters.substeps += 1;
+        if self.q.is_finite() && self.v.is_finite() { Ok(()) } else { Err(StepError::NotFinite) }
+    }
+
+    /// Refuses a run that is none of this system.
+    #[cold]
+    pub fn check<S: Discrete<N, M> + Passage<N>>(&self, system: &S, bounds: &Bounds) -> Result<(), Inconsistency> {
+        let Memory { h, known, d, lambda, nu } = &self.memory;
+        let finite =
+            d.iter().all(|d| d.is_finite()) && lambda.iter().all(|lambda| lambda.is_finite()) && nu.iter().all(|nu| nu.is_finite());
+        if !(finite && *h >= 0.0 && h.is_finite() && usize::from(*known) <= REMEMBERED) {
+            return Err("what it remembers of its last steps is not finite");
+        }
+        self.state(system, bounds.regularizations[0]).check(system, &Bounds { in_balance: false, ..*bounds })
+    }
+
+    /// The sum of all that it remembers of its last steps: a number that a change of any of it changes.
+    pub fn remembered(&self) -> f64 {
+        let Memory { h, d, lambda, nu, .. } = &self.memory;
+        let sum = |x: &[f64]| x.iter().enumerate().map(|(i, x)| x.abs() * (i + 1) as f64).sum::<f64>();
+        h + d.iter().map(|d| sum(&d[..])).sum::<f64>()
+            + lambda.iter().map(|l| sum(&l[..])).sum::<f64>()
+            + nu.iter().map(|nu| sum(&nu[..])).sum::<f64>()
+    }
+}

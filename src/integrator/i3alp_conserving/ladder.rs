@@ -1,0 +1,197 @@
+//! What a step does whose equations plain Newton's method does not solve: other ways to the same root, at the full step.
+//!
+//! | rung | way |
+//! | --- | --- |
+//! | 1 | the whole tangent, from what equilibrium at the beginning predicts |
+//! | 2 | friction made soft and hardened again, each root the start of the next |
+//! | 3 | continuation: roots at h/8, 2h/8, … h |
+//! | 4 | a smaller e |
+//! | 5 | finer continuations, with the smaller e |
+//! | last | no root, which happens close to vertices: what equilibrium predicts, projected and scaled to the energy |
+
+use super::Settings;
+use super::equations::{Evaluation, Step, Unknowns};
+use super::newton::{Allowance, Until, whole};
+use crate::integrator::{Discrete, NewtonSettings, Passage, Projection, StepError, velocity_correction};
+use crate::vector::Vector;
+
+/// Factor on the rates at which friction turns where its law is softest, and by which it hardens at a time: less where that is too much.
+const SOFTEST: f64 = 1e7;
+const HARDENING: [f64; 2] = [1.05, 30.0];
+/// Parts of e.
+const SMALLER: [f64; 2] = [1e-5, 1e-7];
+/// Stages of the finer continuations and their part of e.
+const FINER: [(u32, f64); 4] = [(8, 1e-5), (32, 1.0), (32, 1e-5), (128, 1e-5)];
+/// Most iterations to a root, and at the stages on the way there.
+const SOLVED: (u32, Until) = (10, Until::Solved);
+const ON_THE_WAY: (u32, Until) = (10, Until::Corrected(1e-8));
+/// Most iterations of each softening.
+const SOFTENED: u32 = 15;
+/// Most iterations of a projection by the last rung, and most halvings of its way.
+const MOST_PROJECTIONS: u32 = 30;
+const MOST_HALVINGS: i32 = 40;
+/// Part of e of its projections, and of the rates what they may leave.
+const CLOSE_TO_VERTEX: f64 = 1e-4;
+const CLOSED: f64 = 64.0 * f64::EPSILON;
+
+/// What the ladder has found.
+pub(super) enum Rescued<S: Discrete<N, M>, const N: usize, const M: usize> {
+    /// A root, and where it leads.
+    Root(Unknowns<N, M>, Evaluation<S, N, M>),
+    /// None: where the last rung leads.
+    Landed {
+        /// q₁ − q₀.
+        d: Vector<N>,
+        /// The rates with which forces have acted.
+        acting: Vector<N>,
+        /// q̇₁.
+        v: Vector<N>,
+    },
+}
+
+/// Unknowns that solve the equations, and where they lead.
+type Root<S, const N: usize, const M: usize> = (Unknowns<N, M>, Evaluation<S, N, M>);
+
+/// The unknowns that equilibrium at the beginning of a step predicts for one of h seconds, with these q̈ and λ.
+pub(super) fn from_equilibrium<const N: usize, const M: usize>(
+    v: &Vector<N>,
+    (a, lambda): (&Vector<N>, &Vector<M>),
+    h: f64,
+) -> Unknowns<N, M> {
+    Unknowns { d: h * (*v + (0.5 * h) * *a), lambda: (0.5 * h * h) * *lambda, nu: Vector::ZERO }
+}
+
+/// Up the ladder.
+#[cold]
+#[inline(never)]
+pub(super) fn climb<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
+    step: &Step<'_, S, N, M>,
+    settings: &Settings,
+    rest: (&Vector<N>, &Vector<M>),
+    allowance: &mut Allowance<'_>,
+) -> Result<Rescued<S, N, M>, StepError> {
+    match root(step, settings, rest, allowance) {
+        Some((x, end)) => Ok(Rescued::Root(x, end)),
+        None => last_resort(step, settings, rest, allowance),
+    }
+}
+
+fn root<const N: usize, const M: usize, S: Discrete<N, M>>(
+    step: &Step<'_, S, N, M>,
+    settings: &Settings,
+    rest: (&Vector<N>, &Vector<M>),
+    allowance: &mut Allowance<'_>,
+) -> Option<Root<S, N, M>> {
+    let with = |part: f64| NewtonSettings { regularization: part * settings.regularization, both_levels: true };
+    let start = from_equilibrium(&step.v, rest, step.h);
+    let at_once = |part: f64, allowance: &mut Allowance<'_>| {
+        let mut x = start;
+        whole(step, &mut x, with(part), SOLVED, allowance).map(|end| (x, end))
+    };
+    if let Some(root) = at_once(1.0, allowance) {
+        return Some(root);
+    }
+    allowance.counters.rescued += 1;
+    None.or_else(|| if step.system.has_friction() { hardened(step, start, with(1.0), allowance) } else { None })
+        .or_else(|| continued(step, with(1.0), rest, 8, allowance))
+        .or_else(|| SMALLER.into_iter().find_map(|part| at_once(part, allowance)))
+        .or_else(|| FINER.into_iter().find_map(|(stages, part)| continued(step, with(part), rest, stages, allowance)))
+}
+
+/// Friction that turns at larger rates has a root that is easy to find; from there the law hardens.
+fn hardened<const N: usize, const M: usize, S: Discrete<N, M>>(
+    step: &Step<'_, S, N, M>,
+    mut x: Unknowns<N, M>,
+    settings: NewtonSettings,
+    allowance: &mut Allowance<'_>,
+) -> Option<Root<S, N, M>> {
+    let [least, most] = HARDENING;
+    let (_, on_the_way) = ON_THE_WAY;
+    whole(&step.softened(SOFTEST), &mut x, settings, (SOFTENED, on_the_way), allowance)?;
+    let (mut softening, mut ratio) = (SOFTEST, most);
+    while ratio > least {
+        let next = (softening / ratio).max(1.0);
+        let until = if next > 1.0 { on_the_way } else { Until::Solved };
+        let mut there = x;
+        match whole(&step.softened(next), &mut there, settings, (SOFTENED, until), allowance) {
+            Some(end) if next == 1.0 => return Some((there, end)),
+            Some(_) => (softening, x) = (next, there),
+            None => ratio = ratio.sqrt(),
+        }
+    }
+    None
+}
+
+/// The root is followed from that of a step of h/stages, which is small, to that of h.
+fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
+    step: &Step<'_, S, N, M>,
+    settings: NewtonSettings,
+    rest: (&Vector<N>, &Vector<M>),
+    stages: u32,
+    allowance: &mut Allowance<'_>,
+) -> Option<Root<S, N, M>> {
+    let mut before = Unknowns { d: Vector::ZERO, lambda: Vector::ZERO, nu: Vector::ZERO };
+    let (mut x, mut end) = (before, None);
+    for stage in 1..=stages {
+        let h = step.h * f64::from(stage) / f64::from(stages);
+        let next = match stage {
+            1 => from_equilibrium(&step.v, rest, h),
+            // d grows with h, the multipliers with its square.
+            2 => Unknowns { d: 2.0 * x.d, lambda: 4.0 * x.lambda, nu: 4.0 * x.nu },
+            _ => Unknowns { d: 2.0 * x.d - before.d, lambda: 2.0 * x.lambda - before.lambda, nu: 2.0 * x.nu - before.nu },
+        };
+        (before, x) = (x, next);
+        let until = if stage < stages { ON_THE_WAY } else { SOLVED };
+        end = Some(whole(&step.shortened(h), &mut x, settings, until, allowance)?);
+    }
+    end.map(|end| (x, end))
+}
+
+/// Where the equations have no root: as far as equilibrium predicts, or half as far, and so on, projected onto the positions; the
+/// velocities of the mean rule, projected and scaled so that the energy is kept: what the forces have put in on that way is known.
+fn last_resort<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
+    step: &Step<'_, S, N, M>,
+    settings: &Settings,
+    rest: (&Vector<N>, &Vector<M>),
+    allowance: &mut Allowance<'_>,
+) -> Result<Rescued<S, N, M>, StepError> {
+    let &Step { system, q, v: v0, h, .. } = step;
+    // What friction does at the beginning says nothing about the rest of the step.
+    let way = if system.has_friction() { h * v0 } else { from_equilibrium(&v0, rest, h).d };
+    let projection = Projection::to_round_off(system.length_scale(), settings.equilibrium, MOST_PROJECTIONS);
+    let mut failure = StepError::NotFinite;
+    for halvings in 0..MOST_HALVINGS {
+        let mut end = q + 0.5f64.powi(halvings) * way;
+        let pose = match projection.position(system, &mut end) {
+            Ok((iterations, pose)) => {
+                allowance.counters.iterations += u64::from(iterations);
+                pose
+            }
+            Err(cause) => {
+                failure = cause;
+                continue;
+            }
+        };
+        let d = end - q;
+        let mass = system.factor_mass(&pose, CLOSE_TO_VERTEX * settings.equilibrium);
+        let mut v = d / h;
+        // Close to a vertex each leaves some of it, and the steps to come take for granted that nothing is left.
+        for _ in 0..MOST_PROJECTIONS {
+            v += velocity_correction(system, &pose, &mass, &v);
+            if system.phi_q_times(&pose, &v).max_norm() <= CLOSED * v.max_norm() * system.length_scale() {
+                break;
+            }
+        }
+        let closed = system.phi_q_times(&pose, &v).max_norm() <= CLOSED * v.max_norm() * system.length_scale();
+        let kinetic = |v: &Vector<N>| 0.5 * system.mass_times(&pose, v).dot(v);
+        let secant = step.secant(&d);
+        let put_in = system.mean_forces(&step.chord(&secant, &d, &v)).dot(&d);
+        let (wanted, got) = (kinetic(&v0) + put_in, kinetic(&v));
+        let scale = (wanted / got).sqrt();
+        if closed && wanted > 0.0 && got > 0.0 && (scale * v).is_finite() {
+            allowance.counters.last_resorts += 1;
+            return Ok(Rescued::Landed { d, acting: v, v: scale * v });
+        }
+    }
+    Err(failure)
+}

@@ -1,0 +1,172 @@
+//! The unknowns of a conserving step, by Newton's method: Λ and ν in turn where forces let it, or all at once.
+
+use super::equations::{Evaluation, Step, Unknowns};
+use crate::integrator::{Counters, Discrete, NewtonSettings, SecantFactor};
+use crate::vector::Vector;
+
+/// Largest |M⁻¹f| per second of step of one that has converged, m/s and rad/s: what is left does work, in proportion to it.
+const OFFSET: f64 = 1e-9;
+/// Largest |Φ| of it, in parts of the system's size.
+const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
+/// Largest |J₁w|/2 per second of step, in parts of the system's size per second.
+const RATE: f64 = 5e-12;
+/// Most |M⁻¹f| after none, one and two iterations: where it is larger, the whole tangent takes less work.
+const PROMISING: [f64; 3] = [f64::INFINITY, 3e-3, 1e-7];
+/// After these the matrix is factorised anew each time, and |M⁻¹f| has to fall to this part.
+const CONTRACTION: f64 = 0.05;
+/// The whole tangent goes to round-off: to a correction of an angle below the first, or to one below the second that does not fall any
+/// more, rad. What is left then may be larger by the third where no more iterations are allowed.
+const LAST_CORRECTION: f64 = 1e-13;
+const STAGNATION: f64 = 1e-10;
+const TOLERANCE: f64 = 1.0;
+/// A link that turns farther in one step, rad, is on its way to no root.
+const LARGEST_TURN: f64 = 6.0;
+
+/// What a step that has converged may leave of its equations.
+struct Bounds {
+    offset: f64,
+    phi: f64,
+    rate: f64,
+}
+
+impl Bounds {
+    #[inline(always)]
+    fn new<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64) -> Self {
+        let size = system.length_scale();
+        Self { offset: OFFSET * h, phi: ROUND_OFF * size, rate: size * ROUND_OFF.max(RATE * h) }
+    }
+
+    /// By M⁻¹f, Φ and |J₁w|/2.
+    #[inline(always)]
+    fn are_met<const N: usize, const M: usize>(&self, offset: &Vector<N>, phi: &Vector<M>, rate: f64) -> bool {
+        offset.max_norm() < self.offset && phi.max_norm() < self.phi && rate < self.rate
+    }
+
+    /// All of them by a factor larger.
+    fn times(&self, factor: f64) -> Self {
+        Self { offset: factor * self.offset, phi: factor * self.phi, rate: factor * self.rate }
+    }
+}
+
+/// Iterations that a step may still take.
+pub(super) struct Allowance<'a> {
+    pub(super) left: u32,
+    pub(super) counters: &'a mut Counters,
+}
+
+impl Allowance<'_> {
+    /// Takes one, if there is one.
+    #[inline(always)]
+    fn take(&mut self) -> Option<()> {
+        self.left = self.left.checked_sub(1)?;
+        self.counters.iterations += 1;
+        Some(())
+    }
+}
+
+/// Λ and ν in turn: ν by a linear equation for given d, Newton's method on d and Λ. Contracts by (hω)² per iteration.
+#[inline(always)]
+pub(super) fn alternate<const N: usize, const M: usize, S: Discrete<N, M>>(
+    step: &Step<'_, S, N, M>,
+    x: &mut Unknowns<N, M>,
+    regularization: f64,
+    most: u32,
+    allowance: &mut Allowance<'_>,
+) -> Result<Evaluation<S, N, M>, f64> {
+    let system = step.system;
+    let bounds = Bounds::new(system, step.h);
+    let mut before = f64::INFINITY;
+    let mut factor: Option<S::Factor> = None;
+    for iteration in 0..=most {
+        let secant = step.secant(&x.d);
+        let mut z = step.mean_motion(&secant, x);
+        let mut rate = f64::INFINITY;
+        if let Some(factor) = &factor {
+            let left = system.phi_q_times(S::end(&secant), &(z - (0.5 * step.h) * step.v));
+            rate = left.max_norm();
+            let nu = factor.dual(&left);
+            x.nu += nu;
+            z = z - system.apply_inverse_mass(&system.mean_transposed_times(&secant, &nu));
+        }
+        let found = step.evaluate(secant, z, x);
+        let Evaluation { secant, pull, v, offset, force, phi } = &found;
+        let left = offset.max_norm();
+        if bounds.are_met(offset, phi, rate) {
+            return Ok(found);
+        }
+        let promising = PROMISING.get(iteration as usize).copied().unwrap_or(CONTRACTION * before);
+        if left > promising || iteration == most || allowance.take().is_none() {
+            return Err(left);
+        }
+        before = left;
+        if iteration as usize >= PROMISING.len() {
+            factor = None;
+        }
+        let factor =
+            factor.get_or_insert_with(|| system.factor_secant(&step.chord(secant, &x.d, v), (&x.lambda, pull), regularization));
+        let (d, lambda) = factor.solve(&-*force, &-*phi);
+        x.d += d;
+        x.lambda += lambda;
+        if !(x.d.is_finite() && system.angle_norm(&x.d) < LARGEST_TURN) {
+            break;
+        }
+    }
+    Err(f64::INFINITY)
+}
+
+/// Until when the whole tangent is used.
+#[derive(Clone, Copy)]
+pub(super) enum Until {
+    /// The equations are solved.
+    Solved,
+    /// A correction of an angle is below this, rad: on the way to another step's root.
+    Corrected(f64),
+}
+
+/// All unknowns at once, with the whole tangent.
+#[inline(never)]
+pub(super) fn whole<const N: usize, const M: usize, S: Discrete<N, M>>(
+    step: &Step<'_, S, N, M>,
+    x: &mut Unknowns<N, M>,
+    settings: NewtonSettings,
+    (most, until): (u32, Until),
+    allowance: &mut Allowance<'_>,
+) -> Option<Evaluation<S, N, M>> {
+    let system = step.system;
+    let bounds = Bounds::new(system, step.h);
+    let (mut correction, mut before) = (f64::INFINITY, f64::INFINITY);
+    for iteration in 0..=most {
+        let secant = step.secant(&x.d);
+        let z = step.mean_motion(&secant, x);
+        let found = step.evaluate(secant, z, x);
+        let Evaluation { secant, v, offset, force, phi, .. } = &found;
+        let rate = system.phi_q_times(S::end(secant), &(step.h * *v));
+        let no_further = correction < LAST_CORRECTION || correction < STAGNATION && correction >= 0.25 * before;
+        let done = match until {
+            Until::Solved => {
+                let is_last = correction < LAST_CORRECTION || iteration == most;
+                let allowed = if is_last { bounds.times(TOLERANCE) } else { bounds.times(1.0) };
+                no_further && allowed.are_met(offset, phi, 0.5 * rate.max_norm())
+            }
+            Until::Corrected(bound) => correction < bound || no_further,
+        };
+        if iteration > 0 && done {
+            return Some(found);
+        }
+        if iteration == most {
+            return None;
+        }
+        allowance.take()?;
+        let chord = step.chord(secant, &x.d, v);
+        let (d, [lambda, nu]) = system.newton(&chord, [&x.lambda, &x.nu], (force, phi, &rate), settings);
+        x.d += d;
+        x.lambda += lambda;
+        x.nu += nu;
+        (before, correction) = (correction, system.angle_norm(&d));
+        let finite = x.d.is_finite() && x.lambda.is_finite() && x.nu.is_finite();
+        if !(finite && system.angle_norm(&x.d) < LARGEST_TURN) {
+            return None;
+        }
+    }
+    None
+}

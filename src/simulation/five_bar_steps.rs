@@ -1,0 +1,234 @@
+//! The five-bar over a finite step, as the conserving method sees it: discrete derivatives of the joints' constraints
+//! (`src/mechanism/secant.rs`) and mean forces of the effects.
+
+use super::five_bar::FiveBar;
+use crate::effects::{StepContext, Tangents};
+use crate::integrator::{Chord, Discrete, NewtonSettings, SecantFactor, Work};
+use crate::linear::LinearSolve;
+use crate::linear::secant_legs::SecantLegs;
+use crate::linear::secant_newton::{StepPoint, StepTangents, newton};
+use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
+use crate::mechanism::legs::both;
+use crate::mechanism::secant::Secant;
+use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
+
+type Step<'a> = Chord<'a, Secant, COORDINATES>;
+
+impl<const BARE: bool> FiveBar<'_, BARE> {
+    #[inline(always)]
+    fn over<'b>(&'b self, step: &Step<'b>) -> StepContext<'b> {
+        let &Chord { q, d, v, h, softening, secant } = step;
+        let inertia = &self.model.typical_inertia;
+        StepContext { q, d, v, h, softening, secant, inputs: self.inputs, turns: self.turns, inertia }
+    }
+
+    #[inline(never)]
+    fn with_mean_effects(&self, step: &Step<'_>, mut forces: Coordinates) -> Coordinates {
+        let over = self.over(step);
+        for effect in &self.model.effects {
+            effect.add_mean_forces(&over, &mut forces);
+        }
+        forces
+    }
+}
+
+impl SecantFactor<COORDINATES, MULTIPLIERS> for SecantLegs {
+    #[inline(always)]
+    fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
+        SecantLegs::solve(self, b, c)
+    }
+
+    #[inline(always)]
+    fn dual(&self, r: &Multipliers) -> Multipliers {
+        SecantLegs::dual(self, r)
+    }
+}
+
+impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> {
+    type Secant = Secant;
+    type Factor = SecantLegs;
+
+    #[inline(always)]
+    fn secant(&self, begin: &Pose, d: &Coordinates) -> Secant {
+        self.model.mechanism.secant(begin, d)
+    }
+
+    #[inline(always)]
+    fn end(secant: &Secant) -> &Pose {
+        &secant.end
+    }
+
+    #[inline(always)]
+    fn discrete_transposed_times(&self, secant: &Secant, multipliers: &Multipliers) -> Coordinates {
+        secant.discrete_transposed_times(multipliers)
+    }
+
+    #[inline(always)]
+    fn mean_transposed_times(&self, secant: &Secant, multipliers: &Multipliers) -> Coordinates {
+        secant.mean_transposed_times(multipliers)
+    }
+
+    #[inline(always)]
+    fn turning_transposed_times(&self, secant: &Secant, z: &Coordinates, multipliers: &Multipliers) -> Coordinates {
+        secant.turning_transposed_times(z, multipliers)
+    }
+
+    #[inline(always)]
+    fn apply_inverse_mass(&self, x: &Coordinates) -> Coordinates {
+        self.model.solver.legs().apply_inverse_mass(x)
+    }
+
+    #[inline(always)]
+    fn mean_forces(&self, step: &Step<'_>) -> Coordinates {
+        let mut forces = self.model.weight;
+        self.inputs.add_mean_forces(&self.over(step), &mut forces);
+        if BARE || self.model.effects.is_empty() { forces } else { self.with_mean_effects(step, forces) }
+    }
+
+    fn work_over(&self, step: &Step<'_>) -> Work {
+        let over = self.over(step);
+        let mut work = Work { input: self.inputs.input_over(&over), dissipated: 0.0 };
+        for effect in &self.model.effects {
+            work.input += effect.input_over(&over);
+            work.dissipated += effect.dissipated_over(&over);
+        }
+        work
+    }
+
+    #[inline(always)]
+    fn alternates(&self) -> bool {
+        BARE || self.model.conservative && self.model.solver.linear_solve() == LinearSolve::TwoLeg
+    }
+
+    /// A is diagonal but for what is of the order of ν: masses, and the inertias with the stiffness of joint forces and of a force on the
+    /// tip.
+    #[inline(always)]
+    fn factor_secant(&self, step: &Step<'_>, (lambda, pull): (&Multipliers, &Coordinates), regularization: f64) -> SecantLegs {
+        let &Chord { d, h, secant, .. } = step;
+        let mechanism = &self.model.mechanism;
+        let (stiffness_p, stiffness_d) = secant.middle.geometric_stiffness(lambda);
+        let mut loads = Diagonal { half_square: 0.5 * h * h, inertias: Coordinates::ZERO };
+        self.inputs.add_mean_tangents(&self.over(step), &mut loads);
+        if !BARE {
+            for effect in &self.model.effects {
+                effect.add_mean_tangents(&self.over(step), &mut loads);
+            }
+        }
+        // Of s, whose derivative is −d/12 but for the third order.
+        let shortening = |angles| both(-1.0 / 12.0) * legs_of(d, angles) * legs_of(pull, angles);
+        let of_loads = |angles| legs_of(&loads.inertias, angles);
+        let proximal = mechanism.inertia_p + both(0.5) * secant.sinc[0] * stiffness_p + shortening(P_THETA) + of_loads(P_THETA);
+        let distal = mechanism.inertia_d + both(0.5) * secant.sinc[1] * stiffness_d + shortening(D_THETA) + of_loads(D_THETA);
+        SecantLegs::factor(self.model.solver.legs(), secant, [proximal, distal], regularization)
+    }
+
+    fn newton(
+        &self,
+        step: &Step<'_>,
+        multipliers: [&Multipliers; 2],
+        residuals: (&Coordinates, &Multipliers, &Multipliers),
+        settings: NewtonSettings,
+    ) -> (Coordinates, [Multipliers; 2]) {
+        let &Chord { d, v, h, secant, .. } = step;
+        let NewtonSettings { regularization, both_levels } = settings;
+        let over = self.over(step);
+        let mut forces = StepTangents::new(h);
+        self.inputs.add_mean_tangents(&over, &mut forces);
+        for effect in &self.model.effects {
+            effect.add_mean_tangents(&over, &mut forces);
+        }
+        let at = StepPoint { secant, d, w: &(h * *v), multipliers, forces: &forces, regularization, both_levels };
+        newton(&self.model.mechanism, &at, residuals)
+    }
+
+    fn has_friction(&self) -> bool {
+        self.model.effects.iter().any(|effect| !effect.conservative())
+    }
+}
+
+/// ½h² K of loads that couple no links and depend on no rates: only of the angles.
+struct Diagonal {
+    half_square: f64,
+    inertias: Coordinates,
+}
+
+impl Tangents for Diagonal {
+    #[inline(always)]
+    fn stiffness(&mut self, row: usize, column: usize, value: f64) {
+        debug_assert!(row == column && THETA.contains(&row));
+        self.inertias[row] += self.half_square * value;
+    }
+
+    #[inline(always)]
+    fn damping(&mut self, _row: usize, _column: usize, _value: f64) {}
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fmi::bindings::{default_inputs, default_parameters};
+    use crate::integrator::System;
+    use crate::mechanism::closure;
+    use crate::simulation::Model;
+
+    /// A machine in which nothing is equal, a pose of it and increments that turn its links by up to 0.4 rad.
+    fn step() -> (Model, Coordinates, Coordinates) {
+        let mut parameters = default_parameters();
+        for (i, link) in parameters.geometry.links.iter_mut().enumerate() {
+            let part = 1.0 + 0.2 * i as f64;
+            (link.mass, link.inertia, link.com) = (part * link.mass, link.inertia / part, 0.07 * part);
+        }
+        let model = Model::new(&parameters).expect("a machine");
+        let (q, _) = closure::assemble(&parameters.geometry, [1.2, 0.3, 2.5, 1.9], [0.0; 4]);
+        let d = Coordinates::from_fn(|i| 0.4 * (1.0 + i as f64).sin());
+        (model, q, d)
+    }
+
+    fn numbers(seed: f64) -> Multipliers {
+        Multipliers::from_fn(|i| (seed + 3.0 * i as f64).cos())
+    }
+
+    /// Along d the discrete derivatives give exactly what the constraints and their Jacobian change by.
+    #[test]
+    fn discrete_derivatives_are_differences() {
+        let (model, q, d) = step();
+        let (inputs, turns) = (default_inputs(), [0; 4]);
+        let system = FiveBar::<false>::new(&model, &inputs, &turns);
+        let (begin, end) = (system.pose(&q), system.pose(&(q + d)));
+        let secant = system.secant(&begin, &d);
+        let (lambda, z) = (numbers(1.0), Coordinates::from_fn(|i| (i as f64).cos()));
+        let change = system.phi(&(q + d), &end) - system.phi(&q, &begin);
+        let mean = 0.5 * (end.phi_q_times(&z) + begin.phi_q_times(&z));
+        let turned = end.phi_q_times(&z) - begin.phi_q_times(&z);
+        for (got, want) in [
+            (secant.discrete_transposed_times(&lambda).dot(&d), lambda.dot(&change)),
+            (secant.mean_transposed_times(&lambda).dot(&z), lambda.dot(&mean)),
+            (secant.turning_transposed_times(&z, &lambda).dot(&d), lambda.dot(&turned)),
+        ] {
+            assert!((got - want).abs() < 1e-15, "{got} {want}");
+        }
+        // Directions turned twice by half the step, against those of the angles at its end.
+        assert!((system.phi(&(q + d), &secant.end) - system.phi(&(q + d), &end)).max_norm() < 1e-15);
+    }
+
+    /// The elimination leg by leg solves its equations: its own products say so.
+    #[test]
+    fn the_elimination_solves_its_equations() {
+        let (model, q, d) = step();
+        let mechanism = &model.mechanism;
+        let secant = mechanism.secant(&mechanism.pose(&q), &d);
+        let inertias = [1.3 * mechanism.inertia_p, 0.7 * mechanism.inertia_d];
+        for regularization in [0.0, 1e-3, 10.0] {
+            let factor = SecantLegs::factor(model.solver.legs(), &secant, inertias, regularization);
+            let (b, c) = (Coordinates::from_fn(|i| 1e-3 * (i as f64).sin()), numbers(2.0));
+            let (x, y) = factor.solve(&b, &c);
+            let mut mass = *mechanism;
+            (mass.inertia_p, mass.inertia_d) = (inertias[0], inertias[1]);
+            let first = mass.mass_times(&x) + secant.discrete_transposed_times(&y) - b;
+            let second = secant.end.phi_q_times(&x) - regularization * y - c;
+            // Round-off of a matrix whose compliances span a factor of some 1e2.
+            assert!(first.max_norm() < 1e-13 * y.max_norm().max(1.0), "{first:?}");
+            assert!(second.max_norm() < 1e-12, "{second:?}");
+        }
+    }
+}

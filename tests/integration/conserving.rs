@@ -1,0 +1,305 @@
+//! The conserving step: energy and both levels of the constraints at strictly fixed steps, whatever the motion and the loads.
+
+use fivebar::effects::JOINTS;
+use fivebar::fmi::bindings::{default_inputs, default_parameters};
+use fivebar::observers;
+use fivebar::simulation::{Inputs, Method, Parameters, Signal, Simulation};
+
+use crate::support::{MGL, Reference, enable, fall_90_120, slope, tip_error, unequal};
+
+/// A scene by this method, with its own posture and effects, at steps of h.
+fn conserving(mut parameters: Parameters, h: f64) -> Parameters {
+    parameters.settings.method = Method::I3alpConserving;
+    parameters.settings.step_size = h;
+    parameters
+}
+
+/// The largest balance residual in parts of the largest energy or in those of mgL, and what the constraints leave (m, m/s).
+struct Worst {
+    balance: f64,
+    in_mgl: f64,
+    position: f64,
+    velocity: f64,
+}
+
+/// Follows a motion step by step: each macro step is one step.
+fn followed(simulation: &mut Simulation, inputs: &Inputs, h: f64, duration: f64) -> Worst {
+    let steps = (duration / h).round() as u64;
+    let (mut error, mut largest) = (0.0f64, MGL);
+    let mut worst = Worst { balance: 0.0, in_mgl: 0.0, position: 0.0, velocity: 0.0 };
+    for step in 0..steps {
+        simulation.advance(inputs, h, 1).unwrap_or_else(|failure| panic!("step {step}: {failure}"));
+        let state = simulation.state();
+        let energies = observers::energies(simulation.model(), &state);
+        let norms = observers::constraint_norms(simulation.model(), &state);
+        error = error.max(energies.error.abs());
+        for part in [energies.kinetic, energies.potential, energies.input, energies.dissipated] {
+            largest = largest.max(part.abs());
+        }
+        worst.position = worst.position.max(norms.position);
+        worst.velocity = worst.velocity.max(norms.velocity);
+    }
+    let counters = simulation.counters();
+    assert_eq!((counters.steps, counters.substeps, counters.rejected), (steps, steps, 0));
+    Worst { balance: error / largest, in_mgl: error / MGL, ..worst }
+}
+
+/// Against the solution to 15 digits, one second into the fall: of second order, and no farther off at 1 ms than the prototype.
+#[test]
+fn it_is_of_second_order() {
+    let reference = Reference::read("fall_90_120");
+    let end = reference.iter().find(|row| row.t == 1.0).expect("a row at 1 s");
+    let errors = [2e-3, 1e-3, 5e-4, 2.5e-4].map(|h| {
+        let parameters = conserving(fall_90_120(Method::I3alpConserving), h);
+        let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
+        simulation.advance(&default_inputs(), h, (1.0 / h).round() as u64).expect("a fall");
+        (h, tip_error(&simulation, end.tip))
+    });
+    assert!(errors[1].1 <= 3.8e-3, "{errors:?}");
+    assert!((slope(&errors) - 2.0).abs() <= 0.1, "{errors:?}");
+}
+
+/// Falls that whip through singularities: 5 s of each.
+#[test]
+fn falls_keep_energy_and_constraints() {
+    for (theta, h) in [([1.4973, 1.55439], 1e-3), ([1.3698, 1.6889], 4e-3), ([1.5425, 1.5784], 2.5e-4), ([1.2, 1.9], 1e-3)] {
+        let mut parameters = conserving(default_parameters(), h);
+        parameters.start.theta = theta;
+        let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
+        let worst = followed(&mut simulation, &default_inputs(), h, 5.0);
+        assert!(worst.in_mgl <= 1e-8 && worst.position <= 1e-14 && worst.velocity <= 1e-11, "{theta:?} at {h} s: {}", worst.in_mgl);
+    }
+}
+
+/// Any machine: nothing equal, centres of mass outside of the links, payload and rotors; links next to without inertia; coaxial motors.
+#[test]
+fn any_machine_keeps_its_energy() {
+    let mut loaded = unequal();
+    for effect in ["payload", "rotor"] {
+        enable(&mut loaded, effect);
+    }
+    let mut light = unequal();
+    light.geometry.links[1].inertia = 1e-9;
+    let mut coaxial = default_parameters();
+    coaxial.geometry.base_distance = 0.0;
+    coaxial.start.theta = [2.0, 1.0];
+    for (name, parameters) in [("unequal", unequal()), ("loaded", loaded), ("light", light), ("coaxial", coaxial)] {
+        let mut simulation = Simulation::new(&conserving(parameters, 1e-3), &default_inputs()).expect("scene");
+        let worst = followed(&mut simulation, &default_inputs(), 1e-3, 2.0);
+        assert!(worst.balance <= 1e-9 && worst.velocity <= 1e-9, "{name}: {:e} {:e}", worst.balance, worst.velocity);
+        println!("{name} {:e} {:e} {:e} {:?}", worst.balance, worst.position, worst.velocity, simulation.counters());
+    }
+}
+
+/// Held loads put in exactly their force times displacement.
+#[test]
+fn held_loads_balance() {
+    let inputs = Inputs { tau: [0.05, -0.02], tip_force: [0.1, 0.3], ..default_inputs() };
+    let mut simulation = Simulation::new(&conserving(unequal(), 1e-3), &inputs).expect("scene");
+    let worst = followed(&mut simulation, &inputs, 1e-3, 2.0);
+    assert!(worst.balance <= 1e-12, "{:e}", worst.balance);
+}
+
+/// Every effect, from soft to far stiffer than the step: the balance of the energy.
+#[test]
+fn every_effect_balances() {
+    type Change = Box<dyn Fn(&mut Parameters)>;
+    let mut cases: Vec<(String, f64, Change)> = Vec::new();
+    for k in [0.05, 5.0, 500.0, 1e5] {
+        cases.push((
+            format!("spring {k}"),
+            1e-12,
+            Box::new(move |p| {
+                enable(p, "spring");
+                (p.effects.spring.k, p.effects.spring.theta0) = ([k; 2], [1.8; 2]);
+            }),
+        ));
+    }
+    for (k, d) in [(50.0, 0.0), (50.0, 0.02), (5e3, 0.0), (5e3, 0.02)] {
+        cases.push((
+            format!("stop {k} {d}"),
+            1e-12,
+            Box::new(move |p| {
+                enable(p, "stop");
+                let stop = &mut p.effects.stop;
+                (stop.lower, stop.upper, stop.k, stop.d) = ([0.9; 2], [2.3; 2], k, d);
+            }),
+        ));
+    }
+    for (d, mu) in [(0.0, 0.0), (5.0, 0.0), (5.0, 0.3)] {
+        cases.push((
+            format!("contact {d} {mu}"),
+            1e-12,
+            Box::new(move |p| {
+                enable(p, "contact");
+                let contact = &mut p.effects.contact;
+                (contact.offset, contact.d, contact.mu) = (0.1, d, mu);
+            }),
+        ));
+    }
+    for b in [1e-4, 1e-2, 1.0, 100.0] {
+        cases.push((
+            format!("viscous {b}"),
+            1e-10,
+            Box::new(move |p| {
+                enable(p, "viscous");
+                p.effects.viscous.b = [b; JOINTS];
+            }),
+        ));
+    }
+    for rate in [1e-2, 1e-3, 1e-5] {
+        cases.push((format!("friction at {rate}"), 1e-12, Box::new(move |p| dry(p, 1e-3, rate))));
+    }
+    for (kp, kd) in [(2.0, 0.02), (100.0, 0.5), (1e4, 1.0), (1e6, 10.0), (1e6, 0.0)] {
+        cases.push((
+            format!("servo {kp} {kd}"),
+            1e-11,
+            Box::new(move |p| {
+                enable(p, "servo");
+                (p.effects.servo.kp, p.effects.servo.kd) = ([kp; 2], [kd; 2]);
+            }),
+        ));
+    }
+    cases.push((
+        "all".into(),
+        1e-11,
+        Box::new(|p| {
+            for effect in fivebar::effects::NAMES {
+                enable(p, effect);
+            }
+            p.effects.contact.offset = 0.1;
+        }),
+    ));
+    let mut wrong = Vec::new();
+    for (name, allowed, change) in &cases {
+        let mut parameters = conserving(default_parameters(), 1e-3);
+        parameters.start.theta[1] = 120f64.to_radians();
+        change(&mut parameters);
+        let inputs = Inputs { servo_theta: [std::f64::consts::FRAC_PI_2 + 0.2, 2.0], ..default_inputs() };
+        let mut simulation = Simulation::new(&parameters, &inputs).expect("scene");
+        let worst = followed(&mut simulation, &inputs, 1e-3, 2.0);
+        let counters = simulation.counters();
+        println!(
+            "{name}: {:.1e} velocity {:.1e} iterations {} rescued {} last {}",
+            worst.balance, worst.velocity, counters.iterations, counters.rescued, counters.last_resorts
+        );
+        if worst.balance > *allowed || worst.velocity > 1e-9 || counters.last_resorts > 1 {
+            wrong.push((name, worst.balance, worst.velocity, counters));
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+}
+
+/// Dry friction without a peak in all joints, of which w_c is the rate of its turn.
+fn dry(parameters: &mut Parameters, torque: f64, turn: f64) {
+    enable(parameters, "friction");
+    let friction = &mut parameters.effects.friction;
+    (friction.coulomb, friction.breakaway) = ([torque; JOINTS], [torque; JOINTS]);
+    friction.breakaway_velocity = 10.0 * turn;
+}
+
+/// Friction that holds the mechanism up: it creeps at a small part of the rate at which the law turns, from the first step on. And
+/// friction that brakes a motion stops it.
+#[test]
+fn friction_holds_and_brakes() {
+    for turn in [1e-2, 1e-3, 1e-5] {
+        for (omega, allowed) in [([0.0; 2], 1e-12), ([5.0, -3.0], 1e-7)] {
+            let mut parameters = conserving(default_parameters(), 1e-3);
+            parameters.start.theta[1] = 120f64.to_radians();
+            parameters.start.omega = omega;
+            dry(&mut parameters, 0.2, turn);
+            let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
+            let worst = followed(&mut simulation, &default_inputs(), 1e-3, 2.0);
+            let rates = observers::motion(simulation.model(), &simulation.state()).omega;
+            let creep = rates.iter().fold(0.0f64, |largest, rate| largest.max(rate.abs()));
+            println!(
+                "turn {turn} omega {omega:?}: {:.1e} creep {:.3} w_c, {:?}",
+                worst.balance,
+                creep / turn,
+                simulation.counters()
+            );
+            assert!(worst.balance <= allowed && creep <= 0.05 * turn, "{turn} {omega:?}: {:e} {creep:e}", worst.balance);
+        }
+    }
+}
+
+/// Torques that change: each step holds what they are in its middle, and the whole stays of second order. So does the work.
+#[test]
+fn inputs_that_change_are_of_second_order() {
+    let run = |h: f64| {
+        let parameters = conserving(unequal(), h);
+        let start = Inputs { tau: [0.02, 0.0], ..default_inputs() };
+        let mut simulation = Simulation::new(&parameters, &start).expect("scene");
+        let ramp = Inputs { tau: [-0.1, 0.05], ..default_inputs() };
+        let signal = Signal::new(start, [ramp, default_inputs()]);
+        simulation.advance_along(&signal, h, (0.3 / h).round() as u64).expect("a motion");
+        let error = observers::energies(simulation.model(), &simulation.state()).error.abs();
+        assert!(error <= 1e-12 * MGL.max(1.0), "{error:e}");
+        observers::motion(simulation.model(), &simulation.state()).tip
+    };
+    let exact = run(1.25e-5);
+    let errors = [2e-3, 1e-3, 5e-4].map(|h| {
+        let tip = run(h);
+        (h, (tip.x - exact.x).hypot(tip.y - exact.y))
+    });
+    assert!((slope(&errors) - 2.0).abs() <= 0.15, "{errors:?}");
+}
+
+/// The work of a step can be bounded: by a status, with everything as before, or by the last resort, which is counted.
+#[test]
+fn the_work_of_a_step_is_bounded() {
+    let mut parameters = conserving(default_parameters(), 4e-3);
+    parameters.start.theta = [1.3698, 1.6889];
+    let mut outcomes = Vec::new();
+    for (most, iterations) in [(0, 20), (25, 80), (1000, 1100)] {
+        parameters.settings.max_work = most;
+        let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
+        let (mut worst, mut failure) = (0, None);
+        for _ in 0..5000 {
+            let before = simulation.clone();
+            let spent = before.counters().iterations;
+            if let Err(cause) = simulation.advance(&default_inputs(), 4e-3, 1) {
+                assert_eq!(simulation.run(), before.run());
+                failure = Some(cause.to_string());
+                break;
+            }
+            worst = worst.max(simulation.counters().iterations - spent);
+        }
+        assert!(worst <= iterations, "{most}: {worst}");
+        let error = observers::energies(simulation.model(), &simulation.state()).error.abs();
+        assert!(error <= 1e-8 * MGL, "{most}: {error:e}");
+        println!("{most}: worst {worst} {:?} {failure:?}", simulation.counters());
+        outcomes.push((failure, simulation.counters().last_resorts));
+    }
+    let status = outcomes[0].0.as_ref().expect("without a rescue this fall ends");
+    assert!(status.contains("solver.maxWork = 0"), "{status}");
+    assert!(outcomes[1].0.is_none() && outcomes[1].1 > 0, "the last resort is taken");
+    assert!(outcomes[2].0.is_none(), "{outcomes:?}");
+}
+
+/// All effects on at once, against steps of order 8 with an error of 1e-11 rad: of second order, the work of each kind too.
+#[test]
+fn effects_are_of_second_order() {
+    let end = |method: Method, h: f64| {
+        let mut parameters = conserving(unequal(), h);
+        (parameters.settings.method, parameters.settings.error_tolerance) = (method, 1e-11);
+        for effect in fivebar::effects::NAMES {
+            enable(&mut parameters, effect);
+        }
+        (parameters.effects.contact.offset, parameters.effects.stop.upper) = (0.1, [1.9; 2]);
+        // Friction that turns within a step is of first order until the step is shorter.
+        (parameters.effects.contact.mu, parameters.effects.friction.breakaway_velocity) = (0.0, 1.0);
+        let inputs = Inputs { servo_theta: [1.8, 1.2], ..default_inputs() };
+        let mut simulation = Simulation::new(&parameters, &inputs).expect("scene");
+        simulation.advance(&inputs, h, (0.2 / h).round() as u64).expect("a motion");
+        let energies = observers::energies(simulation.model(), &simulation.state());
+        let tip = observers::motion(simulation.model(), &simulation.state()).tip;
+        [tip.x, tip.y, energies.input, energies.dissipated]
+    };
+    let exact = end(Method::Dop853, 1e-3);
+    let runs = [5e-4, 2.5e-4, 1.25e-4].map(|h| (h, end(Method::I3alpConserving, h)));
+    for i in 0..exact.len() {
+        let errors = runs.map(|(h, run)| (h, (run[i] - exact[i]).abs()));
+        assert!(slope(&errors) > 1.7 && errors[0].1 < 1e-2 * exact[i].abs(), "{i}: {exact:?} {errors:?}");
+    }
+}
