@@ -58,6 +58,8 @@ pub struct Outcome {
 const TOLERANCE: f64 = 5e-13;
 /// The five-bar's default.
 const MAX_ITERATIONS: u32 = 10;
+/// The five-bar's default.
+const MAX_WORK: u32 = 400_000;
 /// The first step that DOP853 tries, s; a longer one is soon found.
 const FIRST_STEP: f64 = 1e-5;
 
@@ -78,6 +80,7 @@ impl<S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>, const N: usize, con
             error_tolerance,
             tolerance: TOLERANCE,
             max_iterations: MAX_ITERATIONS,
+            max_work: MAX_WORK,
             energy_scale: 1.0,
             regularization: self.regularization,
         }
@@ -100,6 +103,7 @@ impl<S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>, const N: usize, con
             energy_scale: 1.0,
             first_step: FIRST_STEP,
             max_iterations: MAX_ITERATIONS,
+            max_work: MAX_WORK,
             regularization: self.regularization,
         })
     }

@@ -38,12 +38,14 @@ pub struct Settings {
     pub first_step: f64,
     /// Most Newton iterations of a projection.
     pub max_iterations: u32,
+    /// More evaluations and iterations than this in one macro step end it with a status: a call never hangs.
+    pub max_work: u32,
     /// e of the saddle-point systems, 1/kg (in the units of Φ_q M⁻¹ Φ_qᵀ): so small that it is seen only where that loses rank.
     pub regularization: f64,
 }
 
-/// More accepted steps than this in one macro step end it with a status: a call never hangs.
-const MOST_SUBSTEPS: u32 = 100_000;
+/// Evaluations of the equations that a step takes, accepted or not.
+const EVALUATIONS: u64 = 12;
 
 /// Sums of macro steps are rounded by this part of a step, or less.
 const ROUNDED: f64 = 64.0 * f64::EPSILON;
@@ -166,16 +168,33 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         mut horizon: Horizon,
     ) -> Result<(), StepError> {
         let mut rest = h;
-        for _ in 0..MOST_SUBSTEPS {
+        let done = self.work();
+        loop {
             if self.advance_within(rest) {
                 return Ok(());
             }
+            self.check_work(settings, done)?;
             let left = self.length - self.elapsed;
             rest -= left;
             horizon = horizon.after(left);
             self.step(system, settings, horizon)?;
         }
-        Err(StepError::TooManySubsteps { most: MOST_SUBSTEPS, substep: self.length, error: self.end.error_estimate })
+    }
+
+    /// Evaluations and iterations since the start.
+    #[inline]
+    fn work(&self) -> u64 {
+        let Counters { substeps, rejected, iterations, .. } = self.end.counters;
+        EVALUATIONS * (substeps + rejected) + iterations
+    }
+
+    /// Refuses to go on where too much has been done in one macro step, after so much in those before.
+    #[inline]
+    fn check_work(&self, settings: &Settings, done: u64) -> Result<(), StepError> {
+        if self.work() - done <= u64::from(settings.max_work) {
+            return Ok(());
+        }
+        Err(StepError::TooMuchWork { most: settings.max_work, substep: self.length, error: self.end.error_estimate })
     }
 
     /// Ends the step at the present time, because what was held from here on will change: the step is redone, up to here and no
@@ -190,16 +209,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.memory = self.before;
             self.sides_behind = self.sides;
             self.retract();
-            for _ in 0..MOST_SUBSTEPS {
-                if rest <= 0.0 {
-                    break;
-                }
+            let done = self.work();
+            while rest > 0.0 {
+                self.check_work(settings, done)?;
                 self.step(system, settings, Horizon { output: f64::INFINITY, limit: rest })?;
                 rest -= self.length;
-            }
-            if rest > 0.0 {
-                let error = self.end.error_estimate;
-                return Err(StepError::TooManySubsteps { most: MOST_SUBSTEPS, substep: self.length, error });
             }
         }
         self.start = self.end;

@@ -39,8 +39,8 @@ pub enum StepError {
         /// Its local error, rad; NaN if it failed altogether.
         error: f64,
     },
-    /// The local error, or sub-steps that failed, asked for more sub-steps than one macro step may have.
-    TooManySubsteps {
+    /// The local error, or sub-steps that failed, asked for more iterations or evaluations than one macro step may have.
+    TooMuchWork {
         /// The bound.
         most: u32,
         /// The last sub-step tried, s.
@@ -77,9 +77,10 @@ impl fmt::Display for StepError {
             Self::StepTooShort { substep, error } => {
                 write!(f, "a sub-step of only {substep:.3e} s still had a local error of {error:.3e} rad")
             }
-            Self::TooManySubsteps { most, substep, error } => write!(
+            Self::TooMuchWork { most, substep, error } => write!(
                 f,
-                "a macro step needs more than {most} sub-steps: the last, of {substep:.3e} s, had a local error of {error:.3e} rad"
+                "a macro step needs more iterations and evaluations than solver.maxWork = {most} allows: the last sub-step, of {substep:.3e} s, \
+                 had a local error of {error:.3e} rad"
             ),
         }
     }

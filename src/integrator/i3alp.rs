@@ -29,14 +29,14 @@ pub struct Settings {
     pub tolerance: f64,
     /// Most Newton iterations per sub-step.
     pub max_iterations: u32,
+    /// More Newton iterations than this in one macro step, those of rejected sub-steps included, end it with a status: a call never hangs.
+    pub max_work: u32,
     /// The balance of energy of a step may be off by the error tolerance times this, J, where forces change steeply.
     pub energy_scale: f64,
     /// e = 1/(αβ) = 1/(κ m̄), 1/kg, for a penalty α of κ times m̄/β: the same at every h.
     pub regularization: f64,
 }
 
-/// More sub-steps than this in one macro step, rejected ones included, end it with a status: a call never hangs.
-const MOST_SUBSTEPS: u32 = 100_000;
 /// Over a step shorter than this, s, a change of q̈ is round-off and gives no jerk.
 const SHORTEST_FOR_JERK: f64 = 1e-10;
 /// A step shorter than this, s, moves on by its Taylor series, which is then exact: Newton would divide round-off by h².
@@ -72,7 +72,12 @@ fn in_substeps<const N: usize, const M: usize>(
 ) -> Result<(), StepError> {
     let passage = PassageLimits::for_error_tolerance(settings.error_tolerance);
     let (mut rest, mut h, mut error) = (duration, duration, f64::INFINITY);
-    for _ in 0..MOST_SUBSTEPS {
+    let done = state.counters.iterations;
+    // A round without an iteration, through a vertex, counts as one.
+    for rounds in 0.. {
+        if rounds + state.counters.iterations - done > u64::from(settings.max_work) {
+            break;
+        }
         let limits = match system.approach(&passage, &state.departure(rest)) {
             Approach::Clear => StepLimits::NONE,
             Approach::Limited(limits) => limits,
@@ -106,7 +111,7 @@ fn in_substeps<const N: usize, const M: usize>(
         }
     }
     let error = if error.is_nan() { f64::INFINITY } else { error };
-    Err(StepError::TooManySubsteps { most: MOST_SUBSTEPS, substep: h, error })
+    Err(StepError::TooMuchWork { most: settings.max_work, substep: h, error })
 }
 
 /// A sub-step that converged, not yet accepted.

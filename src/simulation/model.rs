@@ -39,7 +39,7 @@ pub struct Settings {
     pub tolerance: f64,
     /// Most Newton iterations per sub-step.
     pub max_iterations: u32,
-    /// Most Newton iterations of one step of [`Method::I3alpConserving`], with those of its rescue; 0: no rescue.
+    /// Most iterations and evaluations of a macro step; of [`Method::I3alpConserving`] with those of its rescue, 0: no rescue.
     pub max_work: u32,
     /// α of the printed method, N/m.
     pub penalty: f64,
@@ -207,6 +207,7 @@ impl Settings {
                 energy_scale,
                 tolerance,
                 max_iterations,
+                max_work: self.max_work,
                 regularization,
             }),
             Method::I3alpPrinted => {
@@ -227,6 +228,7 @@ impl Settings {
                     energy_scale,
                     first_step: self.step_size,
                     max_iterations,
+                    max_work: self.max_work,
                     regularization: regularization_by_angles,
                 });
             }

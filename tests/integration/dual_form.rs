@@ -96,6 +96,7 @@ fn penalty_and_dual_steps_agree() {
                 error_tolerance: 1.0,
                 tolerance: 1e-15,
                 max_iterations: 20,
+                max_work: 1000,
                 energy_scale: 1.0,
                 regularization: model.regularization,
             };

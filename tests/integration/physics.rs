@@ -207,6 +207,6 @@ fn a_tolerance_below_round_off_ends_with_a_status() {
     let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
     let before = simulation.state();
     let failure = simulation.advance(&default_inputs(), 10.0, 1).expect_err("too much to ask");
-    assert!(matches!(failure.cause, integrator::StepError::TooManySubsteps { most: 100_000, .. }), "{failure}");
+    assert!(matches!(failure.cause, integrator::StepError::TooMuchWork { most: 400_000, .. }), "{failure}");
     assert_eq!(simulation.state(), before);
 }
