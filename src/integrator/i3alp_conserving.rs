@@ -12,7 +12,7 @@
 //!
 //! J_b d = ΔΦ = 0 and K_b(z) d = (J₁ − J₀) z make the constraints' forces do no work, whatever the step; Q̄ᵀd is what potentials lose.
 //! So energy, Φ and Φ̇ are kept to round-off, and no local error is estimated: the step is h. One that plain Newton's method does not
-//! solve climbs the [`ladder`].
+//! solve climbs the ladder of `ladder.rs`.
 
 mod equations;
 mod ladder;
