@@ -79,7 +79,7 @@ fn a_driven_scene_follows_its_reference() {
         assert_eq!(row["ending"], "left out: inputs are held for 1 ms, a longer step would be another motion");
         assert_eq!((&*row["error [m]"], &*row["us per simulated ms"]), ("inf", "NaN"));
     }
-    assert_eq!(longer.len(), 3, "4 ms by three methods");
+    assert_eq!(longer.len(), 4, "4 ms by four methods");
     let [.., finest] = *others.iter().filter(|row| row["method"] == "dop853").collect::<Vec<_>>() else { panic!("dop853") };
     // Three times what was seen, at 1e-12 rad.
     assert!(number(finest, "error [m]") < 2e-13, "{finest:?}");

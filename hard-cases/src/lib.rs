@@ -13,6 +13,7 @@ mod random;
 mod report;
 mod setting;
 pub mod speed;
+pub mod step_times;
 mod trial;
 mod vertex;
 mod watch;

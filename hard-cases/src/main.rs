@@ -8,7 +8,7 @@ use std::process::{Command, ExitCode};
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
 use hard_cases::cases::{bits_row, fingerprint, hour};
-use hard_cases::{Case, Extent, Row, Verdict, horizon, speed, write_csv, write_markdown};
+use hard_cases::{Case, Extent, Row, Verdict, horizon, speed, step_times, write_csv, write_markdown};
 
 /// The battery of hard cases
 #[derive(Parser)]
@@ -34,7 +34,7 @@ enum Task {
         #[arg(long)]
         unoptimised: Option<PathBuf>,
     },
-    /// Time the falls by the explicit method; falls.csv goes to a folder
+    /// Time the falls by the explicit method, and each step of them by the conserving one; falls.csv and step-times.csv go to a folder
     Falls {
         /// The folder
         #[arg(long)]
@@ -72,6 +72,10 @@ impl Task {
                 println!("\nfalls\n");
                 speed::write_markdown(&rows, io::stdout())?;
                 speed::write_csv(&rows, file(&out, "falls.csv")?)?;
+                let times = step_times::measure(extent(quick)).map_err(anyhow::Error::msg)?;
+                println!("\nstep times of i3alpConserving\n");
+                step_times::write_markdown(&times, io::stdout())?;
+                step_times::write_csv(&times, file(&out, "step-times.csv")?)?;
                 Ok(rows.iter().all(|row| row.falls.verdict == Verdict::Pass))
             }
             Self::Fingerprint => {

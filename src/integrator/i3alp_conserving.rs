@@ -12,7 +12,7 @@
 //!
 //! J_b d = ΔΦ = 0 and K_b(z) d = (J₁ − J₀) z make the constraints' forces do no work, whatever the step; Q̄ᵀd is what potentials lose.
 //! So energy, Φ and Φ̇ are kept to round-off, and no local error is estimated: the step is h. One that plain Newton's method does not
-//! solve climbs the [`ladder`].
+//! solve climbs the ladder of `ladder.rs`.
 
 mod equations;
 mod ladder;
@@ -166,7 +166,7 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         }
         let mut x = match self.memory.extrapolated(h) {
             Some(x) => x,
-            None => self.from_rest(general, settings, h),
+            None => self.predicted_by_equilibrium(general, settings, h),
         };
         let mut nearby = true;
         if system.alternates() {
@@ -192,7 +192,12 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
     /// What equilibrium predicts: at the start, after a change, and where the step has another length.
     #[cold]
     #[inline(never)]
-    fn from_rest<S: Discrete<N, M> + Passage<N>>(&mut self, system: &S, settings: &Settings, h: f64) -> Unknowns<N, M> {
+    fn predicted_by_equilibrium<S: Discrete<N, M> + Passage<N>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        h: f64,
+    ) -> Unknowns<N, M> {
         let (a, lambda) = equilibrium(system, &self.q, &self.v, settings.equilibrium);
         let branch = system.acceleration_from_rest(&self.q, &self.v);
         self.counters.launches += u64::from(branch.is_some_and(|a| a.max_norm() > 0.0));

@@ -166,12 +166,12 @@ fn fill(rows: &mut Rows, mechanism: &Mechanism, at: &StepPoint<'_>) {
         }
     }
     // Forces at the rates of the end, w/h.
-    for i in 0..COORDINATES {
-        for j in 0..COORDINATES {
+    for (i, row) in rows.iter_mut().enumerate().take(COORDINATES) {
+        for (j, mobile) in mobile.iter().enumerate() {
             let damping = forces.damping[(i, j)];
-            rows[i][j] += forces.stiffness[(i, j)] + damping * shift[j];
+            row[j] += forces.stiffness[(i, j)] + damping * shift[j];
             if both_levels && damping != 0.0 {
-                add(&mut rows[i][SECOND..SIZE], -damping, &mobile[j]);
+                add(&mut row[SECOND..SIZE], -damping, mobile);
             }
         }
     }

@@ -27,7 +27,6 @@ pub struct Run {
 
 /// Where steps end.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-#[expect(clippy::large_enum_variant, reason = "a step allocates nothing")]
 pub(super) enum Progress {
     /// With the call: the state there.
     WithCall(Core),

@@ -26,10 +26,10 @@ HOPELESS: Values = {"tau[1]": 50.0, "solver.adaptive": False, "solver.maxIterati
 UNREACHABLE: Values = {"init.theta[1]": math.pi, "init.theta[2]": 0.0}
 
 
-def run(fmu: Path, folder: Path, scene: Scene) -> subprocess.CompletedProcess[str]:
+def run(fmu: Path, folder: Path, scene: Scene, *options: str) -> subprocess.CompletedProcess[str]:
     """Runs a scene; everything is written to `folder`/out."""
     file = write(folder / "short.json", scene)
-    command = [sys.executable, str(RUN), "--fmu", str(fmu), "--scene", str(file), "--out", str(folder / "out")]
+    command = [sys.executable, str(RUN), "--fmu", str(fmu), "--scene", str(file), "--out", str(folder / "out"), *options]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
@@ -161,3 +161,14 @@ def test_refused(fmu: Path, tmp_path: Path) -> None:
     assert process.returncode == 1
     assert "0.84" in process.stderr and "Traceback" not in process.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_a_scene_by_another_method(fmu: Path, tmp_path: Path) -> None:
+    """Every method by its name; one that is none is refused with those that are."""
+    scene = made_scene({"init.theta[2]": 2.0}, 0.2, 1e-3)
+    by_name = run(fmu, tmp_path, scene, "--method", "i3alpConserving")
+    assert by_name.returncode == 0, by_name.stderr
+    assert "200 steps, 200 sub-steps" in by_name.stdout
+    unknown = run(fmu, tmp_path, scene, "--method", "euler")
+    assert unknown.returncode == 1 and "Traceback" not in unknown.stderr
+    assert "There is no method euler; solver.method has: i3alp, " in unknown.stderr and "i3alpConserving" in unknown.stderr

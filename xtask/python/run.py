@@ -64,7 +64,7 @@ def by_method(scene: Scene, model: fmpy.model_description.ModelDescription, name
     if name not in numbers:
         raise UnknownMethod(f"There is no method {name}; solver.method has: {', '.join(numbers)}.")
     own, *overlays = scene.variants
-    own = Variant(f"{own.label}, {name}", own.values | {"solver.method": numbers[name]})
+    own = Variant(name, own.values | {"solver.method": numbers[name]})
     return replace(scene, variants=[own, *overlays])
 
 

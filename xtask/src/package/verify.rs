@@ -13,8 +13,9 @@ use std::io::Read;
 use std::path::Path;
 use zip::{CompressionMethod, ZipArchive};
 
-/// Largest library that is shipped, bytes.
-const LARGEST_LIBRARY: usize = 1_000_000;
+/// Largest library that is shipped, bytes: five methods, of which the conserving one has 100 kB, each in forms for the bare mechanism and
+/// for any scene.
+const LARGEST_LIBRARY: usize = 1_200_000;
 
 /// All that a co-simulation library exports: FMI 2.0.4, section 2.1 (common functions) and 4.2 (co-simulation).
 #[rustfmt::skip]

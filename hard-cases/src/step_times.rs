@@ -1,0 +1,141 @@
+//! What a real-time user looks for: how long a single strictly fixed step takes, typically and at worst. Each step of the battery's first
+//! falls is timed alone, by the conserving method. Part of `cargo xtask bench`.
+
+use std::io::{self, Write};
+use std::time::Instant;
+
+use crate::cases::Extent;
+use crate::machine::NO_LOAD;
+use crate::report;
+use crate::setting::Setting;
+use crate::speed::falls;
+
+/// Steps, s, and bounds on the iterations of one (`solver.maxWork`).
+const SETTINGS: [(f64, u32); 3] = [(1e-3, 1000), (1e-3, 150), (4e-3, 1000)];
+/// Parts of the steps that take no longer.
+const PARTS: [f64; 6] = [0.5, 0.99, 0.999, 0.9999, 0.99999, 1.0];
+/// Bins of times per decade, from 1 ns on.
+const PER_DECADE: f64 = 10.0;
+const BINS: usize = 80;
+/// More iterations are counted as so many.
+const MOST: usize = 2000;
+
+/// The steps of one setting.
+#[derive(Clone, Debug)]
+pub struct StepTimes {
+    /// s.
+    pub step: f64,
+    /// `solver.maxWork`.
+    pub max_work: u32,
+    /// Steps by their times, in tenths of decades from 1 ns on.
+    pub times: [u64; BINS],
+    /// The longest, ns.
+    pub longest: f64,
+    /// Steps by their iterations.
+    pub iterations: Vec<u64>,
+    /// Steps by rescues beyond a first guess, and by the last resort.
+    pub rescued: [u64; 2],
+}
+
+/// Times every step of the falls, 1e7 of 1 ms in full.
+pub fn measure(extent: Extent) -> Result<Vec<StepTimes>, String> {
+    let falls = falls(extent, f64::INFINITY);
+    let of = |&(step, max_work): &(f64, u32)| {
+        let mut found =
+            StepTimes { step, max_work, times: [0; BINS], longest: 0.0, iterations: vec![0; MOST + 1], rescued: [0; 2] };
+        for fall in &falls.trials {
+            let mut fall = fall.clone();
+            fall.parameters.settings.max_work = max_work;
+            let mut simulation = fall.start(Setting::Conserving(step)).map_err(|refusal| refusal.to_string())?;
+            let mut before = 0;
+            for _ in 0..(fall.duration() / step).round() as u64 {
+                let begin = Instant::now();
+                simulation.advance(&NO_LOAD, step, 1).map_err(|failure| format!("{}: {failure}", fall.label))?;
+                let ns = begin.elapsed().as_nanos() as f64;
+                found.longest = found.longest.max(ns);
+                found.times[((PER_DECADE * ns.max(1.0).log10()) as usize).min(BINS - 1)] += 1;
+                let after = simulation.counters().iterations;
+                found.iterations[((after - before) as usize).min(MOST)] += 1;
+                before = after;
+            }
+            let counters = simulation.counters();
+            found.rescued = [found.rescued[0] + counters.rescued, found.rescued[1] + counters.last_resorts];
+        }
+        Ok(found)
+    };
+    SETTINGS.iter().map(of).collect()
+}
+
+/// The first place up to which this part of all counts lies.
+fn quantile(counts: &[u64], part: f64) -> usize {
+    let wanted = part * counts.iter().sum::<u64>() as f64;
+    let mut sum = 0;
+    counts
+        .iter()
+        .position(|count| {
+            sum += count;
+            sum as f64 >= wanted
+        })
+        .unwrap_or(counts.len() - 1)
+}
+
+/// The upper end of a bin, ns.
+fn upper(bin: usize) -> f64 {
+    10f64.powf((bin + 1) as f64 / PER_DECADE)
+}
+
+impl StepTimes {
+    /// Steps.
+    pub fn count(&self) -> u64 {
+        self.times.iter().sum()
+    }
+
+    /// Time of the steps of each of [`PARTS`], ns, and their iterations.
+    fn rows(&self) -> impl Iterator<Item = [String; 7]> {
+        PARTS.into_iter().map(|part| {
+            let ns = if part < 1.0 { upper(quantile(&self.times, part)).min(self.longest) } else { self.longest };
+            [
+                format!("{}", self.step),
+                self.max_work.to_string(),
+                self.count().to_string(),
+                part.to_string(),
+                format!("{:.2}", ns / 1e3),
+                quantile(&self.iterations, part).to_string(),
+                format!("{} / {}", self.rescued[0], self.rescued[1]),
+            ]
+        })
+    }
+}
+
+/// A table: of all steps this part takes no longer, and no more iterations.
+pub fn write_markdown(all: &[StepTimes], mut to: impl Write) -> io::Result<()> {
+    let header = ["step [s]", "solver.maxWork", "steps", "part", "time [us]", "iterations", "rescued / last resorts"];
+    report::markdown_table(header, all.iter().flat_map(StepTimes::rows), &mut to)
+}
+
+/// The histogram: upper end of each bin and the steps in it, of every setting.
+pub fn write_csv(all: &[StepTimes], to: impl Write) -> csv::Result<()> {
+    let header = ["step [s]", "solver.maxWork", "up to [ns]", "steps"];
+    let bins = all.iter().flat_map(|found| {
+        found.times.iter().enumerate().filter(|(_, count)| **count > 0).map(|(bin, count)| {
+            [found.step.to_string(), found.max_work.to_string(), format!("{:.1}", upper(bin)), count.to_string()]
+        })
+    });
+    report::csv_table(header, bins, to)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_step_is_in_the_histogram() {
+        assert_eq!([quantile(&[1, 2, 7], 0.1), quantile(&[1, 2, 7], 0.3), quantile(&[1, 2, 7], 1.0)], [0, 1, 2]);
+        let all = measure(Extent::Quick).expect("falls that come to their end");
+        assert_eq!(all.iter().map(StepTimes::count).collect::<Vec<_>>(), [100_000, 100_000, 25_000]);
+        assert!(all.iter().all(|found| found.iterations.iter().sum::<u64>() == found.count() && found.longest > 0.0));
+        let mut table = Vec::new();
+        write_markdown(&all, &mut table).expect("a table");
+        assert_eq!(String::from_utf8(table).expect("text").lines().count(), 2 + all.len() * PARTS.len());
+    }
+}
