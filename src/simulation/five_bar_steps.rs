@@ -3,7 +3,7 @@
 
 use super::five_bar::FiveBar;
 use crate::effects::{StepContext, Tangents};
-use crate::integrator::{Chord, Discrete, NewtonSettings, SecantFactor, Work};
+use crate::integrator::{Chord, Discrete, SecantFactor, Work};
 use crate::linear::LinearSolve;
 use crate::linear::secant_legs::SecantLegs;
 use crate::linear::secant_newton::{StepPoint, StepTangents, newton};
@@ -127,17 +127,16 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
         step: &Step<'_>,
         multipliers: [&Multipliers; 2],
         residuals: (&Coordinates, &Multipliers, &Multipliers),
-        settings: NewtonSettings,
+        regularization: f64,
     ) -> (Coordinates, [Multipliers; 2]) {
         let &Chord { d, v, h, secant, .. } = step;
-        let NewtonSettings { regularization, both_levels } = settings;
         let over = self.over(step);
         let mut forces = StepTangents::new(h);
         self.inputs.add_mean_tangents(&over, &mut forces);
         for effect in &self.model.effects {
             effect.add_mean_tangents(&over, &mut forces);
         }
-        let at = StepPoint { secant, d, w: &(h * *v), multipliers, forces: &forces, regularization, both_levels };
+        let at = StepPoint { secant, d, w: &(h * *v), multipliers, forces: &forces, regularization };
         newton(&self.model.mechanism, &at, residuals)
     }
 
