@@ -36,26 +36,17 @@ pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
     /// Factorises [A J_bᵀ; J₁ −e], A the tangent of the step's equations with respect to d. Asked only if [`Discrete::alternates`].
     fn factor_secant(&self, over: &Chord<'_, Self::Secant, N>, pull: (&Vector<M>, &Vector<N>), regularization: f64)
     -> Self::Factor;
-    /// Newton's increments of d, Λ and ν with the whole tangent.
+    /// Newton's increments of d, Λ and ν with the whole tangent; e weighs increments only.
     fn newton(
         &self,
         over: &Chord<'_, Self::Secant, N>,
         multipliers: [&Vector<M>; 2],
         residuals: (&Vector<N>, &Vector<M>, &Vector<M>),
-        settings: NewtonSettings,
+        regularization: f64,
     ) -> (Vector<N>, [Vector<M>; 2]);
 
     /// Whether laws of friction can be made softer, see [`Chord::softening`].
     fn has_friction(&self) -> bool;
-}
-
-/// How a whole tangent is to be made.
-#[derive(Clone, Copy, Debug)]
-pub struct NewtonSettings {
-    /// e, 1/kg: weighs increments only.
-    pub regularization: f64,
-    /// Whether velocities are held to the constraints; otherwise ν stays.
-    pub both_levels: bool,
 }
 
 /// A step as the forces see it.

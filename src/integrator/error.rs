@@ -23,8 +23,6 @@ pub enum StepError {
         /// Iterations spent.
         iterations: u32,
     },
-    /// Nor is there a root for the last rung of its ladder.
-    NoRoot,
     /// A value became NaN or infinite.
     NotFinite,
     /// Close to a vertex a sub-step changed the energy.
@@ -63,9 +61,6 @@ impl fmt::Display for StepError {
                     f,
                     "the step's equations were not solved in {iterations} iterations, and solver.maxWork = 0 allows no rescue"
                 )
-            }
-            Self::NoRoot => {
-                f.write_str("no way was found to solve the step's equations, not even without the velocity constraints")
             }
             Self::IndefiniteTangent => {
                 f.write_str("the tangent matrix is not positive definite: the step is too long for this posture and load")

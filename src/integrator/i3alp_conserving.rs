@@ -20,7 +20,7 @@ mod newton;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::{Bounds, Counters, Discrete, Inconsistency, NewtonSettings, Passage, State, StepError, Work, equilibrium};
+use super::{Bounds, Counters, Discrete, Inconsistency, Passage, State, StepError, Work, equilibrium};
 use crate::vector::Vector;
 use equations::{Evaluation, Step, Unknowns};
 use ladder::{Rescued, climb, from_equilibrium};
@@ -168,6 +168,7 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
             Some(x) => x,
             None => self.predicted_by_equilibrium(general, settings, h),
         };
+        let begun = self.counters.iterations;
         let mut nearby = true;
         if system.alternates() {
             let &Settings { regularization, max_iterations, .. } = settings;
@@ -178,7 +179,7 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
                 Err(left) => nearby = left < NEARBY,
             }
         }
-        self.at_once(&Step::new(general, [&self.q, &self.v], h), settings, nearby.then_some(x))
+        self.at_once(&Step::new(general, [&self.q, &self.v], h), settings, (begun, nearby.then_some(x)))
     }
 
     /// Whether the system, at rest, stays there: what Newton's method makes of round-off would drive it from a vertex.
@@ -210,28 +211,33 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         &mut self,
         step: &Step<'_, S, N, M>,
         settings: &Settings,
-        nearby: Option<Unknowns<N, M>>,
+        (begun, nearby): (u64, Option<Unknowns<N, M>>),
     ) -> Result<(), StepError> {
         let &Settings { regularization, max_iterations, .. } = settings;
-        let Some(mut x) = nearby else { return self.rescue(step, settings) };
+        let Some(mut x) = nearby else { return self.rescue(step, settings, begun) };
         let mut allowance = Allowance { left: max_iterations, counters: &mut self.counters };
-        let newton = NewtonSettings { regularization, both_levels: true };
-        match whole(step, &mut x, newton, (max_iterations, Until::Solved), &mut allowance) {
+        match whole(step, &mut x, regularization, (max_iterations, Until::Solved), &mut allowance) {
             Some(end) => self.arrive(step, &x, &end),
-            None => self.rescue(step, settings),
+            None => self.rescue(step, settings, begun),
         }
     }
 
+    /// Up the ladder, with what the step, begun at this number of iterations, may still take.
     #[cold]
     #[inline(never)]
-    fn rescue<S: Discrete<N, M> + Passage<N>>(&mut self, step: &Step<'_, S, N, M>, settings: &Settings) -> Result<(), StepError> {
+    fn rescue<S: Discrete<N, M> + Passage<N>>(
+        &mut self,
+        step: &Step<'_, S, N, M>,
+        settings: &Settings,
+        begun: u64,
+    ) -> Result<(), StepError> {
         let &Settings { max_iterations, max_work, equilibrium: e, .. } = settings;
         if max_work == 0 {
             return Err(StepError::NoRootWithin { iterations: max_iterations });
         }
         let (a, lambda) = equilibrium(step.system, &self.q, &self.v, e);
         let a = step.system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
-        let left = max_work.saturating_sub(max_iterations);
+        let left = max_work.saturating_sub((self.counters.iterations - begun) as u32);
         let mut allowance = Allowance { left, counters: &mut self.counters };
         let rescued = climb(step, settings, (&a, &lambda), &mut allowance)?;
         match rescued {

@@ -63,8 +63,6 @@ pub struct StepPoint<'a> {
     pub forces: &'a StepTangents,
     /// e, 1/kg.
     pub regularization: f64,
-    /// Whether velocities are held to the constraints; otherwise ν stays.
-    pub both_levels: bool,
 }
 
 /// What the equations leave: f, Φ and J₁w.
@@ -82,8 +80,7 @@ pub fn newton(mechanism: &Mechanism, at: &StepPoint<'_>, (f, phi, rate): Residua
         row[SIZE] = match i {
             ..FIRST => -f[i],
             FIRST..SECOND => -phi[i - FIRST],
-            _ if at.both_levels => -rate[i - SECOND],
-            _ => 0.0,
+            _ => -rate[i - SECOND],
         };
     }
     let x = eliminated(&mut rows);
@@ -120,7 +117,7 @@ fn eliminated(rows: &mut Rows) -> [f64; SIZE] {
 }
 
 fn fill(rows: &mut Rows, mechanism: &Mechanism, at: &StepPoint<'_>) {
-    let &StepPoint { secant, d, w, multipliers: [lambda, nu], forces, regularization, both_levels } = at;
+    let &StepPoint { secant, d, w, multipliers: [lambda, nu], forces, regularization } = at;
     let masses = mechanism.mass_times(&[1.0; COORDINATES].into());
     let all = Coordinates::from([1.0; COORDINATES]);
     let (middle_varied, end_varied) = (secant.middle.varied(&all), secant.end.varied(&all));
@@ -155,14 +152,12 @@ fn fill(rows: &mut Rows, mechanism: &Mechanism, at: &StepPoint<'_>) {
         for m in 0..MULTIPLIERS {
             rows[FIRST + m][i] = end[m];
         }
-        if both_levels {
-            rows[i][SECOND..SIZE].copy_from_slice(&by_nu[..]);
-            for m in (0..MULTIPLIERS).filter(|&m| end[m] != 0.0) {
-                add(&mut rows[SECOND + m][SECOND..SIZE], -2.0 * end[m], &mobile[i]);
-            }
-            for m in 0..MULTIPLIERS {
-                rows[SECOND + m][i] = rate_by_d[m];
-            }
+        rows[i][SECOND..SIZE].copy_from_slice(&by_nu[..]);
+        for m in (0..MULTIPLIERS).filter(|&m| end[m] != 0.0) {
+            add(&mut rows[SECOND + m][SECOND..SIZE], -2.0 * end[m], &mobile[i]);
+        }
+        for m in 0..MULTIPLIERS {
+            rows[SECOND + m][i] = rate_by_d[m];
         }
     }
     // Forces at the rates of the end, w/h.
@@ -170,14 +165,14 @@ fn fill(rows: &mut Rows, mechanism: &Mechanism, at: &StepPoint<'_>) {
         for (j, mobile) in mobile.iter().enumerate() {
             let damping = forces.damping[(i, j)];
             row[j] += forces.stiffness[(i, j)] + damping * shift[j];
-            if both_levels && damping != 0.0 {
+            if damping != 0.0 {
                 add(&mut row[SECOND..SIZE], -damping, mobile);
             }
         }
     }
     for m in 0..MULTIPLIERS {
         rows[FIRST + m][FIRST + m] = -regularization;
-        rows[SECOND + m][SECOND + m] -= if both_levels { 2.0 * regularization } else { 1.0 };
+        rows[SECOND + m][SECOND + m] -= 2.0 * regularization;
     }
 }
 

@@ -3,7 +3,7 @@
 
 use super::five_bar::FiveBar;
 use crate::effects::{StepContext, Tangents};
-use crate::integrator::{Chord, Discrete, NewtonSettings, SecantFactor, Work};
+use crate::integrator::{Chord, Discrete, SecantFactor, Work};
 use crate::linear::LinearSolve;
 use crate::linear::secant_legs::SecantLegs;
 use crate::linear::secant_newton::{StepPoint, StepTangents, newton};
@@ -127,17 +127,16 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
         step: &Step<'_>,
         multipliers: [&Multipliers; 2],
         residuals: (&Coordinates, &Multipliers, &Multipliers),
-        settings: NewtonSettings,
+        regularization: f64,
     ) -> (Coordinates, [Multipliers; 2]) {
         let &Chord { d, v, h, secant, .. } = step;
-        let NewtonSettings { regularization, both_levels } = settings;
         let over = self.over(step);
         let mut forces = StepTangents::new(h);
         self.inputs.add_mean_tangents(&over, &mut forces);
         for effect in &self.model.effects {
             effect.add_mean_tangents(&over, &mut forces);
         }
-        let at = StepPoint { secant, d, w: &(h * *v), multipliers, forces: &forces, regularization, both_levels };
+        let at = StepPoint { secant, d, w: &(h * *v), multipliers, forces: &forces, regularization };
         newton(&self.model.mechanism, &at, residuals)
     }
 
@@ -166,6 +165,7 @@ impl Tangents for Diagonal {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::effects::Inputs;
     use crate::fmi::bindings::{default_inputs, default_parameters};
     use crate::integrator::System;
     use crate::mechanism::closure;
@@ -186,6 +186,96 @@ mod tests {
 
     fn numbers(seed: f64) -> Multipliers {
         Multipliers::from_fn(|i| (seed + 3.0 * i as f64).cos())
+    }
+
+    /// All effects on, the tip in the plane, the left axis in its stop, a step of 1 ms at some rad/s.
+    fn loaded() -> (Model, Inputs, [Coordinates; 3]) {
+        let mut parameters = default_parameters();
+        let effects = &mut parameters.effects;
+        for enabled in [
+            &mut effects.viscous.enabled,
+            &mut effects.friction.enabled,
+            &mut effects.spring.enabled,
+            &mut effects.stop.enabled,
+            &mut effects.contact.enabled,
+            &mut effects.servo.enabled,
+        ] {
+            *enabled = true;
+        }
+        (effects.stop.upper, effects.contact.offset) = ([1.15, 3.0], 1.0);
+        let model = Model::new(&parameters).expect("a machine");
+        let inputs = Inputs { tau: [0.1, 0.2], tip_force: [0.3, -0.4], servo_theta: [1.3, 2.0], servo_omega: [0.1, 0.2] };
+        let (q, _) = closure::assemble(&parameters.geometry, [1.2, 0.3, 2.5, 1.9], [0.0; 4]);
+        let d = Coordinates::from_fn(|i| 4e-3 * (1.0 + i as f64).sin());
+        let v = Coordinates::from_fn(|i| 5.0 * (1.1 + i as f64).sin());
+        (model, inputs, [q, d, v])
+    }
+
+    /// Collects tangents as they are.
+    struct Tangible([[[f64; COORDINATES]; COORDINATES]; 2]);
+
+    impl Tangents for Tangible {
+        fn stiffness(&mut self, row: usize, column: usize, value: f64) {
+            self.0[0][row][column] += value;
+        }
+
+        fn damping(&mut self, row: usize, column: usize, value: f64) {
+            self.0[1][row][column] += value;
+        }
+    }
+
+    /// Force times displacement is what potentials lose, inputs put in and dissipation takes.
+    #[test]
+    fn mean_forces_do_the_work_of_energies() {
+        let (model, inputs, [q, d, v]) = loaded();
+        let turns = [0; 4];
+        let system = FiveBar::<false>::new(&model, &inputs, &turns);
+        let secant = system.secant(&system.pose(&q), &d);
+        let step = Chord { q: &q, d: &d, v: &v, h: 1e-3, softening: 1.0, secant: &secant };
+        let work = system.work_over(&step);
+        let none = Inputs::default();
+        let unloaded = FiveBar::<false>::new(&model, &none, &turns);
+        let potential = |q: &Coordinates| unloaded.potential_energy(q, &system.pose(q));
+        let gained = potential(&(q + d)) - potential(&q);
+        let total = system.mean_forces(&step).dot(&d);
+        assert!(work.input.abs() > 1e-5 && work.dissipated.abs() > 1e-5 && gained.abs() > 1e-5);
+        // Round-off of the energy of a plane pressed in by half a metre, some 100 J.
+        assert!((total + gained + work.dissipated - work.input).abs() < 1e-12, "{total} {gained} {work:?}");
+    }
+
+    /// Against central differences, of the increments and of the rates at the end.
+    #[test]
+    fn mean_tangents_are_derivatives() {
+        let (model, inputs, [q, d, v]) = loaded();
+        let turns = [0; 4];
+        let system = FiveBar::<false>::new(&model, &inputs, &turns);
+        let begin = system.pose(&q);
+        let forces = |d: &Coordinates, v: &Coordinates| {
+            let secant = system.secant(&begin, d);
+            system.mean_forces(&Chord { q: &q, d, v, h: 1e-3, softening: 1.0, secant: &secant })
+        };
+        let secant = system.secant(&begin, &d);
+        let step = Chord { q: &q, d: &d, v: &v, h: 1e-3, softening: 1.0, secant: &secant };
+        let over = system.over(&step);
+        let mut tangents = Tangible([[[0.0; COORDINATES]; COORDINATES]; 2]);
+        inputs.add_mean_tangents(&over, &mut tangents);
+        for effect in &model.effects {
+            effect.add_mean_tangents(&over, &mut tangents);
+        }
+        for column in 0..COORDINATES {
+            let unit = Coordinates::unit(column);
+            let numeric = [
+                (forces(&(d + -1e-8 * unit), &v) - forces(&(d + 1e-8 * unit), &v)) / 2e-8,
+                (forces(&d, &(v + -1e-5 * unit)) - forces(&d, &(v + 1e-5 * unit))) / 2e-5,
+            ];
+            for (kind, numeric) in numeric.iter().enumerate() {
+                for row in 0..COORDINATES {
+                    let (got, want) = (tangents.0[kind][row][column], numeric[row]);
+                    // Round-off of forces of up to 1e3 N over 1e-8 m; the arm's third order.
+                    assert!((got - want).abs() < 1e-4 * (1.0 + want.abs()), "{kind} {row} {column}: {got} {want}");
+                }
+            }
+        }
     }
 
     /// Along d the discrete derivatives give exactly what the constraints and their Jacobian change by.

@@ -12,7 +12,7 @@
 use super::Settings;
 use super::equations::{Evaluation, Step, Unknowns};
 use super::newton::{Allowance, Until, whole};
-use crate::integrator::{Discrete, NewtonSettings, Passage, Projection, StepError, velocity_correction};
+use crate::integrator::{Discrete, Passage, Projection, StepError, velocity_correction};
 use crate::vector::Vector;
 
 /// Factor on the rates at which friction turns where its law is softest, and by which it hardens at a time: less where that is too much.
@@ -82,7 +82,7 @@ fn root<const N: usize, const M: usize, S: Discrete<N, M>>(
     rest: (&Vector<N>, &Vector<M>),
     allowance: &mut Allowance<'_>,
 ) -> Option<Root<S, N, M>> {
-    let with = |part: f64| NewtonSettings { regularization: part * settings.regularization, both_levels: true };
+    let with = |part: f64| part * settings.regularization;
     let start = from_equilibrium(&step.v, rest, step.h);
     let at_once = |part: f64, allowance: &mut Allowance<'_>| {
         let mut x = start;
@@ -102,18 +102,18 @@ fn root<const N: usize, const M: usize, S: Discrete<N, M>>(
 fn hardened<const N: usize, const M: usize, S: Discrete<N, M>>(
     step: &Step<'_, S, N, M>,
     mut x: Unknowns<N, M>,
-    settings: NewtonSettings,
+    regularization: f64,
     allowance: &mut Allowance<'_>,
 ) -> Option<Root<S, N, M>> {
     let [least, most] = HARDENING;
     let (_, on_the_way) = ON_THE_WAY;
-    whole(&step.softened(SOFTEST), &mut x, settings, (SOFTENED, on_the_way), allowance)?;
+    whole(&step.softened(SOFTEST), &mut x, regularization, (SOFTENED, on_the_way), allowance)?;
     let (mut softening, mut ratio) = (SOFTEST, most);
     while ratio > least {
         let next = (softening / ratio).max(1.0);
         let until = if next > 1.0 { on_the_way } else { Until::Solved };
         let mut there = x;
-        match whole(&step.softened(next), &mut there, settings, (SOFTENED, until), allowance) {
+        match whole(&step.softened(next), &mut there, regularization, (SOFTENED, until), allowance) {
             Some(end) if next == 1.0 => return Some((there, end)),
             Some(_) => (softening, x) = (next, there),
             None => ratio = ratio.sqrt(),
@@ -125,7 +125,7 @@ fn hardened<const N: usize, const M: usize, S: Discrete<N, M>>(
 /// The root is followed from that of a step of h/stages, which is small, to that of h.
 fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
     step: &Step<'_, S, N, M>,
-    settings: NewtonSettings,
+    regularization: f64,
     rest: (&Vector<N>, &Vector<M>),
     stages: u32,
     allowance: &mut Allowance<'_>,
@@ -142,7 +142,7 @@ fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
         };
         (before, x) = (x, next);
         let until = if stage < stages { ON_THE_WAY } else { SOLVED };
-        end = Some(whole(&step.shortened(h), &mut x, settings, until, allowance)?);
+        end = Some(whole(&step.shortened(h), &mut x, regularization, until, allowance)?);
     }
     end.map(|end| (x, end))
 }

@@ -1,7 +1,7 @@
 //! The unknowns of a conserving step, by Newton's method: Λ and ν in turn where forces let it, or all at once.
 
 use super::equations::{Evaluation, Step, Unknowns};
-use crate::integrator::{Counters, Discrete, NewtonSettings, SecantFactor};
+use crate::integrator::{Counters, Discrete, SecantFactor};
 use crate::vector::Vector;
 
 /// Largest |M⁻¹f| per second of step of one that has converged, m/s and rad/s: what is left does work, in proportion to it.
@@ -128,7 +128,7 @@ pub(super) enum Until {
 pub(super) fn whole<const N: usize, const M: usize, S: Discrete<N, M>>(
     step: &Step<'_, S, N, M>,
     x: &mut Unknowns<N, M>,
-    settings: NewtonSettings,
+    regularization: f64,
     (most, until): (u32, Until),
     allowance: &mut Allowance<'_>,
 ) -> Option<Evaluation<S, N, M>> {
@@ -158,7 +158,7 @@ pub(super) fn whole<const N: usize, const M: usize, S: Discrete<N, M>>(
         }
         allowance.take()?;
         let chord = step.chord(secant, &x.d, v);
-        let (d, [lambda, nu]) = system.newton(&chord, [&x.lambda, &x.nu], (force, phi, &rate), settings);
+        let (d, [lambda, nu]) = system.newton(&chord, [&x.lambda, &x.nu], (force, phi, &rate), regularization);
         x.d += d;
         x.lambda += lambda;
         x.nu += nu;
