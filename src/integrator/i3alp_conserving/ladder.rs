@@ -147,8 +147,8 @@ fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
     end.map(|end| (x, end))
 }
 
-/// Where the equations have no root: as far as equilibrium predicts, or half as far, and so on, projected onto the positions; the
-/// velocities of the mean rule, projected and scaled so that the energy is kept: what the forces have put in on that way is known.
+/// Where the equations have no root: as far as equilibrium predicts, or half as far, and so on, projected onto the positions; the mean
+/// rate of that way, projected and scaled so that the energy is kept: what the forces have put in on it is known.
 fn last_resort<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     step: &Step<'_, S, N, M>,
     settings: &Settings,
