@@ -96,3 +96,15 @@ def test_two_units(fmu: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("path", sorted((REPOSITORY / "examples").glob("*.py")), ids=lambda path: path.name)
 def test_examples_are_short(path: Path) -> None:
     assert len(path.read_text(encoding="utf-8").splitlines()) < 80
+
+
+def test_fixed_step(fmu: Path, tmp_path: Path) -> None:
+    """Every macro step is one step, of bounded work, and energy and constraints stay."""
+    printed = output(fmu, tmp_path, "fixed_step.py")
+    assert "10000 steps of 1.0 ms, 10000 sub-steps" in printed
+    (energy,) = re.findall(r"largest energy error (\S+) J", printed)
+    position, velocity = re.findall(r"at the end (\S+) m, (\S+) m/s", printed)[0]
+    # 1e-8 mgL; what the battery demands of falls.
+    assert float(energy) < 3.5e-10 and float(position) < 1e-14 and float(velocity) < 1e-11
+    # Those of a projection by the last resort come on top.
+    assert int(re.findall(r"iterations of a step: (\d+)", printed)[0]) <= 70

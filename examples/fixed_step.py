@@ -1,0 +1,27 @@
+"""A strictly fixed step of 1 ms, as real time needs it: the conserving method through a fall with singularities, its work bounded.
+
+`cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/fixed_step.py
+docs/conserving.md says how long a step takes, and what becomes of one whose work is bounded.
+"""
+
+from unit import Unit
+
+STEP = 1e-3
+"""s."""
+
+CONSERVING = 5
+"""The item i3alpConserving of solver.method."""
+
+with Unit(**{"solver.method": CONSERVING, "solver.maxWork": 40, "init.theta[2]": 2.0944}) as unit:
+    unit.start({})
+    worst = largest = before = 0.0
+    for _ in range(10_000):
+        unit.step(STEP)
+        error, iterations = unit.get("energy.error", "solver.iterations")
+        worst, largest, before = max(worst, abs(error)), max(largest, iterations - before), iterations
+    steps, substeps, rescued, last = (int(x) for x in unit.get(*(f"solver.{x}" for x in ("steps", "substeps", "rescued", "lastResorts"))))
+    position, velocity = unit.get("solver.positionError", "solver.velocityError")
+
+print(f"{steps} steps of {1e3 * STEP} ms, {substeps} sub-steps: {rescued} rescued, {last} by the last resort")
+print(f"largest energy error {worst:.1e} J; constraints at the end {position:.1e} m, {velocity:.1e} m/s")
+print(f"most iterations of a step: {largest:.0f}")
