@@ -183,6 +183,9 @@ impl Model {
     }
 }
 
+/// The part of it that the balance may be off in a step of i3-ALP, whose work is known at its ends only: a kink leaves several such steps.
+const KNOWN_AT_ENDS: f64 = 0.2;
+
 /// The rate, 1/s, at which the machine's motion has the energy whose part the work of forces with kinks may be off: that of the error norm.
 const RATE: f64 = 10.0;
 
@@ -204,7 +207,7 @@ impl Settings {
             Method::I3alp => MacroStepMethod::I3alp(i3alp::Settings {
                 adaptive: self.adaptive,
                 error_tolerance: self.error_tolerance,
-                energy_scale,
+                energy_scale: KNOWN_AT_ENDS * energy_scale,
                 tolerance,
                 max_iterations,
                 max_work: self.max_work,

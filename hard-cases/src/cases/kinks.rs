@@ -44,8 +44,8 @@ fn case(name: &'static str, kind: u64, scene: Scene, count: u64) -> Case {
         also: "the end is that of an independent program",
         explicit_energy: 1e-6,
         settings: vec![Setting::Default, Setting::TIGHT, Setting::EXPLICIT],
-        // 1 µJ at the default tolerance is 2.9e-5 mgL.
-        ..Case::new(9, name, [2.9e-5, 1e-5], trials.collect())
+        // 1 µJ is 2.9e-5 mgL. By i3-ALP thousands of bounces in a row on a plane of 1e7 N/m have added up to 12 µJ.
+        ..Case::new(9, name, [5e-4, 1e-4], trials.collect())
     }
 }
 
