@@ -209,6 +209,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.memory = self.before;
             self.sides_behind = self.sides;
             self.retract();
+            self.end.counters.rejected += 1;
             let done = self.work();
             while rest > 0.0 {
                 self.check_work(settings, done)?;
@@ -221,11 +222,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         Ok(())
     }
 
-    /// Takes the end of the step back to its beginning.
+    /// Takes the end of the step back to its beginning: what has been spent on it stays.
     fn retract(&mut self) {
         let Counters { rejected, iterations, .. } = self.end.counters;
         self.end = self.start;
-        self.end.counters.rejected = rejected + 1;
+        self.end.counters.rejected = rejected;
         self.end.counters.iterations = iterations;
     }
 

@@ -33,9 +33,12 @@ fn case(name: &'static str, kind: u64, scene: Scene, count: u64) -> Case {
     let trials = (0..count).map(|number| {
         let mut random = Random::new(1000 * (kind + 1) + number);
         let (parameters, inputs, duration) = scene(&mut random);
-        let calls = 200;
+        // Some 200 communication steps of whole milliseconds.
+        let size = 1e-3 * (duration / 0.2).ceil();
+        let span = Span { inputs, size, count: (duration / size).ceil() as u64 };
+        let duration = span.duration();
         Trial {
-            schedule: vec![Span { inputs, size: duration / calls as f64, count: calls }],
+            schedule: vec![span],
             watch: Watch::Follows { parameters: Box::new(parameters.clone()), inputs, duration, end: OnceLock::new() },
             ..Trial::free(format!("scene {number}"), parameters, duration)
         }

@@ -69,12 +69,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                         Border::AtEnd => self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance),
                         Border::Before(when) => {
                             self.retract();
+                            self.end.counters.rejected += 1;
                             tries += 1;
                             if when < SHORTEST {
                                 self.turn(system, settings);
                                 on_sides = system.on(self.sides);
                             } else {
-                                h = when;
+                                h = when.min(longest);
                             }
                             continue;
                         }
@@ -93,7 +94,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                     return Ok(());
                 }
                 self.retract();
-                self.end.counters.rejected -= 1;
                 error = f64::NAN;
             }
             self.end.counters.rejected += 1;
