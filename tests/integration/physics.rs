@@ -9,7 +9,7 @@ use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::model::Stepper;
 use fivebar::simulation::{Inputs, Method, Simulation};
 
-use crate::support::{MGL, angle_error, run, torque, unequal};
+use crate::support::{MGL, angle_error, fall_90_120, run, torque, unequal};
 
 /// The paper's own scene: 50 s of free fall through singularities at the default settings.
 #[test]
@@ -209,4 +209,22 @@ fn a_tolerance_below_round_off_ends_with_a_status() {
     let failure = simulation.advance(&default_inputs(), 10.0, 1).expect_err("too much to ask");
     assert!(matches!(failure.cause, integrator::StepError::TooMuchWork { most: 400_000, .. }), "{failure}");
     assert_eq!(simulation.state(), before);
+}
+
+/// The bound is a parameter, in iterations and evaluations: what needs more ends with a status that names it, and what needs less goes on.
+#[test]
+fn the_work_of_a_macro_step_is_bounded_by_a_parameter() {
+    for method in [Method::I3alp, Method::Dop853] {
+        let mut parameters = fall_90_120(method);
+        (parameters.settings.adaptive, parameters.settings.max_work) = (true, 500);
+        let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
+        let before = simulation.state();
+        // A fall of 2 s, through a whip.
+        let failure = simulation.advance(&default_inputs(), 2.0, 1).expect_err("too much to do at once");
+        let work = integrator::StepError::TooMuchWork { most: 500, substep: 0.0, error: 0.0 };
+        assert_eq!(std::mem::discriminant(&failure.cause), std::mem::discriminant(&work));
+        assert!(failure.to_string().contains("solver.maxWork = 500"), "{failure}");
+        assert_eq!(simulation.state(), before);
+        simulation.advance(&default_inputs(), 1e-2, 200).expect("in small portions");
+    }
 }
