@@ -154,8 +154,9 @@ impl<'a> Touches<'a> {
 /// below both parabolas.
 fn deepest([x, u]: [f64; 2], [y, w]: [f64; 2], duration: f64, bend: f64) -> f64 {
     let at = |start: f64, slope: f64, time: f64| start + time * (slope + bend / 2.0 * time);
-    // Where they meet: they differ by a linear function of time.
-    let meet = (y - x - w * duration + bend / 2.0 * duration * duration) / (u - w + bend * duration);
-    let meet = if meet.is_finite() { meet.clamp(0.0, duration) } else { duration / 2.0 };
+    // Where they meet: they differ by a linear function of time, which only round-off keeps from rising.
+    let rising = u - w + bend * duration;
+    let meet =
+        if rising > 0.0 { ((y - x - w * duration + bend / 2.0 * duration * duration) / rising).clamp(0.0, duration) } else { 0.0 };
     x.max(y).max(at(x, u, meet).max(at(y, -w, duration - meet)))
 }

@@ -98,9 +98,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
             // The interpolant was not that exact: the end itself says how far to go.
             let later = NEARBY * self.length;
-            let change = (beyond - AT_BORDER) * later / (self.beyond_at(system, settings, later) - beyond);
-            if change.abs() < NEAR * self.length {
-                return Border::Before(self.length - change);
+            let (gained, missing) = (self.beyond_at(system, settings, later) - beyond, (beyond - AT_BORDER) * later);
+            if missing.abs() < NEAR * self.length * gained.abs() {
+                return Border::Before(self.length - missing / gained);
             }
         }
         if self.is_clear(system, settings, stages) {
