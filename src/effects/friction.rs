@@ -155,7 +155,8 @@ impl Friction {
 
     /// Of the end's rate the part by which it rules: more the steeper the turn.
     fn end_weight(&self, curve: &Curve, over: &StepContext) -> f64 {
-        end_weight(over.decay(self.slope(curve, 0.0)))
+        // The slope at rest, without functions of 0: a master's traps are not sprung.
+        end_weight(over.decay(curve.stribeck / self.stribeck_rate + curve.coulomb / self.coulomb_rate))
     }
 
     /// The rate at which the torque is taken, rad/s.
