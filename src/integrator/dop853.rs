@@ -226,6 +226,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     fn retract(&mut self) {
         let Counters { rejected, iterations, .. } = self.end.counters;
         self.end = self.start;
+        self.dense = [Slope::NONE; 4];
         self.end.counters.rejected = rejected;
         self.end.counters.iterations = iterations;
     }

@@ -73,7 +73,7 @@ fn in_substeps<const N: usize, const M: usize>(
     let passage = PassageLimits::for_error_tolerance(settings.error_tolerance);
     let (mut rest, mut h, mut error) = (duration, duration, f64::INFINITY);
     let done = state.counters.iterations;
-    // A round without an iteration, through a vertex, counts as one.
+    // Every round counts as one more: one through a vertex has no iteration.
     for rounds in 0.. {
         if rounds + state.counters.iterations - done > u64::from(settings.max_work) {
             break;

@@ -180,31 +180,21 @@ impl Run {
 
 /// What is common to runs whose steps end with the call.
 trait WithCall {
-    fn coordinates(&mut self) -> &mut Coordinates;
-    fn counters(&mut self) -> &mut Counters;
+    /// Coordinates, whose whole turns are counted apart, and counters.
+    fn counted(&mut self) -> (&mut Coordinates, &mut Counters);
 }
 
 impl WithCall for Core {
     #[inline(always)]
-    fn coordinates(&mut self) -> &mut Coordinates {
-        &mut self.q
-    }
-
-    #[inline(always)]
-    fn counters(&mut self) -> &mut Counters {
-        &mut self.counters
+    fn counted(&mut self) -> (&mut Coordinates, &mut Counters) {
+        (&mut self.q, &mut self.counters)
     }
 }
 
 impl WithCall for ConservingRun<COORDINATES, MULTIPLIERS> {
     #[inline(always)]
-    fn coordinates(&mut self) -> &mut Coordinates {
-        &mut self.q
-    }
-
-    #[inline(always)]
-    fn counters(&mut self) -> &mut Counters {
-        &mut self.counters
+    fn counted(&mut self) -> (&mut Coordinates, &mut Counters) {
+        (&mut self.q, &mut self.counters)
     }
 }
 
@@ -221,8 +211,9 @@ fn macro_steps<const BARE: bool, R: WithCall>(
     let system = FiveBar::<BARE>::new(model, inputs, &turns_at_start);
     for step in 0..steps.count {
         advance(&system.with_turns(turns), run, steps.h).map_err(|cause| steps.failure(step, cause))?;
-        run.counters().steps += 1;
-        unwind(run.coordinates(), turns);
+        let (q, counters) = run.counted();
+        counters.steps += 1;
+        unwind(q, turns);
     }
     Ok(())
 }

@@ -6,7 +6,7 @@
 
 use std::borrow::Borrow;
 
-use super::stages::{Slope, Stages};
+use super::stages::Stages;
 use super::{DenseStep, Settings};
 use crate::integrator::{Kinked, Passage, System};
 
@@ -107,9 +107,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             return Border::Clear;
         }
         self.dense = stages.dense(system, settings.regularization, &self.end);
-        let crossing = self.first_crossing(system, settings);
-        self.dense = [Slope::NONE; 4];
-        crossing.map_or(Border::Clear, Border::Before)
+        self.first_crossing(system, settings).map_or(Border::Clear, Border::Before)
     }
 
     /// How far the motion is beyond the borders so many seconds after the end of the step.

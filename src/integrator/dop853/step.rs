@@ -82,7 +82,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                     }
                 }
                 let interpolated = horizon.output < WITH_ROUNDING * h;
-                if interpolated {
+                // Where a kink was near, the search for it has left the coefficients.
+                if interpolated && !(on.has_kinks() && self.dense != [Slope::NONE; 4]) {
                     self.dense = stages.dense(on, settings.regularization, &self.end);
                 }
                 if !interpolated || !on.is_steep() || self.interpolates_well(settings) {
