@@ -5,6 +5,7 @@
 
 pub mod angles;
 mod dense_run;
+mod driven;
 pub mod five_bar;
 mod five_bar_steps;
 mod inertia;
@@ -26,6 +27,7 @@ use crate::mechanism::{self, Coordinates, SceneError, closure};
 
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
+pub use driven::STATES;
 pub use model::{Method, Model, Parameters, Settings};
 use run::{MacroSteps, Progress};
 pub use run::{Run, StepFailure};
@@ -66,6 +68,13 @@ impl Simulation {
         Self::started(parameters, model, [q, v], inputs)
     }
 
+    /// The same for a run whose states, proximal angles and rates, come from outside ([`Simulation::drive`]).
+    pub fn driven(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
+        let model = Model::outside(parameters)?;
+        let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
+        Self::started(parameters, model, [q, v], inputs)
+    }
+
     /// The same from the angles (rad) and rates (rad/s) of all four links instead of `parameters.start`: also where the proximal
     /// links alone leave the posture open (coinciding elbows). Refused unless they close the loop.
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, SceneError> {
@@ -102,7 +111,8 @@ impl Simulation {
     /// parameters is what they give, and the rest is a motion.
     #[cold]
     pub fn restored(parameters: &Parameters, run: Run, residuals: &Residuals) -> Result<Self, SceneError> {
-        let simulation = Self { parameters: parameters.clone(), model: Model::new(parameters)?, run };
+        let model = if run.is_driven() { Model::outside(parameters)? } else { Model::new(parameters)? };
+        let simulation = Self { parameters: parameters.clone(), model, run };
         simulation.run.check(&simulation.model, parameters)?;
         // Worked out from the same numbers by the same operations: a difference of one bit is a number that has been changed.
         if simulation.residuals().bits() != residuals.bits() {
@@ -183,6 +193,7 @@ impl Simulation {
             Progress::WithCall(core) => core.counters,
             Progress::Conserving(run) => run.counters,
             Progress::PastCall(_) => self.state().core.counters,
+            Progress::Outside(_) => Counters::default(),
         }
     }
 
@@ -191,7 +202,7 @@ impl Simulation {
     pub fn last_resorts(&self) -> u64 {
         match &self.run.progress {
             Progress::Conserving(run) => run.counters.last_resorts,
-            Progress::WithCall(_) | Progress::PastCall(_) => 0,
+            Progress::WithCall(_) | Progress::PastCall(_) | Progress::Outside(_) => 0,
         }
     }
 

@@ -6,7 +6,7 @@ use super::inertia::Inertia;
 use crate::effects::{self, Active, Effect, ForceContext, Inputs, Perturbation, TypicalInertia};
 use crate::integrator::{MacroStepMethod, dop853, i3alp, i3alp_conserving, i3alp_printed, rk4};
 use crate::linear::{LinearSolve, LinearSolver};
-use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError, Start};
+use crate::mechanism::{Assembly, Coordinates, Geometry, Mechanism, SceneError, Start};
 
 /// How the equations of motion are integrated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -69,6 +69,8 @@ pub enum Stepper {
     Dense(dop853::Settings),
     /// Strictly fixed steps that conserve.
     Conserving(i3alp_conserving::Settings),
+    /// None: the proximal angles and rates come from outside, the others follow in this assembly.
+    Outside(Assembly),
 }
 
 /// The constant part of a scene made ready.
@@ -140,6 +142,11 @@ impl Model {
         })
     }
 
+    /// The same for a run whose angles and rates come from outside: `solver.method` is not used.
+    pub fn outside(parameters: &Parameters) -> Result<Self, SceneError> {
+        Ok(Self { stepper: Stepper::Outside(parameters.start.assembly), ..Self::new(parameters)? })
+    }
+
     /// Whether no effect has a force that depends on the motion, and the solve is leg by leg.
     #[inline(always)]
     pub(super) fn is_bare(&self) -> bool {
@@ -150,7 +157,7 @@ impl Model {
     pub(super) fn dense_settings(&self) -> &dop853::Settings {
         match &self.stepper {
             Stepper::Dense(settings) => settings,
-            Stepper::MacroStep(_) | Stepper::Conserving(_) => unreachable!("a run is made for its method"),
+            Stepper::MacroStep(_) | Stepper::Conserving(_) | Stepper::Outside(_) => unreachable!("a run is made for its method"),
         }
     }
 

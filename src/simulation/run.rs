@@ -5,12 +5,14 @@ use std::fmt;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::dense_run::{DenseRun, Held};
+use super::driven::Driven;
 use super::five_bar::FiveBar;
 use super::model::{Model, Stepper};
 use super::state::{Core, State, unwind};
 use crate::effects::Inputs;
 use crate::integrator::i3alp_conserving::ConservingRun;
 use crate::integrator::{Counters, MacroStepMethod, StepError, i3alp};
+use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS};
 
 /// Everything that changes during a run. A copy is a complete snapshot.
@@ -34,6 +36,8 @@ pub(super) enum Progress {
     PastCall(DenseRun),
     /// With the call, by the method that conserves: accelerations and joint forces are no part of the state.
     Conserving(ConservingRun<COORDINATES, MULTIPLIERS>),
+    /// Wherever a master puts the machine.
+    Outside(Driven),
 }
 
 /// Why a simulation could not advance. It is as it was before the call.
@@ -76,7 +80,10 @@ impl Run {
     pub(super) fn start(model: &Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Self {
         let mut turns = [0; 4];
         let mut core = Core::start(&FiveBar::<false>::new(model, inputs, &turns), q, v, model.regularization);
-        unwind(&mut core.q, &mut turns);
+        // Angles from outside keep their turns.
+        if !matches!(model.stepper, Stepper::Outside(_)) {
+            unwind(&mut core.q, &mut turns);
+        }
         let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0 };
         state.energy_at_start = state.kinetic_energy(model) + state.potential_energy(model);
         let progress = match &model.stepper {
@@ -86,8 +93,14 @@ impl Run {
                 Progress::Conserving(ConservingRun::start(&system, core.q, core.v))
             }
             Stepper::Dense(settings) => Progress::PastCall(DenseRun::start(model, settings, &state)),
+            Stepper::Outside(_) => Progress::Outside(Driven::start(THETA.map(|i| q[i]), THETA.map(|i| v[i]))),
         };
         Self { turns, inputs: *inputs, energy_at_start: state.energy_at_start, progress }
+    }
+
+    /// Whether its angles and rates come from outside.
+    pub fn is_driven(&self) -> bool {
+        matches!(self.progress, Progress::Outside(_))
     }
 
     /// On failure everything is as before.
@@ -150,6 +163,7 @@ impl Run {
             }
             Progress::Conserving(run) => run.state(&FiveBar::<false>::new(model, inputs, &turns), model.regularization),
             Progress::PastCall(run) => run.core(model, [&self.inputs, inputs], &turns),
+            Progress::Outside(run) => run.core(model, inputs),
         };
         State { core, turns, inputs: *inputs, energy_at_start }
     }
