@@ -7,6 +7,7 @@ use std::f64::consts::TAU;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::angles::{Angles, PLACES};
 use super::five_bar::FiveBar;
 use super::model::Stepper;
 use super::run::Progress;
@@ -24,11 +25,11 @@ pub(super) struct Driven {
     /// Angles of links 1 to 4, rad.
     theta: [f64; 4],
     /// Their rates, rad/s.
-    pub(super) omega: [f64; 4],
+    omega: [f64; 4],
     /// Angles of the distal links at the last completed step, rad: whole turns are counted from there.
     completed: [f64; 2],
     /// What changes of the payload have put in and lost.
-    pub(super) work: Work,
+    work: Work,
 }
 
 impl Driven {
@@ -51,6 +52,14 @@ impl Driven {
     /// The master has accepted a step that ends here.
     pub(super) fn complete(&mut self) {
         self.completed = [self.theta[1], self.theta[2]];
+    }
+
+    /// Rates change at once, where they are given, and some work is done.
+    pub(super) fn jump(&mut self, work: Work, rates: Option<Angles>) {
+        self.work += work;
+        if let Some(rates) = rates {
+            self.omega = PLACES.map(|i| rates[i]);
+        }
     }
 
     /// What holds, with the q̈ and λ that belong to some inputs.

@@ -9,6 +9,7 @@ mod driven;
 pub mod five_bar;
 mod five_bar_steps;
 mod inertia;
+mod join;
 mod kinks;
 pub mod model;
 mod passage;
@@ -212,16 +213,17 @@ impl Simulation {
     }
 
     /// Gives the active effects new parameters from now on; what that adds to the potential energy counts as input. Which effects
-    /// are active, and the masses, stay. On refusal nothing has changed.
+    /// are active stays. A payload of another mass joins as its parameters say. On refusal nothing has changed.
     pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<(), SceneError> {
         let mut model = self.model.clone();
-        if model.tune(parameters)? {
-            self.run.tune(&self.model, &model).map_err(|cause| {
+        let tuned = Parameters { effects: parameters.clone(), ..self.parameters.clone() };
+        if model.tune(&self.parameters.effects, &tuned)? {
+            self.run.tune(&self.model, &model, parameters.payload.join).map_err(|cause| {
                 SceneError(format!("the step that is under way could not be redone up to the present time: {cause}."))
             })?;
             self.model = model;
         }
-        self.parameters.effects = parameters.clone();
+        self.parameters = tuned;
         Ok(())
     }
 

@@ -162,7 +162,20 @@ impl Model {
     }
 
     /// Gives the active effects new parameters; the list of effects stays. Whether that changed anything; on refusal nothing has.
-    pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<bool, SceneError> {
+    pub fn tune(&mut self, in_force: &effects::Parameters, tuned: &Parameters) -> Result<bool, SceneError> {
+        let parameters = &tuned.effects;
+        let geometry = parameters.with_added_masses(&tuned.geometry)?;
+        if geometry != self.mechanism.geometry {
+            let is_dense = self.solver.linear_solve() == LinearSolve::Dense;
+            if !is_dense && LinearSolve::choose(&geometry, &[]) == LinearSolve::Dense {
+                return Err(too_far_apart(in_force, tuned));
+            }
+            *self = match self.stepper {
+                Stepper::Outside(_) => Self::outside(tuned)?,
+                _ => Self::new(tuned)?,
+            };
+            return Ok(true);
+        }
         let effects = parameters.active(&self.mechanism)?;
         let weight = parameters.weight(&self.mechanism)?;
         let changed = weight != self.weight || effects != self.effects;
@@ -189,6 +202,28 @@ impl Model {
         a.same_loads(b) && (!self.has_servo || a.same_references(b))
     }
 }
+
+/// The refusal of a payload with which inertias are further apart than the linear solve of a run takes, with how far it may go.
+#[cold]
+fn too_far_apart(in_force: &effects::Parameters, tuned: &Parameters) -> SceneError {
+    let wanted = tuned.effects.payload.mass;
+    let (mut taken, mut refused) = (in_force.payload.mass, wanted);
+    let mut probe = tuned.effects.clone();
+    for _ in 0..BISECTIONS {
+        probe.payload.mass = taken + (refused - taken) / 2.0;
+        let geometry = probe.with_added_masses(&tuned.geometry);
+        let takes = geometry.is_ok_and(|geometry| LinearSolve::choose(&geometry, &[]) != LinearSolve::Dense);
+        *(if takes { &mut taken } else { &mut refused }) = probe.payload.mass;
+    }
+    let side = if wanted > taken { "at most" } else { "at least" };
+    SceneError(format!(
+        "payload.mass = {wanted:?} kg is not allowed during this run: the linear solve chosen at its start takes {side} {taken:.6} kg, with \
+         which the links' inertias are no further apart."
+    ))
+}
+
+/// Halvings of an interval of masses: to six digits, from a million times as much.
+const BISECTIONS: usize = 40;
 
 /// The part of it that the balance may be off in a step of i3-ALP, whose work is known at its ends only: a kink leaves several such steps.
 const KNOWN_AT_ENDS: f64 = 0.2;

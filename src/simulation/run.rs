@@ -7,11 +7,13 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::dense_run::{DenseRun, Held};
 use super::driven::Driven;
 use super::five_bar::FiveBar;
+use super::join::Jump;
 use super::model::{Model, Stepper};
 use super::state::{Core, State, unwind};
 use crate::effects::Inputs;
+use crate::effects::payload::Join;
 use crate::integrator::i3alp_conserving::ConservingRun;
-use crate::integrator::{Counters, MacroStepMethod, StepError, i3alp};
+use crate::integrator::{Counters, MacroStepMethod, StepError, Work, i3alp};
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS};
 
@@ -128,7 +130,7 @@ impl Run {
             (Stepper::Conserving(settings), Progress::Conserving(run)) => {
                 let before = (*run, self.turns, self.inputs);
                 if !model.same_active_inputs(&self.inputs, inputs) {
-                    run.restart(0.0);
+                    run.restart(Work::default());
                 }
                 self.inputs = *inputs;
                 let held = (&self.inputs, &mut self.turns);
@@ -168,21 +170,34 @@ impl Run {
         State { core, turns, inputs: *inputs, energy_at_start }
     }
 
-    /// The model has other effects from now on; what that adds to the potential energy counts as input. On failure nothing has changed.
-    pub(super) fn tune(&mut self, before: &Model, after: &Model) -> Result<(), StepError> {
+    /// The model has other effects from now on; what that adds to the potential energy counts as input, and mass joins. On failure nothing
+    /// has changed.
+    pub(super) fn tune(&mut self, before: &Model, after: &Model, join: Join) -> Result<(), StepError> {
         let mut tuned = self.clone();
         if let (Stepper::Dense(settings), Progress::PastCall(run)) = (&before.stepper, &mut tuned.progress) {
             run.stop(before, settings, &tuned.inputs, &tuned.turns)?;
         }
         let present = tuned.state(before, &self.inputs);
-        let put_in = present.potential_energy(after) - present.potential_energy(before);
+        let Jump { work, motion } = Jump::new(&present, before, after, join);
         match (&after.stepper, &mut tuned.progress) {
             (Stepper::Dense(settings), Progress::PastCall(run)) => {
-                run.resume(after, settings, (&tuned.inputs, &tuned.turns), put_in);
+                if let Some(motion) = motion {
+                    run.step.jump(&motion.rates);
+                }
+                run.resume(after, settings, (&tuned.inputs, &tuned.turns), work);
             }
-            (_, Progress::Conserving(run)) => run.restart(put_in),
+            (_, Progress::Conserving(run)) => {
+                if let Some(motion) = motion {
+                    (run.q, run.v) = (motion.q, motion.v);
+                }
+                run.restart(work);
+            }
+            (_, Progress::Outside(run)) => run.jump(work, motion.map(|motion| motion.rates)),
             (_, Progress::WithCall(core)) => {
-                core.work.input += put_in;
+                if let Some(motion) = motion {
+                    (core.q, core.v) = (motion.q, motion.v);
+                }
+                core.work += work;
                 core.restart(&FiveBar::<false>::new(after, &tuned.inputs, &tuned.turns), after.regularization);
             }
             _ => unreachable!("a run is made for its method"),

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the programs lo
 SOURCES = REPOSITORY / "tests" / "conformance"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 SHARED = ("master.c", "scenes.c")
-WALK = ("walk_life.c", "walk_values.c", "walk_states.c")
+WALK = ("walk_life.c", "walk_values.c", "walk_states.c", "walk_exchange.c")
 
 MEMCHECK = ("valgrind", "--quiet", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=definite,indirect,possible")
 HELGRIND = ("valgrind", "--quiet", "--error-exitcode=9", "--tool=helgrind")
