@@ -84,8 +84,8 @@ impl Next {
 /// What the bytes hold.
 #[derive(BorshSerialize, BorshDeserialize)]
 struct Content {
-    kind: Kind,
     stage: Stage,
+    kind: Kind,
     clock: Option<Clock>,
     /// Parameters in force.
     values: Values,
@@ -199,8 +199,8 @@ impl Snapshot {
             }
         };
         let content = Content {
-            kind: self.kind,
             stage: self.stage,
+            kind: self.kind,
             clock: self.clock.clone(),
             values: values(parameters),
             run,
@@ -223,7 +223,7 @@ impl Snapshot {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CallError> {
         let content =
             Content::try_from_slice(content(bytes)?).map_err(|error| wrong(&format!("their content is not a state: {error}")))?;
-        let Content { kind, stage, clock, values, run, signal, tuned, warned_of_references, warned_of_stiffness } = content;
+        let Content { stage, kind, clock, values, run, signal, tuned, warned_of_references, warned_of_stiffness } = content;
         let parameters = restored(&values)?;
         let next = Next { signal: signal.map(restored_signal).transpose()?, parameters: restored_tuned(tuned, &values)? };
         if let Some(clock) = &clock {
