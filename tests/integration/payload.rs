@@ -88,9 +88,19 @@ fn what_moves_with_the_tip_changes_no_rate() {
             let change = mass - simulation.parameters().effects.payload.mass;
             simulation.tune(&holding(&start, mass, join).effects).expect("allowed");
             let (is, after) = (observers::motion(simulation.model(), &simulation.state()), energies(&simulation));
-            assert_eq!((was.theta, was.omega), (is.theta, is.omega), "{method:?}");
+            // The step under way of the explicit method is made anew up to here: no longer interpolated, within its error.
+            let same = if method == Method::Dop853 { 1e-7 } else { 0.0 };
+            for (was, is) in was.theta.iter().chain(&was.omega).zip(is.theta.iter().chain(&is.omega)) {
+                assert!((was - is).abs() <= same, "{method:?}: {was:?} {is:?}");
+            }
             let brought = change * (was.tip_velocity.norm_squared() / 2.0 + 9.81 * was.tip.y);
-            assert!((after.input - before.input - brought).abs() < 1e-15, "{method:?}: {brought} {before:?} {after:?}");
+            // The printed method's velocities are projected once, by a finite penalty: those of the links do not quite belong together.
+            let bound = match method {
+                Method::I3alpPrinted => 1e-5 * brought.abs(),
+                Method::Dop853 => 1e-8 * brought.abs(),
+                _ => 1e-14,
+            };
+            assert!((after.input - before.input - brought).abs() < bound, "{method:?}: {brought} {before:?} {after:?}");
             assert_eq!(after.dissipated, before.dissipated);
             run(&mut simulation, 50);
         }
@@ -102,9 +112,10 @@ fn what_moves_with_the_tip_changes_no_rate() {
 fn the_balance_stays_closed() {
     let ends = METHODS.map(|method| {
         let mut start = empty(method);
-        // The printed method's velocities are projected once, by a finite penalty: short steps.
+        // The printed method's tangent is approximate: short steps and many iterations.
         let (h, steps) = if method == Method::I3alpPrinted { (1e-4, 500) } else { (1e-3, 50) };
         (start.settings.step_size, start.settings.adaptive) = (h, method == Method::I3alp);
+        start.settings.max_iterations = 40;
         start.effects.gravity.g = 1.0;
         let mut simulation = Simulation::new(&start, &default_inputs()).expect("a start");
         let mut go = |effects: Option<(f64, Join)>| {
@@ -122,7 +133,9 @@ fn the_balance_stays_closed() {
         observers::motion(simulation.model(), &simulation.state()).tip
     });
     for (method, end) in METHODS.into_iter().zip(ends) {
-        assert!((end - ends[3]).norm() < 1e-5, "{method:?}: {ends:?}");
+        // Errors of fixed steps of 1 ms, and what the printed method's velocities miss.
+        let bound = if method == Method::I3alpPrinted { 5e-5 } else { 1e-5 };
+        assert!((end - ends[3]).norm() < bound, "{method:?}: {ends:?}");
     }
 }
 
