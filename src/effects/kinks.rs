@@ -16,6 +16,9 @@ use crate::mechanism::LINKS;
 /// One-sided springs: that of the contact, and two for each motor's stops.
 pub(super) const SPRINGS: usize = 5;
 
+/// Numbers that change sign where a motion passes a kink.
+pub const INDICATORS: usize = 3 * SPRINGS;
+
 /// Place of the contact among them.
 pub(super) const CONTACT: usize = 0;
 
@@ -110,6 +113,15 @@ impl<'a> Touches<'a> {
             sides.0[touch.place] = Some(touch.spring.phase(touch.depth, touch.rate));
         }
         sides
+    }
+
+    /// Numbers that change sign where a motion passes a kink; 1 of springs that are absent.
+    pub fn indicators(&self) -> [f64; INDICATORS] {
+        let mut indicators = [1.0; INDICATORS];
+        for touch in &self.0 {
+            indicators[3 * touch.place..][..3].copy_from_slice(&touch.spring.kinks(touch.depth, touch.rate));
+        }
+        indicators
     }
 
     /// Whether any touches.

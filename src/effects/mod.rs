@@ -15,8 +15,8 @@ mod unilateral_spring;
 mod variation;
 
 pub use force_context::{ForceContext, JOINTS};
+pub use kinks::{INDICATORS, Sides, Touches};
 use kinks::{SPRINGS, Touch};
-pub use kinks::{Sides, Touches};
 pub use loads::Inputs;
 pub use step_context::{StepContext, TypicalInertia};
 pub use tangents::Tangents;

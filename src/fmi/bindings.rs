@@ -3,6 +3,7 @@
 //! The matches are exhaustive over the enums that `build.rs` makes from the XML, so a variable that is not bound here
 //! does not compile. What is computed is bound in `computed.rs`.
 
+use crate::effects::payload;
 use crate::mechanism;
 use crate::simulation::{self, Inputs, Parameters};
 use crate::variables::{
@@ -87,6 +88,7 @@ fn enumeration_parameter(p: &mut Parameters, variable: EnumerationParameter) -> 
     match variable {
         EnumerationParameter::InitAssembly => &mut p.start.assembly,
         EnumerationParameter::SolverMethod => &mut p.settings.method,
+        EnumerationParameter::PayloadJoin => &mut p.effects.payload.join,
     }
 }
 
@@ -127,6 +129,7 @@ macro_rules! choice {
 }
 
 choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4, Dop853, I3alpConserving });
+choice!(payload::Join = variables::Join { AtRest, WithTip });
 choice!(mechanism::Assembly = variables::Assembly { Plus, Minus });
 
 /// The name of a method as in the XML.

@@ -8,7 +8,7 @@ use super::derivatives::check_reach;
 use super::messages::{Log, Status};
 use super::snapshot::Scene;
 use super::values::{check_computed, check_settable, check_value, lookup};
-use super::{CallError, Snapshot, Stage, bindings, computed};
+use super::{CallError, Kind, Snapshot, Stage, bindings, computed};
 use crate::integrator::MODES;
 use crate::observers::{Observation, Observed};
 use crate::simulation::{Method, Signal, Simulation, StepFailure};
@@ -29,8 +29,8 @@ pub struct Instance {
 
 impl Instance {
     /// A fresh instance; `logging_on` as given to fmi2Instantiate.
-    pub fn new(logging_on: bool) -> Self {
-        Self { now: Snapshot::fresh(), observation: None, preview: None, log: Log::new(logging_on) }
+    pub fn new(kind: Kind, logging_on: bool) -> Self {
+        Self { now: Snapshot::fresh(kind), observation: None, preview: None, log: Log::new(logging_on) }
     }
 
     /// What is about to change: whatever has been observed of it does not hold any more.
@@ -39,6 +39,11 @@ impl Instance {
         self.observation = None;
         self.preview = None;
         &mut self.now
+    }
+
+    /// What the instance is for.
+    pub fn kind(&self) -> Kind {
+        self.now.kind
     }
 
     /// Where the instance is in its life.
@@ -83,24 +88,31 @@ impl Instance {
         self.observe()?;
         let Some(simulation) = self.preview.take() else { unreachable!("an observation before the run makes it") };
         let settings = &simulation.parameters().settings;
+        let kind = self.now.kind;
         self.log.push(Status::Ok, || {
             let effects = simulation.active_effects();
-            format!(
-                "ready: method {}, h = {:?} s, adaptive {}, effects: {}",
-                bindings::method_name(settings.method),
-                settings.step_size,
-                settings.adaptive,
-                if effects.is_empty() { "none".to_owned() } else { effects.join(", ") }
-            )
+            let effects = if effects.is_empty() { "none".to_owned() } else { effects.join(", ") };
+            match kind {
+                Kind::ModelExchange => format!("ready: {kind}, effects: {effects}"),
+                Kind::CoSimulation => format!(
+                    "ready: method {}, h = {:?} s, adaptive {}, effects: {effects}",
+                    bindings::method_name(settings.method),
+                    settings.step_size,
+                    settings.adaptive,
+                ),
+            }
         });
-        if settings.adaptive && settings.method == Method::I3alpConserving {
+        if kind == Kind::CoSimulation && settings.adaptive && settings.method == Method::I3alpConserving {
             self.log
                 .push(Status::Ok, || "solver.adaptive is not used: the steps of i3alpConserving are strictly fixed.".to_owned());
         }
         let now = self.change();
         now.next.take_held_inputs();
         now.scene = Scene::Ready(simulation);
-        now.stage = Stage::StepComplete;
+        now.stage = match kind {
+            Kind::ModelExchange => Stage::EventMode,
+            Kind::CoSimulation => Stage::StepComplete,
+        };
         Ok(())
     }
 
@@ -110,8 +122,13 @@ impl Instance {
     }
 
     /// fmi2SetFMUstate: everything as it was, but the log and what the master wants to hear of it.
-    pub fn restore(&mut self, snapshot: &Snapshot) {
+    pub fn restore(&mut self, snapshot: &Snapshot) -> Result<(), CallError> {
+        let (own, other) = (self.now.kind, snapshot.kind);
+        if own != other {
+            return Err(CallError::error(format!("FMUstate is that of an instance for {other}, this one is for {own}.")));
+        }
         self.change().copy(snapshot);
+        Ok(())
     }
 
     /// fmi2Terminate.
@@ -124,7 +141,7 @@ impl Instance {
     /// fmi2Reset: as fresh as after fmi2Instantiate. Only the master's choice of log categories stays, which is about
     /// the log and not about the simulation.
     pub fn reset(&mut self) -> Result<(), CallError> {
-        let fresh = Self::new(false);
+        let fresh = Self::new(self.now.kind, false);
         let log = std::mem::replace(self, fresh).log;
         self.log = log;
         self.log.push(Status::Ok, || "reset".to_owned());
@@ -138,10 +155,15 @@ impl Instance {
             check_settable(variable, self.now.stage)?;
             check_value(variable, value)?;
         }
+        if self.now.kind == Kind::ModelExchange {
+            self.set_states(pairs.clone())?;
+        }
         let now = self.change();
         for (reference, value) in pairs {
             let variable = lookup(reference, value.fmi_type())?;
-            now.set(variable, value);
+            if variable.start.is_some() {
+                now.set(variable, value);
+            }
         }
         Ok(())
     }
@@ -175,7 +197,10 @@ impl Instance {
         let simulation = match (&now.scene, preview) {
             (Scene::Ready(simulation), _) => simulation,
             (Scene::Draft(_), Some(simulation)) => &*simulation,
-            (Scene::Draft(parameters), none) => none.insert(Box::new(Simulation::new(parameters, &now.inputs())?)),
+            (Scene::Draft(parameters), none) => none.insert(Box::new(match now.kind {
+                Kind::ModelExchange => Simulation::driven(parameters, &now.inputs())?,
+                Kind::CoSimulation => Simulation::new(parameters, &now.inputs())?,
+            })),
         };
         let model = simulation.model();
         let observation = observation.get_or_insert_with(|| Observation::new(model, simulation.state_for(&now.inputs())));
@@ -256,7 +281,7 @@ impl Instance {
 
     /// Tells once that servo references are not read, and once that loads are stiff.
     #[inline(always)]
-    fn warn(&mut self, time: f64) {
+    pub(super) fn warn(&mut self, time: f64) {
         let Scene::Ready(simulation) = &self.now.scene else { return };
         if !self.now.warned_of_references && !simulation.model().has_servo && simulation.inputs().has_servo_reference() {
             self.now.warned_of_references = true;

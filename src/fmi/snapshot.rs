@@ -18,19 +18,20 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::clock::Clock;
 use super::derivatives::check_reach;
 use super::values::{check_value, lookup};
-use super::{CallError, Stage, bindings};
+use super::{CallError, Kind, Stage, bindings};
 use crate::simulation::{Inputs, ORDERS, Parameters, Residuals, Run, Signal, Simulation};
 use crate::variables::{GUID, Value, Variable, VariableId};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Must change with every change of what is stored.
-const FORMAT: u32 = 5;
+const FORMAT: u32 = 6;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
 const CHECKSUM: usize = size_of::<u32>();
 
 /// Everything that an instance holds but its log: a stored state.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
+    pub(super) kind: Kind,
     pub(super) stage: Stage,
     /// Set by fmi2SetupExperiment.
     pub(super) clock: Option<Clock>,
@@ -84,6 +85,7 @@ impl Next {
 #[derive(BorshSerialize, BorshDeserialize)]
 struct Content {
     stage: Stage,
+    kind: Kind,
     clock: Option<Clock>,
     /// Parameters in force.
     values: Values,
@@ -109,8 +111,9 @@ struct StoredRun {
 
 impl Snapshot {
     /// That of an instance just made.
-    pub(super) fn fresh() -> Self {
+    pub(super) fn fresh(kind: Kind) -> Self {
         Self {
+            kind,
             stage: Stage::Instantiated,
             clock: None,
             scene: Scene::Draft(bindings::default_parameters()),
@@ -122,7 +125,8 @@ impl Snapshot {
 
     /// Becomes what `other` is. Where both hold a simulation it allocates nothing.
     pub fn copy(&mut self, other: &Self) {
-        let Self { stage, clock, scene, next, warned_of_references, warned_of_stiffness } = other;
+        let Self { kind, stage, clock, scene, next, warned_of_references, warned_of_stiffness } = other;
+        self.kind = *kind;
         self.stage = *stage;
         self.clock.clone_from(clock);
         match (&mut self.scene, scene) {
@@ -196,6 +200,7 @@ impl Snapshot {
         };
         let content = Content {
             stage: self.stage,
+            kind: self.kind,
             clock: self.clock.clone(),
             values: values(parameters),
             run,
@@ -218,15 +223,18 @@ impl Snapshot {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CallError> {
         let content =
             Content::try_from_slice(content(bytes)?).map_err(|error| wrong(&format!("their content is not a state: {error}")))?;
-        let Content { stage, clock, values, run, signal, tuned, warned_of_references, warned_of_stiffness } = content;
+        let Content { stage, kind, clock, values, run, signal, tuned, warned_of_references, warned_of_stiffness } = content;
         let parameters = restored(&values)?;
         let next = Next { signal: signal.map(restored_signal).transpose()?, parameters: restored_tuned(tuned, &values)? };
         if let Some(clock) = &clock {
-            clock.check()?;
+            clock.check(kind)?;
         }
         let scene = match (stage, run) {
             (Stage::Instantiated | Stage::InitializationMode, None) if next.parameters.is_none() => Scene::Draft(parameters),
-            (Stage::StepComplete | Stage::StepFailed | Stage::Terminated, Some(StoredRun { run, residuals })) => {
+            (
+                Stage::StepComplete | Stage::StepFailed | Stage::EventMode | Stage::ContinuousTimeMode | Stage::Terminated,
+                Some(StoredRun { run, residuals }),
+            ) if stage.belongs_to(kind) && run.is_driven() == (kind == Kind::ModelExchange) => {
                 let simulation = Simulation::restored(&parameters, run, &residuals);
                 Scene::Ready(Box::new(simulation.map_err(|error| wrong(&error.to_string()))?))
             }
@@ -235,7 +243,7 @@ impl Snapshot {
         if clock.is_none() && stage != Stage::Instantiated {
             return Err(wrong(&format!("they say \"{stage}\", and the clock is missing")));
         }
-        Ok(Self { stage, clock, scene, next, warned_of_references, warned_of_stiffness })
+        Ok(Self { kind, stage, clock, scene, next, warned_of_references, warned_of_stiffness })
     }
 }
 

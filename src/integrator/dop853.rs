@@ -231,10 +231,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.end.counters.iterations = iterations;
     }
 
-    /// The forces have changed at once, after [`truncate_and_redo`](Self::truncate_and_redo), which put in some energy, J.
-    pub fn restart<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, put_in: f64) {
+    /// The rates have changed at once, after [`truncate_and_redo`](Self::truncate_and_redo); [`restart`](Self::restart) follows.
+    pub fn jump(&mut self, v: &Vector<N>) {
+        self.end.v = *v;
+    }
+
+    /// The forces have changed at once, after [`truncate_and_redo`](Self::truncate_and_redo), which did some work.
+    pub fn restart<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, work: Work) {
         self.end.restart(system, settings.regularization);
-        self.end.work.input += put_in;
+        self.end.work += work;
         self.start = self.end;
         self.sides_behind = system.sides_of(&self.end.q, &self.end.v);
         self.sides = self.sides_behind;

@@ -1,5 +1,7 @@
 //! What the integrator asks of a mechanical system, and nothing else.
 
+use std::ops::AddAssign;
+
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::StepError;
@@ -121,6 +123,14 @@ pub struct Work {
     pub input: f64,
     /// Of dissipative forces, positive out of the system.
     pub dissipated: f64,
+}
+
+impl AddAssign for Work {
+    #[inline(always)]
+    fn add_assign(&mut self, other: Self) {
+        self.input += other.input;
+        self.dissipated += other.dissipated;
+    }
 }
 
 impl Work {

@@ -14,7 +14,7 @@ use crate::mechanism::constraints::largest;
 use crate::simulation::{Model, State};
 
 pub use crate::mechanism::singularity::{Jacobians, Singularity, SingularityKind};
-pub use observed::{Observed, Point};
+pub use observed::{INDICATORS, Observed, Point};
 
 /// A state for some inputs, and what has been worked out of it.
 #[derive(Debug)]

@@ -5,10 +5,10 @@ use std::marker::PhantomData;
 use num_dual::Dual64;
 
 use super::Observation;
-use crate::effects::{Effect, ForceContext};
+use crate::effects::{self, Effect, ForceContext, Touches};
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
-use crate::mechanism::singularity::Jacobians;
-use crate::mechanism::{Coordinates, MULTIPLIERS};
+use crate::mechanism::singularity::{Jacobians, rank_margin};
+use crate::mechanism::{Coordinates, MULTIPLIERS, SceneError, closure};
 use crate::scalar::Scalar;
 use crate::simulation::{Model, Variation};
 
@@ -20,6 +20,9 @@ pub struct Observed<'a, T> {
     along: Option<&'a Variation>,
     scalar: PhantomData<T>,
 }
+
+/// Number of [`Observed::indicators`].
+pub const INDICATORS: usize = 6 + effects::INDICATORS;
 
 /// A point that a user sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,6 +37,27 @@ impl<'a> Observed<'a, f64> {
     /// The values.
     pub fn new(model: &'a Model, observation: &'a Observation) -> Self {
         Self { model, observation, along: None, scalar: PhantomData }
+    }
+}
+
+impl Observed<'_, f64> {
+    /// Refuses a direct singularity, where the proximal angles and rates are no coordinates.
+    pub fn are_coordinates(&self) -> Result<(), SceneError> {
+        let [tip, ..] = self.observation.pose.margins();
+        closure::are_coordinates(tip)
+    }
+
+    /// Numbers that change sign where a mode, the kind of singularity or the side of a kink changes: modes, nearness of direct, inverse
+    /// and constraint singularities, kinks.
+    pub fn indicators(&self) -> [f64; INDICATORS] {
+        let [.., direct, inverse] = self.observation.pose.margins();
+        // The constraints lose rank only where both are near, and to know it costs more than all else.
+        let rank = if direct < 0.0 && inverse < 0.0 { rank_margin(self.observation.sigma_phi()) } else { 1.0 };
+        let kinks = self.at(|at| Touches::new(&self.model.effects, at).indicators());
+        let mut indicators = [rank; INDICATORS];
+        indicators[..5].copy_from_slice(&self.observation.pose.margins());
+        indicators[6..].copy_from_slice(&kinks);
+        indicators
     }
 }
 

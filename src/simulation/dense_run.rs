@@ -36,9 +36,9 @@ impl DenseRun {
         self.step.truncate_and_redo(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings)
     }
 
-    /// After they have changed, which put in some energy, J.
-    pub(super) fn resume(&mut self, model: &Model, settings: &Settings, (inputs, turns): (&Inputs, &[i64; 4]), put_in: f64) {
-        self.step.restart(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings, put_in);
+    /// After they have changed, which did some work.
+    pub(super) fn resume(&mut self, model: &Model, settings: &Settings, (inputs, turns): (&Inputs, &[i64; 4]), work: Work) {
+        self.step.restart(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings, work);
     }
 
     /// The present state in the twelve coordinates, made with the inputs held, and with the q̈ and λ that belong to others. Interpolated
@@ -121,7 +121,7 @@ impl Held<'_> {
         if !model.same_active_inputs(held, inputs) {
             run.stop(model, settings, held, turns).map_err(|cause| steps.failure(0, cause))?;
             run.held = [run.held[1], 0];
-            run.resume(model, settings, (inputs, turns), 0.0);
+            run.resume(model, settings, (inputs, turns), Work::default());
         }
         **held = *inputs;
         for step in 0..steps.count {

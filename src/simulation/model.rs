@@ -6,7 +6,7 @@ use super::inertia::Inertia;
 use crate::effects::{self, Active, Effect, ForceContext, Inputs, Perturbation, TypicalInertia};
 use crate::integrator::{MacroStepMethod, dop853, i3alp, i3alp_conserving, i3alp_printed, rk4};
 use crate::linear::{LinearSolve, LinearSolver};
-use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError, Start};
+use crate::mechanism::{Assembly, Coordinates, Geometry, Mechanism, SceneError, Start};
 
 /// How the equations of motion are integrated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -69,6 +69,8 @@ pub enum Stepper {
     Dense(dop853::Settings),
     /// Strictly fixed steps that conserve.
     Conserving(i3alp_conserving::Settings),
+    /// None: the proximal angles and rates come from outside, the others follow in this assembly.
+    Outside(Assembly),
 }
 
 /// The constant part of a scene made ready.
@@ -140,6 +142,11 @@ impl Model {
         })
     }
 
+    /// The same for a run whose angles and rates come from outside: `solver.method` is not used.
+    pub fn outside(parameters: &Parameters) -> Result<Self, SceneError> {
+        Ok(Self { stepper: Stepper::Outside(parameters.start.assembly), ..Self::new(parameters)? })
+    }
+
     /// Whether no effect has a force that depends on the motion, and the solve is leg by leg.
     #[inline(always)]
     pub(super) fn is_bare(&self) -> bool {
@@ -150,12 +157,25 @@ impl Model {
     pub(super) fn dense_settings(&self) -> &dop853::Settings {
         match &self.stepper {
             Stepper::Dense(settings) => settings,
-            Stepper::MacroStep(_) | Stepper::Conserving(_) => unreachable!("a run is made for its method"),
+            Stepper::MacroStep(_) | Stepper::Conserving(_) | Stepper::Outside(_) => unreachable!("a run is made for its method"),
         }
     }
 
     /// Gives the active effects new parameters; the list of effects stays. Whether that changed anything; on refusal nothing has.
-    pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<bool, SceneError> {
+    pub fn tune(&mut self, in_force: &effects::Parameters, tuned: &Parameters) -> Result<bool, SceneError> {
+        let parameters = &tuned.effects;
+        let geometry = parameters.with_added_masses(&tuned.geometry)?;
+        if geometry != self.mechanism.geometry {
+            let is_dense = self.solver.linear_solve() == LinearSolve::Dense;
+            if !is_dense && LinearSolve::choose(&geometry, &[]) == LinearSolve::Dense {
+                return Err(too_far_apart(in_force, tuned));
+            }
+            *self = match self.stepper {
+                Stepper::Outside(_) => Self::outside(tuned)?,
+                _ => Self::new(tuned)?,
+            };
+            return Ok(true);
+        }
         let effects = parameters.active(&self.mechanism)?;
         let weight = parameters.weight(&self.mechanism)?;
         let changed = weight != self.weight || effects != self.effects;
@@ -182,6 +202,28 @@ impl Model {
         a.same_loads(b) && (!self.has_servo || a.same_references(b))
     }
 }
+
+/// The refusal of a payload with which inertias are further apart than the linear solve of a run takes, with how far it may go.
+#[cold]
+fn too_far_apart(in_force: &effects::Parameters, tuned: &Parameters) -> SceneError {
+    let wanted = tuned.effects.payload.mass;
+    let (mut taken, mut refused) = (in_force.payload.mass, wanted);
+    let mut probe = tuned.effects.clone();
+    for _ in 0..BISECTIONS {
+        probe.payload.mass = taken + (refused - taken) / 2.0;
+        let geometry = probe.with_added_masses(&tuned.geometry);
+        let takes = geometry.is_ok_and(|geometry| LinearSolve::choose(&geometry, &[]) != LinearSolve::Dense);
+        *(if takes { &mut taken } else { &mut refused }) = probe.payload.mass;
+    }
+    let side = if wanted > taken { "at most" } else { "at least" };
+    SceneError(format!(
+        "payload.mass = {wanted:?} kg is not allowed during this run: the linear solve chosen at its start takes {side} {taken:.6} kg, with \
+         which the links' inertias are no further apart."
+    ))
+}
+
+/// Halvings of an interval of masses: to six digits, from a million times as much.
+const BISECTIONS: usize = 40;
 
 /// The part of it that the balance may be off in a step of i3-ALP, whose work is known at its ends only: a kink leaves several such steps.
 const KNOWN_AT_ENDS: f64 = 0.2;

@@ -32,6 +32,7 @@ impl Run {
                 let bounds = Bounds { regularizations: [e, e], ..bounds(model, &parameters.settings) };
                 run.check(&ByAngles::new(system), settings, &bounds)
             }
+            (Stepper::Outside(_), Progress::Outside(run)) => run.check(model, inputs, &bounds(model, &parameters.settings)),
             _ => Err("it belongs to another solver.method than the one that is set in it"),
         }
         .map_err(|what| SceneError(what.into()))
@@ -46,7 +47,7 @@ impl Run {
         let (core, remembered) = match &self.progress {
             Progress::WithCall(core) => (*core, 0.0),
             Progress::Conserving(run) => (run.state(&system, model.regularization), run.remembered()),
-            Progress::PastCall(_) => return [0.0; 2],
+            Progress::PastCall(_) | Progress::Outside(_) => return [0.0; 2],
         };
         let pose = system.pose(&core.q);
         let left = system.mass_times(&pose, &(core.a + h * core.jerk)) + system.phi_q_transposed_times(&pose, &core.lambda);

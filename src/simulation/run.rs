@@ -5,12 +5,16 @@ use std::fmt;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::dense_run::{DenseRun, Held};
+use super::driven::Driven;
 use super::five_bar::FiveBar;
+use super::join::Jump;
 use super::model::{Model, Stepper};
 use super::state::{Core, State, unwind};
 use crate::effects::Inputs;
+use crate::effects::payload::Join;
 use crate::integrator::i3alp_conserving::ConservingRun;
-use crate::integrator::{Counters, MacroStepMethod, StepError, i3alp};
+use crate::integrator::{Counters, MacroStepMethod, StepError, Work, i3alp};
+use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS};
 
 /// Everything that changes during a run. A copy is a complete snapshot.
@@ -34,6 +38,8 @@ pub(super) enum Progress {
     PastCall(DenseRun),
     /// With the call, by the method that conserves: accelerations and joint forces are no part of the state.
     Conserving(ConservingRun<COORDINATES, MULTIPLIERS>),
+    /// Wherever a master puts the machine.
+    Outside(Driven),
 }
 
 /// Why a simulation could not advance. It is as it was before the call.
@@ -76,7 +82,10 @@ impl Run {
     pub(super) fn start(model: &Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Self {
         let mut turns = [0; 4];
         let mut core = Core::start(&FiveBar::<false>::new(model, inputs, &turns), q, v, model.regularization);
-        unwind(&mut core.q, &mut turns);
+        // Angles from outside keep their turns.
+        if !matches!(model.stepper, Stepper::Outside(_)) {
+            unwind(&mut core.q, &mut turns);
+        }
         let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0 };
         state.energy_at_start = state.kinetic_energy(model) + state.potential_energy(model);
         let progress = match &model.stepper {
@@ -86,8 +95,14 @@ impl Run {
                 Progress::Conserving(ConservingRun::start(&system, core.q, core.v))
             }
             Stepper::Dense(settings) => Progress::PastCall(DenseRun::start(model, settings, &state)),
+            Stepper::Outside(_) => Progress::Outside(Driven::start(THETA.map(|i| q[i]), THETA.map(|i| v[i]))),
         };
         Self { turns, inputs: *inputs, energy_at_start: state.energy_at_start, progress }
+    }
+
+    /// Whether its angles and rates come from outside.
+    pub fn is_driven(&self) -> bool {
+        matches!(self.progress, Progress::Outside(_))
     }
 
     /// On failure everything is as before.
@@ -115,7 +130,7 @@ impl Run {
             (Stepper::Conserving(settings), Progress::Conserving(run)) => {
                 let before = (*run, self.turns, self.inputs);
                 if !model.same_active_inputs(&self.inputs, inputs) {
-                    run.restart(0.0);
+                    run.restart(Work::default());
                 }
                 self.inputs = *inputs;
                 let held = (&self.inputs, &mut self.turns);
@@ -150,25 +165,39 @@ impl Run {
             }
             Progress::Conserving(run) => run.state(&FiveBar::<false>::new(model, inputs, &turns), model.regularization),
             Progress::PastCall(run) => run.core(model, [&self.inputs, inputs], &turns),
+            Progress::Outside(run) => run.core(model, inputs),
         };
         State { core, turns, inputs: *inputs, energy_at_start }
     }
 
-    /// The model has other effects from now on; what that adds to the potential energy counts as input. On failure nothing has changed.
-    pub(super) fn tune(&mut self, before: &Model, after: &Model) -> Result<(), StepError> {
+    /// The model has other effects from now on; what that adds to the potential energy counts as input, and mass joins. On failure nothing
+    /// has changed.
+    pub(super) fn tune(&mut self, before: &Model, after: &Model, join: Join) -> Result<(), StepError> {
         let mut tuned = self.clone();
         if let (Stepper::Dense(settings), Progress::PastCall(run)) = (&before.stepper, &mut tuned.progress) {
             run.stop(before, settings, &tuned.inputs, &tuned.turns)?;
         }
         let present = tuned.state(before, &self.inputs);
-        let put_in = present.potential_energy(after) - present.potential_energy(before);
+        let Jump { work, motion } = Jump::new(&present, before, after, join);
         match (&after.stepper, &mut tuned.progress) {
             (Stepper::Dense(settings), Progress::PastCall(run)) => {
-                run.resume(after, settings, (&tuned.inputs, &tuned.turns), put_in);
+                if let Some(motion) = motion {
+                    run.step.jump(&motion.rates);
+                }
+                run.resume(after, settings, (&tuned.inputs, &tuned.turns), work);
             }
-            (_, Progress::Conserving(run)) => run.restart(put_in),
+            (_, Progress::Conserving(run)) => {
+                if let Some(motion) = motion {
+                    (run.q, run.v) = (motion.q, motion.v);
+                }
+                run.restart(work);
+            }
+            (_, Progress::Outside(run)) => run.jump(work, motion.map(|motion| motion.rates)),
             (_, Progress::WithCall(core)) => {
-                core.work.input += put_in;
+                if let Some(motion) = motion {
+                    (core.q, core.v) = (motion.q, motion.v);
+                }
+                core.work += work;
                 core.restart(&FiveBar::<false>::new(after, &tuned.inputs, &tuned.turns), after.regularization);
             }
             _ => unreachable!("a run is made for its method"),

@@ -14,9 +14,6 @@ use crate::effects::{Inputs, Perturbation};
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of, set_legs};
 use crate::mechanism::{Coordinates, Multipliers, SceneError, closure};
 
-/// Below this part of its largest possible value det J_x makes the proximal angles no coordinates.
-const LEAST_DETERMINANT: f64 = 1e-8;
-
 /// What is varied.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Direction {
@@ -46,14 +43,8 @@ impl State {
         let (mut q, mut v) = (Coordinates::ZERO, Coordinates::ZERO);
         if let Some(proximal) = direction.proximal {
             let geometry = &model.mechanism.geometry;
-            let largest = geometry.links[1].length * geometry.links[2].length;
-            let part = geometry.jacobians(pose.directions()).det_jx.abs() / largest;
-            if part < LEAST_DETERMINANT {
-                return Err(SceneError(format!(
-                    "|singular.detJx|/(link[2].length link[3].length) = {part:e} is not allowed here: it must be at least \
-                     {LEAST_DETERMINANT:e}, the distal links are in line and theta, omega are no coordinates."
-                )));
-            }
+            let [_, left, right, _] = pose.directions();
+            closure::are_coordinates(left[0] * right[1] - left[1] * right[0])?;
             (q, v) = closure::varied(geometry, THETA.map(|i| core.q[i]), THETA.map(|i| core.v[i]), proximal);
         }
         let change = Perturbation { q, v, inputs: direction.inputs };

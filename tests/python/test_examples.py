@@ -108,3 +108,14 @@ def test_fixed_step(fmu: Path, tmp_path: Path) -> None:
     assert float(energy) < 3.5e-10 and float(position) < 1e-14 and float(velocity) < 1e-11
     # Those of a projection by the last resort come on top.
     assert int(re.findall(r"iterations of a step: (\d+)", printed)[0]) <= 70
+
+
+@pytest.mark.full
+def test_optimal_control(fmu: Path, tmp_path: Path) -> None:
+    """The swing needs less than holding would, and what model exchange has planned is what co-simulation does; there is a picture."""
+    printed = output(fmu, tmp_path, "optimal_control.py")
+    lifted, largest, holding = (float(x) for x in re.findall(r"lifted by (\S+) m; largest torque (\S+) N.m, to hold it (\S+) N.m", printed)[0])
+    assert lifted > 0.08 and largest <= 0.01 and holding > 6 * largest
+    # Runge-Kutta's error over 1.2 s of 12.5 ms, and the unit's own.
+    assert float(re.findall(r"the goal is missed by (\S+) deg", printed)[0]) < 0.01
+    assert (tmp_path / "target" / "optimal_control.svg").stat().st_size > 10_000

@@ -73,7 +73,9 @@ def test_head(root: etree._Element) -> None:
         assert root.get(name), f"{name} is empty"
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", root.get("generationDateAndTime"))
     assert root.get("modelName") == root.find("CoSimulation").get("modelIdentifier") == "FiveBar"
-    assert root.find("ModelExchange") is None
+    exchange, simulation = root.find("ModelExchange"), root.find("CoSimulation")
+    assert exchange.get("modelIdentifier") == simulation.get("modelIdentifier")
+    assert all(root.find(kind).get("providesDirectionalDerivative") == "true" for kind in ("ModelExchange", "CoSimulation"))
 
 
 def test_names_and_references(variables: list[etree._Element]) -> None:
