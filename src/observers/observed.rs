@@ -157,9 +157,10 @@ impl<T: Scalar> Observed<'_, T> {
 
     /// Force of the contact plane on the tip, N; 0 without contact.
     pub fn contact_force(&self) -> [T; 2] {
+        let holding = self.observation.state.holding(self.model);
         // What acts on the tip acts on link 2, with its force in the rows of the centre of mass.
         self.force_of([X[1], Y[1]], |effect, at| match effect {
-            Effect::Contact(contact) => Some(contact.force(at)),
+            Effect::Contact(contact) => Some(contact.force(at, &holding)),
             _ => None,
         })
     }
