@@ -3,7 +3,7 @@
 //! The matches are exhaustive over the enums that `build.rs` makes from the XML, so a variable that is not bound here
 //! does not compile. What is computed is bound in `computed.rs`.
 
-use crate::effects::payload;
+use crate::effects::{self, payload};
 use crate::mechanism;
 use crate::simulation::{self, Inputs, Parameters};
 use crate::variables::{
@@ -89,6 +89,8 @@ fn enumeration_parameter(p: &mut Parameters, variable: EnumerationParameter) -> 
         EnumerationParameter::InitAssembly => &mut p.start.assembly,
         EnumerationParameter::SolverMethod => &mut p.settings.method,
         EnumerationParameter::PayloadJoin => &mut p.effects.payload.join,
+        EnumerationParameter::FrictionLaw => &mut p.effects.friction.law,
+        EnumerationParameter::ContactLaw => &mut p.effects.contact.law,
     }
 }
 
@@ -131,6 +133,7 @@ macro_rules! choice {
 choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4, Dop853, I3alpConserving });
 choice!(payload::Join = variables::Join { AtRest, WithTip });
 choice!(mechanism::Assembly = variables::Assembly { Plus, Minus });
+choice!(effects::Law = variables::Law { Smooth, Stick });
 
 /// The name of a method as in the XML.
 pub(super) fn method_name(method: simulation::Method) -> &'static str {

@@ -10,13 +10,18 @@
 //!
 //! in which the unknown is the total multiplier: nothing large enters a diagonal, nothing winds up.
 
+mod events;
 mod line_search;
 mod newton;
 
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, next_step};
-use super::{Approach, Arrival, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, Work, velocity_correction};
+use super::{
+    Approach, Arrival, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, Work, let_hold, velocity_correction,
+};
 use crate::vector::Vector;
+use events::Search;
 use newton::{Found, Step, constraint_tolerance};
+use std::borrow::Borrow;
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,16 +52,18 @@ const RATE: f64 = 100.0;
 const CONTROLLER: StepSizeController =
     StepSizeController { exponent: 1.0 / 3.0, memory: 0.0, accepted: [0.5, 2.0], rejected: [0.1, 0.7], failed: 0.35 };
 
-/// One macro step of h seconds: in one step, or in sub-steps. On failure the state is undefined: the caller keeps a copy.
+/// One macro step of h seconds, from the sides on which the grips of dry friction are: in one step, or in sub-steps. On failure state and
+/// sides are undefined: the caller keeps a copy.
 #[inline(never)]
-pub fn advance<const N: usize, const M: usize>(
-    system: &(impl Implicit<N, M> + Passage<N> + Kinked<N>),
+pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
+    system: &S,
     settings: &Settings,
     state: &mut State<N, M>,
+    sides: &mut S::Sides,
     h: f64,
 ) -> Result<(), StepError> {
     if settings.adaptive {
-        return in_substeps(system, settings, state, h);
+        return in_substeps(system, settings, (state, sides), h);
     }
     attempt(system, settings, state, h, &StepLimits::NONE)?.accept(system, state, h);
     Ok(())
@@ -64,25 +71,33 @@ pub fn advance<const N: usize, const M: usize>(
 
 /// A macro step in equal parts, as many as the local error asks, asked anew after each.
 #[inline(never)]
-fn in_substeps<const N: usize, const M: usize>(
-    system: &(impl Implicit<N, M> + Passage<N> + Kinked<N>),
+fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
+    without_sides: &S,
     settings: &Settings,
-    state: &mut State<N, M>,
+    (state, sides): (&mut State<N, M>, &mut S::Sides),
     duration: f64,
 ) -> Result<(), StepError> {
     let passage = PassageLimits::for_error_tolerance(settings.error_tolerance);
     let (mut rest, mut h, mut error) = (duration, duration, f64::INFINITY);
+    let mut search = Search::NONE;
     let done = state.counters.iterations;
     // Every round counts as one more: one through a vertex has no iteration.
     for rounds in 0.. {
         if rounds + state.counters.iterations - done > u64::from(settings.max_work) {
             break;
         }
+        let on_sides = without_sides.on(*sides);
+        let system: &S = on_sides.borrow();
+        if system.is_at_rest() {
+            state.counters.substeps += 1;
+            return Ok(());
+        }
         let limits = match system.approach(&passage, &state.departure(rest)) {
             Approach::Clear => StepLimits::NONE,
             Approach::Limited(limits) => limits,
             Approach::Passed(transit) => {
                 state.pass_through(system, &transit, settings.regularization)?;
+                *sides = without_sides.sides_of(&state.q, &state.v);
                 if transit.duration >= rest {
                     return Ok(());
                 }
@@ -92,19 +107,32 @@ fn in_substeps<const N: usize, const M: usize>(
         };
         let tolerance = settings.error_tolerance.max(limits.round_off);
         let parts = (rest / state.substep.min(limits.longest)).ceil().max(1.0);
-        h = rest / parts;
+        h = search.next().unwrap_or(rest / parts);
         let attempt = attempt(system, settings, state, h, &limits);
         error = attempt.as_ref().map_or(f64::NAN, |attempt| attempt.error);
         match attempt {
             Ok(attempt) if error <= tolerance => {
+                let turns = system.has_grips() && {
+                    if search.goes_on(system, settings, state, (&attempt.end, h)) {
+                        state.counters.rejected += 1;
+                        continue;
+                    }
+                    search.ends(system, &attempt.end)
+                };
+                let last = h >= rest;
                 state.substep = next_step(h, CONTROLLER.growth(error / tolerance, LEAST_LOG_ERROR), state.substep);
                 attempt.accept(system, state, h);
-                if parts == 1.0 {
+                if turns {
+                    events::turn(system, settings, state, sides);
+                }
+                search = Search::NONE;
+                if last || parts == 1.0 && !turns {
                     return Ok(());
                 }
                 rest -= h;
             }
             _ => {
+                search = Search::NONE;
                 state.substep = h * CONTROLLER.reduction(error / tolerance);
                 state.counters.rejected += 1;
             }
@@ -144,7 +172,7 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kink
     let Found { q, pose, v } = found;
     let mass = system.factor_mass(&pose, settings.regularization);
     let correction = velocity_correction(system, &pose, &mass, &v);
-    let mut v = v + correction;
+    let mut v = let_hold(system, &q, &pose, &mass, v + correction);
     if let Some(energy) = &limits.energy {
         v = system.energy_scale(energy, &q, &v, h)? * v;
     }

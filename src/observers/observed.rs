@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 use num_dual::Dual64;
 
 use super::Observation;
-use crate::effects::{self, Effect, ForceContext, Touches};
+use crate::effects::{self, Effect, ForceContext, Slides, Touches};
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::singularity::{Jacobians, rank_margin};
 use crate::mechanism::{Coordinates, MULTIPLIERS, SceneError, closure};
@@ -53,7 +53,7 @@ impl Observed<'_, f64> {
         let [.., direct, inverse] = self.observation.pose.margins();
         // The constraints lose rank only where both are near, and to know it costs more than all else.
         let rank = if direct < 0.0 && inverse < 0.0 { rank_margin(self.observation.sigma_phi()) } else { 1.0 };
-        let kinks = self.at(|at| Touches::new(&self.model.effects, at).indicators());
+        let kinks = self.at(|at| Touches::new(&self.model.effects, at, Slides::new()).indicators());
         let mut indicators = [rank; INDICATORS];
         indicators[..5].copy_from_slice(&self.observation.pose.margins());
         indicators[6..].copy_from_slice(&kinks);
@@ -181,9 +181,10 @@ impl<T: Scalar> Observed<'_, T> {
 
     /// Force of the contact plane on the tip, N; 0 without contact.
     pub fn contact_force(&self) -> [T; 2] {
+        let holding = self.observation.state.holding(self.model);
         // What acts on the tip acts on link 2, with its force in the rows of the centre of mass.
         self.force_of([X[1], Y[1]], |effect, at| match effect {
-            Effect::Contact(contact) => Some(contact.force(at)),
+            Effect::Contact(contact) => Some(contact.force(at, &holding)),
             _ => None,
         })
     }

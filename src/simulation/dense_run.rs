@@ -6,10 +6,11 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, PLACES, angles_of};
 use super::five_bar::FiveBar;
+use super::restore::check_grips;
 use super::run::{MacroSteps, StepFailure};
 use super::state::{Core, State, whole_turns};
 use super::{Inputs, Model};
-use crate::effects::Sides;
+use crate::effects::{Grips, Sides};
 use crate::integrator::dop853::{DenseStep, Horizon, Settings};
 use crate::integrator::{Bounds, Counters, Inconsistency, StepError, Work};
 use crate::mechanism::{Coordinates, Multipliers};
@@ -43,7 +44,7 @@ impl DenseRun {
 
     /// The present state in the twelve coordinates, made with the inputs held, and with the q̈ and λ that belong to others. Interpolated
     /// states are for output only; integration never starts from them.
-    pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> Core {
+    pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> (Core, Grips) {
         let system = ByAngles::new(FiveBar::<false>::new(model, held, turns));
         let sample = self.step.sample(&system, model.dense_settings());
         let (q, v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
@@ -63,8 +64,13 @@ impl DenseRun {
             counters: Counters::default(),
         };
         self.step.record(&sample, &mut core);
-        core.balance(&FiveBar::<false>::new(model, inputs, turns), model.regularization);
-        core
+        let system = if held == inputs {
+            FiveBar::<false>::new(model, inputs, turns).on(Sides::of_grips(self.step.sides().grips))
+        } else {
+            FiveBar::<false>::resolved(model, inputs, turns, [&core.q, &core.v])
+        };
+        core.balance(&system, model.regularization);
+        (core, system.sides.grips)
     }
 
     /// Refuses a run that is none of this system.
@@ -72,6 +78,8 @@ impl DenseRun {
         if self.held.iter().any(|steps| *steps > self.step.steps()) {
             return Err("inputs were held for longer than the run is");
         }
+        let (start, sides) = self.step.beginning();
+        check_grips(system.model(), &ByAngles::new(system.five_bar().on(sides)), &start.q, &start.v)?;
         self.step.check(system, settings, bounds)
     }
 

@@ -8,6 +8,7 @@ mod dense_run;
 mod driven;
 pub mod five_bar;
 mod five_bar_steps;
+mod grips;
 mod inertia;
 mod join;
 mod kinks;
@@ -191,7 +192,7 @@ impl Simulation {
     /// What the integrator has done since the start.
     pub fn counters(&self) -> Counters {
         match &self.run.progress {
-            Progress::WithCall(core) => core.counters,
+            Progress::WithCall(core, _) => core.counters,
             Progress::Conserving(run) => run.counters,
             Progress::PastCall(_) => self.state().core.counters,
             Progress::Outside(_) => Counters::default(),
@@ -203,7 +204,7 @@ impl Simulation {
     pub fn last_resorts(&self) -> u64 {
         match &self.run.progress {
             Progress::Conserving(run) => run.counters.last_resorts,
-            Progress::WithCall(_) | Progress::PastCall(_) | Progress::Outside(_) => 0,
+            Progress::WithCall(..) | Progress::PastCall(_) | Progress::Outside(_) => 0,
         }
     }
 

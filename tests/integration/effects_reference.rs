@@ -207,3 +207,33 @@ fn dop853_follows_inputs() {
     is_met_by_dop853("pick_and_place", 0.03, 0.45);
     is_met_by_dop853("haptic", 2.5, 0.1);
 }
+
+/// Dry friction that sticks, by both methods that take it; what friction holds is held to the last bit.
+fn sticks(scene: &str, bounds: [f64; 2]) {
+    for (method, bound) in [Method::I3alp, Method::Dop853].into_iter().zip(bounds) {
+        for tolerance in [3e-9, 1e-11, 1e-12, 1e-13] {
+            let [motion, rates, energy] = errors_and_energy(scene, method, &[("solver.errorTolerance", tolerance)]);
+            println!("{scene}, {method:?} {tolerance:e}: {motion:e} m or rad, {rates:e} rad/s, {energy:e} J");
+        }
+    }
+}
+
+#[test]
+fn a_fall_against_friction_that_sticks() {
+    sticks("friction_fall_stick", [1e-5, 1e-8]);
+}
+
+#[test]
+fn rotors_that_run_down_to_rest() {
+    sticks("run_down_stick", [1e-5, 1e-8]);
+}
+
+#[test]
+fn a_handle_that_sticks_to_a_wall() {
+    sticks("haptic_stick", [1e-5, 1e-8]);
+}
+
+#[test]
+fn a_joint_that_sticks_and_slips() {
+    sticks("stick_slip", [1e-6, 1e-9]);
+}

@@ -16,6 +16,7 @@ mod effects_stiff; // friction through zero, stops and contact hit fast, high ga
 mod kinks; // loads with kinks: touches, stops, what is dissipated
 mod payload; // mass that joins the tip during a run, or leaves it
 mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
+mod stick; // dry friction that holds
 
 // The FMI rooms, through the C functions.
 mod fmi_derivatives; // of outputs against inputs and states, of inputs and outputs against time

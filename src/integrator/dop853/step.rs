@@ -6,7 +6,9 @@ use super::events::Border;
 use super::stages::{Allowed, RATE, Slope, Stages};
 use super::{DenseStep, Horizon, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, StepSizeController, is_cut_short, next_step};
-use crate::integrator::{Approach, Arrival, Kinked, Passage, PassageLimits, Projection, StepError, System, velocity_correction};
+use crate::integrator::{
+    Approach, Arrival, Kinked, Passage, PassageLimits, Projection, StepError, System, let_hold, velocity_correction,
+};
 use crate::vector::Vector;
 
 /// A step below this, s, that is rejected is not made shorter.
@@ -54,6 +56,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let mut rejected = false;
         self.settle(system, settings);
         let mut on_sides = system.on(self.sides);
+        if on_sides.borrow().is_at_rest() {
+            self.length = longest.min(LONGEST);
+            self.end = self.start;
+            self.end.counters.substeps += 1;
+            return Ok(());
+        }
         let mut tries = 0;
         loop {
             let on: &S = on_sides.borrow();
@@ -196,7 +204,7 @@ impl Settings {
         let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
         let (iterations, pose) = projection.position(system, q)?;
         let mass = system.factor_mass(&pose, self.regularization);
-        *v += velocity_correction(system, &pose, &mass, v);
+        *v = let_hold(system, q, &pose, &mass, *v + velocity_correction(system, &pose, &mass, v));
         Ok((iterations, pose, mass))
     }
 }
