@@ -16,6 +16,10 @@ const PATIENCE: u32 = 10;
 const REPEATING: f64 = 0.1;
 /// White noise of this many steps of the quantiser makes its error white.
 const DITHER: f64 = 0.4;
+/// An encoder is silent where this many of its intervals have passed since its last sample,
+const LATE: f64 = 1.5;
+/// which before there are two samples are taken to be of this length, s.
+const UNKNOWN_INTERVAL: f64 = 0.1;
 /// The least standard deviation of a sample, rad.
 const FINEST: f64 = 1e-9;
 
@@ -120,7 +124,7 @@ impl Encoder {
 
     /// Whether it has been silent for longer than between its last samples.
     pub(super) fn is_silent(&self) -> bool {
-        self.silent > 1.5 * self.interval.max(f64::MIN_POSITIVE)
+        self.silent > LATE * if self.interval > 0.0 { self.interval } else { UNKNOWN_INTERVAL }
     }
 
     /// Whether it repeats itself.

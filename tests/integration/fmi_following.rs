@@ -177,10 +177,10 @@ fn faults_are_told_once_and_survived() {
         follow(&host, &machine, 50..80, seen);
         assert_eq!(status(&host), name);
         let lines = host.take();
-        assert!(
-            lines.len() == 1 && lines[0].text.contains(text) && lines[0].text.contains("measured.theta[1]"),
-            "{name}: {lines:?}"
-        );
+        // One that gets stuck jumps here, and is wild before it repeats itself.
+        assert_eq!(lines.len(), 1 + usize::from(name == "stuck"), "{name}: {lines:?}");
+        let told = &lines[lines.len() - 1].text;
+        assert!(told.contains(text) && told.contains("measured.theta[1]"), "{name}: {lines:?}");
         follow(&host, &machine, 80..200, at_once);
         assert_eq!(status(&host), "following", "{name}");
         assert!(tip_error(&host, &machine) < 1e-4, "{name}: {}", tip_error(&host, &machine));
