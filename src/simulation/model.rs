@@ -4,6 +4,7 @@ use arrayvec::ArrayVec;
 
 use super::inertia::Inertia;
 use crate::effects::{self, Active, Effect, ForceContext, Inputs, Law, Perturbation, TypicalInertia};
+use crate::estimator;
 use crate::integrator::{MacroStepMethod, dop853, i3alp, i3alp_conserving, i3alp_printed, rk4};
 use crate::linear::{LinearSolve, LinearSolver};
 use crate::mechanism::{Assembly, Coordinates, Geometry, Mechanism, SceneError, Start};
@@ -58,6 +59,8 @@ pub struct Parameters {
     pub settings: Settings,
     /// What acts on it.
     pub effects: effects::Parameters,
+    /// How it follows measurements.
+    pub estimator: estimator::Parameters,
 }
 
 /// The integrator with the settings it reads.
@@ -257,7 +260,7 @@ const COAXIAL: f64 = 1e-10;
 const CONSERVING: f64 = 1e-7;
 
 /// The variable of a law of friction that sticks, of an effect that is on.
-fn sticking_law(effects: &effects::Parameters) -> Option<&'static str> {
+pub(super) fn sticking_law(effects: &effects::Parameters) -> Option<&'static str> {
     let (friction, contact) = (&effects.friction, &effects.contact);
     let laws = [
         ("friction.law", friction.enabled && friction.law == Law::Stick),
