@@ -286,6 +286,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if self.elapsed == self.length {
             return Sample { q: end.q, v: end.v, pose: system.pose(&end.q), work: end.work, modes: end.modes };
         }
+        if system.is_steep() && !self.straight && !self.interpolates_well(settings) {
+            let mut redone = *self;
+            if redone.truncate_and_redo(system, settings).is_ok() {
+                return redone.sample(system, settings);
+            }
+        }
         let ([q, v], work) = self.interpolated(system.follows_work());
         let (mut on_q, mut on_v) = (q, v);
         let projected = if self.straight { None } else { settings.project(system, &mut on_q, &mut on_v).ok() };
