@@ -259,9 +259,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if self.elapsed == self.length { self.sides_behind } else { self.sides }
     }
 
-    /// The beginning of the step, and the sides on which it is made.
-    pub fn beginning(&self) -> (&State<N, M>, K) {
-        (&self.start, self.sides)
+    /// The beginning of the step with the sides on which it is made, and its end with those behind it.
+    pub fn ends(&self) -> [(&State<N, M>, K); 2] {
+        [(&self.start, self.sides), (&self.end, self.sides_behind)]
     }
 
     /// Macro steps since the start.

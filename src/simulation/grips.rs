@@ -155,20 +155,28 @@ pub(super) fn slides<const N: usize, const M: usize>(system: &impl Gripping<N, M
     grasps.iter().map(slide).collect()
 }
 
-/// Whether a run can have left a state with its grips as they are.
+/// Whether a run can have left a state with its grips as they are; where they have only just stopped, it still moves a little.
 #[cold]
-pub(super) fn are_possible<const N: usize, const M: usize>(system: &impl Gripping<N, M>, q: &Vector<N>, v: &Vector<N>) -> bool {
+pub(super) fn are_possible<const N: usize, const M: usize>(
+    system: &impl Gripping<N, M>,
+    q: &Vector<N>,
+    v: &Vector<N>,
+    just_stopped: bool,
+) -> bool {
     /// A grip does what it does up to some times what may be overlooked.
     const FAR: f64 = 100.0;
     let grips = system.grips();
     if grips.at_rest() {
-        let all = balance(system, q, v, |_| true);
-        return *v == Vector::ZERO && all.can_rest() && *grips == Grips::resting(all.places.into_iter());
+        let all = balance(system, q, &Vector::ZERO, |_| true);
+        let slowest = if just_stopped { AT_REST * slow(system.tolerance()) } else { 0.0 };
+        return v.max_norm() <= slowest && all.can_rest() && *grips == Grips::resting(all.places.into_iter());
     }
     let slides = slides(system, q, v);
     let far = FAR * slow(system.tolerance());
     let there = |place: usize| slides.iter().any(|slide| slide.place == place);
-    (0..GRIPS).all(|place| there(place) || grips.at(place) == Grip::Open)
+    let held = |grasp: &Grasp<N>| matches!(grips.at(grasp.place), Grip::Holds(_));
+    balance(system, q, v, held).is_one()
+        && (0..GRIPS).all(|place| there(place) || grips.at(place) == Grip::Open)
         && slides.iter().all(|slide| match grips.at(slide.place) {
             Grip::Open => false,
             Grip::Slips(way) => way.sign() * slide.rate >= -far,

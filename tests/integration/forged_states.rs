@@ -402,8 +402,9 @@ fn forged_runs_are_refused_or_go_on() {
         number += 1;
     }
     assert!(wrong.is_empty(), "{} forgeries:\n{}", wrong.len(), wrong.join("\n"));
-    // Most of a run follows from the rest of it.
-    assert!(counts.iter().all(|([refused, accepted], _)| refused > accepted && *accepted > 0), "{counts:?}");
+    // Most of a run follows from the rest of it; while friction holds a joint, rather less.
+    let most = |name: &str| if name.contains("sticking") { 2 } else { 1 };
+    assert!(counts.iter().all(|([refused, accepted], name)| most(name) * refused > *accepted && *accepted > 0), "{counts:?}");
 }
 
 /// Before a run and after it, and with what is pending: inputs with derivatives, a tuned parameter.
