@@ -6,9 +6,7 @@ use super::events::Border;
 use super::stages::{Allowed, RATE, Slope, Stages};
 use super::{DenseStep, Horizon, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, StepSizeController, is_cut_short, next_step};
-use crate::integrator::{
-    Approach, Arrival, Kinked, Passage, PassageLimits, Projection, StepError, System, let_hold, velocity_correction,
-};
+use crate::integrator::{Approach, Arrival, Kinked, Passage, PassageLimits, Projection, StepError, System, velocity_correction};
 use crate::vector::Vector;
 
 /// A step below this, s, that is rejected is not made shorter.
@@ -200,7 +198,10 @@ impl Settings {
         let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
         let (iterations, pose) = projection.position(system, q)?;
         let mass = system.factor_mass(&pose, self.regularization);
-        *v = let_hold(system, q, &pose, &mass, *v + velocity_correction(system, &pose, &mass, v));
+        *v += velocity_correction(system, &pose, &mass, v);
+        if system.holds() {
+            *v = system.let_hold(*q, *v);
+        }
         Ok((iterations, pose, mass))
     }
 }
