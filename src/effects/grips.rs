@@ -178,6 +178,11 @@ impl Balance {
         all && (self.shared().is_some() || self.best(2..=2).is_some_and(|(violation, _)| violation <= SHARP))
     }
 
+    /// Whether all of them hold the same motion.
+    pub fn is_one(&self) -> bool {
+        (1..self.len()).all(|i| self.are_parallel(0, i))
+    }
+
     /// Whether two of them hold the same motion.
     fn are_parallel(&self, i: usize, j: usize) -> bool {
         let g = &self.mobility;

@@ -287,9 +287,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if self.elapsed == self.length { self.sides_behind } else { self.sides }
     }
 
-    /// The beginning of the step, and the sides on which it is made.
-    pub fn beginning(&self) -> (&State<N, M>, K) {
-        (&self.start, self.sides)
+    /// The beginning of the step with the sides on which it is made, and its end with those behind it.
+    pub fn ends(&self) -> [(&State<N, M>, K); 2] {
+        [(&self.start, self.sides), (&self.end, self.sides_behind)]
     }
 
     /// Macro steps since the start.
@@ -313,6 +313,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let Self { end, .. } = self;
         if self.elapsed == self.length {
             return Sample { q: end.q, v: end.v, pose: system.pose(&end.q), work: end.work, modes: end.modes };
+        }
+        if system.is_steep() && !self.straight && !self.interpolates_well(settings) {
+            let mut redone = *self;
+            if redone.truncate_and_redo(system, settings).is_ok() {
+                return redone.sample(system, settings);
+            }
         }
         let ([q, v], work) = self.interpolated(system.follows_work());
         let (mut on_q, mut on_v) = (q, v);

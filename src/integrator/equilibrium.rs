@@ -1,6 +1,6 @@
 //! q̈ and λ that belong to q, q̇ and the forces.
 
-use super::{Held, Kkt, System};
+use super::{Kkt, System};
 use crate::vector::Vector;
 
 /// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇.
@@ -27,60 +27,6 @@ pub fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
     mass: &S::Mass,
 ) -> (Vector<N>, Vector<M>) {
     let free = mass.solve(&system.forces(q, pose, v), &-system.phi_q_dot_times(pose, v));
-    if system.holds() { with_what_is_held(system, [q, v], pose, mass, free) } else { free }
-}
-
-/// The same with the force by which friction holds.
-#[cold]
-fn with_what_is_held<const N: usize, const M: usize, S: System<N, M>>(
-    system: &S,
-    [q, v]: [&Vector<N>; 2],
-    pose: &S::Pose,
-    mass: &S::Mass,
-    (a, lambda): (Vector<N>, Vector<M>),
-) -> (Vector<N>, Vector<M>) {
-    match system.held(q, pose, v) {
-        Held::Nothing => (a, lambda),
-        Held::Direction { row, drift, force } => {
-            let (by_force, by_force_lambda) = mass.solve(&force, &Vector::ZERO);
-            let mobility = row.dot(&by_force);
-            let part = if mobility > 0.0 { -(row.dot(&a) + drift) / mobility } else { 0.0 };
-            (a + part * by_force, lambda + part * by_force_lambda)
-        }
-        Held::All { force } => {
-            let (_, lambda) = mass.solve(&(system.forces(q, pose, v) + force), &Vector::ZERO);
-            (Vector::ZERO, lambda)
-        }
-    }
-}
-
-/// q̇ without what friction holds.
-#[inline]
-pub fn let_hold<const N: usize, const M: usize, S: System<N, M>>(
-    system: &S,
-    q: &Vector<N>,
-    pose: &S::Pose,
-    mass: &S::Mass,
-    v: Vector<N>,
-) -> Vector<N> {
-    if system.holds() { held_back(system, q, pose, mass, v) } else { v }
-}
-
-#[cold]
-fn held_back<const N: usize, const M: usize, S: System<N, M>>(
-    system: &S,
-    q: &Vector<N>,
-    pose: &S::Pose,
-    mass: &S::Mass,
-    v: Vector<N>,
-) -> Vector<N> {
-    match system.held(q, pose, &v) {
-        Held::Nothing => v,
-        Held::Direction { row, force, .. } => {
-            let (by_force, _) = mass.solve(&force, &Vector::ZERO);
-            let mobility = row.dot(&by_force);
-            if mobility > 0.0 { v - row.dot(&v) / mobility * by_force } else { v }
-        }
-        Held::All { .. } => Vector::ZERO,
-    }
+    // Copies, which are made only where something is held: what is pointed to has to be in memory.
+    if system.holds() { system.balanced_with_held(*q, *v, free) } else { free }
 }

@@ -20,7 +20,7 @@ mod system;
 
 pub use consistency::{Bounds, Inconsistency};
 pub use discrete::{Chord, Discrete, SecantFactor};
-pub use equilibrium::{equilibrium, equilibrium_at, let_hold};
+pub use equilibrium::{equilibrium, equilibrium_at};
 pub use error::StepError;
 pub use kinks::Kinked;
 pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, StepLimits, Transit};

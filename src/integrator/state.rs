@@ -2,7 +2,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::equilibrium::{equilibrium, equilibrium_at, let_hold};
+use super::equilibrium::{equilibrium, equilibrium_at};
 use super::{Passage, StepError, System, Work};
 use crate::vector::Vector;
 
@@ -114,8 +114,7 @@ impl<const N: usize, const M: usize> State<N, M> {
     /// Friction holds something else from here on: q̇ is without it, q̈ and λ follow, the predictor starts anew.
     pub fn settle<S: System<N, M> + Passage<N>>(&mut self, system: &S, regularization: f64) {
         if system.holds() {
-            let pose = system.pose(&self.q);
-            self.v = let_hold(system, &self.q, &pose, &system.factor_mass(&pose, regularization), self.v);
+            self.v = system.let_hold(self.q, self.v);
         }
         self.balance(system, regularization);
         self.jerk = Vector::ZERO;

@@ -52,6 +52,14 @@ pub trait System<const N: usize, const M: usize> {
     fn held(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> Held<N> {
         Held::Nothing
     }
+    /// q̈ and λ with the forces by which friction holds, from those without. Asked only if [`System::holds`].
+    fn balanced_with_held(&self, _q: Vector<N>, _v: Vector<N>, free: (Vector<N>, Vector<M>)) -> (Vector<N>, Vector<M>) {
+        free
+    }
+    /// q̇ without what friction holds. Asked only if [`System::holds`].
+    fn let_hold(&self, _q: Vector<N>, v: Vector<N>) -> Vector<N> {
+        v
+    }
     /// Whether any force does work that must be followed along the path.
     fn follows_work(&self) -> bool;
     /// Power of the inputs and of dissipation, W. Asked only if [`System::follows_work`].

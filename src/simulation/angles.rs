@@ -305,6 +305,14 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         super::grips::held(self, q, pose, v)
     }
 
+    fn balanced_with_held(&self, q: Angles, v: Angles, free: (Angles, Vector<CLOSURES>)) -> (Angles, Vector<CLOSURES>) {
+        super::grips::balanced_with_held(self, q, v, free)
+    }
+
+    fn let_hold(&self, q: Angles, v: Angles) -> Angles {
+        super::grips::let_hold(self, q, v)
+    }
+
     #[inline]
     fn follows_work(&self) -> bool {
         self.five_bar.follows_work()

@@ -98,8 +98,9 @@ impl DenseRun {
         if self.held.iter().any(|steps| *steps > self.step.steps()) {
             return Err("inputs were held for longer than the run is");
         }
-        let (start, sides) = self.step.beginning();
-        check_grips(system.model(), &ByAngles::new(system.five_bar().on(sides)), &start.q, &start.v)?;
+        for ((state, sides), ends) in self.step.ends().into_iter().zip([false, true]) {
+            check_grips(system.model(), &ByAngles::new(system.five_bar().on(sides)), &state.q, &state.v, ends)?;
+        }
         self.step.check(system, settings, bounds)
     }
 

@@ -200,6 +200,14 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         super::grips::held(self, q, pose, v)
     }
 
+    fn balanced_with_held(&self, q: Coordinates, v: Coordinates, free: (Coordinates, Multipliers)) -> (Coordinates, Multipliers) {
+        super::grips::balanced_with_held(self, q, v, free)
+    }
+
+    fn let_hold(&self, q: Coordinates, v: Coordinates) -> Coordinates {
+        super::grips::let_hold(self, q, v)
+    }
+
     #[inline(always)]
     fn follows_work(&self) -> bool {
         self.follows_work

@@ -141,6 +141,46 @@ pub(super) fn holding<const N: usize, const M: usize>(system: &impl Gripping<N, 
     holding
 }
 
+/// q̈ and λ with the forces by which friction holds, from those without.
+#[cold]
+#[inline(never)]
+pub(super) fn balanced_with_held<const N: usize, const M: usize>(
+    system: &impl Gripping<N, M>,
+    q: Vector<N>,
+    v: Vector<N>,
+    (a, lambda): (Vector<N>, Vector<M>),
+) -> (Vector<N>, Vector<M>) {
+    let pose = system.pose(&q);
+    let mass = system.factor_mass(&pose, system.regularization());
+    match held(system, &q, &pose, &v) {
+        Held::Nothing => (a, lambda),
+        Held::Direction { row, drift, force } => {
+            let (by_force, by_force_lambda) = mass.solve(&force, &Vector::ZERO);
+            let mobility = row.dot(&by_force);
+            let part = if mobility > 0.0 { -(row.dot(&a) + drift) / mobility } else { 0.0 };
+            (a + part * by_force, lambda + part * by_force_lambda)
+        }
+        Held::All { force } => {
+            let (_, lambda) = mass.solve(&(system.forces(&q, &pose, &v) + force), &Vector::ZERO);
+            (Vector::ZERO, lambda)
+        }
+    }
+}
+
+/// q̇ without what friction holds, by the shortest way in the mass metric.
+#[cold]
+#[inline(never)]
+pub(super) fn let_hold<const N: usize, const M: usize>(system: &impl Gripping<N, M>, q: Vector<N>, v: Vector<N>) -> Vector<N> {
+    if system.grips().at_rest() {
+        return Vector::ZERO;
+    }
+    let pose = system.pose(&q);
+    let Held::Direction { row, force, .. } = held(system, &q, &pose, &v) else { return v };
+    let (by_force, _) = system.factor_mass(&pose, system.regularization()).solve(&force, &Vector::ZERO);
+    let mobility = row.dot(&by_force);
+    if mobility > 0.0 { v - row.dot(&v) / mobility * by_force } else { v }
+}
+
 /// The grips as they are now, for those who watch for what they do next.
 pub(super) fn slides<const N: usize, const M: usize>(system: &impl Gripping<N, M>, q: &Vector<N>, v: &Vector<N>) -> Slides {
     let grasps = system.grasps(q, &system.pose(q), v);
@@ -155,20 +195,28 @@ pub(super) fn slides<const N: usize, const M: usize>(system: &impl Gripping<N, M
     grasps.iter().map(slide).collect()
 }
 
-/// Whether a run can have left a state with its grips as they are.
+/// Whether a run can have left a state with its grips as they are; where they have only just stopped, it still moves a little.
 #[cold]
-pub(super) fn are_possible<const N: usize, const M: usize>(system: &impl Gripping<N, M>, q: &Vector<N>, v: &Vector<N>) -> bool {
+pub(super) fn are_possible<const N: usize, const M: usize>(
+    system: &impl Gripping<N, M>,
+    q: &Vector<N>,
+    v: &Vector<N>,
+    just_stopped: bool,
+) -> bool {
     /// A grip does what it does up to some times what may be overlooked.
     const FAR: f64 = 100.0;
     let grips = system.grips();
     if grips.at_rest() {
-        let all = balance(system, q, v, |_| true);
-        return *v == Vector::ZERO && all.can_rest() && *grips == Grips::resting(all.places.into_iter());
+        let all = balance(system, q, &Vector::ZERO, |_| true);
+        let slowest = if just_stopped { AT_REST * slow(system.tolerance()) } else { 0.0 };
+        return v.max_norm() <= slowest && all.can_rest() && *grips == Grips::resting(all.places.into_iter());
     }
     let slides = slides(system, q, v);
     let far = FAR * slow(system.tolerance());
     let there = |place: usize| slides.iter().any(|slide| slide.place == place);
-    (0..GRIPS).all(|place| there(place) || grips.at(place) == Grip::Open)
+    let held = |grasp: &Grasp<N>| matches!(grips.at(grasp.place), Grip::Holds(_));
+    balance(system, q, v, held).is_one()
+        && (0..GRIPS).all(|place| there(place) || grips.at(place) == Grip::Open)
         && slides.iter().all(|slide| match grips.at(slide.place) {
             Grip::Open => false,
             Grip::Slips(way) => way.sign() * slide.rate >= -far,

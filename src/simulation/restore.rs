@@ -30,7 +30,7 @@ impl Run {
         match (&model.stepper, progress) {
             (Stepper::MacroStep(_), Progress::WithCall(core, grips)) => {
                 let system = system.on(Sides::of_grips(*grips));
-                check_grips(model, &system, &core.q, &core.v)
+                check_grips(model, &system, &core.q, &core.v, false)
                     .and_then(|()| core.check(&system, &bounds(model, &parameters.settings)))
             }
             (Stepper::Conserving(_), Progress::Conserving(run)) => run.check(&system, &bounds(model, &parameters.settings)),
@@ -52,8 +52,9 @@ pub(super) fn check_grips<const N: usize, const M: usize>(
     system: &impl Gripping<N, M>,
     q: &Vector<N>,
     v: &Vector<N>,
+    just_stopped: bool,
 ) -> Result<(), Inconsistency> {
-    let possible = if model.sticks { grips::are_possible(system, q, v) } else { *system.grips() == Grips::OPEN };
+    let possible = if model.sticks { grips::are_possible(system, q, v, just_stopped) } else { *system.grips() == Grips::OPEN };
     if possible { Ok(()) } else { Err("friction does not hold or slip as it says") }
 }
 

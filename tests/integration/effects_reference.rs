@@ -208,32 +208,35 @@ fn dop853_follows_inputs() {
     is_met_by_dop853("haptic", 2.5, 0.1);
 }
 
-/// Dry friction that sticks, by both methods that take it; what friction holds is held to the last bit.
-fn sticks(scene: &str, bounds: [f64; 2]) {
-    for (method, bound) in [Method::I3alp, Method::Dop853].into_iter().zip(bounds) {
-        for tolerance in [3e-9, 1e-11, 1e-12, 1e-13] {
+/// Dry friction that sticks, by both methods that take it: at their default tolerance and at 1e-12 rad, errors of tip and angles, m and
+/// rad. i3-ALP is of second order; what the explicit one leaves is what a fall makes of rates that stop at 1e-11 rad/s.
+fn sticks(scene: &str, bounds: [[f64; 2]; 2]) {
+    for (method, bounds) in [Method::I3alp, Method::Dop853].into_iter().zip(bounds) {
+        for (tolerance, bound) in [3e-9, 1e-12].into_iter().zip(bounds) {
             let [motion, rates, energy] = errors_and_energy(scene, method, &[("solver.errorTolerance", tolerance)]);
-            println!("{scene}, {method:?} {tolerance:e}: {motion:e} m or rad, {rates:e} rad/s, {energy:e} J");
+            assert!(motion < bound && rates < 300.0 * bound, "{scene}, {method:?}: {motion:e} m or rad, {rates:e} rad/s");
+            assert!(energy < if tolerance > 1e-9 { 1e-6 } else { 4e-9 }, "{scene}, {method:?}: {energy:e} J");
         }
     }
 }
 
 #[test]
 fn a_fall_against_friction_that_sticks() {
-    sticks("friction_fall_stick", [1e-5, 1e-8]);
+    sticks("friction_fall_stick", [[1.2e-4, 1.2e-6], [5e-6, 1e-8]]);
 }
 
 #[test]
-fn rotors_that_run_down_to_rest() {
-    sticks("run_down_stick", [1e-5, 1e-8]);
+fn rotors_that_run_down_against_friction_that_sticks() {
+    sticks("run_down_stick", [[1.2e-5, 7e-8], [2e-7, 2e-9]]);
 }
 
 #[test]
 fn a_handle_that_sticks_to_a_wall() {
-    sticks("haptic_stick", [1e-5, 1e-8]);
+    sticks("haptic_stick", [[6e-6, 5e-8], [1.2e-7, 2e-12]]);
 }
 
+/// Jumps of 1.1 mrad: within 0.1 % of them.
 #[test]
 fn a_joint_that_sticks_and_slips() {
-    sticks("stick_slip", [1e-6, 1e-9]);
+    sticks("stick_slip", [[1.2e-7, 2e-8], [2e-7, 4e-12]]);
 }

@@ -3,6 +3,7 @@
 mod bench;
 mod compare;
 mod hard_cases;
+mod kinks;
 mod package;
 mod paths;
 mod peers;
@@ -84,6 +85,8 @@ enum Command {
     },
     /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
     Prices,
+    /// Draw stick and slip, a bounce and a hold for docs/effects.md, write docs/images/kinks.svg
+    Kinks,
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package {
         /// A unit of one's own, target/fmu/NAME.fmu: its start values, experiment and description come from this file, written like
@@ -124,6 +127,7 @@ fn command(command: Command) -> Result<()> {
         Command::Bench { check: true, .. } => bench::check(),
         Command::Bench { quick, .. } => bench::bench(quick),
         Command::Prices => prices::prices(),
+        Command::Kinks => kinks::kinks(),
         Command::Package { scene, name, all_platforms } => {
             let scope = if all_platforms { Scope::All } else { Scope::Here };
             match scene {

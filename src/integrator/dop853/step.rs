@@ -6,9 +6,7 @@ use super::events::Border;
 use super::stages::{Allowed, RATE, Slope, Stages};
 use super::{DenseStep, Horizon, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, StepSizeController, is_cut_short, next_step};
-use crate::integrator::{
-    Approach, Arrival, Kinked, Passage, PassageLimits, Projection, StepError, System, let_hold, velocity_correction,
-};
+use crate::integrator::{Approach, Arrival, Kinked, Passage, PassageLimits, Projection, StepError, System, velocity_correction};
 use crate::vector::Vector;
 
 /// A step below this, s, that is rejected is not made shorter.
@@ -67,7 +65,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let on: &S = on_sides.borrow();
             let mut stages = Stages::new(on, settings.regularization, &self.start, h);
             let end = stages.end();
-            let mut error = stages.error(&settings.allowed_of(on), &end[1]);
+            let error = stages.error(&settings.allowed_of(on), &end[1]);
             let arrival = if error <= 1.0 { settings.project_and_evaluate(on, end) } else { Err(StepError::NotFinite) };
             if let Ok((iterations, arrival)) = arrival {
                 self.accept(on, &stages, (iterations, arrival));
@@ -94,16 +92,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 if interpolated && !(on.has_kinks() && self.dense != [Slope::NONE; 4]) {
                     self.dense = stages.dense(on, settings.regularization, &self.end);
                 }
-                if !interpolated || !on.is_steep() || self.interpolates_well(settings) {
-                    self.end.error_estimate = error * settings.error_tolerance;
-                    self.adapt(error, wanted, rejected);
-                    if self.memory.stiffness.is_due(self.end.counters.substeps) {
-                        self.memory.stiffness.check(h * stages.fastest_rate(&self.end));
-                    }
-                    return Ok(());
+                self.end.error_estimate = error * settings.error_tolerance;
+                self.adapt(error, wanted, rejected);
+                if self.memory.stiffness.is_due(self.end.counters.substeps) {
+                    self.memory.stiffness.check(h * stages.fastest_rate(&self.end));
                 }
-                self.retract();
-                error = f64::NAN;
+                return Ok(());
             }
             self.end.counters.rejected += 1;
             rejected = true;
@@ -137,7 +131,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Whether the interpolant is of one piece: its rates are the derivatives of its coordinates. Stages may miss what the further ones
     /// of the interpolant meet.
     #[cold]
-    fn interpolates_well(&self, settings: &Settings) -> bool {
+    pub(super) fn interpolates_well(&self, settings: &Settings) -> bool {
         let (positions, velocities) = (self.positions(), self.velocities());
         [0.125, 0.5, 0.875].into_iter().all(|part| {
             let v = velocities.at(part);
@@ -204,7 +198,10 @@ impl Settings {
         let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
         let (iterations, pose) = projection.position(system, q)?;
         let mass = system.factor_mass(&pose, self.regularization);
-        *v = let_hold(system, q, &pose, &mass, *v + velocity_correction(system, &pose, &mass, v));
+        *v += velocity_correction(system, &pose, &mass, v);
+        if system.holds() {
+            *v = system.let_hold(*q, *v);
+        }
         Ok((iterations, pose, mass))
     }
 }

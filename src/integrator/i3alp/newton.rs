@@ -65,6 +65,11 @@ impl<const N: usize, const M: usize> Step<N, M> {
         Self { delta: Vector::ZERO, lambda: state.lambda, ..*self }
     }
 
+    /// The same step from where the rates do not change.
+    pub(super) fn with_rates_of(&self, state: &State<N, M>) -> Self {
+        Self { delta: -2.0 * self.beta * state.a, ..self.anew(state) }
+    }
+
     pub(super) fn q(&self) -> Vector<N> {
         self.predicted + self.delta
     }
