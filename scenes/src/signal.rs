@@ -1,8 +1,9 @@
-//! Inputs that change with time, given by a few knots [time in s, value].
+//! Inputs and tunable parameters that change with time, given by a few knots [time in s, value].
 //!
 //! `{"linear": [[t, v], ...]}` joins the knots by straight lines; `{"minimumJerk": [[t, v], ...]}` goes from knot to knot and rests in
 //! each, by 10u³ − 15u⁴ + 6u⁵, the path of least mean square jerk between two rests (Flash and Hogan, J. Neurosci. 5 (1985) 1688,
-//! eq. 3); `{"rateOf": "servo.theta[1]"}` is the derivative of another signal. Before its first and after its last knot a signal stays
+//! eq. 3); `{"rateOf": "servo.theta[1]"}` is the derivative of another signal; `{"steps": [[t, v], ...]}` stays in each knot until the
+//! next, and is the one that a tunable parameter may have. Before its first and after its last knot a signal stays
 //! what it is there.
 
 use anyhow::{Context, Result, bail};
@@ -16,12 +17,16 @@ use crate::names::{self, unit};
 const LINEAR: &str = "linear";
 const MINIMUM_JERK: &str = "minimumJerk";
 const RATE_OF: &str = "rateOf";
-const KINDS: [&str; 3] = [LINEAR, MINIMUM_JERK, RATE_OF];
+const STEPS: &str = "steps";
+const KINDS: [&str; 4] = [LINEAR, MINIMUM_JERK, RATE_OF, STEPS];
 
-/// One input's way through its knots.
+/// A step is there a nanosecond early: times that a master counts together are not quite those that are written.
+const EARLY: f64 = 1e-9;
+
+/// One variable's way through its knots.
 #[derive(Clone, Debug)]
 pub struct Signal {
-    /// The input.
+    /// The input or tunable parameter.
     pub variable: &'static Variable,
     shape: Shape,
     /// Whether it is the rate of that way.
@@ -35,6 +40,7 @@ pub struct Signal {
 enum Shape {
     Linear,
     MinimumJerk,
+    Steps,
 }
 
 /// What a signal is computed in: doubles, or fractions without round-off.
@@ -50,6 +56,8 @@ impl Shape {
     fn way<T: Number>(self, u: T) -> T {
         match self {
             Self::Linear => u,
+            Self::Steps if u < T::one() => T::zero(),
+            Self::Steps => T::one(),
             Self::MinimumJerk => {
                 let bend = number::<T>(10.0) - number::<T>(15.0) * u.clone() + number::<T>(6.0) * u.clone() * u.clone();
                 u.clone() * u.clone() * u * bend
@@ -61,6 +69,7 @@ impl Shape {
     fn slope<T: Number>(self, u: T) -> T {
         match self {
             Self::Linear => T::one(),
+            Self::Steps => T::zero(),
             Self::MinimumJerk => {
                 let left = T::one() - u.clone();
                 number::<T>(30.0) * u.clone() * u * left.clone() * left
@@ -74,14 +83,14 @@ pub(crate) fn read(given: Option<&Json>) -> Result<Vec<Signal>> {
     let given = match given {
         None => return Ok(Vec::new()),
         Some(Json::Object(given)) => given,
-        Some(other) => bail!("'signals' must be an object of input names and signals, not {other}"),
+        Some(other) => bail!("'signals' must be an object of names and signals, not {other}"),
     };
     given.keys().map(|name| signal(given, name).with_context(|| format!("signal '{name}'"))).collect()
 }
 
 fn signal(given: &Map<String, Json>, name: &str) -> Result<Signal> {
-    let variable = names::input(name)?;
     let (kind, value) = kind(&given[name])?;
+    let variable = if kind == STEPS { names::input_or_tunable(name)? } else { names::input(name)? };
     if kind == RATE_OF {
         let source = value.as_str().filter(|source| given.contains_key(*source)).map(|source| signal(given, source)).transpose()?;
         let fits = |source: &Signal| !source.rate && unit(variable) == format!("{}/s", unit(source.variable));
@@ -90,7 +99,11 @@ fn signal(given: &Map<String, Json>, name: &str) -> Result<Signal> {
             None => bail!("'{RATE_OF}' must name a signal with knots whose rate has the unit {}, not {value}", unit(variable)),
         };
     }
-    let shape = if kind == LINEAR { Shape::Linear } else { Shape::MinimumJerk };
+    let (shape, early) = match kind {
+        LINEAR => (Shape::Linear, 0.0),
+        STEPS => (Shape::Steps, EARLY),
+        _ => (Shape::MinimumJerk, 0.0),
+    };
     let knots: Vec<(f64, f64)> = match serde_json::from_value::<Vec<_>>(value.clone()) {
         Ok(knots) if knots.len() > 1 => knots,
         _ => bail!("'{kind}' must be a list of two or more knots [time in s, value], not {value}"),
@@ -98,6 +111,7 @@ fn signal(given: &Map<String, Json>, name: &str) -> Result<Signal> {
     if let Some(pair) = knots.windows(2).find(|pair| pair[1].0 <= pair[0].0) {
         bail!("the knots' times must increase, but {} s follows {} s", pair[1].0, pair[0].0);
     }
+    let knots = knots.into_iter().map(|(time, value)| (time - early, value)).collect();
     Ok(Signal { variable, shape, rate: false, knots })
 }
 
