@@ -143,6 +143,12 @@ fn servos_with_payload_along_a_path() {
     is_met("pick_and_place", [5e-9, 1.5e-13]);
 }
 
+/// A payload that is picked up at rest and let go on the way: by both programs of the reference in other equations than ours.
+#[test]
+fn a_payload_picked_up() {
+    is_met("pick_up", [2e-8, 1.5e-13]);
+}
+
 #[test]
 fn a_handle_drawn_along_a_wall() {
     is_met("haptic", [6e-7, 2.5e-8]);
@@ -205,6 +211,7 @@ fn dop853_bounces() {
 fn dop853_follows_inputs() {
     // The worst is at rest between the moves, where steps are as long as the servos' decay lets them be.
     is_met_by_dop853("pick_and_place", 0.03, 0.45);
+    is_met_by_dop853("pick_up", 0.03, 0.45);
     is_met_by_dop853("haptic", 2.5, 0.1);
 }
 

@@ -30,6 +30,7 @@ SCENES = {
     "swing": 20,
     "stiff_servo": 5,
     "pick_and_place": 16,
+    "pick_up": 16,
     "haptic": 20,
     "flat_table": 30,
     "paper_free_fall": 20,
@@ -120,6 +121,7 @@ def write(scene: str, how: str, rows: list) -> None:
     head = [
         f"scene {scene}, set below, everything else as in modelDescription.xml; each number is the double nearest to what is written.",
         f"Quadruple precision: {how}",
+        *(["Mass at rest joins in an inelastic impact, mass that leaves goes on with the tip."] if "payload.mass" in own.get("signals", {}) else []),
         *(["Inputs that change are held for 1 ms: the double nearest to the signal where each begins."] if "signals" in own else []),
         "th: absolute link angles, ccw from +x: 1 left proximal, 2 left distal (elbow to Q), 3 right distal, 4 right proximal; w: rates. SI units.",
         *(f"{name} = {json.dumps(value)}" for name, value in own.items()),
@@ -168,6 +170,8 @@ def signal_at(signals: dict[str, dict], name: str, time: mpmath.mpf) -> mpmath.m
     rate = kind == "rateOf"
     if rate:
         ((kind, value),) = signals[value].items()
+    if kind == "steps":  # a nanosecond early, as there
+        return next((mpmath.mpf(knot[1]) for knot in reversed(value) if knot[0] - 1e-9 <= time), mpmath.mpf(value[0][1]))
     shape = {"linear": [0, 1], "minimumJerk": [0, 0, 0, 10, -15, 6]}[kind]  # a polynomial in u, rising powers
     knots = [tuple(map(mpmath.mpf, knot)) for knot in value]
     if not knots[0][0] <= time < knots[-1][0]:
