@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import os
 import ssl
 from http import HTTPStatus
 from pathlib import Path
@@ -150,6 +151,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Serves until told to stop."""
     process.set_up_log()
+    if hasattr(os, "nice"):
+        # Others go first where there are too few cores for all.
+        os.nice(5)
     return asyncio.run(_serve(process.read_config(arguments)))
 
 

@@ -23,7 +23,7 @@ class Table:
     """Columns that grow, 8 bytes a number."""
 
     names: tuple[str, ...]
-    columns: dict[str, array[float]] = field(init=False)
+    columns: "dict[str, array[float]]" = field(init=False)
 
     def __post_init__(self) -> None:
         self.columns = {name: array("d") for name in self.names}
