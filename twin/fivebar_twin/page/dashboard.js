@@ -7,9 +7,11 @@ const TRAIL = 1.5;       // s of the tip's path that stay visible
 const LEVEL = 5.991;     // squared radius of the ellipse that holds 95 %, in standard deviations
 const NIS_BOUND = 5.99;  // 95 % of a chi-square distribution with two degrees of freedom
 const STALE = 1000;      // ms without an estimate after which the picture is no longer live
+const EVERY = 4;         // estimates for one point of the charts
+const CHARTS = 100;      // ms between two drawings of the charts
 const GLOW = 0.1;        // |sin| of the angle between two links below which their singularity glows
 
-const state = { about: null, meas: null, est: null, forecast: null, history: [], trail: [], alarms: [], first: 0, arrived: 0, count: 0, rate: 0, delays: [] };
+const state = { about: null, meas: null, est: null, samples: new Map(), box: null, forecast: null, history: [], trail: [], alarms: [], first: 0, arrived: 0, count: 0, rate: 0, delays: [] };
 let client = null, colours = {}, view = null;
 
 // --- messages ---------------------------------------------------------------------------------------------------------
@@ -23,10 +25,17 @@ function receive(topic, payload) {
   const kind = topic.split("/")[2];
   if (message === null || typeof message !== "object" || message.measurement !== kind || !Number.isFinite(message.time)) return;
   const fields = message.fields ?? {};
-  if (kind === "meas" && finite(fields, "measured.theta[1]", "measured.theta[2]")) state.meas = message;
+  if (kind === "meas" && finite(fields, "measured.theta[1]", "measured.theta[2]")) takeSample(message);
   if (kind === "est" && finite(fields, "theta[1]", "theta[2]", "passive.theta[1]", "passive.theta[2]", "tip.x", "tip.y")) takeEstimate(message);
   if (kind === "forecast" && Array.isArray(message.path?.["tip.x"]) && Array.isArray(message.path?.ahead)) state.forecast = message;
   if (kind === "alarm" && typeof message.state === "string") takeAlarm(message);
+}
+
+function takeSample(message) {
+  state.meas = message;
+  state.samples.set(message.seq, message);
+  // Those few that an estimate may still come for.
+  if (state.samples.size > 40) state.samples.delete(state.samples.keys().next().value);
 }
 
 function takeEstimate(message) {
@@ -37,20 +46,25 @@ function takeEstimate(message) {
   state.count += 1;
   state.delays.push(Date.now() - message.time / 1e6);
   if (state.delays.length > 200) state.delays.shift();
-  // The sample that the estimate is of came just before it.
-  const machine = state.meas && Math.abs(state.meas.seq - message.seq) <= 1 ? machinePose() : null;
-  const cov = [1, 2, 3].map((i) => fields[`estimated.tip.cov[${i}]`]);
+  if (state.count % EVERY === 0) remember(message);
+  state.trail.push([seconds, fields["tip.x"], fields["tip.y"]]);
+  while (state.trail[0][0] < seconds - TRAIL || state.trail[0][0] > seconds) state.trail.shift();
+}
+
+/** A point of the charts. The estimate is for a moment after its sample: its motion is taken back by as much. */
+function remember(message) {
+  const fields = message.fields, sample = state.samples.get(message.seq), machine = sample ? machinePose(sample) : null, seconds = message.time / 1e9;
+  const since = sample ? (message.time - sample.time) / 1e9 : 0;
+  const back = ["x", "y"].map((axis) => fields[`tip.${axis}`] - since * (fields[`tip.v${axis}`] ?? 0));
   state.history.push({
     t: seconds,
-    error: machine ? Math.hypot(machine.tip[0] - fields["tip.x"], machine.tip[1] - fields["tip.y"]) : NaN,
-    band: halfAxes(cov)[0],
+    error: machine ? Math.hypot(machine.tip[0] - back[0], machine.tip[1] - back[1]) : NaN,
+    band: halfAxes([1, 2, 3].map((i) => fields[`estimated.tip.cov[${i}]`]))[0],
     tau: [1, 2].map((i) => fields[`estimated.tau[${i}]`]),
     sigma: [1, 2].map((i) => fields[`estimated.tau.sigma[${i}]`]),
     nis: fields["estimated.nis"],
   });
-  state.trail.push([seconds, fields["tip.x"], fields["tip.y"]]);
   while (state.history[0].t < seconds - SHOWN || state.history[0].t > seconds) state.history.shift();
-  while (state.trail[0][0] < seconds - TRAIL || state.trail[0][0] > seconds) state.trail.shift();
 }
 
 function takeAlarm(message) {
@@ -85,8 +99,8 @@ function twinPose() {
 }
 
 /** The machine as its encoders see it: the loop closed on the side that the twin knows; the tip of a tracker, if there is one. */
-function machinePose() {
-  const f = state.meas.fields, { base, lengths: [l1, l2, l3, l4] } = state.about;
+function machinePose(sample) {
+  const f = sample.fields, { base, lengths: [l1, l2, l3, l4] } = state.about;
   const [p1, p2] = [f["measured.theta[1]"], f["measured.theta[2]"]];
   const left = [l1 * Math.cos(p1), l1 * Math.sin(p1)], right = [base + l4 * Math.cos(p2), l4 * Math.sin(p2)];
   if (finite(f, "tip.x", "tip.y")) return { left, right, tip: [f["tip.x"], f["tip.y"]] };
@@ -126,11 +140,9 @@ function sharp(canvas) {
 }
 
 function drawStage() {
-  const { pen, width, height } = sharp(byId("canvas")), { base, lengths: [l1, l2, l3, l4] } = state.about;
-  // All that the machine can reach, so that the picture never moves.
-  const reach = Math.max(l1 + l2, l3 + l4), scale = Math.min((width - 40) / (base + 2 * reach * 0.82), (height - 40) / (2 * reach * 0.8));
-  const low = state.lowest ?? 0;
-  view = { scale, x: width / 2 - scale * base / 2, y: height / 2 + scale * (low < -0.3 * reach ? 0 : reach * 0.36) };
+  const { pen, width, height } = sharp(byId("canvas")), { base } = state.about;
+  look(width, height);
+  const { scale } = view;
   const at = ([x, y]) => [view.x + scale * x, view.y - scale * y];
   const stroke = (points, colour, thick, alpha = 1, dash = []) => {
     pen.globalAlpha = alpha; pen.strokeStyle = colour; pen.lineWidth = thick; pen.setLineDash(dash); pen.beginPath();
@@ -144,8 +156,7 @@ function drawStage() {
 
   drawGround(pen, width, height, at, stroke);
   if (!state.est) return;
-  const live = performance.now() - state.arrived < STALE, twin = twinPose(), machine = state.meas ? machinePose() : null;
-  state.lowest = Math.min(state.lowest ?? 0, twin.tip[1], twin.left[1], twin.right[1]);
+  const live = performance.now() - state.arrived < STALE, twin = twinPose(), machine = state.meas ? machinePose(state.meas) : null;
   const size = Math.min(Math.max(scale * 0.02, 5), 9);
   pen.globalAlpha = 1;
 
@@ -173,6 +184,18 @@ function drawStage() {
     pen.fillStyle = colours.bad; pen.font = "600 15px system-ui, sans-serif"; pen.textAlign = "center";
     pen.fillText("no estimates: what you see is the past", width / 2, 26); pen.textAlign = "left";
   }
+}
+
+/** The part of the plane that is shown: all that was seen so far and some more, so that the picture hardly moves. */
+function look(width, height) {
+  const { base, lengths } = state.about, reach = Math.max(lengths[0] + lengths[1], lengths[2] + lengths[3]);
+  state.box ??= { x0: 0, x1: base, y0: 0, y1: 0.5 * reach };
+  const box = state.box;
+  const path = state.forecast?.path, points = state.est ? Object.values(twinPose()).filter((p) => Array.isArray(p) && p.length === 2).slice(0, 3) : [];
+  path?.["tip.x"].forEach((x, i) => points.push([x, path["tip.y"][i]]));
+  for (const [x, y] of points) if (Math.hypot(x, y) < 3 * reach + base) Object.assign(box, { x0: Math.min(box.x0, x), x1: Math.max(box.x1, x), y0: Math.min(box.y0, y), y1: Math.max(box.y1, y) });
+  const margin = 48, scale = Math.min((width - 2 * margin) / (box.x1 - box.x0), (height - 2 * margin) / (box.y1 - box.y0));
+  view = { scale, x: width / 2 - scale * (box.x0 + box.x1) / 2, y: height / 2 + scale * (box.y0 + box.y1) / 2 };
 }
 
 function drawGround(pen, width, height, at, stroke) {
@@ -223,13 +246,14 @@ function drawForecast(pen, at, stroke, twin) {
 
 /** Lines and bands over the last seconds; every nth sample, as many as there are pixels. */
 function chart(id, { lines, bands = [], bound, unit, floor, log = false }) {
-  const { pen, width, height } = sharp(byId(id)), history = state.history, right = width - 2, left = 42, bottom = height - 16, top = 6;
+  const { pen, width, height } = sharp(byId(id)), history = state.history, right = width - 2, left = 48, bottom = height - 16, top = 6;
   if (history.length < 2) return;
   const end = history[history.length - 1].t, stride = Math.max(1, Math.floor(history.length / (right - left)));
   const kept = history.filter((_, i) => i % stride === 0);
   const usable = (v) => Number.isFinite(v) && Math.abs(v) < 1e20;
   let high = floor, low = lines.some((line) => kept.some((h) => line.of(h) < 0)) ? -floor : 0;
   for (const h of kept) for (const line of lines) { const v = line.of(h); if (usable(v)) { high = Math.max(high, v); low = Math.min(low, v); } }
+  if (low < 0) { high = Math.max(high, -low); low = -high; }
   if (log) low = 0.01;
   if (bound) high = Math.max(high, bound * 1.15);
   const scale = log ? (v) => (Math.log(Math.max(v, low)) - Math.log(low)) / (Math.log(high * 1.2) - Math.log(low)) : (v) => (v - low) / ((high - low) * 1.05);
@@ -271,7 +295,7 @@ function drawCharts() {
 // --- the numbers ------------------------------------------------------------------------------------------------------
 
 const ROWS = [
-  ["rate", "Estimates"], ["delay", "Sample to page"], ["tip", "Tip"], ["error", "Machine less twin"], ["ahead", "Forecast, 95 %"],
+  ["rate", "Estimates"], ["delay", "Sample to page"], ["tip", "Tip"], ["error", "Machine − twin"], ["ahead", "Forecast, 95 %"],
   ["singular", "Next singularity"], ["stop", "Next end stop"],
 ];
 const cells = Object.fromEntries(ROWS.map(([key, label]) => {
@@ -292,7 +316,7 @@ const median = (values) => (values.length ? [...values].sort((a, b) => a - b)[va
 
 function tell() {
   const { est, forecast, about } = state;
-  if (!est) return;
+  if (!est || !state.history.length) return;
   const f = est.fields, last = state.history[state.history.length - 1], seconds = est.time / 1e9;
   byId("clock").textContent = (seconds - state.first).toFixed(1);
   const name = about.statuses[f["estimated.status"]] ?? `status ${f["estimated.status"]}`;
@@ -324,7 +348,7 @@ function connection(text, kind) {
 
 function connect(user, password) {
   client?.end(true);
-  client = mqtt.connect(`ws://${location.host}/mqtt`, { username: user, password, reconnectPeriod: 500, connectTimeout: 5000, clean: true });
+  client = mqtt.connect(`ws://${location.host}/mqtt`, { username: user, password, reconnectPeriod: 500, connectTimeout: 5000, clean: true, timerVariant: "native" });
   client.on("connect", () => {
     connection("live", "good");
     const kinds = ["meas", "est", "forecast", "alarm"];
@@ -335,10 +359,10 @@ function connect(user, password) {
   client.on("message", receive);
 }
 
-function frame() {
+let drawn = 0;
+function frame(moment) {
   drawStage();
-  drawCharts();
-  tell();
+  if (moment - drawn >= CHARTS) { drawn = moment; drawCharts(); tell(); }
   requestAnimationFrame(frame);
 }
 
@@ -361,8 +385,8 @@ async function begin() {
   legend("Machine", "--ink", "dash");
   legend("Tip, its path", "--tip");
   legend("Forecast, 95 %", "--tip", "area");
-  legend("Direct singularity", "--direct");
-  legend("Inverse singularity", "--inverse");
+  legend("Direct", "--direct");
+  legend("Inverse", "--inverse");
   readColours();
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColours);
   byId("acknowledge").addEventListener("click", () => order("acknowledge"));
