@@ -196,7 +196,7 @@ def run_folder(out: Path) -> Path:
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", type=float, default=60.0, help="of real time [default: 60]")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of real time, or inf until Ctrl-C [default: 60]")
     parser.add_argument("--scene", type=Path, required=True, metavar="FILE", help="a scene of target/scenes/")
     parser.add_argument("--fmu", type=Path, default=replay.default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
     parser.add_argument("--out", type=Path, default=Path("target/twin"), help="for summary, pictures, page and record")
@@ -213,7 +213,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def configure(arguments: argparse.Namespace, folder: Path) -> Config:
     """The configuration of a run, from the command line."""
-    if not (math.isfinite(arguments.seconds) and arguments.seconds > 0):
+    if not arguments.seconds > 0:
         raise TwinError(f"seconds are {arguments.seconds:g}; more than 0 are needed")
     password = os.environ.get("FIVEBAR_PASSWORD", "")
     if arguments.broker:
