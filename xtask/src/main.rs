@@ -13,6 +13,7 @@ mod report;
 mod run;
 mod scenes;
 mod test;
+mod twin;
 mod venv;
 mod walk;
 
@@ -41,6 +42,8 @@ enum Command {
         #[arg(long)]
         method: Option<String>,
     },
+    /// Run the live twin in real time: a machine's stand-in, corrector, recorder, watch and dashboard on a broker; write target/twin/
+    Twin(twin::Options),
     /// Check everything: format, lints, Rust tests, documentation, packaging, Python tests
     Test {
         /// Also run what needs Debian packages (installed by .ci/setup): the page in a browser, memory and threads under valgrind
@@ -116,6 +119,7 @@ fn main() -> ExitCode {
 fn command(command: Command) -> Result<()> {
     match command {
         Command::Run { scene, method } => run::run(&scene, method.as_deref()),
+        Command::Twin(options) => twin::twin(&options),
         Command::Test { platforms: true, .. } => test::platforms(),
         Command::Test { fmi_sim: true, .. } => test::fmi_sim(),
         Command::Test { full, .. } => test::test(full),
