@@ -21,6 +21,12 @@ from fivebar_twin.errors import TwinError
 MOVED: Final = 1e-3
 """rad: by how much the step of a derivative may move a trajectory."""
 
+TIGHT: Final = 1e-11
+"""rad: error per step of the runs that count, below what unknowns do to them by orders of magnitude, so that differences can be taken."""
+
+LOOSE: Final = 1e-8
+"""rad: of the runs on the way there."""
+
 STILL: Final = 1e-4
 """rad: trajectories that moved by less have the derivatives that they had, as far as a fit needs them."""
 
@@ -90,6 +96,8 @@ class Fitter:
         self.steps: dict[int, float] = {}
         self.evaluations = 0
         self.noise = least_noise(data)
+        self.known: tuple[tuple[int, bool], Array, list[Array]] | None = None
+        """Of which fit, where, and what the derivatives were."""
         self.delayed = any(p.name == DELAY for p in self.sought)
 
     # --- pieces -----------------------------------------------------------------------------------------------------------------
@@ -197,6 +205,18 @@ class Fitter:
             self._learn(found)
         return found
 
+    def recent(self, pieces: list[Piece], z: Array, final: bool) -> list[Array]:
+        """Derivatives; those that there are if they were taken so near that trajectories have hardly moved since."""
+        p = len(self.sought)
+        if self.known is not None and self.known[0] == (len(pieces), final):
+            moves = z - self.known[1]
+            parts = [d @ np.concatenate([moves[:p], moves[p + 4 * k : p + 4 * k + 4]]) for k, d in enumerate(self.known[2])]
+            if max(float(np.max(np.abs(part))) for part in parts) < STILL * (1 if final else 10):
+                return self.known[2]
+        found = self.derivatives(pieces, z, central=final)
+        self.known = (len(pieces), final), z.copy(), found
+        return found
+
     def step(self, j: int) -> float:
         """Of the j-th column: 1e-4 of the unknown's size, rad or rad/s until more is known."""
         return self.steps.get(j, 1e-4)
@@ -210,28 +230,22 @@ class Fitter:
     # --- least squares ----------------------------------------------------------------------------------------------------------
 
     def solve(self, pieces: list[Piece], z: Array, sigma: Array, final: bool, pinned: Array) -> Array:
-        """One fit; before the final one outliers count little, and derivatives are taken on one side.
+        """One fit; before the final one derivatives are taken on one side.
 
-        `pinned`: combinations of unknowns, rows, that stay what they are in the scene. A derivative is used again where what it says
-        has moved the trajectories by less than they bend (`STILL`).
+        `pinned`: combinations of unknowns, rows, that stay what they are in the scene.
         """
         p = len(self.sought)
         origin = np.array([parameter.origin for parameter in self.sought])
         prior = np.vstack([np.eye(p) / WEAK, 1e4 * pinned]) if len(pinned) else np.eye(p) / WEAK
         lowest = np.concatenate([[parameter.lowest for parameter in self.sought], np.full(len(z) - p, -np.inf)])
         z = np.maximum(z, lowest + 1e-9)
-        known: list[tuple[Array, Array]] = []
-        """Where the derivatives were taken last, and they."""
-
         def residuals(z: Array) -> Array:
             self.evaluations += 1
             rows = [(gap / sigma)[piece.mask] for piece, gap in zip(pieces, self.gaps(pieces, z), strict=True)]
             return np.concatenate([*rows, prior @ (z[:p] - origin)])
 
         def jacobian(z: Array) -> Array:
-            if known and float(np.max(np.abs(known[0][1] @ (z - known[0][0])))) < STILL / float(np.min(sigma)):
-                return known[0][1]
-            blocks = [-(d / sigma[:, None])[piece.mask] for piece, d in zip(pieces, self.derivatives(pieces, z, central=final), strict=True)]
+            blocks = [-(d / sigma[:, None])[piece.mask] for piece, d in zip(pieces, self.recent(pieces, z, final), strict=True)]
             full = np.zeros((sum(map(len, blocks)) + len(prior), len(z)))
             row = 0
             for number, block in enumerate(blocks):
@@ -239,12 +253,11 @@ class Fitter:
                 full[row : row + len(block), p + 4 * number : p + 4 * number + 4] = block[:, p:]
                 row += len(block)
             full[row:, :p] = prior
-            known[:] = [(z.copy(), full)]
             return full
 
         result = least_squares(
-            residuals, z, jac=jacobian, bounds=(lowest, np.inf), method="trf", x_scale="jac", f_scale=3.0, xtol=1e-12, gtol=1e-12,
-            loss="linear" if final else "soft_l1", ftol=1e-9 if final else 1e-2, max_nfev=20 if final else 12,
+            residuals, z, jac=jacobian, bounds=(lowest, np.inf), method="trf", x_scale="jac", xtol=1e-10, gtol=1e-12,
+            ftol=1e-6 if final else 0.1, max_nfev=20 if final else 10,
         )  # fmt: skip
         return np.asarray(result.x)
 
@@ -269,23 +282,27 @@ class Fitter:
         x = np.array([parameter.start for parameter in self.sought])
         pieces = self.first(x)
         z, before = pack(x, pieces), 0.0
+        self.machine.tolerance(LOOSE)
         for length in (*LEVELS, self.longest):
             if length > LEVELS[0]:
                 if length < self.longest and (length >= self.span() or self.in_sight(pieces, z)):
                     continue
                 pieces = self.joined(unpack(z, pieces, p), z[:p], length)
                 z = pack(z[:p], pieces)
-            sigma = np.maximum(spread(self.gaps(pieces, z), pieces), self.noise)
+            gaps = self.gaps(pieces, z)
+            sigma = np.maximum(spread(gaps, pieces), self.noise)
+            self.leave_out(pieces, gaps, sigma, 2 * OUTLIER)
             before = before or float(np.mean(sigma))
             self.show(f"pieces of {min(length, self.span()):g} s: residuals of {1e3 * float(np.mean(sigma)):.3g} mrad before the fit")
             z = self.solve(pieces, z, sigma, False, pins)
+        self.machine.tolerance(TIGHT)
         return pieces, z, before
 
     def finish(self, pieces: list[Piece], z: Array, outliers: int, rms_before: float, pins: Array) -> Fit:
         """Residuals, derivatives and their doubt at the solution."""
         p = len(self.sought)
         gaps = self.gaps(pieces, z)
-        once, twice = self.derivatives(pieces, z), self.derivatives(pieces, z, 2.0, starts=False)
+        once, twice = self.recent(pieces, z, True), self.derivatives(pieces, z, 2.0, starts=False)
         size = sum(int(piece.mask.sum()) for piece in pieces)
         jacobian, doubt = np.zeros((size, len(z))), np.zeros((size, p))
         rows = np.zeros((size, 3), dtype=int)
@@ -306,12 +323,12 @@ class Fitter:
         fitted = unpack(z, pieces, p)
         return Fit(self.machine, fitted, z[:p], np.maximum(sigma, 1e-12), gaps, jacobian, doubt, rows, outliers, self.evaluations, rms_before, pins)
 
-    def leave_out(self, pieces: list[Piece], gaps: list[Array], sigma: Array) -> int:
+    def leave_out(self, pieces: list[Piece], gaps: list[Array], sigma: Array, beyond: float = OUTLIER) -> int:
         """Outliers are not compared; how many there are."""
         count = 0
         for piece, gap in zip(pieces, gaps, strict=True):
             usable = self.compared(piece.path.samples)
-            piece.mask = usable & (np.abs(np.nan_to_num(gap)) <= OUTLIER * sigma)
+            piece.mask = usable & (np.abs(np.nan_to_num(gap)) <= beyond * sigma)
             count += int(usable.sum() - piece.mask.sum())
         return count
 

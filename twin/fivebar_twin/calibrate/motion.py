@@ -13,8 +13,8 @@ from fivebar_twin.calibrate.data import Array, Samples
 from fivebar_twin.calibrate.parameters import DELAY, OFFSETS, Parameter, Values, assemble
 from fivebar_twin.unit import Library, Unit, UnitError
 
-TIGHT: Final[Values] = {"solver.method": 4, "solver.adaptive": True, "solver.errorTolerance": 1e-11}
-"""dop853 at 1e-11 rad per step: what is below the unknowns' effect by orders of magnitude, so that differences can be taken."""
+METHOD: Final[Values] = {"solver.method": 4, "solver.adaptive": True}
+"""dop853: what it shows between its steps is smooth, and its error is where one wants it."""
 
 SHOWN: Final = ("theta[1]", "theta[2]", "omega[1]", "omega[2]")
 LOST: Final = 1e3
@@ -63,12 +63,16 @@ class Machine:
     """An instance of the unit that is started again and again."""
 
     def __init__(self, library: Library, scene: Values, sought: Sequence[Parameter]):
-        self.library, self.scene, self.sought = library, scene | TIGHT, sought
+        self.library, self.scene, self.sought = library, scene | METHOD, sought
         self.unit = Unit(library, "calibrate")
         self.shown = (fmi2.fmi2ValueReference * 4)(*(library.variable(name).valueReference for name in SHOWN))
         self.runs = 0
         self.failure = ""
         """Why the last run that failed did."""
+
+    def tolerance(self, error: float) -> None:
+        """Error per step of the runs that follow, rad."""
+        self.scene = self.scene | {"solver.errorTolerance": error}
 
     def run(self, path: Path, x: Array, start: Start) -> tuple[Array, int]:
         """Angles and rates, (n, 4), at the samples' times; and on which side the tip is in the end."""
