@@ -89,9 +89,6 @@ class Config:
     period: float = 0.005
     """Between two samples."""
 
-    start_ns: int = 0
-    """When the first sample is taken, ns since 1970."""
-
     forecast_rate: float = 20.0
     horizon: float = 0.5
     twin: dict[str, float | int | bool] = field(default_factory=dict)

@@ -14,10 +14,11 @@ from typing import Any, Final
 
 from fivebar_twin.errors import Refused
 
-KINDS: Final = ("meas", "est", "forecast", "alarm", "param", "cmd", "state", "gap")
-"""The last part of a topic. The last two are for the record: stored states of the twin, and what a recorder knows to be missing."""
+KINDS: Final = ("meas", "est", "forecast", "alarm", "param", "cmd", "state", "gap", "setup")
+"""The last part of a topic. `state` has the twin's stored state, for replays. The last two are only in records: what is missing in
+them, and of which run they are."""
 
-LARGEST: Final = {"state": 64_000, "forecast": 64_000}
+LARGEST: Final = {"state": 64_000, "forecast": 64_000, "setup": 2_000_000}
 """Bytes of a message, where they are more than `LARGEST_USUAL`."""
 
 LARGEST_USUAL: Final = 16_000
@@ -160,7 +161,16 @@ def _from_twin(fields: dict[str, Any], _extra: dict[str, Any]) -> None:
         fields[name] = number(name[:64], value)
 
 
-_CHECKS: Final = dict.fromkeys(KINDS, _from_twin) | {"meas": _meas, "param": _param, "cmd": _cmd}
+def _est(fields: dict[str, Any], extra: dict[str, Any]) -> None:
+    _from_twin(fields, extra)
+    inputs = extra.get("inputs")
+    _require(
+        isinstance(inputs, list) and all(isinstance(one, list) and tuple(map(type, one)) == (str, int, int) for one in inputs),
+        f"inputs are {_show(inputs)}, not a list of kind, seq and time",
+    )
+
+
+_CHECKS: Final = dict.fromkeys(KINDS, _from_twin) | {"meas": _meas, "param": _param, "cmd": _cmd, "est": _est}
 
 
 def _show(value: Any) -> str:

@@ -4,12 +4,11 @@ A part is complete when it has its name: it is written under another one, brough
 holds what came in flushes FIRST to LAST, so that one that was joined of others takes their place whether or not these are gone.
 """
 
-import json
 import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -19,9 +18,6 @@ from fivebar_twin.messages import LARGEST, Message, decode
 
 SCHEMA: Final = pa.schema([("topic", pa.string()), ("time", pa.int64()), ("seq", pa.int64()), ("payload", pa.binary())])
 PART: Final = re.compile(r"part-(\d{8})-(\d{8})\.parquet")
-SETUP: Final = b"fivebar.setup"
-"""Under this name the metadata of a part have what a replay needs: the unit's GUID, start values, periods."""
-
 LARGEST_RECORD: Final = 64_000_000_000
 """Bytes of a record that is read at most."""
 
@@ -37,10 +33,10 @@ class Row(NamedTuple):
     payload: bytes
 
 
-def write_part(folder: Path, first: int, last: int, rows: list[Row], setup: dict[str, Any]) -> Path:
+def write_part(folder: Path, first: int, last: int, rows: list[Row]) -> Path:
     """Writes a part; under its name it is complete and on the disk."""
-    table = pa.table([list(column) for column in zip(*rows, strict=True)] if rows else [[], [], [], []], schema=SCHEMA)
-    return write_table(folder, first, last, table.replace_schema_metadata({SETUP: json.dumps(setup).encode()}))
+    columns = zip(*rows, strict=True) if rows else ((), (), (), ())
+    return write_table(folder, first, last, pa.table([list(column) for column in columns], schema=SCHEMA))
 
 
 def write_table(folder: Path, first: int, last: int, table: pa.Table) -> Path:
@@ -74,15 +70,11 @@ def parts(record: Path) -> list[Path]:
     return kept
 
 
-def setup(record: Path) -> dict[str, Any]:
-    """What the run was that the record is of."""
-    metadata = _file(parts(record)[0]).schema_arrow.metadata or {}
-    if SETUP not in metadata:
-        raise TwinError(f"{record} does not say of which run it is: its metadata have no {SETUP.decode()}")
-    content = json.loads(metadata[SETUP])
-    if not isinstance(content, dict):
-        raise TwinError(f"{record}: {SETUP.decode()} is not an object")
-    return content
+def setup(record: Path) -> Message:
+    """What the run was that the record is of: the recorder writes it first."""
+    for message in messages(record, "setup"):
+        return message
+    raise TwinError(f"{record} does not say of which run it is: it has no message `setup`")
 
 
 def rows(record: Path) -> Iterator[Row]:

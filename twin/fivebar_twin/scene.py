@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from fivebar_twin import config
 from fivebar_twin.errors import TwinError
@@ -20,6 +21,17 @@ class Scene:
     signals: dict[str, list[float]]
     periodic: bool
 
+    def content(self) -> dict[str, Any]:
+        """As `parse` takes it."""
+        return {
+            "name": self.name,
+            "description": self.description,
+            "stopTime": self.stop_time,
+            "stepSize": self.step_size,
+            "variants": [{"label": self.name, "values": self.values}],
+            "signals": self.signals,
+        }
+
     def told(self, time: float) -> dict[str, float]:
         """What the drives are told at a time, s: the inputs of `messages.INPUTS` that the scene has, by name."""
         return {name: self.at(name, time) for name in self.signals if name in INPUTS}
@@ -35,17 +47,21 @@ class Scene:
 
 def read(file: Path) -> Scene:
     """The scene in a file of target/scenes/."""
-    content = config.read_json(file)
     try:
-        signals = {str(name): [float(x) for x in values] for name, values in content["signals"].items()}
-        return Scene(
-            name=str(content["name"]),
-            description=str(content["description"]),
-            values=dict(content["variants"][0]["values"]),
-            stop_time=float(content["stopTime"]),
-            step_size=float(content["stepSize"]),
-            signals=signals,
-            periodic=bool(signals) and all(abs(values[-1] - values[0]) < 1e-9 for values in signals.values()),
-        )
+        return parse(config.read_json(file))
     except (KeyError, IndexError, TypeError, ValueError, AttributeError):
         raise TwinError(f"{file} is not as `cargo xtask package` writes scenes to target/scenes/") from None
+
+
+def parse(content: dict[str, Any]) -> Scene:
+    """The scene of such a file's content."""
+    signals = {str(name): [float(x) for x in values] for name, values in content["signals"].items()}
+    return Scene(
+        name=str(content["name"]),
+        description=str(content["description"]),
+        values=dict(content["variants"][0]["values"]),
+        stop_time=float(content["stopTime"]),
+        step_size=float(content["stepSize"]),
+        signals=signals,
+        periodic=bool(signals) and all(abs(values[-1] - values[0]) < 1e-9 for values in signals.values()),
+    )
