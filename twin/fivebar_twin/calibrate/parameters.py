@@ -28,12 +28,12 @@ SWITCHES: Final = {"payload": "payload.enabled", "viscous": "viscous.enabled", "
 
 USUAL: Final = (
     "payload.mass",
-    "link[1,4].mass",
-    "link[2,3].mass",
+    *(f"link[{i}].mass" for i in (1, 2, 3, 4)),
     "link[1,4].length",
     "link[2,3].length",
     "base.distance",
     "viscous.b[1,5]",
+    "viscous.b[2,3,4]",
     "friction.coulomb[1,5]",
     "gravity.direction",
     *OFFSETS,
