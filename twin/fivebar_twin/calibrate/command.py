@@ -5,9 +5,9 @@ import json
 import math
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -37,6 +37,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--trials", type=int, metavar="N", help="no FILE: calibrate N made records, count what error bars cover")
 
 
+WELL_TOLD: Final = 0.05
+"""Standard deviation in sizes."""
+
+
 @dataclass(frozen=True)
 class Result:
     """A calibration."""
@@ -58,17 +62,24 @@ def calibrate(machine: Machine, given: data.Data, between: Between, longest: flo
     judgement = judge(fit, sought)
     pins = np.empty((0, len(sought)))
     for _ in range(3):
-        again = _pins(judgement, len(sought))
-        if len(again) <= len(pins):
+        told = len(pins)
+        pins = _pins(judgement, len(sought))
+        # What was believed before moves nothing that is told this well.
+        if len(pins) == told and (told or float(np.max(judgement.sigma)) < WELL_TOLD):
             break
-        pins = again
-        show(f"not identified: {', '.join(sought[k].name for k in range(len(sought)) if not judgement.identified[k])}; fitted once more without")
+        if len(pins):
+            names = ", ".join(p.name for p, known in zip(sought, judgement.identified, strict=True) if not known)
+            show(f"not identified: {names}; fitted once more with that as it is in the scene")
         fit = fitter.run(fit, pins)
-        later = judge(fit, sought)
-        identified = [a and b for a, b in zip(judgement.identified, later.identified, strict=True)]
-        combinations = later.combinations if len(later.combinations) >= len(judgement.combinations) else judgement.combinations
-        judgement = Judgement(later.sigma, later.bound, later.correlation, identified, combinations, later.lag, later.time_scale, later.doubt)
+        judgement = _both(judgement, judge(fit, sought))
     return Result(fit, judgement, sought)
+
+
+def _both(before: Judgement, later: Judgement) -> Judgement:
+    """What is told by the later fit, and was by the earlier."""
+    identified = [a and b for a, b in zip(before.identified, later.identified, strict=True)]
+    combinations = max(later.combinations, before.combinations, key=len)
+    return replace(later, identified=identified, combinations=combinations)
 
 
 def _pins(judgement: Judgement, count: int) -> np.ndarray:
@@ -182,7 +193,7 @@ def _report(result: Result, given: data.Data, source: str, arguments: argparse.N
         "notes": given.notes,
         "outliers": fit.outliers,
         "residuals_rad": {"before": fit.rms_before, "encoder": fit.sigma.tolist()},
-        "samples_as_one": judgement.time_scale,
+        "samples_as_one": judgement.together.time_scale,
         "unknowns": unknowns,
         "correlations": {p.name: judgement.correlation[k].tolist() for k, p in enumerate(result.sought)},
         "not_identified": [combination.sentence(result.sought) for combination in judgement.combinations],
@@ -199,7 +210,8 @@ def _print(result: Result, report: dict[str, Any], files: list[Path]) -> None:
         print(f"  {note}")
     sigma = ", ".join(f"{1e3 * value:.3g}" for value in report["residuals_rad"]["encoder"])
     print(f"residuals {sigma} mrad (encoders 1, 2), {report['outliers']} outliers left out", end="")
-    print(f"; they hang together over {judgement.time_scale:.1f} samples" if judgement.lag else "; they are white")
+    scale = judgement.together.time_scale
+    print("; they are white" if scale == 1.0 else f"; {scale:.0f} of them count as one")
     print(f"\n  {'':28} {'scene':>12} {'found':>14} {'± 95 %':>11} {'bound 95 %':>11}")
     for k, p in enumerate(result.sought):
         if judgement.identified[k]:

@@ -2,12 +2,13 @@
 
 A long motion forgives no wrong start, so the fit begins with short pieces, each with a start of its own, and joins them level by
 level. Derivatives are central differences of runs; a step moves the trajectory by `MOVED` at most, so that its error of truncation is
-some 1e-6 and that of the runs (1e-11 rad) 1e-8 of the derivative; `check` compares with twice the step.
+some 1e-5 of the derivative and that of the runs 1e-7. In the end they are taken with one, two and four times the step as well and
+extrapolated to the step 0, and the same from twice the steps says what they can be trusted with (`Fit.doubt`).
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -36,8 +37,11 @@ IN_SIGHT: Final = 0.1
 LEVELS: Final = (0.5, 2.0)
 """s: pieces of the first fits; those of the last are whole series, or `longest`."""
 
+BELIEVED: Final = 1.0
+"""Standard deviation, in sizes of each unknown, of what is believed before while it is not known what the record tells."""
+
 WEAK: Final = 10.0
-"""Standard deviation, in sizes of each unknown, of what is believed before: nothing to speak of, but it keeps still what nothing moves."""
+"""The same once that is known: nothing to speak of."""
 
 OUTLIER: Final = 5.0
 """Standard deviations beyond which a sample is left out in the end."""
@@ -73,7 +77,7 @@ class Fit:
 
     jacobian: Array
     doubt: Array
-    """An estimate of the error of `jacobian`'s first columns."""
+    """An estimate of the error of `jacobian`."""
 
     rows: Array
     """Of each row: number of piece, of sample, of encoder."""
@@ -82,8 +86,6 @@ class Fit:
     evaluations: int
     rms_before: float
     """Of the residuals for the scene as it was, rad, short pieces with fitted starts."""
-
-    pinned: Array = field(default_factory=lambda: np.empty((0, 0)))
 
 
 class Fitter:
@@ -179,22 +181,23 @@ class Fitter:
             found.append(np.where(np.abs(gap) < 0.5 * LOST, wrapped(gap), np.sign(gap)))
         return found
 
-    def derivatives(self, pieces: list[Piece], z: Array, times: float = 1.0, central: bool = True, starts: bool = True) -> list[Array]:
+    def derivatives(self, pieces: list[Piece], z: Array, times: float = 1.0, central: bool = True) -> list[Array]:
         """d(what encoders show)/dz of each piece, (n, 2, p + 4): columns are unknowns, then the start of the piece."""
         p = len(self.sought)
-        self.evaluations += (2 if central else 1) * (p + 4 * starts)
+        self.evaluations += (2 if central else 1) * (p + 4)
         found = []
         for number, piece in enumerate(pieces):
             state = z[p + 4 * number : p + 4 * number + 4]
             here = None if central else self.motion(piece, z[:p], state)
             columns = []
-            for j in range(p + 4 * starts):
+            for j in range(p + 4):
                 step = times * self.step(j)
                 near = []
                 for sign in (1.0, -1.0) if central else (1.0,):
                     x, s = z[:p].copy(), state.copy()
                     if j < p:
-                        x[j] += sign * step
+                        # At the bound of an unknown just inside of it, for the unit refuses what is outside.
+                        x[j] = max(x[j], self.sought[j].lowest + 4.01 * self.step(j)) + sign * step
                     else:
                         s[j - p] += sign * step
                     near.append(self.motion(piece, x, s))
@@ -229,14 +232,14 @@ class Fitter:
 
     # --- least squares ----------------------------------------------------------------------------------------------------------
 
-    def solve(self, pieces: list[Piece], z: Array, sigma: Array, final: bool, pinned: Array) -> Array:
+    def solve(self, pieces: list[Piece], z: Array, sigma: Array, final: bool, pinned: Array | None) -> Array:
         """One fit; before the final one derivatives are taken on one side.
 
-        `pinned`: combinations of unknowns, rows, that stay what they are in the scene.
+        `pinned`: combinations of unknowns, rows, that stay what they are in the scene; None: they are not known yet.
         """
         p = len(self.sought)
         origin = np.array([parameter.origin for parameter in self.sought])
-        prior = np.vstack([np.eye(p) / WEAK, 1e4 * pinned]) if len(pinned) else np.eye(p) / WEAK
+        prior = np.vstack([np.eye(p) / WEAK, 1e4 * pinned]) if pinned is not None else np.eye(p) / BELIEVED
         lowest = np.concatenate([[parameter.lowest for parameter in self.sought], np.full(len(z) - p, -np.inf)])
         z = np.maximum(z, lowest + 1e-9)
         def residuals(z: Array) -> Array:
@@ -264,8 +267,7 @@ class Fitter:
     def run(self, again: Fit | None = None, pinned: Array | None = None) -> Fit:
         """All levels; or, from an earlier fit on, the last one with `pinned` combinations."""
         p = len(self.sought)
-        pins = np.empty((0, p)) if pinned is None else pinned
-        pieces, z, rms_before = self.levels(pins) if again is None else (again.pieces, pack(again.x, again.pieces), again.rms_before)
+        pieces, z, rms_before = self.levels() if again is None else (again.pieces, pack(again.x, again.pieces), again.rms_before)
         outliers = -1
         for _ in range(3):
             gaps = self.gaps(pieces, z)
@@ -273,10 +275,10 @@ class Fitter:
             before, outliers = outliers, self.leave_out(pieces, gaps, sigma)
             if outliers == before:
                 break
-            z = self.solve(pieces, z, sigma, True, pins)
-        return self.finish(pieces, z, outliers, rms_before, pins)
+            z = self.solve(pieces, z, sigma, True, pinned)
+        return self.finish(pieces, z, outliers, rms_before)
 
-    def levels(self, pins: Array) -> tuple[list[Piece], Array, float]:
+    def levels(self) -> tuple[list[Piece], Array, float]:
         """From short pieces to whole series: pieces, their fit, and the residuals of the scene as it was, rad."""
         p = len(self.sought)
         x = np.array([parameter.start for parameter in self.sought])
@@ -294,34 +296,35 @@ class Fitter:
             self.leave_out(pieces, gaps, sigma, 2 * OUTLIER)
             before = before or float(np.mean(sigma))
             self.show(f"pieces of {min(length, self.span()):g} s: residuals of {1e3 * float(np.mean(sigma)):.3g} mrad before the fit")
-            z = self.solve(pieces, z, sigma, False, pins)
+            z = self.solve(pieces, z, sigma, False, None)
         self.machine.tolerance(TIGHT)
         return pieces, z, before
 
-    def finish(self, pieces: list[Piece], z: Array, outliers: int, rms_before: float, pins: Array) -> Fit:
+    def finish(self, pieces: list[Piece], z: Array, outliers: int, rms_before: float) -> Fit:
         """Residuals, derivatives and their doubt at the solution."""
         p = len(self.sought)
         gaps = self.gaps(pieces, z)
-        once, twice = self.recent(pieces, z, True), self.derivatives(pieces, z, 2.0, starts=False)
+        one, two, four = self.recent(pieces, z, True), self.derivatives(pieces, z, 2.0), self.derivatives(pieces, z, 4.0)
         size = sum(int(piece.mask.sum()) for piece in pieces)
-        jacobian, doubt = np.zeros((size, len(z))), np.zeros((size, p))
+        jacobian, doubt = np.zeros((size, len(z))), np.zeros((size, len(z)))
         rows = np.zeros((size, 3), dtype=int)
         row = 0
         squares, counts = np.zeros(2), np.zeros(2)
-        for number, (piece, a, b) in enumerate(zip(pieces, once, twice, strict=True)):
-            count = int(piece.mask.sum())
-            jacobian[row : row + count, :p] = a[piece.mask][:, :p]
-            jacobian[row : row + count, p + 4 * number : p + 4 * number + 4] = a[piece.mask][:, p:]
-            # A central difference with twice the step errs four times as much.
-            doubt[row : row + count] = (b - a[:, :, :p])[piece.mask] / 3
-            rows[row : row + count] = np.column_stack([np.full(count, number), *np.nonzero(piece.mask)])
-            row += count
+        for number, piece in enumerate(pieces):
+            inside = slice(row, row + int(piece.mask.sum()))
+            # Extrapolated to the step 0 (Richardson); the same from twice the steps says how far that can be trusted.
+            best, other = (4 * one[number] - two[number]) / 3, (4 * two[number] - four[number]) / 3
+            for target, blocks in ((jacobian, best), (doubt, best - other)):
+                target[inside, :p] = blocks[piece.mask][:, :p]
+                target[inside, p + 4 * number : p + 4 * number + 4] = blocks[piece.mask][:, p:]
+            rows[inside] = np.column_stack([np.full(inside.stop - row, number), *np.nonzero(piece.mask)])
+            row = inside.stop
             squares += np.sum(np.where(piece.mask, gaps[number], 0.0) ** 2, axis=0)
             counts += piece.mask.sum(axis=0)
         free = max(1 - len(z) / max(size, 1), 0.05)
         sigma = np.sqrt(squares / np.maximum(counts, 1) / free)
         fitted = unpack(z, pieces, p)
-        return Fit(self.machine, fitted, z[:p], np.maximum(sigma, 1e-12), gaps, jacobian, doubt, rows, outliers, self.evaluations, rms_before, pins)
+        return Fit(self.machine, fitted, z[:p], np.maximum(sigma, 1e-12), gaps, jacobian, doubt, rows, outliers, self.evaluations, rms_before)
 
     def leave_out(self, pieces: list[Piece], gaps: list[Array], sigma: Array, beyond: float = OUTLIER) -> int:
         """Outliers are not compared; how many there are."""

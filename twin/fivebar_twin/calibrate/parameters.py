@@ -137,8 +137,10 @@ def assemble(scene: Values, library: Library, sought: Sequence[Parameter], x: Se
 
     given = {member for parameter in sought for member in parameter.members}
     for parameter, number in zip(sought, x, strict=True):
+        if not parameter.members:
+            continue
         switch = SWITCHES.get(parameter.name.partition(".")[0])
-        if switch and parameter.members:
+        if switch:
             values[switch] = True
         for member, base, value in zip(parameter.members, parameter.base, parameter.value(number), strict=True):
             values[member] = value
