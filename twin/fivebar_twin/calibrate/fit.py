@@ -7,6 +7,7 @@ extrapolated to the step 0, and the same from twice the steps says what they can
 """
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
@@ -44,7 +45,7 @@ WEAK: Final = 10.0
 """The same once that is known: nothing to speak of."""
 
 OUTLIER: Final = 5.0
-"""Standard deviations beyond which a sample is left out in the end."""
+"""Standard deviations of leaps beyond which a sample is left out; in the end twice as many of residuals do as well."""
 
 DEEPEST: Final = 0.1
 """s: the longest delay that is sought; samples as long after a start are not compared while it is."""
@@ -151,7 +152,7 @@ class Fitter:
             piece = max((piece for piece in pieces if piece.path.samples.time[0] <= begin), key=lambda piece: piece.path.samples.time[0])
             motion, _ = self.machine.run(piece.path, x, piece.start)
             row = int(np.argmin(np.abs(piece.path.samples.time - begin)))
-            found.append(Piece(Path(samples, self.between, self.machine.library, self.period), Start(motion[row], piece.start.assembly), self.compared(samples)))
+            found.append(Piece(Path(samples, self.between, self.machine.library, self.period), Start(motion[piece.path.rows[row]], piece.start.assembly), self.compared(samples)))
         return found
 
     def compared(self, samples: Samples) -> Array:
@@ -268,15 +269,21 @@ class Fitter:
         """All levels; or, from an earlier fit on, the last one with `pinned` combinations."""
         p = len(self.sought)
         pieces, z, rms_before = self.levels() if again is None else (again.pieces, pack(again.x, again.pieces), again.rms_before)
-        outliers = -1
-        for _ in range(3):
+        z, outliers = self.settle(pieces, z, True, pinned)
+        return self.finish(pieces, z, outliers, rms_before)
+
+    def settle(self, pieces: list[Piece], z: Array, final: bool, pinned: Array | None) -> tuple[Array, int]:
+        """Fits until the residuals, and with them what counts as an outlier, stay what they are; how many outliers there are."""
+        before, left_out = np.full(2, np.inf), -1
+        for _ in range(8):
             gaps = self.gaps(pieces, z)
             sigma = np.maximum(spread(gaps, pieces), self.noise)
-            before, outliers = outliers, self.leave_out(pieces, gaps, sigma)
-            if outliers == before:
+            outliers = self.leave_out(pieces, gaps, sigma if final else np.full(2, np.inf))
+            if outliers == left_out if final else bool(np.all(sigma > 0.8 * before)):
                 break
-            z = self.solve(pieces, z, sigma, True, pinned)
-        return self.finish(pieces, z, outliers, rms_before)
+            before, left_out = sigma, outliers
+            z = self.solve(pieces, z, sigma, final, pinned)
+        return z, max(left_out, 0)
 
     def levels(self) -> tuple[list[Piece], Array, float]:
         """From short pieces to whole series: pieces, their fit, and the residuals of the scene as it was, rad."""
@@ -291,12 +298,10 @@ class Fitter:
                     continue
                 pieces = self.joined(unpack(z, pieces, p), z[:p], length)
                 z = pack(z[:p], pieces)
-            gaps = self.gaps(pieces, z)
-            sigma = np.maximum(spread(gaps, pieces), self.noise)
-            self.leave_out(pieces, gaps, sigma, 2 * OUTLIER)
+            sigma = np.maximum(spread(self.gaps(pieces, z), pieces), self.noise)
             before = before or float(np.mean(sigma))
             self.show(f"pieces of {min(length, self.span()):g} s: residuals of {1e3 * float(np.mean(sigma)):.3g} mrad before the fit")
-            z = self.solve(pieces, z, sigma, False, None)
+            z, _ = self.settle(pieces, z, False, None)
         self.machine.tolerance(TIGHT)
         return pieces, z, before
 
@@ -326,12 +331,18 @@ class Fitter:
         fitted = unpack(z, pieces, p)
         return Fit(self.machine, fitted, z[:p], np.maximum(sigma, 1e-12), gaps, jacobian, doubt, rows, outliers, self.evaluations, rms_before)
 
-    def leave_out(self, pieces: list[Piece], gaps: list[Array], sigma: Array, beyond: float = OUTLIER) -> int:
-        """Outliers are not compared; how many there are."""
+    def leave_out(self, pieces: list[Piece], gaps: list[Array], sigma: Array) -> int:
+        """Outliers are not compared; how many there are: residuals that leap from those around them, and such as are far off at all.
+
+        What a fit has not reached yet changes smoothly, and is no outlier.
+        """
         count = 0
-        for piece, gap in zip(pieces, gaps, strict=True):
+        leaps = [np.abs(gap - around(gap)) for gap in gaps]
+        usual = np.maximum(spread(leaps, pieces), self.noise)
+        for piece, gap, leap in zip(pieces, gaps, leaps, strict=True):
             usable = self.compared(piece.path.samples)
-            piece.mask = usable & (np.abs(np.nan_to_num(gap)) <= beyond * sigma)
+            near = (np.nan_to_num(leap) <= OUTLIER * usual) & (np.abs(np.nan_to_num(gap)) <= 2 * OUTLIER * sigma)
+            piece.mask = usable & near
             count += int(usable.sum() - piece.mask.sum())
         return count
 
@@ -350,15 +361,31 @@ def least_noise(data: Data) -> Array:
     return np.maximum(found, 1e-9)
 
 
+def around(gap: Array, reach: int = 4) -> Array:
+    """Of each residual the median of those around it, (n, 2)."""
+    padded = np.pad(gap, ((reach, reach), (0, 0)), constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)
+    with warnings.catch_warnings():
+        # Where nothing was measured there is no median.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.asarray(np.nanmedian(windows, axis=2))
+
+
 def guess(samples: Samples) -> Array:
-    """Angles and rates at the first sample, by parabolas through the first ones."""
+    """Angles and rates at the first sample, by parabolas through the first ones, outliers left out."""
     state = np.zeros(4)
     for i in (0, 1):
         known = np.flatnonzero(np.isfinite(samples.angles[:, i]))[:9]
         if len(known) < 3:
             raise TwinError(f"a series has {len(known)} angles of encoder {i + 1}; both encoders are needed to begin with")
-        time = samples.time[known] - samples.time[0]
-        fitted = np.polynomial.polynomial.polyfit(time, np.unwrap(samples.angles[known, i]), 2)
+        time, angle = samples.time[known] - samples.time[0], np.unwrap(samples.angles[known, i])
+        while True:
+            fitted = np.polynomial.polynomial.polyfit(time, angle, min(2, len(time) - 1))
+            off = np.abs(angle - np.polynomial.polynomial.polyval(time, fitted))
+            # One that is far off at a time, as long as enough are left.
+            if len(time) < 6 or off.max() < 4 * np.median(off) or off.max() < 1e-6:
+                break
+            time, angle = np.delete(time, off.argmax()), np.delete(angle, off.argmax())
         state[i], state[2 + i] = fitted[0], fitted[1]
     return state
 

@@ -8,12 +8,13 @@ from typing import Final, Literal
 import numpy as np
 from fmpy import fmi2
 from fmpy.fmi1 import FMICallException
+from scipy.interpolate import CubicHermiteSpline
 
 from fivebar_twin.calibrate.data import Array, Samples
 from fivebar_twin.calibrate.parameters import DELAY, OFFSETS, Parameter, Values, assemble
 from fivebar_twin.unit import Library, Unit, UnitError
 
-METHOD: Final[Values] = {"solver.method": 4, "solver.adaptive": True}
+METHOD: Final[Values] = {"solver.method": 4, "solver.adaptive": True, "solver.maxWork": 2000}
 """dop853: what it shows between its steps is smooth, and its error is where one wants it."""
 
 SHOWN: Final = ("theta[1]", "theta[2]", "omega[1]", "omega[2]")
@@ -35,28 +36,47 @@ class Start:
 
 
 class Path:
-    """What the drives are told along a series, ready for calls."""
+    """What the drives are told along a series, ready for calls: at each sample, and where samples were lost at the times of these."""
 
     def __init__(self, samples: Samples, between: Between, library: Library, period: float):
         self.samples = samples
         self.time = samples.time - samples.time[0]
         self.references = (fmi2.fmi2ValueReference * len(samples.names))(*(library.variable(name).valueReference for name in samples.names))
-        steps = np.diff(self.time)
-        slopes = np.zeros_like(samples.commands[:-1])
-        lines = np.diff(samples.commands, axis=0) / steps[:, None]
+        self.knots, self.rows = with_lost(self.time, period)
+        commands = told(self.time, samples.commands, samples.names, self.knots)
+        steps = np.diff(self.knots)
+        slopes = np.zeros_like(commands[:-1])
         if between == "linear":
-            slopes = lines
+            slopes = np.diff(commands, axis=0) / steps[:, None]
         elif between == "rate":
             for j, name in enumerate(samples.names):
                 rate = name.replace("theta", "omega")
                 if name.startswith("servo.theta") and rate in samples.names:
-                    slopes[:, j] = samples.commands[:-1, samples.names.index(rate)]
-            # Over a lost sample the next one knows better.
-            lost = steps > 1.5 * period
-            slopes[lost] = lines[lost]
-        self.values = [(c_double * len(row))(*row) for row in samples.commands.tolist()]
+                    slopes[:, j] = commands[:-1, samples.names.index(rate)]
+        self.first = dict(zip(samples.names, commands[0].tolist(), strict=True))
+        self.values = [(c_double * len(row))(*row) for row in commands.tolist()]
         self.slopes = [(c_double * len(row))(*row) if any(row) else None for row in slopes.tolist()]
         self.orders = (fmi2.fmi2Integer * len(samples.names))(*([1] * len(samples.names)))
+
+
+def with_lost(time: Array, period: float) -> tuple[Array, Array]:
+    """Times with those of lost samples between them; which of them are the samples'."""
+    counts = np.maximum(1, np.round(np.diff(time) / period)).astype(int)
+    rows = np.concatenate([[0], np.cumsum(counts)])
+    return np.interp(np.arange(rows[-1] + 1), rows, time), rows
+
+
+def told(time: Array, commands: Array, names: tuple[str, ...], knots: Array) -> Array:
+    """What drives were told at other times too: angles of servos on cubics through angles and rates, all else on straight lines."""
+    if len(knots) == len(time):
+        return commands
+    found = np.column_stack([np.interp(knots, time, column) for column in commands.T]) if len(names) else np.empty((len(knots), 0))
+    for j, name in enumerate(names):
+        rate = name.replace("theta", "omega")
+        if name.startswith("servo.theta") and rate in names:
+            cubic = CubicHermiteSpline(time, commands[:, j], commands[:, names.index(rate)])
+            found[:, j], found[:, names.index(rate)] = cubic(knots), cubic(knots, 1)
+    return found
 
 
 class Machine:
@@ -75,20 +95,18 @@ class Machine:
         self.scene = self.scene | {"solver.errorTolerance": error}
 
     def run(self, path: Path, x: Array, start: Start) -> tuple[Array, int]:
-        """Angles and rates, (n, 4), at the samples' times; and on which side the tip is in the end."""
+        """Angles and rates, (knots, 4); and on which side the tip is in the end."""
         self.runs += 1
-        out = np.full((len(path.samples), 4), LOST)
+        out = np.full((len(path.knots), 4), LOST)
         values = assemble(self.scene, self.library, self.sought, x.tolist())
         values |= {f"init.{name}": value for name, value in zip(SHOWN, start.state.tolist(), strict=True)}
         values["init.assembly"] = start.assembly
         unit, slave = self.unit, self.unit.slave
         buffer = (c_double * 4)()
         count = len(path.references)
-        times = path.time.tolist()
+        times = path.knots.tolist()
         try:
-            if count:
-                values |= dict(zip(path.samples.names, path.samples.commands[0].tolist(), strict=True))
-            unit.start(values)
+            unit.start(values | path.first)
             for k, time in enumerate(times):
                 slave.fmi2GetReal(slave.component, self.shown, 4, buffer)
                 out[k] = buffer
@@ -105,10 +123,10 @@ class Machine:
         return out, assembly if assembly in (1, 2) else start.assembly
 
     def seen(self, path: Path, motion: Array, x: Array) -> Array:
-        """What encoders show of that motion, (n, 2): late, and with their offsets."""
+        """What encoders show of that motion at the samples' times, (n, 2): late, and with their offsets."""
         added = {p.name: p.value(number)[0] for p, number in zip(self.sought, x.tolist(), strict=True) if not p.members}
-        angles = late(path.time, motion, added.get(DELAY, 0.0))
-        return angles + np.array([added.get(name, 0.0) for name in OFFSETS])
+        angles = late(path.knots, motion, added.get(DELAY, 0.0))
+        return angles[path.rows] + np.array([added.get(name, 0.0) for name in OFFSETS])
 
     def close(self) -> None:
         """Frees the unit."""
@@ -116,20 +134,11 @@ class Machine:
 
 
 def late(time: Array, motion: Array, delay: float) -> Array:
-    """Angles `delay` s before each time, by cubics through angles and rates; before the first time its rate is gone on with."""
+    """Angles `delay` s before each time, by cubics through angles and rates; outside of all times at the rate of the nearest."""
     if delay == 0.0:
         return motion[:, :2]
     at = time - delay
-    k = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 2)
-    h = (time[k + 1] - time[k])[:, None]
-    u = np.clip((at - time[k])[:, None] / h, 0.0, 1.0)
-    q, v = motion[:, :2], motion[:, 2:]
-    cubic = (
-        (1 + 2 * u) * (1 - u) ** 2 * q[k]
-        + u * (1 - u) ** 2 * h * v[k]
-        + u**2 * (3 - 2 * u) * q[k + 1]
-        + u**2 * (u - 1) * h * v[k + 1]
-    )
-    before = np.minimum(at - time[0], 0.0)[:, None]
-    after = np.maximum(at - time[-1], 0.0)[:, None]
-    return cubic + before * v[0] + after * v[-1]
+    inside = np.clip(at, time[0], time[-1])
+    cubic = CubicHermiteSpline(time, motion[:, :2], motion[:, 2:])(inside)
+    k = np.where(at < time[0], 0, len(time) - 1)
+    return np.asarray(cubic + (at - inside)[:, None] * motion[k, 2:])
