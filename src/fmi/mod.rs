@@ -10,18 +10,21 @@
 //! | `values.rs` | the checks that come before a value is read or written |
 //! | `derivatives.rs` | derivatives of inputs and outputs |
 //! | `instance.rs` | an instance: all of these together |
-//! | `snapshot.rs` | stored states, in memory and as bytes |
+//! | `following.rs` | a communication step of a machine that is followed |
+//! | `snapshot.rs`, `stored.rs` | stored states, in memory and as bytes |
 //! | `status.rs` | the status functions of co-simulation |
 
 pub mod bindings;
 pub mod clock;
 mod computed;
 mod derivatives;
+mod following;
 pub mod instance;
 pub mod lifecycle;
 pub mod messages;
 pub mod snapshot;
 pub mod status;
+mod stored;
 mod values;
 
 pub use instance::Instance;

@@ -240,6 +240,29 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.sides = self.sides_behind;
     }
 
+    /// Goes on from another state, which puts in some energy, J: the step under way is thrown away. Systems before and after.
+    pub fn go_on_from<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        [before, after]: [&S; 2],
+        settings: &Settings,
+        [q, v]: [Vector<N>; 2],
+        put_in: f64,
+    ) {
+        let work = self.sample(before, settings).work;
+        if self.elapsed < self.length {
+            self.memory = self.before;
+            self.retract();
+            self.end.counters.rejected += 1;
+        }
+        (self.end.q, self.end.v, self.end.on_ray) = (q, v, false);
+        self.end.modes = after.modes(&after.pose(&q));
+        self.end.work = work;
+        self.dense = [Slope::NONE; 4];
+        self.straight = false;
+        (self.length, self.elapsed) = (0.0, 0.0);
+        self.restart(after, settings, put_in);
+    }
+
     /// Moves the origin of the coordinates: by `shift`, which the system does not notice (whole turns of angles).
     pub fn shift(&mut self, shift: &Vector<N>) {
         self.start.q += *shift;

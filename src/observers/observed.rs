@@ -4,13 +4,13 @@ use std::marker::PhantomData;
 
 use num_dual::Dual64;
 
-use super::Observation;
+use super::{Estimated, Observation};
 use crate::effects::{Effect, ForceContext};
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::singularity::Jacobians;
 use crate::mechanism::{Coordinates, MULTIPLIERS};
 use crate::scalar::Scalar;
-use crate::simulation::{Model, Variation};
+use crate::simulation::{Following, Inputs, Model, Variation};
 
 /// An observation seen in numbers, or in dual numbers that carry the changes along a direction.
 #[derive(Clone, Copy, Debug)]
@@ -18,6 +18,7 @@ pub struct Observed<'a, T> {
     model: &'a Model,
     observation: &'a Observation,
     along: Option<&'a Variation>,
+    estimated: Option<Estimated<'a>>,
     scalar: PhantomData<T>,
 }
 
@@ -33,14 +34,19 @@ pub enum Point {
 impl<'a> Observed<'a, f64> {
     /// The values.
     pub fn new(model: &'a Model, observation: &'a Observation) -> Self {
-        Self { model, observation, along: None, scalar: PhantomData }
+        Self { model, observation, along: None, estimated: None, scalar: PhantomData }
+    }
+
+    /// The same of a machine that is followed, with the present inputs of the master.
+    pub fn of_estimate(self, following: &'a Following, inputs: Inputs) -> Self {
+        Self { estimated: Some(Estimated { following, observation: self.observation, inputs }), ..self }
     }
 }
 
 impl<'a> Observed<'a, Dual64> {
     /// The values with their changes along a direction.
     pub fn along(model: &'a Model, observation: &'a Observation, along: &'a Variation) -> Self {
-        Self { model, observation, along: Some(along), scalar: PhantomData }
+        Self { model, observation, along: Some(along), estimated: None, scalar: PhantomData }
     }
 }
 
@@ -53,6 +59,11 @@ impl<T: Scalar> Observed<'_, T> {
     /// The observation.
     pub fn observation(&self) -> &Observation {
         self.observation
+    }
+
+    /// What has been estimated, where a machine is followed.
+    pub fn estimated(&self) -> Option<Estimated<'_>> {
+        self.estimated
     }
 
     /// A value with its change.

@@ -41,6 +41,26 @@ impl DenseRun {
         self.step.restart(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings, put_in);
     }
 
+    /// Angles and rates at the present time.
+    pub(super) fn motion(&self, model: &Model, held: &Inputs, turns: &[i64; 4]) -> (Angles, Angles) {
+        let sample = self.step.sample(&ByAngles::new(FiveBar::<false>::new(model, held, turns)), model.dense_settings());
+        (sample.q, sample.v)
+    }
+
+    /// Goes on from other angles and rates with other inputs, which puts in some energy, J.
+    pub(super) fn go_on_from(
+        &mut self,
+        model: &Model,
+        settings: &Settings,
+        ([held, inputs], turns): ([&Inputs; 2], &[i64; 4]),
+        motion: [Angles; 2],
+        put_in: f64,
+    ) {
+        let [before, after] = [held, inputs].map(|inputs| ByAngles::new(FiveBar::<false>::new(model, inputs, turns)));
+        self.step.go_on_from([&before, &after], settings, motion, put_in);
+        self.held = [self.held[1], 0];
+    }
+
     /// The present state in the twelve coordinates, made with the inputs held, and with the q̈ and λ that belong to others. Interpolated
     /// states are for output only; integration never starts from them.
     pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> Core {

@@ -4,11 +4,14 @@
 //! step.
 
 pub mod angles;
+mod correction;
 mod dense_run;
 pub mod five_bar;
 mod five_bar_steps;
+mod following;
 mod inertia;
 mod kinks;
+mod linearised;
 pub mod model;
 mod passage;
 mod restore;
@@ -20,12 +23,14 @@ mod variation;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use crate::effects;
+use crate::estimator;
 use crate::integrator::MODES;
 use crate::mechanism::constraints::largest;
 use crate::mechanism::{self, Coordinates, SceneError, closure};
 
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
+pub use following::{Estimate, Following};
 pub use model::{Method, Model, Parameters, Settings};
 use run::{MacroSteps, Progress};
 pub use run::{Run, StepFailure};
@@ -212,6 +217,11 @@ impl Simulation {
         }
         self.parameters.effects = parameters.clone();
         Ok(())
+    }
+
+    /// Keeps parameters of the estimator, which its motion does not depend on.
+    pub fn tune_estimator(&mut self, parameters: &estimator::Parameters) {
+        self.parameters.estimator = parameters.clone();
     }
 
     /// Whether the loads are too stiff for an explicit method: its steps have been limited by stability instead of accuracy.

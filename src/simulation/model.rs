@@ -4,6 +4,7 @@ use arrayvec::ArrayVec;
 
 use super::inertia::Inertia;
 use crate::effects::{self, Active, Effect, ForceContext, Inputs, Perturbation, TypicalInertia};
+use crate::estimator;
 use crate::integrator::{MacroStepMethod, dop853, i3alp, i3alp_conserving, i3alp_printed, rk4};
 use crate::linear::{LinearSolve, LinearSolver};
 use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError, Start};
@@ -58,6 +59,8 @@ pub struct Parameters {
     pub settings: Settings,
     /// What acts on it.
     pub effects: effects::Parameters,
+    /// How it follows measurements.
+    pub estimator: estimator::Parameters,
 }
 
 /// The integrator with the settings it reads.

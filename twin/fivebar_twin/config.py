@@ -164,9 +164,9 @@ def check(config: Config) -> None:
     for name, value, lowest, highest in (
         ("period", config.period, 1e-4, 1.0),
         ("horizon", config.horizon, config.period, 10.0),
-        ("forecast_rate", config.forecast_rate, 0.1, 1 / config.period),
+        ("forecast_rate", config.forecast_rate, 0.1, 1000.0),
     ):
-        if not isinstance(value, (int, float)) or not lowest <= value <= highest:
+        if type(value) not in (int, float) or not lowest <= value <= highest:
             raise TwinError(f"{name} is {value!r}; {lowest:g} to {highest:g} are allowed")
     check_broker(config.broker)
 

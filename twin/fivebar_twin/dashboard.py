@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import json
 import logging
+import os
 import ssl
 from http import HTTPStatus
 from pathlib import Path
@@ -24,9 +25,14 @@ from fivebar_twin import process, scene
 from fivebar_twin.config import Config
 from fivebar_twin.unit import Library
 
-FILES: Final = {"/": ("dashboard.html", "text/html; charset=utf-8"), "/mqtt.min.js": ("mqtt.min.js", "text/javascript; charset=utf-8")}
+SCRIPT: Final = "text/javascript; charset=utf-8"
+FILES: Final = {
+    "/": ("dashboard.html", "text/html; charset=utf-8"),
+    "/dashboard.js": ("dashboard.js", SCRIPT),
+    "/mqtt.min.js": ("mqtt.min.js", SCRIPT),
+}
 FOLDER: Final = Path(__file__).with_name("page")
-POLICY: Final = "default-src 'none'; script-src 'self' 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; img-src data:"
+POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; connect-src 'self'; img-src data:"
 LARGEST: Final = 1_000_000
 """Bytes of a frame."""
 
@@ -57,6 +63,7 @@ def about(config: Config) -> dict[str, Any]:
             "plane": plane if switched("contact.enabled") else None,
             "period": config.period,
             "horizon": config.horizon,
+            "statuses": {int(item.value): item.description for item in library.variable("estimated.status").declaredType.items},
             "login": bool(config.broker.user),
         }
     finally:
@@ -144,6 +151,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Serves until told to stop."""
     process.set_up_log()
+    if hasattr(os, "nice"):
+        # Others go first where there are too few cores for all.
+        os.nice(5)
     return asyncio.run(_serve(process.read_config(arguments)))
 
 

@@ -119,6 +119,8 @@ class Follower(Rider):
         """Set by `param`, and kept when the unit starts anew."""
         self.inputs: list[list[Any]] = []
         """What was taken since the last estimate: kind, seq, time."""
+        self.after = -1
+        """The sample of the last estimate; -1 before the first."""
         self.failure = ""
         """Why the unit had to be left, since the last look."""
         self.jumps = 0
@@ -188,8 +190,9 @@ class Follower(Rider):
         fields = {name: value for name, value in self.reader.read().items() if math.isfinite(value)}
         self.assembly = int(fields["mode.assembly"])
         self.book = replace(self.book, assembly=self.assembly)
-        inputs, self.inputs = self.inputs, []
-        return Message("est", "", self.book.time + self.setup.step_ns, self.book.seq, fields, {"inputs": inputs})
+        extra = {"after": self.after, "inputs": self.inputs}
+        self.inputs, self.after = [], self.book.seq
+        return Message("est", "", self.book.time + self.setup.step_ns, self.book.seq, fields, extra)
 
     def state(self) -> Message:
         """Everything from which the twin can go on, in this process or another one."""
@@ -212,6 +215,7 @@ class Follower(Rider):
         self.unit.from_bytes(content, clock)
         self._forget()
         self.book, self.parameters, self.assembly, self.previous = book, parameters, book.assembly, None
+        self.after = book.seq
         self.inputs = [["state", message.seq, message.time]]
 
     # --- inside -----------------------------------------------------------------------------------------------------------------

@@ -13,6 +13,9 @@ from fivebar_twin.messages import Message
 from fivebar_twin.setup import Setup
 from fivebar_twin.unit import Library, Reader
 
+PROBABILITY_EVERY: Final = 4
+"""Forecasts for one probability of a singularity: the unit runs 13 motions for it, which cost more than all the rest."""
+
 POINTS: Final = 10
 """Of the path, evenly over the horizon."""
 
@@ -54,7 +57,9 @@ class Forecaster(Rider):
         self.path = Reader(self.unit, ("tip.x", "tip.y", *COVARIANCE))
         self.seen = Reader(self.unit, (*DETERMINANTS.values(), *ANGLES))
         self.probability = Reader(self.unit, (PROBABILITY,))
-        self.stops = {}
+        self.stops: dict[str, tuple[str, float, float]] = {}
+        self.made = 0
+        self.singular = 0.0
         if setup.values.get("stop.enabled"):
             limits = {f"stop.{limit}[{i}]": (i, limit) for i in (1, 2) for limit in ("lower", "upper")}
             for name, (i, limit) in limits.items():
@@ -66,7 +71,10 @@ class Forecaster(Rider):
         setup, unit = self.setup, self.unit
         unit.restore(stored)
         begin = unit.time
-        probability = self.probability.read()[PROBABILITY]
+        if self.made % PROBABILITY_EVERY == 0:
+            self.singular = self.probability.read()[PROBABILITY]
+        self.made += 1
+        probability = self.singular
         begin_seen = before = self.seen.read()
         path: dict[str, list[float]] = {"ahead": []} | {name: [] for name in self.path.names}
         singular: dict[str, Any] = {"probability": probability, "time": None, "type": "none"}

@@ -3,18 +3,20 @@
 import argparse
 import logging
 import time
+import zipfile
 from pathlib import Path
 from typing import Any, Final
+from xml.etree import ElementTree
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from fivebar_twin import process, record, scene, setup
 from fivebar_twin.config import Config
+from fivebar_twin.errors import TwinError
 from fivebar_twin.messages import KINDS, Message, encode, topic
 from fivebar_twin.process import Worker
 from fivebar_twin.record import Row
-from fivebar_twin.unit import Library
 
 FLUSH_EVERY: Final = 0.4
 """Seconds between two parts: less than this and the time of writing is lost by SIGKILL."""
@@ -62,6 +64,7 @@ class Recorder(Worker):
     """The worker."""
 
     name = "record"
+    patient = True
     kinds = tuple(kind for kind in KINDS if kind not in ("gap", "setup"))
 
     def __init__(self, config: Config):
@@ -137,6 +140,15 @@ class Recorder(Worker):
         self._flush()
 
 
+def guid(fmu: Path) -> str:
+    """What tells the unit from every other; read without FMPy, whose loading would delay the first part."""
+    try:
+        with zipfile.ZipFile(fmu) as archive, archive.open("modelDescription.xml") as stream:
+            return str(next(ElementTree.iterparse(stream, events=["start"]))[1].attrib["guid"])
+    except (OSError, KeyError, zipfile.BadZipFile, ElementTree.ParseError) as error:
+        raise TwinError(f"{fmu} is no .fmu: {error}") from None
+
+
 def arguments(parser: argparse.ArgumentParser) -> None:
     process.arguments(parser)
 
@@ -144,8 +156,5 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     config = process.read_config(arguments)
     recorder = Recorder(config)
-    library = Library(Path(config.fmu))
-    about = setup.of_run(config, scene.read(Path(config.scene)), library.guid)
-    library.close()
-    recorder.about = about.to_message(config.unit, time.time_ns())
+    recorder.about = setup.of_run(config, scene.read(Path(config.scene)), guid(Path(config.fmu))).to_message(config.unit, time.time_ns())
     return process.serve(recorder)

@@ -1,8 +1,10 @@
 """`fivebar-twin replay FILE`: computes the estimates of a record again, from its samples, and compares them to the bit."""
 
 import argparse
+import math
 import os
 import time
+from collections import deque
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -16,6 +18,9 @@ from fivebar_twin.unit import Library
 
 KEPT: Final = 20_000
 """Inputs that are remembered until an estimate names them."""
+
+PATIENCE: Final = 500
+"""Messages after which an input that an estimate names is missing."""
 
 TOLD: Final = 5
 """Differences that are shown."""
@@ -43,19 +48,48 @@ class Replay:
         self.follower = follower
         self.inputs: dict[tuple[str, int, int], Message] = {}
         self.result = Result()
+        self.seen = 0
+        self.waiting: deque[tuple[int, Message, bytes]] = deque()
         self.lost = True
         """Whether the twin's state is not known: until a start or a stored state."""
 
     def see(self, message: Message, payload: bytes) -> None:
-        if message.kind in ("meas", "param", "cmd"):
+        """The next message of the record."""
+        self.seen += 1
+        if message.kind in ("meas", "param", "cmd", "state"):
             # The first of two with the same number is the one that was taken.
             self.inputs.setdefault((message.kind, message.seq, message.time), message)
             while len(self.inputs) > KEPT:
                 del self.inputs[next(iter(self.inputs))]
-        elif message.kind == "state":
-            self._state(message, payload)
-        elif message.kind == "est":
-            self._estimate(message, payload)
+        if message.kind in ("est", "state"):
+            self.waiting.append((self.seen, message, payload))
+        self._go_on()
+
+    def end(self) -> None:
+        """No more messages."""
+        self.seen += PATIENCE
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """As far as the inputs reach: a broker may bring an estimate before its sample."""
+        while self.waiting:
+            since, message, payload = self.waiting[0]
+            here = message.kind == "state" or all(self._given(*one) is not None for one in message.extra["inputs"])
+            if not here and self.seen - since < PATIENCE:
+                return
+            self.waiting.popleft()
+            if message.kind == "state":
+                self._state(message, payload)
+            else:
+                self._estimate(message, payload)
+
+    def _given(self, kind: str, seq: int, time: int) -> Message | None:
+        """An input, if the record has it."""
+        given = self.inputs.get((kind, seq, time))
+        if given is None and kind == "cmd" and ("meas", seq, time) in self.inputs:
+            # The twin's own decision that the machine counts anew from this sample.
+            return Message("cmd", "", time, seq, {})
+        return given
 
     def _state(self, message: Message, payload: bytes) -> None:
         book = self.follower.book
@@ -67,19 +101,17 @@ class Replay:
             self.result.states += 1
             if encode(replace(self.follower.state(), unit=message.unit)) != payload:
                 self._differs(f"the state after sample {message.seq} differs")
-        self.inputs[("state", message.seq, message.time)] = message
 
     def _estimate(self, message: Message, payload: bytes) -> None:
         taken = message.extra["inputs"]
+        # An estimate that the record does not have may have had other inputs than this one.
+        self.lost = self.lost or message.extra.get("after") != self.follower.after
         begins = bool(taken) and (taken[0][0] == "state" or (self.lost and self.first(taken)))
         if self.lost and not begins:
             self.result.left_out += 1
             return
         for kind, seq, at in taken:
-            given = self.inputs.get((kind, seq, at))
-            if kind == "cmd" and given is None:
-                # The twin's own decision that the machine counts anew.
-                given = Message("cmd", message.unit, at, seq, {})
+            given = self._given(kind, seq, at)
             if given is None:
                 self.lost = True
                 self.result.left_out += 1
@@ -107,7 +139,7 @@ class Replay:
         self.result.differing.append(sentence)
 
 
-def replay(file: Path, fmu: Path, since: float = 0.0, until: float = float("inf")) -> Result:
+def replay(file: Path, fmu: Path, since: float = -math.inf, until: float = math.inf) -> Result:
     """Computes a record's estimates again; `since` and `until` are seconds after its first message."""
     setup = of_message(record.setup(file))
     library = Library(fmu)
@@ -131,6 +163,7 @@ def replay(file: Path, fmu: Path, since: float = 0.0, until: float = float("inf"
             except Refused as error:
                 raise TwinError(f"{file} holds what is no message: {error}") from None
             work.see(message, row.payload)
+        work.end()
         work.result.seconds = time.perf_counter() - begin
         work.result.spanned = 1e-9 * (last - (first or 0))
         return work.result
@@ -142,8 +175,8 @@ def replay(file: Path, fmu: Path, since: float = 0.0, until: float = float("inf"
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help="a Parquet file, or the folder of its parts")
     parser.add_argument("--fmu", type=Path, default=default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
-    parser.add_argument("--since", type=float, default=0.0, metavar="SECONDS", help="only from then on, after the record's first message")
-    parser.add_argument("--until", type=float, default=float("inf"), metavar="SECONDS", help="only until then")
+    parser.add_argument("--since", type=float, default=-math.inf, metavar="SECONDS", help="only from then on, after the record's first message")
+    parser.add_argument("--until", type=float, default=math.inf, metavar="SECONDS", help="only until then")
 
 
 def default_fmu() -> Path:

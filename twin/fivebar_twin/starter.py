@@ -32,7 +32,8 @@ KEPT_RUNS: Final = 5
 ORDER: Final = ("broker", "record", "watch", "dashboard", "follow", "machine")
 """In which they start; they end the other way round, the recorder and the broker last."""
 
-ENDING: Final = ("machine", "follow", "watch", "dashboard", "record", "broker")
+ENDING: Final = ("machine", "watch", "follow", "dashboard", "record", "broker")
+"""The watch before it takes the end for silence."""
 
 
 @dataclass
@@ -115,8 +116,9 @@ class Run:
         for name in ENDING:
             if name in self.children:
                 self.children[name].end()
-                if name in ("machine", "follow"):
-                    time.sleep(0.3)
+                if name in ("watch", "follow"):
+                    # What was sent last arrives.
+                    time.sleep(0.2)
 
     def status(self) -> dict[str, list[dict[str, Any]]]:
         """The status of every life of every process, by name."""

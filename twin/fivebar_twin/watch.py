@@ -53,16 +53,18 @@ class Cause:
     last: float = -math.inf
     most: float = 0.0
 
-    def see(self, there: bool, value: float, now: float, off: float) -> None:
+    def see(self, there: bool, value: float, now: float, on: float, off: float) -> None:
+        """It is there, or not: one that has not lasted is gone at once, one that has lasted when it has been away for a while."""
         if there:
             if math.isnan(self.since):
                 self.since, self.most = now, 0.0
             self.last, self.most = now, max(self.most, abs(value))
-        elif now - self.last > off:
+        elif now - self.last > off or not self.holds(on):
             self.since = math.nan
 
-    def holds(self, now: float, on: float) -> bool:
-        return not math.isnan(self.since) and now - self.since >= on
+    def holds(self, on: float) -> bool:
+        """Whether it has lasted long enough to count."""
+        return not math.isnan(self.since) and self.last - self.since >= on
 
     @property
     def gone(self) -> bool:
@@ -89,8 +91,8 @@ class Anomalies:
                 self._go("starting", now)
         self.last = now
         alarm = fields.get("estimated.alarm", 0.0) != 0.0
-        self.causes["force"].see(alarm, fields.get("estimated.nis", 0.0), now, self.settings.off)
-        self.causes["silence"].see(False, 0.0, now, 0.0)
+        self.causes["force"].see(alarm, fields.get("estimated.nis", 0.0), now, self.settings.on, self.settings.off)
+        self.causes["silence"].see(False, 0.0, now, 0.0, 0.0)
         if self.state == "calibrating":
             self.gathered[0] += 1
             for i in (1, 2):
@@ -100,7 +102,7 @@ class Anomalies:
     def quiet(self, now: float) -> list[dict[str, Any]]:
         """No estimate so far, at a time of the same clock."""
         if not math.isnan(self.last) and now - self.last > self.settings.silence:
-            self.causes["silence"].see(True, now - self.last, now, 0.0)
+            self.causes["silence"].see(True, now - self.last, now, 0.0, 0.0)
             if self.state in ("starting", "listening"):
                 return self._raise("silence", now, {"seconds": now - self.last})
         return []
@@ -117,7 +119,7 @@ class Anomalies:
             if now - self.since >= STARTING and force.gone:
                 self._go("listening", now)
         elif self.state == "listening":
-            if force.holds(now, settings.on):
+            if force.holds(settings.on):
                 names = ("estimated.nis", "estimated.tau[1]", "estimated.tau[2]", "estimated.tau.sigma[1]", "estimated.tau.sigma[2]")
                 return self._raise("force", now, {name: fields[name] for name in names if name in fields})
         elif self.state == "anomaly":

@@ -28,7 +28,7 @@ pub(crate) fn twin(options: &Options) -> Result<()> {
     // First of all, so that a misspelt name does not cost a build.
     scenes::check(scene)?;
     let fmu = package::package(Scope::Here)?;
-    process::run(
+    process::become_program(
         venv::python(Packages::Usual)?
             .args(["-m", "fivebar_twin", "run"])
             .arg("--fmu")
