@@ -37,6 +37,7 @@ STYLE: Final[dict[str, Any]] = {
 
 def save(figure: Figure, file: Path) -> Path:
     """Writes the picture and closes it: the same figure, the same bytes."""
-    figure.savefig(file, metadata={"Date": None} if file.suffix == ".svg" else {"Software": None})
+    # What stands beside the axes, as names of unknowns do, may need more room.
+    figure.savefig(file, bbox_inches="tight", pad_inches=0.1, metadata={"Date": None} if file.suffix == ".svg" else {"Software": None})
     plt.close(figure)
     return file

@@ -127,8 +127,8 @@ def of_state(state: bytes, clock: float, library: Library, spread: dict[str, flo
             spread = {name: value for name, value in uncertainty(unit).items() if value > 0} or {n: v for n, v in USUAL.items() if n in STATE}
     finally:
         unit.close()
-    # Members look ahead: they correct nothing, and the state's own corrector is not theirs.
-    values = {name: value for name, value in values.items() if not name.startswith(("estimator.", "measured."))}
+    # Members look ahead: they correct nothing, and the method is the ensemble's.
+    values = {name: value for name, value in values.items() if not name.startswith(scenes.KEPT_OUT)}
     return Plan(values=values, spreads=spread, state=state, clock=clock, **common)
 
 

@@ -125,7 +125,10 @@ def _bands(story: Story) -> Figure:
 
 def _singular(story: Story) -> Figure:
     figure, axes = plt.subplots(figsize=(10, 4.6))
-    end = float(story.time[-1])
+    latest = max((float(times.max()) for times in story.singular_times.values() if len(times)), default=0.0)
+    met = sum(map(len, story.singular_times.values()))
+    # Where all have met one, what comes later is empty.
+    end = min(float(story.time[-1]), 1.2 * latest) if met + story.failed >= story.members else float(story.time[-1])
     running = max(1, story.members - story.failed)
     edges = np.linspace(0, end, 81)
     below = np.zeros(80)
