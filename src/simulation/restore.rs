@@ -65,7 +65,11 @@ impl Run {
         let system = FiveBar::<false>::new(model, &self.inputs, &self.turns);
         let (core, remembered) = match &self.progress {
             Progress::WithCall(core, _) => (*core, 0.0),
-            Progress::Conserving(run) => (run.state(&system, model.regularization), run.remembered()),
+            // Its accelerations follow from equilibrium: they tell whether the inputs are those that it has held.
+            Progress::Conserving(run) => {
+                let core = run.state(&system, model.regularization);
+                (core, run.remembered() + core.a.iter().map(|x| x.abs()).sum::<f64>())
+            }
             Progress::PastCall(_) | Progress::Outside(_) => return [0.0; 2],
         };
         let pose = system.pose(&core.q);
