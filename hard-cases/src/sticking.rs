@@ -129,8 +129,8 @@ impl<'a> Sticking<'a> {
                 }
             }
         }
-        for unused in place..8 {
-            matrix[unused][unused] = 1.0;
+        for (unused, row) in matrix.iter_mut().enumerate().skip(place) {
+            row[unused] = 1.0;
         }
         let solution = eliminate(matrix);
         let torques = torques.map(|place| if place > 0.0 { solution[place as usize] } else { 0.0 });

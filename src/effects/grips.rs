@@ -172,6 +172,8 @@ impl Balance {
     }
 
     /// Whether friction can hold all of them, and that leaves no motion.
+    #[cold]
+    #[inline(never)]
     pub fn can_rest(&self) -> bool {
         let n = self.len();
         let all = (0..n).any(|i| (0..i).any(|j| !self.are_parallel(i, j)));
@@ -191,11 +193,15 @@ impl Balance {
 
     /// The torques by which all hold: of those possible the ones that use the smallest parts of their bounds, or where these are not within
     /// them, those by which all but two give all they can.
+    #[cold]
+    #[inline(never)]
     pub fn resting_torques(&self) -> [f64; GRIPS] {
         self.shared().unwrap_or_else(|| self.best(2..=2).map_or([0.0; GRIPS], |(_, pattern)| self.torques(&pattern)))
     }
 
     /// (D G D + ε tr) x = −D c, T = D x with D the bounds, by Cholesky's method.
+    #[cold]
+    #[inline(never)]
     fn shared(&self) -> Option<[f64; GRIPS]> {
         let n = self.len();
         let trace: f64 = (0..n).map(|i| self.bounds[i] * self.scale(i)).sum();
@@ -231,11 +237,15 @@ impl Balance {
         holds.then_some(torques)
     }
 
+    #[cold]
+    #[inline(never)]
     fn accelerations(&self, torques: &[f64; GRIPS]) -> [f64; GRIPS] {
         std::array::from_fn(|i| self.change[i] + (0..self.len()).map(|k| self.mobility[i][k] * torques[k]).sum::<f64>())
     }
 
     /// The torques of a pattern: slipping grips give their bounds, and no more than two hold.
+    #[cold]
+    #[inline(never)]
     fn torques(&self, pattern: &Pattern) -> [f64; GRIPS] {
         let mut torques: [f64; GRIPS] = std::array::from_fn(|i| match pattern[i] {
             Grip::Slips(way) => -way.sign() * self.bounds[i],
@@ -257,6 +267,8 @@ impl Balance {
     }
 
     /// The pattern that violates the law least, of those in which so many hold; by how much, as a part of the bounds.
+    #[cold]
+    #[inline(never)]
     fn best(&self, holds: std::ops::RangeInclusive<usize>) -> Option<(f64, Pattern)> {
         let n = self.len();
         let mut best: Option<(f64, Pattern)> = None;
@@ -286,6 +298,8 @@ impl Balance {
     }
 
     /// What they do where something moves, or will: no more than one of them holds by itself, and with it those that hold the same motion.
+    #[cold]
+    #[inline(never)]
     pub fn moving(&self, grips: &mut Grips) {
         let Some((_, mut pattern)) = self.best(0..=1) else { return };
         let left = self.accelerations(&self.torques(&pattern));

@@ -287,11 +287,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if self.elapsed == self.length { self.sides_behind } else { self.sides }
     }
 
-    /// The beginning of the step with the sides on which it is made, and its end with those behind it.
-    pub fn ends(&self) -> [(&State<N, M>, K); 2] {
-        [(&self.start, self.sides), (&self.end, self.sides_behind)]
-    }
-
     /// Macro steps since the start.
     pub fn steps(&self) -> u64 {
         self.start.counters.steps

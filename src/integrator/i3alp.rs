@@ -164,13 +164,15 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kink
     }
     let settings = Settings { regularization: limits.regularization * settings.regularization, ..*settings };
     let mut step = Step::predict(state, h, constraint_tolerance(&settings, system.length_scale(), h));
-    let found = newton::solve(system, &settings, &mut step, &mut state.counters)
-        .or_else(|error| match settings.watches_rates(system) {
+    let mut again = false;
+    let found = loop {
+        match newton::solve(system, &settings, &mut step, &mut state.counters) {
+            Ok(found) => break found,
             // Stiff friction lets the rates stay what they are, where the accelerations foretell others.
-            true => newton::solve(system, &settings, &mut step.with_rates_of(state), &mut state.counters),
-            false => Err(error),
-        })
-        .or_else(|error| line_search::solve(system, settings, step.anew(state), &mut state.counters).ok_or(error))?;
+            Err(_) if settings.watches_rates(system) && !again => (step, again) = (step.with_rates_of(state), true),
+            Err(error) => break line_search::solve(system, settings, step.anew(state), &mut state.counters).ok_or(error)?,
+        }
+    };
 
     // Project the velocity, then the acceleration and the multipliers from equilibrium: one factor serves both.
     let Found { q, pose, v } = found;

@@ -302,15 +302,16 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     fn held(&self, q: &Angles, pose: &Pose, v: &Angles) -> Held<ANGLES> {
-        super::grips::held(self, q, pose, v)
+        self.held_in_angles(q, pose, v)
     }
 
     fn balanced_with_held(&self, q: Angles, v: Angles, free: (Angles, Vector<CLOSURES>)) -> (Angles, Vector<CLOSURES>) {
-        super::grips::balanced_with_held(self, q, v, free)
+        super::grips::balanced_with_held(self, [q, v], free, self.regularization_by_angles())
     }
 
     fn let_hold(&self, q: Angles, v: Angles) -> Angles {
-        super::grips::let_hold(self, q, v)
+        let (x, rates) = self.coordinates(&self.pose(&q), &q, &v);
+        angles_of(&super::grips::let_hold(&self.five_bar, x, rates))
     }
 
     #[inline]

@@ -12,7 +12,7 @@ use super::state::{Core, State, whole_turns};
 use super::{Inputs, Model};
 use crate::effects::{Grips, Sides};
 use crate::integrator::dop853::{DenseStep, Horizon, Settings};
-use crate::integrator::{Bounds, Counters, Inconsistency, StepError, Work};
+use crate::integrator::{Bounds, Counters, Inconsistency, StepError, System, Work};
 use crate::mechanism::{Coordinates, Multipliers};
 
 /// The step under way, and for how long inputs are held.
@@ -99,7 +99,8 @@ impl DenseRun {
             return Err("inputs were held for longer than the run is");
         }
         for ((state, sides), ends) in self.step.ends().into_iter().zip([false, true]) {
-            check_grips(system.model(), &ByAngles::new(system.five_bar().on(sides)), &state.q, &state.v, ends)?;
+            let (x, rates) = system.coordinates(&system.pose(&state.q), &state.q, &state.v);
+            check_grips(system.model(), &system.five_bar().on(sides), [&x, &rates], ends)?;
         }
         self.step.check(system, settings, bounds)
     }

@@ -197,15 +197,15 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     }
 
     fn held(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Held<COORDINATES> {
-        super::grips::held(self, q, pose, v)
+        super::grips::held(&self.general(), q, pose, v)
     }
 
     fn balanced_with_held(&self, q: Coordinates, v: Coordinates, free: (Coordinates, Multipliers)) -> (Coordinates, Multipliers) {
-        super::grips::balanced_with_held(self, q, v, free)
+        super::grips::balanced_with_held(&self.general(), [q, v], free, self.model.regularization)
     }
 
     fn let_hold(&self, q: Coordinates, v: Coordinates) -> Coordinates {
-        super::grips::let_hold(self, q, v)
+        super::grips::let_hold(&self.general(), q, v)
     }
 
     #[inline(always)]

@@ -1,24 +1,29 @@
-//! What dry friction that sticks does in a state, in any coordinates: which grips hold, and by what force.
+//! What dry friction that sticks does in a state: which grips hold, and by what force. In the twelve coordinates; what the link angles ask
+//! is carried over.
 
 use arrayvec::ArrayVec;
 
+use super::angles::{Angles, ByAngles};
+use super::five_bar::FiveBar;
 use crate::effects::grips::{Balance, GRIPS, Grasp, Grasps, Grip, Grips, Way};
 use crate::effects::{Slide, Slides, slow};
 use crate::integrator::{Held, Kkt, System};
+use crate::mechanism::{COORDINATES, Coordinates, Pose};
 use crate::vector::Vector;
 
-/// A five-bar in some coordinates, as its grips see it.
-pub(super) trait Gripping<const N: usize, const M: usize>: System<N, M> + Sized {
+impl FiveBar<'_> {
     /// The grips that there are.
-    fn grasps(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> Grasps<N>;
-    /// What they do.
-    fn grips(&self) -> &Grips;
-    /// The same system where they do something else.
-    fn with_grips(&self, grips: Grips) -> Self;
-    /// e of its saddle-point systems, 1/kg.
-    fn regularization(&self) -> f64;
-    /// The error tolerance, rad.
-    fn tolerance(&self) -> f64;
+    fn grasps(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Grasps<COORDINATES> {
+        let (at, mut grasps) = (self.context(q, pose, v), Grasps::new());
+        for effect in &self.model.effects {
+            effect.add_grasps(&at, &mut grasps);
+        }
+        grasps
+    }
+
+    fn slow(&self) -> f64 {
+        slow(self.model.error_tolerance)
+    }
 }
 
 /// Up to so many times the rate at which a grip rests a mechanism that friction can hold is at rest: what it still moves is below all
@@ -27,25 +32,28 @@ const AT_REST: f64 = 1e3;
 
 /// What the grips do in a state, by itself.
 #[cold]
-pub(super) fn resolved<const N: usize, const M: usize>(system: &impl Gripping<N, M>, q: &Vector<N>, v: &Vector<N>) -> Grips {
+#[inline(never)]
+pub(super) fn resolved(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -> Grips {
     let pose = system.pose(q);
     let grasps = system.grasps(q, &pose, v);
-    let slow = slow(system.tolerance());
+    let slow = system.slow();
     if v.max_norm() <= AT_REST * slow {
-        let at_rest = balance(system, q, &Vector::ZERO, |_| true);
+        let at_rest = balance(system, q, &Coordinates::ZERO, &|_| true);
         if at_rest.can_rest() {
             return Grips::resting(at_rest.places.into_iter());
         }
     }
     let mut grips = moving(&grasps);
     if grasps.iter().any(|grasp| grasp.rate.abs() <= slow) {
-        balance(system, q, v, |grasp| grasp.rate.abs() <= slow).moving(&mut grips);
+        balance(system, q, v, &|grasp| grasp.rate.abs() <= slow).moving(&mut grips);
     }
     grips
 }
 
 /// All slip.
-fn moving<const N: usize>(grasps: &Grasps<N>) -> Grips {
+#[cold]
+#[inline(never)]
+fn moving(grasps: &Grasps<COORDINATES>) -> Grips {
     let mut grips = Grips::OPEN;
     for grasp in grasps {
         grips.set(grasp.place, Grip::Slips(Way::of(grasp.rate)));
@@ -54,21 +62,19 @@ fn moving<const N: usize>(grasps: &Grasps<N>) -> Grips {
 }
 
 /// What some grips, which can hold something, have to hold while the others slip.
-fn balance<const N: usize, const M: usize>(
-    system: &impl Gripping<N, M>,
-    q: &Vector<N>,
-    v: &Vector<N>,
-    rests: impl Fn(&Grasp<N>) -> bool,
-) -> Balance {
+#[cold]
+#[inline(never)]
+fn balance(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates, rests: &dyn Fn(&Grasp<COORDINATES>) -> bool) -> Balance {
     let pose = system.pose(q);
     let grasps = system.grasps(q, &pose, v);
-    let resting: ArrayVec<Grasp<N>, GRIPS> = grasps.iter().filter(|grasp| grasp.bound > 0.0 && rests(grasp)).copied().collect();
+    let resting: ArrayVec<Grasp<COORDINATES>, GRIPS> =
+        grasps.iter().filter(|grasp| grasp.bound > 0.0 && rests(grasp)).copied().collect();
     let mut grips = moving(&grasps);
     for grasp in &resting {
         grips.set(grasp.place, Grip::Holds(Way::Forward));
     }
-    let mass = system.factor_mass(&pose, system.regularization());
-    let forces = system.with_grips(grips).forces(q, &pose, v);
+    let mass = system.factor_mass(&pose, system.model.regularization);
+    let forces = system.on(system.sides.with_grips(grips)).forces(q, &pose, v);
     let (a, _) = mass.solve(&forces, &-system.phi_q_dot_times(&pose, v));
     let mut balance = Balance::default();
     for (i, grasp) in resting.iter().enumerate() {
@@ -84,31 +90,28 @@ fn balance<const N: usize, const M: usize>(
 }
 
 /// What friction holds.
-pub(super) fn held<const N: usize, const M: usize, S: Gripping<N, M>>(
-    system: &S,
-    q: &Vector<N>,
-    pose: &S::Pose,
-    v: &Vector<N>,
-) -> Held<N> {
+#[cold]
+#[inline(never)]
+pub(super) fn held(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Held<COORDINATES> {
     let grasps = system.grasps(q, pose, v);
-    if system.grips().at_rest() {
-        let torques = balance(system, q, v, |_| true).resting_torques();
+    if system.sides.grips.at_rest() {
+        let torques = balance(system, q, v, &|_| true).resting_torques();
         let able = grasps.iter().filter(|grasp| grasp.bound > 0.0);
-        let force = able.zip(torques).fold(Vector::ZERO, |force, (grasp, torque)| force + torque * grasp.row);
+        let force = able.zip(torques).fold(Coordinates::ZERO, |force, (grasp, torque)| force + torque * grasp.row);
         return Held::All { force };
     }
-    let Some(first) = first(system.grips(), &grasps) else { return Held::Nothing };
-    let force = shares(system.grips(), &grasps).fold(Vector::ZERO, |force, (grasp, share)| force + share * grasp.row);
+    let Some(first) = first(&system.sides.grips, &grasps) else { return Held::Nothing };
+    let force = shares(&system.sides.grips, &grasps).fold(Coordinates::ZERO, |force, (grasp, share)| force + share * grasp.row);
     Held::Direction { row: first.row, drift: first.drift, force }
 }
 
 /// The first grip that holds.
-fn first<'a, const N: usize>(grips: &Grips, grasps: &'a Grasps<N>) -> Option<&'a Grasp<N>> {
+fn first<'a>(grips: &Grips, grasps: &'a Grasps<COORDINATES>) -> Option<&'a Grasp<COORDINATES>> {
     grasps.iter().find(|grasp| matches!(grips.at(grasp.place), Grip::Holds(_)))
 }
 
 /// The grips that hold one motion, with what each does per torque of the first: all of them use the same part of their bounds.
-fn shares<'a, const N: usize>(grips: &'a Grips, grasps: &'a Grasps<N>) -> impl Iterator<Item = (&'a Grasp<N>, f64)> {
+fn shares<'a>(grips: &'a Grips, grasps: &'a Grasps<COORDINATES>) -> impl Iterator<Item = (&'a Grasp<COORDINATES>, f64)> {
     let first = first(grips, grasps);
     grasps.iter().filter_map(move |grasp| {
         let Grip::Holds(way) = grips.at(grasp.place) else { return None };
@@ -119,40 +122,42 @@ fn shares<'a, const N: usize>(grips: &'a Grips, grasps: &'a Grasps<N>) -> impl I
 }
 
 /// By what torques the grips hold, N·m, and the tip's by what force, N, with these accelerations.
-pub(super) fn holding<const N: usize, const M: usize>(system: &impl Gripping<N, M>, q: &Vector<N>, v: &Vector<N>) -> [f64; GRIPS] {
+#[cold]
+#[inline(never)]
+pub(super) fn holding(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -> [f64; GRIPS] {
     let pose = system.pose(q);
     let grasps = system.grasps(q, &pose, v);
     let mut holding = [0.0; GRIPS];
-    if system.grips().at_rest() {
-        let balance = balance(system, q, v, |_| true);
+    if system.sides.grips.at_rest() {
+        let balance = balance(system, q, v, &|_| true);
         for (place, torque) in balance.places.iter().zip(balance.resting_torques()) {
             holding[*place] = torque;
         }
         return holding;
     }
     let Held::Direction { row, drift, force } = held(system, q, &pose, v) else { return holding };
-    let mass = system.factor_mass(&pose, system.regularization());
+    let mass = system.factor_mass(&pose, system.model.regularization);
     let (a, _) = mass.solve(&system.forces(q, &pose, v), &-system.phi_q_dot_times(&pose, v));
     let mobility = row.dot(&mass.solve(&force, &Vector::ZERO).0);
     let part = if mobility > 0.0 { -(row.dot(&a) + drift) / mobility } else { 0.0 };
-    for (grasp, share) in shares(system.grips(), &grasps) {
+    for (grasp, share) in shares(&system.sides.grips, &grasps) {
         holding[grasp.place] = part * share;
     }
     holding
 }
 
-/// q̈ and λ with the forces by which friction holds, from those without.
+/// q̈ and λ with the forces by which friction holds, from those without, in any coordinates; e is that of their saddle-point systems.
 #[cold]
 #[inline(never)]
 pub(super) fn balanced_with_held<const N: usize, const M: usize>(
-    system: &impl Gripping<N, M>,
-    q: Vector<N>,
-    v: Vector<N>,
+    system: &impl System<N, M>,
+    [q, v]: [Vector<N>; 2],
     (a, lambda): (Vector<N>, Vector<M>),
+    regularization: f64,
 ) -> (Vector<N>, Vector<M>) {
     let pose = system.pose(&q);
-    let mass = system.factor_mass(&pose, system.regularization());
-    match held(system, &q, &pose, &v) {
+    let mass = system.factor_mass(&pose, regularization);
+    match system.held(&q, &pose, &v) {
         Held::Nothing => (a, lambda),
         Held::Direction { row, drift, force } => {
             let (by_force, by_force_lambda) = mass.solve(&force, &Vector::ZERO);
@@ -167,26 +172,47 @@ pub(super) fn balanced_with_held<const N: usize, const M: usize>(
     }
 }
 
+impl ByAngles<'_> {
+    /// What friction holds, in the angles.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn held_in_angles(&self, q: &Angles, pose: &Pose, v: &Angles) -> Held<{ super::angles::ANGLES }> {
+        let (x, rates) = self.coordinates(pose, q, v);
+        match held(self.five_bar(), &x, pose, &rates) {
+            Held::Nothing => Held::Nothing,
+            Held::Direction { row, drift, force } => Held::Direction {
+                // A row is a force as well: what it misses is how the velocities of the coordinates turn with the links.
+                row: self.carried_over(pose, &row),
+                drift: drift + row.dot(&self.turning(pose, v)),
+                force: self.carried_over(pose, &force),
+            },
+            Held::All { force } => Held::All { force: self.carried_over(pose, &force) },
+        }
+    }
+}
+
 /// q̇ without what friction holds, by the shortest way in the mass metric.
 #[cold]
 #[inline(never)]
-pub(super) fn let_hold<const N: usize, const M: usize>(system: &impl Gripping<N, M>, q: Vector<N>, v: Vector<N>) -> Vector<N> {
-    if system.grips().at_rest() {
-        return Vector::ZERO;
+pub(super) fn let_hold(system: &FiveBar<'_>, q: Coordinates, v: Coordinates) -> Coordinates {
+    if system.sides.grips.at_rest() {
+        return Coordinates::ZERO;
     }
     let pose = system.pose(&q);
     let Held::Direction { row, force, .. } = held(system, &q, &pose, &v) else { return v };
-    let (by_force, _) = system.factor_mass(&pose, system.regularization()).solve(&force, &Vector::ZERO);
+    let (by_force, _) = system.factor_mass(&pose, system.model.regularization).solve(&force, &Vector::ZERO);
     let mobility = row.dot(&by_force);
     if mobility > 0.0 { v - row.dot(&v) / mobility * by_force } else { v }
 }
 
 /// The grips as they are now, for those who watch for what they do next.
-pub(super) fn slides<const N: usize, const M: usize>(system: &impl Gripping<N, M>, q: &Vector<N>, v: &Vector<N>) -> Slides {
+#[cold]
+#[inline(never)]
+pub(super) fn slides(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -> Slides {
     let grasps = system.grasps(q, &system.pose(q), v);
-    let watched = system.grips().hold() && !system.grips().at_rest();
+    let watched = system.sides.grips.hold() && !system.sides.grips.at_rest();
     let holding = if watched { holding(system, q, v) } else { [0.0; GRIPS] };
-    let slide = |grasp: &Grasp<N>| Slide {
+    let slide = |grasp: &Grasp<COORDINATES>| Slide {
         place: grasp.place,
         rate: grasp.rate,
         load: [holding[grasp.place], grasp.bound],
@@ -197,25 +223,21 @@ pub(super) fn slides<const N: usize, const M: usize>(system: &impl Gripping<N, M
 
 /// Whether a run can have left a state with its grips as they are; where they have only just stopped, it still moves a little.
 #[cold]
-pub(super) fn are_possible<const N: usize, const M: usize>(
-    system: &impl Gripping<N, M>,
-    q: &Vector<N>,
-    v: &Vector<N>,
-    just_stopped: bool,
-) -> bool {
+#[inline(never)]
+pub(super) fn are_possible(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates, just_stopped: bool) -> bool {
     /// A grip does what it does up to some times what may be overlooked.
     const FAR: f64 = 100.0;
-    let grips = system.grips();
+    let grips = &system.sides.grips;
     if grips.at_rest() {
-        let all = balance(system, q, &Vector::ZERO, |_| true);
-        let slowest = if just_stopped { AT_REST * slow(system.tolerance()) } else { 0.0 };
+        let all = balance(system, q, &Coordinates::ZERO, &|_| true);
+        let slowest = if just_stopped { AT_REST * system.slow() } else { 0.0 };
         return v.max_norm() <= slowest && all.can_rest() && *grips == Grips::resting(all.places.into_iter());
     }
     let slides = slides(system, q, v);
-    let far = FAR * slow(system.tolerance());
+    let far = FAR * system.slow();
     let there = |place: usize| slides.iter().any(|slide| slide.place == place);
-    let held = |grasp: &Grasp<N>| matches!(grips.at(grasp.place), Grip::Holds(_));
-    balance(system, q, v, held).is_one()
+    let held = |grasp: &Grasp<COORDINATES>| matches!(grips.at(grasp.place), Grip::Holds(_));
+    balance(system, q, v, &held).is_one()
         && (0..GRIPS).all(|place| there(place) || grips.at(place) == Grip::Open)
         && slides.iter().all(|slide| match grips.at(slide.place) {
             Grip::Open => false,

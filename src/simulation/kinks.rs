@@ -2,79 +2,13 @@
 
 use std::borrow::Borrow;
 
-use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, PLACES};
+use super::angles::{ANGLES, Angles, ByAngles, PLACES};
 use super::five_bar::FiveBar;
-use super::grips::{Gripping, resolved, slides};
-use crate::effects::{Grasp, Grasps, Grips, Sides, Slides, Touches};
+use super::grips::{resolved, slides};
+use crate::effects::{Sides, Slides, Touches};
 use crate::integrator::{Kinked, System};
 use crate::mechanism::coordinates::THETA;
-use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Pose};
-
-impl Gripping<ANGLES, CLOSURES> for ByAngles<'_> {
-    fn grasps(&self, q: &Angles, pose: &Pose, v: &Angles) -> Grasps<ANGLES> {
-        let (x, rates) = self.coordinates(pose, q, v);
-        let in_angles = |grasp: Grasp<COORDINATES>| {
-            let row = self.carried_over(pose, &grasp.row);
-            // A row is a force as well: what it misses is how the velocities of the coordinates turn with the links.
-            let drift = grasp.drift + grasp.row.dot(&self.turning(pose, v));
-            Grasp { place: grasp.place, row, drift, rate: grasp.rate, bound: grasp.bound, arms: grasp.arms }
-        };
-        self.five_bar().grasps(&x, pose, &rates).into_iter().map(in_angles).collect()
-    }
-
-    fn grips(&self) -> &Grips {
-        self.five_bar().grips()
-    }
-
-    fn with_grips(&self, grips: Grips) -> Self {
-        Self::new(self.five_bar().with_grips(grips))
-    }
-
-    fn regularization(&self) -> f64 {
-        self.regularization_by_angles()
-    }
-
-    fn tolerance(&self) -> f64 {
-        self.model().error_tolerance
-    }
-}
-
-impl<const BARE: bool> Gripping<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> {
-    fn grasps(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Grasps<COORDINATES> {
-        let (at, mut grasps) = (self.context(q, pose, v), Grasps::new());
-        for effect in &self.model.effects {
-            effect.add_grasps(&at, &mut grasps);
-        }
-        grasps
-    }
-
-    fn grips(&self) -> &Grips {
-        &self.sides.grips
-    }
-
-    fn with_grips(&self, grips: Grips) -> Self {
-        self.on(self.sides.with_grips(grips))
-    }
-
-    fn regularization(&self) -> f64 {
-        self.model.regularization
-    }
-
-    fn tolerance(&self) -> f64 {
-        self.model.error_tolerance
-    }
-}
-
-/// The grips as they are, where there are any.
-#[inline]
-fn watched<const N: usize, const M: usize>(
-    sticks: bool,
-    system: &impl Gripping<N, M>,
-    q: &crate::vector::Vector<N>,
-    v: &crate::vector::Vector<N>,
-) -> Slides {
-    if sticks { slides(system, q, v) } else { Slides::new() }
-}
+use crate::mechanism::{COORDINATES, Coordinates};
 
 impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     type Sides = Sides;
@@ -88,7 +22,7 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     fn touches(&self, q: &Angles, v: &Angles) -> Touches<'a> {
         let pose = self.pose(q);
         let (x, rates) = self.coordinates(&pose, q, v);
-        let slides = watched(self.model().sticks, self, q, v);
+        let slides = self.five_bar().slides(&x, &rates);
         Touches::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates), slides)
     }
 
@@ -122,7 +56,7 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     }
 
     fn is_at_rest(&self) -> bool {
-        self.grips().at_rest()
+        self.five_bar().sides.grips.at_rest()
     }
 
     fn is_touching(&self, at: &Touches<'a>) -> bool {
@@ -141,8 +75,15 @@ impl ByAngles<'_> {
         if !self.model().sticks {
             return sides;
         }
-        let on_sides = Self::new(self.five_bar().on(sides));
-        sides.with_grips(resolved(&on_sides, q, v))
+        let (x, rates) = self.coordinates(&self.pose(q), q, v);
+        sides.with_grips(resolved(&self.five_bar().on(sides), &x, &rates))
+    }
+}
+
+impl<const BARE: bool> FiveBar<'_, BARE> {
+    /// The grips as they are, where there are any.
+    fn slides(&self, q: &Coordinates, v: &Coordinates) -> Slides {
+        if self.model.sticks { slides(&self.general(), q, v) } else { Slides::new() }
     }
 }
 
@@ -156,14 +97,14 @@ impl<'a, const BARE: bool> Kinked<COORDINATES> for FiveBar<'a, BARE> {
     }
 
     fn touches(&self, q: &Coordinates, v: &Coordinates) -> Touches<'a> {
-        let slides = watched(self.model.sticks, self, q, v);
+        let slides = self.slides(q, v);
         Touches::new(&self.model.effects, &self.context(q, &self.pose(q), v), slides)
     }
 
     /// Springs are wherever the state is, and so are grips that nobody remembers.
-    #[inline(always)]
+    #[inline]
     fn sides_of(&self, q: &Coordinates, v: &Coordinates) -> Sides {
-        if BARE || !self.model.sticks { Sides::BY_STATE } else { Sides::of_grips(resolved(self, q, v)) }
+        if BARE || !self.model.sticks { Sides::BY_STATE } else { Sides::of_grips(resolved(&self.general(), q, v)) }
     }
 
     #[inline(always)]

@@ -2,15 +2,14 @@
 
 use super::angles::ByAngles;
 use super::five_bar::FiveBar;
-use super::grips::{self, Gripping};
+use super::grips;
 use super::model::{Model, Stepper};
 use super::passage::REGULARIZATION;
 use super::run::{Progress, Run};
 use super::{Method, Parameters, Settings};
 use crate::effects::{Grips, Sides};
 use crate::integrator::{Bounds, Implicit, Inconsistency, System};
-use crate::mechanism::SceneError;
-use crate::vector::Vector;
+use crate::mechanism::{Coordinates, SceneError};
 
 /// Constraints hold to this part of the machine's size, or to some times what the solver is told to allow.
 const CLOSED: f64 = 1e-10;
@@ -30,7 +29,7 @@ impl Run {
         match (&model.stepper, progress) {
             (Stepper::MacroStep(_), Progress::WithCall(core, grips)) => {
                 let system = system.on(Sides::of_grips(*grips));
-                check_grips(model, &system, &core.q, &core.v, false)
+                check_grips(model, &system, [&core.q, &core.v], false)
                     .and_then(|()| core.check(&system, &bounds(model, &parameters.settings)))
             }
             (Stepper::Conserving(_), Progress::Conserving(run)) => run.check(&system, &bounds(model, &parameters.settings)),
@@ -47,14 +46,13 @@ impl Run {
 }
 
 /// Refuses grips that do what those of a state cannot.
-pub(super) fn check_grips<const N: usize, const M: usize>(
+pub(super) fn check_grips(
     model: &Model,
-    system: &impl Gripping<N, M>,
-    q: &Vector<N>,
-    v: &Vector<N>,
+    system: &FiveBar<'_>,
+    [q, v]: [&Coordinates; 2],
     just_stopped: bool,
 ) -> Result<(), Inconsistency> {
-    let possible = if model.sticks { grips::are_possible(system, q, v, just_stopped) } else { *system.grips() == Grips::OPEN };
+    let possible = if model.sticks { grips::are_possible(system, q, v, just_stopped) } else { system.sides.grips == Grips::OPEN };
     if possible { Ok(()) } else { Err("friction does not hold or slip as it says") }
 }
 

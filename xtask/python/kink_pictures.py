@@ -6,6 +6,7 @@ python kink_pictures.py --fmu target/fmu/FiveBar.fmu --scenes target/scenes --ou
 import argparse
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import fmpy
@@ -18,7 +19,19 @@ from matplotlib.axes import Axes
 
 from drawing import FAINT, INK, LEFT, TIP, plane, thinned
 from drive import Progress, Run, drive
-from scene import Scene, read
+from scene import Scene, Variant, read
+
+LAWS = {"smooth": 1, "stick": 2}
+"""The items of `friction.law`."""
+
+
+def held(scene: Scene, law: str) -> Scene:
+    """The joint of `stick_slip` under half its breakaway torque, which the servo keeps, by a law of friction."""
+    values = scene.variants[0].values
+    pull = values["friction.breakaway[1]"] / 2 / values["servo.kp[1]"]
+    load = {"servo.theta[1]": values["init.theta[1]"] + pull, "friction.law": LAWS[law], "friction.breakawayVelocity": 1e-3}
+    return replace(scene, stop_time=2.0, signals={}, variants=[Variant(law, values | load)])
+
 
 def main(arguments: list[str] | None = None) -> int:
     """Runs the scenes and draws them side by side."""
@@ -33,7 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
         figure, (slip, bounce, hold) = plt.subplots(1, 3, figsize=(11, 3.2), layout="constrained")
         draw_stick_and_slip(slip, run(model, directory, read(options.scenes / "stick_slip.json")))
         draw_bounce(bounce, run(model, directory, read(options.scenes / "bounce.json")))
-        draw_hold(hold, *(run(model, directory, read(options.scenes / f"{name}.json")) for name in ("haptic_stick", "haptic")))
+        draw_hold(hold, [run(model, directory, held(read(options.scenes / "stick_slip.json"), law)) for law in LAWS])
     finally:
         shutil.rmtree(directory, ignore_errors=True)
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -65,13 +78,12 @@ def draw_bounce(axes: Axes, found: Run) -> None:
     axes.set(title="a bounce", xlabel="time  (s)", ylabel="tip above the floor  (mm)")
 
 
-def draw_hold(axes: Axes, sticks: Run, creeps: Run) -> None:
-    """Where the finger is along the wall from 0.5 s on, µm: the load stays, and friction holds it."""
-    for found, colour, label in ((creeps, FAINT, "smooth"), (sticks, INK, "stick")):
-        part = (found.time >= 0.5) & (found.time <= 0.8)
-        along = found["tip.x"][part]
-        axes.plot(*thinned(found.time[part], 1e6 * (along - along[0]), buckets=400), color=colour, linewidth=1.4, label=label)
-    axes.set(title="a hold", xlabel="time  (s)", ylabel="finger along the wall  (µm)")
+def draw_hold(axes: Axes, runs: list[Run]) -> None:
+    """The angle from its start under a load that stays, µrad."""
+    for found, colour in zip(runs, (FAINT, INK)):
+        moved = found["theta[1]"] - found["theta[1]"][0]
+        axes.plot(*thinned(found.time, 1e6 * moved, buckets=400), color=colour, linewidth=1.4, label=found.label)
+    axes.set(title="a hold", xlabel="time  (s)", ylabel="left motor from its start  (µrad)")
     axes.legend()
 
 

@@ -29,8 +29,6 @@ pub(super) struct Step<const N: usize, const M: usize> {
     pub(super) delta: Vector<N>,
     /// λ, the total multipliers.
     pub(super) lambda: Vector<M>,
-    /// The force by which friction holds.
-    held: Vector<N>,
 }
 
 /// Where the unknowns of a step lead.
@@ -56,7 +54,6 @@ impl<const N: usize, const M: usize> Step<N, M> {
             inertia: beta * a,
             delta: beta * h * jerk,
             lambda,
-            held: Vector::ZERO,
         }
     }
 
@@ -100,6 +97,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     let mut phi = system.phi(&q, &pose);
     let mut violation = phi.max_norm();
     let mut iterations = 0;
+    let mut held = None;
     loop {
         iterations += 1;
         counters.iterations += 1;
@@ -109,7 +107,8 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &step.lambda, h: step.h };
         let (mut correction, mut y) = system.solve_tangent(&at, regularization, (&b, &c))?;
         if system.holds() {
-            (correction, y, step.held) = let_hold(system, regularization, &at, (correction, y))?;
+            let (found, force) = let_hold(system, regularization, &at, (correction, y))?;
+            ((correction, y), held) = (found, Some(force));
         }
         step.lambda = y / beta;
         step.delta += correction;
@@ -122,7 +121,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let at_round_off = violation >= previous && violation < ROUND_OFF * system.length_scale();
         let correction = correction.max_norm();
         let met = (violation < step.tolerance || at_round_off) && correction < LAST_CORRECTION;
-        if met && (!settings.watches_rates(system) || rates_hold(system, settings, step, &q, &pose)) {
+        if met && (!settings.watches_rates(system) || rates_hold(system, settings, step, held, (&q, &pose))) {
             return Ok(Found { q, pose, v: step.velocity() });
         }
         if iterations >= max_iterations {
@@ -138,17 +137,17 @@ fn let_hold<const N: usize, const M: usize, S: Implicit<N, M>>(
     regularization: f64,
     at: &TangentPoint<'_, S::Pose, N, M>,
     (correction, y): (Vector<N>, Vector<M>),
-) -> Result<(Vector<N>, Vector<M>, Vector<N>), StepError> {
-    let Held::Direction { row, force, .. } = system.held(at.q, at.pose, at.v) else { return Ok((correction, y, Vector::ZERO)) };
+) -> Result<((Vector<N>, Vector<M>), Vector<N>), StepError> {
+    let Held::Direction { row, force, .. } = system.held(at.q, at.pose, at.v) else { return Ok(((correction, y), Vector::ZERO)) };
     let beta = at.h * at.h / 4.0;
     let (by_force, y_by_force) = system.solve_tangent(at, regularization, (&(beta * force), &Vector::ZERO))?;
     // The rate is that of the trapezoidal rule, which a correction changes by 2/h of it.
     let mobility = row.dot(&by_force);
     if mobility == 0.0 {
-        return Ok((correction, y, Vector::ZERO));
+        return Ok(((correction, y), Vector::ZERO));
     }
     let part = -(at.h / 2.0 * row.dot(at.v) + row.dot(&correction)) / mobility;
-    Ok((correction + part * by_force, y + part * y_by_force, part * force))
+    Ok(((correction + part * by_force, y + part * y_by_force), part * force))
 }
 
 /// Whether what the equations of the step still leave changes rates by less than their tolerance: where forces change steeply with them, a
@@ -158,14 +157,16 @@ fn rates_hold<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
     step: &Step<N, M>,
-    q: &Vector<N>,
-    pose: &S::Pose,
+    held: Option<Vector<N>>,
+    (q, pose): (&Vector<N>, &S::Pose),
 ) -> bool {
     /// Part of the tolerance.
     const PART: f64 = 0.1;
     let v = step.velocity();
     let pull = system.phi_q_transposed_times(pose, &step.lambda);
-    let left = system.forces(q, pose, &v) + step.held - pull - system.mass_times(pose, &(step.acceleration() / step.beta));
+    let left = system.forces(q, pose, &v) + held.unwrap_or(Vector::ZERO)
+        - pull
+        - system.mass_times(pose, &(step.acceleration() / step.beta));
     let inertia = system.mass_times(pose, &Vector::from([1.0; N]));
     let change = Vector::from_fn(|i| step.h / 2.0 * left[i] / inertia[i]);
     system.angle_norm(&change) <= PART * settings.error_tolerance * (RATE + system.angle_norm(&v))
