@@ -10,7 +10,9 @@ use super::{CallError, Instance, Stage};
 use crate::mechanism::SceneError;
 use crate::observers::{INDICATORS, Observed};
 use crate::simulation::{STATES, Simulation};
-use crate::variables::{RealComputed, Value, Variable, VariableId};
+use crate::variables::{EVENT_INDICATORS, RealComputed, Value, Variable, VariableId};
+
+const _: () = assert!(INDICATORS == EVENT_INDICATORS, "numberOfEventIndicators of the model description is another one");
 
 /// The links whose angles and rates are states.
 const DRIVEN: [usize; 2] = [0, 3];
