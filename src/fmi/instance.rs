@@ -11,7 +11,7 @@ use super::values::{check_computed, check_settable, check_value, lookup};
 use super::{CallError, Kind, Snapshot, Stage, bindings, computed};
 use crate::integrator::MODES;
 use crate::observers::{Observation, Observed};
-use crate::simulation::{Method, Signal, Simulation, StepFailure};
+use crate::simulation::{Inputs, Method, Parameters, Signal, Simulation, StepFailure};
 use crate::variables::{FmiType, Value, Variable};
 
 /// An instance of the FMU.
@@ -156,7 +156,7 @@ impl Instance {
             check_value(variable, value)?;
         }
         if self.now.kind == Kind::ModelExchange {
-            self.set_states(pairs.clone())?;
+            self.set_states(&mut pairs.clone())?;
         }
         let now = self.change();
         for (reference, value) in pairs {
@@ -197,10 +197,7 @@ impl Instance {
         let simulation = match (&now.scene, preview) {
             (Scene::Ready(simulation), _) => simulation,
             (Scene::Draft(_), Some(simulation)) => &*simulation,
-            (Scene::Draft(parameters), none) => none.insert(Box::new(match now.kind {
-                Kind::ModelExchange => Simulation::driven(parameters, &now.inputs())?,
-                Kind::CoSimulation => Simulation::new(parameters, &now.inputs())?,
-            })),
+            (Scene::Draft(parameters), none) => none.insert(made_ready(now.kind, parameters, &now.inputs())?),
         };
         let model = simulation.model();
         let observation = observation.get_or_insert_with(|| Observation::new(model, simulation.state_for(&now.inputs())));
@@ -326,6 +323,14 @@ impl Instance {
         }
         Ok(())
     }
+}
+
+#[cold]
+fn made_ready(kind: Kind, parameters: &Parameters, inputs: &Inputs) -> Result<Box<Simulation>, CallError> {
+    Ok(Box::new(match kind {
+        Kind::ModelExchange => Simulation::driven(parameters, inputs)?,
+        Kind::CoSimulation => Simulation::new(parameters, inputs)?,
+    }))
 }
 
 #[cold]
