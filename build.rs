@@ -103,6 +103,8 @@ fn types(description: &ModelDescription, code: &mut String) -> Written {
 fn group(variable: &Variable) -> Option<String> {
     let role = match variable.causality {
         Causality::Parameter => "Parameter",
+        // What is constant between communication points is no input of the equations of motion.
+        Causality::Input if variable.variability == Variability::Discrete => "Sample",
         Causality::Input => "Input",
         Causality::Output | Causality::Local if variable.is_alias() => return None,
         Causality::Output | Causality::Local => "Computed",

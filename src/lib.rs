@@ -3,6 +3,7 @@
 //! The rooms and the arrows between them are described in `ARCHITECTURE.md`.
 
 pub mod effects;
+pub mod estimator;
 pub mod ffi;
 pub mod fmi;
 pub mod integrator;

@@ -106,7 +106,7 @@ mod tests {
         let written = ["Outputs", "Derivatives", "InitialUnknowns"].map(|tag| &structure.child(tag).expect(tag).children);
         let sources = &description.structure;
         let sources = sources.outputs.iter().chain(&sources.derivatives).chain(&sources.initial_unknowns);
-        assert_eq!(written.map(Vec::len), [12, 4, 16]);
+        assert_eq!(written.map(Vec::len), [16, 4, 20]);
         for (written, source) in written.into_iter().flatten().zip(sources) {
             assert_eq!(name(written.attribute("index").expect("index")), Some(source.name.as_str()));
             let mut names: Vec<&str> = written

@@ -7,6 +7,7 @@
 //! Invariant: does no input or output; the same input bits give the same output bits.
 
 mod force_context;
+pub mod grips;
 mod kinks;
 pub mod loads;
 mod step_context;
@@ -15,7 +16,8 @@ mod unilateral_spring;
 mod variation;
 
 pub use force_context::{ForceContext, JOINTS};
-pub use kinks::{INDICATORS, Sides, Touches};
+pub use grips::{GRIPS, Grasp, Grasps, Grips, Law};
+pub use kinks::{INDICATORS, Sides, Slide, Slides, Touches, slow};
 use kinks::{SPRINGS, Touch};
 pub use loads::Inputs;
 pub use step_context::{StepContext, TypicalInertia};
@@ -24,7 +26,7 @@ pub use variation::Perturbation;
 
 use arrayvec::ArrayVec;
 
-use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError};
+use crate::mechanism::{COORDINATES, Coordinates, Geometry, Mechanism, SceneError};
 
 /// An effect with a force that depends on the motion, ready to act. Its file says what it adds and where it comes from.
 ///
@@ -80,6 +82,14 @@ trait Force: Sized {
     fn touches(&self, _at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
         ArrayVec::new()
     }
+
+    /// Whether it has dry friction that sticks.
+    fn sticks(&self) -> bool {
+        false
+    }
+
+    /// Adds the grips that it has.
+    fn add_grasps(&self, _at: &ForceContext, _grasps: &mut Grasps<COORDINATES>) {}
 }
 
 /// The same force over a finite step, for the method that conserves: its work, force times displacement, is exactly what its potential
@@ -235,7 +245,17 @@ macro_rules! effects {
 
             /// Whether its force has kinks that a method may follow.
             pub fn has_kinks(&self) -> bool {
-                match self { $(Self::$Force(_) => $Force::TOUCHES,)+ }
+                match self { $(Self::$Force(force) => $Force::TOUCHES || force.sticks(),)+ }
+            }
+
+            /// Whether it has dry friction that sticks.
+            pub fn sticks(&self) -> bool {
+                match self { $(Self::$Force(force) => force.sticks(),)+ }
+            }
+
+            /// Adds the grips that it has.
+            pub fn add_grasps(&self, at: &ForceContext, grasps: &mut Grasps<COORDINATES>) {
+                match self { $(Self::$Force(force) => force.add_grasps(at, grasps),)+ }
             }
 
             /// Whether the force changes so steeply in places that a long step may miss it.

@@ -50,7 +50,7 @@ pub(super) struct Border {
 const RATE_TIME: f64 = 0.1;
 
 impl Phase {
-    fn pushes(self) -> bool {
+    pub(super) fn pushes(self) -> bool {
         matches!(self, Self::Ramp | Self::Full)
     }
 }

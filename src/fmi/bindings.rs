@@ -3,12 +3,13 @@
 //! The matches are exhaustive over the enums that `build.rs` makes from the XML, so a variable that is not bound here
 //! does not compile. What is computed is bound in `computed.rs`.
 
-use crate::effects::payload;
+use crate::effects::{self, payload};
+use crate::estimator::{self, Measured};
 use crate::mechanism;
 use crate::simulation::{self, Inputs, Parameters};
 use crate::variables::{
-    self, BooleanParameter, EnumerationParameter, IntegerParameter, RealInput, RealParameter, VARIABLES, Value, Variable,
-    VariableId,
+    self, BooleanParameter, EnumerationParameter, IntegerParameter, RealInput, RealParameter, RealSample, VARIABLES, Value,
+    Variable, VariableId,
 };
 
 /// The place of a Real parameter.
@@ -56,6 +57,14 @@ fn real_parameter(p: &mut Parameters, variable: RealParameter) -> &mut f64 {
         V::ServoKp(i) => &mut effects.servo.kp[i],
         V::ServoKd(i) => &mut effects.servo.kd[i],
         V::ServoLimit(i) => &mut effects.servo.limit[i],
+        V::EstimatorSigma(i) => &mut p.estimator.sigma[i],
+        V::EstimatorQuantum(i) => &mut p.estimator.quantum[i],
+        V::EstimatorMaxDelay => &mut p.estimator.max_delay,
+        V::EstimatorSigma0Theta => &mut p.estimator.sigma0_theta,
+        V::EstimatorSigma0Omega => &mut p.estimator.sigma0_omega,
+        V::EstimatorTorqueScale => &mut p.estimator.torque_scale,
+        V::EstimatorSwitchTime => &mut p.estimator.switch_time,
+        V::EstimatorHorizon => &mut p.estimator.horizon,
     }
 }
 
@@ -80,6 +89,7 @@ fn boolean_parameter(p: &mut Parameters, variable: BooleanParameter) -> &mut boo
         BooleanParameter::StopEnabled => &mut p.effects.stop.enabled,
         BooleanParameter::ContactEnabled => &mut p.effects.contact.enabled,
         BooleanParameter::ServoEnabled => &mut p.effects.servo.enabled,
+        BooleanParameter::EstimatorEnabled => &mut p.estimator.enabled,
     }
 }
 
@@ -89,6 +99,9 @@ fn enumeration_parameter(p: &mut Parameters, variable: EnumerationParameter) -> 
         EnumerationParameter::InitAssembly => &mut p.start.assembly,
         EnumerationParameter::SolverMethod => &mut p.settings.method,
         EnumerationParameter::PayloadJoin => &mut p.effects.payload.join,
+        EnumerationParameter::FrictionLaw => &mut p.effects.friction.law,
+        EnumerationParameter::ContactLaw => &mut p.effects.contact.law,
+        EnumerationParameter::EstimatorForecast => &mut p.estimator.forecast,
     }
 }
 
@@ -100,6 +113,14 @@ pub(super) fn real_input(inputs: &mut Inputs, variable: RealInput) -> &mut f64 {
         RealInput::TipFy => &mut inputs.tip_force[1],
         RealInput::ServoTheta(i) => &mut inputs.servo_theta[i],
         RealInput::ServoOmega(i) => &mut inputs.servo_omega[i],
+    }
+}
+
+/// The place of a sample.
+pub(super) fn real_sample(measured: &mut Measured, variable: RealSample) -> &mut f64 {
+    match variable {
+        RealSample::MeasuredTheta(i) => &mut measured.theta[i],
+        RealSample::MeasuredTime(i) => &mut measured.time[i],
     }
 }
 
@@ -130,7 +151,9 @@ macro_rules! choice {
 
 choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4, Dop853, I3alpConserving });
 choice!(payload::Join = variables::Join { AtRest, WithTip });
+choice!(estimator::Bands = variables::Bands { Linear, SigmaPoints });
 choice!(mechanism::Assembly = variables::Assembly { Plus, Minus });
+choice!(effects::Law = variables::Law { Smooth, Stick });
 
 /// The name of a method as in the XML.
 pub(super) fn method_name(method: simulation::Method) -> &'static str {
@@ -149,6 +172,7 @@ pub(super) fn read_parameter(parameters: &mut Parameters, variable: &Variable) -
         VariableId::BooleanParameter(v) => Value::Boolean(*boolean_parameter(parameters, v)),
         VariableId::EnumerationParameter(v) => Value::Integer(enumeration_parameter(parameters, v).number()),
         VariableId::RealInput(_)
+        | VariableId::RealSample(_)
         | VariableId::RealComputed(_)
         | VariableId::IntegerComputed(_)
         | VariableId::EnumerationComputed(_) => {
@@ -183,7 +207,8 @@ pub fn write(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variab
 
 /// Every parameter.
 pub(super) fn parameters() -> impl Iterator<Item = &'static Variable> {
-    VARIABLES.iter().filter(|variable| variable.start.is_some() && !matches!(variable.id, VariableId::RealInput(_)))
+    let set_by_master = |id| matches!(id, VariableId::RealInput(_) | VariableId::RealSample(_));
+    VARIABLES.iter().filter(move |variable| variable.start.is_some() && !set_by_master(variable.id))
 }
 
 /// Every input.
@@ -207,6 +232,10 @@ pub fn default_inputs() -> Inputs {
 fn starts() -> (Parameters, Inputs) {
     let (mut parameters, mut inputs) = Default::default();
     for variable in VARIABLES {
+        // Nothing has been measured: `Measured::default`.
+        if matches!(variable.id, VariableId::RealSample(_)) {
+            continue;
+        }
         if let Some(start) = variable.start {
             let written = write(&mut parameters, &mut inputs, variable, start);
             debug_assert!(written, "{}: start {start}", variable.name);
@@ -223,6 +252,7 @@ mod tests {
     fn read(parameters: &mut Parameters, inputs: &mut Inputs, variable: &Variable) -> Option<Value> {
         match variable.id {
             VariableId::RealInput(input) => Some(Value::Real(*real_input(inputs, input))),
+            VariableId::RealSample(sample) => Some(Value::Real(*real_sample(&mut Measured::default(), sample))),
             _ => read_parameter(parameters, variable),
         }
     }
@@ -240,7 +270,8 @@ mod tests {
     #[test]
     fn what_is_written_is_read_and_nothing_else_changes() {
         let (mut parameters, mut inputs) = starts();
-        for variable in VARIABLES.iter().filter(|variable| variable.start.is_some()) {
+        let set_one_by_one = |v: &&Variable| v.start.is_some() && !matches!(v.id, VariableId::RealSample(_));
+        for variable in VARIABLES.iter().filter(set_one_by_one) {
             let value = match (variable.fmi_type(), variable.items) {
                 (FmiType::Real, _) => Value::Real(0.125),
                 (FmiType::Integer, []) => Value::Integer(7),

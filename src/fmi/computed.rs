@@ -1,16 +1,21 @@
 //! Variables ← observers: what each output and local variable is, once for its value, its changes and its derivatives with respect
 //! to time.
 
+use crate::estimator;
 use crate::mechanism;
-use crate::observers::{self, Observed, Point, SingularityKind as Kind};
+use crate::observers::{self, Estimated, Observed, Point, SingularityKind as Kind};
 use crate::scalar::Scalar;
 use crate::variables::{
-    Assembly, EnumerationComputed, IntegerComputed, RealComputed, SingularityKind, Value, Variable, VariableId, WorkingMode,
+    Assembly, EnumerationComputed, EstimatorStatus, IntegerComputed, RealComputed, SingularityKind, Value, Variable, VariableId,
+    WorkingMode,
 };
 
 /// Links of the left and the right leg.
 const PROXIMAL_LINKS: [usize; 2] = [0, 3];
 const DISTAL_LINKS: [usize; 2] = [1, 2];
+
+/// The standard deviation of what is not known.
+const NOT_KNOWN: f64 = 1e30;
 
 /// The value of a computed variable; `None` for any other.
 pub(super) fn read(of: &Observed<'_, f64>, variable: &Variable) -> Option<Value> {
@@ -20,6 +25,7 @@ pub(super) fn read(of: &Observed<'_, f64>, variable: &Variable) -> Option<Value>
         VariableId::EnumerationComputed(computed) => Some(Value::Integer(enumeration(of, computed))),
         VariableId::RealParameter(_)
         | VariableId::RealInput(_)
+        | VariableId::RealSample(_)
         | VariableId::IntegerParameter(_)
         | VariableId::BooleanParameter(_)
         | VariableId::EnumerationParameter(_) => None,
@@ -65,7 +71,54 @@ pub(super) fn real<T: Scalar>(of: &Observed<'_, T>, computed: RealComputed, orde
         V::SolverPositionError => of.constant(observers::constraint_norms(of.model(), of.observation().state()).position),
         V::SolverVelocityError => of.constant(observers::constraint_norms(of.model(), of.observation().state()).velocity),
         V::SolverErrorEstimate => of.constant(of.observation().state().core.error_estimate),
+        V::EstimatedTau(_)
+        | V::EstimatedNis
+        | V::EstimatedAlarm
+        | V::EstimatedThetaSigma(_)
+        | V::EstimatedOmegaSigma(_)
+        | V::EstimatedTipCov(_)
+        | V::EstimatedTauSigma(_)
+        | V::EstimatedTauValid
+        | V::EstimatedInnovation(_)
+        | V::EstimatedSingularProbability => of.constant(of.estimated().map_or(0.0, |of| estimated(&of, computed))),
     })
+}
+
+/// The value of what is estimated, which does not change with anything but samples and time.
+fn estimated(of: &Estimated<'_>, computed: RealComputed) -> f64 {
+    use RealComputed as V;
+    let following = of.following;
+    let torques = || following.motor_torques();
+    match computed {
+        V::EstimatedTau(i) => torques().map_or(0.0, |(tau, _)| tau[i]),
+        V::EstimatedTauSigma(i) => torques().map_or(NOT_KNOWN, |(_, sigma)| sigma[i]),
+        V::EstimatedTauValid => f64::from(u8::from(torques().is_some())),
+        V::EstimatedNis => following.estimator().nis(),
+        V::EstimatedAlarm => f64::from(u8::from(following.estimator().alarm())),
+        V::EstimatedThetaSigma(i) => following.sigmas()[0][PROXIMAL_LINKS[i]],
+        V::EstimatedOmegaSigma(i) => following.sigmas()[1][PROXIMAL_LINKS[i]],
+        V::EstimatedTipCov(i) => following.tip_covariance()[i],
+        V::EstimatedInnovation(i) => following.estimator().innovation()[i],
+        V::EstimatedSingularProbability => of.singularity_probability(),
+        _ => unreachable!("{computed:?} is not estimated"),
+    }
+}
+
+fn status(status: estimator::Status) -> EstimatorStatus {
+    use estimator::{Fault, Status};
+    match status {
+        Status::Following | Status::Faulty(Fault::None) => EstimatorStatus::Following,
+        Status::Coasting => EstimatorStatus::Coasting,
+        Status::OneEncoder => EstimatorStatus::OneEncoder,
+        Status::Holding => EstimatorStatus::Holding,
+        Status::TwoBranches => EstimatorStatus::TwoBranches,
+        Status::Inconsistent => EstimatorStatus::Inconsistent,
+        Status::Faulty(Fault::Rejected) => EstimatorStatus::Rejected,
+        Status::Faulty(Fault::Late) => EstimatorStatus::Late,
+        Status::Faulty(Fault::Future) => EstimatorStatus::Future,
+        Status::Faulty(Fault::Invalid) => EstimatorStatus::Invalid,
+        Status::Faulty(Fault::Stuck) => EstimatorStatus::Stuck,
+    }
 }
 
 fn integer(of: &Observed<'_, f64>, computed: IntegerComputed) -> i32 {
@@ -98,6 +151,9 @@ fn enumeration(of: &Observed<'_, f64>, computed: EnumerationComputed) -> i32 {
                 Kind::Combined => SingularityKind::Combined as i32,
                 Kind::Constraint => SingularityKind::Constraint as i32,
             }
+        }
+        EnumerationComputed::EstimatedStatus => {
+            of.estimated().map_or(EstimatorStatus::Off, |of| status(of.following.status())) as i32
         }
         EnumerationComputed::ModeAssembly => match jacobians.assembly {
             mechanism::Assembly::Plus => Assembly::Plus as i32,

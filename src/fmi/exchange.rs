@@ -121,7 +121,7 @@ impl Instance {
     fn simulation(&mut self) -> &mut Simulation {
         match &mut self.change().scene {
             Scene::Ready(simulation) => simulation,
-            Scene::Draft(_) => unreachable!("initialisation has made it ready"),
+            Scene::Draft(_) | Scene::Following(_) => unreachable!("initialisation has made it ready"),
         }
     }
 }

@@ -11,7 +11,7 @@ use super::values::{check_computed, check_settable, check_value, lookup};
 use super::{CallError, Kind, Snapshot, Stage, bindings, computed};
 use crate::integrator::MODES;
 use crate::observers::{Observation, Observed};
-use crate::simulation::{Inputs, Method, Parameters, Signal, Simulation, StepFailure};
+use crate::simulation::{Method, Signal, Simulation, StepFailure};
 use crate::variables::{FmiType, Value, Variable};
 
 /// An instance of the FMU.
@@ -22,7 +22,7 @@ pub struct Instance {
     /// What has been observed since the last change.
     observation: Option<Observation>,
     /// Before the end of initialisation: the scene made ready with the present values, where an output has been read.
-    preview: Option<Box<Simulation>>,
+    preview: Option<Scene>,
     /// Lines for the master.
     pub log: Log,
 }
@@ -86,7 +86,8 @@ impl Instance {
     /// fmi2ExitInitializationMode: validates the scene and closes the loop, or refuses and stays.
     pub fn exit_initialization_mode(&mut self) -> Result<(), CallError> {
         self.observe()?;
-        let Some(simulation) = self.preview.take() else { unreachable!("an observation before the run makes it") };
+        let Some(scene) = self.preview.take() else { unreachable!("an observation before the run makes it") };
+        let Some(simulation) = scene.simulation() else { unreachable!("it has been made ready") };
         let settings = &simulation.parameters().settings;
         let kind = self.now.kind;
         self.log.push(Status::Ok, || {
@@ -108,7 +109,7 @@ impl Instance {
         }
         let now = self.change();
         now.next.take_held_inputs();
-        now.scene = Scene::Ready(simulation);
+        now.scene = scene;
         now.stage = match kind {
             Kind::ModelExchange => Stage::EventMode,
             Kind::CoSimulation => Stage::StepComplete,
@@ -194,14 +195,24 @@ impl Instance {
     /// which the master may have changed since the last step.
     pub(super) fn observe(&mut self) -> Result<Observed<'_, f64>, CallError> {
         let Self { now, observation, preview, .. } = self;
-        let simulation = match (&now.scene, preview) {
-            (Scene::Ready(simulation), _) => simulation,
-            (Scene::Draft(_), Some(simulation)) => &*simulation,
-            (Scene::Draft(parameters), none) => none.insert(made_ready(now.kind, parameters, &now.inputs())?),
+        let scene = match (&now.scene, preview) {
+            (Scene::Draft(_), Some(scene)) => &*scene,
+            (Scene::Draft(parameters), none) => none.insert(Scene::made_ready(now.kind, parameters, &now.inputs())?),
+            (ready, _) => ready,
         };
-        let model = simulation.model();
-        let observation = observation.get_or_insert_with(|| Observation::new(model, simulation.state_for(&now.inputs())));
-        Ok(Observed::new(model, observation))
+        match scene {
+            Scene::Ready(simulation) => {
+                let model = simulation.model();
+                let observation = observation.get_or_insert_with(|| Observation::new(model, simulation.state_for(&now.inputs())));
+                Ok(Observed::new(model, observation))
+            }
+            Scene::Following(following) => {
+                let model = following.simulation().model();
+                let observation = observation.get_or_insert_with(|| Observation::new(model, following.state_for(&now.inputs())));
+                Ok(Observed::new(model, observation).of_estimate(following, now.inputs()))
+            }
+            Scene::Draft(_) => unreachable!("a preview is made ready"),
+        }
     }
 
     /// fmi2GetString and fmi2SetString: there are no String variables.
@@ -220,7 +231,7 @@ impl Instance {
         let wants_events = self.log.wants(Status::Ok);
         let now = self.change();
         let (Some(clock), Scene::Ready(simulation)) = (&mut now.clock, &mut now.scene) else {
-            unreachable!("initialisation has made both")
+            return self.follow(point, size);
         };
         let plan = clock.plan(point, size, simulation.parameters().settings.step_size)?;
         // To look has its price: it is paid only where the log wants the events.
@@ -279,7 +290,7 @@ impl Instance {
     /// Tells once that servo references are not read, and once that loads are stiff.
     #[inline(always)]
     pub(super) fn warn(&mut self, time: f64) {
-        let Scene::Ready(simulation) = &self.now.scene else { return };
+        let Some(simulation) = self.now.scene.simulation() else { return };
         if !self.now.warned_of_references && !simulation.model().has_servo && simulation.inputs().has_servo_reference() {
             self.now.warned_of_references = true;
             warn(&mut self.log, || {
@@ -298,7 +309,7 @@ impl Instance {
 
     /// One line for each kind of singularity that a step has passed, and for a start from rest in a vertex.
     #[cold]
-    fn report_passes(&mut self, before: [u64; MODES + 2], from: f64, to: f64) -> Result<(), CallError> {
+    pub(super) fn report_passes(&mut self, before: [u64; MODES + 2], from: f64, to: f64) -> Result<(), CallError> {
         let core = self.observe()?.observation().state().core;
         let counts = core.counters.singular();
         let [launches, passes @ ..]: [u64; MODES + 2] = std::array::from_fn(|i| counts[i].saturating_sub(before[i]));
@@ -326,15 +337,7 @@ impl Instance {
 }
 
 #[cold]
-fn made_ready(kind: Kind, parameters: &Parameters, inputs: &Inputs) -> Result<Box<Simulation>, CallError> {
-    Ok(Box::new(match kind {
-        Kind::ModelExchange => Simulation::driven(parameters, inputs)?,
-        Kind::CoSimulation => Simulation::new(parameters, inputs)?,
-    }))
-}
-
-#[cold]
-fn step_discarded(point: f64, size: f64, failure: &StepFailure) -> CallError {
+pub(super) fn step_discarded(point: f64, size: f64, failure: &StepFailure) -> CallError {
     let StepFailure { elapsed, cause } = failure;
     CallError::discard(format!(
         "the step from {point:?} s by {size:?} s gave up at {:?} s: {cause}; the state is still that of {point:?} s.",
@@ -343,6 +346,6 @@ fn step_discarded(point: f64, size: f64, failure: &StepFailure) -> CallError {
 }
 
 #[cold]
-fn warn(log: &mut Log, text: impl FnOnce() -> String) {
+pub(super) fn warn(log: &mut Log, text: impl FnOnce() -> String) {
     log.push(Status::Warning, text);
 }

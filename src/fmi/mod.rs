@@ -11,7 +11,8 @@
 //! | `derivatives.rs` | derivatives of inputs and outputs |
 //! | `exchange.rs` | the functions of model exchange |
 //! | `instance.rs` | an instance: all of these together |
-//! | `snapshot.rs` | stored states, in memory and as bytes |
+//! | `following.rs` | a communication step of a machine that is followed |
+//! | `snapshot.rs`, `stored.rs` | stored states, in memory and as bytes |
 //! | `status.rs` | the status functions of co-simulation |
 
 pub mod bindings;
@@ -19,11 +20,13 @@ pub mod clock;
 mod computed;
 mod derivatives;
 mod exchange;
+mod following;
 pub mod instance;
 pub mod lifecycle;
 pub mod messages;
 pub mod snapshot;
 pub mod status;
+mod stored;
 mod values;
 
 pub use instance::Instance;

@@ -26,5 +26,7 @@ pub fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
     v: &Vector<N>,
     mass: &S::Mass,
 ) -> (Vector<N>, Vector<M>) {
-    mass.solve(&system.forces(q, pose, v), &-system.phi_q_dot_times(pose, v))
+    let free = mass.solve(&system.forces(q, pose, v), &-system.phi_q_dot_times(pose, v));
+    // Copies, which are made only where something is held: what is pointed to has to be in memory.
+    if system.holds() { system.balanced_with_held(*q, *v, free) } else { free }
 }

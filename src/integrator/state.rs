@@ -99,7 +99,7 @@ impl<const N: usize, const M: usize> State<N, M> {
             alternatives: 0,
             counters: Counters::default(),
         };
-        state.balance(system, regularization);
+        state.settle(system, regularization);
         state
     }
 
@@ -107,9 +107,17 @@ impl<const N: usize, const M: usize> State<N, M> {
     ///
     /// Without it a new input would act half a step late and every driven scene would be first order only.
     pub fn restart<S: System<N, M> + Passage<N>>(&mut self, system: &S, regularization: f64) {
+        self.settle(system, regularization);
+        self.counters.restarts += 1;
+    }
+
+    /// Friction holds something else from here on: q̇ is without it, q̈ and λ follow, the predictor starts anew.
+    pub fn settle<S: System<N, M> + Passage<N>>(&mut self, system: &S, regularization: f64) {
+        if system.holds() {
+            self.v = system.let_hold(self.q, self.v);
+        }
         self.balance(system, regularization);
         self.jerk = Vector::ZERO;
-        self.counters.restarts += 1;
     }
 
     /// q̈ and λ from equilibrium, and the power; at rest exactly in a vertex q̈ is that of the branch of least constraint.

@@ -44,6 +44,22 @@ pub trait System<const N: usize, const M: usize> {
     fn uncertain_modes(&self, _pose: &Self::Pose) -> u8 {
         0
     }
+    /// Whether friction holds anything.
+    fn holds(&self) -> bool {
+        false
+    }
+    /// What it holds. Asked only if [`System::holds`].
+    fn held(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> Held<N> {
+        Held::Nothing
+    }
+    /// q̈ and λ with the forces by which friction holds, from those without. Asked only if [`System::holds`].
+    fn balanced_with_held(&self, _q: Vector<N>, _v: Vector<N>, free: (Vector<N>, Vector<M>)) -> (Vector<N>, Vector<M>) {
+        free
+    }
+    /// q̇ without what friction holds. Asked only if [`System::holds`].
+    fn let_hold(&self, _q: Vector<N>, v: Vector<N>) -> Vector<N> {
+        v
+    }
     /// Whether any force does work that must be followed along the path.
     fn follows_work(&self) -> bool;
     /// Power of the inputs and of dissipation, W. Asked only if [`System::follows_work`].
@@ -114,6 +130,27 @@ pub trait Kkt<const N: usize, const M: usize> {
     fn correction(&self, c: &Vector<M>) -> Vector<N> {
         self.solve(&Vector::ZERO, c).0
     }
+}
+
+/// What friction holds: a force that is whatever a motion asks for.
+#[derive(Clone, Copy, Debug)]
+pub enum Held<const N: usize> {
+    /// Nothing.
+    Nothing,
+    /// One direction.
+    Direction {
+        /// Nothing moves along it: row·q̇ = 0.
+        row: Vector<N>,
+        /// And row·q̈ = −drift.
+        drift: f64,
+        /// A multiple of this force sees to it.
+        force: Vector<N>,
+    },
+    /// The whole system, which is at rest, by this force.
+    All {
+        /// The generalised force.
+        force: Vector<N>,
+    },
 }
 
 /// Work of the forces that are followed along the path, J, or its rate, W.

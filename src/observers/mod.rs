@@ -11,7 +11,7 @@ use nalgebra::Vector2;
 
 use crate::mechanism::Pose;
 use crate::mechanism::constraints::largest;
-use crate::simulation::{Model, State};
+use crate::simulation::{Following, Inputs, Model, State};
 
 pub use crate::mechanism::singularity::{Jacobians, Singularity, SingularityKind};
 pub use observed::{INDICATORS, Observed, Point};
@@ -25,13 +25,31 @@ pub struct Observation {
     energies: OnceCell<[f64; 2]>,
     /// The smallest singular value of Φ_q, which costs more than all else.
     sigma_phi: OnceCell<f64>,
+    /// What costs some thousand steps.
+    singularity_probability: OnceCell<f64>,
+}
+
+/// What has been estimated of a machine that is followed.
+#[derive(Clone, Copy, Debug)]
+pub struct Estimated<'a> {
+    /// The simulation with its estimator.
+    pub following: &'a Following,
+    observation: &'a Observation,
+    inputs: Inputs,
+}
+
+impl Estimated<'_> {
+    /// Probability of a direct singularity within the horizon, with the present inputs held.
+    pub fn singularity_probability(&self) -> f64 {
+        *self.observation.singularity_probability.get_or_init(|| self.following.singularity_probability(&self.inputs))
+    }
 }
 
 impl Observation {
     /// Of a state, nothing worked out yet.
     pub fn new(model: &Model, state: State) -> Self {
         let pose = model.mechanism.pose(&state.core.q);
-        Self { state, pose, energies: OnceCell::new(), sigma_phi: OnceCell::new() }
+        Self { state, pose, energies: OnceCell::new(), sigma_phi: OnceCell::new(), singularity_probability: OnceCell::new() }
     }
 
     /// The state.

@@ -15,7 +15,7 @@
 use super::five_bar::FiveBar;
 use super::inertia::{Inertia, Mass, proximal_arm};
 use super::model::Model;
-use crate::integrator::{Kkt, System, Work};
+use crate::integrator::{Held, Kkt, System, Work};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::vertex::{self, Branch};
@@ -135,6 +135,25 @@ impl<'a> ByAngles<'a> {
         set_legs(&mut x, P_Y, pose.a_p.y);
         set_legs(&mut x, D_X, elbow.x + pose.a_d.x);
         set_legs(&mut x, D_Y, elbow.y + pose.a_d.y);
+        x
+    }
+
+    /// A generalised force of the twelve coordinates in the angles.
+    #[cold]
+    pub(super) fn carried_over(&self, pose: &Pose, force: &Coordinates) -> Angles {
+        Angles::from_fn(|i| force.dot(&self.moving(&Angles::unit(i), pose)))
+    }
+
+    /// The part of the accelerations of the twelve coordinates that comes from the rates.
+    #[cold]
+    pub(super) fn turning(&self, pose: &Pose, v: &Angles) -> Coordinates {
+        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
+        let (p, l, d) = (pose.a_p, proximal_arm(pose), pose.a_d);
+        let mut x = Coordinates::ZERO;
+        set_legs(&mut x, P_X, -p.x * w_p * w_p);
+        set_legs(&mut x, P_Y, -p.y * w_p * w_p);
+        set_legs(&mut x, D_X, -l.x * w_p * w_p - d.x * w_d * w_d);
+        set_legs(&mut x, D_Y, -l.y * w_p * w_p - d.y * w_d * w_d);
         x
     }
 
@@ -275,6 +294,23 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     fn uncertain_modes(&self, pose: &Pose) -> u8 {
         pose.uncertain_modes()
+    }
+
+    #[inline]
+    fn holds(&self) -> bool {
+        self.five_bar.holds()
+    }
+
+    fn held(&self, q: &Angles, pose: &Pose, v: &Angles) -> Held<ANGLES> {
+        super::grips::held(self, q, pose, v)
+    }
+
+    fn balanced_with_held(&self, q: Angles, v: Angles, free: (Angles, Vector<CLOSURES>)) -> (Angles, Vector<CLOSURES>) {
+        super::grips::balanced_with_held(self, q, v, free)
+    }
+
+    fn let_hold(&self, q: Angles, v: Angles) -> Angles {
+        super::grips::let_hold(self, q, v)
     }
 
     #[inline]

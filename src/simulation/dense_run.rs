@@ -6,10 +6,11 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, PLACES, angles_of};
 use super::five_bar::FiveBar;
+use super::restore::check_grips;
 use super::run::{MacroSteps, StepFailure};
 use super::state::{Core, State, whole_turns};
 use super::{Inputs, Model};
-use crate::effects::Sides;
+use crate::effects::{Grips, Sides};
 use crate::integrator::dop853::{DenseStep, Horizon, Settings};
 use crate::integrator::{Bounds, Counters, Inconsistency, StepError, Work};
 use crate::mechanism::{Coordinates, Multipliers};
@@ -41,9 +42,29 @@ impl DenseRun {
         self.step.restart(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings, work);
     }
 
+    /// Angles and rates at the present time.
+    pub(super) fn motion(&self, model: &Model, held: &Inputs, turns: &[i64; 4]) -> (Angles, Angles) {
+        let sample = self.step.sample(&ByAngles::new(FiveBar::<false>::new(model, held, turns)), model.dense_settings());
+        (sample.q, sample.v)
+    }
+
+    /// Goes on from other angles and rates with other inputs, which puts in some energy, J.
+    pub(super) fn go_on_from(
+        &mut self,
+        model: &Model,
+        settings: &Settings,
+        ([held, inputs], turns): ([&Inputs; 2], &[i64; 4]),
+        motion: [Angles; 2],
+        put_in: f64,
+    ) {
+        let [before, after] = [held, inputs].map(|inputs| ByAngles::new(FiveBar::<false>::new(model, inputs, turns)));
+        self.step.go_on_from([&before, &after], settings, motion, put_in);
+        self.held = [self.held[1], 0];
+    }
+
     /// The present state in the twelve coordinates, made with the inputs held, and with the q̈ and λ that belong to others. Interpolated
     /// states are for output only; integration never starts from them.
-    pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> Core {
+    pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> (Core, Grips) {
         let system = ByAngles::new(FiveBar::<false>::new(model, held, turns));
         let sample = self.step.sample(&system, model.dense_settings());
         let (q, v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
@@ -63,14 +84,22 @@ impl DenseRun {
             counters: Counters::default(),
         };
         self.step.record(&sample, &mut core);
-        core.balance(&FiveBar::<false>::new(model, inputs, turns), model.regularization);
-        core
+        let system = if held == inputs {
+            FiveBar::<false>::new(model, inputs, turns).on(Sides::of_grips(self.step.sides().grips))
+        } else {
+            FiveBar::<false>::resolved(model, inputs, turns, [&core.q, &core.v])
+        };
+        core.balance(&system, model.regularization);
+        (core, system.sides.grips)
     }
 
     /// Refuses a run that is none of this system.
     pub(super) fn check(&self, system: &ByAngles<'_>, settings: &Settings, bounds: &Bounds) -> Result<(), Inconsistency> {
         if self.held.iter().any(|steps| *steps > self.step.steps()) {
             return Err("inputs were held for longer than the run is");
+        }
+        for ((state, sides), ends) in self.step.ends().into_iter().zip([false, true]) {
+            check_grips(system.model(), &ByAngles::new(system.five_bar().on(sides)), &state.q, &state.v, ends)?;
         }
         self.step.check(system, settings, bounds)
     }

@@ -2,7 +2,7 @@
 
 use super::model::Model;
 use crate::effects::{ForceContext, Inputs, Sides, Tangents};
-use crate::integrator::{Implicit, StepError, System, TangentPoint, Work};
+use crate::integrator::{Held, Implicit, Kinked, StepError, System, TangentPoint, Work};
 use crate::linear::{Definite, MassFactor, TangentOf, TangentSource};
 use crate::mechanism::coordinates::largest_angle;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
@@ -17,7 +17,7 @@ pub struct FiveBar<'a, const BARE: bool = false> {
     pub(super) inputs: &'a Inputs,
     pub(super) turns: &'a [i64; 4],
     follows_work: bool,
-    sides: Sides,
+    pub(super) sides: Sides,
 }
 
 /// A tangent is asked for at these coordinates and multipliers.
@@ -27,6 +27,12 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     /// `model` under `inputs`, with the whole turns of links 1 to 4 that q leaves out.
     pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
         Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, sides: Sides::BY_STATE }
+    }
+
+    /// The same with its grips as they are in a state by itself.
+    pub(super) fn resolved(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4], [q, v]: [&Coordinates; 2]) -> Self {
+        let system = Self::new(model, inputs, turns);
+        system.on(Kinked::sides_of(&system, q, v))
     }
 
     /// The same after whole turns have changed.
@@ -183,6 +189,23 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
 
     fn uncertain_modes(&self, pose: &Pose) -> u8 {
         pose.uncertain_modes()
+    }
+
+    #[inline(always)]
+    fn holds(&self) -> bool {
+        !BARE && self.model.sticks && self.sides.grips.hold()
+    }
+
+    fn held(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Held<COORDINATES> {
+        super::grips::held(self, q, pose, v)
+    }
+
+    fn balanced_with_held(&self, q: Coordinates, v: Coordinates, free: (Coordinates, Multipliers)) -> (Coordinates, Multipliers) {
+        super::grips::balanced_with_held(self, q, v, free)
+    }
+
+    fn let_hold(&self, q: Coordinates, v: Coordinates) -> Coordinates {
+        super::grips::let_hold(self, q, v)
     }
 
     #[inline(always)]

@@ -2,12 +2,79 @@
 
 use std::borrow::Borrow;
 
-use super::angles::{ANGLES, Angles, ByAngles, PLACES};
+use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, PLACES};
 use super::five_bar::FiveBar;
-use crate::effects::{Sides, Touches};
+use super::grips::{Gripping, resolved, slides};
+use crate::effects::{Grasp, Grasps, Grips, Sides, Slides, Touches};
 use crate::integrator::{Kinked, System};
 use crate::mechanism::coordinates::THETA;
-use crate::mechanism::{COORDINATES, Coordinates};
+use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Pose};
+
+impl Gripping<ANGLES, CLOSURES> for ByAngles<'_> {
+    fn grasps(&self, q: &Angles, pose: &Pose, v: &Angles) -> Grasps<ANGLES> {
+        let (x, rates) = self.coordinates(pose, q, v);
+        let in_angles = |grasp: Grasp<COORDINATES>| {
+            let row = self.carried_over(pose, &grasp.row);
+            // A row is a force as well: what it misses is how the velocities of the coordinates turn with the links.
+            let drift = grasp.drift + grasp.row.dot(&self.turning(pose, v));
+            Grasp { place: grasp.place, row, drift, rate: grasp.rate, bound: grasp.bound, arms: grasp.arms }
+        };
+        self.five_bar().grasps(&x, pose, &rates).into_iter().map(in_angles).collect()
+    }
+
+    fn grips(&self) -> &Grips {
+        self.five_bar().grips()
+    }
+
+    fn with_grips(&self, grips: Grips) -> Self {
+        Self::new(self.five_bar().with_grips(grips))
+    }
+
+    fn regularization(&self) -> f64 {
+        self.regularization_by_angles()
+    }
+
+    fn tolerance(&self) -> f64 {
+        self.model().error_tolerance
+    }
+}
+
+impl<const BARE: bool> Gripping<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> {
+    fn grasps(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Grasps<COORDINATES> {
+        let (at, mut grasps) = (self.context(q, pose, v), Grasps::new());
+        for effect in &self.model.effects {
+            effect.add_grasps(&at, &mut grasps);
+        }
+        grasps
+    }
+
+    fn grips(&self) -> &Grips {
+        &self.sides.grips
+    }
+
+    fn with_grips(&self, grips: Grips) -> Self {
+        self.on(self.sides.with_grips(grips))
+    }
+
+    fn regularization(&self) -> f64 {
+        self.model.regularization
+    }
+
+    fn tolerance(&self) -> f64 {
+        self.model.error_tolerance
+    }
+}
+
+/// The grips as they are, where there are any.
+#[inline]
+fn watched<const N: usize, const M: usize>(
+    sticks: bool,
+    system: &impl Gripping<N, M>,
+    q: &crate::vector::Vector<N>,
+    v: &crate::vector::Vector<N>,
+) -> Slides {
+    if sticks { slides(system, q, v) } else { Slides::new() }
+}
 
 impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     type Sides = Sides;
@@ -21,12 +88,19 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     fn touches(&self, q: &Angles, v: &Angles) -> Touches<'a> {
         let pose = self.pose(q);
         let (x, rates) = self.coordinates(&pose, q, v);
-        Touches::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates))
+        let slides = watched(self.model().sticks, self, q, v);
+        Touches::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates), slides)
     }
 
     #[inline]
     fn sides_of(&self, q: &Angles, v: &Angles) -> Sides {
-        if self.has_kinks() { self.touches(q, v).sides() } else { Sides::BY_STATE }
+        if !self.has_kinks() {
+            return Sides::BY_STATE;
+        }
+        let pose = self.pose(q);
+        let (x, rates) = self.coordinates(&pose, q, v);
+        let springs = Touches::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates), Slides::new()).sides();
+        self.with_resolved_grips(springs, q, v)
     }
 
     #[inline]
@@ -39,7 +113,16 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     }
 
     fn behind(&self, q: &Angles, v: &Angles, tolerance: f64) -> Sides {
-        self.touches(q, v).behind(self.five_bar().sides(), tolerance)
+        let sides = self.touches(q, v).behind(self.five_bar().sides(), tolerance);
+        self.with_resolved_grips(sides, q, v)
+    }
+
+    fn has_grips(&self) -> bool {
+        self.model().sticks
+    }
+
+    fn is_at_rest(&self) -> bool {
+        self.grips().at_rest()
     }
 
     fn is_touching(&self, at: &Touches<'a>) -> bool {
@@ -49,6 +132,17 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     fn stays_within(&self, ends: [&Touches<'a>; 2], duration: f64, extremes: &[Angles; 2], tolerance: f64) -> bool {
         let extremes = [0, 1].map(|order| PLACES.map(|i| extremes[order][i]));
         Touches::stay_free(ends, &self.five_bar().sides(), duration, extremes, tolerance)
+    }
+}
+
+impl ByAngles<'_> {
+    /// Sides with the grips of a state.
+    fn with_resolved_grips(&self, sides: Sides, q: &Angles, v: &Angles) -> Sides {
+        if !self.model().sticks {
+            return sides;
+        }
+        let on_sides = Self::new(self.five_bar().on(sides));
+        sides.with_grips(resolved(&on_sides, q, v))
     }
 }
 
@@ -62,11 +156,33 @@ impl<'a, const BARE: bool> Kinked<COORDINATES> for FiveBar<'a, BARE> {
     }
 
     fn touches(&self, q: &Coordinates, v: &Coordinates) -> Touches<'a> {
-        Touches::new(&self.model.effects, &self.context(q, &self.pose(q), v))
+        let slides = watched(self.model.sticks, self, q, v);
+        Touches::new(&self.model.effects, &self.context(q, &self.pose(q), v), slides)
     }
 
+    /// Springs are wherever the state is, and so are grips that nobody remembers.
+    #[inline(always)]
     fn sides_of(&self, q: &Coordinates, v: &Coordinates) -> Sides {
-        self.touches(q, v).sides()
+        if BARE || !self.model.sticks { Sides::BY_STATE } else { Sides::of_grips(resolved(self, q, v)) }
+    }
+
+    #[inline(always)]
+    fn on(&self, sides: Sides) -> impl Borrow<Self> {
+        FiveBar::on(self, sides)
+    }
+
+    #[inline(always)]
+    fn has_grips(&self) -> bool {
+        !BARE && self.model.sticks
+    }
+
+    #[inline(always)]
+    fn is_at_rest(&self) -> bool {
+        !BARE && self.sides.grips.at_rest()
+    }
+
+    fn knows_grips(&self, at: &Touches<'a>) -> bool {
+        at.are_known(&self.sides.grips)
     }
 
     fn beyond(&self, at: &Touches<'a>, tolerance: f64) -> f64 {

@@ -4,13 +4,17 @@
 //! step.
 
 pub mod angles;
+mod correction;
 mod dense_run;
 mod driven;
 pub mod five_bar;
 mod five_bar_steps;
+mod following;
+mod grips;
 mod inertia;
 mod join;
 mod kinks;
+mod linearised;
 pub mod model;
 mod passage;
 mod restore;
@@ -22,6 +26,7 @@ mod variation;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use crate::effects;
+use crate::estimator;
 use crate::integrator::MODES;
 use crate::mechanism::constraints::largest;
 use crate::mechanism::{self, Coordinates, SceneError, closure};
@@ -29,6 +34,7 @@ use crate::mechanism::{self, Coordinates, SceneError, closure};
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
 pub use driven::STATES;
+pub use following::{Estimate, Following};
 pub use model::{Method, Model, Parameters, Settings};
 use run::{MacroSteps, Progress};
 pub use run::{Run, StepFailure};
@@ -192,7 +198,7 @@ impl Simulation {
     /// What the integrator has done since the start.
     pub fn counters(&self) -> Counters {
         match &self.run.progress {
-            Progress::WithCall(core) => core.counters,
+            Progress::WithCall(core, _) => core.counters,
             Progress::Conserving(run) => run.counters,
             Progress::PastCall(_) => self.state().core.counters,
             Progress::Outside(_) => Counters::default(),
@@ -204,7 +210,7 @@ impl Simulation {
     pub fn last_resorts(&self) -> u64 {
         match &self.run.progress {
             Progress::Conserving(run) => run.counters.last_resorts,
-            Progress::WithCall(_) | Progress::PastCall(_) | Progress::Outside(_) => 0,
+            Progress::WithCall(..) | Progress::PastCall(_) | Progress::Outside(_) => 0,
         }
     }
 
@@ -226,6 +232,11 @@ impl Simulation {
         }
         self.parameters = tuned;
         Ok(())
+    }
+
+    /// Keeps parameters of the estimator, which its motion does not depend on.
+    pub fn tune_estimator(&mut self, parameters: &estimator::Parameters) {
+        self.parameters.estimator = parameters.clone();
     }
 
     /// Whether the loads are too stiff for an explicit method: its steps have been limited by stability instead of accuracy.

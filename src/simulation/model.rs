@@ -3,7 +3,8 @@
 use arrayvec::ArrayVec;
 
 use super::inertia::Inertia;
-use crate::effects::{self, Active, Effect, ForceContext, Inputs, Perturbation, TypicalInertia};
+use crate::effects::{self, Active, Effect, ForceContext, Inputs, Law, Perturbation, TypicalInertia};
+use crate::estimator;
 use crate::integrator::{MacroStepMethod, dop853, i3alp, i3alp_conserving, i3alp_printed, rk4};
 use crate::linear::{LinearSolve, LinearSolver};
 use crate::mechanism::{Assembly, Coordinates, Geometry, Mechanism, SceneError, Start};
@@ -58,6 +59,8 @@ pub struct Parameters {
     pub settings: Settings,
     /// What acts on it.
     pub effects: effects::Parameters,
+    /// How it follows measurements.
+    pub estimator: estimator::Parameters,
 }
 
 /// The integrator with the settings it reads.
@@ -88,6 +91,10 @@ pub struct Model {
     pub conservative: bool,
     /// Whether any has kinks that a method may follow.
     pub has_kinks: bool,
+    /// Whether any has dry friction that sticks.
+    pub(super) sticks: bool,
+    /// Local error allowed per sub-step, rad.
+    pub(super) error_tolerance: f64,
     /// Whether the force of any changes steeply in places.
     pub is_steep: bool,
     /// The inertias by which the conserving method judges how stiff a force is.
@@ -120,6 +127,7 @@ impl Model {
         let geometry = parameters.effects.with_added_masses(&parameters.geometry)?;
         let mechanism = Mechanism::new(&geometry)?;
         let effects = parameters.effects.active(&mechanism)?;
+        settings.check_laws(&parameters.effects)?;
         // e = 1/(αβ) with α = κ m̄/β.
         let regularization = 1.0 / (settings.penalty_scale * geometry.mean_mass());
         let regularization_by_angles = if geometry.base_distance == 0.0 { COAXIAL } else { RANK_LOSS } / geometry.mean_mass();
@@ -127,6 +135,8 @@ impl Model {
             typical_inertia: TypicalInertia::new(&geometry),
             conservative: effects.iter().all(Effect::conservative),
             has_kinks: effects.iter().any(Effect::has_kinks),
+            sticks: effects.iter().any(Effect::sticks),
+            error_tolerance: settings.error_tolerance,
             is_steep: effects.iter().any(Effect::is_steep),
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
@@ -145,6 +155,12 @@ impl Model {
 
     /// The same for a run whose angles and rates come from outside: `solver.method` is not used.
     pub fn outside(parameters: &Parameters) -> Result<Self, SceneError> {
+        if let Some(name) = sticking_law(&parameters.effects) {
+            return Err(SceneError(format!(
+                "{name} = stick is not allowed in model exchange, whose master does not know what holds: it must be smooth, or the unit \
+                 instantiated for co-simulation."
+            )));
+        }
         Ok(Self { stepper: Stepper::Outside(parameters.start.assembly), ..Self::new(parameters)? })
     }
 
@@ -182,6 +198,8 @@ impl Model {
         let changed = weight != self.weight || effects != self.effects;
         self.weight = weight;
         self.conservative = effects.iter().all(Effect::conservative);
+        self.has_kinks = effects.iter().any(Effect::has_kinks);
+        self.sticks = effects.iter().any(Effect::sticks);
         self.solver.choose(LinearSolve::choose(&self.mechanism.geometry, &effects));
         self.effects = effects;
         Ok(changed)
@@ -242,6 +260,16 @@ const COAXIAL: f64 = 1e-10;
 /// next to vertices; larger, it takes more iterations.
 const CONSERVING: f64 = 1e-7;
 
+/// The variable of a law of friction that sticks, of an effect that is on.
+pub(super) fn sticking_law(effects: &effects::Parameters) -> Option<&'static str> {
+    let (friction, contact) = (&effects.friction, &effects.contact);
+    let laws = [
+        ("friction.law", friction.enabled && friction.law == Law::Stick),
+        ("contact.law", contact.enabled && contact.law == Law::Stick),
+    ];
+    laws.into_iter().find_map(|(name, sticks)| sticks.then_some(name))
+}
+
 impl Settings {
     fn stepper(&self, geometry: &Geometry, regularization: f64, regularization_by_angles: f64) -> Stepper {
         let &Self { tolerance, max_iterations, .. } = self;
@@ -279,6 +307,23 @@ impl Settings {
                 });
             }
         })
+    }
+
+    /// Friction that sticks needs steps that end where something stops or lets go.
+    fn check_laws(&self, effects: &effects::Parameters) -> Result<(), SceneError> {
+        let Some(name) = sticking_law(effects) else { return Ok(()) };
+        let steps = match self.method {
+            Method::Dop853 => return Ok(()),
+            Method::I3alp if self.adaptive => return Ok(()),
+            Method::I3alp => "solver.method = i3alp and solver.adaptive = false",
+            Method::I3alpPrinted => "solver.method = i3alpPrinted",
+            Method::Rk4 => "solver.method = rk4",
+            Method::I3alpConserving => "solver.method = i3alpConserving",
+        };
+        Err(SceneError(format!(
+            "{name} = stick is not allowed with {steps}, whose steps cannot end where something stops or lets go: it must be smooth, or \
+             solver.method i3alp with solver.adaptive = true, or dop853."
+        )))
     }
 
     fn check(&self) -> Result<(), SceneError> {

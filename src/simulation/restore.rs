@@ -2,12 +2,15 @@
 
 use super::angles::ByAngles;
 use super::five_bar::FiveBar;
+use super::grips::{self, Gripping};
 use super::model::{Model, Stepper};
 use super::passage::REGULARIZATION;
 use super::run::{Progress, Run};
 use super::{Method, Parameters, Settings};
-use crate::integrator::{Bounds, Implicit, System};
+use crate::effects::{Grips, Sides};
+use crate::integrator::{Bounds, Implicit, Inconsistency, System};
 use crate::mechanism::SceneError;
+use crate::vector::Vector;
 
 /// Constraints hold to this part of the machine's size, or to some times what the solver is told to allow.
 const CLOSED: f64 = 1e-10;
@@ -25,7 +28,11 @@ impl Run {
         }
         let system = FiveBar::<false>::new(model, inputs, turns);
         match (&model.stepper, progress) {
-            (Stepper::MacroStep(_), Progress::WithCall(core)) => core.check(&system, &bounds(model, &parameters.settings)),
+            (Stepper::MacroStep(_), Progress::WithCall(core, grips)) => {
+                let system = system.on(Sides::of_grips(*grips));
+                check_grips(model, &system, &core.q, &core.v, false)
+                    .and_then(|()| core.check(&system, &bounds(model, &parameters.settings)))
+            }
             (Stepper::Conserving(_), Progress::Conserving(run)) => run.check(&system, &bounds(model, &parameters.settings)),
             (Stepper::Dense(settings), Progress::PastCall(run)) => {
                 let e = settings.regularization;
@@ -39,13 +46,25 @@ impl Run {
     }
 }
 
+/// Refuses grips that do what those of a state cannot.
+pub(super) fn check_grips<const N: usize, const M: usize>(
+    model: &Model,
+    system: &impl Gripping<N, M>,
+    q: &Vector<N>,
+    v: &Vector<N>,
+    just_stopped: bool,
+) -> Result<(), Inconsistency> {
+    let possible = if model.sticks { grips::are_possible(system, q, v, just_stopped) } else { *system.grips() == Grips::OPEN };
+    if possible { Ok(()) } else { Err("friction does not hold or slip as it says") }
+}
+
 impl Run {
     /// What the equations of motion leave, N and N·m summed up, with the acceleration that the predictor expects at the end of a macro step
     /// of h seconds; and the rates of closure, m/s. Where the step under way can be made once more they are not needed, and 0.
     pub(super) fn errors(&self, model: &Model, h: f64) -> [f64; 2] {
         let system = FiveBar::<false>::new(model, &self.inputs, &self.turns);
         let (core, remembered) = match &self.progress {
-            Progress::WithCall(core) => (*core, 0.0),
+            Progress::WithCall(core, _) => (*core, 0.0),
             Progress::Conserving(run) => (run.state(&system, model.regularization), run.remembered()),
             Progress::PastCall(_) | Progress::Outside(_) => return [0.0; 2],
         };

@@ -10,8 +10,8 @@ use super::five_bar::FiveBar;
 use super::join::Jump;
 use super::model::{Model, Stepper};
 use super::state::{Core, State, unwind};
-use crate::effects::Inputs;
 use crate::effects::payload::Join;
+use crate::effects::{Grips, Inputs, Sides};
 use crate::integrator::i3alp_conserving::ConservingRun;
 use crate::integrator::{Counters, MacroStepMethod, StepError, Work, i3alp};
 use crate::mechanism::coordinates::THETA;
@@ -32,8 +32,8 @@ pub struct Run {
 /// Where steps end.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) enum Progress {
-    /// With the call: the state there.
-    WithCall(Core),
+    /// With the call: the state there, and what dry friction does.
+    WithCall(Core, Grips),
     /// Wherever the error lets them: the step that runs past the call.
     PastCall(DenseRun),
     /// With the call, by the method that conserves: accelerations and joint forces are no part of the state.
@@ -82,15 +82,16 @@ impl Run {
     #[cold]
     pub(super) fn start(model: &Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Self {
         let mut turns = [0; 4];
-        let mut core = Core::start(&FiveBar::<false>::new(model, inputs, &turns), q, v, model.regularization);
+        let system = FiveBar::<false>::resolved(model, inputs, &turns, [&q, &v]);
+        let (grips, mut core) = (system.sides.grips, Core::start(&system, q, v, model.regularization));
         // Angles from outside keep their turns.
         if !matches!(model.stepper, Stepper::Outside(_)) {
             unwind(&mut core.q, &mut turns);
         }
-        let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0 };
+        let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0, grips };
         state.energy_at_start = state.kinetic_energy(model) + state.potential_energy(model);
         let progress = match &model.stepper {
-            Stepper::MacroStep(_) => Progress::WithCall(core),
+            Stepper::MacroStep(_) => Progress::WithCall(core, grips),
             Stepper::Conserving(_) => {
                 let system = FiveBar::<false>::new(model, inputs, &turns);
                 Progress::Conserving(ConservingRun::start(&system, core.q, core.v))
@@ -110,23 +111,29 @@ impl Run {
     #[inline(always)]
     pub(super) fn advance(&mut self, model: &Model, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
         match (&model.stepper, &mut self.progress) {
-            (Stepper::MacroStep(method), Progress::WithCall(core)) => {
-                let before = (*core, self.turns, self.inputs);
+            (Stepper::MacroStep(method), Progress::WithCall(core, grips)) => {
+                let before = (*core, *grips, self.turns, self.inputs);
                 if !model.same_active_inputs(&self.inputs, inputs) {
-                    core.restart(&FiveBar::<false>::new(model, inputs, &self.turns), model.regularization);
+                    let system = FiveBar::<false>::resolved(model, inputs, &self.turns, [&core.q, &core.v]);
+                    *grips = system.sides.grips;
+                    core.restart(&system, model.regularization);
                 }
                 self.inputs = *inputs;
                 let held = (&self.inputs, &mut self.turns);
+                let mut sides = Sides::of_grips(*grips);
                 let advanced = match method {
                     // The default method has a compiled form for the bare mechanism; of the others it would only take place.
                     MacroStepMethod::I3alp(settings) if model.is_bare() => {
                         macro_steps::<true, _>(model, core, held, steps, |system, core, h| {
-                            i3alp::advance(system, settings, core, h)
+                            i3alp::advance(system, settings, core, &mut sides, h)
                         })
                     }
-                    _ => macro_steps::<false, _>(model, core, held, steps, |system, core, h| method.advance(system, core, h)),
+                    _ => macro_steps::<false, _>(model, core, held, steps, |system, core, h| {
+                        method.advance(system, core, &mut sides, h)
+                    }),
                 };
-                advanced.inspect_err(|_| (*core, self.turns, self.inputs) = before)
+                *grips = sides.grips;
+                advanced.inspect_err(|_| (*core, *grips, self.turns, self.inputs) = before)
             }
             (Stepper::Conserving(settings), Progress::Conserving(run)) => {
                 let before = (*run, self.turns, self.inputs);
@@ -157,18 +164,21 @@ impl Run {
     pub(super) fn state(&self, model: &Model, inputs: &Inputs) -> State {
         let &Self { turns, energy_at_start, ref progress, .. } = self;
         let same = model.same_active_inputs(&self.inputs, inputs);
-        let core = match progress {
-            Progress::WithCall(core) if same => *core,
-            Progress::WithCall(core) => {
+        let (core, grips) = match progress {
+            Progress::WithCall(core, grips) if same => (*core, *grips),
+            Progress::WithCall(core, _) => {
                 let mut core = *core;
-                core.balance(&FiveBar::<false>::new(model, inputs, &turns), model.regularization);
-                core
+                let system = FiveBar::<false>::resolved(model, inputs, &turns, [&core.q, &core.v]);
+                core.balance(&system, model.regularization);
+                (core, system.sides.grips)
             }
-            Progress::Conserving(run) => run.state(&FiveBar::<false>::new(model, inputs, &turns), model.regularization),
+            Progress::Conserving(run) => {
+                (run.state(&FiveBar::<false>::new(model, inputs, &turns), model.regularization), Grips::OPEN)
+            }
             Progress::PastCall(run) => run.core(model, [&self.inputs, inputs], &turns),
-            Progress::Outside(run) => run.core(model, inputs),
+            Progress::Outside(run) => (run.core(model, inputs), Grips::OPEN),
         };
-        State { core, turns, inputs: *inputs, energy_at_start }
+        State { core, turns, inputs: *inputs, energy_at_start, grips }
     }
 
     /// The model has other effects from now on; what that adds to the potential energy counts as input, and mass joins. On failure nothing
@@ -194,12 +204,14 @@ impl Run {
                 run.restart(work);
             }
             (_, Progress::Outside(run)) => run.jump(work, motion.map(|motion| motion.rates)),
-            (_, Progress::WithCall(core)) => {
+            (_, Progress::WithCall(core, grips)) => {
                 if let Some(motion) = motion {
                     (core.q, core.v) = (motion.q, motion.v);
                 }
                 core.work += work;
-                core.restart(&FiveBar::<false>::new(after, &tuned.inputs, &tuned.turns), after.regularization);
+                let system = FiveBar::<false>::resolved(after, &tuned.inputs, &tuned.turns, [&core.q, &core.v]);
+                *grips = system.sides.grips;
+                core.restart(&system, after.regularization);
             }
             _ => unreachable!("a run is made for its method"),
         }
@@ -235,7 +247,7 @@ fn macro_steps<const BARE: bool, R: WithCall>(
     run: &mut R,
     (inputs, turns): (&Inputs, &mut [i64; 4]),
     steps: MacroSteps,
-    advance: impl Fn(&FiveBar<'_, BARE>, &mut R, f64) -> Result<(), StepError>,
+    mut advance: impl FnMut(&FiveBar<'_, BARE>, &mut R, f64) -> Result<(), StepError>,
 ) -> Result<(), StepFailure> {
     let turns_at_start = *turns;
     let system = FiveBar::<BARE>::new(model, inputs, &turns_at_start);

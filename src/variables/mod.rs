@@ -110,7 +110,9 @@ impl Variable {
     /// The name of its type in the XML.
     pub fn type_name(&self) -> &'static str {
         match self.id {
-            VariableId::RealParameter(_) | VariableId::RealInput(_) | VariableId::RealComputed(_) => "Real",
+            VariableId::RealParameter(_) | VariableId::RealInput(_) | VariableId::RealSample(_) | VariableId::RealComputed(_) => {
+                "Real"
+            }
             VariableId::IntegerParameter(_) | VariableId::IntegerComputed(_) => "Integer",
             VariableId::BooleanParameter(_) => "Boolean",
             VariableId::EnumerationParameter(_) | VariableId::EnumerationComputed(_) => "Enumeration",
@@ -120,7 +122,9 @@ impl Variable {
     /// The functions that read and write it.
     pub fn fmi_type(&self) -> FmiType {
         match self.id {
-            VariableId::RealParameter(_) | VariableId::RealInput(_) | VariableId::RealComputed(_) => FmiType::Real,
+            VariableId::RealParameter(_) | VariableId::RealInput(_) | VariableId::RealSample(_) | VariableId::RealComputed(_) => {
+                FmiType::Real
+            }
             VariableId::BooleanParameter(_) => FmiType::Boolean,
             VariableId::IntegerParameter(_)
             | VariableId::IntegerComputed(_)

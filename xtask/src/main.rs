@@ -3,6 +3,7 @@
 mod bench;
 mod compare;
 mod hard_cases;
+mod kinks;
 mod package;
 mod paths;
 mod peers;
@@ -12,6 +13,7 @@ mod report;
 mod run;
 mod scenes;
 mod test;
+mod twin;
 mod venv;
 mod walk;
 
@@ -40,6 +42,8 @@ enum Command {
         #[arg(long)]
         method: Option<String>,
     },
+    /// Run the live twin in real time: a machine's stand-in, corrector, recorder, watch and dashboard on a broker; write target/twin/
+    Twin(twin::Options),
     /// Check everything: format, lints, Rust tests, documentation, packaging, Python tests
     Test {
         /// Also run what needs Debian packages (installed by .ci/setup): the page in a browser, memory and threads under valgrind
@@ -84,6 +88,8 @@ enum Command {
     },
     /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
     Prices,
+    /// Draw stick and slip, a bounce and a hold for docs/effects.md, write docs/images/kinks.svg
+    Kinks,
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package {
         /// A unit of one's own, target/fmu/NAME.fmu: its start values, experiment and description come from this file, written like
@@ -113,6 +119,7 @@ fn main() -> ExitCode {
 fn command(command: Command) -> Result<()> {
     match command {
         Command::Run { scene, method } => run::run(&scene, method.as_deref()),
+        Command::Twin(options) => twin::twin(&options),
         Command::Test { platforms: true, .. } => test::platforms(),
         Command::Test { fmi_sim: true, .. } => test::fmi_sim(),
         Command::Test { full, .. } => test::test(full),
@@ -124,6 +131,7 @@ fn command(command: Command) -> Result<()> {
         Command::Bench { check: true, .. } => bench::check(),
         Command::Bench { quick, .. } => bench::bench(quick),
         Command::Prices => prices::prices(),
+        Command::Kinks => kinks::kinks(),
         Command::Package { scene, name, all_platforms } => {
             let scope = if all_platforms { Scope::All } else { Scope::Here };
             match scene {

@@ -25,6 +25,18 @@ pub(crate) fn run(command: &mut Command) -> Result<()> {
     check(&short_form(command), status)
 }
 
+/// Shows the command and becomes it, where the system can do that, so that Ctrl-C and the terminal are its alone; elsewhere runs it.
+pub(crate) fn become_program(command: &mut Command) -> Result<()> {
+    #[cfg(unix)]
+    {
+        use std::os::unix::process::CommandExt;
+        println!("$ {}", short_form(command));
+        Err(command.exec()).with_context(|| format!("`{}` could not be started", short_form(command)))
+    }
+    #[cfg(not(unix))]
+    run(command)
+}
+
 /// A command that runs beside others; ended with this value.
 pub(crate) struct Beside {
     child: Child,

@@ -13,10 +13,13 @@ const PYTHON: &str = if cfg!(windows) { "python" } else { "python3" };
 /// put it on Python's path.
 const APART: &str = "xtask/python/requirements-cofmupy.txt";
 
-/// What the environment must hold; each file is a pinned closure.
+/// Our own package, the twin's pipeline: installed where it lies, so that a change of it needs no new installation.
+const OWN: &str = "twin/pyproject.toml";
+
+/// What the environment must hold; each file is a pinned closure, but that of our own package.
 #[derive(Clone, Copy)]
 pub(crate) enum Packages {
-    /// What a run and the Python tests need.
+    /// What a run, the twin's pipeline and the Python tests need.
     Usual,
     /// And what the tests in a browser and with other masters need.
     Full,
@@ -29,10 +32,11 @@ pub(crate) enum Packages {
 impl Packages {
     fn files(self) -> &'static [&'static str] {
         const USUAL: &str = "xtask/python/requirements.txt";
+        const TWIN: &str = "xtask/python/requirements-twin.txt";
         match self {
-            Self::Usual => &[USUAL],
-            Self::Full => &[USUAL, "xtask/python/requirements-full.txt", APART],
-            Self::Platforms => &[USUAL, "xtask/python/requirements-platforms.txt"],
+            Self::Usual => &[USUAL, TWIN, OWN],
+            Self::Full => &[USUAL, TWIN, OWN, "xtask/python/requirements-full.txt", APART],
+            Self::Platforms => &[USUAL, TWIN, OWN, "xtask/python/requirements-platforms.txt"],
             Self::Peers => &["xtask/python/requirements-peers.txt"],
         }
     }
@@ -109,12 +113,14 @@ impl Requirements {
         let mut pip = process::program(python);
         pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"])
             // Nothing but what stands in the file, for each is a closure; what is never imported is not compiled.
-            .args(["--no-deps", "--no-compile"])
-            .arg("--requirement")
-            .arg(paths::in_root(self.file));
-        if self.file == APART {
-            pip.arg("--target").arg(apart());
-        }
+            .args(["--no-deps", "--no-compile"]);
+        let file = paths::in_root(self.file);
+        match self.file {
+            // What builds it is among the packages of the twin.
+            OWN => pip.args(["--no-build-isolation", "--editable"]).arg(file.parent().context("a package lies in a folder")?),
+            APART => pip.arg("--requirement").arg(file).arg("--target").arg(apart()),
+            _ => pip.arg("--requirement").arg(file),
+        };
         process::run(&mut pip).context("the Python packages could not be installed")?;
         fs::write(&self.stamp, &self.text).with_context(|| format!("{} cannot be written", paths::short(&self.stamp)))
     }
@@ -166,7 +172,7 @@ mod tests {
     fn each_file_of_requirements_has_a_stamp_of_its_own() {
         let folder = Path::new("venv");
         let stamps: Vec<_> = Packages::Full.files().iter().map(|file| Requirements::read(file, folder).unwrap().stamp).collect();
-        let names = ["requirements", "requirements-full", "requirements-cofmupy"];
+        let names = ["requirements", "requirements-twin", "pyproject", "requirements-full", "requirements-cofmupy"];
         assert_eq!(stamps, names.map(|name| folder.join(name).with_extension("installed")));
     }
 }

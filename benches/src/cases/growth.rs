@@ -2,7 +2,7 @@
 
 use std::hint::black_box;
 
-use fivebar::integrator::{State, i3alp};
+use fivebar::integrator::{Kinked, State, i3alp};
 use problems::{Method, four_bars};
 
 use crate::case::{Case, Work};
@@ -16,9 +16,10 @@ fn row<const N: usize, const M: usize>() -> Case {
         let problem = four_bars::row::<N, M>();
         let Method::I3alp(settings) = problem.fixed() else { unreachable!("fixed() is i3-ALP") };
         let mut state = State::start(&problem.system, problem.q, problem.v, problem.regularization);
+        let mut sides = problem.system.sides_of(&problem.q, &problem.v);
         let work: Work = Box::new(move || {
             for _ in 0..STEPS {
-                i3alp::advance(black_box(&problem.system), &settings, &mut state, 1e-3).expect("a step");
+                i3alp::advance(black_box(&problem.system), &settings, &mut state, &mut sides, 1e-3).expect("a step");
             }
         });
         Ok(work)

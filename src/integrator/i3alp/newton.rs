@@ -2,7 +2,7 @@
 
 use super::super::projection::ROUND_OFF;
 use super::{RATE, Settings};
-use crate::integrator::{Counters, Implicit, State, StepError, TangentPoint};
+use crate::integrator::{Counters, Held, Implicit, State, StepError, TangentPoint};
 use crate::vector::Vector;
 
 /// The step at which [`Settings::tolerance`] holds, s. Multiplier noise is Φ/β, so the tolerance falls with h².
@@ -29,6 +29,8 @@ pub(super) struct Step<const N: usize, const M: usize> {
     pub(super) delta: Vector<N>,
     /// λ, the total multipliers.
     pub(super) lambda: Vector<M>,
+    /// The force by which friction holds.
+    held: Vector<N>,
 }
 
 /// Where the unknowns of a step lead.
@@ -54,12 +56,18 @@ impl<const N: usize, const M: usize> Step<N, M> {
             inertia: beta * a,
             delta: beta * h * jerk,
             lambda,
+            held: Vector::ZERO,
         }
     }
 
     /// The same step from the prediction without the jerk.
     pub(super) fn anew(&self, state: &State<N, M>) -> Self {
         Self { delta: Vector::ZERO, lambda: state.lambda, ..*self }
+    }
+
+    /// The same step from where the rates do not change.
+    pub(super) fn with_rates_of(&self, state: &State<N, M>) -> Self {
+        Self { delta: -2.0 * self.beta * state.a, ..self.anew(state) }
     }
 
     pub(super) fn q(&self) -> Vector<N> {
@@ -99,7 +107,10 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let b = beta * system.forces(&q, &pose, &v) - system.mass_times(&pose, &step.acceleration());
         let c = -regularization * beta * step.lambda - phi;
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &step.lambda, h: step.h };
-        let (correction, y) = system.solve_tangent(&at, regularization, (&b, &c))?;
+        let (mut correction, mut y) = system.solve_tangent(&at, regularization, (&b, &c))?;
+        if system.holds() {
+            (correction, y, step.held) = let_hold(system, regularization, &at, (correction, y))?;
+        }
         step.lambda = y / beta;
         step.delta += correction;
         q = step.q();
@@ -120,6 +131,26 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     }
 }
 
+/// A correction after which nothing moves in what friction holds, and the force that sees to it.
+#[cold]
+fn let_hold<const N: usize, const M: usize, S: Implicit<N, M>>(
+    system: &S,
+    regularization: f64,
+    at: &TangentPoint<'_, S::Pose, N, M>,
+    (correction, y): (Vector<N>, Vector<M>),
+) -> Result<(Vector<N>, Vector<M>, Vector<N>), StepError> {
+    let Held::Direction { row, force, .. } = system.held(at.q, at.pose, at.v) else { return Ok((correction, y, Vector::ZERO)) };
+    let beta = at.h * at.h / 4.0;
+    let (by_force, y_by_force) = system.solve_tangent(at, regularization, (&(beta * force), &Vector::ZERO))?;
+    // The rate is that of the trapezoidal rule, which a correction changes by 2/h of it.
+    let mobility = row.dot(&by_force);
+    if mobility == 0.0 {
+        return Ok((correction, y, Vector::ZERO));
+    }
+    let part = -(at.h / 2.0 * row.dot(at.v) + row.dot(&correction)) / mobility;
+    Ok((correction + part * by_force, y + part * y_by_force, part * force))
+}
+
 /// Whether what the equations of the step still leave changes rates by less than their tolerance: where forces change steeply with them, a
 /// small correction of the coordinates does not say so.
 #[cold]
@@ -134,7 +165,7 @@ fn rates_hold<const N: usize, const M: usize, S: Implicit<N, M>>(
     const PART: f64 = 0.1;
     let v = step.velocity();
     let pull = system.phi_q_transposed_times(pose, &step.lambda);
-    let left = system.forces(q, pose, &v) - pull - system.mass_times(pose, &(step.acceleration() / step.beta));
+    let left = system.forces(q, pose, &v) + step.held - pull - system.mass_times(pose, &(step.acceleration() / step.beta));
     let inertia = system.mass_times(pose, &Vector::from([1.0; N]));
     let change = Vector::from_fn(|i| step.h / 2.0 * left[i] / inertia[i]);
     system.angle_norm(&change) <= PART * settings.error_tolerance * (RATE + system.angle_norm(&v))

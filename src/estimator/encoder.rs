@@ -1,0 +1,164 @@
+//! What is known of an encoder beside its angle: when it spoke last, and whether it can be believed.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+/// The time of a sample that has not been taken, s.
+pub const NEVER: f64 = -1e30;
+/// Round-off of the times of a master, relative to them, or to 1 s.
+const ROUND_OFF: f64 = 1e-9;
+/// Squared standard deviations by which a sample is off that is left out once,
+const WILD: f64 = 30.0;
+/// by which no force that is thought of explains it,
+const IMPOSSIBLE: f64 = 400.0;
+/// and how many of these are left out in a row before the encoder is believed again.
+const PATIENCE: u32 = 10;
+/// A quantiser's error repeats for as long as the axis stays within one step of it, but not for longer than this, s.
+const REPEATING: f64 = 0.1;
+/// White noise of this many steps of the quantiser makes its error white.
+const DITHER: f64 = 0.4;
+/// An encoder is silent where this many of its intervals have passed since its last sample,
+const LATE: f64 = 1.5;
+/// which before there are two samples are taken to be of this length, s.
+const UNKNOWN_INTERVAL: f64 = 0.1;
+/// The least standard deviation of a sample, rad.
+const FINEST: f64 = 1e-9;
+
+/// What a master has connected: an angle and when it was measured.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub struct Measured {
+    /// Angles of the proximal links, rad.
+    pub theta: [f64; 2],
+    /// When they were measured, s on the master's clock; [`NEVER`] where nothing has been.
+    pub time: [f64; 2],
+}
+
+impl Default for Measured {
+    fn default() -> Self {
+        Self { theta: [0.0; 2], time: [NEVER; 2] }
+    }
+}
+
+impl Measured {
+    /// Whether both are the same to the bit.
+    pub fn same(&self, other: &Self) -> bool {
+        let bits = |of: &Self| [of.theta, of.time].map(|pair| pair.map(f64::to_bits));
+        bits(self) == bits(other)
+    }
+}
+
+/// What is wrong with an encoder; the gravest last.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, BorshSerialize, BorshDeserialize)]
+pub enum Fault {
+    /// Nothing.
+    #[default]
+    None,
+    /// The last sample was left out: too far off what was expected.
+    Rejected,
+    /// It was older than can be accounted for.
+    Late,
+    /// Its time has not come yet.
+    Future,
+    /// It was not a number.
+    Invalid,
+    /// It repeats itself while the machine moves.
+    Stuck,
+}
+
+/// A sample that can be used.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Sample {
+    pub(super) angle: f64,
+    /// s.
+    pub(super) age: f64,
+}
+
+/// An encoder.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub struct Encoder {
+    /// Angle and time of the last sample, as they were set.
+    angle: f64,
+    time: f64,
+    /// Whether it was the same as the one before.
+    repeated: bool,
+    /// Samples left out in a row.
+    left_out: u32,
+    /// Between the last two samples, s; 0 before there are two.
+    interval: f64,
+    /// Macro steps since the last sample, s; infinite before the first.
+    pub(super) silent: f64,
+    pub(super) fault: Fault,
+}
+
+impl Encoder {
+    pub(super) const NEW: Self =
+        Self { angle: 0.0, time: NEVER, repeated: false, left_out: 0, interval: 0.0, silent: f64::INFINITY, fault: Fault::None };
+
+    /// The sample of a new time, if it can be used. `max_delay`, s, is the age that can be accounted for.
+    pub(super) fn hear(&mut self, angle: f64, time: f64, now: f64, max_delay: f64) -> Option<Sample> {
+        if time.to_bits() == self.time.to_bits() {
+            return None;
+        }
+        let (before, spoke) = (self.time, self.time > NEVER);
+        self.time = time;
+        let (age, rounded) = (now - time, ROUND_OFF * now.abs().max(1.0));
+        self.fault = if !(angle.is_finite() && time.is_finite()) {
+            Fault::Invalid
+        } else if age < -rounded {
+            Fault::Future
+        } else if age > max_delay + rounded {
+            Fault::Late
+        } else {
+            Fault::None
+        };
+        if self.fault != Fault::None {
+            return None;
+        }
+        self.repeated = spoke && self.angle.to_bits() == angle.to_bits();
+        self.angle = angle;
+        if spoke && before.is_finite() {
+            self.interval = (time - before).abs();
+        }
+        self.silent = age.max(0.0);
+        Some(Sample { angle, age: if age <= rounded { 0.0 } else { age } })
+    }
+
+    /// Whether it has been silent for longer than between its last samples.
+    pub(super) fn is_silent(&self) -> bool {
+        self.silent > LATE * if self.interval > 0.0 { self.interval } else { UNKNOWN_INTERVAL }
+    }
+
+    /// Whether it repeats itself.
+    pub(super) fn repeats(&self) -> bool {
+        self.repeated
+    }
+
+    /// Whether a sample is to be used that is off by so many squared standard deviations: of all models, and of the one that allows for
+    /// most.
+    pub(super) fn accepts(&mut self, nis: f64, least: f64, suspicious: bool) -> bool {
+        self.fault = match self.fault {
+            Fault::Stuck if self.repeated => Fault::Stuck,
+            // NaN is wild.
+            _ if nis <= WILD => Fault::None,
+            _ if suspicious => Fault::Stuck,
+            _ if self.left_out < 1 || (!(least <= IMPOSSIBLE) && self.left_out < PATIENCE) => Fault::Rejected,
+            _ => Fault::None,
+        };
+        self.left_out = if self.fault == Fault::None { 0 } else { self.left_out.saturating_add(1) };
+        self.fault == Fault::None
+    }
+
+    /// Variance of a sample, rad², of an axis that turns at a rate, rad/s: that of the white noise, and that of the quantiser, whose error
+    /// does not average out while the axis rests.
+    pub(super) fn noise(&self, sigma: f64, quantum: f64, rate: f64) -> f64 {
+        let white = (sigma * sigma).max(FINEST * FINEST);
+        if quantum == 0.0 {
+            return white;
+        }
+        let rounding = quantum * quantum / 12.0;
+        if sigma > DITHER * quantum || self.interval == 0.0 {
+            return white + rounding;
+        }
+        let repeated = quantum / (rate.abs() * self.interval).max(FINEST * quantum);
+        white + rounding * repeated.min(REPEATING / self.interval).max(1.0)
+    }
+}

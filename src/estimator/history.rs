@@ -1,0 +1,161 @@
+//! Where the encoders stood a little while ago, as the present estimate has it: what a delayed sample is compared with.
+//!
+//! A sample of the time t − d says something of the error then, e(t − d) = Φ⁻¹ e(t), so that its row is H Φ⁻¹; what forces have done
+//! unknown in between is left out. Every step moves the rows on, every correction moves the angles.
+
+use arrayvec::ArrayVec;
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::bank::{Error, Matrix};
+use super::linkage::{Frame, MEASURED};
+use super::track::{Track, wrapped};
+use super::transition::ERRORS;
+
+/// Most macro steps that are remembered.
+pub const REMEMBERED: usize = 64;
+
+/// The encoders at a past instant.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+struct Past {
+    /// s.
+    age: f64,
+    /// rad.
+    angles: [f64; 2],
+    /// rad/s.
+    rates: [f64; 2],
+    /// How these angles change with the present error.
+    rows: [Error; 2],
+}
+
+impl Past {
+    fn present(track: &Track, frame: &Frame) -> Self {
+        let rows = MEASURED.map(|link| {
+            let mut row = [0.0; ERRORS];
+            (row[0], row[1]) = (frame.basis[0][link], frame.basis[1][link]);
+            row
+        });
+        Self { age: 0.0, angles: MEASURED.map(|link| track.theta[link]), rates: MEASURED.map(|link| track.omega[link]), rows }
+    }
+
+    fn is_finite(&self) -> bool {
+        let numbers = self.angles.iter().chain(&self.rates).chain(self.rows.iter().flatten());
+        numbers.chain([&self.age]).all(|x| x.is_finite())
+    }
+}
+
+/// The last macro steps, the latest last.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct History(ArrayVec<Past, REMEMBERED>);
+
+impl History {
+    /// The motion goes on by h seconds and a transition from `track`, and what is older than `max_age`, s, is forgotten.
+    pub(super) fn step(&mut self, (track, frame): (&Track, &Frame), transition: &Matrix, h: f64, max_age: f64) {
+        if max_age == 0.0 {
+            return;
+        }
+        let Some(back) = inverse(transition) else {
+            self.0.clear();
+            return;
+        };
+        // One that is older stays, to interpolate.
+        while self.0.len() > 1 && self.0[1].age + h > max_age || self.0.is_full() {
+            self.0.remove(0);
+        }
+        self.0.push(Past::present(track, frame));
+        for past in &mut self.0 {
+            past.age += h;
+            past.rows = past.rows.map(|row| times(&row, &back));
+        }
+    }
+
+    /// The estimate has been corrected by an error, and the basis turned.
+    pub(super) fn correct(&mut self, error: &Error, turn: &Matrix) {
+        if self.0.is_empty() {
+            return;
+        }
+        let Some(back) = inverse(turn) else {
+            self.0.clear();
+            return;
+        };
+        for past in &mut self.0 {
+            for i in 0..2 {
+                past.angles[i] += past.rows[i].iter().zip(error).map(|(a, b)| a * b).sum::<f64>();
+                past.rows[i] = times(&past.rows[i], &back);
+            }
+        }
+    }
+
+    /// Forgets everything: another estimate goes on.
+    pub(super) fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    /// Angle of an encoder some time ago, and how it changes with the present error; `None` where that is not remembered.
+    pub(super) fn at(&self, track: &Track, frame: &Frame, encoder: usize, age: f64) -> Option<(f64, Error)> {
+        let present = Past::present(track, frame);
+        let before = self.0.iter().rposition(|past| past.age >= age)?;
+        let (past, next) = (&self.0[before], self.0.get(before + 1).unwrap_or(&present));
+        let length = past.age - next.age;
+        let part = (past.age - age) / length;
+        // Hermite: the angles differ by less than half a turn but for whole ones.
+        let whole = wrapped(next.angles[encoder] - past.angles[encoder]);
+        let [begin, end] = [past, next].map(|at| length * at.rates[encoder]);
+        let (other, curve) = (1.0 - part, part * (1.0 - part));
+        let angle = past.angles[encoder] + part * whole + curve * (other * (begin - whole) - part * (end - whole));
+        let row = std::array::from_fn(|i| other * past.rows[encoder][i] + part * next.rows[encoder][i]);
+        Some((angle, row))
+    }
+
+    /// Whether it can be one: numbers, the latest last.
+    pub(super) fn is_sound(&self) -> bool {
+        self.0.iter().all(Past::is_finite)
+            && self.0.windows(2).all(|pair| pair[0].age > pair[1].age)
+            && self.0.iter().all(|past| past.age > 0.0)
+    }
+}
+
+impl BorshSerialize for History {
+    fn serialize<W: std::io::Write>(&self, writer: &mut W) -> std::io::Result<()> {
+        self.0.as_slice().serialize(writer)
+    }
+}
+
+impl BorshDeserialize for History {
+    fn deserialize_reader<R: std::io::Read>(reader: &mut R) -> std::io::Result<Self> {
+        let all = Vec::<Past>::deserialize_reader(reader)?;
+        all.as_slice().try_into().map(Self).map_err(|_| std::io::Error::other("more is remembered than there is place for"))
+    }
+}
+
+/// x F.
+fn times(x: &Error, f: &Matrix) -> Error {
+    std::array::from_fn(|k| (0..ERRORS).map(|i| x[i] * f[i][k]).sum())
+}
+
+/// F⁻¹ by Gauss and Jordan with pivots; `None` where it is singular.
+fn inverse(f: &Matrix) -> Option<Matrix> {
+    let mut left = *f;
+    let mut right: Matrix = std::array::from_fn(|i| std::array::from_fn(|k| f64::from(u8::from(i == k))));
+    for column in 0..ERRORS {
+        let pivot =
+            (column + 1..ERRORS).fold(column, |best, i| if left[i][column].abs() > left[best][column].abs() { i } else { best });
+        left.swap(column, pivot);
+        right.swap(column, pivot);
+        let value = left[column][column];
+        if !(value.abs() > 1e-12) {
+            return None;
+        }
+        for k in 0..ERRORS {
+            left[column][k] /= value;
+            right[column][k] /= value;
+        }
+        for i in (0..ERRORS).filter(|&i| i != column) {
+            let factor = left[i][column];
+            for k in 0..ERRORS {
+                left[i][k] -= factor * left[column][k];
+                right[i][k] -= factor * right[column][k];
+            }
+        }
+    }
+    Some(right)
+}

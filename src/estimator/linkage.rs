@@ -1,0 +1,345 @@
+//! The mechanism in its four link angles: closure, its Jacobian J and null space N, masses, closing steps.
+//!
+//! ```text
+//! Φ = Σ sᵢ lᵢ ûᵢ − (d, 0)        J = [ sᵢ lᵢ n̂ᵢ ]        s = (+, +, −, −)
+//! J⁺ = Jᵀ(JJᵀ)⁻¹                 I − J⁺J = N Nᵀ
+//! ```
+//!
+//! J has rank 2 in direct and in inverse singularities; it loses rank in vertices only, with all links in line. So N exists wherever a
+//! motion can be told from the encoders.
+
+use std::ops::Deref;
+
+use crate::mechanism::Geometry;
+use crate::mechanism::legs::{Legs, sin_cos};
+
+/// Angles, rates or torques of links 1 to 4.
+pub type Links = [f64; 4];
+
+/// Two values of the tangent space, or of the plane.
+pub type Pair = [f64; 2];
+
+/// Sides of the closure on which the links stand.
+const SIDE: Links = [1.0, 1.0, -1.0, -1.0];
+
+/// Proximal and distal link of the left and right leg.
+pub(super) const LEGS: [[usize; 2]; 2] = [[0, 1], [3, 2]];
+
+/// Links whose angles the encoders measure.
+pub const MEASURED: [usize; 2] = [0, 3];
+
+/// In JJᵀ, relative to the squared mean length: nothing is divided by 0 in a vertex.
+const RANK_LOSS: f64 = 1e-20;
+
+/// Most closing steps, and what they have to reach relative to the mean length.
+const CLOSING: (usize, f64) = (8, 1e-13);
+
+/// What may be left open, relative to the mean length.
+const OPEN: f64 = 1e-4;
+
+/// Σ xᵢ yᵢ.
+#[inline]
+pub(super) fn dot(x: &Links, y: &Links) -> f64 {
+    x[0] * y[0] + x[1] * y[1] + x[2] * y[2] + x[3] * y[3]
+}
+
+/// What of the mechanism is constant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Linkage {
+    /// sᵢ lᵢ, m.
+    arm: Links,
+    base: f64,
+    /// Diagonal of M in the link angles, kg·m².
+    inertia: Links,
+    /// m_D l_P a_D of the left and right leg, kg·m².
+    pub(super) carried: Pair,
+    /// Mean length of the links, m.
+    pub(super) length: f64,
+    /// Torque that carries the machine's own weight, N·m: the mean over the legs of (m_P a_P + m_D l_P)·9.81 m/s².
+    pub(super) weight_torque: f64,
+}
+
+impl Linkage {
+    /// Of a geometry with the masses of payload and rotors.
+    pub fn new(geometry: &Geometry) -> Self {
+        let links = geometry.links;
+        let mut inertia = [0.0; 4];
+        let (mut carried, mut moment) = ([0.0; 2], 0.0);
+        for (leg, [p, d]) in LEGS.into_iter().enumerate() {
+            inertia[p] =
+                links[p].inertia + links[p].mass * links[p].com * links[p].com + links[d].mass * links[p].length * links[p].length;
+            inertia[d] = links[d].inertia + links[d].mass * links[d].com * links[d].com;
+            carried[leg] = links[d].mass * links[p].length * links[d].com;
+            moment += (links[p].mass * links[p].com.abs() + links[d].mass * links[p].length) / 2.0;
+        }
+        Self {
+            arm: std::array::from_fn(|i| SIDE[i] * links[i].length),
+            base: geometry.base_distance,
+            inertia,
+            carried,
+            length: links.iter().map(|link| link.length).sum::<f64>() / 4.0,
+            weight_torque: 9.81 * moment,
+        }
+    }
+
+    /// Where the links point to at link angles, rad.
+    pub fn posture(&self, theta: &Links) -> Posture {
+        let (sin_p, cos_p) = sin_cos(Legs::new([theta[0], theta[3]]));
+        let (sin_d, cos_d) = sin_cos(Legs::new([theta[1], theta[2]]));
+        let ([x0, x3], [y0, y3]) = (cos_p.to_array(), sin_p.to_array());
+        let ([x1, x2], [y1, y2]) = (cos_d.to_array(), sin_d.to_array());
+        Posture { directions: [[x0, y0], [x1, y1], [x2, y2], [x3, y3]], arm: self.arm }
+    }
+
+    /// The tangent space there.
+    pub fn frame(&self, theta: &Links) -> Frame {
+        Frame::new(self, self.posture(theta))
+    }
+
+    /// Mass matrix times a vector.
+    pub(super) fn mass_times(&self, at: &Posture, x: &Links) -> Links {
+        let mut product: Links = std::array::from_fn(|i| self.inertia[i] * x[i]);
+        for (leg, [p, d]) in LEGS.into_iter().enumerate() {
+            let coupling = self.carried[leg] * at.cosine(p, d);
+            product[p] += coupling * x[d];
+            product[d] += coupling * x[p];
+        }
+        product
+    }
+
+    /// The entries of M⁻¹ of each leg: proximal, distal, coupling.
+    pub(super) fn mobility(&self, at: &Posture) -> [[f64; 3]; 2] {
+        [0, 1].map(|leg| {
+            let [p, d] = LEGS[leg];
+            let (a, b, c) = (self.inertia[p], self.inertia[d], self.carried[leg] * at.cosine(p, d));
+            let determinant = a * b - c * c;
+            [b / determinant, a / determinant, -c / determinant]
+        })
+    }
+
+    /// The smallest inertia that each link has where its neighbour gives way.
+    pub(super) fn least_inertia(&self, at: &Posture) -> Links {
+        let mut least = self.inertia;
+        for ([p, d], [own_p, own_d, _]) in LEGS.into_iter().zip(self.mobility(at)) {
+            least[p] = 1.0 / own_p;
+            least[d] = 1.0 / own_d;
+        }
+        least
+    }
+
+    /// Closes the loop from angles and rates nearby, by the shortest way; `None` where it cannot be closed.
+    pub fn closed(&self, mut theta: Links, omega: Links) -> Option<(Links, Links, Frame)> {
+        for _ in 0..CLOSING.0 {
+            let frame = self.frame(&theta);
+            let gap = self.gap(&frame);
+            let size = gap[0].abs().max(gap[1].abs());
+            if size <= CLOSING.1 * self.length {
+                let back = frame.least_squares(frame.end_velocity(&omega));
+                let omega: Links = std::array::from_fn(|i| omega[i] - back[i]);
+                return (theta.iter().chain(&omega).all(|x| x.is_finite())).then_some((theta, omega, frame));
+            }
+            if !size.is_finite() || size > self.length {
+                return None;
+            }
+            let back = frame.least_squares(gap);
+            theta = std::array::from_fn(|i| theta[i] - back[i]);
+        }
+        None
+    }
+
+    /// The tip, m.
+    pub fn tip(&self, theta: &Links) -> Pair {
+        let u = self.posture(theta).directions;
+        [0, 1].map(|k| self.arm[0] * u[0][k] + self.arm[1] * u[1][k])
+    }
+
+    /// Whether angles and rates keep the loop closed, to what a method that is told little leaves open.
+    pub fn is_closed(&self, theta: &Links, omega: &Links) -> bool {
+        let at = self.posture(theta);
+        let ([x, y], [v, w]) = (self.gap(&at), at.end_velocity(omega));
+        let fastest = omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
+        x.abs().max(y.abs()) < OPEN * self.length && v.abs().max(w.abs()) <= OPEN * self.length * (1.0 + fastest)
+    }
+
+    /// Φ, m.
+    fn gap(&self, at: &Posture) -> Pair {
+        let u = &at.directions;
+        let sum = |k: usize| (0..4).map(|i| self.arm[i] * u[i][k]).sum::<f64>();
+        [sum(0) - self.base, sum(1)]
+    }
+}
+
+/// Where the links point to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Posture {
+    /// ûᵢ.
+    directions: [Pair; 4],
+    /// sᵢ lᵢ, m.
+    arm: Links,
+}
+
+/// A posture with its tangent space.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Frame {
+    posture: Posture,
+    /// (JJᵀ)⁻¹: xx, xy, yy.
+    inverse_gram: [f64; 3],
+    /// Smallest singular value of J over the mean length: 0 in a vertex.
+    pub smallest: f64,
+    /// N: two orthonormal directions in which the closed loop moves.
+    pub basis: [Links; 2],
+}
+
+impl Posture {
+    /// J x.
+    pub(super) fn end_velocity(&self, x: &Links) -> Pair {
+        let mut sum = [0.0; 2];
+        for i in 0..4 {
+            let [u_x, u_y] = self.directions[i];
+            sum[0] -= self.arm[i] * u_y * x[i];
+            sum[1] += self.arm[i] * u_x * x[i];
+        }
+        sum
+    }
+
+    /// −J̇ x for links that turn at ω: Σ sᵢ lᵢ ûᵢ ωᵢ xᵢ.
+    pub(super) fn inward(&self, omega: &Links, x: &Links) -> Pair {
+        let mut sum = [0.0; 2];
+        for i in 0..4 {
+            let part = self.arm[i] * omega[i] * x[i];
+            sum[0] += part * self.directions[i][0];
+            sum[1] += part * self.directions[i][1];
+        }
+        sum
+    }
+
+    /// Jᵀ λ.
+    pub(super) fn transposed(&self, [x, y]: Pair) -> Links {
+        std::array::from_fn(|i| self.arm[i] * (self.directions[i][0] * y - self.directions[i][1] * x))
+    }
+
+    /// sᵢ lᵢ ûᵢ·λ.
+    pub(super) fn along(&self, [x, y]: Pair) -> Links {
+        std::array::from_fn(|i| self.arm[i] * (self.directions[i][0] * x + self.directions[i][1] * y))
+    }
+
+    /// cos of the angle between two links.
+    pub(super) fn cosine(&self, i: usize, k: usize) -> f64 {
+        let ([x, y], [v, w]) = (self.directions[i], self.directions[k]);
+        x * v + y * w
+    }
+
+    /// sin of the angle from the first link to the second.
+    pub(super) fn sine(&self, from: usize, to: usize) -> f64 {
+        let ([x, y], [v, w]) = (self.directions[from], self.directions[to]);
+        x * w - y * v
+    }
+
+    /// sin(θ₃ − θ₂): 0 in a direct singularity, its sign is the assembly.
+    pub fn side(&self) -> f64 {
+        self.sine(1, 2)
+    }
+
+    /// Torques on the links of a unit of each input, τ₁, τ₂ in N·m, F_x, F_y in N: rows by link.
+    pub(super) fn inputs(&self) -> [[f64; 4]; 4] {
+        let mut rows = [[0.0; 4]; 4];
+        (rows[0][0], rows[3][1]) = (1.0, 1.0);
+        for i in [0, 1] {
+            rows[i][2] = -self.arm[i] * self.directions[i][1];
+            rows[i][3] = self.arm[i] * self.directions[i][0];
+        }
+        rows
+    }
+}
+
+impl Deref for Frame {
+    type Target = Posture;
+
+    fn deref(&self) -> &Posture {
+        &self.posture
+    }
+}
+
+impl Frame {
+    fn new(linkage: &Linkage, posture: Posture) -> Self {
+        let Posture { directions, arm } = posture;
+        let scale = linkage.length * linkage.length;
+        // n̂ = (−u_y, u_x).
+        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+        for ([x, y], l) in directions.into_iter().zip(arm) {
+            let squared = l * l;
+            xx += squared * y * y;
+            xy -= squared * x * y;
+            yy += squared * x * x;
+        }
+        let (mean, half) = ((xx + yy) / 2.0, (xx - yy) / 2.0);
+        let spread = (half * half + xy * xy).sqrt();
+        let (a, c) = (xx + RANK_LOSS * scale, yy + RANK_LOSS * scale);
+        let determinant = (a * c - xy * xy).max(RANK_LOSS * scale * scale);
+        let inverse_gram = [c / determinant, -xy / determinant, a / determinant];
+        // σ_min² = det/σ_max²: without the cancellation of mean − spread.
+        let smallest = ((xx * yy - xy * xy).max(0.0) / (mean + spread)).sqrt() / linkage.length;
+        let mut frame = Self { posture, inverse_gram, smallest, basis: [[0.0; 4]; 2] };
+        frame.basis = frame.null_space();
+        frame
+    }
+
+    /// Gram–Schmidt on the columns of I − J⁺J, the longest first.
+    fn null_space(&self) -> [Links; 2] {
+        let column = |k: usize| {
+            let [x, y] = self.directions[k];
+            let back = self.least_squares([-self.arm[k] * y, self.arm[k] * x]);
+            let mut column = back.map(|value| -value);
+            column[k] += 1.0;
+            column
+        };
+        let columns = [column(0), column(1), column(2), column(3)];
+        // The square of a column's length is its own element of the projector.
+        let longest = |of: &dyn Fn(usize) -> f64| (1..4).fold(0, |best, k| if of(k) > of(best) { k } else { best });
+        let unit = |x: Links| {
+            let length = dot(&x, &x).sqrt();
+            x.map(|value| value / length)
+        };
+        let first = unit(columns[longest(&|k| columns[k][k])]);
+        let rest = |k: usize| columns[k][k] - first[k] * first[k];
+        let second = columns[longest(&rest)];
+        // Twice: once leaves what round-off of nearly parallel columns is.
+        let across = |x: Links| {
+            let along = dot(&first, &x);
+            std::array::from_fn(|i| x[i] - along * first[i])
+        };
+        [first, unit(across(across(second)))]
+    }
+
+    /// J⁺ r.
+    pub(super) fn least_squares(&self, [x, y]: Pair) -> Links {
+        let [xx, xy, yy] = self.inverse_gram;
+        self.transposed([xx * x + xy * y, xy * x + yy * y])
+    }
+
+    /// Nᵀ x.
+    pub fn coordinates(&self, x: &Links) -> Pair {
+        [dot(&self.basis[0], x), dot(&self.basis[1], x)]
+    }
+
+    /// N x.
+    pub fn tangent(&self, [first, second]: Pair) -> Links {
+        std::array::from_fn(|i| self.basis[0][i] * first + self.basis[1][i] * second)
+    }
+
+    /// N'ᵀ N from this frame to another.
+    pub(super) fn carried_to(&self, other: &Self) -> [Pair; 2] {
+        other.basis.map(|row| self.basis.map(|column| dot(&row, &column)))
+    }
+
+    /// How the tip moves with the tangent coordinates, m: rows x and y.
+    pub fn tip(&self) -> [Pair; 2] {
+        let along = |x: &Links| {
+            let arm = [0, 1].map(|i| self.arm[i] * x[i]);
+            let [p, d] = [self.directions[0], self.directions[1]];
+            [-p[1] * arm[0] - d[1] * arm[1], p[0] * arm[0] + d[0] * arm[1]]
+        };
+        let [first, second] = [along(&self.basis[0]), along(&self.basis[1])];
+        [[first[0], second[0]], [first[1], second[1]]]
+    }
+}

@@ -1,0 +1,387 @@
+//! The corrector: an error-state Kalman filter on the tangent space of the closed loop, with an unknown force, several process noises
+//! side by side, and two branches behind a vertex; `docs/estimator.md` derives it.
+//!
+//! It knows the mechanism and what a simulation hands it: loads with their tangents, where the motion has come to. The motion itself is
+//! the simulation's; the estimator says where it has to go on from, and with which unknown force.
+//!
+//! Invariant: does no input or output, reads no clock; the same input bits give the same output bits.
+
+pub mod alarm;
+pub mod bank;
+mod branches;
+pub mod encoder;
+pub mod forecast;
+mod history;
+pub mod linkage;
+mod track;
+pub mod transition;
+
+use borsh::{BorshDeserialize, BorshSerialize};
+use nalgebra::{Matrix4, Vector4};
+
+pub use alarm::Alarm;
+pub use bank::{Innovation, Matrix};
+use branches::Branches;
+pub use encoder::{Encoder, Fault, Measured};
+use forecast::Forecast;
+use history::History;
+pub use history::REMEMBERED;
+pub use linkage::{Frame, Linkage, Links, MEASURED, Pair};
+pub use track::{Track, wrapped};
+pub use transition::{Loads, Scene};
+
+use crate::mechanism::{Geometry, SceneError, finite, not_negative, positive};
+
+/// How a forecast without samples gets its bands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Bands {
+    /// The covariance goes on linearly.
+    #[default]
+    Linear,
+    /// From motions around the estimate that are computed beside it.
+    SigmaPoints,
+}
+
+/// The `estimator.*` parameters.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Parameters {
+    /// Whether the scene is followed.
+    pub enabled: bool,
+    /// White noise of the encoders, rad.
+    pub sigma: [f64; 2],
+    /// Their steps, rad; 0: none.
+    pub quantum: [f64; 2],
+    /// The oldest sample that is used, s.
+    pub max_delay: f64,
+    /// Standard deviation of the link angles at the start, rad.
+    pub sigma0_theta: f64,
+    /// That of the rates, rad/s.
+    pub sigma0_omega: f64,
+    /// How bands are forecast.
+    pub forecast: Bands,
+    /// The torque in which the unknown force is measured, N·m; 0: what carries the machine's weight.
+    pub torque_scale: f64,
+    /// How long the unknown force goes on changing as it does, s.
+    pub switch_time: f64,
+    /// How far ahead singularities are looked for, s.
+    pub horizon: f64,
+}
+
+impl Parameters {
+    /// Refuses what is no number, with the step length of the scene, s.
+    pub fn check(&self, step_size: f64) -> Result<(), SceneError> {
+        for i in 0..2 {
+            not_negative(format_args!("estimator.sigma[{}]", i + 1), self.sigma[i], "rad")?;
+            not_negative(format_args!("estimator.quantum[{}]", i + 1), self.quantum[i], "rad")?;
+        }
+        not_negative("estimator.maxDelay", self.max_delay, "s")?;
+        positive("estimator.sigma0.theta", self.sigma0_theta, "rad")?;
+        positive("estimator.sigma0.omega", self.sigma0_omega, "rad/s")?;
+        not_negative("estimator.torqueScale", self.torque_scale, "N.m")?;
+        positive("estimator.switchTime", self.switch_time, "s")?;
+        finite("estimator.horizon", self.horizon, "s")?;
+        // A communication step that is no multiple of h is divided into shorter ones, down to half of it.
+        let most = (REMEMBERED / 2 - 1) as f64 * step_size;
+        if self.max_delay > most {
+            return Err(SceneError(format!(
+                "estimator.maxDelay = {:?} s is not allowed: at most {} steps of solver.stepSize = {step_size:?} s are remembered.",
+                self.max_delay,
+                REMEMBERED / 2 - 1
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// What the estimate is worth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Status {
+    /// Samples of both encoders come in and are used.
+    Following,
+    /// No samples: a forecast.
+    Coasting,
+    /// So close to a vertex that nothing is known of the branch: samples are not used.
+    Holding,
+    /// Behind a vertex, another assembly is followed beside.
+    TwoBranches,
+    /// One encoder is silent, the other is followed.
+    OneEncoder,
+    /// The samples do not fit what is expected of them: the bands are too narrow.
+    Inconsistent,
+    /// What is wrong with an encoder.
+    Faulty(Fault),
+}
+
+/// What is constant.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Constants {
+    geometry: Geometry,
+    /// The mechanism in its link angles.
+    pub linkage: Linkage,
+    /// The parameters in force.
+    pub parameters: Parameters,
+}
+
+impl Constants {
+    /// Of a geometry with all masses.
+    pub fn new(geometry: &Geometry, parameters: &Parameters) -> Self {
+        Self { geometry: *geometry, linkage: Linkage::new(geometry), parameters: parameters.clone() }
+    }
+
+    /// The torque in which the unknown force is measured, N·m.
+    pub fn torque_scale(&self) -> f64 {
+        if self.parameters.torque_scale > 0.0 { self.parameters.torque_scale } else { self.linkage.weight_torque }
+    }
+
+    /// The inputs by which a unit of each force on the tangent basis acts.
+    pub fn by_inputs(&self, at: &Frame) -> [Pair; 4] {
+        track::by_inputs(&self.linkage, at)
+    }
+}
+
+/// Everything of the estimator that changes.
+#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub struct Estimator {
+    track: Track,
+    /// Whether the last macro step came too close to a vertex.
+    held: bool,
+    branches: Branches,
+    encoders: [Encoder; 2],
+    history: History,
+    forecast: Forecast,
+    alarm: Alarm,
+    /// Of the last sample of each encoder, rad.
+    innovation: [f64; 2],
+    /// Of the last samples used at once.
+    nis: f64,
+}
+
+/// In units of the torque scale: what the unknown force may be at the start.
+const UNKNOWN_FORCE: f64 = 0.3;
+
+impl Estimator {
+    /// The estimate that a scene starts from.
+    pub fn new(constants: &Constants, theta: Links, omega: Links) -> Self {
+        let Parameters { sigma0_theta, sigma0_omega, .. } = constants.parameters;
+        let force = UNKNOWN_FORCE * constants.torque_scale();
+        let variances = [sigma0_theta, sigma0_omega, force].map(|sigma| sigma * sigma);
+        Self {
+            track: Track { theta, omega, force: [0.0; 4], bank: bank::Bank::new(variances) },
+            held: false,
+            branches: Branches::default(),
+            encoders: [Encoder::NEW; 2],
+            history: History::default(),
+            forecast: Forecast::default(),
+            alarm: Alarm::default(),
+            innovation: [0.0; 2],
+            nis: 0.0,
+        }
+    }
+
+    /// The estimate.
+    pub fn track(&self) -> &Track {
+        &self.track
+    }
+
+    /// The motion has changed at once, by what is known: the errors about it stay.
+    pub fn move_to(&mut self, theta: Links, omega: Links) {
+        (self.track.theta, self.track.omega) = (theta, omega);
+    }
+
+    /// Takes in what is new of the encoders at a time, s on their clock. Whether the motion has to go on from another state.
+    pub fn correct(&mut self, constants: &Constants, measured: &Measured, now: f64) -> bool {
+        let Constants { linkage, parameters, .. } = constants;
+        let (mut heard, mut ages) = ([None; 2], [0.0; 2]);
+        let mut any = false;
+        let frame = linkage.frame(&self.track.theta);
+        for i in 0..2 {
+            let Some(sample) = self.encoders[i].hear(measured.theta[i], measured.time[i], now, parameters.max_delay) else {
+                continue;
+            };
+            let noise = self.encoders[i].noise(parameters.sigma[i], parameters.quantum[i], self.track.omega[MEASURED[i]]);
+            let mut innovation = self.track.innovation(linkage, i, sample.angle, noise);
+            if sample.age > 0.0 {
+                match self.history.at(&self.track, &frame, i, sample.age) {
+                    Some((angle, row)) => innovation = Innovation { residual: wrapped(sample.angle - angle), row, noise },
+                    // Older than the run, or than the last change of branch.
+                    None => {
+                        self.encoders[i].fault = Fault::Late;
+                        continue;
+                    }
+                }
+            }
+            (heard[i], ages[i], any) = (Some((innovation, sample.angle)), sample.age, true);
+        }
+        if !any || self.held {
+            return false;
+        }
+        self.forecast.end();
+        let other_stands = [1, 0].map(|i| self.encoders[i].repeats());
+        let (mut nis, mut used) = (0.0, [None; 2]);
+        for i in 0..2 {
+            let Some((innovation, angle)) = heard[i] else { continue };
+            let (own, _) = self.track.bank.surprise(&innovation);
+            let least = self.track.bank.least_surprise(&innovation);
+            let suspicious = self.encoders[i].repeats() && !other_stands[i];
+            self.innovation[i] = innovation.residual;
+            nis += own;
+            if self.encoders[i].accepts(own, least, suspicious) {
+                self.branches.weigh(&self.track, &innovation);
+                self.track.bank.update(&innovation);
+                used[i] = Some((angle, innovation.noise, ages[i]));
+            }
+        }
+        self.nis = nis;
+        if used.iter().all(Option::is_none) {
+            return false;
+        }
+        if let Some((error, turn)) = self.track.absorb(linkage) {
+            self.history.correct(&error, &turn);
+        }
+        if self.branches.correct(linkage, &used) {
+            self.branches.swap(&mut self.track);
+            self.history.clear();
+        }
+        let frame = linkage.frame(&self.track.theta);
+        let samples = used.iter().flatten().count();
+        self.alarm.hear(&self.track, &frame, constants.torque_scale(), (nis, samples));
+        true
+    }
+
+    /// The motion has gone on by h seconds to these angles and rates; `scene` has the loads of these seconds.
+    pub fn predict(&mut self, constants: &Constants, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) {
+        let Constants { linkage, parameters, .. } = constants;
+        let frame = linkage.frame(&self.track.theta);
+        let timing = (h, parameters.switch_time);
+        let scale = constants.torque_scale();
+        if parameters.forecast == Bands::SigmaPoints && self.is_coasting() {
+            self.forecast.step(&self.track, linkage, scene, h);
+        }
+        let step = self.track.step(linkage, scene, (theta, omega), h);
+        self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
+        self.track.bank.predict(linkage, (&frame, &step.transition), scale, timing);
+        (self.track.theta, self.track.omega) = (*theta, *omega);
+        self.held = step.held;
+        self.branches.step(constants, (&self.track, step.held), scene, timing);
+        for encoder in &mut self.encoders {
+            encoder.silent += h;
+        }
+        self.alarm.step(h);
+    }
+
+    /// Whether samples have ceased to come.
+    pub fn is_coasting(&self) -> bool {
+        self.encoders.iter().all(Encoder::is_silent)
+    }
+
+    /// What the estimate is worth.
+    pub fn status(&self) -> Status {
+        let fault = self.encoders.iter().map(|encoder| encoder.fault).max().unwrap_or_default();
+        match () {
+            () if self.held => Status::Holding,
+            () if fault != Fault::None => Status::Faulty(fault),
+            () if self.is_coasting() => Status::Coasting,
+            () if self.encoders.iter().any(Encoder::is_silent) => Status::OneEncoder,
+            () if self.branches.are_two() => Status::TwoBranches,
+            () if self.alarm.is_inconsistent() => Status::Inconsistent,
+            () => Status::Following,
+        }
+    }
+
+    /// Whether an encoder is silent, and what is wrong with it.
+    pub fn encoder(&self, i: usize) -> (bool, Fault) {
+        (self.encoders[i].is_silent(), self.encoders[i].fault)
+    }
+
+    /// Whether an encoder has ever given a sample.
+    pub fn has_heard(&self, i: usize) -> bool {
+        self.encoders[i].silent.is_finite()
+    }
+
+    /// Of the last sample of each encoder: measured less expected, rad.
+    pub fn innovation(&self) -> Pair {
+        self.innovation
+    }
+
+    /// Squared innovations of the last correction in units of their covariance.
+    pub fn nis(&self) -> f64 {
+        self.nis
+    }
+
+    /// Whether something acts that the model does not know.
+    pub fn alarm(&self) -> bool {
+        self.alarm.is_on()
+    }
+
+    /// Covariance of the error on the tangent basis, and of the angles and rates of links 1 to 4 its diagonal.
+    pub fn sigmas(&self, constants: &Constants) -> [Links; 2] {
+        if let Some(sigmas) = self.forecast.sigmas(&self.track) {
+            return sigmas;
+        }
+        let frame = constants.linkage.frame(&self.track.theta);
+        let covariance = self.track.covariance();
+        let sigma = |link: usize, first: usize| {
+            let [x, y] = frame.basis.map(|direction| direction[link]);
+            let variance = x * x * covariance[first][first]
+                + 2.0 * x * y * covariance[first][first + 1]
+                + y * y * covariance[first + 1][first + 1];
+            variance.max(0.0).sqrt()
+        };
+        // Rates: their part along the links that stays when the loop closes is of second order.
+        [std::array::from_fn(|link| sigma(link, 0)), std::array::from_fn(|link| sigma(link, 2))]
+    }
+
+    /// Squared error against a true motion in units of the covariance of angles and rates: 4 on average where the bands are honest.
+    pub fn nees(&self, constants: &Constants, theta: &Links, omega: &Links) -> f64 {
+        let frame = constants.linkage.frame(&self.track.theta);
+        let angles = frame.coordinates(&std::array::from_fn(|i| wrapped(theta[i] - self.track.theta[i])));
+        let rates = frame.coordinates(&std::array::from_fn(|i| omega[i] - self.track.omega[i]));
+        let covariance = self.track.covariance();
+        let p = Matrix4::from_fn(|i, k| covariance[i][k]);
+        let error = Vector4::new(angles[0], angles[1], rates[0], rates[1]);
+        p.cholesky().map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error)))
+    }
+
+    /// Covariance of the tip, m²: xx, xy, yy.
+    pub fn tip_covariance(&self, constants: &Constants) -> [f64; 3] {
+        if let Some(covariance) = self.forecast.tip_covariance(&self.track, &constants.linkage) {
+            return covariance;
+        }
+        let frame = constants.linkage.frame(&self.track.theta);
+        let covariance = self.track.covariance();
+        let tip = frame.tip();
+        let element =
+            |i: usize, k: usize| (0..2).map(|a| (0..2).map(|b| tip[i][a] * covariance[a][b] * tip[k][b]).sum::<f64>()).sum::<f64>();
+        [element(0, 0), element(0, 1), element(1, 1)]
+    }
+
+    /// Motor torques that would do what the unknown force does, with their standard deviations; see [`Track::motor_torques`].
+    pub fn motor_torques(&self, constants: &Constants) -> Option<(Pair, Pair)> {
+        self.track.motor_torques(&constants.linkage.frame(&self.track.theta))
+    }
+
+    /// Probability of a direct singularity within the horizon, with the inputs held: from motions around the estimate.
+    pub fn singularity_probability(&self, constants: &Constants, scene: &impl Scene, step: f64) -> f64 {
+        forecast::singularity_probability(&self.track, &self.forecast, constants, scene, step)
+    }
+
+    /// Refuses what cannot be an estimator of this mechanism.
+    pub fn check(&self, constants: &Constants, theta: &Links, omega: &Links) -> Result<(), &'static str> {
+        let same = |a: &Links, b: &Links| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
+        if !same(&self.track.theta, theta) || !same(&self.track.omega, omega) {
+            return Err("its estimate is not the motion");
+        }
+        let tracks = [Some(&self.track), self.branches.other()];
+        if !tracks.into_iter().flatten().all(|track| track.is_sound(&constants.linkage)) {
+            return Err("its estimate is none");
+        }
+        if !self.history.is_sound() || !self.forecast.is_sound(&constants.linkage) {
+            return Err("what its estimator remembers is none");
+        }
+        let numbers = self.innovation.iter().chain([&self.nis]);
+        if !numbers.chain(&self.alarm.numbers()).chain(&self.branches.numbers()).all(|x| x.is_finite()) {
+            return Err("a number of its estimator is not finite");
+        }
+        Ok(())
+    }
+}

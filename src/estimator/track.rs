@@ -1,0 +1,170 @@
+//! One estimate: a motion, the unknown force on it, and the errors about both.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::bank::{self, Bank, Error, Innovation, Matrix};
+use super::linkage::{Frame, Linkage, Links, MEASURED, Pair};
+use super::transition::{self, ERRORS, Flow, Scene};
+
+/// Below this smallest singular value of J, over the mean length, a vertex is so near that its branches cannot be told apart.
+const VERTEX: f64 = 0.03;
+/// Where that is smaller than this, two ways to compute a motion have to agree,
+const DOUBTFUL: f64 = 0.2;
+/// to this, rad and rad/s.
+const AGREEMENT: [f64; 2] = [1e-3, 0.1];
+/// In the squares of the inputs' effects: no input is asked for a force that it does not have.
+const LEAST_EFFECT: f64 = 1e-6;
+
+/// An estimate.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub struct Track {
+    /// Link angles, rad, without whole turns.
+    pub theta: Links,
+    /// Rates, rad/s.
+    pub omega: Links,
+    /// The unknown force as torques on both motors, N·m, and a force on the tip, N: the smallest that do what it does.
+    pub force: [f64; 4],
+    /// The errors.
+    pub bank: Bank,
+}
+
+/// What the prediction of a macro step came to.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Step {
+    /// The transition of the errors.
+    pub(super) transition: Matrix,
+    /// Whether the motion passed so close to a vertex that nothing is known of its branch.
+    pub(super) held: bool,
+}
+
+/// An angle without whole turns, in (−π, π].
+pub fn wrapped(angle: f64) -> f64 {
+    use std::f64::consts::TAU;
+    angle - (angle / TAU).round() * TAU
+}
+
+/// By which inputs a force on the tangent basis acts: the smallest torques, and tip force times the mean length.
+pub(super) fn by_inputs(linkage: &Linkage, at: &Frame) -> [Pair; 4] {
+    let scale = [1.0, 1.0, 1.0 / linkage.length, 1.0 / linkage.length];
+    let effects = effects(at);
+    let (mut xx, mut xy, mut yy) = (LEAST_EFFECT, 0.0, LEAST_EFFECT);
+    for (input, scale) in scale.into_iter().enumerate() {
+        let [x, y] = effects.map(|row| row[input] * scale);
+        xx += x * x;
+        xy += x * y;
+        yy += y * y;
+    }
+    let determinant = xx * yy - xy * xy;
+    std::array::from_fn(|input| {
+        let squared = scale[input] * scale[input];
+        let [x, y] = effects.map(|row| row[input] * squared);
+        [(yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant]
+    })
+}
+
+/// Forces on the tangent basis of a unit of each input.
+fn effects(at: &Frame) -> [[f64; 4]; 2] {
+    let inputs = at.inputs();
+    at.basis.map(|direction| std::array::from_fn(|input| (0..4).map(|link| direction[link] * inputs[link][input]).sum()))
+}
+
+/// The force of some inputs on the tangent basis.
+fn on_basis(at: &Frame, force: &[f64; 4]) -> Pair {
+    effects(at).map(|row| row.iter().zip(force).map(|(effect, force)| effect * force).sum())
+}
+
+impl Track {
+    /// The errors over h seconds, from the motion's beginning at `theta`, `omega` to its end.
+    pub(super) fn step(&self, linkage: &Linkage, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) -> Step {
+        let flow = self.flow(linkage, scene, h);
+        let (from, to) = (linkage.frame(&self.theta), linkage.frame(theta));
+        let smallest = from.smallest.min(to.smallest);
+        let agrees = || {
+            (0..4).all(|i| {
+                wrapped(flow.theta[i] - theta[i]).abs() < AGREEMENT[0]
+                    && (flow.omega[i] - omega[i]).abs() < AGREEMENT[1] + AGREEMENT[0] * omega[i].abs()
+            })
+        };
+        // NaN counts as near.
+        let held = !(smallest > VERTEX && (smallest > DOUBTFUL || agrees()));
+        let transition = if held { bank::straight(&from, &to, h) } else { bank::transition(&from, &to, &flow) };
+        let finite = transition.iter().flatten().all(|x| x.is_finite());
+        if finite { Step { transition, held } } else { Step { transition: bank::straight(&from, &to, h), held: true } }
+    }
+
+    /// The motion with the errors about it.
+    pub(super) fn flow(&self, linkage: &Linkage, scene: &impl Scene, h: f64) -> Flow {
+        let frame = linkage.frame(&self.theta);
+        let steps = transition::steps(linkage, scene, (&self.theta, &self.omega), h);
+        transition::flow(linkage, scene, (&self.theta, &self.omega, &frame), &by_inputs(linkage, &frame), h, steps)
+    }
+
+    /// What is expected of a sample that an encoder takes now.
+    pub(super) fn innovation(&self, linkage: &Linkage, encoder: usize, angle: f64, noise: f64) -> Innovation {
+        let frame = linkage.frame(&self.theta);
+        let link = MEASURED[encoder];
+        let mut row = [0.0; ERRORS];
+        (row[0], row[1]) = (frame.basis[0][link], frame.basis[1][link]);
+        Innovation { residual: wrapped(angle - self.theta[link]), row, noise }
+    }
+
+    /// The mean takes over what the models think of the error. What it was and how the errors are turned with the basis; `None`, and
+    /// nothing has changed, where the loop cannot be closed there.
+    pub(super) fn absorb(&mut self, linkage: &Linkage) -> Option<(Error, Matrix)> {
+        let frame = linkage.frame(&self.theta);
+        let (error, _) = self.bank.moments();
+        let (turned, quickened) = (frame.tangent([error[0], error[1]]), frame.tangent([error[2], error[3]]));
+        let (theta, omega, to) = linkage
+            .closed(std::array::from_fn(|i| self.theta[i] + turned[i]), std::array::from_fn(|i| self.omega[i] + quickened[i]))?;
+        let force = on_basis(&frame, &self.force);
+        let force = [force[0] + error[4], force[1] + error[5]];
+        self.force = by_inputs(linkage, &frame).map(|row| row[0] * force[0] + row[1] * force[1]);
+        (self.theta, self.omega) = (theta, omega);
+        let turn = bank::straight(&frame, &to, 0.0);
+        self.bank.recentre(&error);
+        self.bank.carry(&turn);
+        Some((error, turn))
+    }
+
+    /// The estimate on a tangent basis: covariance of the error about the mean, whatever the mean leaves to the models included.
+    pub fn covariance(&self) -> Matrix {
+        let (error, mut covariance) = self.bank.moments();
+        for i in 0..ERRORS {
+            for k in 0..ERRORS {
+                covariance[i][k] += error[i] * error[k];
+            }
+        }
+        covariance
+    }
+
+    /// Whether it can be an estimate: a closed loop, weights that sum up to 1, covariances.
+    pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
+        linkage.is_closed(&self.theta, &self.omega) && self.force.iter().all(|x| x.is_finite()) && self.bank.is_sound()
+    }
+
+    /// The unknown force on the tangent basis, N·m.
+    pub fn tangent_force(&self, at: &Frame) -> Pair {
+        on_basis(at, &self.force)
+    }
+
+    /// Motor torques that would do what the unknown force does, N·m, with their standard deviations; `None` close to a direct singularity,
+    /// where motors cannot.
+    pub fn motor_torques(&self, at: &Frame) -> Option<(Pair, Pair)> {
+        /// Least |det| of what motors do on the tangent basis.
+        const LEAST: f64 = 0.15;
+        let [[a, b], [c, d]] = at.basis.map(|direction| MEASURED.map(|link| direction[link]));
+        let determinant = a * d - b * c;
+        if determinant.abs() < LEAST {
+            return None;
+        }
+        let inverse = [[d / determinant, -b / determinant], [-c / determinant, a / determinant]];
+        let force = self.tangent_force(at);
+        let covariance = self.covariance();
+        let torques = inverse.map(|row| row[0] * force[0] + row[1] * force[1]);
+        let sigma = inverse.map(|[x, y]| {
+            let variance = x * x * covariance[4][4] + 2.0 * x * y * covariance[4][5] + y * y * covariance[5][5];
+            variance.max(0.0).sqrt()
+        });
+        Some((torques, sigma))
+    }
+}

@@ -1,0 +1,271 @@
+//! How a motion and the errors about it go on: Runge–Kutta of order 4 on the equations of motion in the link angles and on their
+//! variational equations.
+//!
+//! ```text
+//! M α + Jᵀλ = Q + c        M δα + Jᵀδλ = −K δθ − C δω + E δu + δc − δM α − δJᵀ λ
+//! J α       = −J̇ ω         J δα        = −δJ α − δ(J̇ ω)
+//! ```
+//!
+//! K and C are the tangents that the implicit steps use. Six directions: N in the angles, N in the rates, the unknown force.
+
+use super::linkage::{Frame, LEGS, Linkage, Links, Pair, Posture};
+
+/// Number of errors: two of the angles, two of the rates, two of the unknown force.
+pub const ERRORS: usize = 6;
+
+/// One row for each link, one column for each error.
+type Columns = [[f64; ERRORS]; 4];
+
+/// Rates to which steps are adapted: of the free motion, of steep loads, 1/s.
+const RATES: [f64; 2] = [600.0, 2500.0];
+/// Steps per time constant of a damper and of a spring.
+const PER_DAMPER: f64 = 0.8;
+/// Steps per radian of the fastest link in a regular posture.
+const PER_RADIAN: f64 = 8.0;
+/// Most steps in one call.
+const MOST_STEPS: f64 = 64.0;
+
+/// Applied torques on the links, and their tangents.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Loads {
+    /// Q in the link angles, N·m.
+    pub torque: Links,
+    /// K = −∂Q/∂θ, N·m/rad.
+    pub stiffness: [Links; 4],
+    /// C = −∂Q/∂ω, N·m·s/rad.
+    pub damping: [Links; 4],
+}
+
+/// What a simulation hands the estimator: the loads of a scene with the inputs that are held.
+pub trait Scene {
+    /// Loads at link angles, rad, and rates, rad/s.
+    fn loads(&self, theta: &Links, omega: &Links) -> Loads;
+
+    /// The torques alone.
+    fn torque(&self, theta: &Links, omega: &Links) -> Links;
+
+    /// Whether some load changes steeply.
+    fn is_steep(&self) -> bool;
+}
+
+/// Where a motion leads.
+#[derive(Clone, Copy, Debug)]
+pub struct Flow {
+    /// Link angles, rad.
+    pub theta: Links,
+    /// Rates, rad/s.
+    pub omega: Links,
+    /// How the angles change with the errors at the beginning.
+    pub(super) d_theta: Columns,
+    /// How the rates do.
+    pub(super) d_omega: Columns,
+}
+
+impl Flow {
+    /// How angles and rates at the end change with one of the errors at the beginning.
+    pub fn column(&self, error: usize) -> (Links, Links) {
+        let of = |columns: &Columns| -> Links { std::array::from_fn(|link| columns[link][error]) };
+        (of(&self.d_theta), of(&self.d_omega))
+    }
+}
+
+/// What changes along the way, and its rate of change.
+#[derive(Clone, Copy)]
+struct Point {
+    theta: Links,
+    omega: Links,
+    d_theta: Columns,
+    d_omega: Columns,
+}
+
+impl Point {
+    fn plus(&self, h: f64, rate: &Self) -> Self {
+        let sum = |x: &Links, y: &Links| -> Links { std::array::from_fn(|i| x[i] + h * y[i]) };
+        let sums =
+            |x: &Columns, y: &Columns| -> Columns { std::array::from_fn(|i| std::array::from_fn(|k| x[i][k] + h * y[i][k])) };
+        Self {
+            theta: sum(&self.theta, &rate.theta),
+            omega: sum(&self.omega, &rate.omega),
+            d_theta: sums(&self.d_theta, &rate.d_theta),
+            d_omega: sums(&self.d_omega, &rate.d_omega),
+        }
+    }
+}
+
+/// How many steps of Runge–Kutta a time of h seconds needs.
+pub fn steps(linkage: &Linkage, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) -> u32 {
+    let frame = linkage.frame(theta);
+    let Loads { stiffness, damping, .. } = scene.loads(theta, omega);
+    let inertia = linkage.least_inertia(&frame);
+    let mut rate = RATES[usize::from(scene.is_steep())];
+    let mut fastest = 0.0_f64;
+    for i in 0..4 {
+        rate = rate.max(PER_DAMPER * damping[i][i].abs() / inertia[i]).max((stiffness[i][i].abs() / inertia[i]).sqrt());
+        fastest = fastest.max(omega[i].abs());
+    }
+    rate = rate.max(PER_RADIAN * fastest / frame.smallest.clamp(0.01, 1.0).sqrt());
+    // The bounds first: what is not finite becomes one step.
+    (h * rate).ceil().min(MOST_STEPS).max(1.0) as u32
+}
+
+/// The motion alone, from angles and rates, over h seconds in equal steps.
+pub fn motion(linkage: &Linkage, scene: &impl Scene, (mut theta, mut omega): (Links, Links), h: f64, steps: u32) -> (Links, Links) {
+    let h = h / f64::from(steps);
+    let plus = |x: &Links, h: f64, y: &Links| -> Links { std::array::from_fn(|i| x[i] + h * y[i]) };
+    for _ in 0..steps {
+        let a1 = acceleration(linkage, scene, &theta, &omega);
+        let (t2, w2) = (plus(&theta, h / 2.0, &omega), plus(&omega, h / 2.0, &a1));
+        let a2 = acceleration(linkage, scene, &t2, &w2);
+        let (t3, w3) = (plus(&theta, h / 2.0, &w2), plus(&omega, h / 2.0, &a2));
+        let a3 = acceleration(linkage, scene, &t3, &w3);
+        let (t4, w4) = (plus(&theta, h, &w3), plus(&omega, h, &a3));
+        let a4 = acceleration(linkage, scene, &t4, &w4);
+        for i in 0..4 {
+            theta[i] += h / 6.0 * (omega[i] + 2.0 * (w2[i] + w3[i]) + w4[i]);
+            omega[i] += h / 6.0 * (a1[i] + 2.0 * (a2[i] + a3[i]) + a4[i]);
+        }
+    }
+    (theta, omega)
+}
+
+/// The motion with the errors about it. `force` says with what torques on the inputs the two unknown forces act, by input.
+pub fn flow(
+    linkage: &Linkage,
+    scene: &impl Scene,
+    (theta, omega, frame): (&Links, &Links, &Frame),
+    force: &[Pair; 4],
+    h: f64,
+    steps: u32,
+) -> Flow {
+    let mut point = Point { theta: *theta, omega: *omega, d_theta: [[0.0; ERRORS]; 4], d_omega: [[0.0; ERRORS]; 4] };
+    for (k, direction) in frame.basis.iter().enumerate() {
+        // J δω = −δJ ω: what the turned links need to stay closed.
+        let turned = frame.least_squares(frame.inward(omega, direction));
+        for i in 0..4 {
+            point.d_theta[i][k] = direction[i];
+            point.d_omega[i][k] = turned[i];
+            point.d_omega[i][2 + k] = direction[i];
+        }
+    }
+    let h = h / f64::from(steps);
+    for _ in 0..steps {
+        let k1 = rate(linkage, scene, force, &point);
+        let k2 = rate(linkage, scene, force, &point.plus(h / 2.0, &k1));
+        let k3 = rate(linkage, scene, force, &point.plus(h / 2.0, &k2));
+        let k4 = rate(linkage, scene, force, &point.plus(h, &k3));
+        point = point.plus(h / 6.0, &k1).plus(h / 3.0, &k2).plus(h / 3.0, &k3).plus(h / 6.0, &k4);
+    }
+    let Point { theta, omega, d_theta, d_omega } = point;
+    Flow { theta, omega, d_theta, d_omega }
+}
+
+/// The factors of the saddle-point system.
+struct Factor<'a> {
+    at: &'a Posture,
+    mobility: [[f64; 3]; 2],
+    /// (J M⁻¹ Jᵀ)⁻¹: xx, xy, yy.
+    dual: [f64; 3],
+}
+
+impl<'a> Factor<'a> {
+    fn new(linkage: &Linkage, at: &'a Posture) -> Self {
+        let mobility = linkage.mobility(at);
+        let (row_x, row_y) = (at.transposed([1.0, 0.0]), at.transposed([0.0, 1.0]));
+        let (x, y) = (yielding(&mobility, &row_x), yielding(&mobility, &row_y));
+        let sum = |a: &Links, b: &Links| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let (xx, xy, yy) = (sum(&row_x, &x), sum(&row_x, &y), sum(&row_y, &y));
+        // Next to a vertex nothing is divided by 0.
+        let least = 1e-20 * (xx + yy) * (xx + yy);
+        let determinant = (xx * yy - xy * xy).max(least);
+        Self { at, mobility, dual: [yy / determinant, -xy / determinant, xx / determinant] }
+    }
+
+    /// x and y of M x + Jᵀ y = b, J x = c.
+    #[inline(always)]
+    fn solve(&self, b: &Links, c: Pair) -> (Links, Pair) {
+        let free = yielding(&self.mobility, b);
+        let [x, y] = self.at.end_velocity(&free);
+        let (x, y) = (x - c[0], y - c[1]);
+        let [xx, xy, yy] = self.dual;
+        let lambda = [xx * x + xy * y, xy * x + yy * y];
+        let back = yielding(&self.mobility, &self.at.transposed(lambda));
+        (std::array::from_fn(|i| free[i] - back[i]), lambda)
+    }
+}
+
+/// M⁻¹ x.
+#[inline(always)]
+fn yielding(mobility: &[[f64; 3]; 2], x: &Links) -> Links {
+    let mut product = [0.0; 4];
+    for ([p, d], [own_p, own_d, coupling]) in LEGS.into_iter().zip(mobility) {
+        product[p] = own_p * x[p] + coupling * x[d];
+        product[d] = coupling * x[p] + own_d * x[d];
+    }
+    product
+}
+
+/// Q + c.
+fn pushed(linkage: &Linkage, at: &Posture, mut torque: Links, omega: &Links) -> Links {
+    for (carried, [p, d]) in linkage.carried.into_iter().zip(LEGS) {
+        let centripetal = carried * at.sine(p, d);
+        torque[p] += centripetal * omega[d] * omega[d];
+        torque[d] -= centripetal * omega[p] * omega[p];
+    }
+    torque
+}
+
+fn acceleration(linkage: &Linkage, scene: &impl Scene, theta: &Links, omega: &Links) -> Links {
+    let frame = linkage.posture(theta);
+    let torque = pushed(linkage, &frame, scene.torque(theta, omega), omega);
+    Factor::new(linkage, &frame).solve(&torque, frame.inward(omega, omega)).0
+}
+
+/// The rate of change of a point.
+fn rate(linkage: &Linkage, scene: &impl Scene, force: &[Pair; 4], point: &Point) -> Point {
+    let Point { theta, omega, d_theta, d_omega } = point;
+    let frame = linkage.posture(theta);
+    let Loads { torque, stiffness, damping } = scene.loads(theta, omega);
+    let factor = Factor::new(linkage, &frame);
+    let (alpha, lambda) = factor.solve(&pushed(linkage, &frame, torque, omega), frame.inward(omega, omega));
+
+    // Minus the derivatives of the right-hand side with respect to the angles and the rates.
+    let (mut by_angle, mut by_rate) = (stiffness, damping);
+    for (i, tension) in frame.along(lambda).into_iter().enumerate() {
+        by_angle[i][i] -= tension;
+    }
+    for (carried, [p, d]) in linkage.carried.into_iter().zip(LEGS) {
+        let (sine, cosine) = (carried * frame.sine(p, d), carried * frame.cosine(p, d));
+        let on_p = cosine * omega[d] * omega[d] + sine * alpha[d];
+        let on_d = -cosine * omega[p] * omega[p] + sine * alpha[p];
+        by_angle[p][p] += on_p;
+        by_angle[p][d] -= on_p;
+        by_angle[d][p] += on_d;
+        by_angle[d][d] -= on_d;
+        by_rate[p][d] -= 2.0 * sine * omega[d];
+        by_rate[d][p] += 2.0 * sine * omega[p];
+    }
+    let inputs = frame.inputs();
+    let mut d_alpha = [[0.0; ERRORS]; 4];
+    for k in 0..ERRORS {
+        let (turned, quickened): (Links, Links) = (std::array::from_fn(|i| d_theta[i][k]), std::array::from_fn(|i| d_omega[i][k]));
+        let mut right: Links = std::array::from_fn(|i| {
+            let sum = |row: &Links, x: &Links| row[0] * x[0] + row[1] * x[1] + row[2] * x[2] + row[3] * x[3];
+            -sum(&by_angle[i], &turned) - sum(&by_rate[i], &quickened)
+        });
+        if k >= 4 {
+            for i in 0..4 {
+                right[i] += (0..4).map(|input| inputs[i][input] * force[input][k - 4]).sum::<f64>();
+            }
+        }
+        let (a, b, c) = (
+            frame.inward(&alpha, &turned),
+            frame.end_velocity(&std::array::from_fn(|i| omega[i] * omega[i] * turned[i])),
+            frame.inward(omega, &quickened),
+        );
+        let (column, _) = factor.solve(&right, [a[0] + b[0] + 2.0 * c[0], a[1] + b[1] + 2.0 * c[1]]);
+        for i in 0..4 {
+            d_alpha[i][k] = column[i];
+        }
+    }
+    Point { theta: *omega, omega: alpha, d_theta: *d_omega, d_omega: d_alpha }
+}

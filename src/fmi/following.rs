@@ -1,0 +1,68 @@
+//! A communication step of a machine that is followed: what the encoders have told corrects the motion, then it goes on.
+
+use super::derivatives::check_reach;
+use super::instance::{step_discarded, warn};
+use super::messages::Status;
+use super::snapshot::Scene;
+use super::{CallError, Instance};
+use crate::estimator::Fault;
+use crate::simulation::Signal;
+
+impl Instance {
+    /// fmi2DoStep: from `point`, s, by `size`, s. Discarded if the integrator gives up, with everything as before.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn follow(&mut self, point: f64, size: f64) -> Result<(), CallError> {
+        let wants_events = self.log.wants(Status::Ok);
+        let now = self.change();
+        let (Some(clock), Scene::Following(following)) = (&mut now.clock, &mut now.scene) else {
+            unreachable!("initialisation has made both")
+        };
+        let plan = clock.plan(point, size, following.parameters().settings.step_size)?;
+        let signal = now.next.signal.unwrap_or(Signal::held(*following.inputs()));
+        check_reach(&signal, size)?;
+        let passes = wants_events.then(|| following.simulation().singular());
+        // The estimate, not its box: a step allocates nothing.
+        let before = (**following).clone();
+        let advanced = (|| {
+            if let Some(parameters) = &now.next.parameters {
+                following.tune(&parameters.effects, &parameters.estimator)?;
+            }
+            following.correct(&now.measured, point);
+            following.advance_along(&signal, plan.h, plan.steps).map_err(|failure| step_discarded(point, size, &failure))
+        })();
+        if let Err(refusal) = advanced {
+            if refusal.status == Status::Discard {
+                now.stage = super::Stage::StepFailed;
+            }
+            **following = before;
+            return Err(refusal);
+        }
+        let news = following.take_news();
+        clock.advance(plan);
+        now.next.after_step(size);
+        now.stage = super::Stage::StepComplete;
+        for (encoder, fault) in news {
+            warn(&mut self.log, || told(encoder, fault, point));
+        }
+        self.warn(point + size);
+        if let Some(passes) = passes {
+            self.report_passes(passes, point, point + size)?;
+        }
+        Ok(())
+    }
+}
+
+/// A fault of an encoder in a sentence; without one it has become silent.
+fn told(encoder: usize, fault: Fault, time: f64) -> String {
+    let name = format!("measured.theta[{}]", encoder + 1);
+    let what = match fault {
+        Fault::None => "has been silent for longer than between its last samples: the estimate goes on without it",
+        Fault::Rejected => "is too far from what is expected: the sample is not used",
+        Fault::Late => "is older than estimator.maxDelay, or than anything that is remembered: the sample is not used",
+        Fault::Future => "was measured after the communication point: the sample is not used",
+        Fault::Invalid => "or its time is not a number: the sample is not used",
+        Fault::Stuck => "repeats itself while the machine moves: its samples are not used until it changes",
+    };
+    format!("at {time:?} s: {name} {what}. This is told once for each encoder; see estimated.status.")
+}

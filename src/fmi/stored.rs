@@ -1,0 +1,259 @@
+//! A stored state as bytes (FMI 2.0.4, section 2.1.8).
+//!
+//! ```text
+//! offset  bytes  what
+//!      0      8  "FiveBar\0"
+//!      8      4  FORMAT, the version of this layout
+//!     12     38  GUID of the model description
+//!     50      8  length n of the content
+//!     58      n  the content: `Content` in the Borsh format (https://borsh.io)
+//! 58 + n      4  Adler-32 of all before it
+//! ```
+//!
+//! Where samples have been set or a machine is followed, `Followed` comes after `Content`; elsewhere there is no byte of it.
+//! Numbers are little-endian, reals IEEE 754 doubles; there are no pointers, and nothing depends on the process or the platform.
+//! The parameters are stored as values of variables, so that what is read back passes the same checks as what a master sets.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::clock::Clock;
+use super::derivatives::check_reach;
+use super::snapshot::{Next, Scene};
+use super::values::{check_value, lookup};
+use super::{CallError, Kind, Snapshot, Stage, bindings};
+use crate::estimator::Measured;
+use crate::mechanism::SceneError;
+use crate::simulation::{Estimate, Following, Inputs, ORDERS, Parameters, Residuals, Run, Signal, Simulation};
+use crate::variables::{GUID, Value, Variable};
+
+const MAGIC: [u8; 8] = *b"FiveBar\0";
+/// Must change with every change of what is stored.
+const FORMAT: u32 = 6;
+const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
+const CHECKSUM: usize = size_of::<u32>();
+
+/// What the bytes hold.
+#[derive(BorshSerialize, BorshDeserialize)]
+struct Content {
+    stage: Stage,
+    kind: Kind,
+    clock: Option<Clock>,
+    /// Parameters in force.
+    values: Values,
+    run: Option<StoredRun>,
+    /// [`Next::signal`]: values and derivatives.
+    signal: Option<(Inputs, [Inputs; ORDERS])>,
+    /// [`Next::parameters`].
+    tuned: Option<Values>,
+    warned_of_references: bool,
+    warned_of_stiffness: bool,
+}
+
+/// What bytes hold beside where a machine is followed.
+#[derive(BorshSerialize, BorshDeserialize)]
+struct Followed {
+    measured: Measured,
+    estimate: Option<Estimate>,
+}
+
+/// Values of parameters by their references; those of the estimator only where one is not its start.
+type Values = Vec<(u32, Value)>;
+
+/// A scene made ready.
+#[derive(BorshSerialize, BorshDeserialize)]
+struct StoredRun {
+    run: Run,
+    /// Energies and forces have to add up to them.
+    residuals: Residuals,
+}
+
+impl Snapshot {
+    /// The state as bytes.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, CallError> {
+        let (parameters, run) = match (&self.scene, self.scene.simulation()) {
+            (Scene::Draft(parameters), _) => (parameters, None),
+            (_, Some(simulation)) => {
+                let stored = StoredRun { run: simulation.run().clone(), residuals: simulation.residuals() };
+                (simulation.parameters(), Some(stored))
+            }
+            (_, None) => unreachable!("what is no draft has a simulation"),
+        };
+        let estimate = match &self.scene {
+            Scene::Following(following) => Some(following.estimate().clone()),
+            Scene::Draft(_) | Scene::Ready(_) => None,
+        };
+        let followed = Followed { measured: self.measured, estimate };
+        let content = Content {
+            stage: self.stage,
+            kind: self.kind,
+            clock: self.clock.clone(),
+            values: values(parameters),
+            run,
+            signal: self.next.signal.map(|signal| (signal.value, signal.derivatives())),
+            tuned: self.next.parameters.as_ref().map(values),
+            warned_of_references: self.warned_of_references,
+            warned_of_stiffness: self.warned_of_stiffness,
+        };
+        let bytes_of = |serialised: std::io::Result<Vec<u8>>| {
+            serialised.map_err(|error| CallError::error(format!("the state cannot be serialised: {error}.")))
+        };
+        let mut content = bytes_of(borsh::to_vec(&content))?;
+        if !followed.is_nothing() {
+            content.extend(bytes_of(borsh::to_vec(&followed))?);
+        }
+        let length = content.len() as u64;
+        let mut bytes = [&MAGIC[..], &FORMAT.to_le_bytes(), GUID.as_bytes(), &length.to_le_bytes(), &content].concat();
+        bytes.extend(adler2::adler32_slice(&bytes).to_le_bytes());
+        Ok(bytes)
+    }
+
+    /// The state that bytes hold, or one sentence that says what is wrong with them. Whatever in them follows from the parameters has to
+    /// be what these give, and the rest has to be a motion that can go on.
+    #[cold]
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CallError> {
+        let (content, followed) =
+            parts(content(bytes)?).map_err(|error| wrong(&format!("their content is not a state: {error}")))?;
+        let Content { stage, kind, clock, values, run, signal, tuned, warned_of_references, warned_of_stiffness } = content;
+        let parameters = restored(&values)?;
+        let next = Next { signal: signal.map(restored_signal).transpose()?, parameters: restored_tuned(tuned, &parameters)? };
+        if let Some(clock) = &clock {
+            clock.check(kind)?;
+        }
+        let scene = match (stage, run) {
+            (Stage::Instantiated | Stage::InitializationMode, None) if next.parameters.is_none() && followed.estimate.is_none() => {
+                Scene::Draft(parameters)
+            }
+            (
+                Stage::StepComplete | Stage::StepFailed | Stage::EventMode | Stage::ContinuousTimeMode | Stage::Terminated,
+                Some(StoredRun { run, residuals }),
+            ) if stage.belongs_to(kind) && run.is_driven() == (kind == Kind::ModelExchange) => {
+                let refusal = |error: SceneError| wrong(&error.to_string());
+                match (parameters.estimator.enabled, followed.estimate) {
+                    (false, None) => Scene::Ready(Box::new(Simulation::restored(&parameters, run, &residuals).map_err(refusal)?)),
+                    (true, Some(estimate)) => {
+                        let following = Following::restored(&parameters, run, &residuals, estimate);
+                        Scene::Following(Box::new(following.map_err(refusal)?))
+                    }
+                    (false, Some(_)) => return Err(wrong("they hold an estimate, and estimator.enabled is false")),
+                    (true, None) => return Err(wrong("estimator.enabled is true, and the estimate is missing")),
+                }
+            }
+            _ => return Err(wrong(&format!("they say \"{stage}\", and what belongs to it is missing or too much"))),
+        };
+        if clock.is_none() && stage != Stage::Instantiated {
+            return Err(wrong(&format!("they say \"{stage}\", and the clock is missing")));
+        }
+        let measured = followed.measured;
+        Ok(Self { kind, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness })
+    }
+}
+
+impl Followed {
+    /// Whether no sample has been set and nothing is estimated: then it is not stored.
+    fn is_nothing(&self) -> bool {
+        self.estimate.is_none() && self.measured.same(&Measured::default())
+    }
+}
+
+/// The content and what is followed.
+fn parts(mut bytes: &[u8]) -> std::io::Result<(Content, Followed)> {
+    let content = Content::deserialize(&mut bytes)?;
+    if bytes.is_empty() {
+        return Ok((content, Followed { measured: Measured::default(), estimate: None }));
+    }
+    let followed = Followed::try_from_slice(bytes)?;
+    if followed.is_nothing() {
+        return Err(std::io::Error::other("samples that have not been set"));
+    }
+    Ok((content, followed))
+}
+
+fn wrong(what: &str) -> CallError {
+    CallError::error(format!("the bytes are not a state of this FMU: {what}."))
+}
+
+/// The content, where head, length and checksum are right.
+fn content(bytes: &[u8]) -> Result<&[u8], CallError> {
+    if bytes.len() < HEAD + CHECKSUM {
+        return Err(wrong(&format!("there are {}, and the head alone has {HEAD}", bytes.len())));
+    }
+    let (magic, rest) = bytes.split_at(MAGIC.len());
+    let (format, rest) = rest.split_at(size_of::<u32>());
+    let (guid, rest) = rest.split_at(GUID.len());
+    let (length, _) = rest.split_at(size_of::<u64>());
+    if magic != MAGIC {
+        return Err(wrong("they do not begin with its name"));
+    }
+    if format != FORMAT.to_le_bytes() {
+        return Err(wrong(&format!("their format is not {FORMAT}, another version has written them")));
+    }
+    if guid != GUID.as_bytes() {
+        return Err(wrong("they belong to another GUID, another version has written them"));
+    }
+    if length != ((bytes.len() - HEAD - CHECKSUM) as u64).to_le_bytes() {
+        return Err(wrong(&format!("there are {}, not as many as their head says", bytes.len())));
+    }
+    let (checked, checksum) = bytes.split_at(bytes.len() - CHECKSUM);
+    if checksum != adler2::adler32_slice(checked).to_le_bytes() {
+        return Err(wrong("their checksum is wrong"));
+    }
+    Ok(&checked[HEAD..])
+}
+
+/// The values of all parameters.
+fn values(parameters: &Parameters) -> Values {
+    let mut parameters = parameters.clone();
+    let mut read = |v: &'static Variable| bindings::read_parameter(&mut parameters, v);
+    let estimates = bindings::parameters().filter(|v| of_estimator(v)).any(|v| read(v) != v.start);
+    bindings::parameters().filter(|v| estimates || !of_estimator(v)).filter_map(|v| Some((v.reference, read(v)?))).collect()
+}
+
+/// Whether a parameter is one of the estimator's, which are not stored where all of them are their start values.
+fn of_estimator(variable: &Variable) -> bool {
+    variable.name.starts_with("estimator.")
+}
+
+/// Parameters with these values, each within its bounds, none left out.
+fn restored(values: &[(u32, Value)]) -> Result<Parameters, CallError> {
+    let mut parameters = bindings::default_parameters();
+    let stored = || values.iter().map(|(reference, _)| *reference);
+    let references = |all: bool| bindings::parameters().filter(move |v| all || !of_estimator(v)).map(|v| v.reference);
+    if !stored().eq(references(true)) && !stored().eq(references(false)) {
+        return Err(wrong("they do not hold every parameter once"));
+    }
+    for &(reference, value) in values {
+        let variable = lookup(reference, value.fmi_type())?;
+        check_value(variable, value)?;
+        if !bindings::write_parameter(&mut parameters, variable, value) {
+            return Err(wrong(&format!("{} is not {value}", variable.name)));
+        }
+    }
+    Ok(parameters)
+}
+
+/// Parameters that differ from those in force in tunable ones only.
+fn restored_tuned(tuned: Option<Values>, in_force: &Parameters) -> Result<Option<Parameters>, CallError> {
+    let Some(values) = tuned else { return Ok(None) };
+    let tuned = restored(&values)?;
+    let (mut before, mut after) = (in_force.clone(), tuned.clone());
+    for variable in bindings::parameters().filter(|variable| !variable.tunable) {
+        let [before, after] = [&mut before, &mut after].map(|parameters| bindings::read_parameter(parameters, variable));
+        if let (Some(before), Some(after)) = (before, after)
+            && before != after
+        {
+            return Err(wrong(&format!("{} = {after} is fixed, and is {before}", variable.name)));
+        }
+    }
+    Ok(Some(tuned))
+}
+
+/// Inputs that stay finite, each within its bounds.
+fn restored_signal((value, derivatives): (Inputs, [Inputs; ORDERS])) -> Result<Signal, CallError> {
+    let mut inputs = value;
+    for (variable, input) in bindings::inputs() {
+        check_value(variable, Value::Real(*bindings::real_input(&mut inputs, input)))?;
+    }
+    let signal = Signal::new(value, derivatives);
+    check_reach(&signal, 1.0)?;
+    Ok(signal)
+}

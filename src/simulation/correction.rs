@@ -1,0 +1,64 @@
+//! A run that goes on from another state of motion: what an estimator makes of measured angles.
+
+use super::Inputs;
+use super::angles::{PLACES, angles_of};
+use super::five_bar::FiveBar;
+use super::model::{Model, Stepper};
+use super::run::{Progress, Run};
+use crate::integrator::{System, Work};
+use crate::mechanism::Coordinates;
+use crate::mechanism::closure;
+use crate::mechanism::coordinates::THETA;
+
+impl Run {
+    /// Angles of links 1 to 4, rad, without the whole turns that are left out, and their rates, rad/s.
+    pub(super) fn motion(&self, model: &Model) -> ([f64; 4], [f64; 4]) {
+        let of = |q: &Coordinates, v: &Coordinates| (THETA.map(|i| q[i]), THETA.map(|i| v[i]));
+        match &self.progress {
+            Progress::WithCall(core, _) => of(&core.q, &core.v),
+            Progress::Conserving(run) => of(&run.q, &run.v),
+            Progress::PastCall(run) => {
+                let (q, v) = run.motion(model, &self.inputs, &self.turns);
+                (PLACES.map(|i| q[i]), PLACES.map(|i| v[i]))
+            }
+            Progress::Outside(_) => unreachable!("no estimator follows a machine that a master drives"),
+        }
+    }
+
+    /// Goes on from other angles, rad, and rates, rad/s, which close the loop, with other inputs. The energy that this puts in counts as
+    /// input; signs of the modes that change are no passes.
+    pub(super) fn go_on_from(&mut self, model: &Model, (theta, omega): ([f64; 4], [f64; 4]), inputs: &Inputs) {
+        let geometry = &model.mechanism.geometry;
+        let (before_theta, before_omega) = self.motion(model);
+        let before = closure::assemble(geometry, before_theta, before_omega);
+        let (q, v) = closure::assemble(geometry, theta, omega);
+        let turns = self.turns;
+        let energy = |q: &Coordinates, v: &Coordinates| {
+            let five_bar = FiveBar::<false>::new(model, inputs, &turns);
+            let pose = five_bar.pose(q);
+            model.mechanism.mass_times(v).dot(v) / 2.0 + model.potential(&five_bar.context(q, &pose, v))
+        };
+        let put_in = energy(&q, &v) - energy(&before.0, &before.1);
+        let held = std::mem::replace(&mut self.inputs, *inputs);
+        let system = FiveBar::<false>::new(model, inputs, &turns);
+        match (&model.stepper, &mut self.progress) {
+            (Stepper::MacroStep(_), Progress::WithCall(core, grips)) => {
+                let system = FiveBar::<false>::resolved(model, inputs, &turns, [&q, &v]);
+                *grips = system.sides.grips;
+                (core.q, core.v, core.on_ray) = (q, v, false);
+                core.modes = system.modes(&system.pose(&q));
+                core.work.input += put_in;
+                core.restart(&system, model.regularization);
+            }
+            (Stepper::Conserving(_), Progress::Conserving(run)) => {
+                (run.q, run.v) = (q, v);
+                run.modes = system.modes(&system.pose(&q));
+                run.restart(Work { input: put_in, dissipated: 0.0 });
+            }
+            (Stepper::Dense(settings), Progress::PastCall(run)) => {
+                run.go_on_from(model, settings, ([&held, inputs], &turns), [angles_of(&q), angles_of(&v)], put_in);
+            }
+            _ => unreachable!("a run is made for its method"),
+        }
+    }
+}

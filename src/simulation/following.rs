@@ -1,0 +1,205 @@
+//! A simulation that follows a measured machine: a run, and the estimator that corrects it.
+
+use arrayvec::ArrayVec;
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::five_bar::FiveBar;
+use super::model::sticking_law;
+use super::run::MacroSteps;
+use super::{Inputs, Parameters, Residuals, Run, Signal, Simulation, State, StepFailure};
+use crate::effects;
+use crate::estimator::{self, Constants, Estimator, Fault, Measured, Status};
+use crate::mechanism::SceneError;
+
+/// A simulation with an estimator. A clone goes on by itself, to the same bits.
+#[derive(Clone, Debug)]
+pub struct Following {
+    simulation: Simulation,
+    constants: Constants,
+    estimate: Estimate,
+}
+
+/// What of it changes beside the run.
+#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub struct Estimate {
+    estimator: Estimator,
+    /// What the master has set: the run holds the unknown force beside.
+    inputs: Inputs,
+    /// Of each encoder the faults that have been told, a bit for each.
+    told: [u8; 2],
+}
+
+/// The inputs with the unknown force beside.
+fn acting(inputs: &Inputs, force: &[f64; 4]) -> Inputs {
+    let [left, right, x, y] = *force;
+    Inputs {
+        tau: [inputs.tau[0] + left, inputs.tau[1] + right],
+        tip_force: [inputs.tip_force[0] + x, inputs.tip_force[1] + y],
+        ..*inputs
+    }
+}
+
+impl Following {
+    /// A scene at its start, of which no sample has been taken.
+    pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
+        parameters.estimator.check(parameters.settings.step_size)?;
+        if let Some(name) = sticking_law(&parameters.effects) {
+            return Err(SceneError(format!(
+                "{name} = stick is not allowed with estimator.enabled = true, whose errors move by smooth laws: it must be smooth."
+            )));
+        }
+        let simulation = Simulation::new(parameters, inputs)?;
+        let constants = Constants::new(&simulation.model.mechanism.geometry, &parameters.estimator);
+        let (theta, omega) = simulation.run.motion(&simulation.model);
+        let estimator = Estimator::new(&constants, theta, omega);
+        Ok(Self { simulation, constants, estimate: Estimate { estimator, inputs: *inputs, told: [0; 2] } })
+    }
+
+    /// A run that goes on, see [`Simulation::restored`]. Refused unless the estimate is one of its motion.
+    #[cold]
+    pub fn restored(parameters: &Parameters, run: Run, residuals: &Residuals, estimate: Estimate) -> Result<Self, SceneError> {
+        let simulation = Simulation::restored(parameters, run, residuals)?;
+        let constants = Constants::new(&simulation.model.mechanism.geometry, &parameters.estimator);
+        let (theta, omega) = simulation.run.motion(&simulation.model);
+        estimate.estimator.check(&constants, &theta, &omega).map_err(|what| SceneError(what.into()))?;
+        let held = acting(&estimate.inputs, &estimate.estimator.track().force);
+        if !estimate.inputs.are_finite() || held != *simulation.inputs() {
+            return Err(SceneError("the inputs of its estimator are not those of its run".into()));
+        }
+        Ok(Self { simulation, constants, estimate })
+    }
+
+    /// Corrects by what is new of the encoders at a time `now`, s on their clock.
+    pub fn correct(&mut self, measured: &Measured, now: f64) {
+        let Self { simulation, constants, estimate: Estimate { estimator, inputs, .. } } = self;
+        if estimator.correct(constants, measured, now) {
+            let track = estimator.track();
+            let motion = (track.theta, track.omega);
+            simulation.run.go_on_from(&simulation.model, motion, &acting(inputs, &track.force));
+        }
+    }
+
+    /// `steps` macro steps of h seconds with inputs that change. On failure it is undefined: the caller keeps a copy.
+    pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
+        let one = MacroSteps { h, count: 1, open_ended: signal.is_held() };
+        for step in 0..steps {
+            let begin = step as f64 * h;
+            let inputs = if signal.is_held() { signal.value } else { signal.at(begin + h / 2.0) };
+            self.step(&inputs, one).map_err(|failure| StepFailure { elapsed: begin + failure.elapsed, ..failure })?;
+        }
+        Ok(())
+    }
+
+    /// One macro step: the motion, then the errors about it.
+    fn step(&mut self, inputs: &Inputs, one: MacroSteps) -> Result<(), StepFailure> {
+        let Self { simulation: Simulation { model, run, .. }, constants, estimate } = self;
+        estimate.inputs = *inputs;
+        let held = acting(inputs, &estimate.estimator.track().force);
+        let turns = run.turns;
+        run.advance(model, &held, one)?;
+        let (theta, omega) = run.motion(model);
+        let scene = FiveBar::<false>::new(model, &held, &turns);
+        estimate.estimator.predict(constants, &scene, (&theta, &omega), one.h);
+        Ok(())
+    }
+
+    /// The simulation, with the unknown force among its inputs.
+    pub fn simulation(&self) -> &Simulation {
+        &self.simulation
+    }
+
+    /// What has been estimated, for a stored state.
+    pub fn estimate(&self) -> &Estimate {
+        &self.estimate
+    }
+
+    /// What the estimator has been told.
+    pub fn parameters(&self) -> &Parameters {
+        self.simulation.parameters()
+    }
+
+    /// The inputs of the master that the last step held, or the start.
+    pub fn inputs(&self) -> &Inputs {
+        &self.estimate.inputs
+    }
+
+    /// What holds now, with the q̈ and λ that belong to some inputs of the master and to the unknown force.
+    pub fn state_for(&self, inputs: &Inputs) -> State {
+        self.simulation.state_for(&acting(inputs, &self.estimate.estimator.track().force))
+    }
+
+    /// Other parameters of effects and estimator, as far as they are tunable; see [`Simulation::tune`].
+    pub fn tune(&mut self, effects: &effects::Parameters, estimator: &estimator::Parameters) -> Result<(), SceneError> {
+        estimator.check(self.parameters().settings.step_size)?;
+        self.simulation.tune(effects)?;
+        self.simulation.tune_estimator(estimator);
+        // A payload that has joined has changed the masses, and the rates at once.
+        let Simulation { model, run, .. } = &self.simulation;
+        self.constants = Constants::new(&model.mechanism.geometry, estimator);
+        let (theta, omega) = run.motion(model);
+        self.estimate.estimator.move_to(theta, omega);
+        Ok(())
+    }
+
+    /// Motor torques that would do what the unknown force does, N·m, and their standard deviations; `None` where motors cannot.
+    pub fn motor_torques(&self) -> Option<([f64; 2], [f64; 2])> {
+        self.estimate.estimator.motor_torques(&self.constants)
+    }
+
+    /// Squared error against the true angles, rad, and rates, rad/s, of links 1 to 4 in units of the covariance: 4 on average where the
+    /// bands are honest.
+    pub fn nees(&self, theta: &[f64; 4], omega: &[f64; 4]) -> f64 {
+        self.estimate.estimator.nees(&self.constants, theta, omega)
+    }
+
+    /// Standard deviations of the angles of links 1 to 4, rad, and of their rates, rad/s.
+    pub fn sigmas(&self) -> [[f64; 4]; 2] {
+        self.estimate.estimator.sigmas(&self.constants)
+    }
+
+    /// Covariance of the tip, m²: xx, xy, yy.
+    pub fn tip_covariance(&self) -> [f64; 3] {
+        self.estimate.estimator.tip_covariance(&self.constants)
+    }
+
+    /// Probability of a direct singularity within the horizon while some inputs of the master are held.
+    pub fn singularity_probability(&self, inputs: &Inputs) -> f64 {
+        let Simulation { model, run, parameters } = &self.simulation;
+        let held = acting(inputs, &self.estimate.estimator.track().force);
+        let scene = FiveBar::<false>::new(model, &held, &run.turns);
+        self.estimate.estimator.singularity_probability(&self.constants, &scene, parameters.settings.step_size)
+    }
+
+    /// The estimator.
+    pub fn estimator(&self) -> &Estimator {
+        &self.estimate.estimator
+    }
+
+    /// What the estimate is worth.
+    pub fn status(&self) -> Status {
+        self.estimate.estimator.status()
+    }
+
+    /// What is wrong with an encoder and has not been told yet: its index and fault, [`Fault::None`] where it has become silent.
+    pub fn take_news(&mut self) -> ArrayVec<(usize, Fault), 2> {
+        let Estimate { estimator, told, .. } = &mut self.estimate;
+        let mut news = ArrayVec::new();
+        for (i, told) in told.iter_mut().enumerate() {
+            let (silent, fault) = estimator.encoder(i);
+            let bit = 1 << fault as u8;
+            // One that has never spoken is not silent, but not connected.
+            if *told & bit == 0 && (fault != Fault::None || silent && estimator.has_heard(i)) {
+                *told |= bit;
+                news.push((i, fault));
+            }
+        }
+        news
+    }
+}
+
+impl Estimate {
+    /// The inputs of the master.
+    pub fn inputs(&self) -> &Inputs {
+        &self.inputs
+    }
+}

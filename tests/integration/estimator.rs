@@ -1,0 +1,294 @@
+//! The estimator as a Rust user sees it: Jacobians against differences, consistency as statistics, grouping of steps.
+
+use fivebar::effects::Inputs;
+use fivebar::estimator::linkage::Linkage;
+use fivebar::estimator::{Links, Measured, Scene, transition};
+use fivebar::fmi::bindings::{default_inputs, default_parameters};
+use fivebar::simulation::five_bar::FiveBar;
+use fivebar::simulation::{Following, Method, Parameters, Signal, Simulation};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+use crate::support::{enable, unequal};
+
+/// In [0, 1).
+fn uniform(random: &mut ChaCha8Rng) -> f64 {
+    random.next_u64() as f64 / 2f64.powi(64)
+}
+
+/// Of a normal distribution (Box and Muller).
+fn normal(random: &mut ChaCha8Rng) -> f64 {
+    (-2.0 * (1.0 - uniform(random)).ln()).sqrt() * (std::f64::consts::TAU * uniform(random)).cos()
+}
+
+fn motion(simulation: &Simulation) -> (Links, Links) {
+    use fivebar::mechanism::coordinates::THETA;
+    let state = simulation.state();
+    (state.angles(), THETA.map(|i| state.core.v[i]))
+}
+
+/// Every effect that has a force, with values at which it acts.
+fn loaded(effect: &str) -> Parameters {
+    let mut parameters = unequal();
+    enable(&mut parameters, effect);
+    let effects = &mut parameters.effects;
+    effects.spring.k = [0.3, 0.2];
+    effects.viscous.b = [1e-3, 2e-3, 3e-3, 2e-3, 1e-3];
+    effects.friction.breakaway_velocity = 1.0;
+    effects.stop.lower = [1.9, 0.8];
+    effects.stop.upper = [1.99, 0.89];
+    effects.contact.offset = 0.4;
+    effects.contact.nx = 0.1;
+    effects.contact.ny = -1.0;
+    effects.contact.width = 0.01;
+    parameters
+}
+
+const EFFECTS: [&str; 9] = ["gravity", "rotor", "payload", "viscous", "friction", "spring", "stop", "contact", "servo"];
+
+/// K and C of the loads in the link angles are their derivatives.
+#[test]
+fn tangents_of_loads_are_differences() {
+    for effect in EFFECTS {
+        let parameters = loaded(effect);
+        let inputs = Inputs { tau: [0.02, -0.01], tip_force: [0.3, -0.2], ..default_inputs() };
+        let simulation = Simulation::new(&parameters, &inputs).expect("a scene");
+        let turns = [0; 4];
+        let scene = FiveBar::<false>::new(simulation.model(), &inputs, &turns);
+        let (theta, omega) = motion(&simulation);
+        let loads = scene.loads(&theta, &omega);
+        let scale = loads.torque.iter().fold(1e-3, |most: f64, x| most.max(x.abs()));
+        for k in 0..4 {
+            // Central differences: their error is step² times the third derivative, which steep loads have.
+            let step = 1e-6;
+            let moved = |x: &Links, by: f64| -> Links { std::array::from_fn(|i| x[i] + if i == k { by } else { 0.0 }) };
+            let by_angle = [step, -step].map(|by| scene.torque(&moved(&theta, by), &omega));
+            let by_rate = [step, -step].map(|by| scene.torque(&theta, &moved(&omega, by)));
+            for i in 0..4 {
+                let stiffness = -(by_angle[0][i] - by_angle[1][i]) / (2.0 * step);
+                let damping = -(by_rate[0][i] - by_rate[1][i]) / (2.0 * step);
+                let close = |a: f64, b: f64| (a - b).abs() < 1e-6 * (b.abs() + scale / 1e-2);
+                assert!(close(loads.stiffness[i][k], stiffness), "{effect}: K[{i}][{k}] {} {stiffness}", loads.stiffness[i][k]);
+                assert!(close(loads.damping[i][k], damping), "{effect}: C[{i}][{k}] {} {damping}", loads.damping[i][k]);
+            }
+        }
+        assert_eq!(loads.torque, scene.torque(&theta, &omega), "{effect}");
+    }
+}
+
+/// The variational equations are the differences of the motion, for errors of angles, rates and the unknown force.
+#[test]
+fn transitions_are_differences() {
+    for effect in EFFECTS {
+        let parameters = loaded(effect);
+        let inputs = Inputs { tau: [0.02, -0.01], ..default_inputs() };
+        let simulation = Simulation::new(&parameters, &inputs).expect("a scene");
+        let (model, turns) = (simulation.model(), [0; 4]);
+        let scene = FiveBar::<false>::new(model, &inputs, &turns);
+        let (theta, omega) = motion(&simulation);
+        let linkage = Linkage::new(&model.mechanism.geometry);
+        let frame = linkage.frame(&theta);
+        let (h, steps) = (2e-3, 4);
+        // The unknown force: a unit of torque on the left motor, and of tip force along x.
+        let force = [[1.0, 0.0], [0.0, 0.0], [0.0, 1.0], [0.0, 0.0]];
+        let flow = transition::flow(&linkage, &scene, (&theta, &omega, &frame), &force, h, steps);
+        let moved = |k: usize, by: f64| {
+            let mut error = [0.0; 6];
+            error[k] = by;
+            let (turned, quickened) = (frame.tangent([error[0], error[1]]), frame.tangent([error[2], error[3]]));
+            let add = |x: &Links, y: &Links| -> Links { std::array::from_fn(|i| x[i] + y[i]) };
+            let (theta, omega, _) = linkage.closed(add(&theta, &turned), add(&omega, &quickened)).expect("it closes");
+            let pushed = Inputs {
+                tau: [inputs.tau[0] + error[4], inputs.tau[1]],
+                tip_force: [inputs.tip_force[0] + error[5], inputs.tip_force[1]],
+                ..inputs
+            };
+            let scene = FiveBar::<false>::new(model, &pushed, &turns);
+            transition::motion(&linkage, &scene, (theta, omega), h, steps)
+        };
+        for k in 0..6 {
+            let step = 1e-5;
+            let (ahead, behind) = (moved(k, step), moved(k, -step));
+            let columns = |i: usize| {
+                let (d_theta, d_omega) = flow.column(k);
+                [(d_theta[i], (ahead.0[i] - behind.0[i]) / (2.0 * step)), (d_omega[i], (ahead.1[i] - behind.1[i]) / (2.0 * step))]
+            };
+            let size = (0..4).flat_map(columns).fold(0.0, |most: f64, (_, y)| most.max(y.abs()));
+            for (i, (exact, difference)) in (0..4).flat_map(|i| columns(i).map(|pair| (i, pair))) {
+                // step² times a third derivative: contact and stop ramp up over 1e-2.
+                assert!((exact - difference).abs() < 1e-5 * size, "{effect}: {k}, link {i}: {exact} {difference}");
+            }
+        }
+    }
+}
+
+/// The motion of the estimator's own Runge-Kutta is that of the unit.
+#[test]
+fn motions_are_those_of_the_unit() {
+    for effect in ["gravity", "rotor", "payload", "viscous", "spring", "servo"] {
+        let mut parameters = loaded(effect);
+        parameters.settings.method = Method::Dop853;
+        parameters.settings.error_tolerance = 1e-12;
+        let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("a scene");
+        let turns = [0; 4];
+        let (theta, omega) = motion(&simulation);
+        let linkage = Linkage::new(&simulation.model().mechanism.geometry);
+        let (got, rates) = {
+            let inputs = default_inputs();
+            let scene = FiveBar::<false>::new(simulation.model(), &inputs, &turns);
+            transition::motion(&linkage, &scene, (theta, omega), 5e-3, 20)
+        };
+        simulation.advance(&default_inputs(), 5e-3, 1).expect("a step");
+        let (want, want_rates) = motion(&simulation);
+        for i in 0..4 {
+            // 20 steps of order 4 of 0.25 ms.
+            assert!((got[i] - want[i]).abs() < 1e-9 && (rates[i] - want_rates[i]).abs() < 1e-6, "{effect}: {got:?} {want:?}");
+        }
+    }
+}
+
+/// A machine with a start of its own, and the samples of its encoders.
+struct Machine {
+    truth: Simulation,
+    random: ChaCha8Rng,
+    sigma: f64,
+    quantum: f64,
+}
+
+impl Machine {
+    fn new(parameters: &Parameters, seed: u64, off: [f64; 2]) -> Self {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let mut parameters = parameters.clone();
+        for i in 0..2 {
+            parameters.start.theta[i] += off[0] * normal(&mut random);
+            parameters.start.omega[i] += off[1] * normal(&mut random);
+        }
+        let truth = Simulation::new(&parameters, &default_inputs()).expect("a scene");
+        let [sigma, quantum] = [parameters.estimator.sigma[0], parameters.estimator.quantum[0]];
+        Self { truth, random, sigma, quantum }
+    }
+
+    fn sample(&mut self, time: f64) -> Measured {
+        let (theta, _) = motion(&self.truth);
+        let read = [0, 3].map(|link| {
+            let angle = theta[link] + self.sigma * normal(&mut self.random);
+            if self.quantum > 0.0 { (angle / self.quantum).round() * self.quantum } else { angle }
+        });
+        Measured { theta: read, time: [time; 2] }
+    }
+}
+
+fn followed(method: Method) -> Parameters {
+    let mut parameters = default_parameters();
+    parameters.geometry.base_distance = 0.1;
+    parameters.start.theta = [2.2, 0.9];
+    parameters.settings.method = method;
+    let estimator = &mut parameters.estimator;
+    estimator.enabled = true;
+    estimator.sigma = [1e-3; 2];
+    estimator.sigma0_theta = 0.02;
+    estimator.sigma0_omega = 0.2;
+    parameters
+}
+
+/// Squared error of angles and rates in units of the covariance: 4 on average.
+fn nees(following: &Following, machine: &Machine) -> f64 {
+    let (theta, omega) = motion(&machine.truth);
+    following.nees(&theta, &omega)
+}
+
+/// White noise and the model's own machine: NEES has its four degrees of freedom or less (the filter allows for unknown forces, which
+/// this machine does not feel), and NIS one for each encoder.
+#[test]
+fn bands_are_honest() {
+    let runs = 40;
+    let steps = 150;
+    let (mut sum_nees, mut sum_nis) = (0.0, 0.0);
+    for seed in 0..runs {
+        let parameters = followed(Method::Dop853);
+        let mut machine = Machine::new(&parameters, 900 + seed, [0.02, 0.2]);
+        let mut following = Following::new(&parameters, &default_inputs()).expect("a scene");
+        for step in 0..steps {
+            let time = f64::from(step) * 1e-3;
+            following.correct(&machine.sample(time), time);
+            if step >= 50 {
+                sum_nees += nees(&following, &machine);
+                sum_nis += following.estimator().nis();
+            }
+            following.advance_along(&Signal::held(default_inputs()), 1e-3, 1).expect("a step");
+            machine.truth.advance(&default_inputs(), 1e-3, 1).expect("a step");
+        }
+    }
+    let count = f64::from(steps - 50) * runs as f64;
+    let (nees, nis) = (sum_nees / count, sum_nis / count);
+    // Samples of NIS are independent: 8000 with variance 2 each, four standard deviations are 0.07 of 2. Those of NEES are not within a
+    // run: 40 of variance 8, three standard deviations are 1.4.
+    assert!((1.75..2.1).contains(&nis), "NIS {nis}");
+    assert!((1.5..5.4).contains(&nees), "NEES {nees}");
+}
+
+/// All methods, through coasting and samples: n steps in one call are n calls of one, to the bit.
+#[test]
+fn grouping_does_not_matter() {
+    for method in [Method::I3alp, Method::I3alpPrinted, Method::Rk4, Method::Dop853, Method::I3alpConserving] {
+        let mut parameters = followed(method);
+        enable(&mut parameters, "friction");
+        parameters.estimator.forecast = fivebar::estimator::Bands::SigmaPoints;
+        parameters.estimator.max_delay = 5e-3;
+        let mut one = Following::new(&parameters, &default_inputs()).expect("a scene");
+        let mut machine = Machine::new(&parameters, 7, [0.0, 0.0]);
+        let inputs = Signal::held(Inputs { tau: [0.01, 0.0], ..default_inputs() });
+        for call in 0..6 {
+            let time = f64::from(call) * 8e-3;
+            let measured = machine.sample(time);
+            if call != 3 {
+                one.correct(&measured, time);
+            }
+            let mut other = one.clone();
+            one.advance_along(&inputs, 1e-3, 8).expect("steps");
+            for _ in 0..8 {
+                other.advance_along(&inputs, 1e-3, 1).expect("a step");
+            }
+            assert_eq!(one.estimate(), other.estimate(), "{method:?}");
+            assert_eq!(one.simulation().run(), other.simulation().run(), "{method:?}");
+            machine.truth.advance(&inputs.value, 1e-3, 8).expect("steps");
+        }
+    }
+}
+
+/// Samples that come late are worth almost what they are worth at once.
+#[test]
+fn delay_is_accounted_for() {
+    let error = |delay: u32, told: f64| {
+        let mut parameters = followed(Method::Dop853);
+        parameters.estimator.max_delay = told;
+        let mut machine = Machine::new(&parameters, 11, [0.02, 0.2]);
+        let mut following = Following::new(&parameters, &default_inputs()).expect("a scene");
+        let mut line = std::collections::VecDeque::new();
+        let mut sum = 0.0;
+        for step in 0..400 {
+            let time = f64::from(step) * 1e-3;
+            line.push_back(machine.sample(time));
+            if step >= delay {
+                let mut sample = line.pop_front().expect("a sample");
+                if told == 0.0 {
+                    sample.time = [time; 2];
+                }
+                following.correct(&sample, time);
+            }
+            if step >= 100 {
+                let (theta, _) = motion(&machine.truth);
+                let tip = fivebar::observers::motion(following.simulation().model(), &following.state_for(&default_inputs()));
+                let truth = fivebar::observers::motion(machine.truth.model(), &machine.truth.state());
+                assert!(theta[0].is_finite());
+                sum += (tip.tip - truth.tip).norm_squared();
+            }
+            following.advance_along(&Signal::held(default_inputs()), 1e-3, 1).expect("a step");
+            machine.truth.advance(&default_inputs(), 1e-3, 1).expect("a step");
+        }
+        (sum / 300.0).sqrt()
+    };
+    let (at_once, accounted, ignored) = (error(0, 0.0), error(4, 5e-3), error(4, 0.0));
+    assert!(accounted < 2.0 * at_once, "{at_once} {accounted}");
+    assert!(ignored > 5.0 * accounted, "{accounted} {ignored}");
+}

@@ -1,0 +1,259 @@
+//! A machine that is followed, through the C functions: its variables, what encoders do wrong, stored states.
+
+use fivebar::ffi::*;
+use fivebar::variables::VARIABLES;
+
+use crate::fmi_host::{Host, reference};
+
+const STATUS: [(&str, i32); 12] = [
+    ("off", 1),
+    ("following", 2),
+    ("coasting", 3),
+    ("oneEncoder", 4),
+    ("holding", 5),
+    ("twoBranches", 6),
+    ("inconsistent", 7),
+    ("rejected", 8),
+    ("late", 9),
+    ("future", 10),
+    ("invalid", 11),
+    ("stuck", 12),
+];
+
+/// A fall of the table-top machine, followed, ready to step.
+fn following(method: i32, values: &[(&str, f64)]) -> Host {
+    let host = Host::initializing(0.0, None);
+    assert_eq!(host.set_boolean(&[reference("estimator.enabled")], &[1]), fmi2OK);
+    assert_eq!(host.set_integer(&[reference("solver.method")], &[method]), fmi2OK);
+    let start = [("base.distance", 0.1), ("init.theta[1]", 2.2), ("init.theta[2]", 0.9), ("estimator.sigma0.theta", 0.02)];
+    let quanta = [("estimator.quantum[1]", 1e-4), ("estimator.quantum[2]", 1e-4), ("estimator.sigma0.omega", 0.2)];
+    for (name, value) in start.iter().chain(&quanta).chain(values) {
+        assert_eq!(host.set_real(&[reference(name)], &[*value]), fmi2OK, "{name}: {:?}", host.take());
+    }
+    assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
+    host
+}
+
+fn real(host: &Host, name: &str) -> f64 {
+    let mut value = [0.0];
+    assert_eq!(host.get_real(&[reference(name)], &mut value), fmi2OK, "{name}: {:?}", host.take());
+    value[0]
+}
+
+fn status(host: &Host) -> &'static str {
+    let mut value = [0];
+    assert_eq!(host.get_integer(&[reference("estimated.status")], &mut value), fmi2OK);
+    STATUS.iter().find(|(_, number)| *number == value[0]).expect("a status").0
+}
+
+fn measure(host: &Host, theta: [f64; 2], time: [f64; 2]) {
+    let names = ["measured.theta[1]", "measured.theta[2]", "measured.time[1]", "measured.time[2]"].map(reference);
+    assert_eq!(host.set_real(&names, &[theta[0], theta[1], time[0], time[1]]), fmi2OK, "{:?}", host.take());
+}
+
+const H: f64 = 1e-3;
+
+/// The machine itself: the same with another start, 0.01 rad off.
+fn machine() -> Host {
+    let host = Host::initializing(0.0, None);
+    assert_eq!(host.set_integer(&[reference("solver.method")], &[4]), fmi2OK);
+    for (name, value) in [("base.distance", 0.1), ("init.theta[1]", 2.21), ("init.theta[2]", 0.89)] {
+        assert_eq!(host.set_real(&[reference(name)], &[value]), fmi2OK);
+    }
+    assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK);
+    host
+}
+
+fn angles(host: &Host) -> [f64; 2] {
+    [real(host, "theta[1]"), real(host, "theta[2]")]
+}
+
+/// Both go from one step to another; the samples as `seen` changes them (angles, times).
+fn follow(host: &Host, machine: &Host, steps: std::ops::Range<u32>, seen: impl Fn([f64; 2], f64) -> ([f64; 2], [f64; 2])) {
+    for step in steps {
+        let time = f64::from(step) * H;
+        let (theta, times) = seen(angles(machine).map(|angle| (angle / 1e-4).round() * 1e-4), time);
+        measure(host, theta, times);
+        assert_eq!(host.do_step(time, H), fmi2OK, "{:?}", host.take());
+        assert_eq!(machine.do_step(time, H), fmi2OK);
+    }
+}
+
+fn at_once(theta: [f64; 2], time: f64) -> ([f64; 2], [f64; 2]) {
+    (theta, [time; 2])
+}
+
+fn tip_error(host: &Host, machine: &Host) -> f64 {
+    ["tip.x", "tip.y"].map(|name| real(host, name) - real(machine, name)).iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+fn bytes_of(host: &Host, state: fmi2FMUstate) -> Vec<u8> {
+    let (status, size) = host.serialized_size(state);
+    let (written, bytes) = host.serialize(state, size);
+    assert_eq!((status, written), (fmi2OK, fmi2OK));
+    bytes
+}
+
+fn state_of(host: &Host, bytes: &[u8]) -> fmi2FMUstate {
+    let mut state = std::ptr::null_mut();
+    assert_eq!(host.deserialize(bytes, &mut state), fmi2OK, "{:?}", host.take());
+    state
+}
+
+/// Every Real but what was measured, as bits.
+fn reals(host: &Host) -> Vec<u64> {
+    let computed = VARIABLES.iter().filter(|v| v.start.is_none() && v.fmi_type() == fivebar::variables::FmiType::Real);
+    let references: Vec<u32> = computed.map(|v| v.reference).collect();
+    let mut values = vec![0.0; references.len()];
+    assert_eq!(host.get_real(&references, &mut values), fmi2OK, "{:?}", host.take());
+    values.into_iter().map(f64::to_bits).collect()
+}
+
+#[test]
+fn off_nothing_is_estimated() {
+    let host = Host::ready(&[]);
+    measure(&host, [1.0, 2.0], [0.0, 0.0]);
+    let plain = Host::ready(&[]);
+    for instance in [&host, &plain] {
+        assert_eq!(instance.do_step(0.0, H), fmi2OK);
+    }
+    assert_eq!((status(&host), real(&host, "estimated.nis"), real(&host, "measured.theta[2]")), ("off", 0.0, 2.0));
+    assert_eq!(reals(&host), reals(&plain));
+}
+
+#[test]
+fn a_machine_is_followed_by_every_method() {
+    for method in 1..=5 {
+        let (host, machine) = (following(method, &[]), machine());
+        assert_eq!(status(&host), "coasting");
+        let before = tip_error(&host, &machine);
+        follow(&host, &machine, 0..300, at_once);
+        let after = tip_error(&host, &machine);
+        // 1e-4 rad of 0.21 m are 0.02 mm; the start was 3 mm off.
+        assert!(before > 1e-3 && after < 5e-5, "method {method}: {before} {after}");
+        assert_eq!(status(&host), "following", "method {method}");
+        assert!(real(&host, "estimated.theta.sigma[1]") < 1e-4);
+        assert_eq!(host.take(), []);
+    }
+}
+
+/// Outputs change in fmi2DoStep only: what is measured is no input of them.
+#[test]
+fn samples_change_no_output() {
+    let (host, machine) = (following(1, &[]), machine());
+    follow(&host, &machine, 0..20, at_once);
+    let before = reals(&host);
+    measure(&host, [0.3, 0.4], [0.02, 0.02]);
+    assert_eq!(reals(&host), before);
+    let state = host.state();
+    measure(&host, [f64::NAN, 0.4], [0.02, 0.02]);
+    assert_eq!(reals(&host), before);
+    assert_eq!(host.set_state(state), fmi2OK);
+    assert_eq!(real(&host, "measured.theta[1]"), 0.3);
+    let mut state = state;
+    assert_eq!(host.free_state(&mut state), fmi2OK);
+}
+
+/// What encoders do wrong: a status, one line in the log, and an estimate that goes on.
+#[test]
+fn faults_are_told_once_and_survived() {
+    type Seen = fn([f64; 2], f64) -> ([f64; 2], [f64; 2]);
+    let cases: [(&str, &str, Seen); 6] = [
+        ("late", "is older than estimator.maxDelay", |theta, time| (theta, [time - 0.02, time])),
+        ("future", "after the communication point", |theta, time| (theta, [time + 0.02, time])),
+        ("invalid", "is not a number", |theta, time| ([f64::NAN, theta[1]], [time; 2])),
+        ("oneEncoder", "has been silent", |theta, time| (theta, [0.049, time])),
+        ("stuck", "repeats itself", |theta, time| ([2.2, theta[1]], [time; 2])),
+        ("rejected", "too far from what is expected", |theta, time| {
+            // A wild sample now and then.
+            let wild = if (time / H).round() as i64 % 10 == 9 { 0.2 } else { 0.0 };
+            ([theta[0] + wild, theta[1]], [time; 2])
+        }),
+    ];
+    for (name, text, seen) in cases {
+        let (host, machine) = (following(1, &[]), machine());
+        follow(&host, &machine, 0..50, at_once);
+        assert_eq!(host.take(), [], "{name}");
+        follow(&host, &machine, 50..80, seen);
+        assert_eq!(status(&host), name);
+        let lines = host.take();
+        // One that gets stuck jumps here, and is wild before it repeats itself.
+        assert_eq!(lines.len(), 1 + usize::from(name == "stuck"), "{name}: {lines:?}");
+        let told = &lines[lines.len() - 1].text;
+        assert!(told.contains(text) && told.contains("measured.theta[1]"), "{name}: {lines:?}");
+        follow(&host, &machine, 80..200, at_once);
+        assert_eq!(status(&host), "following", "{name}");
+        assert!(tip_error(&host, &machine) < 1e-4, "{name}: {}", tip_error(&host, &machine));
+        assert_eq!(host.take(), [], "{name}");
+    }
+}
+
+/// Whole turns are left out of innovations.
+#[test]
+fn turns_do_not_matter() {
+    let (host, machine) = (following(1, &[]), machine());
+    follow(&host, &machine, 0..100, |theta, time| {
+        ([theta[0] + std::f64::consts::TAU, theta[1] - 3.0 * std::f64::consts::TAU], [time; 2])
+    });
+    assert!(tip_error(&host, &machine) < 1e-4);
+    assert!((real(&host, "theta[1]") - real(&machine, "theta[1]")).abs() < 1e-3);
+}
+
+/// A stored state and steps ahead are a forecast; in memory, as bytes and in another instance it is the same to the bit.
+#[test]
+fn stored_states_are_everything() {
+    for method in 1..=5 {
+        let values = [("estimator.maxDelay", 4e-3)];
+        let (host, machine) = (following(method, &values), machine());
+        let late = |theta: [f64; 2], time: f64| (theta, [time - 2e-3 * f64::from(u8::from(time > 0.01)), time]);
+        follow(&host, &machine, 0..60, late);
+        let mut state = host.state();
+        let bytes = bytes_of(&host, state);
+        follow(&host, &machine, 60..90, late);
+        for step in 90..120 {
+            assert_eq!(host.do_step(f64::from(step) * H, H), fmi2OK);
+        }
+        let ahead = reals(&host);
+        assert_eq!(status(&host), "coasting");
+        let machine_again = self::machine();
+        for step in 0..60 {
+            assert_eq!(machine_again.do_step(f64::from(step) * H, H), fmi2OK);
+        }
+        let other = Host::new();
+        let mut read = state_of(&other, &bytes);
+        assert_eq!(other.set_state(read), fmi2OK, "{:?}", other.take());
+        follow(&other, &machine_again, 60..90, late);
+        assert_eq!(other.do_step(90.0 * H, 30.0 * H), fmi2OK);
+        assert_eq!(reals(&other), ahead, "method {method}");
+        assert_eq!((host.free_state(&mut state), other.free_state(&mut read)), (fmi2OK, fmi2OK));
+    }
+}
+
+/// Off there is no byte of it in a stored state, and a sample that has been set is kept.
+#[test]
+fn off_there_is_no_byte_of_state() {
+    let host = Host::ready(&[]);
+    let mut state = host.state();
+    let plain = bytes_of(&host, state).len();
+    assert_eq!(host.free_state(&mut state), fmi2OK);
+    measure(&host, [1.0, 2.0], [0.0, 0.0]);
+    let mut state = host.state();
+    let bytes = bytes_of(&host, state);
+    assert_eq!(bytes.len(), plain + 33, "two angles, two times, and that there is no estimate");
+    let other = Host::new();
+    let mut read = state_of(&other, &bytes);
+    assert_eq!(other.set_state(read), fmi2OK);
+    assert_eq!(real(&other, "measured.theta[2]"), 2.0);
+    assert_eq!((host.free_state(&mut state), other.free_state(&mut read)), (fmi2OK, fmi2OK));
+}
+
+/// A step that is discarded takes the correction back.
+#[test]
+fn a_refused_scene_says_why() {
+    let host = Host::initializing(0.0, None);
+    assert_eq!(host.set_boolean(&[reference("estimator.enabled")], &[1]), fmi2OK);
+    assert_eq!(host.set_real(&[reference("estimator.maxDelay")], &[0.5]), fmi2OK);
+    assert_eq!(host.call(fmi2ExitInitializationMode), fmi2Error);
+    let line = host.line();
+    assert!(line.contains("estimator.maxDelay = 0.5 s is not allowed: at most 31 steps of solver.stepSize"), "{line}");
+}

@@ -1,0 +1,318 @@
+"""The twin without a broker: it follows, puts late samples where they belong, goes on from stored states, forecasts, is replayed."""
+
+import math
+import random
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from fivebar_twin import figures, record
+from fivebar_twin.config import Config, Faults
+from fivebar_twin.errors import TwinError
+from fivebar_twin.follow import Twin
+from fivebar_twin.follower import DEPTH, LONGEST_GAP, Follower
+from fivebar_twin.forecast import Forecaster, covariance, crossing, half_width, inside
+from fivebar_twin.machine import Mangler, StandIn
+from fivebar_twin.messages import Message, encode
+from fivebar_twin.recorder import Recorder
+from fivebar_twin.replay import Result, replay
+from fivebar_twin.soak import BEGIN, Wire, configured, machine
+from fivebar_twin.unit import Library
+from twin_support import follower, recorded
+
+
+@pytest.fixture(scope="module")
+def library(fmu: Path) -> Iterator[Library]:
+    """The unit under test."""
+    made = Library(fmu)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def config(tmp_path: Path, fmu: Path, library: Library, scenes: Path) -> Config:
+    """The default run."""
+    return configured(tmp_path, fmu, library, scenes / "pick_and_place.json")
+
+
+@pytest.fixture
+def samples(config: Config, library: Library) -> list[Message]:
+    """Two seconds of the default run."""
+    source = machine(config, library)
+    taken = [source.next() for _ in range(400)]
+    source.close()
+    return taken
+
+
+def estimates(twin: Follower, messages: list[Message]) -> list[Message]:
+    """What the twin says to each sample that is not late."""
+    return [twin.estimate() for message in messages if twin.meas(message)]
+
+
+def off(estimate: Message, samples: list[Message]) -> float:
+    """Distance of the estimated tip from the machine's, m; between two samples that is on a line, within 0.02 mm for this scene."""
+    share = 1e-9 * (estimate.time - BEGIN) / 0.005
+    before, after = (samples[min(math.floor(share) + i, len(samples) - 1)].fields for i in (0, 1))
+    at = [before[name] + (share % 1) * (after[name] - before[name]) for name in ("tip.x", "tip.y")]
+    return math.dist(at, [estimate.fields["tip.x"], estimate.fields["tip.y"]])
+
+
+def test_the_twin_follows_within_its_bands(config: Config, library: Library, samples: list[Message]) -> None:
+    twin = follower(config, library)
+    said = estimates(twin, samples)
+    twin.close()
+    assert [each.seq for each in said] == list(range(400))
+    assert all(each.time == sample.time + 1_000_000 for each, sample in zip(said, samples, strict=True))
+    # An encoder's step, 2π/2^16 rad, moves the tip by some 0.04 mm.
+    assert max(off(each, samples) for each in said[:-1]) < 1e-4
+    share = sum(off(each, samples) < half_width(covariance(each.fields)) for each in said[:-1]) / 399
+    assert share > 0.85
+
+
+def test_late_and_doubled_samples_change_nothing_in_the_end(config: Config, library: Library, samples: list[Message]) -> None:
+    chance = random.Random(3)
+    shuffled = sorted(samples, key=lambda m: m.seq + (chance.randint(2, 8) if m.seq % 7 == 3 and m.seq < 380 else 0))
+    assert sum(a.seq > b.seq for a, b in pairwise(shuffled)) > 30
+    one, other = follower(config, library), follower(config, library)
+    in_order, mixed = estimates(one, samples)[-1], estimates(other, shuffled)[-1]
+    assert in_order.fields == mixed.fields, "to the bit"
+    assert len(other.done) == DEPTH
+    one.close()
+    other.close()
+
+
+def test_lost_samples_widen_the_bands_and_no_more(config: Config, library: Library, samples: list[Message]) -> None:
+    chance = random.Random(4)
+    kept = [m for m in samples if chance.random() > 0.05 or m.seq == 0]
+    twin = follower(config, library)
+    said = estimates(twin, kept)
+    assert len(said) == len(kept) < 390
+    assert max(off(each, samples) for each in said[:-1]) < 1.5e-4
+    twin.close()
+
+
+def test_one_encoder_may_be_silent_for_a_while(config: Config, library: Library, samples: list[Message]) -> None:
+    blind = [
+        replace(m, fields={name: x for name, x in m.fields.items() if not (100 <= m.seq < 120 and name == "measured.theta[2]")}) for m in samples
+    ]
+    twin = follower(config, library)
+    assert max(off(each, samples) for each in estimates(twin, blind)[:-1]) < 1e-3
+    twin.close()
+
+
+def test_a_jump_of_the_machines_clock_changes_times_only(config: Config, library: Library, samples: list[Message]) -> None:
+    one, other = follower(config, library), follower(config, library)
+    jumped = [replace(m, time=m.time + (3_600_000_000_000 if m.seq >= 200 else 0)) for m in samples]
+    plain, moved = estimates(one, samples), estimates(other, jumped)
+    assert [each.fields for each in plain] == [each.fields for each in moved]
+    assert other.jumps == 1 and moved[-1].time - plain[-1].time == 3_600_000_000_000
+    one.close()
+    other.close()
+
+
+def test_a_gap_is_coasted_through_and_a_long_one_starts_anew(config: Config, library: Library) -> None:
+    source = machine(config, library)
+    samples = [source.next() for _ in range(2000)]
+    source.close()
+    twin = follower(config, library)
+    said = estimates(twin, samples[:200] + samples[600:700])
+    assert not twin.failure, "two seconds along the plan"
+    assert off(said[-1], samples) < 1e-4
+    beyond = 700 + round(LONGEST_GAP / 0.005) + 1
+    more = estimates(twin, samples[beyond:])
+    assert twin.failure == "no sample for more than 5 s"
+    assert off(more[-2], samples) < 1e-4
+    twin.close()
+
+
+def test_a_stored_state_goes_on_to_the_same_bytes_elsewhere(config: Config, library: Library, samples: list[Message]) -> None:
+    one, other = follower(config, library), follower(config, library)
+    estimates(one, samples[:250])
+    other.go_on_from(one.state())
+    assert other.estimate().extra["inputs"] == [["state", 249, samples[249].time]]
+    one.inputs = []
+    assert [encode(e) for e in estimates(one, samples[250:])] == [encode(e) for e in estimates(other, samples[250:])]
+    one.close()
+    other.close()
+
+
+def test_a_broken_state_is_refused(config: Config, library: Library, samples: list[Message]) -> None:
+    twin = follower(config, library)
+    estimates(twin, samples[:10])
+    state = twin.state()
+    for name, value in (("state", "AAAA"), ("state", 5), ("book", {}), ("clock", "x"), ("parameters", [1])):
+        with pytest.raises(TwinError):
+            twin.go_on_from(replace(state, extra=state.extra | {name: value}))
+    twin.close()
+
+
+def test_parameters_are_taken_within_their_bounds(config: Config, library: Library, samples: list[Message]) -> None:
+    twin = follower(config, library)
+    estimates(twin, samples[:10])
+
+    def order(**fields: float) -> Message:
+        return Message("param", "bench", 1, 1, fields)
+
+    assert twin.allowed(order(**{"servo.kp[1]": 21.0})) == ""
+    assert "0 to " in twin.allowed(order(**{"servo.kp[1]": -1.0})).replace("0.0", "0")
+    assert "no tunable parameter" in twin.allowed(order(**{"base.distance": 0.1}))
+    assert "no tunable parameter" in twin.allowed(order(**{"tip.x": 0.1}))
+    assert "no tunable parameter" in twin.allowed(order(nonsense=0.1))
+    twin.param(order(**{"servo.kp[1]": 21.0}))
+    assert twin.unit.get(["servo.kp[1]"]) == {"servo.kp[1]": 21.0}
+    twin.restart(Message("cmd", "bench", 2, 2, {}))
+    estimates(twin, samples[10:20])
+    assert twin.unit.get(["servo.kp[1]"]) == {"servo.kp[1]": 21.0}, "also after a start anew"
+    twin.close()
+
+
+# --- forecasts ------------------------------------------------------------------------------------------------------------------------
+
+
+def test_a_forecast_disturbs_nothing_and_holds_what_comes(config: Config, library: Library, samples: list[Message]) -> None:
+    twin, plain = follower(config, library), follower(config, library)
+    ahead = Forecaster(library, twin.setup)
+    made: list[Message] = []
+    for message in samples:
+        assert twin.meas(message)
+        twin.estimate()
+        if message.seq % 40 == 20 and message.seq + 101 < len(samples):
+            assert twin.book is not None
+            stored = twin.unit.store()
+            forecast = ahead.run(stored, twin.book)
+            twin.unit.free(stored)
+            assert forecast is not None
+            made.append(forecast)
+    estimates(plain, samples)
+    assert encode(twin.state()) == encode(plain.state())
+    for forecast in made:
+        assert forecast.extra["path"]["ahead"] == pytest.approx([0.05 * (i + 1) for i in range(10)])
+        later = replace(forecast, time=forecast.time + 500_000_000)
+        assert off(later, samples) < forecast.extra["half_width"] < 0.02
+        widths = [half_width(cov) for cov in zip(*(forecast.extra["path"][f"estimated.tip.cov[{i}]"] for i in (1, 2, 3)), strict=True)]
+        assert widths[0] < widths[-1]
+    for each in (twin, plain, ahead):
+        each.close()
+
+
+def test_forecasts_name_singularities_and_stops_before_they_come(tmp_path: Path, fmu: Path, library: Library, scenes: Path) -> None:
+    """The scenes meet what the forecasts say, at the time that they say, as seen by the machine itself."""
+    config = configured(tmp_path, fmu, library, scenes / "fall_90_120.json")
+    source, twin = machine(config, library), follower(config, library)
+    ahead = Forecaster(library, twin.setup)
+    said, met = [], []
+    before = None
+    for _ in range(160):
+        message = source.next()
+        assert twin.meas(message)
+        twin.estimate()
+        if message.seq % 10 == 0 and twin.book is not None:
+            stored = twin.unit.store()
+            said.append(ahead.run(stored, twin.book))
+            twin.unit.free(stored)
+        seen = source.rider.unit.get(["singular.detJx", "singular.detJq"])
+        if before is not None:
+            met += [source.seq * 0.005 for name, value in seen.items() if crossing(before[name], value) is not None]
+        before = seen
+    assert met, "the fall goes through singularities"
+    named = [(1e-9 * (f.time - BEGIN), 1e-9 * (f.extra["singular"]["time"] - BEGIN)) for f in said if f and f.extra["singular"]["time"]]
+    near = [when for now, when in named if now < met[0] < now + 0.15]
+    assert near and all(abs(when - met[0]) < 0.01 for when in near)
+    for each in (source, twin, ahead):
+        each.close()
+
+
+def test_geometry_of_bands() -> None:
+    assert half_width((4e-6, 0.0, 1e-6)) == pytest.approx(2e-3 * math.sqrt(5.991464547))
+    assert half_width((1e-6, 1e-6, 1e-6)) == pytest.approx(math.sqrt(2 * 5.991464547) * 1e-3)
+    assert inside((1e-6, 0.0, 1e-6), 2.4e-3, 0.0) and not inside((1e-6, 0.0, 1e-6), 2.5e-3, 0.0)
+    assert not inside((0.0, 0.0, 0.0), 0.0, 0.0)
+    assert crossing(1.0, -3.0) == 0.25 and crossing(1.0, 2.0) is None and crossing(0.0, 1.0) is None
+
+
+# --- records and replays --------------------------------------------------------------------------------------------------------------
+
+
+def test_a_record_is_replayed_to_the_bit(config: Config, library: Library, fmu: Path) -> None:
+    faults = Faults(lost=0.05, doubled=0.03, late=0.05, malformed=0.02)
+    run = recorded(config, library, 1000, Mangler(faults, 1).send)
+    assert 30 < run.twin.counts["late"]
+    result = replay(run.folder, fmu)
+    assert (result.compared, result.differing, result.left_out) == (run.twin.counts["estimated"], [], 0)
+    assert result.states >= 4
+    # From the middle it goes on at the next stored state.
+    part = replay(run.folder, fmu, since=2.0)
+    assert not part.differing and 300 < part.compared < result.compared and part.left_out > 0
+    story = figures.read(run.folder)
+    summary = figures.summarise(config, story, figures.judge(story), {}, {})
+    assert summary["samples"]["estimated"] == run.twin.counts["estimated"]
+    assert summary["tip_error_mm"]["rms"] < 0.1
+
+
+def test_what_differs_or_is_missing_is_told(config: Config, library: Library, fmu: Path, tmp_path: Path) -> None:
+    run = recorded(config, library, 500)
+    table = pq.read_table(run.folder)
+
+    def changed(name: str, payload: bytes | None, kind: str, seq: int) -> Result:
+        """The replay of a record in which one row is another one, or gone."""
+        rows = [record.Row(**row) for row in table.to_pylist()]
+        (place,) = (i for i, row in enumerate(rows) if row.topic.endswith(kind) and row.seq == seq)
+        rows[place : place + 1] = [rows[place]._replace(payload=payload)] if payload else []
+        folder = tmp_path / name
+        folder.mkdir()
+        return replay(record.write_part(folder, 0, 0, rows), fmu)
+
+    (estimate,) = (row["payload"] for row in table.to_pylist() if row["topic"].endswith("est") and row["seq"] == 250)
+    digit = estimate.index(b'"tip.x":') + 20
+    flipped = estimate[:digit] + (b"1" if estimate[digit : digit + 1] != b"1" else b"2") + estimate[digit + 1 :]
+    result = changed("flipped", flipped, "est", 250)
+    assert result.differing == ["the estimate after sample 250 differs"] and result.compared == 500
+    result = changed("gone", None, "meas", 250)
+    assert not result.differing and 100 < result.left_out < 210 and result.compared + result.left_out == 500
+    result = changed("no_estimate", None, "est", 250)
+    assert not result.differing and 100 < result.left_out < 210
+
+
+def test_a_twin_that_was_killed_is_replayed_too(config: Config, library: Library, fmu: Path, samples: list[Message]) -> None:
+    first = recorded(config, library, 300)
+    state = Path(config.folder) / "state" / "twin.json"
+    assert state.is_file()
+    # A second life, which goes on from the stored state 100 samples later.
+    twin, recorder = Twin(config, library), Recorder(config)
+    wire = Wire(config, twin, recorder)
+    source: StandIn = machine(config, library)
+    later = [source.next() for _ in range(800)][400:]
+    for message in later:
+        wire.send("meas", encode(message))
+    wire.end()
+    source.close()
+    result = replay(first.folder, fmu)
+    assert not result.differing and result.compared == 700
+    story = figures.read(first.folder)
+    error = figures.judge(story).error
+    # Back at once within its bands, as if nothing had been.
+    assert (error[310:690] < 1e-4).all()
+
+
+def test_a_restart_by_command_is_replayed(config: Config, library: Library, fmu: Path) -> None:
+    twin, recorder = Twin(config, library), Recorder(config)
+    recorder.about = twin.setup.to_message(config.unit, BEGIN)
+    wire = Wire(config, twin, recorder)
+    source = machine(config, library)
+    for i in range(300):
+        if i == 100:
+            wire.send("cmd", encode(Message("cmd", "bench", BEGIN + 1, 1, {}, {"command": "restart"})))
+        if i == 200:
+            wire.send("param", encode(Message("param", "bench", BEGIN + 2, 2, {"servo.kp[1]": 21.0})))
+            # The same order once more is old.
+            wire.send("param", encode(Message("param", "bench", BEGIN + 2, 2, {"servo.kp[1]": 21.0})))
+            wire.send("param", encode(Message("param", "bench", BEGIN + 3, 3, {"servo.kp[1]": -1.0})))
+        wire.send("meas", encode(source.next()))
+    wire.end()
+    source.close()
+    assert twin.refused == 2
+    result = replay(recorder.folder, fmu)
+    assert not result.differing and result.compared == 300 and not result.left_out

@@ -1,0 +1,353 @@
+"""The twin's pipeline with what needs Debian packages: mosquitto with users, roles and TLS, processes that are killed, Chromium."""
+
+import json
+import os
+import shutil
+import signal
+import ssl
+import subprocess
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import paho.mqtt.client as mqtt
+import pytest
+from fivebar_twin import figures
+from fivebar_twin.messages import Message, encode, topic
+from fivebar_twin.starter import ENDING, free_port
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from conftest import REPOSITORY
+from test_page import open_browser
+
+pytestmark = pytest.mark.full
+
+COMMAND = [sys.executable, "-m", "fivebar_twin"]
+EXAMPLES = REPOSITORY / "twin" / "mosquitto"
+
+
+class Run:
+    """A run under way."""
+
+    def __init__(self, out: Path, fmu: Path, scenes: Path, *more: str, environment: dict[str, str] | None = None):
+        self.out = out
+        given = ["run", "--scene", str(scenes / "pick_and_place.json"), "--fmu", str(fmu), "--out", str(out), *more]
+        self.process = subprocess.Popen([*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
+        assert self.process.stdout is not None
+        self.line = self.process.stdout.readline()
+        assert self.line.startswith("broker at "), self.line + self.process.communicate(timeout=30)[0]
+        (self.folder,) = (out / "runs").iterdir()
+        self.config = json.loads((self.folder / "twin.json").read_text())
+
+    @property
+    def page(self) -> str:
+        return f"http://127.0.0.1:{self.config['dashboard_port']}/"
+
+    def pids(self, name: str) -> list[int]:
+        """Of every life of a process so far, that has said that it is ready."""
+        files = (self.folder / "status").glob(f"{name}-*.json")
+        ready = [path for path in files if json.loads(path.read_text()).get("ready")]
+        return [int(path.stem.rpartition("-")[2]) for path in sorted(ready, key=lambda path: path.stat().st_ctime)]
+
+    def finish(self) -> dict[str, Any]:
+        """Its summary."""
+        text = self.process.communicate(timeout=90)[0]
+        assert self.process.returncode == 0, text
+        return json.loads((self.out / "summary.json").read_text())
+
+    def replayed(self, fmu: Path) -> str:
+        """What its replay says, which has to agree."""
+        replay = subprocess.run([*COMMAND, "replay", str(self.folder / "record"), "--fmu", str(fmu)], capture_output=True, text=True, check=False)
+        assert replay.returncode == 0, replay.stdout + replay.stderr
+        return replay.stdout
+
+
+class Ear:
+    """Hears what is published, with the time at which it came."""
+
+    def __init__(self, port: int, *kinds: str, host: str = "127.0.0.1", login: tuple[str, str, Path] | None = None, unit: str = "bench"):
+        self.unit = unit
+        self.heard: list[tuple[float, str, dict[str, Any]]] = []
+        self.client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        self.client.reconnect_delay_set(0.1, 0.1)
+        self.failures: list[str] = []
+        self.client.on_connect = self._connected
+        self.client.on_message = lambda _c, _d, m: self.heard.append((time.monotonic(), m.topic.rpartition("/")[2], json.loads(m.payload)))
+        self.kinds = kinds
+        if login is not None:
+            user, password, authority = login
+            self.client.username_pw_set(user, password)
+            self.client.tls_set_context(ssl.create_default_context(cafile=authority))
+        self.client.connect_async(host, port)
+        self.client.loop_start()
+        begin = time.monotonic()
+        while not self.client.is_connected() and not self.failures and time.monotonic() - begin < 10:
+            time.sleep(0.02)
+
+    def _connected(self, client: mqtt.Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        if reason.is_failure:
+            self.failures.append(str(reason))
+        elif self.kinds:
+            client.subscribe([(topic(self.unit, kind), 1) for kind in self.kinds])
+
+    def say(self, message: Message) -> None:
+        self.client.publish(topic(self.unit, message.kind), encode(message), qos=1).wait_for_publish(5)
+
+    def last(self, kind: str) -> float:
+        """When the last of a kind came; 0 if none has."""
+        return max((when for when, of, _ in self.heard if of == kind), default=0.0)
+
+    def close(self) -> None:
+        self.client.loop_stop()
+        self.client.disconnect()
+
+
+def wait_until(what: Any, seconds: float) -> float:
+    """Seconds until it holds, which must be less than so many."""
+    begin = time.monotonic()
+    while not what():
+        assert time.monotonic() - begin < seconds, f"not within {seconds:g} s"
+        time.sleep(0.02)
+    return time.monotonic() - begin
+
+
+# --- killing --------------------------------------------------------------------------------------------------------------------------
+
+
+def test_whatever_is_killed_is_back_within_three_seconds(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    run = Run(tmp_path / "out", fmu, scenes, "--seconds", "600")
+    ear = Ear(run.config["broker"]["port"], "est", "forecast")
+    wait_until(lambda: ear.last("forecast"), 10)
+    busy = max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
+    took: dict[str, float] = {}
+    for name in ENDING:
+        # At least one stored state further than the last kill.
+        time.sleep(1.2)
+        (pid,) = run.pids(name)
+        subprocess.run(["kill", "-9", str(pid)], check=True)
+        killed = time.monotonic()
+        wait_until(lambda name=name: len(run.pids(name)) == 2 and ear.last("est") > killed + 0.05, 30)
+        took[name] = time.monotonic() - killed
+    time.sleep(1.5)
+    run.process.send_signal(signal.SIGINT)
+    summary = run.finish()
+    ear.close()
+    print({name: round(seconds, 2) for name, seconds in took.items()})
+    # Other work on the same cores takes its share of the time.
+    assert max(took.values()) < 3 * busy, took
+    assert summary["restarts"] == dict.fromkeys(summary["restarts"], 1)
+    run.replayed(fmu)
+    # What the twin says after each kill is what the machine does: as sure as it says it is.
+    story = figures.read(run.folder / "record")
+    judged = figures.judge(story)
+    known = np.isfinite(judged.error)
+    assert known.mean() > 0.9 and judged.error[known].max() < 1e-3
+    assert (judged.error[known] < story.estimated["band"][known]).mean() > 0.85
+    # The recorder was killed between two parts: less than a second of its rows is gone.
+    longest = max(last - first + 1 for of, first, last in [*story.gaps, ("", 0, 0)] if of != "est")
+    assert longest < 200 * (1 + 3 * busy)
+    # All of it has ended.
+    for name in ENDING:
+        for pid in run.pids(name):
+            assert subprocess.run(["kill", "-0", str(pid)], capture_output=True, check=False).returncode != 0, f"{name} {pid} lives"
+
+
+# --- mosquitto ------------------------------------------------------------------------------------------------------------------------
+
+
+def mosquitto(folder: Path, file: Path) -> "subprocess.Popen[bytes]":
+    """A broker with that configuration."""
+    log = (folder / "mosquitto.log").open("ab")
+    return subprocess.Popen(["/usr/sbin/mosquitto", "-c", str(file)], cwd=folder, stdout=log, stderr=log)
+
+
+def test_a_broker_that_is_gone_for_five_seconds(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    port = free_port()
+    file = tmp_path / "mosquitto.conf"
+    file.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\nuser root\n")
+    broker = mosquitto(tmp_path, file)
+    try:
+        run = Run(tmp_path / "out", fmu, scenes, "--seconds", "12", "--broker", f"127.0.0.1:{port}")
+        time.sleep(2.5)
+        broker.terminate()
+        broker.wait()
+        time.sleep(5)
+        broker = mosquitto(tmp_path, file)
+        summary = run.finish()
+    finally:
+        broker.kill()
+    assert not any(summary["restarts"].values()), "nothing crashed"
+    (lost,) = (gap for gap in summary["gaps"] if gap["of"] == "meas")
+    missing = lost["last"] - lost["first"] + 1
+    # Five seconds, and those until all are connected again, each a little sooner or later than the recorder.
+    assert 1000 <= missing < 1500 and abs(summary["samples"]["lost"] - missing) < 200
+    assert summary["samples"]["estimated"] > 900
+    assert summary["tip_error_mm"]["max"] < 1
+    run.replayed(fmu)
+
+
+def certificates(folder: Path) -> None:
+    """An authority and a broker's certificate by it, for this machine."""
+
+    def openssl(*arguments: str) -> None:
+        subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True)
+
+    (folder / "names").write_text("subjectAltName=IP:127.0.0.1,DNS:localhost\n")
+    new = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-noenc"]
+    openssl("req", "-x509", *new, "-keyout", "ca.key", "-out", "ca.crt", "-subj", "/CN=test authority", "-days", "2")
+    openssl("req", *new, "-keyout", "server.key", "-out", "server.csr", "-subj", "/CN=localhost")
+    openssl("x509", "-req", "-in", "server.csr", "-CA", "ca.crt", "-CAkey", "ca.key", "-CAcreateserial", "-out", "server.crt", "-extfile", "names", "-days", "2")
+
+
+@pytest.fixture
+def secured(tmp_path: Path) -> Iterator[tuple[Path, int]]:
+    """The example of a broker with users, roles and TLS, on a free port: its folder and port."""
+    folder = tmp_path / "broker"
+    shutil.copytree(EXAMPLES, folder)
+    certificates(folder)
+    passwords = folder / "passwords"
+    passwords.touch()
+    for user in ("pipeline", "machine", "operator", "viewer"):
+        subprocess.run(["mosquitto_passwd", "-b", str(passwords), user, f"{user}-secret"], check=True, capture_output=True)
+    port = free_port()
+    text = (folder / "mosquitto.conf").read_text()
+    assert "listener 8883\n" in text
+    file = folder / "mosquitto.conf"
+    file.write_text(text.replace("listener 8883\n", f"listener {port} 127.0.0.1\n") + "user root\n")
+    broker = mosquitto(folder, file)
+    yield folder, port
+    broker.kill()
+    broker.wait()
+
+
+def test_roles_and_tls(secured: tuple[Path, int], tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """The pipeline runs on the example; an order is heard from an operator alone; others do not get in."""
+    folder, port = secured
+    authority = folder / "ca.crt"
+    environment = os.environ | {"FIVEBAR_PASSWORD": "pipeline-secret"}
+    broker = ["--broker", f"127.0.0.1:{port}", "--user", "pipeline", "--ca-file", str(authority)]
+    run = Run(tmp_path / "out", fmu, scenes, "--seconds", "7", *broker, environment=environment)
+    ears = {user: Ear(port, "est", "cmd", login=(user, f"{user}-secret", authority)) for user in ("pipeline", "machine", "operator", "viewer")}
+    wait_until(lambda: ears["viewer"].last("est"), 5)
+    now = time.time_ns()
+    for i, user in enumerate(("viewer", "machine", "pipeline", "operator")):
+        ears[user].say(Message("cmd", "bench", now + i, i, {}, {"command": "restart"}))
+    wait_until(lambda: ears["viewer"].last("cmd"), 5)
+    ears["viewer"].say(Message("est", "bench", now, 1, {"theta[1]": 0.0}, {"inputs": []}))
+    assert not Ear(port, login=("viewer", "wrong", authority)).client.is_connected()
+    summary = run.finish()
+    assert [m["seq"] for _, kind, m in ears["viewer"].heard if kind == "cmd"] == [3], "the operator's"
+    assert not [m for _, kind, m in ears["viewer"].heard if kind == "est" and m["seq"] == 1 and m["time"] == now]
+    assert not ears["machine"].heard
+    for ear in ears.values():
+        ear.close()
+    assert summary["samples"]["lost"] == 0 and summary["samples"]["estimated"] > 1000 and summary["refused"] == 0
+    log = (run.folder / "log" / "follow.log").read_text()
+    assert log.count("starting anew with the next sample: asked to") >= 1
+    run.replayed(fmu)
+    # Without TLS nobody gets in, and nothing is said in the clear.
+    plain = Ear(port)
+    assert not plain.client.is_connected()
+    plain.close()
+
+
+# --- DTaaS ---------------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_lifecycle_of_dtaas(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    out = tmp_path / "out"
+    venv = Path(sys.executable).parents[1]
+    environment = os.environ | {"FIVEBAR_VENV": str(venv), "FIVEBAR_FMU": str(fmu), "FIVEBAR_OUT": str(out)}
+    environment["FIVEBAR_SCENE"] = str(scenes / "pick_and_place.json")
+
+    def stage(name: str, code: int = 0) -> str:
+        run = subprocess.run([REPOSITORY / "twin" / "lifecycle" / name], env=environment, capture_output=True, text=True, check=False, timeout=60)
+        assert run.returncode == code, run.stdout + run.stderr
+        return run.stdout + run.stderr
+
+    assert "created" in stage("create")
+    assert "dashboard at" in stage("execute")
+    assert "running already" in stage("execute", 1) and "terminate it first" in stage("clean", 1)
+    time.sleep(1)
+    assert "ended" in stage("terminate")
+    assert json.loads((out / "summary.json").read_text())["samples"]["estimated"] > 100
+    assert "not running" in stage("terminate")
+    stage("clean")
+    assert not out.exists()
+
+
+# --- the dashboard --------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def live(tmp_path_factory: pytest.TempPathFactory, fmu: Path, scenes: Path) -> Iterator[Run]:
+    """A run that goes on until the tests have seen enough."""
+    run = Run(tmp_path_factory.mktemp("live"), fmu, scenes, "--seconds", "600")
+    yield run
+    run.process.send_signal(signal.SIGINT)
+    summary = run.finish()
+    assert summary["samples"]["lost"] == 0
+
+
+def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path) -> None:
+    from PIL import Image
+
+    class Address:
+        """What `open_browser` asks of a page."""
+
+        def as_uri(self) -> str:
+            return live.page
+
+    for browser in open_browser(Address(), tmp_path):
+        wait_until(lambda browser=browser: browser.find_element("id", "connection").text == "live", 10)
+        wait_until(lambda browser=browser: "mm in 0.5 s" in browser.find_element("id", "value-ahead").text, 10)
+        first = float(browser.find_element("id", "clock").text)
+        wait_until(lambda browser=browser: float(browser.find_element("id", "clock").text) > first + 1, 5)
+        wait_until(lambda browser=browser: browser.find_element("id", "value-error").text.endswith("mm"), 5)
+        assert float(browser.find_element("id", "value-error").text.split()[0]) < 0.1
+        assert browser.find_element("id", "status").text == "Samples of both encoders are used"
+        shot = np.asarray(Image.open(BytesIO(browser.find_element("id", "canvas").screenshot_as_png)).convert("RGB")).astype(int)
+        for colour, least in (((0x18, 0x64, 0xAB), 800), ((0x2B, 0x8A, 0x3E), 800), ((0xE8, 0x59, 0x0C), 60)):
+            seen = (np.abs(shot - colour).sum(axis=2) < 30).sum()
+            assert seen > least, f"{seen} points of {colour}: left leg, right leg, tip"
+        # The fan of the forecast: the tip's colour, thin over the page.
+        fan = (shot[..., 0] > 245) & (shot[..., 2] < 242) & (shot[..., 1] < 248) & (shot[..., 2] > 140)
+        assert fan.sum() > 40, f"{fan.sum()} points of the fan"
+        # Moving: the picture changes.
+        before = browser.find_element("id", "canvas").screenshot_as_png
+        time.sleep(0.5)
+        assert browser.find_element("id", "canvas").screenshot_as_png != before
+        for chart in ("error", "torque", "nis"):
+            drawn = browser.execute_script(
+                "const c = document.getElementById(arguments[0]); return c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some((v) => v)", chart
+            )
+            assert drawn, chart
+        browser.find_element("id", "restart").click()
+        log = live.folder / "log" / "follow.log"
+        wait_until(lambda: "asked to" in log.read_text(), 5)
+
+
+@pytest.mark.parametrize(("headers", "code"), [({"Host": "evil.example"}, 403), ({}, 200)])
+def test_the_dashboard_is_for_this_machine_only(live: Run, headers: dict[str, str], code: int) -> None:
+    try:
+        with urllib.request.urlopen(urllib.request.Request(live.page, headers=headers), timeout=5) as answer:
+            found, policy = answer.status, answer.headers["Content-Security-Policy"]
+        assert "default-src 'none'" in policy
+    except urllib.error.HTTPError as error:
+        found = error.code
+    assert found == code
+
+
+def test_a_page_of_another_site_does_not_reach_the_broker(live: Run) -> None:
+    address = live.page.replace("http", "ws") + "mqtt"
+    with pytest.raises(InvalidStatus, match="403"):
+        connect(address, origin="http://evil.example", subprotocols=["mqtt"], open_timeout=5)
+    with connect(address, origin=live.page.rstrip("/"), subprotocols=["mqtt"], open_timeout=5) as socket:
+        assert socket.subprotocol == "mqtt"

@@ -1,0 +1,188 @@
+"""Messages of the twin's pipeline: what is right comes through unchanged, everything else is refused with one sentence."""
+
+import json
+import logging
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fivebar_twin.config import Config
+from fivebar_twin.errors import Refused
+from fivebar_twin.intake import CONSISTENT, Intake
+from fivebar_twin.messages import Message, decode, encode, topic
+from fivebar_twin.process import Worker
+
+MEAS = Message("meas", "bench", 1_795_331_400_000_000_000, 17, {"measured.theta[1]": 1.57, "measured.theta[2]": 0.1, "servo.theta[1]": 1.5})
+TOPIC = topic("bench", "meas")
+PERIOD_NS = 5_000_000
+
+
+def changed(**changes: Any) -> bytes:
+    """A sample with something else in it; None leaves something out."""
+    content = json.loads(encode(MEAS)) | changes
+    return json.dumps({name: value for name, value in content.items() if value is not None}).encode()
+
+
+def test_a_message_comes_back_to_the_bit() -> None:
+    fields = {f"tau[{i}]": x for i, x in ((1, 0.1 + 0.2), (2, -5e-324))}
+    message = Message("meas", "bench", 2**63 - 1, 2**53 - 1, MEAS.fields | fields)
+    assert decode(TOPIC, encode(message)) == message
+    assert encode(decode(TOPIC, encode(message))) == encode(message)
+
+
+@pytest.mark.parametrize(
+    ("payload", "sentence"),
+    [
+        (b"", "not JSON"),
+        (b"\xff\xfe", "not JSON"),
+        (b"[" * 10_000, "not JSON"),
+        (b"1" * 5_000, "not JSON"),
+        (b" " * 16_001, "16001 bytes; at most 16000"),
+        (b"[1]", "not an object"),
+        (encode(MEAS).replace(b"1.57", b"NaN"), "NaN is no number"),
+        (encode(MEAS).replace(b"1.57", b"-Infinity"), "-Infinity is no number"),
+        (encode(MEAS).replace(b"1.57", b"1e999"), "not a finite number"),
+        (encode(MEAS).replace(b"1.57", b"1" + b"0" * 400), "not a finite number"),
+        (encode(MEAS).replace(b'"seq":17', b'"seq":17,"seq":18'), "stands twice"),
+        (changed(measurement="est"), "measurement is 'est', not meas"),
+        (changed(tags={"unit": "other"}), "the unit of this topic is 'bench'"),
+        (changed(tags=None), "tags are None"),
+        (changed(time=1.5), "time is 1.5, not an integer"),
+        (changed(time=-1), "time is -1, not an integer from 0"),
+        (changed(time=2**63), "time is"),
+        (changed(seq=True), "seq is True, not an integer"),
+        (changed(seq="17"), "seq is '17', not an integer"),
+        (changed(seq=10**4000), "an integer of very many digits"),
+        (changed(fields=[1]), "not an object"),
+        (changed(fields={"measured.theta[1]": "1.57"}), "measured.theta[1] is '1.57', not a number"),
+        (changed(fields={"measured.theta[1]": True}), "measured.theta[1] is True, not a number"),
+        (changed(fields={"measured.theta[1]": 1e5}), "its magnitude is at most 10000"),
+        (changed(fields={"measured.theta[1]": 1.0, "payload.mass": 1.0}), "'payload.mass', which it may not have"),
+        (changed(fields={"servo.theta[1]": 1.0}), "neither measured.theta[1] nor measured.theta[2]"),
+        (changed(note="x"), "'note' beside its fields"),
+    ],
+)
+def test_what_is_wrong_is_refused(payload: bytes, sentence: str) -> None:
+    with pytest.raises(Refused) as refusal:
+        decode(TOPIC, payload)
+    assert sentence in str(refusal.value)
+    assert len(str(refusal.value)) < 300 and "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("wrong", ["fivebar/bench", "fivebar/bench/meas/more", "other/bench/meas", "fivebar//meas", "fivebar/a b/meas", "fivebar/bench/x"])
+def test_other_topics_are_refused(wrong: str) -> None:
+    with pytest.raises(Refused):
+        decode(wrong, encode(MEAS))
+
+
+def test_an_order_has_its_bounds() -> None:
+    def order(kind: str, fields: dict[str, float], **extra: Any) -> Message:
+        return decode(topic("bench", kind), encode(Message(kind, "bench", 1, 1, fields, extra)))
+
+    assert order("cmd", {}, command="restart").extra == {"command": "restart"}
+    assert order("param", {"payload.mass": 0.1}).fields == {"payload.mass": 0.1}
+    for kind, fields, extra in (("cmd", {}, {"command": "rm -rf /"}), ("cmd", {"a": 1.0}, {"command": "restart"}), ("cmd", {}, {}), ("param", {}, {})):
+        with pytest.raises(Refused):
+            order(kind, fields, **extra)
+
+
+class Listener(Worker):
+    """A process that takes samples in their order and does nothing with them."""
+
+    name, kinds = "listener", ("meas",)
+
+    def __init__(self, config: Config):
+        super().__init__(config)
+        self.intake, self.taken = Intake(config.period), 0
+
+    def handle(self, message: Message, payload: bytes, now: int) -> None:
+        self.intake.admit(message)
+        self.taken += 1
+
+
+def fuzzed(chance: random.Random, good: bytes) -> tuple[str, bytes]:
+    """Something that must be refused: topic and payload."""
+    kind = chance.randrange(8)
+    if kind == 0:
+        return TOPIC, chance.randbytes(chance.randrange(200))
+    if kind == 1:
+        return TOPIC, good[: chance.randrange(len(good))]
+    if kind == 2:
+        return TOPIC, good + b" " * 16_000
+    if kind == 3:
+        return TOPIC, good.replace(b"1.57", chance.choice([b"NaN", b"Infinity", b"1e400", b"null", b'"1.57"', b"[1.57]", b"true", b"{}"]))
+    if kind == 4:
+        return topic(chance.choice(["other", "bench2", "x" * 80]), "meas"), good
+    if kind == 5:
+        return TOPIC, good.replace(b'"bench"', chance.choice([b'"other"', b"1", b"null", b'["bench"]']))
+    if kind == 6:
+        return TOPIC, good.replace(b'"time":', chance.choice([b'"time":-', b'"time":1.', b'"time":"', b'"time":99', b'"tim":']))
+    # An old message, sent again.
+    return TOPIC, encode(Message("meas", "bench", MEAS.time + PERIOD_NS * (old := chance.randrange(100)), old, MEAS.fields))
+
+
+def test_ten_thousand_fuzzed_messages_are_refused_with_one_line_each(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    listener = Listener(Config(str(tmp_path), "", ""))
+    for seq in range(200):
+        listener.received(TOPIC, encode(Message("meas", "bench", MEAS.time + PERIOD_NS * seq, seq, MEAS.fields)), 0)
+    assert (listener.taken, listener.refused) == (200, 0)
+    chance = random.Random(20)
+    caplog.set_level(logging.WARNING, logger="fivebar")
+    for _ in range(10_000):
+        listener.received(*fuzzed(chance, encode(MEAS)), 0)
+    assert listener.refused == len(caplog.records) == 10_000
+    assert listener.taken == 200 and listener.intake.series is not None and listener.intake.series.seq == 199
+    assert all(record.getMessage().startswith("refused: ") and "\n" not in record.getMessage() for record in caplog.records)
+
+
+# --- which samples are taken ----------------------------------------------------------------------------------------------------------
+
+
+def sample(seq: int, time: int | None = None) -> Message:
+    return Message("meas", "bench", PERIOD_NS * seq + 10**9 if time is None else time, seq, {})
+
+
+def admit(intake: Intake, *messages: Message) -> list[str]:
+    """What became of each: new, late, series, or the refusal's first words."""
+    results = []
+    for message in messages:
+        try:
+            results.append(intake.admit(message))
+        except Refused:
+            results.append("refused")
+    return results
+
+
+def test_samples_are_put_in_order() -> None:
+    intake = Intake(0.005)
+    assert admit(intake, sample(0), sample(1), sample(4), sample(3), sample(3), sample(4), sample(5)) == [
+        "series", "new", "new", "late", "refused", "refused", "new",
+    ]  # fmt: skip
+    assert intake.missing == 1
+    assert admit(intake, sample(5 + 64), sample(2), sample(69 - 63)) == ["new", "refused", "late"]
+
+
+def test_a_jump_of_the_clock_is_no_new_series() -> None:
+    for jump in (3600 * 10**9, -3600 * 10**9):
+        intake = Intake(0.005)
+        begin = 10**13
+        assert admit(intake, *(sample(i, begin + PERIOD_NS * i) for i in range(3))) == ["series", "new", "new"]
+        assert admit(intake, *(sample(i, begin + jump + PERIOD_NS * i) for i in range(3, 6))) == ["new"] * 3
+
+
+def test_a_machine_that_counts_anew_is_believed_after_some_samples() -> None:
+    intake = Intake(0.005)
+    admit(intake, *(sample(i) for i in range(1000, 1100)))
+    later = sample(1100).time + 10**9
+    results = admit(intake, *(sample(i, later + PERIOD_NS * i) for i in range(CONSISTENT + 5)))
+    assert results == ["refused"] * (CONSISTENT - 1) + ["series"] + ["new"] * 5
+
+
+def test_one_forged_sample_ends_no_series_and_old_ones_begin_none() -> None:
+    intake = Intake(0.005)
+    admit(intake, *(sample(i) for i in range(1000)))
+    forged = sample(10**9, sample(1000).time)
+    assert admit(intake, forged, sample(1000), forged, sample(1001)) == ["refused", "new", "refused", "new"]
+    assert set(admit(intake, *(sample(i) for i in range(900)))) == {"refused"}
+    assert admit(intake, sample(1002)) == ["new"]

@@ -1,0 +1,64 @@
+"""The twin's whole pipeline: the processes of `fivebar-twin run` with the broker that comes along."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMMAND = [sys.executable, "-m", "fivebar_twin"]
+
+
+def started(out: Path, fmu: Path, scenes: Path, *more: str) -> "subprocess.Popen[str]":
+    """A run of its own."""
+    given = ["run", "--scene", str(scenes / "pick_and_place.json"), "--fmu", str(fmu), "--out", str(out), *more]
+    return subprocess.Popen([*COMMAND, *given], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """Two starts find ports of their own; each leaves summary, pictures, page and a record that is replayed to the bit."""
+    runs = {name: started(tmp_path / name, fmu, scenes, "--seconds", "4", "--unit", name) for name in ("one", "two")}
+    for name, run in runs.items():
+        text = run.communicate(timeout=90)[0]
+        assert run.returncode == 0, text
+        out = tmp_path / name
+        summary = json.loads((out / "summary.json").read_text())
+        samples, forecasts = summary["samples"], summary["forecasts"]
+        assert samples["published"] > 700 and samples["lost"] == 0 and samples["estimated"] == samples["published"], text
+        assert 0 < summary["latency_ms"]["p50"] <= summary["latency_ms"]["p99"]
+        assert summary["tip_error_mm"]["rms"] < 0.1
+        assert forecasts["count"] > 10 and 0 < forecasts["halfwidth_mm"]["median"] <= 20
+        assert summary["alarms"] == 0 and summary["refused"] == 0 and not any(summary["restarts"].values()), text
+        page = (out / "index.html").read_text()
+        assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", page) and page.count("<svg") == 4
+        for picture in ("tip", "error", "forecast", "latency"):
+            assert (out / f"{picture}.png").read_bytes().startswith(b"\x89PNG")
+        replay = subprocess.run([*COMMAND, "replay", summary["record"], "--fmu", str(fmu)], capture_output=True, text=True, check=False)
+        assert replay.returncode == 0 and f"{samples['estimated']} estimates" in replay.stdout, replay.stdout + replay.stderr
+        for log in Path(summary["record"]).parent.glob("log/*.log"):
+            lines = log.read_text().splitlines()
+            assert all("INFO connected" in line or "no connection" in line for line in lines), (log.name, lines)
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        (["--broker", "192.0.2.1:1883"], "user, password and TLS (ca_file) are required there"),
+        (["--broker", "nonsense"], "HOST:PORT is expected"),
+        (["--seconds", "0"], "more than 0 are needed"),
+        (["--faults", "lost=7"], "NAME=SHARE is expected"),
+        (["--unit", "a/b"], "letters, digits, - and _ are allowed"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_starts(tmp_path: Path, fmu: Path, scenes: Path, more: list[str], sentence: str) -> None:
+    run = started(tmp_path / "out", fmu, scenes, *more)
+    text = run.communicate(timeout=60)[0]
+    assert run.returncode == 2 and sentence in text and "Traceback" not in text, text
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_file_that_is_no_record_is_refused(tmp_path: Path) -> None:
+    run = subprocess.run([*COMMAND, "replay", str(tmp_path / "none")], capture_output=True, text=True, check=False)
+    assert run.returncode == 2 and "there is no record" in run.stderr and "Traceback" not in run.stderr

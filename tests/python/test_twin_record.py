@@ -1,0 +1,226 @@
+"""Records of the twin's pipeline: parts that survive, order, gaps, limits; the watch's states; brokers beyond this machine."""
+
+import csv
+import json
+import os
+import socket
+import stat
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from fivebar_twin import config as configuration
+from fivebar_twin import record
+from fivebar_twin.bus import Bus
+from fivebar_twin.config import Broker, Config, Faults, Machine
+from fivebar_twin.errors import TwinError
+from fivebar_twin.machine import Mangler, Recording
+from fivebar_twin.messages import Message, decode, encode, topic
+from fivebar_twin.recorder import JOINED, Gaps, Recorder
+from fivebar_twin.starter import free_port, parse_faults
+from fivebar_twin.watch import Anomalies, Histogram
+
+TOPIC = topic("bench", "meas")
+
+
+def sample(seq: int) -> Message:
+    return Message("meas", "bench", 10**18 + 5_000_000 * seq, seq, {"measured.theta[1]": 1.0 + seq})
+
+
+def rows(*numbers: int) -> list[record.Row]:
+    return [record.Row(TOPIC, sample(n).time, n, encode(sample(n))) for n in numbers]
+
+
+def seqs(path: Path) -> list[int]:
+    return [row.seq for row in record.rows(path)]
+
+
+def test_a_record_has_the_promised_columns(tmp_path: Path) -> None:
+    path = record.write_part(tmp_path, 0, 0, rows(1, 2))
+    assert pq.read_schema(path).names == ["topic", "time", "seq", "payload"]
+    assert [m.fields for m in record.messages(path, "meas")] == [sample(1).fields, sample(2).fields]
+
+
+def test_a_joined_part_takes_the_place_of_others_whether_or_not_they_are_gone(tmp_path: Path) -> None:
+    for number in range(4):
+        record.write_part(tmp_path, number, number, rows(number))
+    record.write_part(tmp_path, 0, 2, rows(0, 1, 2))
+    # What a kill left behind while it was being written is no part.
+    (tmp_path / "part-00000004-00000004.writing").write_bytes(b"PAR1 half")
+    assert seqs(tmp_path) == [0, 1, 2, 3]
+    (tmp_path / "part-00000001-00000001.parquet").unlink()
+    assert seqs(tmp_path) == [0, 1, 2, 3]
+
+
+def test_a_recorder_that_is_started_again_goes_on(tmp_path: Path) -> None:
+    def recorder() -> Recorder:
+        made = Recorder(Config(str(tmp_path), "", ""))
+        made.begin()
+        return made
+
+    first = recorder()
+    for number in range(JOINED + 2):
+        first.received(TOPIC, encode(sample(number)), 0)
+        first.end()
+    # Killed: nothing of it is called any more.
+    second = recorder()
+    second.received(TOPIC, encode(sample(100)), 10**9)
+    second.tick(10**9)
+    second.end()
+    assert seqs(tmp_path / "record") == [*range(JOINED + 2), 100]
+    assert len(record.parts(tmp_path / "record")) == 4
+
+
+def test_a_recorder_says_what_is_missing(tmp_path: Path) -> None:
+    recorder = Recorder(Config(str(tmp_path), "", ""))
+    recorder.begin()
+    for number in (0, 1, 5, 3, 6):
+        recorder.received(TOPIC, encode(sample(number)), 10**9)
+    recorder.tick(10**9)
+    recorder.tick(3 * 10**9)
+    recorder.end()
+    gaps = [(m.extra["of"], m.fields["first"], m.fields["last"]) for m in record.messages(recorder.folder, "gap")]
+    assert gaps == [("meas", 2, 2), ("meas", 4, 4)]
+
+
+def test_a_machine_that_counts_anew_leaves_no_gap() -> None:
+    gaps = Gaps("meas")
+    for seq in (*range(5000, 5010), *range(10)):
+        gaps.see(seq, 0.0)
+    assert gaps.due(10.0) == []
+
+
+def test_what_is_no_record_is_refused_with_a_sentence(tmp_path: Path) -> None:
+    text = tmp_path / "x.parquet"
+    text.write_text("PAR1")
+    other = tmp_path / "y.parquet"
+    pq.write_table(pa.table({"topic": ["a"], "time": [1]}), other)
+    for path, sentence in ((tmp_path / "none", "no record"), (text, "not a file of Parquet"), (other, "no column seq, payload"), (tmp_path, "no part-")):
+        with pytest.raises(TwinError, match=sentence):
+            list(record.rows(path))
+
+
+# --- the watch ------------------------------------------------------------------------------------------------------------------------
+
+
+def states(anomalies: Anomalies, alarm: list[tuple[float, float]], until: float) -> list[tuple[float, str]]:
+    """What a watch says while the unit's alarm is on in those intervals, at 200 Hz."""
+    said = []
+    for i in range(round(until / 0.005)):
+        now = 0.005 * i
+        on = any(begin <= now < end for begin, end in alarm)
+        for each in anomalies.see({"estimated.alarm": float(on), "estimated.tau[1]": 0.5}, now):
+            said.append((round(now, 3), each["state"]))
+    return said
+
+
+def test_the_watch_goes_through_its_states() -> None:
+    said = states(Anomalies(), [(5.0, 6.0)], 20.0)
+    assert [state for _, state in said] == ["anomaly", "calibrating", "cooling down", "listening"]
+    # 40 ms until it counts, 0.5 s until it counts as gone, 2 s of gathering, 5 s of cooling down.
+    assert [time for time, _ in said] == pytest.approx([5.04, 6.5, 8.5, 13.5], abs=0.011)
+
+
+def test_the_watch_has_hysteresis_and_keeps_quiet_at_the_start() -> None:
+    assert states(Anomalies(), [(0.0, 1.9)], 5.0) == []
+    assert states(Anomalies(), [(5.0 + 0.1 * i, 5.02 + 0.1 * i) for i in range(3)], 6.0) == []
+    flicker = states(Anomalies(), [(5.0 + 0.2 * i, 5.15 + 0.2 * i) for i in range(10)], 8.5)
+    assert [state for _, state in flicker] == ["anomaly", "calibrating"]
+
+
+def test_the_watch_notices_silence_once_and_can_be_calmed() -> None:
+    anomalies = Anomalies()
+    states(anomalies, [], 4.0)
+    assert anomalies.quiet(4.3) == []
+    assert [each["cause"] for now in (4.6, 4.7, 9.0) for each in anomalies.quiet(now)] == ["silence"]
+    assert [each["state"] for each in anomalies.acknowledge(9.0)] == ["cooling down"]
+    assert anomalies.acknowledge(9.0) == []
+
+
+def test_the_histogram_is_right_within_its_bins() -> None:
+    histogram = Histogram()
+    for i in range(1, 10_001):
+        histogram.add(1e-6 * i)
+    assert histogram.quantile(0.5) == pytest.approx(5e-3, rel=0.021)
+    assert histogram.quantile(0.99) == pytest.approx(9.9e-3, rel=0.021)
+    histogram.add(1e9)
+    assert histogram.count == 10_001
+
+
+# --- recordings and faults ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_csv_is_played(tmp_path: Path) -> None:
+    file = tmp_path / "recording.csv"
+    with file.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["time", "measured.theta[1]", "measured.theta[2]", "note"])
+        writer.writerows([[10.0, 1.5, 1.6, "a"], [10.005, 1.51, "", "b"]])
+    recording = Recording(Config(str(tmp_path), "", "", machine=Machine(csv=str(file))))
+    recording.start_ns = 10**18
+    first, second, after = recording.next(), recording.next(), recording.next()
+    assert first is not None and second is not None and after is None
+    assert (first.time, first.seq, first.fields) == (10**18, 0, {"measured.theta[1]": 1.5, "measured.theta[2]": 1.6})
+    assert (second.time - first.time, second.fields) == (5_000_000, {"measured.theta[1]": 1.51})
+    file.write_text("time,measured.theta[1]\n1,x\n")
+    with pytest.raises(TwinError, match="could not convert"):
+        Recording(Config(str(tmp_path), "", "", machine=Machine(csv=str(file))))
+
+
+def test_faults_come_as_often_as_asked_and_none_by_default() -> None:
+    def sent(faults: Faults) -> list[list[bytes]]:
+        mangler = Mangler(faults, 1)
+        return [mangler.send(sample(i)) for i in range(4000)]
+
+    assert sent(Faults()) == [[encode(sample(i))] for i in range(4000)]
+    # Of 4000 draws of 5 %, 200 on average with a standard deviation of 14.
+    assert 140 < sum(not each for each in sent(Faults(lost=0.05))) < 260
+    assert 140 < sum(len(each) == 2 for each in sent(Faults(doubled=0.05))) < 260
+    arrived = [decode(TOPIC, payload).seq for each in sent(Faults(late=0.05)) for payload in each]
+    assert 140 < sum(a > b for a, b in zip(arrived, arrived[1:], strict=False)) < 260 and len(arrived) > 3990
+    assert parse_faults("lost=0.05,clock_jump=-3") == Faults(lost=0.05, clock_jump=-3.0)
+    for text in ("lost", "lost=2", "lost=nan", "gone=0.1"):
+        with pytest.raises(TwinError):
+            parse_faults(text)
+
+
+# --- the configuration ----------------------------------------------------------------------------------------------------------------
+
+
+def test_a_configuration_comes_back_and_is_private(tmp_path: Path) -> None:
+    config = Config(str(tmp_path), "a.fmu", "b.json", broker=Broker(password="secret"), machine=Machine(hidden={"payload.mass": 0.1}))
+    file = tmp_path / "twin.json"
+    configuration.write(config, file)
+    assert configuration.read(file) == config
+    assert os.name == "nt" or stat.S_IMODE(file.stat().st_mode) == 0o600
+    for wrong in ({"period": 0.0}, {"unit": "a/b"}, {"typo": 1}, {"broker": [1]}, {"horizon": True}, {"period": "fast"}):
+        file.write_text(json.dumps(json.loads(file.read_text()) | wrong))
+        with pytest.raises(TwinError):
+            configuration.read(file)
+        configuration.write(config, file)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "::1"])
+def test_loopback_needs_nothing(host: str) -> None:
+    configuration.check_broker(Broker(host))
+
+
+@pytest.mark.parametrize("broker", [Broker("192.0.2.1"), Broker("192.0.2.1", user="a", password="b"), Broker("broker.invalid"), Broker("0.0.0.0")])
+def test_beyond_loopback_user_password_and_tls_are_required(broker: Broker) -> None:
+    with pytest.raises(TwinError, match="is not on this machine: user, password and TLS"):
+        configuration.check_broker(broker)
+    configuration.check_broker(Broker(broker.host, user="a", password="b", ca_file="system"))
+
+
+def test_ports_are_free() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", port := free_port()))
+        assert free_port() != port
+
+
+def test_without_a_broker_nothing_is_sent_and_nothing_crashes() -> None:
+    bus = Bus(Broker(port=free_port()), "bench", "test", ("meas",), lambda *_: None)
+    bus.start()
+    assert not bus.publish("meas", b"{}") and bus.unsent == 1 and not bus.ready()
+    bus.stop()

@@ -1,0 +1,36 @@
+"""What the tests of the twin's pipeline share."""
+
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+from fivebar_twin import scene, setup
+from fivebar_twin.config import Config
+from fivebar_twin.follow import Twin
+from fivebar_twin.follower import Follower
+from fivebar_twin.messages import Message, encode
+from fivebar_twin.recorder import Recorder
+from fivebar_twin.soak import BEGIN, Wire, machine
+from fivebar_twin.unit import Library
+from fivebar_twin.watch import Watch
+
+
+def follower(config: Config, library: Library) -> Follower:
+    """A twin without its process."""
+    return Follower(library, setup.of_run(config, scene.read(Path(config.scene)), library.guid))
+
+
+def recorded(config: Config, library: Library, samples: int, mangle: Callable[[Message], list[bytes]] = lambda m: [encode(m)]) -> SimpleNamespace:
+    """Machine, twin, watch and recorder for so many samples; what they were, ended."""
+    twin, watch, recorder = Twin(config, library), Watch(config), Recorder(config)
+    recorder.about = twin.setup.to_message(config.unit, BEGIN)
+    wire = Wire(config, twin, watch, recorder)
+    source = machine(config, library)
+    for _ in range(samples):
+        for payload in mangle(source.next()):
+            wire.send("meas", payload)
+        if source.seq % 100 == 0:
+            wire.tick()
+    wire.end()
+    source.close()
+    return SimpleNamespace(twin=twin, watch=watch, recorder=recorder, wire=wire, folder=recorder.folder)

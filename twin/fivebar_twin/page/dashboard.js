@@ -1,0 +1,404 @@
+"use strict";
+// The live page: machine, twin and forecast as they come from the broker. docs/pipeline.md says what the messages are.
+
+const byId = (id) => document.getElementById(id);
+const SHOWN = 20;        // s that the charts show
+const TRAIL = 1.5;       // s of the tip's path that stay visible
+const LEVEL = 5.991;     // squared radius of the ellipse that holds 95 %, in standard deviations
+const NIS_BOUND = 5.99;  // 95 % of a chi-square distribution with two degrees of freedom
+const STALE = 1000;      // ms without an estimate after which the picture is no longer live
+const EVERY = 4;         // estimates for one point of the charts
+const CHARTS = 100;      // ms between two drawings of the charts
+const GLOW = 0.1;        // |sin| of the angle between two links below which their singularity glows
+
+const state = { about: null, meas: null, est: null, samples: new Map(), box: null, forecast: null, history: [], trail: [], alarms: [], first: 0, arrived: 0, count: 0, rate: 0, delays: [] };
+let client = null, colours = {}, view = null;
+
+// --- messages ---------------------------------------------------------------------------------------------------------
+
+const finite = (object, ...names) => names.every((name) => Number.isFinite(object?.[name]));
+
+/** What arrives is checked: another program on the broker must not break the page. */
+function receive(topic, payload) {
+  let message;
+  try { message = JSON.parse(new TextDecoder().decode(payload)); } catch { return; }
+  const kind = topic.split("/")[2];
+  if (message === null || typeof message !== "object" || message.measurement !== kind || !Number.isFinite(message.time)) return;
+  const fields = message.fields ?? {};
+  if (kind === "meas" && finite(fields, "measured.theta[1]", "measured.theta[2]")) takeSample(message);
+  if (kind === "est" && finite(fields, "theta[1]", "theta[2]", "passive.theta[1]", "passive.theta[2]", "tip.x", "tip.y")) takeEstimate(message);
+  if (kind === "forecast" && Array.isArray(message.path?.["tip.x"]) && Array.isArray(message.path?.ahead)) state.forecast = message;
+  if (kind === "alarm" && typeof message.state === "string") takeAlarm(message);
+}
+
+function takeSample(message) {
+  state.meas = message;
+  state.samples.set(message.seq, message);
+  // Those few that an estimate may still come for.
+  if (state.samples.size > 40) state.samples.delete(state.samples.keys().next().value);
+}
+
+function takeEstimate(message) {
+  const fields = message.fields, seconds = message.time / 1e9;
+  state.est = message;
+  state.arrived = performance.now();
+  state.first ||= seconds;
+  state.count += 1;
+  state.delays.push(Date.now() - message.time / 1e6);
+  if (state.delays.length > 200) state.delays.shift();
+  if (state.count % EVERY === 0) remember(message);
+  state.trail.push([seconds, fields["tip.x"], fields["tip.y"]]);
+  while (state.trail[0][0] < seconds - TRAIL || state.trail[0][0] > seconds) state.trail.shift();
+}
+
+/** A point of the charts. The estimate is for a moment after its sample: its motion is taken back by as much. */
+function remember(message) {
+  const fields = message.fields, sample = state.samples.get(message.seq), machine = sample ? machinePose(sample) : null, seconds = message.time / 1e9;
+  const since = sample ? (message.time - sample.time) / 1e9 : 0;
+  const back = ["x", "y"].map((axis) => fields[`tip.${axis}`] - since * (fields[`tip.v${axis}`] ?? 0));
+  state.history.push({
+    t: seconds,
+    error: machine ? Math.hypot(machine.tip[0] - back[0], machine.tip[1] - back[1]) : NaN,
+    band: halfAxes([1, 2, 3].map((i) => fields[`estimated.tip.cov[${i}]`]))[0],
+    tau: [1, 2].map((i) => fields[`estimated.tau[${i}]`]),
+    sigma: [1, 2].map((i) => fields[`estimated.tau.sigma[${i}]`]),
+    nis: fields["estimated.nis"],
+  });
+  while (state.history[0].t < seconds - SHOWN || state.history[0].t > seconds) state.history.shift();
+}
+
+function takeAlarm(message) {
+  state.alarms.unshift(message);
+  state.alarms.length = Math.min(state.alarms.length, 50);
+  const raised = state.alarms.filter((alarm) => alarm.state === "anomaly").length;
+  byId("alarmCount").textContent = raised ? `${raised} raised` : "none";
+  byId("acknowledge").disabled = !["anomaly", "calibrating"].includes(message.state);
+  byId("alarms").replaceChildren(...state.alarms.map((alarm) => {
+    const item = document.createElement("li");
+    const figures = Object.entries({ ...alarm.figures, ...alarm.mean, ...(alarm.lasted ? { lasted: alarm.lasted } : {}) });
+    const seconds = state.first ? (alarm.time / 1e9 - state.first).toFixed(2) : "?";
+    item.textContent = `${seconds} s · ${alarm.state} · ${alarm.cause}${alarm.reason ? ` · ${alarm.reason}` : ""}${figures.length ? " · " : ""}${figures.map(([name, value]) => `${name} ${Number(value).toPrecision(3)}`).join(", ")}`;
+    item.className = alarm.state === "anomaly" ? "bad" : alarm.state === "listening" ? "good" : "warn";
+    return item;
+  }));
+}
+
+function order(command) {
+  const message = { measurement: "cmd", time: Date.now() * 1000000, seq: Math.floor(Date.now() / 1000), tags: { unit: state.about.unit }, fields: {}, command };
+  client.publish(`fivebar/${state.about.unit}/cmd`, JSON.stringify(message), { qos: 1 });
+}
+
+// --- geometry ---------------------------------------------------------------------------------------------------------
+
+/** Elbows and tip from the four link angles. */
+function twinPose() {
+  const f = state.est.fields, { base, lengths: [l1, l2, , l4] } = state.about;
+  const [p1, d1, d2, p2] = [f["theta[1]"], f["passive.theta[1]"], f["passive.theta[2]"], f["theta[2]"]];
+  const left = [l1 * Math.cos(p1), l1 * Math.sin(p1)], right = [base + l4 * Math.cos(p2), l4 * Math.sin(p2)];
+  return { left, right, tip: [f["tip.x"], f["tip.y"]], direct: Math.abs(Math.sin(d2 - d1)), inverse: [Math.abs(Math.sin(d1 - p1)), Math.abs(Math.sin(d2 - p2))] };
+}
+
+/** The machine as its encoders see it: the loop closed on the side that the twin knows; the tip of a tracker, if there is one. */
+function machinePose(sample) {
+  const f = sample.fields, { base, lengths: [l1, l2, l3, l4] } = state.about;
+  const [p1, p2] = [f["measured.theta[1]"], f["measured.theta[2]"]];
+  const left = [l1 * Math.cos(p1), l1 * Math.sin(p1)], right = [base + l4 * Math.cos(p2), l4 * Math.sin(p2)];
+  if (finite(f, "tip.x", "tip.y")) return { left, right, tip: [f["tip.x"], f["tip.y"]] };
+  const [dx, dy] = [right[0] - left[0], right[1] - left[1]], d = Math.hypot(dx, dy);
+  if (d < 1e-9) return null;
+  const along = (d * d + l2 * l2 - l3 * l3) / (2 * d), square = l2 * l2 - along * along;
+  if (square < 0) return null;
+  const side = state.est?.fields["mode.assembly"] === 2 ? -1 : 1, height = side * Math.sqrt(square);
+  return { left, right, tip: [left[0] + (along * dx - height * dy) / d, left[1] + (along * dy + height * dx) / d] };
+}
+
+/** Half-axes of the 95 % ellipse, m, and its direction, of a covariance xx, xy, yy. */
+function halfAxes([xx, xy, yy]) {
+  const middle = (xx + yy) / 2, radius = Math.hypot((xx - yy) / 2, xy);
+  return [Math.sqrt(LEVEL * Math.max(middle + radius, 0)), Math.sqrt(LEVEL * Math.max(middle - radius, 0)), Math.atan2(2 * xy, xx - yy) / 2];
+}
+
+// --- the drawing ------------------------------------------------------------------------------------------------------
+
+function readColours() {
+  const style = getComputedStyle(document.documentElement);
+  for (const name of ["card", "line", "grid", "ink", "soft", "left", "right", "tip", "direct", "inverse", "bad", "accent"]) colours[name] = style.getPropertyValue("--" + name).trim();
+}
+
+/** A canvas as sharp as the screen; its pen works in CSS pixels. */
+function sharp(canvas) {
+  const { clientWidth: width, clientHeight: height } = canvas, ratio = window.devicePixelRatio || 1;
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  const pen = canvas.getContext("2d");
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  pen.clearRect(0, 0, width, height);
+  pen.lineCap = pen.lineJoin = "round";
+  return { pen, width, height };
+}
+
+function drawStage() {
+  const { pen, width, height } = sharp(byId("canvas")), { base } = state.about;
+  look(width, height);
+  const { scale } = view;
+  const at = ([x, y]) => [view.x + scale * x, view.y - scale * y];
+  const stroke = (points, colour, thick, alpha = 1, dash = []) => {
+    pen.globalAlpha = alpha; pen.strokeStyle = colour; pen.lineWidth = thick; pen.setLineDash(dash); pen.beginPath();
+    points.forEach((p, i) => (i ? pen.lineTo(...at(p)) : pen.moveTo(...at(p))));
+    pen.stroke(); pen.setLineDash([]); pen.globalAlpha = 1;
+  };
+  const dot = (p, radius, fill, edge) => {
+    pen.beginPath(); pen.arc(...at(p), radius, 0, 2 * Math.PI); pen.fillStyle = fill; pen.fill();
+    if (edge) { pen.strokeStyle = edge; pen.lineWidth = 2; pen.stroke(); }
+  };
+
+  drawGround(pen, width, height, at, stroke);
+  if (!state.est) return;
+  const live = performance.now() - state.arrived < STALE, twin = twinPose(), machine = state.meas ? machinePose(state.meas) : null;
+  const size = Math.min(Math.max(scale * 0.02, 5), 9);
+  pen.globalAlpha = 1;
+
+  if (live) drawForecast(pen, at, stroke, twin);
+  state.trail.forEach((p, i) => {
+    if (i && i % 2 === 0) stroke([state.trail[i - 2].slice(1), p.slice(1)], colours.tip, 2.2, 0.9 * (i / state.trail.length) ** 1.5);
+  });
+  const glow = (points, measure, colour) => { if (measure < GLOW) stroke(points, colour, size * 3.2, 0.55 * (1 - measure / GLOW)); };
+  glow([[0, 0], twin.left, twin.tip], twin.inverse[0], colours.inverse);
+  glow([[base, 0], twin.right, twin.tip], twin.inverse[1], colours.inverse);
+  glow([twin.left, twin.tip, twin.right], twin.direct, colours.direct);
+  const strength = live ? 1 : 0.3;
+  stroke([[0, 0], twin.left], colours.left, size, strength);
+  stroke([[base, 0], twin.right], colours.right, size, strength);
+  stroke([twin.left, twin.tip], colours.left, size * 0.62, strength);
+  stroke([twin.right, twin.tip], colours.right, size * 0.62, strength);
+  // The machine over its twin: where both agree one sees one line inside the other.
+  if (machine) stroke([[0, 0], machine.left, machine.tip, machine.right, [base, 0]], colours.card, 2, 0.95, [6, 5]);
+  if (machine) stroke([[0, 0], machine.left, machine.tip, machine.right, [base, 0]], colours.ink, 1.2, 0.8, [6, 5]);
+  for (const motor of [[0, 0], [base, 0]]) { dot(motor, size * 1.15, colours.ink); dot(motor, size * 0.45, colours.card); }
+  dot(twin.left, size * 0.7, colours.card, colours.left);
+  dot(twin.right, size * 0.7, colours.card, colours.right);
+  dot(twin.tip, size * 0.85, colours.tip, colours.card);
+  if (!live) {
+    pen.fillStyle = colours.bad; pen.font = "600 15px system-ui, sans-serif"; pen.textAlign = "center";
+    pen.fillText("no estimates: what you see is the past", width / 2, 26); pen.textAlign = "left";
+  }
+}
+
+/** The part of the plane that is shown: all that was seen so far and some more, so that the picture hardly moves. */
+function look(width, height) {
+  const { base, lengths } = state.about, reach = Math.max(lengths[0] + lengths[1], lengths[2] + lengths[3]);
+  state.box ??= { x0: 0, x1: base, y0: 0, y1: 0.5 * reach };
+  const box = state.box;
+  const path = state.forecast?.path, points = state.est ? Object.values(twinPose()).filter((p) => Array.isArray(p) && p.length === 2).slice(0, 3) : [];
+  path?.["tip.x"].forEach((x, i) => points.push([x, path["tip.y"][i]]));
+  for (const [x, y] of points) if (Math.hypot(x, y) < 3 * reach + base) Object.assign(box, { x0: Math.min(box.x0, x), x1: Math.max(box.x1, x), y0: Math.min(box.y0, y), y1: Math.max(box.y1, y) });
+  const margin = 48, scale = Math.min((width - 2 * margin) / (box.x1 - box.x0), (height - 2 * margin) / (box.y1 - box.y0));
+  view = { scale, x: width / 2 - scale * (box.x0 + box.x1) / 2, y: height / 2 + scale * (box.y0 + box.y1) / 2 };
+}
+
+function drawGround(pen, width, height, at, stroke) {
+  const { base, lengths, plane, stops } = state.about, step = 0.1;
+  pen.strokeStyle = colours.grid; pen.lineWidth = 1; pen.beginPath();
+  for (let i = Math.ceil(-view.x / view.scale / step); at([i * step, 0])[0] < width; i++) { pen.moveTo(at([i * step, 0])[0], 0); pen.lineTo(at([i * step, 0])[0], height); }
+  for (let i = Math.ceil((view.y - height) / view.scale / step); at([0, i * step])[1] > 0; i++) { pen.moveTo(0, at([0, i * step])[1]); pen.lineTo(width, at([0, i * step])[1]); }
+  pen.stroke();
+  pen.strokeStyle = pen.fillStyle = colours.soft; pen.beginPath();
+  const y = height - 16;
+  pen.moveTo(16, y - 4); pen.lineTo(16, y); pen.lineTo(16 + step * view.scale, y); pen.lineTo(16 + step * view.scale, y - 4); pen.stroke();
+  pen.font = "12px system-ui, sans-serif"; pen.fillText(`${step} m`, 22 + step * view.scale, y);
+  pen.setLineDash([2, 5]); pen.strokeStyle = colours.line;
+  for (const [x, length] of [[0, lengths[0]], [base, lengths[3]]]) { pen.beginPath(); pen.arc(...at([x, 0]), length * view.scale, 0, 2 * Math.PI); pen.stroke(); }
+  pen.setLineDash([]);
+  pen.fillStyle = colours.line; pen.globalAlpha = 0.6;
+  if (plane) {
+    const [nx, ny] = plane.normal, far = 10, deep = 0.12 * lengths[0];
+    const corner = (along, depth) => at([nx * (plane.offset - depth) - ny * along, ny * (plane.offset - depth) + nx * along]);
+    pen.beginPath();
+    for (const p of [corner(-far, 0), corner(far, 0), corner(far, deep), corner(-far, deep)]) pen.lineTo(...p);
+    pen.fill();
+  }
+  for (const [i, [lower, upper]] of (stops ?? []).entries()) {
+    if (upper - lower >= 2 * Math.PI) continue;
+    pen.beginPath(); pen.moveTo(...at([i * base, 0])); pen.arc(...at([i * base, 0]), 0.3 * lengths[3 * i] * view.scale, -upper, -lower, true); pen.fill();
+  }
+  pen.globalAlpha = 1;
+  stroke([[0, 0], [base, 0]], colours.line, 2);
+}
+
+/** The fan: where the tip will be, and the ellipses that hold it with 95 %. */
+function drawForecast(pen, at, stroke, twin) {
+  const forecast = state.forecast;
+  if (!forecast || Math.abs(state.est.time - forecast.time) > 0.3e9) return;
+  const { path } = forecast, points = path["tip.x"].map((x, i) => [x, path["tip.y"][i]]);
+  points.forEach((p, i) => {
+    const [a, b, angle] = halfAxes([1, 2, 3].map((k) => path[`estimated.tip.cov[${k}]`]?.[i]));
+    if (!Number.isFinite(a)) return;
+    pen.beginPath(); pen.ellipse(...at(p), Math.max(a * view.scale, 1.5), Math.max(b * view.scale, 1.5), -angle, 0, 2 * Math.PI);
+    pen.fillStyle = colours.tip; pen.globalAlpha = 0.13; pen.fill();
+    pen.strokeStyle = colours.tip; pen.globalAlpha = 0.45; pen.lineWidth = 1; pen.stroke(); pen.globalAlpha = 1;
+  });
+  stroke([twin.tip, ...points], colours.tip, 1.6, 0.8, [3, 4]);
+}
+
+// --- the charts -------------------------------------------------------------------------------------------------------
+
+/** Lines and bands over the last seconds; every nth sample, as many as there are pixels. */
+function chart(id, { lines, bands = [], bound, unit, floor, log = false }) {
+  const { pen, width, height } = sharp(byId(id)), history = state.history, right = width - 2, left = 48, bottom = height - 16, top = 6;
+  if (history.length < 2) return;
+  const end = history[history.length - 1].t, stride = Math.max(1, Math.floor(history.length / (right - left)));
+  const kept = history.filter((_, i) => i % stride === 0);
+  const usable = (v) => Number.isFinite(v) && Math.abs(v) < 1e20;
+  let high = floor, low = lines.some((line) => kept.some((h) => line.of(h) < 0)) ? -floor : 0;
+  for (const h of kept) for (const line of lines) { const v = line.of(h); if (usable(v)) { high = Math.max(high, v); low = Math.min(low, v); } }
+  if (low < 0) { high = Math.max(high, -low); low = -high; }
+  if (log) low = 0.01;
+  if (bound) high = Math.max(high, bound * 1.15);
+  const scale = log ? (v) => (Math.log(Math.max(v, low)) - Math.log(low)) / (Math.log(high * 1.2) - Math.log(low)) : (v) => (v - low) / ((high - low) * 1.05);
+  const x = (t) => left + (right - left) * (1 - (end - t) / SHOWN), y = (v) => bottom - (bottom - top) * Math.min(Math.max(scale(v), -0.02), 1.03);
+  pen.font = "11px system-ui, sans-serif"; pen.fillStyle = colours.soft; pen.strokeStyle = colours.grid; pen.lineWidth = 1; pen.textAlign = "right";
+  for (const v of log ? [0.01, 0.1, 1, 10, 100].filter((v) => v <= high * 1.2) : [low, (low + high) / 2, high]) {
+    pen.beginPath(); pen.moveTo(left, y(v)); pen.lineTo(right, y(v)); pen.stroke();
+    pen.fillText(`${+v.toPrecision(2)}`, left - 6, y(v) + 4);
+  }
+  pen.textAlign = "left"; pen.fillText(`−${SHOWN} s`, left, height - 3); pen.textAlign = "right"; pen.fillText(unit, right, height - 3); pen.textAlign = "left";
+  pen.save(); pen.beginPath(); pen.rect(left, 0, right - left, bottom + 2); pen.clip();
+  for (const alarm of state.alarms) if (alarm.state === "anomaly") { pen.fillStyle = colours.bad; pen.globalAlpha = 0.5; pen.fillRect(x(alarm.time / 1e9) - 1, top, 2, bottom - top); pen.globalAlpha = 1; }
+  for (const { of, colour } of bands) {
+    const edges = kept.map((h) => [x(h.t), of(h)]).filter(([, [a, b]]) => usable(a) && usable(b));
+    if (!edges.length) continue;
+    pen.fillStyle = colour; pen.globalAlpha = 0.16; pen.beginPath();
+    edges.forEach(([px, [, b]]) => pen.lineTo(px, y(b)));
+    edges.reverse().forEach(([px, [a]]) => pen.lineTo(px, y(a)));
+    pen.fill(); pen.globalAlpha = 1;
+  }
+  if (bound) { pen.strokeStyle = colours.soft; pen.setLineDash([4, 4]); pen.beginPath(); pen.moveTo(left, y(bound)); pen.lineTo(right, y(bound)); pen.stroke(); pen.setLineDash([]); }
+  for (const { of, colour } of lines) {
+    pen.strokeStyle = colour; pen.lineWidth = 1.4; pen.beginPath();
+    let open = false;
+    for (const h of kept) { const v = of(h); if (!usable(v)) { open = false; continue; } if (open) pen.lineTo(x(h.t), y(v)); else pen.moveTo(x(h.t), y(v)); open = true; }
+    pen.stroke();
+  }
+  pen.restore();
+}
+
+function drawCharts() {
+  chart("error", { unit: "mm", floor: 0.01, lines: [{ of: (h) => 1e3 * h.error, colour: colours.tip }], bands: [{ of: (h) => [0, 1e3 * h.band], colour: colours.tip }] });
+  const torque = (i, colour) => ({ line: { of: (h) => 1e3 * h.tau[i], colour }, band: { of: (h) => [-2, 2].map((k) => 1e3 * (h.tau[i] + k * h.sigma[i])), colour } });
+  const both = [torque(0, colours.left), torque(1, colours.right)];
+  chart("torque", { unit: "mN·m", floor: 1, lines: both.map((b) => b.line), bands: both.map((b) => b.band) });
+  chart("nis", { unit: "", floor: 10, log: true, bound: NIS_BOUND, lines: [{ of: (h) => h.nis, colour: colours.accent }] });
+}
+
+// --- the numbers ------------------------------------------------------------------------------------------------------
+
+const ROWS = [
+  ["rate", "Estimates"], ["delay", "Sample to page"], ["tip", "Tip"], ["error", "Machine − twin"], ["ahead", "Forecast, 95 %"],
+  ["singular", "Next singularity"], ["stop", "Next end stop"],
+];
+const cells = Object.fromEntries(ROWS.map(([key, label]) => {
+  const term = byId("values").appendChild(document.createElement("dt"));
+  term.textContent = label;
+  const cell = byId("values").appendChild(document.createElement("dd"));
+  cell.id = `value-${key}`;
+  cell.textContent = "–";
+  return [key, cell];
+}));
+
+function show(key, text, kind = "") {
+  if (cells[key].textContent !== text) cells[key].textContent = text;
+  if (cells[key].className !== kind) cells[key].className = kind;
+}
+
+const median = (values) => (values.length ? [...values].sort((a, b) => a - b)[values.length >> 1] : NaN);
+
+function tell() {
+  const { est, forecast, about } = state;
+  if (!est || !state.history.length) return;
+  const f = est.fields, last = state.history[state.history.length - 1], seconds = est.time / 1e9;
+  byId("clock").textContent = (seconds - state.first).toFixed(1);
+  const name = about.statuses[f["estimated.status"]] ?? `status ${f["estimated.status"]}`;
+  const alarm = f["estimated.alarm"] === 1;
+  byId("status").textContent = alarm ? `${name} · something acts that the twin does not know` : name;
+  byId("status").className = alarm ? "bad" : f["estimated.status"] === 2 ? "good" : "warn";
+  show("rate", `${state.rate.toFixed(0)} /s`, performance.now() - state.arrived > STALE ? "bad" : "");
+  show("delay", `${median(state.delays).toFixed(0)} ms`);
+  show("tip", `${(1e3 * f["tip.x"]).toFixed(1)}, ${(1e3 * f["tip.y"]).toFixed(1)} mm`);
+  show("error", Number.isFinite(last.error) ? `${(1e3 * last.error).toFixed(3)} mm` : "–");
+  byId("errorValue").textContent = `band ± ${(1e3 * last.band).toFixed(3)} mm`;
+  byId("torqueValue").textContent = last.tau.map((t) => (1e3 * t).toFixed(1)).join(", ") + " mN·m";
+  byId("nisValue").textContent = Number.isFinite(last.nis) ? last.nis.toFixed(2) : "";
+  if (!forecast) return;
+  show("ahead", Number.isFinite(forecast.half_width) ? `± ${(1e3 * forecast.half_width).toFixed(1)} mm in ${forecast.ahead} s` : "–");
+  const { singular, stop } = forecast, share = (p) => `${(100 * p).toFixed(0)} %`;
+  const when = (t) => `in ${Math.max((t - est.time) / 1e9, 0).toFixed(2)} s`;
+  show("singular", singular.time ? `${singular.type}, ${when(singular.time)}, ${share(singular.probability)}` : `none seen, ${share(singular.probability)}`, singular.time ? "warn" : "");
+  show("stop", !about.stops ? "no stops" : stop.time ? `${when(stop.time)}, ${share(stop.probability)}` : `none seen, ${share(stop.probability)}`, stop.time ? "warn" : "");
+}
+
+function connection(text, kind) {
+  byId("connection").textContent = text;
+  byId("connection").className = `pill ${kind}`;
+  byId("restart").disabled = kind !== "good";
+}
+
+// --- the beginning ----------------------------------------------------------------------------------------------------
+
+function connect(user, password) {
+  client?.end(true);
+  client = mqtt.connect(`ws://${location.host}/mqtt`, { username: user, password, reconnectPeriod: 500, connectTimeout: 5000, clean: true, timerVariant: "native" });
+  client.on("connect", () => {
+    connection("live", "good");
+    const kinds = ["meas", "est", "forecast", "alarm"];
+    client.subscribe(kinds.map((kind) => `fivebar/${state.about.unit}/${kind}`), { qos: 0 });
+  });
+  client.on("close", () => connection("no broker, trying again", "bad"));
+  client.on("error", (error) => connection(`broker: ${error.message}`, "bad"));
+  client.on("message", receive);
+}
+
+let drawn = 0;
+function frame(moment) {
+  drawStage();
+  if (moment - drawn >= CHARTS) { drawn = moment; drawCharts(); tell(); }
+  requestAnimationFrame(frame);
+}
+
+function legend(label, colour, kind = "") {
+  const item = byId("legend").appendChild(document.createElement("li"));
+  item.textContent = label;
+  item.className = kind;
+  item.style.setProperty("--colour", `var(${colour})`);
+}
+
+async function begin() {
+  state.about = await (await fetch("/about.json")).json();
+  const { unit, scene, description, horizon } = state.about;
+  document.title = `${unit} · five-bar twin`;
+  byId("name").textContent = `${unit}: machine and twin, live`;
+  byId("description").textContent = `${scene}: ${description}`;
+  byId("note").textContent = `Topics fivebar/${unit}/…; ellipses and bands hold 95 %; the forecast looks ${horizon} s ahead along the plan of the drives.`;
+  legend("Twin, left leg", "--left");
+  legend("Twin, right leg", "--right");
+  legend("Machine", "--ink", "dash");
+  legend("Tip, its path", "--tip");
+  legend("Forecast, 95 %", "--tip", "area");
+  legend("Direct", "--direct");
+  legend("Inverse", "--inverse");
+  readColours();
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColours);
+  byId("acknowledge").addEventListener("click", () => order("acknowledge"));
+  byId("restart").addEventListener("click", () => order("restart"));
+  setInterval(() => { state.rate = state.count; state.count = 0; }, 1000);
+  byId("form").addEventListener("submit", (event) => {
+    event.preventDefault();
+    byId("login").hidden = true;
+    connect(byId("user").value, byId("password").value);
+  });
+  if (state.about.login) byId("login").hidden = false; else connect();
+  requestAnimationFrame(frame);
+}
+
+begin();

@@ -1,0 +1,191 @@
+"""What the processes of a run have in common: signals, log, connection, a status file, an end when the starter is gone."""
+
+import argparse
+import gc
+import json
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from fivebar_twin import config as configuration
+from fivebar_twin.bus import Bus
+from fivebar_twin.config import Config
+from fivebar_twin.errors import Refused
+from fivebar_twin.messages import Message, decode, encode
+
+STATUS_EVERY: Final = 0.5
+TICK: Final = 0.05
+
+log = logging.getLogger("fivebar")
+
+
+class Worker(ABC):
+    """One process' work. `handle` and `tick` never run at the same time."""
+
+    name: ClassVar[str]
+    kinds: ClassVar[tuple[str, ...]] = ()
+    """What it listens to."""
+
+    patient: ClassVar[bool] = False
+    """Whether others go first where there are too few cores for all."""
+
+    def __init__(self, config: Config):
+        self.config = config
+        self.send = self._not_yet
+        self.refused = 0
+
+    @staticmethod
+    def _not_yet(_kind: str, _payload: bytes) -> bool:
+        return False
+
+    def received(self, topic: str, payload: bytes, now: int) -> None:
+        """A message as it came, at a time in ns: handled, or refused with one line in the log."""
+        try:
+            message = decode(topic, payload)
+            if message.unit != self.config.unit or message.kind not in self.kinds:
+                raise Refused(f"{topic[:100]!r} is not for this process")
+            self.handle(message, payload, now)
+        except Refused as error:
+            self.refused += 1
+            log.warning("refused: %s", error)
+
+    def publish(self, message: Message) -> bool:
+        """Sends a message of this unit."""
+        message = Message(message.kind, self.config.unit, message.time, message.seq, message.fields, message.extra)
+        return self.send(message.kind, encode(message))
+
+    def begin(self) -> None:
+        """Before the first message; a stored state is read here."""
+
+    @abstractmethod
+    def handle(self, message: Message, payload: bytes, now: int) -> None:
+        """A message that has been checked. May raise `Refused`."""
+
+    def tick(self, now: int) -> None:
+        """Called some twenty times a second, with the time in ns."""
+
+    def status(self) -> dict[str, Any]:
+        """Figures of this life of the process, all of fixed size."""
+        return {}
+
+    def finished(self) -> bool:
+        """Whether there is nothing left to do."""
+        return False
+
+    def end(self) -> None:
+        """Stores what has to be stored."""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """The one argument of every process."""
+    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="the configuration of the run")
+
+
+def set_up_log() -> None:
+    """One line per event on standard error, with the time in UTC."""
+    handler = logging.StreamHandler(sys.stderr)
+    formatter = logging.Formatter("%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%S")
+    formatter.converter = time.gmtime
+    handler.setFormatter(formatter)
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+
+
+class Stop:
+    """Set by SIGTERM, by Ctrl-C, and when the process that started this one is gone."""
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self.parent = os.getppid()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: self.event.set())
+
+    def wait(self, seconds: float) -> bool:
+        """Whether to stop, after at most so long."""
+        if os.getppid() != self.parent:
+            self.event.set()
+        return self.event.wait(max(seconds, 0.0))
+
+
+class Status:
+    """A small file that says what the process has done; replaced, never half written."""
+
+    def __init__(self, config: Config, name: str):
+        folder = config.path / "status"
+        folder.mkdir(parents=True, exist_ok=True)
+        self.file = folder / f"{name}-{os.getpid()}.json"
+        self.written = 0.0
+
+    def write(self, content: dict[str, Any], at_once: bool = False) -> None:
+        if not at_once and time.monotonic() - self.written < STATUS_EVERY:
+            return
+        self.written = time.monotonic()
+        beside = self.file.with_suffix(".writing")
+        beside.write_text(json.dumps(content), encoding="utf-8")
+        beside.replace(self.file)
+
+
+def serve(worker: Worker) -> int:
+    """Runs a worker until it is told to stop."""
+    set_up_log()
+    if worker.patient and hasattr(os, "nice"):
+        os.nice(5)
+    config = worker.config
+    stop, status, lock = Stop(), Status(config, worker.name), threading.Lock()
+
+    def handle(topic: str, payload: bytes) -> None:
+        with lock:
+            worker.received(topic, payload, time.time_ns())
+
+    worker.begin()
+    bus = Bus(config.broker, config.unit, worker.name, worker.kinds, handle)
+    worker.send = bus.publish
+    bus.start()
+    # What lives now lives to the end: the collector need not look at it again.
+    gc.collect()
+    gc.freeze()
+
+    def report(at_once: bool = False) -> None:
+        own = {"name": worker.name, "pid": os.getpid(), "ready": bus.ready(), "connections": bus.connections}
+        status.write(own | {"unsent": bus.unsent, "refused": worker.refused, "memory_kb": memory_kb()} | worker.status(), at_once)
+
+    while not stop.wait(TICK) and not worker.finished():
+        with lock:
+            worker.tick(time.time_ns())
+            report()
+    with lock:
+        worker.end()
+        report(at_once=True)
+    bus.stop()
+    return 0
+
+
+def memory_kb() -> int:
+    """What the process holds in memory, kB; 0 where the system does not say."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except (OSError, IndexError, ValueError):
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE") // 1024
+
+
+def replace_file(file: Path, content: bytes) -> None:
+    """Writes a file so that a reader finds the old or the new content, whenever the power fails."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    beside = file.with_suffix(".writing")
+    with beside.open("wb") as stream:
+        stream.write(content)
+        stream.flush()
+        os.fsync(stream.fileno())
+    beside.replace(file)
+
+
+def read_config(arguments: argparse.Namespace) -> Config:
+    """The configuration that a process was given."""
+    return configuration.read(arguments.config)

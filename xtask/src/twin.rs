@@ -1,0 +1,44 @@
+//! `cargo xtask twin`: the live twin, from the machine's encoders to the dashboard, in real time.
+
+use crate::package::{self, Scope};
+use crate::venv::{self, Packages};
+use crate::{paths, process, scenes};
+use anyhow::Result;
+
+/// How long, what moves, and on which broker.
+#[derive(clap::Args)]
+pub(crate) struct Options {
+    /// Seconds of real time
+    #[arg(long, default_value_t = 60.0)]
+    seconds: f64,
+    /// A file of scenes/, without `.json`: what the machine is and does
+    #[arg(long, default_value = "pick_and_place")]
+    scene: String,
+    /// An MQTT broker in the place of the one that comes along
+    #[arg(long, value_name = "HOST:PORT")]
+    broker: Option<String>,
+    /// Show the dashboard in a browser and keep running until Ctrl-C
+    #[arg(long)]
+    open: bool,
+}
+
+/// Packs the unit and runs the pipeline; summary, pictures, page and record go to `target/twin/`.
+pub(crate) fn twin(options: &Options) -> Result<()> {
+    let Options { seconds, scene, broker, open } = options;
+    // First of all, so that a misspelt name does not cost a build.
+    scenes::check(scene)?;
+    let fmu = package::package(Scope::Here)?;
+    process::become_program(
+        venv::python(Packages::Usual)?
+            .args(["-m", "fivebar_twin", "run"])
+            .arg("--fmu")
+            .arg(fmu)
+            .arg("--scene")
+            .arg(paths::resolved_scenes().join(scene).with_extension("json"))
+            .arg("--out")
+            .arg(paths::in_root("target/twin"))
+            .arg(format!("--seconds={seconds}"))
+            .args(broker.as_ref().map(|broker| format!("--broker={broker}")))
+            .args(open.then_some("--open")),
+    )
+}
