@@ -10,7 +10,9 @@ use super::{CallError, Instance, Stage};
 use crate::mechanism::SceneError;
 use crate::observers::{INDICATORS, Observed};
 use crate::simulation::{STATES, Simulation};
-use crate::variables::{RealComputed, Value, Variable, VariableId};
+use crate::variables::{EVENT_INDICATORS, RealComputed, Value, Variable, VariableId};
+
+const _: () = assert!(INDICATORS == EVENT_INDICATORS, "numberOfEventIndicators of the model description is another one");
 
 /// The links whose angles and rates are states.
 const DRIVEN: [usize; 2] = [0, 3];
@@ -50,8 +52,8 @@ impl Instance {
     pub fn completed_integrator_step(&mut self) -> Result<(), CallError> {
         let Some(clock) = &self.now.clock else { unreachable!("initialisation has made it") };
         clock.check_end()?;
-        let time = clock.point();
-        self.simulation().complete();
+        let (time, inputs) = (clock.point(), self.now.inputs());
+        self.simulation().complete(&inputs);
         self.warn(time);
         Ok(())
     }
@@ -65,7 +67,7 @@ impl Instance {
     }
 
     /// fmi2SetReal of continuous states, beyond the standard; other variables are left out.
-    pub(super) fn set_states(&mut self, pairs: impl Iterator<Item = (u32, Value)>) -> Result<(), CallError> {
+    pub(super) fn set_states(&mut self, pairs: &mut dyn Iterator<Item = (u32, Value)>) -> Result<(), CallError> {
         let mut states = None;
         for (reference, value) in pairs {
             let (Some(variable), Value::Real(value)) = (Variable::find(reference), value) else { continue };

@@ -157,7 +157,7 @@ impl Instance {
             check_value(variable, value)?;
         }
         if self.now.kind == Kind::ModelExchange {
-            self.set_states(pairs.clone())?;
+            self.set_states(&mut pairs.clone())?;
         }
         let now = self.change();
         for (reference, value) in pairs {

@@ -210,6 +210,7 @@ impl Call {
     }
 
     /// What the instance has to be for; `None` of functions common to both.
+    #[inline(always)]
     fn kind(self) -> Option<Kind> {
         match self {
             Self::SetRealInputDerivatives

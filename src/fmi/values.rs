@@ -22,7 +22,16 @@ pub(super) fn lookup(reference: u32, fmi_type: FmiType) -> Result<&'static Varia
 ///
 /// In model exchange: tunable parameters at events only. Beyond the standard, continuous states may be set as by
 /// fmi2SetContinuousStates, for there are masters that know no other way.
+#[inline(always)]
 pub(super) fn check_settable(variable: &Variable, stage: Stage) -> Result<(), CallError> {
+    match variable.id {
+        VariableId::RealInput(_) | VariableId::RealSample(_) => Ok(()),
+        _ => check_settable_there(variable, stage),
+    }
+}
+
+/// The same of anything but an input.
+fn check_settable_there(variable: &Variable, stage: Stage) -> Result<(), CallError> {
     match variable.id {
         VariableId::RealInput(_) | VariableId::RealSample(_) => Ok(()),
         _ if variable.tunable && stage == Stage::ContinuousTimeMode => Err(CallError::error(format!(

@@ -121,6 +121,7 @@ pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordin
 }
 
 /// Angles of the four links from those of the proximal ones.
+#[inline(never)]
 fn angles(geometry: &Geometry, span: &Span, start: &Start) -> [f64; 4] {
     let [_, l2, l3, _] = geometry.links.map(|link| link.length);
     // The tip at distance `along` on the arrow and `across` it, without cancellation where it comes close to the line.

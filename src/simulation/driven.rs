@@ -88,9 +88,10 @@ impl Simulation {
         Ok(())
     }
 
-    /// A step that ends at the present states has been accepted.
-    pub fn complete(&mut self) {
+    /// A step that ends at the present states under these inputs has been accepted.
+    pub fn complete(&mut self, inputs: &Inputs) {
         self.outside().2.complete();
+        self.run.inputs = *inputs;
     }
 
     fn outside(&mut self) -> (&Model, Assembly, &mut Driven) {

@@ -36,6 +36,7 @@ pub(super) struct Motion {
 
 impl Jump {
     /// From one model to another in a present state.
+    #[cold]
     pub(super) fn new(present: &State, before: &Model, after: &Model, join: Join) -> Self {
         let potential = present.potential_energy(before);
         let mass = |model: &Model| model.mechanism.geometry.mean_mass();

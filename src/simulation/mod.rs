@@ -101,6 +101,7 @@ impl Simulation {
         Ok(simulation)
     }
 
+    #[cold]
     fn started(parameters: &Parameters, model: Model, [q, v]: [Coordinates; 2], inputs: &Inputs) -> Result<Self, SceneError> {
         let simulation = Self { parameters: parameters.clone(), run: Run::start(&model, q, v, inputs), model };
         let state = simulation.state();

@@ -119,6 +119,7 @@ pub struct Model {
 
 impl Model {
     /// Checks the parameters and fixes everything that stays constant.
+    #[cold]
     pub fn new(parameters: &Parameters) -> Result<Self, SceneError> {
         let settings = &parameters.settings;
         settings.check()?;

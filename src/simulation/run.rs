@@ -79,6 +79,7 @@ impl MacroSteps {
 
 impl Run {
     /// Begins with q and q̇, which meet the constraints.
+    #[cold]
     pub(super) fn start(model: &Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Self {
         let mut turns = [0; 4];
         let system = FiveBar::<false>::resolved(model, inputs, &turns, [&q, &v]);

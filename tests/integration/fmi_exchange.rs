@@ -188,6 +188,15 @@ fn a_step_past_the_end_is_refused() {
     assert_eq!(host.line(), "fmi2SetTime: time is NaN s, must be finite.");
 }
 
+/// Once, as in co-simulation, where no effect reads them.
+#[test]
+fn references_that_nobody_reads_are_warned_of() {
+    let host = integrated(&[BENT]);
+    assert_eq!(host.set_real(&[reference("servo.theta[1]")], &[1.0]), fmi2OK);
+    assert_eq!((host.completed_step(), host.completed_step()), (fmi2OK, fmi2OK));
+    assert!(host.line().contains("no active effect reads them: servo.enabled is false."));
+}
+
 /// A stored state goes back into an instance of its kind only, and functions belong to a kind.
 #[test]
 fn kinds_do_not_mix() {

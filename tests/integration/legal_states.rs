@@ -206,11 +206,11 @@ fn states_of_driven_runs_are_read_back() {
             let [theta, omega] = [state.core.q, state.core.v].map(|x| [x[THETA[0]], x[THETA[3]]]);
             let to = [theta[0] + kick[0][0], theta[1] + kick[0][1], omega[0] + kick[1][0], omega[1] + kick[1][1]];
             moves += usize::from(twins.both(|simulation| simulation.drive(to)));
-            let completed = random.one_of(2) == 0;
+            let (completed, inputs) = (random.one_of(2) == 0, random.inputs());
             let tuned = random.tuned(&twins.free.parameters().effects);
             twins.both(|simulation| {
                 if completed {
-                    simulation.complete();
+                    simulation.complete(&inputs);
                 }
                 simulation.tune(&tuned)
             });
