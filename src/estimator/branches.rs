@@ -43,6 +43,11 @@ impl Default for Branches {
 }
 
 impl Branches {
+    /// Whether no vertex is near.
+    pub(super) fn are_known(&self) -> bool {
+        self.since_vertex > LONGEST
+    }
+
     pub(super) fn are_two(&self) -> bool {
         self.other.is_some()
     }

@@ -217,10 +217,11 @@ impl Estimator {
             let Some((innovation, angle)) = heard[i] else { continue };
             let (own, _) = self.track.bank.surprise(&innovation);
             let least = self.track.bank.least_surprise(&innovation);
-            let suspicious = self.encoders[i].repeats() && !other_stands[i];
+            let rate = self.track.omega[MEASURED[i]];
+            let suspicious = !other_stands[i] && self.encoders[i].should_not_repeat(rate, parameters.quantum[i], parameters.sigma[i]);
             self.innovation[i] = innovation.residual;
             nis += own;
-            if self.encoders[i].accepts(own, least, suspicious) {
+            if self.encoders[i].accepts(own, least, (suspicious, self.branches.are_known())) {
                 self.branches.weigh(&self.track, &innovation);
                 self.track.bank.update(&innovation);
                 used[i] = Some((angle, innovation.noise, ages[i]));
@@ -306,6 +307,11 @@ impl Estimator {
     /// Whether something acts that the model does not know.
     pub fn alarm(&self) -> bool {
         self.alarm.is_on()
+    }
+
+    /// Evidence (debug).
+    pub fn evidence(&self) -> [f64; 3] {
+        self.branches.numbers()
     }
 
     /// Covariance of the error on the tangent basis, and of the angles and rates of links 1 to 4 its diagonal.
