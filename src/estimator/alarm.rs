@@ -55,8 +55,8 @@ impl Alarm {
         // (size/σ)² without a division.
         let squared = x * x * yy - 2.0 * x * y * xy + y * y * xx;
         let loud = track.bank.members[2].weight + track.bank.members[3].weight;
-        let raised = size > SUDDEN.0 * scale && loud > SUDDEN.1
-            || size > LASTING.0 * scale && squared > LASTING.1 * LASTING.1 * determinant;
+        let raised =
+            size > SUDDEN.0 * scale && loud > SUDDEN.1 || size > LASTING.0 * scale && squared > LASTING.1 * LASTING.1 * determinant;
         if raised {
             self.since = 0.0;
         }

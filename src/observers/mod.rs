@@ -40,7 +40,10 @@ pub struct Estimated<'a> {
 impl Estimated<'_> {
     /// Probability of a direct singularity within the horizon, with the present inputs held.
     pub fn singularity_probability(&self) -> f64 {
-        *self.observation.singularity_probability.get_or_init(|| self.following.singularity_probability(&self.observation.state.inputs))
+        *self
+            .observation
+            .singularity_probability
+            .get_or_init(|| self.following.singularity_probability(&self.observation.state.inputs))
     }
 }
 

@@ -19,7 +19,6 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let Arguments { only, part } = Arguments::parse();
-    if only == "experiment" { detection::experiment(); return ExitCode::SUCCESS; }
     let runs = |all: u64| ((all as f64 * part).round() as u64).max(2);
     let tables: [(&str, &dyn Fn() -> Table); 6] = [
         ("benchmark", &|| benchmark::table(runs(60))),

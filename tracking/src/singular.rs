@@ -87,7 +87,10 @@ fn crossing(random: &mut Random, [slow, fast]: [f64; 2]) -> Scenario {
         let scale = random.between(slow, fast) / speed;
         let omega = omega.map(|rate| rate * scale);
         // Transversal: a motion that only grazes the line may as well turn back, and encoders cannot tell.
-        if across.abs() < 0.3 * speed || (omega[2] - omega[1]).abs() * 0.21 < 0.3 * scale * speed || omega.iter().any(|rate| rate.abs() > 30.0) {
+        if across.abs() < 0.3 * speed
+            || (omega[2] - omega[1]).abs() * 0.21 < 0.3 * scale * speed
+            || omega.iter().any(|rate| rate.abs() > 30.0)
+        {
             continue;
         }
         // From where encoders can tell the assembly to where they can again.
@@ -177,29 +180,4 @@ pub fn table(part: f64) -> Table {
         table.push(Figure::at_most(format!("pushes of 0.5 N, {}, 1 ms", encoder.name), lost, 0.0, format!("of {count}")));
     }
     table
-}
-
-/// Trace.
-pub fn trace() {
-    let mut shown = 0;
-    for seed in 0..20 {
-        let mut random = Random::new(7_400_000 + seed);
-        let scenario = vertex(&mut random, 0.0);
-        if !outcome(&scenario, &FINE, 1e-3, &mut random).lost || shown >= 2 { continue; }
-        shown += 1;
-        let mut random = Random::new(7_400_000 + seed);
-        let scenario = vertex(&mut random, 0.0);
-        let l = Linkage::new(&scenario.model.geometry);
-        let mut last = String::new();
-        let _ = crate::machine::follow(&scenario, &FINE, 1e-3, &mut random, |at| {
-            let (t, w) = motion(at.truth);
-            let (e, we) = motion(at.estimate);
-            let status = format!("{:?}", at.twin.status());
-            let k = (at.time / 1e-3).round() as u64;
-            if status != last || k % 50 == 0 || (190..215).contains(&k) {
-                println!("{:.3} side {:.3} {:.3} small {:.3} {:.3} w {:?} {:?} tip {:.2} nu {:.1e} {:.1e} nis {:.1} {} {:?}", at.time, side(&t), side(&e), l.frame(&t).smallest, l.frame(&e).smallest, w.map(|x| (x*10.0).round()/10.0), we.map(|x| (x*10.0).round()/10.0), at.tip_error*1e3, at.twin.estimator().innovation()[0], at.twin.estimator().innovation()[1], at.twin.estimator().nis(), status, at.twin.estimator().evidence());
-            }
-            last = status;
-        });
-    }
 }
