@@ -44,8 +44,8 @@ BREAKS = [
     ),
     Break("a start value outside its bounds", 'start="10" min="1" max="100"', 'start="0" min="1" max="100"', ("own",)),
     Break("bounds the wrong way round", 'start="10" min="1" max="100"', 'start="10" min="100" max="1"', ("own",)),
-    Break("an output that is not listed", '<Unknown index="102" dependencies="102"/>', "", ("fmpy", "fmutool", "own")),
-    Break("a dependency on nothing", 'index="102" dependencies="102"', 'index="102" dependencies="9700"', ("own",)),
+    Break("an output that is not listed", '<Unknown index="118" dependencies="118"/>', "", ("fmpy", "fmutool", "own")),
+    Break("a dependency on nothing", 'index="118" dependencies="118"', 'index="118" dependencies="9700"', ("own",)),
     Break("a log category that is not used", 'name="logEvents"', 'name="logMore"', ("own",)),
 ]
 
