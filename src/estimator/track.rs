@@ -12,6 +12,10 @@ const VERTEX: f64 = 0.03;
 const DOUBTFUL: f64 = 0.2;
 /// to this, rad and rad/s.
 const AGREEMENT: [f64; 2] = [1e-3, 0.1];
+/// The part of the fastest rate by which rates change at once where a motion turns.
+const TURNED: f64 = 0.3;
+/// Rates beyond this are none of a machine, rad/s.
+const FASTEST: f64 = 2e3;
 /// In the squares of the inputs' effects: no input is asked for a force that it does not have.
 const LEAST_EFFECT: f64 = 1e-6;
 
@@ -92,6 +96,29 @@ impl Track {
         if finite { Step { transition, held } } else { Step { transition: bank::straight(&from, &to, h), held: true } }
     }
 
+    /// Whether a motion to these angles and rates has turned next to a vertex: forces change no rate by as much in a step.
+    pub(super) fn has_turned(&self, linkage: &Linkage, (theta, omega): (&Links, &Links)) -> bool {
+        let smallest = linkage.frame(&self.theta).smallest.min(linkage.frame(theta).smallest);
+        let fastest = self.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
+        smallest < VERTEX && (0..4).any(|i| (omega[i] - self.omega[i]).abs() > TURNED * fastest)
+    }
+
+    /// Whether a vertex is so near that branches cannot be told apart.
+    pub(super) fn is_at_vertex(&self, linkage: &Linkage) -> bool {
+        linkage.frame(&self.theta).smallest < VERTEX
+    }
+
+    /// h seconds on by its rates.
+    pub(super) fn gone_straight(&self, linkage: &Linkage, h: f64) -> Self {
+        let along: Links = std::array::from_fn(|i| self.theta[i] + h * self.omega[i]);
+        // In the vertex itself nothing is to be closed: the straight line meets the loop to third order.
+        let at_once = |(theta, omega, _): (Links, Links, Frame)| {
+            (0..4).all(|i| (theta[i] - along[i]).abs() < AGREEMENT[0]).then_some((theta, omega))
+        };
+        let (theta, omega) = linkage.closed(along, self.omega).and_then(at_once).unwrap_or((along, self.omega));
+        Self { theta, omega, ..*self }
+    }
+
     /// The motion with the errors about it.
     pub(super) fn flow(&self, linkage: &Linkage, scene: &impl Scene, h: f64) -> Flow {
         let frame = linkage.frame(&self.theta);
@@ -116,6 +143,9 @@ impl Track {
         let (turned, quickened) = (frame.tangent([error[0], error[1]]), frame.tangent([error[2], error[3]]));
         let (theta, omega, to) = linkage
             .closed(std::array::from_fn(|i| self.theta[i] + turned[i]), std::array::from_fn(|i| self.omega[i] + quickened[i]))?;
+        if !omega.iter().all(|rate| rate.abs() < FASTEST) {
+            return None;
+        }
         let force = on_basis(&frame, &self.force);
         let force = [force[0] + error[4], force[1] + error[5]];
         self.force = by_inputs(linkage, &frame).map(|row| row[0] * force[0] + row[1] * force[1]);

@@ -22,7 +22,7 @@ pub struct Instance {
     /// What has been observed since the last change.
     observation: Option<Observation>,
     /// Before the end of initialisation: the scene made ready with the present values, where an output has been read.
-    preview: Option<Scene>,
+    preview: Option<Box<Scene>>,
     /// Lines for the master.
     pub log: Log,
 }
@@ -109,7 +109,7 @@ impl Instance {
         }
         let now = self.change();
         now.next.take_held_inputs();
-        now.scene = scene;
+        now.scene = *scene;
         now.stage = match kind {
             Kind::ModelExchange => Stage::EventMode,
             Kind::CoSimulation => Stage::StepComplete,
@@ -196,8 +196,8 @@ impl Instance {
     pub(super) fn observe(&mut self) -> Result<Observed<'_, f64>, CallError> {
         let Self { now, observation, preview, .. } = self;
         let scene = match (&now.scene, preview) {
-            (Scene::Draft(_), Some(scene)) => &*scene,
-            (Scene::Draft(parameters), none) => none.insert(Scene::made_ready(now.kind, parameters, &now.inputs())?),
+            (Scene::Draft(_), Some(scene)) => &**scene,
+            (Scene::Draft(parameters), none) => none.insert(Box::new(Scene::made_ready(now.kind, parameters, &now.inputs())?)),
             (ready, _) => ready,
         };
         match scene {
@@ -209,7 +209,7 @@ impl Instance {
             Scene::Following(following) => {
                 let model = following.simulation().model();
                 let observation = observation.get_or_insert_with(|| Observation::new(model, following.state_for(&now.inputs())));
-                Ok(Observed::new(model, observation).of_estimate(following, now.inputs()))
+                Ok(Observed::new(model, observation).of_estimate(following))
             }
             Scene::Draft(_) => unreachable!("a preview is made ready"),
         }

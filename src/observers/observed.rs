@@ -10,7 +10,7 @@ use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, 
 use crate::mechanism::singularity::{Jacobians, rank_margin};
 use crate::mechanism::{Coordinates, MULTIPLIERS, SceneError, closure};
 use crate::scalar::Scalar;
-use crate::simulation::{Following, Inputs, Model, Variation};
+use crate::simulation::{Following, Model, Variation};
 
 /// An observation seen in numbers, or in dual numbers that carry the changes along a direction.
 #[derive(Clone, Copy, Debug)]
@@ -18,7 +18,7 @@ pub struct Observed<'a, T> {
     model: &'a Model,
     observation: &'a Observation,
     along: Option<&'a Variation>,
-    estimated: Option<Estimated<'a>>,
+    following: Option<&'a Following>,
     scalar: PhantomData<T>,
 }
 
@@ -37,12 +37,12 @@ pub enum Point {
 impl<'a> Observed<'a, f64> {
     /// The values.
     pub fn new(model: &'a Model, observation: &'a Observation) -> Self {
-        Self { model, observation, along: None, estimated: None, scalar: PhantomData }
+        Self { model, observation, along: None, following: None, scalar: PhantomData }
     }
 
-    /// The same of a machine that is followed, with the present inputs of the master.
-    pub fn of_estimate(self, following: &'a Following, inputs: Inputs) -> Self {
-        Self { estimated: Some(Estimated { following, observation: self.observation, inputs }), ..self }
+    /// The same of a machine that is followed.
+    pub fn of_estimate(self, following: &'a Following) -> Self {
+        Self { following: Some(following), ..self }
     }
 }
 
@@ -70,7 +70,7 @@ impl Observed<'_, f64> {
 impl<'a> Observed<'a, Dual64> {
     /// The values with their changes along a direction.
     pub fn along(model: &'a Model, observation: &'a Observation, along: &'a Variation) -> Self {
-        Self { model, observation, along: Some(along), estimated: None, scalar: PhantomData }
+        Self { model, observation, along: Some(along), following: None, scalar: PhantomData }
     }
 }
 
@@ -87,7 +87,7 @@ impl<T: Scalar> Observed<'_, T> {
 
     /// What has been estimated, where a machine is followed.
     pub fn estimated(&self) -> Option<Estimated<'_>> {
-        self.estimated
+        self.following.map(|following| Estimated { following, observation: self.observation })
     }
 
     /// A value with its change.

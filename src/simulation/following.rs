@@ -162,11 +162,11 @@ impl Following {
         self.estimate.estimator.tip_covariance(&self.constants)
     }
 
-    /// Probability of a direct singularity within the horizon while some inputs of the master are held.
-    pub fn singularity_probability(&self, inputs: &Inputs) -> f64 {
+    /// Probability of a direct singularity within the horizon while some inputs are held, the unknown force among them: see
+    /// [`state_for`](Self::state_for).
+    pub fn singularity_probability(&self, held: &Inputs) -> f64 {
         let Simulation { model, run, parameters } = &self.simulation;
-        let held = acting(inputs, &self.estimate.estimator.track().force);
-        let scene = FiveBar::<false>::new(model, &held, &run.turns);
+        let scene = FiveBar::<false>::new(model, held, &run.turns);
         self.estimate.estimator.singularity_probability(&self.constants, &scene, parameters.settings.step_size)
     }
 

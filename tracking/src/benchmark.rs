@@ -40,7 +40,8 @@ pub fn table(seeds: u64) -> Table {
             for theta in &mut model.start.theta {
                 *theta += std::f64::consts::PI / 16.0;
             }
-            let scenario = Scenario { model, truth: machine(), course: no_inputs, plan: Plan::default(), duration: 10.0 };
+            let scenario =
+                Scenario { model, truth: machine(), course: no_inputs, plan: Plan::default(), duration: 10.0, from: None };
             let one = run(&scenario, &encoder, &mut Random::new(7_200_000 + seed));
             sums.iter_mut().zip(one).for_each(|(sum, one)| *sum += one / seeds as f64);
         }

@@ -3,6 +3,10 @@
 //! Machines are simulations with other parameters, pushes and encoders; all that is random comes from seeds that no setting was chosen on.
 
 pub mod benchmark;
+pub mod detection;
+pub mod forecast;
+pub mod foreign;
 pub mod machine;
 pub mod quality;
 pub mod report;
+pub mod singular;

@@ -93,6 +93,8 @@ pub struct Scenario {
     pub plan: Plan,
     /// s.
     pub duration: f64,
+    /// Angles and rates of all links from which the machine starts, where they are not those of its parameters.
+    pub from: Option<(Links, Links)>,
 }
 
 impl Scenario {
@@ -110,7 +112,11 @@ impl Scenario {
 
     /// The machine.
     pub fn machine(&self) -> Simulation {
-        Simulation::new(&self.truth, &self.acting(0.0)).unwrap_or_else(|error| panic!("the machine: {error}"))
+        let made = match self.from {
+            Some((theta, omega)) => Simulation::at(&self.truth, &self.acting(0.0), theta, omega),
+            None => Simulation::new(&self.truth, &self.acting(0.0)),
+        };
+        made.unwrap_or_else(|error| panic!("the machine: {error}"))
     }
 
     /// The twin, with a start and an encoder.

@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use tracking::report::Table;
-use tracking::{benchmark, quality};
+use tracking::{benchmark, detection, forecast, foreign, quality, singular};
 
 /// Figures of the estimator
 #[derive(Parser)]
@@ -20,8 +20,14 @@ struct Arguments {
 fn main() -> ExitCode {
     let Arguments { only, part } = Arguments::parse();
     let runs = |all: u64| ((all as f64 * part).round() as u64).max(2);
-    let tables: [(&str, &dyn Fn() -> Table); 2] =
-        [("benchmark", &|| benchmark::table(runs(60))), ("quality", &|| quality::table(runs(20)))];
+    let tables: [(&str, &dyn Fn() -> Table); 6] = [
+        ("benchmark", &|| benchmark::table(runs(60))),
+        ("quality", &|| quality::table(runs(20))),
+        ("singular", &|| singular::table(part)),
+        ("forecast", &|| forecast::table(runs(100))),
+        ("detection", &|| detection::table(runs(60), part)),
+        ("foreign", &|| foreign::table(runs(20))),
+    ];
     let mut reached = true;
     for (name, table) in tables {
         if name.contains(&only) {

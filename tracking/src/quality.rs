@@ -29,9 +29,9 @@ pub fn pick_course(time: f64, _: &Plan) -> Inputs {
 /// Servos that follow sines.
 pub fn sines_course(time: f64, plan: &Plan) -> Inputs {
     let rate = [7.0, 5.0];
-    let theta = [2.3, 0.9];
-    let angle = |i: usize| theta[i] + 0.4 * ((rate[i] * time + plan.phase[i]).sin() - plan.phase[i].sin());
-    let speed = |i: usize| 0.4 * rate[i] * (rate[i] * time + plan.phase[i]).cos();
+    let theta = [2.0, 1.1];
+    let angle = |i: usize| theta[i] + 0.25 * (rate[i] * time + plan.phase[i]).sin();
+    let speed = |i: usize| 0.25 * rate[i] * (rate[i] * time + plan.phase[i]).cos();
     Inputs { servo_theta: [angle(0), angle(1)], servo_omega: [speed(0), speed(1)], ..default_inputs() }
 }
 
@@ -62,19 +62,21 @@ fn pick(random: &mut Random) -> Scenario {
     truth.effects.payload.enabled = true;
     truth.effects.payload.mass = 0.02;
     start_off(&mut model, random, START);
-    Scenario { model, truth, course: pick_course, plan: plan(random), duration: 1.6 }
+    Scenario { model, truth, course: pick_course, plan: plan(random), duration: 1.6, from: None }
 }
 
-fn fall(random: &mut Random, percent: bool) -> Scenario {
+/// A free fall from any posture, with masses 5 % off or not.
+pub fn fall(random: &mut Random, percent: bool) -> Scenario {
     let mut model = desk();
     model.start.theta = [random.between(1.6, 2.6), random.between(0.5, 1.5)];
     model.start.omega = [random.between(-2.0, 2.0), random.between(-2.0, 2.0)];
     let truth = if percent { five_percent(&model, random) } else { model.clone() };
     start_off(&mut model, random, START);
-    Scenario { model, truth, course: no_inputs, plan: plan(random), duration: 2.0 }
+    Scenario { model, truth, course: no_inputs, plan: plan(random), duration: 2.0, from: None }
 }
 
-fn driven(random: &mut Random) -> Scenario {
+/// The same driven by torques.
+pub fn driven(random: &mut Random) -> Scenario {
     Scenario { course: driven_course, ..fall(random, true) }
 }
 
@@ -82,10 +84,12 @@ fn driven(random: &mut Random) -> Scenario {
 pub fn sines(random: &mut Random, duration: f64) -> Scenario {
     let mut model = desk();
     servos(&mut model, 1.0, 0.01);
-    model.start.theta = [2.3, 0.9];
+    let plan = plan(random);
+    let start = sines_course(0.0, &plan);
+    (model.start.theta, model.start.omega) = (start.servo_theta, start.servo_omega);
     let truth = five_percent(&model, random);
     start_off(&mut model, random, START);
-    Scenario { model, truth, course: sines_course, plan: plan(random), duration }
+    Scenario { model, truth, course: sines_course, plan, duration, from: None }
 }
 
 fn friction(random: &mut Random) -> Scenario {

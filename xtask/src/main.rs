@@ -2,6 +2,7 @@
 
 mod bench;
 mod compare;
+mod estimator;
 mod hard_cases;
 mod kinks;
 mod package;
@@ -70,6 +71,15 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
+    /// Measure how well machines are followed, print tables of figures beside what they have to be; some minutes
+    Estimator {
+        /// Only tables whose name contains this: benchmark, quality, compare, singular, forecast, detection, foreign
+        #[arg(long, default_value = "")]
+        only: String,
+        /// Part of the runs that are made
+        #[arg(long, default_value_t = 1.0)]
+        part: f64,
+    },
     /// Measure what accuracy costs in time, write the page target/report/index.html
     Report(report::Options),
     /// Run other programs on the same scenes beside ours, write target/peers/peers.csv; needs packages of some 2 GB
@@ -126,6 +136,7 @@ fn command(command: Command) -> Result<()> {
         Command::Compare { revision } => compare::compare(&revision),
         Command::Walk(options) => walk::walk(&options),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
+        Command::Estimator { only, part } => estimator::estimator(&only, part),
         Command::Report(options) => report::report(&options),
         Command::Peers { only } => peers::peers(&only),
         Command::Bench { check: true, .. } => bench::check(),
