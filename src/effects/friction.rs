@@ -14,6 +14,7 @@
 use super::force_context::{JOINTS, ForceContext, add_joint_damping, add_joint_torque, is_inner};
 use super::step_context::{add_joint_slopes, end_weight};
 use super::{Force, MeanForce, StepContext, Tangents};
+use crate::mechanism::exponential::bell_and_tanh;
 use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative, positive};
 
 /// The `friction.*` variables.
@@ -56,14 +57,15 @@ impl Friction {
     /// −T, N·m.
     fn drag(&self, curve: &Curve, rate: f64) -> f64 {
         let u = rate / self.stribeck_rate;
-        curve.stribeck * libm::exp(-u * u) * u + curve.coulomb * libm::tanh(rate / self.coulomb_rate)
+        let [bell, tanh] = bell_and_tanh(u, rate / self.coulomb_rate);
+        curve.stribeck * bell * u + curve.coulomb * tanh
     }
 
     /// −∂T/∂w, N·m·s/rad.
     fn slope(&self, curve: &Curve, rate: f64) -> f64 {
         let u = rate / self.stribeck_rate;
-        let tanh = libm::tanh(rate / self.coulomb_rate);
-        curve.stribeck / self.stribeck_rate * libm::exp(-u * u) * (1.0 - 2.0 * u * u)
+        let [bell, tanh] = bell_and_tanh(u, rate / self.coulomb_rate);
+        curve.stribeck / self.stribeck_rate * bell * (1.0 - 2.0 * u * u)
             + curve.coulomb / self.coulomb_rate * (1.0 - tanh * tanh)
     }
 }
@@ -115,6 +117,18 @@ impl Force for Friction {
         for curve in self.curves() {
             add_joint_damping(curve.joint, self.slope(curve, at.joint_rate(curve.joint)), tangents);
         }
+    }
+
+    #[inline(never)]
+    fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
+        let mut dissipated = 0.0;
+        for curve in self.curves() {
+            let rate = at.joint_rate(curve.joint);
+            let drag = self.drag(curve, rate);
+            add_joint_torque(curve.joint, -drag, forces);
+            dissipated += drag * rate;
+        }
+        [0.0, dissipated]
     }
 
     fn dissipation(&self, at: &ForceContext) -> f64 {

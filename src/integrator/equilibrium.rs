@@ -26,5 +26,17 @@ pub fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
     v: &Vector<N>,
     mass: &S::Mass,
 ) -> (Vector<N>, Vector<M>) {
-    mass.solve(&system.forces(q, pose, v), &-system.phi_q_dot_times(pose, v))
+    equilibrium_under(system, &system.forces(q, pose, v), pose, v, mass)
+}
+
+/// The same with the forces at hand.
+#[inline(always)]
+pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>(
+    system: &S,
+    forces: &Vector<N>,
+    pose: &S::Pose,
+    v: &Vector<N>,
+    mass: &S::Mass,
+) -> (Vector<N>, Vector<M>) {
+    mass.solve(forces, &-system.phi_q_dot_times(pose, v))
 }
