@@ -25,6 +25,7 @@ use super::grips::{Grasp, Grasps, Law};
 use super::step_context::{add_joint_slopes, end_weight};
 use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::coordinates::THETA;
+use crate::mechanism::exponential::bell_and_tanh;
 use crate::mechanism::{COORDINATES, Coordinates, LINKS, Mechanism, SceneError, not_negative, positive};
 
 /// The `friction.*` variables.
@@ -100,14 +101,15 @@ impl Friction {
     /// −T of the smooth law, N·m.
     fn drag(&self, curve: &Curve, rate: f64) -> f64 {
         let u = rate / self.stribeck_rate;
-        curve.stribeck * libm::exp(-u * u) * u + curve.coulomb * libm::tanh(rate / self.coulomb_rate)
+        let [bell, tanh] = bell_and_tanh(u, rate / self.coulomb_rate);
+        curve.stribeck * bell * u + curve.coulomb * tanh
     }
 
     /// −∂T/∂w of the smooth law, N·m·s/rad.
     fn slope(&self, curve: &Curve, rate: f64) -> f64 {
         let u = rate / self.stribeck_rate;
-        let tanh = libm::tanh(rate / self.coulomb_rate);
-        curve.stribeck / self.stribeck_rate * libm::exp(-u * u) * (1.0 - 2.0 * u * u)
+        let [bell, tanh] = bell_and_tanh(u, rate / self.coulomb_rate);
+        curve.stribeck / self.stribeck_rate * bell * (1.0 - 2.0 * u * u)
             + curve.coulomb / self.coulomb_rate * (1.0 - tanh * tanh)
     }
 }
@@ -159,6 +161,17 @@ impl Force for Friction {
         for curve in self.curves() {
             add_joint_damping(curve.joint, self.slope_by_law(curve, at), tangents);
         }
+    }
+
+    #[inline(never)]
+    fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
+        let mut dissipated = 0.0;
+        for curve in self.curves() {
+            let (rate, drag) = (at.joint_rate(curve.joint), self.drag_by_law(curve, at));
+            add_joint_torque(curve.joint, -drag, forces);
+            dissipated += drag * rate;
+        }
+        [0.0, dissipated]
     }
 
     fn dissipation(&self, at: &ForceContext) -> f64 {

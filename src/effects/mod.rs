@@ -51,6 +51,12 @@ trait Force: Sized {
     /// Adds the generalised force Q.
     fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates);
 
+    /// Adds the generalised force Q, and answers with the power put in and that dissipated, W, as below: for less than one by one.
+    fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
+        self.add_forces(at, forces);
+        [self.input_power(at), self.dissipation(at)]
+    }
+
     /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.
     fn add_tangents(&self, _at: &ForceContext, _tangents: &mut impl Tangents) {}
 
@@ -195,6 +201,12 @@ macro_rules! effects {
             #[inline]
             pub fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
                 match self { $(Self::$Force(force) => force.add_forces(at, forces),)+ }
+            }
+
+            /// Adds the generalised force Q, and answers with the power put in and that dissipated, W.
+            #[inline]
+            pub fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
+                match self { $(Self::$Force(force) => force.act(at, forces),)+ }
             }
 
             /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.

@@ -2,7 +2,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::equilibrium::{equilibrium, equilibrium_at};
+use super::equilibrium::{equilibrium, equilibrium_under};
 use super::{Passage, StepError, System, Work};
 use crate::vector::Vector;
 
@@ -168,8 +168,9 @@ impl<const N: usize, const M: usize> Arrival<N, M> {
     /// At q and q̇ with q̈ and λ from equilibrium.
     #[inline(always)]
     pub(super) fn in_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose, mass: &S::Mass) -> Self {
-        let (a, lambda) = equilibrium_at(system, &q, pose, &v, mass);
-        Self::new(system, [q, v, a], pose, lambda)
+        let (forces, power) = system.forces_and_power(&q, pose, &v);
+        let (a, lambda) = equilibrium_under(system, &forces, (&q, pose, &v), mass);
+        Self { q, v, a, lambda, power, modes: system.modes(pose) }
     }
 
     /// The same for what happens rarely, without code of its own.

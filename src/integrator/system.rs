@@ -64,6 +64,10 @@ pub trait System<const N: usize, const M: usize> {
     fn follows_work(&self) -> bool;
     /// Power of the inputs and of dissipation, W. Asked only if [`System::follows_work`].
     fn power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> Work;
+    /// Forces and power at once, for less than both: [`System::forces`], [`System::power`].
+    fn forces_and_power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work) {
+        (self.forces(q, pose, v), if self.follows_work() { self.power(q, pose, v) } else { Work::default() })
+    }
     /// Kinetic energy and that of the forces that have a potential, but for those of the inputs, J: what changes by [`System::power`].
     /// Asked only of systems that are steep.
     fn energy(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> f64 {

@@ -121,6 +121,22 @@ impl<'a> ByAngles<'a> {
         [kinetic, self.five_bar.potential_energy(&x, &pose), self.five_bar.power_without_potential(&x, &pose, &rates)]
     }
 
+    /// Applied forces of the twelve coordinates carried over to the angles, and the centripetal ones of the distal centre of mass.
+    #[inline]
+    fn in_angles(&self, applied: &Coordinates, pose: &Pose, v: &Angles) -> Angles {
+        let (l, a_d) = (proximal_arm(pose), pose.a_d);
+        let on_p = Legs2 { x: legs_of(applied, P_X), y: legs_of(applied, P_Y) };
+        let on_d = Legs2 { x: legs_of(applied, D_X), y: legs_of(applied, D_Y) };
+        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
+        let centripetal = self.mechanism.mass_d * l.turned().dot(a_d);
+        let proximal = legs_of(applied, P_THETA) + pose.a_p.turned().dot(on_p) + l.turned().dot(on_d) + centripetal * w_d * w_d;
+        let distal = legs_of(applied, D_THETA) + a_d.turned().dot(on_d) - centripetal * w_p * w_p;
+        let mut forces = Angles::ZERO;
+        set_legs(&mut forces, PROXIMAL, proximal);
+        set_legs(&mut forces, DISTAL, distal);
+        forces
+    }
+
     /// The twelve coordinates and their rates, each leg built up from its motor axis.
     #[inline]
     pub fn coordinates(&self, pose: &Pose, q: &Angles, v: &Angles) -> (Coordinates, Coordinates) {
@@ -260,21 +276,15 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         self.inertia.mass(pose).times(x)
     }
 
-    /// The applied forces, and the centripetal ones of the distal centre of mass.
     #[inline]
     fn forces(&self, q: &Angles, pose: &Pose, v: &Angles) -> Angles {
-        let applied = self.five_bar.forces(&self.placed(q, pose), pose, &self.moving(v, pose));
-        let (l, a_d) = (proximal_arm(pose), pose.a_d);
-        let on_p = Legs2 { x: legs_of(&applied, P_X), y: legs_of(&applied, P_Y) };
-        let on_d = Legs2 { x: legs_of(&applied, D_X), y: legs_of(&applied, D_Y) };
-        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
-        let centripetal = self.mechanism.mass_d * l.turned().dot(a_d);
-        let proximal = legs_of(&applied, P_THETA) + pose.a_p.turned().dot(on_p) + l.turned().dot(on_d) + centripetal * w_d * w_d;
-        let distal = legs_of(&applied, D_THETA) + a_d.turned().dot(on_d) - centripetal * w_p * w_p;
-        let mut forces = Angles::ZERO;
-        set_legs(&mut forces, PROXIMAL, proximal);
-        set_legs(&mut forces, DISTAL, distal);
-        forces
+        self.in_angles(&self.five_bar.forces(&self.placed(q, pose), pose, &self.moving(v, pose)), pose, v)
+    }
+
+    #[inline]
+    fn forces_and_power(&self, q: &Angles, pose: &Pose, v: &Angles) -> (Angles, Work) {
+        let (applied, power) = self.five_bar.forces_and_power(&self.placed(q, pose), pose, &self.moving(v, pose));
+        (self.in_angles(&applied, pose, v), power)
     }
 
     #[inline]

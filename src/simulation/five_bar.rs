@@ -106,6 +106,19 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
 }
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
+    /// The forces and the power with those of the effects: out of line, as above.
+    #[inline(never)]
+    fn with_acting_effects(&self, mut forces: Coordinates, mut power: Work, at: &ForceContext) -> (Coordinates, Work) {
+        for effect in &self.model.effects {
+            let [input, dissipated] = effect.act(at, &mut forces);
+            power.input += input;
+            power.dissipated += dissipated;
+        }
+        (forces, power)
+    }
+}
+
+impl<const BARE: bool> FiveBar<'_, BARE> {
     /// The power with that of the effects.
     #[inline(never)]
     fn with_effect_power(&self, mut power: Work, at: &ForceContext) -> Work {
@@ -218,6 +231,19 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         let at = self.context(q, pose, v);
         let power = Work { input: self.inputs.power(&at), dissipated: 0.0 };
         if BARE || self.model.effects.is_empty() { power } else { self.with_effect_power(power, &at) }
+    }
+
+    #[inline(always)]
+    fn forces_and_power(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> (Coordinates, Work) {
+        if BARE || self.model.effects.is_empty() || !self.follows_work {
+            let power = if self.follows_work { self.power(q, pose, v) } else { Work::default() };
+            return (self.forces(q, pose, v), power);
+        }
+        let (q, pose, v) = (*q, *pose, *v);
+        let at = self.context(&q, &pose, &v);
+        let mut forces = self.model.weight;
+        self.inputs.add_forces(&at, &mut forces);
+        self.with_acting_effects(forces, Work { input: self.inputs.power(&at), dissipated: 0.0 }, &at)
     }
 
     #[cold]
