@@ -131,6 +131,9 @@ class Recorder(Worker):
         for _, _, path in self.parts:
             path.unlink(missing_ok=True)
         self.parts = []
+        # What joining took goes back to the system.
+        del table
+        pa.default_memory_pool().release_unused()
 
     def status(self) -> dict[str, Any]:
         return dict(self.counts)

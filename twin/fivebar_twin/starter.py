@@ -48,11 +48,11 @@ class Child:
     recent: tuple[float, ...] = ()
 
     def start(self) -> None:
-        # In a session of its own: Ctrl-C is for the starter, which ends all in order.
+        # In a group of its own: Ctrl-C is for the starter, which ends all in order. Not in a session of its own, for Linux shares the
+        # cores among sessions first: who is patient could not let others of this run go first.
+        group = {"process_group": 0} if os.name == "posix" else {}
         with self.log.open("ab") as log:
-            self.process = subprocess.Popen(
-                self.command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
-            )
+            self.process = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, **group)
 
     def look(self) -> bool:
         """Starts it again if it has died; whether it is a machine that has come to its end."""
