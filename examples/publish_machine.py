@@ -19,4 +19,5 @@ for seq in range(400):
     point = {"measurement": "meas", "time": time.time_ns(), "seq": seq, "tags": {"unit": "bench"}, "fields": fields}
     client.publish("fivebar/bench/meas", json.dumps(point))
     time.sleep(0.005)
+client.disconnect()
 client.loop_stop()

@@ -19,6 +19,7 @@ from fivebar_twin import config as configuration
 from fivebar_twin import replay, scene
 from fivebar_twin.config import Broker, Config, Faults, Machine
 from fivebar_twin.errors import TwinError
+from fivebar_twin.process import STATUS_EVERY
 from fivebar_twin.unit import Library
 
 READY_WITHIN: Final = 20.0
@@ -32,8 +33,11 @@ KEPT_RUNS: Final = 5
 ORDER: Final = ("broker", "record", "watch", "dashboard", "follow", "machine")
 """In which they start; they end the other way round, the recorder and the broker last."""
 
-ENDING: Final = ("machine", "watch", "follow", "dashboard", "record", "broker")
-"""The watch before it takes the end for silence."""
+SETTLED_WITHIN: Final = 10.0
+"""Seconds in which the last messages have to arrive."""
+
+ENDING: Final = ("watch", "machine", "follow", "dashboard", "record", "broker")
+"""The watch first, or it would take the end for silence."""
 
 
 @dataclass
@@ -112,13 +116,21 @@ class Run:
         return "machine" in ended
 
     def end(self) -> None:
-        """Ends all: first what sends, then what receives."""
+        """Ends all: first what sends, then what receives, each when all has arrived."""
         for name in ENDING:
             if name in self.children:
                 self.children[name].end()
-                if name in ("watch", "follow"):
-                    # What was sent last arrives.
-                    time.sleep(0.2)
+                if name in ("machine", "follow"):
+                    self._settle()
+
+    def _settle(self) -> None:
+        """Until nothing arrives at the recorder any more: what was sent last may still be on its way where cores are busy."""
+        begin, changed, before = time.monotonic(), time.monotonic(), -1
+        while time.monotonic() - changed < 1.5 * STATUS_EVERY and time.monotonic() - begin < SETTLED_WITHIN:
+            count = total(self.status().get("record", []), "recorded")
+            if count != before:
+                before, changed = count, time.monotonic()
+            time.sleep(0.05)
 
     def status(self) -> dict[str, list[dict[str, Any]]]:
         """The status of every life of every process, by name."""
