@@ -32,9 +32,6 @@ class Worker(ABC):
     kinds: ClassVar[tuple[str, ...]] = ()
     """What it listens to."""
 
-    patient: ClassVar[bool] = False
-    """Whether others go first where there are too few cores for all."""
-
     def __init__(self, config: Config):
         self.config = config
         self.send = self._not_yet
@@ -134,8 +131,6 @@ class Status:
 def serve(worker: Worker) -> int:
     """Runs a worker until it is told to stop."""
     set_up_log()
-    if worker.patient and hasattr(os, "nice"):
-        os.nice(10)
     config = worker.config
     stop, status, lock = Stop(), Status(config, worker.name), threading.Lock()
 

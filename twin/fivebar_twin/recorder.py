@@ -64,7 +64,6 @@ class Recorder(Worker):
     """The worker."""
 
     name = "record"
-    patient = True
     kinds = tuple(kind for kind in KINDS if kind not in ("gap", "setup"))
 
     def __init__(self, config: Config):

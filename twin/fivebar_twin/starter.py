@@ -107,8 +107,9 @@ class Run:
             if name == "machine":
                 self._wait_for([n for n in self.children if n != "machine"])
             child.start()
-            if name in ("broker", "machine"):
+            if name == "broker":
                 self._wait_for([name])
+        self._wait_for(list(self.children))
 
     def look(self) -> bool:
         """Starts again what has died; whether the machine has come to its end."""
@@ -118,18 +119,23 @@ class Run:
     def end(self) -> None:
         """Ends all: first what sends, then what receives, each when all has arrived."""
         for name in ENDING:
+            if name in ("follow", "record"):
+                self._settle()
             if name in self.children:
                 self.children[name].end()
-                if name in ("machine", "follow"):
-                    self._settle()
 
     def _settle(self) -> None:
         """Until nothing arrives at the recorder any more: what was sent last may still be on its way where cores are busy."""
         begin, changed, before = time.monotonic(), time.monotonic(), -1
-        while time.monotonic() - changed < 1.5 * STATUS_EVERY and time.monotonic() - begin < SETTLED_WITHIN:
-            count = total(self.status().get("record", []), "recorded")
+        while time.monotonic() - begin < SETTLED_WITHIN:
+            lives = self.status()
+            count = total(lives.get("record", []), "recorded")
             if count != before:
                 before, changed = count, time.monotonic()
+            # A recorder that was killed has not counted all that it recorded.
+            behind = len(lives.get("record", [])) == 1 and count < sum(total(lives.get("follow", []), n) for n in ("taken", "estimated"))
+            if not behind and time.monotonic() - changed > 1.5 * STATUS_EVERY:
+                return
             time.sleep(0.05)
 
     def status(self) -> dict[str, list[dict[str, Any]]]:
