@@ -86,16 +86,6 @@ def test_resume(fmu: Path, tmp_path: Path) -> None:
     assert output(fmu, tmp_path, "resume.py").endswith("the same bits\n")
 
 
-@pytest.mark.full
-def test_sweep(fmu: Path, tmp_path: Path) -> None:
-    """More friction, less height, for every payload that swings far."""
-    printed = output(fmu, tmp_path, "sweep.py")
-    rows = [[float(x) for x in line.split()[4:]] for line in printed.splitlines()[1:]]
-    assert len(rows) == 4 and all(len(row) == 6 for row in rows)
-    for heaviest in (4, 5):
-        assert [row[heaviest] for row in rows] == sorted((row[heaviest] for row in rows), reverse=True)
-
-
 def test_two_units(fmu: Path, tmp_path: Path) -> None:
     """In the end the wall holds the follower, the operator's 0.5 N are a fifth of what it does, and the leader feels them."""
     last = [float(x) for x in output(fmu, tmp_path, "two_units.py").splitlines()[-1].split()]

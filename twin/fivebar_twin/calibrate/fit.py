@@ -47,6 +47,9 @@ WEAK: Final = 10.0
 OUTLIER: Final = 5.0
 """Standard deviations of leaps beyond which a sample is left out; in the end twice as many of residuals do as well."""
 
+FEW: Final = 0.05
+"""Share of the samples that may be far off and still count as outliers."""
+
 DEEPEST: Final = 0.1
 """s: the longest delay that is sought; samples as long after a start are not compared while it is."""
 
@@ -336,15 +339,17 @@ class Fitter:
 
         What a fit has not reached yet changes smoothly, and is no outlier.
         """
-        count = 0
         leaps = [np.abs(gap - around(gap)) for gap in gaps]
         usual = np.maximum(spread(leaps, pieces), self.noise)
-        for piece, gap, leap in zip(pieces, gaps, leaps, strict=True):
-            usable = self.compared(piece.path.samples)
-            near = (np.nan_to_num(leap) <= OUTLIER * usual) & (np.abs(np.nan_to_num(gap)) <= 2 * OUTLIER * sigma)
-            piece.mask = usable & near
-            count += int(usable.sum() - piece.mask.sum())
-        return count
+        usable = [self.compared(piece.path.samples) for piece in pieces]
+        leapt = [mask & (np.nan_to_num(leap) > OUTLIER * usual) for mask, leap in zip(usable, leaps, strict=True)]
+        far = [mask & (np.abs(np.nan_to_num(gap)) > 2 * OUTLIER * sigma) for mask, gap in zip(usable, gaps, strict=True)]
+        if sum(int(which.sum()) for which in far) > FEW * sum(int(mask.sum()) for mask in usable):
+            # So many are no outliers: the fit is not there yet, or the machine is another one.
+            far = [np.zeros_like(which) for which in far]
+        for piece, mask, *out in zip(pieces, usable, leapt, far, strict=True):
+            piece.mask = mask & ~out[0] & ~out[1]
+        return sum(int(mask.sum() - piece.mask.sum()) for mask, piece in zip(usable, pieces, strict=True))
 
     def span(self) -> float:
         """s of the longest series."""
