@@ -8,7 +8,7 @@ use super::five_bar::FiveBar;
 use crate::effects::grips::{Balance, GRIPS, Grasp, Grasps, Grip, Grips, Way};
 use crate::effects::{Slide, Slides, slow};
 use crate::integrator::{Held, Kkt, System};
-use crate::mechanism::{COORDINATES, Coordinates, Pose};
+use crate::mechanism::{COORDINATES, Coordinates, Multipliers, Pose, SceneError};
 use crate::vector::Vector;
 
 impl FiveBar<'_> {
@@ -219,6 +219,31 @@ pub(super) fn slides(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -> 
         arms: grasp.arms,
     };
     grasps.iter().map(slide).collect()
+}
+
+/// How q̈ and λ change where joints are held, from how they would without: what holds sees to it that their accelerations stay 0. Refused
+/// where all is held, or the tip.
+pub(super) fn varied(
+    system: &FiveBar<'_>,
+    [q, v]: [&Coordinates; 2],
+    (a, lambda): (Coordinates, Multipliers),
+) -> Result<(Coordinates, Multipliers), SceneError> {
+    let grips = system.sides.grips;
+    if !grips.hold() {
+        return Ok((a, lambda));
+    }
+    if grips.at_rest() || matches!(grips.at(GRIPS - 1), Grip::Holds(_)) {
+        return Err(SceneError(
+            "friction holds the tip or all that could move, and derivatives are told only where joints alone are held and something moves."
+                .into(),
+        ));
+    }
+    let pose = system.pose(q);
+    let Held::Direction { row, force, .. } = held(system, q, &pose, v) else { return Ok((a, lambda)) };
+    let (by_force, by_force_lambda) = system.factor_mass(&pose, system.model.regularization).solve(&force, &Vector::ZERO);
+    let mobility = row.dot(&by_force);
+    let part = if mobility > 0.0 { -row.dot(&a) / mobility } else { 0.0 };
+    Ok((a + part * by_force, lambda + part * by_force_lambda))
 }
 
 /// Whether a run can have left a state with its grips as they are; where they have only just stopped, it still moves a little.

@@ -55,8 +55,12 @@ impl State {
 
     /// By what torques friction holds joints, N·m, and by what force the tip, N; 0 where it does not.
     pub fn holding(&self, model: &Model) -> [f64; GRIPS] {
-        let system = FiveBar::<false>::new(model, &self.inputs, &self.turns).on(Sides::of_grips(self.grips));
-        if self.grips.hold() { grips::holding(&system, &self.core.q, &self.core.v) } else { [0.0; GRIPS] }
+        if self.grips.hold() { grips::holding(&self.system(model), &self.core.q, &self.core.v) } else { [0.0; GRIPS] }
+    }
+
+    /// The model under the inputs, with the grips as they are.
+    pub(super) fn system<'a>(&'a self, model: &'a Model) -> FiveBar<'a> {
+        FiveBar::new(model, &self.inputs, &self.turns).on(Sides::of_grips(self.grips))
     }
 
     /// Absolute angles of links 1 to 4, rad, not wrapped.

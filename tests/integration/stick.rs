@@ -6,7 +6,7 @@ use std::f64::consts::PI;
 use fivebar::effects::Law;
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::coordinates::THETA;
-use fivebar::simulation::{Inputs, Method, Parameters, Simulation};
+use fivebar::simulation::{Direction, Inputs, Method, Parameters, Simulation};
 
 use crate::support::enable;
 
@@ -181,8 +181,11 @@ fn it_sticks_and_slips_as_the_closed_form_says() {
     }
 }
 
+/// A scene, and its inputs at a time.
+type Motion = (Parameters, fn(f64) -> Inputs);
+
 /// Motions with all kinds of grips: the fall in whose joints friction sticks and lets go; a handle drawn onto a wall to which it sticks.
-fn motions(method: Method) -> [(Parameters, fn(f64) -> Inputs); 2] {
+fn motions(method: Method) -> [Motion; 2] {
     let mut fall = default_parameters();
     fall.start.theta[1] = 2.0 * PI / 3.0;
     enable(&mut fall, "viscous");
@@ -252,6 +255,28 @@ fn calls_and_copies_change_nothing() {
             assert!(one == many, "{method:?}: {one:?} {many:?}");
         }
     }
+}
+
+/// Derivatives keep what is held where it is; where friction holds everything, they are refused.
+#[test]
+fn derivatives_keep_what_is_held() {
+    let parameters = pulled(Method::I3alp);
+    let start = |torque: f64| {
+        let inputs = Inputs { tau: [torque, 0.0], ..pulling(&parameters, 0.0) };
+        Simulation::new(&parameters, &inputs).expect("a scene")
+    };
+    let by_torque = Direction { inputs: Inputs { tau: [1.0, 0.0], ..Inputs::default() }, ..Direction::default() };
+    let (moving, more) = (start(0.5), start(0.75));
+    let varied = moving.state().varied(moving.model(), &by_torque).expect("one joint is held");
+    // The accelerations are affine in the torque: nothing but round-off.
+    for link in [0, 3] {
+        let difference = (more.state().core.a[THETA[link]] - moving.state().core.a[THETA[link]]) / 0.25;
+        assert!((varied.a[THETA[link]] - difference).abs() < 1e-9 * (1.0 + difference.abs()), "{link}: {difference}");
+    }
+    assert!(varied.a[THETA[3]].abs() < 1e-9 && varied.a[THETA[0]] > 100.0, "{:?}", varied.a);
+    let resting = start(0.0);
+    let refused = resting.state().varied(resting.model(), &by_torque).expect_err("all is held").to_string();
+    assert!(refused.contains("friction holds") && refused.ends_with('.'), "{refused}");
 }
 
 /// Only methods whose steps can end where something stops take it: the others refuse with one sentence.

@@ -17,6 +17,8 @@ const NEAR_ENOUGH: f64 = 0.4;
 const CROSSED: f64 = 1.0;
 /// So many tries to end at a border are enough: the sub-step then ends beyond it.
 const MOST_TRIES: u32 = 60;
+/// As far from a border as matters; where there is none it is infinite.
+const FAR: f64 = -1e15;
 /// A sub-step is at least this part longer than one that does not come to the border.
 const LEAST: f64 = 1e-9;
 
@@ -53,7 +55,7 @@ impl Search {
     ) -> bool {
         let tolerance = settings.error_tolerance;
         let beyond_at = |q: &Vector<N>, v: &Vector<N>| system.beyond(&system.touches(q, v), tolerance);
-        let beyond = beyond_at(&to.q, &to.v);
+        let beyond = beyond_at(&to.q, &to.v).max(FAR);
         self.tries += 1;
         self.at_border = self.beyond.is_some() && (beyond - AT_BORDER).abs() <= NEAR_ENOUGH;
         if self.at_border || self.tries >= MOST_TRIES {
@@ -69,7 +71,7 @@ impl Search {
                 return false;
             }
             let start = beyond_at(&from.q, &from.v).min(0.0) - AT_BORDER;
-            self.before = [0.0, start.max(-1e15)];
+            self.before = [0.0, start.max(FAR)];
             // The middle, as far as it is known, is only a reason to look there.
             self.beyond = Some(if beyond > CROSSED { [h, beyond - AT_BORDER] } else { [0.5 * h, in_middle - AT_BORDER] });
             return true;
