@@ -149,6 +149,7 @@ impl Branches {
 
 impl Other {
     /// One macro step, by Runge–Kutta; false where it cannot go on.
+    #[inline(never)]
     fn go_on(&mut self, constants: &Constants, scene: &impl Scene, (h, switch_time): (f64, f64)) -> bool {
         let linkage = &constants.linkage;
         let (theta, omega) = if self.track.is_at_vertex(linkage) {
@@ -168,6 +169,7 @@ impl Other {
 }
 
 /// The other assembly with the same angles and rates of the motors.
+#[inline(never)]
 fn mirrored(constants: &Constants, track: &Track) -> Option<Track> {
     let linkage = &constants.linkage;
     let from = linkage.frame(&track.theta);

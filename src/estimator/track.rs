@@ -48,6 +48,7 @@ pub fn wrapped(angle: f64) -> f64 {
 }
 
 /// By which inputs a force on the tangent basis acts: the smallest torques, and tip force times the mean length.
+#[inline(never)]
 pub(super) fn by_inputs(linkage: &Linkage, at: &Frame) -> [Pair; 4] {
     let scale = [1.0, 1.0, 1.0 / linkage.length, 1.0 / linkage.length];
     let effects = effects(at);
@@ -67,6 +68,7 @@ pub(super) fn by_inputs(linkage: &Linkage, at: &Frame) -> [Pair; 4] {
 }
 
 /// Forces on the tangent basis of a unit of each input.
+#[inline(never)]
 fn effects(at: &Frame) -> [[f64; 4]; 2] {
     let inputs = at.inputs();
     at.basis.map(|direction| std::array::from_fn(|input| (0..4).map(|link| direction[link] * inputs[link][input]).sum()))
@@ -79,6 +81,7 @@ fn on_basis(at: &Frame, force: &[f64; 4]) -> Pair {
 
 impl Track {
     /// The errors over h seconds, from the motion's beginning at `theta`, `omega` to its end.
+    #[inline(never)]
     pub(super) fn step(&self, linkage: &Linkage, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) -> Step {
         let flow = self.flow(linkage, scene, h);
         let (from, to) = (linkage.frame(&self.theta), linkage.frame(theta));
@@ -127,6 +130,7 @@ impl Track {
     }
 
     /// What is expected of a sample that an encoder takes now.
+    #[inline(never)]
     pub(super) fn innovation(&self, linkage: &Linkage, encoder: usize, angle: f64, noise: f64) -> Innovation {
         let frame = linkage.frame(&self.theta);
         let link = MEASURED[encoder];
@@ -137,6 +141,7 @@ impl Track {
 
     /// The mean takes over what the models think of the error. What it was and how the errors are turned with the basis; `None`, and
     /// nothing has changed, where the loop cannot be closed there.
+    #[inline(never)]
     pub(super) fn absorb(&mut self, linkage: &Linkage) -> Option<(Error, Matrix)> {
         let frame = linkage.frame(&self.theta);
         let (error, _) = self.bank.moments();
@@ -157,6 +162,7 @@ impl Track {
     }
 
     /// The estimate on a tangent basis: covariance of the error about the mean, whatever the mean leaves to the models included.
+    #[inline(never)]
     pub fn covariance(&self) -> Matrix {
         let (error, mut covariance) = self.bank.moments();
         for i in 0..ERRORS {

@@ -12,6 +12,7 @@ use crate::mechanism::coordinates::THETA;
 
 impl Run {
     /// Angles of links 1 to 4, rad, without the whole turns that are left out, and their rates, rad/s.
+    #[inline(never)]
     pub(super) fn motion(&self, model: &Model) -> ([f64; 4], [f64; 4]) {
         let of = |q: &Coordinates, v: &Coordinates| (THETA.map(|i| q[i]), THETA.map(|i| v[i]));
         match &self.progress {
@@ -27,6 +28,7 @@ impl Run {
 
     /// Goes on from other angles, rad, and rates, rad/s, which close the loop, with other inputs. The energy that this puts in counts as
     /// input; signs of the modes that change are no passes.
+    #[inline(never)]
     pub(super) fn go_on_from(&mut self, model: &Model, (theta, omega): ([f64; 4], [f64; 4]), inputs: &Inputs) {
         let geometry = &model.mechanism.geometry;
         let (before_theta, before_omega) = self.motion(model);

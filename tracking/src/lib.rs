@@ -3,6 +3,7 @@
 //! Machines are simulations with other parameters, pushes and encoders; all that is random comes from seeds that no setting was chosen on.
 
 pub mod benchmark;
+pub mod compare;
 pub mod detection;
 pub mod forecast;
 pub mod foreign;

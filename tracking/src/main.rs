@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use tracking::report::Table;
-use tracking::{benchmark, detection, forecast, foreign, quality, singular};
+use tracking::{benchmark, compare, detection, forecast, foreign, quality, singular};
 
 /// Figures of the estimator
 #[derive(Parser)]
@@ -20,9 +20,10 @@ struct Arguments {
 fn main() -> ExitCode {
     let Arguments { only, part } = Arguments::parse();
     let runs = |all: u64| ((all as f64 * part).round() as u64).max(2);
-    let tables: [(&str, &dyn Fn() -> Table); 6] = [
+    let tables: [(&str, &dyn Fn() -> Table); 7] = [
         ("benchmark", &|| benchmark::table(runs(60))),
         ("quality", &|| quality::table(runs(20))),
+        ("compare", &|| compare::table(runs(10))),
         ("singular", &|| singular::table(part)),
         ("forecast", &|| forecast::table(runs(100))),
         ("detection", &|| detection::table(runs(60), part)),

@@ -53,7 +53,8 @@ pub fn plan(random: &mut Random) -> Plan {
     Plan { phase: std::array::from_fn(|_| random.between(0.0, std::f64::consts::TAU)), push: [0.0; 2], from: f64::INFINITY }
 }
 
-fn pick(random: &mut Random) -> Scenario {
+/// The pick with a payload that the twin does not know of.
+pub fn pick(random: &mut Random) -> Scenario {
     let mut model = desk();
     model.effects.gravity.enabled = false;
     servos(&mut model, 20.0, 0.5);

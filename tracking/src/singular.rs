@@ -57,7 +57,7 @@ fn without_gravity(mut parameters: Parameters) -> Parameters {
 }
 
 /// The tip passes the line of the distal links at a speed between these, m/s, at least 0.3 of it across the line.
-fn crossing(random: &mut Random, [slow, fast]: [f64; 2]) -> Scenario {
+pub fn crossing(random: &mut Random, [slow, fast]: [f64; 2]) -> Scenario {
     let model = without_gravity(desk());
     let linkage = Linkage::new(&model.geometry);
     loop {
