@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from fivebar_twin.ensemble import cluster, command, results, what_if
+from fivebar_twin.ensemble import cluster, command, results, rows, what_if
 from fivebar_twin.ensemble.member import Plan, Runner
 from fivebar_twin.errors import TwinError
 from fivebar_twin.messages import Message, decode, encode
@@ -45,7 +45,7 @@ def test_members_do_not_depend_on_others(fmu: Path) -> None:
 def test_a_killed_worker_loses_nothing(fmu: Path, tmp_path: Path) -> None:
     """Two workers, one of which is killed on the way, give the bytes of one process."""
     content, members = fmu.read_bytes(), 1000
-    results.write(tmp_path / "alone.parquet", PLAN, cluster.alone(content, PLAN, members), lambda _: None)
+    results.write(tmp_path / "alone.parquet", PLAN, rows.alone(content, PLAN, members), lambda _: None)
     client, own = cluster.client(None, 2)
     killed: list[int] = []
 
@@ -61,7 +61,7 @@ def test_a_killed_worker_loses_nothing(fmu: Path, tmp_path: Path) -> None:
         own.close()
     assert killed and (tmp_path / "workers.parquet").read_bytes() == (tmp_path / "alone.parquet").read_bytes()
     file = pq.ParquetFile(tmp_path / "alone.parquet")
-    assert file.metadata.num_rows == members and file.metadata.num_row_groups == members // cluster.CHUNK
+    assert file.metadata.num_rows == members and file.metadata.num_row_groups == members // rows.CHUNK
     story = results.read(tmp_path / "alone.parquet", PLAN)
     assert story.failed == 0 and story.summary()["singular"]["probability"] == 1.0
     assert len(results.draw(tmp_path, story)) == 2

@@ -4,43 +4,21 @@ Tasks depend on nothing but their numbers, so what a worker has lost when it die
 chunks for each worker are under way or waiting for their turn: memory is bounded however many members there are.
 """
 
-import shutil
-import tempfile
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any, Final
 
 import pyarrow as pa
 from distributed import Client, LocalCluster, WorkerPlugin, as_completed, get_worker
 
 from fivebar_twin.config import is_loopback
-from fivebar_twin.ensemble.member import KINDS, SHOWN, Plan, Runner
+from fivebar_twin.ensemble.member import Plan, Runner
+from fivebar_twin.ensemble.rows import CHUNK, library_of, table
 from fivebar_twin.errors import TwinError
 from fivebar_twin.unit import Library
 
-CHUNK: Final = 50
-"""Members in one task: a row group of the results, whatever the number of workers."""
-
 WINDOW: Final = 8
 """Chunks a worker may have under way or waiting to be written."""
-
-
-def table(plan: Plan, results: list[dict[str, Any]]) -> pa.Table:
-    """Members as rows."""
-    shown = {
-        name: pa.FixedSizeListArray.from_arrays(pa.array([x for r in results for x in r["shown"][:, k].tolist()], pa.float32()), plan.points)
-        for k, name in enumerate(SHOWN)
-    }
-    drawn = {f"drawn.{name}": pa.array([r["drawn"].get(name) for r in results], pa.float64()) for name in plan.spreads}
-    return pa.table({
-        "member": pa.array([r["member"] for r in results], pa.int64()),
-        **drawn,
-        "singular.time": pa.array([r["singular.time"] for r in results], pa.float64(), from_pandas=True),
-        "singular.kind": pa.array([KINDS[r["singular.kind"]] for r in results]),
-        "failed": pa.array([r["failed"] for r in results]),
-        **shown,
-    })  # fmt: skip
 
 
 class UnitOnWorker(WorkerPlugin):  # type: ignore[misc]
@@ -67,16 +45,6 @@ class UnitOnWorker(WorkerPlugin):  # type: ignore[misc]
                     self.library = library_of(self.fmu)
             self.own.runner = Runner(self.library, self.plan)
         return self.own.runner  # type: ignore[no-any-return]
-
-
-def library_of(fmu: bytes) -> Library:
-    """The unit of those bytes, extracted."""
-    folder = Path(tempfile.mkdtemp(prefix="fivebar-"))
-    try:
-        (folder / "unit.fmu").write_bytes(fmu)
-        return Library(folder / "unit.fmu")
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def chunk(name: str, first: int, count: int) -> bytes:
@@ -138,15 +106,3 @@ def _in_order(of: Client, members: int, name: str) -> Iterator[pa.Table]:
         while written in waiting:
             yield pa.ipc.open_stream(waiting.pop(written)).read_all()
             written += 1
-
-
-def alone(fmu: bytes, plan: Plan, members: int) -> Iterator[pa.Table]:
-    """The same without Dask, in this process."""
-    library = library_of(fmu)
-    runner = Runner(library, plan)
-    try:
-        for first in range(0, members, CHUNK):
-            yield table(plan, [runner.run(member) for member in range(first, min(first + CHUNK, members))])
-    finally:
-        runner.close()
-        library.close()

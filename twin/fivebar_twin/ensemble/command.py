@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     file = arguments.out / "members.parquet"
     measured: dict[str, Any] = {}
     if arguments.measure or not (arguments.workers or arguments.scheduler):
-        from fivebar_twin.ensemble.cluster import alone
+        from fivebar_twin.ensemble.rows import alone
 
         begun, cpu = time.perf_counter(), time.process_time()
         results.write(file, plan, alone(fmu, plan, members), Progress("one process", members))

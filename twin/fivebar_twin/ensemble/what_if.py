@@ -24,6 +24,7 @@ from fivebar_twin import process
 from fivebar_twin.bus import Bus
 from fivebar_twin.ensemble.command import of_state
 from fivebar_twin.ensemble.member import Plan
+from fivebar_twin.ensemble.rows import here
 from fivebar_twin.errors import Refused, TwinError
 from fivebar_twin.messages import INPUTS, Message, decode, encode
 from fivebar_twin.replay import default_fmu
@@ -141,29 +142,30 @@ def compare(fmu: Path, state: Message, candidates: list[Candidate] | None, goal:
         snapshot = base64.b64decode(state.extra["state"], validate=True)
         common = {"seconds": arguments.seconds, "points": POINTS, "seed": arguments.seed}
         plan = of_state(snapshot, float(state.extra["clock"]), library, None, common)
+        chosen = candidates or usual(told, arguments.seconds)
+        names = tuple(name for name in INPUTS if name in told or any(name in c.knots or name.replace("omega", "theta") in c.knots for c in chosen))
+        plans = [replace(plan, names=names, commands=c.rows(told, names, arguments.seconds), period=PERIOD) for c in chosen]
+        results = _all(fmu, library, plans, arguments)
+        found = [outcome(c, tables, p, goal) for c, p, tables in zip(chosen, plans, results, strict=True)]
     except (KeyError, TypeError, ValueError, AttributeError):
         raise TwinError("the twin's state is not as this version writes it") from None
     finally:
         library.close()
-    chosen = candidates or usual(told, arguments.seconds)
-    names = tuple(name for name in INPUTS if name in told or any(name in c.knots or name.replace("omega", "theta") in c.knots for c in chosen))
-    plans = [replace(plan, names=names, commands=c.rows(told, names, arguments.seconds), period=PERIOD) for c in chosen]
-    found = [outcome(c, tables, p, goal) for c, p, tables in zip(chosen, plans, _all(fmu.read_bytes(), plans, arguments), strict=True)]
     return {"ahead": arguments.seconds, "members": arguments.members, "goal": goal, "took_s": round(time.perf_counter() - begun, 4), "candidates": ranked(found)}
 
 
-def _all(fmu: bytes, plans: list[Plan], arguments: argparse.Namespace) -> Iterator[list[pa.Table]]:
+def _all(fmu: Path, library: Library, plans: list[Plan], arguments: argparse.Namespace) -> Iterator[list[pa.Table]]:
     """The members of each plan; here, or on workers."""
-    from fivebar_twin.ensemble import cluster
-
     if not arguments.scheduler:
         for plan in plans:
-            yield list(cluster.alone(fmu, plan, arguments.members))
+            yield list(here(library, plan, arguments.members))
         return
+    from fivebar_twin.ensemble import cluster
+
     client, _ = cluster.client(arguments.scheduler, 0)
     try:
         for plan in plans:
-            yield list(cluster.tables(client, fmu, plan, arguments.members, f"what-if-{uuid.uuid4().hex[:12]}"))
+            yield list(cluster.tables(client, fmu.read_bytes(), plan, arguments.members, f"what-if-{uuid.uuid4().hex[:12]}"))
     finally:
         client.close()
 
