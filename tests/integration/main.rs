@@ -15,7 +15,7 @@ mod effects_reference; // scenes with effects against solutions in quadruple pre
 mod effects_stiff; // friction through zero, stops and contact hit fast, high gains
 mod kinks; // loads with kinks: touches, stops, what is dissipated
 mod physics;
-mod stick; // dry friction that holds // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
+mod stick;
 
 // The FMI rooms, through the C functions.
 mod fmi_derivatives; // of outputs against inputs and states, of inputs and outputs against time
