@@ -72,7 +72,7 @@ impl<'a> Sticking<'a> {
     fn event(&self, from: &Motion, joints: &Joints, longest: f64) -> (Motion, f64) {
         let (mut before, mut beyond) = (0.0, longest);
         let step = |h: f64| extrapolate(&|state| self.slope(state, joints), from, h).0;
-        for _ in 0..60 {
+        for _ in 0..40 {
             let middle = 0.5 * (before + beyond);
             if self.margin(&step(middle), joints) >= 0.0 { before = middle } else { beyond = middle }
         }

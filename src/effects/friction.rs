@@ -7,10 +7,6 @@
 //! with w the joint's rate, T_c = `coulomb[j]`, T_brk = `breakaway[j]` ≥ T_c, w_brk = `breakawayVelocity`: the Stribeck curve of a widely
 //! used rotational friction block (Simscape's "Rotational Friction", without its viscous term, which is the effect `viscous`;
 //! Armstrong-Hélouvry et al., Automatica 30 (1994) 1083). T_brk is met at w_brk to within 1e-4 of T_c. C = −∂T/∂w, K = 0; dissipates −T w ≥ 0.
-//! Defaults: 1 mN·m, 1.2 mN·m at 0.1 rad/s, a preloaded miniature bearing.
-//! Limits of the smooth law: no true sticking. Under a load T below breakaway a joint creeps at about w_c T/T_c; that is the price of
-//! smoothness. Its rate near w = 0 is T_c/(w_c I), some 1,500/s for the paper's links: stiff for explicit methods. Beyond w_brk the slope
-//! is negative.
 //!
 //! By `law` 2, stick, friction is set-valued (`grips.rs`): a joint at rest holds whatever it has to up to T_brk, and one that slips has
 //!
@@ -18,7 +14,11 @@
 //! T_j = −[T_c + (T_brk − T_c) exp(−(w/w_st)²)] sign w
 //! ```
 //!
-//! the same curve without its turn through 0, from T_brk at rest. Limits: rate-independent at rest (no presliding, no ageing).
+//! the same curve without its turn through 0, from T_brk at rest.
+//! Defaults: 1 mN·m, 1.2 mN·m at 0.1 rad/s, a preloaded miniature bearing.
+//! Limits: by the smooth law no true sticking. Under a load T below breakaway a joint creeps at about w_c T/T_c; that is the price of
+//! smoothness. Its rate near w = 0 is T_c/(w_c I), some 1,500/s for the paper's links: stiff for explicit methods. Beyond w_brk the slope
+//! is negative. By the law that sticks no presliding, no ageing at rest.
 
 use super::force_context::{JOINTS, ForceContext, add_joint_damping, add_joint_torque, is_inner};
 use super::grips::{Grasp, Grasps, Law};

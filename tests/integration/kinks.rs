@@ -169,9 +169,8 @@ fn friction_that_holds_creeps_as_its_law_says() {
     assert!(state.core.counters.substeps < 3000, "{} sub-steps", state.core.counters.substeps);
 }
 
-/// The same where friction turns at 1e-6 rad/s: it creeps as the formula says, at 1e-3 of the rate. The program of `sticking.c`'s kind cannot
-/// follow that; the motion is first order in the load, 3.5814e-3 times the breakaway velocity (as measured above at 1e-2 to 1e-4). Before,
-/// it ended with a status. A tenth of a second: what of the first millisecond is not creep is less than 1e-3 of it.
+/// The same where friction turns at 1e-6 rad/s: the creep is proportional to the breakaway velocity, 3.5814e-3 of it per second at 1e-3 and
+/// 1e-4 rad/s by this method. Before, the same scene did not get through 30 ms of it in 160,000 sub-steps.
 #[test]
 fn stiff_friction_creeps_as_well() {
     let mut parameters = close_motors([2.2, 0.9], [0.0; 2]);

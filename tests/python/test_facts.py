@@ -64,8 +64,9 @@ def test_docs_have_the_start_values_of_effects(model: ModelDescription, effect: 
     for name, (start, shown) in stated.items():
         assert start == float(known[name].start), name
         assert shown == unit(known[name]) or (not shown and (start == 0.0 or unit(known[name]) == "1")), name
-    (variability,) = {v.variability for v in known.values()}
-    assert row.startswith(f"{variability}: ")
+    for variability, part in re.findall(r"(tunable|fixed): ([^;]*)", row):
+        names = {f"{name}[1]" if count else name for name, count in re.findall(r"`(\w+)(\[1\.\.\d\])?`", part)}
+        assert names and {known[name].variability for name in names} == {variability}
 
 
 @pytest.mark.parametrize("effect", EFFECTS)

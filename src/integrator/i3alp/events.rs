@@ -17,6 +17,8 @@ const NEAR_ENOUGH: f64 = 0.4;
 const CROSSED: f64 = 1.0;
 /// So many tries to end at a border are enough: the sub-step then ends beyond it.
 const MOST_TRIES: u32 = 60;
+/// No sub-step that is sought is shorter than this, s.
+const SHORTEST: f64 = 1e-11;
 /// As far from a border as matters; where there is none it is infinite.
 const FAR: f64 = -1e15;
 /// A sub-step is at least this part longer than one that does not come to the border.
@@ -58,7 +60,8 @@ impl Search {
         let beyond = beyond_at(&to.q, &to.v).max(FAR);
         self.tries += 1;
         self.at_border = self.beyond.is_some() && (beyond - AT_BORDER).abs() <= NEAR_ENOUGH;
-        if self.at_border || self.tries >= MOST_TRIES {
+        // What is beyond a border already turns at once.
+        if self.at_border || self.tries >= MOST_TRIES || (self.beyond.is_some() && h < SHORTEST) {
             self.at_border = true;
             return false;
         }
