@@ -291,7 +291,6 @@ impl Estimator {
                 + y * y * covariance[first + 1][first + 1];
             variance.max(0.0).sqrt()
         };
-        // Rates: their part along the links that stays when the loop closes is of second order.
         [std::array::from_fn(|link| sigma(link, 0)), std::array::from_fn(|link| sigma(link, 2))]
     }
 
