@@ -131,7 +131,7 @@ impl Branches {
             other.track.bank.update(&innovation);
         }
         let closes = other.track.absorb(linkage).is_some();
-        if !closes || !(other.evidence > DECIDED[0]) {
+        if !closes || other.evidence.is_nan() || other.evidence <= DECIDED[0] {
             self.other = None;
             return false;
         }

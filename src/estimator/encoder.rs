@@ -145,7 +145,9 @@ impl Encoder {
             // NaN is wild.
             _ if nis <= WILD => Fault::None,
             _ if suspicious => Fault::Stuck,
-            _ if self.left_out < 1 || (patient && !(least <= IMPOSSIBLE) && self.left_out < PATIENCE) => Fault::Rejected,
+            _ if self.left_out < 1 || (patient && (least.is_nan() || least > IMPOSSIBLE) && self.left_out < PATIENCE) => {
+                Fault::Rejected
+            }
             _ => Fault::None,
         };
         self.left_out = if self.fault == Fault::None { 0 } else { self.left_out.saturating_add(1) };

@@ -171,7 +171,8 @@ pub(super) fn singularity_probability(
     let meets = |mut point: Point| {
         // On the other side already: it has been met.
         (0..=count).any(|_| {
-            let met = !(linkage.posture(&point.theta).side() * side > 0.0);
+            let now = linkage.posture(&point.theta).side() * side;
+            let met = now.is_nan() || now <= 0.0;
             point.step(linkage, scene, step);
             met
         })

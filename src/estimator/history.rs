@@ -145,7 +145,7 @@ fn inverse(f: &Matrix) -> Option<Matrix> {
         left.swap(column, pivot);
         right.swap(column, pivot);
         let value = left[column][column];
-        if !(value.abs() > 1e-12) {
+        if value.is_nan() || value.abs() <= 1e-12 {
             return None;
         }
         for k in 0..ERRORS {

@@ -6,6 +6,8 @@
 //!
 //! Invariant: does no input or output, reads no clock; the same input bits give the same output bits.
 
+#![expect(clippy::needless_range_loop, reason = "matrices are indexed as formulas index them")]
+
 pub mod alarm;
 pub mod bank;
 mod branches;
@@ -13,6 +15,7 @@ pub mod encoder;
 pub mod forecast;
 mod history;
 pub mod linkage;
+mod parameters;
 mod track;
 pub mod transition;
 
@@ -27,71 +30,11 @@ use forecast::Forecast;
 use history::History;
 pub use history::REMEMBERED;
 pub use linkage::{Frame, Linkage, Links, MEASURED, Pair};
+pub use parameters::{Bands, Parameters};
 pub use track::{Track, wrapped};
 pub use transition::{Loads, Scene};
 
-use crate::mechanism::{Geometry, SceneError, finite, not_negative, positive};
-
-/// How a forecast without samples gets its bands.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Bands {
-    /// The covariance goes on linearly.
-    #[default]
-    Linear,
-    /// From motions around the estimate that are computed beside it.
-    SigmaPoints,
-}
-
-/// The `estimator.*` parameters.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Parameters {
-    /// Whether the scene is followed.
-    pub enabled: bool,
-    /// White noise of the encoders, rad.
-    pub sigma: [f64; 2],
-    /// Their steps, rad; 0: none.
-    pub quantum: [f64; 2],
-    /// The oldest sample that is used, s.
-    pub max_delay: f64,
-    /// Standard deviation of the link angles at the start, rad.
-    pub sigma0_theta: f64,
-    /// That of the rates, rad/s.
-    pub sigma0_omega: f64,
-    /// How bands are forecast.
-    pub forecast: Bands,
-    /// The torque in which the unknown force is measured, N·m; 0: what carries the machine's weight.
-    pub torque_scale: f64,
-    /// How long the unknown force goes on changing as it does, s.
-    pub switch_time: f64,
-    /// How far ahead singularities are looked for, s.
-    pub horizon: f64,
-}
-
-impl Parameters {
-    /// Refuses what is no number, with the step length of the scene, s.
-    pub fn check(&self, step_size: f64) -> Result<(), SceneError> {
-        for i in 0..2 {
-            not_negative(format_args!("estimator.sigma[{}]", i + 1), self.sigma[i], "rad")?;
-            not_negative(format_args!("estimator.quantum[{}]", i + 1), self.quantum[i], "rad")?;
-        }
-        not_negative("estimator.maxDelay", self.max_delay, "s")?;
-        positive("estimator.sigma0.theta", self.sigma0_theta, "rad")?;
-        positive("estimator.sigma0.omega", self.sigma0_omega, "rad/s")?;
-        not_negative("estimator.torqueScale", self.torque_scale, "N.m")?;
-        positive("estimator.switchTime", self.switch_time, "s")?;
-        finite("estimator.horizon", self.horizon, "s")?;
-        // A communication step that is no multiple of h is divided into shorter ones, down to half of it.
-        let most = (REMEMBERED / 2 - 1) as f64 * step_size;
-        if self.max_delay > most {
-            return Err(SceneError(format!(
-                "estimator.maxDelay = {:?} s is not allowed: at most {} steps of solver.stepSize = {step_size:?} s are remembered.",
-                self.max_delay,
-                REMEMBERED / 2 - 1
-            )));
-        }
-        Ok(())
-    }
-}
+use crate::mechanism::Geometry;
 
 /// What the estimate is worth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -353,7 +296,6 @@ impl Estimator {
                 + y * y * covariance[first + 1][first + 1];
             variance.max(0.0).sqrt()
         };
-        // Rates: their part along the links that stays when the loop closes is of second order.
         [std::array::from_fn(|link| sigma(link, 0)), std::array::from_fn(|link| sigma(link, 2))]
     }
 

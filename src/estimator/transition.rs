@@ -105,8 +105,7 @@ pub fn steps(linkage: &Linkage, scene: &impl Scene, (theta, omega): (&Links, &Li
         fastest = fastest.max(omega[i].abs());
     }
     rate = rate.max(PER_RADIAN * fastest / frame.smallest.clamp(0.01, 1.0).sqrt());
-    // The bounds first: what is not finite becomes one step.
-    (h * rate).ceil().min(MOST_STEPS).max(1.0) as u32
+    (h * rate).ceil().clamp(1.0, MOST_STEPS).max(1.0) as u32
 }
 
 /// The motion alone, from angles and rates, over h seconds in equal steps.

@@ -209,7 +209,7 @@ fn from_outside(scenario: &Scenario, way: Way, encoder: &Encoder, random: &mut R
             break;
         }
     }
-    ((sum / count).sqrt(), !(last < 0.01))
+    ((sum / count).sqrt(), last.is_nan() || last >= 0.01)
 }
 
 /// Tip errors side by side.

@@ -2,6 +2,8 @@
 //!
 //! Machines are simulations with other parameters, pushes and encoders; all that is random comes from seeds that no setting was chosen on.
 
+#![expect(clippy::needless_range_loop, reason = "matrices are indexed as formulas index them")]
+
 pub mod benchmark;
 pub mod compare;
 pub mod detection;
