@@ -2,7 +2,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::tableau::{A, ALL, DENSE, END, ERROR_3, ERROR_5, Row, STAGES};
+use super::tableau::{ALL, AT_DENSE, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, END, STAGES};
 use crate::integrator::equilibrium::equilibrium_under;
 use crate::integrator::{State, System, Work};
 use crate::vector::Vector;
@@ -49,73 +49,96 @@ pub(super) struct Stages<const N: usize> {
     last: Vector<N>,
 }
 
+/// Does something for each stage, without a loop at run time: stages and their coefficients are constants.
+macro_rules! for_each {
+    ($do:ident: $($stage:literal)*) => {
+        $($do!($stage);)*
+    };
+}
+
 impl<const N: usize> Stages<N> {
     /// All stages of a step of h seconds.
     #[inline(never)]
     pub(super) fn new<const M: usize>(system: &impl System<N, M>, regularization: f64, from: &State<N, M>, h: f64) -> Self {
         let mut stages = Self { slopes: [Slope::NONE; ALL], q: from.q, v: from.v, h, last: from.q };
         stages.slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
-        for (stage, row) in A.iter().enumerate().take(STAGES).skip(1) {
-            let [q, v] = stages.at(row);
-            stages.slopes[stage] = Slope::at(system, regularization, &q, &v);
-            stages.last = q;
+        macro_rules! evaluate {
+            ($stage:literal) => {
+                let [q, v] = stages.at::<$stage>();
+                stages.slopes[$stage] = Slope::at(system, regularization, &q, &v);
+                stages.last = q;
+            };
         }
+        for_each!(evaluate: 1 2 3 4 5 6 7 8 9 10 11);
         stages
     }
 
     /// Σ coefficient · slope over q and q̇.
     #[inline(always)]
-    fn sum(&self, row: Row) -> [Vector<N>; 2] {
+    fn sum<const ROW: usize>(&self) -> [Vector<N>; 2] {
         let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
-        for &(stage, coefficient) in row {
-            // The remainder changes nothing and is cheaper than a check.
-            let slope = &self.slopes[stage % ALL];
-            q += coefficient * slope.q;
-            v += coefficient * slope.v;
+        macro_rules! add {
+            ($stage:literal) => {
+                if const { COEFFICIENTS[ROW][$stage] != 0.0 } {
+                    let slope = &self.slopes[$stage];
+                    q += const { COEFFICIENTS[ROW][$stage] } * slope.q;
+                    v += const { COEFFICIENTS[ROW][$stage] } * slope.v;
+                }
+            };
         }
+        for_each!(add: 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
         [q, v]
     }
 
     /// The same over the power.
-    fn power(&self, row: Row) -> Work {
-        row.iter().fold(Work::default(), |sum, &(stage, coefficient)| sum.plus(coefficient, self.slopes[stage].power))
+    #[inline(always)]
+    fn power<const ROW: usize>(&self) -> Work {
+        let mut power = Work::default();
+        macro_rules! add {
+            ($stage:literal) => {
+                if const { COEFFICIENTS[ROW][$stage] != 0.0 } {
+                    power = power.plus(const { COEFFICIENTS[ROW][$stage] }, self.slopes[$stage].power);
+                }
+            };
+        }
+        for_each!(add: 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
+        power
     }
 
     /// q and q̇ at the place of a row.
     #[inline(always)]
-    fn at(&self, row: Row) -> [Vector<N>; 2] {
-        let [q, v] = self.sum(row);
+    fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
+        let [q, v] = self.sum::<ROW>();
         [self.q + self.h * q, self.v + self.h * v]
     }
 
     /// q and q̇ at the end of the step, of order 8.
     #[inline(always)]
     pub(super) fn end(&self) -> [Vector<N>; 2] {
-        self.at(A[END])
+        self.at::<END>()
     }
 
     /// Mean power over the step, of order 8.
     pub(super) fn mean_power(&self) -> Work {
-        self.power(A[END])
+        self.power::<END>()
     }
 
     /// Estimated error in units of what is allowed: of the coordinates, of their rates (10/s + |q̇| times that) and of the work; root of
     /// the mean square. The estimate of order 5 is damped by that of order 3 (Hairer, Nørsett, Wanner, section II.5, eq. 5.17).
     #[inline(always)]
     pub(super) fn error(&self, allowed: &Allowed, v_end: &Vector<N>) -> f64 {
-        let norm = |row: Row| {
-            let [q, v] = self.sum(row);
+        let norm = |[q, v]: [Vector<N>; 2], power: Option<Work>| {
             let mut sum = 0.0;
             for i in 0..N {
                 let rate = v[i] / (RATE + self.v[i].abs().max(v_end[i].abs()));
                 sum += q[i] * q[i] + rate * rate;
             }
             let mean = sum / (2.0 * N as f64 * allowed.coordinate * allowed.coordinate);
-            let Some(work) = allowed.work else { return mean };
-            let Work { input, dissipated } = self.power(row);
+            let Some((work, Work { input, dissipated })) = allowed.work.zip(power) else { return mean };
             mean + (input * input + dissipated * dissipated) / (work * work)
         };
-        let (fifth, third) = (norm(ERROR_5), norm(ERROR_3));
+        let fifth = norm(self.sum::<AT_ERROR_5>(), allowed.work.map(|_| self.power::<AT_ERROR_5>()));
+        let third = norm(self.sum::<AT_ERROR_3>(), allowed.work.map(|_| self.power::<AT_ERROR_3>()));
         let damped = fifth + 0.01 * third;
         // Both are 0 where nothing moves.
         if damped == 0.0 { 0.0 } else { self.h * fifth / damped.sqrt() }
@@ -149,14 +172,26 @@ impl<const N: usize> Stages<N> {
         end: &State<N, M>,
     ) -> [Slope<N>; 4] {
         self.slopes[END] = Slope { q: end.v, v: end.a, power: end.power };
-        for (stage, row) in A.iter().enumerate().skip(END + 1) {
-            let [q, v] = self.at(row);
-            self.slopes[stage] = Slope::at(system, regularization, &q, &v);
+        macro_rules! evaluate {
+            ($stage:literal) => {
+                let [q, v] = self.at::<$stage>();
+                self.slopes[$stage] = Slope::at(system, regularization, &q, &v);
+            };
         }
-        DENSE.map(|row| {
-            let [q, v] = self.sum(row);
-            let power = if system.follows_work() { self.power(row) } else { Work::default() };
-            Slope { q: self.h * q, v: self.h * v, power: Work::default().plus(self.h, power) }
-        })
+        for_each!(evaluate: 13 14 15);
+        let follows_work = system.follows_work();
+        [
+            self.coefficient::<AT_DENSE>(follows_work),
+            self.coefficient::<{ AT_DENSE + 1 }>(follows_work),
+            self.coefficient::<{ AT_DENSE + 2 }>(follows_work),
+            self.coefficient::<{ AT_DENSE + 3 }>(follows_work),
+        ]
+    }
+
+    /// One of them.
+    fn coefficient<const ROW: usize>(&self, follows_work: bool) -> Slope<N> {
+        let [q, v] = self.sum::<ROW>();
+        let power = if follows_work { self.power::<ROW>() } else { Work::default() };
+        Slope { q: self.h * q, v: self.h * v, power: Work::default().plus(self.h, power) }
     }
 }

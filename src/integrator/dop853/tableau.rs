@@ -5,7 +5,7 @@
 //! those of the authors' code `dop853.f`, rounded to double precision. The test below checks them by the order conditions.
 
 /// The coefficients of a sum over stages: (stage, coefficient), zeros left out.
-pub(super) type Row = &'static [(usize, f64)];
+type Row = &'static [(usize, f64)];
 
 /// Stages of a step.
 pub(super) const STAGES: usize = 12;
@@ -14,8 +14,38 @@ pub(super) const END: usize = STAGES;
 /// Stages with those that only the dense output needs.
 pub(super) const ALL: usize = 16;
 
+/// All sums over the stages: those of [`A`], then these.
+const SUMS: usize = ALL + 6;
+/// Place of [`ERROR_5`] among them.
+pub(super) const AT_ERROR_5: usize = ALL;
+/// Place of [`ERROR_3`].
+pub(super) const AT_ERROR_3: usize = ALL + 1;
+/// Place of the first of [`DENSE`].
+pub(super) const AT_DENSE: usize = ALL + 2;
+
+/// The coefficients of every sum for every stage, zeros included: the compiler sees which are 0 and leaves them out.
+pub(super) const COEFFICIENTS: [[f64; ALL]; SUMS] = {
+    let mut all = [[0.0; ALL]; SUMS];
+    let mut sum = 0;
+    while sum < SUMS {
+        let row = match sum {
+            AT_ERROR_5 => ERROR_5,
+            AT_ERROR_3 => ERROR_3,
+            AT_DENSE.. => DENSE[sum - AT_DENSE],
+            _ => A[sum],
+        };
+        let mut i = 0;
+        while i < row.len() {
+            all[sum][row[i].0] = row[i].1;
+            i += 1;
+        }
+        sum += 1;
+    }
+    all
+};
+
 /// Where each stage is evaluated: the sum over the stages before it. Row [`END`] is the new value, of order 8.
-pub(super) const A: [Row; ALL] = [
+const A: [Row; ALL] = [
     &[],
     &[(0, 0.05260015195876773)],
     &[(0, 0.0197250569845379), (1, 0.0591751709536137)],
@@ -111,7 +141,7 @@ pub(super) const A: [Row; ALL] = [
 ];
 
 /// The new value minus an embedded one of order 5.
-pub(super) const ERROR_5: Row = &[
+const ERROR_5: Row = &[
     (0, 0.01312004499419488),
     (5, -1.2251564463762044),
     (6, -0.4957589496572502),
@@ -123,7 +153,7 @@ pub(super) const ERROR_5: Row = &[
 ];
 
 /// The new value minus an embedded one of order 3.
-pub(super) const ERROR_3: Row = &[
+const ERROR_3: Row = &[
     (0, -0.18980075407240762),
     (5, 4.450312892752409),
     (6, 1.8915178993145003),
@@ -135,7 +165,7 @@ pub(super) const ERROR_3: Row = &[
 ];
 
 /// The higher coefficients of the dense output.
-pub(super) const DENSE: [Row; 4] = [
+const DENSE: [Row; 4] = [
     &[
         (0, -8.428938276109013),
         (5, 0.5667149535193777),
