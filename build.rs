@@ -52,6 +52,7 @@ fn constants(description: &ModelDescription, code: &mut String) -> Written {
         "/// Name of the library file and of the .fmu.\npub const MODEL_IDENTIFIER: &str = {:?};",
         description.model_identifier
     )?;
+    writeln!(code, "/// Event indicators.\npub const EVENT_INDICATORS: usize = {};", description.event_indicators)?;
     writeln!(code, "\n/// The declared log categories.\n#[derive(Clone, Copy, Debug, PartialEq, Eq)]\npub enum Category {{")?;
     for category in &description.categories {
         writeln!(code, "    /// {}.\n    {},", category.description, camel(&category.name))?;

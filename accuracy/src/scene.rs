@@ -4,7 +4,7 @@ use std::rc::Rc;
 
 use anyhow::{Context, Result, ensure};
 use fivebar::fmi::bindings::{self, default_inputs, default_parameters};
-use fivebar::simulation::{Inputs, Parameters};
+use fivebar::simulation::{Inputs, Model, Parameters};
 use fivebar::variables::{Value, Variable};
 use scenes::Scene as File;
 
@@ -62,7 +62,7 @@ pub struct Scene {
 type Judged = (&'static str, Kind, f64, &'static str);
 
 /// The first of each kind is the one that README.md and docs/accuracy.md show.
-const JUDGED: [Judged; 17] = [
+const JUDGED: [Judged; 21] = [
     ("swing", Kind::Smooth, 2.0, "swing"),
     ("fall_90_120", Kind::Whipping, 1.0, "fall_90_120"),
     ("fall_90_120", Kind::Whipping, 2.0, "fall_90_120"),
@@ -81,6 +81,10 @@ const JUDGED: [Judged; 17] = [
     ("servo_step", Kind::Stiff, 1.0, "servo_step"),
     ("pick_and_place", Kind::Driven, 1.6, "pick_and_place"),
     ("haptic", Kind::Driven, 2.0, "haptic"),
+    ("friction_fall_stick", Kind::Effects, 1.0, "friction_fall_stick"),
+    ("run_down_stick", Kind::Effects, 1.0, "run_down_stick"),
+    ("haptic_stick", Kind::Driven, 2.0, "haptic_stick"),
+    ("stick_slip", Kind::Driven, 4.0, "stick_slip"),
 ];
 
 /// Those of them that a quick run judges: one of each kind, but the smooth one, which is the longest.
@@ -98,8 +102,14 @@ impl Scene {
         Ok(Self { name, kind, end, parameters, inputs, reference: Reference::read(reference, end)? })
     }
 
-    /// Why a choice is not measured, if it is not: over a longer step inputs would be held for longer, which is another motion.
+    /// Why a choice is not measured, if it is not: over a longer step inputs would be held for longer, which is another motion; and not
+    /// every method takes friction that sticks.
     pub fn leaves_out(&self, choice: &Choice) -> Option<String> {
+        let mut parameters = self.parameters.clone();
+        choice.setting.apply(&mut parameters);
+        if let Err(refusal) = Model::new(&parameters) {
+            return Some(format!("left out: {}", refusal.0));
+        }
         let longer = choice.knob == "step" && choice.value > COMMUNICATION;
         (longer && self.inputs.len() > 1).then(|| {
             let held = 1e3 * COMMUNICATION;

@@ -5,7 +5,7 @@ use std::fs;
 
 use accuracy::{COMMUNICATION, Choice, Extent, Folder, Run, Scene, precision};
 use hard_cases::Setting;
-use scenes::Scene as File;
+use scenes::{Causality, Scene as File};
 
 fn judged(title: &str) -> Scene {
     let scenes = Scene::judged(Extent::Quick).expect("scenes with references");
@@ -34,7 +34,9 @@ fn number(row: &Row, name: &str) -> f64 {
 #[test]
 fn every_scene_is_judged() {
     let judged = Scene::judged(Extent::Full).expect("scenes with references");
-    for scene in File::all().expect("shipped scenes") {
+    // What is tuned on the way has a reference, which tests meet; the report is about steps.
+    let is_tuned = |scene: &File| scene.signals.iter().any(|signal| signal.variable.causality != Causality::Input);
+    for scene in File::all().expect("shipped scenes").into_iter().filter(|scene| !is_tuned(scene)) {
         assert!(judged.iter().any(|judged| judged.name == scene.name), "{} is not in the table", scene.name);
     }
 }

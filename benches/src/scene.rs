@@ -52,9 +52,9 @@ impl Scene {
     }
 }
 
-/// The effects: whatever has a variable `….enabled`.
+/// The effects: whatever has a variable `….enabled`, but for the estimator, which acts on nothing.
 pub(crate) fn effects() -> impl Iterator<Item = &'static str> {
-    VARIABLES.iter().filter_map(|variable| variable.name.strip_suffix(".enabled"))
+    VARIABLES.iter().filter_map(|variable| variable.name.strip_suffix(".enabled")).filter(|name| *name != "estimator")
 }
 
 /// The Real parameters of an effect with other values than they have.

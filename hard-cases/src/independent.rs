@@ -7,6 +7,7 @@
 
 use std::f64::consts::{E, SQRT_2};
 
+use fivebar::effects::Law;
 use fivebar::simulation::{Inputs, Parameters};
 
 /// Angles and rates of links 1 to 4, rad and rad/s.
@@ -19,7 +20,7 @@ const TOLERANCE: f64 = 1e-11;
 /// The longest step, s.
 const LONGEST: f64 = 5e-3;
 /// Joints as differences of links: left base, left elbow, tip, right elbow, right base.
-const JOINTS: [(usize, Option<usize>); 5] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
+pub(crate) const JOINTS: [(usize, Option<usize>); 5] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
 
 /// A scene as this program sees it.
 #[derive(Clone, Debug)]
@@ -116,44 +117,18 @@ impl<'a> Independent<'a> {
 
     /// A step by extrapolation, with its error in units of the tolerance.
     fn extrapolate(&self, from: &Motion, h: f64) -> (Motion, f64) {
-        let mut table: Vec<Motion> = Vec::with_capacity(COLUMNS);
-        let mut error = f64::INFINITY;
-        for column in 0..COLUMNS {
-            let mut entry = self.midpoint(from, h, 2 * (column + 1));
-            for back in 0..column {
-                let ratio = ((column + 1) as f64 / (column - back) as f64).powi(2);
-                let previous = table[column - 1 - back];
-                let higher = std::array::from_fn(|i| entry[i] + (entry[i] - previous[i]) / (ratio - 1.0));
-                table[column - 1 - back] = entry;
-                if back + 1 == column {
-                    error = (0..8)
-                        .map(|i| (higher[i] - entry[i]).abs() / if i < 4 { TOLERANCE } else { 10.0 * TOLERANCE })
-                        .fold(0.0, f64::max);
-                }
-                entry = higher;
-            }
-            table.push(entry);
-        }
-        let end = table[COLUMNS - 1];
-        (end, if end.iter().all(|x| x.is_finite()) { error } else { f64::INFINITY })
-    }
-
-    /// The modified midpoint rule in so many parts.
-    fn midpoint(&self, from: &Motion, h: f64, parts: usize) -> Motion {
-        let part = h / parts as f64;
-        let add = |x: &Motion, factor: f64, slope: &Motion| -> Motion { std::array::from_fn(|i| x[i] + factor * slope[i]) };
-        let (mut before, mut here) = (*from, add(from, part, &self.slope(from)));
-        for _ in 1..parts {
-            let next = add(&before, 2.0 * part, &self.slope(&here));
-            (before, here) = (here, next);
-        }
-        // Gragg's last step.
-        let end = add(&before, part, &self.slope(&here));
-        std::array::from_fn(|i| (here[i] + end[i]) / 2.0)
+        extrapolate(&|state| self.slope(state), from, h)
     }
 
     /// Rates and accelerations.
     fn slope(&self, state: &Motion) -> Motion {
+        let solution = eliminate(self.equations(state));
+        let [wa, wb, wc, wd] = [4, 5, 6, 7].map(|i: usize| state[i]);
+        [wa, wb, wc, wd, solution[0], solution[1], solution[2], solution[3]]
+    }
+
+    /// The equations of motion and of closure in four accelerations and two multipliers; the last column is the right-hand side.
+    pub(crate) fn equations(&self, state: &Motion) -> [[f64; 7]; 6] {
         let [a, b, c, d, wa, wb, wc, wd] = *state;
         let links = &self.scene.geometry.links;
         let mut matrix = [[0.0; 7]; 6];
@@ -180,8 +155,7 @@ impl<'a> Independent<'a> {
                 matrix[5][6] += y * rate * rate;
             }
         }
-        let solution = eliminate(matrix);
-        [wa, wb, wc, wd, solution[0], solution[1], solution[2], solution[3]]
+        matrix
     }
 
     /// Generalised forces in the link angles, N·m.
@@ -205,7 +179,8 @@ impl<'a> Independent<'a> {
             if effects.viscous.enabled {
                 torque -= effects.viscous.b[joint] * w;
             }
-            if effects.friction.enabled {
+            // What sticks is `sticking.rs`'s.
+            if effects.friction.enabled && effects.friction.law == Law::Smooth {
                 let friction = &effects.friction;
                 let (coulomb, breakaway, velocity) =
                     (friction.coulomb[joint], friction.breakaway[joint], friction.breakaway_velocity);
@@ -275,6 +250,44 @@ impl<'a> Independent<'a> {
     }
 }
 
+/// A step by extrapolation, with its error in units of the tolerance.
+pub(crate) fn extrapolate(slope: &impl Fn(&Motion) -> Motion, from: &Motion, h: f64) -> (Motion, f64) {
+    let mut table: Vec<Motion> = Vec::with_capacity(COLUMNS);
+    let mut error = f64::INFINITY;
+    for column in 0..COLUMNS {
+        let mut entry = midpoint(slope, from, h, 2 * (column + 1));
+        for back in 0..column {
+            let ratio = ((column + 1) as f64 / (column - back) as f64).powi(2);
+            let previous = table[column - 1 - back];
+            let higher = std::array::from_fn(|i| entry[i] + (entry[i] - previous[i]) / (ratio - 1.0));
+            table[column - 1 - back] = entry;
+            if back + 1 == column {
+                error = (0..8)
+                    .map(|i| (higher[i] - entry[i]).abs() / if i < 4 { TOLERANCE } else { 10.0 * TOLERANCE })
+                    .fold(0.0, f64::max);
+            }
+            entry = higher;
+        }
+        table.push(entry);
+    }
+    let end = table[COLUMNS - 1];
+    (end, if end.iter().all(|x| x.is_finite()) { error } else { f64::INFINITY })
+}
+
+/// The modified midpoint rule in so many parts.
+fn midpoint(slope: &impl Fn(&Motion) -> Motion, from: &Motion, h: f64, parts: usize) -> Motion {
+    let part = h / parts as f64;
+    let add = |x: &Motion, factor: f64, slope: &Motion| -> Motion { std::array::from_fn(|i| x[i] + factor * slope[i]) };
+    let (mut before, mut here) = (*from, add(from, part, &slope(from)));
+    for _ in 1..parts {
+        let next = add(&before, 2.0 * part, &slope(&here));
+        (before, here) = (here, next);
+    }
+    // Gragg's last step.
+    let end = add(&before, part, &slope(&here));
+    std::array::from_fn(|i| (here[i] + end[i]) / 2.0)
+}
+
 /// A one-sided spring and damper with its ramp: max(0, s (k δ + c δ̇)).
 fn push(depth: f64, rate: f64, [stiffness, damping, width]: [f64; 3]) -> f64 {
     if depth <= 0.0 {
@@ -285,11 +298,11 @@ fn push(depth: f64, rate: f64, [stiffness, damping, width]: [f64; 3]) -> f64 {
 }
 
 /// Gauss elimination with the largest pivot of each column; the right-hand side is the last.
-fn eliminate(mut matrix: [[f64; 7]; 6]) -> [f64; 6] {
-    for column in 0..6 {
-        let pivot = (column..6).max_by(|i, j| matrix[*i][column].abs().total_cmp(&matrix[*j][column].abs())).unwrap_or(column);
+pub(crate) fn eliminate<const N: usize, const W: usize>(mut matrix: [[f64; W]; N]) -> [f64; N] {
+    for column in 0..N {
+        let pivot = (column..N).max_by(|i, j| matrix[*i][column].abs().total_cmp(&matrix[*j][column].abs())).unwrap_or(column);
         matrix.swap(column, pivot);
-        for row in column + 1..6 {
+        for row in column + 1..N {
             let factor = matrix[row][column] / matrix[column][column];
             let (above, below) = matrix.split_at_mut(row);
             for (x, y) in below[0].iter_mut().zip(&above[column]).skip(column) {
@@ -297,10 +310,10 @@ fn eliminate(mut matrix: [[f64; 7]; 6]) -> [f64; 6] {
             }
         }
     }
-    let mut solution = [0.0; 6];
-    for row in (0..6).rev() {
-        let known: f64 = (row + 1..6).map(|k| matrix[row][k] * solution[k]).sum();
-        solution[row] = (matrix[row][6] - known) / matrix[row][row];
+    let mut solution = [0.0; N];
+    for row in (0..N).rev() {
+        let known: f64 = (row + 1..N).map(|k| matrix[row][k] * solution[k]).sum();
+        solution[row] = (matrix[row][N] - known) / matrix[row][row];
     }
     solution
 }

@@ -14,6 +14,7 @@ mod report;
 mod setting;
 pub mod speed;
 pub mod step_times;
+pub mod sticking;
 mod trial;
 mod vertex;
 mod watch;

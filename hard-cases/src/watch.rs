@@ -3,9 +3,11 @@
 use std::f64::consts::TAU;
 use std::sync::OnceLock;
 
+use fivebar::effects::Law;
 use fivebar::simulation::{Inputs, Parameters};
 
 use crate::independent::Independent;
+use crate::sticking::Sticking;
 use crate::vertex::{Vertex, cosine};
 
 /// A sample of the path: time (s) and link angles (rad).
@@ -160,7 +162,12 @@ impl Watch {
 fn independent_end(parameters: &Parameters, inputs: &Inputs, duration: f64) -> Option<([f64; 4], f64)> {
     let program = Independent::new(parameters, inputs);
     let start = program.start();
-    let angles = |start| program.after(start, duration).map(|end| std::array::from_fn(|i| end[i]));
+    let sticks = parameters.effects.friction.enabled && parameters.effects.friction.law == Law::Stick;
+    let after = |start| match sticks {
+        true => Sticking::new(parameters, inputs).after(start, duration),
+        false => program.after(start, duration),
+    };
+    let angles = |start| after(start).map(|end| std::array::from_fn(|i| end[i]));
     let (end, other) = (angles(start)?, angles(program.closed(start.map(|x| x + NUDGE)))?);
     Some((end, WRONG.max(MULTIPLIED * apart(&end, &other))))
 }

@@ -11,6 +11,8 @@ pub struct ModelDescription {
     pub description: String,
     /// Name of the library file and of the .fmu.
     pub model_identifier: String,
+    /// Number of event indicators.
+    pub event_indicators: usize,
     /// What a master runs that is told nothing else.
     pub experiment: Experiment,
     /// Units, in the order of the file.

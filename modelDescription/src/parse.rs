@@ -20,6 +20,8 @@ pub(crate) fn description(xml: &str) -> Result<ModelDescription, Error> {
         model_name: root.required("modelName")?.to_owned(),
         description: root.required("description")?.to_owned(),
         model_identifier: root.child("CoSimulation")?.required("modelIdentifier")?.to_owned(),
+        event_indicators: number(&root, &root, "numberOfEventIndicators")?
+            .ok_or_else(|| Error("<fmiModelDescription> has no attribute numberOfEventIndicators".to_owned()))?,
         experiment: experiment(root.child("DefaultExperiment")?)?,
         units: each(root.child("UnitDefinitions")?, unit)?,
         types,

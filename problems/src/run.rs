@@ -120,13 +120,14 @@ impl<S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>, const N: usize, con
         let mut state = State::start(system, self.q, self.v, self.regularization);
         let energy = (self.energy)(system, &self.q, &self.v);
         let (mut energy_drift, mut violation) = (0.0f64, 0.0f64);
+        let mut sides = system.sides_of(&self.q, &self.v);
         let mut running = match method {
             Method::Dop853(settings) => Some(DenseStep::start(system, self.q, self.v, &settings)),
             _ => None,
         };
         for step in 1..=(self.duration / h).round() as u64 {
             match method {
-                Method::I3alp(settings) => i3alp::advance(system, &settings, &mut state, h)?,
+                Method::I3alp(settings) => i3alp::advance(system, &settings, &mut state, &mut sides, h)?,
                 Method::Rk4(settings) => rk4::advance(system, &settings, &mut state, h)?,
                 Method::Dop853(settings) => {
                     running.as_mut().map_or(Ok(()), |running| advance(system, &settings, running, &mut state, h))?

@@ -28,7 +28,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 
-pub use model_description::Variable;
+pub use model_description::{Causality, Variable};
 pub use signal::Signal;
 pub use value::Value;
 

@@ -3,7 +3,7 @@
 use std::sync::LazyLock;
 
 use anyhow::{Result, bail};
-use model_description::{Causality, Item, ModelDescription, TypeKind, Variable};
+use model_description::{Causality, Item, Kind, ModelDescription, TypeKind, Variability, Variable};
 
 /// The model description that all scenes are checked against.
 pub(crate) fn model() -> Result<&'static ModelDescription> {
@@ -31,6 +31,15 @@ pub(crate) fn input(name: &str) -> Result<&'static Variable> {
     match inputs().find(|variable| variable.name.full == name) {
         Some(variable) => Ok(variable),
         None => bail!("'{name}' is not an input of the FMU{}", similar(name, inputs().map(|variable| variable.name.full.as_str()))),
+    }
+}
+
+/// The input or tunable Real parameter that a scene changes in steps.
+pub(crate) fn input_or_tunable(name: &str) -> Result<&'static Variable> {
+    let tunable = |variable: &&Variable| variable.variability == Variability::Tunable && matches!(variable.kind, Kind::Real { .. });
+    match model()?.variables.iter().filter(tunable).find(|variable| variable.name.full == name) {
+        Some(variable) => Ok(variable),
+        None => input(name),
     }
 }
 

@@ -1,8 +1,9 @@
-//! Inputs that change with time, given by a few knots [time in s, value].
+//! Inputs and tunable parameters that change with time, given by a few knots [time in s, value].
 //!
 //! `{"linear": [[t, v], ...]}` joins the knots by straight lines; `{"minimumJerk": [[t, v], ...]}` goes from knot to knot and rests in
 //! each, by 10u³ − 15u⁴ + 6u⁵, the path of least mean square jerk between two rests (Flash and Hogan, J. Neurosci. 5 (1985) 1688,
-//! eq. 3); `{"rateOf": "servo.theta[1]"}` is the derivative of another signal. Before its first and after its last knot a signal stays
+//! eq. 3); `{"rateOf": "servo.theta[1]"}` is the derivative of another signal; `{"steps": [[t, v], ...]}` stays in each knot until the
+//! next, and is the one that a tunable parameter may have. Before its first and after its last knot a signal stays
 //! what it is there.
 
 use anyhow::{Context, Result, bail};
@@ -16,12 +17,16 @@ use crate::names::{self, unit};
 const LINEAR: &str = "linear";
 const MINIMUM_JERK: &str = "minimumJerk";
 const RATE_OF: &str = "rateOf";
-const KINDS: [&str; 3] = [LINEAR, MINIMUM_JERK, RATE_OF];
+const STEPS: &str = "steps";
+const KINDS: [&str; 4] = [LINEAR, MINIMUM_JERK, RATE_OF, STEPS];
 
-/// One input's way through its knots.
+/// A step is there a nanosecond early: times that a master counts together are not quite those that are written.
+const EARLY: f64 = 1e-9;
+
+/// One variable's way through its knots.
 #[derive(Clone, Debug)]
 pub struct Signal {
-    /// The input.
+    /// The input or tunable parameter.
     pub variable: &'static Variable,
     shape: Shape,
     /// Whether it is the rate of that way.
@@ -35,6 +40,7 @@ pub struct Signal {
 enum Shape {
     Linear,
     MinimumJerk,
+    Steps,
 }
 
 /// What a signal is computed in: doubles, or fractions without round-off.
@@ -50,6 +56,8 @@ impl Shape {
     fn way<T: Number>(self, u: T) -> T {
         match self {
             Self::Linear => u,
+            Self::Steps if u < T::one() => T::zero(),
+            Self::Steps => T::one(),
             Self::MinimumJerk => {
                 let bend = number::<T>(10.0) - number::<T>(15.0) * u.clone() + number::<T>(6.0) * u.clone() * u.clone();
                 u.clone() * u.clone() * u * bend
@@ -61,6 +69,7 @@ impl Shape {
     fn slope<T: Number>(self, u: T) -> T {
         match self {
             Self::Linear => T::one(),
+            Self::Steps => T::zero(),
             Self::MinimumJerk => {
                 let left = T::one() - u.clone();
                 number::<T>(30.0) * u.clone() * u * left.clone() * left
@@ -74,23 +83,28 @@ pub(crate) fn read(given: Option<&Json>) -> Result<Vec<Signal>> {
     let given = match given {
         None => return Ok(Vec::new()),
         Some(Json::Object(given)) => given,
-        Some(other) => bail!("'signals' must be an object of input names and signals, not {other}"),
+        Some(other) => bail!("'signals' must be an object of names and signals, not {other}"),
     };
     given.keys().map(|name| signal(given, name).with_context(|| format!("signal '{name}'"))).collect()
 }
 
 fn signal(given: &Map<String, Json>, name: &str) -> Result<Signal> {
-    let variable = names::input(name)?;
     let (kind, value) = kind(&given[name])?;
+    let variable = if kind == STEPS { names::input_or_tunable(name)? } else { names::input(name)? };
     if kind == RATE_OF {
         let source = value.as_str().filter(|source| given.contains_key(*source)).map(|source| signal(given, source)).transpose()?;
-        let fits = |source: &Signal| !source.rate && unit(variable) == format!("{}/s", unit(source.variable));
+        let is_smooth = |source: &Signal| !source.rate && !matches!(source.shape, Shape::Steps);
+        let fits = |source: &Signal| is_smooth(source) && unit(variable) == format!("{}/s", unit(source.variable));
         return match source.filter(fits) {
             Some(source) => Ok(Signal { variable, rate: true, ..source }),
             None => bail!("'{RATE_OF}' must name a signal with knots whose rate has the unit {}, not {value}", unit(variable)),
         };
     }
-    let shape = if kind == LINEAR { Shape::Linear } else { Shape::MinimumJerk };
+    let (shape, early) = match kind {
+        LINEAR => (Shape::Linear, 0.0),
+        STEPS => (Shape::Steps, EARLY),
+        _ => (Shape::MinimumJerk, 0.0),
+    };
     let knots: Vec<(f64, f64)> = match serde_json::from_value::<Vec<_>>(value.clone()) {
         Ok(knots) if knots.len() > 1 => knots,
         _ => bail!("'{kind}' must be a list of two or more knots [time in s, value], not {value}"),
@@ -98,6 +112,7 @@ fn signal(given: &Map<String, Json>, name: &str) -> Result<Signal> {
     if let Some(pair) = knots.windows(2).find(|pair| pair[1].0 <= pair[0].0) {
         bail!("the knots' times must increase, but {} s follows {} s", pair[1].0, pair[0].0);
     }
+    let knots = knots.into_iter().map(|(time, value)| (time - early, value)).collect();
     Ok(Signal { variable, shape, rate: false, knots })
 }
 
@@ -146,7 +161,7 @@ mod tests {
     #[test]
     fn a_signal_meets_its_knots_and_its_rate() {
         let knots = json!([[0.5, 1.0], [1.0, 3.0], [2.0, 2.0]]);
-        for shape in KINDS.into_iter().filter(|kind| *kind != RATE_OF) {
+        for shape in [LINEAR, MINIMUM_JERK] {
             let given = json!({ "servo.theta[1]": { shape: knots }, "servo.omega[1]": { RATE_OF: "servo.theta[1]" } });
             let [way, rate] = signals(given).try_into().expect("two");
             for (time, value) in [(-1.0, 1.0), (0.0, 1.0), (0.5, 1.0), (0.75, 2.0), (1.0, 3.0), (2.0, 2.0), (9.0, 2.0)] {
@@ -158,6 +173,18 @@ mod tests {
                 assert!((rate.at(time) - difference).abs() < 1e-6, "{shape}, {time} s: {} and {difference}", rate.at(time));
             }
         }
+    }
+
+    /// It stays in each knot until the next, which is there also where a time of the master's own is not quite that of the knot.
+    #[test]
+    fn a_step_is_there_at_its_time() {
+        let [mass] = signals(json!({ "payload.mass": { STEPS: [[0.1, 1.0], [0.3, 3.0], [0.7, 2.0]] } })).try_into().expect("one");
+        for (time, value) in
+            [(0.0, 1.0), (0.299, 1.0), (300.0 * 0.001, 3.0), (0.1 + 0.2, 3.0), (0.699, 3.0), (7.0 * 0.1, 2.0), (9.0, 2.0)]
+        {
+            assert_eq!(mass.at(time), value, "{time} s");
+        }
+        assert_eq!([299, 300, 699, 700].map(|millisecond| mass.nearest(millisecond)), [1.0, 3.0, 3.0, 2.0]);
     }
 
     /// Rate and acceleration are 0 there, to the first order in the distance of 1e-6 s times the jerk of some 1e3.
@@ -182,6 +209,8 @@ mod tests {
             ("pick_and_place", 207, "servo.omega[1]", -0.010976847264095969),
             ("pick_and_place", 450, "servo.theta[2]", 0.8649499999999999),
             ("pick_and_place", 1340, "servo.omega[2]", 0.6423852441599988),
+            ("pick_up", 449, "payload.mass", 0.0),
+            ("pick_up", 450, "payload.mass", 0.05),
         ];
         for (scene, millisecond, name, value) in held {
             let scene = crate::Scene::read(scene).expect("a shipped scene");

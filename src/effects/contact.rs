@@ -8,18 +8,20 @@
 //!
 //! see `unilateral_spring.rs` for N; the tangential part is Coulomb friction, regularised. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ,
 //! C = −∂F/∂ṗ; both couple the coordinates of link 2 and are not symmetric. Potential: the spring part of N; the damper and the
-//! friction dissipate. Defaults: a floor 1 m below the motor axes, which the paper's mechanism does not reach; k 2e3 N/m and 5 N·s/m,
+//! friction dissipate. That is `law` 1, smooth; by `law` 2, stick, friction is set-valued (`grips.rs`): a tip that slips has mu N against
+//! its motion, and one at rest along the plane holds whatever it has to up to mu N. Defaults: a floor 1 m below the motor axes, which the paper's mechanism does not reach; k 2e3 N/m and 5 N·s/m,
 //! a soft fingertip or a haptic wall; mu 0.3, slip velocity 0.01 m/s, ramp 0.1 mm.
-//! Limits: a point against a plane; under a tangential load below mu N it creeps at about slipVelocity F_t/(mu N).
+//! Limits: a point against a plane; by the smooth law it creeps under a tangential load below mu N, at about slipVelocity F_t/(mu N).
 
 use arrayvec::ArrayVec;
 
 use super::force_context::{ForceContext, Tip};
+use super::grips::{GRIPS, Grasp, Grasps, Law, TIP_GRIP};
 use super::kinks::{CONTACT, SPRINGS, Touch};
 use super::unilateral_spring::{Push, UnilateralSpring};
 use super::step_context::{TipStep, end_weight};
 use super::{Force, MeanForce, StepContext, Tangents};
-use crate::mechanism::{Coordinates, LINKS, Mechanism, SceneError, finite, not_negative, positive};
+use crate::mechanism::{COORDINATES, Coordinates, LINKS, Mechanism, SceneError, finite, not_negative, positive};
 
 /// The `contact.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -42,6 +44,8 @@ pub struct Parameters {
     pub mu: f64,
     /// Tangential velocity at which 76 % of the friction is reached, m/s.
     pub slip_velocity: f64,
+    /// What its friction does at rest.
+    pub law: Law,
 }
 
 /// The plane ready to act.
@@ -52,6 +56,7 @@ pub struct Contact {
     spring: UnilateralSpring,
     mu: f64,
     slip_velocity: f64,
+    law: Law,
     /// How far the tip moves with the angle of each link of the leg that carries it, m/rad.
     arms: [f64; LINKS],
 }
@@ -77,17 +82,26 @@ impl Contact {
         [-self.normal[1], self.normal[0]]
     }
 
+    /// Friction per mu N, along −t: tanh(v_t/slipVelocity), or by the law that sticks ±1 and 0.
+    fn turn(&self, at: &ForceContext, slip: f64) -> f64 {
+        match self.law {
+            Law::Smooth => libm::tanh(slip / self.slip_velocity),
+            Law::Stick => at.sides.grips.direction(TIP_GRIP, slip),
+        }
+    }
+
     /// F per N: n − mu tanh(v_t/slipVelocity) t.
-    fn direction(&self, slip: f64) -> [f64; 2] {
-        let (drag, tangent) = (self.mu * libm::tanh(slip / self.slip_velocity), self.tangent());
+    fn direction(&self, turn: f64) -> [f64; 2] {
+        let (drag, tangent) = (self.mu * turn, self.tangent());
         [self.normal[0] - drag * tangent[0], self.normal[1] - drag * tangent[1]]
     }
 
-    /// The force on the tip, N.
-    pub fn force(&self, at: &ForceContext) -> [f64; 2] {
-        let tip = at.tip();
+    /// The force on the tip, N, when the grips hold with these torques and force.
+    pub fn force(&self, at: &ForceContext, holding: &[f64; GRIPS]) -> [f64; 2] {
+        let (tip, tangent) = (at.tip(), self.tangent());
         let normal = self.touch(&tip).force(at);
-        self.direction(self.slip(&tip)).map(|x| normal * x)
+        let slipping = self.direction(self.turn(at, self.slip(&tip))).map(|x| normal * x);
+        [0, 1].map(|i| slipping[i] + holding[TIP_GRIP] * tangent[i])
     }
 }
 
@@ -115,7 +129,7 @@ impl Force for Contact {
         let spring = UnilateralSpring { stiffness: k, damping: d, width };
         let [proximal, distal, ..] = mechanism.geometry.links;
         let arms = [proximal.length, distal.length, 0.0, 0.0];
-        Ok(Self { normal: [nx / length, ny / length], offset, spring, mu, slip_velocity, arms })
+        Ok(Self { normal: [nx / length, ny / length], offset, spring, mu, slip_velocity, law: parameters.law, arms })
     }
 
     fn couples_links(&self) -> bool {
@@ -134,7 +148,7 @@ impl Force for Contact {
             return;
         }
         let normal = touch.force(at);
-        tip.add_force(self.direction(self.slip(&tip)).map(|x| normal * x), forces);
+        tip.add_force(self.direction(self.turn(at, self.slip(&tip))).map(|x| normal * x), forces);
     }
 
     #[inline(never)]
@@ -146,9 +160,12 @@ impl Force for Contact {
         }
         let (normal_force, slip) = (touch.force(at), self.slip(&tip));
         let [by_depth, by_rate] = touch.slopes(at);
-        let tanh = libm::tanh(slip / self.slip_velocity);
-        let by_slip = self.mu * normal_force * (1.0 - tanh * tanh) / self.slip_velocity;
-        let (normal, tangent, direction) = (self.normal, self.tangent(), self.direction(slip));
+        let turn = self.turn(at, slip);
+        let by_slip = match self.law {
+            Law::Smooth => self.mu * normal_force * (1.0 - turn * turn) / self.slip_velocity,
+            Law::Stick => 0.0,
+        };
+        let (normal, tangent, direction) = (self.normal, self.tangent(), self.direction(turn));
         let matrix = |entry: &dyn Fn(usize, usize) -> f64| [[entry(0, 0), entry(0, 1)], [entry(1, 0), entry(1, 1)]];
         let stiffness = matrix(&|i, j| by_depth * direction[i] * normal[j]);
         let damping = matrix(&|i, j| by_rate * direction[i] * normal[j] + by_slip * tangent[i] * tangent[j]);
@@ -163,11 +180,29 @@ impl Force for Contact {
     fn dissipation(&self, at: &ForceContext) -> f64 {
         let tip = at.tip();
         let (touch, slip) = (self.touch(&tip), self.slip(&tip));
-        touch.dissipation(at) + touch.force(at) * self.mu * libm::tanh(slip / self.slip_velocity) * slip
+        touch.dissipation(at) + touch.force(at) * self.mu * self.turn(at, slip) * slip
     }
 
     fn touches(&self, at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
         ArrayVec::from_iter([self.touch(&at.tip())])
+    }
+
+    fn sticks(&self) -> bool {
+        self.law == Law::Stick && self.mu > 0.0
+    }
+
+    #[cold]
+    fn add_grasps(&self, at: &ForceContext, grasps: &mut Grasps<COORDINATES>) {
+        let tip = at.tip();
+        let touch = self.touch(&tip);
+        if !self.sticks() || !touch.phase(&at.sides).pushes() {
+            return;
+        }
+        let (mut row, tangent) = (Coordinates::ZERO, self.tangent());
+        tip.add_force(tangent, &mut row);
+        let (rate, bound) = (self.slip(&tip), self.mu * touch.force(at));
+        let [proximal, distal, ..] = self.arms;
+        grasps.push(Grasp { place: TIP_GRIP, row, drift: dot(tangent, tip.centripetal()), rate, bound, arms: [proximal, distal, 0.0, 0.0] });
     }
 }
 

@@ -127,6 +127,11 @@ impl Tip {
         forces[THETA[TIP_LINK]] += rx * fy - ry * fx;
     }
 
+    /// The part of the tip's acceleration that comes from the rate, m/s².
+    pub fn centripetal(&self) -> [f64; 2] {
+        self.arm.map(|arm| -self.rate * self.rate * arm)
+    }
+
     /// Adds what the turning arm makes of a force: K = r·F in the angle.
     #[inline]
     pub fn add_geometric_stiffness(&self, [fx, fy]: [f64; 2], tangents: &mut impl Tangents) {

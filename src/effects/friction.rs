@@ -1,4 +1,4 @@
-//! Friction: Coulomb and Stribeck in the joints, smooth.
+//! Friction: Coulomb and Stribeck in the joints. By `law` 1, smooth:
 //!
 //! ```text
 //! T_j = −[√(2e) (T_brk − T_c) exp(−(w/w_st)²) w/w_st + T_c tanh(w/w_c)]      w_st = √2 w_brk,  w_c = w_brk/10
@@ -8,13 +8,25 @@
 //! used rotational friction block (Simscape's "Rotational Friction", without its viscous term, which is the effect `viscous`;
 //! Armstrong-Hélouvry et al., Automatica 30 (1994) 1083). T_brk is met at w_brk to within 1e-4 of T_c. C = −∂T/∂w, K = 0; dissipates −T w ≥ 0.
 //! Defaults: 1 mN·m, 1.2 mN·m at 0.1 rad/s, a preloaded miniature bearing.
-//! Limits: no true sticking. Under a load T below breakaway a joint creeps at about w_c T/T_c; that is the price of a smooth law. Its
-//! rate near w = 0 is T_c/(w_c I), some 1,500/s for the paper's links: stiff for explicit methods. Beyond w_brk the slope is negative.
+//! Limits of the smooth law: no true sticking. Under a load T below breakaway a joint creeps at about w_c T/T_c; that is the price of
+//! smoothness. Its rate near w = 0 is T_c/(w_c I), some 1,500/s for the paper's links: stiff for explicit methods. Beyond w_brk the slope
+//! is negative.
+//!
+//! By `law` 2, stick, friction is set-valued (`grips.rs`): a joint at rest holds whatever it has to up to T_brk, and one that slips has
+//!
+//! ```text
+//! T_j = −[T_c + (T_brk − T_c) exp(−(w/w_st)²)] sign w
+//! ```
+//!
+//! the same curve without its turn through 0, from T_brk at rest. Limits: rate-independent at rest (no presliding, no ageing).
 
 use super::force_context::{JOINTS, ForceContext, add_joint_damping, add_joint_torque, is_inner};
+use super::grips::{Grasp, Grasps, Law};
 use super::step_context::{add_joint_slopes, end_weight};
 use super::{Force, MeanForce, StepContext, Tangents};
-use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative, positive};
+use crate::mechanism::coordinates::THETA;
+use crate::mechanism::exponential::bell_and_tanh;
+use crate::mechanism::{COORDINATES, Coordinates, LINKS, Mechanism, SceneError, not_negative, positive};
 
 /// The `friction.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -27,6 +39,8 @@ pub struct Parameters {
     pub breakaway: [f64; JOINTS],
     /// Rate at which the breakaway torque is reached, rad/s.
     pub breakaway_velocity: f64,
+    /// What it does at rest.
+    pub law: Law,
 }
 
 /// The curve of one joint.
@@ -35,6 +49,8 @@ struct Curve {
     joint: usize,
     /// T_c, N·m.
     coulomb: f64,
+    /// T_brk, N·m.
+    breakaway: f64,
     /// √(2e) (T_brk − T_c), N·m.
     stribeck: f64,
 }
@@ -46,6 +62,7 @@ pub struct Friction {
     /// w_st and w_c, rad/s.
     stribeck_rate: f64,
     coulomb_rate: f64,
+    law: Law,
 }
 
 impl Friction {
@@ -53,17 +70,46 @@ impl Friction {
         self.curves.iter().flatten()
     }
 
-    /// −T, N·m.
-    fn drag(&self, curve: &Curve, rate: f64) -> f64 {
-        let u = rate / self.stribeck_rate;
-        curve.stribeck * libm::exp(-u * u) * u + curve.coulomb * libm::tanh(rate / self.coulomb_rate)
+    /// −T by the law, N·m.
+    fn drag_by_law(&self, curve: &Curve, at: &ForceContext) -> f64 {
+        let rate = at.joint_rate(curve.joint);
+        match self.law {
+            Law::Smooth => self.drag(curve, rate),
+            Law::Stick => at.sides.grips.direction(curve.joint, rate) * self.sliding(curve, rate),
+        }
     }
 
-    /// −∂T/∂w, N·m·s/rad.
+    /// −∂T/∂w by the law, N·m·s/rad.
+    fn slope_by_law(&self, curve: &Curve, at: &ForceContext) -> f64 {
+        let rate = at.joint_rate(curve.joint);
+        match self.law {
+            Law::Smooth => self.slope(curve, rate),
+            Law::Stick => {
+                let u = rate / self.stribeck_rate;
+                let fall = (curve.breakaway - curve.coulomb) * libm::exp(-u * u) * 2.0 * u / self.stribeck_rate;
+                -at.sides.grips.direction(curve.joint, rate) * fall
+            }
+        }
+    }
+
+    /// |T| of a joint that slips, N·m.
+    fn sliding(&self, curve: &Curve, rate: f64) -> f64 {
+        let u = rate / self.stribeck_rate;
+        curve.coulomb + (curve.breakaway - curve.coulomb) * libm::exp(-u * u)
+    }
+
+    /// −T of the smooth law, N·m.
+    fn drag(&self, curve: &Curve, rate: f64) -> f64 {
+        let u = rate / self.stribeck_rate;
+        let [bell, tanh] = bell_and_tanh(u, rate / self.coulomb_rate);
+        curve.stribeck * bell * u + curve.coulomb * tanh
+    }
+
+    /// −∂T/∂w of the smooth law, N·m·s/rad.
     fn slope(&self, curve: &Curve, rate: f64) -> f64 {
         let u = rate / self.stribeck_rate;
-        let tanh = libm::tanh(rate / self.coulomb_rate);
-        curve.stribeck / self.stribeck_rate * libm::exp(-u * u) * (1.0 - 2.0 * u * u)
+        let [bell, tanh] = bell_and_tanh(u, rate / self.coulomb_rate);
+        curve.stribeck / self.stribeck_rate * bell * (1.0 - 2.0 * u * u)
             + curve.coulomb / self.coulomb_rate * (1.0 - tanh * tanh)
     }
 }
@@ -87,12 +133,12 @@ impl Force for Friction {
             }
             if breakaway > 0.0 {
                 let stribeck = (2.0 * std::f64::consts::E).sqrt() * (breakaway - coulomb);
-                *curve = Some(Curve { joint, coulomb, stribeck });
+                *curve = Some(Curve { joint, coulomb, breakaway, stribeck });
             }
         }
         let velocity = parameters.breakaway_velocity;
         positive("friction.breakawayVelocity", velocity, "rad/s")?;
-        Ok(Self { curves, stribeck_rate: std::f64::consts::SQRT_2 * velocity, coulomb_rate: velocity / 10.0 })
+        Ok(Self { curves, stribeck_rate: std::f64::consts::SQRT_2 * velocity, coulomb_rate: velocity / 10.0, law: parameters.law })
     }
 
     fn couples_links(&self) -> bool {
@@ -106,19 +152,48 @@ impl Force for Friction {
     #[inline(never)]
     fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
         for curve in self.curves() {
-            add_joint_torque(curve.joint, -self.drag(curve, at.joint_rate(curve.joint)), forces);
+            add_joint_torque(curve.joint, -self.drag_by_law(curve, at), forces);
         }
     }
 
     #[inline(never)]
     fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
         for curve in self.curves() {
-            add_joint_damping(curve.joint, self.slope(curve, at.joint_rate(curve.joint)), tangents);
+            add_joint_damping(curve.joint, self.slope_by_law(curve, at), tangents);
         }
     }
 
+    #[inline(never)]
+    fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
+        let mut dissipated = 0.0;
+        for curve in self.curves() {
+            let (rate, drag) = (at.joint_rate(curve.joint), self.drag_by_law(curve, at));
+            add_joint_torque(curve.joint, -drag, forces);
+            dissipated += drag * rate;
+        }
+        [0.0, dissipated]
+    }
+
     fn dissipation(&self, at: &ForceContext) -> f64 {
-        self.curves().map(|curve| (self.drag(curve, at.joint_rate(curve.joint)), curve)).map(|(drag, curve)| drag * at.joint_rate(curve.joint)).sum()
+        self.curves().map(|curve| self.drag_by_law(curve, at) * at.joint_rate(curve.joint)).sum()
+    }
+
+    fn sticks(&self) -> bool {
+        self.law == Law::Stick
+    }
+
+    #[cold]
+    fn add_grasps(&self, at: &ForceContext, grasps: &mut Grasps<COORDINATES>) {
+        if self.law == Law::Smooth {
+            return;
+        }
+        for curve in self.curves() {
+            let mut row = Coordinates::ZERO;
+            add_joint_torque(curve.joint, 1.0, &mut row);
+            let arms = std::array::from_fn::<_, LINKS, _>(|link| row[THETA[link]].abs());
+            let rate = at.joint_rate(curve.joint);
+            grasps.push(Grasp { place: curve.joint, row, drift: 0.0, rate, bound: curve.breakaway, arms });
+        }
     }
 }
 
@@ -150,7 +225,7 @@ impl MeanForce for Friction {
 impl Friction {
     /// The same with its turn at rates that are larger by a factor.
     fn softened(&self, factor: f64) -> Self {
-        Self { coulomb_rate: factor * self.coulomb_rate, stribeck_rate: factor * self.stribeck_rate, curves: self.curves }
+        Self { coulomb_rate: factor * self.coulomb_rate, stribeck_rate: factor * self.stribeck_rate, ..*self }
     }
 
     /// Of the end's rate the part by which it rules: more the steeper the turn.

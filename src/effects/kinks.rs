@@ -4,17 +4,22 @@
 //! force is one smooth formula, and an order stays what it is. Which sides hold is for the method to remember ([`Sides`]); by
 //! [`Sides::BY_STATE`], as all other methods have it, every formula is the one of the present state.
 //!
-//! Kinks are those of the one-sided springs of stops and contact. Friction and servos have smooth laws.
+//! Kinks are those of the one-sided springs of stops and contact, and the grips of dry friction that sticks (`grips.rs`). Smooth friction
+//! and servos have none.
 
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::grips::{GRIPS, Grip, Grips};
 use super::unilateral_spring::{Border, Phase, UnilateralSpring};
 use super::{Active, ForceContext};
 use crate::mechanism::LINKS;
 
 /// One-sided springs: that of the contact, and two for each motor's stops.
 pub(super) const SPRINGS: usize = 5;
+
+/// Numbers that change sign where a motion passes a kink.
+pub const INDICATORS: usize = 3 * SPRINGS;
 
 /// Place of the contact among them.
 pub(super) const CONTACT: usize = 0;
@@ -24,11 +29,25 @@ pub(super) const STOPS: [[usize; 2]; 2] = [[1, 2], [3, 4]];
 
 /// On which side of their kinks forces are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
-pub struct Sides([Option<Phase>; SPRINGS]);
+pub struct Sides {
+    springs: [Option<Phase>; SPRINGS],
+    /// What dry friction does.
+    pub grips: Grips,
+}
 
 impl Sides {
     /// Wherever the state is.
-    pub const BY_STATE: Self = Self([None; SPRINGS]);
+    pub const BY_STATE: Self = Self { springs: [None; SPRINGS], grips: Grips::OPEN };
+
+    /// The same with other grips.
+    pub fn with_grips(self, grips: Grips) -> Self {
+        Self { grips, ..self }
+    }
+
+    /// With these grips, and springs wherever the state is.
+    pub fn of_grips(grips: Grips) -> Self {
+        Self::BY_STATE.with_grips(grips)
+    }
 }
 
 /// A one-sided spring as it is now.
@@ -72,8 +91,8 @@ impl Touch<'_> {
     }
 
     /// The phase that holds.
-    fn phase(&self, sides: &Sides) -> Phase {
-        sides.0[self.place].unwrap_or_else(|| self.spring.phase(self.depth, self.rate))
+    pub(super) fn phase(&self, sides: &Sides) -> Phase {
+        sides.springs[self.place].unwrap_or_else(|| self.spring.phase(self.depth, self.rate))
     }
 
     /// What a motion may overlook at an angular tolerance, rad: its own error, or a part of the ramp, but no less than round-off.
@@ -94,55 +113,124 @@ impl Touch<'_> {
     }
 }
 
-/// The one-sided springs of a scene as they are now.
-pub struct Touches<'a>(ArrayVec<Touch<'a>, SPRINGS>);
+/// A grip as it is now, and how far it is from doing something else.
+#[derive(Clone, Copy, Debug)]
+pub struct Slide {
+    /// Its place in [`Grips`].
+    pub place: usize,
+    /// Rate, rad/s or m/s.
+    pub rate: f64,
+    /// What it holds, and what it can hold, N·m or N; 0 while it does not.
+    pub load: [f64; 2],
+    /// By how much its rate changes with that of each link at most.
+    pub arms: [f64; LINKS],
+}
 
-impl<'a> Touches<'a> {
-    /// Those of a state.
-    pub fn new(effects: &'a Active, at: &ForceContext) -> Self {
-        Self(effects.iter().flat_map(|effect| effect.touches(at)).collect())
+/// All grips that there are.
+pub type Slides = ArrayVec<Slide, GRIPS>;
+
+/// The rate at which a grip rests, as far as a motion may overlook it at an angular tolerance, rad/s or m/s.
+pub fn slow(tolerance: f64) -> f64 {
+    /// A rate counts as the way that it makes in a tenth of a second: as in the error norm of the explicit method.
+    const PER_ANGLE: f64 = 10.0;
+    (PER_ANGLE * tolerance).clamp(1e-11, 1e-6)
+}
+
+impl Slide {
+    /// How far it is beyond what it does, in units of what may be overlooked.
+    fn beyond(&self, grips: &Grips, tolerance: f64) -> f64 {
+        match grips.at(self.place) {
+            Grip::Open => f64::NEG_INFINITY,
+            Grip::Slips(way) => -way.sign() * self.rate / slow(tolerance),
+            Grip::Holds(_) => {
+                let [load, bound] = self.load;
+                (load.abs() - bound) / (1e-7 * bound.abs() + 1e-12)
+            }
+        }
     }
 
-    /// The sides of the state by itself.
+    /// Whether it certainly does not turn on the way from here to another place, some seconds later.
+    fn stays(&self, to: &Self, grips: &Grips, duration: f64, [rates, accelerations]: &[[f64; LINKS]; 2], tolerance: f64) -> bool {
+        let Grip::Slips(way) = grips.at(self.place) else { return true };
+        let most: f64 = (0..LINKS).map(|link| self.arms[link] * (accelerations[link] + rates[link] * rates[link])).sum();
+        way.sign() * (self.rate + to.rate) - most * duration >= -2.0 * slow(tolerance)
+    }
+}
+
+/// The kinks of a scene as they are now.
+pub struct Touches<'a> {
+    springs: ArrayVec<Touch<'a>, SPRINGS>,
+    slides: Slides,
+}
+
+impl<'a> Touches<'a> {
+    /// Those of a state, with its grips.
+    pub fn new(effects: &'a Active, at: &ForceContext, slides: Slides) -> Self {
+        Self { springs: effects.iter().flat_map(|effect| effect.touches(at)).collect(), slides }
+    }
+
+    /// Whether the grips that there are are those that are remembered.
+    pub fn are_known(&self, grips: &Grips) -> bool {
+        let there = |place: usize| self.slides.iter().any(|slide| slide.place == place);
+        (0..GRIPS).all(|place| there(place) == (grips.at(place) != Grip::Open))
+    }
+
+    /// The sides of the state by itself, without grips.
     pub fn sides(&self) -> Sides {
         let mut sides = Sides::BY_STATE;
-        for touch in &self.0 {
-            sides.0[touch.place] = Some(touch.spring.phase(touch.depth, touch.rate));
+        for touch in &self.springs {
+            sides.springs[touch.place] = Some(touch.spring.phase(touch.depth, touch.rate));
         }
         sides
     }
 
-    /// Whether any touches.
+    /// Numbers that change sign where a motion passes a kink; 1 of springs that are absent.
+    pub fn indicators(&self) -> [f64; INDICATORS] {
+        let mut indicators = [1.0; INDICATORS];
+        for touch in &self.springs {
+            indicators[3 * touch.place..][..3].copy_from_slice(&touch.spring.kinks(touch.depth, touch.rate));
+        }
+        indicators
+    }
+
+    /// Whether any spring touches, or any grip holds while something moves.
     pub fn any(&self, sides: &Sides) -> bool {
-        self.0.iter().any(|touch| touch.phase(sides) != Phase::Free)
+        let holds = !sides.grips.at_rest() && self.slides.iter().any(|slide| matches!(sides.grips.at(slide.place), Grip::Holds(_)));
+        holds || self.springs.iter().any(|touch| touch.phase(sides) != Phase::Free)
     }
 
     /// How far the state is beyond the border that it is farthest beyond, in units of what may be overlooked at an angular tolerance, rad;
     /// negative on the near side of all.
     pub fn beyond(&self, sides: &Sides, tolerance: f64) -> f64 {
-        let borders = self.0.iter().flat_map(|touch| touch.borders(sides, tolerance));
-        borders.fold(f64::NEG_INFINITY, |farthest, border| farthest.max(border.beyond))
+        let borders = self.springs.iter().flat_map(|touch| touch.borders(sides, tolerance)).map(|border| border.beyond);
+        let slides = self.slides.iter().map(|slide| slide.beyond(&sides.grips, tolerance));
+        borders.chain(slides).fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// The sides behind the borders that the state is beyond, and behind the nearest one.
+    /// The sides behind the borders of springs that the state is beyond, and behind the nearest one.
     pub fn behind(&self, sides: Sides, tolerance: f64) -> Sides {
         let nearest = self.beyond(&sides, tolerance).min(0.0);
         let mut behind = sides;
-        for touch in &self.0 {
+        for touch in &self.springs {
             let crossed = touch.borders(&sides, tolerance).filter(|border| border.beyond >= nearest);
             if let Some(border) = crossed.max_by(|a, b| a.beyond.total_cmp(&b.beyond)) {
-                behind.0[touch.place] = Some(border.behind);
+                behind.springs[touch.place] = Some(border.behind);
             }
         }
         behind
     }
 
-    /// Whether springs that do not touch at one end of a motion cannot have touched on its way, deeper than may be overlooked: it takes
+    /// Whether springs that do not touch at one end of a motion cannot have touched on its way, deeper than may be overlooked, and what slips
+    /// has not turned: it takes
     /// some seconds, and links turn at these rates, rad/s, and accelerations, rad/s², at most.
     pub fn stay_free(ends: [&Self; 2], sides: &Sides, duration: f64, extremes: [[f64; LINKS]; 2], tolerance: f64) -> bool {
         let [from, to] = ends;
         let [rates, accelerations] = extremes;
-        let mut pairs = from.0.iter().zip(&to.0).filter(|(touch, _)| touch.phase(sides) == Phase::Free);
+        let mut slides = from.slides.iter().zip(&to.slides);
+        if !slides.all(|(from, to)| from.stays(to, &sides.grips, duration, &extremes, tolerance)) {
+            return false;
+        }
+        let mut pairs = from.springs.iter().zip(&to.springs).filter(|(touch, _)| touch.phase(sides) == Phase::Free);
         pairs.all(|(from, to)| {
             let bend: f64 = (0..LINKS).map(|link| from.arms[link] * (accelerations[link] + rates[link] * rates[link])).sum();
             deepest([from.depth, from.rate], [to.depth, to.rate], duration, bend) <= from.unit(tolerance)

@@ -7,6 +7,7 @@
 //! Invariant: does no input or output; the same input bits give the same output bits.
 
 mod force_context;
+pub mod grips;
 mod kinks;
 pub mod loads;
 mod step_context;
@@ -15,8 +16,9 @@ mod unilateral_spring;
 mod variation;
 
 pub use force_context::{ForceContext, JOINTS};
+pub use grips::{GRIPS, Grasp, Grasps, Grips, Law};
+pub use kinks::{INDICATORS, Sides, Slide, Slides, Touches, slow};
 use kinks::{SPRINGS, Touch};
-pub use kinks::{Sides, Touches};
 pub use loads::Inputs;
 pub use step_context::{StepContext, TypicalInertia};
 pub use tangents::Tangents;
@@ -24,7 +26,7 @@ pub use variation::Perturbation;
 
 use arrayvec::ArrayVec;
 
-use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError};
+use crate::mechanism::{COORDINATES, Coordinates, Geometry, Mechanism, SceneError};
 
 /// An effect with a force that depends on the motion, ready to act. Its file says what it adds and where it comes from.
 ///
@@ -48,6 +50,12 @@ trait Force: Sized {
 
     /// Adds the generalised force Q.
     fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates);
+
+    /// Adds the generalised force Q, and answers with the power put in and that dissipated, W, as below: for less than one by one.
+    fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
+        self.add_forces(at, forces);
+        [self.input_power(at), self.dissipation(at)]
+    }
 
     /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.
     fn add_tangents(&self, _at: &ForceContext, _tangents: &mut impl Tangents) {}
@@ -80,6 +88,14 @@ trait Force: Sized {
     fn touches(&self, _at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
         ArrayVec::new()
     }
+
+    /// Whether it has dry friction that sticks.
+    fn sticks(&self) -> bool {
+        false
+    }
+
+    /// Adds the grips that it has.
+    fn add_grasps(&self, _at: &ForceContext, _grasps: &mut Grasps<COORDINATES>) {}
 }
 
 /// The same force over a finite step, for the method that conserves: its work, force times displacement, is exactly what its potential
@@ -187,6 +203,12 @@ macro_rules! effects {
                 match self { $(Self::$Force(force) => force.add_forces(at, forces),)+ }
             }
 
+            /// Adds the generalised force Q, and answers with the power put in and that dissipated, W.
+            #[inline]
+            pub fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
+                match self { $(Self::$Force(force) => force.act(at, forces),)+ }
+            }
+
             /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.
             #[inline]
             pub fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
@@ -235,7 +257,17 @@ macro_rules! effects {
 
             /// Whether its force has kinks that a method may follow.
             pub fn has_kinks(&self) -> bool {
-                match self { $(Self::$Force(_) => $Force::TOUCHES,)+ }
+                match self { $(Self::$Force(force) => $Force::TOUCHES || force.sticks(),)+ }
+            }
+
+            /// Whether it has dry friction that sticks.
+            pub fn sticks(&self) -> bool {
+                match self { $(Self::$Force(force) => force.sticks(),)+ }
+            }
+
+            /// Adds the grips that it has.
+            pub fn add_grasps(&self, at: &ForceContext, grasps: &mut Grasps<COORDINATES>) {
+                match self { $(Self::$Force(force) => force.add_grasps(at, grasps),)+ }
             }
 
             /// Whether the force changes so steeply in places that a long step may miss it.

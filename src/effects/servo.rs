@@ -12,6 +12,7 @@
 use super::force_context::{MOTORS, ForceContext};
 use super::step_context::end_weight;
 use super::{Force, Inputs, MeanForce, StepContext, Tangents};
+use crate::mechanism::exponential::tanh;
 use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative, positive};
 
 /// The `servo.*` parameters.
@@ -36,16 +37,20 @@ pub struct Servo {
 }
 
 impl Servo {
-    /// T/limit of a servo.
-    fn drive(&self, at: &ForceContext, i: usize) -> f64 {
-        let angle = self.kp[i] * (at.inputs.servo_theta[i] - at.motor_angle(i));
-        let rate = self.kd[i] * (at.inputs.servo_omega[i] - at.motor_rate(i));
-        libm::tanh((angle + rate) / self.limit[i])
+    /// T/limit of the left and right servo.
+    fn drives(&self, at: &ForceContext) -> [f64; 2] {
+        let wanted = [0, 1].map(|i| {
+            let angle = self.kp[i] * (at.inputs.servo_theta[i] - at.motor_angle(i));
+            let rate = self.kd[i] * (at.inputs.servo_omega[i] - at.motor_rate(i));
+            (angle + rate) / self.limit[i]
+        });
+        tanh(wanted.into()).to_array()
     }
 
-    /// Torques of the left and right servo, N·m.
+    /// Their torques, N·m.
     pub fn torques(&self, at: &ForceContext) -> [f64; 2] {
-        [0, 1].map(|i| self.limit[i] * self.drive(at, i))
+        let drives = self.drives(at);
+        [0, 1].map(|i| self.limit[i] * drives[i])
     }
 }
 
@@ -77,20 +82,30 @@ impl Force for Servo {
 
     #[inline(never)]
     fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
+        let drives = self.drives(at);
         for (i, motor) in MOTORS.into_iter().enumerate() {
-            let drive = self.drive(at, i);
-            let open = 1.0 - drive * drive;
+            let open = 1.0 - drives[i] * drives[i];
             tangents.stiffness(motor, motor, self.kp[i] * open);
             tangents.damping(motor, motor, self.kd[i] * open);
         }
     }
 
     fn add_input_change(&self, at: &ForceContext, change: &Inputs, forces: &mut Coordinates) {
+        let drives = self.drives(at);
         for (i, motor) in MOTORS.into_iter().enumerate() {
-            let drive = self.drive(at, i);
             let pull = self.kp[i] * change.servo_theta[i] + self.kd[i] * change.servo_omega[i];
-            forces[motor] += (1.0 - drive * drive) * pull;
+            forces[motor] += (1.0 - drives[i] * drives[i]) * pull;
         }
+    }
+
+    #[inline(never)]
+    fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
+        let mut put_in = 0.0;
+        for (i, torque) in self.torques(at).into_iter().enumerate() {
+            forces[MOTORS[i]] += torque;
+            put_in += torque * at.motor_rate(i);
+        }
+        [put_in, 0.0]
     }
 
     fn input_power(&self, at: &ForceContext) -> f64 {

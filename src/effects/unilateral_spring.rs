@@ -50,7 +50,7 @@ pub(super) struct Border {
 const RATE_TIME: f64 = 0.1;
 
 impl Phase {
-    fn pushes(self) -> bool {
+    pub(super) fn pushes(self) -> bool {
         matches!(self, Self::Ramp | Self::Full)
     }
 }
@@ -71,7 +71,7 @@ impl UnilateralSpring {
     pub(super) fn borders(&self, phase: Phase, depth: f64, rate: f64) -> [Option<Border>; 3] {
         let deeper = |than: f64, behind| Some(Border { beyond: depth - than, behind });
         let shallower = |than: f64, behind| Some(Border { beyond: than - depth, behind });
-        let push = self.push(depth, rate) / (self.stiffness + self.damping / RATE_TIME).max(f64::MIN_POSITIVE);
+        let push = self.scaled_push(depth, rate);
         // Without damping what touches pushes.
         let lets_go = |behind| (self.damping > 0.0).then_some(Border { beyond: -push, behind });
         let pushes_again = |behind| Some(Border { beyond: push, behind });
@@ -82,6 +82,16 @@ impl UnilateralSpring {
             Phase::RampLetGo => [deeper(self.width, Phase::FullLetGo), shallower(0.0, Phase::Free), pushes_again(Phase::Ramp)],
             Phase::FullLetGo => [None, shallower(self.width, Phase::RampLetGo), pushes_again(Phase::Full)],
         }
+    }
+
+    /// What changes sign where a motion that touches passes a kink: penetration, that beyond the ramp, and the push, m or rad.
+    pub(super) fn kinks(&self, depth: f64, rate: f64) -> [f64; 3] {
+        [depth, depth - self.width, self.scaled_push(depth, rate)]
+    }
+
+    /// (k d + c ḋ) as a distance, m or rad.
+    fn scaled_push(&self, depth: f64, rate: f64) -> f64 {
+        self.push(depth, rate) / (self.stiffness + self.damping / RATE_TIME).max(f64::MIN_POSITIVE)
     }
 
     /// k d + c ḋ.

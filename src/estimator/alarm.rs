@@ -5,8 +5,11 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::linkage::Frame;
 use super::track::Track;
 
-/// The change of the unknown force that is an alarm, in torque scales, beyond this many standard deviations.
-const CHANGE: (f64, f64) = (0.5, 4.0);
+/// The change of the unknown force that is an alarm, in torque scales, where the models of much noise are more probable than this: it is
+/// changing now.
+const SUDDEN: (f64, f64) = (0.25, 0.9);
+/// The change that is an alarm, in torque scales, beyond this many standard deviations: it has changed.
+const LASTING: (f64, f64) = (0.5, 6.0);
 /// How slowly what it changes from follows, s.
 const SLOW: f64 = 0.3;
 /// How long an alarm lasts, s.
@@ -45,12 +48,15 @@ impl Alarm {
         let samples = samples as f64;
         self.nis += samples / CONSISTENCY.0 * (nis / samples - self.nis);
         let change = std::array::from_fn(|i| track.force[i] - self.usual[i]);
+        let [x, y] = Track { force: change, ..*track }.tangent_force(at);
         let covariance = track.covariance();
-        let force = Track { force: change, ..*track }.tangent_force(at);
-        let raised = (0..2).any(|i| {
-            let sigma = covariance[4 + i][4 + i].max(0.0).sqrt();
-            force[i].abs() > CHANGE.0 * scale + CHANGE.1 * sigma
-        });
+        let (xx, xy, yy) = (covariance[4][4], covariance[4][5], covariance[5][5]);
+        let (size, determinant) = ((x * x + y * y).sqrt(), xx * yy - xy * xy);
+        // (size/σ)² without a division.
+        let squared = x * x * yy - 2.0 * x * y * xy + y * y * xx;
+        let loud = track.bank.members[2].weight + track.bank.members[3].weight;
+        let raised =
+            size > SUDDEN.0 * scale && loud > SUDDEN.1 || size > LASTING.0 * scale && squared > LASTING.1 * LASTING.1 * determinant;
         if raised {
             self.since = 0.0;
         }

@@ -60,6 +60,7 @@ pub struct Innovation {
 }
 
 /// F P Fᵀ, symmetric to the bit.
+#[inline(never)]
 pub fn sandwich(f: &Matrix, p: &Matrix) -> Matrix {
     let mut half = [[0.0; ERRORS]; ERRORS];
     for i in 0..ERRORS {
@@ -87,6 +88,7 @@ fn apply(f: &Matrix, x: &Error) -> Error {
 
 /// The transition of the errors from one tangent space to another: what the flow makes of angles and rates, and the turned basis of the
 /// unknown force.
+#[inline(never)]
 pub fn transition(from: &Frame, to: &Frame, flow: &Flow) -> Matrix {
     let mut f = [[0.0; ERRORS]; ERRORS];
     for k in 0..ERRORS {
@@ -102,6 +104,7 @@ pub fn transition(from: &Frame, to: &Frame, flow: &Flow) -> Matrix {
 }
 
 /// The same in a time in which nothing can be said of the forces: angles follow the rates.
+#[inline(never)]
 pub fn straight(from: &Frame, to: &Frame, h: f64) -> Matrix {
     let turned = from.carried_to(to);
     let mut f = [[0.0; ERRORS]; ERRORS];
@@ -175,6 +178,7 @@ impl Bank {
     }
 
     /// Moves all errors by a transition.
+    #[inline(never)]
     pub fn carry(&mut self, f: &Matrix) {
         for member in &mut self.members {
             member.error = apply(f, &member.error);
@@ -184,6 +188,7 @@ impl Bank {
 
     /// Mixes the models as they may have changed in h seconds, moves them, and adds what each expects of the process. `switch_time`, s, is
     /// how long a model stays.
+    #[inline(never)]
     pub fn predict(&mut self, linkage: &Linkage, (at, f): (&Frame, &Matrix), scale: f64, (h, switch_time): (f64, f64)) {
         let stay = libm::exp(-h / switch_time);
         let before = self.members;
@@ -227,6 +232,7 @@ impl Bank {
     }
 
     /// Corrects all models by a sample, and their weights by how likely each had made it.
+    #[inline(never)]
     pub fn update(&mut self, sample: &Innovation) {
         let mut likelihood = [0.0; MODELS];
         for (member, likelihood) in self.members.iter_mut().zip(&mut likelihood) {
@@ -283,6 +289,7 @@ impl Bank {
 }
 
 /// Mean and covariance of members with shares that sum up to 1.
+#[inline(never)]
 fn mixture(members: &[Member; MODELS], shares: &[f64; MODELS]) -> (Error, Matrix) {
     let mean: Error = std::array::from_fn(|i| members.iter().zip(shares).map(|(member, share)| share * member.error[i]).sum());
     let mut covariance = [[0.0; ERRORS]; ERRORS];
@@ -301,6 +308,7 @@ fn mixture(members: &[Member; MODELS], shares: &[f64; MODELS]) -> (Error, Matrix
 }
 
 /// P hᵀ, and h P hᵀ + R.
+#[inline(never)]
 fn projected(covariance: &Matrix, sample: &Innovation) -> (Error, f64) {
     let column: Error = std::array::from_fn(|i| along(&sample.row, &covariance[i]));
     (column, along(&sample.row, &column) + sample.noise)
@@ -311,6 +319,7 @@ fn along(row: &Error, x: &Error) -> f64 {
 }
 
 /// Keeps a direction of which nothing is known from growing beyond sense.
+#[inline(never)]
 fn bound(covariance: &mut Matrix) {
     for i in 0..4 {
         let most = UNKNOWN[i / 2];

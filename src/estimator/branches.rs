@@ -16,6 +16,8 @@ const APART: f64 = 0.1;
 const LONGEST: f64 = 0.5;
 /// or where the samples speak against it, and takes over where they speak for it: differences of log likelihoods.
 const DECIDED: [f64; 2] = [-12.0, 6.0];
+/// A difference by which samples decide at once.
+const IMMEDIATE: f64 = 15.0;
 /// Variances that the other assembly has beside: of rates, rad²/s², and of the force in squared torque scales.
 const BESIDE: [f64; 2] = [0.01, 0.04];
 
@@ -43,6 +45,11 @@ impl Default for Branches {
 }
 
 impl Branches {
+    /// Whether no vertex is near.
+    pub(super) fn are_known(&self) -> bool {
+        self.since_vertex > LONGEST
+    }
+
     pub(super) fn are_two(&self) -> bool {
         self.other.is_some()
     }
@@ -65,10 +72,9 @@ impl Branches {
     ) {
         let linkage = &constants.linkage;
         if held {
-            *self = Self { since_vertex: 0.0, other: None };
-            return;
+            self.since_vertex = 0.0;
         }
-        let begins = self.since_vertex < LATEST;
+        let begins = self.since_vertex < LATEST && !held;
         self.since_vertex = (self.since_vertex + h).min(f64::MAX);
         if let Some(other) = &mut self.other {
             other.age += h;
@@ -81,6 +87,27 @@ impl Branches {
             self.since_vertex = LATEST;
             self.other = mirrored(constants, track).map(|track| Other { track, evidence: 0.0, age: 0.0 });
         }
+    }
+
+    /// Where the motion has turned next to a vertex, that which goes straight on is followed beside.
+    pub(super) fn begin(&mut self, straight: Track) {
+        if self.other.is_none() {
+            self.other = Some(Other { track: straight, evidence: 0.0, age: 0.0 });
+        }
+    }
+
+    /// Whether samples (innovation, angle) that come after some time of holding fit the other branch far better.
+    pub(super) fn prefer_other(&self, linkage: &Linkage, track: &Track, samples: &[Option<(Innovation, f64)>; 2]) -> bool {
+        let Some(other) = &self.other else { return false };
+        let mut evidence = 0.0;
+        for (encoder, sample) in samples.iter().enumerate() {
+            let Some((innovation, angle)) = sample else { continue };
+            let (nis, variance) = track.bank.surprise(innovation);
+            let (other_nis, other_variance) =
+                other.track.bank.surprise(&other.track.innovation(linkage, encoder, *angle, innovation.noise));
+            evidence += 0.5 * (nis + libm::log(variance) - other_nis - libm::log(other_variance));
+        }
+        evidence > IMMEDIATE
     }
 
     /// A sample that the estimate takes in: its likelihood.
@@ -122,14 +149,18 @@ impl Branches {
 
 impl Other {
     /// One macro step, by Runge–Kutta; false where it cannot go on.
+    #[inline(never)]
     fn go_on(&mut self, constants: &Constants, scene: &impl Scene, (h, switch_time): (f64, f64)) -> bool {
         let linkage = &constants.linkage;
-        let flow = self.track.flow(linkage, scene, h);
-        let Some((theta, omega, _)) = linkage.closed(flow.theta, flow.omega) else { return false };
+        let (theta, omega) = if self.track.is_at_vertex(linkage) {
+            let Track { theta, omega, .. } = self.track.gone_straight(linkage, h);
+            (theta, omega)
+        } else {
+            let flow = self.track.flow(linkage, scene, h);
+            let Some((theta, omega, _)) = linkage.closed(flow.theta, flow.omega) else { return false };
+            (theta, omega)
+        };
         let step = self.track.step(linkage, scene, (&theta, &omega), h);
-        if step.held {
-            return false;
-        }
         let frame = linkage.frame(&self.track.theta);
         self.track.bank.predict(linkage, (&frame, &step.transition), constants.torque_scale(), (h, switch_time));
         (self.track.theta, self.track.omega) = (theta, omega);
@@ -138,6 +169,7 @@ impl Other {
 }
 
 /// The other assembly with the same angles and rates of the motors.
+#[inline(never)]
 fn mirrored(constants: &Constants, track: &Track) -> Option<Track> {
     let linkage = &constants.linkage;
     let from = linkage.frame(&track.theta);

@@ -16,6 +16,10 @@ const PATIENCE: u32 = 10;
 const REPEATING: f64 = 0.1;
 /// White noise of this many steps of the quantiser makes its error white.
 const DITHER: f64 = 0.4;
+/// An encoder is silent where this many of its intervals have passed since its last sample,
+const LATE: f64 = 1.5;
+/// which before there are two samples are taken to be of this length, s.
+const UNKNOWN_INTERVAL: f64 = 0.1;
 /// The least standard deviation of a sample, rad.
 const FINEST: f64 = 1e-9;
 
@@ -114,13 +118,13 @@ impl Encoder {
         if spoke && before.is_finite() {
             self.interval = (time - before).abs();
         }
-        self.silent = age.max(0.0);
+        self.silent = 0.0;
         Some(Sample { angle, age: if age <= rounded { 0.0 } else { age } })
     }
 
     /// Whether it has been silent for longer than between its last samples.
     pub(super) fn is_silent(&self) -> bool {
-        self.silent > 1.5 * self.interval.max(f64::MIN_POSITIVE)
+        self.silent > LATE * if self.interval > 0.0 { self.interval } else { UNKNOWN_INTERVAL }
     }
 
     /// Whether it repeats itself.
@@ -128,15 +132,20 @@ impl Encoder {
         self.repeated
     }
 
+    /// Whether it repeats itself on an axis that turns at a rate, rad/s, by more than its step and noise from sample to sample.
+    pub(super) fn should_not_repeat(&self, rate: f64, quantum: f64, sigma: f64) -> bool {
+        self.repeated && rate.abs() * self.interval > 2.0 * quantum + 4.0 * sigma
+    }
+
     /// Whether a sample is to be used that is off by so many squared standard deviations: of all models, and of the one that allows for
-    /// most.
-    pub(super) fn accepts(&mut self, nis: f64, least: f64, suspicious: bool) -> bool {
+    /// most. `suspicious`: it repeats itself, and the other does not; `patient`: the estimate is to be believed rather than the sample.
+    pub(super) fn accepts(&mut self, nis: f64, least: f64, (suspicious, patient): (bool, bool)) -> bool {
         self.fault = match self.fault {
             Fault::Stuck if self.repeated => Fault::Stuck,
             // NaN is wild.
             _ if nis <= WILD => Fault::None,
             _ if suspicious => Fault::Stuck,
-            _ if self.left_out < 1 || (!(least <= IMPOSSIBLE) && self.left_out < PATIENCE) => Fault::Rejected,
+            _ if self.left_out < 1 || (patient && !(least <= IMPOSSIBLE) && self.left_out < PATIENCE) => Fault::Rejected,
             _ => Fault::None,
         };
         self.left_out = if self.fault == Fault::None { 0 } else { self.left_out.saturating_add(1) };

@@ -69,6 +69,7 @@ impl Point {
 }
 
 /// Around an estimate.
+#[inline(never)]
 fn around(track: &Track, linkage: &Linkage) -> [Point; POINTS] {
     let frame = linkage.frame(&track.theta);
     let inputs = track::by_inputs(linkage, &frame);
@@ -92,6 +93,7 @@ fn around(track: &Track, linkage: &Linkage) -> [Point; POINTS] {
 }
 
 /// L of P = L Lᵀ; 0 in columns of which nothing is left.
+#[inline(never)]
 fn cholesky(p: &Matrix) -> Matrix {
     let mut l = [[0.0; ERRORS]; ERRORS];
     for i in 0..ERRORS {

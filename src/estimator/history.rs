@@ -49,6 +49,7 @@ pub(super) struct History(ArrayVec<Past, REMEMBERED>);
 
 impl History {
     /// The motion goes on by h seconds and a transition from `track`, and what is older than `max_age`, s, is forgotten.
+    #[inline(never)]
     pub(super) fn step(&mut self, (track, frame): (&Track, &Frame), transition: &Matrix, h: f64, max_age: f64) {
         if max_age == 0.0 {
             return;
@@ -91,6 +92,7 @@ impl History {
     }
 
     /// Angle of an encoder some time ago, and how it changes with the present error; `None` where that is not remembered.
+    #[inline(never)]
     pub(super) fn at(&self, track: &Track, frame: &Frame, encoder: usize, age: f64) -> Option<(f64, Error)> {
         let present = Past::present(track, frame);
         let before = self.0.iter().rposition(|past| past.age >= age)?;
@@ -133,6 +135,7 @@ fn times(x: &Error, f: &Matrix) -> Error {
 }
 
 /// F⁻¹ by Gauss and Jordan with pivots; `None` where it is singular.
+#[inline(never)]
 fn inverse(f: &Matrix) -> Option<Matrix> {
     let mut left = *f;
     let mut right: Matrix = std::array::from_fn(|i| std::array::from_fn(|k| f64::from(u8::from(i == k))));

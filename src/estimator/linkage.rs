@@ -83,6 +83,7 @@ impl Linkage {
     }
 
     /// Where the links point to at link angles, rad.
+    #[inline(never)]
     pub fn posture(&self, theta: &Links) -> Posture {
         let (sin_p, cos_p) = sin_cos(Legs::new([theta[0], theta[3]]));
         let (sin_d, cos_d) = sin_cos(Legs::new([theta[1], theta[2]]));
@@ -92,11 +93,13 @@ impl Linkage {
     }
 
     /// The tangent space there.
+    #[inline(never)]
     pub fn frame(&self, theta: &Links) -> Frame {
         Frame::new(self, self.posture(theta))
     }
 
     /// Mass matrix times a vector.
+    #[inline(never)]
     pub(super) fn mass_times(&self, at: &Posture, x: &Links) -> Links {
         let mut product: Links = std::array::from_fn(|i| self.inertia[i] * x[i]);
         for (leg, [p, d]) in LEGS.into_iter().enumerate() {
@@ -108,6 +111,7 @@ impl Linkage {
     }
 
     /// The entries of M⁻¹ of each leg: proximal, distal, coupling.
+    #[inline(never)]
     pub(super) fn mobility(&self, at: &Posture) -> [[f64; 3]; 2] {
         [0, 1].map(|leg| {
             let [p, d] = LEGS[leg];
@@ -128,6 +132,7 @@ impl Linkage {
     }
 
     /// Closes the loop from angles and rates nearby, by the shortest way; `None` where it cannot be closed.
+    #[inline(never)]
     pub fn closed(&self, mut theta: Links, omega: Links) -> Option<(Links, Links, Frame)> {
         for _ in 0..CLOSING.0 {
             let frame = self.frame(&theta);

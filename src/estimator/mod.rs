@@ -133,6 +133,12 @@ impl Constants {
         if self.parameters.torque_scale > 0.0 { self.parameters.torque_scale } else { self.linkage.weight_torque }
     }
 
+    /// Variances of angles, rates and the unknown force at the start.
+    fn start_variances(&self) -> [f64; 3] {
+        let Parameters { sigma0_theta, sigma0_omega, .. } = self.parameters;
+        [sigma0_theta, sigma0_omega, UNKNOWN_FORCE * self.torque_scale()].map(|sigma| sigma * sigma)
+    }
+
     /// The inputs by which a unit of each force on the tangent basis acts.
     pub fn by_inputs(&self, at: &Frame) -> [Pair; 4] {
         track::by_inputs(&self.linkage, at)
@@ -159,14 +165,14 @@ pub struct Estimator {
 /// In units of the torque scale: what the unknown force may be at the start.
 const UNKNOWN_FORCE: f64 = 0.3;
 
+/// The largest that is told.
+const LARGEST_NIS: f64 = 1e12;
+
 impl Estimator {
     /// The estimate that a scene starts from.
     pub fn new(constants: &Constants, theta: Links, omega: Links) -> Self {
-        let Parameters { sigma0_theta, sigma0_omega, .. } = constants.parameters;
-        let force = UNKNOWN_FORCE * constants.torque_scale();
-        let variances = [sigma0_theta, sigma0_omega, force].map(|sigma| sigma * sigma);
         Self {
-            track: Track { theta, omega, force: [0.0; 4], bank: bank::Bank::new(variances) },
+            track: Track { theta, omega, force: [0.0; 4], bank: bank::Bank::new(constants.start_variances()) },
             held: false,
             branches: Branches::default(),
             encoders: [Encoder::NEW; 2],
@@ -181,6 +187,11 @@ impl Estimator {
     /// The estimate.
     pub fn track(&self) -> &Track {
         &self.track
+    }
+
+    /// The motion has changed at once, by what is known: the errors about it stay.
+    pub fn move_to(&mut self, theta: Links, omega: Links) {
+        (self.track.theta, self.track.omega) = (theta, omega);
     }
 
     /// Takes in what is new of the encoders at a time, s on their clock. Whether the motion has to go on from another state.
@@ -211,27 +222,43 @@ impl Estimator {
             return false;
         }
         self.forecast.end();
+        // Where two branches are open, the first samples decide, before either is bent to them.
+        if self.branches.prefer_other(linkage, &self.track, &heard) {
+            self.branches.swap(&mut self.track);
+            self.history.clear();
+            for i in 0..2 {
+                if let Some((innovation, angle)) = &mut heard[i] {
+                    *innovation = self.track.innovation(linkage, i, *angle, innovation.noise);
+                    ages[i] = 0.0;
+                }
+            }
+        }
         let other_stands = [1, 0].map(|i| self.encoders[i].repeats());
         let (mut nis, mut used) = (0.0, [None; 2]);
         for i in 0..2 {
             let Some((innovation, angle)) = heard[i] else { continue };
             let (own, _) = self.track.bank.surprise(&innovation);
             let least = self.track.bank.least_surprise(&innovation);
-            let suspicious = self.encoders[i].repeats() && !other_stands[i];
+            let rate = self.track.omega[MEASURED[i]];
+            let suspicious =
+                !other_stands[i] && self.encoders[i].should_not_repeat(rate, parameters.quantum[i], parameters.sigma[i]);
             self.innovation[i] = innovation.residual;
             nis += own;
-            if self.encoders[i].accepts(own, least, suspicious) {
+            if self.encoders[i].accepts(own, least, (suspicious, self.branches.are_known())) {
                 self.branches.weigh(&self.track, &innovation);
                 self.track.bank.update(&innovation);
                 used[i] = Some((angle, innovation.noise, ages[i]));
             }
         }
-        self.nis = nis;
+        // What is beyond sense is told as a number.
+        self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
         if used.iter().all(Option::is_none) {
             return false;
         }
-        if let Some((error, turn)) = self.track.absorb(linkage) {
-            self.history.correct(&error, &turn);
+        match self.track.absorb(linkage) {
+            Some((error, turn)) => self.history.correct(&error, &turn),
+            // Nothing near closes the loop: what is known of the errors is worth nothing.
+            None => self.track.bank = bank::Bank::new(constants.start_variances()),
         }
         if self.branches.correct(linkage, &used) {
             self.branches.swap(&mut self.track);
@@ -253,6 +280,10 @@ impl Estimator {
             self.forecast.step(&self.track, linkage, scene, h);
         }
         let step = self.track.step(linkage, scene, (theta, omega), h);
+        if self.track.has_turned(linkage, (theta, omega)) {
+            // Nobody can know whether it has passed the vertex on this side, on the other or straight.
+            self.branches.begin(self.track);
+        }
         self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
         self.track.bank.predict(linkage, (&frame, &step.transition), scale, timing);
         (self.track.theta, self.track.omega) = (*theta, *omega);

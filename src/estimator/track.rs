@@ -12,6 +12,10 @@ const VERTEX: f64 = 0.03;
 const DOUBTFUL: f64 = 0.2;
 /// to this, rad and rad/s.
 const AGREEMENT: [f64; 2] = [1e-3, 0.1];
+/// The part of the fastest rate by which rates change at once where a motion turns.
+const TURNED: f64 = 0.3;
+/// Rates beyond this are none of a machine, rad/s.
+const FASTEST: f64 = 2e3;
 /// In the squares of the inputs' effects: no input is asked for a force that it does not have.
 const LEAST_EFFECT: f64 = 1e-6;
 
@@ -44,6 +48,7 @@ pub fn wrapped(angle: f64) -> f64 {
 }
 
 /// By which inputs a force on the tangent basis acts: the smallest torques, and tip force times the mean length.
+#[inline(never)]
 pub(super) fn by_inputs(linkage: &Linkage, at: &Frame) -> [Pair; 4] {
     let scale = [1.0, 1.0, 1.0 / linkage.length, 1.0 / linkage.length];
     let effects = effects(at);
@@ -63,6 +68,7 @@ pub(super) fn by_inputs(linkage: &Linkage, at: &Frame) -> [Pair; 4] {
 }
 
 /// Forces on the tangent basis of a unit of each input.
+#[inline(never)]
 fn effects(at: &Frame) -> [[f64; 4]; 2] {
     let inputs = at.inputs();
     at.basis.map(|direction| std::array::from_fn(|input| (0..4).map(|link| direction[link] * inputs[link][input]).sum()))
@@ -75,6 +81,7 @@ fn on_basis(at: &Frame, force: &[f64; 4]) -> Pair {
 
 impl Track {
     /// The errors over h seconds, from the motion's beginning at `theta`, `omega` to its end.
+    #[inline(never)]
     pub(super) fn step(&self, linkage: &Linkage, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) -> Step {
         let flow = self.flow(linkage, scene, h);
         let (from, to) = (linkage.frame(&self.theta), linkage.frame(theta));
@@ -92,6 +99,29 @@ impl Track {
         if finite { Step { transition, held } } else { Step { transition: bank::straight(&from, &to, h), held: true } }
     }
 
+    /// Whether a motion to these angles and rates has turned next to a vertex: forces change no rate by as much in a step.
+    pub(super) fn has_turned(&self, linkage: &Linkage, (theta, omega): (&Links, &Links)) -> bool {
+        let smallest = linkage.frame(&self.theta).smallest.min(linkage.frame(theta).smallest);
+        let fastest = self.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
+        smallest < VERTEX && (0..4).any(|i| (omega[i] - self.omega[i]).abs() > TURNED * fastest)
+    }
+
+    /// Whether a vertex is so near that branches cannot be told apart.
+    pub(super) fn is_at_vertex(&self, linkage: &Linkage) -> bool {
+        linkage.frame(&self.theta).smallest < VERTEX
+    }
+
+    /// h seconds on by its rates.
+    pub(super) fn gone_straight(&self, linkage: &Linkage, h: f64) -> Self {
+        let along: Links = std::array::from_fn(|i| self.theta[i] + h * self.omega[i]);
+        // In the vertex itself nothing is to be closed: the straight line meets the loop to third order.
+        let at_once = |(theta, omega, _): (Links, Links, Frame)| {
+            (0..4).all(|i| (theta[i] - along[i]).abs() < AGREEMENT[0]).then_some((theta, omega))
+        };
+        let (theta, omega) = linkage.closed(along, self.omega).and_then(at_once).unwrap_or((along, self.omega));
+        Self { theta, omega, ..*self }
+    }
+
     /// The motion with the errors about it.
     pub(super) fn flow(&self, linkage: &Linkage, scene: &impl Scene, h: f64) -> Flow {
         let frame = linkage.frame(&self.theta);
@@ -100,6 +130,7 @@ impl Track {
     }
 
     /// What is expected of a sample that an encoder takes now.
+    #[inline(never)]
     pub(super) fn innovation(&self, linkage: &Linkage, encoder: usize, angle: f64, noise: f64) -> Innovation {
         let frame = linkage.frame(&self.theta);
         let link = MEASURED[encoder];
@@ -110,12 +141,16 @@ impl Track {
 
     /// The mean takes over what the models think of the error. What it was and how the errors are turned with the basis; `None`, and
     /// nothing has changed, where the loop cannot be closed there.
+    #[inline(never)]
     pub(super) fn absorb(&mut self, linkage: &Linkage) -> Option<(Error, Matrix)> {
         let frame = linkage.frame(&self.theta);
         let (error, _) = self.bank.moments();
         let (turned, quickened) = (frame.tangent([error[0], error[1]]), frame.tangent([error[2], error[3]]));
         let (theta, omega, to) = linkage
             .closed(std::array::from_fn(|i| self.theta[i] + turned[i]), std::array::from_fn(|i| self.omega[i] + quickened[i]))?;
+        if !omega.iter().all(|rate| rate.abs() < FASTEST) {
+            return None;
+        }
         let force = on_basis(&frame, &self.force);
         let force = [force[0] + error[4], force[1] + error[5]];
         self.force = by_inputs(linkage, &frame).map(|row| row[0] * force[0] + row[1] * force[1]);
@@ -127,6 +162,7 @@ impl Track {
     }
 
     /// The estimate on a tangent basis: covariance of the error about the mean, whatever the mean leaves to the models included.
+    #[inline(never)]
     pub fn covariance(&self) -> Matrix {
         let (error, mut covariance) = self.bank.moments();
         for i in 0..ERRORS {

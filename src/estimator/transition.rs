@@ -93,6 +93,7 @@ impl Point {
 }
 
 /// How many steps of Runge–Kutta a time of h seconds needs.
+#[inline(never)]
 pub fn steps(linkage: &Linkage, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) -> u32 {
     let frame = linkage.frame(theta);
     let Loads { stiffness, damping, .. } = scene.loads(theta, omega);
@@ -109,6 +110,7 @@ pub fn steps(linkage: &Linkage, scene: &impl Scene, (theta, omega): (&Links, &Li
 }
 
 /// The motion alone, from angles and rates, over h seconds in equal steps.
+#[inline(never)]
 pub fn motion(linkage: &Linkage, scene: &impl Scene, (mut theta, mut omega): (Links, Links), h: f64, steps: u32) -> (Links, Links) {
     let h = h / f64::from(steps);
     let plus = |x: &Links, h: f64, y: &Links| -> Links { std::array::from_fn(|i| x[i] + h * y[i]) };
@@ -129,6 +131,7 @@ pub fn motion(linkage: &Linkage, scene: &impl Scene, (mut theta, mut omega): (Li
 }
 
 /// The motion with the errors about it. `force` says with what torques on the inputs the two unknown forces act, by input.
+#[inline(never)]
 pub fn flow(
     linkage: &Linkage,
     scene: &impl Scene,
@@ -181,7 +184,7 @@ impl<'a> Factor<'a> {
     }
 
     /// x and y of M x + Jᵀ y = b, J x = c.
-    #[inline(always)]
+    #[inline(never)]
     fn solve(&self, b: &Links, c: Pair) -> (Links, Pair) {
         let free = yielding(&self.mobility, b);
         let [x, y] = self.at.end_velocity(&free);
@@ -194,7 +197,7 @@ impl<'a> Factor<'a> {
 }
 
 /// M⁻¹ x.
-#[inline(always)]
+#[inline]
 fn yielding(mobility: &[[f64; 3]; 2], x: &Links) -> Links {
     let mut product = [0.0; 4];
     for ([p, d], [own_p, own_d, coupling]) in LEGS.into_iter().zip(mobility) {
@@ -214,6 +217,7 @@ fn pushed(linkage: &Linkage, at: &Posture, mut torque: Links, omega: &Links) -> 
     torque
 }
 
+#[inline(never)]
 fn acceleration(linkage: &Linkage, scene: &impl Scene, theta: &Links, omega: &Links) -> Links {
     let frame = linkage.posture(theta);
     let torque = pushed(linkage, &frame, scene.torque(theta, omega), omega);
@@ -221,6 +225,7 @@ fn acceleration(linkage: &Linkage, scene: &impl Scene, theta: &Links, omega: &Li
 }
 
 /// The rate of change of a point.
+#[inline(never)]
 fn rate(linkage: &Linkage, scene: &impl Scene, force: &[Pair; 4], point: &Point) -> Point {
     let Point { theta, omega, d_theta, d_omega } = point;
     let frame = linkage.posture(theta);

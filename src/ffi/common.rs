@@ -9,10 +9,10 @@ use libc::size_t;
 use super::arrays::{not_null, slice, string};
 use super::guard::{Component, guard};
 use super::types::{
-    fmi2Boolean, fmi2CallbackFunctions, fmi2CoSimulation, fmi2Component, fmi2False, fmi2Integer, fmi2Real, fmi2Status, fmi2String,
-    fmi2Type, fmi2ValueReference,
+    fmi2Boolean, fmi2CallbackFunctions, fmi2CoSimulation, fmi2Component, fmi2False, fmi2Integer, fmi2ModelExchange, fmi2Real,
+    fmi2Status, fmi2String, fmi2Type, fmi2ValueReference,
 };
-use crate::fmi::{Call, CallError, Instance};
+use crate::fmi::{Call, CallError, Instance, Kind};
 use crate::variables::{FmiType, GUID, Value};
 
 /// The platform of the types: `default` (section 2.1.2).
@@ -52,7 +52,8 @@ pub unsafe extern "C" fn fmi2Instantiate(
             // SAFETY: the caller vouches for the string.
             unsafe { CStr::from_ptr(instanceName) }
         };
-        let mut component = Component::new(name.to_owned(), *functions, loggingOn != fmi2False);
+        let kind = if fmuType == fmi2ModelExchange { Kind::ModelExchange } else { Kind::CoSimulation };
+        let mut component = Component::new(kind, name.to_owned(), *functions, loggingOn != fmi2False);
         // SAFETY: the caller vouches for the string unless it is null.
         let checked = unsafe { string("fmuGUID", fmuGUID) }.and_then(|guid| check_identity(name, fmuType, guid));
         match checked {
@@ -75,8 +76,10 @@ fn check_identity(name: &CStr, kind: fmi2Type, guid: &str) -> Result<(), CallErr
     if name.is_empty() {
         return Err(CallError::error("instanceName is null or empty."));
     }
-    if kind != fmi2CoSimulation {
-        return Err(CallError::error(format!("fmuType is {kind}, must be fmi2CoSimulation ({fmi2CoSimulation}).")));
+    if kind != fmi2CoSimulation && kind != fmi2ModelExchange {
+        return Err(CallError::error(format!(
+            "fmuType is {kind}, must be fmi2ModelExchange ({fmi2ModelExchange}) or fmi2CoSimulation ({fmi2CoSimulation})."
+        )));
     }
     if guid != GUID {
         return Err(CallError::error(format!("fmuGUID is {guid}, this library belongs to {GUID}.")));

@@ -5,7 +5,7 @@ use std::ffi::CString;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use super::types::{fmi2CallbackFunctions, fmi2Component, fmi2Error, fmi2Fatal, fmi2Status, number};
-use crate::fmi::{Call, CallError, Instance, Message, Status};
+use crate::fmi::{Call, CallError, Instance, Kind, Message, Status};
 
 /// What an fmi2Component points to.
 pub(super) struct Component {
@@ -18,8 +18,8 @@ pub(super) struct Component {
 }
 
 impl Component {
-    pub(super) fn new(name: CString, callbacks: fmi2CallbackFunctions, logging_on: bool) -> Self {
-        Self { instance: Instance::new(logging_on), name, callbacks, poisoned: false }
+    pub(super) fn new(kind: Kind, name: CString, callbacks: fmi2CallbackFunctions, logging_on: bool) -> Self {
+        Self { instance: Instance::new(kind, logging_on), name, callbacks, poisoned: false }
     }
 
     /// Hands a message to the master's logger, if it has one.
@@ -73,20 +73,21 @@ pub(super) unsafe fn guard(
     }
     let instance = &mut component.instance;
     // Unwind safe: after a panic nothing of the instance is used but its log, which only holds whole messages.
-    let status = match catch_unwind(AssertUnwindSafe(|| call.require(instance.stage()).and_then(|()| body(instance)))) {
-        Ok(Ok(())) => Status::Ok,
-        Ok(Err(rejection)) => {
-            component.instance.log.push(rejection.status, || format!("{call}: {}", rejection.message));
-            rejection.status
-        }
-        Err(panic) => {
-            component.poisoned = true;
-            component.instance.log.push(Status::Fatal, || {
-                format!("{call}: defect of the library, the instance can only be freed: {}", panic_text(&*panic))
-            });
-            Status::Fatal
-        }
-    };
+    let status =
+        match catch_unwind(AssertUnwindSafe(|| call.require(instance.kind(), instance.stage()).and_then(|()| body(instance)))) {
+            Ok(Ok(())) => Status::Ok,
+            Ok(Err(rejection)) => {
+                component.instance.log.push(rejection.status, || format!("{call}: {}", rejection.message));
+                rejection.status
+            }
+            Err(panic) => {
+                component.poisoned = true;
+                component.instance.log.push(Status::Fatal, || {
+                    format!("{call}: defect of the library, the instance can only be freed: {}", panic_text(&*panic))
+                });
+                Status::Fatal
+            }
+        };
     component.send_all();
     number(status)
 }
@@ -137,7 +138,7 @@ mod tests {
             stepFinished: None,
             componentEnvironment: std::ptr::from_mut(lines).cast(),
         };
-        Box::into_raw(Box::new(Component::new(c"test".to_owned(), callbacks, false))).cast()
+        Box::into_raw(Box::new(Component::new(Kind::CoSimulation, c"test".to_owned(), callbacks, false))).cast()
     }
 
     #[test]

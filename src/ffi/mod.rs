@@ -1,4 +1,4 @@
-//! The C border: FMI 2.0 for co-simulation, function by function.
+//! The C border: FMI 2.0 for co-simulation and model exchange, function by function.
 //!
 //! | file | holds |
 //! | --- | --- |
@@ -7,6 +7,7 @@
 //! | `arrays.rs` | C arrays and strings as slices, nulls refused |
 //! | `common.rs` | functions common to all FMUs (FMI 2.0.4, section 2.1) |
 //! | `cosimulation.rs` | functions for co-simulation (section 4.2.1) |
+//! | `exchange.rs` | functions for model exchange (section 3.2) |
 //! | `derivatives.rs` | directional derivatives (section 2.1.9), those of inputs and outputs with respect to time (section 4.2.1) |
 //!
 //! # Safety
@@ -42,6 +43,7 @@ mod arrays;
 mod common;
 mod cosimulation;
 mod derivatives;
+mod exchange;
 mod guard;
 mod state;
 mod types;
@@ -49,5 +51,6 @@ mod types;
 pub use common::*;
 pub use cosimulation::*;
 pub use derivatives::*;
+pub use exchange::*;
 pub use state::*;
 pub use types::*;

@@ -55,7 +55,7 @@ pub unsafe extern "C" fn fmi2GetFMUstate(c: fmi2Component, FMUstate: *mut fmi2FM
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn fmi2SetFMUstate(c: fmi2Component, FMUstate: fmi2FMUstate) -> fmi2Status {
     // SAFETY: the caller vouches for the state.
-    let body = |instance: &mut Instance| unsafe { stored(FMUstate) }.map(|snapshot| instance.restore(snapshot));
+    let body = |instance: &mut Instance| unsafe { stored(FMUstate) }.and_then(|snapshot| instance.restore(snapshot));
     // SAFETY: the caller vouches for the component.
     unsafe { guard(c, Call::SetFMUstate, body) }
 }

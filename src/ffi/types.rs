@@ -47,8 +47,28 @@ pub const fmi2Fatal: fmi2Status = 4;
 
 /// Kind of FMU.
 pub type fmi2Type = c_int;
+/// Model exchange.
+pub const fmi2ModelExchange: fmi2Type = 0;
 /// Co-simulation.
 pub const fmi2CoSimulation: fmi2Type = 1;
+
+/// What an event has changed.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct fmi2EventInfo {
+    /// Whether fmi2NewDiscreteStates must be called again.
+    pub newDiscreteStatesNeeded: fmi2Boolean,
+    /// Whether the simulation must end.
+    pub terminateSimulation: fmi2Boolean,
+    /// Whether the nominal values of the states are others.
+    pub nominalsOfContinuousStatesChanged: fmi2Boolean,
+    /// Whether the states are others.
+    pub valuesOfContinuousStatesChanged: fmi2Boolean,
+    /// Whether the next event is known.
+    pub nextEventTimeDefined: fmi2Boolean,
+    /// When it is, s.
+    pub nextEventTime: fmi2Real,
+}
 
 /// What a status function is asked for; see [`crate::fmi::status::StatusKind`].
 pub type fmi2StatusKind = c_int;

@@ -3,6 +3,7 @@
 //! The matches are exhaustive over the enums that `build.rs` makes from the XML, so a variable that is not bound here
 //! does not compile. What is computed is bound in `computed.rs`.
 
+use crate::effects::{self, payload};
 use crate::estimator::{self, Measured};
 use crate::mechanism;
 use crate::simulation::{self, Inputs, Parameters};
@@ -97,6 +98,9 @@ fn enumeration_parameter(p: &mut Parameters, variable: EnumerationParameter) -> 
     match variable {
         EnumerationParameter::InitAssembly => &mut p.start.assembly,
         EnumerationParameter::SolverMethod => &mut p.settings.method,
+        EnumerationParameter::PayloadJoin => &mut p.effects.payload.join,
+        EnumerationParameter::FrictionLaw => &mut p.effects.friction.law,
+        EnumerationParameter::ContactLaw => &mut p.effects.contact.law,
         EnumerationParameter::EstimatorForecast => &mut p.estimator.forecast,
     }
 }
@@ -146,8 +150,10 @@ macro_rules! choice {
 }
 
 choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4, Dop853, I3alpConserving });
+choice!(payload::Join = variables::Join { AtRest, WithTip });
 choice!(estimator::Bands = variables::Bands { Linear, SigmaPoints });
 choice!(mechanism::Assembly = variables::Assembly { Plus, Minus });
+choice!(effects::Law = variables::Law { Smooth, Stick });
 
 /// The name of a method as in the XML.
 pub(super) fn method_name(method: simulation::Method) -> &'static str {

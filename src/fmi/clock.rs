@@ -7,7 +7,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::CallError;
+use super::{CallError, Kind};
 
 /// Relative tolerance to which a master's points and steps are taken as what was meant.
 const RELATIVE: f64 = 1e-9;
@@ -54,10 +54,33 @@ impl Clock {
     }
 
     /// Refuses a clock that no run can have.
-    pub(super) fn check(&self) -> Result<(), CallError> {
-        // The last point may be past the end by rounding.
-        let slack = self.stop.map_or(0.0, |stop| RELATIVE * stop.abs().max(1.0));
-        Self::new(self.point, self.stop.map(|stop| stop + slack)).map(drop)
+    pub(super) fn check(&self, kind: Kind) -> Result<(), CallError> {
+        let stop = match kind {
+            // Whoever integrates may try any time.
+            Kind::ModelExchange => None,
+            // The last point may be past the end by rounding.
+            Kind::CoSimulation => self.stop.map(|stop| stop + slack(stop)),
+        };
+        Self::new(self.point, stop).map(drop)
+    }
+
+    /// fmi2SetTime: forward or back, s.
+    pub(super) fn set(&mut self, time: f64) -> Result<(), CallError> {
+        if !time.is_finite() {
+            return Err(CallError::error(format!("time is {time} s, must be finite.")));
+        }
+        self.point = time;
+        Ok(())
+    }
+
+    /// Refuses to have come past the end, but by rounding.
+    pub(super) fn check_end(&self) -> Result<(), CallError> {
+        match self.stop {
+            Some(stop) if self.point > stop + slack(stop) => {
+                Err(CallError::error(format!("the time is {:?} s, which is past stopTime {stop:?} s.", self.point)))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// The communication point reached, s.
@@ -114,6 +137,11 @@ fn past(stop: f64, point: f64, end: f64, size: f64) -> CallError {
     CallError::error(format!(
         "currentCommunicationPoint + communicationStepSize is {end:?} s, which is past stopTime {stop:?} s; the step starts {start}."
     ))
+}
+
+/// Rounding at the end, s.
+fn slack(stop: f64) -> f64 {
+    RELATIVE * stop.abs().max(1.0)
 }
 
 /// How far a point may be off and still be meant: relative to the magnitude of the clock, which may have accumulated

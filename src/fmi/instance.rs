@@ -8,7 +8,7 @@ use super::derivatives::check_reach;
 use super::messages::{Log, Status};
 use super::snapshot::Scene;
 use super::values::{check_computed, check_settable, check_value, lookup};
-use super::{CallError, Snapshot, Stage, bindings, computed};
+use super::{CallError, Kind, Snapshot, Stage, bindings, computed};
 use crate::integrator::MODES;
 use crate::observers::{Observation, Observed};
 use crate::simulation::{Method, Signal, Simulation, StepFailure};
@@ -22,15 +22,15 @@ pub struct Instance {
     /// What has been observed since the last change.
     observation: Option<Observation>,
     /// Before the end of initialisation: the scene made ready with the present values, where an output has been read.
-    preview: Option<Scene>,
+    preview: Option<Box<Scene>>,
     /// Lines for the master.
     pub log: Log,
 }
 
 impl Instance {
     /// A fresh instance; `logging_on` as given to fmi2Instantiate.
-    pub fn new(logging_on: bool) -> Self {
-        Self { now: Snapshot::fresh(), observation: None, preview: None, log: Log::new(logging_on) }
+    pub fn new(kind: Kind, logging_on: bool) -> Self {
+        Self { now: Snapshot::fresh(kind), observation: None, preview: None, log: Log::new(logging_on) }
     }
 
     /// What is about to change: whatever has been observed of it does not hold any more.
@@ -39,6 +39,11 @@ impl Instance {
         self.observation = None;
         self.preview = None;
         &mut self.now
+    }
+
+    /// What the instance is for.
+    pub fn kind(&self) -> Kind {
+        self.now.kind
     }
 
     /// Where the instance is in its life.
@@ -84,24 +89,31 @@ impl Instance {
         let Some(scene) = self.preview.take() else { unreachable!("an observation before the run makes it") };
         let Some(simulation) = scene.simulation() else { unreachable!("it has been made ready") };
         let settings = &simulation.parameters().settings;
+        let kind = self.now.kind;
         self.log.push(Status::Ok, || {
             let effects = simulation.active_effects();
-            format!(
-                "ready: method {}, h = {:?} s, adaptive {}, effects: {}",
-                bindings::method_name(settings.method),
-                settings.step_size,
-                settings.adaptive,
-                if effects.is_empty() { "none".to_owned() } else { effects.join(", ") }
-            )
+            let effects = if effects.is_empty() { "none".to_owned() } else { effects.join(", ") };
+            match kind {
+                Kind::ModelExchange => format!("ready: {kind}, effects: {effects}"),
+                Kind::CoSimulation => format!(
+                    "ready: method {}, h = {:?} s, adaptive {}, effects: {effects}",
+                    bindings::method_name(settings.method),
+                    settings.step_size,
+                    settings.adaptive,
+                ),
+            }
         });
-        if settings.adaptive && settings.method == Method::I3alpConserving {
+        if kind == Kind::CoSimulation && settings.adaptive && settings.method == Method::I3alpConserving {
             self.log
                 .push(Status::Ok, || "solver.adaptive is not used: the steps of i3alpConserving are strictly fixed.".to_owned());
         }
         let now = self.change();
         now.next.take_held_inputs();
-        now.scene = scene;
-        now.stage = Stage::StepComplete;
+        now.scene = *scene;
+        now.stage = match kind {
+            Kind::ModelExchange => Stage::EventMode,
+            Kind::CoSimulation => Stage::StepComplete,
+        };
         Ok(())
     }
 
@@ -111,8 +123,13 @@ impl Instance {
     }
 
     /// fmi2SetFMUstate: everything as it was, but the log and what the master wants to hear of it.
-    pub fn restore(&mut self, snapshot: &Snapshot) {
+    pub fn restore(&mut self, snapshot: &Snapshot) -> Result<(), CallError> {
+        let (own, other) = (self.now.kind, snapshot.kind);
+        if own != other {
+            return Err(CallError::error(format!("FMUstate is that of an instance for {other}, this one is for {own}.")));
+        }
         self.change().copy(snapshot);
+        Ok(())
     }
 
     /// fmi2Terminate.
@@ -125,7 +142,7 @@ impl Instance {
     /// fmi2Reset: as fresh as after fmi2Instantiate. Only the master's choice of log categories stays, which is about
     /// the log and not about the simulation.
     pub fn reset(&mut self) -> Result<(), CallError> {
-        let fresh = Self::new(false);
+        let fresh = Self::new(self.now.kind, false);
         let log = std::mem::replace(self, fresh).log;
         self.log = log;
         self.log.push(Status::Ok, || "reset".to_owned());
@@ -139,10 +156,15 @@ impl Instance {
             check_settable(variable, self.now.stage)?;
             check_value(variable, value)?;
         }
+        if self.now.kind == Kind::ModelExchange {
+            self.set_states(&mut pairs.clone())?;
+        }
         let now = self.change();
         for (reference, value) in pairs {
             let variable = lookup(reference, value.fmi_type())?;
-            now.set(variable, value);
+            if variable.start.is_some() {
+                now.set(variable, value);
+            }
         }
         Ok(())
     }
@@ -174,8 +196,8 @@ impl Instance {
     pub(super) fn observe(&mut self) -> Result<Observed<'_, f64>, CallError> {
         let Self { now, observation, preview, .. } = self;
         let scene = match (&now.scene, preview) {
-            (Scene::Draft(_), Some(scene)) => &*scene,
-            (Scene::Draft(parameters), none) => none.insert(Scene::made_ready(parameters, &now.inputs())?),
+            (Scene::Draft(_), Some(scene)) => &**scene,
+            (Scene::Draft(parameters), none) => none.insert(Box::new(Scene::made_ready(now.kind, parameters, &now.inputs())?)),
             (ready, _) => ready,
         };
         match scene {
@@ -187,7 +209,7 @@ impl Instance {
             Scene::Following(following) => {
                 let model = following.simulation().model();
                 let observation = observation.get_or_insert_with(|| Observation::new(model, following.state_for(&now.inputs())));
-                Ok(Observed::new(model, observation).of_estimate(following, now.inputs()))
+                Ok(Observed::new(model, observation).of_estimate(following))
             }
             Scene::Draft(_) => unreachable!("a preview is made ready"),
         }

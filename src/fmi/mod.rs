@@ -9,6 +9,7 @@
 //! | `computed.rs` | variables ← observers, computed when read |
 //! | `values.rs` | the checks that come before a value is read or written |
 //! | `derivatives.rs` | derivatives of inputs and outputs |
+//! | `exchange.rs` | the functions of model exchange |
 //! | `instance.rs` | an instance: all of these together |
 //! | `following.rs` | a communication step of a machine that is followed |
 //! | `snapshot.rs`, `stored.rs` | stored states, in memory and as bytes |
@@ -18,6 +19,7 @@ pub mod bindings;
 pub mod clock;
 mod computed;
 mod derivatives;
+mod exchange;
 mod following;
 pub mod instance;
 pub mod lifecycle;
@@ -28,9 +30,11 @@ mod stored;
 mod values;
 
 pub use instance::Instance;
-pub use lifecycle::{Call, Stage};
+pub use lifecycle::{Call, Kind, Stage};
 pub use messages::{Message, Status};
 pub use snapshot::Snapshot;
+
+pub use crate::simulation::STATES;
 
 /// A call that was not carried out; nothing was changed.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,7 +1,7 @@
 //! Stored states: everything that an instance holds but its log (FMI 2.0.4, section 2.1.8); as bytes: `stored.rs`.
 
 use super::clock::Clock;
-use super::{Stage, bindings};
+use super::{Kind, Stage, bindings};
 use crate::estimator::Measured;
 use crate::mechanism::SceneError;
 use crate::simulation::{Following, Inputs, Parameters, Signal, Simulation};
@@ -10,6 +10,7 @@ use crate::variables::{Value, Variable, VariableId};
 /// Everything that an instance holds but its log: a stored state.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
+    pub(super) kind: Kind,
     pub(super) stage: Stage,
     /// Set by fmi2SetupExperiment.
     pub(super) clock: Option<Clock>,
@@ -37,11 +38,17 @@ pub(super) enum Scene {
 
 impl Scene {
     /// Made ready from its parameters.
-    pub(super) fn made_ready(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
-        if parameters.estimator.enabled {
-            return Ok(Self::Following(Box::new(Following::new(parameters, inputs)?)));
+    pub(super) fn made_ready(kind: Kind, parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
+        match (kind, parameters.estimator.enabled) {
+            (Kind::CoSimulation, false) => Ok(Self::Ready(Box::new(Simulation::new(parameters, inputs)?))),
+            (Kind::CoSimulation, true) => Ok(Self::Following(Box::new(Following::new(parameters, inputs)?))),
+            (Kind::ModelExchange, false) => Ok(Self::Ready(Box::new(Simulation::driven(parameters, inputs)?))),
+            (Kind::ModelExchange, true) => Err(SceneError(
+                "estimator.enabled = true is not allowed in model exchange, whose states are the master's: it must be false, or the unit \
+                 instantiated for co-simulation."
+                    .to_owned(),
+            )),
         }
-        Ok(Self::Ready(Box::new(Simulation::new(parameters, inputs)?)))
     }
 
     /// Its simulation, once it has been made ready.
@@ -84,8 +91,9 @@ impl Next {
 
 impl Snapshot {
     /// That of an instance just made.
-    pub(super) fn fresh() -> Self {
+    pub(super) fn fresh(kind: Kind) -> Self {
         Self {
+            kind,
             stage: Stage::Instantiated,
             clock: None,
             scene: Scene::Draft(bindings::default_parameters()),
@@ -98,7 +106,8 @@ impl Snapshot {
 
     /// Becomes what `other` is. Where both hold a simulation it allocates nothing.
     pub fn copy(&mut self, other: &Self) {
-        let Self { stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness } = other;
+        let Self { kind, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness } = other;
+        self.kind = *kind;
         self.stage = *stage;
         self.clock.clone_from(clock);
         match (&mut self.scene, scene) {

@@ -20,11 +20,11 @@ use super::clock::Clock;
 use super::derivatives::check_reach;
 use super::snapshot::{Next, Scene};
 use super::values::{check_value, lookup};
-use super::{CallError, Snapshot, Stage, bindings};
+use super::{CallError, Kind, Snapshot, Stage, bindings};
 use crate::estimator::Measured;
 use crate::mechanism::SceneError;
 use crate::simulation::{Estimate, Following, Inputs, ORDERS, Parameters, Residuals, Run, Signal, Simulation};
-use crate::variables::{GUID, Value, Variable};
+use crate::variables::{GUID, VARIABLES, Value};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Must change with every change of what is stored.
@@ -36,6 +36,7 @@ const CHECKSUM: usize = size_of::<u32>();
 #[derive(BorshSerialize, BorshDeserialize)]
 struct Content {
     stage: Stage,
+    kind: Kind,
     clock: Option<Clock>,
     /// Parameters in force.
     values: Values,
@@ -84,6 +85,7 @@ impl Snapshot {
         let followed = Followed { measured: self.measured, estimate };
         let content = Content {
             stage: self.stage,
+            kind: self.kind,
             clock: self.clock.clone(),
             values: values(parameters),
             run,
@@ -111,17 +113,20 @@ impl Snapshot {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CallError> {
         let (content, followed) =
             parts(content(bytes)?).map_err(|error| wrong(&format!("their content is not a state: {error}")))?;
-        let Content { stage, clock, values, run, signal, tuned, warned_of_references, warned_of_stiffness } = content;
+        let Content { stage, kind, clock, values, run, signal, tuned, warned_of_references, warned_of_stiffness } = content;
         let parameters = restored(&values)?;
         let next = Next { signal: signal.map(restored_signal).transpose()?, parameters: restored_tuned(tuned, &parameters)? };
         if let Some(clock) = &clock {
-            clock.check()?;
+            clock.check(kind)?;
         }
         let scene = match (stage, run) {
             (Stage::Instantiated | Stage::InitializationMode, None) if next.parameters.is_none() && followed.estimate.is_none() => {
                 Scene::Draft(parameters)
             }
-            (Stage::StepComplete | Stage::StepFailed | Stage::Terminated, Some(StoredRun { run, residuals })) => {
+            (
+                Stage::StepComplete | Stage::StepFailed | Stage::EventMode | Stage::ContinuousTimeMode | Stage::Terminated,
+                Some(StoredRun { run, residuals }),
+            ) if stage.belongs_to(kind) && run.is_driven() == (kind == Kind::ModelExchange) => {
                 let refusal = |error: SceneError| wrong(&error.to_string());
                 match (parameters.estimator.enabled, followed.estimate) {
                     (false, None) => Scene::Ready(Box::new(Simulation::restored(&parameters, run, &residuals).map_err(refusal)?)),
@@ -139,7 +144,7 @@ impl Snapshot {
             return Err(wrong(&format!("they say \"{stage}\", and the clock is missing")));
         }
         let measured = followed.measured;
-        Ok(Self { stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness })
+        Ok(Self { kind, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness })
     }
 }
 
@@ -198,22 +203,30 @@ fn content(bytes: &[u8]) -> Result<&[u8], CallError> {
 /// The values of all parameters.
 fn values(parameters: &Parameters) -> Values {
     let mut parameters = parameters.clone();
-    let mut read = |v: &'static Variable| bindings::read_parameter(&mut parameters, v);
-    let estimates = bindings::parameters().filter(|v| of_estimator(v)).any(|v| read(v) != v.start);
-    bindings::parameters().filter(|v| estimates || !of_estimator(v)).filter_map(|v| Some((v.reference, read(v)?))).collect()
+    let (mut values, mut changed) = (Values::with_capacity(VARIABLES.len()), 0);
+    for variable in bindings::parameters() {
+        let Some(value) = bindings::read_parameter(&mut parameters, variable) else { continue };
+        values.push((variable.reference, value));
+        if Some(value) != variable.start {
+            changed = values.len();
+        }
+    }
+    let others = values.len() - ESTIMATOR;
+    if changed <= others {
+        values.truncate(others);
+    }
+    values
 }
 
-/// Whether a parameter is one of the estimator's, which are not stored where all of them are their start values.
-fn of_estimator(variable: &Variable) -> bool {
-    variable.name.starts_with("estimator.")
-}
+/// Parameters of the estimator, the last of all: not stored where they are their start values.
+const ESTIMATOR: usize = 12;
 
 /// Parameters with these values, each within its bounds, none left out.
 fn restored(values: &[(u32, Value)]) -> Result<Parameters, CallError> {
     let mut parameters = bindings::default_parameters();
-    let stored = || values.iter().map(|(reference, _)| *reference);
-    let references = |all: bool| bindings::parameters().filter(move |v| all || !of_estimator(v)).map(|v| v.reference);
-    if !stored().eq(references(true)) && !stored().eq(references(false)) {
+    let mut all = bindings::parameters().map(|variable| variable.reference);
+    let are_first = values.iter().all(|(reference, _)| all.next() == Some(*reference));
+    if !are_first || ![0, ESTIMATOR].contains(&all.count()) {
         return Err(wrong("they do not hold every parameter once"));
     }
     for &(reference, value) in values {

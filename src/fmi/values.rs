@@ -1,7 +1,7 @@
 //! The checks that come before a value is read or written (rules 29 and 30 of this project).
 
 use super::{CallError, Stage};
-use crate::variables::{FmiType, Value, Variable, VariableId};
+use crate::variables::{FmiType, RealComputed, Value, Variable, VariableId};
 
 /// The variable of a reference, where it is one of the function's type.
 pub(super) fn lookup(reference: u32, fmi_type: FmiType) -> Result<&'static Variable, CallError> {
@@ -19,19 +19,42 @@ pub(super) fn lookup(reference: u32, fmi_type: FmiType) -> Result<&'static Varia
 
 /// Whether a variable may be set in a stage that allows setting: inputs and tunable parameters always, other parameters before
 /// the run, what is computed never (FMI 2.0.4, section 2.2.7 and footnotes of the table in 4.2.4).
+///
+/// In model exchange: tunable parameters at events only. Beyond the standard, continuous states may be set as by
+/// fmi2SetContinuousStates, for there are masters that know no other way.
+#[inline(always)]
 pub(super) fn check_settable(variable: &Variable, stage: Stage) -> Result<(), CallError> {
     match variable.id {
         VariableId::RealInput(_) | VariableId::RealSample(_) => Ok(()),
+        _ => check_settable_there(variable, stage),
+    }
+}
+
+/// The same of anything but an input.
+fn check_settable_there(variable: &Variable, stage: Stage) -> Result<(), CallError> {
+    match variable.id {
+        VariableId::RealInput(_) | VariableId::RealSample(_) => Ok(()),
+        _ if variable.tunable && stage == Stage::ContinuousTimeMode => Err(CallError::error(format!(
+            "{} is a tunable parameter and can only be set in event mode, not in continuous-time mode.",
+            variable.name
+        ))),
         _ if variable.tunable => Ok(()),
+        VariableId::RealComputed(RealComputed::Theta(_) | RealComputed::Omega(_))
+            if matches!(stage, Stage::EventMode | Stage::ContinuousTimeMode) =>
+        {
+            Ok(())
+        }
         VariableId::RealParameter(_)
         | VariableId::IntegerParameter(_)
         | VariableId::BooleanParameter(_)
         | VariableId::EnumerationParameter(_) => match stage {
             Stage::Instantiated | Stage::InitializationMode => Ok(()),
-            Stage::StepComplete | Stage::StepFailed | Stage::Terminated => Err(CallError::error(format!(
-                "{} is a fixed parameter and can only be set before fmi2ExitInitializationMode.",
-                variable.name
-            ))),
+            Stage::StepComplete | Stage::StepFailed | Stage::EventMode | Stage::ContinuousTimeMode | Stage::Terminated => {
+                Err(CallError::error(format!(
+                    "{} is a fixed parameter and can only be set before fmi2ExitInitializationMode.",
+                    variable.name
+                )))
+            }
         },
         VariableId::RealComputed(_) | VariableId::IntegerComputed(_) | VariableId::EnumerationComputed(_) => {
             Err(CallError::error(format!("{} is computed and cannot be set.", variable.name)))

@@ -18,6 +18,8 @@ mod step;
 mod stiffness;
 mod tableau;
 
+use std::borrow::Borrow;
+
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::controller::LEAST_LOG_ERROR;
@@ -127,7 +129,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         v: Vector<N>,
         settings: &Settings,
     ) -> Self {
-        let state = State::start(system, q, v, settings.regularization);
+        let sides = system.sides_of(&q, &v);
+        let state = State::start(system.on(sides).borrow(), q, v, settings.regularization);
         let memory = Memory { log_error: LEAST_LOG_ERROR, stiffness: Stiffness::default() };
         Self {
             start: state,
@@ -136,8 +139,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             elapsed: 0.0,
             dense: [Slope::NONE; 4],
             straight: false,
-            sides: system.sides_of(&q, &v),
-            sides_behind: system.sides_of(&q, &v),
+            sides,
+            sides_behind: sides,
             memory,
             before: memory,
         }
@@ -231,13 +234,18 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.end.counters.iterations = iterations;
     }
 
-    /// The forces have changed at once, after [`truncate_and_redo`](Self::truncate_and_redo), which put in some energy, J.
-    pub fn restart<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, put_in: f64) {
-        self.end.restart(system, settings.regularization);
-        self.end.work.input += put_in;
+    /// The rates have changed at once, after [`truncate_and_redo`](Self::truncate_and_redo); [`restart`](Self::restart) follows.
+    pub fn jump(&mut self, v: &Vector<N>) {
+        self.end.v = *v;
+    }
+
+    /// The forces have changed at once, after [`truncate_and_redo`](Self::truncate_and_redo), which did some work.
+    pub fn restart<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, work: Work) {
+        let sides = system.sides_of(&self.end.q, &self.end.v);
+        self.end.restart(system.on(sides).borrow(), settings.regularization);
+        self.end.work += work;
         self.start = self.end;
-        self.sides_behind = system.sides_of(&self.end.q, &self.end.v);
-        self.sides = self.sides_behind;
+        (self.sides, self.sides_behind) = (sides, sides);
     }
 
     /// Goes on from another state, which puts in some energy, J: the step under way is thrown away. Systems before and after.
@@ -260,7 +268,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.dense = [Slope::NONE; 4];
         self.straight = false;
         (self.length, self.elapsed) = (0.0, 0.0);
-        self.restart(after, settings, put_in);
+        self.restart(after, settings, Work { input: put_in, dissipated: 0.0 });
     }
 
     /// Moves the origin of the coordinates: by `shift`, which the system does not notice (whole turns of angles).
@@ -272,6 +280,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Coordinates at the end of the step.
     pub fn end(&self) -> &Vector<N> {
         &self.end.q
+    }
+
+    /// The sides that hold at the present time.
+    pub fn sides(&self) -> K {
+        if self.elapsed == self.length { self.sides_behind } else { self.sides }
     }
 
     /// Macro steps since the start.
@@ -295,6 +308,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let Self { end, .. } = self;
         if self.elapsed == self.length {
             return Sample { q: end.q, v: end.v, pose: system.pose(&end.q), work: end.work, modes: end.modes };
+        }
+        if system.is_steep() && !self.straight && !self.interpolates_well(settings) {
+            let mut redone = *self;
+            if redone.truncate_and_redo(system, settings).is_ok() {
+                return redone.sample(system, settings);
+            }
         }
         let ([q, v], work) = self.interpolated(system.follows_work());
         let (mut on_q, mut on_v) = (q, v);

@@ -26,5 +26,18 @@ pub fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
     v: &Vector<N>,
     mass: &S::Mass,
 ) -> (Vector<N>, Vector<M>) {
-    mass.solve(&system.forces(q, pose, v), &-system.phi_q_dot_times(pose, v))
+    equilibrium_under(system, &system.forces(q, pose, v), (q, pose, v), mass)
+}
+
+/// The same with the forces at hand.
+#[inline(always)]
+pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>(
+    system: &S,
+    forces: &Vector<N>,
+    (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
+    mass: &S::Mass,
+) -> (Vector<N>, Vector<M>) {
+    let free = mass.solve(forces, &-system.phi_q_dot_times(pose, v));
+    // Copies, which are made only where something is held: what is pointed to has to be in memory.
+    if system.holds() { system.balanced_with_held(*q, *v, free) } else { free }
 }

@@ -10,13 +10,19 @@
 //!
 //! in which the unknown is the total multiplier: nothing large enters a diagonal, nothing winds up.
 
+mod events;
 mod line_search;
 mod newton;
 
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, next_step};
-use super::{Approach, Arrival, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, Work, velocity_correction};
+use super::{
+    Approach, Arrival, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, TangentPoint, Work,
+    velocity_correction,
+};
 use crate::vector::Vector;
+use events::Search;
 use newton::{Found, Step, constraint_tolerance};
+use std::borrow::Borrow;
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -47,16 +53,18 @@ const RATE: f64 = 100.0;
 const CONTROLLER: StepSizeController =
     StepSizeController { exponent: 1.0 / 3.0, memory: 0.0, accepted: [0.5, 2.0], rejected: [0.1, 0.7], failed: 0.35 };
 
-/// One macro step of h seconds: in one step, or in sub-steps. On failure the state is undefined: the caller keeps a copy.
+/// One macro step of h seconds, from the sides on which the grips of dry friction are: in one step, or in sub-steps. On failure state and
+/// sides are undefined: the caller keeps a copy.
 #[inline(never)]
-pub fn advance<const N: usize, const M: usize>(
-    system: &(impl Implicit<N, M> + Passage<N> + Kinked<N>),
+pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
+    system: &S,
     settings: &Settings,
     state: &mut State<N, M>,
+    sides: &mut S::Sides,
     h: f64,
 ) -> Result<(), StepError> {
     if settings.adaptive {
-        return in_substeps(system, settings, state, h);
+        return in_substeps(system, settings, (state, sides), h);
     }
     attempt(system, settings, state, h, &StepLimits::NONE)?.accept(system, state, h);
     Ok(())
@@ -64,25 +72,33 @@ pub fn advance<const N: usize, const M: usize>(
 
 /// A macro step in equal parts, as many as the local error asks, asked anew after each.
 #[inline(never)]
-fn in_substeps<const N: usize, const M: usize>(
-    system: &(impl Implicit<N, M> + Passage<N> + Kinked<N>),
+fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
+    without_sides: &S,
     settings: &Settings,
-    state: &mut State<N, M>,
+    (state, sides): (&mut State<N, M>, &mut S::Sides),
     duration: f64,
 ) -> Result<(), StepError> {
     let passage = PassageLimits::for_error_tolerance(settings.error_tolerance);
     let (mut rest, mut h, mut error) = (duration, duration, f64::INFINITY);
+    let mut search = Search::NONE;
     let done = state.counters.iterations;
     // Every round counts as one more: one through a vertex has no iteration.
     for rounds in 0.. {
         if rounds + state.counters.iterations - done > u64::from(settings.max_work) {
             break;
         }
+        let on_sides = without_sides.on(*sides);
+        let system: &S = on_sides.borrow();
+        if system.is_at_rest() {
+            state.counters.substeps += 1;
+            return Ok(());
+        }
         let limits = match system.approach(&passage, &state.departure(rest)) {
             Approach::Clear => StepLimits::NONE,
             Approach::Limited(limits) => limits,
             Approach::Passed(transit) => {
                 state.pass_through(system, &transit, settings.regularization)?;
+                *sides = without_sides.sides_of(&state.q, &state.v);
                 if transit.duration >= rest {
                     return Ok(());
                 }
@@ -92,19 +108,32 @@ fn in_substeps<const N: usize, const M: usize>(
         };
         let tolerance = settings.error_tolerance.max(limits.round_off);
         let parts = (rest / state.substep.min(limits.longest)).ceil().max(1.0);
-        h = rest / parts;
+        h = search.next().unwrap_or(rest / parts);
         let attempt = attempt(system, settings, state, h, &limits);
         error = attempt.as_ref().map_or(f64::NAN, |attempt| attempt.error);
         match attempt {
             Ok(attempt) if error <= tolerance => {
+                let turns = system.has_grips() && {
+                    if search.goes_on(system, settings, state, (&attempt.end, h)) {
+                        state.counters.rejected += 1;
+                        continue;
+                    }
+                    search.ends(system, &attempt.end)
+                };
+                let last = h >= rest;
                 state.substep = next_step(h, CONTROLLER.growth(error / tolerance, LEAST_LOG_ERROR), state.substep);
                 attempt.accept(system, state, h);
-                if parts == 1.0 {
+                if turns {
+                    events::turn(system, settings, state, sides);
+                }
+                search = Search::NONE;
+                if last || parts == 1.0 && !turns {
                     return Ok(());
                 }
                 rest -= h;
             }
             _ => {
+                search = Search::NONE;
                 state.substep = h * CONTROLLER.reduction(error / tolerance);
                 state.counters.rejected += 1;
             }
@@ -135,9 +164,14 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kink
     }
     let settings = Settings { regularization: limits.regularization * settings.regularization, ..*settings };
     let mut step = Step::predict(state, h, constraint_tolerance(&settings, system.length_scale(), h));
-    let found = match newton::solve(system, &settings, &mut step, &mut state.counters) {
-        Ok(found) => found,
-        Err(error) => line_search::solve(system, settings, step.anew(state), &mut state.counters).ok_or(error)?,
+    let mut again = false;
+    let found = loop {
+        match newton::solve(system, &settings, &mut step, &mut state.counters) {
+            Ok(found) => break found,
+            // Stiff friction lets the rates stay what they are, where the accelerations foretell others.
+            Err(_) if settings.watches_rates(system) && !again => (step, again) = (step.with_rates_of(state), true),
+            Err(error) => break line_search::solve(system, settings, step.anew(state), &mut state.counters).ok_or(error)?,
+        }
     };
 
     // Project the velocity, then the acceleration and the multipliers from equilibrium: one factor serves both.
@@ -145,6 +179,9 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kink
     let mass = system.factor_mass(&pose, settings.regularization);
     let correction = velocity_correction(system, &pose, &mass, &v);
     let mut v = v + correction;
+    if system.holds() {
+        v = system.let_hold(q, v);
+    }
     if let Some(energy) = &limits.energy {
         v = system.energy_scale(energy, &q, &v, h)? * v;
     }
@@ -178,8 +215,17 @@ fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
     if system.has_kinks() && may_overlook(system, settings, [&[from.q, from.v, from.a], &[to.q, to.v, to.a]], h) {
         return f64::INFINITY;
     }
-    let bend = system.angle_norm(&(to.a - from.a - h * from.jerk));
-    let rates = h / 12.0 * bend / (RATE + system.angle_norm(&to.v));
+    let bend = to.a - from.a - h * from.jerk;
+    let of_rates = |bend: &Vector<N>| h / 12.0 * system.angle_norm(bend) / (RATE + system.angle_norm(&to.v));
+    let mut rates = of_rates(&bend);
+    if rates > settings.error_tolerance {
+        // What decays much faster than a step, and rings, is seen as the step's own matrix lets it through (Hairer and Wanner, section IV.8).
+        let at = TangentPoint { q: &to.q, pose, v: &to.v, lambda: &to.lambda, h };
+        let inertia = system.mass_times(pose, &bend);
+        rates = system
+            .solve_tangent(&at, settings.regularization, (&inertia, &Vector::ZERO))
+            .map_or(rates, |(bend, _)| of_rates(&bend));
+    }
     let energy = system.energy(&to.q, pose, &to.v) - system.energy(&from.q, &system.pose(&from.q), &from.v);
     let put_in = |power: Work| h / 2.0 * (power.input - power.dissipated);
     let balance = energy - put_in(from.power) - put_in(to.power);

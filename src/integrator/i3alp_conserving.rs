@@ -119,9 +119,9 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         Self { q, v, work: Work::default(), modes, counters: Counters::default(), memory: Memory::NONE }
     }
 
-    /// The forces have changed at once, which put in some energy, J: what was extrapolated does not hold any more.
-    pub fn restart(&mut self, put_in: f64) {
-        self.work.input += put_in;
+    /// The forces have changed at once, which did some work: what was extrapolated does not hold any more.
+    pub fn restart(&mut self, work: Work) {
+        self.work += work;
         self.memory = Memory::NONE;
         self.counters.restarts += 1;
     }

@@ -45,6 +45,21 @@ pub trait Kinked<const N: usize>: Sized {
         self.sides_of(q, v)
     }
 
+    /// Whether any of its kinks is a grip of dry friction: a side that only a method can remember.
+    fn has_grips(&self) -> bool {
+        false
+    }
+
+    /// Whether the whole system is held: nothing moves while the forces stay.
+    fn is_at_rest(&self) -> bool {
+        false
+    }
+
+    /// Whether its grips are those of the sides that hold: nothing has begun to touch, or ceased.
+    fn knows_grips(&self, _at: &Self::Touches) -> bool {
+        true
+    }
+
     /// Whether any border is near that is judged at states only: the forces there keep steps short.
     fn is_touching(&self, _at: &Self::Touches) -> bool {
         false

@@ -27,7 +27,7 @@ pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, St
 pub use projection::{Projection, velocity_correction};
 use state::Arrival;
 pub use state::{Counters, MODES, State};
-pub use system::{Implicit, Kkt, System, TangentPoint, Work};
+pub use system::{Held, Implicit, Kkt, System, TangentPoint, Work};
 
 /// The methods whose steps end with the macro step.
 #[derive(Clone, Copy, Debug)]
@@ -43,14 +43,15 @@ pub enum MacroStepMethod {
 impl MacroStepMethod {
     /// One macro step of h seconds. On failure the state is undefined: the caller keeps a copy.
     #[inline(always)]
-    pub fn advance<const N: usize, const M: usize>(
+    pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
         &self,
-        system: &(impl Implicit<N, M> + Passage<N> + Kinked<N>),
+        system: &S,
         state: &mut State<N, M>,
+        sides: &mut S::Sides,
         h: f64,
     ) -> Result<(), StepError> {
         match self {
-            Self::I3alp(settings) => i3alp::advance(system, settings, state, h),
+            Self::I3alp(settings) => i3alp::advance(system, settings, state, sides, h),
             Self::I3alpPrinted(settings) => i3alp_printed::advance(system, settings, state, h),
             Self::Rk4(settings) => rk4::advance(system, settings, state, h),
         }

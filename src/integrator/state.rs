@@ -2,7 +2,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::equilibrium::{equilibrium, equilibrium_at};
+use super::equilibrium::{equilibrium, equilibrium_under};
 use super::{Passage, StepError, System, Work};
 use crate::vector::Vector;
 
@@ -99,7 +99,7 @@ impl<const N: usize, const M: usize> State<N, M> {
             alternatives: 0,
             counters: Counters::default(),
         };
-        state.balance(system, regularization);
+        state.settle(system, regularization);
         state
     }
 
@@ -107,9 +107,17 @@ impl<const N: usize, const M: usize> State<N, M> {
     ///
     /// Without it a new input would act half a step late and every driven scene would be first order only.
     pub fn restart<S: System<N, M> + Passage<N>>(&mut self, system: &S, regularization: f64) {
+        self.settle(system, regularization);
+        self.counters.restarts += 1;
+    }
+
+    /// Friction holds something else from here on: q̇ is without it, q̈ and λ follow, the predictor starts anew.
+    pub fn settle<S: System<N, M> + Passage<N>>(&mut self, system: &S, regularization: f64) {
+        if system.holds() {
+            self.v = system.let_hold(self.q, self.v);
+        }
         self.balance(system, regularization);
         self.jerk = Vector::ZERO;
-        self.counters.restarts += 1;
     }
 
     /// q̈ and λ from equilibrium, and the power; at rest exactly in a vertex q̈ is that of the branch of least constraint.
@@ -160,8 +168,9 @@ impl<const N: usize, const M: usize> Arrival<N, M> {
     /// At q and q̇ with q̈ and λ from equilibrium.
     #[inline(always)]
     pub(super) fn in_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose, mass: &S::Mass) -> Self {
-        let (a, lambda) = equilibrium_at(system, &q, pose, &v, mass);
-        Self::new(system, [q, v, a], pose, lambda)
+        let (forces, power) = system.forces_and_power(&q, pose, &v);
+        let (a, lambda) = equilibrium_under(system, &forces, (&q, pose, &v), mass);
+        Self { q, v, a, lambda, power, modes: system.modes(pose) }
     }
 
     /// The same for what happens rarely, without code of its own.

@@ -1,5 +1,7 @@
 //! What the integrator asks of a mechanical system, and nothing else.
 
+use std::ops::AddAssign;
+
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::StepError;
@@ -42,10 +44,30 @@ pub trait System<const N: usize, const M: usize> {
     fn uncertain_modes(&self, _pose: &Self::Pose) -> u8 {
         0
     }
+    /// Whether friction holds anything.
+    fn holds(&self) -> bool {
+        false
+    }
+    /// What it holds. Asked only if [`System::holds`].
+    fn held(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> Held<N> {
+        Held::Nothing
+    }
+    /// q̈ and λ with the forces by which friction holds, from those without. Asked only if [`System::holds`].
+    fn balanced_with_held(&self, _q: Vector<N>, _v: Vector<N>, free: (Vector<N>, Vector<M>)) -> (Vector<N>, Vector<M>) {
+        free
+    }
+    /// q̇ without what friction holds. Asked only if [`System::holds`].
+    fn let_hold(&self, _q: Vector<N>, v: Vector<N>) -> Vector<N> {
+        v
+    }
     /// Whether any force does work that must be followed along the path.
     fn follows_work(&self) -> bool;
     /// Power of the inputs and of dissipation, W. Asked only if [`System::follows_work`].
     fn power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> Work;
+    /// Forces and power at once, for less than both: [`System::forces`], [`System::power`].
+    fn forces_and_power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work) {
+        (self.forces(q, pose, v), if self.follows_work() { self.power(q, pose, v) } else { Work::default() })
+    }
     /// Kinetic energy and that of the forces that have a potential, but for those of the inputs, J: what changes by [`System::power`].
     /// Asked only of systems that are steep.
     fn energy(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> f64 {
@@ -114,6 +136,27 @@ pub trait Kkt<const N: usize, const M: usize> {
     }
 }
 
+/// What friction holds: a force that is whatever a motion asks for.
+#[derive(Clone, Copy, Debug)]
+pub enum Held<const N: usize> {
+    /// Nothing.
+    Nothing,
+    /// One direction.
+    Direction {
+        /// Nothing moves along it: row·q̇ = 0.
+        row: Vector<N>,
+        /// And row·q̈ = −drift.
+        drift: f64,
+        /// A multiple of this force sees to it.
+        force: Vector<N>,
+    },
+    /// The whole system, which is at rest, by this force.
+    All {
+        /// The generalised force.
+        force: Vector<N>,
+    },
+}
+
 /// Work of the forces that are followed along the path, J, or its rate, W.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Work {
@@ -121,6 +164,14 @@ pub struct Work {
     pub input: f64,
     /// Of dissipative forces, positive out of the system.
     pub dissipated: f64,
+}
+
+impl AddAssign for Work {
+    #[inline(always)]
+    fn add_assign(&mut self, other: Self) {
+        self.input += other.input;
+        self.dissipated += other.dissipated;
+    }
 }
 
 impl Work {

@@ -1,51 +1,76 @@
 //! The whole tangent of the conserving step, for loads that depend on the rates and for the ladder of rescues.
 //!
+//! Newton's increments of the unknowns d, Λ, ν and of z = d − M⁻¹J_cᵀν satisfy, by links (`docs/conserving.md`, (37)),
+//!
 //! ```text
-//! [ A    J_bᵀ          −N         ] [ Δd ]     [ f   ]
-//! [ J₁   −e             0         ] [ ΔΛ ] = − [ Φ   ]
-//! [ W     0   −2 J₁M⁻¹J_cᵀ − 2e   ] [ Δν ]     [ J₁w ]
+//! momentum   M Δz + J_bᵀΔΛ + (∂J_bᵀΛ/∂d) Δd + ½ Δ(K_b(z)ᵀν) + K Δd + C Δz = −f
+//! z          M Δz = (M − ∂J_cᵀν/∂d) Δd − J_cᵀΔν
+//! joints     J₁ Δd = −Φ,      2 J₁ Δz + (∂J₁/∂d w) Δd = −J₁w
 //! ```
 //!
-//! with A = ∂f/∂d, N = −∂f/∂ν, W = ∂(J₁w)/∂d of the equations of `docs/conserving.md`. e weighs increments only, so that it moves no
-//! root; with it the matrix is regular also where the constraints lose rank.
-
-use nalgebra::SMatrix;
+//! with K and C the tangents of the forces as the step weights them. Written down from the ground to the tip, joints give the positions of
+//! Δd and Δz by the turns of the links, and the positions' rows of the rest the joints' multipliers by those of the tip: without a
+//! division. What is left are twelve equations, the angles' rows of momentum and of z and the tip's closure, for the turns Δθ, those of z,
+//! and the two multipliers of the tip. There e weighs increments, so that it moves no root; with it the matrix is regular also where the
+//! closure loses rank.
 
 use crate::effects::Tangents;
-use crate::mechanism::coordinates::THETA;
+use crate::linear::tangents::{INNERS, PLACE};
+use crate::mechanism::coordinates::{D_THETA, E_X, G_X, P_THETA, THETA, TIP_X, TIP_Y, X, Y, legs_of};
+use crate::mechanism::legs::{Legs, Legs2};
 use crate::mechanism::secant::Secant;
-use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers};
+use crate::mechanism::{Coordinates, Mechanism, Multipliers, Pose};
+use crate::vector::Vector;
 
-const SIZE: usize = COORDINATES + 2 * MULTIPLIERS;
-/// Where the rows of ΔΛ and of Δν begin.
-const FIRST: usize = COORDINATES;
-const SECOND: usize = COORDINATES + MULTIPLIERS;
-type Square = SMatrix<f64, COORDINATES, COORDINATES>;
+/// Number of equations that are left.
+const UNKNOWNS: usize = 12;
+/// An equation of them: their coefficients, and the value where they are 0. The unknowns are the turns Δθ of links 1 to 4, those of z,
+/// ΔΛ and Δν of the tip.
+type Row = Vector<{ UNKNOWNS + 1 }>;
+/// Places in it.
+const TURN: usize = 0;
+const MEAN_TURN: usize = 4;
+const TIP_LAMBDA: usize = 8;
+const TIP_NU: usize = 10;
+const CONSTANT: usize = UNKNOWNS;
 
-/// Tangents of the mean forces over a step of h, K = −∂Q̄/∂d and C = −∂Q̄/∂q̇₁, weighted as the step's equations need them.
+/// A quantity of one leg as an affine function of the turns of its links, proximal first, those of z, and 1.
+type Affine = Vector<5>;
+/// Places in it: the first two of a pair belong to the proximal link.
+const OWN_TURN: usize = 0;
+const OWN_MEAN_TURN: usize = 2;
+const ONE: usize = 4;
+
+/// Links by legs, proximal first, and the leg's sign in the tip's closure.
+const LEGS: [([usize; 2], f64); 2] = [([0, 1], 1.0), ([3, 2], -1.0)];
+/// The leg whose distal link carries what acts on the tip.
+const TIP_LEG: usize = 0;
+
+/// Tangents of the mean forces over a step of h, K = −∂Q̄/∂d and C = −∂Q̄/∂q̇₁, weighted as the step's equations need them, of the
+/// coordinates [`crate::linear::tangents::INNER`].
 #[derive(Clone, Copy, Debug)]
 pub struct StepTangents {
     h: f64,
-    /// ½h² K.
-    stiffness: Square,
-    /// h C.
-    damping: Square,
+    /// ½h² K by rows.
+    stiffness: [[f64; INNERS]; INNERS],
+    /// h C by rows.
+    damping: [[f64; INNERS]; INNERS],
 }
 
 impl StepTangents {
     /// None yet, for a step of h seconds.
     pub fn new(h: f64) -> Self {
-        Self { h, stiffness: Square::zeros(), damping: Square::zeros() }
+        Self { h, stiffness: [[0.0; INNERS]; INNERS], damping: [[0.0; INNERS]; INNERS] }
     }
 }
 
 impl Tangents for StepTangents {
     fn stiffness(&mut self, row: usize, column: usize, value: f64) {
-        self.stiffness[(row, column)] += 0.5 * self.h * self.h * value;
+        self.stiffness[PLACE[row]][PLACE[column]] += 0.5 * self.h * self.h * value;
     }
 
     fn damping(&mut self, row: usize, column: usize, value: f64) {
-        self.damping[(row, column)] += self.h * value;
+        self.damping[PLACE[row]][PLACE[column]] += self.h * value;
     }
 }
 
@@ -68,119 +93,230 @@ pub struct StepPoint<'a> {
 /// What the equations leave: f, Φ and J₁w.
 pub type Residuals<'a> = (&'a Coordinates, &'a Multipliers, &'a Multipliers);
 
-/// The matrix by rows, each with its right-hand side at the end.
-type Rows = [[f64; SIZE + 1]; SIZE];
+/// A vector in the plane.
+type Planar = [f64; 2];
+/// The same, affine.
+type PlanarAffine = [Affine; 2];
 
-/// Δd, ΔΛ and Δν of Newton's method. Not finite where the matrix is singular all the same.
-#[inline(never)]
-pub fn newton(mechanism: &Mechanism, at: &StepPoint<'_>, (f, phi, rate): Residuals<'_>) -> (Coordinates, [Multipliers; 2]) {
-    let mut rows = [[0.0; SIZE + 1]; SIZE];
-    fill(&mut rows, mechanism, at);
-    for (i, row) in rows.iter_mut().enumerate() {
-        row[SIZE] = match i {
-            ..FIRST => -f[i],
-            FIRST..SECOND => -phi[i - FIRST],
-            _ => -rate[i - SECOND],
-        };
-    }
-    let x = eliminated(&mut rows);
-    let part = |first: usize| Multipliers::from_fn(|i| x[first + i]);
-    (Coordinates::from_fn(|i| x[i]), [part(FIRST), part(SECOND)])
+/// The arms of both links of a leg, proximal first: from its first joint to its centre of mass, and from there to its second.
+fn arms(pose: &Pose, leg: usize) -> [[Planar; 2]; 2] {
+    let sign = LEGS[leg].1;
+    let of = |arm: Legs2, sign: f64| [sign * arm.x.to_array()[leg], sign * arm.y.to_array()[leg]];
+    [[of(pose.a_p, 1.0), of(pose.b_p, 1.0)], [of(pose.a_d, 1.0), of(pose.sigma_b_d, sign)]]
 }
 
-/// Gauss's elimination with row exchanges. Most of the matrix is 0: rows that have nothing below the pivot are passed over.
-fn eliminated(rows: &mut Rows) -> [f64; SIZE] {
-    let mut order: [usize; SIZE] = std::array::from_fn(|i| i);
-    for k in 0..SIZE {
-        let largest =
-            (k..SIZE).fold(k, |largest, i| if rows[order[i]][k].abs() > rows[order[largest]][k].abs() { i } else { largest });
-        order.swap(k, largest);
-        let pivot = rows[order[k]];
-        let reciprocal = 1.0 / pivot[k];
-        for &i in &order[k + 1..] {
-            let row = &mut rows[i];
-            if row[k] != 0.0 {
-                let factor = row[k] * reciprocal;
-                for (x, pivot) in row[k..].iter_mut().zip(&pivot[k..]) {
-                    *x -= factor * pivot;
+/// Turned by +90°.
+fn turned([x, y]: Planar) -> Planar {
+    [-y, x]
+}
+
+fn dot(a: Planar, b: &PlanarAffine) -> Affine {
+    a[0] * b[0] + a[1] * b[1]
+}
+
+/// A leg's part of the elimination.
+struct Leg {
+    /// Increments of the positions of its links, proximal first, along x and y.
+    d: [PlanarAffine; 2],
+    /// Those of z.
+    z: [PlanarAffine; 2],
+    /// Those of the leg's end, in d and in z.
+    end: [PlanarAffine; 2],
+    /// ΔΛ and Δν of ground and elbow, without −σ times those of the tip.
+    multipliers: [[PlanarAffine; 2]; 2],
+}
+
+impl Leg {
+    /// The increments of positions that the joints leave, J₁ Δd = −Φ and 2 J₁ Δz + … = −J₁w, from the ground to the tip; then those of the
+    /// multipliers that the rows of the positions leave, from the tip to the ground.
+    #[inline(always)]
+    fn new(masses: &Coordinates, at: &StepPoint<'_>, leg: usize, (f, phi, rate): Residuals<'_>) -> Self {
+        let (links, _) = LEGS[leg];
+        let (mut d, mut z) = ([Affine::ZERO; 2], [Affine::ZERO; 2]);
+        let mut positions = [[d, z]; 2];
+        for (i, arms) in arms(&at.secant.end, leg).into_iter().enumerate() {
+            let half_turn = 0.5 * at.w[THETA[links[i]]];
+            for axis in [0, 1] {
+                let joint = 2 * ([G_X, E_X][i] + axis) + leg;
+                d[axis][ONE] -= phi[joint];
+                z[axis][ONE] -= 0.5 * rate[joint];
+            }
+            for (j, arm) in arms.into_iter().enumerate() {
+                let across = turned(arm);
+                for axis in [0, 1] {
+                    d[axis][OWN_TURN + i] += across[axis];
+                    z[axis][OWN_MEAN_TURN + i] += across[axis];
+                    z[axis][OWN_TURN + i] -= half_turn * arm[axis];
+                }
+                if j == 0 {
+                    positions[i] = [d, z];
+                }
+            }
+        }
+        let end = [d, z];
+        let ([d, z], mut multipliers) = ([0, 1].map(|of| positions.map(|of_link| of_link[of])), [[[Affine::ZERO; 2]; 2]; 2]);
+        let forces = if leg == TIP_LEG { tip_loads(at.forces, &d[1], &z[1]) } else { [Affine::ZERO; 2] };
+        for (axis, place) in [X, Y].into_iter().enumerate() {
+            let [proximal, distal] = links.map(|link| place[link]);
+            let mut lambda = -masses[distal] * z[1][axis] - forces[axis];
+            lambda[ONE] -= f[distal];
+            multipliers[0][1][axis] = lambda;
+            lambda = lambda - masses[proximal] * z[0][axis];
+            lambda[ONE] -= f[proximal];
+            multipliers[0][0][axis] = lambda;
+            let nu = masses[distal] * (d[1][axis] - z[1][axis]);
+            multipliers[1][1][axis] = nu;
+            multipliers[1][0][axis] = nu + masses[proximal] * (d[0][axis] - z[0][axis]);
+        }
+        Self { d, z, end, multipliers }
+    }
+
+    /// The rows of momentum and of z for the angles of its links.
+    #[inline(always)]
+    fn turning(&self, rows: &mut [Row; UNKNOWNS], masses: &Coordinates, at: &StepPoint<'_>, f: &Coordinates, leg: usize) {
+        let &StepPoint { secant, d, multipliers: [lambda_now, nu_now], .. } = at;
+        let (links, sign) = LEGS[leg];
+        let of_leg = |[proximal, distal]: [Legs; 2]| [proximal.to_array()[leg], distal.to_array()[leg]];
+        let angles = |x: &Coordinates| of_leg([legs_of(x, P_THETA), legs_of(x, D_THETA)]);
+        // What Λ and ν do now: the middle's columns of the angles times them, and how these turn.
+        let [pull, pull_nu] = [lambda_now, nu_now].map(|y| angles(&secant.middle.phi_q_transposed_times(y)));
+        let [turn, turn_nu] = [lambda_now, nu_now].map(|y| of_leg(secant.middle.geometric_stiffness(y).into()));
+        let (sinc, cos) = (of_leg(secant.sinc), of_leg(secant.cos));
+        let [lambda, nu] = &self.multipliers;
+        for (i, arms) in arms(&secant.middle, leg).into_iter().enumerate() {
+            let link = links[i];
+            let (s, c, inertia, angle) = (sinc[i], cos[i], masses[THETA[link]], d[THETA[link]]);
+            let [slope_s, slope_c] = slopes(angle, s, c);
+            let z = angle - c * pull_nu[i] / inertia;
+            // Columns of Φ_q are −across at both joints of a link, and turn by +along. The tip adds its own multipliers below.
+            let both = [0, 1].map(|axis| arms[0][axis] + arms[1][axis]);
+            let across = |y: &[PlanarAffine; 2]| match i {
+                0 => dot(turned(arms[0]), &y[0]) + dot(turned(arms[1]), &y[1]),
+                _ => dot(turned(arms[0]), &y[1]),
+            };
+            let along = |y: &[PlanarAffine; 2]| match i {
+                0 => dot(arms[0], &y[0]) + dot(arms[1], &y[1]),
+                _ => dot(arms[0], &y[1]),
+            };
+            let turning = 0.5 * z * s;
+
+            let mut momentum = turning * along(nu) - s * across(lambda);
+            momentum[OWN_MEAN_TURN + i] += inertia + 0.5 * s * turn_nu[i];
+            momentum[OWN_TURN + i] +=
+                slope_s * pull[i] + 0.5 * s * turn[i] + 0.5 * z * (slope_s * turn_nu[i] - 0.5 * s * pull_nu[i]);
+            momentum[ONE] += f[THETA[link]];
+            let mut mean = c * across(nu);
+            mean[OWN_TURN + i] += inertia - slope_c * pull_nu[i] - 0.5 * c * turn_nu[i];
+            mean[OWN_MEAN_TURN + i] -= inertia;
+
+            let [momentum_row, mean_row] = [MEAN_TURN, TURN].map(|first| first + link);
+            add(&mut rows[momentum_row], leg, &momentum);
+            add(&mut rows[mean_row], leg, &mean);
+            for axis in [0, 1] {
+                let across = sign * turned(both)[axis];
+                rows[momentum_row][TIP_LAMBDA + axis] += s * across;
+                rows[momentum_row][TIP_NU + axis] -= sign * turning * both[axis];
+                rows[mean_row][TIP_NU + axis] -= c * across;
+            }
+            // Loads: between angles, and of the tip on its link.
+            let (stiffness, damping) = (&at.forces.stiffness[2 + link], &at.forces.damping[2 + link]);
+            for other in 0..4 {
+                rows[momentum_row][TURN + other] += stiffness[2 + other];
+                rows[momentum_row][MEAN_TURN + other] += damping[2 + other];
+            }
+            for axis in [0, 1] {
+                if stiffness[axis] != 0.0 || damping[axis] != 0.0 {
+                    let load = stiffness[axis] * self.d[1][axis] + damping[axis] * self.z[1][axis];
+                    add(&mut rows[momentum_row], leg, &load);
                 }
             }
         }
     }
-    let mut x = [0.0; SIZE];
-    for k in (0..SIZE).rev() {
-        let row = &rows[order[k]];
-        let known: f64 = row[k + 1..SIZE].iter().zip(&x[k + 1..]).map(|(a, x)| a * x).sum();
-        x[k] = (row[SIZE] - known) / row[k];
-    }
-    x
 }
 
-fn fill(rows: &mut Rows, mechanism: &Mechanism, at: &StepPoint<'_>) {
-    let &StepPoint { secant, d, w, multipliers: [lambda, nu], forces, regularization } = at;
-    let masses = mechanism.mass_times(&[1.0; COORDINATES].into());
-    let all = Coordinates::from([1.0; COORDINATES]);
-    let (middle_varied, end_varied) = (secant.middle.varied(&all), secant.end.varied(&all));
-    let [sinc, cos] =
-        [&secant.sinc, &secant.cos].map(|[p, d]| [p.to_array()[0], d.to_array()[0], d.to_array()[1], p.to_array()[1]]);
-    for (i, row) in rows.iter_mut().enumerate().take(COORDINATES) {
-        row[i] = masses[i];
+/// Adds a quantity of a leg to a row.
+fn add(row: &mut Row, leg: usize, affine: &Affine) {
+    let (links, _) = LEGS[leg];
+    for (i, link) in links.into_iter().enumerate() {
+        row[TURN + link] += affine[OWN_TURN + i];
+        row[MEAN_TURN + link] += affine[OWN_MEAN_TURN + i];
     }
-    // ∂w/∂d in halves, and M⁻¹J_cᵀ by rows.
-    let (mut shift, mut mobile) = ([1.0; COORDINATES], [Multipliers::ZERO; COORDINATES]);
-    for i in 0..COORDINATES {
-        // Columns of Φ_q in the middle and at the end, and their derivatives with respect to their angles.
-        let unit = Coordinates::unit(i);
-        let (middle, end) = (secant.middle.phi_q_times(&unit), secant.end.phi_q_times(&unit));
-        let (mut discrete, mut by_nu, mut mean, mut rate_by_d) = (middle, -middle, middle, 2.0 * end);
-        if let Some(link) = THETA.iter().position(|&theta| theta == i) {
-            let (middle_turned, end_turned) = (middle_varied.phi_q_times(&unit), end_varied.phi_q_times(&unit));
-            let (s, c) = (sinc[link], cos[link]);
-            let [slope_s, slope_c] = slopes(d[i], s, c);
-            let [pull, pull_nu] = [middle.dot(lambda), middle.dot(nu)];
-            let [turn, turn_nu] = [middle_turned.dot(lambda), middle_turned.dot(nu)];
-            let z = d[i] - c * pull_nu / masses[i];
-            shift[i] = 1.0 - (slope_c * pull_nu + 0.5 * c * turn_nu) / masses[i];
-            rows[i][i] += slope_s * pull + 0.5 * s * turn - slope_c * pull_nu - 0.5 * c * turn_nu
-                + 0.5 * (shift[i] * s * turn_nu + z * (slope_s * turn_nu - 0.5 * s * pull_nu));
-            (discrete, mean) = (s * middle, c * middle);
-            by_nu = -c * (1.0 + 0.5 * s * turn_nu / masses[i]) * middle + 0.5 * z * s * middle_turned;
-            rate_by_d = 2.0 * shift[i] * end + w[i] * end_turned;
-        }
-        mobile[i] = mean / masses[i];
-        rows[i][FIRST..SECOND].copy_from_slice(&discrete[..]);
-        for m in 0..MULTIPLIERS {
-            rows[FIRST + m][i] = end[m];
-        }
-        rows[i][SECOND..SIZE].copy_from_slice(&by_nu[..]);
-        for m in (0..MULTIPLIERS).filter(|&m| end[m] != 0.0) {
-            add(&mut rows[SECOND + m][SECOND..SIZE], -2.0 * end[m], &mobile[i]);
-        }
-        for m in 0..MULTIPLIERS {
-            rows[SECOND + m][i] = rate_by_d[m];
-        }
-    }
-    // Forces at the rates of the end, w/h.
-    for (i, row) in rows.iter_mut().enumerate().take(COORDINATES) {
-        for (j, mobile) in mobile.iter().enumerate() {
-            let damping = forces.damping[(i, j)];
-            row[j] += forces.stiffness[(i, j)] + damping * shift[j];
-            if damping != 0.0 {
-                add(&mut row[SECOND..SIZE], -damping, mobile);
+    row[CONSTANT] += affine[ONE];
+}
+
+/// K Δd + C Δz on the position of the tip's link: what acts there depends on the tip's motion alone.
+fn tip_loads(forces: &StepTangents, d: &PlanarAffine, z: &PlanarAffine) -> PlanarAffine {
+    [0, 1].map(|row| {
+        let (stiffness, damping) = (&forces.stiffness[row], &forces.damping[row]);
+        debug_assert!([2, 4, 5].iter().all(|&other| stiffness[other] == 0.0 && damping[other] == 0.0));
+        let mut load = stiffness[0] * d[0] + stiffness[1] * d[1] + damping[0] * z[0] + damping[1] * z[1];
+        load[OWN_TURN + 1] += stiffness[3];
+        load[OWN_MEAN_TURN + 1] += damping[3];
+        load
+    })
+}
+
+/// Δd, ΔΛ and Δν of Newton's method. Not finite where the matrix is singular all the same.
+#[inline(never)]
+pub fn newton(mechanism: &Mechanism, at: &StepPoint<'_>, residuals: Residuals<'_>) -> (Coordinates, [Multipliers; 2]) {
+    let (f, phi, rate) = residuals;
+    let masses = mechanism.mass_times(&[1.0; UNKNOWNS].into());
+    let legs = [0, 1].map(|leg| Leg::new(&masses, at, leg, residuals));
+    let mut rows = [Row::ZERO; UNKNOWNS];
+    for (leg, part) in legs.iter().enumerate() {
+        part.turning(&mut rows, &masses, at, f, leg);
+        for axis in [0, 1] {
+            for (of, row) in [TIP_LAMBDA + axis, TIP_NU + axis].into_iter().enumerate() {
+                add(&mut rows[row], leg, &(LEGS[leg].1 * part.end[of][axis]));
             }
         }
     }
-    for m in 0..MULTIPLIERS {
-        rows[FIRST + m][FIRST + m] = -regularization;
-        rows[SECOND + m][SECOND + m] -= 2.0 * regularization;
+    for axis in [0, 1] {
+        for (row, left) in [(TIP_LAMBDA + axis, phi[TIP_X + axis]), (TIP_NU + axis, 0.5 * rate[TIP_X + axis])] {
+            rows[row][row] = -at.regularization;
+            rows[row][CONSTANT] += left;
+        }
     }
+    let x = eliminated(&mut rows);
+
+    let (mut d, mut multipliers) = (Coordinates::ZERO, [Multipliers::ZERO; 2]);
+    for (leg, part) in legs.iter().enumerate() {
+        let ([p, q], sign) = LEGS[leg];
+        let own = Affine::from([x[TURN + p], x[TURN + q], x[MEAN_TURN + p], x[MEAN_TURN + q], 1.0]);
+        for (i, link) in [p, q].into_iter().enumerate() {
+            d[THETA[link]] = x[TURN + link];
+            (d[X[link]], d[Y[link]]) = (part.d[i][0].dot(&own), part.d[i][1].dot(&own));
+            for (of, tip) in [TIP_LAMBDA, TIP_NU].into_iter().enumerate() {
+                for axis in [0, 1] {
+                    let joint = 2 * ([G_X, E_X][i] + axis) + leg;
+                    multipliers[of][joint] = part.multipliers[of][i][axis].dot(&own) - sign * x[tip + axis];
+                }
+            }
+        }
+    }
+    for (of, tip) in [TIP_LAMBDA, TIP_NU].into_iter().enumerate() {
+        (multipliers[of][TIP_X], multipliers[of][TIP_Y]) = (x[tip], x[tip + 1]);
+    }
+    (d, multipliers)
 }
 
-/// y += factor·x.
-fn add(y: &mut [f64], factor: f64, x: &Multipliers) {
-    for (y, x) in y.iter_mut().zip(&x[..]) {
-        *y += factor * x;
+/// Gauss's elimination with row exchanges: the unknowns, and 1 behind them.
+fn eliminated(rows: &mut [Row; UNKNOWNS]) -> Row {
+    for k in 0..UNKNOWNS {
+        let largest = (k + 1..UNKNOWNS).fold(k, |largest, i| if rows[i][k].abs() > rows[largest][k].abs() { i } else { largest });
+        rows.swap(k, largest);
+        let row = (1.0 / rows[k][k]) * rows[k];
+        rows[k] = row;
+        for other in &mut rows[k + 1..] {
+            *other = *other - other[k] * row;
+        }
     }
+    let mut x = Row::unit(CONSTANT);
+    for k in (0..UNKNOWNS).rev() {
+        let row = &rows[k];
+        x[k] = -(k + 1..=CONSTANT).map(|i| row[i] * x[i]).sum::<f64>();
+    }
+    x
 }
 
 /// Derivatives of s = sin(d/2)/(d/2) and of c = cos(d/2) with respect to d.

@@ -21,7 +21,7 @@ pub const INNERS: usize = 6;
 pub const INNER: [usize; INNERS] = [X[1], Y[1], THETA[0], THETA[1], THETA[2], THETA[3]];
 
 /// Place of each coordinate in [`INNER`]; beyond its end where it is not there.
-const PLACE: [usize; COORDINATES] = {
+pub(super) const PLACE: [usize; COORDINATES] = {
     let mut place = [INNERS; COORDINATES];
     let mut i = 0;
     while i < INNERS {

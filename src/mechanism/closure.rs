@@ -45,6 +45,9 @@ const DISTANCE_ROUND_OFF: f64 = 16.0 * f64::EPSILON;
 /// Below this part of their lengths the closing of the distal links across each other is round-off.
 const RANK: f64 = 1e-12;
 
+/// A sine between the distal links below this makes the proximal angles no coordinates.
+const LEAST_SINE: f64 = 1e-8;
+
 /// A unit vector û(θ) and its derivative n̂(θ).
 fn direction(theta: f64) -> (Vector2<f64>, Vector2<f64>) {
     let (sin, cos) = libm::sincos(theta);
@@ -64,17 +67,19 @@ struct Span {
 }
 
 impl Span {
-    fn new(geometry: &Geometry, theta: [f64; 2]) -> Result<Self, SceneError> {
+    /// `name`: of the angles, in a refusal.
+    fn new(geometry: &Geometry, name: &str, theta: [f64; 2]) -> Result<Self, SceneError> {
         let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
         let arrow = Vector2::new(geometry.base_distance, 0.0) + direction(theta[1]).0 * l4 - direction(theta[0]).0 * l1;
         let distance = libm::hypot(arrow.x, arrow.y);
         let (shortest, longest) = ((l2 - l3).abs(), l2 + l3);
-        let start = format!("init.theta = ({:?}, {:?}) rad", theta[0], theta[1]);
+        let start = || format!("{name} = ({:?}, {:?}) rad", theta[0], theta[1]);
         // Round-off of the elbows' positions must not make a fully stretched start unreachable.
         let round_off = DISTANCE_ROUND_OFF * geometry.length_scale();
         if distance > longest + round_off || distance < shortest - round_off {
             return Err(SceneError(format!(
-                "{start} cannot be closed: the elbows are {:?} m apart, link[2].length and link[3].length allow {:?} to {:?} m.",
+                "{} cannot be closed: the elbows are {:?} m apart, link[2].length and link[3].length allow {:?} to {:?} m.",
+                start(),
                 rounded(distance),
                 rounded(shortest),
                 rounded(longest)
@@ -82,7 +87,8 @@ impl Span {
         }
         if distance < IN_LINE * longest {
             return Err(SceneError(format!(
-                "{start} puts both elbows on the same point, {:?} m apart: the direction to the tip is undetermined, the elbows must be apart.",
+                "{} puts both elbows on the same point, {:?} m apart: the direction to the tip is undetermined, the elbows must be apart.",
+                start(),
                 rounded(distance)
             )));
         }
@@ -108,11 +114,18 @@ pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordin
         finite(format_args!("init.theta[{}]", i + 1), start.theta[i], "rad")?;
         finite(format_args!("init.omega[{}]", i + 1), start.omega[i], "rad/s")?;
     }
-    let [_, l2, l3, _] = geometry.links.map(|link| link.length);
-    let span = Span::new(geometry, start.theta)?;
+    let span = Span::new(geometry, "init.theta", start.theta)?;
+    let theta = angles(geometry, &span, start);
+    let omega = rates(geometry, &span, theta, start)?;
+    Ok(assemble(geometry, theta, omega))
+}
 
+/// Angles of the four links from those of the proximal ones.
+#[inline(never)]
+fn angles(geometry: &Geometry, span: &Span, start: &Start) -> [f64; 4] {
+    let [_, l2, l3, _] = geometry.links.map(|link| link.length);
     // The tip at distance `along` on the arrow and `across` it, without cancellation where it comes close to the line.
-    let Span { arrow, distance, .. } = span;
+    let &Span { arrow, distance, .. } = span;
     let along = ((l2 - l3) * (l2 + l3) + distance * distance) / (2.0 * distance);
     let across_squared = (l2 + l3 - distance) * (l3 + distance - l2) * (l2 + along) / (2.0 * distance);
     // One ulp of the distance would tilt distal links that are in line by its square root.
@@ -120,9 +133,32 @@ pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordin
     let unit = arrow / distance;
     let from_left = unit * along + Vector2::new(-unit.y, unit.x) * across;
     let from_right = from_left - arrow;
-    let theta = [start.theta[0], libm::atan2(from_left.y, from_left.x), libm::atan2(from_right.y, from_right.x), start.theta[1]];
-    let omega = rates(geometry, &span, theta, start)?;
-    Ok(assemble(geometry, theta, omega))
+    [start.theta[0], libm::atan2(from_left.y, from_left.x), libm::atan2(from_right.y, from_right.x), start.theta[1]]
+}
+
+/// The same angles and rates of all links where the proximal ones are coordinates: refused where |det J_x| is below 1e-8 of its largest
+/// possible value (direct singularity), or the distal links cannot meet.
+pub fn by_coordinates(geometry: &Geometry, start: &Start) -> Result<[[f64; 4]; 2], SceneError> {
+    let span = Span::new(geometry, "theta", start.theta)?;
+    let theta = angles(geometry, &span, start);
+    let [(_, n1), (u2, _), (u3, _), (_, n4)] = theta.map(direction);
+    are_coordinates(u2.x * u3.y - u2.y * u3.x)?;
+    let [w1, w4] = start.omega;
+    let [l1, _, _, l4] = geometry.links.map(|link| link.length);
+    let [w2, w3] = distal_rates(geometry, [u2, u3], n4 * (l4 * w4) - n1 * (l1 * w1));
+    Ok([theta, [w1, w2, w3, w4]])
+}
+
+/// Refuses a direct singularity, by the sine between the distal links.
+pub fn are_coordinates(sine: f64) -> Result<(), SceneError> {
+    if sine.abs() < LEAST_SINE {
+        return Err(SceneError(format!(
+            "|singular.detJx|/(link[2].length link[3].length) = {:e} is not allowed here: it must be at least {LEAST_SINE:e}, the distal links \
+             are in line and theta, omega are no coordinates.",
+            sine.abs()
+        )));
+    }
+    Ok(())
 }
 
 /// Rates of the distal links, with directions û, from the velocity of the right elbow against the left one: from

@@ -18,6 +18,7 @@
 pub mod closure;
 pub mod constraints;
 pub mod coordinates;
+pub mod exponential;
 pub mod legs;
 mod model;
 pub mod secant;

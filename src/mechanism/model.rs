@@ -70,11 +70,11 @@ impl Geometry {
     pub fn check(&self) -> Result<(), SceneError> {
         not_negative("base.distance", self.base_distance, "m")?;
         for (i, link) in self.links.iter().enumerate() {
-            let name = |what: &str| format!("link[{}].{what}", i + 1);
-            positive(name("length"), link.length, "m")?;
-            positive(name("mass"), link.mass, "kg")?;
-            positive(name("inertia"), link.inertia, "kg.m2")?;
-            finite(name("com"), link.com, "m")?;
+            let i = i + 1;
+            positive(format_args!("link[{i}].length"), link.length, "m")?;
+            positive(format_args!("link[{i}].mass"), link.mass, "kg")?;
+            positive(format_args!("link[{i}].inertia"), link.inertia, "kg.m2")?;
+            finite(format_args!("link[{i}].com"), link.com, "m")?;
         }
         Ok(())
     }

@@ -76,6 +76,12 @@ impl Pose {
         tip | left << 1 | right << 2
     }
 
+    /// What changes sign where a mode changes, or where a direct or inverse singularity comes within reach.
+    pub fn margins(&self) -> [f64; 5] {
+        let [tip, left, right] = self.sines();
+        [tip, left, right, tip.abs() - NEAR_SINGULAR, (left * right).abs() - NEAR_SINGULAR]
+    }
+
     /// Sines of the angles between the distal links and in the left and right elbow.
     #[inline]
     fn sines(&self) -> [f64; 3] {
@@ -91,6 +97,11 @@ impl Pose {
         let [p_x, p_y, d_x, d_y] = [self.u_p.x, self.u_p.y, self.u_d.x, self.u_d.y].map(|x| x.to_array());
         [[p_x[0], p_y[0]], [d_x[0], d_y[0]], [d_x[1], d_y[1]], [p_x[1], p_y[1]]]
     }
+}
+
+/// What changes sign where the constraints come to lose rank.
+pub fn rank_margin(sigma_phi: f64) -> f64 {
+    sigma_phi - NEAR_SINGULAR
 }
 
 impl Geometry {

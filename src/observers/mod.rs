@@ -11,10 +11,10 @@ use nalgebra::Vector2;
 
 use crate::mechanism::Pose;
 use crate::mechanism::constraints::largest;
-use crate::simulation::{Following, Inputs, Model, State};
+use crate::simulation::{Following, Model, State};
 
 pub use crate::mechanism::singularity::{Jacobians, Singularity, SingularityKind};
-pub use observed::{Observed, Point};
+pub use observed::{INDICATORS, Observed, Point};
 
 /// A state for some inputs, and what has been worked out of it.
 #[derive(Debug)]
@@ -35,13 +35,15 @@ pub struct Estimated<'a> {
     /// The simulation with its estimator.
     pub following: &'a Following,
     observation: &'a Observation,
-    inputs: Inputs,
 }
 
 impl Estimated<'_> {
     /// Probability of a direct singularity within the horizon, with the present inputs held.
     pub fn singularity_probability(&self) -> f64 {
-        *self.observation.singularity_probability.get_or_init(|| self.following.singularity_probability(&self.inputs))
+        *self
+            .observation
+            .singularity_probability
+            .get_or_init(|| self.following.singularity_probability(&self.observation.state.inputs))
     }
 }
 

@@ -5,12 +5,12 @@ use std::marker::PhantomData;
 use num_dual::Dual64;
 
 use super::{Estimated, Observation};
-use crate::effects::{Effect, ForceContext};
+use crate::effects::{self, Effect, ForceContext, Slides, Touches};
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
-use crate::mechanism::singularity::Jacobians;
-use crate::mechanism::{Coordinates, MULTIPLIERS};
+use crate::mechanism::singularity::{Jacobians, rank_margin};
+use crate::mechanism::{Coordinates, MULTIPLIERS, SceneError, closure};
 use crate::scalar::Scalar;
-use crate::simulation::{Following, Inputs, Model, Variation};
+use crate::simulation::{Following, Model, Variation};
 
 /// An observation seen in numbers, or in dual numbers that carry the changes along a direction.
 #[derive(Clone, Copy, Debug)]
@@ -18,9 +18,12 @@ pub struct Observed<'a, T> {
     model: &'a Model,
     observation: &'a Observation,
     along: Option<&'a Variation>,
-    estimated: Option<Estimated<'a>>,
+    following: Option<&'a Following>,
     scalar: PhantomData<T>,
 }
+
+/// Number of [`Observed::indicators`].
+pub const INDICATORS: usize = 6 + effects::INDICATORS;
 
 /// A point that a user sees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,19 +37,40 @@ pub enum Point {
 impl<'a> Observed<'a, f64> {
     /// The values.
     pub fn new(model: &'a Model, observation: &'a Observation) -> Self {
-        Self { model, observation, along: None, estimated: None, scalar: PhantomData }
+        Self { model, observation, along: None, following: None, scalar: PhantomData }
     }
 
-    /// The same of a machine that is followed, with the present inputs of the master.
-    pub fn of_estimate(self, following: &'a Following, inputs: Inputs) -> Self {
-        Self { estimated: Some(Estimated { following, observation: self.observation, inputs }), ..self }
+    /// The same of a machine that is followed.
+    pub fn of_estimate(self, following: &'a Following) -> Self {
+        Self { following: Some(following), ..self }
+    }
+}
+
+impl Observed<'_, f64> {
+    /// Refuses a direct singularity, where the proximal angles and rates are no coordinates.
+    pub fn are_coordinates(&self) -> Result<(), SceneError> {
+        let [tip, ..] = self.observation.pose.margins();
+        closure::are_coordinates(tip)
+    }
+
+    /// Numbers that change sign where a mode, the kind of singularity or the side of a kink changes: modes, nearness of direct, inverse
+    /// and constraint singularities, kinks.
+    pub fn indicators(&self) -> [f64; INDICATORS] {
+        let [.., direct, inverse] = self.observation.pose.margins();
+        // The constraints lose rank only where both are near, and to know it costs more than all else.
+        let rank = if direct < 0.0 && inverse < 0.0 { rank_margin(self.observation.sigma_phi()) } else { 1.0 };
+        let kinks = self.at(|at| Touches::new(&self.model.effects, at, Slides::new()).indicators());
+        let mut indicators = [rank; INDICATORS];
+        indicators[..5].copy_from_slice(&self.observation.pose.margins());
+        indicators[6..].copy_from_slice(&kinks);
+        indicators
     }
 }
 
 impl<'a> Observed<'a, Dual64> {
     /// The values with their changes along a direction.
     pub fn along(model: &'a Model, observation: &'a Observation, along: &'a Variation) -> Self {
-        Self { model, observation, along: Some(along), estimated: None, scalar: PhantomData }
+        Self { model, observation, along: Some(along), following: None, scalar: PhantomData }
     }
 }
 
@@ -63,7 +87,7 @@ impl<T: Scalar> Observed<'_, T> {
 
     /// What has been estimated, where a machine is followed.
     pub fn estimated(&self) -> Option<Estimated<'_>> {
-        self.estimated
+        self.following.map(|following| Estimated { following, observation: self.observation })
     }
 
     /// A value with its change.
@@ -168,9 +192,10 @@ impl<T: Scalar> Observed<'_, T> {
 
     /// Force of the contact plane on the tip, N; 0 without contact.
     pub fn contact_force(&self) -> [T; 2] {
+        let holding = self.observation.state.holding(self.model);
         // What acts on the tip acts on link 2, with its force in the rows of the centre of mass.
         self.force_of([X[1], Y[1]], |effect, at| match effect {
-            Effect::Contact(contact) => Some(contact.force(at)),
+            Effect::Contact(contact) => Some(contact.force(at, &holding)),
             _ => None,
         })
     }

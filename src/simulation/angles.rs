@@ -15,7 +15,7 @@
 use super::five_bar::FiveBar;
 use super::inertia::{Inertia, Mass, proximal_arm};
 use super::model::Model;
-use crate::integrator::{Kkt, System, Work};
+use crate::integrator::{Held, Kkt, System, Work};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::vertex::{self, Branch};
@@ -121,6 +121,22 @@ impl<'a> ByAngles<'a> {
         [kinetic, self.five_bar.potential_energy(&x, &pose), self.five_bar.power_without_potential(&x, &pose, &rates)]
     }
 
+    /// Applied forces of the twelve coordinates carried over to the angles, and the centripetal ones of the distal centre of mass.
+    #[inline]
+    fn in_angles(&self, applied: &Coordinates, pose: &Pose, v: &Angles) -> Angles {
+        let (l, a_d) = (proximal_arm(pose), pose.a_d);
+        let on_p = Legs2 { x: legs_of(applied, P_X), y: legs_of(applied, P_Y) };
+        let on_d = Legs2 { x: legs_of(applied, D_X), y: legs_of(applied, D_Y) };
+        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
+        let centripetal = self.mechanism.mass_d * l.turned().dot(a_d);
+        let proximal = legs_of(applied, P_THETA) + pose.a_p.turned().dot(on_p) + l.turned().dot(on_d) + centripetal * w_d * w_d;
+        let distal = legs_of(applied, D_THETA) + a_d.turned().dot(on_d) - centripetal * w_p * w_p;
+        let mut forces = Angles::ZERO;
+        set_legs(&mut forces, PROXIMAL, proximal);
+        set_legs(&mut forces, DISTAL, distal);
+        forces
+    }
+
     /// The twelve coordinates and their rates, each leg built up from its motor axis.
     #[inline]
     pub fn coordinates(&self, pose: &Pose, q: &Angles, v: &Angles) -> (Coordinates, Coordinates) {
@@ -135,6 +151,25 @@ impl<'a> ByAngles<'a> {
         set_legs(&mut x, P_Y, pose.a_p.y);
         set_legs(&mut x, D_X, elbow.x + pose.a_d.x);
         set_legs(&mut x, D_Y, elbow.y + pose.a_d.y);
+        x
+    }
+
+    /// A generalised force of the twelve coordinates in the angles.
+    #[cold]
+    pub(super) fn carried_over(&self, pose: &Pose, force: &Coordinates) -> Angles {
+        Angles::from_fn(|i| force.dot(&self.moving(&Angles::unit(i), pose)))
+    }
+
+    /// The part of the accelerations of the twelve coordinates that comes from the rates.
+    #[cold]
+    pub(super) fn turning(&self, pose: &Pose, v: &Angles) -> Coordinates {
+        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
+        let (p, l, d) = (pose.a_p, proximal_arm(pose), pose.a_d);
+        let mut x = Coordinates::ZERO;
+        set_legs(&mut x, P_X, -p.x * w_p * w_p);
+        set_legs(&mut x, P_Y, -p.y * w_p * w_p);
+        set_legs(&mut x, D_X, -l.x * w_p * w_p - d.x * w_d * w_d);
+        set_legs(&mut x, D_Y, -l.y * w_p * w_p - d.y * w_d * w_d);
         x
     }
 
@@ -241,21 +276,15 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         self.inertia.mass(pose).times(x)
     }
 
-    /// The applied forces, and the centripetal ones of the distal centre of mass.
     #[inline]
     fn forces(&self, q: &Angles, pose: &Pose, v: &Angles) -> Angles {
-        let applied = self.five_bar.forces(&self.placed(q, pose), pose, &self.moving(v, pose));
-        let (l, a_d) = (proximal_arm(pose), pose.a_d);
-        let on_p = Legs2 { x: legs_of(&applied, P_X), y: legs_of(&applied, P_Y) };
-        let on_d = Legs2 { x: legs_of(&applied, D_X), y: legs_of(&applied, D_Y) };
-        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
-        let centripetal = self.mechanism.mass_d * l.turned().dot(a_d);
-        let proximal = legs_of(&applied, P_THETA) + pose.a_p.turned().dot(on_p) + l.turned().dot(on_d) + centripetal * w_d * w_d;
-        let distal = legs_of(&applied, D_THETA) + a_d.turned().dot(on_d) - centripetal * w_p * w_p;
-        let mut forces = Angles::ZERO;
-        set_legs(&mut forces, PROXIMAL, proximal);
-        set_legs(&mut forces, DISTAL, distal);
-        forces
+        self.in_angles(&self.five_bar.forces(&self.placed(q, pose), pose, &self.moving(v, pose)), pose, v)
+    }
+
+    #[inline]
+    fn forces_and_power(&self, q: &Angles, pose: &Pose, v: &Angles) -> (Angles, Work) {
+        let (applied, power) = self.five_bar.forces_and_power(&self.placed(q, pose), pose, &self.moving(v, pose));
+        (self.in_angles(&applied, pose, v), power)
     }
 
     #[inline]
@@ -275,6 +304,24 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     fn uncertain_modes(&self, pose: &Pose) -> u8 {
         pose.uncertain_modes()
+    }
+
+    #[inline]
+    fn holds(&self) -> bool {
+        self.five_bar.holds()
+    }
+
+    fn held(&self, q: &Angles, pose: &Pose, v: &Angles) -> Held<ANGLES> {
+        self.held_in_angles(q, pose, v)
+    }
+
+    fn balanced_with_held(&self, q: Angles, v: Angles, free: (Angles, Vector<CLOSURES>)) -> (Angles, Vector<CLOSURES>) {
+        super::grips::balanced_with_held(self, [q, v], free, self.regularization_by_angles())
+    }
+
+    fn let_hold(&self, q: Angles, v: Angles) -> Angles {
+        let (x, rates) = self.coordinates(&self.pose(&q), &q, &v);
+        angles_of(&super::grips::let_hold(&self.five_bar, x, rates))
     }
 
     #[inline]

@@ -5,27 +5,30 @@ use super::angles::{PLACES, angles_of};
 use super::five_bar::FiveBar;
 use super::model::{Model, Stepper};
 use super::run::{Progress, Run};
-use crate::integrator::System;
+use crate::integrator::{System, Work};
 use crate::mechanism::Coordinates;
 use crate::mechanism::closure;
 use crate::mechanism::coordinates::THETA;
 
 impl Run {
     /// Angles of links 1 to 4, rad, without the whole turns that are left out, and their rates, rad/s.
+    #[inline(never)]
     pub(super) fn motion(&self, model: &Model) -> ([f64; 4], [f64; 4]) {
         let of = |q: &Coordinates, v: &Coordinates| (THETA.map(|i| q[i]), THETA.map(|i| v[i]));
         match &self.progress {
-            Progress::WithCall(core) => of(&core.q, &core.v),
+            Progress::WithCall(core, _) => of(&core.q, &core.v),
             Progress::Conserving(run) => of(&run.q, &run.v),
             Progress::PastCall(run) => {
                 let (q, v) = run.motion(model, &self.inputs, &self.turns);
                 (PLACES.map(|i| q[i]), PLACES.map(|i| v[i]))
             }
+            Progress::Outside(_) => unreachable!("no estimator follows a machine that a master drives"),
         }
     }
 
     /// Goes on from other angles, rad, and rates, rad/s, which close the loop, with other inputs. The energy that this puts in counts as
     /// input; signs of the modes that change are no passes.
+    #[inline(never)]
     pub(super) fn go_on_from(&mut self, model: &Model, (theta, omega): ([f64; 4], [f64; 4]), inputs: &Inputs) {
         let geometry = &model.mechanism.geometry;
         let (before_theta, before_omega) = self.motion(model);
@@ -41,7 +44,9 @@ impl Run {
         let held = std::mem::replace(&mut self.inputs, *inputs);
         let system = FiveBar::<false>::new(model, inputs, &turns);
         match (&model.stepper, &mut self.progress) {
-            (Stepper::MacroStep(_), Progress::WithCall(core)) => {
+            (Stepper::MacroStep(_), Progress::WithCall(core, grips)) => {
+                let system = FiveBar::<false>::resolved(model, inputs, &turns, [&q, &v]);
+                *grips = system.sides.grips;
                 (core.q, core.v, core.on_ray) = (q, v, false);
                 core.modes = system.modes(&system.pose(&q));
                 core.work.input += put_in;
@@ -50,7 +55,7 @@ impl Run {
             (Stepper::Conserving(_), Progress::Conserving(run)) => {
                 (run.q, run.v) = (q, v);
                 run.modes = system.modes(&system.pose(&q));
-                run.restart(put_in);
+                run.restart(Work { input: put_in, dissipated: 0.0 });
             }
             (Stepper::Dense(settings), Progress::PastCall(run)) => {
                 run.go_on_from(model, settings, ([&held, inputs], &turns), [angles_of(&q), angles_of(&v)], put_in);

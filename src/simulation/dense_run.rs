@@ -6,12 +6,13 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, PLACES, angles_of};
 use super::five_bar::FiveBar;
+use super::restore::check_grips;
 use super::run::{MacroSteps, StepFailure};
 use super::state::{Core, State, whole_turns};
 use super::{Inputs, Model};
-use crate::effects::Sides;
+use crate::effects::{Grips, Sides};
 use crate::integrator::dop853::{DenseStep, Horizon, Settings};
-use crate::integrator::{Bounds, Counters, Inconsistency, StepError, Work};
+use crate::integrator::{Bounds, Counters, Inconsistency, StepError, System, Work};
 use crate::mechanism::{Coordinates, Multipliers};
 
 /// The step under way, and for how long inputs are held.
@@ -36,9 +37,9 @@ impl DenseRun {
         self.step.truncate_and_redo(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings)
     }
 
-    /// After they have changed, which put in some energy, J.
-    pub(super) fn resume(&mut self, model: &Model, settings: &Settings, (inputs, turns): (&Inputs, &[i64; 4]), put_in: f64) {
-        self.step.restart(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings, put_in);
+    /// After they have changed, which did some work.
+    pub(super) fn resume(&mut self, model: &Model, settings: &Settings, (inputs, turns): (&Inputs, &[i64; 4]), work: Work) {
+        self.step.restart(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings, work);
     }
 
     /// Angles and rates at the present time.
@@ -63,7 +64,7 @@ impl DenseRun {
 
     /// The present state in the twelve coordinates, made with the inputs held, and with the q̈ and λ that belong to others. Interpolated
     /// states are for output only; integration never starts from them.
-    pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> Core {
+    pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> (Core, Grips) {
         let system = ByAngles::new(FiveBar::<false>::new(model, held, turns));
         let sample = self.step.sample(&system, model.dense_settings());
         let (q, v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
@@ -83,14 +84,23 @@ impl DenseRun {
             counters: Counters::default(),
         };
         self.step.record(&sample, &mut core);
-        core.balance(&FiveBar::<false>::new(model, inputs, turns), model.regularization);
-        core
+        let system = if held == inputs {
+            FiveBar::<false>::new(model, inputs, turns).on(Sides::of_grips(self.step.sides().grips))
+        } else {
+            FiveBar::<false>::resolved(model, inputs, turns, [&core.q, &core.v])
+        };
+        core.balance(&system, model.regularization);
+        (core, system.sides.grips)
     }
 
     /// Refuses a run that is none of this system.
     pub(super) fn check(&self, system: &ByAngles<'_>, settings: &Settings, bounds: &Bounds) -> Result<(), Inconsistency> {
         if self.held.iter().any(|steps| *steps > self.step.steps()) {
             return Err("inputs were held for longer than the run is");
+        }
+        for ((state, sides), ends) in self.step.ends().into_iter().zip([false, true]) {
+            let (x, rates) = system.coordinates(&system.pose(&state.q), &state.q, &state.v);
+            check_grips(system.model(), &system.five_bar().on(sides), [&x, &rates], ends)?;
         }
         self.step.check(system, settings, bounds)
     }
@@ -141,7 +151,7 @@ impl Held<'_> {
         if !model.same_active_inputs(held, inputs) {
             run.stop(model, settings, held, turns).map_err(|cause| steps.failure(0, cause))?;
             run.held = [run.held[1], 0];
-            run.resume(model, settings, (inputs, turns), 0.0);
+            run.resume(model, settings, (inputs, turns), Work::default());
         }
         **held = *inputs;
         for step in 0..steps.count {

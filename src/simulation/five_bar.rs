@@ -2,7 +2,7 @@
 
 use super::model::Model;
 use crate::effects::{ForceContext, Inputs, Sides, Tangents};
-use crate::integrator::{Implicit, StepError, System, TangentPoint, Work};
+use crate::integrator::{Held, Implicit, Kinked, StepError, System, TangentPoint, Work};
 use crate::linear::{Definite, MassFactor, TangentOf, TangentSource};
 use crate::mechanism::coordinates::largest_angle;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
@@ -17,7 +17,7 @@ pub struct FiveBar<'a, const BARE: bool = false> {
     pub(super) inputs: &'a Inputs,
     pub(super) turns: &'a [i64; 4],
     follows_work: bool,
-    sides: Sides,
+    pub(super) sides: Sides,
 }
 
 /// A tangent is asked for at these coordinates and multipliers.
@@ -27,6 +27,12 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     /// `model` under `inputs`, with the whole turns of links 1 to 4 that q leaves out.
     pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
         Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, sides: Sides::BY_STATE }
+    }
+
+    /// The same with its grips as they are in a state by itself.
+    pub(super) fn resolved(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4], [q, v]: [&Coordinates; 2]) -> Self {
+        let system = Self::new(model, inputs, turns);
+        system.on(Kinked::sides_of(&system, q, v))
     }
 
     /// The same after whole turns have changed.
@@ -96,6 +102,19 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
             effect.add_forces(&at, &mut forces);
         }
         forces
+    }
+}
+
+impl<const BARE: bool> FiveBar<'_, BARE> {
+    /// The forces and the power with those of the effects: out of line, as above.
+    #[inline(never)]
+    fn with_acting_effects(&self, mut forces: Coordinates, mut power: Work, at: &ForceContext) -> (Coordinates, Work) {
+        for effect in &self.model.effects {
+            let [input, dissipated] = effect.act(at, &mut forces);
+            power.input += input;
+            power.dissipated += dissipated;
+        }
+        (forces, power)
     }
 }
 
@@ -186,6 +205,23 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     }
 
     #[inline(always)]
+    fn holds(&self) -> bool {
+        !BARE && self.model.sticks && self.sides.grips.hold()
+    }
+
+    fn held(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Held<COORDINATES> {
+        super::grips::held(&self.general(), q, pose, v)
+    }
+
+    fn balanced_with_held(&self, q: Coordinates, v: Coordinates, free: (Coordinates, Multipliers)) -> (Coordinates, Multipliers) {
+        super::grips::balanced_with_held(&self.general(), [q, v], free, self.model.regularization)
+    }
+
+    fn let_hold(&self, q: Coordinates, v: Coordinates) -> Coordinates {
+        super::grips::let_hold(&self.general(), q, v)
+    }
+
+    #[inline(always)]
     fn follows_work(&self) -> bool {
         self.follows_work
     }
@@ -195,6 +231,19 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         let at = self.context(q, pose, v);
         let power = Work { input: self.inputs.power(&at), dissipated: 0.0 };
         if BARE || self.model.effects.is_empty() { power } else { self.with_effect_power(power, &at) }
+    }
+
+    #[inline(always)]
+    fn forces_and_power(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> (Coordinates, Work) {
+        if BARE || self.model.effects.is_empty() || !self.follows_work {
+            let power = if self.follows_work { self.power(q, pose, v) } else { Work::default() };
+            return (self.forces(q, pose, v), power);
+        }
+        let (q, pose, v) = (*q, *pose, *v);
+        let at = self.context(&q, &pose, &v);
+        let mut forces = self.model.weight;
+        self.inputs.add_forces(&at, &mut forces);
+        self.with_acting_effects(forces, Work { input: self.inputs.power(&at), dissipated: 0.0 }, &at)
     }
 
     #[cold]

@@ -278,6 +278,44 @@ mod tests {
         }
     }
 
+    /// Along Newton's increments the step's equations change by the negative of what they leave: the tangent is the whole one, by central
+    /// differences of equations that are written down here once more.
+    #[test]
+    fn the_whole_tangent_is_the_derivative_of_the_equations() {
+        let (model, inputs, [q, d, v0]) = loaded();
+        let (turns, h) = ([0; 4], 1e-3);
+        let system = FiveBar::<false>::new(&model, &inputs, &turns);
+        let begin = system.pose(&q);
+        let left = |d: &Coordinates, [lambda, nu]: [&Multipliers; 2]| {
+            let secant = system.secant(&begin, d);
+            let z = *d - system.apply_inverse_mass(&secant.mean_transposed_times(nu));
+            let v = (2.0 / h) * z - v0;
+            let step = Chord { q: &q, d, v: &v, h, softening: 1.0, secant: &secant };
+            let inertia = system.mass_times(&secant.end, &(z - h * v0));
+            let joints = secant.discrete_transposed_times(lambda) + 0.5 * secant.turning_transposed_times(&z, nu);
+            let f = inertia + joints - 0.5 * h * h * system.mean_forces(&step);
+            (f, system.phi(&(q + *d), &secant.end), secant.end.phi_q_times(&(h * v)), v)
+        };
+        let (lambda, nu) = (1e-3 * numbers(1.0), 1e-4 * numbers(2.0));
+        let (f, phi, rate, v) = left(&d, [&lambda, &nu]);
+        let secant = system.secant(&begin, &d);
+        let step = Chord { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
+        let (by_d, [by_lambda, by_nu]) = system.newton(&step, [&lambda, &nu], (&f, &phi, &rate), 0.0);
+        let along = |part: f64| left(&(d + part * by_d), [&(lambda + part * by_lambda), &(nu + part * by_nu)]);
+        let part = 1e-5;
+        let (more, less) = (along(part), along(-part));
+        let worst = |change: &[f64], left: &[f64]| {
+            change.iter().zip(left).fold(0.0f64, |worst, (change, left)| worst.max((change / (2.0 * part) + left).abs()))
+                / left.iter().fold(0.0f64, |largest, left| largest.max(left.abs()))
+        };
+        // Round-off over 1e-5, and friction's and the plane's slopes, which change along the way.
+        for (change, left) in
+            [(&(more.0 - less.0)[..], &f[..]), (&(more.1 - less.1)[..], &phi[..]), (&(more.2 - less.2)[..], &rate[..])]
+        {
+            assert!(worst(change, left) < 1e-6, "{:?} {left:?}", change.iter().map(|x| x / (2.0 * part)).collect::<Vec<_>>());
+        }
+    }
+
     /// Along d the discrete derivatives give exactly what the constraints and their Jacobian change by.
     #[test]
     fn discrete_derivatives_are_differences() {

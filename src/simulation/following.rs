@@ -4,6 +4,7 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::five_bar::FiveBar;
+use super::model::sticking_law;
 use super::run::MacroSteps;
 use super::{Inputs, Parameters, Residuals, Run, Signal, Simulation, State, StepFailure};
 use crate::effects;
@@ -42,6 +43,11 @@ impl Following {
     /// A scene at its start, of which no sample has been taken.
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         parameters.estimator.check(parameters.settings.step_size)?;
+        if let Some(name) = sticking_law(&parameters.effects) {
+            return Err(SceneError(format!(
+                "{name} = stick is not allowed with estimator.enabled = true, whose errors move by smooth laws: it must be smooth."
+            )));
+        }
         let simulation = Simulation::new(parameters, inputs)?;
         let constants = Constants::new(&simulation.model.mechanism.geometry, &parameters.estimator);
         let (theta, omega) = simulation.run.motion(&simulation.model);
@@ -127,7 +133,11 @@ impl Following {
         estimator.check(self.parameters().settings.step_size)?;
         self.simulation.tune(effects)?;
         self.simulation.tune_estimator(estimator);
-        self.constants.parameters = estimator.clone();
+        // A payload that has joined has changed the masses, and the rates at once.
+        let Simulation { model, run, .. } = &self.simulation;
+        self.constants = Constants::new(&model.mechanism.geometry, estimator);
+        let (theta, omega) = run.motion(model);
+        self.estimate.estimator.move_to(theta, omega);
         Ok(())
     }
 
@@ -152,11 +162,11 @@ impl Following {
         self.estimate.estimator.tip_covariance(&self.constants)
     }
 
-    /// Probability of a direct singularity within the horizon while some inputs of the master are held.
-    pub fn singularity_probability(&self, inputs: &Inputs) -> f64 {
+    /// Probability of a direct singularity within the horizon while some inputs are held, the unknown force among them: see
+    /// [`state_for`](Self::state_for).
+    pub fn singularity_probability(&self, held: &Inputs) -> f64 {
         let Simulation { model, run, parameters } = &self.simulation;
-        let held = acting(inputs, &self.estimate.estimator.track().force);
-        let scene = FiveBar::<false>::new(model, &held, &run.turns);
+        let scene = FiveBar::<false>::new(model, held, &run.turns);
         self.estimate.estimator.singularity_probability(&self.constants, &scene, parameters.settings.step_size)
     }
 

@@ -4,7 +4,8 @@ use std::borrow::Borrow;
 
 use super::angles::{ANGLES, Angles, ByAngles, PLACES};
 use super::five_bar::FiveBar;
-use crate::effects::{Sides, Touches};
+use super::grips::{resolved, slides};
+use crate::effects::{Sides, Slides, Touches};
 use crate::integrator::{Kinked, System};
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{COORDINATES, Coordinates};
@@ -21,12 +22,19 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     fn touches(&self, q: &Angles, v: &Angles) -> Touches<'a> {
         let pose = self.pose(q);
         let (x, rates) = self.coordinates(&pose, q, v);
-        Touches::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates))
+        let slides = self.five_bar().slides(&x, &rates);
+        Touches::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates), slides)
     }
 
     #[inline]
     fn sides_of(&self, q: &Angles, v: &Angles) -> Sides {
-        if self.has_kinks() { self.touches(q, v).sides() } else { Sides::BY_STATE }
+        if !self.has_kinks() {
+            return Sides::BY_STATE;
+        }
+        let pose = self.pose(q);
+        let (x, rates) = self.coordinates(&pose, q, v);
+        let springs = Touches::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates), Slides::new()).sides();
+        self.with_resolved_grips(springs, q, v)
     }
 
     #[inline]
@@ -39,7 +47,16 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     }
 
     fn behind(&self, q: &Angles, v: &Angles, tolerance: f64) -> Sides {
-        self.touches(q, v).behind(self.five_bar().sides(), tolerance)
+        let sides = self.touches(q, v).behind(self.five_bar().sides(), tolerance);
+        self.with_resolved_grips(sides, q, v)
+    }
+
+    fn has_grips(&self) -> bool {
+        self.model().sticks
+    }
+
+    fn is_at_rest(&self) -> bool {
+        self.five_bar().sides.grips.at_rest()
     }
 
     fn is_touching(&self, at: &Touches<'a>) -> bool {
@@ -49,6 +66,24 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     fn stays_within(&self, ends: [&Touches<'a>; 2], duration: f64, extremes: &[Angles; 2], tolerance: f64) -> bool {
         let extremes = [0, 1].map(|order| PLACES.map(|i| extremes[order][i]));
         Touches::stay_free(ends, &self.five_bar().sides(), duration, extremes, tolerance)
+    }
+}
+
+impl ByAngles<'_> {
+    /// Sides with the grips of a state.
+    fn with_resolved_grips(&self, sides: Sides, q: &Angles, v: &Angles) -> Sides {
+        if !self.model().sticks {
+            return sides;
+        }
+        let (x, rates) = self.coordinates(&self.pose(q), q, v);
+        sides.with_grips(resolved(&self.five_bar().on(sides), &x, &rates))
+    }
+}
+
+impl<const BARE: bool> FiveBar<'_, BARE> {
+    /// The grips as they are, where there are any.
+    fn slides(&self, q: &Coordinates, v: &Coordinates) -> Slides {
+        if self.model.sticks { slides(&self.general(), q, v) } else { Slides::new() }
     }
 }
 
@@ -62,11 +97,33 @@ impl<'a, const BARE: bool> Kinked<COORDINATES> for FiveBar<'a, BARE> {
     }
 
     fn touches(&self, q: &Coordinates, v: &Coordinates) -> Touches<'a> {
-        Touches::new(&self.model.effects, &self.context(q, &self.pose(q), v))
+        let slides = self.slides(q, v);
+        Touches::new(&self.model.effects, &self.context(q, &self.pose(q), v), slides)
     }
 
+    /// Springs are wherever the state is, and so are grips that nobody remembers.
+    #[inline]
     fn sides_of(&self, q: &Coordinates, v: &Coordinates) -> Sides {
-        self.touches(q, v).sides()
+        if BARE || !self.model.sticks { Sides::BY_STATE } else { Sides::of_grips(resolved(&self.general(), q, v)) }
+    }
+
+    #[inline(always)]
+    fn on(&self, sides: Sides) -> impl Borrow<Self> {
+        FiveBar::on(self, sides)
+    }
+
+    #[inline(always)]
+    fn has_grips(&self) -> bool {
+        !BARE && self.model.sticks
+    }
+
+    #[inline(always)]
+    fn is_at_rest(&self) -> bool {
+        !BARE && self.sides.grips.at_rest()
+    }
+
+    fn knows_grips(&self, at: &Touches<'a>) -> bool {
+        at.are_known(&self.sides.grips)
     }
 
     fn beyond(&self, at: &Touches<'a>, tolerance: f64) -> f64 {

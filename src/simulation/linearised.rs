@@ -20,6 +20,7 @@ use crate::mechanism::{COORDINATES, Coordinates, Pose};
 const LEGS: [[usize; 2]; 2] = [[0, 1], [3, 2]];
 
 /// The pose, and the twelve coordinates with their rates.
+#[inline(never)]
 fn placed(five_bar: &FiveBar<'_>, theta: &Links, omega: &Links) -> (Pose, [Coordinates; 2]) {
     let mechanism = &five_bar.model.mechanism;
     let by_legs = |x: &Links| {
@@ -45,6 +46,7 @@ fn placed(five_bar: &FiveBar<'_>, theta: &Links, omega: &Links) -> (Pose, [Coord
 }
 
 /// Tᵀ F.
+#[inline(never)]
 fn on_links(pose: &Pose, forces: &Coordinates) -> Links {
     let on_p = Legs2 { x: legs_of(forces, P_X), y: legs_of(forces, P_Y) };
     let on_d = Legs2 { x: legs_of(forces, D_X), y: legs_of(forces, D_Y) };
@@ -109,6 +111,7 @@ impl Tangents for ByLinks {
 }
 
 impl Scene for FiveBar<'_> {
+    #[inline(never)]
     fn loads(&self, theta: &Links, omega: &Links) -> Loads {
         let (pose, [q, v]) = placed(self, theta, omega);
         let forces = self.forces(&q, &pose, &v);
@@ -130,6 +133,7 @@ impl Scene for FiveBar<'_> {
         Loads { torque: on_links(&pose, &forces), stiffness: by_links.stiffness, damping: by_links.damping }
     }
 
+    #[inline(never)]
     fn torque(&self, theta: &Links, omega: &Links) -> Links {
         let (pose, [q, v]) = placed(self, theta, omega);
         on_links(&pose, &self.forces(&q, &pose, &v))

@@ -6,10 +6,13 @@
 pub mod angles;
 mod correction;
 mod dense_run;
+mod driven;
 pub mod five_bar;
 mod five_bar_steps;
 mod following;
+mod grips;
 mod inertia;
+mod join;
 mod kinks;
 mod linearised;
 pub mod model;
@@ -30,6 +33,7 @@ use crate::mechanism::{self, Coordinates, SceneError, closure};
 
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
+pub use driven::STATES;
 pub use following::{Estimate, Following};
 pub use model::{Method, Model, Parameters, Settings};
 use run::{MacroSteps, Progress};
@@ -71,6 +75,13 @@ impl Simulation {
         Self::started(parameters, model, [q, v], inputs)
     }
 
+    /// The same for a run whose states, proximal angles and rates, come from outside ([`Simulation::drive`]).
+    pub fn driven(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
+        let model = Model::outside(parameters)?;
+        let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
+        Self::started(parameters, model, [q, v], inputs)
+    }
+
     /// The same from the angles (rad) and rates (rad/s) of all four links instead of `parameters.start`: also where the proximal
     /// links alone leave the posture open (coinciding elbows). Refused unless they close the loop.
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, SceneError> {
@@ -90,6 +101,7 @@ impl Simulation {
         Ok(simulation)
     }
 
+    #[cold]
     fn started(parameters: &Parameters, model: Model, [q, v]: [Coordinates; 2], inputs: &Inputs) -> Result<Self, SceneError> {
         let simulation = Self { parameters: parameters.clone(), run: Run::start(&model, q, v, inputs), model };
         let state = simulation.state();
@@ -107,7 +119,8 @@ impl Simulation {
     /// parameters is what they give, and the rest is a motion.
     #[cold]
     pub fn restored(parameters: &Parameters, run: Run, residuals: &Residuals) -> Result<Self, SceneError> {
-        let simulation = Self { parameters: parameters.clone(), model: Model::new(parameters)?, run };
+        let model = if run.is_driven() { Model::outside(parameters)? } else { Model::new(parameters)? };
+        let simulation = Self { parameters: parameters.clone(), model, run };
         simulation.run.check(&simulation.model, parameters)?;
         // Worked out from the same numbers by the same operations: a difference of one bit is a number that has been changed.
         if simulation.residuals().bits() != residuals.bits() {
@@ -185,9 +198,10 @@ impl Simulation {
     /// What the integrator has done since the start.
     pub fn counters(&self) -> Counters {
         match &self.run.progress {
-            Progress::WithCall(core) => core.counters,
+            Progress::WithCall(core, _) => core.counters,
             Progress::Conserving(run) => run.counters,
             Progress::PastCall(_) => self.state().core.counters,
+            Progress::Outside(_) => Counters::default(),
         }
     }
 
@@ -196,7 +210,7 @@ impl Simulation {
     pub fn last_resorts(&self) -> u64 {
         match &self.run.progress {
             Progress::Conserving(run) => run.counters.last_resorts,
-            Progress::WithCall(_) | Progress::PastCall(_) => 0,
+            Progress::WithCall(..) | Progress::PastCall(_) | Progress::Outside(_) => 0,
         }
     }
 
@@ -206,16 +220,17 @@ impl Simulation {
     }
 
     /// Gives the active effects new parameters from now on; what that adds to the potential energy counts as input. Which effects
-    /// are active, and the masses, stay. On refusal nothing has changed.
+    /// are active stays. A payload of another mass joins as its parameters say. On refusal nothing has changed.
     pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<(), SceneError> {
         let mut model = self.model.clone();
-        if model.tune(parameters)? {
-            self.run.tune(&self.model, &model).map_err(|cause| {
+        let tuned = Parameters { effects: parameters.clone(), ..self.parameters.clone() };
+        if model.tune(&self.parameters.effects, &tuned)? {
+            self.run.tune(&self.model, &model, parameters.payload.join).map_err(|cause| {
                 SceneError(format!("the step that is under way could not be redone up to the present time: {cause}."))
             })?;
             self.model = model;
         }
-        self.parameters.effects = parameters.clone();
+        self.parameters = tuned;
         Ok(())
     }
 

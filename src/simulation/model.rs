@@ -3,11 +3,11 @@
 use arrayvec::ArrayVec;
 
 use super::inertia::Inertia;
-use crate::effects::{self, Active, Effect, ForceContext, Inputs, Perturbation, TypicalInertia};
+use crate::effects::{self, Active, Effect, ForceContext, Inputs, Law, Perturbation, TypicalInertia};
 use crate::estimator;
 use crate::integrator::{MacroStepMethod, dop853, i3alp, i3alp_conserving, i3alp_printed, rk4};
 use crate::linear::{LinearSolve, LinearSolver};
-use crate::mechanism::{Coordinates, Geometry, Mechanism, SceneError, Start};
+use crate::mechanism::{Assembly, Coordinates, Geometry, Mechanism, SceneError, Start};
 
 /// How the equations of motion are integrated.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -72,6 +72,8 @@ pub enum Stepper {
     Dense(dop853::Settings),
     /// Strictly fixed steps that conserve.
     Conserving(i3alp_conserving::Settings),
+    /// None: the proximal angles and rates come from outside, the others follow in this assembly.
+    Outside(Assembly),
 }
 
 /// The constant part of a scene made ready.
@@ -89,6 +91,10 @@ pub struct Model {
     pub conservative: bool,
     /// Whether any has kinks that a method may follow.
     pub has_kinks: bool,
+    /// Whether any has dry friction that sticks.
+    pub(super) sticks: bool,
+    /// Local error allowed per sub-step, rad.
+    pub(super) error_tolerance: f64,
     /// Whether the force of any changes steeply in places.
     pub is_steep: bool,
     /// The inertias by which the conserving method judges how stiff a force is.
@@ -113,6 +119,7 @@ pub struct Model {
 
 impl Model {
     /// Checks the parameters and fixes everything that stays constant.
+    #[cold]
     pub fn new(parameters: &Parameters) -> Result<Self, SceneError> {
         let settings = &parameters.settings;
         settings.check()?;
@@ -120,6 +127,7 @@ impl Model {
         let geometry = parameters.effects.with_added_masses(&parameters.geometry)?;
         let mechanism = Mechanism::new(&geometry)?;
         let effects = parameters.effects.active(&mechanism)?;
+        settings.check_laws(&parameters.effects)?;
         // e = 1/(αβ) with α = κ m̄/β.
         let regularization = 1.0 / (settings.penalty_scale * geometry.mean_mass());
         let regularization_by_angles = if geometry.base_distance == 0.0 { COAXIAL } else { RANK_LOSS } / geometry.mean_mass();
@@ -127,6 +135,8 @@ impl Model {
             typical_inertia: TypicalInertia::new(&geometry),
             conservative: effects.iter().all(Effect::conservative),
             has_kinks: effects.iter().any(Effect::has_kinks),
+            sticks: effects.iter().any(Effect::sticks),
+            error_tolerance: settings.error_tolerance,
             is_steep: effects.iter().any(Effect::is_steep),
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
@@ -143,6 +153,17 @@ impl Model {
         })
     }
 
+    /// The same for a run whose angles and rates come from outside: `solver.method` is not used.
+    pub fn outside(parameters: &Parameters) -> Result<Self, SceneError> {
+        if let Some(name) = sticking_law(&parameters.effects) {
+            return Err(SceneError(format!(
+                "{name} = stick is not allowed in model exchange, whose master does not know what holds: it must be smooth, or the unit \
+                 instantiated for co-simulation."
+            )));
+        }
+        Ok(Self { stepper: Stepper::Outside(parameters.start.assembly), ..Self::new(parameters)? })
+    }
+
     /// Whether no effect has a force that depends on the motion, and the solve is leg by leg.
     #[inline(always)]
     pub(super) fn is_bare(&self) -> bool {
@@ -153,17 +174,32 @@ impl Model {
     pub(super) fn dense_settings(&self) -> &dop853::Settings {
         match &self.stepper {
             Stepper::Dense(settings) => settings,
-            Stepper::MacroStep(_) | Stepper::Conserving(_) => unreachable!("a run is made for its method"),
+            Stepper::MacroStep(_) | Stepper::Conserving(_) | Stepper::Outside(_) => unreachable!("a run is made for its method"),
         }
     }
 
     /// Gives the active effects new parameters; the list of effects stays. Whether that changed anything; on refusal nothing has.
-    pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<bool, SceneError> {
+    pub fn tune(&mut self, in_force: &effects::Parameters, tuned: &Parameters) -> Result<bool, SceneError> {
+        let parameters = &tuned.effects;
+        let geometry = parameters.with_added_masses(&tuned.geometry)?;
+        if geometry != self.mechanism.geometry {
+            let is_dense = self.solver.linear_solve() == LinearSolve::Dense;
+            if !is_dense && LinearSolve::choose(&geometry, &[]) == LinearSolve::Dense {
+                return Err(too_far_apart(in_force, tuned));
+            }
+            *self = match self.stepper {
+                Stepper::Outside(_) => Self::outside(tuned)?,
+                _ => Self::new(tuned)?,
+            };
+            return Ok(true);
+        }
         let effects = parameters.active(&self.mechanism)?;
         let weight = parameters.weight(&self.mechanism)?;
         let changed = weight != self.weight || effects != self.effects;
         self.weight = weight;
         self.conservative = effects.iter().all(Effect::conservative);
+        self.has_kinks = effects.iter().any(Effect::has_kinks);
+        self.sticks = effects.iter().any(Effect::sticks);
         self.solver.choose(LinearSolve::choose(&self.mechanism.geometry, &effects));
         self.effects = effects;
         Ok(changed)
@@ -186,6 +222,28 @@ impl Model {
     }
 }
 
+/// The refusal of a payload with which inertias are further apart than the linear solve of a run takes, with how far it may go.
+#[cold]
+fn too_far_apart(in_force: &effects::Parameters, tuned: &Parameters) -> SceneError {
+    let wanted = tuned.effects.payload.mass;
+    let (mut taken, mut refused) = (in_force.payload.mass, wanted);
+    let mut probe = tuned.effects.clone();
+    for _ in 0..BISECTIONS {
+        probe.payload.mass = taken + (refused - taken) / 2.0;
+        let geometry = probe.with_added_masses(&tuned.geometry);
+        let takes = geometry.is_ok_and(|geometry| LinearSolve::choose(&geometry, &[]) != LinearSolve::Dense);
+        *(if takes { &mut taken } else { &mut refused }) = probe.payload.mass;
+    }
+    let side = if wanted > taken { "at most" } else { "at least" };
+    SceneError(format!(
+        "payload.mass = {wanted:?} kg is not allowed during this run: the linear solve chosen at its start takes {side} {taken:.6} kg, with \
+         which the links' inertias are no further apart."
+    ))
+}
+
+/// Halvings of an interval of masses: to six digits, from a million times as much.
+const BISECTIONS: usize = 40;
+
 /// The part of it that the balance may be off in a step of i3-ALP, whose work is known at its ends only: a kink leaves several such steps.
 const KNOWN_AT_ENDS: f64 = 0.2;
 
@@ -201,6 +259,16 @@ const COAXIAL: f64 = 1e-10;
 /// e of the conserving step in multiples of 1 over the mean mass. It weighs increments only: smaller, Newton's method finds fewer roots
 /// next to vertices; larger, it takes more iterations.
 const CONSERVING: f64 = 1e-7;
+
+/// The variable of a law of friction that sticks, of an effect that is on.
+pub(super) fn sticking_law(effects: &effects::Parameters) -> Option<&'static str> {
+    let (friction, contact) = (&effects.friction, &effects.contact);
+    let laws = [
+        ("friction.law", friction.enabled && friction.law == Law::Stick),
+        ("contact.law", contact.enabled && contact.law == Law::Stick),
+    ];
+    laws.into_iter().find_map(|(name, sticks)| sticks.then_some(name))
+}
 
 impl Settings {
     fn stepper(&self, geometry: &Geometry, regularization: f64, regularization_by_angles: f64) -> Stepper {
@@ -239,6 +307,23 @@ impl Settings {
                 });
             }
         })
+    }
+
+    /// Friction that sticks needs steps that end where something stops or lets go.
+    fn check_laws(&self, effects: &effects::Parameters) -> Result<(), SceneError> {
+        let Some(name) = sticking_law(effects) else { return Ok(()) };
+        let steps = match self.method {
+            Method::Dop853 => return Ok(()),
+            Method::I3alp if self.adaptive => return Ok(()),
+            Method::I3alp => "solver.method = i3alp and solver.adaptive = false",
+            Method::I3alpPrinted => "solver.method = i3alpPrinted",
+            Method::Rk4 => "solver.method = rk4",
+            Method::I3alpConserving => "solver.method = i3alpConserving",
+        };
+        Err(SceneError(format!(
+            "{name} = stick is not allowed with {steps}, whose steps cannot end where something stops or lets go: it must be smooth, or \
+             solver.method i3alp with solver.adaptive = true, or dop853."
+        )))
     }
 
     fn check(&self) -> Result<(), SceneError> {

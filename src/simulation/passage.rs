@@ -12,8 +12,8 @@
 use super::angles::{ANGLES, Angles, ByAngles, angles_of};
 use super::five_bar::FiveBar;
 use crate::integrator::{
-    Approach, Departure, EnergyBalance, Passage, PassageLimits, Projection, StepError, StepLimits, System, Transit, equilibrium,
-    velocity_correction,
+    Approach, Departure, EnergyBalance, Kinked, Passage, PassageLimits, Projection, StepError, StepLimits, System, Transit,
+    equilibrium, velocity_correction,
 };
 use crate::mechanism::{COORDINATES, Coordinates};
 
@@ -65,6 +65,8 @@ impl Passage<ANGLES> for ByAngles<'_> {
     #[inline]
     fn approach(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>) -> Approach<ANGLES> {
         match self.offset(from.q) {
+            // What friction holds there stays.
+            Some(_) if self.is_at_rest() => Approach::Clear,
             Some(offset) => self.near(limits, from, offset),
             None => Approach::Clear,
         }
@@ -92,7 +94,7 @@ impl Passage<ANGLES> for ByAngles<'_> {
     }
 
     fn acceleration_from_rest(&self, q: &Angles, v: &Angles) -> Option<Angles> {
-        if self.offset(q)?.norm() >= AT_REST || v.norm() > 0.0 {
+        if self.offset(q)?.norm() >= AT_REST || v.norm() > 0.0 || self.is_at_rest() {
             return None;
         }
         let branch = self.branch_of_least_constraint(q)?;

@@ -2,12 +2,14 @@
 
 use super::angles::ByAngles;
 use super::five_bar::FiveBar;
+use super::grips;
 use super::model::{Model, Stepper};
 use super::passage::REGULARIZATION;
 use super::run::{Progress, Run};
 use super::{Method, Parameters, Settings};
-use crate::integrator::{Bounds, Implicit, System};
-use crate::mechanism::SceneError;
+use crate::effects::{Grips, Sides};
+use crate::integrator::{Bounds, Implicit, Inconsistency, System};
+use crate::mechanism::{Coordinates, SceneError};
 
 /// Constraints hold to this part of the machine's size, or to some times what the solver is told to allow.
 const CLOSED: f64 = 1e-10;
@@ -25,17 +27,33 @@ impl Run {
         }
         let system = FiveBar::<false>::new(model, inputs, turns);
         match (&model.stepper, progress) {
-            (Stepper::MacroStep(_), Progress::WithCall(core)) => core.check(&system, &bounds(model, &parameters.settings)),
+            (Stepper::MacroStep(_), Progress::WithCall(core, grips)) => {
+                let system = system.on(Sides::of_grips(*grips));
+                check_grips(model, &system, [&core.q, &core.v], false)
+                    .and_then(|()| core.check(&system, &bounds(model, &parameters.settings)))
+            }
             (Stepper::Conserving(_), Progress::Conserving(run)) => run.check(&system, &bounds(model, &parameters.settings)),
             (Stepper::Dense(settings), Progress::PastCall(run)) => {
                 let e = settings.regularization;
                 let bounds = Bounds { regularizations: [e, e], ..bounds(model, &parameters.settings) };
                 run.check(&ByAngles::new(system), settings, &bounds)
             }
+            (Stepper::Outside(_), Progress::Outside(run)) => run.check(model, inputs, &bounds(model, &parameters.settings)),
             _ => Err("it belongs to another solver.method than the one that is set in it"),
         }
         .map_err(|what| SceneError(what.into()))
     }
+}
+
+/// Refuses grips that do what those of a state cannot.
+pub(super) fn check_grips(
+    model: &Model,
+    system: &FiveBar<'_>,
+    [q, v]: [&Coordinates; 2],
+    just_stopped: bool,
+) -> Result<(), Inconsistency> {
+    let possible = if model.sticks { grips::are_possible(system, q, v, just_stopped) } else { system.sides.grips == Grips::OPEN };
+    if possible { Ok(()) } else { Err("friction does not hold or slip as it says") }
 }
 
 impl Run {
@@ -44,9 +62,13 @@ impl Run {
     pub(super) fn errors(&self, model: &Model, h: f64) -> [f64; 2] {
         let system = FiveBar::<false>::new(model, &self.inputs, &self.turns);
         let (core, remembered) = match &self.progress {
-            Progress::WithCall(core) => (*core, 0.0),
-            Progress::Conserving(run) => (run.state(&system, model.regularization), run.remembered()),
-            Progress::PastCall(_) => return [0.0; 2],
+            Progress::WithCall(core, _) => (*core, 0.0),
+            // Its accelerations follow from equilibrium: they tell whether the inputs are those that it has held.
+            Progress::Conserving(run) => {
+                let core = run.state(&system, model.regularization);
+                (core, run.remembered() + core.a.iter().map(|x| x.abs()).sum::<f64>())
+            }
+            Progress::PastCall(_) | Progress::Outside(_) => return [0.0; 2],
         };
         let pose = system.pose(&core.q);
         let left = system.mass_times(&pose, &(core.a + h * core.jerk)) + system.phi_q_transposed_times(&pose, &core.lambda);

@@ -5,12 +5,16 @@ use std::fmt;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::dense_run::{DenseRun, Held};
+use super::driven::Driven;
 use super::five_bar::FiveBar;
+use super::join::Jump;
 use super::model::{Model, Stepper};
 use super::state::{Core, State, unwind};
-use crate::effects::Inputs;
+use crate::effects::payload::Join;
+use crate::effects::{Grips, Inputs, Sides};
 use crate::integrator::i3alp_conserving::ConservingRun;
-use crate::integrator::{Counters, MacroStepMethod, StepError, i3alp};
+use crate::integrator::{Counters, MacroStepMethod, StepError, Work, i3alp};
+use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS};
 
 /// Everything that changes during a run. A copy is a complete snapshot.
@@ -28,12 +32,14 @@ pub struct Run {
 /// Where steps end.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) enum Progress {
-    /// With the call: the state there.
-    WithCall(Core),
+    /// With the call: the state there, and what dry friction does.
+    WithCall(Core, Grips),
     /// Wherever the error lets them: the step that runs past the call.
     PastCall(DenseRun),
     /// With the call, by the method that conserves: accelerations and joint forces are no part of the state.
     Conserving(ConservingRun<COORDINATES, MULTIPLIERS>),
+    /// Wherever a master puts the machine.
+    Outside(Driven),
 }
 
 /// Why a simulation could not advance. It is as it was before the call.
@@ -73,49 +79,66 @@ impl MacroSteps {
 
 impl Run {
     /// Begins with q and q̇, which meet the constraints.
+    #[cold]
     pub(super) fn start(model: &Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Self {
         let mut turns = [0; 4];
-        let mut core = Core::start(&FiveBar::<false>::new(model, inputs, &turns), q, v, model.regularization);
-        unwind(&mut core.q, &mut turns);
-        let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0 };
+        let system = FiveBar::<false>::resolved(model, inputs, &turns, [&q, &v]);
+        let (grips, mut core) = (system.sides.grips, Core::start(&system, q, v, model.regularization));
+        // Angles from outside keep their turns.
+        if !matches!(model.stepper, Stepper::Outside(_)) {
+            unwind(&mut core.q, &mut turns);
+        }
+        let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0, grips };
         state.energy_at_start = state.kinetic_energy(model) + state.potential_energy(model);
         let progress = match &model.stepper {
-            Stepper::MacroStep(_) => Progress::WithCall(core),
+            Stepper::MacroStep(_) => Progress::WithCall(core, grips),
             Stepper::Conserving(_) => {
                 let system = FiveBar::<false>::new(model, inputs, &turns);
                 Progress::Conserving(ConservingRun::start(&system, core.q, core.v))
             }
             Stepper::Dense(settings) => Progress::PastCall(DenseRun::start(model, settings, &state)),
+            Stepper::Outside(_) => Progress::Outside(Driven::start(THETA.map(|i| q[i]), THETA.map(|i| v[i]))),
         };
         Self { turns, inputs: *inputs, energy_at_start: state.energy_at_start, progress }
+    }
+
+    /// Whether its angles and rates come from outside.
+    pub fn is_driven(&self) -> bool {
+        matches!(self.progress, Progress::Outside(_))
     }
 
     /// On failure everything is as before.
     #[inline(always)]
     pub(super) fn advance(&mut self, model: &Model, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
         match (&model.stepper, &mut self.progress) {
-            (Stepper::MacroStep(method), Progress::WithCall(core)) => {
-                let before = (*core, self.turns, self.inputs);
+            (Stepper::MacroStep(method), Progress::WithCall(core, grips)) => {
+                let before = (*core, *grips, self.turns, self.inputs);
                 if !model.same_active_inputs(&self.inputs, inputs) {
-                    core.restart(&FiveBar::<false>::new(model, inputs, &self.turns), model.regularization);
+                    let system = FiveBar::<false>::resolved(model, inputs, &self.turns, [&core.q, &core.v]);
+                    *grips = system.sides.grips;
+                    core.restart(&system, model.regularization);
                 }
                 self.inputs = *inputs;
                 let held = (&self.inputs, &mut self.turns);
+                let mut sides = Sides::of_grips(*grips);
                 let advanced = match method {
                     // The default method has a compiled form for the bare mechanism; of the others it would only take place.
                     MacroStepMethod::I3alp(settings) if model.is_bare() => {
                         macro_steps::<true, _>(model, core, held, steps, |system, core, h| {
-                            i3alp::advance(system, settings, core, h)
+                            i3alp::advance(system, settings, core, &mut sides, h)
                         })
                     }
-                    _ => macro_steps::<false, _>(model, core, held, steps, |system, core, h| method.advance(system, core, h)),
+                    _ => macro_steps::<false, _>(model, core, held, steps, |system, core, h| {
+                        method.advance(system, core, &mut sides, h)
+                    }),
                 };
-                advanced.inspect_err(|_| (*core, self.turns, self.inputs) = before)
+                *grips = sides.grips;
+                advanced.inspect_err(|_| (*core, *grips, self.turns, self.inputs) = before)
             }
             (Stepper::Conserving(settings), Progress::Conserving(run)) => {
                 let before = (*run, self.turns, self.inputs);
                 if !model.same_active_inputs(&self.inputs, inputs) {
-                    run.restart(0.0);
+                    run.restart(Work::default());
                 }
                 self.inputs = *inputs;
                 let held = (&self.inputs, &mut self.turns);
@@ -141,35 +164,54 @@ impl Run {
     pub(super) fn state(&self, model: &Model, inputs: &Inputs) -> State {
         let &Self { turns, energy_at_start, ref progress, .. } = self;
         let same = model.same_active_inputs(&self.inputs, inputs);
-        let core = match progress {
-            Progress::WithCall(core) if same => *core,
-            Progress::WithCall(core) => {
+        let (core, grips) = match progress {
+            Progress::WithCall(core, grips) if same => (*core, *grips),
+            Progress::WithCall(core, _) => {
                 let mut core = *core;
-                core.balance(&FiveBar::<false>::new(model, inputs, &turns), model.regularization);
-                core
+                let system = FiveBar::<false>::resolved(model, inputs, &turns, [&core.q, &core.v]);
+                core.balance(&system, model.regularization);
+                (core, system.sides.grips)
             }
-            Progress::Conserving(run) => run.state(&FiveBar::<false>::new(model, inputs, &turns), model.regularization),
+            Progress::Conserving(run) => {
+                (run.state(&FiveBar::<false>::new(model, inputs, &turns), model.regularization), Grips::OPEN)
+            }
             Progress::PastCall(run) => run.core(model, [&self.inputs, inputs], &turns),
+            Progress::Outside(run) => (run.core(model, inputs), Grips::OPEN),
         };
-        State { core, turns, inputs: *inputs, energy_at_start }
+        State { core, turns, inputs: *inputs, energy_at_start, grips }
     }
 
-    /// The model has other effects from now on; what that adds to the potential energy counts as input. On failure nothing has changed.
-    pub(super) fn tune(&mut self, before: &Model, after: &Model) -> Result<(), StepError> {
+    /// The model has other effects from now on; what that adds to the potential energy counts as input, and mass joins. On failure nothing
+    /// has changed.
+    pub(super) fn tune(&mut self, before: &Model, after: &Model, join: Join) -> Result<(), StepError> {
         let mut tuned = self.clone();
         if let (Stepper::Dense(settings), Progress::PastCall(run)) = (&before.stepper, &mut tuned.progress) {
             run.stop(before, settings, &tuned.inputs, &tuned.turns)?;
         }
         let present = tuned.state(before, &self.inputs);
-        let put_in = present.potential_energy(after) - present.potential_energy(before);
+        let Jump { work, motion } = Jump::new(&present, before, after, join);
         match (&after.stepper, &mut tuned.progress) {
             (Stepper::Dense(settings), Progress::PastCall(run)) => {
-                run.resume(after, settings, (&tuned.inputs, &tuned.turns), put_in);
+                if let Some(motion) = motion {
+                    run.step.jump(&motion.rates);
+                }
+                run.resume(after, settings, (&tuned.inputs, &tuned.turns), work);
             }
-            (_, Progress::Conserving(run)) => run.restart(put_in),
-            (_, Progress::WithCall(core)) => {
-                core.work.input += put_in;
-                core.restart(&FiveBar::<false>::new(after, &tuned.inputs, &tuned.turns), after.regularization);
+            (_, Progress::Conserving(run)) => {
+                if let Some(motion) = motion {
+                    (run.q, run.v) = (motion.q, motion.v);
+                }
+                run.restart(work);
+            }
+            (_, Progress::Outside(run)) => run.jump(work, motion.map(|motion| motion.rates)),
+            (_, Progress::WithCall(core, grips)) => {
+                if let Some(motion) = motion {
+                    (core.q, core.v) = (motion.q, motion.v);
+                }
+                core.work += work;
+                let system = FiveBar::<false>::resolved(after, &tuned.inputs, &tuned.turns, [&core.q, &core.v]);
+                *grips = system.sides.grips;
+                core.restart(&system, after.regularization);
             }
             _ => unreachable!("a run is made for its method"),
         }
@@ -205,7 +247,7 @@ fn macro_steps<const BARE: bool, R: WithCall>(
     run: &mut R,
     (inputs, turns): (&Inputs, &mut [i64; 4]),
     steps: MacroSteps,
-    advance: impl Fn(&FiveBar<'_, BARE>, &mut R, f64) -> Result<(), StepError>,
+    mut advance: impl FnMut(&FiveBar<'_, BARE>, &mut R, f64) -> Result<(), StepError>,
 ) -> Result<(), StepFailure> {
     let turns_at_start = *turns;
     let system = FiveBar::<BARE>::new(model, inputs, &turns_at_start);

@@ -2,9 +2,9 @@
 
 use std::f64::consts::TAU;
 
-use super::Model;
 use super::five_bar::FiveBar;
-use crate::effects::{ForceContext, Inputs, Sides};
+use super::{Model, grips};
+use crate::effects::{ForceContext, GRIPS, Grips, Inputs, Sides};
 use crate::integrator;
 use crate::mechanism::coordinates::{THETA, largest_angle};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
@@ -24,6 +24,8 @@ pub struct State {
     pub inputs: Inputs,
     /// Kinetic plus potential energy at the start, J.
     pub energy_at_start: f64,
+    /// What dry friction does.
+    pub grips: Grips,
 }
 
 impl State {
@@ -46,9 +48,19 @@ impl State {
 
     /// What effects answer for the present state.
     pub fn at<T>(&self, model: &Model, answer: impl FnOnce(&ForceContext) -> T) -> T {
-        let State { core, inputs, turns, .. } = self;
+        let State { core, inputs, turns, grips, .. } = self;
         let pose = model.mechanism.pose(&core.q);
-        answer(&ForceContext { q: &core.q, v: &core.v, pose: &pose, inputs, turns, sides: Sides::BY_STATE })
+        answer(&ForceContext { q: &core.q, v: &core.v, pose: &pose, inputs, turns, sides: Sides::of_grips(*grips) })
+    }
+
+    /// By what torques friction holds joints, N·m, and by what force the tip, N; 0 where it does not.
+    pub fn holding(&self, model: &Model) -> [f64; GRIPS] {
+        if self.grips.hold() { grips::holding(&self.system(model), &self.core.q, &self.core.v) } else { [0.0; GRIPS] }
+    }
+
+    /// The model under the inputs, with the grips as they are.
+    pub(super) fn system<'a>(&'a self, model: &'a Model) -> FiveBar<'a> {
+        FiveBar::new(model, &self.inputs, &self.turns).on(Sides::of_grips(self.grips))
     }
 
     /// Absolute angles of links 1 to 4, rad, not wrapped.

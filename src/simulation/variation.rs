@@ -9,13 +9,10 @@
 //! The matrix is the one of the equations of motion themselves, K and C are those of the implicit steps; δq and δq̇ follow from the
 //! proximal ones by J_x ([`closure::varied`]).
 
-use super::{Model, State};
+use super::{Model, State, grips};
 use crate::effects::{Inputs, Perturbation};
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of, set_legs};
 use crate::mechanism::{Coordinates, Multipliers, SceneError, closure};
-
-/// Below this part of its largest possible value det J_x makes the proximal angles no coordinates.
-const LEAST_DETERMINANT: f64 = 1e-8;
 
 /// What is varied.
 #[derive(Clone, Copy, Debug, Default)]
@@ -46,14 +43,8 @@ impl State {
         let (mut q, mut v) = (Coordinates::ZERO, Coordinates::ZERO);
         if let Some(proximal) = direction.proximal {
             let geometry = &model.mechanism.geometry;
-            let largest = geometry.links[1].length * geometry.links[2].length;
-            let part = geometry.jacobians(pose.directions()).det_jx.abs() / largest;
-            if part < LEAST_DETERMINANT {
-                return Err(SceneError(format!(
-                    "|singular.detJx|/(link[2].length link[3].length) = {part:e} is not allowed here: it must be at least \
-                     {LEAST_DETERMINANT:e}, the distal links are in line and theta, omega are no coordinates."
-                )));
-            }
+            let [_, left, right, _] = pose.directions();
+            closure::are_coordinates(left[0] * right[1] - left[1] * right[0])?;
             (q, v) = closure::varied(geometry, THETA.map(|i| core.q[i]), THETA.map(|i| core.v[i]), proximal);
         }
         let change = Perturbation { q, v, inputs: direction.inputs };
@@ -74,6 +65,7 @@ impl State {
         let rates = pose.phi_q_varied_times(&core.v, &v);
         let centripetal = -turning - arms - 2.0 * rates;
         let (a, lambda) = self.solve(model, &pose, &force, &centripetal);
+        let (a, lambda) = grips::varied(&self.system(model), [&core.q, &core.v], (a, lambda))?;
         Ok(Variation { change, a, lambda })
     }
 }

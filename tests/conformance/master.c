@@ -56,9 +56,13 @@ fmi2CallbackFunctions callbacks(Log *log) {
 }
 
 /* The library copies the callbacks: the struct need not outlive the call. */
-fmi2Component instantiate(Log *log, const char *guid, bool logging_on) {
+fmi2Component instantiate_as(fmi2Type kind, Log *log, const char *guid, bool logging_on) {
     fmi2CallbackFunctions functions = callbacks(log);
-    return fmi2.Instantiate(log->name, fmi2CoSimulation, guid, "", &functions, fmi2False, logging_on);
+    return fmi2.Instantiate(log->name, kind, guid, "", &functions, fmi2False, logging_on);
+}
+
+fmi2Component instantiate(Log *log, const char *guid, bool logging_on) {
+    return instantiate_as(fmi2CoSimulation, log, guid, logging_on);
 }
 
 void read_variables(const char *file) {

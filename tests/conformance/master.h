@@ -9,14 +9,15 @@
 
 #include "fmi2FunctionTypes.h"
 
-/* Every function that a co-simulation unit exports (FMI 2.0.4, sections 2.1 and 4.2.1). */
+/* Every function that a unit for both kinds exports (FMI 2.0.4, sections 2.1, 3.2 and 4.2.1). */
 #define FMI2_FUNCTIONS(X)                                                                                                          \
     X(GetTypesPlatform) X(GetVersion) X(Instantiate) X(FreeInstance) X(SetDebugLogging) X(SetupExperiment)                         \
     X(EnterInitializationMode) X(ExitInitializationMode) X(Terminate) X(Reset) X(GetReal) X(GetInteger) X(GetBoolean) X(GetString) \
     X(SetReal) X(SetInteger) X(SetBoolean) X(SetString) X(GetFMUstate) X(SetFMUstate) X(FreeFMUstate) X(SerializedFMUstateSize)    \
     X(SerializeFMUstate) X(DeSerializeFMUstate) X(GetDirectionalDerivative) X(SetRealInputDerivatives)                             \
     X(GetRealOutputDerivatives) X(DoStep) X(CancelStep) X(GetStatus) X(GetRealStatus) X(GetIntegerStatus) X(GetBooleanStatus)      \
-    X(GetStringStatus)
+    X(GetStringStatus) X(EnterEventMode) X(NewDiscreteStates) X(EnterContinuousTimeMode) X(CompletedIntegratorStep) X(SetTime)     \
+    X(SetContinuousStates) X(GetDerivatives) X(GetEventIndicators) X(GetContinuousStates) X(GetNominalsOfContinuousStates)
 
 typedef struct {
 #define FIELD(name) fmi2##name##TYPE *name;
@@ -45,8 +46,9 @@ typedef struct {
     char text[2048];
 } Log;
 
-/* An instance; NULL where the library refuses. */
+/* An instance for co-simulation, or of any kind; NULL where the library refuses. */
 fmi2Component instantiate(Log *log, const char *guid, bool logging_on);
+fmi2Component instantiate_as(fmi2Type kind, Log *log, const char *guid, bool logging_on);
 /* The callbacks that `instantiate` uses: the logger of this master, and nothing else. */
 fmi2CallbackFunctions callbacks(Log *log);
 

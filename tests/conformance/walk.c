@@ -11,7 +11,7 @@
 #include <string.h>
 
 Stored stored[STORED];
-Bytes fresh;
+Bytes fresh[2];
 const char *guid;
 double largest;
 static Slave slaves[SLAVES];
@@ -19,10 +19,10 @@ static Slave slaves[SLAVES];
 /* How often each call was tried and carried out, by state. */
 static struct {
     unsigned long tried, done;
-} seen[CALLS][STATES];
+} seen[CALLS][2][STATES];
 static unsigned long calls, discarded, reset_after_refusal;
 
-bool legal(const Slave *s, Call call) { return rules[call].allowed[s->life.state] != '-'; }
+bool legal(const Slave *s, Call call) { return rules[call].allowed[s->life.kind][s->life.state] != '-'; }
 
 bool same(const Bytes *one, const Bytes *other) {
     return one->size == other->size && memcmp(one->bytes, other->bytes, one->size) == 0;
@@ -53,9 +53,13 @@ static void judge_sentence(const Slave *s, Call call, fmi2Status status, bool al
     REQUIRE(strcmp(s->log.category, categories[status]) == 0, "%s: category %s: %s", name, s->log.category, text);
     REQUIRE(strncmp(text, name, strlen(name)) == 0 && text[strlen(name)] == ':', "%s: begins with another name: %s", name, text);
     REQUIRE(length > 0 && text[length - 1] == '.' && !strpbrk(text, "\n\r\t"), "%s: no sentence: %s", name, text);
-    if (!allowed && call != CANCEL_STEP) {
+    if (!allowed && (call != CANCEL_STEP || s->life.kind == fmi2ModelExchange)) {
         char expected[64];
-        snprintf(expected, sizeof expected, "the state is \"%s\"", state_names[s->life.state]);
+        const char *other = rules[call].allowed[s->life.kind];
+        if (strcmp(other, "-----") == 0)
+            snprintf(expected, sizeof expected, "the instance is for %s", kind_names[s->life.kind]);
+        else
+            snprintf(expected, sizeof expected, "the state is \"%s\"", state_names[s->life.kind][s->life.state]);
         REQUIRE(strstr(text, expected), "%s: expected %s: %s", name, expected, text);
     }
 }
@@ -81,6 +85,10 @@ static bool only_looks(Call call) {
     case GET_INTEGER_STATUS:
     case GET_BOOLEAN_STATUS:
     case GET_STRING_STATUS:
+    case GET_DERIVATIVES:
+    case GET_INDICATORS:
+    case GET_CONTINUOUS_STATES:
+    case GET_NOMINALS:
         return true;
     default:
         return false;
@@ -90,15 +98,15 @@ static bool only_looks(Call call) {
 bool judge(Slave *s, Call call, fmi2Status status, int possible) {
     static Bytes after;
     const bool allowed = legal(s, call), done = status == fmi2OK;
-    const char *name = rules[call].name, *state = state_names[s->life.state];
+    const char *name = rules[call].name, *state = state_names[s->life.kind][s->life.state];
     if (!allowed) possible = REFUSED;
     REQUIRE((unsigned)status <= fmi2Error && (possible & 1 << status), "call %lu, %s in %s: status %d, possible were %#x: %s", calls, name,
             state, status, (unsigned)possible, s->log.text);
     if (!done) judge_sentence(s, call, status, allowed);
     REQUIRE(!done || s->log.lines == 0 || s->log.status < fmi2Discard, "%s: fmi2OK, but: %s", name, s->log.text);
     calls++;
-    seen[call][s->life.state].tried++;
-    seen[call][s->life.state].done += done;
+    seen[call][s->life.kind][s->life.state].tried++;
+    seen[call][s->life.kind][s->life.state].done += done;
     serialize(s, &after);
     /* A discarded step leads to another state of life; do_step() judges the rest. */
     if (call == DO_STEP && status == fmi2Discard)
@@ -116,11 +124,15 @@ bool judge(Slave *s, Call call, fmi2Status status, int possible) {
 
 /* The call that leads on from the present state, most of the time. */
 static Call onwards(Slave *s) {
+    static const Call events[] = {NEW_DISCRETE_STATES, NEW_DISCRETE_STATES, ENTER_CONTINUOUS_TIME, SET_REAL, SET_TIME};
+    static const Call steps[] = {SET_CONTINUOUS_STATES, SET_CONTINUOUS_STATES, GET_DERIVATIVES, COMPLETED_STEP, SET_TIME, ENTER_EVENT};
+    if (s->life.kind == fmi2ModelExchange && s->life.state == EVENT) return events[below(5)];
+    if (s->life.kind == fmi2ModelExchange && s->life.state == CONTINUOUS) return steps[below(6)];
     switch (s->life.state) {
     case INSTANTIATED:
         return one_in(3) ? (one_in(2) ? SET_REAL : SET_BOOLEAN) : s->life.experiment ? ENTER_INITIALIZATION : SETUP_EXPERIMENT;
     case INITIALIZATION:
-        if (one_in(8)) despair(s);
+        if (one_in(8) && s->life.kind == fmi2CoSimulation) despair(s);
         return one_in(2) ? EXIT_INITIALIZATION : one_in(2) ? SET_REAL : SET_INTEGER;
     case COMPLETE:
     case FAILED:
@@ -142,12 +154,13 @@ static void visit(Slave *s) {
 /* Every call in every state; carried out at least once wherever it is allowed. */
 static void judge_coverage(void) {
     for (Call call = 0; call < CALLS; call++)
-        for (State state = 0; state < STATES; state++) {
-            const bool answered = call >= GET_STATUS && call != GET_REAL_STATUS && call != GET_BOOLEAN_STATUS;
-            REQUIRE(seen[call][state].tried > 0, "%s was never tried in %s", rules[call].name, state_names[state]);
+        for (int column = 0; column < 2 * STATES; column++) {
+            const int kind = column / STATES, state = column % STATES;
+            const bool answered = call == GET_STATUS || call == GET_INTEGER_STATUS || call == GET_STRING_STATUS;
+            REQUIRE(seen[call][kind][state].tried > 0, "%s was never tried in %s", rules[call].name, state_names[kind][state]);
             /* Three status functions have nothing to tell, ever. */
-            REQUIRE(rules[call].allowed[state] == '-' || answered || seen[call][state].done > 0, "%s was never done in %s",
-                    rules[call].name, state_names[state]);
+            REQUIRE(rules[call].allowed[kind][state] == '-' || answered || seen[call][kind][state].done > 0, "%s was never done in %s",
+                    rules[call].name, state_names[kind][state]);
         }
 }
 
@@ -162,8 +175,6 @@ int main(int count, char **arguments) {
     REQUIRE(library, "the library cannot be loaded: %s", arguments[1]);
 
     Slave *first = &slaves[0];
-    while (!first->component) appear(first);
-    fresh = first->now;
     while (calls < wanted) visit(&slaves[below(SLAVES)]);
 
     /* Whoever is left frees the stored states. */
@@ -174,7 +185,7 @@ int main(int count, char **arguments) {
 
     unsigned long done = 0;
     for (Call call = 0; call < CALLS; call++)
-        for (State state = 0; state < STATES; state++) done += seen[call][state].done;
+        for (int column = 0; column < 2 * STATES; column++) done += seen[call][column / STATES][column % STATES].done;
     if (calls >= 50000) judge_coverage();
     printf("%lu calls, seed %s: %lu carried out, %lu steps discarded, the rest refused; %lu resets after a refusal\n", calls,
            arguments[5], done, discarded, reset_after_refusal);

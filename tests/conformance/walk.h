@@ -17,6 +17,7 @@ typedef struct {
 
 /* Where an instance is in its life, as the standard has it. */
 typedef struct {
+    fmi2Type kind;
     State state;
     bool experiment, ends;
     double point, stop;
@@ -48,7 +49,8 @@ typedef struct {
 enum { DONE = 1 << fmi2OK, DISCARDED = 1 << fmi2Discard, REFUSED = 1 << fmi2Error };
 
 extern Stored stored[STORED];
-extern Bytes fresh;
+/* Those of a new instance, by fmi2Type. */
+extern Bytes fresh[2];
 extern const char *guid;
 extern double largest;
 
@@ -82,5 +84,11 @@ void derivatives(Slave *s, Call call);
 void states(Slave *s, Call call);
 void do_step(Slave *s);
 void ask_status(Slave *s, Call call);
+void exchange(Slave *s, Call call);
+
+/* What may come of asking for what is computed. */
+int may_be_computed(const Slave *s);
+/* Whether nothing but fmi2Discard for want of coordinates can keep a continuous state from being set by fmi2SetReal. */
+bool may_set_states(const Slave *s);
 
 #endif

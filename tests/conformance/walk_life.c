@@ -17,7 +17,8 @@ void appear(Slave *s) {
         REQUIRE(!fmi2.Instantiate("walker", fmi2CoSimulation, guid, "", NULL, fmi2False, fmi2True), "null callbacks accepted");
         return;
     case 1:
-        REQUIRE(!fmi2.Instantiate("walker", fmi2ModelExchange, guid, NULL, &functions, fmi2False, fmi2True), "model exchange accepted");
+        REQUIRE(!fmi2.Instantiate("walker", (fmi2Type)(one_in(2) ? 2 : -1), guid, NULL, &functions, fmi2False, fmi2True),
+                "another kind accepted");
         break;
     case 2:
         REQUIRE(!fmi2.Instantiate("walker", fmi2CoSimulation, "{of another unit}", "", &functions, fmi2True, fmi2True), "GUID accepted");
@@ -30,11 +31,13 @@ void appear(Slave *s) {
         REQUIRE(!fmi2.Instantiate(one_in(2) ? "" : NULL, fmi2CoSimulation, guid, "", &functions, fmi2False, fmi2True), "no name accepted");
         break;
     default:
-        s->component = instantiate(&s->log, guid, logging_on);
+        s->life.kind = one_in(2) ? fmi2ModelExchange : fmi2CoSimulation;
+        s->component = instantiate_as(s->life.kind, &s->log, guid, logging_on);
         REQUIRE(s->component && s->log.lines == 0, "fmi2Instantiate: %s", s->log.text);
         s->wanted = PROBLEMS | (logging_on ? EVENTS : 0);
         serialize(s, &s->now);
-        REQUIRE(fresh.size == 0 || same(&s->now, &fresh), "a new instance differs from the first one");
+        if (fresh[s->life.kind].size == 0) fresh[s->life.kind] = s->now;
+        REQUIRE(same(&s->now, &fresh[s->life.kind]), "a new instance differs from the first one");
         return;
     }
     REQUIRE(s->log.lines == 1 && s->log.status == fmi2Error && strncmp(s->log.text, "fmi2Instantiate: ", 17) == 0,
@@ -120,8 +123,8 @@ static void change_mode(Slave *s, Call call) {
 static void reset(Slave *s) {
     begin(s);
     if (judge(s, RESET, fmi2.Reset(s->component), DONE)) {
-        REQUIRE(same(&s->now, &fresh), "a reset instance is not a fresh one, byte for byte");
-        s->life = (Life){0};
+        REQUIRE(same(&s->now, &fresh[s->life.kind]), "a reset instance is not a fresh one, byte for byte");
+        s->life = (Life){.kind = s->life.kind};
     }
 }
 
@@ -273,6 +276,16 @@ void make(Slave *s, Call call) {
     case SET_INPUT_DERIVATIVES:
     case GET_OUTPUT_DERIVATIVES: derivatives(s, call); break;
     case DO_STEP: do_step(s); break;
+    case ENTER_EVENT:
+    case NEW_DISCRETE_STATES:
+    case ENTER_CONTINUOUS_TIME:
+    case COMPLETED_STEP:
+    case SET_TIME:
+    case SET_CONTINUOUS_STATES:
+    case GET_DERIVATIVES:
+    case GET_INDICATORS:
+    case GET_CONTINUOUS_STATES:
+    case GET_NOMINALS: exchange(s, call); break;
     default: ask_status(s, call); break;
     }
 }

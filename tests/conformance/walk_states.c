@@ -17,7 +17,8 @@ static void get_state(Slave *s) {
 static void set_state(Slave *s) {
     const Stored *from = &stored[below(STORED)];
     begin(s);
-    if (!judge(s, SET_STATE, fmi2.SetFMUstate(s->component, from->state), from->state ? DONE : REFUSED)) return;
+    const bool fits = from->state && from->life.kind == s->life.kind;
+    if (!judge(s, SET_STATE, fmi2.SetFMUstate(s->component, from->state), fits ? DONE : REFUSED)) return;
     s->life = from->life;
     REQUIRE(same(&s->now, &from->bytes), "an instance is not in the state that it was put into");
 }

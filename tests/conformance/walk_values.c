@@ -20,9 +20,18 @@ typedef struct {
 typedef enum { NOTHING, UNKNOWN, WRONG_TYPE, NO_REFERENCES, NO_VALUES, WRONG_VALUE, NOT_SETTABLE, FLAWS } Flaw;
 static Flaw any_flaw(Flaw last) { return one_in(2) ? NOTHING : (Flaw)below((size_t)last + 1); }
 
+/* Whether a variable is a continuous state. */
+static bool is_state(const Variable *v) { return strncmp(v->name, "theta[", 6) == 0 || strncmp(v->name, "omega[", 6) == 0; }
+
+bool may_set_states(const Slave *s) {
+    return s->life.kind == fmi2ModelExchange && (s->life.state == EVENT || s->life.state == CONTINUOUS);
+}
+
 /* Whether a variable may be set in a state that allows setting (FMI 2.0.4, section 2.2.7 and the footnotes of the table). */
 static bool settable(const Slave *s, const Variable *v) {
-    return v->role == INPUT || v->role == TUNABLE || (v->role == FIXED && s->life.state <= INITIALIZATION);
+    const bool integrated = s->life.kind == fmi2ModelExchange && s->life.state == CONTINUOUS;
+    return v->role == INPUT || (v->role == TUNABLE && !integrated) || (v->role == FIXED && s->life.state <= INITIALIZATION) ||
+           (is_state(v) && may_set_states(s));
 }
 
 static bool is_computed(const Variable *v) { return v->role == OUTPUT || v->role == LOCAL; }
@@ -80,9 +89,15 @@ static double wrong_value(const Variable *v) {
     return one_in(2) ? NAN : one_in(2) ? INFINITY : -INFINITY;
 }
 
+/* A continuous state not far from where it is, sometimes anywhere. */
+static double near_state(const Slave *s, const Variable *v) {
+    const double value = get(s->component, v->name) + uniform(-0.1, 0.1);
+    return one_in(10) ? uniform(-7.0, 7.0) : one_in(40) ? pow(10.0, uniform(0.0, fmin(largest, 12.0))) : value;
+}
+
 /* What may come of asking for what is computed: before the run, what was set may make no machine; what was set may be so large that there
  * is nothing to tell. */
-static int may_be_computed(const Slave *s) {
+int may_be_computed(const Slave *s) {
     return DONE | (s->life.state == INITIALIZATION ? REFUSED : 0) | (largest > 100 ? DISCARDED : 0);
 }
 
@@ -134,10 +149,12 @@ void set_values(Slave *s, Call call, Type type) {
             p.variables[p.n] = v, p.references[p.n++] = v->reference;
     }
     if (flaw == WRONG_VALUE && (p.n == 0 || type == BOOLEAN)) flaw = NOTHING;
-    bool tunes = false, far = false;
+    bool tunes = false, far = false, moves = false;
     for (size_t i = 0; i < p.n; i++) {
         const bool wrong = flaw == WRONG_VALUE && i == p.n - 1;
-        const double value = wrong ? wrong_value(p.variables[i]) : is_computed(p.variables[i]) ? 0.0 : allowed_value(p.variables[i]);
+        const bool state = is_state(p.variables[i]) && may_set_states(s), none = is_computed(p.variables[i]) && !state;
+        const double value = wrong ? wrong_value(p.variables[i]) : none ? 0.0 : state ? near_state(s, p.variables[i]) : allowed_value(p.variables[i]);
+        moves |= state;
         tunes |= p.variables[i]->role == TUNABLE;
         reals[i] = value;
         far |= fabs(value) > FAR;
@@ -153,7 +170,7 @@ void set_values(Slave *s, Call call, Type type) {
         const char *name = p.variables[p.n - 1]->name;
         REQUIRE(strstr(s->log.text, name), "%s refuses %s without its name: %s", rules[call].name, name, s->log.text);
     }
-    if (!judge(s, call, status, flaw == NOTHING ? DONE : REFUSED)) return;
+    if (!judge(s, call, status, flaw != NOTHING ? REFUSED : moves ? DONE | DISCARDED : DONE)) return;
     s->life.tuned |= tunes, s->life.far |= far;
     if (!legal(s, type == REAL ? GET_REAL : GET_INTEGER) || p.n == 0) return;
     REQUIRE(get_typed(s, type, p.references, p.n, back, whole_back) == fmi2OK, "reading what was set: %s", s->log.text);
@@ -176,9 +193,6 @@ void strings(Slave *s, Call call) {
     REQUIRE(strcmp(value, "untouched") == 0, "%s has written", rules[call].name);
     judge(s, call, status, n ? REFUSED : DONE);
 }
-
-/* Whether a variable is a continuous state. */
-static bool is_state(const Variable *v) { return strncmp(v->name, "theta[", 6) == 0 || strncmp(v->name, "omega[", 6) == 0; }
 
 /* A variable of that role and of type Real; where `state`, a continuous state as well. */
 static const Variable *real_of(Role role, bool state) {

@@ -185,7 +185,7 @@ fn end<const BARE: bool>(scene: &Simulation, inputs: &Inputs, solve: LinearSolve
     let Stepper::MacroStep(method) = model.stepper else { panic!("the default is i3-ALP") };
     let mut core = scene.state().core;
     for _ in 0..300 {
-        method.advance(&FiveBar::<BARE>::new(&model, inputs, &[0; 4]), &mut core, 1e-3).expect("step");
+        method.advance(&FiveBar::<BARE>::new(&model, inputs, &[0; 4]), &mut core, &mut { Sides::BY_STATE }, 1e-3).expect("step");
     }
     core.q
 }

@@ -4,7 +4,7 @@ use std::f64::consts::PI;
 
 use fivebar::ffi::*;
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
-use fivebar::fmi::{Instance, Snapshot};
+use fivebar::fmi::{Instance, Kind, Snapshot};
 use fivebar::observers;
 use fivebar::simulation::{Inputs, Method, Signal, Simulation};
 use fivebar::variables::{FmiType, VARIABLES, Value, Variable, VariableId};
@@ -483,7 +483,7 @@ fn a_ramp_is_the_same_in_one_step_and_in_many() {
 /// A discarded step leaves the derivatives as they were, and a stored state holds them, as bytes as well.
 #[test]
 fn pending_derivatives_are_state() {
-    let mut instance = Instance::new(false);
+    let mut instance = Instance::new(Kind::CoSimulation, false);
     instance.set([(reference("init.theta[2]"), Value::Real(2.0))].into_iter()).expect("a start");
     instance.setup_experiment(None, 0.0, None).expect("an experiment");
     instance.enter_initialization_mode().expect("the mode");
@@ -506,7 +506,7 @@ fn pending_derivatives_are_state() {
     };
     let first = after(&mut instance);
     assert_eq!(f64::from_bits(first[0]), 3.0 * 0.01 - 4.0 * (0.01 * 0.01 / 2.0));
-    instance.restore(&stored);
+    instance.restore(&stored).expect("a state of the same kind");
     assert_eq!(after(&mut instance), first);
 
     let host = Host::initializing(0.0, None);

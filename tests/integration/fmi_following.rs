@@ -177,10 +177,10 @@ fn faults_are_told_once_and_survived() {
         follow(&host, &machine, 50..80, seen);
         assert_eq!(status(&host), name);
         let lines = host.take();
-        assert!(
-            lines.len() == 1 && lines[0].text.contains(text) && lines[0].text.contains("measured.theta[1]"),
-            "{name}: {lines:?}"
-        );
+        // One that gets stuck jumps here, and is wild before it repeats itself.
+        assert_eq!(lines.len(), 1 + usize::from(name == "stuck"), "{name}: {lines:?}");
+        let told = &lines[lines.len() - 1].text;
+        assert!(told.contains(text) && told.contains("measured.theta[1]"), "{name}: {lines:?}");
         follow(&host, &machine, 80..200, at_once);
         assert_eq!(status(&host), "following", "{name}");
         assert!(tip_error(&host, &machine) < 1e-4, "{name}: {}", tip_error(&host, &machine));
@@ -232,6 +232,11 @@ fn stored_states_are_everything() {
 /// Off there is no byte of it in a stored state, and a sample that has been set is kept.
 #[test]
 fn off_there_is_no_byte_of_state() {
+    // What is left out where it is as at the start comes last.
+    let parameters: Vec<&str> =
+        VARIABLES.iter().filter(|v| v.start.is_some() && !v.name.contains("easured")).map(|v| v.name).collect();
+    assert!(parameters.iter().rev().take(12).all(|name| name.starts_with("estimator.")), "{parameters:?}");
+    assert_eq!(parameters.iter().filter(|name| name.starts_with("estimator.")).count(), 12);
     let host = Host::ready(&[]);
     let mut state = host.state();
     let plain = bytes_of(&host, state).len();

@@ -353,6 +353,53 @@ impl Host {
         }
     }
 
+    pub(super) fn set_time(&self, time: f64) -> fmi2Status {
+        // SAFETY: the component is live.
+        unsafe { fmi2SetTime(self.component, time) }
+    }
+
+    pub(super) fn set_states(&self, states: &[f64]) -> fmi2Status {
+        // SAFETY: the component is live, the array is ours.
+        unsafe { fmi2SetContinuousStates(self.component, states.as_ptr(), states.len()) }
+    }
+
+    /// Status, and whether states have changed; nothing else may be asked for.
+    pub(super) fn new_discrete_states(&self) -> (fmi2Status, bool) {
+        let mut info = fmi2EventInfo {
+            newDiscreteStatesNeeded: fmi2False,
+            terminateSimulation: fmi2False,
+            nominalsOfContinuousStatesChanged: fmi2False,
+            valuesOfContinuousStatesChanged: fmi2False,
+            nextEventTimeDefined: fmi2False,
+            nextEventTime: 0.0,
+        };
+        let nothing = info;
+        // SAFETY: the component is live, the place is ours.
+        let status = unsafe { fmi2NewDiscreteStates(self.component, &mut info) };
+        let changed = std::mem::replace(&mut info.valuesOfContinuousStatesChanged, fmi2False);
+        assert_eq!(info, nothing);
+        (status, changed != fmi2False)
+    }
+
+    pub(super) fn completed_step(&self) -> fmi2Status {
+        let (mut event, mut end) = (fmi2True, fmi2True);
+        // SAFETY: the component is live, the places are ours.
+        let status = unsafe { fmi2CompletedIntegratorStep(self.component, fmi2True, &mut event, &mut end) };
+        assert!(status != fmi2OK || (event, end) == (fmi2False, fmi2False));
+        status
+    }
+
+    /// A function that fills an array.
+    pub(super) fn array<const N: usize>(
+        &self,
+        function: unsafe extern "C" fn(fmi2Component, *mut fmi2Real, usize) -> fmi2Status,
+    ) -> Result<[f64; N], fmi2Status> {
+        let mut values = [f64::NAN; N];
+        // SAFETY: the component is live, the array is ours.
+        let status = unsafe { function(self.component, values.as_mut_ptr(), N) };
+        if status == fmi2OK { Ok(values) } else { Err(status) }
+    }
+
     /// fmi2GetString and fmi2SetString with that reference.
     pub(super) fn strings(&self, reference: u32) -> [fmi2Status; 2] {
         let mut value = c"".as_ptr();

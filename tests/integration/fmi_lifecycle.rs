@@ -15,7 +15,10 @@ fn instantiation_checks_its_arguments() {
     let wrong = "{00000000-0000-0000-0000-000000000000}";
     for (with, expected) in [
         (Instantiation { guid: wrong, ..Default::default() }, format!("fmuGUID is {wrong}, this library belongs to {GUID}.")),
-        (Instantiation { kind: 0, ..Default::default() }, "fmuType is 0, must be fmi2CoSimulation (1).".to_owned()),
+        (
+            Instantiation { kind: 2, ..Default::default() },
+            "fmuType is 2, must be fmi2ModelExchange (0) or fmi2CoSimulation (1).".to_owned(),
+        ),
         (Instantiation { name: Some(""), ..Default::default() }, "instanceName is null or empty.".to_owned()),
         (Instantiation { name: None, ..Default::default() }, "instanceName is null or empty.".to_owned()),
     ] {

@@ -198,7 +198,11 @@ fn forged_bytes_are_never_fatal() {
                     refused += 1;
                     continue;
                 }
-                assert_eq!(other.set_state(state), fmi2OK);
+                if other.set_state(state) == fmi2Error {
+                    // Forged into one of the other kind, which may be one.
+                    assert!(other.line().contains(": FMUstate is that of an instance for model exchange"));
+                    continue;
+                }
                 let mut place = [0.0];
                 for status in [
                     other.do_step(other.real_status(2).1, 1e-3),

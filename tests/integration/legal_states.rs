@@ -4,9 +4,11 @@
 use std::f64::consts::{PI, TAU};
 
 use fivebar::effects;
+use fivebar::effects::payload::Join;
 use fivebar::fmi::Snapshot;
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::Assembly;
+use fivebar::mechanism::coordinates::THETA;
 use fivebar::observers;
 use fivebar::simulation::{Inputs, Method, Parameters, Run, Signal, Simulation};
 use rand_chacha::ChaCha8Rng;
@@ -133,7 +135,11 @@ impl Random {
     /// Other values of what may be tuned.
     fn tuned(&mut self, effects: &effects::Parameters) -> effects::Parameters {
         let mut effects = effects.clone();
-        match self.one_of(5) {
+        match self.one_of(6) {
+            5 => {
+                effects.payload.mass = self.between(0.0, 0.2);
+                effects.payload.join = if self.one_of(2) == 0 { Join::AtRest } else { Join::WithTip };
+            }
             0 => effects.gravity.g = self.between(0.0, 20.0),
             1 => effects.spring.k = [self.between(0.0, 0.2); 2],
             2 => effects.viscous.b[self.one_of(5)] = self.between(0.0, 1e-3),
@@ -183,6 +189,34 @@ fn states_of_random_motions_are_read_back() {
     }
     // Some methods give up early where motions are hard.
     assert!(calls > 60 * scenes / 2, "{calls} calls");
+}
+
+/// The same of runs whose states come from outside.
+#[test]
+fn states_of_driven_runs_are_read_back() {
+    let mut random = Random(ChaCha8Rng::seed_from_u64(12));
+    let (mut scenes, mut moves) = (0, 0);
+    while scenes < 30 {
+        let parameters = random.scene(METHODS[scenes % METHODS.len()]);
+        let Ok(start) = Simulation::driven(&parameters, &random.inputs()) else { continue };
+        let mut twins = Twins::new(format!("scene {scenes}: {parameters:?}"), start);
+        scenes += 1;
+        for _ in 0..40 {
+            let (state, kick) = (twins.free.state(), [random.pair(0.2), random.pair(2.0)]);
+            let [theta, omega] = [state.core.q, state.core.v].map(|x| [x[THETA[0]], x[THETA[3]]]);
+            let to = [theta[0] + kick[0][0], theta[1] + kick[0][1], omega[0] + kick[1][0], omega[1] + kick[1][1]];
+            moves += usize::from(twins.both(|simulation| simulation.drive(to)));
+            let (completed, inputs) = (random.one_of(2) == 0, random.inputs());
+            let tuned = random.tuned(&twins.free.parameters().effects);
+            twins.both(|simulation| {
+                if completed {
+                    simulation.complete(&inputs);
+                }
+                simulation.tune(&tuned)
+            });
+        }
+    }
+    assert!(moves > 30 * 40 / 2, "{moves} moves");
 }
 
 /// The postures in which the paper's machine has all its links in line, the signs with which link rates enter closure there, and a

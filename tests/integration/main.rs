@@ -15,10 +15,13 @@ mod effects_reference; // scenes with effects against solutions in quadruple pre
 mod effects_stiff; // friction through zero, stops and contact hit fast, high gains
 mod estimator; // transitions against differences, statistics of samples, faults of encoders, grouping
 mod kinks; // loads with kinks: touches, stops, what is dissipated
+mod payload; // mass that joins the tip during a run, or leaves it
 mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
+mod stick; // dry friction that holds
 
 // The FMI rooms, through the C functions.
 mod fmi_derivatives; // of outputs against inputs and states, of inputs and outputs against time
+mod fmi_exchange; // model exchange: states, derivatives, events, where they are no coordinates
 mod fmi_following; // a machine that is followed: variables, faults of encoders, stored states
 mod fmi_initial; // what the start of each output depends on
 mod fmi_lifecycle; // instantiate, the order of calls, reset, independence

@@ -5,7 +5,6 @@ where they are used: only the full form of the tests installs them.
 """
 
 import csv
-import ctypes
 import json
 import os
 import subprocess
@@ -13,8 +12,6 @@ import sys
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import fmpy
 import pytest
@@ -67,18 +64,6 @@ def program(name: str) -> str:
     return str(Path(sys.executable).parent / name)
 
 
-class CoSimulationLibrary(ctypes.CDLL):
-    """A library for fmuloader, which looks up the functions for model exchange of every unit, also where it calls none."""
-
-    def __getattr__(self, name: str) -> Any:
-        try:
-            return super().__getattr__(name)
-        except AttributeError:
-            if not name.startswith("fmi2"):
-                raise
-            return SimpleNamespace()
-
-
 @pytest.mark.full
 def test_fmuloader(
     directory: str,
@@ -86,12 +71,10 @@ def test_fmuloader(
     references: dict[str, int],
     reals: list[str],
     expected: list[float],
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Every call by hand, without callbacks for memory; a second run after a reset."""
     from fmuloader.fmi2 import Fmi2Slave, Fmi2Type
 
-    monkeypatch.setattr("fmuloader.fmi2.CDLL", CoSimulationLibrary)
     with Fmi2Slave(directory, model_identifier=model.coSimulation.modelIdentifier) as slave:
         assert (slave.get_version(), slave.get_types_platform()) == ("2.0", "default")
         slave.instantiate(

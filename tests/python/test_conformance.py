@@ -17,7 +17,7 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the programs lo
 SOURCES = REPOSITORY / "tests" / "conformance"
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 SHARED = ("master.c", "scenes.c")
-WALK = ("walk_life.c", "walk_values.c", "walk_states.c")
+WALK = ("walk_life.c", "walk_values.c", "walk_states.c", "walk_exchange.c")
 
 MEMCHECK = ("valgrind", "--quiet", "--error-exitcode=9", "--leak-check=full", "--errors-for-leak-kinds=definite,indirect,possible")
 HELGRIND = ("valgrind", "--quiet", "--error-exitcode=9", "--tool=helgrind")
@@ -94,7 +94,7 @@ def test_random_walk(run: Run, calls: object, seed: object, largest: object) -> 
 
 
 def test_walk_on_a_unit_of_one_s_own(run_own: Run) -> None:
-    assert "steps discarded" in run_own("walk", 50_000, 7, 12)
+    assert "steps discarded" in run_own("walk", 100_000, 7, 12)
 
 
 @pytest.mark.full

@@ -26,7 +26,7 @@ def output(fmu: Path, folder: Path, name: str) -> str:
 def test_switch_effects(fmu: Path, tmp_path: Path, model: object) -> None:
     """Every effect is shown, each ends elsewhere, the balances close, and the tuned spring acts one step after 0.5 s."""
     text = (REPOSITORY / "examples" / "switch_effects.py").read_text(encoding="utf-8")
-    effects = [v.name for v in model.modelVariables if v.name.endswith(".enabled")]
+    effects = [v.name for v in model.modelVariables if v.name.endswith(".enabled") and v.name != "estimator.enabled"]
     assert effects and all(f'"{effect}"' in text for effect in effects)
     printed = output(fmu, tmp_path, "switch_effects.py")
     rows = re.findall(r"^ *(\D.*?)  +(-?\d+\.\d{4}) +(-?\d+\.\d{4}) +(\d+\.\d{3}) +(\S+)$", printed, re.MULTILINE)
@@ -65,24 +65,25 @@ def test_look_ahead(fmu: Path, tmp_path: Path) -> None:
 
 
 def test_resynchronise(fmu: Path, tmp_path: Path) -> None:
-    """Predictions are off by what the unknown payload does in half a second."""
+    """The tip is known to some hundredths of a millimetre, within its bands; predictions are off by what the payload does in 0.5 s."""
     printed = output(fmu, tmp_path, "resynchronise.py")
-    errors = [float(error) for error in re.findall(r"^ +0\.[5-9] +(\S+) +\d+$", printed, re.MULTILINE)]
-    assert len(errors) == 5 and 1 < max(errors) < 60, printed
+    rows = re.findall(r"^ +(\d\.\d) +(\S+) +(\S+) +(\S+) +\d+$", printed, re.MULTILINE)
+    assert len(rows) == 11, printed
+    assert all(float(error) < min(0.05, 1.5 * float(band)) for _, error, band, _ in rows[1:]), printed
+    ahead = [float(error) for *_, error in rows if error != "-"]
+    assert len(ahead) == 6 and max(ahead) < 60, printed
+
+
+def test_follow_push(fmu: Path, tmp_path: Path) -> None:
+    """The push is noticed soon, the tip is known to some micrometres, and a picture is drawn."""
+    printed = output(fmu, tmp_path, "follow_push.py")
+    assert float(re.findall(r"tip error (\S+) mm", printed)[0]) < 0.03
+    assert 0 <= float(re.findall(r"alarm (\S+) ms after the push", printed)[0]) <= 20
+    assert (tmp_path / "target" / "follow_push.png").is_file()
 
 
 def test_resume(fmu: Path, tmp_path: Path) -> None:
     assert output(fmu, tmp_path, "resume.py").endswith("the same bits\n")
-
-
-@pytest.mark.full
-def test_sweep(fmu: Path, tmp_path: Path) -> None:
-    """More friction, less height, for every payload that swings far."""
-    printed = output(fmu, tmp_path, "sweep.py")
-    rows = [[float(x) for x in line.split()[4:]] for line in printed.splitlines()[1:]]
-    assert len(rows) == 4 and all(len(row) == 6 for row in rows)
-    for heaviest in (4, 5):
-        assert [row[heaviest] for row in rows] == sorted((row[heaviest] for row in rows), reverse=True)
 
 
 def test_two_units(fmu: Path, tmp_path: Path) -> None:
@@ -108,3 +109,14 @@ def test_fixed_step(fmu: Path, tmp_path: Path) -> None:
     assert float(energy) < 3.5e-10 and float(position) < 1e-14 and float(velocity) < 1e-11
     # Those of a projection by the last resort come on top.
     assert int(re.findall(r"iterations of a step: (\d+)", printed)[0]) <= 70
+
+
+@pytest.mark.full
+def test_optimal_control(fmu: Path, tmp_path: Path) -> None:
+    """The swing needs less than holding would, and what model exchange has planned is what co-simulation does; there is a picture."""
+    printed = output(fmu, tmp_path, "optimal_control.py")
+    lifted, largest, holding = (float(x) for x in re.findall(r"lifted by (\S+) m; largest torque (\S+) N.m, to hold it (\S+) N.m", printed)[0])
+    assert lifted > 0.08 and largest <= 0.01 and holding > 6 * largest
+    # Runge-Kutta's error over 1.2 s of 12.5 ms, and the unit's own.
+    assert float(re.findall(r"the goal is missed by (\S+) deg", printed)[0]) < 0.01
+    assert (tmp_path / "target" / "optimal_control.svg").stat().st_size > 10_000

@@ -73,7 +73,9 @@ def test_head(root: etree._Element) -> None:
         assert root.get(name), f"{name} is empty"
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", root.get("generationDateAndTime"))
     assert root.get("modelName") == root.find("CoSimulation").get("modelIdentifier") == "FiveBar"
-    assert root.find("ModelExchange") is None
+    exchange, simulation = root.find("ModelExchange"), root.find("CoSimulation")
+    assert exchange.get("modelIdentifier") == simulation.get("modelIdentifier")
+    assert all(root.find(kind).get("providesDirectionalDerivative") == "true" for kind in ("ModelExchange", "CoSimulation"))
 
 
 def test_names_and_references(variables: list[etree._Element]) -> None:
@@ -200,7 +202,8 @@ def test_outputs_are_what_one_connects(variables: list[etree._Element]) -> None:
     """In this order; all else that is computed is local."""
     motion = ["tip.x", "tip.y", "tip.vx", "tip.vy", "theta[1]", "theta[2]", "omega[1]", "omega[2]"]
     forces = ["servo.torque[1]", "servo.torque[2]", "contact.fx", "contact.fy"]
-    assert [v.get("name") for v in variables if v.get("causality") == "output"] == motion + forces
+    estimated = ["estimated.tau[1]", "estimated.tau[2]", "estimated.nis", "estimated.alarm"]
+    assert [v.get("name") for v in variables if v.get("causality") == "output"] == motion + forces + estimated
 
 
 class Loop(Exception):

@@ -28,8 +28,8 @@ LINES = {
     "i3alp, fixed step": ("step", "s", STEPS, lambda h: 6e3 * h**2, lambda h: 2e-4 / h),
     "rk4": ("step", "s", STEPS, lambda h: 3e6 * h**4, lambda h: 4e-4 / h),
 }
-# The main one, two for each kind of motion, and six.
-FIGURES = 1 + 2 * len({kind for _, kind, _ in SCENES}) + 6
+# The main one, two for each kind of motion, and seven.
+FIGURES = 1 + 2 * len({kind for _, kind, _ in SCENES}) + 7
 SECTIONS = ["run", "need", "precision", "order", "horizon", "steps", "effects", "hard-cases", "paper", "peers", "failures"]
 
 
@@ -80,6 +80,8 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "bench").mkdir()
     rows = [["gravity only", 2000, 200, 1], ["friction", 8000, 800, 4]]
     write(folder / "bench", "effects", ["case", "instructions", "ns", "ratio"], rows)
+    times = [[step, 1000, up, count] for step in (0.001, 0.004) for up, count in ((501.2, 900), (1000.0, 90), (1e5, 1))]
+    write(folder / "bench", "step-times", ["step [s]", "solver.maxWork", "up to [ns]", "steps"], times)
     return folder
 
 

@@ -4,6 +4,7 @@ None of them sees everything; what is seen by our own checks alone, those of tes
 """
 
 import inspect
+import re
 import subprocess
 import sys
 import zipfile
@@ -19,7 +20,7 @@ import test_package
 
 @dataclass(frozen=True)
 class Break:
-    """What is replaced in modelDescription.xml, once, and whom it must not escape."""
+    """What is replaced in modelDescription.xml, once, and whom it must not escape; @ before a name stands for its index."""
 
     name: str
     old: str
@@ -44,10 +45,16 @@ BREAKS = [
     ),
     Break("a start value outside its bounds", 'start="10" min="1" max="100"', 'start="0" min="1" max="100"', ("own",)),
     Break("bounds the wrong way round", 'start="10" min="1" max="100"', 'start="10" min="100" max="1"', ("own",)),
-    Break("an output that is not listed", '<Unknown index="102" dependencies="102"/>', "", ("fmpy", "fmutool", "own")),
-    Break("a dependency on nothing", 'index="102" dependencies="102"', 'index="102" dependencies="9700"', ("own",)),
+    Break("an output that is not listed", '<Unknown index="@theta[1]" dependencies="@theta[1]"/>', "", ("fmpy", "fmutool", "own")),
+    Break("a dependency on nothing", 'index="@theta[1]" dependencies="@theta[1]"', 'index="@theta[1]" dependencies="9700"', ("own",)),
     Break("a log category that is not used", 'name="logEvents"', 'name="logMore"', ("own",)),
 ]
+
+
+def with_indices(text: str, description: bytes) -> bytes:
+    """The text with the indices of variables in a model description."""
+    names = [v.get("name") for v in etree.fromstring(description).iterfind("ModelVariables/ScalarVariable")]
+    return re.sub(r"@([\w.\[\]]+)", lambda name: str(1 + names.index(name[1])), text).encode()
 
 
 @pytest.fixture
@@ -59,8 +66,9 @@ def broken(fmu: Path, tmp_path: Path, request: pytest.FixtureRequest) -> Path:
         for item in source.infolist():
             content = source.read(item)
             if item.filename == "modelDescription.xml":
-                assert change.old.encode() in content, f"there is no {change.old} to break"
-                content = content.replace(change.old.encode(), change.new.encode(), 1)
+                old, new = (with_indices(text, content) for text in (change.old, change.new))
+                assert old in content, f"there is no {change.old} to break"
+                content = content.replace(old, new, 1)
             target.writestr(item, content)
     return copy
 

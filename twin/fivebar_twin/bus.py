@@ -12,7 +12,7 @@ import paho.mqtt.client as mqtt
 from fivebar_twin.config import Broker
 from fivebar_twin.messages import topic
 
-RELIABLE: Final = ("alarm", "param", "cmd", "state")
+RELIABLE: Final = ("alarm", "param", "cmd", "state", "whatif")
 """Kinds that are sent at least once (QoS 1). Samples and what follows from them are sent once (QoS 0): the next one is newer."""
 
 log = logging.getLogger("fivebar")

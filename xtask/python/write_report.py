@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     if not (m.precision and m.references and m.energy and m.horizon and m.steps):
         print(f"There are no tables in {data}; `cargo xtask report` measures them.", file=sys.stderr)
         return 1
-    for table in (m.effects, m.calls, m.hard_cases, m.peers):
+    for table in (m.effects, m.calls, m.step_times, m.hard_cases, m.peers):
         keep_beside(table, data)
     curves = {scene: curves_of(options.runs / scene, scene, data) for scene in sections.PAPER}
     with plt.rc_context(STYLE):

@@ -2,7 +2,9 @@
 
 mod bench;
 mod compare;
+mod estimator;
 mod hard_cases;
+mod kinks;
 mod package;
 mod paths;
 mod peers;
@@ -69,6 +71,15 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
+    /// Measure how well machines are followed, print tables of figures beside what they have to be; some minutes
+    Estimator {
+        /// Only tables whose name contains this: benchmark, quality, compare, singular, forecast, detection, foreign
+        #[arg(long, default_value = "")]
+        only: String,
+        /// Part of the runs that are made
+        #[arg(long, default_value_t = 1.0)]
+        part: f64,
+    },
     /// Measure what accuracy costs in time, write the page target/report/index.html
     Report(report::Options),
     /// Run other programs on the same scenes beside ours, write target/peers/peers.csv; needs packages of some 2 GB
@@ -87,6 +98,8 @@ enum Command {
     },
     /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
     Prices,
+    /// Draw stick and slip, a bounce and a hold for docs/effects.md, write docs/images/kinks.svg
+    Kinks,
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
     Package {
         /// A unit of one's own, target/fmu/NAME.fmu: its start values, experiment and description come from this file, written like
@@ -123,11 +136,13 @@ fn command(command: Command) -> Result<()> {
         Command::Compare { revision } => compare::compare(&revision),
         Command::Walk(options) => walk::walk(&options),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
+        Command::Estimator { only, part } => estimator::estimator(&only, part),
         Command::Report(options) => report::report(&options),
         Command::Peers { only } => peers::peers(&only),
         Command::Bench { check: true, .. } => bench::check(),
         Command::Bench { quick, .. } => bench::bench(quick),
         Command::Prices => prices::prices(),
+        Command::Kinks => kinks::kinks(),
         Command::Package { scene, name, all_platforms } => {
             let scope = if all_platforms { Scope::All } else { Scope::Here };
             match scene {

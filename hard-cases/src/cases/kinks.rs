@@ -1,9 +1,10 @@
-//! 9: loads with kinks, random: slow and fast touches, stops, drives that saturate, friction, and all of it together. Judged by a program of
-//! its own, `independent.rs`.
+//! 9: loads with kinks, random: slow and fast touches, stops, drives that saturate, friction, all of it together, and friction that sticks.
+//! Judged by a program of its own, `independent.rs` with `sticking.rs`.
 
 use std::f64::consts::TAU;
 use std::sync::OnceLock;
 
+use fivebar::effects::Law;
 use fivebar::fmi::bindings::default_parameters;
 use fivebar::observers;
 use fivebar::simulation::{Inputs, Parameters, Simulation};
@@ -19,12 +20,15 @@ use crate::watch::Watch;
 type Scene = fn(&mut Random) -> (Parameters, Inputs, f64);
 
 pub(super) fn cases(extent: Extent) -> Vec<Case> {
-    let kinds: [(&str, Scene); 5] = [
+    let kinds: [(&str, Scene); 8] = [
         ("slow touches", slow_touch),
         ("fast touches", fast_touch),
         ("stops", stops),
         ("drives and friction", drives),
         ("all loads with kinks", everything),
+        ("stick and slip", stick_and_slip),
+        ("holding under gravity", holding),
+        ("drives against friction that sticks", drives_that_stick),
     ];
     kinds.into_iter().enumerate().map(|(kind, (name, scene))| case(name, kind as u64, scene, extent.pick(200, 3))).collect()
 }
@@ -154,4 +158,40 @@ fn everything(random: &mut Random) -> (Parameters, Inputs, f64) {
     let duration = random.uniform(0.1, 0.3);
     plane(random, &mut parameters, &inputs, duration, [1e-6, 1e-2]);
     (parameters, inputs, duration)
+}
+
+/// A soft servo pulls against friction that falls when it lets go.
+fn stick_and_slip(random: &mut Random) -> (Parameters, Inputs, f64) {
+    let mut parameters = machine(random, 0.0);
+    parameters.effects.gravity.enabled = random.sign() > 0.0;
+    let inputs = driven(random, &mut parameters);
+    let friction = &mut parameters.effects.friction;
+    friction.law = Law::Stick;
+    for joint in 0..5 {
+        friction.breakaway[joint] = friction.coulomb[joint] * random.uniform(1.0, 3.0);
+    }
+    friction.breakaway_velocity = random.log_uniform(1e-3, 0.3);
+    parameters.effects.servo.kd = [0.0; 2];
+    (parameters, inputs, random.uniform(0.2, 0.6))
+}
+
+/// Motors whose friction holds the machine, or nearly: what moves comes to rest, or slides down.
+fn holding(random: &mut Random) -> (Parameters, Inputs, f64) {
+    let mut parameters = machine(random, 1.0);
+    let friction = &mut parameters.effects.friction;
+    (friction.enabled, friction.law) = (true, Law::Stick);
+    for joint in 0..5 {
+        let scale = if joint == 0 || joint == 4 { random.log_uniform(0.01, 0.1) } else { random.log_uniform(1e-4, 1e-2) };
+        (friction.coulomb[joint], friction.breakaway[joint]) = (scale, scale * random.uniform(1.0, 1.5));
+    }
+    friction.breakaway_velocity = random.log_uniform(0.01, 0.3);
+    parameters.effects.viscous.enabled = random.sign() > 0.0;
+    (parameters, NO_LOAD, random.uniform(0.2, 0.6))
+}
+
+fn drives_that_stick(random: &mut Random) -> (Parameters, Inputs, f64) {
+    let mut parameters = machine(random, 2.0);
+    let inputs = driven(random, &mut parameters);
+    parameters.effects.friction.law = Law::Stick;
+    (parameters, inputs, random.uniform(0.1, 0.4))
 }

@@ -6,7 +6,7 @@ use super::stages::{Slope, Stages};
 use super::step::LONGEST;
 use super::{DenseStep, LEAST_LOG_ERROR, Memory, Settings};
 use crate::integrator::consistency::{Bounds, Inconsistency};
-use crate::integrator::{Approach, Departure, Kinked, Passage, StepError, System};
+use crate::integrator::{Approach, Departure, Kinked, Passage, State, StepError, System};
 use crate::vector::Vector;
 
 /// Part of each value by which a straight motion made once more may differ: it may have been cut short by something else.
@@ -24,6 +24,11 @@ impl Memory {
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
+    /// The beginning of the step with the sides on which it is made, and its end with those behind it.
+    pub fn ends(&self) -> [(&State<N, M>, K); 2] {
+        [(&self.start, self.sides), (&self.end, self.sides_behind)]
+    }
+
     /// Whether both ends are states, and the step leads from one to the other.
     #[cold]
     pub fn check<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(

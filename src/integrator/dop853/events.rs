@@ -73,7 +73,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The sides of the step: where they are others than before, forces and accelerations are those behind the border.
     fn begin_on<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, sides: K) {
         if sides != self.sides {
-            self.start.balance(system.on(sides).borrow(), settings.regularization);
+            self.start.settle(system.on(sides).borrow(), settings.regularization);
             self.end = self.start;
         }
         (self.sides, self.sides_behind) = (sides, sides);

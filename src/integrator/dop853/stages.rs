@@ -3,7 +3,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::tableau::{A, ALL, DENSE, END, ERROR_3, ERROR_5, Row, STAGES};
-use crate::integrator::equilibrium::equilibrium_at;
+use crate::integrator::equilibrium::equilibrium_under;
 use crate::integrator::{State, System, Work};
 use crate::vector::Vector;
 
@@ -21,8 +21,9 @@ impl<const N: usize> Slope<N> {
     #[inline(always)]
     fn at<const M: usize, S: System<N, M>>(system: &S, regularization: f64, q: &Vector<N>, v: &Vector<N>) -> Self {
         let pose = system.pose(q);
-        let (a, _) = equilibrium_at(system, q, &pose, v, &system.factor_mass(&pose, regularization));
-        Self { q: *v, v: a, power: if system.follows_work() { system.power(q, &pose, v) } else { Work::default() } }
+        let (forces, power) = system.forces_and_power(q, &pose, v);
+        let (a, _) = equilibrium_under(system, &forces, (q, &pose, v), &system.factor_mass(&pose, regularization));
+        Self { q: *v, v: a, power }
     }
 }
 

@@ -54,12 +54,18 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let mut rejected = false;
         self.settle(system, settings);
         let mut on_sides = system.on(self.sides);
+        if on_sides.borrow().is_at_rest() {
+            self.length = longest.min(LONGEST);
+            self.end = self.start;
+            self.end.counters.substeps += 1;
+            return Ok(());
+        }
         let mut tries = 0;
         loop {
             let on: &S = on_sides.borrow();
             let mut stages = Stages::new(on, settings.regularization, &self.start, h);
             let end = stages.end();
-            let mut error = stages.error(&settings.allowed_of(on), &end[1]);
+            let error = stages.error(&settings.allowed_of(on), &end[1]);
             let arrival = if error <= 1.0 { settings.project_and_evaluate(on, end) } else { Err(StepError::NotFinite) };
             if let Ok((iterations, arrival)) = arrival {
                 self.accept(on, &stages, (iterations, arrival));
@@ -86,16 +92,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 if interpolated && !(on.has_kinks() && self.dense != [Slope::NONE; 4]) {
                     self.dense = stages.dense(on, settings.regularization, &self.end);
                 }
-                if !interpolated || !on.is_steep() || self.interpolates_well(settings) {
-                    self.end.error_estimate = error * settings.error_tolerance;
-                    self.adapt(error, wanted, rejected);
-                    if self.memory.stiffness.is_due(self.end.counters.substeps) {
-                        self.memory.stiffness.check(h * stages.fastest_rate(&self.end));
-                    }
-                    return Ok(());
+                self.end.error_estimate = error * settings.error_tolerance;
+                self.adapt(error, wanted, rejected);
+                if self.memory.stiffness.is_due(self.end.counters.substeps) {
+                    self.memory.stiffness.check(h * stages.fastest_rate(&self.end));
                 }
-                self.retract();
-                error = f64::NAN;
+                return Ok(());
             }
             self.end.counters.rejected += 1;
             rejected = true;
@@ -129,7 +131,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Whether the interpolant is of one piece: its rates are the derivatives of its coordinates. Stages may miss what the further ones
     /// of the interpolant meet.
     #[cold]
-    fn interpolates_well(&self, settings: &Settings) -> bool {
+    pub(super) fn interpolates_well(&self, settings: &Settings) -> bool {
         let (positions, velocities) = (self.positions(), self.velocities());
         [0.125, 0.5, 0.875].into_iter().all(|part| {
             let v = velocities.at(part);
@@ -197,6 +199,9 @@ impl Settings {
         let (iterations, pose) = projection.position(system, q)?;
         let mass = system.factor_mass(&pose, self.regularization);
         *v += velocity_correction(system, &pose, &mass, v);
+        if system.holds() {
+            *v = system.let_hold(*q, *v);
+        }
         Ok((iterations, pose, mass))
     }
 }

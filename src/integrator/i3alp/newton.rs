@@ -2,7 +2,7 @@
 
 use super::super::projection::ROUND_OFF;
 use super::{RATE, Settings};
-use crate::integrator::{Counters, Implicit, State, StepError, TangentPoint};
+use crate::integrator::{Counters, Held, Implicit, State, StepError, TangentPoint};
 use crate::vector::Vector;
 
 /// The step at which [`Settings::tolerance`] holds, s. Multiplier noise is Φ/β, so the tolerance falls with h².
@@ -62,6 +62,11 @@ impl<const N: usize, const M: usize> Step<N, M> {
         Self { delta: Vector::ZERO, lambda: state.lambda, ..*self }
     }
 
+    /// The same step from where the rates do not change.
+    pub(super) fn with_rates_of(&self, state: &State<N, M>) -> Self {
+        Self { delta: -2.0 * self.beta * state.a, ..self.anew(state) }
+    }
+
     pub(super) fn q(&self) -> Vector<N> {
         self.predicted + self.delta
     }
@@ -92,6 +97,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     let mut phi = system.phi(&q, &pose);
     let mut violation = phi.max_norm();
     let mut iterations = 0;
+    let mut held = None;
     loop {
         iterations += 1;
         counters.iterations += 1;
@@ -99,7 +105,11 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let b = beta * system.forces(&q, &pose, &v) - system.mass_times(&pose, &step.acceleration());
         let c = -regularization * beta * step.lambda - phi;
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &step.lambda, h: step.h };
-        let (correction, y) = system.solve_tangent(&at, regularization, (&b, &c))?;
+        let (mut correction, mut y) = system.solve_tangent(&at, regularization, (&b, &c))?;
+        if system.holds() {
+            let (found, force) = let_hold(system, regularization, &at, (correction, y))?;
+            ((correction, y), held) = (found, Some(force));
+        }
         step.lambda = y / beta;
         step.delta += correction;
         q = step.q();
@@ -111,13 +121,33 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let at_round_off = violation >= previous && violation < ROUND_OFF * system.length_scale();
         let correction = correction.max_norm();
         let met = (violation < step.tolerance || at_round_off) && correction < LAST_CORRECTION;
-        if met && (!settings.watches_rates(system) || rates_hold(system, settings, step, &q, &pose)) {
+        if met && (!settings.watches_rates(system) || rates_hold(system, settings, step, held, (&q, &pose))) {
             return Ok(Found { q, pose, v: step.velocity() });
         }
         if iterations >= max_iterations {
             return Err(StepError::NotConverged { iterations, violation, tolerance: step.tolerance, correction });
         }
     }
+}
+
+/// A correction after which nothing moves in what friction holds, and the force that sees to it.
+#[cold]
+fn let_hold<const N: usize, const M: usize, S: Implicit<N, M>>(
+    system: &S,
+    regularization: f64,
+    at: &TangentPoint<'_, S::Pose, N, M>,
+    (correction, y): (Vector<N>, Vector<M>),
+) -> Result<((Vector<N>, Vector<M>), Vector<N>), StepError> {
+    let Held::Direction { row, force, .. } = system.held(at.q, at.pose, at.v) else { return Ok(((correction, y), Vector::ZERO)) };
+    let beta = at.h * at.h / 4.0;
+    let (by_force, y_by_force) = system.solve_tangent(at, regularization, (&(beta * force), &Vector::ZERO))?;
+    // The rate is that of the trapezoidal rule, which a correction changes by 2/h of it.
+    let mobility = row.dot(&by_force);
+    if mobility == 0.0 {
+        return Ok(((correction, y), Vector::ZERO));
+    }
+    let part = -(at.h / 2.0 * row.dot(at.v) + row.dot(&correction)) / mobility;
+    Ok(((correction + part * by_force, y + part * y_by_force), part * force))
 }
 
 /// Whether what the equations of the step still leave changes rates by less than their tolerance: where forces change steeply with them, a
@@ -127,14 +157,16 @@ fn rates_hold<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
     step: &Step<N, M>,
-    q: &Vector<N>,
-    pose: &S::Pose,
+    held: Option<Vector<N>>,
+    (q, pose): (&Vector<N>, &S::Pose),
 ) -> bool {
     /// Part of the tolerance.
     const PART: f64 = 0.1;
     let v = step.velocity();
     let pull = system.phi_q_transposed_times(pose, &step.lambda);
-    let left = system.forces(q, pose, &v) - pull - system.mass_times(pose, &(step.acceleration() / step.beta));
+    let left = system.forces(q, pose, &v) + held.unwrap_or(Vector::ZERO)
+        - pull
+        - system.mass_times(pose, &(step.acceleration() / step.beta));
     let inertia = system.mass_times(pose, &Vector::from([1.0; N]));
     let change = Vector::from_fn(|i| step.h / 2.0 * left[i] / inertia[i]);
     system.angle_norm(&change) <= PART * settings.error_tolerance * (RATE + system.angle_norm(&v))

@@ -22,6 +22,8 @@ const HARDENING: [f64; 2] = [1.05, 30.0];
 const SMALLER: [f64; 2] = [1e-5, 1e-7];
 /// Stages of the finer continuations and their part of e.
 const FINER: [(u32, f64); 4] = [(8, 1e-5), (32, 1.0), (32, 1e-5), (128, 1e-5)];
+/// Shorter steps whose end is a first guess.
+const SHORTER: [u32; 4] = [2, 4, 8, 16];
 /// Most iterations to a root, and at the stages on the way there.
 const SOLVED: (u32, Until) = (10, Until::Solved);
 const ON_THE_WAY: (u32, Until) = (10, Until::Corrected(1e-8));
@@ -96,6 +98,32 @@ fn root<const N: usize, const M: usize, S: Discrete<N, M>>(
         .or_else(|| continued(step, with(1.0), rest, 8, allowance))
         .or_else(|| SMALLER.into_iter().find_map(|part| at_once(part, allowance)))
         .or_else(|| FINER.into_iter().find_map(|(stages, part)| continued(step, with(part), rest, stages, allowance)))
+        .or_else(|| SHORTER.into_iter().find_map(|parts| by_shorter_steps(step, with(SMALLER[0]), rest, parts, allowance)))
+}
+
+/// From where this many shorter steps lead: another root than those that a growing step follows, which may have come to a fold.
+fn by_shorter_steps<const N: usize, const M: usize, S: Discrete<N, M>>(
+    step: &Step<'_, S, N, M>,
+    regularization: f64,
+    (a, lambda): (&Vector<N>, &Vector<M>),
+    parts: u32,
+    allowance: &mut Allowance<'_>,
+) -> Option<Root<S, N, M>> {
+    let h = step.h / f64::from(parts);
+    let mut x = from_equilibrium(&step.v, (a, lambda), h);
+    let mut sum = Unknowns { d: Vector::ZERO, lambda: Vector::ZERO, nu: Vector::ZERO };
+    let (mut q, mut v) = (step.q, step.v);
+    for part in 0..parts {
+        let shorter = Step::new(step.system, [&q, &v], h);
+        if part > 0 {
+            x.d = h * v;
+        }
+        let end = whole(&shorter, &mut x, regularization, SOLVED, allowance)?;
+        (q, v) = (q + x.d, end.v);
+        sum.d += x.d;
+        sum.lambda += f64::from(parts) * x.lambda;
+    }
+    whole(step, &mut sum, regularization, SOLVED, allowance).map(|end| (sum, end))
 }
 
 /// Friction that turns at larger rates has a root that is easy to find; from there the law hardens.

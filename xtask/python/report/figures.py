@@ -8,6 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 from pictures import FAINT, INK
 from report.picks import one_of_each_kind, power
@@ -44,10 +45,6 @@ def work_precision(markers: list[Marker], references: list[Reference]) -> Figure
         for method, colour in COLOURS.items():
             line = [m for m in own if m.method == method]
             _line(axes, [m.cost for m in line], [m.error for m in line], method)
-            for m in line[::3]:
-                note = axes.annotate(m.setting, (m.cost, m.error), xytext=(5, 3), textcoords="offset points", fontsize=7, color=colour)
-                # Notes lie inside the panels: making room for each of them takes seconds.
-                note.set_in_layout(False)
         if own:
             limits = min(m.cost for m in own) / 1.5, max(m.cost for m in own) * 3
             axes.set_xlim(*limits)
@@ -59,10 +56,36 @@ def work_precision(markers: list[Marker], references: list[Reference]) -> Figure
         top.set_xlabel("times real time", fontsize=8, color="#495057")
         top.tick_params(labelsize=7.5, colors="#495057")
         top.minorticks_off()
+        _notes(axes, own)
     for row in panels:
         row[0].set_ylabel("largest error of the tip  (m)")
     _legend(figure, panels[0][0])
     return figure
+
+
+NOTE_SIZE = 7
+"""Of the settings beside markers, points."""
+
+SIDES = (((5, 3), "left", "bottom"), ((5, -3), "left", "top"), ((-5, -3), "right", "top"), ((-5, 3), "right", "bottom"))
+"""Where a note may stand: how far from its marker, points, and what of it is there."""
+
+
+def _notes(axes: Axes, markers: list[Marker]) -> None:
+    """The setting beside every third marker of each line, where it covers no other note; where it would on every side, it is left out."""
+    taken: list[Bbox] = []
+    for method, colour in COLOURS.items():
+        for m in [m for m in markers if m.method == method][::3]:
+            for offset, ha, va in SIDES:
+                note = axes.annotate(
+                    m.setting, (m.cost, m.error), xytext=offset, textcoords="offset points", fontsize=NOTE_SIZE, color=colour, ha=ha, va=va
+                )
+                # Notes lie inside the panels: making room for each of them takes seconds.
+                note.set_in_layout(False)
+                box = note.get_window_extent()
+                if not any(box.overlaps(other) for other in taken):
+                    taken.append(box)
+                    break
+                note.remove()
 
 
 def main_picture(markers: list[Marker], references: list[Reference]) -> Figure:

@@ -21,6 +21,10 @@ SETTING_COLOURS = {
 """The settings of steps.csv."""
 
 
+BINS = 10 ** (np.arange(81) / 10) / 1e3
+"""Those of step-times.csv: ten a decade from 1 ns on, µs."""
+
+
 def step_times(rows: list[Row]) -> Figure:
     """What share of the calls takes longer than a time."""
     figure, panels = plt.subplots(1, 2, figsize=(10.6, 4.2), sharey=True)
@@ -35,6 +39,20 @@ def step_times(rows: list[Row]) -> Figure:
         axes.legend(loc="lower left", fontsize=8)
     panels[0].set_ylim(bottom=3e-6)  # room for the legends
     panels[0].set_ylabel("share of the calls that take longer")
+    return figure
+
+
+def histogram(rows: list[Row]) -> Figure:
+    """How many strictly fixed steps take how long, each timed alone."""
+    figure, axes = plt.subplots(figsize=(8.4, 4.2))
+    settings = list(dict.fromkeys((row["step [s]"], row["solver.maxWork"]) for row in rows))
+    for (step, work), colour in zip(settings, RUN_COLOURS):
+        own = [row for row in rows if (row["step [s]"], row["solver.maxWork"]) == (step, work)]
+        ends, counts = (np.array([float(row[name]) for row in own]) for name in ("up to [ns]", "steps"))
+        label = f"h = {1e3 * float(step):g} ms, solver.maxWork = {work}: {counts.sum():.0e} steps".replace("e+0", "e")
+        axes.hist(ends / 10**0.05 / 1e3, bins=BINS, weights=counts, histtype="step", color=colour, linewidth=1.5, label=label)
+    logarithmic(axes, xlabel="µs per step", ylabel="steps, per tenth of a decade")
+    axes.legend(loc="upper right", fontsize=8.5)
     return figure
 
 

@@ -149,6 +149,13 @@ def steps(m: Measurements) -> Section:
     section.figure(more_figures.step_times(m.steps.rows), "steps", caption, ["steps.csv"])
     caption = "Sub-steps and iterations against the smallest singular values, a dot per call. Many of them are due to whips, which happen near singularities but reach beyond them."
     section.figure(more_figures.near_singularities(m.steps.rows), "singular", caption, ["steps.csv"])
+    section.parts.append("<h3>Every strictly fixed step</h3>")
+    if m.step_times:
+        section.text("What a real-time user looks for: each step of the perturbed falls by i3alpConserving, timed alone, the rescues of rare steps included.")
+        caption = "How many steps take how long; the clock's own calls, some 0.05 µs, are part of it. docs/conserving.md says how the longest are bounded."
+        section.figure(more_figures.histogram(m.step_times.rows), "histogram", caption, ["step-times.csv"])
+    else:
+        section.missing("the histogram of strictly fixed steps", "cargo xtask bench")
     if m.calls:
         section.parts.append("<h3>By scene</h3>")
         section.text("At the default settings, one call for each communication step of the scene. The largest time is mostly due to the machine.")

@@ -141,6 +141,7 @@ class Measurements:
     steps: Table
     effects: Table
     calls: Table
+    step_times: Table
     hard_cases: Table
     peers: Table
 
@@ -152,6 +153,7 @@ class Measurements:
             **own,
             effects=read_bench(bench, "effects"),
             calls=read_bench(bench, "scenes"),
+            step_times=read_bench(bench, "step-times"),
             hard_cases=read(hard_cases / "hard-cases.csv"),
             peers=read(peers / "peers.csv"),
         )

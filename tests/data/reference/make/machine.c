@@ -77,6 +77,13 @@ void read_signals(void) {
     take_inputs();
 }
 
+/* The payload's body is there where it has a mass. */
+static void carry(void) {
+    mass[4] = on("payload") ? get("payload.mass") : 0;
+    n = mass[4] > 0 ? 14 : 12;
+    m = mass[4] > 0 ? 12 : 10;
+}
+
 void read_scene(void) {
     double value;
     while (entries < MOST && scanf("%63s %la", table[entries].name, &value) == 2) {
@@ -92,10 +99,7 @@ void read_scene(void) {
         mass[i] = get_i("link", i, ".mass");
         inertia[i] = get_i("link", i, ".inertia");
     }
-    bool payload = on("payload") && get("payload.mass") > 0;
-    if (payload) mass[4] = get("payload.mass");
-    n = payload ? 14 : 12;
-    m = payload ? 12 : 10;
+    carry();
     if (on("gravity")) {
         real g = get("gravity.g") * sinq(get("gravity.tilt"));
         gravity[0] = g * cosq(get("gravity.direction"));
@@ -237,8 +241,7 @@ static void point(const real *q, const real *v, int r, real sign, int link, real
     c[r + 1] += sign * w * w * ry;
 }
 
-void derivative(const real *y, real *dy) {
-    const real *q = y, *v = y + n;
+static void constraints(const real *q, const real *v) {
     memset(J, 0, sizeof J);
     memset(c, 0, sizeof c);
     point(q, v, 0, 1, 0, 0);
@@ -250,11 +253,14 @@ void derivative(const real *y, real *dy) {
         point(q, v, 10, 1, 1, length[1]);
         J[10][12] = J[11][13] = -1;
     }
-    real f[MAX_N], w[MAX_N], A[MAX_M][MAX_M + 1];
-    forces(q, v, f);
+}
+
+/* f becomes M^-1 (f + J^T l) with the l for which J times that is b. */
+static void respond(real *f, const real *b) {
+    real w[MAX_N], A[MAX_M][MAX_M + 1];
     for (int i = 0; i < n; i++) w[i] = 1 / (i >= 12 ? mass[4] : i % 3 == 2 ? inertia[i / 3] : mass[i / 3]);
     for (int i = 0; i < m; i++) {
-        A[i][m] = c[i];
+        A[i][m] = b[i];
         for (int k = 0; k < m; k++) A[i][k] = 0;
         for (int k = 0; k < n; k++) {
             if (J[i][k] == 0) continue;
@@ -276,9 +282,34 @@ void derivative(const real *y, real *dy) {
     }
     for (int k = 0; k < n; k++) {
         for (int i = 0; i < m; i++) f[k] += J[i][k] * A[i][m];
-        dy[k] = v[k];
-        dy[n + k] = w[k] * f[k];
+        f[k] *= w[k];
     }
+}
+
+void derivative(const real *y, real *dy) {
+    const real *q = y, *v = y + n;
+    real f[MAX_N];
+    constraints(q, v);
+    forces(q, v, f);
+    respond(f, c);
+    for (int k = 0; k < n; k++) dy[k] = v[k], dy[n + k] = f[k];
+}
+
+void join(real *y) {
+    const real before = mass[4];
+    real theta[LINKS], omega[LINKS], momentum[MAX_N], none[MAX_M] = { 0 };
+    for (int i = 0; i < LINKS; i++) theta[i] = y[TH(i)], omega[i] = y[n + TH(i)];
+    carry();
+    if (mass[4] == before) return;
+    place(theta, omega, y);
+    if (mass[4] < before || get("payload.join") != 1) return;
+    /* The payload's body is what was there, which moves with the tip, and what rests: J^T l makes them one. */
+    real *v = y + n;
+    for (int k = 0; k < 12; k++) momentum[k] = (k % 3 == 2 ? inertia[k / 3] : mass[k / 3]) * v[k];
+    for (int k = 12; k < 14; k++) momentum[k] = before * v[k];
+    constraints(y, v);
+    respond(momentum, none);
+    for (int k = 0; k < n; k++) v[k] = momentum[k];
 }
 
 /* ---- start and tip ---- */

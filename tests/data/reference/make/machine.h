@@ -30,6 +30,10 @@ void read_scene(void);
 /* Reads the next values of the inputs that change; held from now on. */
 void read_signals(void);
 
+/* The payload becomes what read_signals has read, and y with it: mass at rest joins in an inelastic impact, other mass joins or leaves
+ * without one. */
+void join(real *y);
+
 /* Coordinates and velocities y from angles and rates of the links. */
 void place(const real theta[LINKS], const real omega[LINKS], real *y);
 

@@ -30,12 +30,25 @@ SCENES = {
     "swing": 20,
     "stiff_servo": 5,
     "pick_and_place": 16,
+    "pick_up": 16,
     "haptic": 20,
     "flat_table": 30,
     "paper_free_fall": 20,
     "paper_torque_gravity": 25,
     "singular_crossing": 4,  # to before its vertex, at 0.5 s
 }
+
+# The same of scenes with friction that sticks, which sticking.c alone knows.
+STICKING = {
+    "friction_fall_stick": 10,
+    "run_down_stick": 10,
+    "haptic_stick": 20,
+    "stick_slip": 40,
+}
+
+# Local errors per step of sticking.c, which is to agree with itself to this.
+TOLERANCES = ("1e-20", "1e-25")
+AGREED = mpmath.mpf("1e-13")
 
 # Local error per step of midpoint.c: its result agrees with that at 1e-24 to more digits than are asked for.
 TOLERANCE = "1e-26"
@@ -46,44 +59,75 @@ COLUMNS = "t,Qx,Qy,th1,th2,th3,th4,w1,w2,w3,w4"
 
 def main() -> int:
     parser = argparse.ArgumentParser(description="Makes reference trajectories.")
-    parser.add_argument("scenes", nargs="*", default=list(SCENES), help="scenes of the table in this file; all of them")
+    parser.add_argument("scenes", nargs="*", default=[*SCENES, *STICKING], help="scenes of the tables in this file; all of them")
     mpmath.mp.dps = 80  # so that a signal at its last knot is the nearest double, too, and not round-off
     with tempfile.TemporaryDirectory() as folder:
         midpoint = Path(folder) / "midpoint"
         sources = [HERE / "midpoint.c", HERE / "machine.c"]
         subprocess.run(["cc", "-O2", "-o", midpoint, *sources, "-lquadmath"], check=True)
+        sticking = Path(folder) / "sticking"
+        subprocess.run(["cc", "-O2", "-o", sticking, HERE / "sticking.c", "-lquadmath"], check=True)
         for scene in parser.parse_args().scenes:
-            make(scene, midpoint)
+            if scene in STICKING:
+                make_sticking(scene, sticking)
+            else:
+                make(scene, midpoint)
     return 0
 
 
 def make(scene: str, midpoint: Path) -> None:
     """Runs both programs on a scene and writes its file."""
+    tenths, text = str(SCENES[scene]), scene_text(scene, SCENES[scene])
+    first = run([midpoint, tenths, TOLERANCE], text)
+    second = run([sys.executable, HERE / "taylor.py", tenths], text)
+    digits = agreed_digits(scene, first, second, WANTED)
+    how = f"extrapolated midpoint rule (12 or 14 Cartesian coordinates) and Taylor series (4 angles), agree to {digits} digits."
+    write(scene, how, first)
+
+
+def make_sticking(scene: str, sticking: Path) -> None:
+    """Runs one program at two tolerances on a scene with friction that sticks and writes its file."""
+    tenths, text = str(STICKING[scene]), scene_text(scene, STICKING[scene])
+    rough, fine = (run([sticking, tenths, tolerance], text) for tolerance in TOLERANCES)
+    digits = agreed_digits(scene, rough, fine, AGREED)
+    how = f"extrapolated midpoint rule (4 angles, events), at errors per step of {TOLERANCES[0]} and {TOLERANCES[1]}, which agree to {digits} digits."
+    write(scene, how, fine)
+
+
+def scene_text(scene: str, tenths: int) -> str:
+    """What the programs read: values of variables, then the inputs that change by the millisecond."""
     own = own_values(scene)
     signals = own.get("signals", {})
     items = enumeration_items()
     values = start_values() | {name: items[name][value] if name in items else value for name, value in own.items() if name != "signals"}
     lines = [*values.items(), ("signals", len(signals))]
-    for point in range(100 * SCENES[scene] if signals else 0):
+    for point in range(100 * tenths if signals else 0):
         lines += [(name, signal_at(signals, name, mpmath.mpf(point) / 1000)) for name in signals]
-    text = "".join(f"{name} {float(value).hex()}\n" for name, value in lines)
-    tenths = str(SCENES[scene])
-    first = run([midpoint, tenths, TOLERANCE], text)
-    second = run([sys.executable, HERE / "taylor.py", tenths], text)
+    return "".join(f"{name} {float(value).hex()}\n" for name, value in lines)
+
+
+def agreed_digits(scene: str, first: list, second: list, wanted: mpmath.mpf) -> int:
+    """To how many digits all rows agree; refuses too few."""
     difference = max(abs(a - b) / (1 + abs(a)) for x, y in zip(first, second, strict=True) for a, b in zip(x, y, strict=True))
-    digits = int(-mpmath.log10(difference))
     print(f"{scene}: largest difference {mpmath.nstr(difference, 2)} of 1 + |value|", flush=True)
-    if not difference < WANTED:
-        raise SystemExit(f"{scene}: the two programs agree to {digits} digits only, and 15 are wanted.")
+    if not difference < wanted:
+        raise SystemExit(f"{scene}: two runs differ by {mpmath.nstr(difference, 2)}, and {mpmath.nstr(wanted, 2)} is wanted.")
+    return int(-mpmath.log10(difference))
+
+
+def write(scene: str, how: str, rows: list) -> None:
+    """The file of a scene: how it was made, what the scene sets, and the rows."""
+    own = own_values(scene)
     head = [
         f"scene {scene}, set below, everything else as in modelDescription.xml; each number is the double nearest to what is written.",
-        f"Quadruple precision: extrapolated midpoint rule (12 or 14 Cartesian coordinates) and Taylor series (4 angles), agree to {digits} digits.",
-        *(["Inputs that change are held for 1 ms: the double nearest to the signal where each begins."] if signals else []),
+        f"Quadruple precision: {how}",
+        *(["Mass at rest joins in an inelastic impact, mass that leaves goes on with the tip."] if "payload.mass" in own.get("signals", {}) else []),
+        *(["Inputs that change are held for 1 ms: the double nearest to the signal where each begins."] if "signals" in own else []),
         "th: absolute link angles, ccw from +x: 1 left proximal, 2 left distal (elbow to Q), 3 right distal, 4 right proximal; w: rates. SI units.",
         *(f"{name} = {json.dumps(value)}" for name, value in own.items()),
     ]
-    rows = [",".join([mpmath.nstr(row[0], 3), *(mpmath.nstr(x, 24) for x in row[1:])]) for row in first]
-    lines = [*(f"# {line}" for line in head), COLUMNS, *rows]
+    text = [",".join([mpmath.nstr(row[0], 3), *(mpmath.nstr(x, 24) for x in row[1:])]) for row in rows]
+    lines = [*(f"# {line}" for line in head), COLUMNS, *text]
     (HERE.parent / f"{scene}.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
@@ -126,6 +170,8 @@ def signal_at(signals: dict[str, dict], name: str, time: mpmath.mpf) -> mpmath.m
     rate = kind == "rateOf"
     if rate:
         ((kind, value),) = signals[value].items()
+    if kind == "steps":  # a nanosecond early, as there
+        return next((mpmath.mpf(knot[1]) for knot in reversed(value) if knot[0] - 1e-9 <= time), mpmath.mpf(value[0][1]))
     shape = {"linear": [0, 1], "minimumJerk": [0, 0, 0, 10, -15, 6]}[kind]  # a polynomial in u, rising powers
     knots = [tuple(map(mpmath.mpf, knot)) for knot in value]
     if not knots[0][0] <= time < knots[-1][0]:

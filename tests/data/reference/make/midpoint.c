@@ -179,6 +179,7 @@ int main(int argc, char **argv) {
     for (int i = 1; i <= tenths; i++) {
         for (int k = 0; k < holds; k++) {
             read_signals();
+            join(y);
             advance(y, 0.1Q / holds);
         }
         print(i, y);

@@ -68,6 +68,42 @@ def start(scene: Scene) -> list[mpmath.mpf]:
     return [proximal[0], first, second, proximal[1], rates[0], solution[0], solution[1], rates[1]]
 
 
+def leg_constants(scene: Scene, near: int, far: int) -> list[mpmath.mpf]:
+    """Of the leg of links near, far: mass matrix entries a and c, the factor of cos(th_near - th_far) in b, and the moments of its links."""
+    m1, m2 = scene[f"link[{near + 1}].mass"], scene[f"link[{far + 1}].mass"]
+    c1, c2 = scene[f"link[{near + 1}].com"], scene[f"link[{far + 1}].com"]
+    l1, l2 = scene[f"link[{near + 1}].length"], scene[f"link[{far + 1}].length"]
+    i1, i2 = scene[f"link[{near + 1}].inertia"], scene[f"link[{far + 1}].inertia"]
+    carried = scene["payload.mass"] if scene.on("payload") and far == 1 else mpmath.mpf(0)
+    if scene.on("rotor"):
+        motor = 1 if near == 0 else 2
+        i1 += scene[f"rotor.gearRatio[{motor}]"] ** 2 * scene[f"rotor.inertia[{motor}]"]
+    first, second = m1 * c1 + (m2 + carried) * l1, m2 * c2 + carried * l2
+    return [i1 + m1 * c1**2 + (m2 + carried) * l1**2, i2 + m2 * c2**2 + carried * l2**2, l1 * second, first, second]
+
+
+def mass_matrix(scene: Scene, theta: list[mpmath.mpf]) -> mpmath.matrix:
+    """Of the four angles."""
+    matrix = mpmath.zeros(4)
+    for near, far in ((0, 1), (3, 2)):
+        matrix[near, near], matrix[far, far], coupling, *_ = leg_constants(scene, near, far)
+        matrix[near, far] = matrix[far, near] = coupling * mpmath.cos(theta[near] - theta[far])
+    return matrix
+
+
+def after_impact(scene: Scene, mass: mpmath.mpf, state: list[mpmath.mpf]) -> list[mpmath.mpf]:
+    """Angles and rates after mass at rest has joined the tip: M' w' + J^T l = M w, J w' = 0."""
+    theta, lengths = state[:4], scene.row("link[#].length", 4)
+    momentum = mass_matrix(scene, theta) * mpmath.matrix(state[4:])
+    scene["payload.mass"] = mass
+    system = mpmath.zeros(6)
+    system[:4, :4] = mass_matrix(scene, theta)
+    for i, sign in enumerate((1, 1, -1, -1)):
+        system[4, i] = system[i, 4] = -sign * lengths[i] * mpmath.sin(theta[i])
+        system[5, i] = system[i, 5] = sign * lengths[i] * mpmath.cos(theta[i])
+    return [*theta, *mpmath.lu_solve(system, mpmath.matrix([*momentum, 0, 0]))[:4]]
+
+
 class Machine:
     """Symbolic equations of motion."""
 
@@ -89,18 +125,8 @@ class Machine:
     def leg(self, near: int, far: int):
         """Mass matrix entries [[a, b], [b, c]], Coriolis coupling and weight of the leg of links near, far."""
         scene = self.scene
-        m1, m2 = scene[f"link[{near + 1}].mass"], scene[f"link[{far + 1}].mass"]
-        c1, c2 = scene[f"link[{near + 1}].com"], scene[f"link[{far + 1}].com"]
-        l1, l2 = scene[f"link[{near + 1}].length"], scene[f"link[{far + 1}].length"]
-        i1, i2 = scene[f"link[{near + 1}].inertia"], scene[f"link[{far + 1}].inertia"]
-        carried = scene["payload.mass"] if scene.on("payload") and far == 1 else mpmath.mpf(0)
-        if scene.on("rotor"):
-            motor = 1 if near == 0 else 2
-            i1 += scene[f"rotor.gearRatio[{motor}]"] ** 2 * scene[f"rotor.inertia[{motor}]"]
-        first, second = m1 * c1 + (m2 + carried) * l1, m2 * c2 + carried * l2
-        a = quad(i1 + m1 * c1**2 + (m2 + carried) * l1**2)
-        c = quad(i2 + m2 * c2**2 + carried * l2**2)
-        coupling = quad(l1 * second)
+        *constants, first, second = leg_constants(scene, near, far)
+        a, c, coupling = map(quad, constants)
         between = self.theta[near] - self.theta[far]
         b, turn = coupling * hy.cos(between), coupling * hy.sin(between)
         # d/dt dT/dw - dT/dth: + turn w_far^2 on the near link, - turn w_near^2 on the far one.
@@ -207,28 +233,44 @@ def events(switches, first):
     return [hy.t_event(function, callback=turn(i), fp_type=FP) for i, function in enumerate(switches, first)]
 
 
-def main() -> None:
-    tenths = int(sys.argv[1])
-    scene = Scene(sys.stdin)
+def integrator(scene: Scene, state: list[mpmath.mpf], held: list, time):
+    """From a state on, with inputs that change as they are held first; and the tip."""
     machine = Machine(scene)
     accelerations = machine.accelerations()
     system = list(zip(machine.theta, machine.omega)) + list(zip(machine.omega, accelerations))
-    state = np.array([quad(x) for x in start(scene)], dtype=FP)
-    # Which side each switch starts on, in double precision: no scene starts on a switch.
+    # Which side each switch is on, in double precision: no scene starts on a switch.
     names = dict(zip((*map(str, machine.theta), *map(str, machine.omega)), map(float, state)))
     sides = [float(hy.cfunc([g], list((*machine.theta, *machine.omega)))(np.array(list(names.values())))[0]) for g in machine.switches]
     inputs = len(scene.changing)
-    pars = np.array([*(scene.held[0] if inputs else ()), *(FP(1 if g > 0 else 0) for g in sides)], dtype=FP)
+    pars = np.array([*held, *(FP(1 if g > 0 else 0) for g in sides)], dtype=FP)
     kwargs = ({"pars": pars} if len(pars) else {}) | ({"t_events": events(machine.switches, inputs)} if machine.switches else {})
-    ta = hy.taylor_adaptive(system, state, fp_type=FP, tol=FP("1e-30"), compact_mode=True, **kwargs)
-    tip = hy.cfunc(list(machine.tip()[0]), list((*machine.theta, *machine.omega)), fp_type=FP)
+    start = np.array([quad(x) for x in state], dtype=FP)
+    ta = hy.taylor_adaptive(system, start, time=time, fp_type=FP, tol=FP("1e-30"), compact_mode=True, **kwargs)
+    return ta, hy.cfunc(list(machine.tip()[0]), list((*machine.theta, *machine.omega)), fp_type=FP)
+
+
+def main() -> None:
+    tenths = int(sys.argv[1])
+    scene = Scene(sys.stdin)
+    inputs, mass = len(scene.changing), "payload.mass"
+    if mass in scene.changing:
+        scene[mass] = mpmath.mpf(str(scene.held[0][scene.changing.index(mass)]))
+    ta, tip = integrator(scene, start(scene), scene.held[0] if inputs else [], FP(0))
     # A saturated servo is constant to the last digit: longer steps would pass over the instant at which it turns.
     longest = FP("2e-4" if scene.on("servo") else "2e-3")
     holds = 100 if inputs else 1  # in a tenth of a second: inputs that change are held for 1 ms
     for point in range(holds * tenths + 1):
         goal = FP(point) / FP(10 * holds)
         if inputs and point > 0:
-            ta.pars[:inputs] = scene.held[point - 1]
+            held = scene.held[point - 1]
+            carried = mpmath.mpf(str(held[scene.changing.index(mass)])) if mass in scene.changing else scene[mass]
+            if carried != scene[mass]:
+                state = [mpmath.mpf(str(x)) for x in ta.state]
+                if carried > scene[mass] and scene["payload.join"] == 1:
+                    state = after_impact(scene, carried, state)
+                scene[mass] = carried
+                ta, tip = integrator(scene, state, held, ta.time)
+            ta.pars[:inputs] = held
         while ta.time < goal:
             ta.propagate_until(goal, max_delta_t=longest)
         if point % holds == 0:

@@ -1,0 +1,331 @@
+//! Dry friction as a set-valued law: where it may hold, what it does there, and how that follows from the forces.
+//!
+//! A grip is a direction in which parts slide on each other: one of the joints, or the tip along the plane. While it slips, friction is
+//! a force against the motion; while it holds, it is whatever keeps its rate 0, up to its bound. Which of them hold ([`Grips`]) is for
+//! the method to remember; how a system finds it out from coordinates and rates is in `simulation/grips.rs`.
+//!
+//! Where rates vanish, the accelerations are those of Gauss's principle with friction: of all that the bounds allow the least
+//! ½ (q̈ − q̈₀)ᵀ M (q̈ − q̈₀) + Σ b |ẇ|, with q̈₀ those without friction there (Moreau, 1988; Glocker, *Set-Valued Force Laws*, 2001).
+//! They are unique. The mechanism has two degrees of freedom, so that no more than two independent grips hold, and then nothing moves.
+
+use arrayvec::ArrayVec;
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::force_context::JOINTS;
+use crate::mechanism::LINKS;
+use crate::vector::Vector;
+
+/// Number of grips: the joints, and the tip on the plane.
+pub const GRIPS: usize = JOINTS + 1;
+
+/// Place of the tip among them.
+pub(super) const TIP_GRIP: usize = JOINTS;
+
+/// What dry friction does at rest: the `….law` variables.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Law {
+    /// A smooth function of the rate, which creeps under load.
+    #[default]
+    Smooth,
+    /// Set-valued: it holds up to its bound.
+    Stick,
+}
+
+/// Which way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+pub enum Way {
+    /// With the rate positive.
+    Forward,
+    /// With it negative.
+    Backward,
+}
+
+impl Way {
+    /// That of a number.
+    pub fn of(x: f64) -> Self {
+        if x < 0.0 { Self::Backward } else { Self::Forward }
+    }
+
+    /// ±1.
+    pub fn sign(self) -> f64 {
+        match self {
+            Self::Forward => 1.0,
+            Self::Backward => -1.0,
+        }
+    }
+}
+
+/// What a grip does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+pub enum Grip {
+    /// There is none: no friction, a smooth law, or nothing touches.
+    Open,
+    /// It slips.
+    Slips(Way),
+    /// It holds. Where several hold the same motion, their shares act this way relative to the first.
+    Holds(Way),
+}
+
+/// What all grips do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+pub struct Grips {
+    places: [Grip; GRIPS],
+    /// Whether they hold the whole mechanism.
+    at_rest: bool,
+}
+
+impl Grips {
+    /// There are none.
+    pub const OPEN: Self = Self { places: [Grip::Open; GRIPS], at_rest: false };
+
+    /// What one does.
+    pub fn at(&self, place: usize) -> Grip {
+        self.places[place]
+    }
+
+    /// Changes what one does.
+    pub fn set(&mut self, place: usize, grip: Grip) {
+        self.places[place] = grip;
+    }
+
+    /// Whether nothing moves.
+    #[inline]
+    pub fn at_rest(&self) -> bool {
+        self.at_rest
+    }
+
+    /// All of these hold, and the mechanism with them.
+    pub fn resting(places: impl Iterator<Item = usize>) -> Self {
+        let mut grips = Self { at_rest: true, ..Self::OPEN };
+        places.for_each(|place| grips.set(place, Grip::Holds(Way::Forward)));
+        grips
+    }
+
+    /// Whether any holds.
+    #[inline]
+    pub fn hold(&self) -> bool {
+        self.places.iter().any(|grip| matches!(grip, Grip::Holds(_)))
+    }
+
+    /// The sign of friction's direction in a grip that moves at a rate: of what slips that of its way, of what holds 0; by itself that
+    /// of the rate.
+    pub(super) fn direction(&self, place: usize, rate: f64) -> f64 {
+        match self.places[place] {
+            Grip::Slips(way) => way.sign(),
+            Grip::Holds(_) => 0.0,
+            Grip::Open if rate == 0.0 => 0.0,
+            Grip::Open => Way::of(rate).sign(),
+        }
+    }
+}
+
+/// A grip as it is now, in N coordinates.
+#[derive(Clone, Copy, Debug)]
+pub struct Grasp<const N: usize> {
+    /// Its place in [`Grips`].
+    pub place: usize,
+    /// Its rate is row·q̇; a torque or force T in it acts with T·row.
+    pub row: Vector<N>,
+    /// Its acceleration is row·q̈ + drift.
+    pub drift: f64,
+    /// Rate, rad/s or m/s.
+    pub rate: f64,
+    /// What it holds at most, N·m or N.
+    pub bound: f64,
+    /// By how much its rate changes with that of each link at most.
+    pub arms: [f64; LINKS],
+}
+
+/// All grips that there are.
+pub type Grasps<const N: usize> = ArrayVec<Grasp<N>, GRIPS>;
+
+/// What grips have to hold: those whose rate is 0, as the equations of motion see them.
+#[derive(Clone, Debug, Default)]
+pub struct Balance {
+    /// Their places.
+    pub places: ArrayVec<usize, GRIPS>,
+    /// Their accelerations per unit of torque in each.
+    pub mobility: [[f64; GRIPS]; GRIPS],
+    /// Their accelerations without any of these torques.
+    pub change: [f64; GRIPS],
+    /// Their bounds, all positive.
+    pub bounds: [f64; GRIPS],
+}
+
+/// Inequalities are judged to this part of the bounds.
+const SHARP: f64 = 1e-9;
+
+/// What is held counts in the torques at rest, which it does not determine alone, by this part.
+const RIDGE: f64 = 1e-12;
+
+/// What each of the grips of a [`Balance`] may do.
+type Pattern = [Grip; GRIPS];
+
+impl Balance {
+    fn len(&self) -> usize {
+        self.places.len()
+    }
+
+    /// The greatest acceleration that friction in a grip alone may make.
+    fn scale(&self, i: usize) -> f64 {
+        self.mobility[i][i] * self.bounds[i]
+    }
+
+    /// Whether friction can hold all of them, and that leaves no motion.
+    #[cold]
+    #[inline(never)]
+    pub fn can_rest(&self) -> bool {
+        let n = self.len();
+        let all = (0..n).any(|i| (0..i).any(|j| !self.are_parallel(i, j)));
+        all && (self.shared().is_some() || self.best(2..=2).is_some_and(|(violation, _)| violation <= SHARP))
+    }
+
+    /// Whether all of them hold the same motion.
+    pub fn is_one(&self) -> bool {
+        (1..self.len()).all(|i| self.are_parallel(0, i))
+    }
+
+    /// Whether two of them hold the same motion.
+    fn are_parallel(&self, i: usize, j: usize) -> bool {
+        let g = &self.mobility;
+        g[i][j] * g[i][j] >= (1.0 - SHARP) * g[i][i] * g[j][j]
+    }
+
+    /// The torques by which all hold: of those possible the ones that use the smallest parts of their bounds, or where these are not within
+    /// them, those by which all but two give all they can.
+    #[cold]
+    #[inline(never)]
+    pub fn resting_torques(&self) -> [f64; GRIPS] {
+        self.shared().unwrap_or_else(|| self.best(2..=2).map_or([0.0; GRIPS], |(_, pattern)| self.torques(&pattern)))
+    }
+
+    /// (D G D + ε tr) x = −D c, T = D x with D the bounds, by Cholesky's method.
+    #[cold]
+    #[inline(never)]
+    fn shared(&self) -> Option<[f64; GRIPS]> {
+        let n = self.len();
+        let trace: f64 = (0..n).map(|i| self.bounds[i] * self.scale(i)).sum();
+        if trace <= 0.0 {
+            return None;
+        }
+        // Cholesky, row by row.
+        let mut lower = [[0.0; GRIPS]; GRIPS];
+        let mut x = [0.0; GRIPS];
+        for i in 0..n {
+            for j in 0..=i {
+                let entry = self.bounds[i] * self.mobility[i][j] * self.bounds[j] + if i == j { RIDGE * trace } else { 0.0 };
+                let rest = entry - (0..j).map(|k| lower[i][k] * lower[j][k]).sum::<f64>();
+                if i == j && rest <= 0.0 {
+                    return None;
+                }
+                lower[i][j] = if i == j { rest.sqrt() } else { rest / lower[j][j] };
+            }
+            let known: f64 = (0..i).map(|k| lower[i][k] * x[k]).sum();
+            x[i] = (-self.bounds[i] * self.change[i] - known) / lower[i][i];
+        }
+        for i in (0..n).rev() {
+            let known: f64 = (i + 1..n).map(|k| lower[k][i] * x[k]).sum();
+            x[i] = (x[i] - known) / lower[i][i];
+        }
+        let mut torques = [0.0; GRIPS];
+        for i in 0..n {
+            torques[i] = self.bounds[i] * x[i];
+        }
+        // Where no torques hold all of them, those of least squares leave accelerations.
+        let left = self.accelerations(&torques);
+        let holds = (0..n).all(|i| x[i].abs() <= 1.0 && left[i].abs() <= 1e3 * SHARP * self.scale(i));
+        holds.then_some(torques)
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn accelerations(&self, torques: &[f64; GRIPS]) -> [f64; GRIPS] {
+        std::array::from_fn(|i| self.change[i] + (0..self.len()).map(|k| self.mobility[i][k] * torques[k]).sum::<f64>())
+    }
+
+    /// The torques of a pattern: slipping grips give their bounds, and no more than two hold.
+    #[cold]
+    #[inline(never)]
+    fn torques(&self, pattern: &Pattern) -> [f64; GRIPS] {
+        let mut torques: [f64; GRIPS] = std::array::from_fn(|i| match pattern[i] {
+            Grip::Slips(way) => -way.sign() * self.bounds[i],
+            Grip::Holds(_) | Grip::Open => 0.0,
+        });
+        let left = self.accelerations(&torques);
+        let mut held = (0..self.len()).filter(|i| matches!(pattern[*i], Grip::Holds(_)));
+        match (held.next(), held.next()) {
+            (Some(i), None) => torques[i] = quotient(-left[i], self.mobility[i][i]),
+            (Some(i), Some(j)) => {
+                let [[a, b], [c, d]] = [[i, i], [j, j]].map(|[row, _]| [self.mobility[row][i], self.mobility[row][j]]);
+                let determinant = a * d - b * c;
+                torques[i] = quotient(b * left[j] - d * left[i], determinant);
+                torques[j] = quotient(c * left[i] - a * left[j], determinant);
+            }
+            _ => {}
+        }
+        torques
+    }
+
+    /// The pattern that violates the law least, of those in which so many hold; by how much, as a part of the bounds.
+    #[cold]
+    #[inline(never)]
+    fn best(&self, holds: std::ops::RangeInclusive<usize>) -> Option<(f64, Pattern)> {
+        let n = self.len();
+        let mut best: Option<(f64, Pattern)> = None;
+        for mut code in 0..3_usize.pow(n as u32) {
+            let mut pattern = [Grip::Open; GRIPS];
+            for grip in &mut pattern[..n] {
+                *grip = [Grip::Holds(Way::Forward), Grip::Slips(Way::Forward), Grip::Slips(Way::Backward)][code % 3];
+                code /= 3;
+            }
+            if !holds.contains(&pattern.iter().filter(|grip| matches!(grip, Grip::Holds(_))).count()) {
+                continue;
+            }
+            let torques = self.torques(&pattern);
+            let left = self.accelerations(&torques);
+            let violation = (0..n).fold(0.0, |most: f64, i| {
+                most.max(match pattern[i] {
+                    Grip::Holds(_) => torques[i].abs() / self.bounds[i] - 1.0,
+                    Grip::Slips(way) => quotient(-way.sign() * left[i], self.scale(i)),
+                    Grip::Open => 0.0,
+                })
+            });
+            if best.is_none_or(|(least, _)| violation < least) {
+                best = Some((violation, pattern));
+            }
+        }
+        best
+    }
+
+    /// What they do where something moves, or will: no more than one of them holds by itself, and with it those that hold the same motion.
+    #[cold]
+    #[inline(never)]
+    pub fn moving(&self, grips: &mut Grips) {
+        let Some((_, mut pattern)) = self.best(0..=1) else { return };
+        let left = self.accelerations(&self.torques(&pattern));
+        if let Some(first) = pattern.iter().position(|grip| matches!(grip, Grip::Holds(_))) {
+            let g = &self.mobility;
+            for i in (0..self.len()).filter(|i| *i != first) {
+                if self.are_parallel(first, i) && left[i].abs() <= SHARP * self.scale(i) {
+                    pattern[i] = Grip::Holds(Way::of(g[first][i] * g[first][first]));
+                }
+            }
+        }
+        for (place, grip) in self.places.iter().zip(pattern) {
+            grips.set(*place, grip);
+        }
+    }
+}
+
+/// x/y, and what violates any bound where y is no number to divide by.
+fn quotient(x: f64, y: f64) -> f64 {
+    /// As good as infinite.
+    const HUGE: f64 = 1e100;
+    if x == 0.0 {
+        0.0
+    } else if x.abs() < HUGE * y.abs() {
+        x / y
+    } else {
+        HUGE * x.signum()
+    }
+}

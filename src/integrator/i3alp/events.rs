@@ -1,0 +1,114 @@
+//! Where dry friction stops something, or lets it go, a sub-step ends.
+//!
+//! A sub-step is made with every grip doing what it does at its beginning. One that ends beyond the border at which any of them does
+//! something else is tried again, shorter, until it ends at the border: by false position on its length.
+
+use std::borrow::Borrow;
+
+use super::Settings;
+use crate::integrator::{Arrival, Implicit, Kinked, Passage, State};
+use crate::vector::Vector;
+
+/// A sub-step ends at a border where it is beyond it by half of what may be overlooked.
+const AT_BORDER: f64 = 0.5;
+/// This near.
+const NEAR_ENOUGH: f64 = 0.4;
+/// Farther beyond, a border has been crossed.
+const CROSSED: f64 = 1.0;
+/// So many tries to end at a border are enough: the sub-step then ends beyond it.
+const MOST_TRIES: u32 = 60;
+/// As far from a border as matters; where there is none it is infinite.
+const FAR: f64 = -1e15;
+/// A sub-step is at least this part longer than one that does not come to the border.
+const LEAST: f64 = 1e-9;
+
+/// The search for the length of a sub-step that ends at a border.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Search {
+    /// Lengths that end before and beyond the border, s, and how far beyond.
+    before: [f64; 2],
+    beyond: Option<[f64; 2]>,
+    tries: u32,
+    at_border: bool,
+}
+
+impl Search {
+    /// Nothing is sought.
+    pub(super) const NONE: Self = Self { before: [0.0; 2], beyond: None, tries: 0, at_border: false };
+
+    /// The length to try next, s.
+    #[inline(always)]
+    pub(super) fn next(&self) -> Option<f64> {
+        let [far, above] = self.beyond?;
+        let [near, below] = self.before;
+        Some(near + (far - near) * (-below / (above - below)).clamp(LEAST, 1.0 - LEAST))
+    }
+
+    /// Whether a sub-step of h seconds that is accepted otherwise has to be tried once more, shorter or longer.
+    #[cold]
+    pub(super) fn goes_on<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        from: &State<N, M>,
+        (to, h): (&Arrival<N, M>, f64),
+    ) -> bool {
+        let tolerance = settings.error_tolerance;
+        let beyond_at = |q: &Vector<N>, v: &Vector<N>| system.beyond(&system.touches(q, v), tolerance);
+        let beyond = beyond_at(&to.q, &to.v).max(FAR);
+        self.tries += 1;
+        self.at_border = self.beyond.is_some() && (beyond - AT_BORDER).abs() <= NEAR_ENOUGH;
+        if self.at_border || self.tries >= MOST_TRIES {
+            self.at_border = true;
+            return false;
+        }
+        if self.beyond.is_none() {
+            // A grip may turn twice within the sub-step: its rate in the middle, from the rates and accelerations at the ends.
+            let q = 0.5 * (from.q + to.q) + h / 8.0 * (from.v - to.v);
+            let v = 0.5 * (from.v + to.v) + h / 8.0 * (from.a - to.a);
+            let in_middle = beyond_at(&q, &v);
+            if beyond <= CROSSED && in_middle <= CROSSED {
+                return false;
+            }
+            let start = beyond_at(&from.q, &from.v).min(0.0) - AT_BORDER;
+            self.before = [0.0, start.max(FAR)];
+            // The middle, as far as it is known, is only a reason to look there.
+            self.beyond = Some(if beyond > CROSSED { [h, beyond - AT_BORDER] } else { [0.5 * h, in_middle - AT_BORDER] });
+            return true;
+        }
+        // Of two ends on the same side in a row the other's weight is halved (Illinois).
+        if beyond > AT_BORDER {
+            self.beyond = Some([h, beyond - AT_BORDER]);
+            self.before[1] *= 0.5;
+        } else {
+            self.before = [h, beyond - AT_BORDER];
+            if let Some([_, above]) = &mut self.beyond {
+                *above *= 0.5;
+            }
+        }
+        true
+    }
+
+    /// Whether an accepted sub-step ends where grips do something else, or are no longer those there were.
+    #[cold]
+    pub(super) fn ends<const N: usize, const M: usize>(
+        &self,
+        system: &(impl Implicit<N, M> + Kinked<N>),
+        end: &Arrival<N, M>,
+    ) -> bool {
+        self.at_border || !system.knows_grips(&system.touches(&end.q, &end.v))
+    }
+}
+
+/// From here on the grips do what follows from the state.
+#[cold]
+pub(super) fn turn<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
+    system: &S,
+    settings: &Settings,
+    state: &mut State<N, M>,
+    sides: &mut S::Sides,
+) {
+    *sides = system.sides_of(&state.q, &state.v);
+    let on_sides = system.on(*sides);
+    state.settle(on_sides.borrow(), settings.regularization);
+}

@@ -1,0 +1,73 @@
+//! Mass that joins the tip, or leaves it, during a run.
+//!
+//! In the link angles, with the tip at J_t ω: mass m that rests until it joins brings no momentum, and the impulses in the joints ι keep
+//! the loop closed,
+//!
+//! ```text
+//! M₁ ω₁ + Φ_qᵀ ι = M₀ ω₀,   Φ_q ω₁ = 0,   M₁ = M₀ + m J_tᵀ J_t
+//! ```
+//!
+//! which is the perfectly inelastic impact: the kinetic energy that it takes is dissipated. Mass that moves with the tip brings
+//! m J_tᵀ J_t ω₀, and the motion goes on; so it does where mass leaves. Its energy is put in from outside, or taken out.
+
+use super::angles::{Angles, ByAngles, DISTAL, PLACES, PROXIMAL, angles_of};
+use super::five_bar::FiveBar;
+use super::{Model, State};
+use crate::effects::payload::Join;
+use crate::integrator::{Kkt, System, Work};
+use crate::mechanism::coordinates::{THETA, legs_of};
+use crate::mechanism::{Coordinates, closure};
+use crate::vector::Vector;
+
+/// What a change of parameters does at once.
+pub(super) struct Jump {
+    /// Energy that it puts in and dissipates.
+    pub(super) work: Work,
+    /// Coordinates, whose centre of mass is another one, and rates, where masses have changed.
+    pub(super) motion: Option<Motion>,
+}
+
+/// A motion in both coordinates.
+pub(super) struct Motion {
+    pub(super) q: Coordinates,
+    pub(super) v: Coordinates,
+    pub(super) rates: Angles,
+}
+
+impl Jump {
+    /// From one model to another in a present state.
+    #[cold]
+    pub(super) fn new(present: &State, before: &Model, after: &Model, join: Join) -> Self {
+        let potential = present.potential_energy(before);
+        let mass = |model: &Model| model.mechanism.geometry.mean_mass();
+        if before.mechanism.geometry == after.mechanism.geometry {
+            let input = present.potential_energy(after) - potential;
+            return Self { work: Work { input, dissipated: 0.0 }, motion: None };
+        }
+        let impact = join == Join::AtRest && mass(after) > mass(before);
+        let rates = if impact { after_impact(present, before, after) } else { angles_of(&present.core.v) };
+        let in_order = |x: &Angles| PLACES.map(|i| x[i]);
+        let (q, v) = closure::assemble(&after.mechanism.geometry, THETA.map(|i| present.core.q[i]), in_order(&rates));
+        let mut state = *present;
+        (state.core.q, state.core.v) = (q, v);
+        let gained = state.kinetic_energy(after) - present.kinetic_energy(before);
+        let lifted = state.potential_energy(after) - potential;
+        let work =
+            if impact { Work { input: lifted, dissipated: -gained } } else { Work { input: lifted + gained, dissipated: 0.0 } };
+        Self { work, motion: Some(Motion { q, v, rates }) }
+    }
+}
+
+/// Rates of the links after mass at rest has joined.
+fn after_impact(present: &State, before: &Model, after: &Model) -> Angles {
+    let State { core, inputs, turns, .. } = present;
+    let (q, v) = (angles_of(&core.q), angles_of(&core.v));
+    let pose = |model: &Model| model.mechanism.pose_at([legs_of(&q, PROXIMAL), legs_of(&q, DISTAL)]);
+    let system = ByAngles::new(FiveBar::<false>::new(after, inputs, turns));
+    let after_pose = pose(after);
+    let factor = system.factor_mass(&after_pose, after.regularization);
+    let (rates, _) = factor.solve(&before.inertia.mass(&pose(before)).times(&v), &Vector::ZERO);
+    // Once more for what the regularisation leaves of the closure.
+    let (correction, _) = factor.solve(&Angles::ZERO, &(Vector::ZERO - system.phi_q_times(&after_pose, &rates)));
+    rates + correction
+}

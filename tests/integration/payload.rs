@@ -1,0 +1,175 @@
+//! Mass that joins the tip during a run, or leaves it: momentum, energy, what a run can take.
+
+use fivebar::effects::payload::Join;
+use fivebar::fmi::bindings::default_inputs;
+use fivebar::linear::LinearSolve;
+use fivebar::observers::{self, Energies};
+use fivebar::simulation::{Method, Parameters, Simulation};
+
+use crate::support::{MGL, enable, unequal};
+
+const METHODS: [Method; 5] = [Method::I3alp, Method::I3alpPrinted, Method::Rk4, Method::Dop853, Method::I3alpConserving];
+
+/// A machine in which nothing is equal, with an empty hand.
+fn empty(method: Method) -> Parameters {
+    let mut parameters = unequal();
+    enable(&mut parameters, "payload");
+    parameters.effects.payload.mass = 0.0;
+    parameters.settings.method = method;
+    parameters
+}
+
+/// The same with a mass in the hand.
+fn holding(from: &Parameters, mass: f64, join: Join) -> Parameters {
+    let mut parameters = from.clone();
+    (parameters.effects.payload.mass, parameters.effects.payload.join) = (mass, join);
+    parameters
+}
+
+fn energies(simulation: &Simulation) -> Energies {
+    observers::energies(simulation.model(), &simulation.state())
+}
+
+fn run(simulation: &mut Simulation, steps: u64) {
+    simulation.advance(&default_inputs(), 1e-3, steps).expect("steps");
+}
+
+/// Inertia against the proximal rates, from kinetic energies of starts: T = ωᵀ H ω/2.
+fn inertia(parameters: &Parameters) -> [[f64; 2]; 2] {
+    let kinetic = |omega: [f64; 2]| {
+        let mut parameters = parameters.clone();
+        parameters.start.omega = omega;
+        energies(&Simulation::new(&parameters, &default_inputs()).expect("a start")).kinetic
+    };
+    let [left, right, both] = [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]].map(kinetic);
+    [[2.0 * left, both - left - right], [both - left - right, 2.0 * right]]
+}
+
+fn times([[a, b], [c, d]]: [[f64; 2]; 2], [x, y]: [f64; 2]) -> [f64; 2] {
+    [a * x + b * y, c * x + d * y]
+}
+
+/// With a single closed loop and no force between, momentum against the proximal rates is kept: H₁ ω₁ = H₀ ω₀, with both inertias from
+/// kinetic energies alone.
+#[test]
+fn an_impact_keeps_the_momentum() {
+    for method in METHODS {
+        let before = empty(method);
+        let after = holding(&before, 0.08, Join::AtRest);
+        let mut simulation = Simulation::new(&before, &default_inputs()).expect("a start");
+        let energy = energies(&simulation);
+        simulation.tune(&after.effects).expect("allowed");
+        let motion = observers::motion(simulation.model(), &simulation.state());
+        let momentum = [times(inertia(&before), before.start.omega), times(inertia(&after), [motion.omega[0], motion.omega[3]])];
+        for (was, is) in momentum[0].iter().zip(momentum[1]) {
+            // Round-off of kinetic energies of some 1e-3 J.
+            assert!((was - is).abs() < 1e-15, "{method:?}: {momentum:?}");
+        }
+        let norms = observers::constraint_norms(simulation.model(), &simulation.state());
+        assert!(norms.position < 1e-14 && norms.velocity < 1e-13, "{method:?}: {norms:?}");
+        let joined = energies(&simulation);
+        let (lost, lifted) = (energy.kinetic - joined.kinetic, joined.potential - energy.potential);
+        assert!(lost > 1e-4 && (joined.dissipated - lost).abs() < 1e-17, "{method:?}: {energy:?} {joined:?}");
+        // What is lifted is m g y.
+        assert!((lifted - 0.08 * 9.81 * motion.tip.y).abs() < 1e-15 && (joined.input - lifted).abs() < 1e-15, "{joined:?}");
+        assert!(joined.error.abs() < 1e-16, "{joined:?}");
+    }
+}
+
+/// What moves with the tip joins without an impact, and so does what leaves; its energy comes from outside and goes there.
+#[test]
+fn what_moves_with_the_tip_changes_no_rate() {
+    for method in METHODS {
+        let start = empty(method);
+        let mut simulation = Simulation::new(&start, &default_inputs()).expect("a start");
+        run(&mut simulation, 50);
+        for (mass, join) in [(0.08, Join::WithTip), (0.02, Join::AtRest), (0.0, Join::WithTip)] {
+            let (was, before) = (observers::motion(simulation.model(), &simulation.state()), energies(&simulation));
+            let change = mass - simulation.parameters().effects.payload.mass;
+            simulation.tune(&holding(&start, mass, join).effects).expect("allowed");
+            let (is, after) = (observers::motion(simulation.model(), &simulation.state()), energies(&simulation));
+            // The step under way of the explicit method is made anew up to here: no longer interpolated, within its error.
+            let same = if method == Method::Dop853 { 1e-7 } else { 0.0 };
+            for (was, is) in was.theta.iter().chain(&was.omega).zip(is.theta.iter().chain(&is.omega)) {
+                assert!((was - is).abs() <= same, "{method:?}: {was:?} {is:?}");
+            }
+            let brought = change * (was.tip_velocity.norm_squared() / 2.0 + 9.81 * was.tip.y);
+            // The printed method's velocities are projected once, by a finite penalty: those of the links do not quite belong together.
+            let bound = match method {
+                Method::I3alpPrinted => 1e-5 * brought.abs(),
+                Method::Dop853 => 1e-8 * brought.abs(),
+                _ => 1e-14,
+            };
+            assert!((after.input - before.input - brought).abs() < bound, "{method:?}: {brought} {before:?} {after:?}");
+            assert_eq!(after.dissipated, before.dissipated);
+            run(&mut simulation, 50);
+        }
+    }
+}
+
+/// Picked up, handed on and put down on the way, by every method: the balance stays what it is without, and all come to the same place.
+#[test]
+fn the_balance_stays_closed() {
+    let ends = METHODS.map(|method| {
+        let mut start = empty(method);
+        // The printed method's tangent is approximate: short steps and many iterations.
+        let (h, steps) = if method == Method::I3alpPrinted { (1e-4, 500) } else { (1e-3, 50) };
+        (start.settings.step_size, start.settings.adaptive) = (h, method == Method::I3alp);
+        start.settings.max_iterations = 40;
+        start.effects.gravity.g = 1.0;
+        let mut simulation = Simulation::new(&start, &default_inputs()).expect("a start");
+        let mut go = |effects: Option<(f64, Join)>| {
+            if let Some((mass, join)) = effects {
+                simulation.tune(&holding(&start, mass, join).effects).expect("allowed");
+            }
+            simulation.advance(&default_inputs(), h, steps).expect("steps");
+            energies(&simulation)
+        };
+        let alone = go(None);
+        for change in [(0.03, Join::AtRest), (0.05, Join::WithTip), (0.01, Join::AtRest), (0.06, Join::AtRest)] {
+            let energies = go(Some(change));
+            assert!(energies.error.abs() < 1e-5 * MGL + 20.0 * alone.error.abs(), "{method:?}: {alone:?} {energies:?}");
+        }
+        observers::motion(simulation.model(), &simulation.state()).tip
+    });
+    for (method, end) in METHODS.into_iter().zip(ends) {
+        // Errors of fixed steps of 1 ms, and what the printed method's velocities miss.
+        let bound = if method == Method::I3alpPrinted { 5e-5 } else { 1e-5 };
+        assert!((end - ends[3]).norm() < bound, "{method:?}: {ends:?}");
+    }
+}
+
+/// A payload that makes the inertias too far apart for the run's linear solve is refused by name, with how far it may go; a run that
+/// started with the dense solve takes it.
+#[test]
+fn a_payload_is_at_most_what_the_linear_solve_takes() {
+    let start = empty(Method::I3alp);
+    let mut simulation = Simulation::new(&start, &default_inputs()).expect("a start");
+    run(&mut simulation, 10);
+    let state = simulation.state();
+    let heavy = holding(&start, 500.0, Join::AtRest);
+    let refusal = simulation.tune(&heavy.effects).expect_err("too heavy").to_string();
+    let begin = "payload.mass = 500.0 kg is not allowed during this run: the linear solve chosen at its start takes at most ";
+    let limit: f64 =
+        refusal.strip_prefix(begin).and_then(|rest| rest.split(' ').next()).expect("a limit").parse().expect("a number");
+    assert_eq!((simulation.state(), simulation.parameters()), (state, &start));
+    simulation.tune(&holding(&start, limit * (1.0 - 1e-5), Join::AtRest).effects).expect("just allowed");
+    simulation.tune(&holding(&start, limit * (1.0 + 1e-5), Join::AtRest).effects).expect_err("just not");
+
+    let mut simulation = Simulation::new(&heavy, &default_inputs()).expect("a start");
+    assert_eq!(simulation.model().solver.linear_solve(), LinearSolve::Dense);
+    simulation.tune(&holding(&start, 600.0, Join::AtRest).effects).expect("it takes anything");
+    simulation.tune(&holding(&start, 0.1, Join::AtRest).effects).expect("less as well");
+    run(&mut simulation, 10);
+}
+
+/// A payload that is off may have any mass, and changes nothing.
+#[test]
+fn without_a_payload_its_mass_is_nothing() {
+    let mut start = empty(Method::I3alp);
+    start.effects.payload.enabled = false;
+    let mut simulation = Simulation::new(&start, &default_inputs()).expect("a start");
+    let state = simulation.state();
+    simulation.tune(&holding(&start, 1e6, Join::AtRest).effects).expect("allowed");
+    assert_eq!(simulation.state(), state);
+}

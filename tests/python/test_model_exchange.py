@@ -1,0 +1,95 @@
+"""Model exchange: FMPy's CVode integrates what the unit steps by itself, and CasADi takes its equations and their derivatives."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fmpy import simulate_fmu
+from fmpy.model_description import ModelDescription
+
+import scene
+
+MOTION = ["theta[1]", "theta[2]", "omega[1]", "omega[2]", "tip.x", "tip.y"]
+
+
+def held(made: scene.Scene) -> np.ndarray:
+    """The signals of a scene for FMPy, each value from its communication point to the next: events to whoever integrates."""
+    points = scene.communication_points(made.stop_time, made.step_size)
+    table = np.zeros(2 * len(points) - 2, dtype=[("time", float), *((name, float) for name in made.signals)])
+    table["time"] = np.repeat(points, 2)[1:-1]
+    for name, values in made.signals.items():
+        table[name] = np.repeat(values[:-1], 2)
+    return table
+
+
+def motion(fmu: Path, made: scene.Scene, kind: str | None, **settings: float) -> dict[str, np.ndarray]:
+    """What FMPy records of a scene at its communication points."""
+    result = simulate_fmu(
+        str(fmu),
+        fmi_type=kind,
+        stop_time=made.stop_time,
+        output_interval=made.step_size,
+        start_values=made.variants[0].values,
+        input=held(made) if made.signals else None,
+        output=MOTION,
+        record_events=False,
+        **settings,
+    )
+    return {name: result[name] for name in ("time", *MOTION)}
+
+
+def test_cvode_agrees_with_co_simulation(fmu: Path, scenes: Path) -> None:
+    """pick_and_place, its references held for 10 ms in both: as exact as each is told to be. FMPy takes co-simulation unless asked."""
+    made = scene.read(scenes / "pick_and_place.json").coarser(0.01)
+    stepped = motion(fmu, made, None)
+    assert np.ptp(stepped["tip.x"]) > 0.2
+    finest = motion(fmu, made, "ModelExchange", relative_tolerance=1e-10)
+    for name, bound in zip(MOTION, [3e-7, 3e-7, 3e-5, 3e-5, 1e-7, 1e-7]):
+        # The local error allowed by the unit, 3e-9 rad per sub-step, over some 1e3 of them; rates change within 1/100 s.
+        assert np.max(np.abs(stepped[name] - finest[name])) < bound, name
+    for tolerance in (1e-4, 1e-6):
+        coarse = motion(fmu, made, "ModelExchange", relative_tolerance=tolerance)
+        # CVode's, over 160 pieces of a motion that forgets its errors, at nominal values of 1 rad.
+        assert np.max(np.abs(coarse["theta[1]"] - finest["theta[1]"])) < 10 * tolerance
+
+
+def test_cvode_ends_its_steps_at_kinks(fmu: Path, scenes: Path) -> None:
+    """A tip that bounces on a floor, found by the indicators; until the first touch nothing but the fall, after it the same again."""
+    made = scene.read(scenes / "bounce.json").coarser(0.01)
+    stepped, integrated = (motion(fmu, made, kind, **tight) for kind, tight in ((None, {}), ("ModelExchange", {"relative_tolerance": 1e-9})))
+    assert np.min(stepped["tip.y"]) < 0.2 < np.max(stepped["tip.y"][-50:]) + 0.01
+    # Each touch magnifies what is off before it.
+    assert np.max(np.abs(stepped["tip.y"] - integrated["tip.y"])) < 1e-5
+
+
+@pytest.mark.full
+def test_casadi_takes_equations_and_derivatives(fmu: Path, model: ModelDescription) -> None:
+    """DaeBuilder's function is the unit's der(x), and its Jacobians, by directional derivatives, are central differences."""
+    import casadi as ca
+
+    dae = ca.DaeBuilder("five_bar", str(fmu))
+    start = {"base.distance": 0.1, "init.theta[1]": 2.7567, "init.theta[2]": 1.345, "init.omega[1]": 0.7, "viscous.enabled": 1}
+    for name, value in start.items():
+        dae.set(name, value)
+    f = dae.create("f", ["x", "u"], ["ode", "y"])
+    assert (dae.nx(), dae.nu(), dae.ny()) == (4, 8, 12)
+    x, u = np.array([2.6, 1.2, 0.7, -1.9]), np.array([0.01, -0.02, 0.3, -0.1, 0, 0, 0, 0])
+    xs, us = ca.MX.sym("x", 4), ca.MX.sym("u", 8)
+    jacobians = ca.Function("J", [xs, us], [ca.jacobian(of, by) for of in f(xs, us) for by in (xs, us)])(x, u)
+
+    def values(x: np.ndarray, u: np.ndarray) -> list[np.ndarray]:
+        return [np.array(value).ravel() for value in f(x, u)]
+
+    def differences(of: int, by: int, size: int) -> np.ndarray:
+        step, columns = 1e-6, []
+        for change in step * np.eye(size):
+            there, back = ((x + s * change, u) if by == 0 else (x, u + s * change) for s in (1, -1))
+            columns.append((values(*there)[of] - values(*back)[of]) / (2 * step))
+        return np.array(columns).T
+
+    for i, found in enumerate(jacobians):
+        expected = differences(i // 2, i % 2, (4, 8)[i % 2])
+        # Truncation: third derivatives times 1e-12; accelerations are some 1e2 rad/s2 and their derivatives some 1e3.
+        assert np.max(np.abs(np.array(found) - expected)) < 1e-7 * (1 + np.max(np.abs(expected)))
+    assert np.max(np.abs(np.array(jacobians[0])[2:])) > 1 and np.max(np.abs(np.array(jacobians[1])[2:])) > 1
+    assert np.array_equal(values(x, u)[0][:2], x[2:])

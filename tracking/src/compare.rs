@@ -1,0 +1,252 @@
+//! Other ways to follow, on the same machines: open loop, starting anew from every sample, an extended and an unscented Kalman filter in
+//! the angles of the motors, as they are built around a unit from outside.
+
+use fivebar::effects::Inputs;
+use fivebar::estimator::{MEASURED, wrapped};
+use fivebar::mechanism::{Assembly, Start};
+use fivebar::simulation::{Parameters, Simulation};
+
+use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, motion, side, tip};
+use crate::quality::{fall, outcome, pick, push, sines};
+use crate::report::{Figure, Table, median};
+
+const H: f64 = 1e-3;
+/// Angles and rates of the motors, unknown motor torques.
+type Error = [f64; 6];
+type Matrix = [Error; 6];
+/// White acceleration of motors, rad²/s³, and walk of the unknown torques, N²m²/s: what follows most of these scenes.
+const NOISE: [f64; 2] = [0.1, 1e-4];
+/// Of the start: angles, rates, torques.
+const START: [f64; 3] = [0.02, 0.2, 0.02];
+
+/// A way to follow from outside.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Way {
+    /// Nothing is corrected.
+    OpenLoop,
+    /// Angles and rates of the motors by differences of samples.
+    Anew,
+    /// Extended Kalman filter with Jacobians by differences.
+    Extended,
+    /// Unscented Kalman filter with thirteen sigma points.
+    Unscented,
+}
+
+/// A twin that is corrected from outside.
+struct Outside<'a> {
+    way: Way,
+    model: &'a Parameters,
+    run: Simulation,
+    mean: Error,
+    covariance: Matrix,
+    before: Option<[f64; 2]>,
+}
+
+fn assembled(model: &Parameters, x: &Error, assembly: Assembly, inputs: &Inputs) -> Option<Simulation> {
+    let start = Start { theta: [x[0], x[1]], omega: [x[2], x[3]], assembly };
+    Simulation::new(&Parameters { start, ..model.clone() }, inputs).ok()
+}
+
+fn with_torques(inputs: &Inputs, x: &Error) -> Inputs {
+    Inputs { tau: [inputs.tau[0] + x[4], inputs.tau[1] + x[5]], ..*inputs }
+}
+
+fn motors(run: &Simulation) -> [f64; 4] {
+    let (theta, omega) = motion(&run.state());
+    [theta[0], theta[3], omega[0], omega[3]]
+}
+
+fn assembly(run: &Simulation) -> Assembly {
+    if side(&motion(&run.state()).0) > 0.0 { Assembly::Plus } else { Assembly::Minus }
+}
+
+impl<'a> Outside<'a> {
+    fn new(way: Way, model: &'a Parameters, inputs: &Inputs) -> Self {
+        let run = Simulation::new(model, inputs).unwrap_or_else(|error| panic!("the twin: {error}"));
+        let m = motors(&run);
+        let mut covariance = [[0.0; 6]; 6];
+        for (i, row) in covariance.iter_mut().enumerate() {
+            row[i] = START[i / 2] * START[i / 2];
+        }
+        Self { way, model, run, mean: [m[0], m[1], m[2], m[3], 0.0, 0.0], covariance, before: None }
+    }
+
+    /// Goes on from the mean, where it can be assembled.
+    fn restart(&mut self, inputs: &Inputs) {
+        if let Some(run) = assembled(self.model, &self.mean, assembly(&self.run), &with_torques(inputs, &self.mean)) {
+            self.run = run;
+        }
+    }
+
+    fn correct(&mut self, sample: [f64; 2], encoder: &Encoder, inputs: &Inputs) {
+        match self.way {
+            Way::OpenLoop => {}
+            Way::Anew => {
+                if let Some(before) = self.before.replace(sample) {
+                    let rate = [0, 1].map(|i| wrapped(sample[i] - before[i]) / H);
+                    self.mean = [sample[0], sample[1], rate[0], rate[1], 0.0, 0.0];
+                    self.restart(inputs);
+                }
+            }
+            Way::Extended | Way::Unscented => {
+                let noise = encoder.sigma * encoder.sigma + encoder.quantum * encoder.quantum / 12.0;
+                for i in 0..2 {
+                    let variance = self.covariance[i][i] + noise;
+                    let column: Error = std::array::from_fn(|k| self.covariance[k][i]);
+                    let residual = wrapped(sample[i] - self.mean[i]);
+                    for k in 0..6 {
+                        self.mean[k] += column[k] * residual / variance;
+                        for j in 0..6 {
+                            self.covariance[k][j] -= column[k] * column[j] / variance;
+                        }
+                    }
+                }
+                self.restart(inputs);
+            }
+        }
+    }
+
+    /// The mean a step later from another one.
+    fn moved(&self, x: &Error, inputs: &Inputs) -> Option<Error> {
+        let held = with_torques(inputs, x);
+        let mut run = assembled(self.model, x, assembly(&self.run), &held)?;
+        run.advance(&held, H, 1).ok()?;
+        let m = motors(&run);
+        Some([m[0], m[1], m[2], m[3], x[4], x[5]])
+    }
+
+    fn predict(&mut self, inputs: &Inputs) {
+        let filters = matches!(self.way, Way::Extended | Way::Unscented);
+        if filters {
+            self.predict_covariance(inputs);
+        }
+        let held = with_torques(inputs, &self.mean);
+        if self.run.advance(&held, H, 1).is_ok() && filters {
+            let m = motors(&self.run);
+            self.mean[..4].copy_from_slice(&m);
+        }
+    }
+
+    fn predict_covariance(&mut self, inputs: &Inputs) {
+        let Some(centre) = self.moved(&self.mean, inputs) else { return };
+        let off =
+            |x: &Error| -> Error { std::array::from_fn(|i| if i < 2 { wrapped(x[i] - centre[i]) } else { x[i] - centre[i] }) };
+        let mut next = [[0.0; 6]; 6];
+        if self.way == Way::Extended {
+            let mut f = [[0.0; 6]; 6];
+            for k in 0..6 {
+                let step = 1e-5;
+                let mut x = self.mean;
+                x[k] += step;
+                let column = self.moved(&x, inputs).map_or([0.0; 6], |x| off(&x));
+                for i in 0..6 {
+                    f[i][k] = column[i] / step;
+                }
+            }
+            for i in 0..6 {
+                for j in 0..6 {
+                    next[i][j] = (0..6)
+                        .flat_map(|a| (0..6).map(move |b| (a, b)))
+                        .map(|(a, b)| f[i][a] * self.covariance[a][b] * f[j][b])
+                        .sum();
+                }
+            }
+        } else {
+            let mut root = [[0.0f64; 6]; 6];
+            for i in 0..6 {
+                for k in 0..=i {
+                    let rest: f64 = self.covariance[i][k] - (0..k).map(|j| root[i][j] * root[k][j]).sum::<f64>();
+                    root[i][k] = if i == k {
+                        rest.max(0.0).sqrt()
+                    } else if root[k][k] > 0.0 {
+                        rest / root[k][k]
+                    } else {
+                        0.0
+                    };
+                }
+            }
+            for k in 0..12 {
+                let sign = if k < 6 { 6f64.sqrt() } else { -(6f64.sqrt()) };
+                let x: Error = std::array::from_fn(|i| self.mean[i] + sign * root[i][k % 6]);
+                let point = self.moved(&x, inputs).map_or([0.0; 6], |x| off(&x));
+                for i in 0..6 {
+                    for j in 0..6 {
+                        next[i][j] += point[i] * point[j] / 12.0;
+                    }
+                }
+            }
+        }
+        for i in 0..2 {
+            next[2 + i][2 + i] += NOISE[0] * H;
+            next[4 + i][4 + i] += NOISE[1] * H;
+        }
+        // Next to a direct singularity it may have become anything.
+        if next.iter().flatten().all(|x| x.is_finite() && x.abs() < 1e6) {
+            self.covariance = next;
+        }
+    }
+}
+
+/// Root of the mean square of the tip's error, m, and whether it is lost at the end.
+fn from_outside(scenario: &Scenario, way: Way, encoder: &Encoder, random: &mut Random) -> (f64, bool) {
+    let mut machine = scenario.machine();
+    let mut twin = Outside::new(way, &scenario.model, &scenario.inputs(0.0));
+    let (mut sum, mut count, mut last) = (0.0, 0.0, 0.0);
+    for step in 0..(scenario.duration / H).round() as u64 {
+        let time = step as f64 * H;
+        let truth = machine.state();
+        let (theta, _) = motion(&truth);
+        let inputs = scenario.inputs(time + H / 2.0);
+        twin.correct(MEASURED.map(|link| encoder.read(theta[link], random)), encoder, &inputs);
+        let ([x, y], [v, w]) = (tip(&machine, &truth), tip(&twin.run, &twin.run.state()));
+        last = (x - v).hypot(y - w);
+        if time >= 0.1 {
+            sum += last * last;
+            count += 1.0;
+        }
+        twin.predict(&inputs);
+        if machine.advance(&scenario.acting(time + H / 2.0), H, 1).is_err() {
+            break;
+        }
+    }
+    ((sum / count).sqrt(), !(last < 0.01))
+}
+
+/// Tip errors side by side.
+pub fn table(seeds: u64) -> Table {
+    let mut table = Table::new("Side by side, 1 ms: tip error, mm (median over the runs), and lost runs");
+    type Scene = fn(&mut Random) -> Scenario;
+    let scenes: [(&str, Scene); 4] = [
+        ("pick, 20 g unknown", pick),
+        ("fall, masses 5 % off", |random| fall(random, true)),
+        ("sines, masses 5 % off", |random| sines(random, 2.0)),
+        ("push of 0.5 N", push),
+    ];
+    let ways =
+        [("open loop", Way::OpenLoop), ("start anew", Way::Anew), ("EKF, motors", Way::Extended), ("UKF, motors", Way::Unscented)];
+    for (name, scene) in scenes {
+        for encoder in [COARSE, FINE] {
+            let mut row = |way: &str, outcomes: Vec<(f64, bool)>| {
+                let lost = outcomes.iter().filter(|(_, lost)| *lost).count();
+                let error = 1e3 * median(outcomes.iter().map(|(error, _)| *error));
+                table.push(Figure::told(format!("{name}, {}: {way}", encoder.name), error, format!("{lost} of {seeds} lost")));
+            };
+            for (label, way) in ways {
+                let outcomes = (0..seeds).map(|seed| {
+                    let mut random = Random::new(7_100_000 + seed);
+                    let scenario = scene(&mut random);
+                    from_outside(&scenario, way, &encoder, &mut random)
+                });
+                row(label, outcomes.collect());
+            }
+            let ours = (0..seeds).map(|seed| {
+                let mut random = Random::new(7_100_000 + seed);
+                let scenario = scene(&mut random);
+                let outcome = outcome(&scenario, &encoder, H, &mut random);
+                (outcome.rms, outcome.lost)
+            });
+            row("the unit", ours.collect());
+        }
+    }
+    table
+}

@@ -1,0 +1,13 @@
+//! How well the unit follows measured machines: the figures of its estimator, beside what they have to be.
+//!
+//! Machines are simulations with other parameters, pushes and encoders; all that is random comes from seeds that no setting was chosen on.
+
+pub mod benchmark;
+pub mod compare;
+pub mod detection;
+pub mod forecast;
+pub mod foreign;
+pub mod machine;
+pub mod quality;
+pub mod report;
+pub mod singular;

@@ -1,0 +1,218 @@
+//! A machine that is measured: a simulation with other parameters and a push that nobody tells the twin of, and its encoders.
+
+use fivebar::effects::Inputs;
+use fivebar::estimator::{Links, MEASURED, Measured};
+use fivebar::fmi::bindings::{default_inputs, default_parameters};
+use fivebar::mechanism::coordinates::THETA;
+use fivebar::observers;
+use fivebar::simulation::{Following, Method, Parameters, Signal, Simulation, State, StepFailure};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+/// Random numbers that are the same everywhere.
+#[derive(Clone, Debug)]
+pub struct Random(ChaCha8Rng);
+
+impl Random {
+    /// From a seed.
+    pub fn new(seed: u64) -> Self {
+        Self(ChaCha8Rng::seed_from_u64(seed))
+    }
+
+    /// In [0, 1).
+    pub fn uniform(&mut self) -> f64 {
+        (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Between two values.
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.uniform()
+    }
+
+    /// Of a normal distribution (Box and Muller).
+    pub fn normal(&mut self) -> f64 {
+        (-2.0 * (1.0 - self.uniform()).ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
+    }
+}
+
+/// An encoder.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Encoder {
+    /// What tables call it.
+    pub name: &'static str,
+    /// White noise, rad.
+    pub sigma: f64,
+    /// Step, rad.
+    pub quantum: f64,
+}
+
+/// 0.1 degrees.
+pub const COARSE: Encoder = Encoder { name: "0.1 deg", sigma: 0.0, quantum: 0.1 * std::f64::consts::PI / 180.0 };
+/// 16 bits.
+pub const FINE: Encoder = Encoder { name: "16 bit", sigma: 0.0, quantum: std::f64::consts::TAU / 65536.0 };
+
+impl Encoder {
+    /// What it says of an angle.
+    pub fn read(&self, angle: f64, random: &mut Random) -> f64 {
+        let noisy = if self.sigma > 0.0 { angle + self.sigma * random.normal() } else { angle };
+        if self.quantum > 0.0 { (noisy / self.quantum).round() * self.quantum } else { noisy }
+    }
+
+    /// Tells a twin of it.
+    pub fn tell(&self, parameters: &mut Parameters) {
+        parameters.estimator.enabled = true;
+        parameters.estimator.sigma = [self.sigma; 2];
+        parameters.estimator.quantum = [self.quantum; 2];
+    }
+}
+
+/// Inputs as functions of time, s.
+pub type Course = fn(f64, &Plan) -> Inputs;
+
+/// What is random in a course.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Plan {
+    /// Phases, rad.
+    pub phase: [f64; 4],
+    /// A push on the tip, N.
+    pub push: [f64; 2],
+    /// From this time on, s.
+    pub from: f64,
+}
+
+/// A scene to follow.
+#[derive(Clone, Debug)]
+pub struct Scenario {
+    /// What the twin believes.
+    pub model: Parameters,
+    /// What the machine is.
+    pub truth: Parameters,
+    /// What both are told.
+    pub course: Course,
+    /// What is random in it.
+    pub plan: Plan,
+    /// s.
+    pub duration: f64,
+    /// Angles and rates of all links from which the machine starts, where they are not those of its parameters.
+    pub from: Option<(Links, Links)>,
+}
+
+impl Scenario {
+    /// The master's inputs, without the push.
+    pub fn inputs(&self, time: f64) -> Inputs {
+        (self.course)(time, &self.plan)
+    }
+
+    /// What acts on the machine.
+    pub fn acting(&self, time: f64) -> Inputs {
+        let inputs = self.inputs(time);
+        let [x, y] = if time >= self.plan.from { self.plan.push } else { [0.0; 2] };
+        Inputs { tip_force: [inputs.tip_force[0] + x, inputs.tip_force[1] + y], ..inputs }
+    }
+
+    /// The machine.
+    pub fn machine(&self) -> Simulation {
+        let made = match self.from {
+            Some((theta, omega)) => Simulation::at(&self.truth, &self.acting(0.0), theta, omega),
+            None => Simulation::new(&self.truth, &self.acting(0.0)),
+        };
+        made.unwrap_or_else(|error| panic!("the machine: {error}"))
+    }
+
+    /// The twin, with a start and an encoder.
+    pub fn twin(&self, encoder: &Encoder) -> Following {
+        let mut model = self.model.clone();
+        encoder.tell(&mut model);
+        Following::new(&model, &self.inputs(0.0)).unwrap_or_else(|error| panic!("the twin: {error}"))
+    }
+}
+
+/// The table-top machine with which prototypes were measured.
+pub fn desk() -> Parameters {
+    let mut parameters = default_parameters();
+    parameters.geometry.base_distance = 0.1;
+    parameters.settings.method = Method::Dop853;
+    parameters
+}
+
+/// Masses and inertias that are up to 5 % off, each link by itself.
+pub fn five_percent(parameters: &Parameters, random: &mut Random) -> Parameters {
+    let mut other = parameters.clone();
+    for link in &mut other.geometry.links {
+        let factor = random.between(0.95, 1.05);
+        link.mass *= factor;
+        link.inertia *= factor;
+    }
+    other
+}
+
+/// The twin starts a little off the machine.
+pub fn start_off(model: &mut Parameters, random: &mut Random, [theta, omega]: [f64; 2]) {
+    for i in 0..2 {
+        model.start.theta[i] += theta * random.normal();
+        model.start.omega[i] += omega * random.normal();
+    }
+}
+
+/// Nothing.
+pub fn no_inputs(_: f64, _: &Plan) -> Inputs {
+    default_inputs()
+}
+
+/// Angles and rates of links 1 to 4.
+pub fn motion(state: &State) -> (Links, Links) {
+    (state.angles(), THETA.map(|i| state.core.v[i]))
+}
+
+/// The tip, m.
+pub fn tip(simulation: &Simulation, state: &State) -> [f64; 2] {
+    observers::motion(simulation.model(), state).tip.into()
+}
+
+/// sin(θ₃ − θ₂).
+pub fn side(theta: &Links) -> f64 {
+    (theta[2] - theta[1]).sin()
+}
+
+/// What a run was like at an instant.
+pub struct Instant<'a> {
+    /// s.
+    pub time: f64,
+    /// The machine's state.
+    pub truth: &'a State,
+    /// What is estimated, after the correction.
+    pub estimate: &'a State,
+    /// The twin.
+    pub twin: &'a Following,
+    /// Error of the tip, m.
+    pub tip_error: f64,
+}
+
+/// Follows a machine in steps of h; `look` sees each sample after it has been used.
+pub fn follow(
+    scenario: &Scenario,
+    encoder: &Encoder,
+    h: f64,
+    random: &mut Random,
+    mut look: impl FnMut(&Instant),
+) -> Result<(), StepFailure> {
+    let (mut machine, mut twin) = (scenario.machine(), scenario.twin(encoder));
+    for step in 0..(scenario.duration / h).round() as u64 {
+        let time = step as f64 * h;
+        let truth = machine.state();
+        let (theta, _) = motion(&truth);
+        let measured = Measured { theta: MEASURED.map(|link| encoder.read(theta[link], random)), time: [time; 2] };
+        twin.correct(&measured, time);
+        let inputs = scenario.inputs(time);
+        let estimate = twin.state_for(&inputs);
+        let ([x, y], [v, w]) = (tip(&machine, &truth), tip(twin.simulation(), &estimate));
+        let tip_error = (x - v).hypot(y - w);
+        look(&Instant { time, truth: &truth, estimate: &estimate, twin: &twin, tip_error });
+        // Both hold the inputs of the middle of the step.
+        let macro_steps = (h / 1e-3).round().max(1.0);
+        let middle = time + h / 2.0;
+        twin.advance_along(&Signal::held(scenario.inputs(middle)), h / macro_steps, macro_steps as u64)?;
+        machine.advance(&scenario.acting(middle), h / macro_steps, macro_steps as u64)?;
+    }
+    Ok(())
+}

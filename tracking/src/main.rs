@@ -1,0 +1,41 @@
+//! Prints the tables of figures; `cargo xtask estimator` builds and calls it.
+
+use std::process::ExitCode;
+
+use clap::Parser;
+use tracking::report::Table;
+use tracking::{benchmark, compare, detection, forecast, foreign, quality, singular};
+
+/// Figures of the estimator
+#[derive(Parser)]
+struct Arguments {
+    /// Only tables whose name contains this
+    #[arg(long, default_value = "")]
+    only: String,
+    /// Part of the runs that are made
+    #[arg(long, default_value_t = 1.0)]
+    part: f64,
+}
+
+fn main() -> ExitCode {
+    let Arguments { only, part } = Arguments::parse();
+    let runs = |all: u64| ((all as f64 * part).round() as u64).max(2);
+    let tables: [(&str, &dyn Fn() -> Table); 7] = [
+        ("benchmark", &|| benchmark::table(runs(60))),
+        ("quality", &|| quality::table(runs(20))),
+        ("compare", &|| compare::table(runs(10))),
+        ("singular", &|| singular::table(part)),
+        ("forecast", &|| forecast::table(runs(100))),
+        ("detection", &|| detection::table(runs(60), part)),
+        ("foreign", &|| foreign::table(runs(20))),
+    ];
+    let mut reached = true;
+    for (name, table) in tables {
+        if name.contains(&only) {
+            let table = table();
+            println!("{}", table.markdown());
+            reached &= table.figures.iter().all(tracking::report::Figure::is_reached);
+        }
+    }
+    if reached { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}

@@ -1,0 +1,93 @@
+//! Tables of figures, each with what it has to reach.
+
+use std::fmt::Write;
+
+/// A figure.
+#[derive(Clone, Debug)]
+pub struct Figure {
+    name: String,
+    value: f64,
+    allowed: Option<[f64; 2]>,
+    remark: String,
+}
+
+impl Figure {
+    /// That must not be larger.
+    pub fn at_most(name: String, value: f64, most: f64, remark: String) -> Self {
+        Self { name, value, allowed: Some([f64::NEG_INFINITY, most]), remark }
+    }
+
+    /// That must lie between two values.
+    pub fn between(name: String, value: f64, allowed: [f64; 2], remark: String) -> Self {
+        Self { name, value, allowed: Some(allowed), remark }
+    }
+
+    /// That is only told.
+    pub fn told(name: String, value: f64, remark: String) -> Self {
+        Self { name, value, allowed: None, remark }
+    }
+
+    /// Whether it is what it has to be.
+    pub fn is_reached(&self) -> bool {
+        self.allowed.is_none_or(|[least, most]| (least..=most).contains(&self.value))
+    }
+}
+
+/// Figures that belong together.
+#[derive(Clone, Debug)]
+pub struct Table {
+    title: String,
+    /// Its rows.
+    pub figures: Vec<Figure>,
+}
+
+impl Table {
+    /// Without rows.
+    pub fn new(title: &str) -> Self {
+        Self { title: title.into(), figures: Vec::new() }
+    }
+
+    /// One row more.
+    pub fn push(&mut self, figure: Figure) {
+        self.figures.push(figure);
+    }
+
+    /// As Markdown.
+    pub fn markdown(&self) -> String {
+        let mut text =
+            format!("\n{}\n\n| figure | measured | allowed | reached | |\n| --- | --- | --- | --- | --- |\n", self.title);
+        for figure in &self.figures {
+            let Figure { name, value, allowed, remark } = figure;
+            let (allowed, reached) = match allowed {
+                None => (String::new(), ""),
+                Some([f64::NEG_INFINITY, most]) => (format!("≤ {most}"), if figure.is_reached() { "yes" } else { "NO" }),
+                Some([least, most]) => (format!("{least} to {most}"), if figure.is_reached() { "yes" } else { "NO" }),
+            };
+            writeln!(text, "| {name} | {} | {allowed} | {reached} | {remark} |", shown(*value)).expect("a String can be written");
+        }
+        text
+    }
+}
+
+/// Three digits.
+fn shown(value: f64) -> String {
+    match value.abs() {
+        0.0 => "0".into(),
+        size if size >= 100.0 => format!("{value:.0}"),
+        size if size >= 10.0 => format!("{value:.1}"),
+        size if size >= 0.01 => format!("{value:.3}"),
+        _ => format!("{value:.2e}"),
+    }
+}
+
+/// The middle value.
+pub fn median(values: impl Iterator<Item = f64>) -> f64 {
+    quantile(values, 0.5)
+}
+
+/// The value below which a part of them lies.
+pub fn quantile(values: impl Iterator<Item = f64>, part: f64) -> f64 {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    if sorted.is_empty() { f64::NAN } else { sorted[((sorted.len() - 1) as f64 * part).round() as usize] }
+}

@@ -1,0 +1,183 @@
+//! Machines that pass direct singularities and vertices while they are followed, and pushes on the tip.
+
+use fivebar::estimator::Links;
+use fivebar::estimator::linkage::Linkage;
+use fivebar::fmi::bindings::default_inputs;
+use fivebar::mechanism::Assembly;
+use fivebar::simulation::{Parameters, Simulation};
+
+use crate::machine::{COARSE, Encoder, FINE, Plan, Random, Scenario, desk, five_percent, motion, no_inputs, side, start_off};
+use crate::quality::{outcome, push};
+use crate::report::{Figure, Table};
+
+/// Before and after a singularity, s.
+const AROUND: [f64; 2] = [0.15, 0.25];
+/// At most this many times as long before, until |sin(θ₃ − θ₂)| is larger than this.
+const LONGEST: u32 = 20;
+const CLEAR: f64 = 0.25;
+/// The same for a vertex.
+const AROUND_VERTEX: [f64; 2] = [0.2, 0.4];
+/// Errors of the twin's start: small, so that it is the crossing that is judged.
+const START: [f64; 2] = [0.003, 0.03];
+
+/// The state some seconds before another, without gravity: time runs backwards.
+fn earlier(parameters: &Parameters, theta: Links, omega: Links, seconds: f64) -> Option<(Links, Links)> {
+    let mut run = Simulation::at(parameters, &default_inputs(), theta, omega.map(|rate| -rate)).ok()?;
+    run.advance(&default_inputs(), 1e-3, (seconds / 1e-3).round() as u64).ok()?;
+    let (theta, omega) = motion(&run.state());
+    Some((theta, omega.map(|rate| -rate)))
+}
+
+/// A scenario from a state of all links.
+fn from_state(
+    mut model: Parameters,
+    truth: Parameters,
+    (theta, omega): (Links, Links),
+    duration: f64,
+    random: &mut Random,
+) -> Scenario {
+    model.start.theta = [theta[0], theta[3]];
+    model.start.omega = [omega[0], omega[3]];
+    model.start.assembly = if side(&theta) > 0.0 { Assembly::Plus } else { Assembly::Minus };
+    // Of errors with which the twin cannot be assembled others are taken.
+    let exact = model.start;
+    loop {
+        start_off(&mut model, random, START);
+        if Simulation::new(&model, &default_inputs()).is_ok() {
+            break;
+        }
+        model.start = exact;
+    }
+    Scenario { model, truth, course: no_inputs, plan: Plan::default(), duration, from: Some((theta, omega)) }
+}
+
+fn without_gravity(mut parameters: Parameters) -> Parameters {
+    parameters.effects.gravity.enabled = false;
+    parameters
+}
+
+/// The tip passes the line of the distal links at a speed between these, m/s, at least 0.3 of it across the line.
+pub fn crossing(random: &mut Random, [slow, fast]: [f64; 2]) -> Scenario {
+    let model = without_gravity(desk());
+    let linkage = Linkage::new(&model.geometry);
+    loop {
+        let truth = five_percent(&model, random);
+        let (first, stretched) = (random.between(0.0, std::f64::consts::TAU), 0.42);
+        let elbow = [0.21 * first.cos(), 0.21 * first.sin()];
+        // The right elbow on both circles.
+        let to = [elbow[0] - 0.1, elbow[1]];
+        let distance = to[0].hypot(to[1]);
+        let cosine = (0.21f64.powi(2) + distance * distance - stretched * stretched) / (2.0 * 0.21 * distance);
+        if cosine.abs() > 0.99 {
+            continue;
+        }
+        let fourth = to[1].atan2(to[0]) + if random.uniform() < 0.5 { cosine.acos() } else { -cosine.acos() };
+        let arrow = [0.1 + 0.21 * fourth.cos() - elbow[0], 0.21 * fourth.sin() - elbow[1]];
+        let second = arrow[1].atan2(arrow[0]);
+        let theta = [first, second, second + std::f64::consts::PI, fourth];
+        let frame = linkage.frame(&theta);
+        if frame.smallest < 0.3 {
+            continue;
+        }
+        let angle = random.between(0.0, std::f64::consts::TAU);
+        let omega = frame.tangent([angle.cos(), angle.sin()]);
+        let tip = frame.tip().map(|row| row[0] * angle.cos() + row[1] * angle.sin());
+        let across = -tip[0] * second.sin() + tip[1] * second.cos();
+        let speed = tip[0].hypot(tip[1]);
+        let scale = random.between(slow, fast) / speed;
+        let omega = omega.map(|rate| rate * scale);
+        // Transversal: a motion that only grazes the line may as well turn back, and encoders cannot tell.
+        if across.abs() < 0.3 * speed
+            || (omega[2] - omega[1]).abs() * 0.21 < 0.3 * scale * speed
+            || omega.iter().any(|rate| rate.abs() > 30.0)
+        {
+            continue;
+        }
+        // From where encoders can tell the assembly to where they can again.
+        let before = (1..=LONGEST).find_map(|k| {
+            let seconds = f64::from(k) * AROUND[0];
+            let state = earlier(&truth, theta, omega, seconds)?;
+            (side(&state.0).abs() > CLEAR).then_some((state, seconds))
+        });
+        let Some((start, seconds)) = before else { continue };
+        let slowness = (seconds / AROUND[0]).max(1.0);
+        return from_state(model, truth, start, seconds + slowness * AROUND[1], random);
+    }
+}
+
+/// All links pass through one line, but for an offset, rad.
+fn vertex(random: &mut Random, offset: f64) -> Scenario {
+    let mut model = without_gravity(desk());
+    model.geometry.base_distance = 0.42;
+    let linkage = Linkage::new(&model.geometry);
+    let pi = std::f64::consts::PI;
+    loop {
+        // −w₀ + w₁ + w₂ + w₃ = 0, and so with squares.
+        let (second, fourth) = (random.between(-4.0, 4.0), random.between(-4.0, 4.0));
+        if (second + fourth).abs() < 0.5 || second.abs() < 0.5 || fourth.abs() < 0.5 {
+            continue;
+        }
+        let third = -second * fourth / (second + fourth);
+        let omega = [second + third + fourth, second, third, fourth];
+        if omega.iter().any(|rate| rate.abs() > 10.0) {
+            continue;
+        }
+        let Some((theta, omega)) = earlier(&model, [pi, 0.0, pi, pi], omega, AROUND_VERTEX[0]) else { continue };
+        let frame = linkage.frame(&theta);
+        if frame.smallest < 0.1 || side(&theta).abs() < 0.1 {
+            continue;
+        }
+        let aside = frame.basis[1];
+        let moved = if offset == 0.0 {
+            Some((theta, omega))
+        } else {
+            linkage.closed(std::array::from_fn(|i| theta[i] + offset * aside[i]), omega).map(|(theta, omega, _)| (theta, omega))
+        };
+        let Some(start) = moved else { continue };
+        let truth = model.clone();
+        return from_state(model, truth, start, AROUND_VERTEX[0] + AROUND_VERTEX[1], random);
+    }
+}
+
+fn lost(runs: u64, first: u64, encoder: &Encoder, h: f64, scenario: impl Fn(&mut Random) -> Scenario) -> f64 {
+    let is_lost = |seed: &u64| {
+        let mut random = Random::new(first + seed);
+        let scenario = scenario(&mut random);
+        outcome(&scenario, encoder, h, &mut random).lost
+    };
+    (0..runs).filter(is_lost).count() as f64
+}
+
+/// Runs that are lost.
+pub fn table(part: f64) -> Table {
+    let runs = |all: f64| (all * part).round().max(2.0) as u64;
+    let mut table = Table::new("Runs lost: more than 10 mm off, or on the wrong branch, at the end");
+    for h in [1e-3, 5e-3] {
+        let (mut all, mut sum) = (0, 0.0);
+        for (k, (speed, encoder)) in
+            [([0.5, 4.0], COARSE), ([0.5, 4.0], FINE), ([0.02, 0.2], COARSE), ([0.02, 0.2], FINE)].into_iter().enumerate()
+        {
+            let count = runs(200.0);
+            all += count;
+            sum += lost(count, 7_300_000 + 10_000 * k as u64, &encoder, h, |random| crossing(random, speed));
+        }
+        let most = if h < 2e-3 { 0.0 } else { (0.01 * all as f64).floor() };
+        table.push(Figure::at_most(format!("direct singularities at {} ms", 1e3 * h), sum, most, format!("of {all}")));
+    }
+    let (mut all, mut sum) = (0, 0.0);
+    for (k, offset) in [0.0, 1e-4, 1e-3, 5e-3].into_iter().enumerate() {
+        for encoder in [COARSE, FINE] {
+            let count = runs(40.0);
+            let lost = lost(count, 7_400_000 + 10_000 * k as u64, &encoder, 1e-3, |random| vertex(random, offset));
+            table.push(Figure::told(format!("vertices, {offset} rad aside, {}, 1 ms", encoder.name), lost, format!("of {count}")));
+            (all, sum) = (all + count, sum + lost);
+        }
+    }
+    table.push(Figure::at_most("vertices at 1 ms, all".into(), sum, (0.02 * all as f64).floor(), format!("of {all}")));
+    for encoder in [COARSE, FINE] {
+        let count = runs(100.0);
+        let lost = lost(count, 7_500_000, &encoder, 1e-3, push);
+        table.push(Figure::at_most(format!("pushes of 0.5 N, {}, 1 ms", encoder.name), lost, 0.0, format!("of {count}")));
+    }
+    table
+}

@@ -1,0 +1,91 @@
+"""The picture of loads with kinks in docs/effects.md: stick and slip, a bounce, a hold.
+
+python kink_pictures.py --fmu target/fmu/FiveBar.fmu --scenes target/scenes --out docs/images/kinks.svg
+"""
+
+import argparse
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import fmpy
+import matplotlib
+
+matplotlib.use("svg")
+import matplotlib.pyplot as plt
+from fmpy.model_description import ModelDescription
+from matplotlib.axes import Axes
+
+from drawing import FAINT, INK, LEFT, TIP, plane, thinned
+from drive import Progress, Run, drive
+from scene import Scene, Variant, read
+
+LAWS = {"smooth": 1, "stick": 2}
+"""The items of `friction.law`."""
+
+
+def held(scene: Scene, law: str) -> Scene:
+    """The joint of `stick_slip` under half its breakaway torque, which the servo keeps, by a law of friction."""
+    values = scene.variants[0].values
+    pull = values["friction.breakaway[1]"] / 2 / values["servo.kp[1]"]
+    load = {"servo.theta[1]": values["init.theta[1]"] + pull, "friction.law": LAWS[law], "friction.breakawayVelocity": 1e-3}
+    return replace(scene, stop_time=2.0, signals={}, variants=[Variant(law, values | load)])
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the scenes and draws them side by side."""
+    parser = argparse.ArgumentParser(description="Stick and slip, a bounce, a hold.")
+    parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
+    parser.add_argument("--scenes", type=Path, required=True, help="the folder target/scenes/")
+    parser.add_argument("--out", type=Path, required=True, help="the SVG file to write")
+    options = parser.parse_args(arguments)
+    directory = fmpy.extract(str(options.fmu))
+    try:
+        model = fmpy.read_model_description(directory, validate=False)
+        figure, (slip, bounce, hold) = plt.subplots(1, 3, figsize=(11, 3.2), layout="constrained")
+        draw_stick_and_slip(slip, run(model, directory, read(options.scenes / "stick_slip.json")))
+        draw_bounce(bounce, run(model, directory, read(options.scenes / "bounce.json")))
+        draw_hold(hold, [run(model, directory, held(read(options.scenes / "stick_slip.json"), law)) for law in LAWS])
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    matplotlib.rcParams["svg.hashsalt"] = "kinks"
+    figure.savefig(options.out, metadata={"Date": None})
+    return 0
+
+
+def run(model: ModelDescription, directory: str, scene: Scene) -> Run:
+    """A scene by itself."""
+    return drive(model, directory, scene, scene.variants[0], Progress(scene.name, scene.stop_time))
+
+
+def draw_stick_and_slip(axes: Axes, found: Run) -> None:
+    """The angle and its reference from the start, mrad."""
+    start = found["theta[1]"][0]
+    for values, colour, label in ((found["servo.theta[1]"], FAINT, "reference"), (found["theta[1]"], LEFT, "angle")):
+        axes.plot(*thinned(found.time, 1e3 * (values - start), buckets=400), color=colour, linewidth=1.4, label=label)
+    axes.set(title="stick and slip", xlabel="time  (s)", ylabel="left motor from its start  (mrad)")
+    axes.legend()
+
+
+def draw_bounce(axes: Axes, found: Run) -> None:
+    """The gap between tip and floor, mm."""
+    normal, offset = plane(found)
+    gap = normal[0] * found["tip.x"] + normal[1] * found["tip.y"] - offset
+    axes.plot(*thinned(found.time, 1e3 * gap, buckets=400), color=TIP, linewidth=1.4)
+    axes.axhline(0, color=FAINT, linewidth=1)
+    axes.set(title="a bounce", xlabel="time  (s)", ylabel="tip above the floor  (mm)")
+
+
+def draw_hold(axes: Axes, runs: list[Run]) -> None:
+    """The angle from its start under a load that stays, µrad."""
+    for found, colour in zip(runs, (FAINT, INK)):
+        moved = found["theta[1]"] - found["theta[1]"][0]
+        axes.plot(*thinned(found.time, 1e6 * moved, buckets=400), color=colour, linewidth=1.4, label=found.label)
+    axes.set(title="a hold", xlabel="time  (s)", ylabel="left motor from its start  (µrad)")
+    axes.legend()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
