@@ -29,7 +29,7 @@ class Bus:
         self.client = mqtt.Client(
             mqtt.CallbackAPIVersion.VERSION2, client_id=f"{unit}-{name}-{os.getpid()}", clean_session=True, reconnect_on_failure=True
         )
-        self.client.reconnect_delay_set(0.2, 1)
+        self.client.reconnect_delay_set(0.2, 1)  # type: ignore[arg-type]  # fractions of a second work as well
         self.client.on_connect, self.client.on_disconnect = self._connected, self._disconnected
         self.client.on_message = self._message
         self.client.on_socket_open = self._opened
@@ -75,7 +75,7 @@ class Bus:
 
     def _message(self, _client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
         try:
-            self.handle(message.topic, message.payload)
+            self.handle(message.topic, bytes(message.payload))
         except Exception:
             # What is not foreseen ends the process: its starter starts it again from the last stored state.
             log.exception("a message could not be handled")

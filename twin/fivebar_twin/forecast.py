@@ -76,7 +76,7 @@ class Forecaster(Rider):
         self.made += 1
         probability = self.singular
         begin_seen = before = self.seen.read()
-        path: dict[str, list[float]] = {"ahead": []} | {name: [] for name in self.path.names}
+        path: dict[str, list[float]] = {name: [] for name in ("ahead", *self.path.names)}
         singular: dict[str, Any] = {"probability": probability, "time": None, "type": "none"}
         stop: dict[str, Any] = {"probability": self._stop_probability(begin_seen), "time": None, "at": "none"}
         pieces = max(1, round(setup.horizon / setup.period))

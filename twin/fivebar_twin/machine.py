@@ -21,7 +21,7 @@ from fivebar_twin.bus import Bus
 from fivebar_twin.config import Config, Faults, read_json
 from fivebar_twin.errors import TwinError
 from fivebar_twin.follower import Book, Rider
-from fivebar_twin.messages import MEAS_RANGES, MEASURED, TRACKED, Message, encode
+from fivebar_twin.messages import INPUTS, MEAS_RANGES, MEASURED, TRACKED, Message, encode
 from fivebar_twin.setup import Setup
 from fivebar_twin.unit import Library, Reader
 
@@ -47,6 +47,8 @@ class StandIn:
         self.rider = Rider(library, Setup(library.guid, self.scene, values, config.period), "machine")
         self.rider.unit.start(values)
         self.reader = Reader(self.rider.unit, ("theta[1]", "theta[2]", *TRACKED))
+        names = (name for name in self.scene.signals if name not in INPUTS)
+        self.surroundings = {name: library.variable(name).valueReference for name in names}
         self.seq = 0
         self.start_ns = 0
         """When the first sample is taken, ns since 1970."""
@@ -75,6 +77,12 @@ class StandIn:
         period = self.config.period
         book = Book(0, round(1e9 * period) * self.seq, self.seq, told, True, 1)
         self.rider.hold(book)
+        # What the scene does to the machine beside its drives, such as a hand's force, nobody tells the twin.
+        if self.surroundings:
+            begin, end = ([self.scene.at(name, k * period) for name in self.surroundings] for k in (self.seq, self.seq + 1))
+            references = list(self.surroundings.values())
+            self.rider.unit.set_reals(references, begin)
+            self.rider.unit.set_slopes(references, [(b - a) / period for a, b in zip(begin, end, strict=True)])
         self.seq += 1
         self.rider.unit.step_to(max(self.seq * period, now + 1e-9))
 

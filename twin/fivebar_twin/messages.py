@@ -93,7 +93,8 @@ def decode(from_topic: str, payload: bytes) -> Message:
     time = _integer(content, "time", LATEST)
     seq = _integer(content, "seq", MOST_SAMPLES)
     fields = content.get("fields")
-    _require(isinstance(fields, dict), f"fields are {_show(fields)}, not an object")
+    if not isinstance(fields, dict):
+        raise Refused(f"fields are {_show(fields)}, not an object")
     extra = {name: value for name, value in content.items() if name not in ("measurement", "time", "seq", "tags", "fields")}
     _CHECKS[kind](fields, extra)
     return Message(kind, unit, time, seq, fields, extra)
@@ -122,7 +123,9 @@ def _no_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def _integer(content: dict[str, Any], name: str, largest: int) -> int:
     value = content.get(name)
-    _require(type(value) is int and 0 <= value <= largest, f"{name} is {_show(value)}, not an integer from 0 to {largest}")
+    # JSON's true is an int of Python, and none of ours.
+    if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value <= largest:
+        raise Refused(f"{name} is {_show(value)}, not an integer from 0 to {largest}")
     return value
 
 

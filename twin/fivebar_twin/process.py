@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
@@ -34,7 +35,7 @@ class Worker(ABC):
 
     def __init__(self, config: Config):
         self.config = config
-        self.send = self._not_yet
+        self.send: Callable[[str, bytes], bool] = self._not_yet
         self.refused = 0
 
     @staticmethod

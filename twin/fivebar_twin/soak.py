@@ -101,9 +101,10 @@ def run(arguments: argparse.Namespace) -> int:
     finally:
         library.close()
     counts = twin.counts
-    # After a quarter everything that is kept has been kept once.
-    growth = memory[-1] - memory[len(memory) // 4]
+    # After a half everything that is kept for a while has been kept, and parts have been joined.
+    half = memory[len(memory) // 2]
+    growth = memory[-1] - half
     print(f"{samples} samples, {counts['taken']} taken, {counts['late']} late, {counts['estimated']} estimated, {recorder.counts['written']} rows")
-    print(f"memory {memory[len(memory) // 4]:.1f} MB after a quarter, {memory[-1]:.1f} MB at the end; {watch.alarms} alarms")
+    print(f"memory {half:.1f} MB after a half, {memory[-1]:.1f} MB at the end; {watch.alarms} alarms")
     lost = 0 if arguments.faults else samples - counts["estimated"]
     return int(lost != 0 or growth > 5)

@@ -54,9 +54,9 @@ class Child:
     def start(self) -> None:
         # In a group of its own: Ctrl-C is for the starter, which ends all in order. Not in a session of its own, for Linux shares the
         # cores among sessions first: who is patient could not let others of this run go first.
-        group = {"process_group": 0} if os.name == "posix" else {}
+        group = 0 if os.name == "posix" else None
         with self.log.open("ab") as log:
-            self.process = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, **group)
+            self.process = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, process_group=group)
 
     def look(self) -> bool:
         """Starts it again if it has died; whether it is a machine that has come to its end."""
