@@ -19,8 +19,9 @@ from fivebar_twin.machine import Mangler, StandIn
 from fivebar_twin.messages import Message, encode
 from fivebar_twin.recorder import Recorder
 from fivebar_twin.replay import Result, replay
+from fivebar_twin.soak import BEGIN, Wire, configured, machine
 from fivebar_twin.unit import Library
-from twin_support import BEGIN, Wire, configured, follower, machine, recorded
+from twin_support import follower, recorded
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +35,7 @@ def library(fmu: Path) -> Iterator[Library]:
 @pytest.fixture
 def config(tmp_path: Path, fmu: Path, library: Library, scenes: Path) -> Config:
     """The default run."""
-    return configured(tmp_path, fmu, library, scenes)
+    return configured(tmp_path, fmu, library, scenes / "pick_and_place.json")
 
 
 @pytest.fixture
@@ -199,7 +200,7 @@ def test_a_forecast_disturbs_nothing_and_holds_what_comes(config: Config, librar
 
 def test_forecasts_name_singularities_and_stops_before_they_come(tmp_path: Path, fmu: Path, library: Library, scenes: Path) -> None:
     """The scenes meet what the forecasts say, at the time that they say, as seen by the machine itself."""
-    config = configured(tmp_path, fmu, library, scenes, "fall_90_120")
+    config = configured(tmp_path, fmu, library, scenes / "fall_90_120.json")
     source, twin = machine(config, library), follower(config, library)
     ahead = Forecaster(library, twin.setup)
     said, met = [], []

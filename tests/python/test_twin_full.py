@@ -258,6 +258,31 @@ def test_roles_and_tls(secured: tuple[Path, int], tmp_path: Path, fmu: Path, sce
     plain.close()
 
 
+# --- DTaaS ---------------------------------------------------------------------------------------------------------------------------
+
+
+def test_the_lifecycle_of_dtaas(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    out = tmp_path / "out"
+    venv = Path(sys.executable).parents[1]
+    environment = os.environ | {"FIVEBAR_VENV": str(venv), "FIVEBAR_FMU": str(fmu), "FIVEBAR_OUT": str(out)}
+    environment["FIVEBAR_SCENE"] = str(scenes / "pick_and_place.json")
+
+    def stage(name: str, code: int = 0) -> str:
+        run = subprocess.run([REPOSITORY / "twin" / "lifecycle" / name], env=environment, capture_output=True, text=True, check=False, timeout=60)
+        assert run.returncode == code, run.stdout + run.stderr
+        return run.stdout + run.stderr
+
+    assert "created" in stage("create")
+    assert "dashboard at" in stage("execute")
+    assert "running already" in stage("execute", 1) and "terminate it first" in stage("clean", 1)
+    time.sleep(1)
+    assert "ended" in stage("terminate")
+    assert json.loads((out / "summary.json").read_text())["samples"]["estimated"] > 100
+    assert "not running" in stage("terminate")
+    stage("clean")
+    assert not out.exists()
+
+
 # --- the dashboard --------------------------------------------------------------------------------------------------------------------
 
 

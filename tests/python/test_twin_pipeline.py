@@ -2,11 +2,14 @@
 
 import json
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from conftest import REPOSITORY
 
 COMMAND = [sys.executable, "-m", "fivebar_twin"]
 
@@ -19,14 +22,14 @@ def started(out: Path, fmu: Path, scenes: Path, *more: str) -> "subprocess.Popen
 
 def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu: Path, scenes: Path) -> None:
     """Two starts find ports of their own; each leaves summary, pictures, page and a record that is replayed to the bit."""
-    runs = {name: started(tmp_path / name, fmu, scenes, "--seconds", "4", "--unit", name) for name in ("one", "two")}
+    runs = {name: started(tmp_path / name, fmu, scenes, "--seconds", "3", "--unit", name) for name in ("one", "two")}
     for name, run in runs.items():
         text = run.communicate(timeout=90)[0]
         assert run.returncode == 0, text
         out = tmp_path / name
         summary = json.loads((out / "summary.json").read_text())
         samples, forecasts = summary["samples"], summary["forecasts"]
-        assert samples["published"] > 700 and samples["lost"] == 0 and samples["estimated"] == samples["published"], text
+        assert samples["published"] > 500 and samples["lost"] == 0 and samples["estimated"] == samples["published"], text
         assert 0 < summary["latency_ms"]["p50"] <= summary["latency_ms"]["p99"]
         assert summary["tip_error_mm"]["rms"] < 0.1
         assert forecasts["count"] > 10 and 0 < forecasts["halfwidth_mm"]["median"] <= 20
@@ -62,3 +65,17 @@ def test_what_cannot_be_is_refused_before_anything_starts(tmp_path: Path, fmu: P
 def test_a_file_that_is_no_record_is_refused(tmp_path: Path) -> None:
     run = subprocess.run([*COMMAND, "replay", str(tmp_path / "none")], capture_output=True, text=True, check=False)
     assert run.returncode == 2 and "there is no record" in run.stderr and "Traceback" not in run.stderr
+
+
+def test_a_machine_of_ones_own_is_ten_lines(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """examples/publish_machine.py in the place of the stand-in; the starter is ended as by Ctrl-C."""
+    run = started(tmp_path, fmu, scenes, "--machine", "none", "--seconds", "inf")
+    assert run.stdout is not None
+    found = re.match(r"broker at ([\d.]+):(\d+)", run.stdout.readline())
+    assert found, run.communicate(timeout=30)[0]
+    subprocess.run([sys.executable, str(REPOSITORY / "examples" / "publish_machine.py"), *found.groups()], check=True, timeout=30)
+    run.send_signal(signal.SIGINT)
+    text = run.communicate(timeout=60)[0]
+    assert run.returncode == 0, text
+    samples = json.loads((tmp_path / "summary.json").read_text())["samples"]
+    assert samples == {"published": 400, "lost": 0, "estimated": 400, "recorded": 400, "late": 0}, text

@@ -2,7 +2,6 @@
 
 import argparse
 import asyncio
-import gc
 import logging
 import sys
 import time
@@ -42,8 +41,7 @@ async def _serve(config: Config) -> int:
     broker = Broker(settings)
     await broker.start()
     stop, status = process.Stop(), process.Status(config, "broker")
-    gc.collect()
-    gc.freeze()
+    process.spare_collector()
     begin = time.monotonic()
     while not stop.wait(0):
         status.write({"name": "broker", "ready": True, "seconds": time.monotonic() - begin, "memory_kb": process.memory_kb()})

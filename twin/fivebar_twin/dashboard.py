@@ -153,7 +153,7 @@ def run(arguments: argparse.Namespace) -> int:
     process.set_up_log()
     if hasattr(os, "nice"):
         # Others go first where there are too few cores for all.
-        os.nice(5)
+        os.nice(10)
     return asyncio.run(_serve(process.read_config(arguments)))
 
 

@@ -22,6 +22,10 @@ DEPTH: Final = 20
 LONGEST_GAP: Final = 5.0
 """Seconds without a sample after which the twin starts anew instead of coasting."""
 
+JUMP: Final = 0.5
+"""Seconds by which times and numbers of two samples may differ: a machine that is timed by software is late now and then. More, or a
+time that goes back, is a jump of the machine's clock."""
+
 LEGS: Final = (1, 2)
 
 ESTIMATED: Final = (
@@ -263,7 +267,7 @@ class Follower(Rider):
             self._remember(message)
         expected = round(1e9 * self.setup.period) * (message.seq - book.seq)
         odd = message.time - book.time - expected
-        if abs(odd) > max(1e9 * self.setup.period, expected / 4):
+        if abs(odd) > 1e9 * JUMP or (message.seq > book.seq and message.time <= book.time):
             # The machine's clock was set: motion went on by as many samples as were counted.
             book = replace(book, offset=book.offset + odd)
             self.jumps += 1

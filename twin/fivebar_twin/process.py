@@ -32,9 +32,6 @@ class Worker(ABC):
     kinds: ClassVar[tuple[str, ...]] = ()
     """What it listens to."""
 
-    patient: ClassVar[bool] = False
-    """Whether others go first where there are too few cores for all."""
-
     def __init__(self, config: Config):
         self.config = config
         self.send = self._not_yet
@@ -134,8 +131,6 @@ class Status:
 def serve(worker: Worker) -> int:
     """Runs a worker until it is told to stop."""
     set_up_log()
-    if worker.patient and hasattr(os, "nice"):
-        os.nice(5)
     config = worker.config
     stop, status, lock = Stop(), Status(config, worker.name), threading.Lock()
 
@@ -147,9 +142,7 @@ def serve(worker: Worker) -> int:
     bus = Bus(config.broker, config.unit, worker.name, worker.kinds, handle)
     worker.send = bus.publish
     bus.start()
-    # What lives now lives to the end: the collector need not look at it again.
-    gc.collect()
-    gc.freeze()
+    spare_collector()
 
     def report(at_once: bool = False) -> None:
         own = {"name": worker.name, "pid": os.getpid(), "ready": bus.ready(), "connections": bus.connections}
@@ -164,6 +157,13 @@ def serve(worker: Worker) -> int:
         report(at_once=True)
     bus.stop()
     return 0
+
+
+def spare_collector() -> None:
+    """What lives now lives to the end, and what follows has no cycles: the collector looks rarely, and not at what is old."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 100)
 
 
 def memory_kb() -> int:

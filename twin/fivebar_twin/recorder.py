@@ -64,7 +64,6 @@ class Recorder(Worker):
     """The worker."""
 
     name = "record"
-    patient = True
     kinds = tuple(kind for kind in KINDS if kind not in ("gap", "setup"))
 
     def __init__(self, config: Config):
@@ -131,6 +130,9 @@ class Recorder(Worker):
         for _, _, path in self.parts:
             path.unlink(missing_ok=True)
         self.parts = []
+        # What joining took goes back to the system.
+        del table
+        pa.default_memory_pool().release_unused()
 
     def status(self) -> dict[str, Any]:
         return dict(self.counts)

@@ -19,6 +19,7 @@ from fivebar_twin import config as configuration
 from fivebar_twin import replay, scene
 from fivebar_twin.config import Broker, Config, Faults, Machine
 from fivebar_twin.errors import TwinError
+from fivebar_twin.process import STATUS_EVERY
 from fivebar_twin.unit import Library
 
 READY_WITHIN: Final = 20.0
@@ -32,8 +33,11 @@ KEPT_RUNS: Final = 5
 ORDER: Final = ("broker", "record", "watch", "dashboard", "follow", "machine")
 """In which they start; they end the other way round, the recorder and the broker last."""
 
-ENDING: Final = ("machine", "watch", "follow", "dashboard", "record", "broker")
-"""The watch before it takes the end for silence."""
+SETTLED_WITHIN: Final = 10.0
+"""Seconds in which the last messages have to arrive."""
+
+ENDING: Final = ("watch", "machine", "follow", "dashboard", "record", "broker")
+"""The watch first, or it would take the end for silence."""
 
 
 @dataclass
@@ -48,11 +52,11 @@ class Child:
     recent: tuple[float, ...] = ()
 
     def start(self) -> None:
-        # In a session of its own: Ctrl-C is for the starter, which ends all in order.
+        # In a group of its own: Ctrl-C is for the starter, which ends all in order. Not in a session of its own, for Linux shares the
+        # cores among sessions first: who is patient could not let others of this run go first.
+        group = {"process_group": 0} if os.name == "posix" else {}
         with self.log.open("ab") as log:
-            self.process = subprocess.Popen(
-                self.command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True
-            )
+            self.process = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, **group)
 
     def look(self) -> bool:
         """Starts it again if it has died; whether it is a machine that has come to its end."""
@@ -103,8 +107,9 @@ class Run:
             if name == "machine":
                 self._wait_for([n for n in self.children if n != "machine"])
             child.start()
-            if name in ("broker", "machine"):
+            if name == "broker":
                 self._wait_for([name])
+        self._wait_for(list(self.children))
 
     def look(self) -> bool:
         """Starts again what has died; whether the machine has come to its end."""
@@ -112,13 +117,26 @@ class Run:
         return "machine" in ended
 
     def end(self) -> None:
-        """Ends all: first what sends, then what receives."""
+        """Ends all: first what sends, then what receives, each when all has arrived."""
         for name in ENDING:
+            if name in ("follow", "record"):
+                self._settle()
             if name in self.children:
                 self.children[name].end()
-                if name in ("watch", "follow"):
-                    # What was sent last arrives.
-                    time.sleep(0.2)
+
+    def _settle(self) -> None:
+        """Until nothing arrives at the recorder any more: what was sent last may still be on its way where cores are busy."""
+        begin, changed, before = time.monotonic(), time.monotonic(), -1
+        while time.monotonic() - begin < SETTLED_WITHIN:
+            lives = self.status()
+            count = total(lives.get("record", []), "recorded")
+            if count != before:
+                before, changed = count, time.monotonic()
+            # A recorder that was killed has not counted all that it recorded.
+            behind = len(lives.get("record", [])) == 1 and count < sum(total(lives.get("follow", []), n) for n in ("taken", "estimated"))
+            if not behind and time.monotonic() - changed > 1.5 * STATUS_EVERY:
+                return
+            time.sleep(0.05)
 
     def status(self) -> dict[str, list[dict[str, Any]]]:
         """The status of every life of every process, by name."""
@@ -196,7 +214,7 @@ def run_folder(out: Path) -> Path:
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--seconds", type=float, default=60.0, help="of real time [default: 60]")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of real time, or inf until Ctrl-C [default: 60]")
     parser.add_argument("--scene", type=Path, required=True, metavar="FILE", help="a scene of target/scenes/")
     parser.add_argument("--fmu", type=Path, default=replay.default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
     parser.add_argument("--out", type=Path, default=Path("target/twin"), help="for summary, pictures, page and record")
@@ -213,7 +231,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def configure(arguments: argparse.Namespace, folder: Path) -> Config:
     """The configuration of a run, from the command line."""
-    if not (math.isfinite(arguments.seconds) and arguments.seconds > 0):
+    if not arguments.seconds > 0:
         raise TwinError(f"seconds are {arguments.seconds:g}; more than 0 are needed")
     password = os.environ.get("FIVEBAR_PASSWORD", "")
     if arguments.broker:

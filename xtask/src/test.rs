@@ -12,8 +12,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 /// What `--full` adds, for the last line of the short form.
-const LEFT_OUT: &str = "the pages in a real browser, the twin on mosquitto and its processes killed, masters other than FMPy, a forced panic, a foreign locale, and with valgrind memory errors, leaks, races \
-     and instructions per step";
+const LEFT_OUT: &str = "the pages in a real browser, the twin on mosquitto and its processes killed, masters other than FMPy, a forced \
+     panic, a foreign locale, and with valgrind memory errors, leaks, races and instructions per step";
 
 /// Programs that `--full` needs, and the Debian package of each.
 const FULL_NEEDS: [(&str, &str); 7] = [

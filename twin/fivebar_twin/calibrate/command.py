@@ -61,7 +61,7 @@ def calibrate(machine: Machine, given: data.Data, between: Between, longest: flo
     fit = fitter.run()
     judgement = judge(fit, sought)
     pins = np.empty((0, len(sought)))
-    for _ in range(3):
+    for _ in range(2):
         told = len(pins)
         pins = _pins(judgement, len(sought))
         # What was believed before moves nothing that is told this well.
