@@ -152,6 +152,8 @@ def _write_scene(file: Path, result: Result, scene: Values, arguments: argparse.
     values = fitted_values(result, scene, library)
     values |= {f"init.theta[{i + 1}]": float(first.state[i]) for i in (0, 1)} | {f"init.omega[{i + 1}]": float(first.state[2 + i]) for i in (0, 1)}
     values["init.assembly"] = first.assembly
+    # What the drives were told at first: without a master the machine stays there.
+    values |= {name: value for name, value in result.fit.pieces[0].path.first.items() if not name.startswith("servo.omega")}
     scenes.write(file, text, values, round(given.series[0].time[-1] - given.series[0].time[0], 6) or 1.0, 1e-3, library)
 
 
