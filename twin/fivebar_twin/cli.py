@@ -19,10 +19,11 @@ class Command(NamedTuple):
 COMMANDS = {
     "run": Command("starter", "run the whole pipeline for some seconds, write summary, pictures and page"),
     "replay": Command("replay", "compute the estimates of a record again and compare them to the bit"),
-    "soak": Command("soak", "hours of samples without broker and clock: nothing lost, nothing grows"),
     "calibrate": Command("calibrate.command", "what the machine is, from a record: masses, friction, lengths, offsets with error bars"),
     "ensemble": Command("ensemble.command", "many runs that differ as much as one does not know, on Dask"),
     "what-if": Command("ensemble.what_if", "what some commands would lead to from the running twin's state; ranked, publishes whatif"),
+    "load": Command("load", "how many machines a broker carries"),
+    "soak": Command("soak", "hours of samples without broker and clock: nothing lost, nothing grows"),
     "broker": Command("broker", "the broker that comes along, on the loopback interface"),
     "machine": Command("machine", "the machine's stand-in, or a recorded CSV: publishes meas"),
     "follow": Command("follow", "the twin: takes meas, param and cmd, publishes est and forecast"),

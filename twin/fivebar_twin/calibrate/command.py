@@ -61,7 +61,7 @@ def calibrate(machine: Machine, given: data.Data, between: Between, longest: flo
     fit = fitter.run()
     judgement = judge(fit, sought)
     pins = np.empty((0, len(sought)))
-    for _ in range(3):
+    for _ in range(2):
         told = len(pins)
         pins = _pins(judgement, len(sought))
         # What was believed before moves nothing that is told this well.
@@ -152,6 +152,8 @@ def _write_scene(file: Path, result: Result, scene: Values, arguments: argparse.
     values = fitted_values(result, scene, library)
     values |= {f"init.theta[{i + 1}]": float(first.state[i]) for i in (0, 1)} | {f"init.omega[{i + 1}]": float(first.state[2 + i]) for i in (0, 1)}
     values["init.assembly"] = first.assembly
+    # What the drives were told at first: without a master the machine stays there.
+    values |= {name: value for name, value in result.fit.pieces[0].path.first.items() if not name.startswith("servo.omega")}
     scenes.write(file, text, values, round(given.series[0].time[-1] - given.series[0].time[0], 6) or 1.0, 1e-3, library)
 
 

@@ -48,7 +48,7 @@ OUTLIER: Final = 5.0
 """Standard deviations of leaps beyond which a sample is left out; in the end twice as many of residuals do as well."""
 
 FEW: Final = 0.05
-"""Share of the samples that may be far off and still count as outliers."""
+"""Share of the samples that may count as outliers."""
 
 DEEPEST: Final = 0.1
 """s: the longest delay that is sought; samples as long after a start are not compared while it is."""
@@ -342,11 +342,8 @@ class Fitter:
         leaps = [np.abs(gap - around(gap)) for gap in gaps]
         usual = np.maximum(spread(leaps, pieces), self.noise)
         usable = [self.compared(piece.path.samples) for piece in pieces]
-        leapt = [mask & (np.nan_to_num(leap) > OUTLIER * usual) for mask, leap in zip(usable, leaps, strict=True)]
-        far = [mask & (np.abs(np.nan_to_num(gap)) > 2 * OUTLIER * sigma) for mask, gap in zip(usable, gaps, strict=True)]
-        if sum(int(which.sum()) for which in far) > FEW * sum(int(mask.sum()) for mask in usable):
-            # So many are no outliers: the fit is not there yet, or the machine is another one.
-            far = [np.zeros_like(which) for which in far]
+        leapt = beyond(usable, leaps, OUTLIER * usual)
+        far = beyond(usable, [np.abs(gap) for gap in gaps], 2 * OUTLIER * sigma)
         for piece, mask, *out in zip(pieces, usable, leapt, far, strict=True):
             piece.mask = mask & ~out[0] & ~out[1]
         return sum(int(mask.sum() - piece.mask.sum()) for mask, piece in zip(usable, pieces, strict=True))
@@ -364,6 +361,17 @@ def least_noise(data: Data) -> Array:
         thirds = thirds[np.isfinite(thirds)]
         found.append(0.1 * 1.4826 * float(np.median(np.abs(thirds))) / math.sqrt(20) if len(thirds) else 0.0)
     return np.maximum(found, 1e-9)
+
+
+def beyond(usable: list[Array], sizes: list[Array], limits: Array) -> list[Array]:
+    """Which samples are beyond their encoder's limit: the furthest ones only, if these are more than `FEW` of all.
+
+    Where many are, the fit is not there yet, or the machine is another one.
+    """
+    ratios = [np.where(mask, np.nan_to_num(size) / limits, 0.0) for mask, size in zip(usable, sizes, strict=True)]
+    every = np.concatenate([ratio[mask] for ratio, mask in zip(ratios, usable, strict=True)])
+    limit = max(1.0, float(np.quantile(every, 1 - FEW))) if len(every) else 1.0
+    return [ratio > limit for ratio in ratios]
 
 
 def around(gap: Array, reach: int = 4) -> Array:

@@ -37,18 +37,25 @@ class Combination:
     sigma: float
     """Its standard deviation as far as the record says one, in sizes."""
 
+    at: Array
+    """The unknowns where it is so."""
+
     def sentence(self, sought: list[Parameter]) -> str:
         """The combination in words."""
-        order = [int(k) for k in np.argsort(-np.abs(self.weights)) if abs(self.weights[k]) > WEIGHT]
+        # Of a factor what counts is its change against what it is.
+        scale = np.array([max(abs(x), 1e-3) if p.factor else 1.0 for p, x in zip(sought, self.at, strict=True)])
+        weights = self.weights / scale
+        weights = weights / np.linalg.norm(weights)
+        order = [int(k) for k in np.argsort(-np.abs(weights)) if abs(weights[k]) > WEIGHT]
         if len(order) == 1:
             what = sought[order[0]].name
         else:
-            lead = float(self.weights[order[0]])
+            lead = float(weights[order[0]])
             terms = [sought[order[0]].name]
             for k in order[1:]:
-                ratio = float(self.weights[k]) / lead
+                ratio = float(weights[k]) / lead
                 terms.append(f"{'-' if ratio < 0 else '+'} {'' if abs(abs(ratio) - 1) < 0.05 else f'{abs(ratio):.2g} '}{sought[k].name}")
-            same = all(sought[k].factor and abs(float(self.weights[k]) / lead - 1) < 0.05 for k in order)
+            same = all(sought[k].factor and abs(float(weights[k]) / lead - 1) < 0.05 for k in order)
             what = f"a common factor of {', '.join(sought[k].name for k in order)}" if same else " ".join(terms)
             what += "" if same else " (in relative changes)" if all(sought[k].factor for k in order) else " (in sizes)"
         return f"{what}: the record says nothing of it" if self.sigma > 1e3 else f"{what}: known to ±{1.96 * self.sigma:.2g} only"
@@ -84,7 +91,7 @@ def judge(fit: Fit, sought: list[Parameter]) -> Judgement:
         covariance = inverse @ (between(fit, projected, scores, found) + prior) @ inverse
     sigma = np.sqrt(np.maximum(np.diag(covariance), np.diag(inverse)))
     doubts = np.linalg.norm(fit.doubt[:, :p] * weights[:, None], axis=0) / np.maximum(np.linalg.norm(jacobian[:, :p], axis=0), 1e-300)
-    combinations = _unknown(jacobian, projected, fit.doubt * weights[:, None], covariance)
+    combinations = _unknown(jacobian, projected, fit.doubt * weights[:, None], covariance, fit.x)
     identified = [
         bool(sigma[k] < LIMIT and doubts[k] < 0.1 and not any(abs(c.weights[k]) > WEIGHT for c in combinations)) for k in range(p)
     ]
@@ -163,7 +170,7 @@ def between(fit: Fit, projected: Array, scores: Array, found: Together) -> Array
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
 
 
-def _unknown(jacobian: Array, projected: Array, doubt: Array, covariance: Array) -> list[Combination]:
+def _unknown(jacobian: Array, projected: Array, doubt: Array, covariance: Array, at: Array) -> list[Combination]:
     """Directions with less than the record has to say of them: too wide, or told by errors of the derivatives only."""
     p = projected.shape[1]
     starts = jacobian[:, p:]
@@ -178,7 +185,7 @@ def _unknown(jacobian: Array, projected: Array, doubt: Array, covariance: Array)
         errs = float(np.linalg.norm(doubt @ np.concatenate([direction, answer])))
         sigma = math.sqrt(float(direction @ covariance @ direction)) if seen > DOUBTED * errs else math.inf
         if sigma > LIMIT:
-            found.append(Combination(direction, sigma))
+            found.append(Combination(direction, sigma, at))
     return found
 
 

@@ -135,7 +135,7 @@ def ranked(outcomes: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def compare(fmu: Path, state: Message, candidates: list[Candidate] | None, goal: list[float] | None, arguments: argparse.Namespace) -> dict[str, Any]:
     """The ranked outcomes from a stored state of the twin."""
-    begun = time.perf_counter()
+    begun, spent = time.perf_counter(), time.process_time()
     library = Library(fmu)
     try:
         told = {str(name): float(value) for name, value in state.extra["book"]["told"].items()}
@@ -151,7 +151,7 @@ def compare(fmu: Path, state: Message, candidates: list[Candidate] | None, goal:
         raise TwinError("the twin's state is not as this version writes it") from None
     finally:
         library.close()
-    return {"ahead": arguments.seconds, "members": arguments.members, "goal": goal, "took_s": round(time.perf_counter() - begun, 4), "candidates": ranked(found)}
+    return {"ahead": arguments.seconds, "members": arguments.members, "goal": goal, "took_s": round(time.perf_counter() - begun, 4), "cpu_s": round(time.process_time() - spent, 4), "candidates": ranked(found)}
 
 
 def _all(fmu: Path, library: Library, plans: list[Plan], arguments: argparse.Namespace) -> Iterator[list[pa.Table]]:
@@ -217,7 +217,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _print(answer: dict[str, Any]) -> None:
-    print(f"{answer['ahead']:g} s ahead, {answer['members']} members each, in {answer['took_s']:.2f} s:")
+    print(f"{answer['ahead']:g} s ahead, {answer['members']} members each, in {answer['took_s']:.2f} s ({answer['cpu_s']:.2f} s of CPU):")
     for one in answer["candidates"]:
         end = one.get("end")
         where = f"tip {1e3 * end['tip.x']:8.2f} {1e3 * end['tip.y']:8.2f} mm, 95 % within {1e3 * end['within95']:.2f} mm" if end else "no member came to its end"
