@@ -14,6 +14,8 @@ const LASTING: (f64, f64) = (0.5, 6.0);
 const SLOW: f64 = 0.3;
 /// How long an alarm lasts, s.
 const LASTS: f64 = 0.1;
+/// A sample counts no more than this there: one that is wild is not forgotten otherwise.
+const WORST: f64 = 30.0;
 /// Over how many samples NIS is averaged, and what that may be at most, of 1 expected per sample.
 const CONSISTENCY: (f64, f64) = (100.0, 4.0);
 
@@ -46,7 +48,7 @@ impl Alarm {
     /// A correction by some samples.
     pub(super) fn hear(&mut self, track: &Track, at: &Frame, scale: f64, (nis, samples): (f64, usize)) {
         let samples = samples as f64;
-        self.nis += samples / CONSISTENCY.0 * (nis / samples - self.nis);
+        self.nis += samples / CONSISTENCY.0 * ((nis / samples).min(WORST) - self.nis);
         let change = std::array::from_fn(|i| track.force[i] - self.usual[i]);
         let [x, y] = Track { force: change, ..*track }.tangent_force(at);
         let covariance = track.covariance();

@@ -177,7 +177,7 @@ impl Estimator {
             }
         }
         let other_stands = [1, 0].map(|i| self.encoders[i].repeats());
-        let (mut nis, mut used) = (0.0, [None; 2]);
+        let (mut nis, mut fit, mut used) = (0.0, 0.0, [None; 2]);
         for i in 0..2 {
             let Some((innovation, angle)) = heard[i] else { continue };
             let (own, _) = self.track.bank.surprise(&innovation);
@@ -190,10 +190,10 @@ impl Estimator {
             if self.encoders[i].accepts(own, least, (suspicious, self.branches.are_known())) {
                 self.branches.weigh(&self.track, &innovation);
                 self.track.bank.update(&innovation);
+                fit += own;
                 used[i] = Some((angle, innovation.noise, ages[i]));
             }
         }
-        // What is beyond sense is told as a number.
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
         if used.iter().all(Option::is_none) {
             return false;
@@ -209,7 +209,7 @@ impl Estimator {
         }
         let frame = linkage.frame(&self.track.theta);
         let samples = used.iter().flatten().count();
-        self.alarm.hear(&self.track, &frame, constants.torque_scale(), (nis, samples));
+        self.alarm.hear(&self.track, &frame, constants.torque_scale(), (fit, samples));
         true
     }
 

@@ -69,7 +69,14 @@ pub fn pick(random: &mut Random) -> Scenario {
 /// A free fall from any posture, with masses 5 % off or not.
 pub fn fall(random: &mut Random, percent: bool) -> Scenario {
     let mut model = desk();
-    model.start.theta = [random.between(1.6, 2.6), random.between(0.5, 1.5)];
+    // Elbows that the distal links reach, with what the start may be off.
+    model.start.theta = loop {
+        let theta = [random.between(1.6, 2.6), random.between(0.5, 1.5)];
+        let apart = [0.1 + 0.21 * (theta[1].cos() - theta[0].cos()), 0.21 * (theta[1].sin() - theta[0].sin())];
+        if (0.05..0.38).contains(&apart[0].hypot(apart[1])) {
+            break theta;
+        }
+    };
     model.start.omega = [random.between(-2.0, 2.0), random.between(-2.0, 2.0)];
     let truth = if percent { five_percent(&model, random) } else { model.clone() };
     start_off(&mut model, random, START);
