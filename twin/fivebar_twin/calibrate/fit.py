@@ -342,8 +342,12 @@ class Fitter:
         leaps = [np.abs(gap - around(gap)) for gap in gaps]
         usual = np.maximum(spread(leaps, pieces), self.noise)
         usable = [self.compared(piece.path.samples) for piece in pieces]
-        leapt = beyond(usable, leaps, OUTLIER * usual)
-        far = beyond(usable, [np.abs(gap) for gap in gaps], 2 * OUTLIER * sigma)
+        # A leap among leaps is the fit's fault, not a sample's.
+        alone = [leap / np.maximum(usual, np.nan_to_num(around(leap, 10))) for leap in leaps]
+        leapt = beyond(usable, alone, np.full(2, OUTLIER))
+        # What is far off counts once residuals are down to what third differences of the samples show.
+        reached = bool(np.all(sigma < 50 * self.noise))
+        far = beyond(usable, [np.abs(gap) for gap in gaps], 2 * OUTLIER * sigma if reached else np.full(2, np.inf))
         for piece, mask, *out in zip(pieces, usable, leapt, far, strict=True):
             piece.mask = mask & ~out[0] & ~out[1]
         return sum(int(mask.sum() - piece.mask.sum()) for mask, piece in zip(usable, pieces, strict=True))
