@@ -1,5 +1,6 @@
 //! What is known of an encoder beside its angle: when it spoke last, and whether it can be believed.
 
+use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
 
 /// The time of a sample that has not been taken, s.
@@ -27,9 +28,20 @@ const FINEST: f64 = 1e-9;
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Measured {
     /// Angles of the proximal links, rad.
+    #[borsh(serialize_with = "as_bits", deserialize_with = "from_bits")]
     pub theta: [f64; 2],
     /// When they were measured, s on the master's clock; [`NEVER`] where nothing has been.
+    #[borsh(serialize_with = "as_bits", deserialize_with = "from_bits")]
     pub time: [f64; 2],
+}
+
+/// Numbers as their bits: an encoder may tell what is none, which Borsh does not take.
+fn as_bits<W: Write>(pair: &[f64; 2], writer: &mut W) -> io::Result<()> {
+    pair.map(f64::to_bits).serialize(writer)
+}
+
+fn from_bits<R: Read>(reader: &mut R) -> io::Result<[f64; 2]> {
+    <[u64; 2]>::deserialize_reader(reader).map(|pair| pair.map(f64::from_bits))
 }
 
 impl Default for Measured {
@@ -99,7 +111,9 @@ impl Encoder {
             return None;
         }
         let (before, spoke) = (self.time, self.time > NEVER);
-        self.time = time;
+        if time.is_finite() {
+            self.time = time;
+        }
         let (age, rounded) = (now - time, ROUND_OFF * now.abs().max(1.0));
         self.fault = if !(angle.is_finite() && time.is_finite()) {
             Fault::Invalid
@@ -115,7 +129,7 @@ impl Encoder {
         }
         self.repeated = spoke && self.angle.to_bits() == angle.to_bits();
         self.angle = angle;
-        if spoke && before.is_finite() {
+        if spoke {
             self.interval = (time - before).abs();
         }
         self.silent = 0.0;

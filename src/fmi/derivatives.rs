@@ -20,7 +20,10 @@ impl Instance {
         for (reference, order, value) in triples.clone() {
             let variable = lookup(reference, FmiType::Real)?;
             let VariableId::RealInput(_) = variable.id else {
-                return Err(CallError::error(format!("{} is no input: only inputs have input derivatives.", variable.name)));
+                return Err(CallError::error(format!(
+                    "{} is no continuous input: only those have input derivatives.",
+                    variable.name
+                )));
             };
             check_settable(variable, self.now.stage)?;
             if !(1..=ORDERS as i32).contains(&order) {

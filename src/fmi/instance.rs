@@ -12,7 +12,7 @@ use super::{CallError, Kind, Snapshot, Stage, bindings, computed};
 use crate::integrator::MODES;
 use crate::observers::{Observation, Observed};
 use crate::simulation::{Method, Signal, Simulation, StepFailure};
-use crate::variables::{FmiType, Value, Variable};
+use crate::variables::{FmiType, Value, Variable, VariableId};
 
 /// An instance of the FMU.
 #[derive(Debug)]
@@ -170,11 +170,13 @@ impl Instance {
     }
 
     /// fmi2GetReal, fmi2GetInteger, fmi2GetBoolean: hands each value with its position to `take`; nothing is handed
-    /// over unless every reference is right and every value finite.
+    /// over unless every reference is right and every value that is computed finite.
     pub fn get(&mut self, fmi_type: FmiType, references: &[u32], mut take: impl FnMut(usize, Value)) -> Result<(), CallError> {
         for &reference in references {
             let variable = lookup(reference, fmi_type)?;
-            if let Value::Real(value) = self.read(variable)? {
+            let value = self.read(variable)?;
+            // A sample is told as it was set, whatever the encoder said.
+            if let (Value::Real(value), false) = (value, matches!(variable.id, VariableId::RealSample(_))) {
                 check_computed(|| variable.name.to_owned(), value)?;
             }
         }

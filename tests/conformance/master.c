@@ -71,7 +71,7 @@ void read_variables(const char *file) {
     Variable v;
     char type, role;
     while (fscanf(table, "%u %c %c %la %la %la %63s", &v.reference, &type, &role, &v.min, &v.max, &v.start, v.name) == 7) {
-        const char *types = "RIB", *roles = "iftol";
+        const char *types = "RIB", *roles = "iftols";
         REQUIRE(strchr(types, type) && strchr(roles, role) && variable_count < MOST_VARIABLES, "table of variables: %s", v.name);
         v.type = (Type)(strchr(types, type) - types);
         v.role = (Role)(strchr(roles, role) - roles);

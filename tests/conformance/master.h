@@ -53,7 +53,8 @@ fmi2Component instantiate_as(fmi2Type kind, Log *log, const char *guid, bool log
 fmi2CallbackFunctions callbacks(Log *log);
 
 typedef enum { REAL, INTEGER, BOOLEAN } Type;
-typedef enum { INPUT, FIXED, TUNABLE, OUTPUT, LOCAL } Role;
+/* A sample is a discrete input: an encoder may tell anything, also what is no number, and its changes have no derivatives. */
+typedef enum { INPUT, FIXED, TUNABLE, OUTPUT, LOCAL, SAMPLE } Role;
 
 /* A variable of the model description. */
 typedef struct {

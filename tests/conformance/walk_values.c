@@ -30,7 +30,7 @@ bool may_set_states(const Slave *s) {
 /* Whether a variable may be set in a state that allows setting (FMI 2.0.4, section 2.2.7 and the footnotes of the table). */
 static bool settable(const Slave *s, const Variable *v) {
     const bool integrated = s->life.kind == fmi2ModelExchange && s->life.state == CONTINUOUS;
-    return v->role == INPUT || (v->role == TUNABLE && !integrated) || (v->role == FIXED && s->life.state <= INITIALIZATION) ||
+    return v->role == INPUT || v->role == SAMPLE || (v->role == TUNABLE && !integrated) || (v->role == FIXED && s->life.state <= INITIALIZATION) ||
            (is_state(v) && may_set_states(s));
 }
 
@@ -72,6 +72,7 @@ static bool finite_within(const Variable *v, double value) { return isfinite(val
 /* A value that a variable may have: its start, something near it, seldom something far away. */
 static double allowed_value(const Variable *v) {
     if (v->type == BOOLEAN) return (double)below(2);
+    if (v->role == SAMPLE && one_in(10)) return one_in(2) ? NAN : INFINITY;
     if (v->type == INTEGER) return floor(uniform(v->min, fmin(v->max, v->min + 10) + 0.999));
     double value = v->start;
     if (one_in(2)) value = isnan(v->start) || v->start == 0.0 ? uniform(-0.5, 0.5) : v->start * uniform(0.8, 1.25);
@@ -148,7 +149,7 @@ void set_values(Slave *s, Call call, Type type) {
         else
             p.variables[p.n] = v, p.references[p.n++] = v->reference;
     }
-    if (flaw == WRONG_VALUE && (p.n == 0 || type == BOOLEAN)) flaw = NOTHING;
+    if (flaw == WRONG_VALUE && (p.n == 0 || type == BOOLEAN || p.variables[p.n - 1]->role == SAMPLE)) flaw = NOTHING;
     bool tunes = false, far = false, moves = false;
     for (size_t i = 0; i < p.n; i++) {
         const bool wrong = flaw == WRONG_VALUE && i == p.n - 1;
@@ -178,7 +179,7 @@ void set_values(Slave *s, Call call, Type type) {
         bool again = false;
         for (size_t later = i + 1; later < p.n; later++) again |= p.references[later] == p.references[i];
         const double value = type == REAL ? back[i] : whole_back[i];
-        REQUIRE(again || value == reals[i], "%s was set to %.17g and is %.17g", p.variables[i]->name, reals[i], value);
+        REQUIRE(again || value == reals[i] || (isnan(value) && isnan(reals[i])), "%s was set to %.17g and is %.17g", p.variables[i]->name, reals[i], value);
     }
 }
 

@@ -318,8 +318,8 @@ fn what_has_no_derivative_is_refused_by_name() {
         ("tau[1]", 0, 1.0, "order of a derivative of tau[1] is 0, must be 1 to 2; its value is set by fmi2SetReal."),
         ("tau[1]", 3, 1.0, "order of a derivative of tau[1] is 3, must be 1 to 2; its value is set by fmi2SetReal."),
         ("tau[1]", 1, f64::NAN, "derivative 1 of tau[1] is NaN N.m/s^1, must be finite."),
-        ("tip.x", 1, 1.0, "tip.x is no input: only inputs have input derivatives."),
-        ("contact.k", 1, 1.0, "contact.k is no input: only inputs have input derivatives."),
+        ("tip.x", 1, 1.0, "tip.x is no continuous input: only those have input derivatives."),
+        ("contact.k", 1, 1.0, "contact.k is no continuous input: only those have input derivatives."),
     ] {
         // All or none: the first, which is right, is not set either.
         let pair = [(reference("tau[2]"), 1, 1e3), (reference(name), order, value)];

@@ -72,7 +72,7 @@ def test_casadi_takes_equations_and_derivatives(fmu: Path, model: ModelDescripti
     for name, value in start.items():
         dae.set(name, value)
     f = dae.create("f", ["x", "u"], ["ode", "y"])
-    assert (dae.nx(), dae.nu(), dae.ny()) == (4, 8, 12)
+    assert (dae.nx(), dae.nu(), dae.ny()) == (4, 8, 16)
     x, u = np.array([2.6, 1.2, 0.7, -1.9]), np.array([0.01, -0.02, 0.3, -0.1, 0, 0, 0, 0])
     xs, us = ca.MX.sym("x", 4), ca.MX.sym("u", 8)
     jacobians = ca.Function("J", [xs, us], [ca.jacobian(of, by) for of in f(xs, us) for by in (xs, us)])(x, u)
