@@ -95,7 +95,7 @@ def test_random_walk(run: Run, calls: object, seed: object, largest: object) -> 
 
 
 def test_walk_on_a_unit_of_one_s_own(run_own: Run) -> None:
-    assert "steps discarded" in run_own("walk", 150_000, 7, 12)
+    assert "steps discarded" in run_own("walk", 150_000, 3, 12)
 
 
 @pytest.mark.full
