@@ -87,7 +87,6 @@ fn any_machine_keeps_its_energy() {
         let mut simulation = Simulation::new(&conserving(parameters, 1e-3), &default_inputs()).expect("scene");
         let worst = followed(&mut simulation, &default_inputs(), 1e-3, 2.0);
         assert!(worst.balance <= 1e-9 && worst.velocity <= 1e-9, "{name}: {:e} {:e}", worst.balance, worst.velocity);
-        println!("{name} {:e} {:e} {:e} {:?}", worst.balance, worst.position, worst.velocity, simulation.counters());
     }
 }
 
@@ -179,10 +178,6 @@ fn every_effect_balances() {
         let mut simulation = Simulation::new(&parameters, &inputs).expect("scene");
         let worst = followed(&mut simulation, &inputs, 1e-3, 2.0);
         let counters = simulation.counters();
-        println!(
-            "{name}: {:.1e} velocity {:.1e} iterations {} rescued {} last {}",
-            worst.balance, worst.velocity, counters.iterations, counters.rescued, counters.last_resorts
-        );
         if worst.balance > *allowed || worst.velocity > 1e-9 || counters.last_resorts > 1 {
             wrong.push((name, worst.balance, worst.velocity, counters));
         }
@@ -212,12 +207,6 @@ fn friction_holds_and_brakes() {
             let worst = followed(&mut simulation, &default_inputs(), 1e-3, 2.0);
             let rates = observers::motion(simulation.model(), &simulation.state()).omega;
             let creep = rates.iter().fold(0.0f64, |largest, rate| largest.max(rate.abs()));
-            println!(
-                "turn {turn} omega {omega:?}: {:.1e} creep {:.3} w_c, {:?}",
-                worst.balance,
-                creep / turn,
-                simulation.counters()
-            );
             assert!(worst.balance <= allowed && creep <= 0.05 * turn, "{turn} {omega:?}: {:e} {creep:e}", worst.balance);
         }
     }
@@ -268,7 +257,6 @@ fn the_work_of_a_step_is_bounded() {
         assert!(worst <= iterations, "{most}: {worst}");
         let error = observers::energies(simulation.model(), &simulation.state()).error.abs();
         assert!(error <= 1e-8 * MGL, "{most}: {error:e}");
-        println!("{most}: worst {worst} {:?} {failure:?}", simulation.counters());
         outcomes.push((failure, simulation.counters().last_resorts));
     }
     let status = outcomes[0].0.as_ref().expect("without a rescue this fall ends");
