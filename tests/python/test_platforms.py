@@ -197,7 +197,9 @@ def expected(bench: Bench, motions: dict[str, Script]) -> Printed:
     """What the library for this machine makes of the motions."""
     printed = bench.run(HERE, motions)
     for name, (lines,) in printed.items():
-        assert not [line for line in lines if "status" in line], f"{name} does not run to its end"
+        # Where friction holds the tip, or all, directional derivatives are refused.
+        refused = "fmi2GetDirectionalDerivative: status 3" if "stick" in name else None
+        assert not [line for line in lines if "status" in line and line != refused], f"{name} does not run to its end"
     return printed
 
 
