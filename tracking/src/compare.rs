@@ -6,6 +6,7 @@ use fivebar::estimator::{MEASURED, wrapped};
 use fivebar::mechanism::{Assembly, Start};
 use fivebar::simulation::{Parameters, Simulation};
 
+use crate::forecast::root;
 use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, motion, side, tip};
 use crate::quality::{fall, outcome, pick, push, sines};
 use crate::report::{Figure, Table, median};
@@ -152,19 +153,7 @@ impl<'a> Outside<'a> {
                 }
             }
         } else {
-            let mut root = [[0.0f64; 6]; 6];
-            for i in 0..6 {
-                for k in 0..=i {
-                    let rest: f64 = self.covariance[i][k] - (0..k).map(|j| root[i][j] * root[k][j]).sum::<f64>();
-                    root[i][k] = if i == k {
-                        rest.max(0.0).sqrt()
-                    } else if root[k][k] > 0.0 {
-                        rest / root[k][k]
-                    } else {
-                        0.0
-                    };
-                }
-            }
+            let root = root(&self.covariance);
             for k in 0..12 {
                 let sign = if k < 6 { 6f64.sqrt() } else { -(6f64.sqrt()) };
                 let x: Error = std::array::from_fn(|i| self.mean[i] + sign * root[i][k % 6]);

@@ -73,19 +73,7 @@ fn ensemble(twin: &Following, scenario: &Scenario, held: &Inputs, members: usize
     let frame = linkage.frame(&track.theta);
     let by_inputs = constants.by_inputs(&frame);
     let covariance = track.covariance();
-    let mut root = [[0.0; 6]; 6];
-    for i in 0..6 {
-        for k in 0..=i {
-            let rest: f64 = covariance[i][k] - (0..k).map(|j| root[i][j] * root[k][j]).sum::<f64>();
-            root[i][k] = if i == k {
-                rest.max(0.0).sqrt()
-            } else if root[k][k] > 0.0 {
-                rest / root[k][k]
-            } else {
-                0.0
-            };
-        }
-    }
+    let root = root(&covariance);
     let start = side(&track.theta);
     let met = (0..members).filter(|_| {
         let white: [f64; 6] = std::array::from_fn(|_| random.normal());
@@ -150,4 +138,22 @@ pub fn table(runs: u64) -> Table {
         }
     }
     table
+}
+
+/// The lower triangular root of a covariance (Cholesky); columns without variance are 0.
+pub(crate) fn root(covariance: &[[f64; 6]; 6]) -> [[f64; 6]; 6] {
+    let mut root = [[0.0; 6]; 6];
+    for i in 0..6 {
+        for k in 0..=i {
+            let rest: f64 = covariance[i][k] - (0..k).map(|j| root[i][j] * root[k][j]).sum::<f64>();
+            root[i][k] = if i == k {
+                rest.max(0.0).sqrt()
+            } else if root[k][k] > 0.0 {
+                rest / root[k][k]
+            } else {
+                0.0
+            };
+        }
+    }
+    root
 }
