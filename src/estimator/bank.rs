@@ -210,6 +210,11 @@ impl Bank {
         }
     }
 
+    /// By how much the unknown force's variance grows while the models stay as likely as they are, in the squared units of `scale` per second.
+    pub fn walk(&self, scale: f64) -> f64 {
+        scale * scale * self.members.iter().zip(FORCE_WALK).map(|(member, walk)| member.weight * walk).sum::<f64>()
+    }
+
     /// Mean and covariance of all models together.
     pub fn moments(&self) -> (Error, Matrix) {
         mixture(&self.members, &self.members.map(|member| member.weight))

@@ -21,10 +21,22 @@ struct Point {
     force: [f64; 4],
 }
 
+/// All of them, and the unknown force on them, which goes on to walk.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+struct Cloud {
+    points: [Point; POINTS],
+    /// Covariance of what of the force depends on no other error, on the tangent basis, (N·m)²: xx, xy, yy.
+    force: [f64; 3],
+    /// By how much its variance grows, (N·m)²/s.
+    walk: f64,
+    /// By which inputs it acts.
+    inputs: [Pair; 4],
+}
+
 /// The motions, once no samples come.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Forecast {
-    points: Option<[Point; POINTS]>,
+    cloud: Option<Cloud>,
 }
 
 /// A scene with a force beside.
@@ -68,28 +80,68 @@ impl Point {
     }
 }
 
-/// Around an estimate.
-#[inline(never)]
-fn around(track: &Track, linkage: &Linkage) -> [Point; POINTS] {
-    let frame = linkage.frame(&track.theta);
-    let inputs = track::by_inputs(linkage, &frame);
-    let root = cholesky(&track.covariance());
-    std::array::from_fn(|k| {
-        let size = if k < ERRORS { 1.0 } else { -1.0 } * (ERRORS as f64).sqrt();
-        let error: [f64; ERRORS] = std::array::from_fn(|i| size * root[i][k % ERRORS]);
-        // As far as the loop can be closed.
-        let (theta, omega) = [1.0, 0.5, 0.25]
-            .into_iter()
-            .find_map(|part| {
-                let (turned, quickened) =
-                    (frame.tangent([part * error[0], part * error[1]]), frame.tangent([part * error[2], part * error[3]]));
-                let moved: Links = std::array::from_fn(|i| track.theta[i] + turned[i]);
-                let (theta, omega, _) = linkage.closed(moved, std::array::from_fn(|i| track.omega[i] + quickened[i]))?;
-                Some((theta, omega))
-            })
-            .unwrap_or((track.theta, track.omega));
-        Point { theta, omega, force: inputs.map(|row| row[0] * error[4] + row[1] * error[5]) }
-    })
+impl Cloud {
+    /// Around an estimate, whose force walks by some variance, (N·m)²/s.
+    #[inline(never)]
+    fn around(track: &Track, linkage: &Linkage, walk: f64) -> Self {
+        let frame = linkage.frame(&track.theta);
+        let inputs = track::by_inputs(linkage, &frame);
+        let root = cholesky(&track.covariance());
+        let points = std::array::from_fn(|k| {
+            let error = root.map(|row| distance(k) * row[k % ERRORS]);
+            // As far as the loop can be closed.
+            let (theta, omega) = [1.0, 0.5, 0.25]
+                .into_iter()
+                .find_map(|part| {
+                    let (turned, quickened) =
+                        (frame.tangent([part * error[0], part * error[1]]), frame.tangent([part * error[2], part * error[3]]));
+                    let moved: Links = std::array::from_fn(|i| track.theta[i] + turned[i]);
+                    let (theta, omega, _) = linkage.closed(moved, std::array::from_fn(|i| track.omega[i] + quickened[i]))?;
+                    Some((theta, omega))
+                })
+                .unwrap_or((track.theta, track.omega));
+            Point { theta, omega, force: inputs.map(|row| row[0] * error[4] + row[1] * error[5]) }
+        });
+        let [.., [.., x, _], [.., xy, y]] = root;
+        Self { points, force: [x * x, x * xy, xy * xy + y * y], walk, inputs }
+    }
+
+    /// All go on, those in the directions of the force with a force that grows as its standard deviation does: what walks cannot be
+    /// told from it at any one time.
+    fn step(&mut self, linkage: &Linkage, scene: &impl Scene, h: f64) {
+        self.force[0] += self.walk * h;
+        self.force[2] += self.walk * h;
+        let [xx, xy, yy] = self.force;
+        let x = xx.sqrt();
+        let skew = if x > 0.0 { xy / x } else { 0.0 };
+        let root = [[x, skew], [0.0, (yy - skew * skew).max(0.0).sqrt()]];
+        for (k, point) in self.points.iter_mut().enumerate() {
+            if let Some(column) = (k % ERRORS).checked_sub(4) {
+                let [x, y] = root[column].map(|element| distance(k) * element);
+                point.force = self.inputs.map(|row| row[0] * x + row[1] * y);
+            }
+            point.step(linkage, scene, h);
+        }
+    }
+
+    fn is_sound(&self, linkage: &Linkage) -> bool {
+        let [xx, xy, yy] = self.force;
+        let numbers = self.inputs.as_flattened().iter().chain(&self.force).chain([&self.walk]);
+        numbers.into_iter().all(|x| x.is_finite())
+            && xx >= 0.0
+            && yy >= 0.0
+            && xy * xy <= 1.01 * xx * yy
+            && self.walk >= 0.0
+            && self
+                .points
+                .iter()
+                .all(|point| point.force.iter().all(|x| x.is_finite()) && linkage.is_closed(&point.theta, &point.omega))
+    }
+}
+
+/// How far out the k-th motion is, in columns of the root.
+fn distance(k: usize) -> f64 {
+    if k < ERRORS { (ERRORS as f64).sqrt() } else { -(ERRORS as f64).sqrt() }
 }
 
 /// L of P = L Lᵀ; 0 in columns of which nothing is left.
@@ -112,19 +164,18 @@ fn cholesky(p: &Matrix) -> Matrix {
 impl Forecast {
     /// Samples have come.
     pub(super) fn end(&mut self) {
-        self.points = None;
+        self.cloud = None;
     }
 
     /// The motions go on with that of the estimate, which is still where it was.
-    pub(super) fn step(&mut self, track: &Track, linkage: &Linkage, scene: &impl Scene, h: f64) {
-        for point in self.points.get_or_insert_with(|| around(track, linkage)) {
-            point.step(linkage, scene, h);
-        }
+    pub(super) fn step(&mut self, track: &Track, constants: &Constants, scene: &impl Scene, h: f64) {
+        let linkage = &constants.linkage;
+        self.cloud.get_or_insert_with(|| Cloud::around(track, linkage, track.bank.walk(constants.torque_scale()))).step(linkage, scene, h);
     }
 
     /// Standard deviations of angles and rates about the estimate.
     pub(super) fn sigmas(&self, track: &Track) -> Option<[Links; 2]> {
-        let points = self.points.as_ref()?;
+        let Cloud { points, .. } = self.cloud.as_ref()?;
         let root_mean = |off: &dyn Fn(&Point, usize) -> f64| -> Links {
             std::array::from_fn(|i| (points.iter().map(|point| off(point, i).powi(2)).sum::<f64>() / POINTS as f64).sqrt())
         };
@@ -136,7 +187,7 @@ impl Forecast {
 
     /// Covariance of the tip about the estimate, m²: xx, xy, yy.
     pub(super) fn tip_covariance(&self, track: &Track, linkage: &Linkage) -> Option<[f64; 3]> {
-        let points = self.points.as_ref()?;
+        let Cloud { points, .. } = self.cloud.as_ref()?;
         let centre = linkage.tip(&track.theta);
         let mut sum = [0.0; 3];
         for point in points {
@@ -148,10 +199,7 @@ impl Forecast {
     }
 
     pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
-        self.points
-            .iter()
-            .flatten()
-            .all(|point| point.force.iter().all(|x| x.is_finite()) && linkage.is_closed(&point.theta, &point.omega))
+        self.cloud.iter().all(|cloud| cloud.is_sound(linkage))
     }
 }
 
@@ -165,19 +213,23 @@ pub(super) fn singularity_probability(
     step: f64,
 ) -> f64 {
     let linkage = &constants.linkage;
-    let points = forecast.points.unwrap_or_else(|| around(track, linkage));
+    let mut cloud =
+        forecast.cloud.unwrap_or_else(|| Cloud::around(track, linkage, track.bank.walk(constants.torque_scale())));
+    let mut own = Point { theta: track.theta, omega: track.omega, force: [0.0; 4] };
     let side = linkage.posture(&track.theta).side();
-    let count = (constants.parameters.horizon / step).ceil().max(0.0) as u64;
-    let meets = |mut point: Point| {
-        // On the other side already: it has been met.
-        (0..=count).any(|_| {
+    let mut met = [false; POINTS + 1];
+    let mut look = |cloud: &Cloud, own: &Point| {
+        for (met, point) in met.iter_mut().zip(cloud.points.iter().chain([own])) {
+            // On the other side at once: it has been met.
             let now = linkage.posture(&point.theta).side() * side;
-            let met = now.is_nan() || now <= 0.0;
-            point.step(linkage, scene, step);
-            met
-        })
+            *met |= now.is_nan() || now <= 0.0;
+        }
     };
-    let own = Point { theta: track.theta, omega: track.omega, force: [0.0; 4] };
-    let met = points.into_iter().chain([own]).filter(|point| meets(*point)).count();
-    met as f64 / (POINTS + 1) as f64
+    look(&cloud, &own);
+    for _ in 0..(constants.parameters.horizon / step).ceil().max(0.0) as u64 {
+        cloud.step(linkage, scene, step);
+        own.step(linkage, scene, step);
+        look(&cloud, &own);
+    }
+    met.iter().filter(|met| **met).count() as f64 / met.len() as f64
 }

@@ -220,7 +220,7 @@ impl Estimator {
         let timing = (h, parameters.switch_time);
         let scale = constants.torque_scale();
         if parameters.forecast == Bands::SigmaPoints && self.is_coasting() {
-            self.forecast.step(&self.track, linkage, scene, h);
+            self.forecast.step(&self.track, constants, scene, h);
         }
         let step = self.track.step(linkage, scene, (theta, omega), h);
         if self.track.has_turned(linkage, (theta, omega)) {
