@@ -213,8 +213,9 @@ pub(super) fn singularity_probability(
     step: f64,
 ) -> f64 {
     let linkage = &constants.linkage;
-    let mut cloud =
-        forecast.cloud.unwrap_or_else(|| Cloud::around(track, linkage, track.bank.walk(constants.torque_scale())));
+    let mut cloud = forecast.cloud.unwrap_or_else(|| Cloud::around(track, linkage, 0.0));
+    // Here it is held: what may yet push makes bands honest, but a singularity foreseen less sharply.
+    cloud.walk = 0.0;
     let mut own = Point { theta: track.theta, omega: track.omega, force: [0.0; 4] };
     let side = linkage.posture(&track.theta).side();
     let mut met = [false; POINTS + 1];
