@@ -168,10 +168,11 @@ impl Encoder {
         self.fault == Fault::None
     }
 
-    /// Variance of a sample, rad², of an axis that turns at a rate, rad/s: that of the white noise, and that of the quantiser, whose error
-    /// does not average out while the axis rests.
-    pub(super) fn noise(&self, sigma: f64, quantum: f64, rate: f64) -> f64 {
-        let white = (sigma * sigma).max(FINEST * FINEST);
+    /// Variance of a sample, rad², of an axis that turns at a rate, rad/s: that of the white noise, that of the quantiser, whose error
+    /// does not average out while the axis rests, and one of an error that stays, `lasting`, rad².
+    pub(super) fn noise(&self, sigma: f64, quantum: f64, rate: f64, lasting: f64) -> f64 {
+        let longest = if self.interval > 0.0 { (REPEATING / self.interval).max(1.0) } else { 1.0 };
+        let white = (sigma * sigma).max(FINEST * FINEST) + lasting * longest;
         if quantum == 0.0 {
             return white;
         }
@@ -180,6 +181,6 @@ impl Encoder {
             return white + rounding;
         }
         let repeated = quantum / (rate.abs() * self.interval).max(FINEST * quantum);
-        white + rounding * repeated.min(REPEATING / self.interval).max(1.0)
+        white + rounding * repeated.min(longest).max(1.0)
     }
 }

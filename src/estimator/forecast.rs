@@ -170,7 +170,9 @@ impl Forecast {
     /// The motions go on with that of the estimate, which is still where it was.
     pub(super) fn step(&mut self, track: &Track, constants: &Constants, scene: &impl Scene, h: f64) {
         let linkage = &constants.linkage;
-        self.cloud.get_or_insert_with(|| Cloud::around(track, linkage, track.bank.walk(constants.torque_scale()))).step(linkage, scene, h);
+        self.cloud
+            .get_or_insert_with(|| Cloud::around(track, linkage, track.bank.walk(constants.torque_scale())))
+            .step(linkage, scene, h);
     }
 
     /// Standard deviations of angles and rates about the estimate.

@@ -20,7 +20,7 @@ pub type Links = [f64; 4];
 pub type Pair = [f64; 2];
 
 /// Sides of the closure on which the links stand.
-const SIDE: Links = [1.0, 1.0, -1.0, -1.0];
+pub(super) const SIDE: Links = [1.0, 1.0, -1.0, -1.0];
 
 /// Proximal and distal link of the left and right leg.
 pub(super) const LEGS: [[usize; 2]; 2] = [[0, 1], [3, 2]];
@@ -178,7 +178,7 @@ impl Linkage {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Posture {
     /// ûᵢ.
-    directions: [Pair; 4],
+    pub(super) directions: [Pair; 4],
     /// sᵢ lᵢ, m.
     arm: Links,
 }
@@ -205,6 +205,13 @@ impl Posture {
             sum[1] += self.arm[i] * u_x * x[i];
         }
         sum
+    }
+
+    /// How the tip moves as the links turn, m.
+    pub(super) fn tip_velocity(&self, x: &Links) -> Pair {
+        let arm = [0, 1].map(|i| self.arm[i] * x[i]);
+        let [p, d] = [self.directions[0], self.directions[1]];
+        [-p[1] * arm[0] - d[1] * arm[1], p[0] * arm[0] + d[0] * arm[1]]
     }
 
     /// −J̇ x for links that turn at ω: Σ sᵢ lᵢ ûᵢ ωᵢ xᵢ.
@@ -339,12 +346,7 @@ impl Frame {
 
     /// How the tip moves with the tangent coordinates, m: rows x and y.
     pub fn tip(&self) -> [Pair; 2] {
-        let along = |x: &Links| {
-            let arm = [0, 1].map(|i| self.arm[i] * x[i]);
-            let [p, d] = [self.directions[0], self.directions[1]];
-            [-p[1] * arm[0] - d[1] * arm[1], p[0] * arm[0] + d[0] * arm[1]]
-        };
-        let [first, second] = [along(&self.basis[0]), along(&self.basis[1])];
+        let [first, second] = self.basis.map(|direction| self.tip_velocity(&direction));
         [[first[0], second[0]], [first[1], second[1]]]
     }
 }

@@ -14,6 +14,7 @@ mod branches;
 pub mod encoder;
 pub mod forecast;
 mod history;
+mod lengths;
 pub mod linkage;
 mod parameters;
 mod track;
@@ -143,11 +144,13 @@ impl Estimator {
         let (mut heard, mut ages) = ([None; 2], [0.0; 2]);
         let mut any = false;
         let frame = linkage.frame(&self.track.theta);
+        let lasting = frame.motors_by_lengths(parameters.sigma0_length);
         for i in 0..2 {
             let Some(sample) = self.encoders[i].hear(measured.theta[i], measured.time[i], now, parameters.max_delay) else {
                 continue;
             };
-            let noise = self.encoders[i].noise(parameters.sigma[i], parameters.quantum[i], self.track.omega[MEASURED[i]]);
+            let rate = self.track.omega[MEASURED[i]];
+            let noise = self.encoders[i].noise(parameters.sigma[i], parameters.quantum[i], rate, lasting[i]);
             let mut innovation = self.track.innovation(linkage, i, sample.angle, noise);
             if sample.age > 0.0 {
                 match self.history.at(&self.track, &frame, i, sample.age) {
@@ -312,15 +315,17 @@ impl Estimator {
 
     /// Covariance of the tip, m²: xx, xy, yy.
     pub fn tip_covariance(&self, constants: &Constants) -> [f64; 3] {
-        if let Some(covariance) = self.forecast.tip_covariance(&self.track, &constants.linkage) {
-            return covariance;
-        }
         let frame = constants.linkage.frame(&self.track.theta);
-        let covariance = self.track.covariance();
-        let tip = frame.tip();
-        let element =
-            |i: usize, k: usize| (0..2).map(|a| (0..2).map(|b| tip[i][a] * covariance[a][b] * tip[k][b]).sum::<f64>()).sum::<f64>();
-        [element(0, 0), element(0, 1), element(1, 1)]
+        let by_lengths = frame.tip_by_lengths(constants.parameters.sigma0_length);
+        let known = self.forecast.tip_covariance(&self.track, &constants.linkage).unwrap_or_else(|| {
+            let covariance = self.track.covariance();
+            let tip = frame.tip();
+            let element = |i: usize, k: usize| {
+                (0..2).map(|a| (0..2).map(|b| tip[i][a] * covariance[a][b] * tip[k][b]).sum::<f64>()).sum::<f64>()
+            };
+            [element(0, 0), element(0, 1), element(1, 1)]
+        });
+        std::array::from_fn(|i| known[i] + by_lengths[i])
     }
 
     /// Motor torques that would do what the unknown force does, with their standard deviations; see [`Track::motor_torques`].

@@ -28,6 +28,8 @@ pub struct Parameters {
     pub sigma0_theta: f64,
     /// That of the rates, rad/s.
     pub sigma0_omega: f64,
+    /// That of the lengths of links and base, which do not change, m.
+    pub sigma0_length: f64,
     /// How bands are forecast.
     pub forecast: Bands,
     /// The torque in which the unknown force is measured, N·m; 0: what carries the machine's weight.
@@ -48,6 +50,7 @@ impl Parameters {
         not_negative("estimator.maxDelay", self.max_delay, "s")?;
         positive("estimator.sigma0.theta", self.sigma0_theta, "rad")?;
         positive("estimator.sigma0.omega", self.sigma0_omega, "rad/s")?;
+        not_negative("estimator.sigma0.length", self.sigma0_length, "m")?;
         not_negative("estimator.torqueScale", self.torque_scale, "N.m")?;
         positive("estimator.switchTime", self.switch_time, "s")?;
         finite("estimator.horizon", self.horizon, "s")?;

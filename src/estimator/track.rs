@@ -113,12 +113,13 @@ impl Track {
 
     /// h seconds on by its rates.
     pub(super) fn gone_straight(&self, linkage: &Linkage, h: f64) -> Self {
+        // Not closed: the straight line meets the loop to third order, and J would take from the rates what it does not know of.
         let along: Links = std::array::from_fn(|i| self.theta[i] + h * self.omega[i]);
-        // In the vertex itself nothing is to be closed: the straight line meets the loop to third order.
-        let at_once = |(theta, omega, _): (Links, Links, Frame)| {
-            (0..4).all(|i| (theta[i] - along[i]).abs() < AGREEMENT[0]).then_some((theta, omega))
+        let away = linkage.frame(&along).smallest >= VERTEX;
+        let (theta, omega) = match linkage.closed(along, self.omega) {
+            Some((theta, omega, _)) if away => (theta, omega),
+            _ => (along, self.omega),
         };
-        let (theta, omega) = linkage.closed(along, self.omega).and_then(at_once).unwrap_or((along, self.omega));
         Self { theta, omega, ..*self }
     }
 

@@ -62,6 +62,7 @@ fn real_parameter(p: &mut Parameters, variable: RealParameter) -> &mut f64 {
         V::EstimatorMaxDelay => &mut p.estimator.max_delay,
         V::EstimatorSigma0Theta => &mut p.estimator.sigma0_theta,
         V::EstimatorSigma0Omega => &mut p.estimator.sigma0_omega,
+        V::EstimatorSigma0Length => &mut p.estimator.sigma0_length,
         V::EstimatorTorqueScale => &mut p.estimator.torque_scale,
         V::EstimatorSwitchTime => &mut p.estimator.switch_time,
         V::EstimatorHorizon => &mut p.estimator.horizon,

@@ -13,6 +13,8 @@ use crate::report::{Figure, Table};
 const JOINT: [f64; 3] = [2e-5, 2e5, 20.0];
 /// Of the encoders, rad: angle + e sin(angle + phase).
 const ECCENTRICITY: f64 = 3e-4;
+/// Of lengths.
+const TOLERANCE: f64 = 5e-3;
 /// s.
 const DELAY: f64 = 2e-3;
 const STEP: f64 = 1e-5;
@@ -104,7 +106,7 @@ impl Foreign {
 fn machine(scenario: &Scenario, random: &mut Random) -> Option<Foreign> {
     let mut links = scenario.truth.geometry.links;
     for link in &mut links {
-        link.length *= random.between(0.995, 1.005);
+        link.length *= random.between(1.0 - TOLERANCE, 1.0 + TOLERANCE);
     }
     let arm = |base: f64, p: usize, d: usize| Arm {
         base,
@@ -141,7 +143,8 @@ fn honesty(encoder: &Encoder, random: &mut Random) -> Option<[f64; 4]> {
     model.start.theta = [random.between(1.7, 2.4), random.between(0.7, 1.4)];
     let truth = model.clone();
     start_off(&mut model, random, [0.02, 0.0]);
-    // What a user knows of such a machine: its encoders are as good as their eccentricity.
+    // What a user knows of such a machine: its encoders are as good as their eccentricity, its links as their tolerance.
+    model.estimator.sigma0_length = TOLERANCE * model.geometry.links[0].length / 3f64.sqrt();
     let scenario = Scenario { model, truth, course: no_inputs, plan: Default::default(), duration: 1.5, from: None };
     let mut foreign = machine(&scenario, random)?;
     let told = Encoder { sigma: ECCENTRICITY, ..*encoder };
