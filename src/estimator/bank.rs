@@ -210,6 +210,15 @@ impl Bank {
         }
     }
 
+    /// The motion may be another one, by these variances of angles and rates; what is known of the forces stays.
+    pub fn unsettle(&mut self, variances: Pair) {
+        for member in &mut self.members {
+            for i in 0..4 {
+                member.covariance[i][i] += variances[i / 2];
+            }
+        }
+    }
+
     /// By how much the unknown force's variance grows while the models stay as likely as they are, in the squared units of `scale` per second.
     pub fn walk(&self, scale: f64) -> f64 {
         scale * scale * self.members.iter().zip(FORCE_WALK).map(|(member, walk)| member.weight * walk).sum::<f64>()

@@ -1,10 +1,11 @@
-//! Behind a vertex: the other assembly, followed beside until the samples have told which it is.
+//! Behind a vertex: what the motion may have become beside the estimate, followed until the samples have told which it is. It may have gone
+//! straight on or turned to either side; later the other assembly may have the same motors.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::Innovation;
 use super::linkage::{Linkage, MEASURED};
-use super::track::{Track, wrapped};
+use super::track::{Track, VERTEX, wrapped};
 use super::{Constants, Scene, transition};
 use crate::mechanism::{Assembly, Geometry, Start, close};
 
@@ -20,18 +21,35 @@ const DECIDED: [f64; 2] = [-12.0, 6.0];
 const IMMEDIATE: f64 = 15.0;
 /// Variances that the other assembly has beside: of rates, rad²/s², and of the force in squared torque scales.
 const BESIDE: [f64; 2] = [0.01, 0.04];
+/// Motions that turn at a vertex are begun this far before it, rad of the fastest link,
+const BEFORE: f64 = 0.05;
+/// so far aside, rad: how they turn does not depend on it,
+const ASIDE: f64 = 5e-3;
+/// in so many steps of Runge-Kutta.
+const FINE: u32 = 128;
+/// Where the smallest singular value of J, over the mean length, is near, a step turns no link by more than this part of it.
+const PART: f64 = 0.125;
+/// Most steps of Runge-Kutta in a macro step.
+const MOST: f64 = 256.0;
+
+/// Most motions beside the estimate.
+const MOTIONS: usize = 3;
 
 /// What is followed beside the estimate.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Branches {
     /// Time since a vertex, s.
     since_vertex: f64,
-    other: Option<Other>,
+    /// Whether the estimate comes nearer to one.
+    nearing: bool,
+    others: [Option<Other>; MOTIONS],
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Other {
     track: Track,
+    /// Whether it goes straight through a vertex.
+    straight: bool,
     /// log likelihood less that of the estimate.
     evidence: f64,
     /// s.
@@ -40,7 +58,7 @@ struct Other {
 
 impl Default for Branches {
     fn default() -> Self {
-        Self { since_vertex: f64::MAX, other: None }
+        Self { since_vertex: f64::MAX, nearing: false, others: [None; MOTIONS] }
     }
 }
 
@@ -50,16 +68,18 @@ impl Branches {
         self.since_vertex > LONGEST
     }
 
-    pub(super) fn are_two(&self) -> bool {
-        self.other.is_some()
+    /// Whether something is followed beside the estimate.
+    pub(super) fn are_open(&self) -> bool {
+        self.others.iter().any(Option::is_some)
     }
 
-    pub(super) fn other(&self) -> Option<&Track> {
-        self.other.as_ref().map(|other| &other.track)
+    pub(super) fn tracks(&self) -> impl Iterator<Item = &Track> {
+        self.others.iter().flatten().map(|other| &other.track)
     }
 
-    pub(super) fn numbers(&self) -> [f64; 3] {
-        [self.since_vertex, self.other.map_or(0.0, |other| other.evidence), self.other.map_or(0.0, |other| other.age)]
+    pub(super) fn is_sound(&self) -> bool {
+        self.since_vertex >= 0.0
+            && self.others.iter().flatten().all(|other| other.evidence.is_finite() && (0.0..=LONGEST).contains(&other.age))
     }
 
     /// The estimate has gone on by a macro step.
@@ -74,94 +94,144 @@ impl Branches {
         if held {
             self.since_vertex = 0.0;
         }
-        let begins = self.since_vertex < LATEST && !held;
+        let begins = self.since_vertex < LATEST && !held && !self.are_open();
         self.since_vertex = (self.since_vertex + h).min(f64::MAX);
-        if let Some(other) = &mut self.other {
-            other.age += h;
-            let goes_on = other.age < LONGEST && other.go_on(constants, scene, (h, switch_time));
-            if !goes_on {
-                self.other = None;
+        for other in &mut self.others {
+            if let Some(motion) = other {
+                motion.age += h;
+                let goes_on = motion.age < LONGEST && motion.go_on(constants, scene, (h, switch_time));
+                if !goes_on {
+                    *other = None;
+                }
             }
-        } else if begins && linkage.frame(&track.theta).side().abs() > APART {
+        }
+        if begins && linkage.frame(&track.theta).side().abs() > APART {
             // Once for each vertex.
             self.since_vertex = LATEST;
-            self.other = mirrored(constants, track).map(|track| Other { track, evidence: 0.0, age: 0.0 });
+            self.others[0] = mirrored(constants, track).map(|track| Other::new(track, false));
         }
     }
 
-    /// Where the motion has turned next to a vertex, that which goes straight on is followed beside.
-    pub(super) fn begin(&mut self, straight: Track) {
-        if self.other.is_none() {
-            self.other = Some(Other { track: straight, evidence: 0.0, age: 0.0 });
+    /// The estimate has come from `track`, whose smallest singular value is `from`, to where it is `to`. Where it goes away from a vertex
+    /// again, what it may have become beside is begun: nobody can know on which side it has passed.
+    pub(super) fn pass(&mut self, linkage: &Linkage, track: &Track, scene: &impl Scene, [from, to]: [f64; 2], turned: bool) {
+        let near = from.min(to) < VERTEX;
+        let leaves = near && (turned || self.nearing && to > from);
+        self.nearing = near && !leaves && to <= from;
+        if leaves && !self.are_open() {
+            let straight = turned.then(|| Other::new(*track, true));
+            let aside =
+                |side: f64| track.passed_aside(linkage, scene, (BEFORE, side * ASIDE, FINE)).map(|track| Other::new(track, false));
+            self.others = [straight, aside(1.0), aside(-1.0)];
         }
     }
 
-    /// Whether samples (innovation, angle) that come after some time of holding fit the other branch far better.
-    pub(super) fn prefer_other(&self, linkage: &Linkage, track: &Track, samples: &[Option<(Innovation, f64)>; 2]) -> bool {
-        let Some(other) = &self.other else { return false };
-        let mut evidence = 0.0;
-        for (encoder, sample) in samples.iter().enumerate() {
-            let Some((innovation, angle)) = sample else { continue };
-            let (nis, variance) = track.bank.surprise(innovation);
-            let (other_nis, other_variance) =
-                other.track.bank.surprise(&other.track.innovation(linkage, encoder, *angle, innovation.noise));
-            evidence += 0.5 * (nis + libm::log(variance) - other_nis - libm::log(other_variance));
+    /// What samples (innovation, angle) that come after some time of holding fit far better than the estimate.
+    pub(super) fn preferred(&self, linkage: &Linkage, track: &Track, samples: &[Option<(Innovation, f64)>; 2]) -> Option<usize> {
+        let evidence = |other: &Other| {
+            let mut evidence = 0.0;
+            for (encoder, sample) in samples.iter().enumerate() {
+                let Some((innovation, angle)) = sample else { continue };
+                let (nis, variance) = track.bank.surprise(innovation);
+                let (other_nis, other_variance) =
+                    other.track.bank.surprise(&other.track.innovation(linkage, encoder, *angle, innovation.noise));
+                evidence += 0.5 * (nis + libm::log(variance) - other_nis - libm::log(other_variance));
+            }
+            evidence
+        };
+        self.best(evidence, IMMEDIATE)
+    }
+
+    /// Of what is followed beside that with most evidence, if it is more than `least`.
+    fn best(&self, evidence: impl Fn(&Other) -> f64, least: f64) -> Option<usize> {
+        let mut best = (None, least);
+        for (k, other) in self.others.iter().enumerate() {
+            if let Some(evidence) = other.as_ref().map(&evidence).filter(|evidence| *evidence > best.1) {
+                best = (Some(k), evidence);
+            }
         }
-        evidence > IMMEDIATE
+        best.0
     }
 
     /// A sample that the estimate takes in: its likelihood.
     pub(super) fn weigh(&mut self, track: &Track, sample: &Innovation) {
-        if let Some(other) = &mut self.other {
+        if self.are_open() {
             let (nis, variance) = track.bank.surprise(sample);
-            other.evidence += 0.5 * (nis + libm::log(variance));
+            for other in self.others.iter_mut().flatten() {
+                other.evidence += 0.5 * (nis + libm::log(variance));
+            }
         }
     }
 
-    /// The same samples (angle, noise, age) for the other assembly. Whether it takes over.
-    pub(super) fn correct(&mut self, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> bool {
-        let Some(other) = &mut self.other else { return false };
-        for (encoder, sample) in samples.iter().enumerate() {
-            let Some((angle, noise, age)) = *sample else { continue };
-            let mut innovation = other.track.innovation(linkage, encoder, angle, noise);
-            // Behind a vertex motions are slow: where it stood follows from its rate.
-            innovation.residual = wrapped(innovation.residual + age * other.track.omega[MEASURED[encoder]]);
-            let (nis, variance) = other.track.bank.surprise(&innovation);
-            other.evidence -= 0.5 * (nis + libm::log(variance));
-            other.track.bank.update(&innovation);
+    /// The same samples (angle, noise, age) for what is followed beside. What of it takes over.
+    pub(super) fn correct(&mut self, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> Option<usize> {
+        for other in &mut self.others {
+            if other.as_mut().is_some_and(|other| !other.correct(linkage, samples)) {
+                *other = None;
+            }
         }
-        let closes = other.track.absorb(linkage).is_some();
-        if !closes || other.evidence.is_nan() || other.evidence <= DECIDED[0] {
-            self.other = None;
-            return false;
-        }
-        other.evidence > DECIDED[1]
+        self.best(|other| other.evidence, DECIDED[1])
     }
 
-    /// The other assembly becomes the estimate, and the estimate the other assembly.
-    pub(super) fn swap(&mut self, track: &mut Track) {
-        if let Some(other) = &mut self.other {
-            std::mem::swap(track, &mut other.track);
-            other.evidence = -other.evidence;
+    /// One of them becomes the estimate, and the estimate one of them.
+    pub(super) fn swap(&mut self, track: &mut Track, with: usize) {
+        let Some(ahead) = self.others[with].as_ref().map(|other| other.evidence) else { return };
+        for (k, other) in self.others.iter_mut().enumerate() {
+            if let Some(other) = other {
+                other.evidence -= ahead;
+                if k == with {
+                    std::mem::swap(track, &mut other.track);
+                    other.evidence = -ahead;
+                    other.straight = false;
+                }
+            }
         }
     }
 }
 
 impl Other {
+    fn new(track: Track, straight: bool) -> Self {
+        Self { track, straight, evidence: 0.0, age: 0.0 }
+    }
+
+    /// Takes samples in; false where they speak against it.
+    fn correct(&mut self, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> bool {
+        for (encoder, sample) in samples.iter().enumerate() {
+            let Some((angle, noise, age)) = *sample else { continue };
+            let mut innovation = self.track.innovation(linkage, encoder, angle, noise);
+            // Behind a vertex motions are slow: where it stood follows from its rate.
+            innovation.residual = wrapped(innovation.residual + age * self.track.omega[MEASURED[encoder]]);
+            let (nis, variance) = self.track.bank.surprise(&innovation);
+            self.evidence -= 0.5 * (nis + libm::log(variance));
+            self.track.bank.update(&innovation);
+        }
+        // NaN speaks against it.
+        self.track.absorb(linkage).is_some() && self.evidence > DECIDED[0]
+    }
+
     /// One macro step, by Runge–Kutta; false where it cannot go on.
     #[inline(never)]
     fn go_on(&mut self, constants: &Constants, scene: &impl Scene, (h, switch_time): (f64, f64)) -> bool {
         let linkage = &constants.linkage;
-        let (theta, omega) = if self.track.is_at_vertex(linkage) {
+        let frame = linkage.frame(&self.track.theta);
+        let (theta, omega) = if self.straight && frame.smallest < VERTEX {
             let Track { theta, omega, .. } = self.track.gone_straight(linkage, h);
             (theta, omega)
         } else {
-            let flow = self.track.flow(linkage, scene, h);
-            let Some((theta, omega, _)) = linkage.closed(flow.theta, flow.omega) else { return false };
-            (theta, omega)
+            let start = (self.track.theta, self.track.omega);
+            let fastest = start.1.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
+            let fine = (h * fastest / (PART * frame.smallest)).ceil().clamp(1.0, MOST) as u32;
+            let steps = transition::steps(linkage, scene, (&start.0, &start.1), h).max(fine);
+            let (theta, omega) = transition::motion(linkage, scene, start, h, steps);
+            // Next to a vertex J is no way back onto the loop.
+            if linkage.frame(&theta).smallest < VERTEX {
+                (theta, omega)
+            } else {
+                let Some((theta, omega, _)) = linkage.closed(theta, omega) else { return false };
+                (theta, omega)
+            }
         };
         let step = self.track.step(linkage, scene, (&theta, &omega), h);
-        let frame = linkage.frame(&self.track.theta);
         self.track.bank.predict(linkage, (&frame, &step.transition), constants.torque_scale(), (h, switch_time));
         (self.track.theta, self.track.omega) = (theta, omega);
         true

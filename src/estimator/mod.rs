@@ -169,8 +169,8 @@ impl Estimator {
         }
         self.forecast.end();
         // Where two branches are open, the first samples decide, before either is bent to them.
-        if self.branches.prefer_other(linkage, &self.track, &heard) {
-            self.branches.swap(&mut self.track);
+        if let Some(other) = self.branches.preferred(linkage, &self.track, &heard) {
+            self.branches.swap(&mut self.track, other);
             self.history.clear();
             for i in 0..2 {
                 if let Some((innovation, angle)) = &mut heard[i] {
@@ -206,8 +206,8 @@ impl Estimator {
             // Nothing near closes the loop: what is known of the errors is worth nothing.
             None => self.track.bank = bank::Bank::new(constants.start_variances()),
         }
-        if self.branches.correct(linkage, &used) {
-            self.branches.swap(&mut self.track);
+        if let Some(other) = self.branches.correct(linkage, &used) {
+            self.branches.swap(&mut self.track, other);
             self.history.clear();
         }
         let frame = linkage.frame(&self.track.theta);
@@ -226,10 +226,8 @@ impl Estimator {
             self.forecast.step(&self.track, constants, scene, h);
         }
         let step = self.track.step(linkage, scene, (theta, omega), h);
-        if self.track.has_turned(linkage, (theta, omega)) {
-            // Nobody can know whether it has passed the vertex on this side, on the other or straight.
-            self.branches.begin(self.track);
-        }
+        let turned = self.track.has_turned(linkage, (theta, omega));
+        self.branches.pass(linkage, &self.track, scene, [frame.smallest, linkage.frame(theta).smallest], turned);
         self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
         self.track.bank.predict(linkage, (&frame, &step.transition), scale, timing);
         (self.track.theta, self.track.omega) = (*theta, *omega);
@@ -254,7 +252,7 @@ impl Estimator {
             () if fault != Fault::None => Status::Faulty(fault),
             () if self.is_coasting() => Status::Coasting,
             () if self.encoders.iter().any(Encoder::is_silent) => Status::OneEncoder,
-            () if self.branches.are_two() => Status::TwoBranches,
+            () if self.branches.are_open() => Status::TwoBranches,
             () if self.alarm.is_inconsistent() => Status::Inconsistent,
             () => Status::Following,
         }
@@ -344,15 +342,15 @@ impl Estimator {
         if !same(&self.track.theta, theta) || !same(&self.track.omega, omega) {
             return Err("its estimate is not the motion");
         }
-        let tracks = [Some(&self.track), self.branches.other()];
-        if !tracks.into_iter().flatten().all(|track| track.is_sound(&constants.linkage)) {
+        let mut tracks = std::iter::once(&self.track).chain(self.branches.tracks());
+        if !tracks.all(|track| track.is_sound(&constants.linkage)) {
             return Err("its estimate is none");
         }
         if !self.history.is_sound() || !self.forecast.is_sound(&constants.linkage) {
             return Err("what its estimator remembers is none");
         }
         let numbers = self.innovation.iter().chain([&self.nis]);
-        if !numbers.chain(&self.alarm.numbers()).chain(&self.branches.numbers()).all(|x| x.is_finite()) {
+        if !numbers.chain(&self.alarm.numbers()).all(|x| x.is_finite()) || !self.branches.is_sound() {
             return Err("a number of its estimator is not finite");
         }
         Ok(())

@@ -7,7 +7,7 @@ use super::linkage::{Frame, Linkage, Links, MEASURED, Pair};
 use super::transition::{self, ERRORS, Flow, Scene};
 
 /// Below this smallest singular value of J, over the mean length, a vertex is so near that its branches cannot be told apart.
-const VERTEX: f64 = 0.03;
+pub(super) const VERTEX: f64 = 0.03;
 /// Where that is smaller than this, two ways to compute a motion have to agree,
 const DOUBTFUL: f64 = 0.2;
 /// to this, rad and rad/s.
@@ -106,11 +106,6 @@ impl Track {
         smallest < VERTEX && (0..4).any(|i| (omega[i] - self.omega[i]).abs() > TURNED * fastest)
     }
 
-    /// Whether a vertex is so near that branches cannot be told apart.
-    pub(super) fn is_at_vertex(&self, linkage: &Linkage) -> bool {
-        linkage.frame(&self.theta).smallest < VERTEX
-    }
-
     /// h seconds on by its rates.
     pub(super) fn gone_straight(&self, linkage: &Linkage, h: f64) -> Self {
         // Not closed: the straight line meets the loop to third order, and J would take from the rates what it does not know of.
@@ -121,6 +116,34 @@ impl Track {
             _ => (along, self.omega),
         };
         Self { theta, omega, ..*self }
+    }
+
+    /// Where the motion would be had it come from so far before, rad of the fastest link, a little aside, rad, by so many steps there and back;
+    /// `None` where it cannot be computed.
+    #[inline(never)]
+    pub(super) fn passed_aside(
+        &self,
+        linkage: &Linkage,
+        scene: &impl Scene,
+        (before, aside, steps): (f64, f64, u32),
+    ) -> Option<Self> {
+        let fastest = self.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
+        let time = before / fastest;
+        let (theta, omega) = transition::motion(linkage, scene, (self.theta, self.omega), -time, steps);
+        let (theta, omega, frame) = linkage.closed(theta, omega)?;
+        let [x, y] = frame.coordinates(&omega);
+        let speed = (x * x + y * y).sqrt();
+        let across = frame.tangent([-aside * y / speed, aside * x / speed]);
+        let (theta, omega, _) = linkage.closed(std::array::from_fn(|i| theta[i] + across[i]), omega)?;
+        let (theta, omega) = transition::motion(linkage, scene, (theta, omega), time, steps);
+        if !theta.iter().chain(&omega).all(|x| x.abs() < FASTEST) || !linkage.is_closed(&theta, &omega) {
+            return None;
+        }
+        let turn = bank::straight(&linkage.frame(&self.theta), &linkage.frame(&theta), 0.0);
+        let mut bank = self.bank;
+        bank.carry(&turn);
+        bank.unsettle([aside * aside, (aside / before * fastest).powi(2)]);
+        Some(Self { theta, omega, bank, ..*self })
     }
 
     /// The motion with the errors about it.
