@@ -6,8 +6,10 @@ use super::linkage::Frame;
 use super::track::Track;
 
 /// The change of the unknown force that is an alarm, in torque scales, where the models of much noise are more probable than this: it is
-/// changing now.
-const SUDDEN: (f64, f64) = (0.25, 0.9);
+/// changing now;
+const SUDDEN: (f64, f64) = (0.25, 0.999);
+/// where they are less probable, but more than this, beyond so many standard deviations.
+const LIKELY: (f64, f64) = (0.9, 2.5);
 /// The change that is an alarm, in torque scales, beyond this many standard deviations: it has changed.
 const LASTING: (f64, f64) = (0.5, 6.0);
 /// How slowly what it changes from follows, s.
@@ -57,8 +59,9 @@ impl Alarm {
         // (size/σ)² without a division.
         let squared = x * x * yy - 2.0 * x * y * xy + y * y * xx;
         let loud = track.bank.members[2].weight + track.bank.members[3].weight;
-        let raised =
-            size > SUDDEN.0 * scale && loud > SUDDEN.1 || size > LASTING.0 * scale && squared > LASTING.1 * LASTING.1 * determinant;
+        let beyond = |sigmas: f64| squared > sigmas * sigmas * determinant;
+        let changes = size > SUDDEN.0 * scale && (loud > SUDDEN.1 || loud > LIKELY.0 && beyond(LIKELY.1));
+        let raised = changes || size > LASTING.0 * scale && beyond(LASTING.1);
         if raised {
             self.since = 0.0;
         }

@@ -202,7 +202,7 @@ fn from_outside(scenario: &Scenario, way: Way, encoder: &Encoder, random: &mut R
 }
 
 /// Tip errors side by side.
-pub fn table(seeds: u64) -> Table {
+pub fn table(seeds: u64, first: u64) -> Table {
     let mut table = Table::new("Side by side, 1 ms: tip error, mm (median over the runs), and lost runs");
     type Scene = fn(&mut Random) -> Scenario;
     let scenes: [(&str, Scene); 4] = [
@@ -222,14 +222,14 @@ pub fn table(seeds: u64) -> Table {
             };
             for (label, way) in ways {
                 let outcomes = (0..seeds).map(|seed| {
-                    let mut random = Random::new(7_100_000 + seed);
+                    let mut random = Random::new(first + 7_100_000 + seed);
                     let scenario = scene(&mut random);
                     from_outside(&scenario, way, &encoder, &mut random)
                 });
                 row(label, outcomes.collect());
             }
             let ours = (0..seeds).map(|seed| {
-                let mut random = Random::new(7_100_000 + seed);
+                let mut random = Random::new(first + 7_100_000 + seed);
                 let scenario = scene(&mut random);
                 let outcome = outcome(&scenario, &encoder, H, &mut random);
                 (outcome.rms, outcome.lost)

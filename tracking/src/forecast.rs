@@ -96,7 +96,7 @@ fn ensemble(twin: &Following, scenario: &Scenario, held: &Inputs, members: usize
 }
 
 /// Coverage and Brier scores.
-pub fn table(runs: u64) -> Table {
+pub fn table(runs: u64, first: u64) -> Table {
     let mut table =
         Table::new("Forecasts by sigma points: part within the 95 % ellipse, and Brier score of a direct singularity within 0.5 s");
     type Scene = fn(&mut Random) -> Scenario;
@@ -111,7 +111,7 @@ pub fn table(runs: u64) -> Table {
                 let by_points = bands == Bands::SigmaPoints;
                 let outcomes: Vec<Outcome> = (0..runs)
                     .filter_map(|seed| {
-                        let mut random = Random::new(7_600_000 + seed);
+                        let mut random = Random::new(first + 7_600_000 + seed);
                         let scenario = scene(&mut random);
                         forecast(&scenario, &encoder, bands, &mut random, if by_points { MEMBERS } else { 0 })
                     })

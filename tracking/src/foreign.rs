@@ -179,10 +179,11 @@ fn honesty(encoder: &Encoder, random: &mut Random) -> Option<[f64; 4]> {
 }
 
 /// Whether bands stay honest.
-pub fn table(runs: u64) -> Table {
+pub fn table(runs: u64, first: u64) -> Table {
     let mut table = Table::new("A truth from other code: lengths 0.5 % off, eccentric encoders, 2 ms of delay, backlash");
     for encoder in [COARSE, FINE] {
-        let outcomes: Vec<[f64; 4]> = (0..runs).filter_map(|seed| honesty(&encoder, &mut Random::new(7_900_000 + seed))).collect();
+        let outcomes: Vec<[f64; 4]> =
+            (0..runs).filter_map(|seed| honesty(&encoder, &mut Random::new(first + 7_900_000 + seed))).collect();
         let mean = |i: usize| outcomes.iter().map(|outcome| outcome[i]).sum::<f64>() / outcomes.len() as f64;
         let remark = format!("of {} runs", outcomes.len());
         table.push(Figure::told(format!("{}: tip within its 95 % ellipse, %", encoder.name), 100.0 * mean(0), remark));

@@ -15,19 +15,22 @@ struct Arguments {
     /// Part of the runs that are made
     #[arg(long, default_value_t = 1.0)]
     part: f64,
+    /// Added to the seeds of all runs: others than those in the tables of the docs
+    #[arg(long, default_value_t = 0)]
+    seeds: u64,
 }
 
 fn main() -> ExitCode {
-    let Arguments { only, part } = Arguments::parse();
+    let Arguments { only, part, seeds } = Arguments::parse();
     let runs = |all: u64| ((all as f64 * part).round() as u64).max(2);
     let tables: [(&str, &dyn Fn() -> Table); 7] = [
-        ("benchmark", &|| benchmark::table(runs(60))),
-        ("quality", &|| quality::table(runs(20))),
-        ("compare", &|| compare::table(runs(10))),
-        ("singular", &|| singular::table(part)),
-        ("forecast", &|| forecast::table(runs(100))),
-        ("detection", &|| detection::table(runs(60), part)),
-        ("foreign", &|| foreign::table(runs(20))),
+        ("benchmark", &|| benchmark::table(runs(60), seeds)),
+        ("quality", &|| quality::table(runs(20), seeds)),
+        ("compare", &|| compare::table(runs(10), seeds)),
+        ("singular", &|| singular::table(part, seeds)),
+        ("forecast", &|| forecast::table(runs(100), seeds)),
+        ("detection", &|| detection::table(runs(60), part, seeds)),
+        ("foreign", &|| foreign::table(runs(20), seeds)),
     ];
     let mut reached = true;
     for (name, table) in tables {

@@ -153,7 +153,7 @@ fn lost(runs: u64, first: u64, encoder: &Encoder, h: f64, scenario: impl Fn(&mut
 }
 
 /// Runs that are lost.
-pub fn table(part: f64) -> Table {
+pub fn table(part: f64, first: u64) -> Table {
     let runs = |all: f64| (all * part).round().max(2.0) as u64;
     let mut table = Table::new("Runs lost: more than 10 mm off, or on the wrong branch, at the end");
     for h in [1e-3, 5e-3] {
@@ -163,7 +163,7 @@ pub fn table(part: f64) -> Table {
         {
             let count = runs(200.0);
             all += count;
-            sum += lost(count, 7_300_000 + 10_000 * k as u64, &encoder, h, |random| crossing(random, speed));
+            sum += lost(count, first + 7_300_000 + 10_000 * k as u64, &encoder, h, |random| crossing(random, speed));
         }
         let most = if h < 2e-3 { 0.0 } else { (0.01 * all as f64).floor() };
         table.push(Figure::at_most(format!("direct singularities at {} ms", 1e3 * h), sum, most, format!("of {all}")));
@@ -172,7 +172,7 @@ pub fn table(part: f64) -> Table {
     for (k, offset) in [0.0, 1e-4, 1e-3, 5e-3].into_iter().enumerate() {
         for encoder in [COARSE, FINE] {
             let count = runs(40.0);
-            let lost = lost(count, 7_400_000 + 10_000 * k as u64, &encoder, 1e-3, |random| vertex(random, offset));
+            let lost = lost(count, first + 7_400_000 + 10_000 * k as u64, &encoder, 1e-3, |random| vertex(random, offset));
             table.push(Figure::told(format!("vertices, {offset} rad aside, {}, 1 ms", encoder.name), lost, format!("of {count}")));
             (all, sum) = (all + count, sum + lost);
         }
@@ -180,7 +180,7 @@ pub fn table(part: f64) -> Table {
     table.push(Figure::at_most("vertices at 1 ms, all".into(), sum, (0.02 * all as f64).floor(), format!("of {all}")));
     for encoder in [COARSE, FINE] {
         let count = runs(100.0);
-        let lost = lost(count, 7_500_000, &encoder, 1e-3, push);
+        let lost = lost(count, first + 7_500_000, &encoder, 1e-3, push);
         table.push(Figure::at_most(format!("pushes of 0.5 N, {}, 1 ms", encoder.name), lost, 0.0, format!("of {count}")));
     }
     table

@@ -79,6 +79,9 @@ enum Command {
         /// Part of the runs that are made
         #[arg(long, default_value_t = 1.0)]
         part: f64,
+        /// Added to the seeds of all runs
+        #[arg(long, default_value_t = 0)]
+        seeds: u64,
     },
     /// Measure what accuracy costs in time, write the page target/report/index.html
     Report(report::Options),
@@ -136,7 +139,7 @@ fn command(command: Command) -> Result<()> {
         Command::Compare { revision } => compare::compare(&revision),
         Command::Walk(options) => walk::walk(&options),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
-        Command::Estimator { only, part } => estimator::estimator(&only, part),
+        Command::Estimator { only, part, seeds } => estimator::estimator(&only, part, seeds),
         Command::Report(options) => report::report(&options),
         Command::Peers { only } => peers::peers(&only),
         Command::Bench { check: true, .. } => bench::check(),
