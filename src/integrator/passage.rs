@@ -108,9 +108,14 @@ pub trait Passage<const N: usize> {
         Ok(1.0)
     }
 
-    /// Whether q is far enough from every vertex for a projection, which divides round-off by the smallest singular value of Φ_q.
+    /// Whether q is far enough from every vertex to be projected: that divides round-off by the smallest singular value of Φ_q.
     fn can_project(&self, _q: &Vector<N>) -> bool {
         true
+    }
+
+    /// The energy that a step from q and q̇ has to keep, if they are so close to a vertex that round-off alone would change it.
+    fn energy_to_keep(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<EnergyBalance> {
+        None
     }
 
     /// Whether a vertex is so near that a motion may be on a ray through it.

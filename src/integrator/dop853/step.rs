@@ -6,7 +6,9 @@ use super::events::Border;
 use super::stages::{Allowed, RATE, Slope, Stages};
 use super::{DenseStep, Horizon, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, StepSizeController, is_cut_short, next_step};
-use crate::integrator::{Approach, Arrival, Kinked, Passage, PassageLimits, Projection, StepError, System, velocity_correction};
+use crate::integrator::{
+    Approach, Arrival, Kinked, Passage, PassageLimits, Projection, State, StepError, System, velocity_correction,
+};
 use crate::vector::Vector;
 
 /// A step below this, s, that is rejected is not made shorter.
@@ -66,7 +68,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let mut stages = Stages::new(on, settings.regularization, &self.start, h);
             let end = stages.end();
             let error = stages.error(&settings.allowed_of(on), &end[1]);
-            let arrival = if error <= 1.0 { settings.project_and_evaluate(on, end) } else { Err(StepError::NotFinite) };
+            let arrival =
+                if error <= 1.0 { settings.project_and_evaluate(on, &self.start, (h, end)) } else { Err(StepError::NotFinite) };
             if let Ok((iterations, arrival)) = arrival {
                 self.accept(on, &stages, (iterations, arrival));
                 if system.has_kinks() {
@@ -170,19 +173,24 @@ impl Settings {
         PassageLimits { radius: 1e-4, impact_parameter: 1e-7, longest_with_dissipation: self.first_step }
     }
 
-    /// Puts the end of a step onto the constraints: the iterations spent, and what holds there.
+    /// Puts the end of a step of h seconds onto the constraints: the iterations spent, and what holds there. Next to a vertex it keeps the
+    /// energy, which round-off would change.
     #[inline]
     pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        [mut q, mut v]: [Vector<N>; 2],
+        from: &State<N, M>,
+        (h, [mut q, mut v]): (f64, [Vector<N>; 2]),
     ) -> Result<(u32, Arrival<N, M>), StepError> {
         let (iterations, pose, mass) = self.project(system, &mut q, &mut v)?;
+        if let Some(energy) = system.energy_to_keep(&from.q, &from.v) {
+            v = system.energy_scale(&energy, &q, &v, h)? * v;
+        }
         Ok((iterations, Arrival::in_balance(system, [q, v], &pose, &mass).finite()?))
     }
 
-    /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
-    /// spent, with pose and mass factor.
+    /// Puts q̇ onto the constraints, and q where no vertex is so close that round-off would be divided by nothing: the iterations spent,
+    /// with pose and mass factor.
     #[inline]
     pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
@@ -190,13 +198,12 @@ impl Settings {
         q: &mut Vector<N>,
         v: &mut Vector<N>,
     ) -> Result<(u32, S::Pose, S::Mass), StepError> {
-        if !system.can_project(q) {
-            let pose = system.pose(q);
-            let mass = system.factor_mass(&pose, self.regularization);
-            return Ok((0, pose, mass));
-        }
-        let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
-        let (iterations, pose) = projection.position(system, q)?;
+        let (iterations, pose) = if system.can_project(q) {
+            let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
+            projection.position(system, q)?
+        } else {
+            (0, system.pose(q))
+        };
         let mass = system.factor_mass(&pose, self.regularization);
         *v += velocity_correction(system, &pose, &mass, v);
         if system.holds() {
