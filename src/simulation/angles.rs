@@ -61,13 +61,17 @@ pub struct ByAngles<'a> {
     five_bar: FiveBar<'a>,
     mechanism: &'a Mechanism,
     inertia: &'a Inertia,
+    /// Whether nothing acts but the weight, which asks for no coordinates.
+    only_weight: bool,
 }
 
 impl<'a> ByAngles<'a> {
     /// The same model under the same inputs.
     #[inline]
     pub fn new(five_bar: FiveBar<'a>) -> Self {
-        Self { five_bar, mechanism: &five_bar.model.mechanism, inertia: &five_bar.model.inertia }
+        let FiveBar { model, inputs, .. } = five_bar;
+        let only_weight = model.effects.is_empty() && !inputs.load();
+        Self { five_bar, mechanism: &model.mechanism, inertia: &model.inertia, only_weight }
     }
 
     /// The same in its twelve coordinates.
@@ -122,7 +126,7 @@ impl<'a> ByAngles<'a> {
     }
 
     /// Applied forces of the twelve coordinates carried over to the angles, and the centripetal ones of the distal centre of mass.
-    #[inline]
+    #[inline(always)]
     fn in_angles(&self, applied: &Coordinates, pose: &Pose, v: &Angles) -> Angles {
         let (l, a_d) = (proximal_arm(pose), pose.a_d);
         let on_p = Legs2 { x: legs_of(applied, P_X), y: legs_of(applied, P_Y) };
@@ -171,6 +175,13 @@ impl<'a> ByAngles<'a> {
         set_legs(&mut x, D_X, -l.x * w_p * w_p - d.x * w_d * w_d);
         set_legs(&mut x, D_Y, -l.y * w_p * w_p - d.y * w_d * w_d);
         x
+    }
+
+    /// What acts on the twelve coordinates, with its power. Out of line, and it takes copies: what is pointed to has to be in memory, and
+    /// where nothing acts but the weight it stays in registers.
+    #[inline(never)]
+    fn acting(&self, q: Angles, pose: Pose, v: Angles) -> (Coordinates, Work) {
+        self.five_bar.forces_and_power(&self.placed(&q, &pose), &pose, &self.moving(&v, &pose))
     }
 
     #[inline]
@@ -281,9 +292,12 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         self.in_angles(&self.five_bar.forces(&self.placed(q, pose), pose, &self.moving(v, pose)), pose, v)
     }
 
-    #[inline]
+    #[inline(always)]
     fn forces_and_power(&self, q: &Angles, pose: &Pose, v: &Angles) -> (Angles, Work) {
-        let (applied, power) = self.five_bar.forces_and_power(&self.placed(q, pose), pose, &self.moving(v, pose));
+        if self.only_weight {
+            return (self.in_angles(&self.five_bar.model.weight, pose, v), Work::default());
+        }
+        let (applied, power) = self.acting(*q, *pose, *v);
         (self.in_angles(&applied, pose, v), power)
     }
 

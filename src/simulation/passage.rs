@@ -89,7 +89,8 @@ impl Passage<ANGLES> for ByAngles<'_> {
         self.offset(q).is_none_or(|offset| offset.dot(&offset) >= NEAREST * NEAREST)
     }
 
-    #[inline]
+    #[cold]
+    #[inline(never)]
     fn energy_to_keep(&self, q: &Angles, v: &Angles) -> Option<EnergyBalance> {
         (!self.can_project(q)).then(|| self.energy_balance(q, v))
     }
