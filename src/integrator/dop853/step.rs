@@ -202,14 +202,17 @@ impl Settings {
         q: &mut Vector<N>,
         v: &mut Vector<N>,
     ) -> Result<(u32, S::Pose, S::Mass), StepError> {
-        let (iterations, pose) = if system.can_project(q) {
+        let [projects_q, projects_v] = system.can_project(q);
+        let (iterations, pose) = if projects_q {
             let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
             projection.position(system, q)?
         } else {
             (0, system.pose(q))
         };
         let mass = system.factor_mass(&pose, self.regularization);
-        *v += velocity_correction(system, &pose, &mass, v);
+        if projects_v {
+            *v += velocity_correction(system, &pose, &mass, v);
+        }
         if system.holds() {
             *v = system.let_hold(*q, *v);
         }
