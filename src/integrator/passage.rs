@@ -108,10 +108,9 @@ pub trait Passage<const N: usize> {
         Ok(1.0)
     }
 
-    /// Whether q, and whether q̇ there, are far enough from every vertex to be projected: that divides round-off by the smallest singular
-    /// value of Φ_q.
-    fn can_project(&self, _q: &Vector<N>) -> [bool; 2] {
-        [true; 2]
+    /// Whether q is far enough from every vertex for a projection, which divides round-off by the smallest singular value of Φ_q.
+    fn can_project(&self, _q: &Vector<N>) -> bool {
+        true
     }
 
     /// The energy that a step from q and q̇ has to keep, if they are so close to a vertex that round-off alone would change it.

@@ -30,12 +30,8 @@ pub(super) const REGULARIZATION: f64 = 1e-4;
 /// inside, a motion that points at the vertex is one that is turning around it.
 const ENTRY: f64 = 0.2;
 
-/// Nearer than this, rad, round-off is not taken to be larger still (no error passes unseen), and angles are not projected.
+/// Nearer than this, rad, round-off is not taken to be larger still (no error passes unseen), and nothing is projected.
 const NEAREST: f64 = 1e-5;
-
-/// Nearer than this, rad, rates are not projected either: the round-off of angles leaves of the direction in which that moves them less
-/// than seven digits, and of the energy, which it changes by the square, less than fourteen.
-const NEAREST_RATES: f64 = 1e-8;
 
 /// Largest part of the kinetic energy by which a step close to a vertex may be off before it is put right.
 const ENERGY_CHANGE: f64 = 0.01;
@@ -89,14 +85,14 @@ impl Passage<ANGLES> for ByAngles<'_> {
     }
 
     #[inline]
-    fn can_project(&self, q: &Angles) -> [bool; 2] {
-        self.offset(q).map_or([true; 2], |offset| [NEAREST, NEAREST_RATES].map(|nearest| offset.dot(&offset) >= nearest * nearest))
+    fn can_project(&self, q: &Angles) -> bool {
+        self.offset(q).is_none_or(|offset| offset.dot(&offset) >= NEAREST * NEAREST)
     }
 
     #[cold]
     #[inline(never)]
     fn energy_to_keep(&self, q: &Angles, v: &Angles) -> Option<EnergyBalance> {
-        (!self.can_project(q)[0]).then(|| self.energy_balance(q, v))
+        (!self.can_project(q)).then(|| self.energy_balance(q, v))
     }
 
     fn is_near_vertex(&self, q: &Angles) -> bool {
@@ -274,7 +270,7 @@ impl<const BARE: bool> Passage<COORDINATES> for FiveBar<'_, BARE> {
         ByAngles::new(self.general()).energy_scale(before, &angles_of(q), &angles_of(v), h)
     }
 
-    fn can_project(&self, q: &Coordinates) -> [bool; 2] {
+    fn can_project(&self, q: &Coordinates) -> bool {
         ByAngles::new(self.general()).can_project(&angles_of(q))
     }
 

@@ -193,8 +193,8 @@ impl Settings {
         Ok((iterations, Arrival::in_balance(system, [q, v], &pose, &mass).finite()?))
     }
 
-    /// Puts q̇ onto the constraints, and q where no vertex is so close that round-off would be divided by nothing: the iterations spent,
-    /// with pose and mass factor.
+    /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
+    /// spent, with pose and mass factor.
     #[inline]
     pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
@@ -202,17 +202,15 @@ impl Settings {
         q: &mut Vector<N>,
         v: &mut Vector<N>,
     ) -> Result<(u32, S::Pose, S::Mass), StepError> {
-        let [projects_q, projects_v] = system.can_project(q);
-        let (iterations, pose) = if projects_q {
-            let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
-            projection.position(system, q)?
-        } else {
-            (0, system.pose(q))
-        };
-        let mass = system.factor_mass(&pose, self.regularization);
-        if projects_v {
-            *v += velocity_correction(system, &pose, &mass, v);
+        if !system.can_project(q) {
+            let pose = system.pose(q);
+            let mass = system.factor_mass(&pose, self.regularization);
+            return Ok((0, pose, mass));
         }
+        let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
+        let (iterations, pose) = projection.position(system, q)?;
+        let mass = system.factor_mass(&pose, self.regularization);
+        *v += velocity_correction(system, &pose, &mass, v);
         if system.holds() {
             *v = system.let_hold(*q, *v);
         }
