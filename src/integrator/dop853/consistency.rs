@@ -75,7 +75,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let system = system.on(self.sides);
         let system = system.borrow();
         let mut stages = Stages::new(system, settings.regularization, &self.start, self.length);
-        let (_, arrival) = settings.project_and_evaluate(system, stages.end())?;
+        let kept = system.energy_to_keep(&self.start.q, &self.start.v).map(|energy| (energy, self.length));
+        let (_, arrival) = settings.project_and_evaluate(system, stages.end, kept)?;
         end.arrive(arrival);
         let same = [end.q, end.v, end.a] == [self.end.q, self.end.v, self.end.a] && end.lambda == self.end.lambda;
         // Without its coefficients a step is over: nothing is asked for within it.

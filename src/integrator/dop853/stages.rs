@@ -18,11 +18,12 @@ pub(super) struct Slope<const N: usize> {
 impl<const N: usize> Slope<N> {
     pub(super) const NONE: Self = Self { q: Vector::ZERO, v: Vector::ZERO, power: Work { input: 0.0, dissipated: 0.0 } };
 
-    #[inline(always)]
+    /// One piece of code for all stages: written out for each of them it would not fit into what a processor keeps decoded.
+    #[inline(never)]
     fn at<const M: usize, S: System<N, M>>(system: &S, regularization: f64, q: &Vector<N>, v: &Vector<N>) -> Self {
-        let pose = system.pose(q);
-        let (forces, power) = system.forces_and_power(q, &pose, v);
-        let (a, _) = equilibrium_under(system, &forces, (q, &pose, v), &system.factor_mass(&pose, regularization));
+        let pose = &system.pose(q);
+        let (forces, power) = system.forces_and_power(q, pose, v);
+        let (a, _) = equilibrium_under(system, &forces, (q, pose, v), &system.factor_mass(pose, regularization));
         Self { q: *v, v: a, power }
     }
 }
@@ -47,6 +48,8 @@ pub(super) struct Stages<const N: usize> {
     pub(super) h: f64,
     /// Where the last stage is evaluated: at the end of the step as well, but of lower order.
     last: Vector<N>,
+    /// q and q̇ at the end of the step, of order 8.
+    pub(super) end: [Vector<N>; 2],
 }
 
 /// Does something for each stage, without a loop at run time: stages and their coefficients are constants.
@@ -60,7 +63,7 @@ impl<const N: usize> Stages<N> {
     /// All stages of a step of h seconds.
     #[inline(never)]
     pub(super) fn new<const M: usize>(system: &impl System<N, M>, regularization: f64, from: &State<N, M>, h: f64) -> Self {
-        let mut stages = Self { slopes: [Slope::NONE; ALL], q: from.q, v: from.v, h, last: from.q };
+        let mut stages = Self { slopes: [Slope::NONE; ALL], q: from.q, v: from.v, h, last: from.q, end: [from.q, from.v] };
         stages.slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
         macro_rules! evaluate {
             ($stage:literal) => {
@@ -70,24 +73,29 @@ impl<const N: usize> Stages<N> {
             };
         }
         for_each!(evaluate: 1 2 3 4 5 6 7 8 9 10 11);
+        stages.end = stages.at::<END>();
         stages
     }
 
-    /// Σ coefficient · slope over q and q̇.
+    /// Σ coefficient · slope over what is picked of the slopes.
     #[inline(always)]
-    fn sum<const ROW: usize>(&self) -> [Vector<N>; 2] {
-        let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
+    fn sum<const ROW: usize>(&self, part: impl Fn(&Slope<N>) -> Vector<N>) -> Vector<N> {
+        let mut sum = Vector::ZERO;
         macro_rules! add {
             ($stage:literal) => {
                 if const { COEFFICIENTS[ROW][$stage] != 0.0 } {
-                    let slope = &self.slopes[$stage];
-                    q += const { COEFFICIENTS[ROW][$stage] } * slope.q;
-                    v += const { COEFFICIENTS[ROW][$stage] } * slope.v;
+                    sum += const { COEFFICIENTS[ROW][$stage] } * part(&self.slopes[$stage]);
                 }
             };
         }
         for_each!(add: 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
-        [q, v]
+        sum
+    }
+
+    /// The same over q and q̇.
+    #[inline(always)]
+    fn sums<const ROW: usize>(&self) -> [Vector<N>; 2] {
+        [self.sum::<ROW>(|slope| slope.q), self.sum::<ROW>(|slope| slope.v)]
     }
 
     /// The same over the power.
@@ -108,14 +116,19 @@ impl<const N: usize> Stages<N> {
     /// q and q̇ at the place of a row.
     #[inline(always)]
     fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
-        let [q, v] = self.sum::<ROW>();
-        [self.q + self.h * q, self.v + self.h * v]
+        [self.place::<ROW>(), self.rate::<ROW>()]
     }
 
-    /// q and q̇ at the end of the step, of order 8.
+    /// q there: what the accelerations of the stage before are does not matter.
     #[inline(always)]
-    pub(super) fn end(&self) -> [Vector<N>; 2] {
-        self.at::<END>()
+    fn place<const ROW: usize>(&self) -> Vector<N> {
+        self.q + self.h * self.sum::<ROW>(|slope| slope.q)
+    }
+
+    /// q̇ there.
+    #[inline(always)]
+    fn rate<const ROW: usize>(&self) -> Vector<N> {
+        self.v + self.h * self.sum::<ROW>(|slope| slope.v)
     }
 
     /// Mean power over the step, of order 8.
@@ -127,18 +140,16 @@ impl<const N: usize> Stages<N> {
     /// the mean square. The estimate of order 5 is damped by that of order 3 (Hairer, Nørsett, Wanner, section II.5, eq. 5.17).
     #[inline(always)]
     pub(super) fn error(&self, allowed: &Allowed, v_end: &Vector<N>) -> f64 {
+        let rates = Vector::<N>::from_fn(|i| 1.0 / (RATE + self.v[i].abs().max(v_end[i].abs())));
+        let scale = 1.0 / (2.0 * N as f64 * allowed.coordinate * allowed.coordinate);
         let norm = |[q, v]: [Vector<N>; 2], power: Option<Work>| {
-            let mut sum = 0.0;
-            for i in 0..N {
-                let rate = v[i] / (RATE + self.v[i].abs().max(v_end[i].abs()));
-                sum += q[i] * q[i] + rate * rate;
-            }
-            let mean = sum / (2.0 * N as f64 * allowed.coordinate * allowed.coordinate);
+            let v = Vector::<N>::from_fn(|i| v[i] * rates[i]);
+            let mean = (q.dot(&q) + v.dot(&v)) * scale;
             let Some((work, Work { input, dissipated })) = allowed.work.zip(power) else { return mean };
             mean + (input * input + dissipated * dissipated) / (work * work)
         };
-        let fifth = norm(self.sum::<AT_ERROR_5>(), allowed.work.map(|_| self.power::<AT_ERROR_5>()));
-        let third = norm(self.sum::<AT_ERROR_3>(), allowed.work.map(|_| self.power::<AT_ERROR_3>()));
+        let fifth = norm(self.sums::<AT_ERROR_5>(), allowed.work.map(|_| self.power::<AT_ERROR_5>()));
+        let third = norm(self.sums::<AT_ERROR_3>(), allowed.work.map(|_| self.power::<AT_ERROR_3>()));
         let damped = fifth + 0.01 * third;
         // Both are 0 where nothing moves.
         if damped == 0.0 { 0.0 } else { self.h * fifth / damped.sqrt() }
@@ -190,7 +201,7 @@ impl<const N: usize> Stages<N> {
 
     /// One of them.
     fn coefficient<const ROW: usize>(&self, follows_work: bool) -> Slope<N> {
-        let [q, v] = self.sum::<ROW>();
+        let [q, v] = self.sums::<ROW>();
         let power = if follows_work { self.power::<ROW>() } else { Work::default() };
         Slope { q: self.h * q, v: self.h * v, power: Work::default().plus(self.h, power) }
     }

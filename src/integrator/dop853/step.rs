@@ -6,7 +6,9 @@ use super::events::Border;
 use super::stages::{Allowed, RATE, Slope, Stages};
 use super::{DenseStep, Horizon, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, StepSizeController, is_cut_short, next_step};
-use crate::integrator::{Approach, Arrival, Kinked, Passage, PassageLimits, Projection, StepError, System, velocity_correction};
+use crate::integrator::{
+    Approach, Arrival, EnergyBalance, Kinked, Passage, PassageLimits, Projection, StepError, System, velocity_correction,
+};
 use crate::vector::Vector;
 
 /// A step below this, s, that is rejected is not made shorter.
@@ -39,9 +41,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         horizon: Horizon,
     ) -> Result<(), StepError> {
         self.begin();
-        let longest = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
-            Approach::Clear => horizon.limit,
-            Approach::Limited(limits) => horizon.limit.min(limits.longest),
+        let (longest, near) = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
+            Approach::Clear => (horizon.limit, false),
+            Approach::Limited(limits) => (horizon.limit.min(limits.longest), true),
             Approach::Passed(transit) => {
                 self.end.pass_through(system, &transit, settings.regularization)?;
                 (self.length, self.straight) = (transit.duration, true);
@@ -63,10 +65,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let mut tries = 0;
         loop {
             let on: &S = on_sides.borrow();
+            let kept = if near { on.energy_to_keep(&self.start.q, &self.start.v) } else { None };
             let mut stages = Stages::new(on, settings.regularization, &self.start, h);
-            let end = stages.end();
+            let end = stages.end;
             let error = stages.error(&settings.allowed_of(on), &end[1]);
-            let arrival = if error <= 1.0 { settings.project_and_evaluate(on, end) } else { Err(StepError::NotFinite) };
+            let arrival = if error <= 1.0 {
+                settings.project_and_evaluate(on, end, kept.map(|energy| (energy, h)))
+            } else {
+                Err(StepError::NotFinite)
+            };
             if let Ok((iterations, arrival)) = arrival {
                 self.accept(on, &stages, (iterations, arrival));
                 if system.has_kinks() {
@@ -170,14 +177,19 @@ impl Settings {
         PassageLimits { radius: 1e-4, impact_parameter: 1e-7, longest_with_dissipation: self.first_step }
     }
 
-    /// Puts the end of a step onto the constraints: the iterations spent, and what holds there.
+    /// Puts the end of a step onto the constraints: the iterations spent, and what holds there. The energy that was at its beginning, so
+    /// many seconds before, is kept where there is any.
     #[inline]
     pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
         [mut q, mut v]: [Vector<N>; 2],
+        kept: Option<(EnergyBalance, f64)>,
     ) -> Result<(u32, Arrival<N, M>), StepError> {
         let (iterations, pose, mass) = self.project(system, &mut q, &mut v)?;
+        if let Some((energy, h)) = &kept {
+            v = system.energy_scale(energy, &q, &v, *h)? * v;
+        }
         Ok((iterations, Arrival::in_balance(system, [q, v], &pose, &mass).finite()?))
     }
 
