@@ -5,7 +5,7 @@
 mod consistency;
 mod controller;
 mod discrete;
-pub mod dop853;
+pub mod dense;
 mod equilibrium;
 mod error;
 pub mod i3alp;
@@ -27,7 +27,7 @@ pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, St
 pub use projection::{Projection, velocity_correction};
 use state::Arrival;
 pub use state::{Counters, MODES, State};
-pub use system::{Held, Implicit, Kkt, System, TangentPoint, Work};
+pub use system::{AccelerationTangents, Held, Implicit, Kkt, System, TangentPoint, Work};
 
 /// The methods whose steps end with the macro step.
 #[derive(Clone, Copy, Debug)]

@@ -15,7 +15,7 @@
 use super::five_bar::FiveBar;
 use super::inertia::{Inertia, Mass, proximal_arm};
 use super::model::Model;
-use crate::integrator::{Held, Kkt, System, Work};
+use crate::integrator::{AccelerationTangents, Held, Kkt, State, System, Work};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::vertex::{self, Branch};
@@ -78,6 +78,16 @@ impl<'a> ByAngles<'a> {
     /// The model.
     pub(super) fn model(&self) -> &'a Model {
         self.five_bar.model
+    }
+
+    /// The mass matrix at a pose.
+    pub(super) fn mass(&self, pose: &Pose) -> Mass {
+        self.inertia.mass(pose)
+    }
+
+    /// Masses of the distal links, kg.
+    pub(super) fn carried(&self) -> Legs {
+        self.mechanism.mass_d
     }
 
     /// e of the saddle-point systems, 1/kg.
@@ -188,7 +198,7 @@ impl<'a> ByAngles<'a> {
 
 /// Φ_q: how the end of each leg moves with its proximal and its distal angle, with the leg's sign.
 #[inline]
-fn phi_q(pose: &Pose) -> [Legs2; 2] {
+pub(super) fn phi_q(pose: &Pose) -> [Legs2; 2] {
     let distal = Legs2 { x: SIGMA * pose.a_d.x + pose.sigma_b_d.x, y: SIGMA * pose.a_d.y + pose.sigma_b_d.y };
     [proximal_arm(pose).scaled(SIGMA).turned(), distal.turned()]
 }
@@ -322,6 +332,11 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     fn let_hold(&self, q: Angles, v: Angles) -> Angles {
         let (x, rates) = self.coordinates(&self.pose(&q), &q, &v);
         angles_of(&super::grips::let_hold(&self.five_bar, x, rates))
+    }
+
+    fn acceleration_tangents(&self, at: &State<ANGLES, CLOSURES>, regularization: f64) -> Option<AccelerationTangents<ANGLES>> {
+        // What holds has a multiplier of its own, about which nothing is said here.
+        (!self.model().sticks).then(|| self.tangents_of_acceleration(at, regularization))
     }
 
     #[inline]

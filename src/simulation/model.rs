@@ -5,7 +5,7 @@ use arrayvec::ArrayVec;
 use super::inertia::Inertia;
 use crate::effects::{self, Active, Effect, ForceContext, Inputs, Law, Perturbation, TypicalInertia};
 use crate::estimator;
-use crate::integrator::{MacroStepMethod, dop853, i3alp, i3alp_conserving, i3alp_printed, rk4};
+use crate::integrator::{MacroStepMethod, dense, i3alp, i3alp_conserving, i3alp_printed, rk4};
 use crate::linear::{LinearSolve, LinearSolver};
 use crate::mechanism::{Assembly, Coordinates, Geometry, Mechanism, SceneError, Start};
 
@@ -69,7 +69,7 @@ pub enum Stepper {
     /// Steps end with the macro step.
     MacroStep(MacroStepMethod),
     /// Runge–Kutta with error control, in the link angles: steps run past it.
-    Dense(dop853::Settings),
+    Dense(dense::Settings),
     /// Strictly fixed steps that conserve.
     Conserving(i3alp_conserving::Settings),
     /// None: the proximal angles and rates come from outside, the others follow in this assembly.
@@ -171,7 +171,7 @@ impl Model {
     }
 
     /// Settings of the explicit method.
-    pub(super) fn dense_settings(&self) -> &dop853::Settings {
+    pub(super) fn dense_settings(&self) -> &dense::Settings {
         match &self.stepper {
             Stepper::Dense(settings) => settings,
             Stepper::MacroStep(_) | Stepper::Conserving(_) | Stepper::Outside(_) => unreachable!("a run is made for its method"),
@@ -297,7 +297,8 @@ impl Settings {
                 });
             }
             Method::Dop853 => {
-                return Stepper::Dense(dop853::Settings {
+                return Stepper::Dense(dense::Settings {
+                    kinds: match std::env::var("FBKIND").as_deref() { Ok("r4") => dense::Kinds::Only(dense::Kind::StiffFourth), Ok("r5") => dense::Kinds::Only(dense::Kind::StiffFifth), _ => dense::Kinds::Only(dense::Kind::Eighth) },
                     error_tolerance: self.error_tolerance,
                     energy_scale,
                     first_step: self.step_size,

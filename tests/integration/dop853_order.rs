@@ -1,6 +1,6 @@
 //! DOP853 alone, on systems without constraints whose solutions are known: orders of the step and of the interpolant, stiffness.
 
-use fivebar::integrator::dop853::{DenseStep, Horizon, Settings};
+use fivebar::integrator::dense::{DenseStep, Horizon, Kind, Kinds, Settings};
 use fivebar::integrator::{Kinked, Kkt, Passage, System, Work};
 use fivebar::vector::Vector;
 
@@ -83,7 +83,7 @@ fn ellipse(mean: f64) -> [[f64; 2]; 2] {
 }
 
 fn settings(error_tolerance: f64, first_step: f64) -> Settings {
-    Settings { error_tolerance, energy_scale: 1.0, first_step, max_iterations: 10, max_work: 400_000, regularization: 0.0 }
+    Settings { kinds: Kinds::Only(Kind::Eighth), error_tolerance, energy_scale: 1.0, first_step, max_iterations: 10, max_work: 400_000, regularization: 0.0 }
 }
 
 /// One step of h leaves an error of h⁹, its interpolant h⁸; the work along it has the same orders. A wrong coefficient would

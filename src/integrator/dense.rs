@@ -1,22 +1,25 @@
-//! DOP853: the explicit Runge–Kutta method of order 8 of Dormand and Prince, with error control and dense output, on the index-1 form
-//! of a [`System`]; projection onto the constraints after every accepted step.
+//! Error-controlled steps that pass communication points, with dense output, on the index-1 form of a [`System`]; projection onto the
+//! constraints after every accepted step.
+//!
+//! A step is of a [`Kind`]: explicit of order 8 (`dop853.rs`), or linearly implicit (`rosenbrock.rs`) where loads are stiff.
 //!
 //! Steps are as long as the local error allows, wherever communication points are. The step under way may go past one: there the state
-//! is that of the step's interpolant, of order 7, projected. The step, which has been made with the inputs held, is thrown away if they
+//! is that of the step's interpolant, projected. The step, which has been made with the inputs held, is thrown away if they
 //! change at that point, and redone up to it ([`DenseStep::truncate_and_redo`]). So the state of a run is the step under way: both its
 //! ends, the interpolant's coefficients and the time into it.
 //!
 //! Where a force has a kink, a step ends there (`events.rs`).
-//!
-//! E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., sections II.5 and II.6.
 
 mod consistency;
+mod dop853;
 mod events;
+mod hermite;
 mod interpolant;
-mod stages;
+mod kind;
+mod rosenbrock;
 mod step;
 mod stiffness;
-mod tableau;
+mod trial;
 
 use std::borrow::Borrow;
 
@@ -26,12 +29,15 @@ use super::controller::LEAST_LOG_ERROR;
 use super::{Counters, Kinked, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
 use interpolant::Interpolant;
-use stages::Slope;
+pub use kind::{Kind, Kinds};
 use stiffness::Stiffness;
+use trial::Slope;
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
+    /// Which kinds of step are made.
+    pub kinds: Kinds,
     /// Local error allowed per step: of each coordinate this, of its rate this times (10/s + |q̇|); root of the mean square.
     pub error_tolerance: f64,
     /// The work of forces with kinks may be off by the error tolerance times this, J, per step.
@@ -79,6 +85,8 @@ pub struct DenseStep<const N: usize, const M: usize, K> {
     length: f64,
     /// Time into the step, s, never beyond its end.
     elapsed: f64,
+    /// What kind of step it is.
+    kind: Kind,
     /// The higher coefficients of the interpolant; 0 where it was not needed.
     dense: [Slope<N>; 4],
     /// Whether the step is a straight motion close to a vertex, where nothing may be projected.
@@ -101,6 +109,8 @@ impl<const N: usize, const M: usize, K: Copy> Clone for DenseStep<N, M, K> {
 /// What is remembered from step to step.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Memory {
+    /// The kind of the step to come.
+    kind: Kind,
     /// ln of the error of the last accepted step in units of the tolerance.
     log_error: f64,
     stiffness: Stiffness,
@@ -131,12 +141,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Self {
         let sides = system.sides_of(&q, &v);
         let state = State::start(system.on(sides).borrow(), q, v, settings.regularization);
-        let memory = Memory { log_error: LEAST_LOG_ERROR, stiffness: Stiffness::default() };
+        let kind = settings.kinds.first();
+        let memory = Memory { kind, log_error: LEAST_LOG_ERROR, stiffness: Stiffness::default() };
         Self {
             start: state,
             end: state,
             length: 0.0,
             elapsed: 0.0,
+            kind,
             dense: [Slope::NONE; 4],
             straight: false,
             sides,
