@@ -1,7 +1,7 @@
 //! Error-controlled steps that pass communication points, with dense output, on the index-1 form of a [`System`]; projection onto the
 //! constraints after every accepted step.
 //!
-//! A step is of a [`Kind`]: explicit of order 8 (`dop853.rs`), or linearly implicit (`rosenbrock.rs`) where loads are stiff.
+//! A step is of a [`Kind`]: explicit of order 8 (`dop853.rs`) or 5 (`tsit5.rs`), or linearly implicit (`rosenbrock.rs`) where loads are stiff.
 //!
 //! Steps are as long as the local error allows, wherever communication points are. The step under way may go past one: there the state
 //! is that of the step's interpolant, projected. The step, which has been made with the inputs held, is thrown away if they
@@ -20,6 +20,7 @@ mod rosenbrock;
 mod step;
 mod stiffness;
 mod trial;
+mod tsit5;
 
 use std::borrow::Borrow;
 
@@ -29,6 +30,7 @@ use super::controller::LEAST_LOG_ERROR;
 use super::{Counters, Kinked, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
 use interpolant::Interpolant;
+use kind::Choice;
 pub use kind::{Kind, Kinds};
 use stiffness::Stiffness;
 use trial::Slope;
@@ -109,11 +111,10 @@ impl<const N: usize, const M: usize, K: Copy> Clone for DenseStep<N, M, K> {
 /// What is remembered from step to step.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Memory {
-    /// The kind of the step to come.
-    kind: Kind,
     /// ln of the error of the last accepted step in units of the tolerance.
     log_error: f64,
     stiffness: Stiffness,
+    choice: Choice,
 }
 
 /// What holds at the present time, between the ends of the step.
@@ -141,14 +142,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Self {
         let sides = system.sides_of(&q, &v);
         let state = State::start(system.on(sides).borrow(), q, v, settings.regularization);
-        let kind = settings.kinds.first();
-        let memory = Memory { kind, log_error: LEAST_LOG_ERROR, stiffness: Stiffness::default() };
+        let memory = Memory { log_error: LEAST_LOG_ERROR, stiffness: Stiffness::default(), choice: Choice::NEW };
         Self {
             start: state,
             end: state,
             length: 0.0,
             elapsed: 0.0,
-            kind,
+            kind: Kind::Eighth,
             dense: [Slope::NONE; 4],
             straight: false,
             sides,

@@ -298,7 +298,7 @@ impl Settings {
             }
             Method::Dop853 => {
                 return Stepper::Dense(dense::Settings {
-                    kinds: match std::env::var("FBKIND").as_deref() { Ok("r4") => dense::Kinds::Only(dense::Kind::StiffFourth), Ok("r5") => dense::Kinds::Only(dense::Kind::StiffFifth), _ => dense::Kinds::Only(dense::Kind::Eighth) },
+                    kinds: match std::env::var("FBKIND").as_deref() { Ok("r4") => dense::Kinds::Only(dense::Kind::StiffFourth), Ok("r5") => dense::Kinds::Only(dense::Kind::StiffFifth), Ok("t5") => dense::Kinds::Only(dense::Kind::Fifth), Ok("a") => dense::Kinds::Automatic, _ => dense::Kinds::Only(dense::Kind::Eighth) },
                     error_tolerance: self.error_tolerance,
                     energy_scale,
                     first_step: self.step_size,

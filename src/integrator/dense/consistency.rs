@@ -6,6 +6,7 @@ use super::dop853::Stages;
 use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
 use super::step::LONGEST;
 use super::trial::{Slope, Trial};
+use super::tsit5::Tsit5;
 use super::{DenseStep, Kind, LEAST_LOG_ERROR, Memory, Settings};
 use crate::integrator::consistency::{Bounds, Inconsistency};
 use crate::integrator::{Approach, Departure, Kinked, Passage, State, StepError, System};
@@ -21,7 +22,9 @@ fn close<const K: usize>(x: &Vector<K>, y: &Vector<K>) -> bool {
 impl Memory {
     fn is_possible(&self, settings: &Settings) -> bool {
         // The error of an accepted step is 1 tolerance at most.
-        settings.kinds.hold(self.kind) && (LEAST_LOG_ERROR..=0.0).contains(&self.log_error) && self.stiffness.is_consistent()
+        (LEAST_LOG_ERROR..=0.0).contains(&self.log_error)
+            && self.stiffness.is_consistent()
+            && self.choice.is_possible(settings.kinds)
     }
 }
 
@@ -77,6 +80,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let system = system.on(self.sides);
         let system = system.borrow();
         match self.kind {
+            kind if !settings.kinds.hold(kind, settings.error_tolerance) => Ok(false),
+            Kind::Fifth => self.again_by::<Tsit5<N>, S>(system, settings),
             Kind::Eighth => self.again_by::<Stages<N>, S>(system, settings),
             Kind::StiffFourth => self.again_by::<Rosenbrock<Rodas4, N>, S>(system, settings),
             Kind::StiffFifth => self.again_by::<Rosenbrock<Rodas5p, N>, S>(system, settings),

@@ -6,7 +6,9 @@ use super::events::Border;
 use super::dop853::Stages;
 use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
 use super::trial::{Allowed, Landing, RATE, Slope, Trial};
-use super::{DenseStep, Horizon, Kind, Settings};
+use super::kind::Seen;
+use super::tsit5::Tsit5;
+use super::{DenseStep, Horizon, Kind, Kinds, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, next_step};
 use crate::integrator::{Approach, Arrival, Kinked, Passage, PassageLimits, Projection, StepError, System, velocity_correction};
 use crate::vector::Vector;
@@ -30,8 +32,8 @@ struct Plan {
     wanted: f64,
     /// What it may be.
     longest: f64,
-    /// When an output is asked for.
-    output: f64,
+    /// When an output is asked for, and what limits it while inputs are held.
+    horizon: Horizon,
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
@@ -54,7 +56,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
         };
-        let wanted = if self.start.substep.is_finite() { self.start.substep } else { settings.first_step };
+        // Near a vertex and where friction may hold, steps are explicit ones of order 8.
+        let kind = if system.has_grips() { Kind::Eighth } else { settings.kinds.next(&self.memory.choice, settings.error_tolerance, horizon.limit) };
+        let wanted = match kind {
+            Kind::Fifth => self.memory.choice.fifth,
+            _ if self.start.substep.is_finite() => self.start.substep,
+            _ => settings.first_step,
+        };
         let h = wanted.min(longest).min(LONGEST);
         self.settle(system, settings);
         if system.on(self.sides).borrow().is_at_rest() {
@@ -63,8 +71,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.end.counters.substeps += 1;
             return Ok(());
         }
-        let plan = Plan { h, wanted, longest, output: horizon.output };
-        match self.memory.kind {
+        let plan = Plan { h, wanted, longest, horizon };
+        match kind {
+            Kind::Fifth => self.attempt::<Tsit5<N>, S>(system, settings, &plan),
             Kind::Eighth => self.attempt::<Stages<N>, S>(system, settings, &plan),
             Kind::StiffFourth => self.attempt::<Rosenbrock<Rodas4, N>, S>(system, settings, &plan),
             Kind::StiffFifth => self.attempt::<Rosenbrock<Rodas5p, N>, S>(system, settings, &plan),
@@ -79,7 +88,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         plan: &Plan,
     ) -> Result<(), StepError> {
-        let &Plan { mut h, wanted, longest, output } = plan;
+        let &Plan { mut h, wanted, longest, horizon } = plan;
         let mut on_sides = system.on(self.sides);
         let mut shared = T::prepare(on_sides.borrow(), settings, &self.start);
         let (mut rejected, mut tries) = (false, 0);
@@ -112,14 +121,17 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                         }
                     }
                 }
-                let interpolated = output < WITH_ROUNDING * h;
+                let interpolated = horizon.output < WITH_ROUNDING * h;
                 // Where a kink was near, the search for it has left the coefficients.
                 if interpolated && !(on.has_kinks() && self.dense != [Slope::NONE; 4]) {
                     self.dense = trial.dense(on, settings.regularization, [&self.start, &self.end]);
                 }
                 self.end.error_estimate = error * settings.error_tolerance;
                 self.adapt::<T>(error, wanted, rejected);
-                if self.memory.stiffness.is_due(self.end.counters.substeps) {
+                if settings.kinds == Kinds::Automatic {
+                    let (product, wanted) = (h * trial.fastest_rate(&self.end), self.wanted_by::<T>());
+                    self.memory.choice.learn(&Seen { kind: T::KIND, length: h, product, wanted, limit: horizon.limit });
+                } else if self.memory.stiffness.is_due(self.end.counters.substeps) {
                     self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
                 }
                 return Ok(());
@@ -174,10 +186,16 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let growth = if rejected { growth.min(1.0) } else { growth };
         // A step that was rejected is as long as its error allows, not cut short.
         let wanted = if rejected { self.length } else { wanted };
-        self.end.substep = next_step(self.length, growth, wanted);
+        let next = next_step(self.length, growth, wanted);
+        *(if T::KIND == Kind::Fifth { &mut self.memory.choice.fifth } else { &mut self.end.substep }) = next;
         if !is_cut_short(self.length, wanted) {
             self.memory.log_error = libm::log(error).max(LEAST_LOG_ERROR);
         }
+    }
+
+    /// The step that one of a kind wants next, s.
+    fn wanted_by<T: Trial<N>>(&self) -> f64 {
+        if T::KIND == Kind::Fifth { self.memory.choice.fifth } else { self.end.substep }
     }
 }
 
