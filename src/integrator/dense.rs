@@ -358,7 +358,24 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     fn moved(&self, part: f64) -> [Vector<N>; 2] {
         let Self { start, end, .. } = self;
         let q = self.positions().at(part);
-        if self.straight { [q, start.v + part * (end.v - start.v)] } else { [q, self.velocities().at(part)] }
+        let v = match self.kind {
+            _ if self.straight => start.v + part * (end.v - start.v),
+            Kind::Eighth => self.velocities().at(part),
+            // One polynomial for both.
+            Kind::Fifth | Kind::StiffFourth | Kind::StiffFifth => (1.0 / self.length) * self.positions().rate_at(part),
+        };
+        [q, v]
+    }
+
+    /// Bounds on the magnitudes of q̇ and q̈ of the interpolant.
+    fn extremes(&self) -> [Vector<N>; 2] {
+        let per_step = 1.0 / self.length;
+        if self.kind == Kind::Eighth {
+            let [rates, changes] = self.velocities().extremes();
+            return [rates, per_step * changes];
+        }
+        let positions = self.positions();
+        [per_step * positions.extremes()[1], per_step * per_step * positions.curvature()]
     }
 
     #[inline]

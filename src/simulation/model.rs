@@ -5,6 +5,7 @@ use arrayvec::ArrayVec;
 use super::inertia::Inertia;
 use crate::effects::{self, Active, Effect, ForceContext, Inputs, Law, Perturbation, TypicalInertia};
 use crate::estimator;
+use crate::integrator::dense::{Kind, Kinds};
 use crate::integrator::{MacroStepMethod, dense, i3alp, i3alp_conserving, i3alp_printed, rk4};
 use crate::linear::{LinearSolve, LinearSolver};
 use crate::mechanism::{Assembly, Coordinates, Geometry, Mechanism, SceneError, Start};
@@ -23,6 +24,8 @@ pub enum Method {
     Dop853,
     /// Index-3 augmented Lagrangian by discrete derivatives: strictly fixed steps that keep energy and constraints.
     I3alpConserving,
+    /// By the error tolerance alone: as [`Method::Dop853`], of lower order while inputs are held for short, implicit while loads are stiff.
+    Automatic,
 }
 
 /// The solver's settings: the `solver.*` variables of the same names.
@@ -30,7 +33,7 @@ pub enum Method {
 pub struct Settings {
     /// Method.
     pub method: Method,
-    /// Macro step h, s; of [`Method::Dop853`] also the first step tried.
+    /// Macro step h, s; of [`Method::Dop853`] and [`Method::Automatic`] also the first step tried.
     pub step_size: f64,
     /// Whether macro steps are divided where the local error asks ([`Method::I3alp`] only).
     pub adaptive: bool,
@@ -68,7 +71,7 @@ pub struct Parameters {
 pub enum Stepper {
     /// Steps end with the macro step.
     MacroStep(MacroStepMethod),
-    /// Runge–Kutta with error control, in the link angles: steps run past it.
+    /// Error control in the link angles: steps run past it.
     Dense(dense::Settings),
     /// Strictly fixed steps that conserve.
     Conserving(i3alp_conserving::Settings),
@@ -296,25 +299,29 @@ impl Settings {
                     equilibrium: regularization,
                 });
             }
-            Method::Dop853 => {
-                return Stepper::Dense(dense::Settings {
-                    kinds: match std::env::var("FBKIND").as_deref() { Ok("r4") => dense::Kinds::Only(dense::Kind::StiffFourth), Ok("r5") => dense::Kinds::Only(dense::Kind::StiffFifth), Ok("t5") => dense::Kinds::Only(dense::Kind::Fifth), Ok("a") => dense::Kinds::Automatic, _ => dense::Kinds::Only(dense::Kind::Eighth) },
-                    error_tolerance: self.error_tolerance,
-                    energy_scale,
-                    first_step: self.step_size,
-                    max_iterations,
-                    max_work: self.max_work,
-                    regularization: regularization_by_angles,
-                });
-            }
+            Method::Dop853 => return Stepper::Dense(self.dense(Kinds::Only(Kind::Eighth), energy_scale, regularization_by_angles)),
+            Method::Automatic => return Stepper::Dense(self.dense(Kinds::Automatic, energy_scale, regularization_by_angles)),
         })
+    }
+
+    /// Of steps that pass communication points.
+    fn dense(&self, kinds: Kinds, energy_scale: f64, regularization: f64) -> dense::Settings {
+        dense::Settings {
+            kinds,
+            error_tolerance: self.error_tolerance,
+            energy_scale,
+            first_step: self.step_size,
+            max_iterations: self.max_iterations,
+            max_work: self.max_work,
+            regularization,
+        }
     }
 
     /// Friction that sticks needs steps that end where something stops or lets go.
     fn check_laws(&self, effects: &effects::Parameters) -> Result<(), SceneError> {
         let Some(name) = sticking_law(effects) else { return Ok(()) };
         let steps = match self.method {
-            Method::Dop853 => return Ok(()),
+            Method::Dop853 | Method::Automatic => return Ok(()),
             Method::I3alp if self.adaptive => return Ok(()),
             Method::I3alp => "solver.method = i3alp and solver.adaptive = false",
             Method::I3alpPrinted => "solver.method = i3alpPrinted",
@@ -323,7 +330,7 @@ impl Settings {
         };
         Err(SceneError(format!(
             "{name} = stick is not allowed with {steps}, whose steps cannot end where something stops or lets go: it must be smooth, or \
-             solver.method i3alp with solver.adaptive = true, or dop853."
+             solver.method i3alp with solver.adaptive = true, dop853 or automatic."
         )))
     }
 

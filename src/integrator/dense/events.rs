@@ -135,8 +135,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     #[cold]
     fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings) -> Option<f64> {
         let tolerance = settings.error_tolerance;
-        let [rates, changes] = self.velocities().extremes();
-        let extremes = [rates, changes / self.length];
+        let extremes = self.extremes();
         let at = |part: f64| {
             let [q, v] = self.moved(part);
             system.touches(&q, &v)

@@ -43,6 +43,12 @@ impl<const K: usize> Interpolant<K> {
         let value = Vector::from_fn(|i| from[i].abs().max((from[i] + difference[i]).abs()) + sum(i) / 4.0);
         [value, Vector::from_fn(|i| difference[i].abs() + sum(i))]
     }
+
+    /// A bound on the magnitude of the second derivative times the square of the step, where the last two coefficients are 0.
+    pub(super) fn curvature(&self) -> Vector<K> {
+        let [_, _, second, third, fourth, fifth, ..] = &self.0;
+        Vector::from_fn(|i| 2.0 * (second[i].abs() + 2.0 * third[i].abs() + fourth[i].abs() + fifth[i].abs()))
+    }
 }
 
 #[cfg(test)]
@@ -63,6 +69,9 @@ mod tests {
             assert!(here.abs() <= value[0] && slope.abs() <= rate[0] + 1e-4, "{part}: {here} {slope}");
             // Forward differences: the curvature times half the step.
             assert!((interpolant.rate_at(part)[0] - slope).abs() < 1e-4, "{part}: {slope}");
+            let quintic = Interpolant::new([a, b], [c, d], [e, f, Vector::ZERO, Vector::ZERO]);
+            let curvature = (quintic.rate_at(part + step)[0] - quintic.rate_at(part)[0]) / step;
+            assert!(curvature.abs() <= quintic.curvature()[0] + 1e-4, "{part}: {curvature}");
         }
     }
 }

@@ -44,8 +44,11 @@ const AT_BORDER: u8 = 3;
 const WITHIN_BORDER: u8 = 3;
 /// Most doublings.
 const MOST_RETURNS: u8 = 5;
-/// Products of explicit steps at the border with the fastest rate of the tangents.
-const BORDERS: [f64; 2] = [2.0, 12.0];
+/// Bounds on the product of explicit steps with the fastest rate of the tangents, as it is found when implicit ones begin.
+const BORDERS: [f64; 2] = [0.1, 12.0];
+/// Where forces are steep, implicit steps are tried after so many explicit ones: round-off, which stiff forces magnify, may keep those
+/// away from the border. Doubled like the counts above.
+const PROBED: u16 = 100;
 
 /// What a run remembers to choose by.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -54,6 +57,8 @@ pub(super) struct Choice {
     stiff: bool,
     /// Steps in a row, or nearly so, that speak against it.
     against: u8,
+    /// Explicit steps since implicit ones, up to the next try.
+    explicit: u16,
     /// How often implicit steps have been given up again.
     returns: u8,
     /// The explicit step at the border when implicit ones began, s, and then its product with the fastest rate of the tangents.
@@ -73,6 +78,8 @@ pub(super) struct Seen {
     pub(super) wanted: f64,
     /// What limited it otherwise, s.
     pub(super) limit: f64,
+    /// Whether the forces are steep.
+    pub(super) steep: bool,
 }
 
 impl Kinds {
@@ -103,7 +110,7 @@ impl Kinds {
 
 impl Choice {
     /// Before anything is known.
-    pub(super) const NEW: Self = Self { stiff: false, against: 0, returns: 0, border: 0.0, fifth: f64::INFINITY };
+    pub(super) const NEW: Self = Self { stiff: false, against: 0, explicit: 0, returns: 0, border: 0.0, fifth: f64::INFINITY };
 
     /// What an accepted step says about the next ones.
     pub(super) fn learn(&mut self, seen: &Seen) {
@@ -119,8 +126,9 @@ impl Choice {
     fn learn_from_explicit(&mut self, seen: &Seen) {
         // The product is an estimate: between steps at the border it is below now and then.
         self.against = if seen.product > STABILITY_LIMIT { self.against + 1 } else { self.against.saturating_sub(1) };
-        if self.against >= AT_BORDER << self.returns {
-            (self.stiff, self.against, self.border) = (true, 0, -seen.length);
+        self.explicit += u16::from(seen.steep);
+        if self.against >= AT_BORDER << self.returns || self.explicit >= PROBED << self.returns {
+            (self.stiff, self.against, self.explicit, self.border) = (true, 0, 0, -seen.length);
         }
     }
 
@@ -144,6 +152,7 @@ impl Choice {
         let most = if self.stiff { WITHIN_BORDER } else { AT_BORDER << self.returns.min(MOST_RETURNS) };
         let [least_border, largest_border] = BORDERS;
         let border = self.border == 0.0 || (self.stiff && (self.border < 0.0 || (least_border..=largest_border).contains(&self.border)));
-        self.returns <= MOST_RETURNS && self.against < most && border && self.border.is_finite() && self.fifth > 0.0
+        let explicit = self.explicit < if self.stiff { 1 } else { PROBED << self.returns.min(MOST_RETURNS) };
+        self.returns <= MOST_RETURNS && self.against < most && explicit && border && self.border.is_finite() && self.fifth > 0.0
     }
 }

@@ -18,7 +18,7 @@ mod tableau;
 
 use std::marker::PhantomData;
 
-use super::hermite;
+use super::hermite::{self, Knowing};
 use super::trial::{Allowed, Landing, Slope, Trial, fastest, larger, slope_at};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
@@ -223,6 +223,10 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
     }
 
     fn dense<const M: usize>(&mut self, system: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [Slope<N>; 4] {
-        hermite::coefficients(system, ends, self.h)
+        let mut middle = [0.5 * (ends[0].q + ends[1].q), 0.5 * (ends[0].v + ends[1].v)];
+        for (weight, u) in const { T::MIDDLE }.iter().zip(&self.u) {
+            middle = [middle[0] + *weight * u[0], middle[1] + *weight * u[1]];
+        }
+        hermite::coefficients(system, ends, self.h, Knowing::Middle(middle))
     }
 }

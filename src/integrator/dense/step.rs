@@ -59,7 +59,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         // Near a vertex and where friction may hold, steps are explicit ones of order 8.
         let kind = if system.has_grips() { Kind::Eighth } else { settings.kinds.next(&self.memory.choice, settings.error_tolerance, horizon.limit) };
         let wanted = match kind {
-            Kind::Fifth => self.memory.choice.fifth,
+            Kind::Fifth if self.memory.choice.fifth.is_finite() => self.memory.choice.fifth,
+            Kind::Fifth => settings.first_step,
             _ if self.start.substep.is_finite() => self.start.substep,
             _ => settings.first_step,
         };
@@ -130,7 +131,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 self.adapt::<T>(error, wanted, rejected);
                 if settings.kinds == Kinds::Automatic {
                     let (product, wanted) = (h * trial.fastest_rate(&self.end), self.wanted_by::<T>());
-                    self.memory.choice.learn(&Seen { kind: T::KIND, length: h, product, wanted, limit: horizon.limit });
+                    self.memory.choice.learn(&Seen { kind: T::KIND, length: h, product, wanted, limit: horizon.limit, steep: on.is_steep() });
                 } else if self.memory.stiffness.is_due(self.end.counters.substeps) {
                     self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
                 }
@@ -165,9 +166,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Whether the interpolant is of one piece: its rates are the derivatives of its coordinates. Stages may miss what the further ones
-    /// of the interpolant meet.
+    /// of the interpolant meet. Other kinds have one polynomial for both.
     #[cold]
     pub(super) fn interpolates_well(&self, settings: &Settings) -> bool {
+        if self.kind != Kind::Eighth {
+            return true;
+        }
         let (positions, velocities) = (self.positions(), self.velocities());
         [0.125, 0.5, 0.875].into_iter().all(|part| {
             let v = velocities.at(part);

@@ -4,7 +4,7 @@
 //! with Applications 62 (2011). The error estimate takes the derivative at the end of the step, on the constraints, which the next step
 //! needs anyway.
 
-use super::hermite;
+use super::hermite::{self, Knowing};
 use super::trial::{Allowed, Landing, Slope, Trial, extremes_of, rate_between, slope_at};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
@@ -146,6 +146,6 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
     }
 
     fn dense<const M: usize>(&mut self, system: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [Slope<N>; 4] {
-        hermite::coefficients(system, ends, self.h)
+        hermite::coefficients(system, ends, self.h, Knowing::Accelerations)
     }
 }
