@@ -4,8 +4,8 @@
 
 mod consistency;
 mod controller;
-mod discrete;
 pub mod dense;
+mod discrete;
 mod equilibrium;
 mod error;
 pub mod i3alp;

@@ -67,7 +67,10 @@ fn tangents_of_accelerations_are_derivatives() {
                 for (what, exact, difference) in [("angle", tangents.by_q[i], by_q), ("rate", tangents.by_v[i], by_v)] {
                     // Differences are off by the third derivative times 1e-12, and by round-off of some 1e3/s² over 1e-6.
                     let error = (exact - difference).max_norm();
-                    assert!(error < 2e-6 * (1.0 + exact.max_norm() + at.a.max_norm()), "{effects:?}, {what} {i}: {error:e} of {exact:?}");
+                    assert!(
+                        error < 2e-6 * (1.0 + exact.max_norm() + at.a.max_norm()),
+                        "{effects:?}, {what} {i}: {error:e} of {exact:?}"
+                    );
                 }
             }
         }

@@ -107,9 +107,14 @@ fn is_met_by_dop853(scene: &str, typical: f64, worst: f64) {
 /// Implicit steps leave more at a tolerance than those of order 8, which damp their estimate.
 #[test]
 fn automatic_loses_no_digit() {
-    for (scene, typical) in
-        [("servo_step", 100.0), ("stiff_servo", 10.0), ("end_stops", 8.0), ("bounce", 1.5), ("pick_and_place", 0.45), ("haptic", 10.0)]
-    {
+    for (scene, typical) in [
+        ("servo_step", 100.0),
+        ("stiff_servo", 10.0),
+        ("end_stops", 8.0),
+        ("bounce", 1.5),
+        ("pick_and_place", 0.45),
+        ("haptic", 10.0),
+    ] {
         let mut parts: Vec<f64> = (6..=11)
             .map(|digits| {
                 let tolerance = 10f64.powi(-digits);

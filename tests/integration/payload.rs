@@ -8,7 +8,8 @@ use fivebar::simulation::{Method, Parameters, Simulation};
 
 use crate::support::{MGL, enable, unequal};
 
-const METHODS: [Method; 6] = [Method::Automatic, Method::I3alp, Method::I3alpPrinted, Method::Rk4, Method::Dop853, Method::I3alpConserving];
+const METHODS: [Method; 6] =
+    [Method::Automatic, Method::I3alp, Method::I3alpPrinted, Method::Rk4, Method::Dop853, Method::I3alpConserving];
 
 /// A machine in which nothing is equal, with an empty hand.
 fn empty(method: Method) -> Parameters {

@@ -4,8 +4,8 @@
 
 mod tableau;
 
-use super::{Kind, Settings};
 use super::trial::{Allowed, Landing, Slope, Trial, extremes_of, rate_between};
+use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{Passage, State, StepError, System, Work};
 use crate::vector::Vector;

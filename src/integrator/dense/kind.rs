@@ -150,8 +150,9 @@ impl Choice {
             return *self == Self::NEW;
         }
         let most = if self.stiff { WITHIN_BORDER } else { AT_BORDER << self.returns.min(MOST_RETURNS) };
-        let [least_border, largest_border] = BORDERS;
-        let border = self.border == 0.0 || (self.stiff && (self.border < 0.0 || (least_border..=largest_border).contains(&self.border)));
+        let [least, largest] = BORDERS;
+        let border =
+            self.border == 0.0 || (self.stiff && (self.border < 0.0 || (least_border..=largest_border).contains(&self.border)));
         let explicit = self.explicit < if self.stiff { 1 } else { PROBED << self.returns.min(MOST_RETURNS) };
         self.returns <= MOST_RETURNS && self.against < most && explicit && border && self.border.is_finite() && self.fifth > 0.0
     }

@@ -2,11 +2,11 @@
 
 use std::borrow::Borrow;
 
-use super::events::Border;
 use super::dop853::Stages;
+use super::events::Border;
+use super::kind::Seen;
 use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
 use super::trial::{Allowed, Landing, RATE, Slope, Trial};
-use super::kind::Seen;
 use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, Kind, Kinds, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, next_step};
@@ -57,7 +57,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
         };
         // Near a vertex and where friction may hold, steps are explicit ones of order 8.
-        let kind = if system.has_grips() { Kind::Eighth } else { settings.kinds.next(&self.memory.choice, settings.error_tolerance, horizon.limit) };
+        let kind = if system.has_grips() {
+            Kind::Eighth
+        } else {
+            settings.kinds.next(&self.memory.choice, settings.error_tolerance, horizon.limit)
+        };
         let wanted = match kind {
             Kind::Fifth if self.memory.choice.fifth.is_finite() => self.memory.choice.fifth,
             Kind::Fifth => settings.first_step,
@@ -131,7 +135,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 self.adapt::<T>(error, wanted, rejected);
                 if settings.kinds == Kinds::Automatic {
                     let (product, wanted) = (h * trial.fastest_rate(&self.end), self.wanted_by::<T>());
-                    self.memory.choice.learn(&Seen { kind: T::KIND, length: h, product, wanted, limit: horizon.limit, steep: on.is_steep() });
+                    self.memory.choice.learn(&Seen {
+                        kind: T::KIND,
+                        length: h,
+                        product,
+                        wanted,
+                        limit: horizon.limit,
+                        steep: on.is_steep(),
+                    });
                 } else if self.memory.stiffness.is_due(self.end.counters.substeps) {
                     self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
                 }

@@ -45,12 +45,7 @@ pub(super) trait Trial<const N: usize>: Sized {
     fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64;
 
     /// The higher coefficients of the interpolant between its ends.
-    fn dense<const M: usize>(
-        &mut self,
-        system: &impl System<N, M>,
-        regularization: f64,
-        ends: [&State<N, M>; 2],
-    ) -> [Slope<N>; 4];
+    fn dense<const M: usize>(&mut self, system: &impl System<N, M>, regularization: f64, ends: [&State<N, M>; 2]) -> [Slope<N>; 4];
 }
 
 /// Where a step leads.
