@@ -151,9 +151,11 @@ impl Choice {
         }
         let most = if self.stiff { WITHIN_BORDER } else { AT_BORDER << self.returns.min(MOST_RETURNS) };
         let [least, largest] = BORDERS;
-        let border =
-            self.border == 0.0 || (self.stiff && (self.border < 0.0 || (least_border..=largest_border).contains(&self.border)));
+        let border = match self.stiff {
+            true => self.border.is_finite() && (self.border < 0.0 || (least..=largest).contains(&self.border)),
+            false => self.border == 0.0,
+        };
         let explicit = self.explicit < if self.stiff { 1 } else { PROBED << self.returns.min(MOST_RETURNS) };
-        self.returns <= MOST_RETURNS && self.against < most && explicit && border && self.border.is_finite() && self.fifth > 0.0
+        self.returns <= MOST_RETURNS && self.against < most && explicit && border && self.fifth > 0.0
     }
 }
