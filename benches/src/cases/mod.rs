@@ -1,5 +1,6 @@
 //! The cases, one file per table.
 
+mod automatic;
 mod effects;
 mod fmi;
 mod growth;
@@ -26,6 +27,7 @@ pub(crate) fn all() -> Result<Vec<Case>> {
     let mut cases = steps::cases()?;
     cases.extend(phases::cases()?);
     cases.extend(effects::cases()?);
+    cases.extend(automatic::cases()?);
     cases.extend(fmi::cases()?);
     cases.extend(state::cases()?);
     cases.extend(growth::cases());
