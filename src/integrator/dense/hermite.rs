@@ -7,7 +7,7 @@ use crate::integrator::{State, System, Work};
 use crate::vector::Vector;
 
 /// Where the power is asked for, and as far from the other end.
-const NODE: f64 = 0.211_324_865_405_187_12;
+const NODE: f64 = 0.211_324_865_405_187_1;
 
 /// What else the quintic knows.
 pub(super) enum Knowing<const N: usize> {

@@ -201,7 +201,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         let v_end = end[1];
         let judged = || if allowed.work.is_some() { self.work(system, const { &T::WORK_ERROR }) } else { Work::default() };
         let error = allowed.mean_square(self.u[T::STAGES - 1], [&self.start[1], &v_end], judged).sqrt();
-        if !(error <= 1.0) {
+        if error.is_nan() || error > 1.0 {
             return (error, Err(StepError::NotFinite));
         }
         if system.can_project(&end[0]) {

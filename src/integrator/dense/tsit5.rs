@@ -127,7 +127,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
             self.power(&weights).plus(ERROR[STAGES], arrival.power)
         };
         let error = self.h * allowed.mean_square([q, v], [&self.start[1], &end[1]], work).sqrt();
-        if !(error <= 1.0) {
+        if error.is_nan() || error > 1.0 {
             return (error, Err(StepError::NotFinite));
         }
         let follows = system.follows_work();
