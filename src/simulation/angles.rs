@@ -80,16 +80,6 @@ impl<'a> ByAngles<'a> {
         self.five_bar.model
     }
 
-    /// The mass matrix at a pose.
-    pub(super) fn mass(&self, pose: &Pose) -> Mass {
-        self.inertia.mass(pose)
-    }
-
-    /// Masses of the distal links, kg.
-    pub(super) fn carried(&self) -> Legs {
-        self.mechanism.mass_d
-    }
-
     /// e of the saddle-point systems, 1/kg.
     pub(super) fn regularization_by_angles(&self) -> f64 {
         self.five_bar.model.regularization_by_angles
@@ -335,8 +325,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     fn acceleration_tangents(&self, at: &State<ANGLES, CLOSURES>, regularization: f64) -> Option<AccelerationTangents<ANGLES>> {
-        // What holds has a multiplier of its own, about which nothing is said here.
-        (!self.model().sticks).then(|| self.tangents_of_acceleration(at, regularization))
+        self.tangents_of_acceleration(at, regularization)
     }
 
     #[inline]

@@ -299,22 +299,19 @@ impl Settings {
                     equilibrium: regularization,
                 });
             }
-            Method::Dop853 => return Stepper::Dense(self.dense(Kinds::Only(Kind::Eighth), energy_scale, regularization_by_angles)),
-            Method::Automatic => return Stepper::Dense(self.dense(Kinds::Automatic, energy_scale, regularization_by_angles)),
+            Method::Dop853 | Method::Automatic => {
+                let kinds = if self.method == Method::Automatic { Kinds::Automatic } else { Kinds::Only(Kind::Eighth) };
+                return Stepper::Dense(dense::Settings {
+                    kinds,
+                    error_tolerance: self.error_tolerance,
+                    energy_scale,
+                    first_step: self.step_size,
+                    max_iterations,
+                    max_work: self.max_work,
+                    regularization: regularization_by_angles,
+                });
+            }
         })
-    }
-
-    /// Of steps that pass communication points.
-    fn dense(&self, kinds: Kinds, energy_scale: f64, regularization: f64) -> dense::Settings {
-        dense::Settings {
-            kinds,
-            error_tolerance: self.error_tolerance,
-            energy_scale,
-            first_step: self.step_size,
-            max_iterations: self.max_iterations,
-            max_work: self.max_work,
-            regularization,
-        }
     }
 
     /// Friction that sticks needs steps that end where something stops or lets go.

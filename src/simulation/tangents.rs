@@ -18,13 +18,17 @@ use crate::mechanism::legs::{Legs2, both};
 use crate::vector::Vector;
 
 impl ByAngles<'_> {
-    /// About a state whose q̈ and λ are those of equilibrium, with what the equilibrium is regularised by.
+    /// About a state whose q̈ and λ are those of equilibrium, with what the equilibrium is regularised by. None where friction may hold:
+    /// what holds has a multiplier of its own.
     #[inline(never)]
     pub(super) fn tangents_of_acceleration(
         &self,
         at: &State<ANGLES, CLOSURES>,
         regularization: f64,
-    ) -> AccelerationTangents<ANGLES> {
+    ) -> Option<AccelerationTangents<ANGLES>> {
+        if self.model().sticks {
+            return None;
+        }
         let State { q, v, a, lambda, .. } = at;
         let pose = self.pose(q);
         let factor = self.factor_mass(&pose, regularization);
@@ -42,8 +46,8 @@ impl ByAngles<'_> {
         // of the masses and of what they pull when they turn, leg by leg,
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
         let (a_p, a_d) = (legs_of(a, PROXIMAL), legs_of(a, DISTAL));
-        let coupling = self.mass(&pose).coupling;
-        let slope = self.carried() * proximal_arm(&pose).turned().dot(pose.a_d);
+        let (carried, l) = (self.model().mechanism.mass_d, proximal_arm(&pose));
+        let (coupling, slope) = (carried * l.dot(pose.a_d), carried * l.turned().dot(pose.a_d));
         let on_p = (coupling * w_d * w_d + slope * a_d).to_array();
         let on_d = (slope * a_p - coupling * w_p * w_p).to_array();
         let (turn_p, turn_d) = ((both(2.0) * slope * w_d).to_array(), (both(2.0) * slope * w_p).to_array());
@@ -77,6 +81,6 @@ impl ByAngles<'_> {
             by_q[i] = factor.solve(&by_q[i], &closure_q[i]).0;
             by_v[i] = factor.solve(&by_v[i], &closure_v[i]).0;
         }
-        AccelerationTangents { by_q, by_v }
+        Some(AccelerationTangents { by_q, by_v })
     }
 }

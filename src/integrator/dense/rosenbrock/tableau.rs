@@ -180,3 +180,31 @@ impl Tableau for Rodas5p {
     ];
     const ORDER: f64 = 5.0;
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What the order conditions say of quadratures: a wrong digit would show.
+    fn check<T: Tableau>() {
+        let sum = |row: &[f64; MOST]| row.iter().sum::<f64>();
+        // Coefficients of up to 112 cancel.
+        assert!((sum(&T::WORK) - 1.0).abs() < 1e-12, "weights of the step: {}", sum(&T::WORK));
+        assert!(sum(&T::WORK_ERROR).abs() < 1e-12, "weights of the error: {}", sum(&T::WORK_ERROR));
+        // The u of a constant derivative, one after the other: each place is a time, and the end of the step is 1.
+        let mut u = [0.0; MOST];
+        let place = |u: &[f64; MOST], row: &[f64; MOST]| row.iter().zip(u).map(|(a, u)| a * u).sum::<f64>();
+        for stage in 0..T::STAGES {
+            u[stage] = T::GAMMA * (1.0 + place(&u, &T::BEFORE[stage]));
+        }
+        assert!((place(&u, &T::AT[MOST]) - 1.0).abs() < 1e-12, "the end of the step: {}", place(&u, &T::AT[MOST]));
+        // In the middle of the dense output of a motion at constant rate, half the way: the mean of both ends.
+        assert!(place(&u, &T::MIDDLE).abs() < 1e-12, "the middle: {}", place(&u, &T::MIDDLE));
+    }
+
+    #[test]
+    fn weights_make_quadratures() {
+        check::<Rodas4>();
+        check::<Rodas5p>();
+    }
+}
