@@ -86,8 +86,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let [rates, changes] = self.velocities().extremes();
             return [rates, per_step * changes];
         }
-        let positions = self.positions();
-        [per_step * positions.extremes()[1], per_step * per_step * positions.curvature()]
+        let [rates, changes] = self.positions().extremes_of_quintic();
+        [per_step * rates, per_step * per_step * changes]
     }
 
     #[inline]
