@@ -62,7 +62,7 @@ pub struct Scene {
 type Judged = (&'static str, Kind, f64, &'static str);
 
 /// The first of each kind is the one that README.md and docs/accuracy.md show.
-const JUDGED: [Judged; 21] = [
+const JUDGED: [Judged; 22] = [
     ("swing", Kind::Smooth, 2.0, "swing"),
     ("fall_90_120", Kind::Whipping, 1.0, "fall_90_120"),
     ("fall_90_120", Kind::Whipping, 2.0, "fall_90_120"),
@@ -75,6 +75,7 @@ const JUDGED: [Judged; 21] = [
     ("spring_payload", Kind::Effects, 1.0, "spring_payload"),
     ("friction_fall", Kind::Effects, 1.0, "friction_fall"),
     ("run_down", Kind::Effects, 1.0, "run_down"),
+    ("servo_friction", Kind::Effects, 2.0, "servo_friction"),
     ("end_stops", Kind::Impacts, 1.0, "end_stops"),
     ("bounce", Kind::Impacts, 1.0, "bounce"),
     ("stiff_servo", Kind::Stiff, 0.5, "stiff_servo"),

@@ -7,8 +7,8 @@ use std::process::{Command, ExitCode};
 
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
-use hard_cases::cases::{bits_row, fingerprint, hour};
-use hard_cases::{Case, Extent, Row, Verdict, horizon, speed, step_times, write_csv, write_markdown};
+use hard_cases::cases::{bits_row, falls_of_seed, fingerprint, hour};
+use hard_cases::{Case, Extent, Row, Setting, Verdict, horizon, speed, step_times, write_csv, write_markdown};
 
 /// The battery of hard cases
 #[derive(Parser)]
@@ -42,6 +42,18 @@ enum Task {
         /// A sample of them
         #[arg(long)]
         quick: bool,
+    },
+    /// Run falls of 50 s of several seeds by the explicit method; seeds.csv goes to a folder
+    Seeds {
+        /// The folder
+        #[arg(long)]
+        out: PathBuf,
+        /// How many seeds, from 1 on
+        #[arg(long, default_value_t = 10)]
+        seeds: u64,
+        /// How many falls of each
+        #[arg(long, default_value_t = 1000)]
+        falls: usize,
     },
     /// Print the bits of a sample of the battery
     Fingerprint,
@@ -77,6 +89,20 @@ impl Task {
                 step_times::write_markdown(&times, io::stdout())?;
                 step_times::write_csv(&times, file(&out, "step-times.csv")?)?;
                 Ok(rows.iter().all(|row| row.falls.verdict == Verdict::Pass))
+            }
+            Self::Seeds { out, seeds, falls } => {
+                let mut rows = Vec::new();
+                for seed in 1..=seeds {
+                    let row =
+                        Row { setting: format!("1e-10 rad, seed {seed}"), ..falls_of_seed(seed, falls).measure(Setting::EXPLICIT) };
+                    eprintln!("[{seed}/{seeds}] {row}");
+                    row.objections.iter().for_each(|objection| eprintln!("    {objection}"));
+                    rows.push(row);
+                }
+                let worst = rows.iter().map(|row| row.energy).fold(0.0, f64::max);
+                println!("worst |dE| of {} falls of 50 s: {worst:.1e} mgL", rows.iter().map(|row| row.runs).sum::<usize>());
+                write_csv(&rows, file(&out, "seeds.csv")?)?;
+                Ok(rows.iter().all(|row| row.verdict == Verdict::Pass))
             }
             Self::Fingerprint => {
                 print!("{}", fingerprint());

@@ -33,7 +33,7 @@ pub struct Span {
 
 impl Span {
     /// The same in communication steps that are not shorter than the macro step.
-    fn in_steps_of(self, step: f64) -> Self {
+    pub(crate) fn in_steps_of(self, step: f64) -> Self {
         if step <= self.size { self } else { Self { size: step, count: (self.duration() / step).round() as u64, ..self } }
     }
 

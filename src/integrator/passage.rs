@@ -113,6 +113,11 @@ pub trait Passage<const N: usize> {
         true
     }
 
+    /// The energy that a step from q and q̇ has to keep, if they are so close to a vertex that round-off alone would change it.
+    fn energy_to_keep(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<EnergyBalance> {
+        None
+    }
+
     /// Whether a vertex is so near that a motion may be on a ray through it.
     fn is_near_vertex(&self, _q: &Vector<N>) -> bool {
         false

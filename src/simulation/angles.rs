@@ -15,11 +15,11 @@
 use super::five_bar::FiveBar;
 use super::inertia::{Inertia, Mass, proximal_arm};
 use super::model::Model;
-use crate::integrator::{AccelerationTangents, Held, Kkt, State, System, Work};
-use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
+use crate::integrator::{AccelerationTangents, Held, Kkt, Passage, State, System, Work};
+use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::vertex::{self, Branch};
-use crate::mechanism::{Coordinates, Mechanism, Pose};
+use crate::mechanism::{Coordinates, Mechanism, Multipliers, Pose};
 use crate::vector::Vector;
 
 /// Number of angles.
@@ -61,13 +61,17 @@ pub struct ByAngles<'a> {
     five_bar: FiveBar<'a>,
     mechanism: &'a Mechanism,
     inertia: &'a Inertia,
+    /// Whether nothing acts but the weight, which asks for no coordinates.
+    only_weight: bool,
 }
 
 impl<'a> ByAngles<'a> {
     /// The same model under the same inputs.
     #[inline]
     pub fn new(five_bar: FiveBar<'a>) -> Self {
-        Self { five_bar, mechanism: &five_bar.model.mechanism, inertia: &five_bar.model.inertia }
+        let FiveBar { model, inputs, .. } = five_bar;
+        let only_weight = model.effects.is_empty() && !inputs.load();
+        Self { five_bar, mechanism: &model.mechanism, inertia: &model.inertia, only_weight }
     }
 
     /// The same in its twelve coordinates.
@@ -122,7 +126,7 @@ impl<'a> ByAngles<'a> {
     }
 
     /// Applied forces of the twelve coordinates carried over to the angles, and the centripetal ones of the distal centre of mass.
-    #[inline]
+    #[inline(always)]
     fn in_angles(&self, applied: &Coordinates, pose: &Pose, v: &Angles) -> Angles {
         let (l, a_d) = (proximal_arm(pose), pose.a_d);
         let on_p = Legs2 { x: legs_of(applied, P_X), y: legs_of(applied, P_Y) };
@@ -161,7 +165,6 @@ impl<'a> ByAngles<'a> {
     }
 
     /// The part of the accelerations of the twelve coordinates that comes from the rates.
-    #[cold]
     pub(super) fn turning(&self, pose: &Pose, v: &Angles) -> Coordinates {
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
         let (p, l, d) = (pose.a_p, proximal_arm(pose), pose.a_d);
@@ -171,6 +174,37 @@ impl<'a> ByAngles<'a> {
         set_legs(&mut x, D_X, -l.x * w_p * w_p - d.x * w_d * w_d);
         set_legs(&mut x, D_Y, -l.y * w_p * w_p - d.y * w_d * w_d);
         x
+    }
+
+    /// q̈ and λ of the twelve coordinates, and the power, where nothing is held: from the angles and the force at the tip, link by link.
+    pub(super) fn balance(
+        &self,
+        [q, v]: [&Angles; 2],
+        pose: &Pose,
+        [x, rates]: [&Coordinates; 2],
+    ) -> (Coordinates, Multipliers, Work) {
+        let (applied, power) = self.five_bar.forces_and_power(x, pose, rates);
+        let mass = self.factor_mass(pose, self.regularization_by_angles());
+        let (a, tip) = mass.solve(&self.in_angles(&applied, pose, v), &-self.phi_q_dot_times(pose, v));
+        let accelerations = self.moving(&a, pose) + self.turning(pose, v);
+        // What of the force on a link its acceleration leaves for the joints.
+        let left = applied - self.mechanism.mass_times(&accelerations);
+        let mut lambda = Multipliers::ZERO;
+        (lambda[TIP_X], lambda[TIP_Y]) = (tip[0], tip[1]);
+        for (tip, [ground, elbow], [on_p, on_d]) in [(tip[0], [G_X, E_X], [P_X, D_X]), (tip[1], [G_Y, E_Y], [P_Y, D_Y])] {
+            let from_elbow = legs_of(&left, on_d) - SIGMA * both(tip);
+            set_legs(&mut lambda, elbow, from_elbow);
+            set_legs(&mut lambda, ground, legs_of(&left, on_p) + from_elbow);
+        }
+        let from_rest = self.acceleration_from_rest(q, v).map(|a| self.moving(&a, pose));
+        (from_rest.unwrap_or(accelerations), lambda, power)
+    }
+
+    /// What acts on the twelve coordinates, with its power. Out of line, and it takes copies: what is pointed to has to be in memory, and
+    /// where nothing acts but the weight it stays in registers.
+    #[inline(never)]
+    fn acting(&self, q: Angles, pose: Pose, v: Angles) -> (Coordinates, Work) {
+        self.five_bar.forces_and_power(&self.placed(&q, &pose), &pose, &self.moving(&v, &pose))
     }
 
     #[inline]
@@ -203,18 +237,22 @@ pub struct Factor {
 }
 
 impl Factor {
+    /// S is computed times both determinants of M, so that its division need not wait for that of M⁻¹.
     #[inline]
     fn new(inertia: &Inertia, pose: &Pose, regularization: f64) -> Self {
-        let mobility = inertia.mobility(pose);
+        let (adjugate, determinant) = inertia.adjugate(pose);
+        let [left, right] = determinant.to_array();
+        let (others, both_determinants) = (Legs::new([right, left]), left * right);
         let [p, d] = phi_q(pose);
-        let apply_inverse_mass =
-            |p: Legs, d: Legs| [mobility.proximal * p + mobility.coupling * d, mobility.coupling * p + mobility.distal * d];
-        let ([px, dx], [py, dy]) = (apply_inverse_mass(p.x, d.x), apply_inverse_mass(p.y, d.y));
-        let xx = sum(p.x * px + d.x * dx) + regularization;
-        let xy = sum(p.x * py + d.x * dy);
-        let yy = sum(p.y * py + d.y * dy) + regularization;
-        let reciprocal = 1.0 / (xx * yy - xy * xy);
-        Self { mobility, phi_q: [p, d], dual: [yy * reciprocal, -xy * reciprocal, xx * reciprocal] }
+        let times = |p: Legs, d: Legs| [adjugate.proximal * p + adjugate.coupling * d, adjugate.coupling * p + adjugate.distal * d];
+        let ([px, dx], [py, dy]) = (times(p.x, d.x), times(p.y, d.y));
+        let regularization = both_determinants * regularization;
+        let xx = sum(others * (p.x * px + d.x * dx)) + regularization;
+        let xy = sum(others * (p.x * py + d.x * dy));
+        let yy = sum(others * (p.y * py + d.y * dy)) + regularization;
+        let scale = both_determinants / (xx * yy - xy * xy);
+        let mobility = adjugate.scaled(both(1.0) / determinant);
+        Self { mobility, phi_q: [p, d], dual: [yy * scale, -xy * scale, xx * scale] }
     }
 }
 
@@ -281,9 +319,12 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         self.in_angles(&self.five_bar.forces(&self.placed(q, pose), pose, &self.moving(v, pose)), pose, v)
     }
 
-    #[inline]
+    #[inline(always)]
     fn forces_and_power(&self, q: &Angles, pose: &Pose, v: &Angles) -> (Angles, Work) {
-        let (applied, power) = self.five_bar.forces_and_power(&self.placed(q, pose), pose, &self.moving(v, pose));
+        if self.only_weight {
+            return (self.in_angles(&self.five_bar.model.weight, pose, v), Work::default());
+        }
+        let (applied, power) = self.acting(*q, *pose, *v);
         (self.in_angles(&applied, pose, v), power)
     }
 

@@ -89,7 +89,12 @@ impl DenseRun {
         } else {
             FiveBar::<false>::resolved(model, inputs, turns, [&core.q, &core.v])
         };
-        core.balance(&system, model.regularization);
+        if system.holds() {
+            core.balance(&system, model.regularization);
+        } else {
+            let motion = [&sample.q, &sample.v];
+            (core.a, core.lambda, core.power) = ByAngles::new(system).balance(motion, &sample.pose, [&core.q, &core.v]);
+        }
         (core, system.sides.grips)
     }
 

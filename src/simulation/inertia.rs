@@ -2,7 +2,7 @@
 
 use super::angles::{Angles, DISTAL, PROXIMAL};
 use crate::mechanism::coordinates::{legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2, both};
+use crate::mechanism::legs::{Legs, Legs2};
 use crate::mechanism::{Mechanism, Pose};
 
 /// Motor axis to elbow.
@@ -20,6 +20,12 @@ pub(super) struct Mass {
 }
 
 impl Mass {
+    /// Each leg times a number of its own.
+    #[inline]
+    pub(super) fn scaled(&self, factor: Legs) -> Self {
+        Self { proximal: self.proximal * factor, distal: self.distal * factor, coupling: self.coupling * factor }
+    }
+
     #[inline]
     pub(super) fn times(&self, x: &Angles) -> Angles {
         let (p, d) = (legs_of(x, PROXIMAL), legs_of(x, DISTAL));
@@ -57,13 +63,13 @@ impl Inertia {
         Mass { proximal: self.proximal, distal: self.distal, coupling: self.carried * proximal_arm(pose).dot(pose.a_d) }
     }
 
-    /// M⁻¹. Nothing cancels in the determinant with links of little inertia.
+    /// The adjugate of M, constant but for its coupling, and the determinant, in which nothing cancels with links of little inertia:
+    /// M⁻¹ is the one over the other.
     #[inline]
-    pub(super) fn mobility(&self, pose: &Pose) -> Mass {
+    pub(super) fn adjugate(&self, pose: &Pose) -> (Mass, Legs) {
         let (l, a) = (proximal_arm(pose), pose.a_d);
         let across = self.carried * (l.x * a.y - l.y * a.x);
-        let reciprocal = both(1.0) / (self.stretched + across * across);
         let coupling = self.mass(pose).coupling;
-        Mass { proximal: self.distal * reciprocal, distal: self.proximal * reciprocal, coupling: -coupling * reciprocal }
+        (Mass { proximal: self.distal, distal: self.proximal, coupling: -coupling }, self.stretched + across * across)
     }
 }

@@ -89,6 +89,12 @@ impl Passage<ANGLES> for ByAngles<'_> {
         self.offset(q).is_none_or(|offset| offset.dot(&offset) >= NEAREST * NEAREST)
     }
 
+    #[cold]
+    #[inline(never)]
+    fn energy_to_keep(&self, q: &Angles, v: &Angles) -> Option<EnergyBalance> {
+        (!self.can_project(q)).then(|| self.energy_balance(q, v))
+    }
+
     fn is_near_vertex(&self, q: &Angles) -> bool {
         self.offset(q).is_some()
     }

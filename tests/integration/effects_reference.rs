@@ -68,7 +68,7 @@ fn errors_and_energy(scene: &str, method: Method, settings: &[(&str, f64)]) -> [
 /// Before, stops and contact left up to 5 µJ by i3-ALP; dop853 booked losses that stop and plane had not made.
 #[test]
 fn work_adds_up_where_forces_have_kinks() {
-    for scene in ["bounce", "end_stops", "friction_fall", "haptic", "run_down", "servo_step", "stiff_servo"] {
+    for scene in ["bounce", "end_stops", "friction_fall", "haptic", "run_down", "servo_friction", "servo_step", "stiff_servo"] {
         for method in [Method::I3alp, Method::Dop853, Method::Automatic] {
             let [_, _, energy] = errors_and_energy(scene, method, &[]);
             assert!(energy < 1e-6, "{scene}, {method:?}: {energy:e} J");
@@ -142,6 +142,7 @@ fn rotors_that_run_down() {
 #[test]
 fn stiff_servos() {
     is_met("servo_step", [1e-6, 6e-7]);
+    is_met("servo_friction", [4.5e-7, 4.5e-9]);
 }
 
 #[test]
@@ -218,6 +219,11 @@ fn a_tip_that_bounces() {
 #[test]
 fn dop853_leaves_saturation() {
     is_met_by_dop853("servo_step", 50.0, 15.0);
+}
+
+#[test]
+fn dop853_follows_servos_against_friction() {
+    is_met_by_dop853("servo_friction", 70.0, 15.0);
 }
 
 #[test]

@@ -1,6 +1,10 @@
 """The comparison with peers: who is ahead, what the report shows of it, and how programs are driven; no peer is needed here."""
 
+import ast
+import json
+import re
 import sys
+import xml.etree.ElementTree as ET
 from types import SimpleNamespace
 
 import numpy as np
@@ -118,3 +122,37 @@ def test_the_median_counts() -> None:
 def test_a_compiler_that_is_not_there_is_named() -> None:
     with pytest.raises(native.CannotBuild, match="^no-such-compiler: No such file or directory$"):
         native.compiled("sundials.c", "no-such-compiler", [], [])
+
+
+def test_the_peers_have_the_loads_of_the_scene() -> None:
+    """In Python and in C, which state them each for itself."""
+    scene = json.loads((native.REPOSITORY / "scenes/servo_friction.json").read_text(encoding="utf-8"))
+    model = ET.parse(native.REPOSITORY / "modelDescription/modelDescription.xml")
+    values = {v.get("name"): v[0].get("start") for v in model.iter("ScalarVariable")} | scene
+    both = lambda name: {float(values[f"servo.{name}[{motor}]"]) for motor in (1, 2)}
+    joints = lambda name: {float(values[f"{name}[{joint}]"]) for joint in range(1, 6)}
+    wanted = {
+        "KP": both("kp"),
+        "KD": both("kd"),
+        "LIMIT": both("limit"),
+        "COULOMB": joints("friction.coulomb"),
+        "BREAKAWAY": joints("friction.breakaway"),
+        "VISCOUS": joints("viscous.b"),
+        "BREAKAWAY_RATE": {float(values["friction.breakawayVelocity"])},
+    }
+    references = [float(values[f"servo.theta[{motor}]"]) for motor in (1, 2)]
+    in_python = {}
+    for line in ast.parse((native.REPOSITORY / "xtask/python/peers/machine.py").read_text(encoding="utf-8")).body:
+        if isinstance(line, ast.Assign) and isinstance(line.targets[0], ast.Tuple):
+            try:
+                in_python |= zip((name.id for name in line.targets[0].elts), ast.literal_eval(line.value))
+            except ValueError:  # it is worked out from others
+                pass
+    assert {name: {in_python[name]} for name in wanted} == wanted and list(in_python["REFERENCES"]) == references
+    text = (native.SOURCES / "sundials.c").read_text(encoding="utf-8")
+    in_c = {name: float(value) for name, value in re.findall(r"\b([A-Z_]+) = ([0-9.e-]+)[,;]", text)}
+    assert {name: {in_c[name]} for name in wanted} == wanted
+    assert f"REFERENCES[2] = {{{references[0]:g}, {references[1]:g}}}" in text
+    text = (native.REPOSITORY / "xtask/python/peers/run.py").read_text(encoding="utf-8")
+    left, right = re.search(r'"servo_friction": \(math.radians\(([0-9]+)\), ([0-9.]+), 1\)', text).groups()
+    assert np.radians(float(left)) == float(values["init.theta[1]"]) and float(right) == scene["init.theta[2]"]

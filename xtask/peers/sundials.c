@@ -1,9 +1,9 @@
 // SUNDIALS as a peer of `cargo xtask peers`: CVODE on the equations in the four link angles with the multipliers eliminated, IDA on
 // the same equations with both multipliers as unknowns (index 1). The formulas are those of machine.py, beside it.
 //
-//     peer-sundials METHOD TOLERANCE ANGLE ANGLE ANGLE ANGLE
+//     peer-sundials METHOD TOLERANCE LOADS ANGLE ANGLE ANGLE ANGLE
 //
-// METHOD `adams` or `bdf` (CVODE), `ida`. Reads times, one a line; answers each with the processor's seconds so far, four angles and
+// METHOD `adams` or `bdf` (CVODE), `ida`; LOADS `bare`, or `loaded` with the servos and the friction of machine.py. Reads times, one a line; answers each with the processor's seconds so far, four angles and
 // four rates.
 #include <cvode/cvode.h>
 #include <ida/ida.h>
@@ -23,6 +23,31 @@ static const double LENGTH = 0.21, COM = 0.105, MASS = 0.017, INERTIA = 6.23e-5,
 #define COUPLING (MASS * COM * LENGTH)
 // The proximal and the distal link of each leg among the angles.
 static const int LEGS[2][2] = {{0, 1}, {3, 2}};
+
+// Servos on links 1 and 4, friction in all joints.
+static int loaded;
+static const double REFERENCES[2] = {1.2, 2.4}, KP = 0.2, KD = 5e-4, LIMIT = 0.1;
+static const double COULOMB = 1e-3, BREAKAWAY = 1.2e-3, BREAKAWAY_RATE = 0.1, VISCOUS = 1e-4;
+static const int JOINTS[5][2] = {{0, -1}, {1, 0}, {1, 2}, {2, 3}, {3, -1}};
+
+static double friction(double rate) {
+    const double u = rate / (sqrt(2) * BREAKAWAY_RATE);
+    const double stribeck = sqrt(2 * exp(1)) * (BREAKAWAY - COULOMB) * u * exp(-u * u);
+    return -(stribeck + COULOMB * tanh(rate / (BREAKAWAY_RATE / 10)) + VISCOUS * rate);
+}
+
+static void add_loads(const double *y, double *f) {
+    for (int j = 0; j < 5; ++j) {
+        const int first = JOINTS[j][0], second = JOINTS[j][1];
+        const double torque = friction(y[4 + first] - (second < 0 ? 0 : y[4 + second]));
+        f[first] += torque;
+        if (second >= 0) f[second] -= torque;
+    }
+    for (int motor = 0; motor < 2; ++motor) {
+        const int link = 3 * motor;
+        f[link] += LIMIT * tanh((KP * (REFERENCES[motor] - y[link]) - KD * y[4 + link]) / LIMIT);
+    }
+}
 
 // Off-diagonal masses of the legs, forces with centrifugal terms, closure Jacobian by x and y, right sides of J a = c.
 typedef struct {
@@ -48,6 +73,7 @@ static void terms(const double *y, Terms *t) {
         t->f[near] = -turn * y[4 + far] * y[4 + far] - MASS * GRAVITY * (COM + LENGTH) * k[near];
         t->f[far] = turn * y[4 + near] * y[4 + near] - MASS * GRAVITY * COM * k[far];
     }
+    if (loaded) add_loads(y, t->f);
 }
 
 static void by_mass(const Terms *t, const double *f, double *out) {
@@ -115,9 +141,10 @@ static void check(int flag, const char *function) {
 }
 
 int main(int argc, char **argv) {
-    if (argc != 7) return fprintf(stderr, "six arguments are needed\n"), 2;
+    if (argc != 8) return fprintf(stderr, "seven arguments are needed\n"), 2;
     const int with_ida = !strcmp(argv[1], "ida"), bdf = !strcmp(argv[1], "bdf"), size = with_ida ? 10 : 8;
     const double tolerance = atof(argv[2]);
+    loaded = !strcmp(argv[3], "loaded");
     const long no_limit = 1000000000;
     SUNContext context;
     check(SUNContext_Create(NULL, &context), "SUNContext_Create");
@@ -125,7 +152,7 @@ int main(int argc, char **argv) {
     double *y = N_VGetArrayPointer(state), *yp = N_VGetArrayPointer(rates), spent = 0, until, reached;
     memset(y, 0, size * sizeof *y);
     memset(yp, 0, size * sizeof *yp);
-    for (int i = 0; i < 4; ++i) y[i] = atof(argv[3 + i]);
+    for (int i = 0; i < 4; ++i) y[i] = atof(argv[4 + i]);
     void *solver;
     if (with_ida) {
         solve(y, yp + 4, y + 8);

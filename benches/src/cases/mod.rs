@@ -25,6 +25,7 @@ const STEPS: u64 = 1000;
 /// All cases, in the order in which they are counted.
 pub(crate) fn all() -> Result<Vec<Case>> {
     let mut cases = steps::cases()?;
+    cases.extend(steps::evaluations()?);
     cases.extend(phases::cases()?);
     cases.extend(effects::cases()?);
     cases.extend(automatic::cases()?);

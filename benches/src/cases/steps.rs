@@ -3,12 +3,32 @@
 use anyhow::{Context, Result};
 use fivebar::variables::{Method, Value, Variable};
 
-use super::{STEPS, bare};
+use super::{STEPS, advance, bare};
 use crate::case::Case;
 use crate::scene::Scene;
 
 /// Tolerances at which the error of the fall after 1 s is below 1e-5, 2e-9 and 1e-12 m (test `the_goals_of_accuracy_are_met`), rad.
 const TOLERANCES: [f64; 3] = [1e-6, 1e-9, 1e-14];
+
+/// Evaluations of the equations that a step of `dop853` takes.
+const EVALUATIONS: u64 = 12;
+
+/// What an evaluation costs in steps of `dop853`, everything included: 1 s of the fall at 1e-9 rad in one call, bare and with loads.
+pub(super) fn evaluations() -> Result<Vec<Case>> {
+    let effects: [(&str, &[&str]); 3] = [("bare", &[]), ("with servos", &["servo"]), ("with friction", &["friction"])];
+    let case = |(name, effects): (&str, &[&str])| {
+        let scene = Scene::fall().with("solver.method", Value::Integer(Method::Dop853 as i32))?;
+        let scene = scene.with("solver.errorTolerance", Value::Real(1e-9))?;
+        let scene = effects.iter().try_fold(scene, |scene, effect| scene.effect(effect, true))?;
+        let mut simulation = scene.simulation()?;
+        advance(&mut simulation, &scene.inputs, STEPS);
+        let counters = simulation.counters();
+        let mut case = bare("evaluations", name, scene, STEPS);
+        case.times = EVALUATIONS * (counters.substeps + counters.rejected);
+        Ok(case)
+    };
+    effects.into_iter().map(case).collect()
+}
 
 /// One case per item of `solver.method`, and the default with its sub-steps.
 pub(super) fn cases() -> Result<Vec<Case>> {

@@ -16,6 +16,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 pub use bits::{bits_row, fingerprint};
+pub use falls::falls_of_seed;
 pub use hour::hour;
 
 use crate::report::{Row, Verdict};
@@ -125,7 +126,7 @@ impl Case {
     /// The cases of an item of the list.
     pub fn of_item(extent: Extent, item: u8) -> Vec<Self> {
         match item {
-            1 => vec![falls::falls(extent)],
+            1 => vec![falls::falls(extent), falls::more_falls(extent)],
             2 => vertices::cases(extent),
             3 => vertex_rest::cases(extent),
             4 => postures::cases(extent),

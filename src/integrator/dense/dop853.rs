@@ -7,7 +7,7 @@ mod tableau;
 use super::trial::{Allowed, Landing, Slope, Trial, extremes_of, rate_between};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
-use crate::integrator::{Passage, State, StepError, System, Work};
+use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
 use tableau::{ALL, AT_DENSE, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, END, STAGES};
 
@@ -20,6 +20,8 @@ pub(super) struct Stages<const N: usize> {
     h: f64,
     /// Where the last stage is evaluated: at the end of the step as well, but of lower order.
     last: Vector<N>,
+    /// q and q̇ at the end of the step, of order 8.
+    end: [Vector<N>; 2],
 }
 
 /// Does something for each stage, without a loop at run time: stages and their coefficients are constants.
@@ -30,21 +32,25 @@ macro_rules! for_each {
 }
 
 impl<const N: usize> Stages<N> {
-    /// Σ coefficient · slope over q and q̇.
+    /// Σ coefficient · slope over what is picked of the slopes.
     #[inline(always)]
-    fn sum<const ROW: usize>(&self) -> [Vector<N>; 2] {
-        let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
+    fn sum<const ROW: usize>(&self, part: impl Fn(&Slope<N>) -> Vector<N>) -> Vector<N> {
+        let mut sum = Vector::ZERO;
         macro_rules! add {
             ($stage:literal) => {
                 if const { COEFFICIENTS[ROW][$stage] != 0.0 } {
-                    let slope = &self.slopes[$stage];
-                    q += const { COEFFICIENTS[ROW][$stage] } * slope.q;
-                    v += const { COEFFICIENTS[ROW][$stage] } * slope.v;
+                    sum += const { COEFFICIENTS[ROW][$stage] } * part(&self.slopes[$stage]);
                 }
             };
         }
         for_each!(add: 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
-        [q, v]
+        sum
+    }
+
+    /// The same over q and q̇.
+    #[inline(always)]
+    fn sums<const ROW: usize>(&self) -> [Vector<N>; 2] {
+        [self.sum::<ROW>(|slope| slope.q), self.sum::<ROW>(|slope| slope.v)]
     }
 
     /// The same over the power.
@@ -65,14 +71,19 @@ impl<const N: usize> Stages<N> {
     /// q and q̇ at the place of a row.
     #[inline(always)]
     fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
-        let [q, v] = self.sum::<ROW>();
-        [self.q + self.h * q, self.v + self.h * v]
+        [self.place::<ROW>(), self.rate::<ROW>()]
     }
 
-    /// q and q̇ at the end of the step, of order 8.
+    /// q there: what the accelerations of the stage before are does not matter.
     #[inline(always)]
-    fn end(&self) -> [Vector<N>; 2] {
-        self.at::<END>()
+    fn place<const ROW: usize>(&self) -> Vector<N> {
+        self.q + self.h * self.sum::<ROW>(|slope| slope.q)
+    }
+
+    /// q̇ there.
+    #[inline(always)]
+    fn rate<const ROW: usize>(&self) -> Vector<N> {
+        self.v + self.h * self.sum::<ROW>(|slope| slope.v)
     }
 
     /// Mean power over the step, of order 8.
@@ -85,8 +96,8 @@ impl<const N: usize> Stages<N> {
     #[inline(always)]
     fn error(&self, allowed: &Allowed, v_end: &Vector<N>) -> f64 {
         let rates = [&self.v, v_end];
-        let fifth = allowed.mean_square(self.sum::<AT_ERROR_5>(), rates, || self.power::<AT_ERROR_5>());
-        let third = allowed.mean_square(self.sum::<AT_ERROR_3>(), rates, || self.power::<AT_ERROR_3>());
+        let fifth = allowed.mean_square(self.sums::<AT_ERROR_5>(), rates, || self.power::<AT_ERROR_5>());
+        let third = allowed.mean_square(self.sums::<AT_ERROR_3>(), rates, || self.power::<AT_ERROR_3>());
         let damped = fifth + 0.01 * third;
         // Both are 0 where nothing moves.
         if damped == 0.0 { 0.0 } else { self.h * fifth / damped.sqrt() }
@@ -94,7 +105,7 @@ impl<const N: usize> Stages<N> {
 
     /// One of them.
     fn coefficient<const ROW: usize>(&self, follows_work: bool) -> Slope<N> {
-        let [q, v] = self.sum::<ROW>();
+        let [q, v] = self.sums::<ROW>();
         let power = if follows_work { self.power::<ROW>() } else { Work::default() };
         Slope { q: self.h * q, v: self.h * v, power: Work::default().plus(self.h, power) }
     }
@@ -118,7 +129,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
 
     #[inline(never)]
     fn new<const M: usize>(system: &impl System<N, M>, (): &(), regularization: f64, from: &State<N, M>, h: f64) -> Self {
-        let mut stages = Self { slopes: [Slope::NONE; ALL], q: from.q, v: from.v, h, last: from.q };
+        let mut stages = Self { slopes: [Slope::NONE; ALL], q: from.q, v: from.v, h, last: from.q, end: [from.q, from.v] };
         stages.slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
         macro_rules! evaluate {
             ($stage:literal) => {
@@ -128,6 +139,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
             };
         }
         for_each!(evaluate: 1 2 3 4 5 6 7 8 9 10 11);
+        stages.end = stages.at::<END>();
         stages
     }
 
@@ -137,10 +149,11 @@ impl<const N: usize> Trial<N> for Stages<N> {
         system: &S,
         settings: &Settings,
         allowed: &Allowed,
+        kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let end = self.end();
+        let end = self.end;
         let error = self.error(allowed, &end[1]);
-        let arrival = if error <= 1.0 { settings.project_and_evaluate(system, end) } else { Err(StepError::NotFinite) };
+        let arrival = if error <= 1.0 { settings.project_and_evaluate(system, end, kept) } else { Err(StepError::NotFinite) };
         let land = |(iterations, arrival)| {
             let work = if system.follows_work() { Work::default().plus(self.h, self.mean_power()) } else { Work::default() };
             Landing { iterations, arrival, work }

@@ -22,7 +22,7 @@ use super::hermite::{self, Knowing};
 use super::trial::{Allowed, Landing, Slope, Trial, fastest, larger, slope_at};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
-use crate::integrator::{AccelerationTangents, Kkt, Passage, State, StepError, System, Work};
+use crate::integrator::{AccelerationTangents, EnergyBalance, Kkt, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
 use inverse::{Inverse, combination};
 use tableau::{MOST, Tableau};
@@ -196,6 +196,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         system: &S,
         settings: &Settings,
         allowed: &Allowed,
+        kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
         let mut end = self.at::<MOST>();
         let v_end = end[1];
@@ -211,7 +212,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             let work = if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
             Landing { iterations, arrival, work }
         };
-        (error, settings.project_and_evaluate(system, end).map(land))
+        (error, settings.project_and_evaluate(system, end, kept).map(land))
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {

@@ -10,7 +10,9 @@ use super::trial::{Allowed, Landing, RATE, Slope, Trial};
 use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, Kind, Kinds, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, next_step};
-use crate::integrator::{Approach, Arrival, Kinked, Passage, PassageLimits, Projection, StepError, System, velocity_correction};
+use crate::integrator::{
+    Approach, Arrival, EnergyBalance, Kinked, Passage, PassageLimits, Projection, StepError, System, velocity_correction,
+};
 use crate::vector::Vector;
 
 /// A step below this, s, that is rejected is not made shorter.
@@ -32,6 +34,8 @@ struct Plan {
     wanted: f64,
     /// What it may be.
     longest: f64,
+    /// Whether a vertex is near, where the energy is kept.
+    near: bool,
     /// When an output is asked for, and what limits it while inputs are held.
     horizon: Horizon,
 }
@@ -46,9 +50,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         horizon: Horizon,
     ) -> Result<(), StepError> {
         self.begin();
-        let longest = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
-            Approach::Clear => horizon.limit,
-            Approach::Limited(limits) => horizon.limit.min(limits.longest),
+        let (longest, near) = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
+            Approach::Clear => (horizon.limit, false),
+            Approach::Limited(limits) => (horizon.limit.min(limits.longest), true),
             Approach::Passed(transit) => {
                 self.end.pass_through(system, &transit, settings.regularization)?;
                 (self.length, self.straight) = (transit.duration, true);
@@ -56,7 +60,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
         };
-        // Near a vertex and where friction may hold, steps are explicit ones of order 8.
+        // Where friction may hold, steps are explicit ones of order 8.
         let kind = if system.has_grips() {
             Kind::Eighth
         } else {
@@ -76,7 +80,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.end.counters.substeps += 1;
             return Ok(());
         }
-        let plan = Plan { h, wanted, longest, horizon };
+        let plan = Plan { h, wanted, longest, near, horizon };
         match kind {
             Kind::Fifth => self.attempt::<Tsit5<N>, S>(system, settings, &plan),
             Kind::Eighth => self.attempt::<Stages<N>, S>(system, settings, &plan),
@@ -93,15 +97,16 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         plan: &Plan,
     ) -> Result<(), StepError> {
-        let &Plan { mut h, wanted, longest, horizon } = plan;
+        let &Plan { mut h, wanted, longest, near, horizon } = plan;
         let mut on_sides = system.on(self.sides);
         let mut shared = T::prepare(on_sides.borrow(), settings, &self.start);
         let (mut rejected, mut tries) = (false, 0);
         loop {
             let on: &S = on_sides.borrow();
             let Some(prepared) = &shared else { return self.attempt::<Stages<N>, S>(system, settings, plan) };
+            let kept = if near { on.energy_to_keep(&self.start.q, &self.start.v) } else { None };
             let mut trial = T::new(on, prepared, settings.regularization, &self.start, h);
-            let (error, landing) = trial.land(on, settings, &settings.allowed_of(on));
+            let (error, landing) = trial.land(on, settings, &settings.allowed_of(on), kept.map(|energy| (energy, h)));
             if let Ok(landing) = landing {
                 self.accept(landing, h, T::KIND);
                 if system.has_kinks() {
@@ -227,14 +232,19 @@ impl Settings {
         PassageLimits { radius: 1e-4, impact_parameter: 1e-7, longest_with_dissipation: self.first_step }
     }
 
-    /// Puts the end of a step onto the constraints: the iterations spent, and what holds there.
+    /// Puts the end of a step onto the constraints: the iterations spent, and what holds there. The energy that was at its beginning, so
+    /// many seconds before, is kept where there is any.
     #[inline]
     pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
         [mut q, mut v]: [Vector<N>; 2],
+        kept: Option<(EnergyBalance, f64)>,
     ) -> Result<(u32, Arrival<N, M>), StepError> {
         let (iterations, pose, mass) = self.project(system, &mut q, &mut v)?;
+        if let Some((energy, h)) = &kept {
+            v = system.energy_scale(energy, &q, &v, *h)? * v;
+        }
         Ok((iterations, Arrival::in_balance(system, [q, v], &pose, &mass).finite()?))
     }
 

@@ -6,7 +6,7 @@ use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::equilibrium::equilibrium_under;
 use crate::integrator::state::Arrival;
-use crate::integrator::{Passage, State, StepError, System, Work};
+use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
 
 /// One step of a kind, made but not accepted yet.
@@ -30,12 +30,14 @@ pub(super) trait Trial<const N: usize>: Sized {
         h: f64,
     ) -> Self;
 
-    /// Its error in units of what is allowed, and where it leads, on the constraints, if that is 1 at most.
+    /// Its error in units of what is allowed, and where it leads, on the constraints, if that is 1 at most; near a vertex with the energy
+    /// of its beginning, after so many seconds.
     fn land<const M: usize, S: System<N, M> + Passage<N>>(
         &mut self,
         system: &S,
         settings: &Settings,
         allowed: &Allowed,
+        kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>);
 
     /// The greatest magnitudes of q̇ and q̈ that the stages have seen.
@@ -101,7 +103,8 @@ impl<const N: usize> Slope<N> {
     pub(super) const NONE: Self = Self { q: Vector::ZERO, v: Vector::ZERO, power: Work { input: 0.0, dissipated: 0.0 } };
 
     /// Those of a state.
-    #[inline(always)]
+    /// One piece of code for all stages: written out for each of them it would not fit into what a processor keeps decoded.
+    #[inline(never)]
     pub(super) fn at<const M: usize, S: System<N, M>>(system: &S, regularization: f64, q: &Vector<N>, v: &Vector<N>) -> Self {
         let pose = system.pose(q);
         let (forces, power) = system.forces_and_power(q, &pose, v);

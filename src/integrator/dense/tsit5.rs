@@ -8,7 +8,7 @@ use super::hermite::{self, Knowing};
 use super::trial::{Allowed, Landing, Slope, Trial, extremes_of, rate_between, slope_at};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
-use crate::integrator::{Passage, State, StepError, System, Work};
+use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
 
 /// Stages of a step, and the place of its end.
@@ -110,9 +110,10 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         system: &S,
         settings: &Settings,
         allowed: &Allowed,
+        kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
         let end = self.at::<STAGES>();
-        let (iterations, arrival) = match settings.project_and_evaluate(system, end) {
+        let (iterations, arrival) = match settings.project_and_evaluate(system, end, kept) {
             Ok(landed) => landed,
             Err(cause) => return (f64::NAN, Err(cause)),
         };

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 OURS = "FiveBar "
 """What the names of our methods begin with."""
 
-SCENES = ("fall_90_120", "swing")
-"""Those whose errors are compared: a whipping one and a smooth one."""
+SCENES = ("fall_90_120", "swing", "servo_friction")
+"""Those whose errors are compared: a whipping one, a smooth one, and one with servos and friction."""
 
 WANTED = tuple(10.0**-n for n in range(2, 11))
 """Errors of the tip, m."""

@@ -1,14 +1,16 @@
 """Drake: a discrete MultibodyPlant with the SAP solver; a ball constraint joins the legs' ends. (Its continuous mode has no loops.)"""
 
 import importlib.metadata
+from functools import partial
 
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import DiscreteContactApproximation, MultibodyPlant
 from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia, UnitInertia
 from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
-from machine import BASE, COM, INERTIA, LENGTH, MASS, G, Peer, Setting
+from machine import BASE, COM, INERTIA, LENGTH, MASS, G, Peer, Setting, joint_torques
 
 STEPS = (1e-3, 1e-4, 1e-5)
 
@@ -38,11 +40,35 @@ def _plant(step: float) -> tuple:
     return plant, joints
 
 
+class _Loads(LeafSystem):
+    """Servos and friction as generalised forces, held over a step: Drake's discrete plant takes no others of one's own."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.DeclareVectorInputPort("state", 8)
+        self.DeclareVectorOutputPort("torques", 4, self._torques)
+
+    def _torques(self, context, output) -> None:
+        p, q, r, s, v, w, x, y = self.get_input_port().Eval(context)
+        output.SetFromVector(joint_torques(np.array([p, p + q, r + s, r, v, v + w, x + y, x])))
+
+
+def _loaded(plant):
+    """The plant with its loads, as one system."""
+    builder = DiagramBuilder()
+    builder.AddSystem(plant)
+    loads = builder.AddSystem(_Loads())
+    builder.Connect(plant.get_state_output_port(), loads.get_input_port())
+    builder.Connect(loads.get_output_port(), plant.get_applied_generalized_force_input_port())
+    return builder.Build()
+
+
 def _setting(step: float) -> Setting:
-    def begin(start):
+    def begin(start, loaded=False):
         plant, joints = _plant(step)
-        simulator = Simulator(plant)
-        context = simulator.get_mutable_context()
+        system = _loaded(plant) if loaded else plant
+        simulator = Simulator(system)
+        context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
         a, b, c, d = start[:4]
         for joint, angle in zip(joints, (a, b - a, d, c - d)):
             joint.set_angle(context, angle)
@@ -56,4 +82,4 @@ def _setting(step: float) -> Setting:
 
         return advance
 
-    return Setting(f"discrete, SAP, ball constraint, h = {step:g} s", begin)
+    return Setting(f"discrete, SAP, ball constraint, h = {step:g} s", begin, begin_loaded=partial(begin, loaded=True))

@@ -1,10 +1,12 @@
 """Exudyn: four planar rigid bodies, five revolute joints, its implicit second-order integrators."""
 
+from functools import partial
+
 import exudyn as exu
 import exudyn.itemInterface as item
 import numpy as np
 
-from machine import BASE, COM, INERTIA, LENGTH, MASS, G, Peer, Setting
+from machine import BASE, COM, INERTIA, JOINTS, LENGTH, MASS, G, Peer, Setting, friction_torque, servo_torque
 
 # Spectral radius 1: the trapezoidal rule with its index-2 constraints; 0.8: generalised-alpha.
 RUNS = tuple((solver, step) for solver in ("TrapezoidalIndex2", "GeneralizedAlpha") for step in (4e-3, 2e-3, 1e-3, 1e-4, 1e-5))
@@ -30,7 +32,7 @@ def _poses(angles: np.ndarray) -> list[list[float]]:
 
 
 def _setting(solver: str, step: float) -> Setting:
-    def begin(start):
+    def begin(start, loaded=False):
         container = exu.SystemContainer()
         system = container.AddSystem()
         ground = system.AddObject(item.ObjectGround())
@@ -51,6 +53,8 @@ def _setting(solver: str, step: float) -> Setting:
             held = marker(bodies[carrier], LENGTH - COM) if carrier >= 0 else marker(ground, 0.0 if link == 0 else BASE)
             joint(held, marker(bodies[link], -COM))
         joint(marker(bodies[1], LENGTH - COM), marker(bodies[2], LENGTH - COM))
+        if loaded:
+            _load(system, nodes, start)
         system.Assemble()
         settings = exu.SimulationSettings()
         settings.timeIntegration.newton.relativeTolerance = 1e-10
@@ -74,4 +78,30 @@ def _setting(solver: str, step: float) -> Setting:
 
         return advance
 
-    return Setting(f"{solver}, h = {step:g} s, Newton 1e-10", begin)
+    return Setting(f"{solver}, h = {step:g} s, Newton 1e-10", begin, begin_loaded=partial(begin, loaded=True))
+
+
+def _load(system, nodes: list, start: np.ndarray) -> None:
+    """Servos and friction: forces of one's own between the angles of two links, or of a link and the ground."""
+    ground = system.AddNode(item.NodePointGround())
+
+    def angle(link: int | None):
+        node, coordinate = (ground, 0) if link is None else (nodes[link], 2)
+        return system.AddMarker(item.MarkerNodeCoordinate(nodeNumber=node, coordinate=coordinate))
+
+    def between(first: int, second: int | None, force) -> None:
+        # Exudyn's force pulls the second marker back by what it returns, and its rate is that of the second one.
+        markers = [angle(second), angle(first)]
+        system.AddObject(item.ObjectConnectorCoordinateSpringDamper(markerNumbers=markers, springForceUserFunction=force))
+
+    def friction(_system, _t, _number, _displacement, rate, *_):
+        return -friction_torque(rate)
+
+    for first, second in JOINTS:
+        between(first, second, friction)
+    for motor, link in enumerate((0, 3)):
+
+        def servo(_system, _t, _number, displacement, rate, *_, motor=motor, link=link):
+            return -servo_torque(motor, start[link] + displacement, rate)
+
+        between(link, None, servo)

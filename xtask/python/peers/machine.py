@@ -1,4 +1,4 @@
-"""The paper's mechanism for the peers: its numbers, its equations in the four link angles, its energy.
+"""The paper's mechanism for the peers: its numbers, its equations in the four link angles, its energy, and the loads of one scene.
 
 Links 1 to 4: left proximal, left distal, right distal, right proximal; absolute angles, distal ones from elbow to tip. A state is
 (four angles, four rates), SI units. All links are equal, gravity pulls along -y.
@@ -19,6 +19,14 @@ NEAR = INERTIA + MASS * COM**2 + MASS * LENGTH**2  # proximal link with the dist
 FAR = INERTIA + MASS * COM**2  # distal link about the elbow
 COUPLING = MASS * COM * LENGTH
 
+# The loads of the scene servo_friction, with the laws of src/effects: servos on links 1 and 4, friction in all joints.
+REFERENCES, KP, KD, LIMIT = (1.2, 2.4), 0.2, 5e-4, 0.1
+COULOMB, BREAKAWAY, BREAKAWAY_RATE, VISCOUS = 1e-3, 1.2e-3, 0.1, 1e-4
+STRIBECK = math.sqrt(2 * math.e) * (BREAKAWAY - COULOMB)
+STRIBECK_RATE, COULOMB_RATE = math.sqrt(2) * BREAKAWAY_RATE, BREAKAWAY_RATE / 10
+# Each joint by its links: it turns at the rate of the first minus that of the second, and its torque acts on both, with + and -.
+JOINTS = ((0, None), (1, 0), (1, 2), (2, 3), (3, None))
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -31,6 +39,8 @@ class Setting:
     begin: Callable[[np.ndarray], Callable[[float], np.ndarray]]
     clock: Callable[[], float] = time.process_time
     """Processor time so far, in s: of this process, or of the last run if the peer is a program by itself."""
+    begin_loaded: Callable[[np.ndarray], Callable[[float], np.ndarray]] | None = None
+    """The same with servos and friction; None for a peer that is given gravity only."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +78,39 @@ def energy(y: np.ndarray) -> float:
 
 
 @njit(cache=False)
+def servo_torque(motor, angle, rate):
+    """Of the left (0) or right (1) servo."""
+    return LIMIT * np.tanh((KP * (REFERENCES[motor] - angle) - KD * rate) / LIMIT)
+
+
+@njit(cache=False)
+def friction_torque(w):
+    """Of a joint that turns at a rate: Coulomb, Stribeck, viscous."""
+    u = w / STRIBECK_RATE
+    return -(STRIBECK * u * np.exp(-u * u) + COULOMB * np.tanh(w / COULOMB_RATE) + VISCOUS * w)
+
+
+@njit(cache=False)
+def torques(y):
+    """What servos and friction apply to the links."""
+    out = np.zeros(4)
+    out[0] = servo_torque(0, y[0], y[4]) + friction_torque(y[4])
+    out[3] = servo_torque(1, y[3], y[7]) + friction_torque(y[7])
+    for first, second in ((1, 0), (1, 2), (2, 3)):
+        torque = friction_torque(y[4 + first] - y[4 + second])
+        out[first] += torque
+        out[second] -= torque
+    return out
+
+
+@njit(cache=False)
+def joint_torques(y):
+    """The same in the angles of two legs of two hinges: left motor, left elbow, right motor, right elbow."""
+    t = torques(y)
+    return np.array([t[0] + t[1], t[1], t[3] + t[2], t[2]])
+
+
+@njit(cache=False)
 def terms(y):
     """Off-diagonal masses of the legs, forces with centrifugal terms, closure Jacobian by x and y, right sides of J a = c."""
     b, f, jx, jy, c = np.empty(2), np.empty(4), np.empty(4), np.empty(4), np.zeros(2)
@@ -99,8 +142,21 @@ def by_mass(b, f):
 
 @njit(cache=False)
 def derivative(_t, y):
-    """Rates and accelerations (index 1: the two forces at the tip that keep the loop closed are eliminated)."""
+    """Rates and accelerations under gravity alone."""
+    return moved(y, np.zeros(4))
+
+
+@njit(cache=False)
+def loaded_derivative(_t, y):
+    """The same with servos and friction."""
+    return moved(y, torques(y))
+
+
+@njit(cache=False)
+def moved(y, applied):
+    """Rates and accelerations under torques on the links (index 1: the two forces at the tip that close the loop are eliminated)."""
     b, f, jx, jy, c = terms(y)
+    f = f + applied
     free, by_x, by_y = by_mass(b, f), by_mass(b, jx), by_mass(b, jy)
     xx, xy, yy = jx @ by_x, jx @ by_y, jy @ by_y
     rx, ry = c[0] - jx @ free, c[1] - jy @ free

@@ -1,9 +1,11 @@
 """MuJoCo: two legs of two hinges, their ends held together by a point constraint that is as hard as the step allows."""
 
+from functools import partial
+
 import mujoco
 import numpy as np
 
-from machine import BASE, COM, INERTIA, LENGTH, MASS, G, Peer, Setting
+from machine import BASE, COM, INERTIA, LENGTH, MASS, G, Peer, Setting, joint_torques
 
 # The loop hardens with the step, so that RK4 is of second order here.
 RUNS = tuple(("RK4", h) for h in (4e-3, 2e-3, 1e-3, 4e-4, 1e-4, 2e-5)) + tuple(("implicitfast", h) for h in (1e-3, 1e-4, 2e-5))
@@ -19,9 +21,11 @@ def _setting(integrator: str, step: float) -> Setting:
     # A time constant of two steps is the hardest that MuJoCo takes (refsafe); the impedance is next to 1.
     text = f"{integrator}, h = {step:g} s, equality solref = (2 h, 1), solimp = 0.9999, Newton tolerance 1e-14"
 
-    def begin(start):
+    def begin(start, loaded=False):
+        mujoco.set_mjcb_passive(None)  # while it makes a model MuJoCo steps one that Python does not know
         model = mujoco.MjModel.from_xml_string(_xml(integrator, step))
         data = mujoco.MjData(model)
+        mujoco.set_mjcb_passive(_load if loaded else None)
         a, b, c, d = start[:4]
         data.qpos[:] = a, b - a, d, c - d
         mujoco.mj_forward(model, data)
@@ -34,12 +38,22 @@ def _setting(integrator: str, step: float) -> Setting:
             done = steps
             if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number > 0:
                 raise RuntimeError("accelerations that are not finite; MuJoCo reset the state")
-            (p, q, r, s), (v, w, x, z) = data.qpos, data.qvel
-            return np.array([p, p + q, r + s, r, v, v + w, x + z, x])
+            return _state(data)
 
         return advance
 
-    return Setting(text, begin)
+    return Setting(text, begin, begin_loaded=partial(begin, loaded=True))
+
+
+def _state(data) -> np.ndarray:
+    """Angles and rates of the links."""
+    (p, q, r, s), (v, w, x, z) = data.qpos, data.qvel
+    return np.array([p, p + q, r + s, r, v, v + w, x + z, x])
+
+
+def _load(_model, data) -> None:
+    """Servos and friction: called by MuJoCo wherever it evaluates forces, so that RK4 sees them at each of its stages."""
+    data.qfrc_passive[:] = joint_torques(_state(data))
 
 
 def _xml(integrator: str, step: float) -> str:

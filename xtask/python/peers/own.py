@@ -2,6 +2,7 @@
 
 import math
 import sys
+from functools import partial
 from pathlib import Path
 
 import fmpy
@@ -9,6 +10,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 
 import ahead
+import machine
 from machine import Peer, Setting
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -44,15 +46,28 @@ def peers(fmu: Path) -> list[Peer]:
     ]
 
 
+# What the scene servo_friction sets beside its start; the friction is that by default.
+LOADED = {"servo.enabled": True, "viscous.enabled": True, "friction.enabled": True} | {
+    f"servo.{name}[{motor}]": value
+    for name, pair in {
+        "kp": (machine.KP, machine.KP),
+        "kd": (machine.KD, machine.KD),
+        "limit": (machine.LIMIT, machine.LIMIT),
+        "theta": machine.REFERENCES,
+    }.items()
+    for motor, value in enumerate(pair, 1)
+}
+
+
 def _setting(model, directory: str, sides: dict[str, int], settings: dict[str, float | bool]) -> Setting:
     text = ", ".join(f"{name} = {value}" for name, value in settings.items() if name != "solver.method")
 
-    def begin(start):
+    def begin(start, loads=None):
         log = Log()
         slave = instantiate(model, directory, log)
         # Equal distal links: the tip is on the right where they turn clockwise from the left one to the right one.
         side = sides["plus" if math.sin(start[2] - start[1]) >= 0 else "minus"]
-        set_values(slave, model, {"init.theta[1]": start[0], "init.theta[2]": start[3], "init.assembly": side} | settings)
+        set_values(slave, model, {"init.theta[1]": start[0], "init.theta[2]": start[3], "init.assembly": side} | (loads or {}) | settings)
         slave.setupExperiment(startTime=0.0)
         slave.enterInitializationMode()
         slave.exitInitializationMode()
@@ -69,4 +84,4 @@ def _setting(model, directory: str, sides: dict[str, int], settings: dict[str, f
 
         return advance
 
-    return Setting(text, begin)
+    return Setting(text, begin, begin_loaded=partial(begin, loads=LOADED))

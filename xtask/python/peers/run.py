@@ -34,15 +34,19 @@ PEERS = {
     "SUNDIALS IDA": ("sundials", "ida"),
     "Pinocchio": ("pinocchio_dynamics", "peer"),
     "rapier2d": ("rapier", "peer"),
+    "heyoka": ("heyoka_taylor", "peer"),
 }
 
 # Both proximal angles, and the side of the tip.
 START = {
     "fall_90_120": (math.radians(90), 2.0943951023931953, 1),
     "swing": (-1.05, -1.7, -1),
+    "servo_friction": (math.radians(90), 2.0943951023931953, 1),
     "paper_free_fall": (math.radians(90), math.radians(90), 1),
 }
-END = {"fall_90_120": 2, "swing": 2, "paper_free_fall": 50}
+END = {"fall_90_120": 2, "swing": 2, "servo_friction": 2, "paper_free_fall": 50}
+# With servos and friction, which not every peer is given.
+LOADED = "servo_friction"
 # Of the scenes with a reference, the tip at whole seconds.
 Tips = dict[str, dict[int, np.ndarray]]
 # What a peer that gives up may raise.
@@ -80,6 +84,8 @@ def main() -> int:
     for peer in peers:
         for setting in peer.settings:
             for scene in START:
+                if scene == LOADED and setting.begin_loaded is None:
+                    continue
                 rows.append(measure(scene, peer, setting, tips))
                 show(rows[-1])
     cells = [{name: "" if value is None else str(value) for name, value in asdict(row).items()} for row in rows]
@@ -124,10 +130,11 @@ def measure(scene: str, peer: machine.Peer, setting: machine.Setting, tips: Tips
     """A setting over a scene. Building the model and compiling, in a run of 1 ms before, are not in the time."""
     row = Row(scene, peer.name, peer.version, setting.text)
     start, times = machine.closed(*START[scene]), []
+    begin = setting.begin_loaded if scene == LOADED else setting.begin
     try:
-        setting.begin(start)(1e-3)
+        begin(start)(1e-3)
         while not times or not (row.note or timing.enough(times)):
-            done, spent, row.note = once(row, setting, start, tips)
+            done, spent, row.note = once(row, (begin, setting.clock), start, tips)
             times.append(spent)
     except FAILURES as error:
         done, row.note = 0, f"ended at the start: {words(error)}"
@@ -136,20 +143,22 @@ def measure(scene: str, peer: machine.Peer, setting: machine.Setting, tips: Tips
     return row
 
 
-def once(row: Row, setting: machine.Setting, start: np.ndarray, tips: Tips) -> tuple[int, float, str]:
-    """One run: whole seconds done, the time of them, and why it ended early. Errors go to the row."""
+def once(row: Row, run: tuple, start: np.ndarray, tips: Tips) -> tuple[int, float, str]:
+    """One run, by what begins it and its clock: whole seconds done, the time of them, and why it ended early. Errors go to the row."""
+    begin, clock = run
     before, spent, done = machine.energy(start), 0.0, 0
     row.energy_error_mgL = None
     try:
-        advance = setting.begin(start)
+        advance = begin(start)
         for second in range(1, END[row.scene] + 1):
-            clock = setting.clock()
+            before_it = clock()
             y = advance(float(second))
-            took = setting.clock() - clock
+            took = clock() - before_it
             if not np.isfinite(y).all():
                 raise RuntimeError("NaN")
             done, spent = second, spent + took
-            row.energy_error_mgL = max(row.energy_error_mgL or 0.0, abs(machine.energy(y) - before) / machine.MGL)
+            if row.scene != LOADED:
+                row.energy_error_mgL = max(row.energy_error_mgL or 0.0, abs(machine.energy(y) - before) / machine.MGL)
             if row.scene in tips:
                 setattr(row, f"error_{second}s_m", float(np.hypot(*(machine.tip(y) - tips[row.scene][second]))))
             if spent > native.BUDGET and second < END[row.scene]:

@@ -1,9 +1,11 @@
 """SciPy's DOP853 on the four link angles; the right side is compiled by numba."""
 
+from functools import partial
+
 import scipy
 from scipy.integrate import solve_ivp
 
-from machine import Peer, Setting, derivative
+from machine import Peer, Setting, derivative, loaded_derivative
 
 TOLERANCES = tuple(10.0**-n for n in range(3, 14))
 
@@ -13,12 +15,12 @@ def peer() -> Peer:
 
 
 def _setting(tolerance: float) -> Setting:
-    def begin(start):
+    def begin(start, right_side=derivative):
         now, y = 0.0, start
 
         def advance(until):
             nonlocal now, y
-            solution = solve_ivp(derivative, (now, until), y, method="DOP853", rtol=tolerance, atol=tolerance)
+            solution = solve_ivp(right_side, (now, until), y, method="DOP853", rtol=tolerance, atol=tolerance)
             if not solution.success:
                 raise RuntimeError(solution.message)
             now, y = until, solution.y[:, -1]
@@ -26,4 +28,5 @@ def _setting(tolerance: float) -> Setting:
 
         return advance
 
-    return Setting(f"4 angles, rtol = atol = {tolerance:g}, right side by numba", begin)
+    text = f"4 angles, rtol = atol = {tolerance:g}, right side by numba"
+    return Setting(text, begin, begin_loaded=partial(begin, right_side=loaded_derivative))

@@ -24,6 +24,7 @@ SCENES = {
     "friction_fall": 10,
     "run_down": 10,
     "servo_step": 10,
+    "servo_friction": 20,
     "spring_payload": 10,
     "end_stops": 10,
     "bounce": 10,
