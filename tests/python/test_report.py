@@ -249,3 +249,20 @@ def test_in_a_browser(browser: object) -> None:
     # Some pages of drawings; an empty one has a thousandth of that.
     assert len(paper["data"]) > 100_000
     assert browser.execute_script("return [...document.querySelectorAll('details')].every(d => d.open)")
+
+
+def test_notes_cover_no_other_where_they_are_drawn() -> None:
+    """Lines that run beside each other, in three panels."""
+    scenes = [Reference(f"scene {i}", "smooth", 1e-16, "made up") for i in range(3)]
+    markers = [
+        Marker(s.scene, s.kind, method, "tolerance", 10.0**-k, "rad", 10.0**-k, 0.1 * (1 + 0.02 * j) * 1.25**k, 1.0, 1, False, "complete")
+        for s in scenes
+        for j, method in enumerate(figures.COLOURS)
+        for k in range(1, 14)
+    ]
+    figure = figures.work_precision(markers, scenes)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        boxes = [note.get_window_extent() for note in axes.texts if note.get_text() in {m.setting for m in markers}]
+        assert not [(a, b) for i, a in enumerate(boxes) for b in boxes[:i] if a.overlaps(b)]
+    assert sum(len(axes.texts) for axes in figure.axes) > 10
