@@ -31,13 +31,20 @@ struct Line {
 /// Steps that divide 1 ms, or are multiples of it.
 const STEPS: &[f64] = &[4e-3, 2e-3, 1e-3, 5e-4, 2.5e-4, 1e-4, 5e-5, 2.5e-5, 1e-5];
 
-const LINES: [Line; 6] = [
+const LINES: [Line; 7] = [
     Line {
         method: "dop853",
         knob: "tolerance",
         unit: "rad",
         values: &[1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13, 1e-14],
         setting: Setting::Dop853,
+    },
+    Line {
+        method: "automatic",
+        knob: "tolerance",
+        unit: "rad",
+        values: &[1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10, 1e-11, 1e-12, 1e-13, 1e-14],
+        setting: Setting::Automatic,
     },
     Line {
         method: "i3alp, adaptive",

@@ -19,6 +19,8 @@ pub enum Setting {
     Conserving(f64),
     /// Runge-Kutta of order 8 with this error tolerance, rad.
     Dop853(f64),
+    /// The kind of step that takes least, with this error tolerance, rad.
+    Automatic(f64),
 }
 
 impl Setting {
@@ -28,13 +30,16 @@ impl Setting {
     pub const REFERENCE: Self = Self::Tolerance(1e-11);
     /// The explicit method at the tolerance at which the battery judges it, rad.
     pub const EXPLICIT: Self = Self::Dop853(1e-10);
+    /// The same of the method that chooses by itself.
+    pub const AUTOMATIC: Self = Self::Automatic(1e-10);
     /// The conserving step at which every case is judged, s; falls are judged at all of its columns.
     pub const CONSERVING: Self = Self::Conserving(1e-3);
     /// The columns of the matrix.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Default,
         Self::TIGHT,
         Self::EXPLICIT,
+        Self::AUTOMATIC,
         Self::Conserving(2.5e-4),
         Self::CONSERVING,
         Self::Conserving(4e-3),
@@ -57,6 +62,10 @@ impl Setting {
             }
             Self::Dop853(tolerance) => {
                 (settings.method, settings.error_tolerance) = (Method::Dop853, tolerance);
+                return;
+            }
+            Self::Automatic(tolerance) => {
+                (settings.method, settings.error_tolerance) = (Method::Automatic, tolerance);
                 return;
             }
             Self::Fixed(step) => {
@@ -87,6 +96,7 @@ impl Setting {
             Self::Conserving(_) => "i3alpConserving",
             Self::Rk4(_) => "rk4",
             Self::Dop853(_) => "dop853",
+            Self::Automatic(_) => "automatic",
         }
     }
 
@@ -94,7 +104,9 @@ impl Setting {
     pub fn label(self) -> String {
         match self {
             Self::Default => "default tolerance".into(),
-            Self::Tolerance(tolerance) | Self::Dop853(tolerance) => format!("tolerance {tolerance:e} rad"),
+            Self::Tolerance(tolerance) | Self::Dop853(tolerance) | Self::Automatic(tolerance) => {
+                format!("tolerance {tolerance:e} rad")
+            }
             Self::Fixed(step) => format!("fixed {} ms", 1e3 * step),
             Self::Printed(step) | Self::Conserving(step) | Self::Rk4(step) => format!("{} ms", 1e3 * step),
         }

@@ -161,7 +161,7 @@ proptest! {
     fn no_method_gives_nan(
         mut parameters in any_scene(),
         load in any_load(),
-        method in prop_oneof![Just(Method::I3alp), Just(Method::I3alpPrinted), Just(Method::Rk4), Just(Method::Dop853), Just(Method::I3alpConserving)],
+        method in prop_oneof![Just(Method::I3alp), Just(Method::I3alpPrinted), Just(Method::Rk4), Just(Method::Dop853), Just(Method::I3alpConserving), Just(Method::Automatic)],
         adaptive in any::<bool>(),
         tolerance in log_uniform(1e-13, 1e-3),
         h in log_uniform(1e-6, 2e-2),

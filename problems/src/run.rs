@@ -2,8 +2,8 @@
 
 use std::time::Instant;
 
-use fivebar::integrator::dop853::{DenseStep, Horizon};
-use fivebar::integrator::{Implicit, Kinked, Passage, State, StepError, dop853, i3alp, rk4};
+use fivebar::integrator::dense::{DenseStep, Horizon};
+use fivebar::integrator::{Implicit, Kinked, Passage, State, StepError, dense, i3alp, rk4};
 use fivebar::vector::Vector;
 
 /// A benchmark: a system, its start, its end and what is published about it.
@@ -32,7 +32,7 @@ pub enum Method {
     /// Runge-Kutta with projection.
     Rk4(rk4::Settings),
     /// The error-controlled explicit method.
-    Dop853(dop853::Settings),
+    Dop853(dense::Settings),
 }
 
 /// What a run gives.
@@ -98,7 +98,8 @@ impl<S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>, const N: usize, con
 
     /// DOP853 with this local error, of the coordinates in their own units.
     pub fn dop853(&self, error_tolerance: f64) -> Method {
-        Method::Dop853(dop853::Settings {
+        Method::Dop853(dense::Settings {
+            kinds: dense::Kinds::Only(dense::Kind::Eighth),
             error_tolerance,
             energy_scale: 1.0,
             first_step: FIRST_STEP,
@@ -153,7 +154,7 @@ impl<S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>, const N: usize, con
 /// A macro step of h seconds by DOP853, whose own steps run past its end: there the state is interpolated.
 fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>>(
     system: &S,
-    settings: &dop853::Settings,
+    settings: &dense::Settings,
     running: &mut DenseStep<N, M, S::Sides>,
     state: &mut State<N, M>,
     h: f64,

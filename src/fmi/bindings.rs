@@ -150,7 +150,7 @@ macro_rules! choice {
     };
 }
 
-choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4, Dop853, I3alpConserving });
+choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4, Dop853, I3alpConserving, Automatic });
 choice!(payload::Join = variables::Join { AtRest, WithTip });
 choice!(estimator::Bands = variables::Bands { Linear, SigmaPoints });
 choice!(mechanism::Assembly = variables::Assembly { Plus, Minus });

@@ -303,7 +303,7 @@ impl Instance {
             self.now.warned_of_stiffness = true;
             warn(&mut self.log, || {
                 format!(
-                    "at {time:?} s: steps of method dop853 are limited by its stability: the scene has stiff loads; i3alp would do better."
+                    "at {time:?} s: steps of method dop853 are limited by its stability: the scene has stiff loads; automatic would do better."
                 )
             });
         }

@@ -4,8 +4,8 @@
 
 mod consistency;
 mod controller;
+pub mod dense;
 mod discrete;
-pub mod dop853;
 mod equilibrium;
 mod error;
 pub mod i3alp;
@@ -27,7 +27,7 @@ pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, St
 pub use projection::{Projection, velocity_correction};
 use state::Arrival;
 pub use state::{Counters, MODES, State};
-pub use system::{Held, Implicit, Kkt, System, TangentPoint, Work};
+pub use system::{AccelerationTangents, Held, Implicit, Kkt, System, TangentPoint, Work};
 
 /// The methods whose steps end with the macro step.
 #[derive(Clone, Copy, Debug)]

@@ -4,7 +4,7 @@ use std::ops::AddAssign;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::StepError;
+use super::{State, StepError};
 use crate::vector::Vector;
 
 /// A constrained mechanical system M q̈ + Φ_qᵀ λ = Q(q, q̇), Φ(q) = 0 with N coordinates and M constraint equations.
@@ -59,6 +59,11 @@ pub trait System<const N: usize, const M: usize> {
     /// q̇ without what friction holds. Asked only if [`System::holds`].
     fn let_hold(&self, _q: Vector<N>, v: Vector<N>) -> Vector<N> {
         v
+    }
+    /// How q̈ changes with q and q̇ about a state whose q̈ and λ are those of equilibrium; `None` where that is not known: no step that
+    /// begins there is implicit.
+    fn acceleration_tangents(&self, _at: &State<N, M>, _regularization: f64) -> Option<AccelerationTangents<N>> {
+        None
     }
     /// Whether any force does work that must be followed along the path.
     fn follows_work(&self) -> bool;
@@ -123,6 +128,15 @@ pub struct TangentPoint<'a, P, const N: usize, const M: usize> {
     pub lambda: &'a Vector<M>,
     /// The step, s.
     pub h: f64,
+}
+
+/// How accelerations change with coordinates and with rates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AccelerationTangents<const N: usize> {
+    /// ∂q̈/∂q, by columns, 1/s² for angles.
+    pub by_q: [Vector<N>; N],
+    /// ∂q̈/∂q̇, by columns, 1/s for angles.
+    pub by_v: [Vector<N>; N],
 }
 
 /// A factorised saddle-point matrix [A Φ_qᵀ; Φ_q −e].

@@ -15,7 +15,7 @@
 use super::five_bar::FiveBar;
 use super::inertia::{Inertia, Mass, proximal_arm};
 use super::model::Model;
-use crate::integrator::{Held, Kkt, Passage, System, Work};
+use crate::integrator::{AccelerationTangents, Held, Kkt, Passage, State, System, Work};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::vertex::{self, Branch};
@@ -222,7 +222,7 @@ impl<'a> ByAngles<'a> {
 
 /// Φ_q: how the end of each leg moves with its proximal and its distal angle, with the leg's sign.
 #[inline]
-fn phi_q(pose: &Pose) -> [Legs2; 2] {
+pub(super) fn phi_q(pose: &Pose) -> [Legs2; 2] {
     let distal = Legs2 { x: SIGMA * pose.a_d.x + pose.sigma_b_d.x, y: SIGMA * pose.a_d.y + pose.sigma_b_d.y };
     [proximal_arm(pose).scaled(SIGMA).turned(), distal.turned()]
 }
@@ -363,6 +363,10 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     fn let_hold(&self, q: Angles, v: Angles) -> Angles {
         let (x, rates) = self.coordinates(&self.pose(&q), &q, &v);
         angles_of(&super::grips::let_hold(&self.five_bar, x, rates))
+    }
+
+    fn acceleration_tangents(&self, at: &State<ANGLES, CLOSURES>, regularization: f64) -> Option<AccelerationTangents<ANGLES>> {
+        self.tangents_of_acceleration(at, regularization)
     }
 
     #[inline]

@@ -11,7 +11,7 @@ use super::run::{MacroSteps, StepFailure};
 use super::state::{Core, State, whole_turns};
 use super::{Inputs, Model};
 use crate::effects::{Grips, Sides};
-use crate::integrator::dop853::{DenseStep, Horizon, Settings};
+use crate::integrator::dense::{DenseStep, Horizon, Settings};
 use crate::integrator::{Bounds, Counters, Inconsistency, StepError, System, Work};
 use crate::mechanism::{Coordinates, Multipliers};
 

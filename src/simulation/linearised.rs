@@ -57,17 +57,17 @@ fn on_links(pose: &Pose, forces: &Coordinates) -> Links {
 }
 
 /// Takes tangents in the twelve coordinates into the link angles.
-struct ByLinks {
+pub(super) struct ByLinks {
     /// Rows of T: by its leg's proximal and distal angle.
     rows: [[f64; 2]; COORDINATES],
     /// Rows of ∂(Tω)/∂θ.
     rates: [[f64; 2]; COORDINATES],
-    stiffness: [Links; 4],
-    damping: [Links; 4],
+    pub(super) stiffness: [Links; 4],
+    pub(super) damping: [Links; 4],
 }
 
 impl ByLinks {
-    fn new(pose: &Pose, omega: &Links) -> Self {
+    pub(super) fn new(pose: &Pose, omega: &Links) -> Self {
         let (mut rows, mut rates) = ([[0.0; 2]; COORDINATES], [[0.0; 2]; COORDINATES]);
         let (a_p, l, a_d) = (pose.a_p, proximal_arm(pose), pose.a_d);
         for (leg, [p, d]) in LEGS.into_iter().enumerate() {
@@ -110,13 +110,13 @@ impl Tangents for ByLinks {
     }
 }
 
-impl Scene for FiveBar<'_> {
+impl FiveBar<'_> {
+    /// The applied forces in the twelve coordinates, and their tangents in the link angles.
     #[inline(never)]
-    fn loads(&self, theta: &Links, omega: &Links) -> Loads {
-        let (pose, [q, v]) = placed(self, theta, omega);
-        let forces = self.forces(&q, &pose, &v);
-        let mut by_links = ByLinks::new(&pose, omega);
-        let at = self.context(&q, &pose, &v);
+    pub(super) fn tangents_by_links(&self, [q, v]: [&Coordinates; 2], pose: &Pose, omega: &Links) -> (Coordinates, ByLinks) {
+        let forces = self.forces(q, pose, v);
+        let mut by_links = ByLinks::new(pose, omega);
+        let at = self.context(q, pose, v);
         self.inputs.add_tangents(&at, &mut by_links);
         for effect in &self.model.effects {
             effect.add_tangents(&at, &mut by_links);
@@ -124,12 +124,21 @@ impl Scene for FiveBar<'_> {
         // The arms turn with their links: −∂Tᵀ/∂θ F = a·F.
         let on_p = Legs2 { x: legs_of(&forces, P_X), y: legs_of(&forces, P_Y) };
         let on_d = Legs2 { x: legs_of(&forces, D_X), y: legs_of(&forces, D_Y) };
-        let proximal = (pose.a_p.dot(on_p) + proximal_arm(&pose).dot(on_d)).to_array();
+        let proximal = (pose.a_p.dot(on_p) + proximal_arm(pose).dot(on_d)).to_array();
         let distal = pose.a_d.dot(on_d).to_array();
         for (leg, [p, d]) in LEGS.into_iter().enumerate() {
             by_links.stiffness[p][p] += proximal[leg];
             by_links.stiffness[d][d] += distal[leg];
         }
+        (forces, by_links)
+    }
+}
+
+impl Scene for FiveBar<'_> {
+    #[inline(never)]
+    fn loads(&self, theta: &Links, omega: &Links) -> Loads {
+        let (pose, [q, v]) = placed(self, theta, omega);
+        let (forces, by_links) = self.tangents_by_links([&q, &v], &pose, omega);
         Loads { torque: on_links(&pose, &forces), stiffness: by_links.stiffness, damping: by_links.damping }
     }
 

@@ -21,6 +21,7 @@ mod restore;
 mod run;
 mod signal;
 mod state;
+mod tangents;
 mod variation;
 
 use borsh::{BorshDeserialize, BorshSerialize};

@@ -5,7 +5,8 @@ use arrayvec::ArrayVec;
 use super::inertia::Inertia;
 use crate::effects::{self, Active, Effect, ForceContext, Inputs, Law, Perturbation, TypicalInertia};
 use crate::estimator;
-use crate::integrator::{MacroStepMethod, dop853, i3alp, i3alp_conserving, i3alp_printed, rk4};
+use crate::integrator::dense::{Kind, Kinds};
+use crate::integrator::{MacroStepMethod, dense, i3alp, i3alp_conserving, i3alp_printed, rk4};
 use crate::linear::{LinearSolve, LinearSolver};
 use crate::mechanism::{Assembly, Coordinates, Geometry, Mechanism, SceneError, Start};
 
@@ -23,6 +24,8 @@ pub enum Method {
     Dop853,
     /// Index-3 augmented Lagrangian by discrete derivatives: strictly fixed steps that keep energy and constraints.
     I3alpConserving,
+    /// By the error tolerance alone: as [`Method::Dop853`], of lower order while inputs are held for short, implicit while loads are stiff.
+    Automatic,
 }
 
 /// The solver's settings: the `solver.*` variables of the same names.
@@ -30,7 +33,7 @@ pub enum Method {
 pub struct Settings {
     /// Method.
     pub method: Method,
-    /// Macro step h, s; of [`Method::Dop853`] also the first step tried.
+    /// Macro step h, s; of [`Method::Dop853`] and [`Method::Automatic`] also the first step tried.
     pub step_size: f64,
     /// Whether macro steps are divided where the local error asks ([`Method::I3alp`] only).
     pub adaptive: bool,
@@ -68,8 +71,8 @@ pub struct Parameters {
 pub enum Stepper {
     /// Steps end with the macro step.
     MacroStep(MacroStepMethod),
-    /// Runge–Kutta with error control, in the link angles: steps run past it.
-    Dense(dop853::Settings),
+    /// Error control in the link angles: steps run past it.
+    Dense(dense::Settings),
     /// Strictly fixed steps that conserve.
     Conserving(i3alp_conserving::Settings),
     /// None: the proximal angles and rates come from outside, the others follow in this assembly.
@@ -171,7 +174,7 @@ impl Model {
     }
 
     /// Settings of the explicit method.
-    pub(super) fn dense_settings(&self) -> &dop853::Settings {
+    pub(super) fn dense_settings(&self) -> &dense::Settings {
         match &self.stepper {
             Stepper::Dense(settings) => settings,
             Stepper::MacroStep(_) | Stepper::Conserving(_) | Stepper::Outside(_) => unreachable!("a run is made for its method"),
@@ -296,8 +299,10 @@ impl Settings {
                     equilibrium: regularization,
                 });
             }
-            Method::Dop853 => {
-                return Stepper::Dense(dop853::Settings {
+            Method::Dop853 | Method::Automatic => {
+                let kinds = if self.method == Method::Automatic { Kinds::Automatic } else { Kinds::Only(Kind::Eighth) };
+                return Stepper::Dense(dense::Settings {
+                    kinds,
                     error_tolerance: self.error_tolerance,
                     energy_scale,
                     first_step: self.step_size,
@@ -313,7 +318,7 @@ impl Settings {
     fn check_laws(&self, effects: &effects::Parameters) -> Result<(), SceneError> {
         let Some(name) = sticking_law(effects) else { return Ok(()) };
         let steps = match self.method {
-            Method::Dop853 => return Ok(()),
+            Method::Dop853 | Method::Automatic => return Ok(()),
             Method::I3alp if self.adaptive => return Ok(()),
             Method::I3alp => "solver.method = i3alp and solver.adaptive = false",
             Method::I3alpPrinted => "solver.method = i3alpPrinted",
@@ -322,7 +327,7 @@ impl Settings {
         };
         Err(SceneError(format!(
             "{name} = stick is not allowed with {steps}, whose steps cannot end where something stops or lets go: it must be smooth, or \
-             solver.method i3alp with solver.adaptive = true, or dop853."
+             solver.method i3alp with solver.adaptive = true, dop853 or automatic."
         )))
     }
 

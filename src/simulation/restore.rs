@@ -84,7 +84,7 @@ fn bounds(model: &Model, settings: &Settings) -> Bounds {
     let allowed = 4.0 * settings.tolerance;
     match settings.method {
         Method::I3alpPrinted => Bounds { position: PRINTED, velocity: CLOSED_RATES[1], in_balance: false, regularizations },
-        Method::I3alp | Method::Rk4 | Method::Dop853 | Method::I3alpConserving => {
+        Method::I3alp | Method::Rk4 | Method::Dop853 | Method::I3alpConserving | Method::Automatic => {
             Bounds { position: CLOSED.max(allowed), velocity: CLOSED_RATES[0].max(allowed), in_balance: true, regularizations }
         }
     }

@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-/* Reals, integers and booleans alike; `solver.method`: 1 i3alp, 2 i3alpPrinted, 3 rk4, 4 dop853, 5 i3alpConserving. */
+/* Reals, integers and booleans alike; `solver.method`: 1 i3alp, 2 i3alpPrinted, 3 rk4, 4 dop853, 5 i3alpConserving, 6 automatic. */
 #define BENT {"init.theta[2]", 2.0944}
 #define EVERY_EFFECT                                                                                                         \
     BENT, {"rotor.enabled", 1}, {"payload.enabled", 1}, {"viscous.enabled", 1}, {"friction.enabled", 1}, {"spring.enabled", 1}, \
@@ -25,6 +25,9 @@ const Scene scenes[] = {
     {"dop853, every effect", {EVERY_EFFECT, {"solver.method", 4}}, 1e-3},
     {"i3alpConserving", {BENT, {"solver.method", 5}}, 1e-3},
     {"i3alpConserving, every effect", {EVERY_EFFECT, {"solver.method", 5}}, 1e-3},
+    {"automatic", {BENT, {"solver.method", 6}}, 1e-3},
+    {"automatic, every effect", {EVERY_EFFECT, {"solver.method", 6}}, 1e-3},
+    {"automatic, stiff", {BENT, {"solver.method", 6}, {"servo.enabled", 1}, {"servo.kp[1]", 2000}, {"servo.kd[1]", 20}, {"servo.theta[1]", 1.6}}, 1e-3},
 };
 const size_t scene_count = sizeof scenes / sizeof scenes[0];
 

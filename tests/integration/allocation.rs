@@ -53,6 +53,7 @@ fn a_step_allocates_nothing() {
         (Method::I3alpPrinted, 6.23e-5),
         (Method::Rk4, 6.23e-5),
         (Method::Dop853, 6.23e-5),
+        (Method::Automatic, 6.23e-5),
         (Method::I3alpConserving, 6.23e-5),
         (Method::I3alpConserving, 1e-9),
     ] {

@@ -230,7 +230,7 @@ fn bands_are_honest() {
 /// All methods, through coasting and samples: n steps in one call are n calls of one, to the bit.
 #[test]
 fn grouping_does_not_matter() {
-    for method in [Method::I3alp, Method::I3alpPrinted, Method::Rk4, Method::Dop853, Method::I3alpConserving] {
+    for method in [Method::I3alp, Method::I3alpPrinted, Method::Rk4, Method::Dop853, Method::I3alpConserving, Method::Automatic] {
         let mut parameters = followed(method);
         enable(&mut parameters, "friction");
         parameters.estimator.forecast = fivebar::estimator::Bands::SigmaPoints;

@@ -277,6 +277,7 @@ fn layout(content: &[u8]) -> Vec<(usize, String)> {
         if dense {
             next("run.length", 8);
             next("run.elapsed", 8);
+            next("run.kind", 1);
             next("run.dense", 4 * (16 * n + 16));
             next("run.straight", 1);
             for name in ["sides", "sides_behind"] {
@@ -290,6 +291,9 @@ fn layout(content: &[u8]) -> Vec<(usize, String)> {
             for memory in ["memory", "before"] {
                 next(&format!("run.{memory}.log_error"), 8);
                 next(&format!("run.{memory}.stiffness"), 3);
+                for (name, size) in [("stiff", 1), ("against", 1), ("explicit", 2), ("returns", 1), ("border", 8), ("fifth", 8)] {
+                    next(&format!("run.{memory}.choice.{name}"), size);
+                }
             }
             next("run.held", 16);
         }
@@ -368,6 +372,11 @@ fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
         assert_eq!(host.set_integer(&[reference("friction.law")], &[2]), fmi2OK);
         values.extend([("friction.coulomb[1]", 1.0), ("friction.breakaway[1]", 1.0)]);
     }
+    if solve == "stiff" {
+        assert_eq!(host.set_boolean(&[reference("servo.enabled")], &[1]), fmi2OK);
+        values.extend([("servo.kp[1]", 200.0), ("servo.kd[1]", 2.0), ("servo.limit[1]", 50.0), ("servo.theta[1]", 1.6)]);
+        values.extend([("servo.kp[2]", 200.0), ("servo.kd[2]", 2.0), ("servo.limit[2]", 50.0), ("servo.theta[2]", 2.0)]);
+    }
     if solve == "dense" {
         values.extend(
             (1..=4).map(|link| (["link[1].inertia", "link[2].inertia", "link[3].inertia", "link[4].inertia"][link - 1], 1e-9)),
@@ -387,7 +396,7 @@ fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
 }
 
 /// Every method with every linear solve, and a joint that friction holds; the explicit one in the middle of a step and, where inputs
-/// change, at its end.
+/// change, at its end; implicit steps of the method that chooses.
 #[test]
 fn forged_runs_are_refused_or_go_on() {
     let (mut wrong, mut counts, mut number) = (Vec::new(), Vec::new(), 0);
@@ -400,6 +409,7 @@ fn forged_runs_are_refused_or_go_on() {
             (4, true, false),
             (4, true, true),
             (5, false, false),
+            (6, true, true),
         ] {
             let name = format!("method {method}, adaptive {adaptive}, changing {changing}, {solve}");
             let case = case(&name, &running(method, adaptive, solve, changing));
@@ -407,9 +417,10 @@ fn forged_runs_are_refused_or_go_on() {
             number += 1;
         }
     }
-    for (method, changing) in [(1, false), (4, false), (4, true)] {
-        let name = format!("method {method}, changing {changing}, sticking");
-        counts.push((forge(&case(&name, &running(method, true, "sticking", changing)), number, &mut wrong), name));
+    let sticking = [(1, false), (4, false), (4, true)].map(|(method, changing)| (method, changing, "sticking"));
+    for (method, changing, solve) in sticking.into_iter().chain([(6, false, "stiff"), (6, true, "stiff")]) {
+        let name = format!("method {method}, changing {changing}, {solve}");
+        counts.push((forge(&case(&name, &running(method, true, solve, changing)), number, &mut wrong), name));
         number += 1;
     }
     assert!(wrong.is_empty(), "{} forgeries:\n{}", wrong.len(), wrong.join("\n"));

@@ -191,7 +191,7 @@ fn stiff_friction_creeps_as_well() {
 /// Masses that are absurd, and legal: a call ends with its status after no more work than it may do (one took 147 s before it said so).
 #[test]
 fn absurd_machines_take_bounded_work() {
-    for method in [Method::I3alp, Method::Dop853] {
+    for method in [Method::I3alp, Method::Dop853, Method::Automatic] {
         let mut parameters = close_motors([0.4836831119208266, 2.6577424139078643], [0.0; 2]);
         parameters.geometry.base_distance = default_parameters().geometry.base_distance;
         parameters.effects.gravity.enabled = true;

@@ -25,12 +25,13 @@ fn simulations_and_stored_states_may_change_threads() {
 }
 
 /// The methods, the default one also at strictly fixed steps.
-const METHODS: [(Method, bool); 6] = [
+const METHODS: [(Method, bool); 7] = [
     (Method::I3alp, true),
     (Method::I3alp, false),
     (Method::I3alpPrinted, false),
     (Method::Rk4, false),
     (Method::Dop853, true),
+    (Method::Automatic, true),
     (Method::I3alpConserving, false),
 ];
 

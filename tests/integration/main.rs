@@ -3,11 +3,11 @@
 // The numeric rooms.
 mod accuracy; // orders, round-off floor, reference values in quadruple precision, constraint norms
 mod allocation; // a counting allocator: a step allocates nothing
+mod automatic; // the method that chooses the kind of its steps: which, when, at what price; tangents of accelerations
 mod closure; // starts: closed and consistent, or refused with one sentence; singular postures told apart
 mod conserving; // the strictly fixed step that conserves: energy, constraints, order, every effect, bounded work
 mod constraints; // Φ and its derivatives against finite differences along real motions
 mod dop853; // the error-controlled explicit method: accuracy, communication points, changing inputs
-mod dop853_order; // the same on problems with known solutions: orders of step and interpolant, stiffness
 mod dual_form; // the dual form is the paper's penalty step; the two-leg elimination is the dense solve
 mod effects; // each effect: tangents, powers, energy balance, absence
 mod effects_known; // effects against what is known without our code
@@ -17,6 +17,7 @@ mod estimator; // transitions against differences, statistics of samples, faults
 mod kinks; // loads with kinks: touches, stops, what is dissipated
 mod payload; // mass that joins the tip during a run, or leaves it
 mod physics; // energy, symmetry, reversal, equivalent formulations, bit-equal repetition
+mod step_orders; // steps of each kind on problems with known solutions: orders of step and interpolant, stiffness, changes of kind
 mod stick; // dry friction that holds
 
 // The FMI rooms, through the C functions.

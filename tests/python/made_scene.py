@@ -5,7 +5,7 @@ from pathlib import Path
 
 from scene import Scene, Values, Variant
 
-METHODS = {"i3alp": 1, "i3alpPrinted": 2, "rk4": 3, "dop853": 4, "i3alpConserving": 5}
+METHODS = {"i3alp": 1, "i3alpPrinted": 2, "rk4": 3, "dop853": 4, "i3alpConserving": 5, "automatic": 6}
 
 
 def made_scene(values: Values, stop_time: float, step_size: float = 1e-3, *overlays: Variant, description: str = "trial") -> Scene:

@@ -14,7 +14,7 @@ from conftest import REPOSITORY
 LONGEST_CELL = 160
 """Characters of a table cell in the README: longer ones are no reading for five minutes."""
 
-DERIVATION = ("method", "vertices", "explicit", "derivatives", "conserving")
+DERIVATION = ("method", "vertices", "explicit", "derivatives", "conserving", "automatic")
 """The pages of docs/ that derive the mathematics, in the order of their equation numbers."""
 
 ELSEWHERE = {"license.md", "LICENSE-MIT.md"}

@@ -172,7 +172,7 @@ def _by_every_method(before: ModelDescription, after: ModelDescription, values: 
             continue
         if new[name] != number:
             raise SystemExit(f"method {name} has the number {number} in one build and {new[name]} in the other.")
-        if sticks and name not in ("i3alp", "dop853"):
+        if sticks and name not in ("i3alp", "dop853", "automatic"):
             continue
         yield Variant(name, values | {"solver.method": number, "solver.adaptive": True})
         if name == "i3alp" and not sticks:

@@ -1,5 +1,6 @@
 //! The cases, one file per table.
 
+mod automatic;
 mod effects;
 mod fmi;
 mod growth;
@@ -27,6 +28,7 @@ pub(crate) fn all() -> Result<Vec<Case>> {
     cases.extend(steps::evaluations()?);
     cases.extend(phases::cases()?);
     cases.extend(effects::cases()?);
+    cases.extend(automatic::cases()?);
     cases.extend(fmi::cases()?);
     cases.extend(state::cases()?);
     cases.extend(growth::cases());

@@ -142,7 +142,7 @@ impl Case {
         let [default, tight] = self.energy;
         let energy = match setting {
             Setting::TIGHT => tight,
-            Setting::EXPLICIT => self.explicit_energy,
+            Setting::EXPLICIT | Setting::AUTOMATIC => self.explicit_energy,
             Setting::Conserving(step) => {
                 let Conserving { energy, constraints, path, .. } = self.conserving;
                 // Paths are watched at times that longer steps do not meet.
@@ -157,7 +157,7 @@ impl Case {
     /// Whether the battery judges the result by a setting; the others are shown for comparison.
     pub fn is_judged(&self, setting: Setting) -> bool {
         match setting {
-            Setting::Default | Setting::Tolerance(_) | Setting::Dop853(_) | Setting::CONSERVING => true,
+            Setting::Default | Setting::Tolerance(_) | Setting::Dop853(_) | Setting::Automatic(_) | Setting::CONSERVING => true,
             Setting::Conserving(_) => self.conserving.all_steps,
             Setting::Fixed(_) | Setting::Printed(_) | Setting::Rk4(_) => false,
         }

@@ -26,6 +26,7 @@ RUNS = {
     "i3alpConserving": ("i3alpConserving", [{"solver.stepSize": h} for h in (4e-3, 2e-3, 1e-3, 1e-4)]),
     "rk4": ("rk4", [{"solver.stepSize": h} for h in (4e-3, 2e-3, 1e-3, 1e-4, 2e-5)]),
     "dop853": ("dop853", [{"solver.errorTolerance": 10.0**-n} for n in range(3, 15)]),
+    "automatic": ("automatic", [{"solver.errorTolerance": 10.0**-n} for n in range(3, 15)]),
 }
 
 

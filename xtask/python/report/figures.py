@@ -21,10 +21,11 @@ COLOURS = {
     "i3alpConserving": "#9c36b5",
     "i3alpPrinted": "#868e96",
     "rk4": "#2b8a3e",
+    "automatic": "#c2255c",
 }
 """One colour per method, in every figure."""
 
-SHAPES = {"dop853": "o", "i3alp, adaptive": "s", "i3alp, fixed step": "D", "i3alpConserving": "P", "i3alpPrinted": "v", "rk4": "^"}
+SHAPES = {"dop853": "o", "i3alp, adaptive": "s", "i3alp, fixed step": "D", "i3alpConserving": "P", "i3alpPrinted": "v", "rk4": "^", "automatic": "*"}
 
 USELESS = 1.0
 """An error, m, above the size of the machine."""

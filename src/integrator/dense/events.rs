@@ -6,9 +6,10 @@
 
 use std::borrow::Borrow;
 
-use super::stages::Stages;
+use super::trial::Slope;
 use super::{DenseStep, Settings};
-use crate::integrator::{Kinked, Passage, System};
+use crate::integrator::{Kinked, Passage, State, System};
+use crate::vector::Vector;
 
 /// A step ends at a border where it is beyond it by half of what may be overlooked: on the sides behind it is then well on the near side of
 /// the same border.
@@ -35,6 +36,10 @@ const NEAR: f64 = 0.1;
 const MARGIN: f64 = 1.5;
 /// The false position is good enough after so many rounds.
 const ROUNDS: u32 = 60;
+
+/// What the stages of a step say about it: the greatest magnitudes of q̇ and q̈ that they have seen, and the coefficients of the
+/// interpolant to an end.
+type ByStages<'a, const N: usize, const M: usize> = (&'a [Vector<N>; 2], &'a mut dyn FnMut(&State<N, M>) -> [Slope<N>; 4]);
 
 /// How a step stands to the borders of its sides.
 pub(super) enum Border {
@@ -85,7 +90,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         &mut self,
         system: &S,
         settings: &Settings,
-        stages: &mut Stages<N>,
+        (extremes, dense): ByStages<'_, N, M>,
         tries: u32,
     ) -> Border {
         if tries > 0 {
@@ -103,10 +108,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Border::Before(self.length - missing / gained);
             }
         }
-        if self.is_clear(system, settings, stages) {
+        if self.is_clear(system, settings, extremes) {
             return Border::Clear;
         }
-        self.dense = stages.dense(system, settings.regularization, &self.end);
+        self.dense = dense(&self.end);
         self.first_crossing(system, settings).map_or(Border::Clear, Border::Before)
     }
 
@@ -117,10 +122,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Whether the step certainly crosses no border, by what its stages have seen of rates and accelerations.
-    fn is_clear<S: Kinked<N>>(&self, system: &S, settings: &Settings, stages: &Stages<N>) -> bool {
+    fn is_clear<S: Kinked<N>>(&self, system: &S, settings: &Settings, extremes: &[Vector<N>; 2]) -> bool {
         let Self { start, end, length, .. } = self;
         let [start, end] = [start, end].map(|state| system.touches(&state.q, &state.v));
-        let (extremes, tolerance) = (stages.extremes().map(|most| MARGIN * most), settings.error_tolerance);
+        let (extremes, tolerance) = (extremes.map(|most| MARGIN * most), settings.error_tolerance);
         !system.is_touching(&start)
             && system.beyond(&end, tolerance) <= CROSSED
             && system.stays_within([&start, &end], *length, &extremes, tolerance)
@@ -130,8 +135,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     #[cold]
     fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings) -> Option<f64> {
         let tolerance = settings.error_tolerance;
-        let [rates, changes] = self.velocities().extremes();
-        let extremes = [rates, changes / self.length];
+        let extremes = self.extremes();
         let at = |part: f64| {
             let [q, v] = self.moved(part);
             system.touches(&q, &v)

@@ -1,11 +1,15 @@
-//! One accepted step: passage of a vertex, stages, error control, projection.
+//! One accepted step: passage of a vertex, tries, error control, projection.
 
 use std::borrow::Borrow;
 
+use super::dop853::Stages;
 use super::events::Border;
-use super::stages::{Allowed, RATE, Slope, Stages};
-use super::{DenseStep, Horizon, Settings};
-use crate::integrator::controller::{LEAST_LOG_ERROR, StepSizeController, is_cut_short, next_step};
+use super::kind::Seen;
+use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
+use super::trial::{Allowed, Landing, RATE, Slope, Trial};
+use super::tsit5::Tsit5;
+use super::{DenseStep, Horizon, Kind, Kinds, Settings};
+use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, next_step};
 use crate::integrator::{
     Approach, Arrival, EnergyBalance, Kinked, Passage, PassageLimits, Projection, StepError, System, velocity_correction,
 };
@@ -22,14 +26,19 @@ const WITH_ROUNDING: f64 = 1.000_001;
 const GREATEST_DEFECT: f64 = 1e3;
 /// Round-off of a difference of coordinates, rad.
 const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
-/// With the memory and growth by 3 at most a quarter of the rejections of the classical controller remain.
-const CONTROLLER: StepSizeController = StepSizeController {
-    exponent: 1.0 / 8.0 - 0.75 * 0.02,
-    memory: 0.02,
-    accepted: [0.3, 3.0],
-    rejected: [0.3, 0.85],
-    failed: 0.3,
-};
+/// What the next step is to be.
+struct Plan {
+    /// Its length, s.
+    h: f64,
+    /// What the error wants it to be.
+    wanted: f64,
+    /// What it may be.
+    longest: f64,
+    /// Whether a vertex is near, where the energy is kept.
+    near: bool,
+    /// When an output is asked for, and what limits it while inputs are held.
+    horizon: Horizon,
+}
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The next step: its beginning is the end of the one under way.
@@ -51,33 +60,60 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
         };
-        let wanted = if self.start.substep.is_finite() { self.start.substep } else { settings.first_step };
-        let mut h = wanted.min(longest).min(LONGEST);
-        let mut rejected = false;
+        // Where friction may hold, steps are explicit ones of order 8.
+        let kind = if system.has_grips() {
+            Kind::Eighth
+        } else {
+            settings.kinds.next(&self.memory.choice, settings.error_tolerance, horizon.limit)
+        };
+        let wanted = match kind {
+            Kind::Fifth if self.memory.choice.fifth.is_finite() => self.memory.choice.fifth,
+            Kind::Fifth => settings.first_step,
+            _ if self.start.substep.is_finite() => self.start.substep,
+            _ => settings.first_step,
+        };
+        let h = wanted.min(longest).min(LONGEST);
         self.settle(system, settings);
-        let mut on_sides = system.on(self.sides);
-        if on_sides.borrow().is_at_rest() {
+        if system.on(self.sides).borrow().is_at_rest() {
             self.length = longest.min(LONGEST);
             self.end = self.start;
             self.end.counters.substeps += 1;
             return Ok(());
         }
-        let mut tries = 0;
+        let plan = Plan { h, wanted, longest, near, horizon };
+        match kind {
+            Kind::Fifth => self.attempt::<Tsit5<N>, S>(system, settings, &plan),
+            Kind::Eighth => self.attempt::<Stages<N>, S>(system, settings, &plan),
+            Kind::StiffFourth => self.attempt::<Rosenbrock<Rodas4, N>, S>(system, settings, &plan),
+            Kind::StiffFifth => self.attempt::<Rosenbrock<Rodas5p, N>, S>(system, settings, &plan),
+        }
+    }
+
+    /// A step of one kind, as long as the error allows.
+    #[inline(never)]
+    fn attempt<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        plan: &Plan,
+    ) -> Result<(), StepError> {
+        let &Plan { mut h, wanted, longest, near, horizon } = plan;
+        let mut on_sides = system.on(self.sides);
+        let mut shared = T::prepare(on_sides.borrow(), settings, &self.start);
+        let (mut rejected, mut tries) = (false, 0);
         loop {
             let on: &S = on_sides.borrow();
+            let Some(prepared) = &shared else { return self.attempt::<Stages<N>, S>(system, settings, plan) };
             let kept = if near { on.energy_to_keep(&self.start.q, &self.start.v) } else { None };
-            let mut stages = Stages::new(on, settings.regularization, &self.start, h);
-            let end = stages.end;
-            let error = stages.error(&settings.allowed_of(on), &end[1]);
-            let arrival = if error <= 1.0 {
-                settings.project_and_evaluate(on, end, kept.map(|energy| (energy, h)))
-            } else {
-                Err(StepError::NotFinite)
-            };
-            if let Ok((iterations, arrival)) = arrival {
-                self.accept(on, &stages, (iterations, arrival));
+            let mut trial = T::new(on, prepared, settings.regularization, &self.start, h);
+            let (error, landing) = trial.land(on, settings, &settings.allowed_of(on), kept.map(|energy| (energy, h)));
+            if let Ok(landing) = landing {
+                self.accept(landing, h, T::KIND);
                 if system.has_kinks() {
-                    match self.border(on, settings, &mut stages, tries) {
+                    let extremes = trial.extremes();
+                    let start = self.start;
+                    let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
+                    match self.border(on, settings, (&extremes, &mut dense), tries) {
                         Border::Clear => {}
                         Border::AtEnd => self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance),
                         Border::Before(when) => {
@@ -87,6 +123,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                             if when < SHORTEST {
                                 self.turn(system, settings);
                                 on_sides = system.on(self.sides);
+                                shared = T::prepare(on_sides.borrow(), settings, &self.start);
                             } else {
                                 h = when.min(longest);
                             }
@@ -97,12 +134,22 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 let interpolated = horizon.output < WITH_ROUNDING * h;
                 // Where a kink was near, the search for it has left the coefficients.
                 if interpolated && !(on.has_kinks() && self.dense != [Slope::NONE; 4]) {
-                    self.dense = stages.dense(on, settings.regularization, &self.end);
+                    self.dense = trial.dense(on, settings.regularization, [&self.start, &self.end]);
                 }
                 self.end.error_estimate = error * settings.error_tolerance;
-                self.adapt(error, wanted, rejected);
-                if self.memory.stiffness.is_due(self.end.counters.substeps) {
-                    self.memory.stiffness.check(h * stages.fastest_rate(&self.end));
+                self.adapt::<T>(error, wanted, rejected);
+                if settings.kinds == Kinds::Automatic {
+                    let (product, wanted) = (h * trial.fastest_rate(&self.end), self.wanted_by::<T>());
+                    self.memory.choice.learn(&Seen {
+                        kind: T::KIND,
+                        length: h,
+                        product,
+                        wanted,
+                        limit: horizon.limit,
+                        steep: on.is_steep(),
+                    });
+                } else if self.memory.stiffness.is_due(self.end.counters.substeps) {
+                    self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
                 }
                 return Ok(());
             }
@@ -111,7 +158,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             if h < SHORTEST {
                 return Err(StepError::StepTooShort { substep: h, error: error * settings.error_tolerance });
             }
-            h *= CONTROLLER.reduction(error);
+            h *= T::CONTROLLER.reduction(error);
         }
     }
 
@@ -126,19 +173,21 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// The step has reached its end.
     #[inline]
-    fn accept(&mut self, system: &impl System<N, M>, stages: &Stages<N>, (iterations, arrival): (u32, Arrival<N, M>)) {
-        self.length = stages.h;
+    fn accept(&mut self, landing: Landing<N, M>, h: f64, kind: Kind) {
+        let Landing { iterations, arrival, work } = landing;
+        (self.length, self.kind) = (h, kind);
         self.end.arrive(arrival);
         self.end.counters.iterations += u64::from(iterations);
-        if system.follows_work() {
-            self.end.work = self.end.work.plus(stages.h, stages.mean_power());
-        }
+        self.end.work += work;
     }
 
     /// Whether the interpolant is of one piece: its rates are the derivatives of its coordinates. Stages may miss what the further ones
-    /// of the interpolant meet.
+    /// of the interpolant meet. Other kinds have one polynomial for both.
     #[cold]
     pub(super) fn interpolates_well(&self, settings: &Settings) -> bool {
+        if self.kind != Kind::Eighth {
+            return true;
+        }
         let (positions, velocities) = (self.positions(), self.velocities());
         [0.125, 0.5, 0.875].into_iter().all(|part| {
             let v = velocities.at(part);
@@ -152,15 +201,21 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// The step to come, from the error of this one.
     #[inline]
-    fn adapt(&mut self, error: f64, wanted: f64, rejected: bool) {
-        let growth = CONTROLLER.growth(error, self.memory.log_error);
+    fn adapt<T: Trial<N>>(&mut self, error: f64, wanted: f64, rejected: bool) {
+        let growth = T::CONTROLLER.growth(error, self.memory.log_error);
         let growth = if rejected { growth.min(1.0) } else { growth };
         // A step that was rejected is as long as its error allows, not cut short.
         let wanted = if rejected { self.length } else { wanted };
-        self.end.substep = next_step(self.length, growth, wanted);
+        let next = next_step(self.length, growth, wanted);
+        *(if T::KIND == Kind::Fifth { &mut self.memory.choice.fifth } else { &mut self.end.substep }) = next;
         if !is_cut_short(self.length, wanted) {
             self.memory.log_error = libm::log(error).max(LEAST_LOG_ERROR);
         }
+    }
+
+    /// The step that one of a kind wants next, s.
+    fn wanted_by<T: Trial<N>>(&self) -> f64 {
+        if T::KIND == Kind::Fifth { self.memory.choice.fifth } else { self.end.substep }
     }
 }
 
@@ -168,7 +223,7 @@ impl Settings {
     /// What a step may be off. The work of forces with kinks is as large as they are, and the motion does not tell how well it is
     /// known.
     #[inline]
-    fn allowed_of<const N: usize>(&self, system: &impl Kinked<N>) -> Allowed {
+    pub(super) fn allowed_of<const N: usize>(&self, system: &impl Kinked<N>) -> Allowed {
         Allowed { coordinate: self.error_tolerance, work: system.has_kinks().then_some(self.error_tolerance * self.energy_scale) }
     }
 

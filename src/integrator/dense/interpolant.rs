@@ -43,6 +43,25 @@ impl<const K: usize> Interpolant<K> {
         let value = Vector::from_fn(|i| from[i].abs().max((from[i] + difference[i]).abs()) + sum(i) / 4.0);
         [value, Vector::from_fn(|i| difference[i].abs() + sum(i))]
     }
+
+    /// Bounds on the magnitudes of the first and second derivatives times the step and its square, where the last two coefficients are 0:
+    /// the largest coefficients of both in Bernstein's polynomials, which no value exceeds.
+    pub(super) fn extremes_of_quintic(&self) -> [Vector<K>; 2] {
+        const RATES: [[f64; 5]; 5] = [
+            [1.0, 1.0, 0.0, 0.0, 0.0],
+            [1.0, 0.5, 0.5, 0.5, 0.0],
+            [1.0, 0.0, 0.5, 0.0, 0.5],
+            [1.0, -0.5, 0.0, -0.5, -0.5],
+            [1.0, -1.0, -1.0, 0.0, 0.0],
+        ];
+        const CURVATURES: [[f64; 5]; 4] =
+            [[0.0, -2.0, 2.0, 2.0, 0.0], [0.0, -2.0, 0.0, -2.0, 2.0], [0.0, -2.0, -2.0, -2.0, -4.0], [0.0, -2.0, -4.0, 2.0, 2.0]];
+        let largest = |rows: &[[f64; 5]], i: usize| {
+            let sum = |row: &[f64; 5]| (0..5).map(|k| row[k] * self.0[k + 1][i]).sum::<f64>();
+            rows.iter().map(|row| sum(row).abs()).fold(0.0, f64::max)
+        };
+        [Vector::from_fn(|i| largest(&RATES, i)), Vector::from_fn(|i| largest(&CURVATURES, i))]
+    }
 }
 
 #[cfg(test)]
@@ -63,6 +82,11 @@ mod tests {
             assert!(here.abs() <= value[0] && slope.abs() <= rate[0] + 1e-4, "{part}: {here} {slope}");
             // Forward differences: the curvature times half the step.
             assert!((interpolant.rate_at(part)[0] - slope).abs() < 1e-4, "{part}: {slope}");
+            let quintic = Interpolant::new([a, b], [c, d], [e, f, Vector::ZERO, Vector::ZERO]);
+            let curvature = (quintic.rate_at(part + step)[0] - quintic.rate_at(part)[0]) / step;
+            let [rate, bend] = quintic.extremes_of_quintic();
+            let slope = quintic.rate_at(part)[0];
+            assert!(slope.abs() <= rate[0] && curvature.abs() <= bend[0] + 1e-4, "{part}: {slope} {curvature}");
         }
     }
 }

@@ -2,9 +2,12 @@
 
 use std::borrow::Borrow;
 
-use super::stages::{Slope, Stages};
+use super::dop853::Stages;
+use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
 use super::step::LONGEST;
-use super::{DenseStep, LEAST_LOG_ERROR, Memory, Settings};
+use super::trial::{Slope, Trial};
+use super::tsit5::Tsit5;
+use super::{DenseStep, Kind, LEAST_LOG_ERROR, Memory, Settings};
 use crate::integrator::consistency::{Bounds, Inconsistency};
 use crate::integrator::{Approach, Departure, Kinked, Passage, State, StepError, System};
 use crate::vector::Vector;
@@ -17,9 +20,11 @@ fn close<const K: usize>(x: &Vector<K>, y: &Vector<K>) -> bool {
 }
 
 impl Memory {
-    fn is_possible(&self) -> bool {
+    fn is_possible(&self, settings: &Settings) -> bool {
         // The error of an accepted step is 1 tolerance at most.
-        (LEAST_LOG_ERROR..=0.0).contains(&self.log_error) && self.stiffness.is_consistent()
+        (LEAST_LOG_ERROR..=0.0).contains(&self.log_error)
+            && self.stiffness.is_consistent()
+            && self.choice.is_possible(settings.kinds)
     }
 }
 
@@ -41,7 +46,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.start.check(on_sides.borrow(), bounds)?;
         // A way straight through a vertex knows no sides.
         self.end.check(if self.straight { system } else { on_sides.borrow() }, bounds)?;
-        if !(self.memory.is_possible() && self.before.is_possible()) {
+        if !(self.memory.is_possible(settings) && self.before.is_possible(settings)) {
             return Err("the step-size controller remembers the impossible");
         }
         if !(0.0..=LONGEST).contains(&self.length) || !(0.0..=self.length).contains(&self.elapsed) {
@@ -74,13 +79,33 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         let system = system.on(self.sides);
         let system = system.borrow();
-        let mut stages = Stages::new(system, settings.regularization, &self.start, self.length);
+        match self.kind {
+            kind if !settings.kinds.hold(kind, settings.error_tolerance) => Ok(false),
+            Kind::Fifth => self.again_by::<Tsit5<N>, S>(system, settings),
+            Kind::Eighth => self.again_by::<Stages<N>, S>(system, settings),
+            Kind::StiffFourth => self.again_by::<Rosenbrock<Rodas4, N>, S>(system, settings),
+            Kind::StiffFifth => self.again_by::<Rosenbrock<Rodas5p, N>, S>(system, settings),
+        }
+    }
+
+    /// The same for a step of one kind.
+    fn again_by<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+    ) -> Result<bool, StepError> {
+        let Some(shared) = T::prepare(system, settings, &self.start) else { return Ok(false) };
+        let mut trial = T::new(system, &shared, settings.regularization, &self.start, self.length);
         let kept = system.energy_to_keep(&self.start.q, &self.start.v).map(|energy| (energy, self.length));
-        let (_, arrival) = settings.project_and_evaluate(system, stages.end, kept)?;
-        end.arrive(arrival);
-        let same = [end.q, end.v, end.a] == [self.end.q, self.end.v, self.end.a] && end.lambda == self.end.lambda;
+        let landing = trial.land(system, settings, &settings.allowed_of(system), kept).1?;
+        let mut end = self.start;
+        end.arrive(landing.arrival);
+        end.work += landing.work;
+        let same = [end.q, end.v, end.a] == [self.end.q, self.end.v, self.end.a]
+            && end.lambda == self.end.lambda
+            && end.work == self.end.work;
         // Without its coefficients a step is over: nothing is asked for within it.
         let needless = self.dense == [Slope::NONE; 4] && self.elapsed == self.length;
-        Ok(same && (needless || stages.dense(system, settings.regularization, &end) == self.dense))
+        Ok(same && (needless || trial.dense(system, settings.regularization, [&self.start, &end]) == self.dense))
     }
 }

@@ -1,22 +1,27 @@
-//! DOP853: the explicit Runge–Kutta method of order 8 of Dormand and Prince, with error control and dense output, on the index-1 form
-//! of a [`System`]; projection onto the constraints after every accepted step.
+//! Error-controlled steps that pass communication points, with dense output, on the index-1 form of a [`System`]; projection onto the
+//! constraints after every accepted step.
+//!
+//! A step is of a [`Kind`]: explicit of order 8 (`dop853.rs`) or 5 (`tsit5.rs`), or linearly implicit (`rosenbrock.rs`) where loads are stiff.
 //!
 //! Steps are as long as the local error allows, wherever communication points are. The step under way may go past one: there the state
-//! is that of the step's interpolant, of order 7, projected. The step, which has been made with the inputs held, is thrown away if they
+//! is that of the step's interpolant, projected. The step, which has been made with the inputs held, is thrown away if they
 //! change at that point, and redone up to it ([`DenseStep::truncate_and_redo`]). So the state of a run is the step under way: both its
 //! ends, the interpolant's coefficients and the time into it.
 //!
 //! Where a force has a kink, a step ends there (`events.rs`).
-//!
-//! E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., sections II.5 and II.6.
 
 mod consistency;
+mod dop853;
 mod events;
+mod hermite;
 mod interpolant;
-mod stages;
+mod kind;
+mod rosenbrock;
+mod sample;
 mod step;
 mod stiffness;
-mod tableau;
+mod trial;
+mod tsit5;
 
 use std::borrow::Borrow;
 
@@ -25,13 +30,17 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::controller::LEAST_LOG_ERROR;
 use super::{Counters, Kinked, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
-use interpolant::Interpolant;
-use stages::Slope;
+use kind::Choice;
+pub use kind::{Kind, Kinds};
+pub use sample::Sample;
 use stiffness::Stiffness;
+use trial::Slope;
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
+    /// Which kinds of step are made.
+    pub kinds: Kinds,
     /// Local error allowed per step: of each coordinate this, of its rate this times (10/s + |q̇|); root of the mean square.
     pub error_tolerance: f64,
     /// The work of forces with kinks may be off by the error tolerance times this, J, per step.
@@ -79,6 +88,8 @@ pub struct DenseStep<const N: usize, const M: usize, K> {
     length: f64,
     /// Time into the step, s, never beyond its end.
     elapsed: f64,
+    /// What kind of step it is.
+    kind: Kind,
     /// The higher coefficients of the interpolant; 0 where it was not needed.
     dense: [Slope<N>; 4],
     /// Whether the step is a straight motion close to a vertex, where nothing may be projected.
@@ -104,21 +115,7 @@ struct Memory {
     /// ln of the error of the last accepted step in units of the tolerance.
     log_error: f64,
     stiffness: Stiffness,
-}
-
-/// What holds at the present time, between the ends of the step.
-#[derive(Clone, Copy, Debug)]
-pub struct Sample<const N: usize, P> {
-    /// Coordinates.
-    pub q: Vector<N>,
-    /// Their rates.
-    pub v: Vector<N>,
-    /// [`System::pose`] there.
-    pub pose: P,
-    /// Work since the start, J.
-    pub work: Work,
-    /// Changed [`System::modes`] since the beginning of the step count.
-    modes: u8,
+    choice: Choice,
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
@@ -131,12 +128,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Self {
         let sides = system.sides_of(&q, &v);
         let state = State::start(system.on(sides).borrow(), q, v, settings.regularization);
-        let memory = Memory { log_error: LEAST_LOG_ERROR, stiffness: Stiffness::default() };
+        let memory = Memory { log_error: LEAST_LOG_ERROR, stiffness: Stiffness::default(), choice: Choice::NEW };
         Self {
             start: state,
             end: state,
             length: 0.0,
             elapsed: 0.0,
+            kind: Kind::Eighth,
             dense: [Slope::NONE; 4],
             straight: false,
             sides,
@@ -295,70 +293,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Whether steps have been limited by stability instead of accuracy: an implicit method would do better.
     pub fn is_stiff(&self) -> bool {
         self.memory.stiffness.found
-    }
-
-    /// Coordinates, rates and work at the present time, on the constraints: inside the step the interpolant projected, or as it is where
-    /// the projection does not converge.
-    #[inline]
-    pub fn sample<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
-        &self,
-        system: &S,
-        settings: &Settings,
-    ) -> Sample<N, S::Pose> {
-        let Self { end, .. } = self;
-        if self.elapsed == self.length {
-            return Sample { q: end.q, v: end.v, pose: system.pose(&end.q), work: end.work, modes: end.modes };
-        }
-        if system.is_steep() && !self.straight && !self.interpolates_well(settings) {
-            let mut redone = *self;
-            if redone.truncate_and_redo(system, settings).is_ok() {
-                return redone.sample(system, settings);
-            }
-        }
-        let ([q, v], work) = self.interpolated(system.follows_work());
-        let (mut on_q, mut on_v) = (q, v);
-        let projected = if self.straight { None } else { settings.project(system, &mut on_q, &mut on_v).ok() };
-        let (q, v, pose) = projected.map_or_else(|| (q, v, system.pose(&q)), |(_, pose, _)| (on_q, on_v, pose));
-        let modes = system.modes(&pose);
-        Sample { q, v, pose, work, modes }
-    }
-
-    /// What the interpolant says at the present time, inside the step.
-    #[inline]
-    fn interpolated(&self, follows_work: bool) -> ([Vector<N>; 2], Work) {
-        let Self { start, end, length, .. } = self;
-        let part = self.elapsed / length;
-        let work = if follows_work {
-            let both = |work: &Work| Vector::from([work.input, work.dissipated]);
-            let higher = std::array::from_fn(|k| both(&self.dense[k].power));
-            let ends = [&start.work, &end.work].map(both);
-            let rates = [&start.power, &end.power].map(|power| *length * both(power));
-            let work = Interpolant::new(ends, rates, higher).at(part);
-            Work { input: work[0], dissipated: work[1] }
-        } else {
-            start.work
-        };
-        (self.moved(part), work)
-    }
-
-    /// q and q̇ at a part of the step.
-    #[inline]
-    fn moved(&self, part: f64) -> [Vector<N>; 2] {
-        let Self { start, end, .. } = self;
-        let q = self.positions().at(part);
-        if self.straight { [q, start.v + part * (end.v - start.v)] } else { [q, self.velocities().at(part)] }
-    }
-
-    #[inline]
-    fn positions(&self) -> Interpolant<N> {
-        let Self { start, end, length, dense, .. } = self;
-        Interpolant::new([start.q, end.q], [*length * start.v, *length * end.v], std::array::from_fn(|k| dense[k].q))
-    }
-
-    #[inline]
-    fn velocities(&self) -> Interpolant<N> {
-        let Self { start, end, length, dense, .. } = self;
-        Interpolant::new([start.v, end.v], [*length * start.a, *length * end.a], std::array::from_fn(|k| dense[k].v))
     }
 
     /// Writes into a state of the same system in any coordinates what does not depend on the coordinates.

@@ -1,0 +1,47 @@
+//! The method that chooses the kind of its steps: inputs held for one step each, a stiff clamp, and what each effect costs by it.
+
+use std::hint::black_box;
+
+use anyhow::Result;
+use fivebar::variables::{Method, Value};
+
+use super::{H, STEPS, advance, bare};
+use crate::case::{Case, Work};
+use crate::scene::{Scene, effects};
+
+/// The table.
+const TABLE: &str = "automatic";
+
+/// A held step, a stiff step, the fall with each effect, and with all.
+pub(super) fn cases() -> Result<Vec<Case>> {
+    let fall = || Scene::fall().with("solver.method", Value::Integer(Method::Automatic as i32));
+    let mut cases = vec![held(fall()?), bare(TABLE, "stiff: a clamp by servos", clamp(fall()?)?, STEPS)];
+    let mut together = fall()?;
+    for effect in effects().filter(|effect| *effect != "gravity") {
+        together = together.effect(effect, true)?;
+        cases.push(bare(TABLE, effect, fall()?.effect(effect, true)?, STEPS));
+    }
+    cases.push(bare(TABLE, "all together", together, STEPS));
+    Ok(cases)
+}
+
+/// A torque that changes before each step.
+fn held(scene: Scene) -> Case {
+    Case::new(TABLE, "inputs held for 1 ms each", STEPS, move || {
+        let (mut simulation, mut inputs) = (scene.simulation()?, scene.inputs);
+        let work: Work = Box::new(move || {
+            for step in 0..STEPS {
+                inputs.tau[0] = 1e-3 * H * (step % 7) as f64;
+                advance(black_box(&mut simulation), black_box(&inputs), 1);
+            }
+        });
+        Ok(work)
+    })
+}
+
+/// Servos that hold both motors so stiffly that explicit steps are bound to 0.1 ms.
+fn clamp(scene: Scene) -> Result<Scene> {
+    let gains = [("servo.kp", 200.0), ("servo.kd", 2.0), ("servo.limit", 50.0)];
+    let set = gains.into_iter().flat_map(|(name, value)| [1, 2].map(|side| (format!("{name}[{side}]"), value)));
+    set.into_iter().try_fold(scene.effect("servo", true)?, |scene, (name, value)| scene.with(&name, Value::Real(value)))
+}

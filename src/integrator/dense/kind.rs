@@ -1,0 +1,161 @@
+//! Of which kinds steps are, and which comes next.
+//!
+//! By itself a run goes by DOP853, which nothing here beats where the road is free. Two things change that. Inputs that are held for no
+//! longer than a step or two of order 5 reaches leave nothing for order 8 to gain. And where stability limits the step instead of the
+//! error, a linearly implicit one goes on, until its own error asks for steps that an explicit one could make.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+/// A kind of step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
+pub enum Kind {
+    /// Explicit, of order 8: DOP853.
+    Eighth,
+    /// Explicit, of order 5: Tsit5.
+    Fifth,
+    /// Linearly implicit, of order 4: Rodas4.
+    StiffFourth,
+    /// Linearly implicit, of order 5: Rodas5P.
+    StiffFifth,
+}
+
+/// Which kinds are made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kinds {
+    /// One, but explicit steps where an implicit one cannot begin.
+    Only(Kind),
+    /// Whichever takes least.
+    Automatic,
+}
+
+/// From this error tolerance on the implicit steps are of order 4: they take less, and ring less on kinks.
+const LOOSE: f64 = 1e-5;
+
+/// Inputs are held for so much of a step of order 5, or less: two such steps cost no more than one of order 8.
+const SHORT_HOLD: f64 = 1.9;
+/// After each step of order 8 within a short hold one of order 5 is taken to reach so much farther, so that it is tried again.
+const RECONSIDERED: f64 = 1.05;
+
+/// A step whose product with the fastest rate is larger is at the border of stability; see `stiffness.rs`.
+const STABILITY_LIMIT: f64 = 2.5;
+/// So many steps at the border are no accident, after as many changes back and forth as have been counted; doubled by each.
+const AT_BORDER: u8 = 3;
+/// The same for implicit steps that explicit ones could have made.
+const WITHIN_BORDER: u8 = 3;
+/// Most doublings.
+const MOST_RETURNS: u8 = 5;
+/// Bounds on the product of explicit steps with the fastest rate of the tangents, as it is found when implicit ones begin.
+const BORDERS: [f64; 2] = [0.1, 12.0];
+/// Where forces are steep, implicit steps are tried after so many explicit ones: round-off, which stiff forces magnify, may keep those
+/// away from the border. Doubled like the counts above.
+const PROBED: u16 = 100;
+
+/// What a run remembers to choose by.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct Choice {
+    /// Whether steps are implicit.
+    stiff: bool,
+    /// Steps in a row, or nearly so, that speak against it.
+    against: u8,
+    /// Explicit steps since implicit ones, up to the next try.
+    explicit: u16,
+    /// How often implicit steps have been given up again.
+    returns: u8,
+    /// The explicit step at the border when implicit ones began, s, and then its product with the fastest rate of the tangents.
+    border: f64,
+    /// How long a step of order 5 would be, s.
+    pub(super) fifth: f64,
+}
+
+/// An accepted step, as a [`Choice`] learns from it.
+pub(super) struct Seen {
+    pub(super) kind: Kind,
+    /// Its length, s.
+    pub(super) length: f64,
+    /// Its product with the fastest rate.
+    pub(super) product: f64,
+    /// The step that its error would have allowed, s.
+    pub(super) wanted: f64,
+    /// What limited it otherwise, s.
+    pub(super) limit: f64,
+    /// Whether the forces are steep.
+    pub(super) steep: bool,
+}
+
+impl Kinds {
+    /// The implicit kind for a tolerance.
+    fn stiff(error_tolerance: f64) -> Kind {
+        if error_tolerance >= LOOSE { Kind::StiffFourth } else { Kind::StiffFifth }
+    }
+
+    /// Whether a step may be of a kind.
+    pub(super) fn hold(self, kind: Kind, error_tolerance: f64) -> bool {
+        match self {
+            Self::Only(only) => kind == only || kind == Kind::Eighth,
+            Self::Automatic => matches!(kind, Kind::Eighth | Kind::Fifth) || kind == Self::stiff(error_tolerance),
+        }
+    }
+
+    /// The next step's, which nothing but the error limits to less than so many seconds.
+    #[inline]
+    pub(super) fn next(self, choice: &Choice, error_tolerance: f64, limit: f64) -> Kind {
+        match self {
+            Self::Only(kind) => kind,
+            Self::Automatic if choice.stiff => Self::stiff(error_tolerance),
+            Self::Automatic if limit <= SHORT_HOLD * choice.fifth && limit.is_finite() => Kind::Fifth,
+            Self::Automatic => Kind::Eighth,
+        }
+    }
+}
+
+impl Choice {
+    /// Before anything is known.
+    pub(super) const NEW: Self = Self { stiff: false, against: 0, explicit: 0, returns: 0, border: 0.0, fifth: f64::INFINITY };
+
+    /// What an accepted step says about the next ones.
+    pub(super) fn learn(&mut self, seen: &Seen) {
+        match seen.kind {
+            Kind::Eighth | Kind::Fifth => self.learn_from_explicit(seen),
+            Kind::StiffFourth | Kind::StiffFifth => self.learn_from_implicit(seen),
+        }
+        if seen.kind == Kind::Eighth && seen.limit.is_finite() {
+            self.fifth *= RECONSIDERED;
+        }
+    }
+
+    fn learn_from_explicit(&mut self, seen: &Seen) {
+        // The product is an estimate: between steps at the border it is below now and then.
+        self.against = if seen.product > STABILITY_LIMIT { self.against + 1 } else { self.against.saturating_sub(1) };
+        self.explicit += u16::from(seen.steep);
+        if self.against >= AT_BORDER << self.returns || self.explicit >= PROBED << self.returns {
+            (self.stiff, self.against, self.explicit, self.border) = (true, 0, 0, -seen.length);
+        }
+    }
+
+    fn learn_from_implicit(&mut self, seen: &Seen) {
+        let rate = seen.product / seen.length;
+        if self.border < 0.0 {
+            self.border = (-self.border * rate).clamp(BORDERS[0], BORDERS[1]);
+        }
+        let could_be_explicit = seen.wanted.min(seen.limit) * rate < self.border;
+        self.against = if could_be_explicit { self.against + 1 } else { 0 };
+        if self.against >= WITHIN_BORDER {
+            *self = Self { returns: (self.returns + 1).min(MOST_RETURNS), fifth: self.fifth, ..Self::NEW };
+        }
+    }
+
+    /// Whether steps by some kinds can leave it behind.
+    pub(super) fn is_possible(&self, kinds: Kinds) -> bool {
+        if kinds != Kinds::Automatic {
+            return *self == Self::NEW;
+        }
+        let most = if self.stiff { WITHIN_BORDER } else { AT_BORDER << self.returns.min(MOST_RETURNS) };
+        let [least, largest] = BORDERS;
+        let border = match self.stiff {
+            true => self.border.is_finite() && (self.border < 0.0 || (least..=largest).contains(&self.border)),
+            false => self.border == 0.0,
+        };
+        let explicit = self.explicit < if self.stiff { 1 } else { PROBED << self.returns.min(MOST_RETURNS) };
+        self.returns <= MOST_RETURNS && self.against < most && explicit && border && self.fifth > 0.0
+    }
+}

@@ -1,0 +1,233 @@
+//! Rosenbrock methods: linearly implicit steps, for loads so stiff that stability would limit explicit ones. One matrix serves all stages
+//! of a step; nothing is iterated.
+//!
+//! With z = (q, q̇), ż = f(z) and J = ∂f/∂z each stage solves
+//!
+//! ```text
+//! (1/(hγ) − J) uᵢ = f(z₀ + Σ aᵢⱼ uⱼ) + Σ cᵢⱼ/h uⱼ        J = [0 1; K C],  K = ∂q̈/∂q,  C = ∂q̈/∂q̇
+//! ```
+//!
+//! The first row gives u_q = hγ (r_q + u_v), so that what is left has as many rows as there are coordinates:
+//! (1/(hγ) − C − hγ K) u_v = r_v + hγ K r_q.
+//!
+//! Work is one more component of z, with the power P for its rate. Of its row of J only products with the u are needed, and for the end
+//! of the step only one of them: w = h Σ bᵢ Pᵢ + h P′·Σ bᵢ uᵢ, with bᵢ from the tableau.
+
+mod inverse;
+mod tableau;
+
+use std::marker::PhantomData;
+
+use super::hermite::{self, Knowing};
+use super::trial::{Allowed, Landing, Slope, Trial, fastest, larger, slope_at};
+use super::{Kind, Settings};
+use crate::integrator::controller::StepSizeController;
+use crate::integrator::{AccelerationTangents, EnergyBalance, Kkt, Passage, State, StepError, System, Work};
+use crate::vector::Vector;
+use inverse::{Inverse, combination};
+use tableau::{MOST, Tableau};
+pub(super) use tableau::{Rodas4, Rodas5p};
+
+/// A step from a state, stage by stage.
+pub(super) struct Rosenbrock<T, const N: usize> {
+    u: [[Vector<N>; 2]; MOST],
+    power: [Work; MOST],
+    start: [Vector<N>; 2],
+    /// The step, s.
+    h: f64,
+    /// (1/(hγ) − C − hγ K)⁻¹.
+    inverse: Inverse<N>,
+    /// The fastest rate that the tangents show, 1/s.
+    fastest: f64,
+    extremes: [Vector<N>; 2],
+    tableau: PhantomData<T>,
+}
+
+/// The tangents at the beginning of a step, and the fastest rate that they show, 1/s.
+pub(super) struct Shared<const N: usize> {
+    tangents: AccelerationTangents<N>,
+    fastest: f64,
+}
+
+/// Does something for each stage but the first, without a loop at run time.
+macro_rules! for_each {
+    ($do:ident: $($stage:literal)*) => {
+        $($do!($stage);)*
+    };
+}
+
+/// By which part of a direction the power is differentiated along it, both ways: truncation and round-off are below 1e-9 of it.
+const ALONG: f64 = 1e-4;
+
+impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
+    /// Σ coefficient · u over a row of [`Tableau::AT`].
+    #[inline(always)]
+    fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
+        let [mut q, mut v] = self.start;
+        macro_rules! add {
+            ($stage:literal) => {
+                if const { T::AT[ROW][$stage] != 0.0 } {
+                    let [u_q, u_v] = &self.u[$stage];
+                    q += const { T::AT[ROW][$stage] } * *u_q;
+                    v += const { T::AT[ROW][$stage] } * *u_v;
+                }
+            };
+        }
+        for_each!(add: 0 1 2 3 4 5 6 7);
+        [q, v]
+    }
+
+    /// The same over a row of [`Tableau::BEFORE`].
+    #[inline(always)]
+    fn before<const ROW: usize>(&self) -> [Vector<N>; 2] {
+        let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
+        macro_rules! add {
+            ($stage:literal) => {
+                if const { T::BEFORE[ROW][$stage] != 0.0 } {
+                    let [u_q, u_v] = &self.u[$stage];
+                    q += const { T::BEFORE[ROW][$stage] } * *u_q;
+                    v += const { T::BEFORE[ROW][$stage] } * *u_v;
+                }
+            };
+        }
+        for_each!(add: 0 1 2 3 4 5 6 7);
+        [q, v]
+    }
+
+    /// The u of a right-hand side.
+    #[inline(always)]
+    fn solve(&self, tangents: &AccelerationTangents<N>, [q, v]: [Vector<N>; 2]) -> [Vector<N>; 2] {
+        let part = self.h * T::GAMMA;
+        let v = self.inverse.times(&(v + part * combination(&tangents.by_q, &q)));
+        [part * (q + v), v]
+    }
+
+    /// Most of the way back onto the constraints. A projection goes along the shortest way in the metric of the masses, without asking the
+    /// forces; where those are stiff it would leave them out of balance. The way here is the one that the step itself would find:
+    /// (1 − hγ C − (hγ)² K)⁻¹ times that of the masses, which satisfies the linearised constraints as well, but for terms of h q̇.
+    #[inline]
+    fn approach<const M: usize>(&self, system: &impl System<N, M>, regularization: f64, [q, v]: &mut [Vector<N>; 2]) {
+        let pose = system.pose(q);
+        let mass = system.factor_mass(&pose, regularization);
+        let part = 1.0 / (self.h * T::GAMMA);
+        let (missing_q, missing_v) = (-system.phi(q, &pose), -system.phi_q_times(&pose, v));
+        *q += self.inverse.times(&(part * mass.correction(&missing_q)));
+        *v += self.inverse.times(&(part * mass.correction(&missing_v)));
+    }
+
+    /// Work by some weights of the stages, J.
+    #[inline(never)]
+    fn work<const M: usize>(&self, system: &impl System<N, M>, weights: &[f64; MOST]) -> Work {
+        let (mut mean, mut direction) = (Work::default(), [Vector::ZERO; 2]);
+        for ((weight, power), u) in weights.iter().zip(&self.power).zip(&self.u) {
+            mean = mean.plus(*weight, *power);
+            direction = [direction[0] + *weight * u[0], direction[1] + *weight * u[1]];
+        }
+        let power_at = |part: f64| {
+            let [q, v] = [0, 1].map(|i| self.start[i] + part * direction[i]);
+            system.power(&q, &system.pose(&q), &v)
+        };
+        let along = power_at(ALONG).plus(-1.0, power_at(-ALONG));
+        Work::default().plus(self.h, mean.plus(0.5 / ALONG, along))
+    }
+}
+
+impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
+    const KIND: Kind = T::KIND;
+    type Shared = Shared<N>;
+    /// As in the authors' codes, but for a memory of the error before.
+    const CONTROLLER: StepSizeController = StepSizeController {
+        exponent: 1.0 / T::ORDER - 0.75 * 0.04,
+        memory: 0.04,
+        accepted: [0.2, 5.0],
+        rejected: [0.1, 0.85],
+        failed: 0.2,
+    };
+
+    #[inline(never)]
+    fn prepare<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Shared<N>> {
+        let tangents = system.acceleration_tangents(from, settings.regularization)?;
+        let size = |columns: &[Vector<N>; N]| columns.iter().map(|column| column.dot(column)).sum::<f64>().sqrt();
+        let fastest = fastest([1.0, size(&tangents.by_v), size(&tangents.by_q)]);
+        Some(Shared { tangents, fastest })
+    }
+
+    #[inline(never)]
+    fn new<const M: usize>(
+        system: &impl System<N, M>,
+        shared: &Shared<N>,
+        regularization: f64,
+        from: &State<N, M>,
+        h: f64,
+    ) -> Self {
+        let Shared { tangents, fastest } = shared;
+        let part = h * T::GAMMA;
+        let columns = std::array::from_fn(|j| (1.0 / part) * Vector::unit(j) - tangents.by_v[j] - part * tangents.by_q[j]);
+        let mut step = Self {
+            u: [[Vector::ZERO; 2]; MOST],
+            power: [from.power; MOST],
+            start: [from.q, from.v],
+            h,
+            inverse: Inverse::new(columns, f64::EPSILON / part),
+            fastest: *fastest,
+            extremes: [from.v, from.a].map(|x| Vector::from_fn(|i| x[i].abs())),
+            tableau: PhantomData,
+        };
+        step.u[0] = step.solve(tangents, [from.v, from.a]);
+        let per_step = 1.0 / h;
+        macro_rules! evaluate {
+            ($stage:literal) => {
+                if const { $stage < T::STAGES } {
+                    let [q, v] = step.at::<$stage>();
+                    let slope = slope_at(system, regularization, &q, &v);
+                    let [before_q, before_v] = step.before::<$stage>();
+                    step.u[$stage] = step.solve(tangents, [v + per_step * before_q, slope.v + per_step * before_v]);
+                    step.power[$stage] = slope.power;
+                    step.extremes = [larger(&step.extremes[0], &v), larger(&step.extremes[1], &slope.v)];
+                }
+            };
+        }
+        for_each!(evaluate: 1 2 3 4 5 6 7);
+        step
+    }
+
+    fn land<const M: usize, S: System<N, M> + Passage<N>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        allowed: &Allowed,
+        kept: Option<(EnergyBalance, f64)>,
+    ) -> (f64, Result<Landing<N, M>, StepError>) {
+        let mut end = self.at::<MOST>();
+        let v_end = end[1];
+        let judged = || if allowed.work.is_some() { self.work(system, const { &T::WORK_ERROR }) } else { Work::default() };
+        let error = allowed.mean_square(self.u[T::STAGES - 1], [&self.start[1], &v_end], judged).sqrt();
+        if error.is_nan() || error > 1.0 {
+            return (error, Err(StepError::NotFinite));
+        }
+        if system.can_project(&end[0]) {
+            self.approach(system, settings.regularization, &mut end);
+        }
+        let land = |(iterations, arrival)| {
+            let work = if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
+            Landing { iterations, arrival, work }
+        };
+        (error, settings.project_and_evaluate(system, end, kept).map(land))
+    }
+
+    fn extremes(&self) -> [Vector<N>; 2] {
+        self.extremes
+    }
+
+    fn fastest_rate<const M: usize>(&self, _: &State<N, M>) -> f64 {
+        self.fastest
+    }
+
+    fn dense<const M: usize>(&mut self, system: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [Slope<N>; 4] {
+        let mut middle = [0.5 * (ends[0].q + ends[1].q), 0.5 * (ends[0].v + ends[1].v)];
+        for (weight, u) in const { T::MIDDLE }.iter().zip(&self.u) {
+            middle = [middle[0] + *weight * u[0], middle[1] + *weight * u[1]];
+        }
+        hermite::coefficients(system, ends, self.h, Knowing::Middle(middle))
+    }
+}

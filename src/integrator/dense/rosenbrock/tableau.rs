@@ -1,0 +1,210 @@
+//! The coefficients of the Rosenbrock methods, in the form that needs no product with the Jacobian: for u instead of the k of the books.
+//!
+//! E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, 2nd ed., section IV.7 and VI.4, with the digits of their code
+//! `rodas.f`; G. Steinebach, *Construction of Rosenbrock–Wanner method Rodas5P*, BIT 63 (2023). Both are stiffly accurate: the last
+//! stages stand at the end of the step, and the last u is what the embedded method differs by.
+
+use crate::integrator::dense::Kind;
+
+/// Most stages.
+pub(super) const MOST: usize = 8;
+
+/// A method: its stages, and where each is evaluated.
+pub(in super::super) trait Tableau: Sized {
+    /// What steps by it are called.
+    const KIND: Kind;
+    /// Stages of a step.
+    const STAGES: usize;
+    /// γ, of the matrix 1/(hγ) − J.
+    const GAMMA: f64;
+    /// What is added to the beginning of the step for the place of each stage; the last row is for its end.
+    const AT: [[f64; MOST]; MOST + 1];
+    /// What the right-hand side of each stage holds of the u before it, times the step.
+    const BEFORE: [[f64; MOST]; MOST];
+    /// The dense output of the authors: y₀ (1−θ) + θ (y₁ + (1−θ) (k₁ + θ (k₂ + θ k₃))), each k a sum of u.
+    const DENSE: [[f64; MOST]; 3];
+    /// In the middle of the step it is the mean of the ends plus this sum of u.
+    const MIDDLE: [f64; MOST] = {
+        let mut middle = [0.0; MOST];
+        let mut i = 0;
+        while i < MOST {
+            middle[i] = 0.25 * (Self::DENSE[0][i] + 0.5 * Self::DENSE[1][i] + 0.25 * Self::DENSE[2][i]);
+            i += 1;
+        }
+        middle
+    };
+    /// Order of the step; that of the estimator is lower by 1.
+    const ORDER: f64;
+    /// Weights by which values of a derivative at the stages make a quadrature of the order of the step.
+    const WORK: [f64; MOST] = weights::<Self>(&Self::AT[MOST]);
+    /// The same for the estimator.
+    const WORK_ERROR: [f64; MOST] = {
+        let mut last = [0.0; MOST];
+        last[Self::STAGES - 1] = 1.0;
+        weights::<Self>(&last)
+    };
+}
+
+/// A sum of u with these coefficients m is, of a component that depends on the others only, h Σ bᵢ (derivative at stage i + its change
+/// along uᵢ), b = γ (1 − γ Cᵀ)⁻¹ m: from the last stage back.
+const fn weights<T: Tableau>(coefficients: &[f64; MOST]) -> [f64; MOST] {
+    let mut weights = *coefficients;
+    let mut i = MOST;
+    while i > 0 {
+        i -= 1;
+        let mut j = i + 1;
+        while j < MOST {
+            weights[i] += T::BEFORE[j][i] * weights[j];
+            j += 1;
+        }
+        weights[i] *= T::GAMMA;
+    }
+    weights
+}
+
+/// Rodas4 (Hairer and Wanner): order 4, error estimator of order 3.
+#[derive(Clone, Copy, Debug)]
+pub(in super::super) struct Rodas4;
+
+impl Tableau for Rodas4 {
+    const KIND: Kind = Kind::StiffFourth;
+    const STAGES: usize = 6;
+    const GAMMA: f64 = 0.25;
+    const AT: [[f64; MOST]; MOST + 1] = [
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [1.544, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.9466785280815826, 0.2557011698983284, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [3.314825187068521, 2.896124015972201, 0.9986419139977817, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [1.221224509226641, 6.019134481288629, 12.53708332932087, -0.687886036105895, 0.0, 0.0, 0.0, 0.0],
+        [1.221224509226641, 6.019134481288629, 12.53708332932087, -0.687886036105895, 1.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [1.221224509226641, 6.019134481288629, 12.53708332932087, -0.687886036105895, 1.0, 1.0, 0.0, 0.0],
+    ];
+    const BEFORE: [[f64; MOST]; MOST] = [
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [-5.6688, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [-2.430093356833875, -0.2063599157091915, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [-0.1073529058151375, -9.594562251023355, -20.47028614809616, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [7.496443313967647, -10.24680431464352, -33.99990352819905, 11.7089089320616, 0.0, 0.0, 0.0, 0.0],
+        [8.083246795921522, -7.981132988064893, -31.52159432874371, 16.31930543123136, -6.058818238834054, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ];
+    const DENSE: [[f64; MOST]; 3] = [
+        [10.12623508344586, -7.487995877610167, -34.80091861555747, -7.992771707568823, 1.025137723295662, 0.0, 0.0, 0.0],
+        [-0.6762803392801253, 6.087714651680015, 16.43084320892478, 24.76722511418386, -6.594389125716872, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ];
+    const ORDER: f64 = 4.0;
+}
+
+/// Rodas5P (Steinebach): order 5, error estimator of order 4.
+#[derive(Clone, Copy, Debug)]
+pub(in super::super) struct Rodas5p;
+
+impl Tableau for Rodas5p {
+    const KIND: Kind = Kind::StiffFifth;
+    const STAGES: usize = 8;
+    const GAMMA: f64 = 0.21193756319429014;
+    const AT: [[f64; MOST]; MOST + 1] = [
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [2.849394379747939, 0.45842242204463923, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [-6.954028509809101, 2.489845061869568, -10.358996098473584, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [2.8029986275628964, 0.5072464736228206, -0.3988312541770524, -0.04721187230404641, 0.0, 0.0, 0.0, 0.0],
+        [-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256, 0.030198172008377946, 0.0, 0.0, 0.0],
+        [-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256, 0.030198172008377946, 1.0, 0.0, 0.0],
+        [-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256, 0.030198172008377946, 1.0, 1.0, 0.0],
+        [-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256, 0.030198172008377946, 1.0, 1.0, 1.0],
+    ];
+    const BEFORE: [[f64; MOST]; MOST] = [
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [-14.155112264123755, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [-17.97296035885952, -2.859693295451294, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [147.12150275711716, -1.41221402718213, 71.68940251302358, 0.0, 0.0, 0.0, 0.0, 0.0],
+        [165.43517024871676, -0.4592823456491126, 42.90938336958603, -5.961986721573306, 0.0, 0.0, 0.0, 0.0],
+        [24.854864614690072, -3.0009227002832186, 47.4931110020768, 5.5814197821558125, -0.6610691825249471, 0.0, 0.0, 0.0],
+        [
+            30.91273214028599,
+            -3.1208243349937974,
+            77.79954646070892,
+            34.28646028294783,
+            -19.097331116725623,
+            -28.087943162872662,
+            0.0,
+            0.0,
+        ],
+        [
+            37.80277123390563,
+            -3.2571969029072276,
+            112.26918849496327,
+            66.9347231244047,
+            -40.06618937091002,
+            -54.66780262877968,
+            -9.48861652309627,
+            0.0,
+        ],
+    ];
+    const DENSE: [[f64; MOST]; 3] = [
+        [
+            25.948786856663858,
+            -2.5579724845846235,
+            10.433815404888879,
+            -2.3679251022685204,
+            0.524948541321073,
+            1.1241088310450404,
+            0.4272876194431874,
+            -0.17202221070155493,
+        ],
+        [
+            -9.91568850695171,
+            -0.9689944594115154,
+            3.0438037242978453,
+            -24.495224566215796,
+            20.176138334709044,
+            15.98066361424651,
+            -6.789040303419874,
+            -6.710236069923372,
+        ],
+        [
+            11.419903575922262,
+            2.8879645146136994,
+            72.92137995996029,
+            80.12511834622643,
+            -52.072871366152654,
+            -59.78993625266729,
+            -0.15582684282751913,
+            4.883087185713722,
+        ],
+    ];
+    const ORDER: f64 = 5.0;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What the order conditions say of quadratures: a wrong digit would show.
+    fn check<T: Tableau>() {
+        let sum = |row: &[f64; MOST]| row.iter().sum::<f64>();
+        // Coefficients of up to 112 cancel.
+        assert!((sum(&T::WORK) - 1.0).abs() < 1e-12, "weights of the step: {}", sum(&T::WORK));
+        assert!(sum(&T::WORK_ERROR).abs() < 1e-12, "weights of the error: {}", sum(&T::WORK_ERROR));
+        // The u of a constant derivative, one after the other: each place is a time, and the end of the step is 1.
+        let mut u = [0.0; MOST];
+        let place = |u: &[f64; MOST], row: &[f64; MOST]| row.iter().zip(u).map(|(a, u)| a * u).sum::<f64>();
+        for stage in 0..T::STAGES {
+            u[stage] = T::GAMMA * (1.0 + place(&u, &T::BEFORE[stage]));
+        }
+        assert!((place(&u, &T::AT[MOST]) - 1.0).abs() < 1e-12, "the end of the step: {}", place(&u, &T::AT[MOST]));
+        // In the middle of the dense output of a motion at constant rate, half the way: the mean of both ends.
+        assert!(place(&u, &T::MIDDLE).abs() < 1e-12, "the middle: {}", place(&u, &T::MIDDLE));
+    }
+
+    #[test]
+    fn weights_make_quadratures() {
+        check::<Rodas4>();
+        check::<Rodas5p>();
+    }
+}

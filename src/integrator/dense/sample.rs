@@ -1,0 +1,104 @@
+//! The state between the ends of the step that is under way.
+
+use super::interpolant::Interpolant;
+use super::{DenseStep, Kind, Settings};
+use crate::integrator::{Kinked, Passage, System, Work};
+use crate::vector::Vector;
+
+/// What holds at the present time, between the ends of the step.
+#[derive(Clone, Copy, Debug)]
+pub struct Sample<const N: usize, P> {
+    /// Coordinates.
+    pub q: Vector<N>,
+    /// Their rates.
+    pub v: Vector<N>,
+    /// [`System::pose`] there.
+    pub pose: P,
+    /// Work since the start, J.
+    pub work: Work,
+    /// Changed [`System::modes`] since the beginning of the step count.
+    pub(super) modes: u8,
+}
+
+impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
+    /// Coordinates, rates and work at the present time, on the constraints: inside the step the interpolant projected, or as it is where
+    /// the projection does not converge.
+    #[inline]
+    pub fn sample<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+    ) -> Sample<N, S::Pose> {
+        let Self { end, .. } = self;
+        if self.elapsed == self.length {
+            return Sample { q: end.q, v: end.v, pose: system.pose(&end.q), work: end.work, modes: end.modes };
+        }
+        if system.is_steep() && !self.straight && !self.interpolates_well(settings) {
+            let mut redone = *self;
+            if redone.truncate_and_redo(system, settings).is_ok() {
+                return redone.sample(system, settings);
+            }
+        }
+        let ([q, v], work) = self.interpolated(system.follows_work());
+        let (mut on_q, mut on_v) = (q, v);
+        let projected = if self.straight { None } else { settings.project(system, &mut on_q, &mut on_v).ok() };
+        let (q, v, pose) = projected.map_or_else(|| (q, v, system.pose(&q)), |(_, pose, _)| (on_q, on_v, pose));
+        let modes = system.modes(&pose);
+        Sample { q, v, pose, work, modes }
+    }
+
+    /// What the interpolant says at the present time, inside the step.
+    #[inline]
+    fn interpolated(&self, follows_work: bool) -> ([Vector<N>; 2], Work) {
+        let Self { start, end, length, .. } = self;
+        let part = self.elapsed / length;
+        let work = if follows_work {
+            let both = |work: &Work| Vector::from([work.input, work.dissipated]);
+            let higher = std::array::from_fn(|k| both(&self.dense[k].power));
+            let ends = [&start.work, &end.work].map(both);
+            let rates = [&start.power, &end.power].map(|power| *length * both(power));
+            let work = Interpolant::new(ends, rates, higher).at(part);
+            Work { input: work[0], dissipated: work[1] }
+        } else {
+            start.work
+        };
+        (self.moved(part), work)
+    }
+
+    /// q and q̇ at a part of the step.
+    #[inline]
+    pub(super) fn moved(&self, part: f64) -> [Vector<N>; 2] {
+        let Self { start, end, .. } = self;
+        let q = self.positions().at(part);
+        let v = match self.kind {
+            _ if self.straight => start.v + part * (end.v - start.v),
+            Kind::Eighth => self.velocities().at(part),
+            // One polynomial for both.
+            Kind::Fifth | Kind::StiffFourth | Kind::StiffFifth => (1.0 / self.length) * self.positions().rate_at(part),
+        };
+        [q, v]
+    }
+
+    /// Bounds on the magnitudes of q̇ and q̈ of the interpolant.
+    pub(super) fn extremes(&self) -> [Vector<N>; 2] {
+        let per_step = 1.0 / self.length;
+        if self.kind == Kind::Eighth {
+            let [rates, changes] = self.velocities().extremes();
+            return [rates, per_step * changes];
+        }
+        let [rates, changes] = self.positions().extremes_of_quintic();
+        [per_step * rates, per_step * per_step * changes]
+    }
+
+    #[inline]
+    pub(super) fn positions(&self) -> Interpolant<N> {
+        let Self { start, end, length, dense, .. } = self;
+        Interpolant::new([start.q, end.q], [*length * start.v, *length * end.v], std::array::from_fn(|k| dense[k].q))
+    }
+
+    #[inline]
+    pub(super) fn velocities(&self) -> Interpolant<N> {
+        let Self { start, end, length, dense, .. } = self;
+        Interpolant::new([start.v, end.v], [*length * start.a, *length * end.a], std::array::from_fn(|k| dense[k].v))
+    }
+}

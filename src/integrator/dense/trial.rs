@@ -1,0 +1,148 @@
+//! What steps of every kind have in common: how one is made, judged and completed.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::{Kind, Settings};
+use crate::integrator::controller::StepSizeController;
+use crate::integrator::equilibrium::equilibrium_under;
+use crate::integrator::state::Arrival;
+use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
+use crate::vector::Vector;
+
+/// One step of a kind, made but not accepted yet.
+pub(super) trait Trial<const N: usize>: Sized {
+    /// Which.
+    const KIND: Kind;
+    /// What all tries from one state share.
+    type Shared;
+    /// How the next step follows from the error of this one.
+    const CONTROLLER: StepSizeController;
+
+    /// What tries from a state share; `None` where steps of this kind cannot begin.
+    fn prepare<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Self::Shared>;
+
+    /// A step of h seconds.
+    fn new<const M: usize>(
+        system: &impl System<N, M>,
+        shared: &Self::Shared,
+        regularization: f64,
+        from: &State<N, M>,
+        h: f64,
+    ) -> Self;
+
+    /// Its error in units of what is allowed, and where it leads, on the constraints, if that is 1 at most; near a vertex with the energy
+    /// of its beginning, after so many seconds.
+    fn land<const M: usize, S: System<N, M> + Passage<N>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        allowed: &Allowed,
+        kept: Option<(EnergyBalance, f64)>,
+    ) -> (f64, Result<Landing<N, M>, StepError>);
+
+    /// The greatest magnitudes of q̇ and q̈ that the stages have seen.
+    fn extremes(&self) -> [Vector<N>; 2];
+
+    /// The fastest rate of change, 1/s, that a step to this end shows.
+    fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64;
+
+    /// The higher coefficients of the interpolant between its ends.
+    fn dense<const M: usize>(&mut self, system: &impl System<N, M>, regularization: f64, ends: [&State<N, M>; 2]) -> [Slope<N>; 4];
+}
+
+/// Where a step leads.
+pub(super) struct Landing<const N: usize, const M: usize> {
+    /// Iterations of the projection.
+    pub(super) iterations: u32,
+    pub(super) arrival: Arrival<N, M>,
+    /// Work on the way, J.
+    pub(super) work: Work,
+}
+
+/// What the local error of a step may be.
+pub(super) struct Allowed {
+    /// Of a coordinate.
+    pub(super) coordinate: f64,
+    /// Of the work, J, where it is judged.
+    pub(super) work: Option<f64>,
+}
+
+/// A rate may be off by what a coordinate may, times this and its own magnitude, 1/s.
+pub(super) const RATE: f64 = 10.0;
+
+impl Allowed {
+    /// The mean square of an error of q, q̇ and the work between rates at both ends of a step, in units of what is allowed.
+    #[inline(always)]
+    pub(super) fn mean_square<const N: usize>(
+        &self,
+        [q, v]: [Vector<N>; 2],
+        [from, to]: [&Vector<N>; 2],
+        work: impl FnOnce() -> Work,
+    ) -> f64 {
+        let mut sum = 0.0;
+        for i in 0..N {
+            let rate = v[i] / (RATE + from[i].abs().max(to[i].abs()));
+            sum += q[i] * q[i] + rate * rate;
+        }
+        let mean = sum / (2.0 * N as f64 * self.coordinate * self.coordinate);
+        let Some(allowed) = self.work else { return mean };
+        let Work { input, dissipated } = work();
+        mean + (input * input + dissipated * dissipated) / (allowed * allowed)
+    }
+}
+
+/// The derivatives of q, q̇ and the work, or a sum of such.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct Slope<const N: usize> {
+    pub(super) q: Vector<N>,
+    pub(super) v: Vector<N>,
+    pub(super) power: Work,
+}
+
+impl<const N: usize> Slope<N> {
+    pub(super) const NONE: Self = Self { q: Vector::ZERO, v: Vector::ZERO, power: Work { input: 0.0, dissipated: 0.0 } };
+
+    /// Those of a state.
+    /// One piece of code for all stages: written out for each of them it would not fit into what a processor keeps decoded.
+    #[inline(never)]
+    pub(super) fn at<const M: usize, S: System<N, M>>(system: &S, regularization: f64, q: &Vector<N>, v: &Vector<N>) -> Self {
+        let pose = system.pose(q);
+        let (forces, power) = system.forces_and_power(q, &pose, v);
+        let (a, _) = equilibrium_under(system, &forces, (q, &pose, v), &system.factor_mass(&pose, regularization));
+        Self { q: *v, v: a, power }
+    }
+}
+
+/// The same out of line: for kinds of which only some scenes make steps.
+#[inline(never)]
+pub(super) fn slope_at<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    regularization: f64,
+    q: &Vector<N>,
+    v: &Vector<N>,
+) -> Slope<N> {
+    Slope::at(system, regularization, q, v)
+}
+
+/// The greatest magnitudes of q̇ and q̈ among some slopes.
+pub(super) fn extremes_of<const N: usize>(slopes: &[Slope<N>]) -> [Vector<N>; 2] {
+    slopes.iter().fold([Vector::ZERO; 2], |[q, v], slope| [larger(&q, &slope.q), larger(&v, &slope.v)])
+}
+
+/// The larger magnitudes, element by element; the first has none below 0.
+#[inline]
+pub(super) fn larger<const N: usize>(most: &Vector<N>, x: &Vector<N>) -> Vector<N> {
+    Vector::from_fn(|i| most[i].max(x[i].abs()))
+}
+
+/// The fastest rate, 1/s, that a difference of q, q̇ and q̈ between two states shows: the r of r² |Δq| + r |Δq̇| = |Δq̈|, which is the
+/// frequency of a spring and the decay of a damper.
+pub(super) fn rate_between<const N: usize>([dq, dv, da]: [Vector<N>; 3]) -> f64 {
+    fastest([dq, dv, da].map(|x| x.norm()))
+}
+
+/// The r of r² q + r v = a.
+pub(super) fn fastest([q, v, a]: [f64; 3]) -> f64 {
+    let both = v + (v * v + 4.0 * q * a).sqrt();
+    if both > 0.0 { 2.0 * a / both } else { 0.0 }
+}

@@ -1,0 +1,86 @@
+//! How the accelerations in the link angles change with angles and rates: the Jacobian of the linearly implicit steps.
+//!
+//! With r the arm of each link along the closure (its sign included), m and s the coupling m_D l_P·a_D of a leg and its derivative, the
+//! equations of motion and their variation are
+//!
+//! ```text
+//! M α + Jᵀλ   = Q + c                J α  − e λ  = Σ r ω²                         J = n̂(r)
+//! M δα + Jᵀδλ = −K δθ − C δω + δc − δM α − δJᵀ λ      J δα − e δλ = Σ (r α + n̂(r) ω²) δθ + 2 r ω δω
+//! ```
+//!
+//! with the same matrix for both. K and C are the effects' own, carried over by `linearised.rs`.
+
+use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, DISTAL, PLACES, PROXIMAL, phi_q};
+use super::inertia::proximal_arm;
+use crate::integrator::{AccelerationTangents, Kkt, State, System};
+use crate::mechanism::coordinates::{legs_of, set_legs};
+use crate::mechanism::legs::{Legs2, both};
+use crate::vector::Vector;
+
+impl ByAngles<'_> {
+    /// About a state whose q̈ and λ are those of equilibrium, with what the equilibrium is regularised by. None where friction may hold:
+    /// what holds has a multiplier of its own.
+    #[inline(never)]
+    pub(super) fn tangents_of_acceleration(
+        &self,
+        at: &State<ANGLES, CLOSURES>,
+        regularization: f64,
+    ) -> Option<AccelerationTangents<ANGLES>> {
+        if self.model().sticks {
+            return None;
+        }
+        let State { q, v, a, lambda, .. } = at;
+        let pose = self.pose(q);
+        let factor = self.factor_mass(&pose, regularization);
+        let (x, rates) = self.coordinates(&pose, q, v);
+        let (_, loads) = self.five_bar().tangents_by_links([&x, &rates], &pose, &PLACES.map(|place| v[place]));
+
+        // Columns of the right-hand sides: of the loads,
+        let (mut by_q, mut by_v) = ([Angles::ZERO; ANGLES], [Angles::ZERO; ANGLES]);
+        for (i, row) in PLACES.into_iter().enumerate() {
+            for (j, column) in PLACES.into_iter().enumerate() {
+                by_q[column][row] = -loads.stiffness[i][j];
+                by_v[column][row] = -loads.damping[i][j];
+            }
+        }
+        // of the masses and of what they pull when they turn, leg by leg,
+        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
+        let (a_p, a_d) = (legs_of(a, PROXIMAL), legs_of(a, DISTAL));
+        let (carried, l) = (self.model().mechanism.mass_d, proximal_arm(&pose));
+        let (coupling, slope) = (carried * l.dot(pose.a_d), carried * l.turned().dot(pose.a_d));
+        let on_p = (coupling * w_d * w_d + slope * a_d).to_array();
+        let on_d = (slope * a_p - coupling * w_p * w_p).to_array();
+        let (turn_p, turn_d) = ((both(2.0) * slope * w_d).to_array(), (both(2.0) * slope * w_p).to_array());
+        // and of the arms along the closure, which turn as well.
+        let [n_p, n_d] = phi_q(&pose);
+        let [r_p, r_d] = [n_p, n_d].map(|n| n.turned().scaled(both(-1.0)));
+        let pulled = |r: Legs2| r.x * both(lambda[0]) + r.y * both(lambda[1]);
+        let mut along = Angles::ZERO;
+        set_legs(&mut along, PROXIMAL, pulled(r_p));
+        set_legs(&mut along, DISTAL, pulled(r_d));
+        for leg in 0..2 {
+            let (p, d) = (2 * PROXIMAL + leg, 2 * DISTAL + leg);
+            by_q[p][p] += along[p] - on_p[leg];
+            by_q[d][p] += on_p[leg];
+            by_q[p][d] -= on_d[leg];
+            by_q[d][d] += along[d] + on_d[leg];
+            by_v[d][p] += turn_p[leg];
+            by_v[p][d] -= turn_d[leg];
+        }
+        let mut closure_q = [Vector::<CLOSURES>::ZERO; ANGLES];
+        let mut closure_v = closure_q;
+        for (place, r, n, w, a) in [(PROXIMAL, r_p, n_p, w_p, a_p), (DISTAL, r_d, n_d, w_d, a_d)] {
+            let (x, y) = ((r.x * a + n.x * w * w).to_array(), (r.y * a + n.y * w * w).to_array());
+            let (x_v, y_v) = ((both(2.0) * r.x * w).to_array(), (both(2.0) * r.y * w).to_array());
+            for leg in 0..2 {
+                closure_q[2 * place + leg] = [x[leg], y[leg]].into();
+                closure_v[2 * place + leg] = [x_v[leg], y_v[leg]].into();
+            }
+        }
+        for i in 0..ANGLES {
+            by_q[i] = factor.solve(&by_q[i], &closure_q[i]).0;
+            by_v[i] = factor.solve(&by_v[i], &closure_v[i]).0;
+        }
+        Some(AccelerationTangents { by_q, by_v })
+    }
+}

@@ -1,0 +1,285 @@
+//! Steps of each kind alone, on systems without constraints whose solutions are known: orders of the step and of the interpolant,
+//! stiffness.
+
+use fivebar::integrator::dense::{DenseStep, Horizon, Kind, Kinds, Settings};
+use fivebar::integrator::{AccelerationTangents, Kinked, Kkt, Passage, State, System, Work};
+use fivebar::vector::Vector;
+
+use crate::support::slope;
+
+/// A point of unit mass in the plane: q̈ = f(q, q̇), with its derivatives and the rate of its kinetic energy.
+struct Point {
+    acceleration: fn(&Vector<2>, &Vector<2>) -> Vector<2>,
+    tangents: Option<fn(&Vector<2>, &Vector<2>) -> AccelerationTangents<2>>,
+    power: fn(&Vector<2>, &Vector<2>, &Vector<2>) -> f64,
+}
+
+impl Point {
+    /// In Cartesian coordinates.
+    const fn cartesian(acceleration: fn(&Vector<2>, &Vector<2>) -> Vector<2>) -> Self {
+        Self { acceleration, tangents: None, power: |_, v, a| a.dot(v) }
+    }
+}
+
+/// The identity: unit mass, no constraints.
+struct Free;
+
+impl Kkt<2, 0> for Free {
+    fn solve(&self, b: &Vector<2>, _: &Vector<0>) -> (Vector<2>, Vector<0>) {
+        (*b, Vector::ZERO)
+    }
+}
+
+impl System<2, 0> for Point {
+    type Pose = ();
+    type Mass = Free;
+
+    fn pose(&self, _: &Vector<2>) {}
+    fn phi(&self, _: &Vector<2>, (): &()) -> Vector<0> {
+        Vector::ZERO
+    }
+    fn phi_q_times(&self, (): &(), _: &Vector<2>) -> Vector<0> {
+        Vector::ZERO
+    }
+    fn phi_q_dot_times(&self, (): &(), _: &Vector<2>) -> Vector<0> {
+        Vector::ZERO
+    }
+    fn mass_times(&self, (): &(), x: &Vector<2>) -> Vector<2> {
+        *x
+    }
+    fn forces(&self, q: &Vector<2>, (): &(), v: &Vector<2>) -> Vector<2> {
+        (self.acceleration)(q, v)
+    }
+    fn factor_mass(&self, (): &(), _: f64) -> Free {
+        Free
+    }
+    fn follows_work(&self) -> bool {
+        true
+    }
+    /// The work of everything that accelerates: what the kinetic energy gains.
+    fn power(&self, q: &Vector<2>, (): &(), v: &Vector<2>) -> Work {
+        Work { input: (self.power)(q, v, &(self.acceleration)(q, v)), dissipated: 0.0 }
+    }
+    fn acceleration_tangents(&self, at: &State<2, 0>, _: f64) -> Option<AccelerationTangents<2>> {
+        self.tangents.map(|tangents| tangents(&at.q, &at.v))
+    }
+    fn angle_norm(&self, x: &Vector<2>) -> f64 {
+        x.max_norm()
+    }
+    fn length_scale(&self) -> f64 {
+        1.0
+    }
+}
+
+impl Passage<2> for Point {}
+
+impl Kinked<2> for Point {
+    type Sides = ();
+    type Touches = ();
+
+    fn touches(&self, _: &Vector<2>, _: &Vector<2>) {}
+
+    fn sides_of(&self, _: &Vector<2>, _: &Vector<2>) {}
+}
+
+/// Kepler's problem with unit constants: q̈ = −q/|q|³.
+const KEPLER: Point = Point::cartesian(|q, _| -1.0 / q.dot(q).powf(1.5) * *q);
+
+/// The same in polar coordinates, distance and angle: accelerations depend on the rates, and not linearly.
+const POLAR: Point = Point {
+    acceleration: |q, v| [q[0] * v[1] * v[1] - 1.0 / (q[0] * q[0]), -2.0 * v[0] * v[1] / q[0]].into(),
+    tangents: Some(|q, v| AccelerationTangents {
+        by_q: [[v[1] * v[1] + 2.0 / q[0].powi(3), 2.0 * v[0] * v[1] / (q[0] * q[0])].into(), Vector::ZERO],
+        by_v: [[0.0, -2.0 * v[1] / q[0]].into(), [2.0 * q[0] * v[1], -2.0 * v[0] / q[0]].into()],
+    }),
+    power: |q, v, a| v[0] * (a[0] + q[0] * v[1] * v[1]) + q[0] * q[0] * v[1] * a[1],
+};
+
+/// Position and velocity on an ellipse of eccentricity 0.3 and unit axis, at a mean anomaly: Kepler's equation by iteration.
+fn ellipse(mean: f64) -> [[f64; 2]; 2] {
+    let eccentricity = 0.3;
+    let mut anomaly: f64 = mean;
+    for _ in 0..50 {
+        anomaly -= (anomaly - eccentricity * anomaly.sin() - mean) / (1.0 - eccentricity * anomaly.cos());
+    }
+    let (minor, rate) = ((1.0 - eccentricity * eccentricity).sqrt(), 1.0 / (1.0 - eccentricity * anomaly.cos()));
+    let (sin, cos) = anomaly.sin_cos();
+    [[cos - eccentricity, minor * sin], [-sin * rate, minor * cos * rate]]
+}
+
+/// The same in polar coordinates.
+fn polar([[x, y], [u, v]]: [[f64; 2]; 2]) -> [[f64; 2]; 2] {
+    let r = x.hypot(y);
+    [[r, y.atan2(x)], [(x * u + y * v) / r, (x * v - y * u) / (r * r)]]
+}
+
+fn settings(error_tolerance: f64, first_step: f64) -> Settings {
+    Settings {
+        kinds: Kinds::Only(Kind::Eighth),
+        error_tolerance,
+        energy_scale: 1.0,
+        first_step,
+        max_iterations: 10,
+        max_work: 400_000,
+        regularization: 0.0,
+    }
+}
+
+/// One step of h leaves an error of h⁹, its interpolant h⁸; the work along it has the same orders. A wrong coefficient would
+/// show.
+#[test]
+fn the_step_is_of_order_8_and_its_interpolant_of_order_7() {
+    const START: f64 = 0.7;
+    for (part, order) in [(1.0, 9.0), (0.3, 8.0), (0.5, 8.0), (0.8, 8.0)] {
+        let (mut positions, mut works) = (vec![], vec![]);
+        for h in [0.3, 0.2, 0.15, 0.1] {
+            let [q, v] = ellipse(START);
+            // Every step is accepted, so that the first has this length.
+            let settings = settings(1e6, h);
+            let mut running = DenseStep::start(&KEPLER, q.into(), v.into(), &settings);
+            running.advance(&KEPLER, &settings, part * h, Horizon { output: part * h, limit: f64::INFINITY }).expect("a step");
+            let sample = running.sample(&KEPLER, &settings);
+            let [position, velocity] = ellipse(START + part * h);
+            let energy = |[x, y]: [f64; 2]| (x * x + y * y) / 2.0;
+            positions.push((h, (sample.q[0] - position[0]).hypot(sample.q[1] - position[1])));
+            works.push((h, (sample.work.input - energy(velocity) + energy(v)).abs()));
+        }
+        for (what, points) in [("position", positions), ("work", works)] {
+            let slope = slope(&points);
+            // At these steps the next term of the error takes up to 0.65 off for the position and 0.93 for the work. A wrong coefficient
+            // costs several orders.
+            assert!((slope - order).abs() < 1.0, "{what} at {part}: slope {slope:.2}, {points:?}");
+        }
+    }
+}
+
+/// The other kinds, in polar coordinates: one step leaves an error of one order more than its own; between its ends an implicit one has the
+/// order of its authors' dense output, lower by one, and that of order 5 the one of a quintic. Derivatives have one less, as has the work.
+#[test]
+fn every_kind_is_of_its_order() {
+    const START: f64 = 0.7;
+    let local = |kind: Kind| match kind {
+        Kind::Eighth => 9.0,
+        Kind::Fifth | Kind::StiffFifth => 6.0,
+        Kind::StiffFourth => 5.0,
+    };
+    for kind in [Kind::Eighth, Kind::Fifth, Kind::StiffFourth, Kind::StiffFifth] {
+        for part in [1.0, 0.3, 0.5, 0.8] {
+            let (mut positions, mut rates, mut works) = (vec![], vec![], vec![]);
+            for h in [0.1, 0.07, 0.05, 0.035] {
+                // A longer step for the higher order, above round-off.
+                let h = if kind == Kind::Eighth { 3.0 * h } else { h };
+                let [q, v] = polar(ellipse(START));
+                let settings = Settings { kinds: Kinds::Only(kind), ..settings(1e6, h) };
+                let mut running = DenseStep::start(&POLAR, q.into(), v.into(), &settings);
+                running.advance(&POLAR, &settings, part * h, Horizon { output: part * h, limit: f64::INFINITY }).expect("a step");
+                let sample = running.sample(&POLAR, &settings);
+                let [to, rate] = polar(ellipse(START + part * h));
+                let energy = |q: [f64; 2], v: [f64; 2]| (v[0] * v[0] + (q[0] * v[1]).powi(2)) / 2.0;
+                positions.push((h, (sample.q[0] - to[0]).hypot(sample.q[1] - to[1])));
+                rates.push((h, (sample.v[0] - rate[0]).hypot(sample.v[1] - rate[1])));
+                works.push((h, (sample.work.input - energy(to, rate) + energy(q, v)).abs()));
+            }
+            let inside = part < 1.0;
+            let step = local(kind);
+            let hermite = kind != Kind::Eighth;
+            let expected = match (inside, hermite) {
+                (false, _) => [step; 3],
+                (true, false) => [step - 1.0; 3],
+                (true, true) if kind == Kind::Fifth => [6.0, 5.0, 5.0],
+                (true, true) => [step - 1.0, step - 2.0, step - 1.0],
+            };
+            for ((what, points), order) in [("angle", positions), ("rate", rates), ("work", works)].into_iter().zip(expected) {
+                let slope = slope(&points);
+                // The next term of the error bends the lines; a wrong coefficient or derivative costs one order or more. Where the leading
+                // term happens to be small more is found.
+                assert!(slope > order - 0.6, "{kind:?}, {what} at {part}: slope {slope:.2} of {order}, {points:?}");
+            }
+        }
+    }
+}
+
+/// A stiff spring that pulls a point onto a curve along which it swings like a pendulum, q₀ = sin(q₁)/4: by itself a run takes steps of
+/// the motion's length, loses no digit where kinds change, and goes back to explicit ones where nothing is stiff.
+#[test]
+fn kinds_change_and_no_digit_is_lost() {
+    // q̈₁ = −sin q₁; the error of q₀ is that of a damped spring with a rate of 10,000/s while cos(q₁/2)⁸ is not small.
+    const PULLED: Point = Point {
+        acceleration: |q, v| {
+            let ([s, c], swing) = ([q[1].sin(), q[1].cos()], -q[1].sin());
+            let k = 1e8 * (0.5 * q[1]).cos().powi(8);
+            let (off, rate) = (q[0] - 0.25 * s, v[0] - 0.25 * c * v[1]);
+            [-k * off - 2e-4 * k * rate + 0.25 * (c * swing - s * v[1] * v[1]), swing].into()
+        },
+        tangents: Some(|q, v| {
+            let [s, c] = [q[1].sin(), q[1].cos()];
+            let k = 1e8 * (0.5 * q[1]).cos().powi(8);
+            let k_slope = -4e8 * (0.5 * q[1]).cos().powi(7) * (0.5 * q[1]).sin();
+            let (off, rate) = (q[0] - 0.25 * s, v[0] - 0.25 * c * v[1]);
+            let by_angle =
+                -k_slope * (off + 2e-4 * rate) + 0.25 * k * (c - 2e-4 * s * v[1]) + 0.25 * (s * s - c * c - c * v[1] * v[1]);
+            AccelerationTangents {
+                by_q: [[-k, 0.0].into(), [by_angle, -c].into()],
+                by_v: [[-2e-4 * k, 0.0].into(), [2e-4 * k * 0.25 * c - 0.5 * s * v[1], 0.0].into()],
+            }
+        }),
+        power: |_, v, a| a.dot(v),
+    };
+    let run = |kinds: Kinds, tolerance: f64| {
+        let settings = Settings { kinds, ..settings(tolerance, 1e-3) };
+        let angle: f64 = 3.0;
+        let start: [f64; 2] = [0.25 * angle.sin(), angle];
+        let mut running = DenseStep::start(&PULLED, start.into(), Vector::ZERO, &settings);
+        let mut worst: f64 = 0.0;
+        for _ in 0..2000 {
+            running.advance(&PULLED, &settings, 1e-2, Horizon { output: 1e-2, limit: f64::INFINITY }).expect("steps");
+            let sample = running.sample(&PULLED, &settings);
+            worst = worst.max((sample.q[0] - 0.25 * sample.q[1].sin()).abs());
+        }
+        let sample = running.sample(&PULLED, &settings);
+        let mut state = State::start(&PULLED, sample.q, sample.v, 0.0);
+        running.record(&sample, &mut state);
+        (sample.q, worst, state.counters.substeps)
+    };
+    let (exact, ..) = run(Kinds::Only(Kind::Eighth), 1e-13);
+    for tolerance in [1e-4, 1e-6] {
+        let (q, worst, steps) = run(Kinds::Automatic, tolerance);
+        let (explicit, explicit_worst, explicit_steps) = run(Kinds::Only(Kind::Eighth), tolerance);
+        let (error, explicit_error) = ((q - exact).max_norm(), (explicit - exact).max_norm());
+        assert!(worst < 100.0 * tolerance, "{tolerance:e}: {worst:e} off the curve, by dop853 alone {explicit_worst:e}");
+        // Nearly upright the pendulum magnifies errors some 1e3 times.
+        assert!(error < 1e4 * tolerance, "{tolerance:e}: {error:e}, by dop853 alone {explicit_error:e}");
+        assert!(3 * steps < explicit_steps, "{tolerance:e}: {steps} steps, by dop853 alone {explicit_steps}");
+    }
+}
+
+/// The error control holds the error of an orbit to some times the tolerance, and loose steps are not taken for stiff.
+#[test]
+fn the_error_follows_the_tolerance() {
+    for tolerance in [1e-4, 1e-6, 1e-8, 1e-10, 1e-12] {
+        let settings = settings(tolerance, 1e-3);
+        let [q, v] = ellipse(0.0);
+        let mut running = DenseStep::start(&KEPLER, q.into(), v.into(), &settings);
+        let orbits = 10.0 * std::f64::consts::TAU;
+        running.advance(&KEPLER, &settings, orbits, Horizon { output: orbits, limit: f64::INFINITY }).expect("steps");
+        let sample = running.sample(&KEPLER, &settings);
+        // Local errors add up to one of the period, and that to one of the place: with the square of the number of steps, some 1e2.
+        let error = (sample.q[0] - q[0]).hypot(sample.q[1] - q[1]);
+        assert!(error < 1e4 * tolerance && !running.is_stiff(), "tolerance {tolerance:e}: {error:e}");
+    }
+}
+
+/// A damper, and a damped spring, far stiffer than their motion: steps of a few times the inverse rate, and the verdict.
+#[test]
+fn stiffness_is_noticed() {
+    for stiff in [Point::cartesian(|_, v| -1e4 * *v), Point::cartesian(|q, v| -1e8 * *q - 1e3 * *v)] {
+        let settings = settings(1e-6, 1e-3);
+        let mut running = DenseStep::start(&stiff, [1e-3, 2e-4].into(), [1.0, -1.0].into(), &settings);
+        let mut steps = 0;
+        while !running.is_stiff() {
+            steps += 1;
+            assert!(steps < 5000, "5 s without a verdict");
+            running.advance(&stiff, &settings, 1e-3, Horizon { output: 1e-3, limit: f64::INFINITY }).expect("steps");
+        }
+    }
+}
