@@ -303,12 +303,12 @@ impl Balance {
     pub fn moving(&self, grips: &mut Grips) {
         let Some((_, mut pattern)) = self.best(0..=1) else { return };
         let left = self.accelerations(&self.torques(&pattern));
-        if let Some(first) = pattern.iter().position(|grip| matches!(grip, Grip::Holds(_))) {
-            let g = &self.mobility;
-            for i in (0..self.len()).filter(|i| *i != first) {
-                if self.are_parallel(first, i) && left[i].abs() <= SHARP * self.scale(i) {
-                    pattern[i] = Grip::Holds(Way::of(g[first][i] * g[first][first]));
-                }
+        if let Some(holder) = pattern.iter().position(|grip| matches!(grip, Grip::Holds(_))) {
+            let with = |i: usize| i == holder || self.are_parallel(holder, i) && left[i].abs() <= SHARP * self.scale(i);
+            // Ways are relative to the first of them, which need not be the one that holds by itself.
+            let first = (0..holder).find(|i| with(*i)).unwrap_or(holder);
+            for i in (first..self.len()).filter(|i| with(*i)) {
+                pattern[i] = Grip::Holds(Way::of(self.mobility[first][i]));
             }
         }
         for (place, grip) in self.places.iter().zip(pattern) {
