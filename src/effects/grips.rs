@@ -304,7 +304,9 @@ impl Balance {
         let Some((_, mut pattern)) = self.best(0..=1) else { return };
         let left = self.accelerations(&self.torques(&pattern));
         if let Some(holder) = pattern.iter().position(|grip| matches!(grip, Grip::Holds(_))) {
-            let with = |i: usize| i == holder || self.are_parallel(holder, i) && left[i].abs() <= SHARP * self.scale(i);
+            // A weak grip among strong ones is accelerated by what these leave of round-off.
+            let greatest = |i: usize| (0..self.len()).map(|k| (self.mobility[i][k] * self.bounds[k]).abs()).sum::<f64>();
+            let with = |i: usize| i == holder || self.are_parallel(holder, i) && left[i].abs() <= SHARP * greatest(i);
             // Ways are relative to the first of them, which need not be the one that holds by itself.
             let first = (0..holder).find(|i| with(*i)).unwrap_or(holder);
             for i in (first..self.len()).filter(|i| with(*i)) {
