@@ -10,6 +10,7 @@
 //!
 //! in which the unknown is the total multiplier: nothing large enters a diagonal, nothing winds up.
 
+mod damping;
 mod events;
 mod line_search;
 mod newton;
@@ -185,7 +186,10 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kink
     if let Some(energy) = &limits.energy {
         v = system.energy_scale(energy, &q, &v, h)? * v;
     }
-    let end = Arrival::in_balance(system, [q, v], &pose, &mass);
+    let mut end = Arrival::in_balance(system, [q, v], &pose, &mass);
+    if settings.watches_rates(system) {
+        end = damping::damped(system, &settings, state, h, (&pose, &mass), end);
+    }
     let mut error = local_error(system, h, &(end.a - state.a), &correction);
     if settings.watches_rates(system) {
         error = error.max(steep_error(system, &settings, state, h, (&pose, &end)));
@@ -216,20 +220,24 @@ fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
         return f64::INFINITY;
     }
     let bend = to.a - from.a - h * from.jerk;
-    let of_rates = |bend: &Vector<N>| h / 12.0 * system.angle_norm(bend) / (RATE + system.angle_norm(&to.v));
-    let mut rates = of_rates(&bend);
+    let mut rates = rate_error(system, h, &bend, &to.v);
     if rates > settings.error_tolerance {
         // What decays much faster than a step, and rings, is seen as the step's own matrix lets it through (Hairer and Wanner, section IV.8).
         let at = TangentPoint { q: &to.q, pose, v: &to.v, lambda: &to.lambda, h };
         let inertia = system.mass_times(pose, &bend);
         rates = system
             .solve_tangent(&at, settings.regularization, (&inertia, &Vector::ZERO))
-            .map_or(rates, |(bend, _)| of_rates(&bend));
+            .map_or(rates, |(bend, _)| rate_error(system, h, &bend, &to.v));
     }
     let energy = system.energy(&to.q, pose, &to.v) - system.energy(&from.q, &system.pose(&from.q), &from.v);
     let put_in = |power: Work| h / 2.0 * (power.input - power.dissipated);
     let balance = energy - put_in(from.power) - put_in(to.power);
     rates.max(balance.abs() / settings.energy_scale)
+}
+
+/// The error of the rates from a change of q̈ that was not foretold, in units of [`RATE`] + |q̇|, as an angle, rad.
+fn rate_error<const N: usize, const M: usize>(system: &impl Implicit<N, M>, h: f64, bend: &Vector<N>, v: &Vector<N>) -> f64 {
+    h / 12.0 * system.angle_norm(bend) / (RATE + system.angle_norm(v))
 }
 
 /// Whether between two states, given by q, q̇ and q̈, h seconds apart, something that touches at neither may have touched.

@@ -163,10 +163,9 @@ fn friction_that_holds_creeps_as_its_law_says() {
     assert!((moved - 3.58122e-5).abs() < 1e-9, "moved by {moved:e} rad");
     assert!((state.core.work.dissipated - 4.86991e-6).abs() < 1e-10, "{:e} J", state.core.work.dissipated);
     assert!(state.energy_error(simulation.model()).abs() < 1e-10);
-    let [left, right] = [0, 3].map(|link| state.core.a[fivebar::mechanism::coordinates::THETA[link]].abs());
-    // What a rate of a tenth of its tolerance, 3e-7 rad/s, makes of a slope of 0.1 N·m per 0.001 rad/s on a link.
-    assert!(left.max(right) < 3e-2, "{left:e} and {right:e} rad/s² at rest");
-    assert!(state.core.counters.substeps < 3000, "{} sub-steps", state.core.counters.substeps);
+    // What is not foretold of the accelerations rings below 1e-2 of the rates' tolerance, 3e-7 rad/s in 1 ms.
+    assert!(state.core.a.max_norm() < 1e-4, "{:e} rad/s² at rest", state.core.a.max_norm());
+    assert!(state.core.counters.substeps < 1100, "{} sub-steps", state.core.counters.substeps);
 }
 
 /// The same where friction turns at 1e-6 rad/s: the creep is proportional to the breakaway velocity, 3.5814e-3 of it per second at 1e-3 and
@@ -185,7 +184,9 @@ fn stiff_friction_creeps_as_well() {
     let moved = state.angles()[0] - 2.2;
     assert!((moved - 3.5814e-9).abs() < 0.01 * 3.5814e-9, "moved by {moved:e} rad");
     assert!(state.energy_error(simulation.model()).abs() < 1e-9);
-    assert!(state.core.counters.substeps < 10_000, "{} sub-steps", state.core.counters.substeps);
+    // Damped: z = hρ is some 1e5, and an undamped trapezoidal rule rang at 1.7 rad/s².
+    assert!(state.core.a.max_norm() < 1e-4, "{:e} rad/s² at rest", state.core.a.max_norm());
+    assert!(state.core.counters.substeps < 150, "{} sub-steps", state.core.counters.substeps);
 }
 
 /// Masses that are absurd, and legal: a call ends with its status after no more work than it may do (one took 147 s before it said so).
