@@ -40,6 +40,8 @@ pub struct Settings {
     pub max_work: u32,
     /// The balance of energy of a step may be off by the error tolerance times this, J, where forces change steeply.
     pub energy_scale: f64,
+    /// Energy at the start, J, of a run where forces change steeply.
+    pub energy_at_start: f64,
     /// e = 1/(αβ) = 1/(κ m̄), 1/kg, for a penalty α of κ times m̄/β: the same at every h.
     pub regularization: f64,
 }
@@ -229,10 +231,22 @@ fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
             .solve_tangent(&at, settings.regularization, (&inertia, &Vector::ZERO))
             .map_or(rates, |(bend, _)| rate_error(system, h, &bend, &to.v));
     }
-    let energy = system.energy(&to.q, pose, &to.v) - system.energy(&from.q, &system.pose(&from.q), &from.v);
-    let put_in = |power: Work| h / 2.0 * (power.input - power.dissipated);
-    let balance = energy - put_in(from.power) - put_in(to.power);
-    rates.max(balance.abs() / settings.energy_scale)
+    let put_in = |work: Work| work.input - work.dissipated;
+    let before = system.energy(&from.q, &system.pose(&from.q), &from.v);
+    let balance = system.energy(&to.q, pose, &to.v) - before - h / 2.0 * (put_in(from.power) + put_in(to.power));
+    let off = before - settings.energy_at_start - put_in(from.work);
+    rates.max(balance.abs() / (settings.energy_scale * strictness(settings, off, balance)))
+}
+
+/// By how much less a step may add to what the balance of energy is off already, J: thousands of bounces in a row add up.
+fn strictness(settings: &Settings, off: f64, balance: f64) -> f64 {
+    /// The balance may be off by this part of the energy scale, times the root of the error tolerance: what steps add up to falls faster.
+    const BUDGET: f64 = 0.15;
+    const LEAST: f64 = 0.02;
+    if off * balance <= 0.0 {
+        return 1.0;
+    }
+    (1.0 - off.abs() / (BUDGET * settings.energy_scale * settings.error_tolerance.sqrt())).clamp(LEAST, 1.0)
 }
 
 /// The error of the rates from a change of q̈ that was not foretold, in units of [`RATE`] + |q̇|, as an angle, rad.

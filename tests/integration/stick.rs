@@ -181,6 +181,42 @@ fn it_sticks_and_slips_as_the_closed_form_says() {
     }
 }
 
+/// With coaxial motors the inner joints turn by the same angle: they stop together and hold together, whichever of them is strong, and the
+/// arm then turns about its motors as one piece.
+#[test]
+fn coaxial_links_stop_and_go_on_together() {
+    for method in METHODS {
+        for strong in 1..4 {
+            let mut friction = [0.0, 1e-4, 1.5e-4, 2e-4, 0.0];
+            friction[strong] = 5e-3;
+            let mut parameters = sticking(method, friction, friction);
+            parameters.geometry.base_distance = 0.0;
+            parameters.effects.gravity.enabled = false;
+            parameters.start.theta = [2.2, 1.2];
+            parameters.start.omega = [1.0, 0.5];
+            let inputs = Inputs { tau: [2e-3, 0.0], ..default_inputs() };
+            let mut simulation = Simulation::new(&parameters, &inputs).expect("a scene");
+            simulation.advance(&inputs, 1e-3, 100).expect("steps");
+            let apart = |simulation: &Simulation| angles(simulation)[0] - angles(simulation)[3];
+            let stopped = apart(&simulation);
+            for _ in 0..10 {
+                simulation.advance(&inputs, 1e-3, 10).expect("steps");
+                let state = simulation.state();
+                let [left, right] = [0, 3].map(|link| state.core.v[THETA[link]]);
+                // By dop853 what is held drifts with the error of its steps.
+                assert!((left - right).abs() < 1e-10 && left > 0.5, "{method:?}, {strong}: {left} {right}");
+                assert!((apart(&simulation) - stopped).abs() < 1e-10, "{method:?}, {strong}");
+                // Each uses the same part of what it can: a third of 2 mN·m goes to the other leg, of those 5.25 to 5.35.
+                let holding = state.holding(simulation.model());
+                let parts = [1, 2, 3].map(|joint| (holding[joint] / friction[joint]).abs());
+                assert!(parts.iter().all(|part| (part - parts[0]).abs() < 1e-6 && *part > 0.05 && *part < 0.5), "{parts:?}");
+            }
+            let counters = simulation.counters();
+            assert!(counters.rejected < 100 && counters.substeps < 3000, "{method:?}, {strong}: {counters:?}");
+        }
+    }
+}
+
 /// A scene, and its inputs at a time.
 type Motion = (Parameters, fn(f64) -> Inputs);
 
