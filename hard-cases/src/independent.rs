@@ -254,7 +254,8 @@ impl<'a> Independent<'a> {
         let contact = &self.scene.effects.contact;
         let length = contact.nx.hypot(contact.ny);
         let (n, [x, y]) = ([contact.nx / length, contact.ny / length], self.tip(state));
-        let v = self.arms(state).iter().fold([0.0; 2], |v, (link, [x, y])| [v[0] - state[4 + link] * y, v[1] + state[4 + link] * x]);
+        let v =
+            self.arms(state).iter().fold([0.0; 2], |v, (link, [x, y])| [v[0] - state[4 + link] * y, v[1] + state[4 + link] * x]);
         let depth = contact.offset - n[0] * x - n[1] * y;
         [depth, push(depth, -n[0] * v[0] - n[1] * v[1], [contact.k, contact.d, contact.width])]
     }

@@ -164,7 +164,8 @@ fn independent_end(parameters: &Parameters, inputs: &Inputs, duration: f64) -> O
     let program = Independent::new(parameters, inputs);
     let start = program.start();
     let effects = &parameters.effects;
-    let sticks = [(effects.friction.enabled, effects.friction.law), (effects.contact.enabled, effects.contact.law)].contains(&(true, Law::Stick));
+    let sticks = [(effects.friction.enabled, effects.friction.law), (effects.contact.enabled, effects.contact.law)]
+        .contains(&(true, Law::Stick));
     let after = |start| match sticks {
         true => Sticking::new(parameters, inputs).after(start, duration),
         false => program.after(start, duration),

@@ -230,13 +230,7 @@ impl<'a> Touches<'a> {
     }
 
     /// The same of springs alone.
-    pub fn springs_stay_free(
-        ends: [&Self; 2],
-        sides: &Sides,
-        duration: f64,
-        extremes: [[f64; LINKS]; 2],
-        tolerance: f64,
-    ) -> bool {
+    pub fn springs_stay_free(ends: [&Self; 2], sides: &Sides, duration: f64, extremes: [[f64; LINKS]; 2], tolerance: f64) -> bool {
         let [from, to] = ends;
         let [rates, accelerations] = extremes;
         let mut pairs = from.springs.iter().zip(&to.springs).filter(|(touch, _)| touch.phase(sides) == Phase::Free);

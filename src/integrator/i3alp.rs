@@ -87,7 +87,7 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
     let done = state.counters.iterations;
     // Every round counts as one more: one through a vertex has no iteration.
     for rounds in 0.. {
-        if rounds + state.counters.iterations - done > u64::from(settings.max_work) {
+        if rounds + without_sides.iteration_work() * (state.counters.iterations - done) > u64::from(settings.max_work) {
             break;
         }
         let on_sides = without_sides.on(*sides);

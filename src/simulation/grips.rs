@@ -62,7 +62,8 @@ pub(super) fn turns_between(system: &FiveBar<'_>, ends: [[&Coordinates; 3]; 2], 
     let pairs = from.iter().zip(&to).filter(|(from, to)| from.place == to.place);
     pairs.into_iter().any(|(from, to)| {
         let Grip::Slips(way) = system.sides.grips.at(from.place) else { return false };
-        let change = |grasp: &Grasp<COORDINATES>, [.., a]: [&Coordinates; 3]| way.sign() * duration * (grasp.row.dot(a) + grasp.drift);
+        let change =
+            |grasp: &Grasp<COORDINATES>, [.., a]: [&Coordinates; 3]| way.sign() * duration * (grasp.row.dot(a) + grasp.drift);
         lowest([from, to].map(|grasp| way.sign() * grasp.rate), [change(from, ends[0]), change(to, ends[1])]) < -slow
     })
 }

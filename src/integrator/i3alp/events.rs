@@ -42,8 +42,7 @@ pub(super) struct Search {
 
 impl Search {
     /// Nothing is sought.
-    pub(super) const NONE: Self =
-        Self { before: [0.0; 2], beyond: None, half: None, is_slow: false, tries: 0, at_border: false };
+    pub(super) const NONE: Self = Self { before: [0.0; 2], beyond: None, half: None, is_slow: false, tries: 0, at_border: false };
 
     /// The length to try next, s.
     #[inline(always)]
