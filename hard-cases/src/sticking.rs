@@ -98,9 +98,9 @@ impl<'a> Sticking<'a> {
                     (matrix[4 + equation][link], matrix[link][4 + equation]) = (closure[link], closure[link]);
                 }
             }
-            for link in 0..4 {
+            for (link, by_rate) in row.row.into_iter().enumerate() {
                 matrix[link][link] = 1.0;
-                (matrix[6][link], matrix[link][6]) = (row.row[link], row.row[link]);
+                (matrix[6][link], matrix[link][6]) = (by_rate, by_rate);
             }
             matrix[6][7] = -rate;
             let change = eliminate(matrix);
@@ -207,9 +207,8 @@ impl<'a> Sticking<'a> {
                     (0..4).for_each(|link| matrix[link][8] -= sliding.row[link] * force);
                 }
                 _ => {
-                    for link in 0..4 {
-                        matrix[place][link] = sliding.row[link];
-                        matrix[link][place] = -sliding.row[link];
+                    for (link, by_rate) in sliding.row.into_iter().enumerate() {
+                        (matrix[place][link], matrix[link][place]) = (by_rate, -by_rate);
                     }
                     matrix[place][8] = -sliding.drift;
                     places[grip] = Some(place);
