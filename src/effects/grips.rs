@@ -278,7 +278,9 @@ impl Balance {
                 *grip = [Grip::Holds(Way::Forward), Grip::Slips(Way::Forward), Grip::Slips(Way::Backward)][code % 3];
                 code /= 3;
             }
-            if !holds.contains(&pattern.iter().filter(|grip| matches!(grip, Grip::Holds(_))).count()) {
+            let holding: ArrayVec<usize, GRIPS> = (0..n).filter(|i| matches!(pattern[*i], Grip::Holds(_))).collect();
+            // Two that hold the same motion leave the other.
+            if !holds.contains(&holding.len()) || matches!(holding[..], [i, j] if self.are_parallel(i, j)) {
                 continue;
             }
             let torques = self.torques(&pattern);
