@@ -4,6 +4,7 @@
 use std::f64::consts::PI;
 
 use fivebar::effects::Law;
+use fivebar::effects::grips::{Balance, Grip, Grips, Way};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::simulation::{Direction, Inputs, Method, Parameters, Simulation};
@@ -179,6 +180,26 @@ fn it_sticks_and_slips_as_the_closed_form_says() {
             assert!((pair[1] - pair[0] - period).abs() < 0.01 * period, "{method:?}: {starts:?}, {period}");
         }
     }
+}
+
+/// Grips that hold one motion between them, and a third that is too weak for the other: nothing rests, however strong they are; and they hold
+/// it the same way, whichever of them could by itself.
+#[test]
+fn grips_of_one_motion_hold_one_motion() {
+    let mut balance = Balance::default();
+    balance.places.extend([0, 1, 2]);
+    for (i, j, mobility) in [(0, 0, 1.0), (1, 1, 1.0), (2, 2, 1.0), (1, 2, -1.0), (2, 1, -1.0)] {
+        balance.mobility[i][j] = mobility;
+    }
+    balance.change[..3].copy_from_slice(&[2.0, -0.5, 0.5]);
+    balance.bounds[..3].copy_from_slice(&[1.0, 0.1, 1.0]);
+    assert!(!balance.can_rest());
+    let mut grips = Grips::OPEN;
+    balance.moving(&mut grips);
+    let expected = [Grip::Slips(Way::Forward), Grip::Holds(Way::Forward), Grip::Holds(Way::Backward)];
+    assert_eq!([0, 1, 2].map(|place| grips.at(place)), expected);
+    balance.change[0] = 0.5;
+    assert!(balance.can_rest());
 }
 
 /// With coaxial motors the inner joints turn by the same angle: they stop together and hold together, whichever of them is strong, and the
