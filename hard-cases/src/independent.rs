@@ -5,7 +5,7 @@
 //! No touch is stepped over by force: a step is never longer than what the fastest approach needs for the gap to the nearest stop or
 //! plane.
 
-use std::f64::consts::{E, SQRT_2};
+use std::f64::consts::{E, SQRT_2, TAU};
 
 use fivebar::effects::Law;
 use fivebar::simulation::{Inputs, Parameters};
@@ -34,8 +34,11 @@ fn along(angle: f64, length: f64) -> [f64; 2] {
 }
 
 impl<'a> Independent<'a> {
-    /// For the default orientation of gravity; rotors and payload are not known here.
+    /// For the default orientation of gravity; rotors and payload are not known here, nor coaxial motors with links that differ.
     pub fn new(scene: &'a Parameters, inputs: &'a Inputs) -> Self {
+        let links = &scene.geometry.links;
+        let equal = links.iter().all(|link| link.length == links[0].length);
+        assert!(scene.geometry.base_distance != 0.0 || equal, "with coaxial motors links have to be of equal length");
         assert!(!scene.effects.rotor.enabled && !scene.effects.payload.enabled, "rotors and payload are not known here");
         Self { scene, inputs }
     }
@@ -89,7 +92,7 @@ impl<'a> Independent<'a> {
     }
 
     /// The longest step that cannot pass a gap, s.
-    fn cap(&self, state: &Motion) -> f64 {
+    pub(crate) fn cap(&self, state: &Motion) -> f64 {
         /// Part of a ramp that a step may be longer than the way to it.
         const PART: f64 = 0.3;
         let effects = &self.scene.effects;
@@ -147,12 +150,21 @@ impl<'a> Independent<'a> {
             matrix[distal][6] = forces[distal] + coupling * (angle - other).sin() * rate * rate;
             for (link, angle, rate, length) in [(proximal, angle, rate, p.length), (distal, other, other_rate, q.length)] {
                 let [x, y] = along(angle, sign * length);
+                if self.is_rhombus() {
+                    continue;
+                }
                 matrix[4][link] = -y;
                 matrix[5][link] = x;
                 matrix[link][4] = -y;
                 matrix[link][5] = x;
                 matrix[4][6] += x * rate * rate;
                 matrix[5][6] += y * rate * rate;
+            }
+        }
+        if self.is_rhombus() {
+            for (row, [link, other]) in [(4, [0, 2]), (5, [1, 3])] {
+                (matrix[row][link], matrix[link][row]) = (1.0, 1.0);
+                (matrix[row][other], matrix[other][row]) = (-1.0, -1.0);
             }
         }
         matrix
@@ -165,6 +177,9 @@ impl<'a> Independent<'a> {
         let mut forces = [0.0; 4];
         forces[0] += self.inputs.tau[0];
         forces[3] += self.inputs.tau[1];
+        for (link, [x, y]) in self.arms(state) {
+            forces[link] += x * self.inputs.tip_force[1] - y * self.inputs.tip_force[0];
+        }
         if effects.gravity.enabled {
             let g = effects.gravity.g;
             for (proximal, distal) in [(0, 1), (3, 2)] {
@@ -211,12 +226,15 @@ impl<'a> Independent<'a> {
         if effects.contact.enabled {
             let contact = &effects.contact;
             let length = contact.nx.hypot(contact.ny);
-            let (n, [x, y]) = ([contact.nx / length, contact.ny / length], self.tip(state));
-            let arms = [(0, along(angle[0], links[0].length)), (1, along(angle[1], links[1].length))];
+            let n = [contact.nx / length, contact.ny / length];
+            let arms = self.arms(state);
             let v = arms.iter().fold([0.0; 2], |v, (link, [x, y])| [v[0] - rate[*link] * y, v[1] + rate[*link] * x]);
-            let depth = contact.offset - n[0] * x - n[1] * y;
-            let normal = push(depth, -n[0] * v[0] - n[1] * v[1], [contact.k, contact.d, contact.width]);
-            let drag = contact.mu * normal * ((n[0] * v[1] - n[1] * v[0]) / contact.slip_velocity).tanh();
+            let [_, normal] = self.pressed(state);
+            // What sticks is `sticking.rs`'s.
+            let drag = match contact.law {
+                Law::Smooth => contact.mu * normal * ((n[0] * v[1] - n[1] * v[0]) / contact.slip_velocity).tanh(),
+                Law::Stick => 0.0,
+            };
             let force = [normal * n[0] + drag * n[1], normal * n[1] - drag * n[0]];
             for (link, [x, y]) in arms {
                 forces[link] += x * force[1] - y * force[0];
@@ -225,8 +243,36 @@ impl<'a> Independent<'a> {
         forces
     }
 
+    /// The arms at which the links of the left leg move the tip, m.
+    pub(crate) fn arms(&self, state: &Motion) -> [(usize, [f64; 2]); 2] {
+        let links = &self.scene.geometry.links;
+        [(0, along(state[0], links[0].length)), (1, along(state[1], links[1].length))]
+    }
+
+    /// How deep the tip is in the plane, m, and with what it is pushed back, N.
+    pub(crate) fn pressed(&self, state: &Motion) -> [f64; 2] {
+        let contact = &self.scene.effects.contact;
+        let length = contact.nx.hypot(contact.ny);
+        let (n, [x, y]) = ([contact.nx / length, contact.ny / length], self.tip(state));
+        let v =
+            self.arms(state).iter().fold([0.0; 2], |v, (link, [x, y])| [v[0] - state[4 + link] * y, v[1] + state[4 + link] * x]);
+        let depth = contact.offset - n[0] * x - n[1] * y;
+        [depth, push(depth, -n[0] * v[0] - n[1] * v[1], [contact.k, contact.d, contact.width])]
+    }
+
+    /// With coaxial motors and equal links opposite links stay parallel: a closure without singularities.
+    fn is_rhombus(&self) -> bool {
+        self.scene.geometry.base_distance == 0.0
+    }
+
     /// Back onto the closure: the nearest angles, and then rates.
     pub fn closed(&self, state: Motion) -> Motion {
+        if self.is_rhombus() {
+            let mean = |i: usize, j: usize| 0.5 * (state[i] + state[j] - TAU * ((state[j] - state[i]) / TAU).round());
+            let [a, b] = [mean(0, 2), mean(3, 1)];
+            let [wa, wb] = [0.5 * (state[4] + state[6]), 0.5 * (state[5] + state[7])];
+            return [a, b, a, b, wa, wb, wa, wb];
+        }
         let lengths = self.scene.geometry.links.map(|link| link.length);
         let signs = [1.0, 1.0, -1.0, -1.0];
         let mut state = state;

@@ -1,19 +1,25 @@
-//! The same second program where friction in the joints sticks: between events a held joint is one more constraint with a multiplier; at
-//! an event every pattern of joints that hold and slip is tried against the law. For joints only.
+//! The same second program where friction sticks, in the joints or of the tip on the plane: between events what is held is one more
+//! constraint with a multiplier; at an event every pattern of grips that hold and slip is tried against the law.
 
+use fivebar::effects::Law;
 use fivebar::simulation::{Inputs, Parameters};
 
 use crate::independent::{Independent, JOINTS, Motion, eliminate, extrapolate};
 
-/// What a joint does.
+/// What a grip does.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Joint {
+enum Grip {
     Free,
     Slips(f64),
     Holds,
 }
 
-type Joints = [Joint; 5];
+/// The joints, and the tip on the plane.
+const GRIPS: usize = 6;
+/// The place of the tip.
+const TIP: usize = 5;
+
+type Grips = [Grip; GRIPS];
 
 /// Rates below this, rad/s, are those of rest.
 const SLOW: f64 = 1e-8;
@@ -26,9 +32,20 @@ pub struct Sticking<'a> {
     program: Independent<'a>,
 }
 
-fn rate(state: &Motion, joint: usize) -> f64 {
-    let (first, second) = JOINTS[joint];
-    state[4 + first] - second.map_or(0.0, |second| state[4 + second])
+/// How fast the parts of a grip slide on each other: row·(rates of the links), and row·(their accelerations) + drift is how that changes.
+struct Row {
+    row: [f64; 4],
+    drift: f64,
+}
+
+impl Row {
+    fn rate(&self, state: &Motion) -> f64 {
+        (0..4).map(|link| self.row[link] * state[4 + link]).sum()
+    }
+
+    fn acceleration(&self, a: &[f64; 4]) -> f64 {
+        self.drift + (0..4).map(|link| self.row[link] * a[link]).sum::<f64>()
+    }
 }
 
 impl<'a> Sticking<'a> {
@@ -40,91 +57,161 @@ impl<'a> Sticking<'a> {
     /// After `duration` seconds; `None` where steps become too short or events too many.
     pub fn after(&self, start: Motion, duration: f64) -> Option<Motion> {
         let (mut state, mut time, mut wanted, mut events) = (start, 0.0, 1e-4_f64, 0);
-        let mut joints = self.decided(&mut state);
+        let mut grips = self.decided(&mut state);
         while duration - time > 1e-12 {
             // Nothing moves, and no input changes.
-            if state[4..].iter().all(|rate| *rate == 0.0) && joints.iter().filter(|joint| **joint == Joint::Holds).count() > 1 {
+            if state[4..].iter().all(|rate| *rate == 0.0) && grips.iter().filter(|grip| **grip == Grip::Holds).count() > 1 {
                 return Some(state);
             }
-            let h = wanted.min(LONGEST).min(duration - time);
+            let h = wanted.min(LONGEST).min(self.program.cap(&state)).min(duration - time);
             if h < 1e-13 || events > 10_000 {
                 return None;
             }
-            let (end, error) = extrapolate(&|state| self.slope(state, &joints), &state, h);
+            let (end, error) = extrapolate(&|state| self.slope(state, &grips), &state, h);
             if error > 1.0 {
                 wanted = h * (0.7 * error.powf(-0.2)).clamp(0.1, 0.9);
                 continue;
             }
-            if self.margin(&end, &joints) >= 0.0 {
-                (state, time) = (self.program.closed(end), time + h);
+            if self.margin(&end, &grips) >= 0.0 {
+                (state, time) = (self.held(end, &grips), time + h);
                 wanted = h * (0.7 * error.max(1e-12).powf(-0.2)).clamp(0.2, 4.0);
                 continue;
             }
-            let (end, h) = self.event(&state, &joints, h);
-            (state, time, events) = (self.program.closed(end), time + h, events + 1);
-            joints = self.decided(&mut state);
+            let (end, h) = self.event(&state, &grips, h);
+            (state, time, events) = (self.held(end, &grips), time + h, events + 1);
+            grips = self.decided(&mut state);
             wanted = 1e-4;
         }
         Some(state)
     }
 
-    /// The end of the step that comes just beyond where its joints do something else: in halves.
-    fn event(&self, from: &Motion, joints: &Joints, longest: f64) -> (Motion, f64) {
-        let (mut before, mut beyond) = (0.0, longest);
-        let step = |h: f64| extrapolate(&|state| self.slope(state, joints), from, h).0;
-        for _ in 0..40 {
-            let middle = 0.5 * (before + beyond);
-            if self.margin(&step(middle), joints) >= 0.0 { before = middle } else { beyond = middle }
+    /// Back onto the closure, and what holds to rest.
+    fn held(&self, state: Motion, grips: &Grips) -> Motion {
+        let mut state = self.program.closed(state);
+        for grip in (0..GRIPS).filter(|grip| grips[*grip] == Grip::Holds) {
+            let row = self.row(grip, &state);
+            let rate = row.rate(&state);
+            // The rates nearest by that keep the closure: two equations of it, and that of the grip.
+            let mut matrix = [[0.0; 8]; 7];
+            for (equation, closure) in self.program.equations(&state)[4..].iter().enumerate() {
+                for link in 0..4 {
+                    (matrix[4 + equation][link], matrix[link][4 + equation]) = (closure[link], closure[link]);
+                }
+            }
+            for (link, by_rate) in row.row.into_iter().enumerate() {
+                matrix[link][link] = 1.0;
+                (matrix[6][link], matrix[link][6]) = (by_rate, by_rate);
+            }
+            matrix[6][7] = -rate;
+            let change = eliminate(matrix);
+            (0..4).for_each(|link| state[4 + link] += change[link]);
         }
-        (step(beyond), beyond)
+        state
     }
 
-    /// The least of what must not fall below 0: slip rates in their direction, and what holding joints have left.
-    fn margin(&self, state: &Motion, joints: &Joints) -> f64 {
-        let (_, torques) = self.accelerations(state, joints);
-        let margins = (0..5).map(|joint| match joints[joint] {
-            Joint::Free => f64::INFINITY,
-            Joint::Slips(sign) => sign * rate(state, joint) + 1e-13,
-            Joint::Holds => self.bound(joint, 0.0) - torques[joint].abs(),
+    /// The end of the step that comes just beyond where its grips do something else: by false position (Illinois).
+    fn event(&self, from: &Motion, grips: &Grips, longest: f64) -> (Motion, f64) {
+        /// So far beyond, rad/s and N·m, within the smaller.
+        const BEYOND: [f64; 2] = [5e-13, 4e-13];
+        const ROUNDS: usize = 60;
+        let step = |h: f64| extrapolate(&|state| self.slope(state, grips), from, h).0;
+        let above = |end: &Motion| self.margin(end, grips) + BEYOND[0];
+        let ([mut before, mut beyond], mut end) = ([0.0, longest], step(longest));
+        let [mut high, mut low] = [above(from), above(&end)];
+        for _ in 0..ROUNDS {
+            if low.abs() < BEYOND[1] || beyond - before < 1e-16 || high <= 0.0 {
+                break;
+            }
+            let middle = before + (beyond - before) * (high / (high - low)).clamp(1e-3, 0.999);
+            let there = step(middle);
+            let level = above(&there);
+            if level > BEYOND[1] {
+                (before, high, low) = (middle, level, 0.5 * low);
+            } else {
+                (beyond, low, end, high) = (middle, level, there, 0.5 * high);
+            }
+        }
+        (end, beyond)
+    }
+
+    /// The least of what must not fall below 0: slip rates in their direction, what grips that hold have left, and the gap to the plane.
+    fn margin(&self, state: &Motion, grips: &Grips) -> f64 {
+        let (_, torques) = self.accelerations(state, grips);
+        let margins = (0..GRIPS).map(|grip| match grips[grip] {
+            Grip::Free if grip == TIP && self.tip_sticks() => 1e-13 - self.program.pressed(state)[0],
+            Grip::Free => f64::INFINITY,
+            Grip::Slips(sign) => sign * self.row(grip, state).rate(state) + 1e-13,
+            Grip::Holds => self.bound(grip, state, 0.0) - torques[grip].abs(),
         });
         margins.fold(f64::INFINITY, f64::min)
     }
 
-    fn bound(&self, joint: usize, rate: f64) -> f64 {
-        let friction = &self.scene.effects.friction;
-        let u = rate / (std::f64::consts::SQRT_2 * friction.breakaway_velocity);
-        friction.coulomb[joint] + (friction.breakaway[joint] - friction.coulomb[joint]) * (-u * u).exp()
+    fn tip_sticks(&self) -> bool {
+        let contact = &self.scene.effects.contact;
+        contact.enabled && contact.law == Law::Stick && contact.mu > 0.0
     }
 
-    fn slope(&self, state: &Motion, joints: &Joints) -> Motion {
-        let (a, _) = self.accelerations(state, joints);
+    fn row(&self, grip: usize, state: &Motion) -> Row {
+        let mut row = [0.0; 4];
+        if grip < TIP {
+            let (first, second) = JOINTS[grip];
+            row[first] = 1.0;
+            if let Some(second) = second {
+                row[second] = -1.0;
+            }
+            return Row { row, drift: 0.0 };
+        }
+        let contact = &self.scene.effects.contact;
+        let length = contact.nx.hypot(contact.ny);
+        let along_plane = [-contact.ny / length, contact.nx / length];
+        let mut drift = 0.0;
+        for (link, [x, y]) in self.program.arms(state) {
+            row[link] = x * along_plane[1] - y * along_plane[0];
+            drift -= state[4 + link] * state[4 + link] * (x * along_plane[0] + y * along_plane[1]);
+        }
+        Row { row, drift }
+    }
+
+    /// What a grip gives while it slips at a rate, N·m or N; what it can hold, at 0.
+    fn bound(&self, grip: usize, state: &Motion, rate: f64) -> f64 {
+        if grip == TIP {
+            return self.scene.effects.contact.mu * self.program.pressed(state)[1];
+        }
+        let friction = &self.scene.effects.friction;
+        let u = rate / (std::f64::consts::SQRT_2 * friction.breakaway_velocity);
+        friction.coulomb[grip] + (friction.breakaway[grip] - friction.coulomb[grip]) * (-u * u).exp()
+    }
+
+    fn slope(&self, state: &Motion, grips: &Grips) -> Motion {
+        let (a, _) = self.accelerations(state, grips);
         [state[4], state[5], state[6], state[7], a[0], a[1], a[2], a[3]]
     }
 
-    /// Accelerations, and the torques of the joints that hold. Two hold at most.
-    fn accelerations(&self, state: &Motion, joints: &Joints) -> ([f64; 4], [f64; 5]) {
+    /// Accelerations, and the torques of the grips that hold. Two hold at most.
+    fn accelerations(&self, state: &Motion, grips: &Grips) -> ([f64; 4], [f64; GRIPS]) {
         let mut matrix = [[0.0; 9]; 8];
         for (row, equation) in self.program.equations(state).into_iter().enumerate() {
             matrix[row][..6].copy_from_slice(&equation[..6]);
             matrix[row][8] = equation[6];
         }
-        let mut torques = [0.0; 5];
+        let mut places = [None; GRIPS];
         let mut place = 6;
-        for joint in 0..5 {
-            let (first, second) = JOINTS[joint];
-            let sides = [(Some(first), 1.0), (second, -1.0)];
-            let links = || sides.into_iter().filter_map(|(link, sign)| link.map(|link| (link, sign)));
-            match joints[joint] {
-                Joint::Free => {}
-                Joint::Slips(sign) => {
-                    links().for_each(|(link, side)| matrix[link][8] -= side * sign * self.bound(joint, rate(state, joint)))
+        for grip in 0..GRIPS {
+            if grips[grip] == Grip::Free {
+                continue;
+            }
+            let sliding = self.row(grip, state);
+            match grips[grip] {
+                Grip::Slips(sign) => {
+                    let force = sign * self.bound(grip, state, sliding.rate(state));
+                    (0..4).for_each(|link| matrix[link][8] -= sliding.row[link] * force);
                 }
-                Joint::Holds => {
-                    for (link, side) in links() {
-                        matrix[place][link] = side;
-                        matrix[link][place] = -side;
+                _ => {
+                    for (link, by_rate) in sliding.row.into_iter().enumerate() {
+                        (matrix[place][link], matrix[link][place]) = (by_rate, -by_rate);
                     }
-                    torques[joint] = place as f64;
+                    matrix[place][8] = -sliding.drift;
+                    places[grip] = Some(place);
                     place += 1;
                 }
             }
@@ -133,57 +220,64 @@ impl<'a> Sticking<'a> {
             row[unused] = 1.0;
         }
         let solution = eliminate(matrix);
-        let torques = torques.map(|place| if place > 0.0 { solution[place as usize] } else { 0.0 });
+        let torques = places.map(|place| place.map_or(0.0, |place| solution[place]));
         ([solution[0], solution[1], solution[2], solution[3]], torques)
     }
 
-    /// What the joints do from here on.
-    fn decided(&self, state: &mut Motion) -> Joints {
-        let rubs = |joint: &usize| self.scene.effects.friction.breakaway[*joint] > 0.0;
-        let all: Vec<usize> = (0..5).filter(rubs).collect();
+    /// Whether there is a grip that could hold something.
+    fn rubs(&self, grip: usize, state: &Motion) -> bool {
+        let friction = &self.scene.effects.friction;
+        match grip {
+            TIP => self.tip_sticks() && self.program.pressed(state)[0] > 0.0,
+            joint => friction.enabled && friction.law == Law::Stick && friction.breakaway[joint] > 0.0,
+        }
+    }
+
+    /// What the grips do from here on.
+    fn decided(&self, state: &mut Motion) -> Grips {
+        let all: Vec<usize> = (0..GRIPS).filter(|grip| self.rubs(*grip, state)).collect();
+        let able = |grips: Vec<usize>| grips.into_iter().filter(|grip| self.bound(*grip, state, 0.0) > 0.0).collect::<Vec<_>>();
         if state[4..].iter().all(|rate| rate.abs() < 100.0 * SLOW) {
             let mut still = *state;
             still[4..].fill(0.0);
-            let (violation, joints) = self.best(&still, &[Joint::Free; 5], &all, true);
+            let (violation, grips) = self.best(&still, &[Grip::Free; GRIPS], &able(all.clone()), true);
             if violation < 1e-9 {
                 *state = still;
-                return joints;
+                return grips;
             }
         }
-        let mut joints = [Joint::Free; 5];
-        for joint in &all {
-            joints[*joint] = Joint::Slips(if rate(state, *joint) < 0.0 { -1.0 } else { 1.0 });
+        let mut grips = [Grip::Free; GRIPS];
+        for grip in &all {
+            grips[*grip] = Grip::Slips(if self.row(*grip, state).rate(state) < 0.0 { -1.0 } else { 1.0 });
         }
-        let zero: Vec<usize> = all.into_iter().filter(|joint| rate(state, *joint).abs() < SLOW).collect();
-        self.best(state, &joints, &zero, false).1
+        let zero = able(all.into_iter().filter(|grip| self.row(*grip, state).rate(state).abs() < SLOW).collect());
+        self.best(state, &grips, &zero, false).1
     }
 
-    /// Of all that some joints may do, with two of them holding or with one at most, what violates the law least.
-    fn best(&self, state: &Motion, others: &Joints, zero: &[usize], rests: bool) -> (f64, Joints) {
+    /// Of all that some grips may do, with two of them holding or with one at most, what violates the law least.
+    fn best(&self, state: &Motion, others: &Grips, zero: &[usize], rests: bool) -> (f64, Grips) {
         let mut best = (f64::INFINITY, *others);
         for code in 0..3_usize.pow(zero.len() as u32) {
-            let mut joints = *others;
+            let mut grips = *others;
             let mut rest = code;
-            for joint in zero {
-                joints[*joint] = [Joint::Holds, Joint::Slips(1.0), Joint::Slips(-1.0)][rest % 3];
+            for grip in zero {
+                grips[*grip] = [Grip::Holds, Grip::Slips(1.0), Grip::Slips(-1.0)][rest % 3];
                 rest /= 3;
             }
-            let holding = zero.iter().filter(|joint| joints[**joint] == Joint::Holds).count();
+            let holding = zero.iter().filter(|grip| grips[**grip] == Grip::Holds).count();
             if if rests { holding != 2 } else { holding > 1 } {
                 continue;
             }
-            let (a, torques) = self.accelerations(state, &joints);
-            let mut accelerated = [0.0; 8];
-            accelerated[4..].copy_from_slice(&a);
-            let violations = zero.iter().map(|joint| match joints[*joint] {
-                Joint::Holds => torques[*joint].abs() / self.bound(*joint, 0.0) - 1.0,
-                Joint::Slips(sign) if !rests => -sign * rate(&accelerated, *joint),
-                Joint::Slips(_) | Joint::Free => 0.0,
+            let (a, torques) = self.accelerations(state, &grips);
+            let violations = zero.iter().map(|grip| match grips[*grip] {
+                Grip::Holds => torques[*grip].abs() / self.bound(*grip, state, 0.0) - 1.0,
+                Grip::Slips(sign) if !rests => -sign * self.row(*grip, state).acceleration(&a),
+                Grip::Slips(_) | Grip::Free => 0.0,
             });
             let moved = if rests { 1e-3 * a.iter().fold(0.0, |most: f64, a| most.max(a.abs())) } else { 0.0 };
             let violation = violations.fold(moved, f64::max);
             if violation < best.0 {
-                best = (violation, joints);
+                best = (violation, grips);
             }
         }
         best

@@ -160,9 +160,12 @@ impl Watch {
 
 /// Where the independent program ends, and how far off a run may be, rad.
 fn independent_end(parameters: &Parameters, inputs: &Inputs, duration: f64) -> Option<([f64; 4], f64)> {
+    let parameters = &merged(parameters);
     let program = Independent::new(parameters, inputs);
     let start = program.start();
-    let sticks = parameters.effects.friction.enabled && parameters.effects.friction.law == Law::Stick;
+    let effects = &parameters.effects;
+    let sticks = [(effects.friction.enabled, effects.friction.law), (effects.contact.enabled, effects.contact.law)]
+        .contains(&(true, Law::Stick));
     let after = |start| match sticks {
         true => Sticking::new(parameters, inputs).after(start, duration),
         false => program.after(start, duration),
@@ -170,6 +173,18 @@ fn independent_end(parameters: &Parameters, inputs: &Inputs, duration: f64) -> O
     let angles = |start| after(start).map(|end| std::array::from_fn(|i| end[i]));
     let (end, other) = (angles(start)?, angles(program.closed(start.map(|x| x + NUDGE)))?);
     Some((end, WRONG.max(MULTIPLIED * apart(&end, &other))))
+}
+
+/// With coaxial motors and equal links the inner joints turn by the same angle: one of them then has the friction of all three.
+fn merged(parameters: &Parameters) -> Parameters {
+    let mut merged = parameters.clone();
+    if parameters.geometry.base_distance == 0.0 {
+        let friction = &mut merged.effects.friction;
+        for torques in [&mut friction.coulomb, &mut friction.breakaway] {
+            (torques[1], torques[2], torques[3]) = (torques[1] + torques[2] + torques[3], 0.0, 0.0);
+        }
+    }
+    merged
 }
 
 /// The largest difference of two postures, rad, whole turns left out.

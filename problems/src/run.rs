@@ -82,6 +82,7 @@ impl<S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>, const N: usize, con
             max_iterations: MAX_ITERATIONS,
             max_work: MAX_WORK,
             energy_scale: 1.0,
+            energy_at_start: 0.0,
             regularization: self.regularization,
         }
     }

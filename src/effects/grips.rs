@@ -278,7 +278,9 @@ impl Balance {
                 *grip = [Grip::Holds(Way::Forward), Grip::Slips(Way::Forward), Grip::Slips(Way::Backward)][code % 3];
                 code /= 3;
             }
-            if !holds.contains(&pattern.iter().filter(|grip| matches!(grip, Grip::Holds(_))).count()) {
+            let holding: ArrayVec<usize, GRIPS> = (0..n).filter(|i| matches!(pattern[*i], Grip::Holds(_))).collect();
+            // Two that hold the same motion leave the other.
+            if !holds.contains(&holding.len()) || matches!(holding[..], [i, j] if self.are_parallel(i, j)) {
                 continue;
             }
             let torques = self.torques(&pattern);
@@ -303,12 +305,14 @@ impl Balance {
     pub fn moving(&self, grips: &mut Grips) {
         let Some((_, mut pattern)) = self.best(0..=1) else { return };
         let left = self.accelerations(&self.torques(&pattern));
-        if let Some(first) = pattern.iter().position(|grip| matches!(grip, Grip::Holds(_))) {
-            let g = &self.mobility;
-            for i in (0..self.len()).filter(|i| *i != first) {
-                if self.are_parallel(first, i) && left[i].abs() <= SHARP * self.scale(i) {
-                    pattern[i] = Grip::Holds(Way::of(g[first][i] * g[first][first]));
-                }
+        if let Some(holder) = pattern.iter().position(|grip| matches!(grip, Grip::Holds(_))) {
+            // A weak grip among strong ones is accelerated by what these leave of round-off.
+            let greatest = |i: usize| (0..self.len()).map(|k| (self.mobility[i][k] * self.bounds[k]).abs()).sum::<f64>();
+            let with = |i: usize| i == holder || self.are_parallel(holder, i) && left[i].abs() <= SHARP * greatest(i);
+            // Ways are relative to the first of them, which need not be the one that holds by itself.
+            let first = (0..holder).find(|i| with(*i)).unwrap_or(holder);
+            for i in (first..self.len()).filter(|i| with(*i)) {
+                pattern[i] = Grip::Holds(Way::of(self.mobility[first][i]));
             }
         }
         for (place, grip) in self.places.iter().zip(pattern) {

@@ -221,15 +221,18 @@ impl<'a> Touches<'a> {
     }
 
     /// Whether springs that do not touch at one end of a motion cannot have touched on its way, deeper than may be overlooked, and what slips
-    /// has not turned: it takes
-    /// some seconds, and links turn at these rates, rad/s, and accelerations, rad/s², at most.
+    /// has not turned: it takes some seconds, and links turn at these rates, rad/s, and accelerations, rad/s², at most.
     pub fn stay_free(ends: [&Self; 2], sides: &Sides, duration: f64, extremes: [[f64; LINKS]; 2], tolerance: f64) -> bool {
         let [from, to] = ends;
-        let [rates, accelerations] = extremes;
         let mut slides = from.slides.iter().zip(&to.slides);
-        if !slides.all(|(from, to)| from.stays(to, &sides.grips, duration, &extremes, tolerance)) {
-            return false;
-        }
+        slides.all(|(from, to)| from.stays(to, &sides.grips, duration, &extremes, tolerance))
+            && Self::springs_stay_free(ends, sides, duration, extremes, tolerance)
+    }
+
+    /// The same of springs alone.
+    pub fn springs_stay_free(ends: [&Self; 2], sides: &Sides, duration: f64, extremes: [[f64; LINKS]; 2], tolerance: f64) -> bool {
+        let [from, to] = ends;
+        let [rates, accelerations] = extremes;
         let mut pairs = from.springs.iter().zip(&to.springs).filter(|(touch, _)| touch.phase(sides) == Phase::Free);
         pairs.all(|(from, to)| {
             let bend: f64 = (0..LINKS).map(|link| from.arms[link] * (accelerations[link] + rates[link] * rates[link])).sum();

@@ -10,6 +10,7 @@
 //!
 //! in which the unknown is the total multiplier: nothing large enters a diagonal, nothing winds up.
 
+mod damping;
 mod events;
 mod line_search;
 mod newton;
@@ -39,6 +40,8 @@ pub struct Settings {
     pub max_work: u32,
     /// The balance of energy of a step may be off by the error tolerance times this, J, where forces change steeply.
     pub energy_scale: f64,
+    /// Energy at the start, J, of a run where forces change steeply.
+    pub energy_at_start: f64,
     /// e = 1/(αβ) = 1/(κ m̄), 1/kg, for a penalty α of κ times m̄/β: the same at every h.
     pub regularization: f64,
 }
@@ -84,7 +87,7 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
     let done = state.counters.iterations;
     // Every round counts as one more: one through a vertex has no iteration.
     for rounds in 0.. {
-        if rounds + state.counters.iterations - done > u64::from(settings.max_work) {
+        if rounds + without_sides.iteration_work() * (state.counters.iterations - done) > u64::from(settings.max_work) {
             break;
         }
         let on_sides = without_sides.on(*sides);
@@ -185,7 +188,10 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kink
     if let Some(energy) = &limits.energy {
         v = system.energy_scale(energy, &q, &v, h)? * v;
     }
-    let end = Arrival::in_balance(system, [q, v], &pose, &mass);
+    let mut end = Arrival::in_balance(system, [q, v], &pose, &mass);
+    if settings.watches_rates(system) {
+        end = damping::damped(system, &settings, state, h, (&pose, &mass), end);
+    }
     let mut error = local_error(system, h, &(end.a - state.a), &correction);
     if settings.watches_rates(system) {
         error = error.max(steep_error(system, &settings, state, h, (&pose, &end)));
@@ -216,20 +222,36 @@ fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
         return f64::INFINITY;
     }
     let bend = to.a - from.a - h * from.jerk;
-    let of_rates = |bend: &Vector<N>| h / 12.0 * system.angle_norm(bend) / (RATE + system.angle_norm(&to.v));
-    let mut rates = of_rates(&bend);
+    let mut rates = rate_error(system, h, &bend, &to.v);
     if rates > settings.error_tolerance {
         // What decays much faster than a step, and rings, is seen as the step's own matrix lets it through (Hairer and Wanner, section IV.8).
         let at = TangentPoint { q: &to.q, pose, v: &to.v, lambda: &to.lambda, h };
         let inertia = system.mass_times(pose, &bend);
         rates = system
             .solve_tangent(&at, settings.regularization, (&inertia, &Vector::ZERO))
-            .map_or(rates, |(bend, _)| of_rates(&bend));
+            .map_or(rates, |(bend, _)| rate_error(system, h, &bend, &to.v));
     }
-    let energy = system.energy(&to.q, pose, &to.v) - system.energy(&from.q, &system.pose(&from.q), &from.v);
-    let put_in = |power: Work| h / 2.0 * (power.input - power.dissipated);
-    let balance = energy - put_in(from.power) - put_in(to.power);
-    rates.max(balance.abs() / settings.energy_scale)
+    let put_in = |work: Work| work.input - work.dissipated;
+    let before = system.energy(&from.q, &system.pose(&from.q), &from.v);
+    let balance = system.energy(&to.q, pose, &to.v) - before - h / 2.0 * (put_in(from.power) + put_in(to.power));
+    let off = before - settings.energy_at_start - put_in(from.work);
+    rates.max(balance.abs() / (settings.energy_scale * strictness(settings, off, balance)))
+}
+
+/// By how much less a step may add to what the balance of energy is off already, J: thousands of bounces in a row add up.
+fn strictness(settings: &Settings, off: f64, balance: f64) -> f64 {
+    /// The balance may be off by this part of the energy scale, times the root of the error tolerance: what steps add up to falls faster.
+    const BUDGET: f64 = 0.15;
+    const LEAST: f64 = 0.02;
+    if off * balance <= 0.0 {
+        return 1.0;
+    }
+    (1.0 - off.abs() / (BUDGET * settings.energy_scale * settings.error_tolerance.sqrt())).clamp(LEAST, 1.0)
+}
+
+/// The error of the rates from a change of q̈ that was not foretold, in units of [`RATE`] + |q̇|, as an angle, rad.
+fn rate_error<const N: usize, const M: usize>(system: &impl Implicit<N, M>, h: f64, bend: &Vector<N>, v: &Vector<N>) -> f64 {
+    h / 12.0 * system.angle_norm(bend) / (RATE + system.angle_norm(v))
 }
 
 /// Whether between two states, given by q, q̇ and q̈, h seconds apart, something that touches at neither may have touched.

@@ -60,6 +60,12 @@ pub trait Kinked<const N: usize>: Sized {
         true
     }
 
+    /// Whether what slips turns and turns back on the way from one state to another, both given by q, q̇ and q̈, some seconds apart. Asked
+    /// only of grips.
+    fn turns_between(&self, _ends: [[&Vector<N>; 3]; 2], _duration: f64, _tolerance: f64) -> bool {
+        false
+    }
+
     /// Whether any border is near that is judged at states only: the forces there keep steps short.
     fn is_touching(&self, _at: &Self::Touches) -> bool {
         false

@@ -113,6 +113,11 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
     fn potential(&self, _q: &Vector<N>, _pose: &Self::Pose) -> Option<f64> {
         None
     }
+
+    /// The work of an iteration, in those of the fastest solve.
+    fn iteration_work(&self) -> u64 {
+        1
+    }
 }
 
 /// Where, and for which step, a tangent is asked for.

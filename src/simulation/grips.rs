@@ -30,6 +30,9 @@ impl FiveBar<'_> {
 /// tolerances.
 const AT_REST: f64 = 1e3;
 
+/// Up to so many times that rate a grip may begin to hold: a step ends beyond a border by some part of it.
+const RESTS: f64 = 2.0;
+
 /// What the grips do in a state, by itself.
 #[cold]
 #[inline(never)]
@@ -44,10 +47,40 @@ pub(super) fn resolved(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -
         }
     }
     let mut grips = moving(&grasps);
-    if grasps.iter().any(|grasp| grasp.rate.abs() <= slow) {
-        balance(system, q, v, &|grasp| grasp.rate.abs() <= slow).moving(&mut grips);
+    let rests = |grasp: &Grasp<COORDINATES>| grasp.rate.abs() <= RESTS * slow;
+    if grasps.iter().any(rests) {
+        balance(system, q, v, &rests).moving(&mut grips);
     }
     grips
+}
+
+/// Whether what slips turns and turns back between two states: by the cubic through the rates and accelerations at both.
+#[cold]
+#[inline(never)]
+pub(super) fn turns_between(system: &FiveBar<'_>, ends: [[&Coordinates; 3]; 2], duration: f64, slow: f64) -> bool {
+    let [from, to] = ends.map(|[q, v, _]| system.grasps(q, &system.pose(q), v));
+    let pairs = from.iter().zip(&to).filter(|(from, to)| from.place == to.place);
+    pairs.into_iter().any(|(from, to)| {
+        let Grip::Slips(way) = system.sides.grips.at(from.place) else { return false };
+        let change =
+            |grasp: &Grasp<COORDINATES>, [.., a]: [&Coordinates; 3]| way.sign() * duration * (grasp.row.dot(a) + grasp.drift);
+        lowest([from, to].map(|grasp| way.sign() * grasp.rate), [change(from, ends[0]), change(to, ends[1])]) < -slow
+    })
+}
+
+/// The least value between the ends of the cubic with these values and slopes there, 1 apart.
+fn lowest([x, y]: [f64; 2], [u, w]: [f64; 2]) -> f64 {
+    let rise = y - x;
+    // x + τ (u + τ (b + c τ)), and where it is level: 3c τ² + 2b τ + u = 0.
+    let (b, c) = (3.0 * rise - 2.0 * u - w, u + w - 2.0 * rise);
+    let root = (b * b - 3.0 * c * u).max(0.0).sqrt();
+    let at = |place: f64, scale: f64| {
+        let part = if scale == 0.0 { 0.0 } else { (place / scale).clamp(0.0, 1.0) };
+        x + part * (u + part * (b + c * part))
+    };
+    // Both roots, each without cancellation.
+    let sum = -b - root.copysign(b);
+    x.min(y).min(at(sum, 3.0 * c)).min(at(u, sum))
 }
 
 /// All slip.

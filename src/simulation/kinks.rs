@@ -4,8 +4,8 @@ use std::borrow::Borrow;
 
 use super::angles::{ANGLES, Angles, ByAngles, PLACES};
 use super::five_bar::FiveBar;
-use super::grips::{resolved, slides};
-use crate::effects::{Sides, Slides, Touches};
+use super::grips::{resolved, slides, turns_between};
+use crate::effects::{Sides, Slides, Touches, slow};
 use crate::integrator::{Kinked, System};
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{COORDINATES, Coordinates};
@@ -134,8 +134,13 @@ impl<'a, const BARE: bool> Kinked<COORDINATES> for FiveBar<'a, BARE> {
         at.any(&self.sides())
     }
 
+    fn turns_between(&self, ends: [[&Coordinates; 3]; 2], duration: f64, tolerance: f64) -> bool {
+        turns_between(&self.general(), ends, duration, slow(tolerance))
+    }
+
+    /// What slips is told by [`Kinked::turns_between`], which knows accelerations.
     fn stays_within(&self, ends: [&Touches<'a>; 2], duration: f64, extremes: &[Coordinates; 2], tolerance: f64) -> bool {
         let extremes = [0, 1].map(|order| THETA.map(|i| extremes[order][i]));
-        Touches::stay_free(ends, &self.sides(), duration, extremes, tolerance)
+        Touches::springs_stay_free(ends, &self.sides(), duration, extremes, tolerance)
     }
 }

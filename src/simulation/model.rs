@@ -282,6 +282,7 @@ impl Settings {
                 adaptive: self.adaptive,
                 error_tolerance: self.error_tolerance,
                 energy_scale: KNOWN_AT_ENDS * energy_scale,
+                energy_at_start: 0.0,
                 tolerance,
                 max_iterations,
                 max_work: self.max_work,

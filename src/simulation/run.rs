@@ -128,6 +128,12 @@ impl Run {
                             i3alp::advance(system, settings, core, &mut sides, h)
                         })
                     }
+                    MacroStepMethod::I3alp(settings) => {
+                        let settings = i3alp::Settings { energy_at_start: self.energy_at_start, ..*settings };
+                        macro_steps::<false, _>(model, core, held, steps, |system, core, h| {
+                            i3alp::advance(system, &settings, core, &mut sides, h)
+                        })
+                    }
                     _ => macro_steps::<false, _>(model, core, held, steps, |system, core, h| {
                         method.advance(system, core, &mut sides, h)
                     }),

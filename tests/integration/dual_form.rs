@@ -99,6 +99,7 @@ fn penalty_and_dual_steps_agree() {
                 max_iterations: 20,
                 max_work: 1000,
                 energy_scale: 1.0,
+                energy_at_start: 0.0,
                 regularization: model.regularization,
             };
             let system = FiveBar::<true>::new(model, &inputs, &[0; 4]);

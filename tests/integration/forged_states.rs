@@ -365,8 +365,9 @@ fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
     let host = Host::initializing(0.0, None);
     let integers = [reference("solver.method")];
     assert_eq!(host.set_integer(&integers, &[method]), fmi2OK);
-    let booleans = ["solver.adaptive", "friction.enabled"].map(reference);
-    assert_eq!(host.set_boolean(&booleans, &[adaptive.into(), matches!(solve, "coupled" | "sticking").into()]), fmi2OK);
+    let booleans = ["solver.adaptive", "friction.enabled", "contact.enabled"].map(reference);
+    let enabled = [adaptive, matches!(solve, "coupled" | "sticking"), solve == "sticking tip"];
+    assert_eq!(host.set_boolean(&booleans, &enabled.map(i32::from)), fmi2OK);
     let mut values = vec![("init.theta[2]", 2.0), ("tau[1]", 0.01), ("solver.stepSize", 1e-3)];
     if solve == "sticking" {
         assert_eq!(host.set_integer(&[reference("friction.law")], &[2]), fmi2OK);
@@ -376,6 +377,14 @@ fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
         assert_eq!(host.set_boolean(&[reference("servo.enabled")], &[1]), fmi2OK);
         values.extend([("servo.kp[1]", 200.0), ("servo.kd[1]", 2.0), ("servo.limit[1]", 50.0), ("servo.theta[1]", 1.6)]);
         values.extend([("servo.kp[2]", 200.0), ("servo.kd[2]", 2.0), ("servo.limit[2]", 50.0), ("servo.theta[2]", 2.0)]);
+    }
+    if solve == "sticking tip" {
+        assert_eq!(host.set_real(&[reference("init.theta[2]")], &[2.0]), fmi2OK);
+        let mut height = [0.0];
+        assert_eq!(host.get_real(&[reference("tip.y")], &mut height), fmi2OK);
+        assert_eq!(host.set_integer(&[reference("contact.law")], &[2]), fmi2OK);
+        // It lies on the plane, pressed in so far as to stay there.
+        values.extend([("contact.offset", height[0] + 2e-4), ("contact.mu", 20.0), ("contact.d", 50.0)]);
     }
     if solve == "dense" {
         values.extend(
@@ -417,10 +426,23 @@ fn forged_runs_are_refused_or_go_on() {
             number += 1;
         }
     }
-    let sticking = [(1, false), (4, false), (4, true)].map(|(method, changing)| (method, changing, "sticking"));
-    for (method, changing, solve) in sticking.into_iter().chain([(6, false, "stiff"), (6, true, "stiff")]) {
-        let name = format!("method {method}, changing {changing}, {solve}");
-        counts.push((forge(&case(&name, &running(method, true, solve, changing)), number, &mut wrong), name));
+    for (method, changing, what) in [
+        (1, false, "sticking"),
+        (4, false, "sticking"),
+        (4, true, "sticking"),
+        (1, false, "sticking tip"),
+        (4, true, "sticking tip"),
+        (6, false, "stiff"),
+        (6, true, "stiff"),
+    ] {
+        let name = format!("method {method}, changing {changing}, {what}");
+        let case = case(&name, &running(method, true, what, changing));
+        if what != "stiff" {
+            let fields = layout(&case.bytes[HEAD..case.bytes.len() - CHECKSUM]);
+            let grip = fields.iter().rfind(|(_, field)| field.ends_with("grip.way")).expect("a grip that is not open").0 - 1;
+            assert_eq!(case.bytes[HEAD + grip], 2, "{name}: it holds");
+        }
+        counts.push((forge(&case, number, &mut wrong), name));
         number += 1;
     }
     assert!(wrong.is_empty(), "{} forgeries:\n{}", wrong.len(), wrong.join("\n"));

@@ -4,6 +4,7 @@
 use std::f64::consts::PI;
 
 use fivebar::effects::Law;
+use fivebar::effects::grips::{Balance, Grip, Grips, Way};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::simulation::{Direction, Inputs, Method, Parameters, Simulation};
@@ -177,6 +178,62 @@ fn it_sticks_and_slips_as_the_closed_form_says() {
         }
         for pair in starts.windows(2) {
             assert!((pair[1] - pair[0] - period).abs() < 0.01 * period, "{method:?}: {starts:?}, {period}");
+        }
+    }
+}
+
+/// Grips that hold one motion between them, and a third that is too weak for the other: nothing rests, however strong they are; and they hold
+/// it the same way, whichever of them could by itself.
+#[test]
+fn grips_of_one_motion_hold_one_motion() {
+    let mut balance = Balance::default();
+    balance.places.extend([0, 1, 2]);
+    for (i, j, mobility) in [(0, 0, 1.0), (1, 1, 1.0), (2, 2, 1.0), (1, 2, -1.0), (2, 1, -1.0)] {
+        balance.mobility[i][j] = mobility;
+    }
+    balance.change[..3].copy_from_slice(&[2.0, -0.5, 0.5]);
+    balance.bounds[..3].copy_from_slice(&[1.0, 0.1, 1.0]);
+    assert!(!balance.can_rest());
+    let mut grips = Grips::OPEN;
+    balance.moving(&mut grips);
+    let expected = [Grip::Slips(Way::Forward), Grip::Holds(Way::Forward), Grip::Holds(Way::Backward)];
+    assert_eq!([0, 1, 2].map(|place| grips.at(place)), expected);
+    balance.change[0] = 0.5;
+    assert!(balance.can_rest());
+}
+
+/// With coaxial motors the inner joints turn by the same angle: they stop together and hold together, whichever of them is strong, and the
+/// arm then turns about its motors as one piece.
+#[test]
+fn coaxial_links_stop_and_go_on_together() {
+    for method in METHODS {
+        for strong in 1..4 {
+            let mut friction = [0.0, 1e-4, 1.5e-4, 2e-4, 0.0];
+            friction[strong] = 5e-3;
+            let mut parameters = sticking(method, friction, friction);
+            parameters.geometry.base_distance = 0.0;
+            parameters.effects.gravity.enabled = false;
+            parameters.start.theta = [2.2, 1.2];
+            parameters.start.omega = [1.0, 0.5];
+            let inputs = Inputs { tau: [2e-3, 0.0], ..default_inputs() };
+            let mut simulation = Simulation::new(&parameters, &inputs).expect("a scene");
+            simulation.advance(&inputs, 1e-3, 100).expect("steps");
+            let apart = |simulation: &Simulation| angles(simulation)[0] - angles(simulation)[3];
+            let stopped = apart(&simulation);
+            for _ in 0..10 {
+                simulation.advance(&inputs, 1e-3, 10).expect("steps");
+                let state = simulation.state();
+                let [left, right] = [0, 3].map(|link| state.core.v[THETA[link]]);
+                // By dop853 what is held drifts with the error of its steps.
+                assert!((left - right).abs() < 1e-10 && left > 0.5, "{method:?}, {strong}: {left} {right}");
+                assert!((apart(&simulation) - stopped).abs() < 1e-10, "{method:?}, {strong}");
+                // Each uses the same part of what it can: a third of 2 mN·m goes to the other leg, of those 5.25 to 5.35.
+                let holding = state.holding(simulation.model());
+                let parts = [1, 2, 3].map(|joint| (holding[joint] / friction[joint]).abs());
+                assert!(parts.iter().all(|part| (part - parts[0]).abs() < 1e-6 && *part > 0.05 && *part < 0.5), "{parts:?}");
+            }
+            let counters = simulation.counters();
+            assert!(counters.rejected < 100 && counters.substeps < 3000, "{method:?}, {strong}: {counters:?}");
         }
     }
 }

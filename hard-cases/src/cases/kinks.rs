@@ -20,7 +20,7 @@ use crate::watch::Watch;
 type Scene = fn(&mut Random) -> (Parameters, Inputs, f64);
 
 pub(super) fn cases(extent: Extent) -> Vec<Case> {
-    let kinds: [(&str, Scene); 8] = [
+    let kinds: [(&str, Scene); 10] = [
         ("slow touches", slow_touch),
         ("fast touches", fast_touch),
         ("stops", stops),
@@ -29,6 +29,8 @@ pub(super) fn cases(extent: Extent) -> Vec<Case> {
         ("stick and slip", stick_and_slip),
         ("holding under gravity", holding),
         ("drives against friction that sticks", drives_that_stick),
+        ("sticking on a plane", sticking_on_a_plane),
+        ("all loads, and all friction sticks", everything_sticks),
     ];
     kinds.into_iter().enumerate().map(|(kind, (name, scene))| case(name, kind as u64, scene, extent.pick(200, 3))).collect()
 }
@@ -49,10 +51,11 @@ fn case(name: &'static str, kind: u64, scene: Scene, count: u64) -> Case {
     });
     Case {
         also: "the end is that of an independent program",
-        explicit_energy: 1e-6,
+        // Coaxial machines that are straightened fast are up to 7e-5 mgL off by the explicit method, with friction or without.
+        explicit_energy: 1e-4,
         settings: vec![Setting::Default, Setting::TIGHT, Setting::EXPLICIT],
-        // 1 µJ is 2.9e-5 mgL. By i3-ALP thousands of bounces in a row on a plane of 1e7 N/m have added up to 12 µJ.
-        ..Case::new(9, name, [5e-4, 1e-4], trials.collect())
+        // 1 µJ, and a third of it.
+        ..Case::new(9, name, [2.85e-5, 9.5e-6], trials.collect())
     }
 }
 
@@ -149,7 +152,11 @@ fn drives(random: &mut Random) -> (Parameters, Inputs, f64) {
 }
 
 fn everything(random: &mut Random) -> (Parameters, Inputs, f64) {
-    let mut parameters = machine(random, 3.0);
+    let parameters = machine(random, 3.0);
+    loaded(random, parameters)
+}
+
+fn loaded(random: &mut Random, mut parameters: Parameters) -> (Parameters, Inputs, f64) {
     let mut inputs = driven(random, &mut parameters);
     inputs.tau = [random.uniform(-0.02, 0.02), random.uniform(-0.02, 0.02)];
     parameters.effects.viscous.enabled = true;
@@ -163,6 +170,7 @@ fn everything(random: &mut Random) -> (Parameters, Inputs, f64) {
 /// A soft servo pulls against friction that falls when it lets go.
 fn stick_and_slip(random: &mut Random) -> (Parameters, Inputs, f64) {
     let mut parameters = machine(random, 0.0);
+    coaxial(random, &mut parameters);
     parameters.effects.gravity.enabled = random.sign() > 0.0;
     let inputs = driven(random, &mut parameters);
     let friction = &mut parameters.effects.friction;
@@ -178,6 +186,7 @@ fn stick_and_slip(random: &mut Random) -> (Parameters, Inputs, f64) {
 /// Motors whose friction holds the machine, or nearly: what moves comes to rest, or slides down.
 fn holding(random: &mut Random) -> (Parameters, Inputs, f64) {
     let mut parameters = machine(random, 1.0);
+    coaxial(random, &mut parameters);
     let friction = &mut parameters.effects.friction;
     (friction.enabled, friction.law) = (true, Law::Stick);
     for joint in 0..5 {
@@ -191,7 +200,48 @@ fn holding(random: &mut Random) -> (Parameters, Inputs, f64) {
 
 fn drives_that_stick(random: &mut Random) -> (Parameters, Inputs, f64) {
     let mut parameters = machine(random, 2.0);
+    coaxial(random, &mut parameters);
     let inputs = driven(random, &mut parameters);
     parameters.effects.friction.law = Law::Stick;
     (parameters, inputs, random.uniform(0.1, 0.4))
+}
+
+/// Half of the machines have coaxial motors: the inner joints then turn, stop and hold together.
+fn coaxial(random: &mut Random, parameters: &mut Parameters) {
+    if random.sign() > 0.0 {
+        parameters.geometry.base_distance = 0.0;
+    }
+}
+
+/// A hand presses the tip onto a plane and pushes it along: it sticks there, or slips.
+fn sticking_on_a_plane(random: &mut Random) -> (Parameters, Inputs, f64) {
+    let mut parameters = machine(random, 1.0);
+    coaxial(random, &mut parameters);
+    let force = random.log_uniform(0.1, 3.0);
+    let angle = random.uniform(0.0, TAU);
+    let inputs = Inputs { tip_force: [force * angle.cos(), force * angle.sin()], ..NO_LOAD };
+    parameters.effects.gravity.enabled = random.sign() > 0.0;
+    // Without a damper the tip would never come to rest.
+    parameters.effects.viscous.enabled = true;
+    let friction = &mut parameters.effects.friction;
+    (friction.enabled, friction.law) = (random.sign() > 0.0, Law::Stick);
+    for joint in 0..5 {
+        friction.coulomb[joint] = random.log_uniform(1e-4, 1e-2);
+        friction.breakaway[joint] = friction.coulomb[joint] * random.uniform(1.0, 1.5);
+    }
+    let duration = random.uniform(0.1, 0.4);
+    plane(random, &mut parameters, &inputs, duration, [1e-6, 1e-2]);
+    let contact = &mut parameters.effects.contact;
+    contact.law = Law::Stick;
+    (contact.k, contact.d, contact.mu) = (random.log_uniform(1e3, 1e5), random.log_uniform(1.0, 20.0), random.uniform(0.1, 0.8));
+    (parameters, inputs, duration)
+}
+
+fn everything_sticks(random: &mut Random) -> (Parameters, Inputs, f64) {
+    let mut parameters = machine(random, 3.0);
+    coaxial(random, &mut parameters);
+    let (mut parameters, inputs, duration) = loaded(random, parameters);
+    parameters.effects.friction.law = Law::Stick;
+    parameters.effects.contact.law = Law::Stick;
+    (parameters, inputs, duration)
 }

@@ -17,7 +17,9 @@ const NEAR_ENOUGH: f64 = 0.4;
 const CROSSED: f64 = 1.0;
 /// So many tries to end at a border are enough: the sub-step then ends beyond it.
 const MOST_TRIES: u32 = 60;
-/// No sub-step that is sought is shorter than this, s.
+/// So many times a sub-step is halved because of what its middle seems to be.
+const MOST_HALVES: u32 = 8;
+/// No border is sought between lengths that differ by less, s.
 const SHORTEST: f64 = 1e-11;
 /// As far from a border as matters; where there is none it is infinite.
 const FAR: f64 = -1e15;
@@ -30,20 +32,34 @@ pub(super) struct Search {
     /// Lengths that end before and beyond the border, s, and how far beyond.
     before: [f64; 2],
     beyond: Option<[f64; 2]>,
+    /// Half of a sub-step in whose middle a border may have been crossed, s.
+    half: Option<f64>,
+    /// Whether the last try has left more than half of what lies between them.
+    is_slow: bool,
     tries: u32,
     at_border: bool,
 }
 
 impl Search {
     /// Nothing is sought.
-    pub(super) const NONE: Self = Self { before: [0.0; 2], beyond: None, tries: 0, at_border: false };
+    pub(super) const NONE: Self = Self { before: [0.0; 2], beyond: None, half: None, is_slow: false, tries: 0, at_border: false };
 
     /// The length to try next, s.
     #[inline(always)]
     pub(super) fn next(&self) -> Option<f64> {
-        let [far, above] = self.beyond?;
+        let Some([far, above]) = self.beyond else { return self.half };
         let [near, below] = self.before;
-        Some(near + (far - near) * (-below / (above - below)).clamp(LEAST, 1.0 - LEAST))
+        if self.is_over() {
+            return Some(far);
+        }
+        // Borders of several grips make one function with corners, from one of which false position may hardly move: then in halves.
+        let part = if self.is_slow { 0.5 } else { (-below / (above - below)).clamp(LEAST, 1.0 - LEAST) };
+        Some(near + (far - near) * part)
+    }
+
+    /// Whether what is left between the lengths is not worth a try: the sub-step then ends beyond the border.
+    fn is_over(&self) -> bool {
+        self.tries >= MOST_TRIES || self.beyond.is_some_and(|[far, _]| far - self.before[0] < SHORTEST)
     }
 
     /// Whether a sub-step of h seconds that is accepted otherwise has to be tried once more, shorter or longer.
@@ -58,38 +74,37 @@ impl Search {
         let tolerance = settings.error_tolerance;
         let beyond_at = |q: &Vector<N>, v: &Vector<N>| system.beyond(&system.touches(q, v), tolerance);
         let beyond = beyond_at(&to.q, &to.v).max(FAR);
-        self.tries += 1;
-        self.at_border = self.beyond.is_some() && (beyond - AT_BORDER).abs() <= NEAR_ENOUGH;
-        // What is beyond a border already turns at once.
-        if self.at_border || self.tries >= MOST_TRIES || (self.beyond.is_some() && h < SHORTEST) {
-            self.at_border = true;
-            return false;
-        }
-        if self.beyond.is_none() {
-            // A grip may turn twice within the sub-step: its rate in the middle, from the rates and accelerations at the ends.
-            let q = 0.5 * (from.q + to.q) + h / 8.0 * (from.v - to.v);
-            let v = 0.5 * (from.v + to.v) + h / 8.0 * (from.a - to.a);
-            let in_middle = beyond_at(&q, &v);
-            if beyond <= CROSSED && in_middle <= CROSSED {
-                return false;
+        let Some([far, above]) = &mut self.beyond else {
+            if beyond > CROSSED {
+                let start = beyond_at(&from.q, &from.v).min(0.0) - AT_BORDER;
+                (self.before, self.beyond) = ([0.0, start.max(FAR)], Some([h, beyond - AT_BORDER]));
+                return true;
             }
-            let start = beyond_at(&from.q, &from.v).min(0.0) - AT_BORDER;
-            self.before = [0.0, start.max(FAR)];
-            // The middle, as far as it is known, is only a reason to look there.
-            self.beyond = Some(if beyond > CROSSED { [h, beyond - AT_BORDER] } else { [0.5 * h, in_middle - AT_BORDER] });
-            return true;
-        }
+            // A grip may turn twice within the sub-step, or be overstrained for a while: seen in its middle.
+            self.tries += 1;
+            let turns = || system.turns_between([[&from.q, &from.v, &from.a], [&to.q, &to.v, &to.a]], h, tolerance);
+            let overstrained = || {
+                let q = 0.5 * (from.q + to.q) + h / 8.0 * (from.v - to.v);
+                let v = 0.5 * (from.v + to.v) + h / 8.0 * (from.a - to.a);
+                system.holds() && beyond_at(&q, &v) > CROSSED
+            };
+            self.half = (self.tries <= MOST_HALVES && (turns() || overstrained())).then_some(0.5 * h);
+            return self.half.is_some();
+        };
+        // What is beyond a border already turns at once.
+        self.at_border = (beyond - AT_BORDER).abs() <= NEAR_ENOUGH || h >= *far;
+        let left = *far - self.before[0];
         // Of two ends on the same side in a row the other's weight is halved (Illinois).
         if beyond > AT_BORDER {
-            self.beyond = Some([h, beyond - AT_BORDER]);
+            (*far, *above) = (h, beyond - AT_BORDER);
             self.before[1] *= 0.5;
         } else {
             self.before = [h, beyond - AT_BORDER];
-            if let Some([_, above]) = &mut self.beyond {
-                *above *= 0.5;
-            }
+            *above *= 0.5;
         }
-        true
+        self.is_slow = *far - self.before[0] > 0.5 * left;
+        self.tries += 1;
+        !self.at_border
     }
 
     /// Whether an accepted sub-step ends where grips do something else, or are no longer those there were.

@@ -69,7 +69,10 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
             let bound = start + SUFFICIENT_DECREASE * part * slope;
             blind || merit(&step, step.delta + part * direction).is_some_and(|merit| merit <= bound)
         };
-        let part = (0..MOST_HALVINGS).map(|halvings| 0.5f64.powi(halvings as i32)).find(|part| decreases(*part))?;
+        // Every try is work as well.
+        let found = (0..MOST_HALVINGS).find(|halvings| decreases(0.5f64.powi(*halvings as i32)));
+        counters.iterations += u64::from(found.unwrap_or(MOST_HALVINGS));
+        let part = 0.5f64.powi(found? as i32);
         step.delta += part * direction;
         if part == 1.0 {
             step.lambda = y / beta;
