@@ -40,11 +40,14 @@ async def _serve(config: Config) -> int:
     }
     broker = Broker(settings)
     await broker.start()
-    stop, status = process.Stop(), process.Status(config, "broker")
+    stop, disk = process.Stop(), process.Disk()
+    status = process.Status(config, "broker", disk)
     process.spare_collector()
     begin = time.monotonic()
     while not stop.wait(0):
-        status.write({"name": "broker", "ready": True, "seconds": time.monotonic() - begin, "memory_kb": process.memory_kb()})
+        if status.due(True):
+            status.write({"name": "broker", "ready": True, "seconds": time.monotonic() - begin, "memory_kb": process.memory_kb()})
         await asyncio.sleep(process.TICK)
     await broker.shutdown()
+    disk.close()
     return 0
