@@ -9,7 +9,7 @@ from typing import Any
 
 from amqtt.broker import Broker
 
-from fivebar_twin import process
+from fivebar_twin import priority, process
 from fivebar_twin.config import Config, is_loopback
 from fivebar_twin.errors import TwinError
 
@@ -24,6 +24,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not is_loopback(config.broker.host):
         raise TwinError(f"the broker that comes along serves this machine only, not {config.broker.host}: beyond it use one with TLS")
     process.set_up_log()
+    priority.take("broker")
     logging.getLogger("amqtt").setLevel(logging.ERROR)
     if sys.platform != "win32":
         import uvloop

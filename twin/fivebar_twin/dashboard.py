@@ -20,7 +20,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.typing import Origin, Subprotocol
 
-from fivebar_twin import process, scene
+from fivebar_twin import priority, process, scene
 from fivebar_twin.config import Config
 from fivebar_twin.unit import Library
 
@@ -155,6 +155,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 async def _serve(config: Config) -> int:
     server = Server(config)
+    priority.take("dashboard")
     stop, disk = process.Stop(), process.Disk()
     status = process.Status(config, "dashboard", disk)
     async with serve(

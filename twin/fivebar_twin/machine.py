@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from fivebar_twin import process, scene
+from fivebar_twin import priority, process, scene
 from fivebar_twin.bus import Bus
 from fivebar_twin.config import Config, Faults, read_json
 from fivebar_twin.errors import TwinError
@@ -190,6 +190,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Publishes samples at their times until told to stop, or until the recording has ended."""
     config = process.read_config(arguments)
     process.set_up_log()
+    priority.take("machine")
     stop, disk = process.Stop(), process.Disk()
     status = process.Status(config, "machine", disk)
     library = None if config.machine.csv else Library(Path(config.fmu))

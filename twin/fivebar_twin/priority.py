@@ -1,8 +1,9 @@
 """Which processes of a run go first where cores are few: the way from a sample to its estimate is short only if nobody waits for a core.
 
 Broker, machine, twin and watch compute for some tens of microseconds and sleep again. Where the system allows it (root, or a limit for
-real-time priorities) they have the lowest of these; elsewhere they ask Linux for short turns, in return for being woken at once. What is
-looked at by people, and what looks ahead, is patient.
+real-time priorities) they have one of the lowest of these; elsewhere they ask Linux for short turns, in return for being woken at once.
+The recorder comes next, for it must not fall behind. What is looked at by people, and what looks ahead, is patient. Whatever has been
+killed is in a hurry until it works again.
 """
 
 import contextlib
@@ -15,7 +16,7 @@ FIRST: Final = ("broker", "machine", "follow", "watch")
 LAST: Final = ("forecast", "dashboard")
 
 PATIENCE: Final = 10
-"""The niceness of those that come last."""
+"""The niceness of those that come last, where there is no real-time priority."""
 
 TURN_NS: Final = 100_000
 """Of those that go first, where there is no real-time priority; Linux's own turns last milliseconds."""
@@ -36,21 +37,39 @@ class _Attributes(ctypes.Structure):
     )
 
 
-def give(pid: int, name: str) -> None:
-    """Gives a process that has just been started its place; threads that it makes inherit it. Nothing happens where a system knows no such thing."""
-    with contextlib.suppress(OSError):
-        if name in LAST and hasattr(os, "setpriority"):
-            os.setpriority(os.PRIO_PROCESS, pid, PATIENCE)
-        elif name in FIRST and hasattr(os, "sched_setscheduler"):
-            try:
-                os.sched_setscheduler(pid, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR)))
-            except PermissionError:
-                _short_turns(pid)
+def hurry(pid: int) -> None:
+    """A process that has just been started may load what it needs before others go on, but not before those that go first."""
+    _real_time(pid, 0)
 
 
-def _short_turns(pid: int) -> None:
+def take(name: str) -> None:
+    """This process takes the place of its name; threads that it makes afterwards inherit it."""
+    allowed = _real_time(0, int(name in FIRST))
+    if name in FIRST and not allowed:
+        _short_turns()
+    if name in LAST:
+        with contextlib.suppress(OSError):
+            if allowed:
+                # Behind the others as it is.
+                os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+            elif hasattr(os, "nice"):
+                os.nice(PATIENCE)
+
+
+def _real_time(pid: int, above: int) -> bool:
+    """Whether the system allows it."""
+    if not hasattr(os, "sched_setscheduler"):
+        return False
+    try:
+        os.sched_setscheduler(pid, os.SCHED_RR, os.sched_param(os.sched_get_priority_min(os.SCHED_RR) + above))
+    except OSError:
+        return False
+    return True
+
+
+def _short_turns() -> None:
     number = SCHED_SETATTR.get(platform.machine())
     if number is not None and platform.system() == "Linux":
         attributes = _Attributes(size=ctypes.sizeof(_Attributes), runtime=TURN_NS)
         # An older kernel does not look at it, or refuses it: then all is as usual.
-        ctypes.CDLL(None).syscall(number, pid, ctypes.byref(attributes), 0)
+        ctypes.CDLL(None).syscall(number, 0, ctypes.byref(attributes), 0)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from fivebar_twin import config as configuration
+from fivebar_twin import priority
 from fivebar_twin.bus import Bus
 from fivebar_twin.config import Config
 from fivebar_twin.errors import Refused
@@ -170,6 +171,7 @@ class Status:
 def serve(worker: Worker) -> int:
     """Runs a worker until it is told to stop."""
     set_up_log()
+    priority.take(worker.name)
     config = worker.config
     stop, disk, lock = Stop(), Disk(), threading.Lock()
     status = Status(config, worker.name, disk)

@@ -57,7 +57,7 @@ class Child:
         group = 0 if os.name == "posix" else None
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, process_group=group)
-        priority.give(self.process.pid, self.name)
+        priority.hurry(self.process.pid)
 
     def look(self) -> bool:
         """Starts it again if it has died; whether it is a machine that has come to its end."""
