@@ -13,10 +13,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from fivebar_twin.ensemble import cluster, command, results, rows, what_if
-from fivebar_twin.starter import free_port
 from fivebar_twin.ensemble.member import Plan, Runner
 from fivebar_twin.errors import TwinError
 from fivebar_twin.messages import Message, decode, encode
+from fivebar_twin.starter import free_port
 from fivebar_twin.unit import Library, Unit
 
 FALL = {"init.theta[2]": 2.0943951023931953}
