@@ -10,6 +10,7 @@ import pytest
 
 from fivebar_twin import cli, record
 from fivebar_twin.calibrate import command, data, fit, motion, parameters, scenes, trials
+from fivebar_twin.errors import TwinError
 from fivebar_twin.messages import Message, encode, topic
 from fivebar_twin.unit import Library
 
@@ -33,7 +34,7 @@ def made(library: Library, names: list[str], truth: list[float], seconds: float,
     told = trials.NAMES if servo else ()
     samples = data.Samples(time, np.zeros((len(time), 2)), commands if servo else commands[:, :0], told)
     path = motion.Path(samples, "rate", library, trials.PERIOD)
-    moved, _ = machine.run(path, np.array(truth), motion.Start(np.array([2.2, 0.94, 0.0, 0.0]), 1))
+    moved, _ = machine.run(path, np.array(truth), motion.Start(np.array([*(trials.BEGIN if servo else (2.2, 0.94)), 0.0, 0.0]), 1))
     angles = machine.seen(path, moved, np.array(truth)) + noise * np.random.default_rng(1).standard_normal((len(time), 2))
     machine.close()
     return {"time": time, "measured.theta[1]": angles[:, 0], "measured.theta[2]": angles[:, 1], **dict(zip(told, commands.T, strict=False))}
@@ -145,3 +146,15 @@ def test_residuals_that_change_smoothly_are_no_outliers() -> None:
 def test_usual_unknowns_are_what_the_scene_has() -> None:
     assert "payload.mass" not in command.usual({}) and "gravity.direction" in command.usual({})
     assert "gravity.direction" not in command.usual({"gravity.enabled": False, "payload.enabled": True})
+
+
+def test_trials_go_on_where_they_were(tmp_path: Path) -> None:
+    """Those of this unit are not made again; a file that is none of theirs is refused."""
+    file = tmp_path / "trials.jsonl"
+    assert trials.done(file, "a") == {}
+    file.write_text('{"key": 100, "unit": "a", "off": [1.0]}\n{"key": 101, "unit": "b", "off": [1.0]}\n', encoding="utf-8")
+    assert list(trials.done(file, "a")) == [100]
+    assert trials.inside([{"off": [1.9, -2.0], "sigma": [1.0, 1.0]}]).tolist() == [[True, False]]
+    file.write_text("{}", encoding="utf-8")
+    with pytest.raises(TwinError, match="delete it to begin anew"):
+        trials.done(file, "a")

@@ -4,6 +4,8 @@ import argparse
 import base64
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from fivebar_twin.ensemble import cluster, command, results, rows, what_if
 from fivebar_twin.ensemble.member import Plan, Runner
 from fivebar_twin.errors import TwinError
 from fivebar_twin.messages import Message, decode, encode
+from fivebar_twin.starter import free_port
 from fivebar_twin.unit import Library, Unit
 
 FALL = {"init.theta[2]": 2.0943951023931953}
@@ -65,6 +68,23 @@ def test_a_killed_worker_loses_nothing(fmu: Path, tmp_path: Path) -> None:
     story = results.read(tmp_path / "alone.parquet", PLAN)
     assert story.failed == 0 and story.summary()["singular"]["probability"] == 1.0
     assert len(results.draw(tmp_path, story)) == 2
+
+
+@pytest.mark.full
+def test_a_scheduler_of_ones_own(fmu: Path, tmp_path: Path) -> None:
+    """Scheduler and worker as processes of their own, started by Dask's commands, give the bytes of one process."""
+    address = f"tcp://127.0.0.1:{free_port()}"
+    dask = [sys.executable, "-m", "dask"]
+    scheduler = subprocess.Popen([*dask, "scheduler", "--host", "127.0.0.1", "--port", address.rpartition(":")[2], "--no-dashboard"], cwd=tmp_path)
+    worker = subprocess.Popen([*dask, "worker", address, "--no-dashboard", "--nthreads", "1"], cwd=tmp_path)
+    try:
+        command = [sys.executable, "-m", "fivebar_twin", "ensemble", "--members", "60", "--seconds", "0.5", "--fmu", str(fmu), "--measure"]
+        run = subprocess.run([*command, "--scheduler", address, "--out", str(tmp_path / "out")], capture_output=True, text=True, check=False, timeout=120)
+    finally:
+        for process in (worker, scheduler):
+            process.terminate()
+            process.wait(20)
+    assert run.returncode == 0 and "the same bytes" in run.stdout, run.stdout + run.stderr
 
 
 def test_what_if(fmu: Path) -> None:

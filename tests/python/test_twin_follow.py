@@ -180,10 +180,7 @@ def test_a_forecast_disturbs_nothing_and_holds_what_comes(config: Config, librar
         assert twin.meas(message)
         twin.estimate()
         if message.seq % 40 == 20 and message.seq + 101 < len(samples):
-            assert twin.book is not None
-            stored = twin.unit.store()
-            forecast = ahead.run(stored, twin.book)
-            twin.unit.free(stored)
+            forecast = ahead.run(twin.state())
             assert forecast is not None
             made.append(forecast)
     estimates(plain, samples)
@@ -209,10 +206,8 @@ def test_forecasts_name_singularities_and_stops_before_they_come(tmp_path: Path,
         message = source.next()
         assert twin.meas(message)
         twin.estimate()
-        if message.seq % 10 == 0 and twin.book is not None:
-            stored = twin.unit.store()
-            said.append(ahead.run(stored, twin.book))
-            twin.unit.free(stored)
+        if message.seq % 10 == 0:
+            said.append(ahead.run(twin.state()))
         seen = source.rider.unit.get(["singular.detJx", "singular.detJq"])
         if before is not None:
             met += [source.seq * 0.005 for name, value in seen.items() if crossing(before[name], value) is not None]

@@ -125,7 +125,6 @@ def test_whatever_is_killed_is_back_within_three_seconds(tmp_path: Path, fmu: Pa
     run = Run(tmp_path / "out", fmu, scenes, "--seconds", "600")
     ear = Ear(run.config["broker"]["port"], "est", "forecast")
     wait_until(lambda: ear.last("forecast"), 10)
-    busy = max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
     took: dict[str, float] = {}
     for name in ENDING:
         # At least one stored state further than the last kill.
@@ -133,15 +132,15 @@ def test_whatever_is_killed_is_back_within_three_seconds(tmp_path: Path, fmu: Pa
         (pid,) = run.pids(name)
         subprocess.run(["kill", "-9", str(pid)], check=True)
         killed = time.monotonic()
-        wait_until(lambda name=name: len(run.pids(name)) == 2 and ear.last("est") > killed + 0.05, 30)
+        work = "forecast" if name == "forecast" else "est"
+        wait_until(lambda name=name, work=work: len(run.pids(name)) == 2 and ear.last(work) > killed + 0.05, 30)
         took[name] = time.monotonic() - killed
     time.sleep(1.5)
     run.process.send_signal(signal.SIGINT)
     summary = run.finish()
     ear.close()
     print({name: round(seconds, 2) for name, seconds in took.items()})
-    # Other work on the same cores takes its share of the time.
-    assert max(took.values()) < 3 * busy, took
+    assert max(took.values()) < 3, took
     assert summary["restarts"] == dict.fromkeys(summary["restarts"], 1)
     run.replayed(fmu)
     # What the twin says after each kill is what the machine does: as sure as it says it is.
@@ -150,9 +149,9 @@ def test_whatever_is_killed_is_back_within_three_seconds(tmp_path: Path, fmu: Pa
     known = np.isfinite(judged.error)
     assert known.mean() > 0.9 and judged.error[known].max() < 1e-3
     assert (judged.error[known] < story.estimated["band"][known]).mean() > 0.85
-    # The recorder was killed between two parts: less than a second of its rows is gone.
+    # The recorder was killed between two parts: less than a second of its rows is gone, and what was sent until it was back.
     longest = max(last - first + 1 for of, first, last in [*story.gaps, ("", 0, 0)] if of != "est")
-    assert longest < 200 * (1 + 3 * busy)
+    assert longest < 200 * (1 + took["record"])
     # All of it has ended.
     for name in ENDING:
         for pid in run.pids(name):

@@ -33,8 +33,8 @@ def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu
         assert samples["published"] > 500 and samples["lost"] == 0 and samples["estimated"] == samples["published"], text
         assert 0 < summary["latency_ms"]["p50"] <= summary["latency_ms"]["p99"]
         assert summary["tip_error_mm"]["rms"] < 0.1
-        # Forecasts come last where cores are busy.
-        assert forecasts["count"] > 0 and 0 < forecasts["halfwidth_mm"]["median"] <= 20
+        # Forecasts come last where cores are busy: sixty are due.
+        assert forecasts["count"] > 10 and 0 < forecasts["halfwidth_mm"]["median"] <= 20
         assert summary["alarms"] == 0 and summary["refused"] == 0 and not any(summary["restarts"].values()), text
         page = (out / "index.html").read_text()
         assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", page) and page.count("<svg") == 4

@@ -9,7 +9,7 @@ from typing import Any
 
 from amqtt.broker import Broker
 
-from fivebar_twin import process
+from fivebar_twin import priority, process
 from fivebar_twin.config import Config, is_loopback
 from fivebar_twin.errors import TwinError
 
@@ -24,6 +24,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not is_loopback(config.broker.host):
         raise TwinError(f"the broker that comes along serves this machine only, not {config.broker.host}: beyond it use one with TLS")
     process.set_up_log()
+    priority.take("broker")
     logging.getLogger("amqtt").setLevel(logging.ERROR)
     if sys.platform != "win32":
         import uvloop
@@ -40,11 +41,14 @@ async def _serve(config: Config) -> int:
     }
     broker = Broker(settings)
     await broker.start()
-    stop, status = process.Stop(), process.Status(config, "broker")
+    stop, disk = process.Stop(), process.Disk()
+    status = process.Status(config, "broker", disk)
     process.spare_collector()
     begin = time.monotonic()
     while not stop.wait(0):
-        status.write({"name": "broker", "ready": True, "seconds": time.monotonic() - begin, "memory_kb": process.memory_kb()})
+        if status.due(True):
+            status.write({"name": "broker", "ready": True, "seconds": time.monotonic() - begin, "memory_kb": process.memory_kb()})
         await asyncio.sleep(process.TICK)
     await broker.shutdown()
+    disk.close()
     return 0

@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import json
 import logging
-import os
 import ssl
 from http import HTTPStatus
 from pathlib import Path
@@ -21,7 +20,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.typing import Origin, Subprotocol
 
-from fivebar_twin import process, scene
+from fivebar_twin import priority, process, scene
 from fivebar_twin.config import Config
 from fivebar_twin.unit import Library
 
@@ -151,15 +150,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Serves until told to stop."""
     process.set_up_log()
-    if hasattr(os, "nice"):
-        # Others go first where there are too few cores for all.
-        os.nice(10)
     return asyncio.run(_serve(process.read_config(arguments)))
 
 
 async def _serve(config: Config) -> int:
     server = Server(config)
-    stop, status = process.Stop(), process.Status(config, "dashboard")
+    priority.take("dashboard")
+    stop, disk = process.Stop(), process.Disk()
+    status = process.Status(config, "dashboard", disk)
     async with serve(
         server.relay,
         "127.0.0.1",
@@ -171,6 +169,8 @@ async def _serve(config: Config) -> int:
         compression=None,
     ):
         while not stop.wait(0):
-            status.write({"name": "dashboard", "ready": True, "pages": server.pages, "memory_kb": process.memory_kb()})
+            if status.due(True):
+                status.write({"name": "dashboard", "ready": True, "pages": server.pages, "memory_kb": process.memory_kb()})
             await asyncio.sleep(process.TICK)
+    disk.close()
     return 0

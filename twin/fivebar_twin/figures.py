@@ -192,7 +192,7 @@ def summarise(
         "forecasts": {
             "count": story.sent,
             "judged": int(np.isfinite(judged.inside[last]).sum()),
-            "left_out": total("follow", "forecasts_left_out"),
+            "left_out": total("forecast", "left_out"),
             "ahead_s": config.horizon,
             "coverage95": _or_none(_mean(judged.inside[last])),
             "halfwidth_mm": {

@@ -1,24 +1,20 @@
-"""The twin's process: takes `meas`, `param` and `cmd`; publishes `est` for every sample, `forecast` 20 times a second, `state` once."""
+"""The twin's process: takes `meas`, `param` and `cmd`; publishes `est` for every sample, `ahead` 20 times a second, `state` once."""
 
 import argparse
 import json
 import logging
-import os
-import queue
-import sys
-import threading
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from fivebar_twin import process, scene, setup
 from fivebar_twin.config import Config, read_json
 from fivebar_twin.errors import Refused, TwinError
-from fivebar_twin.follower import Book, Follower
-from fivebar_twin.forecast import Forecaster
+from fivebar_twin.follower import Follower
 from fivebar_twin.intake import Intake
 from fivebar_twin.messages import Message
 from fivebar_twin.process import Worker
-from fivebar_twin.unit import Library, UnitError
+from fivebar_twin.unit import Library
 
 STORE_EVERY: Final = 1_000_000_000
 """Nanoseconds of the machine's clock between two stored states."""
@@ -26,15 +22,8 @@ STORE_EVERY: Final = 1_000_000_000
 log = logging.getLogger("fivebar")
 
 
-class _Ahead(NamedTuple):
-    """From where the next forecast starts."""
-
-    stored: tuple[Any, float]
-    book: Book
-
-
 class Twin(Worker):
-    """The worker. Estimates are made where a message arrives; forecasts in a thread, which has a unit of its own."""
+    """The worker. Estimates are made where a message arrives."""
 
     name = "follow"
     kinds = ("meas", "param", "cmd")
@@ -43,21 +32,15 @@ class Twin(Worker):
         super().__init__(config)
         self.setup = setup.of_run(config, scene.read(Path(config.scene)), library.guid)
         self.follower = Follower(library, self.setup)
-        self.forecaster = Forecaster(library, self.setup)
         self.intake = Intake(config.period)
         self.file = config.path / "state" / "twin.json"
         self.samples_per_forecast = max(1, round(1 / (config.forecast_rate * config.period)))
-        self.counts = dict.fromkeys(("taken", "late", "estimated", "forecasts", "forecasts_left_out", "states", "failures"), 0)
+        self.counts = dict.fromkeys(("taken", "late", "estimated", "states", "failures"), 0)
         self.newest_order = -1
         self.stored_at = -1
-        self.to_store: bytes | None = None
-        self.stopped = threading.Event()
-        self.ahead: queue.Queue[_Ahead | None] = queue.Queue(maxsize=1)
-        self.thread = threading.Thread(target=self._forecast, name="forecast", daemon=True)
 
     def begin(self) -> None:
         """Goes on from the last stored state, if there is one."""
-        self.thread.start()
         if not self.file.is_file():
             return
         try:
@@ -100,7 +83,7 @@ class Twin(Worker):
         self.publish(follower.estimate())
         self.counts["estimated"] += 1
         if message.seq % self.samples_per_forecast == 0:
-            self._ask_ahead()
+            self.publish(replace(follower.state(), kind="ahead"))
         if abs(message.time - self.stored_at) >= STORE_EVERY:
             self._store(message.time)
 
@@ -123,54 +106,16 @@ class Twin(Worker):
         state = self.follower.state()
         self.publish(state)
         content = {"time": state.time, "seq": state.seq} | state.extra
-        # Written from `tick`: a disk must not delay an estimate.
-        self.to_store = json.dumps(content).encode()
+        self.keep(self.file, json.dumps(content).encode())
         self.stored_at = time
         self.counts["states"] += 1
-
-    def _ask_ahead(self) -> None:
-        """Hands the present state to the forecasts' thread, unless it is still busy."""
-        if not self.ahead.empty():
-            self.counts["forecasts_left_out"] += 1
-            return
-        book = self.follower.book
-        if book is not None:
-            self.ahead.put(_Ahead(self.follower.unit.store(), book))
-
-    def _forecast(self) -> None:
-        if sys.platform == "linux":
-            # Of this thread alone: estimates go first.
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 10)
-        while (ahead := self.ahead.get()) is not None:
-            try:
-                forecast = self.forecaster.run(ahead.stored, ahead.book, self.stopped.is_set)
-            except UnitError as error:
-                log.warning("no forecast: %s", error)
-                forecast = None
-            self.forecaster.unit.free(ahead.stored)
-            if forecast is not None:
-                self.publish(forecast)
-                self.counts["forecasts"] += 1
-
-    def tick(self, now: int) -> None:
-        # `handle` waits while this runs, so the file is written without being brought to the disk.
-        if self.to_store is not None:
-            beside = self.file.with_suffix(".writing")
-            beside.parent.mkdir(parents=True, exist_ok=True)
-            beside.write_bytes(self.to_store)
-            beside.replace(self.file)
-            self.to_store = None
 
     def status(self) -> dict[str, Any]:
         return self.counts | {"missing": self.intake.missing, "jumps": self.follower.jumps}
 
     def end(self) -> None:
-        self.stopped.set()
-        self.ahead.put(None)
-        self.thread.join(timeout=2)
         if self.follower.book is not None:
             self._store(self.follower.book.time)
-            self.tick(0)
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -179,8 +124,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     config = process.read_config(arguments)
-    # The forecasts' thread hands over quickly when a sample comes.
-    sys.setswitchinterval(2e-4)
     library = Library(Path(config.fmu))
     try:
         return process.serve(Twin(config, library))

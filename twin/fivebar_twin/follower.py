@@ -65,6 +65,29 @@ class Book:
         return 1e-9 * (self.time - self.offset)
 
 
+class Stored(NamedTuple):
+    """What a message `state` or `ahead` has."""
+
+    content: bytes
+    """The unit's own."""
+
+    clock: float
+    """Of the unit, s."""
+
+    book: Book
+    parameters: dict[str, float]
+
+
+def stored(message: Message) -> Stored:
+    """Everything from which the twin can go on, from a message."""
+    extra = message.extra
+    try:
+        parameters = {str(name): float(value) for name, value in extra["parameters"].items()}
+        return Stored(base64.b64decode(extra["state"], validate=True), float(extra["clock"]), Book(**extra["book"]), parameters)
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise TwinError("a stored state is not as this version writes it") from None
+
+
 class Rider:
     """A unit that is led along what its drives are told."""
 
@@ -209,13 +232,7 @@ class Follower(Rider):
 
     def go_on_from(self, message: Message) -> None:
         """Goes on from a stored state."""
-        try:
-            extra = message.extra
-            book = Book(**extra["book"])
-            content = base64.b64decode(extra["state"], validate=True)
-            clock, parameters = float(extra["clock"]), {str(k): float(v) for k, v in extra["parameters"].items()}
-        except (KeyError, TypeError, ValueError, AttributeError):
-            raise TwinError("a stored state is not as this version writes it") from None
+        content, clock, book, parameters = stored(message)
         self.unit.from_bytes(content, clock)
         self._forget()
         self.book, self.parameters, self.assembly, self.previous = book, parameters, book.assembly, None

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from typing import Any, Final
 
-from fivebar_twin.follower import Book, Rider
+from fivebar_twin.follower import Book, Rider, stored
 from fivebar_twin.messages import Message
 from fivebar_twin.setup import Setup
 from fivebar_twin.unit import Library, Reader
@@ -50,7 +50,7 @@ def crossing(before: float, after: float) -> float | None:
 
 
 class Forecaster(Rider):
-    """A second instance of the unit, which goes ahead while the first one follows."""
+    """A second instance of the unit, which goes ahead while the twin's follows."""
 
     def __init__(self, library: Library, setup: Setup):
         super().__init__(library, setup, "forecast")
@@ -66,11 +66,11 @@ class Forecaster(Rider):
                 value = float(setup.values.get(name, library.variable(name).start))
                 self.stops[f"{limit}[{i}]"] = (f"theta[{i}]", value, 1.0 if limit == "upper" else -1.0)
 
-    def run(self, stored: tuple[Any, float], book: Book, stopped: Callable[[], bool] = lambda: False) -> Message | None:
-        """The forecast from a state that belongs to the book; None if it was stopped."""
+    def run(self, state: Message, stopped: Callable[[], bool] = lambda: False) -> Message | None:
+        """The forecast from a state of the twin; None if it was stopped."""
         setup, unit = self.setup, self.unit
-        unit.restore(stored)
-        begin = unit.time
+        content, begin, book, _ = stored(state)
+        unit.from_bytes(content, begin)
         if self.made % PROBABILITY_EVERY == 0:
             self.singular = self.probability.read()[PROBABILITY]
         self.made += 1

@@ -41,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.broker:
             host, port = configuration.host_and_port(arguments.broker)
             configuration.check_broker(Broker(host, port, False))
-            return _rise(host, port, None, arguments)
+            return _rise(host, port, _listening(port) if configuration.is_loopback(host) else None, arguments)
         port = free_port()
         config = replace(Config(folder, "", ""), broker=Broker("127.0.0.1", port, True))
         configuration.write(config, Path(folder) / "twin.json")
@@ -70,6 +70,15 @@ def _rise(host: str, port: int, broker: psutil.Process | None, arguments: argpar
         machines *= 2
     print(f"carried with p99 below {1e3 * LIMIT:g} ms: {carried} machines")
     return 0 if carried else 1
+
+
+def _listening(port: int) -> psutil.Process | None:
+    """The process of this machine that listens there, if the system tells."""
+    try:
+        found = [c.pid for c in psutil.net_connections("tcp") if c.status == psutil.CONN_LISTEN and c.laddr.port == port and c.pid]
+    except psutil.AccessDenied:
+        return None
+    return psutil.Process(found[0]) if found else None
 
 
 def _cpu(broker: psutil.Process | None) -> float:

@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from fivebar_twin import process, scene
+from fivebar_twin import priority, process, scene
 from fivebar_twin.bus import Bus
 from fivebar_twin.config import Config, Faults, read_json
 from fivebar_twin.errors import TwinError
@@ -190,7 +190,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Publishes samples at their times until told to stop, or until the recording has ended."""
     config = process.read_config(arguments)
     process.set_up_log()
-    stop, status = process.Stop(), process.Status(config, "machine")
+    priority.take("machine")
+    stop, disk = process.Stop(), process.Disk()
+    status = process.Status(config, "machine", disk)
     library = None if config.machine.csv else Library(Path(config.fmu))
     source: StandIn | Recording = Recording(config) if library is None else StandIn(config, library)
     file = config.path / "state" / "machine.json"
@@ -208,7 +210,7 @@ def run(arguments: argparse.Namespace) -> int:
         log.info("going on with sample %d", source.seq)
     else:
         source.start_ns = time.time_ns() + LEAD_NS
-        process.replace_file(file, source.store())
+        process.replace_file(file, source.store(), safe=True)
     published = 0
     while not stop.event.is_set():
         # Ready before its time, so that it is sent in time: what the unit computes does not delay the sample.
@@ -222,10 +224,12 @@ def run(arguments: argparse.Namespace) -> int:
             bus.publish("meas", payload)
         published += 1
         if source.seq % STORE_EVERY == 0:
-            process.replace_file(file, source.store())
-        status.write(_status(published, message.seq, bus))
-    status.write(_status(published, source.seq - 1, bus), at_once=True)
+            disk.put(file, source.store(), safe=True)
+        if status.due(bus.ready()):
+            status.write(_status(published, message.seq, bus))
+    status.write(_status(published, source.seq - 1, bus))
     bus.stop()
+    disk.close()
     source.close()
     if library is not None:
         library.close()

@@ -14,11 +14,11 @@ from typing import Any, Final
 
 from fivebar_twin.errors import Refused
 
-KINDS: Final = ("meas", "est", "forecast", "alarm", "param", "cmd", "state", "whatif", "gap", "setup")
-"""The last part of a topic. `state` has the twin's stored state, for replays. The last two are only in records: what is missing in
-them, and of which run they are."""
+KINDS: Final = ("meas", "est", "forecast", "alarm", "param", "cmd", "state", "ahead", "whatif", "gap", "setup")
+"""The last part of a topic. `state` has the twin's stored state, for replays; `ahead` has one that a forecast is to start from, and is
+not recorded. The last two are only in records: what is missing in them, and of which run they are."""
 
-LARGEST: Final = {"state": 64_000, "whatif": 64_000, "forecast": 64_000, "setup": 2_000_000}
+LARGEST: Final = {"state": 64_000, "ahead": 64_000, "whatif": 64_000, "forecast": 64_000, "setup": 2_000_000}
 """Bytes of a message, where they are more than `LARGEST_USUAL`."""
 
 LARGEST_USUAL: Final = 16_000

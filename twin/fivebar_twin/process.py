@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from fivebar_twin import config as configuration
+from fivebar_twin import priority
 from fivebar_twin.bus import Bus
 from fivebar_twin.config import Config
 from fivebar_twin.errors import Refused
@@ -36,6 +37,8 @@ class Worker(ABC):
     def __init__(self, config: Config):
         self.config = config
         self.send: Callable[[str, bytes], bool] = self._not_yet
+        self.keep: Callable[[Path, bytes], None] = replace_file
+        """Has a file replaced."""
         self.refused = 0
 
     @staticmethod
@@ -67,6 +70,9 @@ class Worker(ABC):
 
     def tick(self, now: int) -> None:
         """Called some twenty times a second, with the time in ns."""
+
+    def write(self) -> None:
+        """Called after each `tick`, while messages may be handled: for what a disk has to do."""
 
     def status(self) -> dict[str, Any]:
         """Figures of this life of the process, all of fixed size."""
@@ -111,52 +117,91 @@ class Stop:
         return self.event.wait(max(seconds, 0.0))
 
 
+class Disk:
+    """Writes files in a thread of its own: what is in a hurry never waits for a disk. Of each file the newest content counts."""
+
+    def __init__(self) -> None:
+        self.waiting: dict[Path, tuple[bytes, bool]] = {}
+        self.come = threading.Condition()
+        self.ended = False
+        self.thread = threading.Thread(target=self._work, name="disk", daemon=True)
+        self.thread.start()
+
+    def put(self, file: Path, content: bytes, safe: bool = False) -> None:
+        """Has a file replaced, soon; safe is against a failure of the power as well."""
+        with self.come:
+            self.waiting[file] = content, safe
+            self.come.notify()
+
+    def _work(self) -> None:
+        while True:
+            with self.come:
+                self.come.wait_for(lambda: self.waiting or self.ended)
+                if not self.waiting:
+                    return
+                file, (content, safe) = self.waiting.popitem()
+            replace_file(file, content, safe)
+
+    def close(self) -> None:
+        """Writes what is waiting."""
+        with self.come:
+            self.ended = True
+            self.come.notify()
+        self.thread.join()
+
+
 class Status:
     """A small file that says what the process has done; replaced, never half written."""
 
-    def __init__(self, config: Config, name: str):
-        folder = config.path / "status"
-        folder.mkdir(parents=True, exist_ok=True)
-        self.file = folder / f"{name}-{os.getpid()}.json"
+    def __init__(self, config: Config, name: str, disk: Disk):
+        self.file, self.disk = config.path / "status" / f"{name}-{os.getpid()}.json", disk
+        self.ready: bool | None = None
         self.written = 0.0
 
-    def write(self, content: dict[str, Any], at_once: bool = False) -> None:
-        if not at_once and time.monotonic() - self.written < STATUS_EVERY:
-            return
-        self.written = time.monotonic()
-        beside = self.file.with_suffix(".writing")
-        beside.write_text(json.dumps(content), encoding="utf-8")
-        beside.replace(self.file)
+    def due(self, ready: bool) -> bool:
+        """Whether it is time to write it: at once when the process has become ready."""
+        return ready != self.ready or time.monotonic() - self.written >= STATUS_EVERY
+
+    def write(self, content: dict[str, Any]) -> None:
+        """Has it written."""
+        self.ready, self.written = content["ready"], time.monotonic()
+        self.disk.put(self.file, json.dumps(content).encode())
 
 
 def serve(worker: Worker) -> int:
     """Runs a worker until it is told to stop."""
     set_up_log()
+    priority.take(worker.name)
     config = worker.config
-    stop, status, lock = Stop(), Status(config, worker.name), threading.Lock()
+    stop, disk, lock = Stop(), Disk(), threading.Lock()
+    status = Status(config, worker.name, disk)
 
     def handle(topic: str, payload: bytes) -> None:
         with lock:
             worker.received(topic, payload, time.time_ns())
 
+    worker.keep = disk.put
     worker.begin()
     bus = Bus(config.broker, config.unit, worker.name, worker.kinds, handle)
     worker.send = bus.publish
     bus.start()
     spare_collector()
 
-    def report(at_once: bool = False) -> None:
+    def report() -> None:
         own = {"name": worker.name, "pid": os.getpid(), "ready": bus.ready(), "connections": bus.connections}
-        status.write(own | {"unsent": bus.unsent, "refused": worker.refused, "memory_kb": memory_kb()} | worker.status(), at_once)
+        status.write(own | {"unsent": bus.unsent, "refused": worker.refused, "memory_kb": memory_kb()} | worker.status())
 
     while not stop.wait(TICK) and not worker.finished():
         with lock:
             worker.tick(time.time_ns())
-            report()
+            if status.due(bus.ready()):
+                report()
+        worker.write()
     with lock:
         worker.end()
-        report(at_once=True)
+        report()
     bus.stop()
+    disk.close()
     return 0
 
 
@@ -176,14 +221,15 @@ def memory_kb() -> int:
     return pages * os.sysconf("SC_PAGE_SIZE") // 1024
 
 
-def replace_file(file: Path, content: bytes) -> None:
-    """Writes a file so that a reader finds the old or the new content, whenever the power fails."""
+def replace_file(file: Path, content: bytes, safe: bool = False) -> None:
+    """Writes a file so that a reader finds the old or the new content; if it is to be safe, also when the power fails."""
     file.parent.mkdir(parents=True, exist_ok=True)
     beside = file.with_suffix(".writing")
     with beside.open("wb") as stream:
         stream.write(content)
-        stream.flush()
-        os.fsync(stream.fileno())
+        if safe:
+            stream.flush()
+            os.fsync(stream.fileno())
     beside.replace(file)
 
 

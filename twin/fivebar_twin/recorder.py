@@ -64,12 +64,14 @@ class Recorder(Worker):
     """The worker."""
 
     name = "record"
-    kinds = tuple(kind for kind in KINDS if kind not in ("gap", "setup"))
+    kinds = tuple(kind for kind in KINDS if kind not in ("ahead", "gap", "setup"))
 
     def __init__(self, config: Config):
         super().__init__(config)
         self.folder = config.record
         self.rows: list[Row] = []
+        self.taken: list[Row] = []
+        """What is to be written next."""
         self.flushed = time.monotonic()
         self.number = 0
         self.parts: list[tuple[int, int, Path]] = []
@@ -109,13 +111,17 @@ class Recorder(Worker):
                 fields = {"first": float(first), "last": float(last)}
                 self._row(Message("gap", self.config.unit, now, self.counts["gaps"], fields, {"of": kind}))
         if time.monotonic() - self.flushed >= FLUSH_EVERY:
-            self._flush()
+            self._take()
 
-    def _flush(self) -> None:
+    def _take(self) -> None:
+        """The rows so far are a part."""
         self.flushed = time.monotonic()
-        if not self.rows:
+        self.taken, self.rows = [*self.taken, *self.rows], []
+
+    def write(self) -> None:
+        rows, self.taken = self.taken, []
+        if not rows:
             return
-        rows, self.rows = self.rows, []
         path = record.write_part(self.folder, self.number, self.number, rows)
         self.parts.append((self.number, self.number, path))
         self.number += 1
@@ -138,8 +144,8 @@ class Recorder(Worker):
         return dict(self.counts)
 
     def end(self) -> None:
-        self.flushed = 0.0
-        self._flush()
+        self._take()
+        self.write()
 
 
 def guid(fmu: Path) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from fivebar_twin import process, replay, scene, starter
+from fivebar_twin.ahead import Ahead
 from fivebar_twin.config import Config, Machine
 from fivebar_twin.errors import TwinError
 from fivebar_twin.follow import Twin
@@ -45,6 +46,7 @@ class Wire:
         """What else the workers have to do."""
         for worker in self.workers:
             worker.tick(time.time_ns())
+            worker.write()
 
     def end(self) -> None:
         """The recorder last."""
@@ -81,9 +83,9 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with tempfile.TemporaryDirectory() as folder:
             config = configured(Path(folder), arguments.fmu, library, arguments.scene)
-            twin, watch, recorder = Twin(config, library), Watch(config), Recorder(config)
+            twin, ahead, watch, recorder = Twin(config, library), Ahead(config, library), Watch(config), Recorder(config)
             recorder.about = twin.setup.to_message(config.unit, BEGIN)
-            wire, source, mangler = Wire(config, twin, watch, recorder), machine(config, library), Mangler(faults, 1)
+            wire, source, mangler = Wire(config, twin, ahead, watch, recorder), machine(config, library), Mangler(faults, 1)
             samples = round(arguments.hours * 3600 / config.period)
             memory = []
             begin = time.perf_counter()

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fivebar_twin import config as configuration
-from fivebar_twin import replay, scene
+from fivebar_twin import priority, replay, scene
 from fivebar_twin.config import Broker, Config, Faults, Machine
 from fivebar_twin.errors import TwinError
 from fivebar_twin.process import STATUS_EVERY
@@ -30,13 +30,13 @@ MOST_RESTARTS: Final = 20
 
 KEPT_RUNS: Final = 5
 
-ORDER: Final = ("broker", "record", "watch", "dashboard", "follow", "machine")
+ORDER: Final = ("broker", "record", "watch", "dashboard", "forecast", "follow", "machine")
 """In which they start; they end the other way round, the recorder and the broker last."""
 
 SETTLED_WITHIN: Final = 10.0
 """Seconds in which the last messages have to arrive."""
 
-ENDING: Final = ("watch", "machine", "follow", "dashboard", "record", "broker")
+ENDING: Final = ("watch", "machine", "follow", "forecast", "dashboard", "record", "broker")
 """The watch first, or it would take the end for silence."""
 
 
@@ -57,6 +57,7 @@ class Child:
         group = 0 if os.name == "posix" else None
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, process_group=group)
+        priority.hurry(self.process.pid)
 
     def look(self) -> bool:
         """Starts it again if it has died; whether it is a machine that has come to its end."""

@@ -35,6 +35,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--fmu", type=Path, default=default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
     parser.add_argument("--out", type=Path, default=Path("target/calibrate"), help="for scene, figures and pictures [default: target/calibrate]")
     parser.add_argument("--trials", type=int, metavar="N", help="no FILE: calibrate N made records, count what error bars cover")
+    parser.add_argument("--first", type=int, default=100, metavar="K", help="number of the first of these trials [default: 100]")
 
 
 WELL_TOLD: Final = 0.05

@@ -126,16 +126,19 @@ class Fitter:
         """Short pieces, their starts guessed from their first samples, on the side that fits."""
         pieces: list[Piece] = []
         side = int(self.machine.scene.get("init.assembly", 1))
-        for _, samples in self.cut(LEVELS[0]):
+        for number, samples in self.cut(LEVELS[0]):
             path = Path(samples, self.between, self.machine.library, self.period)
             state = guess(samples)
             costs = {}
             for assembly in (side, 3 - side):
                 motion, end = self.machine.run(path, x, Start(state, assembly))
                 gap = samples.angles - self.machine.seen(path, motion, x)
-                costs[assembly] = float(np.nanmedian(np.abs(wrapped(gap)))), end
+                costs[assembly] = float(np.nanmedian(np.abs(wrapped(gap)))) if motion[-1, 0] < LOST else math.inf, end
             assembly = side if costs[side][0] <= 2 * costs[3 - side][0] else 3 - side
-            if costs[assembly][0] > 100:
+            if math.isinf(costs[assembly][0]):
+                if pieces and pieces[-1].path.samples.time[0] >= self.data.series[number].time[0]:
+                    # Stretched or folded links, where errors of the angles count most: the piece before goes on soon enough.
+                    continue
                 raise TwinError(f"the unit refuses a start at the measured angles: {self.machine.failure}")
             side = costs[assembly][1]
             pieces.append(Piece(path, Start(state, assembly), self.compared(samples)))

@@ -66,7 +66,7 @@ def client(scheduler: str | None, workers: int) -> tuple[Client, LocalCluster | 
     if scheduler is None:
         # Nothing of it is reachable from outside; a worker that dies is replaced.
         cluster = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None, memory_limit=0)
-        return Client(cluster), cluster
+        return Client(cluster, direct_to_workers=True), cluster
     kind, _, rest = scheduler.rpartition("://")
     host = rest.rpartition(":")[0].strip("[]") or rest
     if kind != "tls" and not is_loopback(host):

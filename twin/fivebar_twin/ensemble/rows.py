@@ -11,7 +11,7 @@ import pyarrow as pa
 from fivebar_twin.ensemble.member import KINDS, SHOWN, Plan, Runner
 from fivebar_twin.unit import Library
 
-CHUNK: Final = 50
+CHUNK: Final = 200
 """Members in one task: a row group of the results, whatever the number of workers."""
 
 
