@@ -4,8 +4,8 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::Innovation;
-use super::linkage::{Linkage, MEASURED};
-use super::track::{Track, VERTEX, wrapped};
+use super::linkage::{Linkage, MEASURED, VERTEX};
+use super::track::{Track, wrapped};
 use super::{Constants, Scene, transition};
 use crate::mechanism::{Assembly, Geometry, Start, close};
 

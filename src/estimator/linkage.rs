@@ -34,8 +34,11 @@ const RANK_LOSS: f64 = 1e-20;
 /// Most closing steps, and what they have to reach relative to the mean length.
 const CLOSING: (usize, f64) = (8, 1e-13);
 
-/// What may be left open, relative to the mean length.
-const OPEN: f64 = 1e-4;
+/// Below this smallest singular value of J, over the mean length, a vertex is so near that its branches cannot be told apart.
+pub(super) const VERTEX: f64 = 0.03;
+
+/// What may be left open, relative to the mean length: anywhere, and next to a vertex.
+const OPEN: [f64; 2] = [1e-4, 1e-2];
 
 /// Σ xᵢ yᵢ.
 #[inline]
@@ -158,12 +161,14 @@ impl Linkage {
         [0, 1].map(|k| self.arm[0] * u[0][k] + self.arm[1] * u[1][k])
     }
 
-    /// Whether angles and rates keep the loop closed, to what a method that is told little leaves open.
+    /// Whether angles and rates keep the loop closed, to what a method that is told little leaves open, and what goes straight through a
+    /// vertex.
     pub fn is_closed(&self, theta: &Links, omega: &Links) -> bool {
-        let at = self.posture(theta);
+        let at = self.frame(theta);
+        let open = OPEN[usize::from(at.smallest < VERTEX)] * self.length;
         let ([x, y], [v, w]) = (self.gap(&at), at.end_velocity(omega));
         let fastest = omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
-        x.abs().max(y.abs()) < OPEN * self.length && v.abs().max(w.abs()) <= OPEN * self.length * (1.0 + fastest)
+        x.abs().max(y.abs()) < open && v.abs().max(w.abs()) <= open * (1.0 + fastest)
     }
 
     /// Φ, m.

@@ -3,11 +3,9 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::{self, Bank, Error, Innovation, Matrix};
-use super::linkage::{Frame, Linkage, Links, MEASURED, Pair};
+use super::linkage::{Frame, Linkage, Links, MEASURED, Pair, VERTEX};
 use super::transition::{self, ERRORS, Flow, Scene};
 
-/// Below this smallest singular value of J, over the mean length, a vertex is so near that its branches cannot be told apart.
-pub(super) const VERTEX: f64 = 0.03;
 /// Where that is smaller than this, two ways to compute a motion have to agree,
 const DOUBTFUL: f64 = 0.2;
 /// to this, rad and rad/s.

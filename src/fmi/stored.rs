@@ -219,7 +219,7 @@ fn values(parameters: &Parameters) -> Values {
 }
 
 /// Parameters of the estimator, the last of all: not stored where they are their start values.
-const ESTIMATOR: usize = 12;
+const ESTIMATOR: usize = 13;
 
 /// Parameters with these values, each within its bounds, none left out.
 fn restored(values: &[(u32, Value)]) -> Result<Parameters, CallError> {

@@ -197,6 +197,44 @@ fn nees(following: &Following, machine: &Machine) -> f64 {
     following.nees(&theta, &omega)
 }
 
+/// Lengths that may be off: the tip's covariance is the sum of what each does where the motors are held, by differences of machines of
+/// other lengths.
+#[test]
+fn lengths_move_the_tip() {
+    let sigma = 1e-3;
+    let tip = |parameters: &Parameters| {
+        let simulation = Simulation::new(parameters, &default_inputs()).expect("a scene");
+        let [x, y]: [f64; 2] = fivebar::observers::motion(simulation.model(), &simulation.state()).tip.into();
+        [x, y]
+    };
+    let mut parameters = followed(Method::I3alp);
+    (parameters.estimator.sigma0_theta, parameters.estimator.sigma0_omega) = (1e-9, 1e-9);
+    let covariance = |sigma: f64| {
+        let mut parameters = parameters.clone();
+        parameters.estimator.sigma0_length = sigma;
+        Following::new(&parameters, &default_inputs()).expect("a scene").tip_covariance()
+    };
+    let (known, off) = (covariance(0.0), covariance(sigma));
+    let mut expected = [0.0; 3];
+    for length in 0..5 {
+        let [[x, y], [v, w]] = [1e-6, -1e-6].map(|change| {
+            let mut other = parameters.clone();
+            match other.geometry.links.get_mut(length) {
+                Some(link) => link.length += change,
+                None => other.geometry.base_distance += change,
+            }
+            tip(&other)
+        });
+        let [x, y] = [(x - v) * sigma / 2e-6, (y - w) * sigma / 2e-6];
+        expected = [expected[0] + x * x, expected[1] + x * y, expected[2] + y * y];
+    }
+    for i in 0..3 {
+        // Motors are not held where they cannot be; that rounds the rest by some percent.
+        let error = (off[i] - known[i] - expected[i]).abs();
+        assert!(error < 0.08 * (expected[0] + expected[2]), "{off:?} less {known:?}, expected {expected:?}");
+    }
+}
+
 /// White noise and the model's own machine: NEES has its four degrees of freedom or less (the filter allows for unknown forces, which
 /// this machine does not feel), and NIS one for each encoder.
 #[test]

@@ -106,7 +106,7 @@ pub fn crossing(random: &mut Random, [slow, fast]: [f64; 2]) -> Scenario {
 }
 
 /// All links pass through one line, but for an offset, rad.
-fn vertex(random: &mut Random, offset: f64) -> Scenario {
+pub fn vertex(random: &mut Random, offset: f64) -> Scenario {
     let mut model = without_gravity(desk());
     model.geometry.base_distance = 0.42;
     let linkage = Linkage::new(&model.geometry);

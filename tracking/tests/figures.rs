@@ -1,6 +1,7 @@
 //! A sample of the figures, on seeds of its own: what `cargo xtask estimator` measures in full.
 
-use tracking::machine::{COARSE, FINE, Random};
+use fivebar::estimator::{Constants, Status};
+use tracking::machine::{COARSE, FINE, Random, follow};
 use tracking::quality::{fall, outcome, pick, push};
 use tracking::{benchmark, singular};
 
@@ -34,5 +35,26 @@ fn direct_singularities_are_crossed() {
             let scenario = singular::crossing(&mut random, [0.5, 4.0]);
             assert!(!outcome(&scenario, &encoder, 1e-3, &mut random).lost, "{} seed {seed}", encoder.name);
         }
+    }
+}
+
+/// Vertices are passed on the machine's branch, exactly and nearly; on the way the estimate is one that can be stored and read back.
+#[test]
+fn vertices_are_passed() {
+    for (seed, aside) in [(0, 0.0), (1, 0.0), (2, 1e-4), (3, 1e-4), (4, 1e-3), (5, 5e-3)] {
+        let mut random = Random::new(300 + seed);
+        let scenario = singular::vertex(&mut random, aside);
+        assert!(!outcome(&scenario, &FINE, 1e-3, &mut random.clone()).lost, "seed {seed}");
+        let model = scenario.twin(&FINE);
+        let constants = Constants::new(&model.simulation().model().mechanism.geometry, &model.parameters().estimator);
+        let mut branches = false;
+        follow(&scenario, &FINE, 1e-3, &mut random, |at| {
+            let (theta, omega) = (at.twin.estimator().track().theta, at.twin.estimator().track().omega);
+            let sound = at.twin.estimator().check(&constants, &theta, &omega);
+            assert!(sound.is_ok(), "seed {seed} at {} s: {sound:?}", at.time);
+            branches |= at.twin.status() == Status::TwoBranches;
+        })
+        .expect("a run");
+        assert!(branches || aside > 1e-3, "seed {seed}");
     }
 }
