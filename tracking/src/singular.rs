@@ -143,11 +143,7 @@ fn lost(runs: u64, first: u64, encoder: &Encoder, h: f64, scenario: impl Fn(&mut
     let is_lost = |seed: &u64| {
         let mut random = Random::new(first + seed);
         let scenario = scenario(&mut random);
-        let o = outcome(&scenario, encoder, h, &mut random);
-        if o.lost {
-            eprintln!("lost first {first} seed {seed} {} h {h} {o:?}", encoder.name);
-        }
-        o.lost
+        outcome(&scenario, encoder, h, &mut random).lost
     };
     (0..runs).filter(is_lost).count() as f64
 }

@@ -3,6 +3,7 @@
 mod automatic;
 mod effects;
 mod fmi;
+mod following;
 mod growth;
 mod phases;
 mod state;
@@ -30,6 +31,7 @@ pub(crate) fn all() -> Result<Vec<Case>> {
     cases.extend(effects::cases()?);
     cases.extend(automatic::cases()?);
     cases.extend(fmi::cases()?);
+    cases.extend(following::cases());
     cases.extend(state::cases()?);
     cases.extend(growth::cases());
     Ok(cases)
