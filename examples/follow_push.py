@@ -1,7 +1,7 @@
 """Estimate, truth, bands and alarm over a pick with an unknown payload, and a push on the tip that nobody has told the twin of.
 
 `cargo xtask package` makes the .fmu; from the root of the repository: target/venv/bin/python examples/follow_push.py
-It writes target/follow_push.png. Encoders of 16 bits measure the machine every 1 ms.
+It writes target/follow_push.svg. Encoders of 16 bits measure the machine every 1 ms.
 """
 
 from math import pi, sqrt
@@ -67,11 +67,11 @@ force.set_ylabel("unknown torque (N m)"), force.set_xlabel("time (s)"), force.se
 for panel in (way, error, force):
     panel.legend(loc="upper right"), panel.grid(alpha=0.3)
 Path("target").mkdir(exist_ok=True)
-figure.savefig("target/follow_push.png", dpi=100)
+figure.savefig("target/follow_push.svg", metadata={"Date": None})
 
 off = [sqrt((a - c) ** 2 + (b - d) ** 2) for t, a, b, c, d, *_ in rows if t > 0.1]
 raised = [t for t, value in zip(time, alarm) if value > 0.5]
 first = next((t for t in raised if t >= FROM), None)
 print(f"tip error {1e3 * sqrt(sum(e * e for e in off) / len(off)):.4f} mm (root of the mean square)")
 print(f"alarm {1e3 * (first - FROM):.0f} ms after the push" if first else "no alarm after the push")
-print("target/follow_push.png")
+print("target/follow_push.svg")

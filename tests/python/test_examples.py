@@ -79,7 +79,7 @@ def test_follow_push(fmu: Path, tmp_path: Path) -> None:
     printed = output(fmu, tmp_path, "follow_push.py")
     assert float(re.findall(r"tip error (\S+) mm", printed)[0]) < 0.03
     assert 0 <= float(re.findall(r"alarm (\S+) ms after the push", printed)[0]) <= 20
-    assert (tmp_path / "target" / "follow_push.png").is_file()
+    assert (tmp_path / "target" / "follow_push.svg").is_file()
 
 
 def test_resume(fmu: Path, tmp_path: Path) -> None:
