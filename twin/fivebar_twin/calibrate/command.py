@@ -199,7 +199,7 @@ def _report(result: Result, given: data.Data, source: str, arguments: argparse.N
         "samples_as_one": judgement.together.time_scale,
         "unknowns": unknowns,
         "correlations": {p.name: judgement.correlation[k].tolist() for k, p in enumerate(result.sought)},
-        "not_identified": [combination.sentence(result.sought) for combination in judgement.combinations],
+        "not_identified": list(dict.fromkeys(combination.sentence(result.sought) for combination in judgement.combinations)),
         "proposal": proposal,
         "cpu_seconds": seconds,
         "runs": fit.machine.runs,
