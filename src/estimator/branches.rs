@@ -29,6 +29,8 @@ const ASIDE: f64 = 5e-3;
 const FINE: u32 = 128;
 /// Where the smallest singular value of J, over the mean length, is near, a step turns no link by more than this part of it.
 const PART: f64 = 0.125;
+/// Nothing is divided by 0 in a vertex.
+const LEAST: f64 = 1e-6;
 /// Most steps of Runge-Kutta in a macro step.
 const MOST: f64 = 256.0;
 
@@ -117,7 +119,7 @@ impl Branches {
     pub(super) fn pass(&mut self, linkage: &Linkage, track: &Track, scene: &impl Scene, [from, to]: [f64; 2], turned: bool) {
         let near = from.min(to) < VERTEX;
         let leaves = near && (turned || self.nearing && to > from);
-        self.nearing = near && !leaves && to <= from;
+        self.nearing = near && !leaves && to < from;
         if leaves && !self.are_open() {
             let straight = turned.then(|| Other::new(*track, true));
             let aside =
@@ -220,7 +222,7 @@ impl Other {
         } else {
             let start = (self.track.theta, self.track.omega);
             let fastest = start.1.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
-            let fine = (h * fastest / (PART * frame.smallest)).ceil().clamp(1.0, MOST) as u32;
+            let fine = (h * fastest / (PART * frame.smallest.max(LEAST))).ceil().clamp(1.0, MOST) as u32;
             let steps = transition::steps(linkage, scene, (&start.0, &start.1), h).max(fine);
             let (theta, omega) = transition::motion(linkage, scene, start, h, steps);
             // Next to a vertex J is no way back onto the loop.

@@ -1,5 +1,5 @@
 //! The corrector: an error-state Kalman filter on the tangent space of the closed loop, with an unknown force, several process noises
-//! side by side, and two branches behind a vertex; `docs/estimator.md` derives it.
+//! side by side, and several motions behind a vertex; `docs/estimator.md` derives it.
 //!
 //! It knows the mechanism and what a simulation hands it: loads with their tangents, where the motion has come to. The motion itself is
 //! the simulation's; the estimator says where it has to go on from, and with which unknown force.
@@ -168,7 +168,7 @@ impl Estimator {
             return false;
         }
         self.forecast.end();
-        // Where two branches are open, the first samples decide, before either is bent to them.
+        // Where several branches are open, the first samples decide, before any is bent to them.
         if let Some(other) = self.branches.preferred(linkage, &self.track, &heard) {
             self.branches.swap(&mut self.track, other);
             self.history.clear();

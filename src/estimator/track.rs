@@ -14,6 +14,8 @@ const AGREEMENT: [f64; 2] = [1e-3, 0.1];
 const TURNED: f64 = 0.3;
 /// Rates beyond this are none of a machine, rad/s.
 const FASTEST: f64 = 2e3;
+/// Below this rate, rad/s, a machine next to a vertex passes nothing.
+const SLOWEST: f64 = 0.05;
 /// In the squares of the inputs' effects: no input is asked for a force that it does not have.
 const LEAST_EFFECT: f64 = 1e-6;
 
@@ -101,7 +103,7 @@ impl Track {
     pub(super) fn has_turned(&self, linkage: &Linkage, (theta, omega): (&Links, &Links)) -> bool {
         let smallest = linkage.frame(&self.theta).smallest.min(linkage.frame(theta).smallest);
         let fastest = self.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
-        smallest < VERTEX && (0..4).any(|i| (omega[i] - self.omega[i]).abs() > TURNED * fastest)
+        fastest > SLOWEST && smallest < VERTEX && (0..4).any(|i| (omega[i] - self.omega[i]).abs() > TURNED * fastest)
     }
 
     /// h seconds on by its rates.
@@ -126,11 +128,18 @@ impl Track {
         (before, aside, steps): (f64, f64, u32),
     ) -> Option<Self> {
         let fastest = self.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
+        // At rest in a vertex it has come from nowhere.
+        if fastest < SLOWEST {
+            return None;
+        }
         let time = before / fastest;
         let (theta, omega) = transition::motion(linkage, scene, (self.theta, self.omega), -time, steps);
         let (theta, omega, frame) = linkage.closed(theta, omega)?;
         let [x, y] = frame.coordinates(&omega);
         let speed = (x * x + y * y).sqrt();
+        if speed < SLOWEST {
+            return None;
+        }
         let across = frame.tangent([-aside * y / speed, aside * x / speed]);
         let (theta, omega, _) = linkage.closed(std::array::from_fn(|i| theta[i] + across[i]), omega)?;
         let (theta, omega) = transition::motion(linkage, scene, (theta, omega), time, steps);

@@ -110,8 +110,7 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
             }
         };
         let tolerance = settings.error_tolerance.max(limits.round_off);
-        let parts = (rest / state.substep.min(limits.longest)).ceil().max(1.0);
-        h = search.next().unwrap_or(rest / parts);
+        h = search.next().unwrap_or_else(|| rest / (rest / state.substep.min(limits.longest)).ceil().max(1.0));
         let attempt = attempt(system, settings, state, h, &limits);
         error = attempt.as_ref().map_or(f64::NAN, |attempt| attempt.error);
         match attempt {
@@ -130,7 +129,7 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
                     events::turn(system, settings, state, sides);
                 }
                 search = Search::NONE;
-                if last || parts == 1.0 && !turns {
+                if last {
                     return Ok(());
                 }
                 rest -= h;

@@ -173,7 +173,7 @@ impl Model {
         self.effects.is_empty() && self.solver.linear_solve() == LinearSolve::TwoLeg
     }
 
-    /// Settings of the explicit method.
+    /// Settings of the steps in the link angles.
     pub(super) fn dense_settings(&self) -> &dense::Settings {
         match &self.stepper {
             Stepper::Dense(settings) => settings,

@@ -59,7 +59,8 @@ class Ahead(Worker):
                 return
             try:
                 forecast = self.forecaster.run(state, self.stopped.is_set)
-            except TwinError as error:
+            except (TwinError, KeyError, TypeError, ValueError) as error:
+                # Whatever is wrong with one state, the next one may be good.
                 log.warning("no forecast: %s", error)
                 continue
             if forecast is not None:

@@ -140,7 +140,11 @@ class Disk:
                 if not self.waiting:
                     return
                 file, (content, safe) = self.waiting.popitem()
-            replace_file(file, content, safe)
+            try:
+                replace_file(file, content, safe)
+            except OSError as error:
+                # The next content comes soon, and may find the disk well again.
+                log.warning("%s was not written: %s", file, error)
 
     def close(self) -> None:
         """Writes what is waiting."""

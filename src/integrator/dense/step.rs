@@ -26,6 +26,7 @@ const WITH_ROUNDING: f64 = 1.000_001;
 const GREATEST_DEFECT: f64 = 1e3;
 /// Round-off of a difference of coordinates, rad.
 const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
+
 /// What the next step is to be.
 struct Plan {
     /// Its length, s.
@@ -138,7 +139,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 }
                 self.end.error_estimate = error * settings.error_tolerance;
                 self.adapt::<T>(error, wanted, rejected);
-                if settings.kinds == Kinds::Automatic {
+                // Friction that sticks leaves no choice: nothing is to be learned from its steps.
+                let chooses = settings.kinds == Kinds::Automatic;
+                if chooses && !system.has_grips() {
                     let (product, wanted) = (h * trial.fastest_rate(&self.end), self.wanted_by::<T>());
                     self.memory.choice.learn(&Seen {
                         kind: T::KIND,
@@ -148,7 +151,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                         limit: horizon.limit,
                         steep: on.is_steep(),
                     });
-                } else if self.memory.stiffness.is_due(self.end.counters.substeps) {
+                } else if !chooses && self.memory.stiffness.is_due(self.end.counters.substeps) {
                     self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
                 }
                 return Ok(());
