@@ -1,17 +1,16 @@
 //! What lengths that are not known exactly do to the angles of the motors and to the tip: an error that stays.
 
-use super::linkage::{Frame, MEASURED, Pair, SIDE};
+use super::linkage::{Frame, Links, MEASURED, Pair, SIDE, VERTEX};
 
 impl Frame {
-    /// Variances of the angles of the motors, rad², where lengths have a standard deviation, m: the loop closes by J⁺, in every posture
-    /// but a vertex.
+    /// Variances of the angles of the motors, rad², where lengths have a standard deviation, m: the loop closes by J⁺.
     pub(super) fn motors_by_lengths(&self, sigma: f64) -> Pair {
         if sigma == 0.0 {
             return [0.0; 2];
         }
         let mut variances = [0.0; 2];
         for gap in self.gaps_by_length() {
-            let turned = self.least_squares(gap);
+            let turned = self.closing(gap);
             for (variance, link) in variances.iter_mut().zip(MEASURED) {
                 *variance += sigma * sigma * turned[link] * turned[link];
             }
@@ -31,7 +30,7 @@ impl Frame {
         let determinant = xx * yy - xy * xy;
         let mut sum = [0.0; 3];
         for (link, gap) in self.gaps_by_length().into_iter().enumerate() {
-            let back = self.least_squares(gap).map(|angle| -angle);
+            let back = self.closing(gap).map(|angle| -angle);
             let off = MEASURED.map(|motor| back[motor]);
             let [p, q] = [a * off[0] + b * off[1], c * off[0] + d * off[1]];
             let held = self.tangent([(yy * p - xy * q) / determinant, (xx * q - xy * p) / determinant]);
@@ -44,6 +43,12 @@ impl Frame {
             sum = [sum[0] + x * x, sum[1] + x * y, sum[2] + y * y];
         }
         sum
+    }
+
+    /// J⁺ r; next to a vertex, where J⁺ grows without bound and says nothing of finite lengths, less of it.
+    fn closing(&self, gap: Pair) -> Links {
+        let part = (self.smallest / VERTEX).min(1.0);
+        self.least_squares(gap).map(|angle| part * part * angle)
     }
 
     /// By how much the loop opens with the length of each link and with the base's.

@@ -36,7 +36,8 @@ pub struct Settings {
     pub tolerance: f64,
     /// Most Newton iterations per sub-step.
     pub max_iterations: u32,
-    /// More Newton iterations than this in one macro step, those of rejected sub-steps included, end it with a status: a call never hangs.
+    /// More work than this in one macro step, that of rejected sub-steps included, ends it with a status: a call never hangs. Newton iterations
+    /// by what their linear solve costs, tries of line searches, sub-steps.
     pub max_work: u32,
     /// The balance of energy of a step may be off by the error tolerance times this, J, where forces change steeply.
     pub energy_scale: f64,
@@ -188,7 +189,8 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kink
         v = system.energy_scale(energy, &q, &v, h)? * v;
     }
     let mut end = Arrival::in_balance(system, [q, v], &pose, &mass);
-    if settings.watches_rates(system) {
+    // Next to a vertex the rates have been given their energy.
+    if settings.watches_rates(system) && limits.energy.is_none() {
         end = damping::damped(system, &settings, state, h, (&pose, &mass), end);
     }
     let mut error = local_error(system, h, &(end.a - state.a), &correction);
