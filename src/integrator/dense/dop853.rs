@@ -4,7 +4,7 @@
 
 mod tableau;
 
-use super::trial::{Allowed, Landing, Slope, Trial, extremes_of, rate_between};
+use super::trial::{Allowed, Landing, Slope, Trial, extremes_of, for_each, rate_between};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
@@ -22,13 +22,6 @@ pub(super) struct Stages<const N: usize> {
     last: Vector<N>,
     /// q and q̇ at the end of the step, of order 8.
     end: [Vector<N>; 2],
-}
-
-/// Does something for each stage, without a loop at run time: stages and their coefficients are constants.
-macro_rules! for_each {
-    ($do:ident: $($stage:literal)*) => {
-        $($do!($stage);)*
-    };
 }
 
 impl<const N: usize> Stages<N> {

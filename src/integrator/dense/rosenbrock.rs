@@ -19,7 +19,7 @@ mod tableau;
 use std::marker::PhantomData;
 
 use super::hermite::{self, Knowing};
-use super::trial::{Allowed, Landing, Slope, Trial, fastest, larger, slope_at};
+use super::trial::{Allowed, Landing, Slope, Trial, fastest, for_each, larger};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{AccelerationTangents, EnergyBalance, Kkt, Passage, State, StepError, System, Work};
@@ -47,13 +47,6 @@ pub(super) struct Rosenbrock<T, const N: usize> {
 pub(super) struct Shared<const N: usize> {
     tangents: AccelerationTangents<N>,
     fastest: f64,
-}
-
-/// Does something for each stage but the first, without a loop at run time.
-macro_rules! for_each {
-    ($do:ident: $($stage:literal)*) => {
-        $($do!($stage);)*
-    };
 }
 
 /// By which part of a direction the power is differentiated along it, both ways: truncation and round-off are below 1e-9 of it.
@@ -179,7 +172,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             ($stage:literal) => {
                 if const { $stage < T::STAGES } {
                     let [q, v] = step.at::<$stage>();
-                    let slope = slope_at(system, regularization, &q, &v);
+                    let slope = Slope::at(system, regularization, &q, &v);
                     let [before_q, before_v] = step.before::<$stage>();
                     step.u[$stage] = step.solve(tangents, [v + per_step * before_q, slope.v + per_step * before_v]);
                     step.power[$stage] = slope.power;

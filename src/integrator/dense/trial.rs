@@ -9,6 +9,14 @@ use crate::integrator::state::Arrival;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
 
+/// Does something for each stage, without a loop at run time: stages and their coefficients are constants.
+macro_rules! for_each {
+    ($do:ident: $($stage:literal)*) => {
+        $($do!($stage);)*
+    };
+}
+pub(super) use for_each;
+
 /// One step of a kind, made but not accepted yet.
 pub(super) trait Trial<const N: usize>: Sized {
     /// Which.
@@ -102,8 +110,7 @@ pub(super) struct Slope<const N: usize> {
 impl<const N: usize> Slope<N> {
     pub(super) const NONE: Self = Self { q: Vector::ZERO, v: Vector::ZERO, power: Work { input: 0.0, dissipated: 0.0 } };
 
-    /// Those of a state.
-    /// One piece of code for all stages: written out for each of them it would not fit into what a processor keeps decoded.
+    /// At a place. One piece of code for all stages: written out for each of them it would not fit into what a processor keeps decoded.
     #[inline(never)]
     pub(super) fn at<const M: usize, S: System<N, M>>(system: &S, regularization: f64, q: &Vector<N>, v: &Vector<N>) -> Self {
         let pose = system.pose(q);
@@ -111,17 +118,6 @@ impl<const N: usize> Slope<N> {
         let (a, _) = equilibrium_under(system, &forces, (q, &pose, v), &system.factor_mass(&pose, regularization));
         Self { q: *v, v: a, power }
     }
-}
-
-/// The same out of line: for kinds of which only some scenes make steps.
-#[inline(never)]
-pub(super) fn slope_at<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
-    regularization: f64,
-    q: &Vector<N>,
-    v: &Vector<N>,
-) -> Slope<N> {
-    Slope::at(system, regularization, q, v)
 }
 
 /// The greatest magnitudes of q̇ and q̈ among some slopes.

@@ -5,7 +5,7 @@
 //! needs anyway.
 
 use super::hermite::{self, Knowing};
-use super::trial::{Allowed, Landing, Slope, Trial, extremes_of, rate_between, slope_at};
+use super::trial::{Allowed, Landing, Slope, Trial, extremes_of, for_each, rate_between};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
@@ -44,12 +44,6 @@ pub(super) struct Tsit5<const N: usize> {
     h: f64,
     /// Where the last stage is evaluated, at the end of the step as well.
     last: Vector<N>,
-}
-
-macro_rules! for_each {
-    ($do:ident: $($stage:literal)*) => {
-        $($do!($stage);)*
-    };
 }
 
 impl<const N: usize> Tsit5<N> {
@@ -97,7 +91,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         macro_rules! evaluate {
             ($stage:literal) => {
                 let [q, v] = step.at::<$stage>();
-                step.slopes[$stage] = slope_at(system, regularization, &q, &v);
+                step.slopes[$stage] = Slope::at(system, regularization, &q, &v);
                 step.last = q;
             };
         }
