@@ -95,6 +95,8 @@ pub trait CutStep<const N: usize, const M: usize> {
     fn factor(&self, motion: &Self::Motion, balance: &Self::Balance, regularization: f64) -> Self::Factor;
     /// The unknowns with Newton's increments, by the matrix of this motion or one close by.
     fn improved(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Unknowns;
+    /// The motion with the rates, and Λ, of these increments, but on its own way.
+    fn with_rates(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Motion;
     /// [`System::angle_norm`] of d.
     fn turn(x: &Self::Unknowns) -> f64;
     /// The unknowns, with the ν of this motion.

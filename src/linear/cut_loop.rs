@@ -24,7 +24,9 @@
 //! The first are linear in ω̂ and ν. Newton's method for Δθ and Λ has the same matrix, with s for c and the joint forces' stiffness: 2×2 in
 //! each leg, which leaves 2×2 for the tip ([`Closed`]).
 
-use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
+use crate::mechanism::coordinates::{
+    D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, add_legs, legs_of, set_legs,
+};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::secant::{Secant, Turned};
 use crate::mechanism::{Coordinates, Mechanism, Multipliers, Pose};
@@ -433,6 +435,16 @@ impl<'a> OpenStep<'a> {
         set_legs(&mut change, DISTAL, d);
         set_legs(&mut change, LAMBDA, Legs::new(lambda));
         change
+    }
+
+    /// The motion with rates, and Λ, to which forces leave nothing: the last increment, without that of Δθ.
+    #[inline(always)]
+    pub fn with_rates(&self, motion: &OpenMotion, balance: &OpenBalance, matrix: &Closed) -> OpenMotion {
+        let [left_p, left_d] = balance.left;
+        let ([p, d], lambda) = matrix.solve([-left_p, -left_d], &motion.ends, [0.0; 2]);
+        let mut x = motion.x;
+        add_legs(&mut x, LAMBDA, Legs::new(lambda));
+        OpenMotion { x, half: [motion.half[0] + p, motion.half[1] + d], ..*motion }
     }
 
     /// Λ and ν of all joints under mean forces Q̄.

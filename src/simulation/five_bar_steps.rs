@@ -92,6 +92,11 @@ impl<const BARE: bool> CutStep<COORDINATES, MULTIPLIERS> for CutFiveBar<'_, BARE
     }
 
     #[inline(always)]
+    fn with_rates(&self, motion: &OpenMotion, balance: &OpenBalance, factor: &Closed) -> OpenMotion {
+        self.step.with_rates(motion, balance, factor)
+    }
+
+    #[inline(always)]
     fn turn(x: &CutUnknowns) -> f64 {
         largest_turn(x)
     }

@@ -6,7 +6,7 @@ use crate::integrator::{Counters, CutStep, Discrete};
 /// Largest |M⁻¹f| per second of step of one that has converged, m/s and rad/s: what is left does work, in proportion to it.
 const OFFSET: f64 = 1e-9;
 /// The same with the loops cut, per square of it, m/s² and rad/s²: there it is not by chance less, for the first guess is good.
-const CUT_OFFSET: f64 = 2e-8;
+const CUT_OFFSET: f64 = 1e-10;
 /// Largest |Φ| of it, in parts of the system's size.
 const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
 /// Largest |J₁w|/2 per second of step, in parts of the system's size per second.
@@ -42,7 +42,7 @@ impl Bounds {
     /// With the loops cut, for a step that turns links so far.
     #[inline(always)]
     pub(super) fn cut<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64, turn: f64) -> Self {
-        Self { offset: (CUT_OFFSET * h * h).max(ROUND_OFF * turn), ..Self::new(system, h) }
+        Self { offset: (CUT_OFFSET * h).max(ROUND_OFF * turn), ..Self::new(system, h) }
     }
 
     /// By the largest elements of M⁻¹f, Φ and J₁w/2.
@@ -90,7 +90,8 @@ pub(super) fn in_turn<const N: usize, const M: usize, C: CutStep<N, M>, T>(
         let balance = cut.balance(&motion);
         let [offset, gap, rate] = cut.left(&motion, &balance);
         if bounds.are_met(offset, gap, rate) {
-            return Ok(arrive(&motion, iteration));
+            let factor = factor.get_or_insert_with(|| cut.factor(&motion, &balance, regularization));
+            return Ok(arrive(&cut.with_rates(&motion, &balance, factor), iteration));
         }
         let promising = PROMISING.get(iteration as usize).copied().unwrap_or(CONTRACTION * before);
         if offset > promising || iteration == most {
