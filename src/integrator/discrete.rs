@@ -40,7 +40,7 @@ pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
     fn cut<'a>(&'a self, begin: &'a Self::Pose, at: [&'a Vector<N>; 2], h: f64) -> Self::Cut<'a>;
     /// Of d, Λ and ν the unknowns of that.
     fn cut_unknowns(&self, d: &Vector<N>, multipliers: [&Vector<M>; 2]) -> Self::CutUnknowns;
-    /// Whether Λ and ν may be found in turn: the forces depend on no rates and couple no coordinates.
+    /// Whether Λ and ν may be found in turn, with the loops cut: inertias are not far apart.
     fn alternates(&self) -> bool;
     /// Newton's increments of d, Λ and ν with the whole tangent; e weighs increments only.
     fn newton(

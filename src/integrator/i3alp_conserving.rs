@@ -76,7 +76,7 @@ struct Memory<const K: usize> {
 impl<const K: usize> Memory<K> {
     const NONE: Self = Self { h: 0.0, known: 0, x: [Vector::ZERO; REMEMBERED] };
 
-    /// By a parabola through the last three steps of the same length.
+    /// By the polynomial of the fifth degree through the last steps of the same length.
     #[inline(always)]
     fn extrapolated(&self, h: f64) -> Option<Vector<K>> {
         let Self { known, x: [last, before, third, fourth, fifth, first], .. } = *self;
@@ -166,13 +166,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
                 let over = Chord { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
                 self.arrive(system, &over, S::Cut::unknowns(end))
             };
-            match in_turn(
-                &cut,
-                x,
-                &Bounds::cut(system, h, S::Cut::turn(&x)),
-                (settings.regularization, settings.max_iterations),
-                arrive,
-            ) {
+            match in_turn(&cut, x, &Bounds::cut(system, h), (settings.regularization, settings.max_iterations), arrive) {
                 Ok(arrived) => return arrived,
                 Err((left, iterations)) => {
                     self.counters.iterations += u64::from(iterations);
@@ -180,7 +174,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
                 }
             }
         }
-        self.at_once(&Step::new(general, [&self.q.clone(), &self.v.clone()], h), settings, (begun, nearby))
+        let Self { q, v, .. } = *self;
+        self.at_once(&Step::new(general, [&q, &v], h), settings, (begun, nearby))
     }
 
     /// Whether the system, at rest, stays there: what Newton's method makes of round-off would drive it from a vertex.

@@ -24,6 +24,10 @@
 //! The first are linear in ω̂ and ν. Newton's method for Δθ and Λ has the same matrix, with s for c and the joint forces' stiffness: 2×2 in
 //! each leg, which leaves 2×2 for the tip ([`Closed`]).
 
+mod closed;
+mod loads;
+mod open_legs;
+
 use crate::mechanism::coordinates::{
     D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, add_legs, legs_of, set_legs,
 };
@@ -31,6 +35,10 @@ use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::secant::{Secant, Turned};
 use crate::mechanism::{Coordinates, Mechanism, Multipliers, Pose};
 use crate::vector::Vector;
+pub use closed::Closed;
+pub use loads::LegLoads;
+pub use open_legs::OpenLegs;
+use open_legs::{Moments, angles, centres};
 
 /// Number of unknowns.
 pub const CUT_UNKNOWNS: usize = 8;
@@ -60,171 +68,16 @@ pub fn largest_turn(x: &CutUnknowns) -> f64 {
     if left > right { left } else { right }
 }
 
-/// What of it depends on the machine only.
-#[derive(Clone, Copy, Debug)]
-pub struct OpenLegs {
-    mechanism: Mechanism,
-    /// 1/m and 1/I in the order of the coordinates.
-    mobility: [Legs; 6],
-    /// ℓ and L with the leg's sign in the tip's closure, m.
-    sigma_length: [Legs; 2],
-    /// m_P a, m_D ℓ and m_D a_D, kg·m.
-    mass_moment: [Legs; 3],
-    /// A, B and D, kg·m².
-    moment: [Legs; 3],
-    /// 1/(I + A) and 1/(I + D): of a link that its joint alone holds, 1/(kg·m²).
-    turn_mobility: [Legs; 2],
-}
-
-/// The motion's moments of the proximal and the distal links.
-type Moments = [Legs2; 2];
-
-impl Legs2 {
-    #[inline(always)]
-    fn plus(self, other: Self) -> Self {
-        Self { x: self.x + other.x, y: self.y + other.y }
-    }
-
-    #[inline(always)]
-    fn minus(self, other: Self) -> Self {
-        Self { x: self.x - other.x, y: self.y - other.y }
-    }
-}
-
 /// Of both links the first minus the second.
 #[inline(always)]
 fn minus([p, d]: Moments, [other_p, other_d]: Moments) -> Moments {
     [p.minus(other_p), d.minus(other_d)]
 }
 
-/// What the links' centres of mass do.
-#[inline(always)]
-fn centres(x: &Coordinates) -> [Legs2; 2] {
-    [Legs2 { x: legs_of(x, P_X), y: legs_of(x, P_Y) }, Legs2 { x: legs_of(x, D_X), y: legs_of(x, D_Y) }]
-}
-
-#[inline(always)]
-fn angles(x: &Coordinates) -> [Legs; 2] {
-    [legs_of(x, P_THETA), legs_of(x, D_THETA)]
-}
-
 /// Something of the tip for both legs.
 #[inline(always)]
 fn at_tip([x, y]: [f64; 2]) -> Legs2 {
     Legs2 { x: both(x), y: both(y) }
-}
-
-impl OpenLegs {
-    /// Of a mechanism.
-    pub fn new(mechanism: &Mechanism) -> Self {
-        let &Mechanism { a_p, b_p, a_d, sigma_b_d, mass_p, mass_d, inertia_p, inertia_d, .. } = mechanism;
-        let length = a_p + b_p;
-        let mass_moment @ [proximal, elbow, distal] = [mass_p * a_p, mass_d * length, mass_d * a_d];
-        let moment = [proximal * a_p + elbow * length, distal * length, distal * a_d];
-        Self {
-            mechanism: *mechanism,
-            mobility: mechanism.mass_diagonal().map(|m| both(1.0) / m),
-            sigma_length: [SIGMA * length, SIGMA * a_d + sigma_b_d],
-            mass_moment,
-            moment,
-            turn_mobility: [both(1.0) / (inertia_p + moment[0]), both(1.0) / (inertia_d + moment[2])],
-        }
-    }
-
-    /// M⁻¹ x.
-    #[inline(always)]
-    pub fn apply_inverse_mass(&self, x: &Coordinates) -> Coordinates {
-        let mut result = Coordinates::ZERO;
-        for (i, mobility) in self.mobility.iter().enumerate() {
-            set_legs(&mut result, i, *mobility * legs_of(x, i));
-        }
-        result
-    }
-
-    /// Moments of links that turn by p and d about their joints.
-    #[inline(always)]
-    fn moment(&self, [p, d]: [Legs2; 2]) -> Moments {
-        let [own, shared, distal] = self.moment;
-        [p.scaled(own).plus(d.scaled(shared)), p.scaled(shared).plus(d.scaled(distal))]
-    }
-
-    /// Moments of motions of the centres of mass.
-    #[inline(always)]
-    fn moment_of_centres(&self, [p, d]: [Legs2; 2]) -> Moments {
-        let [proximal, elbow, distal] = self.mass_moment;
-        [p.scaled(proximal).plus(d.scaled(elbow)), d.scaled(distal)]
-    }
-
-    /// Moments of forces on the centres of mass.
-    #[inline(always)]
-    fn moment_of_forces(&self, [p, d]: [Legs2; 2]) -> Moments {
-        let Mechanism { a_p, b_p, a_d, .. } = self.mechanism;
-        [p.scaled(a_p).plus(d.scaled(a_p + b_p)), d.scaled(a_d)]
-    }
-
-    /// σ(ℓ, L) times something of the tip.
-    #[inline(always)]
-    fn levers(&self, tip: Legs2) -> Moments {
-        self.sigma_length.map(|length| tip.scaled(length))
-    }
-
-    /// A step of h seconds from q₀ and q̇₀.
-    #[inline(always)]
-    pub fn begin<'a>(&'a self, pose: &'a Pose, [q, v]: [&'a Coordinates; 2], h: f64) -> OpenStep<'a> {
-        let half = both(0.5 * h);
-        let begun = self.moment_of_centres(centres(v)).map(|moment| moment.scaled(half));
-        OpenStep { legs: self, pose, q, v, h, begun, begun_rates: angles(v).map(|rate| half * rate) }
-    }
-}
-
-/// A matrix of each leg over its two links by rows, closed by the tip: [A b; c −e] with the columns b of the tip's forces and the rows c
-/// of its closure.
-#[derive(Clone, Copy, Debug)]
-pub struct Closed {
-    /// A⁻¹ by rows.
-    inverse: [[Legs; 2]; 2],
-    /// A⁻¹ b by links.
-    columns: [Legs2; 2],
-    /// (c A⁻¹ b + e)⁻¹ by rows.
-    tip_inverse: [f64; 4],
-}
-
-impl Closed {
-    /// `pulls`: the rows of b by links; `ends`: the columns of c.
-    #[inline(always)]
-    fn new([[pp, pd], [dp, dd]]: [[Legs; 2]; 2], [p, d]: [Legs2; 2], ends: &[Legs2; 2], e: f64) -> Self {
-        let reciprocal = both(1.0) / (pp * dd - pd * dp);
-        let inverse @ [[ipp, ipd], [idp, idd]] = [[dd * reciprocal, -pd * reciprocal], [-dp * reciprocal, pp * reciprocal]];
-        let columns = [p.scaled(ipp).plus(d.scaled(ipd)), p.scaled(idp).plus(d.scaled(idd))];
-        let [xx, yx] = apart(ends, columns.map(|column| column.x));
-        let [xy, yy] = apart(ends, columns.map(|column| column.y));
-        let (xx, yy) = (xx + e, yy + e);
-        let reciprocal = 1.0 / (xx * yy - xy * yx);
-        Self { inverse, columns, tip_inverse: [yy * reciprocal, -xy * reciprocal, -yx * reciprocal, xx * reciprocal] }
-    }
-
-    /// (c A⁻¹ b + e)⁻¹ x.
-    #[inline(always)]
-    fn at_tip(&self, [x, y]: [f64; 2]) -> [f64; 2] {
-        let [xx, xy, yx, yy] = self.tip_inverse;
-        [xx * x + xy * y, yx * x + yy * y]
-    }
-
-    /// x and y of A x + b y = r, c x − e y = 0, and x of the same with c x − e y = −gap.
-    #[inline(always)]
-    fn solve(&self, [p, d]: [Legs; 2], ends: &[Legs2; 2], gap: [f64; 2]) -> ([Legs; 2], [f64; 2]) {
-        let [[pp, pd], [dp, dd]] = self.inverse;
-        let free = [pp * p + pd * d, dp * p + dd * d];
-        let open @ [x, y] = apart(ends, free);
-        let closing = at_tip(self.at_tip([x + gap[0], y + gap[1]]));
-        ([free[0] - self.columns[0].dot(closing), free[1] - self.columns[1].dot(closing)], self.at_tip(open))
-    }
-}
-
-/// By how much the legs' tips come apart where their links turn so far.
-#[inline(always)]
-fn apart([p, d]: &[Legs2; 2], [turn_p, turn_d]: [Legs; 2]) -> [f64; 2] {
-    [sum(p.x * turn_p + d.x * turn_d), sum(p.y * turn_p + d.y * turn_d)]
 }
 
 /// A step as it begins.
@@ -290,16 +143,24 @@ fn scaled([p, d]: [Legs2; 2], [by_p, by_d]: [Legs; 2]) -> [Legs2; 2] {
 }
 
 impl<'a> OpenStep<'a> {
+    /// A step of h seconds from q₀ and q̇₀.
+    #[inline(always)]
+    pub fn new(legs: &'a OpenLegs, pose: &'a Pose, [q, v]: [&'a Coordinates; 2], h: f64) -> Self {
+        let half = both(0.5 * h);
+        let begun = legs.moment_of_centres(centres(v)).map(|moment| moment.scaled(half));
+        Self { legs, pose, q, v, h, begun, begun_rates: angles(v).map(|rate| half * rate) }
+    }
+
     /// The matrix with ω̂ or Δθ: the inertias of the angles' rows, in which joint forces act along `factors` n̂_m.
     #[inline(always)]
-    fn closed(&self, (turned, ends): (&Turned, &[Legs2; 2]), [proximal, distal]: [Legs; 2], factors: [Legs; 2], e: f64) -> Closed {
+    fn closed(&self, (turned, ends): (&Turned, &[Legs2; 2]), inertias: [[Legs; 2]; 2], factors: [Legs; 2], e: f64) -> Closed {
         let [own, shared, last] = self.legs.moment;
         let ([by_p, by_d], [cos_p, cos_d]) = (factors, turned.cos);
         let ([middle_p, middle_d], [end_p, end_d]) = (turned.middle, turned.end);
         let matrix = [
             // n̂_m·n̂₁ of a link is its c.
-            [proximal + by_p * cos_p * own, by_p * shared * middle_p.dot(end_d)],
-            [by_d * shared * middle_d.dot(end_p), distal + by_d * cos_d * last],
+            [inertias[0][0] + by_p * cos_p * own, inertias[0][1] + by_p * shared * middle_p.dot(end_d)],
+            [inertias[1][0] + by_d * shared * middle_d.dot(end_p), inertias[1][1] + by_d * cos_d * last],
         ];
         let [length_p, length_d] = self.legs.sigma_length;
         Closed::new(matrix, scaled(normals(turned.middle), [by_p * length_p, by_d * length_d]), ends, e)
@@ -323,7 +184,9 @@ impl<'a> OpenStep<'a> {
             mechanism.inertia_p * (turn_p - begun_p) + cos_p * across[0].dot(moved_p),
             mechanism.inertia_d * (turn_d - begun_d) + cos_d * across[1].dot(moved_d),
         ];
-        let closed = self.closed((&directions, &ends), [mechanism.inertia_p, mechanism.inertia_d], directions.cos, e);
+        let none = both(0.0);
+        let inertias = [[mechanism.inertia_p, none], [none, mechanism.inertia_d]];
+        let closed = self.closed((&directions, &ends), inertias, directions.cos, e);
         let (half, change) = closed.solve(right, &ends, [0.0; 2]);
         set_legs(&mut x, NU, nu + Legs::new(change));
         let turning = legs.moment(scaled(end, half));
@@ -408,19 +271,28 @@ impl<'a> OpenStep<'a> {
         [larger(offset), larger(*gap), larger(*rate)]
     }
 
-    /// The matrix of Newton's increments where loads have these stiffnesses ½h² K in the angles.
+    /// Collects the tangents of loads for [`OpenStep::factor`].
     #[inline(always)]
-    pub fn factor(&self, motion: &OpenMotion, balance: &OpenBalance, [load_p, load_d]: [Legs; 2], e: f64) -> Closed {
+    pub fn loads<'b>(&'b self, motion: &'b OpenMotion) -> LegLoads<'b> {
+        let Mechanism { a_p, b_p, a_d, .. } = self.legs.mechanism;
+        let arms = [[a_p, both(0.0)], [a_p + b_p, a_d]];
+        LegLoads { arms, directions: &motion.directions, weights: [0.5 * self.h * self.h, self.h], inertias: [[[0.0; 2]; 2]; 2] }
+    }
+
+    /// The matrix of Newton's increments with these loads.
+    #[inline(always)]
+    pub fn factor(&self, motion: &OpenMotion, balance: &OpenBalance, loads: &LegLoads, e: f64) -> Closed {
         let (OpenMotion { directions, x, ends, .. }, [pull_p, pull_d]) = (motion, balance.pull);
         let mechanism = &self.legs.mechanism;
         let ([along_p, along_d], [sinc_p, sinc_d]) = (directions.middle, directions.sinc);
+        let [[pp, pd], [dp, dd]] = loads.inertias;
         // s n̂_m turns by half of Δθ, and s falls: its derivative is −Δθ/12 but for the third order.
         let stiffness = |along: Legs2, pull: Legs2, turn: Legs| {
             both(0.5) * along.dot(pull) + both(1.0 / 12.0) * turn * along.turned().dot(pull)
         };
         let inertias = [
-            mechanism.inertia_p + load_p + sinc_p * stiffness(along_p, pull_p, legs_of(x, PROXIMAL)),
-            mechanism.inertia_d + load_d + sinc_d * stiffness(along_d, pull_d, legs_of(x, DISTAL)),
+            [mechanism.inertia_p + Legs::new(pp) + sinc_p * stiffness(along_p, pull_p, legs_of(x, PROXIMAL)), Legs::new(pd)],
+            [Legs::new(dp), mechanism.inertia_d + Legs::new(dd) + sinc_d * stiffness(along_d, pull_d, legs_of(x, DISTAL))],
         ];
         self.closed((directions, ends), inertias, directions.sinc, e)
     }

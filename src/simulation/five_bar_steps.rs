@@ -1,21 +1,21 @@
 //! The five-bar over a finite step, as the conserving method sees it: discrete derivatives of the joints' constraints
 //! (`src/mechanism/secant.rs`) and mean forces of the effects.
 
+use super::cut_five_bar::CutFiveBar;
 use super::five_bar::FiveBar;
-use crate::effects::{StepContext, Tangents};
-use crate::integrator::{Chord, CutStep, Discrete, Work};
+use crate::effects::StepContext;
+use crate::integrator::{Chord, Discrete, Work};
 use crate::linear::LinearSolve;
-use crate::linear::cut_loop::{Closed, CutUnknowns, OpenBalance, OpenMotion, OpenStep, cut_unknowns, largest_turn};
+use crate::linear::cut_loop::{CutUnknowns, OpenStep, cut_unknowns};
 use crate::linear::secant_newton::{StepPoint, StepTangents, newton};
-use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
-type Step<'a> = Chord<'a, Secant, COORDINATES>;
+pub(super) type Step<'a> = Chord<'a, Secant, COORDINATES>;
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
     #[inline(always)]
-    fn over<'b>(&'b self, step: &Step<'b>) -> StepContext<'b> {
+    pub(super) fn over<'b>(&'b self, step: &Step<'b>) -> StepContext<'b> {
         let &Chord { q, d, v, h, softening, secant } = step;
         let inertia = &self.model.typical_inertia;
         StepContext { q, d, v, h, softening, secant, inputs: self.inputs, turns: self.turns, inertia }
@@ -28,96 +28,6 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
             effect.add_mean_forces(&over, &mut forces);
         }
         forces
-    }
-}
-
-/// The same with its loop cut at the tip.
-pub struct CutFiveBar<'a, const BARE: bool> {
-    system: &'a FiveBar<'a, BARE>,
-    step: OpenStep<'a>,
-}
-
-impl<const BARE: bool> CutFiveBar<'_, BARE> {
-    /// Of the step as the forces see it what `of` makes.
-    #[inline(always)]
-    fn over<T>(&self, motion: &OpenMotion, of: impl FnOnce(&Step<'_>) -> T) -> T {
-        let &OpenStep { q, h, .. } = &self.step;
-        let (secant, [d, v]) = (self.secant(motion), self.end(motion));
-        of(&Chord { q, d: &d, v: &v, h, softening: 1.0, secant: &secant })
-    }
-}
-
-impl<const BARE: bool> CutStep<COORDINATES, MULTIPLIERS> for CutFiveBar<'_, BARE> {
-    type Unknowns = CutUnknowns;
-    type Secant = Secant;
-    type Motion = OpenMotion;
-    type Balance = OpenBalance;
-    type Factor = Closed;
-
-    #[inline(always)]
-    fn motion(&self, x: &CutUnknowns, regularization: f64) -> OpenMotion {
-        self.step.motion(*x, regularization)
-    }
-
-    #[inline(always)]
-    fn balance(&self, motion: &OpenMotion) -> OpenBalance {
-        self.step.balance(motion, &self.over(motion, |step| self.system.mean_forces(step)))
-    }
-
-    #[inline(always)]
-    fn left(&self, motion: &OpenMotion, balance: &OpenBalance) -> [f64; 3] {
-        self.step.left(motion, balance)
-    }
-
-    #[inline(always)]
-    fn factor(&self, motion: &OpenMotion, balance: &OpenBalance, regularization: f64) -> Closed {
-        let h = self.step.h;
-        let mut loads = Diagonal { half_square: 0.5 * h * h, inertias: Coordinates::ZERO };
-        self.over(motion, |step| {
-            let over = self.system.over(step);
-            self.system.inputs.add_mean_tangents(&over, &mut loads);
-            if !BARE {
-                for effect in &self.system.model.effects {
-                    effect.add_mean_tangents(&over, &mut loads);
-                }
-            }
-        });
-        let stiffness = [legs_of(&loads.inertias, P_THETA), legs_of(&loads.inertias, D_THETA)];
-        self.step.factor(motion, balance, stiffness, regularization)
-    }
-
-    #[inline(always)]
-    fn improved(&self, motion: &OpenMotion, balance: &OpenBalance, factor: &Closed) -> CutUnknowns {
-        motion.x + self.step.correction(motion, balance, factor)
-    }
-
-    #[inline(always)]
-    fn with_rates(&self, motion: &OpenMotion, balance: &OpenBalance, factor: &Closed) -> OpenMotion {
-        self.step.with_rates(motion, balance, factor)
-    }
-
-    #[inline(always)]
-    fn turn(x: &CutUnknowns) -> f64 {
-        largest_turn(x)
-    }
-
-    #[inline(always)]
-    fn unknowns(motion: &OpenMotion) -> CutUnknowns {
-        motion.x
-    }
-
-    #[inline(always)]
-    fn end(&self, motion: &OpenMotion) -> [Coordinates; 2] {
-        [self.step.way(motion), self.step.rates(motion)]
-    }
-
-    #[inline(always)]
-    fn secant(&self, motion: &OpenMotion) -> Secant {
-        self.step.secant(motion)
-    }
-
-    fn multipliers(&self, motion: &OpenMotion) -> [Multipliers; 2] {
-        self.step.multipliers(motion, &self.over(motion, |step| self.system.mean_forces(step)))
     }
 }
 
@@ -178,7 +88,7 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
 
     #[inline(always)]
     fn cut<'a>(&'a self, begin: &'a Pose, at: [&'a Coordinates; 2], h: f64) -> CutFiveBar<'a, BARE> {
-        CutFiveBar { system: self, step: self.model.solver.legs().begin(begin, at, h) }
+        CutFiveBar { system: self, step: OpenStep::new(self.model.solver.legs(), begin, at, h) }
     }
 
     #[inline(always)]
@@ -188,7 +98,7 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
 
     #[inline(always)]
     fn alternates(&self) -> bool {
-        BARE || self.model.conservative && self.model.solver.linear_solve() == LinearSolve::TwoLeg
+        BARE || self.model.solver.linear_solve() != LinearSolve::Dense
     }
 
     fn newton(
@@ -214,34 +124,17 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
     }
 }
 
-/// ½h² K of loads that couple no links and depend on no rates: only of the angles.
-struct Diagonal {
-    half_square: f64,
-    inertias: Coordinates,
-}
-
-impl Tangents for Diagonal {
-    #[inline(always)]
-    fn stiffness(&mut self, row: usize, column: usize, value: f64) {
-        debug_assert!(row == column && THETA.contains(&row));
-        self.inertias[row] += self.half_square * value;
-    }
-
-    #[inline(always)]
-    fn damping(&mut self, _row: usize, _column: usize, _value: f64) {}
-}
-
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
-    use crate::effects::Inputs;
+    use crate::effects::{Inputs, Tangents};
     use crate::fmi::bindings::{default_inputs, default_parameters};
-    use crate::integrator::{System, velocity_correction};
+    use crate::integrator::System;
     use crate::mechanism::closure;
-    use crate::simulation::{Model, Simulation};
+    use crate::simulation::Model;
 
     /// A machine in which nothing is equal, a pose of it and increments that turn its links by up to 0.4 rad.
-    fn step() -> (Model, Coordinates, Coordinates) {
+    pub(in crate::simulation) fn step() -> (Model, Coordinates, Coordinates) {
         let mut parameters = default_parameters();
         for (i, link) in parameters.geometry.links.iter_mut().enumerate() {
             let part = 1.0 + 0.2 * i as f64;
@@ -406,90 +299,5 @@ mod tests {
         }
         // Directions turned twice by half the step, against those of the angles at its end.
         assert!((system.phi(&(q + d), &secant.end) - system.phi(&(q + d), &end)).max_norm() < 1e-15);
-    }
-
-    /// With the loop cut, whatever the unknowns: the joints but the tip's are met, all rows of z and the positions' rows of momentum
-    /// vanish, and what is said to be left is what (37), written down here for all coordinates, leaves.
-    #[test]
-    fn the_cut_loop_has_the_equations_of_all_coordinates() {
-        let (model, q, _) = step();
-        let (inputs, turns, h) = (Inputs { tau: [0.01, 0.02], tip_force: [0.03, -0.04], ..default_inputs() }, [0; 4], 1e-3);
-        let system = FiveBar::<false>::new(&model, &inputs, &turns);
-        let begin = system.pose(&q);
-        let (v0, _) = closure_rates(&system, &begin);
-        let cut = system.cut(&begin, [&q, &v0], h);
-        for size in [1e-3, 0.1] {
-            let x = CutUnknowns::from_fn(|i| size * (1.0 + i as f64).cos() * if i < 4 { 1.0 } else { 1e-3 });
-            let motion = cut.motion(&x, 1e-9);
-            let ([d, v], secant) = (cut.end(&motion), cut.secant(&motion));
-            let [lambda, nu] = cut.multipliers(&motion);
-            let z = 0.5 * h * (v0 + v);
-            let chord = Chord { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
-            let inertia = system.mass_times(&secant.end, &(z - h * v0));
-            let joints = secant.discrete_transposed_times(&lambda) + 0.5 * secant.turning_transposed_times(&z, &nu);
-            let f = inertia + joints - 0.5 * h * h * system.mean_forces(&chord);
-            let moved = system.mass_times(&secant.end, &(d - z)) - secant.mean_transposed_times(&nu);
-            let (phi, rates) = (system.phi(&(q + d), &secant.end), secant.end.phi_q_times(&(0.5 * h * v)));
-
-            let balance = cut.balance(&motion);
-            let [offset, gap, rate] = cut.left(&motion, &balance);
-            let largest = |x: &[f64]| x.iter().fold(0.0f64, |largest, x| largest.max(x.abs()));
-            // Round-off of turns of `size` of links with some 1e-3 kg·m² and some 0.1 kg.
-            let round_off = 1e-15 * size;
-            let angles: Vec<f64> = THETA.iter().map(|i| f[*i]).collect();
-            assert!(f.norm() - angles.iter().map(|x| x * x).sum::<f64>().sqrt() < round_off, "{f:?}");
-            assert!(moved.max_norm() < round_off, "{moved:?}");
-            assert!(largest(&phi[..8]) < 1e-15 && largest(&rates[..8]) < 1e-15, "{phi:?} {rates:?}");
-            assert!((largest(&phi[8..]) - gap).abs() < 1e-15 && gap > 1e-2 * size);
-            assert!((largest(&rates[8..]) - rate).abs() < 1e-15, "{rates:?} {rate}");
-            let mechanism = &model.mechanism;
-            let lengths = [mechanism.a_p + mechanism.b_p, mechanism.a_d];
-            let about_joint = [
-                mechanism.inertia_p + mechanism.mass_p * mechanism.a_p * mechanism.a_p + mechanism.mass_d * lengths[0] * lengths[0],
-                mechanism.inertia_d + mechanism.mass_d * lengths[1] * lengths[1],
-            ];
-            let turned: Vec<f64> = [P_THETA, D_THETA]
-                .iter()
-                .zip(about_joint)
-                .flat_map(|(angles, inertia)| (legs_of(&f, *angles) / inertia).to_array())
-                .collect();
-            assert!((largest(&turned) - offset).abs() < 1e-12 * offset, "{turned:?} {offset}");
-        }
-    }
-
-    /// Rates that meet the constraints of a pose.
-    fn closure_rates(system: &FiveBar<'_>, begin: &Pose) -> (Coordinates, f64) {
-        let v = Coordinates::from_fn(|i| 3.0 * (0.3 + i as f64).cos());
-        let mass = system.factor_mass(begin, 0.0);
-        let v = v + velocity_correction(system, begin, &mass, &v);
-        (v, begin.phi_q_times(&v).max_norm())
-    }
-
-    /// In turn Newton's method contracts as `docs/conserving.md` says, by (hω)².
-    #[test]
-    fn in_turn_it_contracts_by_the_square_of_the_turn() {
-        let (inputs, turns) = (default_inputs(), [0; 4]);
-        let simulation = Simulation::new(&default_parameters(), &inputs).expect("the start of the paper's fall");
-        let (model, q) = (simulation.model(), simulation.state().core.q);
-        let system = FiveBar::<false>::new(model, &inputs, &turns);
-        let begin = system.pose(&q);
-        let (v0, open) = closure_rates(&system, &begin);
-        assert!(open < 1e-14);
-        for h in [1e-3, 4e-3] {
-            let cut = system.cut(&begin, [&q, &v0], h);
-            let mut x = system.cut_unknowns(&(h * v0), [&Multipliers::ZERO; 2]);
-            let mut left = Vec::new();
-            for _ in 0..4 {
-                let motion = cut.motion(&x, 1e-9);
-                let balance = cut.balance(&motion);
-                let [offset, gap, _] = cut.left(&motion, &balance);
-                left.push(offset + gap);
-                x = cut.improved(&motion, &balance, &cut.factor(&motion, &balance, 1e-9));
-            }
-            let turn = h * v0.max_norm();
-            // The first finds the joint forces, of which nothing was known. 30: measured 17 and 0.4, by the arms of this pose.
-            let allowed = |before: f64| (30.0 * turn * turn * before).max(1e-16);
-            assert!(left[2] < allowed(left[1]) && left[3] < allowed(left[2]), "{left:?} {turn}");
-        }
     }
 }

@@ -5,6 +5,7 @@
 
 pub mod angles;
 mod correction;
+mod cut_five_bar;
 mod dense_run;
 mod driven;
 pub mod five_bar;

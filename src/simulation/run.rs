@@ -31,6 +31,7 @@ pub struct Run {
 }
 
 /// Where steps end.
+#[expect(clippy::large_enum_variant, reason = "a copy is a snapshot, and a step allocates nothing")]
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) enum Progress {
     /// With the call: the state there, and what dry friction does.

@@ -33,6 +33,18 @@ pub(super) fn cases() -> Result<Vec<Case>> {
     Ok(cases)
 }
 
+/// A fall under gravity with each effect, and with all.
+pub(super) fn each_effect(table: &'static str, fall: &Scene) -> Result<Vec<Case>> {
+    let mut together = fall.clone();
+    let mut cases = Vec::new();
+    for effect in effects().filter(|effect| *effect != "gravity") {
+        together = together.effect(effect, true)?;
+        cases.push(bare(table, effect, fall.clone().effect(effect, true)?, STEPS));
+    }
+    cases.push(bare(table, "all together", together, STEPS));
+    Ok(cases)
+}
+
 /// The fall with other values of an effect that is off.
 pub(crate) fn off(effect: &str) -> Result<Scene> {
     other_values(effect).try_fold(Scene::fall(), |scene, (name, value)| scene.with(name, value))

@@ -1,6 +1,7 @@
 //! The cases, one file per table.
 
 mod automatic;
+mod conserving;
 mod effects;
 mod fmi;
 mod following;
@@ -30,6 +31,7 @@ pub(crate) fn all() -> Result<Vec<Case>> {
     cases.extend(phases::cases()?);
     cases.extend(effects::cases()?);
     cases.extend(automatic::cases()?);
+    cases.extend(conserving::cases()?);
     cases.extend(fmi::cases()?);
     cases.extend(following::cases());
     cases.extend(state::cases()?);

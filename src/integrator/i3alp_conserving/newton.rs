@@ -1,11 +1,11 @@
-//! The unknowns of a conserving step, by Newton's method: Λ and ν in turn where forces let it, or all at once.
+//! The unknowns of a conserving step, by Newton's method: Λ and ν in turn with the loops cut, or all at once.
 
 use super::equations::{Evaluation, Step, Unknowns};
 use crate::integrator::{Counters, CutStep, Discrete};
 
 /// Largest |M⁻¹f| per second of step of one that has converged, m/s and rad/s: what is left does work, in proportion to it.
 const OFFSET: f64 = 1e-9;
-/// The same with the loops cut, per square of it, m/s² and rad/s²: there it is not by chance less, for the first guess is good.
+/// The same with the loops cut, where the rates take up what is left.
 const CUT_OFFSET: f64 = 1e-10;
 /// Largest |Φ| of it, in parts of the system's size.
 const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
@@ -39,10 +39,10 @@ impl Bounds {
         Self { offset: OFFSET * h, phi: ROUND_OFF * size, rate: size * ROUND_OFF.max(RATE * h) }
     }
 
-    /// With the loops cut, for a step that turns links so far.
+    /// With the loops cut.
     #[inline(always)]
-    pub(super) fn cut<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64, turn: f64) -> Self {
-        Self { offset: (CUT_OFFSET * h).max(ROUND_OFF * turn), ..Self::new(system, h) }
+    pub(super) fn cut<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64) -> Self {
+        Self { offset: CUT_OFFSET * h, ..Self::new(system, h) }
     }
 
     /// By the largest elements of M⁻¹f, Φ and J₁w/2.
@@ -103,7 +103,7 @@ pub(super) fn in_turn<const N: usize, const M: usize, C: CutStep<N, M>, T>(
         }
         let factor = factor.get_or_insert_with(|| cut.factor(&motion, &balance, regularization));
         x = cut.improved(&motion, &balance, factor);
-        if !(C::turn(&x) < LARGEST_TURN) {
+        if C::turn(&x) >= LARGEST_TURN {
             return Err((None, iteration + 1));
         }
     }

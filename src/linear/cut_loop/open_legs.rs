@@ -1,0 +1,103 @@
+//! Two legs that are open at the tip: what of the equations depends on the machine only.
+
+use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
+use crate::mechanism::legs::{Legs, Legs2, SIGMA, both};
+use crate::mechanism::{Coordinates, Mechanism};
+
+/// A mechanism whose legs are open.
+#[derive(Clone, Copy, Debug)]
+pub struct OpenLegs {
+    pub(super) mechanism: Mechanism,
+    /// 1/m and 1/I in the order of the coordinates.
+    mobility: [Legs; 6],
+    /// ℓ and L with the leg's sign in the tip's closure, m.
+    pub(super) sigma_length: [Legs; 2],
+    /// m_P a, m_D ℓ and m_D a_D, kg·m.
+    mass_moment: [Legs; 3],
+    /// A, B and D, kg·m².
+    pub(super) moment: [Legs; 3],
+    /// 1/(I + A) and 1/(I + D): of a link that its joint alone holds, 1/(kg·m²).
+    pub(super) turn_mobility: [Legs; 2],
+}
+
+/// The motion's moments of the proximal and the distal links.
+pub(super) type Moments = [Legs2; 2];
+
+impl Legs2 {
+    #[inline(always)]
+    pub(super) fn plus(self, other: Self) -> Self {
+        Self { x: self.x + other.x, y: self.y + other.y }
+    }
+
+    #[inline(always)]
+    pub(super) fn minus(self, other: Self) -> Self {
+        Self { x: self.x - other.x, y: self.y - other.y }
+    }
+}
+
+/// What the links' centres of mass do.
+#[inline(always)]
+pub(super) fn centres(x: &Coordinates) -> [Legs2; 2] {
+    [Legs2 { x: legs_of(x, P_X), y: legs_of(x, P_Y) }, Legs2 { x: legs_of(x, D_X), y: legs_of(x, D_Y) }]
+}
+
+/// And their angles.
+#[inline(always)]
+pub(super) fn angles(x: &Coordinates) -> [Legs; 2] {
+    [legs_of(x, P_THETA), legs_of(x, D_THETA)]
+}
+
+impl OpenLegs {
+    /// Of a mechanism.
+    pub fn new(mechanism: &Mechanism) -> Self {
+        let &Mechanism { a_p, b_p, a_d, sigma_b_d, mass_p, mass_d, inertia_p, inertia_d, .. } = mechanism;
+        let length = a_p + b_p;
+        let mass_moment @ [proximal, elbow, distal] = [mass_p * a_p, mass_d * length, mass_d * a_d];
+        let moment = [proximal * a_p + elbow * length, distal * length, distal * a_d];
+        Self {
+            mechanism: *mechanism,
+            mobility: mechanism.mass_diagonal().map(|m| both(1.0) / m),
+            sigma_length: [SIGMA * length, SIGMA * a_d + sigma_b_d],
+            mass_moment,
+            moment,
+            turn_mobility: [both(1.0) / (inertia_p + moment[0]), both(1.0) / (inertia_d + moment[2])],
+        }
+    }
+
+    /// M⁻¹ x.
+    #[inline(always)]
+    pub fn apply_inverse_mass(&self, x: &Coordinates) -> Coordinates {
+        let mut result = Coordinates::ZERO;
+        for (i, mobility) in self.mobility.iter().enumerate() {
+            set_legs(&mut result, i, *mobility * legs_of(x, i));
+        }
+        result
+    }
+
+    /// Moments of links that turn by p and d about their joints.
+    #[inline(always)]
+    pub(super) fn moment(&self, [p, d]: [Legs2; 2]) -> Moments {
+        let [own, shared, distal] = self.moment;
+        [p.scaled(own).plus(d.scaled(shared)), p.scaled(shared).plus(d.scaled(distal))]
+    }
+
+    /// Moments of motions of the centres of mass.
+    #[inline(always)]
+    pub(super) fn moment_of_centres(&self, [p, d]: [Legs2; 2]) -> Moments {
+        let [proximal, elbow, distal] = self.mass_moment;
+        [p.scaled(proximal).plus(d.scaled(elbow)), d.scaled(distal)]
+    }
+
+    /// Moments of forces on the centres of mass.
+    #[inline(always)]
+    pub(super) fn moment_of_forces(&self, [p, d]: [Legs2; 2]) -> Moments {
+        let Mechanism { a_p, b_p, a_d, .. } = self.mechanism;
+        [p.scaled(a_p).plus(d.scaled(a_p + b_p)), d.scaled(a_d)]
+    }
+
+    /// σ(ℓ, L) times something of the tip.
+    #[inline(always)]
+    pub(super) fn levers(&self, tip: Legs2) -> Moments {
+        self.sigma_length.map(|length| tip.scaled(length))
+    }
+}
