@@ -270,7 +270,7 @@ fn layout(content: &[u8]) -> Vec<(usize, String)> {
             grips(&mut next, "run");
         }
         if conserving {
-            for (name, size) in [("h", 8), ("known", 1), ("d", 24 * n), ("lambda", 24 * m), ("nu", 24 * m)] {
+            for (name, size) in [("h", 8), ("known", 1), ("x", 6 * 8 * 8)] {
                 next(&format!("run.memory.{name}"), size);
             }
         }
