@@ -219,6 +219,30 @@ impl Bank {
         }
     }
 
+    /// The same where next to nothing is known of the force but its variance, and which model holds.
+    pub fn with_force(&self, variance: f64) -> Self {
+        let mut bank = *self;
+        for (member, weight) in bank.members.iter_mut().zip(PRIOR) {
+            member.weight = weight;
+            for i in 4..ERRORS {
+                member.error[i] = 0.0;
+                member.covariance[i] = [0.0; ERRORS];
+                member.covariance.iter_mut().for_each(|row| row[i] = 0.0);
+                member.covariance[i][i] = variance;
+            }
+        }
+        bank
+    }
+
+    /// The force may be another one, by this variance.
+    pub fn unsettle_force(&mut self, variance: f64) {
+        for member in &mut self.members {
+            for i in 4..ERRORS {
+                member.covariance[i][i] += variance;
+            }
+        }
+    }
+
     /// By how much the unknown force's variance grows while the models stay as likely as they are, in the squared units of `scale` per second.
     pub fn walk(&self, scale: f64) -> f64 {
         scale * scale * self.members.iter().zip(FORCE_WALK).map(|(member, walk)| member.weight * walk).sum::<f64>()

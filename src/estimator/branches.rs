@@ -101,7 +101,9 @@ impl Branches {
         for other in &mut self.others {
             if let Some(motion) = other {
                 motion.age += h;
-                let goes_on = motion.age < LONGEST && motion.go_on(constants, scene, (h, switch_time));
+                let scale = constants.torque_scale();
+                let goes_on =
+                    motion.age < LONGEST && advance(&mut motion.track, constants, scene, motion.straight, (h, switch_time, scale));
                 if !goes_on {
                     *other = None;
                 }
@@ -110,7 +112,7 @@ impl Branches {
         if begins && linkage.frame(&track.theta).side().abs() > APART {
             // Once for each vertex.
             self.since_vertex = LATEST;
-            self.others[0] = mirrored(constants, track).map(|track| Other::new(track, false));
+            self.others[0] = mirrored(constants, track, BESIDE).map(|track| Other::new(track, false));
         }
     }
 
@@ -210,39 +212,46 @@ impl Other {
         // NaN speaks against it.
         self.track.absorb(linkage).is_some() && self.evidence > DECIDED[0]
     }
+}
 
-    /// One macro step, by Runge–Kutta; false where it cannot go on.
-    #[inline(never)]
-    fn go_on(&mut self, constants: &Constants, scene: &impl Scene, (h, switch_time): (f64, f64)) -> bool {
-        let linkage = &constants.linkage;
-        let frame = linkage.frame(&self.track.theta);
-        let (theta, omega) = if self.straight && frame.smallest < VERTEX {
-            let Track { theta, omega, .. } = self.track.gone_straight(linkage, h);
+/// A motion beside the estimate goes on by a macro step, by Runge–Kutta, with unknown forces of a scale, N·m; false where it cannot.
+/// `straight`: it goes straight through a vertex.
+#[inline(never)]
+pub(super) fn advance(
+    track: &mut Track,
+    constants: &Constants,
+    scene: &impl Scene,
+    straight: bool,
+    (h, switch_time, scale): (f64, f64, f64),
+) -> bool {
+    let linkage = &constants.linkage;
+    let frame = linkage.frame(&track.theta);
+    let (theta, omega) = if straight && frame.smallest < VERTEX {
+        let Track { theta, omega, .. } = track.gone_straight(linkage, h);
+        (theta, omega)
+    } else {
+        let start = (track.theta, track.omega);
+        let fastest = start.1.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
+        let fine = (h * fastest / (PART * frame.smallest.max(LEAST))).ceil().clamp(1.0, MOST) as u32;
+        let steps = transition::steps(linkage, scene, (&start.0, &start.1), h).max(fine);
+        let (theta, omega) = transition::motion(linkage, scene, start, h, steps);
+        // Next to a vertex J is no way back onto the loop.
+        if linkage.frame(&theta).smallest < VERTEX {
             (theta, omega)
         } else {
-            let start = (self.track.theta, self.track.omega);
-            let fastest = start.1.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
-            let fine = (h * fastest / (PART * frame.smallest.max(LEAST))).ceil().clamp(1.0, MOST) as u32;
-            let steps = transition::steps(linkage, scene, (&start.0, &start.1), h).max(fine);
-            let (theta, omega) = transition::motion(linkage, scene, start, h, steps);
-            // Next to a vertex J is no way back onto the loop.
-            if linkage.frame(&theta).smallest < VERTEX {
-                (theta, omega)
-            } else {
-                let Some((theta, omega, _)) = linkage.closed(theta, omega) else { return false };
-                (theta, omega)
-            }
-        };
-        let step = self.track.step(linkage, scene, (&theta, &omega), h);
-        self.track.bank.predict(linkage, (&frame, &step.transition), constants.torque_scale(), (h, switch_time));
-        (self.track.theta, self.track.omega) = (theta, omega);
-        true
-    }
+            let Some((theta, omega, _)) = linkage.closed(theta, omega) else { return false };
+            (theta, omega)
+        }
+    };
+    let step = track.step(linkage, scene, (&theta, &omega), h);
+    track.bank.predict(linkage, (&frame, &step.transition), scale, (h, switch_time));
+    (track.theta, track.omega) = (theta, omega);
+    true
 }
 
 /// The other assembly with the same angles and rates of the motors.
 #[inline(never)]
-fn mirrored(constants: &Constants, track: &Track) -> Option<Track> {
+pub(super) fn mirrored(constants: &Constants, track: &Track, [rate, force]: [f64; 2]) -> Option<Track> {
     let linkage = &constants.linkage;
     let from = linkage.frame(&track.theta);
     let assembly = if from.side() > 0.0 { Assembly::Minus } else { Assembly::Plus };
@@ -271,8 +280,8 @@ fn mirrored(constants: &Constants, track: &Track) -> Option<Track> {
     let scale = constants.torque_scale();
     for member in &mut bank.members {
         for i in 0..2 {
-            member.covariance[2 + i][2 + i] += BESIDE[0];
-            member.covariance[4 + i][4 + i] += BESIDE[1] * scale * scale;
+            member.covariance[2 + i][2 + i] += rate;
+            member.covariance[4 + i][4 + i] += force * scale * scale;
         }
     }
     Some(Track { theta, omega, force: [0.0; 4], bank })

@@ -13,6 +13,7 @@ pub mod bank;
 mod branches;
 pub mod encoder;
 pub mod forecast;
+mod grazing;
 mod history;
 mod lengths;
 pub mod linkage;
@@ -28,6 +29,7 @@ pub use bank::{Innovation, Matrix};
 use branches::Branches;
 pub use encoder::{Encoder, Fault, Measured};
 use forecast::Forecast;
+use grazing::Grazing;
 use history::History;
 pub use history::REMEMBERED;
 pub use linkage::{Frame, Linkage, Links, MEASURED, Pair};
@@ -96,6 +98,7 @@ pub struct Estimator {
     /// Whether the last macro step came too close to a vertex.
     held: bool,
     branches: Branches,
+    grazing: Grazing,
     encoders: [Encoder; 2],
     history: History,
     forecast: Forecast,
@@ -119,6 +122,7 @@ impl Estimator {
             track: Track { theta, omega, force: [0.0; 4], bank: bank::Bank::new(constants.start_variances()) },
             held: false,
             branches: Branches::default(),
+            grazing: Grazing::default(),
             encoders: [Encoder::NEW; 2],
             history: History::default(),
             forecast: Forecast::default(),
@@ -210,14 +214,19 @@ impl Estimator {
             self.branches.swap(&mut self.track, other);
             self.history.clear();
         }
+        if let Some(other) = self.grazing.correct(constants, &used) {
+            self.track = other;
+            self.history.clear();
+        }
         let frame = linkage.frame(&self.track.theta);
         let samples = used.iter().flatten().count();
         self.alarm.hear(&self.track, &frame, constants.torque_scale(), (fit, samples));
         true
     }
 
-    /// The motion has gone on by h seconds to these angles and rates; `scene` has the loads of these seconds.
-    pub fn predict(&mut self, constants: &Constants, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) {
+    /// The motion has gone on by h seconds to these angles and rates; the scenes have the loads of these seconds, with the unknown force and
+    /// without.
+    pub fn predict<S: Scene>(&mut self, constants: &Constants, [scene, known]: [&S; 2], (theta, omega): (&Links, &Links), h: f64) {
         let Constants { linkage, parameters, .. } = constants;
         let frame = linkage.frame(&self.track.theta);
         let timing = (h, parameters.switch_time);
@@ -233,6 +242,8 @@ impl Estimator {
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
         self.branches.step(constants, (&self.track, step.held), scene, timing);
+        let clear = !step.held && self.branches.are_known();
+        self.grazing.step(constants, (&self.track, clear), known, timing);
         for encoder in &mut self.encoders {
             encoder.silent += h;
         }
@@ -252,7 +263,7 @@ impl Estimator {
             () if fault != Fault::None => Status::Faulty(fault),
             () if self.is_coasting() => Status::Coasting,
             () if self.encoders.iter().any(Encoder::is_silent) => Status::OneEncoder,
-            () if self.branches.are_open() => Status::TwoBranches,
+            () if self.branches.are_open() || self.grazing.is_open() => Status::TwoBranches,
             () if self.alarm.is_inconsistent() => Status::Inconsistent,
             () => Status::Following,
         }
@@ -342,7 +353,7 @@ impl Estimator {
         if !same(&self.track.theta, theta) || !same(&self.track.omega, omega) {
             return Err("its estimate is not the motion");
         }
-        let mut tracks = std::iter::once(&self.track).chain(self.branches.tracks());
+        let mut tracks = std::iter::once(&self.track).chain(self.branches.tracks()).chain(self.grazing.tracks());
         if !tracks.all(|track| track.is_sound(&constants.linkage)) {
             return Err("its estimate is none");
         }
@@ -350,7 +361,7 @@ impl Estimator {
             return Err("what its estimator remembers is none");
         }
         let numbers = self.innovation.iter().chain([&self.nis]);
-        if !numbers.chain(&self.alarm.numbers()).all(|x| x.is_finite()) || !self.branches.is_sound() {
+        if !numbers.chain(&self.alarm.numbers()).all(|x| x.is_finite()) || !self.branches.is_sound() || !self.grazing.is_sound() {
             return Err("a number of its estimator is not finite");
         }
         Ok(())

@@ -98,8 +98,8 @@ impl Following {
         let turns = run.turns;
         run.advance(model, &held, one)?;
         let (theta, omega) = run.motion(model);
-        let scene = FiveBar::<false>::new(model, &held, &turns);
-        estimate.estimator.predict(constants, &scene, (&theta, &omega), one.h);
+        let [scene, known] = [&held, inputs].map(|inputs| FiveBar::<false>::new(model, inputs, &turns));
+        estimate.estimator.predict(constants, [&scene, &known], (&theta, &omega), one.h);
         Ok(())
     }
 

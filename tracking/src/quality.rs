@@ -10,7 +10,7 @@ use crate::report::{Figure, Table, median};
 /// Errors of the twin's start, rad and rad/s.
 const START: [f64; 2] = [0.02, 0.2];
 /// What is left out at the beginning, s.
-const SETTLED: f64 = 0.1;
+pub const SETTLED: f64 = 0.1;
 
 /// Minimum jerk from 0 to 1.
 fn minimum_jerk(part: f64) -> (f64, f64) {
