@@ -67,7 +67,8 @@ impl Grazing {
             && self.pair.is_none_or(|pair| pair.evidence.is_finite() && (0.0..=LONGEST).contains(&pair.age))
     }
 
-    /// The estimate has gone on by a macro step; `clear`: no vertex is near.
+    /// The estimate has gone on by a macro step; `clear`: no vertex is near, and samples come.
+    #[inline(never)]
     pub(super) fn step(
         &mut self,
         constants: &Constants,
@@ -135,6 +136,7 @@ impl Pair {
 }
 
 /// Takes samples in; their log likelihood, `None` where the loop cannot be closed.
+#[inline(never)]
 fn tell(track: &mut Track, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> Option<f64> {
     let mut likelihood = 0.0;
     for (encoder, sample) in samples.iter().enumerate() {

@@ -11,6 +11,7 @@
 pub mod alarm;
 pub mod bank;
 mod branches;
+mod constants;
 pub mod encoder;
 pub mod forecast;
 mod grazing;
@@ -18,6 +19,7 @@ mod history;
 mod lengths;
 pub mod linkage;
 mod parameters;
+mod process_noise;
 mod track;
 pub mod transition;
 
@@ -27,6 +29,7 @@ use nalgebra::{Matrix4, Vector4};
 pub use alarm::Alarm;
 pub use bank::{Innovation, Matrix};
 use branches::Branches;
+pub use constants::Constants;
 pub use encoder::{Encoder, Fault, Measured};
 use forecast::Forecast;
 use grazing::Grazing;
@@ -36,8 +39,6 @@ pub use linkage::{Frame, Linkage, Links, MEASURED, Pair};
 pub use parameters::{Bands, Parameters};
 pub use track::{Track, wrapped};
 pub use transition::{Loads, Scene};
-
-use crate::mechanism::Geometry;
 
 /// What the estimate is worth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,39 +59,6 @@ pub enum Status {
     Faulty(Fault),
 }
 
-/// What is constant.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Constants {
-    geometry: Geometry,
-    /// The mechanism in its link angles.
-    pub linkage: Linkage,
-    /// The parameters in force.
-    pub parameters: Parameters,
-}
-
-impl Constants {
-    /// Of a geometry with all masses.
-    pub fn new(geometry: &Geometry, parameters: &Parameters) -> Self {
-        Self { geometry: *geometry, linkage: Linkage::new(geometry), parameters: parameters.clone() }
-    }
-
-    /// The torque in which the unknown force is measured, N·m.
-    pub fn torque_scale(&self) -> f64 {
-        if self.parameters.torque_scale > 0.0 { self.parameters.torque_scale } else { self.linkage.weight_torque }
-    }
-
-    /// Variances of angles, rates and the unknown force at the start.
-    fn start_variances(&self) -> [f64; 3] {
-        let Parameters { sigma0_theta, sigma0_omega, .. } = self.parameters;
-        [sigma0_theta, sigma0_omega, UNKNOWN_FORCE * self.torque_scale()].map(|sigma| sigma * sigma)
-    }
-
-    /// The inputs by which a unit of each force on the tangent basis acts.
-    pub fn by_inputs(&self, at: &Frame) -> [Pair; 4] {
-        track::by_inputs(&self.linkage, at)
-    }
-}
-
 /// Everything of the estimator that changes.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Estimator {
@@ -108,9 +76,6 @@ pub struct Estimator {
     /// Of the last samples used at once.
     nis: f64,
 }
-
-/// In units of the torque scale: what the unknown force may be at the start.
-const UNKNOWN_FORCE: f64 = 0.3;
 
 /// The largest that is told.
 const LARGEST_NIS: f64 = 1e12;
@@ -242,7 +207,8 @@ impl Estimator {
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
         self.branches.step(constants, (&self.track, step.held), scene, timing);
-        let clear = !step.held && self.branches.are_known();
+        // Without samples nothing decides.
+        let clear = !step.held && self.branches.are_known() && !self.is_coasting();
         self.grazing.step(constants, (&self.track, clear), known, timing);
         for encoder in &mut self.encoders {
             encoder.silent += h;

@@ -124,11 +124,15 @@ class Around:
         return np.array([*self.unit.read("theta[1]", "theta[2]", "omega[1]", "omega[2]"), *x[4:]])
 
     def correct(self, measured: np.ndarray) -> None:
-        """By a sample. A covariance that is none any more, which filterpy cannot factor, begins anew."""
-        try:
-            self.filter.update(measured)
-        except np.linalg.LinAlgError:
-            self.filter.P = self.first.copy()
+        """By a sample."""
+        self.filter.update(measured)
+        if not np.isfinite(self.filter.x).all():
+            self.begin_anew(measured)
+
+    def begin_anew(self, angles: np.ndarray) -> None:
+        """A mean that is no number, or a covariance that is none, which filterpy cannot factor, gives way to that of the start."""
+        self.filter.x = np.array([*angles, 0.0, 0.0, 0.0, 0.0])
+        self.filter.P = self.first.copy()
 
     def tip(self) -> list[float]:
         """Where the mean has it; out of reach it is nowhere."""
@@ -138,15 +142,21 @@ class Around:
             return [np.nan, np.nan]
         return self.unit.read("tip.x", "tip.y")
 
-    def predict(self, drive: np.ndarray) -> None:
-        """A step on. The assembly is that to which the mean moves."""
+    def predict(self, drive: np.ndarray, measured: np.ndarray) -> None:
+        """A step on from a sample."""
         self.drive = drive
         try:
+            # The assembly in which the mean arrives is that of the next step.
+            self.place(self.filter.x)
+            self.unit.slave.doStep(0.0, STEP)
+            next_assembly = self.unit.assembly()
+        except FMICallException:
+            next_assembly = self.assembly
+        try:
             self.filter.predict()
-        except np.linalg.LinAlgError:
-            self.filter.P = self.first.copy()
-        self.move(self.filter.x, STEP)
-        self.assembly = self.unit.assembly()
+        except (np.linalg.LinAlgError, ValueError):
+            self.begin_anew(measured)
+        self.assembly = next_assembly
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -163,7 +173,7 @@ def by_filterpy(unit: Unit, machine: Machine) -> tuple[np.ndarray, float]:
         corrected = perf_counter()
         errors.append(np.hypot(*(np.array(around.tip()) - tip)))
         going_on = perf_counter()
-        around.predict(drive)
+        around.predict(drive, measured)
         spent.append(corrected - begin + perf_counter() - going_on)
     return np.array(errors), median(spent)
 
