@@ -139,13 +139,15 @@ pub fn vertex(random: &mut Random, offset: f64) -> Scenario {
     }
 }
 
-fn lost(runs: u64, first: u64, encoder: &Encoder, h: f64, scenario: impl Fn(&mut Random) -> Scenario) -> f64 {
-    let is_lost = |seed: &u64| {
+/// How many are lost, and how many of these with several branches open still.
+fn lost(runs: u64, first: u64, encoder: &Encoder, h: f64, scenario: impl Fn(&mut Random) -> Scenario) -> [f64; 2] {
+    let outcomes = (0..runs).map(|seed| {
         let mut random = Random::new(first + seed);
         let scenario = scenario(&mut random);
-        outcome(&scenario, encoder, h, &mut random).lost
-    };
-    (0..runs).filter(is_lost).count() as f64
+        outcome(&scenario, encoder, h, &mut random)
+    });
+    let lost: Vec<_> = outcomes.filter(|outcome| outcome.lost).collect();
+    [lost.len() as f64, lost.iter().filter(|outcome| outcome.open).count() as f64]
 }
 
 /// Runs that are lost.
@@ -153,22 +155,28 @@ pub fn table(part: f64, first: u64) -> Table {
     let runs = |all: f64| (all * part).round().max(2.0) as u64;
     let mut table = Table::new("Runs lost: more than 10 mm off, or on the wrong branch, at the end");
     for h in [1e-3, 5e-3] {
-        let (mut all, mut sum) = (0, 0.0);
+        let (mut all, mut sum, mut undecided) = (0, 0.0, 0.0);
         for (k, (speed, encoder)) in
             [([0.5, 4.0], COARSE), ([0.5, 4.0], FINE), ([0.02, 0.2], COARSE), ([0.02, 0.2], FINE)].into_iter().enumerate()
         {
             let count = runs(200.0);
             all += count;
-            sum += lost(count, first + 7_300_000 + 10_000 * k as u64, &encoder, h, |random| crossing(random, speed));
+            let [lost, open] = lost(count, first + 7_300_000 + 10_000 * k as u64, &encoder, h, |random| crossing(random, speed));
+            (sum, undecided) = (sum + lost, undecided + open);
         }
         let most = if h < 2e-3 { 0.0 } else { (0.01 * all as f64).floor() };
-        table.push(Figure::at_most(format!("direct singularities at {} ms", 1e3 * h), sum, most, format!("of {all}")));
+        table.push(Figure::at_most(
+            format!("direct singularities at {} ms", 1e3 * h),
+            sum,
+            most,
+            format!("of {all}; undecided still: {undecided}"),
+        ));
     }
     let (mut all, mut sum) = (0, 0.0);
     for (k, offset) in [0.0, 1e-4, 1e-3, 5e-3].into_iter().enumerate() {
         for encoder in [COARSE, FINE] {
             let count = runs(40.0);
-            let lost = lost(count, first + 7_400_000 + 10_000 * k as u64, &encoder, 1e-3, |random| vertex(random, offset));
+            let [lost, _] = lost(count, first + 7_400_000 + 10_000 * k as u64, &encoder, 1e-3, |random| vertex(random, offset));
             table.push(Figure::told(format!("vertices, {offset} rad aside, {}, 1 ms", encoder.name), lost, format!("of {count}")));
             (all, sum) = (all + count, sum + lost);
         }
@@ -176,7 +184,7 @@ pub fn table(part: f64, first: u64) -> Table {
     table.push(Figure::at_most("vertices at 1 ms, all".into(), sum, (0.02 * all as f64).floor(), format!("of {all}")));
     for encoder in [COARSE, FINE] {
         let count = runs(100.0);
-        let lost = lost(count, first + 7_500_000, &encoder, 1e-3, push);
+        let [lost, _] = lost(count, first + 7_500_000, &encoder, 1e-3, push);
         table.push(Figure::at_most(format!("pushes of 0.5 N, {}, 1 ms", encoder.name), lost, 0.0, format!("of {count}")));
     }
     table
