@@ -110,8 +110,7 @@ impl Grazing {
             return None;
         };
         pair.evidence += other - own;
-        // NaN speaks against it.
-        if !(pair.evidence > DECIDED[0]) {
+        if pair.evidence.is_nan() || pair.evidence <= DECIDED[0] {
             self.pair = None;
             return None;
         }
