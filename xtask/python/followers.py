@@ -278,7 +278,8 @@ def main(arguments: list[str] | None = None) -> int:
         cells = []
         for way in WAYS:
             lost = sum(is_lost(errors[run, way]) for run in runs)
-            cells.append(f"{1e3 * median(rms(errors[run, way]) for run in runs):.2g}" + (f" ({lost})" if lost else ""))
+            error = 1e3 * median(rms(errors[run, way]) for run in runs)
+            cells.append((f"{error:.0f}" if error >= 100 else f"{error:.2g}") + (f" ({lost})" if lost else ""))
         print(f"| {scene} | {encoder} | " + " | ".join(cells) + " |")
     alone, reading = (1e6 * median(column) for column in zip(*times, strict=True))
     print(f"\nA sample through FMPy, median: {alone:.0f} µs by the unit, {reading:.0f} µs with what is read of it; ", end="")
