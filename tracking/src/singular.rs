@@ -1,12 +1,15 @@
 //! Machines that pass direct singularities and vertices while they are followed, and pushes on the tip.
 
+use fivebar::effects::Inputs;
 use fivebar::estimator::Links;
 use fivebar::estimator::linkage::Linkage;
-use fivebar::fmi::bindings::default_inputs;
+use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::Assembly;
-use fivebar::simulation::{Parameters, Simulation};
+use fivebar::simulation::{Method, Parameters, Simulation};
 
-use crate::machine::{COARSE, Encoder, FINE, Plan, Random, Scenario, desk, five_percent, motion, no_inputs, side, start_off};
+use crate::machine::{
+    COARSE, Encoder, FINE, Plan, Random, Scenario, desk, five_percent, follow, motion, no_inputs, side, start_off,
+};
 use crate::quality::{outcome, push};
 use crate::report::{Figure, Table};
 
@@ -139,6 +142,23 @@ pub fn vertex(random: &mut Random, offset: f64) -> Scenario {
     }
 }
 
+/// The paper's torque test, whose links are whipped to 70 rad/s, from its direct singularity on; by the unit's own method.
+pub fn whip(random: &mut Random) -> Scenario {
+    let model = without_gravity(default_parameters());
+    let mut truth = five_percent(&model, random);
+    truth.settings.method = Method::Dop853;
+    let mut twin = model.clone();
+    loop {
+        start_off(&mut twin, random, START);
+        if Simulation::new(&twin, &default_inputs()).is_ok() {
+            break;
+        }
+        twin.start = model.start;
+    }
+    let course = |_: f64, _: &Plan| Inputs { tau: [0.25, 0.0], ..default_inputs() };
+    Scenario { model: twin, truth, course, plan: Plan::default(), duration: 2.5, from: None }
+}
+
 /// How many are lost, and how many of these with several branches open still.
 fn lost(runs: u64, first: u64, encoder: &Encoder, h: f64, scenario: impl Fn(&mut Random) -> Scenario) -> [f64; 2] {
     let outcomes = (0..runs).map(|seed| {
@@ -170,6 +190,21 @@ pub fn table(part: f64, first: u64) -> Table {
             sum,
             most,
             format!("of {all}; undecided still: {undecided}"),
+        ));
+    }
+    for encoder in [COARSE, FINE] {
+        let count = runs(40.0);
+        let fails = |seed: &u64| {
+            let mut random = Random::new(first + 7_350_000 + seed);
+            let scenario = whip(&mut random);
+            follow(&scenario, &encoder, 5e-3, &mut random, |_| ()).is_err()
+        };
+        let failed = (0..count).filter(fails).count() as f64;
+        table.push(Figure::at_most(
+            format!("whips of 70 rad/s at 5 ms, {}: ended early", encoder.name),
+            failed,
+            0.0,
+            format!("of {count}"),
         ));
     }
     let (mut all, mut sum) = (0, 0.0);
