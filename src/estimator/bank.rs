@@ -181,6 +181,7 @@ impl Bank {
     }
 
     /// The same where next to nothing is known of the force but its variance, and which model holds.
+    #[cold]
     pub fn with_force(&self, variance: f64) -> Self {
         let mut bank = *self;
         for (member, weight) in bank.members.iter_mut().zip(PRIOR) {
@@ -264,6 +265,7 @@ impl Bank {
     }
 
     /// Whether weights sum up to 1 and covariances are symmetric and positive.
+    #[cold]
     pub(super) fn is_sound(&self) -> bool {
         let sum: f64 = self.members.iter().map(|member| member.weight).sum();
         (sum - 1.0).abs() < 1e-9

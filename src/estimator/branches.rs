@@ -178,6 +178,7 @@ impl Branches {
     }
 
     /// One of them becomes the estimate, and the estimate one of them.
+    #[cold]
     pub(super) fn swap(&mut self, track: &mut Track, with: usize) {
         let Some(ahead) = self.others[with].as_ref().map(|other| other.evidence) else { return };
         for (k, other) in self.others.iter_mut().enumerate() {
@@ -200,17 +201,10 @@ impl Other {
 
     /// Takes samples in; false where they speak against it.
     fn correct(&mut self, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> bool {
-        for (encoder, sample) in samples.iter().enumerate() {
-            let Some((angle, noise, age)) = *sample else { continue };
-            let mut innovation = self.track.innovation(linkage, encoder, angle, noise);
-            // Behind a vertex motions are slow: where it stood follows from its rate.
-            innovation.residual = wrapped(innovation.residual + age * self.track.omega[MEASURED[encoder]]);
-            let (nis, variance) = self.track.bank.surprise(&innovation);
-            self.evidence -= 0.5 * (nis + libm::log(variance));
-            self.track.bank.update(&innovation);
-        }
+        let Some(likelihood) = tell(&mut self.track, linkage, samples) else { return false };
+        self.evidence += likelihood;
         // NaN speaks against it.
-        self.track.absorb(linkage).is_some() && self.evidence > DECIDED[0]
+        self.evidence > DECIDED[0]
     }
 }
 
@@ -249,7 +243,24 @@ pub(super) fn advance(
     true
 }
 
+/// A motion beside the estimate takes samples (angle, noise, age) in; their log likelihood, `None` where the loop cannot be closed.
+#[inline(never)]
+pub(super) fn tell(track: &mut Track, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> Option<f64> {
+    let mut likelihood = 0.0;
+    for (encoder, sample) in samples.iter().enumerate() {
+        let Some((angle, noise, age)) = *sample else { continue };
+        let mut innovation = track.innovation(linkage, encoder, angle, noise);
+        // Motions that are followed beside are slow: where they stood follows from their rates.
+        innovation.residual = wrapped(innovation.residual + age * track.omega[MEASURED[encoder]]);
+        let (nis, variance) = track.bank.surprise(&innovation);
+        likelihood -= 0.5 * (nis + libm::log(variance));
+        track.bank.update(&innovation);
+    }
+    track.absorb(linkage).map(|_| likelihood)
+}
+
 /// The other assembly with the same angles and rates of the motors.
+#[cold]
 #[inline(never)]
 pub(super) fn mirrored(constants: &Constants, track: &Track, [rate, force]: [f64; 2]) -> Option<Track> {
     let linkage = &constants.linkage;

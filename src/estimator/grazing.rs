@@ -6,9 +6,8 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::branches::{advance, mirrored};
-use super::linkage::{Linkage, MEASURED};
-use super::track::{Track, wrapped};
+use super::branches::{advance, mirrored, tell};
+use super::track::Track;
 use super::{Constants, Scene};
 
 /// It is left where |sin(θ₃ − θ₂)| is at least this.
@@ -126,26 +125,11 @@ impl Grazing {
 }
 
 impl Pair {
+    #[cold]
     fn new(constants: &Constants, track: &Track, prior: f64) -> Option<Self> {
         let other = mirrored(constants, track, [0.0; 2])?;
         let scale = QUIET * constants.torque_scale();
         let quiet = |track: &Track| Track { force: [0.0; 4], bank: track.bank.with_force(scale * scale), ..*track };
         Some(Self { tracks: [quiet(track), quiet(&other)], evidence: prior, age: 0.0 })
     }
-}
-
-/// Takes samples in; their log likelihood, `None` where the loop cannot be closed.
-#[inline(never)]
-fn tell(track: &mut Track, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> Option<f64> {
-    let mut likelihood = 0.0;
-    for (encoder, sample) in samples.iter().enumerate() {
-        let Some((angle, noise, age)) = *sample else { continue };
-        let mut innovation = track.innovation(linkage, encoder, angle, noise);
-        // Where it stood follows from its rate.
-        innovation.residual = wrapped(innovation.residual + age * track.omega[MEASURED[encoder]]);
-        let (nis, variance) = track.bank.surprise(&innovation);
-        likelihood -= 0.5 * (nis + libm::log(variance));
-        track.bank.update(&innovation);
-    }
-    track.absorb(linkage).map(|_| likelihood)
 }

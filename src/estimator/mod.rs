@@ -82,6 +82,7 @@ const LARGEST_NIS: f64 = 1e12;
 
 impl Estimator {
     /// The estimate that a scene starts from.
+    #[cold]
     pub fn new(constants: &Constants, theta: Links, omega: Links) -> Self {
         Self {
             track: Track { theta, omega, force: [0.0; 4], bank: bank::Bank::new(constants.start_variances()) },
@@ -314,6 +315,7 @@ impl Estimator {
     }
 
     /// Refuses what cannot be an estimator of this mechanism.
+    #[cold]
     pub fn check(&self, constants: &Constants, theta: &Links, omega: &Links) -> Result<(), &'static str> {
         let same = |a: &Links, b: &Links| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
         if !same(&self.track.theta, theta) || !same(&self.track.omega, omega) {

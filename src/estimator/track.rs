@@ -120,6 +120,7 @@ impl Track {
 
     /// Where the motion would be had it come from so far before, rad of the fastest link, a little aside, rad, by so many steps there and back;
     /// `None` where it cannot be computed.
+    #[cold]
     #[inline(never)]
     pub(super) fn passed_aside(
         &self,
@@ -222,6 +223,7 @@ impl Track {
     }
 
     /// Whether it can be an estimate: a closed loop, weights that sum up to 1, covariances.
+    #[cold]
     pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
         linkage.is_closed(&self.theta, &self.omega) && self.force.iter().all(|x| x.is_finite()) && self.bank.is_sound()
     }
