@@ -3,9 +3,9 @@
 use anyhow::{Context, Result, ensure};
 use serde::Deserialize;
 
-use crate::cases::{self, OFF};
+use crate::cases::{self, FOLLOWING, OFF, OFF_CALLS};
 use crate::count;
-use crate::scene::{Scene, effects};
+use crate::scene::{ESTIMATOR, Scene, effects};
 
 /// The ceilings, with a reason each.
 const CEILINGS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/ceilings.csv");
@@ -20,7 +20,8 @@ struct Ceiling {
 
 /// Fails naming every case that is over its ceiling, and every effect that costs something while it is off.
 pub(crate) fn check() -> Result<()> {
-    let (cases, counts) = (cases::all()?, count::instructions()?);
+    let (cases, seen) = (cases::all()?, count::counts()?);
+    let counts: Vec<f64> = seen.iter().map(|count| count.instructions).collect();
     let measured = |table: &str, name: &str| {
         let found = cases.iter().zip(&counts).find(|(case, _)| case.table == table && case.name == name);
         found.map(|(_, count)| *count).with_context(|| format!("ceilings.csv names {table}, {name}, which is no case"))
@@ -34,21 +35,35 @@ pub(crate) fn check() -> Result<()> {
             faults.push(format!("{table}, {case}: {count:.0} instructions, the ceiling is {instructions:.0}: {reason}"));
         }
     }
-    let off: Vec<_> = cases.iter().zip(&counts).filter(|(case, _)| case.table == OFF).collect();
-    let (_, usual) = off.first().context("no case of effects that are off")?;
-    for (case, count) in &off {
-        if count != usual {
-            faults
-                .push(format!("{}, which is off, with other values: {count} instructions per step instead of {usual}", case.name));
+    let mut free = 0;
+    for table in [OFF, OFF_CALLS] {
+        let off: Vec<_> = cases.iter().zip(&counts).filter(|(case, _)| case.table == table).collect();
+        let (_, usual) = off.first().context("no case of what is off")?;
+        free += off.len() - 1;
+        for (case, count) in &off {
+            if count != usual {
+                faults.push(format!("{}, which is off, with other values: {count} instructions per step, not {usual}", case.name));
+            }
         }
     }
-    for effect in effects().filter(|effect| *effect != "gravity") {
+    // The table in which a machine is followed shows that the estimator would be noticed.
+    for (case, seen) in cases.iter().zip(&seen) {
+        if seen.estimates != (case.table == FOLLOWING) {
+            faults.push(format!(
+                "{}, {}: the estimator {}",
+                case.table,
+                case.name,
+                if seen.estimates { "runs" } else { "does not run" }
+            ));
+        }
+    }
+    for effect in effects().filter(|effect| *effect != "gravity").chain([ESTIMATOR]) {
         if end(&cases::off(effect)?)? != end(&Scene::fall())? {
             faults.push(format!("{effect}, which is off, with other values: another trajectory"));
         }
     }
     ensure!(faults.is_empty(), "{}", faults.join("\n"));
-    println!("{} effects that are off cost nothing: same instructions, same bits", off.len() - 1);
+    println!("{free} effects that are off, and the estimator, cost nothing: same instructions, same bits");
     Ok(())
 }
 

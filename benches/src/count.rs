@@ -5,6 +5,7 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context, Result, ensure};
 
+use crate::case::Case;
 use crate::cases;
 
 /// The function that callgrind counts in, as it names it.
@@ -15,8 +16,22 @@ pub(crate) fn each_once() -> Result<()> {
     cases::all()?.iter().try_for_each(|case| case.once().map(drop))
 }
 
-/// Instructions of each of all cases, per time that it does what it counts.
+/// What callgrind has seen of a case.
+#[derive(Clone, Debug)]
+pub(crate) struct Count {
+    /// Instructions, per time that it does what it counts.
+    pub(crate) instructions: f64,
+    /// Whether a function of the estimator has run.
+    pub(crate) estimates: bool,
+}
+
+/// All cases, counted.
 pub(crate) fn instructions() -> Result<Vec<f64>> {
+    Ok(counts()?.into_iter().map(|count| count.instructions).collect())
+}
+
+/// The same with what ran.
+pub(crate) fn counts() -> Result<Vec<Count>> {
     let cases = cases::all()?;
     let folder = tempfile::tempdir().context("a folder for callgrind's dumps")?;
     let dumps = folder.path().join("dump");
@@ -33,13 +48,23 @@ pub(crate) fn instructions() -> Result<Vec<f64>> {
     ensure!(output.status.success(), "valgrind failed:\n{}", String::from_utf8_lossy(&output.stderr));
     let last = dumps.with_extension((cases.len() + 1).to_string());
     ensure!(!last.exists(), "callgrind dumped more often than there are cases: {REGION} is called elsewhere");
-    cases.iter().enumerate().map(|(i, case)| Ok(total(&dumps.with_extension((i + 1).to_string()))? / case.times as f64)).collect()
+    let count = |(i, case): (usize, &Case)| {
+        let dump = dumps.with_extension((i + 1).to_string());
+        let text = fs::read_to_string(&dump).context("callgrind did not dump: it has found no measured function")?;
+        Ok(Count { instructions: total(&text)? / case.times as f64, estimates: estimates(&text) })
+    };
+    cases.iter().enumerate().map(count).collect()
+}
+
+/// Whether a function of the estimator is among those that a dump names.
+fn estimates(dump: &str) -> bool {
+    const OWN: [&str; 2] = ["fivebar::estimator::", "fivebar::simulation::following::"];
+    dump.lines().filter(|line| line.starts_with("fn=")).any(|line| OWN.iter().any(|own| line.contains(own)))
 }
 
 /// The sum that a dump ends with.
-fn total(dump: &std::path::Path) -> Result<f64> {
-    let text = fs::read_to_string(dump).with_context(|| format!("callgrind did not dump: it has found no {REGION}"))?;
-    let count = text.lines().find_map(|line| line.strip_prefix("totals: ")).context("a dump without totals")?;
+fn total(dump: &str) -> Result<f64> {
+    let count = dump.lines().find_map(|line| line.strip_prefix("totals: ")).context("a dump without totals")?;
     let count: f64 = count.trim().parse().context("totals is no number")?;
     ensure!(count > 0.0, "callgrind counted nothing in {REGION}");
     Ok(count)

@@ -52,9 +52,12 @@ impl Scene {
     }
 }
 
+/// What has a variable `….enabled` and acts on nothing.
+pub(crate) const ESTIMATOR: &str = "estimator";
+
 /// The effects: whatever has a variable `….enabled`, but for the estimator, which acts on nothing.
 pub(crate) fn effects() -> impl Iterator<Item = &'static str> {
-    VARIABLES.iter().filter_map(|variable| variable.name.strip_suffix(".enabled")).filter(|name| *name != "estimator")
+    VARIABLES.iter().filter_map(|variable| variable.name.strip_suffix(".enabled")).filter(|name| *name != ESTIMATOR)
 }
 
 /// The Real parameters of an effect with other values than they have.

@@ -7,7 +7,7 @@ use std::process::{Command, ExitCode};
 
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
-use hard_cases::cases::{bits_row, falls_of_seed, fingerprint, hour};
+use hard_cases::cases::{bits_row, falls_of_seed, fingerprint, followed, followed_count, hour};
 use hard_cases::{Case, Extent, Row, Setting, Verdict, horizon, speed, step_times, write_csv, write_markdown};
 
 /// The battery of hard cases
@@ -118,7 +118,7 @@ fn extent(quick: bool) -> Extent {
 
 fn rows(extent: Extent, only: &str, unoptimised: Option<&Path>) -> Result<Vec<Row>> {
     let cases: Vec<Case> = Case::all(extent).into_iter().filter(|case| case.name.contains(only)).collect();
-    let count = cases.iter().map(|case| case.settings.len()).sum::<usize>() + 2;
+    let count = cases.iter().map(|case| case.settings.len()).sum::<usize>() + followed_count(only) + 2;
     let mut rows: Vec<Row> = Vec::new();
     let mut done = |row: Row| {
         eprintln!("[{}/{count}] {row}", rows.len() + 1);
@@ -130,6 +130,7 @@ fn rows(extent: Extent, only: &str, unoptimised: Option<&Path>) -> Result<Vec<Ro
     for case in &cases {
         case.settings.iter().for_each(|setting| done(case.measure(*setting)));
     }
+    followed(extent, only, &mut done);
     if "one hour".contains(only) {
         done(hour(extent));
     }

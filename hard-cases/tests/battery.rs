@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use hard_cases::cases::{bits_row, fingerprint, hour};
+use hard_cases::cases::{bits_row, fingerprint, followed, followed_count, hour};
 use hard_cases::{Case, Ending, Extent, Row, Setting, Verdict, speed};
 
 /// The judged settings meet the demands of every case of an item.
@@ -80,6 +80,17 @@ fn scales_do_not_matter() {
 #[test]
 fn a_long_motion_drifts_nowhere() {
     assert_eq!(complaint(&hour(Extent::Quick)), None);
+}
+
+/// The corrector on, by every method that is judged.
+#[test]
+fn machines_are_followed_through_singularities() {
+    let mut rows = Vec::new();
+    followed(Extent::Quick, "", |row| rows.push(row));
+    assert_eq!(rows.len(), followed_count(""));
+    assert_eq!(rows.iter().filter(|row| row.verdict == Verdict::Pass).count(), 4 * 4);
+    let wrong: Vec<String> = rows.iter().filter(|row| row.verdict == Verdict::Fail).filter_map(complaint).collect();
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
 #[test]

@@ -6,7 +6,8 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::linkage::{Frame, Linkage, Pair, dot};
+use super::linkage::{Frame, Linkage, Pair};
+use super::process_noise::ProcessNoise;
 use super::transition::{ERRORS, Flow};
 
 /// Number of models.
@@ -127,46 +128,6 @@ fn turn_force(f: &mut Matrix, turned: [Pair; 2]) {
     }
 }
 
-/// What a unit of white torque and of a walking force add to the covariance in h seconds.
-struct ProcessNoise {
-    white: Matrix,
-    walk: Matrix,
-}
-
-impl ProcessNoise {
-    fn new(linkage: &Linkage, at: &Frame, h: f64) -> Self {
-        let [first, second] = at.basis;
-        let (m_first, m_second) = (linkage.mass_times(at, &first), linkage.mass_times(at, &second));
-        let (a, b, c) = (dot(&first, &m_first), dot(&first, &m_second), dot(&second, &m_second));
-        let determinant = a * c - b * b;
-        // (NᵀMN)⁻¹ and its square.
-        let (a, b, c) = (c / determinant, -b / determinant, a / determinant);
-        let mobility = [[a, b], [b, c]];
-        let squared = [[a * a + b * b, b * (a + c)], [b * (a + c), b * b + c * c]];
-        let (mut white, mut walk) = ([[0.0; ERRORS]; ERRORS], [[0.0; ERRORS]; ERRORS]);
-        for i in 0..2 {
-            for k in 0..2 {
-                let w = squared[i][k];
-                // White acceleration, and acceleration that walks: their integrals.
-                white[2 + i][2 + k] = w * h;
-                white[i][2 + k] = w * h * h / 2.0;
-                white[2 + i][k] = w * h * h / 2.0;
-                white[i][k] = w * h * h * h / 3.0;
-                walk[2 + i][2 + k] = w * h * h * h / 3.0;
-                walk[i][2 + k] = w * h * h * h * h / 8.0;
-                walk[2 + i][k] = w * h * h * h * h / 8.0;
-                walk[i][k] = w * h * h * h * h * h / 20.0;
-                walk[2 + i][4 + k] = mobility[i][k] * h * h / 2.0;
-                walk[4 + i][2 + k] = mobility[i][k] * h * h / 2.0;
-                walk[i][4 + k] = mobility[i][k] * h * h * h / 6.0;
-                walk[4 + i][k] = mobility[i][k] * h * h * h / 6.0;
-            }
-            walk[4 + i][4 + i] = h;
-        }
-        Self { white, walk }
-    }
-}
-
 impl Bank {
     /// Nothing known but the variances of angles, rates and forces.
     pub fn new(variances: [f64; 3]) -> Self {
@@ -219,17 +180,44 @@ impl Bank {
         }
     }
 
+    /// The same where next to nothing is known of the force but its variance, and which model holds.
+    #[cold]
+    pub fn with_force(&self, variance: f64) -> Self {
+        let mut bank = *self;
+        for (member, weight) in bank.members.iter_mut().zip(PRIOR) {
+            member.weight = weight;
+            for i in 4..ERRORS {
+                member.error[i] = 0.0;
+                member.covariance[i] = [0.0; ERRORS];
+                member.covariance.iter_mut().for_each(|row| row[i] = 0.0);
+                member.covariance[i][i] = variance;
+            }
+        }
+        bank
+    }
+
+    /// The force may be another one, by this variance.
+    pub fn unsettle_force(&mut self, variance: f64) {
+        for member in &mut self.members {
+            for i in 4..ERRORS {
+                member.covariance[i][i] += variance;
+            }
+        }
+    }
+
     /// By how much the unknown force's variance grows while the models stay as likely as they are, in the squared units of `scale` per second.
     pub fn walk(&self, scale: f64) -> f64 {
         scale * scale * self.members.iter().zip(FORCE_WALK).map(|(member, walk)| member.weight * walk).sum::<f64>()
     }
 
     /// Mean and covariance of all models together.
+    #[inline(never)]
     pub fn moments(&self) -> (Error, Matrix) {
         mixture(&self.members, &self.members.map(|member| member.weight))
     }
 
     /// What a sample would say: NIS and variance of the residual, with all models together.
+    #[inline(never)]
     pub fn surprise(&self, sample: &Innovation) -> (f64, f64) {
         let (error, covariance) = self.moments();
         let (_, variance) = projected(&covariance, sample);
@@ -277,6 +265,7 @@ impl Bank {
     }
 
     /// Whether weights sum up to 1 and covariances are symmetric and positive.
+    #[cold]
     pub(super) fn is_sound(&self) -> bool {
         let sum: f64 = self.members.iter().map(|member| member.weight).sum();
         (sum - 1.0).abs() < 1e-9

@@ -101,7 +101,9 @@ impl Branches {
         for other in &mut self.others {
             if let Some(motion) = other {
                 motion.age += h;
-                let goes_on = motion.age < LONGEST && motion.go_on(constants, scene, (h, switch_time));
+                let scale = constants.torque_scale();
+                let goes_on =
+                    motion.age < LONGEST && advance(&mut motion.track, constants, scene, motion.straight, (h, switch_time, scale));
                 if !goes_on {
                     *other = None;
                 }
@@ -110,7 +112,7 @@ impl Branches {
         if begins && linkage.frame(&track.theta).side().abs() > APART {
             // Once for each vertex.
             self.since_vertex = LATEST;
-            self.others[0] = mirrored(constants, track).map(|track| Other::new(track, false));
+            self.others[0] = mirrored(constants, track, BESIDE).map(|track| Other::new(track, false));
         }
     }
 
@@ -176,6 +178,7 @@ impl Branches {
     }
 
     /// One of them becomes the estimate, and the estimate one of them.
+    #[cold]
     pub(super) fn swap(&mut self, track: &mut Track, with: usize) {
         let Some(ahead) = self.others[with].as_ref().map(|other| other.evidence) else { return };
         for (k, other) in self.others.iter_mut().enumerate() {
@@ -198,51 +201,68 @@ impl Other {
 
     /// Takes samples in; false where they speak against it.
     fn correct(&mut self, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> bool {
-        for (encoder, sample) in samples.iter().enumerate() {
-            let Some((angle, noise, age)) = *sample else { continue };
-            let mut innovation = self.track.innovation(linkage, encoder, angle, noise);
-            // Behind a vertex motions are slow: where it stood follows from its rate.
-            innovation.residual = wrapped(innovation.residual + age * self.track.omega[MEASURED[encoder]]);
-            let (nis, variance) = self.track.bank.surprise(&innovation);
-            self.evidence -= 0.5 * (nis + libm::log(variance));
-            self.track.bank.update(&innovation);
-        }
+        let Some(likelihood) = tell(&mut self.track, linkage, samples) else { return false };
+        self.evidence += likelihood;
         // NaN speaks against it.
-        self.track.absorb(linkage).is_some() && self.evidence > DECIDED[0]
-    }
-
-    /// One macro step, by Runge–Kutta; false where it cannot go on.
-    #[inline(never)]
-    fn go_on(&mut self, constants: &Constants, scene: &impl Scene, (h, switch_time): (f64, f64)) -> bool {
-        let linkage = &constants.linkage;
-        let frame = linkage.frame(&self.track.theta);
-        let (theta, omega) = if self.straight && frame.smallest < VERTEX {
-            let Track { theta, omega, .. } = self.track.gone_straight(linkage, h);
-            (theta, omega)
-        } else {
-            let start = (self.track.theta, self.track.omega);
-            let fastest = start.1.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
-            let fine = (h * fastest / (PART * frame.smallest.max(LEAST))).ceil().clamp(1.0, MOST) as u32;
-            let steps = transition::steps(linkage, scene, (&start.0, &start.1), h).max(fine);
-            let (theta, omega) = transition::motion(linkage, scene, start, h, steps);
-            // Next to a vertex J is no way back onto the loop.
-            if linkage.frame(&theta).smallest < VERTEX {
-                (theta, omega)
-            } else {
-                let Some((theta, omega, _)) = linkage.closed(theta, omega) else { return false };
-                (theta, omega)
-            }
-        };
-        let step = self.track.step(linkage, scene, (&theta, &omega), h);
-        self.track.bank.predict(linkage, (&frame, &step.transition), constants.torque_scale(), (h, switch_time));
-        (self.track.theta, self.track.omega) = (theta, omega);
-        true
+        self.evidence > DECIDED[0]
     }
 }
 
-/// The other assembly with the same angles and rates of the motors.
+/// A motion beside the estimate goes on by a macro step, by Runge–Kutta, with unknown forces of a scale, N·m; false where it cannot.
+/// `straight`: it goes straight through a vertex.
 #[inline(never)]
-fn mirrored(constants: &Constants, track: &Track) -> Option<Track> {
+pub(super) fn advance(
+    track: &mut Track,
+    constants: &Constants,
+    scene: &impl Scene,
+    straight: bool,
+    (h, switch_time, scale): (f64, f64, f64),
+) -> bool {
+    let linkage = &constants.linkage;
+    let frame = linkage.frame(&track.theta);
+    let (theta, omega) = if straight && frame.smallest < VERTEX {
+        let Track { theta, omega, .. } = track.gone_straight(linkage, h);
+        (theta, omega)
+    } else {
+        let start = (track.theta, track.omega);
+        let fastest = start.1.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
+        let fine = (h * fastest / (PART * frame.smallest.max(LEAST))).ceil().clamp(1.0, MOST) as u32;
+        let steps = transition::steps(linkage, scene, (&start.0, &start.1), h).max(fine);
+        let (theta, omega) = transition::motion(linkage, scene, start, h, steps);
+        // Next to a vertex J is no way back onto the loop.
+        if linkage.frame(&theta).smallest < VERTEX {
+            (theta, omega)
+        } else {
+            let Some((theta, omega, _)) = linkage.closed(theta, omega) else { return false };
+            (theta, omega)
+        }
+    };
+    let step = track.step(linkage, scene, (&theta, &omega), h);
+    track.bank.predict(linkage, (&frame, &step.transition), scale, (h, switch_time));
+    (track.theta, track.omega) = (theta, omega);
+    true
+}
+
+/// A motion beside the estimate takes samples (angle, noise, age) in; their log likelihood, `None` where the loop cannot be closed.
+#[inline(never)]
+pub(super) fn tell(track: &mut Track, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> Option<f64> {
+    let mut likelihood = 0.0;
+    for (encoder, sample) in samples.iter().enumerate() {
+        let Some((angle, noise, age)) = *sample else { continue };
+        let mut innovation = track.innovation(linkage, encoder, angle, noise);
+        // Motions that are followed beside are slow: where they stood follows from their rates.
+        innovation.residual = wrapped(innovation.residual + age * track.omega[MEASURED[encoder]]);
+        let (nis, variance) = track.bank.surprise(&innovation);
+        likelihood -= 0.5 * (nis + libm::log(variance));
+        track.bank.update(&innovation);
+    }
+    track.absorb(linkage).map(|_| likelihood)
+}
+
+/// The other assembly with the same angles and rates of the motors.
+#[cold]
+#[inline(never)]
+pub(super) fn mirrored(constants: &Constants, track: &Track, [rate, force]: [f64; 2]) -> Option<Track> {
     let linkage = &constants.linkage;
     let from = linkage.frame(&track.theta);
     let assembly = if from.side() > 0.0 { Assembly::Minus } else { Assembly::Plus };
@@ -271,8 +291,8 @@ fn mirrored(constants: &Constants, track: &Track) -> Option<Track> {
     let scale = constants.torque_scale();
     for member in &mut bank.members {
         for i in 0..2 {
-            member.covariance[2 + i][2 + i] += BESIDE[0];
-            member.covariance[4 + i][4 + i] += BESIDE[1] * scale * scale;
+            member.covariance[2 + i][2 + i] += rate;
+            member.covariance[4 + i][4 + i] += force * scale * scale;
         }
     }
     Some(Track { theta, omega, force: [0.0; 4], bank })

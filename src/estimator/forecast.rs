@@ -82,6 +82,7 @@ impl Point {
 
 impl Cloud {
     /// Around an estimate, whose force walks by some variance, (N·m)²/s.
+    #[cold]
     #[inline(never)]
     fn around(track: &Track, linkage: &Linkage, walk: f64) -> Self {
         let frame = linkage.frame(&track.theta);

@@ -109,6 +109,7 @@ impl History {
     }
 
     /// Whether it can be one: numbers, the latest last.
+    #[cold]
     pub(super) fn is_sound(&self) -> bool {
         self.0.iter().all(Past::is_finite)
             && self.0.windows(2).all(|pair| pair[0].age > pair[1].age)

@@ -163,6 +163,7 @@ impl Linkage {
 
     /// Whether angles and rates keep the loop closed, to what a method that is told little leaves open, and what goes straight through a
     /// vertex.
+    #[cold]
     pub fn is_closed(&self, theta: &Links, omega: &Links) -> bool {
         let at = self.frame(theta);
         let open = OPEN[usize::from(at.smallest < VERTEX)] * self.length;

@@ -11,12 +11,15 @@
 pub mod alarm;
 pub mod bank;
 mod branches;
+mod constants;
 pub mod encoder;
 pub mod forecast;
+mod grazing;
 mod history;
 mod lengths;
 pub mod linkage;
 mod parameters;
+mod process_noise;
 mod track;
 pub mod transition;
 
@@ -26,16 +29,16 @@ use nalgebra::{Matrix4, Vector4};
 pub use alarm::Alarm;
 pub use bank::{Innovation, Matrix};
 use branches::Branches;
+pub use constants::Constants;
 pub use encoder::{Encoder, Fault, Measured};
 use forecast::Forecast;
+use grazing::Grazing;
 use history::History;
 pub use history::REMEMBERED;
 pub use linkage::{Frame, Linkage, Links, MEASURED, Pair};
 pub use parameters::{Bands, Parameters};
 pub use track::{Track, wrapped};
 pub use transition::{Loads, Scene};
-
-use crate::mechanism::Geometry;
 
 /// What the estimate is worth.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,39 +59,6 @@ pub enum Status {
     Faulty(Fault),
 }
 
-/// What is constant.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Constants {
-    geometry: Geometry,
-    /// The mechanism in its link angles.
-    pub linkage: Linkage,
-    /// The parameters in force.
-    pub parameters: Parameters,
-}
-
-impl Constants {
-    /// Of a geometry with all masses.
-    pub fn new(geometry: &Geometry, parameters: &Parameters) -> Self {
-        Self { geometry: *geometry, linkage: Linkage::new(geometry), parameters: parameters.clone() }
-    }
-
-    /// The torque in which the unknown force is measured, N·m.
-    pub fn torque_scale(&self) -> f64 {
-        if self.parameters.torque_scale > 0.0 { self.parameters.torque_scale } else { self.linkage.weight_torque }
-    }
-
-    /// Variances of angles, rates and the unknown force at the start.
-    fn start_variances(&self) -> [f64; 3] {
-        let Parameters { sigma0_theta, sigma0_omega, .. } = self.parameters;
-        [sigma0_theta, sigma0_omega, UNKNOWN_FORCE * self.torque_scale()].map(|sigma| sigma * sigma)
-    }
-
-    /// The inputs by which a unit of each force on the tangent basis acts.
-    pub fn by_inputs(&self, at: &Frame) -> [Pair; 4] {
-        track::by_inputs(&self.linkage, at)
-    }
-}
-
 /// Everything of the estimator that changes.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Estimator {
@@ -96,6 +66,7 @@ pub struct Estimator {
     /// Whether the last macro step came too close to a vertex.
     held: bool,
     branches: Branches,
+    grazing: Grazing,
     encoders: [Encoder; 2],
     history: History,
     forecast: Forecast,
@@ -106,19 +77,18 @@ pub struct Estimator {
     nis: f64,
 }
 
-/// In units of the torque scale: what the unknown force may be at the start.
-const UNKNOWN_FORCE: f64 = 0.3;
-
 /// The largest that is told.
 const LARGEST_NIS: f64 = 1e12;
 
 impl Estimator {
     /// The estimate that a scene starts from.
+    #[cold]
     pub fn new(constants: &Constants, theta: Links, omega: Links) -> Self {
         Self {
             track: Track { theta, omega, force: [0.0; 4], bank: bank::Bank::new(constants.start_variances()) },
             held: false,
             branches: Branches::default(),
+            grazing: Grazing::default(),
             encoders: [Encoder::NEW; 2],
             history: History::default(),
             forecast: Forecast::default(),
@@ -210,14 +180,19 @@ impl Estimator {
             self.branches.swap(&mut self.track, other);
             self.history.clear();
         }
+        if let Some(other) = self.grazing.correct(constants, &used) {
+            self.track = other;
+            self.history.clear();
+        }
         let frame = linkage.frame(&self.track.theta);
         let samples = used.iter().flatten().count();
         self.alarm.hear(&self.track, &frame, constants.torque_scale(), (fit, samples));
         true
     }
 
-    /// The motion has gone on by h seconds to these angles and rates; `scene` has the loads of these seconds.
-    pub fn predict(&mut self, constants: &Constants, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) {
+    /// The motion has gone on by h seconds to these angles and rates; the scenes have the loads of these seconds, with the unknown force and
+    /// without.
+    pub fn predict<S: Scene>(&mut self, constants: &Constants, [scene, known]: [&S; 2], (theta, omega): (&Links, &Links), h: f64) {
         let Constants { linkage, parameters, .. } = constants;
         let frame = linkage.frame(&self.track.theta);
         let timing = (h, parameters.switch_time);
@@ -233,6 +208,9 @@ impl Estimator {
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
         self.branches.step(constants, (&self.track, step.held), scene, timing);
+        // Without samples nothing decides.
+        let clear = !step.held && self.branches.are_known() && !self.is_coasting();
+        self.grazing.step(constants, (&self.track, clear), known, timing);
         for encoder in &mut self.encoders {
             encoder.silent += h;
         }
@@ -252,7 +230,7 @@ impl Estimator {
             () if fault != Fault::None => Status::Faulty(fault),
             () if self.is_coasting() => Status::Coasting,
             () if self.encoders.iter().any(Encoder::is_silent) => Status::OneEncoder,
-            () if self.branches.are_open() => Status::TwoBranches,
+            () if self.branches.are_open() || self.grazing.is_open() => Status::TwoBranches,
             () if self.alarm.is_inconsistent() => Status::Inconsistent,
             () => Status::Following,
         }
@@ -337,12 +315,13 @@ impl Estimator {
     }
 
     /// Refuses what cannot be an estimator of this mechanism.
+    #[cold]
     pub fn check(&self, constants: &Constants, theta: &Links, omega: &Links) -> Result<(), &'static str> {
         let same = |a: &Links, b: &Links| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
         if !same(&self.track.theta, theta) || !same(&self.track.omega, omega) {
             return Err("its estimate is not the motion");
         }
-        let mut tracks = std::iter::once(&self.track).chain(self.branches.tracks());
+        let mut tracks = std::iter::once(&self.track).chain(self.branches.tracks()).chain(self.grazing.tracks());
         if !tracks.all(|track| track.is_sound(&constants.linkage)) {
             return Err("its estimate is none");
         }
@@ -350,7 +329,7 @@ impl Estimator {
             return Err("what its estimator remembers is none");
         }
         let numbers = self.innovation.iter().chain([&self.nis]);
-        if !numbers.chain(&self.alarm.numbers()).all(|x| x.is_finite()) || !self.branches.is_sound() {
+        if !numbers.chain(&self.alarm.numbers()).all(|x| x.is_finite()) || !self.branches.is_sound() || !self.grazing.is_sound() {
             return Err("a number of its estimator is not finite");
         }
         Ok(())

@@ -42,17 +42,26 @@ pub struct Parameters {
 
 impl Parameters {
     /// Refuses what is no number, with the step length of the scene, s.
+    #[cold]
     pub fn check(&self, step_size: f64) -> Result<(), SceneError> {
-        for i in 0..2 {
-            not_negative(format_args!("estimator.sigma[{}]", i + 1), self.sigma[i], "rad")?;
-            not_negative(format_args!("estimator.quantum[{}]", i + 1), self.quantum[i], "rad")?;
+        for (name, value, unit) in [
+            ("estimator.sigma[1]", self.sigma[0], "rad"),
+            ("estimator.sigma[2]", self.sigma[1], "rad"),
+            ("estimator.quantum[1]", self.quantum[0], "rad"),
+            ("estimator.quantum[2]", self.quantum[1], "rad"),
+            ("estimator.maxDelay", self.max_delay, "s"),
+            ("estimator.sigma0.length", self.sigma0_length, "m"),
+            ("estimator.torqueScale", self.torque_scale, "N.m"),
+        ] {
+            not_negative(name, value, unit)?;
         }
-        not_negative("estimator.maxDelay", self.max_delay, "s")?;
-        positive("estimator.sigma0.theta", self.sigma0_theta, "rad")?;
-        positive("estimator.sigma0.omega", self.sigma0_omega, "rad/s")?;
-        not_negative("estimator.sigma0.length", self.sigma0_length, "m")?;
-        not_negative("estimator.torqueScale", self.torque_scale, "N.m")?;
-        positive("estimator.switchTime", self.switch_time, "s")?;
+        for (name, value, unit) in [
+            ("estimator.sigma0.theta", self.sigma0_theta, "rad"),
+            ("estimator.sigma0.omega", self.sigma0_omega, "rad/s"),
+            ("estimator.switchTime", self.switch_time, "s"),
+        ] {
+            positive(name, value, unit)?;
+        }
         finite("estimator.horizon", self.horizon, "s")?;
         // A communication step that is no multiple of h is divided into shorter ones, down to half of it.
         let most = (REMEMBERED / 2 - 1) as f64 * step_size;

@@ -120,6 +120,7 @@ impl Track {
 
     /// Where the motion would be had it come from so far before, rad of the fastest link, a little aside, rad, by so many steps there and back;
     /// `None` where it cannot be computed.
+    #[cold]
     #[inline(never)]
     pub(super) fn passed_aside(
         &self,
@@ -204,7 +205,25 @@ impl Track {
         covariance
     }
 
+    /// The log likelihood, next to a direct singularity, of being as far on its other side and going the other way, which the motors do not
+    /// tell: by the distance s = sin(θ₃ − θ₂) and its rate, with their covariance.
+    #[inline(never)]
+    pub(super) fn other_side(&self, at: &Frame) -> f64 {
+        let slope = libm::cos(self.theta[2] - self.theta[1]);
+        let row = at.basis.map(|direction| slope * (direction[2] - direction[1]));
+        let (s, rate) = (at.side(), slope * (self.omega[2] - self.omega[1]));
+        let covariance = self.covariance();
+        let element = |i: usize, k: usize| {
+            (0..2).map(|a| (0..2).map(|b| row[a] * covariance[2 * i + a][2 * k + b] * row[b]).sum::<f64>()).sum::<f64>()
+        };
+        let (xx, xy, yy) = (element(0, 0), element(0, 1), element(1, 1));
+        let determinant = xx * yy - xy * xy;
+        // Twice the distance, half its square.
+        -2.0 * (s * s * yy - 2.0 * s * rate * xy + rate * rate * xx) / determinant.max(f64::MIN_POSITIVE)
+    }
+
     /// Whether it can be an estimate: a closed loop, weights that sum up to 1, covariances.
+    #[cold]
     pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
         linkage.is_closed(&self.theta, &self.omega) && self.force.iter().all(|x| x.is_finite()) && self.bank.is_sound()
     }

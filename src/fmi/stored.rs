@@ -50,10 +50,11 @@ struct Content {
 }
 
 /// What bytes hold beside where a machine is followed.
-#[derive(BorshSerialize, BorshDeserialize)]
+#[derive(BorshDeserialize)]
 struct Followed {
     measured: Measured,
-    estimate: Option<Estimate>,
+    /// Apart: where nothing is followed nothing of its size is moved.
+    estimate: Option<Box<Estimate>>,
 }
 
 /// Values of parameters by their references; those of the estimator only where one is not its start.
@@ -78,11 +79,11 @@ impl Snapshot {
             }
             (_, None) => unreachable!("what is no draft has a simulation"),
         };
+        // Fields as those of `Followed`.
         let estimate = match &self.scene {
-            Scene::Following(following) => Some(following.estimate().clone()),
+            Scene::Following(following) => Some(following.estimate()),
             Scene::Draft(_) | Scene::Ready(_) => None,
         };
-        let followed = Followed { measured: self.measured, estimate };
         let content = Content {
             stage: self.stage,
             kind: self.kind,
@@ -98,8 +99,8 @@ impl Snapshot {
             serialised.map_err(|error| CallError::error(format!("the state cannot be serialised: {error}.")))
         };
         let mut content = bytes_of(borsh::to_vec(&content))?;
-        if !followed.is_nothing() {
-            content.extend(bytes_of(borsh::to_vec(&followed))?);
+        if !is_nothing(&self.measured, estimate.is_some()) {
+            content.extend(bytes_of(borsh::to_vec(&(self.measured, estimate)))?);
         }
         let length = content.len() as u64;
         let mut bytes = [&MAGIC[..], &FORMAT.to_le_bytes(), GUID.as_bytes(), &length.to_le_bytes(), &content].concat();
@@ -131,7 +132,7 @@ impl Snapshot {
                 match (parameters.estimator.enabled, followed.estimate) {
                     (false, None) => Scene::Ready(Box::new(Simulation::restored(&parameters, run, &residuals).map_err(refusal)?)),
                     (true, Some(estimate)) => {
-                        let following = Following::restored(&parameters, run, &residuals, estimate);
+                        let following = Following::restored(&parameters, run, &residuals, *estimate);
                         Scene::Following(Box::new(following.map_err(refusal)?))
                     }
                     (false, Some(_)) => return Err(wrong("they hold an estimate, and estimator.enabled is false")),
@@ -148,11 +149,9 @@ impl Snapshot {
     }
 }
 
-impl Followed {
-    /// Whether no sample has been set and nothing is estimated: then it is not stored.
-    fn is_nothing(&self) -> bool {
-        self.estimate.is_none() && self.measured.same(&Measured::default())
-    }
+/// Whether no sample has been set and nothing is estimated: then it is not stored.
+fn is_nothing(measured: &Measured, estimates: bool) -> bool {
+    !estimates && measured.same(&Measured::default())
 }
 
 /// The content and what is followed.
@@ -162,7 +161,7 @@ fn parts(mut bytes: &[u8]) -> std::io::Result<(Content, Followed)> {
         return Ok((content, Followed { measured: Measured::default(), estimate: None }));
     }
     let followed = Followed::try_from_slice(bytes)?;
-    if followed.is_nothing() {
+    if is_nothing(&followed.measured, followed.estimate.is_some()) {
         return Err(std::io::Error::other("samples that have not been set"));
     }
     Ok((content, followed))

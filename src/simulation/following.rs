@@ -41,6 +41,7 @@ fn acting(inputs: &Inputs, force: &[f64; 4]) -> Inputs {
 
 impl Following {
     /// A scene at its start, of which no sample has been taken.
+    #[cold]
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         parameters.estimator.check(parameters.settings.step_size)?;
         if let Some(name) = sticking_law(&parameters.effects) {
@@ -98,8 +99,8 @@ impl Following {
         let turns = run.turns;
         run.advance(model, &held, one)?;
         let (theta, omega) = run.motion(model);
-        let scene = FiveBar::<false>::new(model, &held, &turns);
-        estimate.estimator.predict(constants, &scene, (&theta, &omega), one.h);
+        let [scene, known] = [&held, inputs].map(|inputs| FiveBar::<false>::new(model, inputs, &turns));
+        estimate.estimator.predict(constants, [&scene, &known], (&theta, &omega), one.h);
         Ok(())
     }
 
@@ -129,6 +130,7 @@ impl Following {
     }
 
     /// Other parameters of effects and estimator, as far as they are tunable; see [`Simulation::tune`].
+    #[cold]
     pub fn tune(&mut self, effects: &effects::Parameters, estimator: &estimator::Parameters) -> Result<(), SceneError> {
         estimator.check(self.parameters().settings.step_size)?;
         self.simulation.tune(effects)?;
@@ -181,6 +183,7 @@ impl Following {
     }
 
     /// What is wrong with an encoder and has not been told yet: its index and fault, [`Fault::None`] where it has become silent.
+    #[inline(never)]
     pub fn take_news(&mut self) -> ArrayVec<(usize, Fault), 2> {
         let Estimate { estimator, told, .. } = &mut self.estimate;
         let mut news = ArrayVec::new();

@@ -3,6 +3,7 @@
 use fivebar::ffi::*;
 use fivebar::variables::VARIABLES;
 
+use crate::allocation::allocations;
 use crate::fmi_host::{Host, reference};
 
 const STATUS: [(&str, i32); 12] = [
@@ -20,9 +21,19 @@ const STATUS: [(&str, i32); 12] = [
     ("stuck", 12),
 ];
 
+/// Items of `estimator.forecast`.
+const LINEAR: i32 = 1;
+const SIGMA_POINTS: i32 = 2;
+
 /// A fall of the table-top machine, followed, ready to step.
 fn following(method: i32, values: &[(&str, f64)]) -> Host {
+    foreseeing(method, LINEAR, values)
+}
+
+/// The same with its forecast.
+fn foreseeing(method: i32, forecast: i32, values: &[(&str, f64)]) -> Host {
     let host = Host::initializing(0.0, None);
+    assert_eq!(host.set_integer(&[reference("estimator.forecast")], &[forecast]), fmi2OK);
     assert_eq!(host.set_boolean(&[reference("estimator.enabled")], &[1]), fmi2OK);
     assert_eq!(host.set_integer(&[reference("solver.method")], &[method]), fmi2OK);
     let start = [("base.distance", 0.1), ("init.theta[1]", 2.2), ("init.theta[2]", 0.9), ("estimator.sigma0.theta", 0.02)];
@@ -123,7 +134,7 @@ fn off_nothing_is_estimated() {
 
 #[test]
 fn a_machine_is_followed_by_every_method() {
-    for method in 1..=5 {
+    for method in 1..=6 {
         let (host, machine) = (following(method, &[]), machine());
         assert_eq!(status(&host), "coasting");
         let before = tip_error(&host, &machine);
@@ -134,6 +145,36 @@ fn a_machine_is_followed_by_every_method() {
         assert_eq!(status(&host), "following", "method {method}");
         assert!(real(&host, "estimated.theta.sigma[1]") < 1e-4);
         assert_eq!(host.take(), []);
+    }
+}
+
+/// Steps with samples, coasting ones and forecasts by sigma points allocate nothing, by every method.
+#[test]
+fn following_allocates_nothing() {
+    for method in 1..=6 {
+        let (host, machine) = (foreseeing(method, SIGMA_POINTS, &[("estimator.maxDelay", 4e-3)]), machine());
+        follow(&host, &machine, 0..20, at_once);
+        let samples: Vec<[f64; 4]> = (20..40)
+            .map(|step| {
+                let ([left, right], time) = (angles(&machine), f64::from(step) * H);
+                assert_eq!(machine.do_step(time, H), fmi2OK);
+                [left, right, time, time]
+            })
+            .collect();
+        let names = ["measured.theta[1]", "measured.theta[2]", "measured.time[1]", "measured.time[2]"].map(reference);
+        let read = ["tip.x", "estimated.tip.cov[1]", "estimated.nis"].map(reference);
+        let go = |step: u32, sample: Option<&[f64; 4]>| {
+            if let Some(sample) = sample {
+                assert_eq!(host.set_real(&names, sample), fmi2OK);
+            }
+            assert_eq!(host.do_step(f64::from(step) * H, H), fmi2OK);
+            assert_eq!(host.get_real(&read, &mut [0.0; 3]), fmi2OK);
+        };
+        let followed = allocations(|| (20..40).zip(&samples).for_each(|(step, sample)| go(step, Some(sample))));
+        // That the encoders are silent is a line in the log, which does.
+        (40..60).for_each(|step| go(step, None));
+        let coasted = allocations(|| (60..80).for_each(|step| go(step, None)));
+        assert_eq!((followed, coasted), (0, 0), "method {method}: {:?}", host.take());
     }
 }
 
@@ -202,7 +243,7 @@ fn turns_do_not_matter() {
 /// A stored state and steps ahead are a forecast; in memory, as bytes and in another instance it is the same to the bit.
 #[test]
 fn stored_states_are_everything() {
-    for method in 1..=5 {
+    for method in 1..=6 {
         let values = [("estimator.maxDelay", 4e-3)];
         let (host, machine) = (following(method, &values), machine());
         let late = |theta: [f64; 2], time: f64| (theta, [time - 2e-3 * f64::from(u8::from(time > 0.01)), time]);

@@ -1,14 +1,16 @@
 //! Other ways to follow, on the same machines: open loop, starting anew from every sample, an extended and an unscented Kalman filter in
 //! the angles of the motors, as they are built around a unit from outside.
 
+use std::path::Path;
+
 use fivebar::effects::Inputs;
 use fivebar::estimator::{MEASURED, wrapped};
 use fivebar::mechanism::{Assembly, Start};
 use fivebar::simulation::{Parameters, Simulation};
 
 use crate::forecast::root;
-use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, motion, side, tip};
-use crate::quality::{fall, outcome, pick, push, sines};
+use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, follow, motion, side, tip};
+use crate::quality::{SETTLED, fall, pick, push, sines};
 use crate::report::{Figure, Table, median};
 
 const H: f64 = 1e-3;
@@ -176,11 +178,26 @@ impl<'a> Outside<'a> {
     }
 }
 
-/// Root of the mean square of the tip's error, m, and whether it is lost at the end.
-fn from_outside(scenario: &Scenario, way: Way, encoder: &Encoder, random: &mut Random) -> (f64, bool) {
+/// A run of a way: the tip's error after each sample, m.
+struct Followed(Vec<f64>);
+
+impl Followed {
+    /// Root of the mean square, m, without the beginning.
+    fn rms(&self) -> f64 {
+        let settled = &self.0[(SETTLED / H).round() as usize..];
+        (settled.iter().map(|error| error * error).sum::<f64>() / settled.len() as f64).sqrt()
+    }
+
+    /// Whether it ended more than 10 mm off.
+    fn is_lost(&self) -> bool {
+        self.0.last().is_none_or(|last| last.is_nan() || *last >= 0.01)
+    }
+}
+
+fn from_outside(scenario: &Scenario, way: Way, encoder: &Encoder, random: &mut Random) -> Followed {
     let mut machine = scenario.machine();
     let mut twin = Outside::new(way, &scenario.model, &scenario.inputs(0.0));
-    let (mut sum, mut count, mut last) = (0.0, 0.0, 0.0);
+    let mut errors = Vec::new();
     for step in 0..(scenario.duration / H).round() as u64 {
         let time = step as f64 * H;
         let truth = machine.state();
@@ -188,54 +205,132 @@ fn from_outside(scenario: &Scenario, way: Way, encoder: &Encoder, random: &mut R
         let inputs = scenario.inputs(time + H / 2.0);
         twin.correct(MEASURED.map(|link| encoder.read(theta[link], random)), encoder, &inputs);
         let ([x, y], [v, w]) = (tip(&machine, &truth), tip(&twin.run, &twin.run.state()));
-        last = (x - v).hypot(y - w);
-        if time >= 0.1 {
-            sum += last * last;
-            count += 1.0;
-        }
+        errors.push((x - v).hypot(y - w));
         twin.predict(&inputs);
         if machine.advance(&scenario.acting(time + H / 2.0), H, 1).is_err() {
             break;
         }
     }
-    ((sum / count).sqrt(), last.is_nan() || last >= 0.01)
+    Followed(errors)
+}
+
+fn by_the_unit(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> Followed {
+    let mut errors = Vec::new();
+    match follow(scenario, encoder, H, random, |at| errors.push(at.tip_error)) {
+        Ok(()) => Followed(errors),
+        Err(failure) => panic!("the unit: {failure}"),
+    }
+}
+
+type Scene = fn(&mut Random) -> Scenario;
+
+/// The scenes that are compared.
+const SCENES: [(&str, Scene); 4] = [
+    ("pick, 20 g unknown", pick),
+    ("fall, masses 5 % off", |random| fall(random, true)),
+    ("sines, masses 5 % off", |random| sines(random, 2.0)),
+    ("push of 0.5 N", push),
+];
+
+/// Ways from outside and what tables call them.
+const WAYS: [(&str, Way); 4] =
+    [("open loop", Way::OpenLoop), ("start anew", Way::Anew), ("EKF, motors", Way::Extended), ("UKF, motors", Way::Unscented)];
+
+/// Scenes, encoders and seeds that are compared, each with its scenario and the random numbers that are left.
+fn runs(seeds: u64, first: u64) -> impl Iterator<Item = (&'static str, Encoder, u64, Scenario, Random)> {
+    SCENES.into_iter().flat_map(move |(name, scene)| {
+        [COARSE, FINE].into_iter().flat_map(move |encoder| {
+            (0..seeds).map(move |seed| {
+                let mut random = Random::new(first + 7_100_000 + seed);
+                let scenario = scene(&mut random);
+                (name, encoder, seed, scenario, random)
+            })
+        })
+    })
 }
 
 /// Tip errors side by side.
 pub fn table(seeds: u64, first: u64) -> Table {
     let mut table = Table::new("Side by side, 1 ms: tip error, mm (median over the runs), and lost runs");
-    type Scene = fn(&mut Random) -> Scenario;
-    let scenes: [(&str, Scene); 4] = [
-        ("pick, 20 g unknown", pick),
-        ("fall, masses 5 % off", |random| fall(random, true)),
-        ("sines, masses 5 % off", |random| sines(random, 2.0)),
-        ("push of 0.5 N", push),
-    ];
-    let ways =
-        [("open loop", Way::OpenLoop), ("start anew", Way::Anew), ("EKF, motors", Way::Extended), ("UKF, motors", Way::Unscented)];
-    for (name, scene) in scenes {
-        for encoder in [COARSE, FINE] {
-            let mut row = |way: &str, outcomes: Vec<(f64, bool)>| {
-                let lost = outcomes.iter().filter(|(_, lost)| *lost).count();
-                let error = 1e3 * median(outcomes.iter().map(|(error, _)| *error));
-                table.push(Figure::told(format!("{name}, {}: {way}", encoder.name), error, format!("{lost} of {seeds} lost")));
-            };
-            for (label, way) in ways {
-                let outcomes = (0..seeds).map(|seed| {
-                    let mut random = Random::new(first + 7_100_000 + seed);
-                    let scenario = scene(&mut random);
-                    from_outside(&scenario, way, &encoder, &mut random)
-                });
-                row(label, outcomes.collect());
-            }
-            let ours = (0..seeds).map(|seed| {
-                let mut random = Random::new(first + 7_100_000 + seed);
-                let scenario = scene(&mut random);
-                let outcome = outcome(&scenario, &encoder, H, &mut random);
-                (outcome.rms, outcome.lost)
-            });
-            row("the unit", ours.collect());
+    let all: Vec<_> = runs(seeds, first).collect();
+    for same in all.chunks(seeds as usize) {
+        let (name, encoder) = (same[0].0, same[0].1);
+        let mut row = |way: &str, followed: Vec<Followed>| {
+            let lost = followed.iter().filter(|run| run.is_lost()).count();
+            let error = 1e3 * median(followed.iter().map(Followed::rms));
+            table.push(Figure::told(format!("{name}, {}: {way}", encoder.name), error, format!("{lost} of {seeds} lost")));
+        };
+        for (label, way) in WAYS {
+            row(
+                label,
+                same.iter().map(|(_, _, _, scenario, random)| from_outside(scenario, way, &encoder, &mut random.clone())).collect(),
+            );
         }
+        row(
+            "the unit",
+            same.iter().map(|(_, _, _, scenario, random)| by_the_unit(scenario, &encoder, &mut random.clone())).collect(),
+        );
     }
     table
+}
+
+/// The same as tables for other programs: in a folder `runs.csv`, a row for each run with the twin's variables; `samples.csv`, what both
+/// encoders said, the inputs, and the true tip; `errors.csv`, the tip's error in m by each way.
+pub fn write(seeds: u64, first: u64, folder: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)?;
+    // Names of scenes have commas.
+    let file = |name: &str| csv::WriterBuilder::new().delimiter(b';').from_path(folder.join(name));
+    let (mut described, mut samples, mut errors) = (file("runs.csv")?, file("samples.csv")?, file("errors.csv")?);
+    described.write_record(["run", "scene", "encoder", "seed", "variable", "value"])?;
+    let columns = ["tau[1]", "tau[2]", "servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.omega[2]"];
+    samples.write_record([&["run", "time", "measured[1]", "measured[2]"][..], &columns, &["tip.x", "tip.y"]].concat())?;
+    errors.write_record(["run", "time"].into_iter().chain(WAYS.map(|(label, _)| label)).chain(["the unit"]))?;
+    for (run, (name, encoder, seed, scenario, random)) in runs(seeds, first).enumerate() {
+        let run = run.to_string();
+        for (variable, value) in variables(&scenario.model, &encoder) {
+            described.write_record([&run, name, encoder.name, &seed.to_string(), variable, &value.to_string()])?;
+        }
+        let (mut machine, mut noise) = (scenario.machine(), random.clone());
+        for step in 0..(scenario.duration / H).round() as u64 {
+            let time = step as f64 * H;
+            let truth = machine.state();
+            let (theta, inputs) = (motion(&truth).0, scenario.inputs(time + H / 2.0));
+            let [left, right] = MEASURED.map(|link| encoder.read(theta[link], &mut noise));
+            let [x, y] = tip(&machine, &truth);
+            let loads = [inputs.tau, inputs.servo_theta, inputs.servo_omega].concat();
+            let numbers = [&[time, left, right][..], &loads, &[x, y]].concat();
+            samples.write_record(std::iter::once(run.clone()).chain(numbers.iter().map(f64::to_string)))?;
+            machine.advance(&scenario.acting(time + H / 2.0), H, 1).map_err(|failure| anyhow::anyhow!("the machine: {failure}"))?;
+        }
+        let mut courses: Vec<Followed> =
+            WAYS.iter().map(|(_, way)| from_outside(&scenario, *way, &encoder, &mut random.clone())).collect();
+        courses.push(by_the_unit(&scenario, &encoder, &mut random.clone()));
+        for step in 0..(scenario.duration / H).round() as usize {
+            let all = courses.iter().map(|course| course.0.get(step).unwrap_or(&f64::NAN));
+            errors.write_record([&run, &(step as f64 * H).to_string()].into_iter().cloned().chain(all.map(f64::to_string)))?;
+        }
+    }
+    [described, samples, errors].into_iter().try_for_each(|mut table| table.flush())?;
+    Ok(())
+}
+
+/// What of a twin is not a start value of the unit, by name.
+fn variables(model: &Parameters, encoder: &Encoder) -> Vec<(&'static str, f64)> {
+    let servo = &model.effects.servo;
+    let bit = |value: bool| f64::from(u8::from(value));
+    vec![
+        ("base.distance", model.geometry.base_distance),
+        ("gravity.enabled", bit(model.effects.gravity.enabled)),
+        ("servo.enabled", bit(servo.enabled)),
+        ("servo.kp[1]", servo.kp[0]),
+        ("servo.kp[2]", servo.kp[1]),
+        ("servo.kd[1]", servo.kd[0]),
+        ("servo.kd[2]", servo.kd[1]),
+        ("init.theta[1]", model.start.theta[0]),
+        ("init.theta[2]", model.start.theta[1]),
+        ("init.omega[1]", model.start.omega[0]),
+        ("init.omega[2]", model.start.omega[1]),
+        ("estimator.quantum[1]", encoder.quantum),
+        ("estimator.quantum[2]", encoder.quantum),
+    ]
 }

@@ -1,5 +1,6 @@
 //! Prints the tables of figures; `cargo xtask estimator` builds and calls it.
 
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -18,11 +19,18 @@ struct Arguments {
     /// Added to the seeds of all runs: others than those in the tables of the docs
     #[arg(long, default_value_t = 0)]
     seeds: u64,
+    /// Writes the runs of the table `compare` to a folder, for other programs, and measures nothing else
+    #[arg(long)]
+    compare: Option<PathBuf>,
 }
 
 fn main() -> ExitCode {
-    let Arguments { only, part, seeds } = Arguments::parse();
+    let Arguments { only, part, seeds, compare } = Arguments::parse();
     let runs = |all: u64| ((all as f64 * part).round() as u64).max(2);
+    if let Some(folder) = compare {
+        compare::write(runs(10), seeds, &folder).unwrap_or_else(|error| panic!("{}: {error:#}", folder.display()));
+        return ExitCode::SUCCESS;
+    }
     let tables: [(&str, &dyn Fn() -> Table); 7] = [
         ("benchmark", &|| benchmark::table(runs(60), seeds)),
         ("quality", &|| quality::table(runs(20), seeds)),

@@ -1,6 +1,7 @@
 //! How far the tip is off while a machine is followed, scene by scene.
 
 use fivebar::effects::Inputs;
+use fivebar::estimator::Status;
 use fivebar::fmi::bindings::default_inputs;
 use fivebar::simulation::{Method, Parameters};
 
@@ -10,7 +11,7 @@ use crate::report::{Figure, Table, median};
 /// Errors of the twin's start, rad and rad/s.
 const START: [f64; 2] = [0.02, 0.2];
 /// What is left out at the beginning, s.
-const SETTLED: f64 = 0.1;
+pub const SETTLED: f64 = 0.1;
 
 /// Minimum jerk from 0 to 1.
 fn minimum_jerk(part: f64) -> (f64, f64) {
@@ -126,12 +127,14 @@ pub struct Outcome {
     pub nees: f64,
     /// Whether it ended more than 10 mm off or on the wrong side.
     pub lost: bool,
+    /// Whether it ended with several branches followed: the samples had not told.
+    pub open: bool,
 }
 
 /// Follows a scenario.
 pub fn outcome(scenario: &Scenario, encoder: &Encoder, h: f64, random: &mut Random) -> Outcome {
     let (mut sum, mut nees, mut count) = (0.0, 0.0, 0u32);
-    let (mut end, mut wrong) = (0.0, false);
+    let (mut end, mut wrong, mut open) = (0.0, false, false);
     let done = follow(scenario, encoder, h, random, |at| {
         let (theta, omega) = crate::machine::motion(at.truth);
         if at.time >= SETTLED {
@@ -140,10 +143,11 @@ pub fn outcome(scenario: &Scenario, encoder: &Encoder, h: f64, random: &mut Rand
             count += 1;
         }
         end = at.tip_error;
+        open = at.twin.status() == Status::TwoBranches;
         wrong = side(&theta) * side(&crate::machine::motion(at.estimate).0) < 0.0;
     });
     let lost = done.is_err() || end > 0.01 || (wrong && end > 0.001);
-    Outcome { rms: (sum / f64::from(count)).sqrt(), nees: nees / f64::from(count), lost }
+    Outcome { rms: (sum / f64::from(count)).sqrt(), nees: nees / f64::from(count), lost, open }
 }
 
 type Scene = fn(&mut Random) -> Scenario;

@@ -38,6 +38,28 @@ fn direct_singularities_are_crossed() {
     }
 }
 
+/// Slow crossings that only graze the line of the distal links, and cross it again: the estimate leaves it on the wrong side, and finds the
+/// machine's own by how the motion goes on.
+#[test]
+fn grazed_singularities_are_found_out() {
+    for (seed, encoder) in [(20_000_202, COARSE), (20_000_324, COARSE), (20_010_076, FINE)] {
+        let mut random = Random::new(seed);
+        let scenario = singular::crossing(&mut random, [0.02, 0.2]);
+        let (mut both, mut wrong) = (false, false);
+        let mut look = random.clone();
+        follow(&scenario, &encoder, 1e-3, &mut look, |at| {
+            both |= at.twin.status() == Status::TwoBranches;
+            wrong |= at.tip_error > 0.01;
+            let (theta, omega) = (at.twin.estimator().track().theta, at.twin.estimator().track().omega);
+            let constants = Constants::new(&scenario.model.geometry, &at.twin.parameters().estimator);
+            assert_eq!(at.twin.estimator().check(&constants, &theta, &omega), Ok(()), "seed {seed} at {} s", at.time);
+        })
+        .expect("a run");
+        assert!(both && wrong, "seed {seed}: no branch was in doubt");
+        assert!(!outcome(&scenario, &encoder, 1e-3, &mut random).lost, "seed {seed}");
+    }
+}
+
 /// Vertices are passed on the machine's branch, exactly and nearly; on the way the estimate is one that can be stored and read back.
 #[test]
 fn vertices_are_passed() {

@@ -133,6 +133,9 @@ def _energy(row: Row) -> str:
     energy = float(row["worst |dE| [mgL]"])
     if row["item"] == "8":
         return "the same bits" if row["verdict"] == "pass" else "different bits"
+    if row["item"] == "10":
+        # A correction puts energy in: nothing is balanced.
+        return "followed"
     return "0" if energy == 0 else f"{energy:.1e}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")
 
 

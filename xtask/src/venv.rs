@@ -25,6 +25,8 @@ pub(crate) enum Packages {
     Full,
     /// And what builds libraries for other machines.
     Platforms,
+    /// And the filters that the estimator is compared with.
+    Filters,
     /// What the comparison with peers needs: large, and in an environment of its own.
     Peers,
 }
@@ -37,13 +39,14 @@ impl Packages {
             Self::Usual => &[USUAL, TWIN, OWN],
             Self::Full => &[USUAL, TWIN, OWN, "xtask/python/requirements-full.txt", APART],
             Self::Platforms => &[USUAL, TWIN, OWN, "xtask/python/requirements-platforms.txt"],
+            Self::Filters => &[USUAL, TWIN, OWN, "xtask/python/requirements-filters.txt"],
             Self::Peers => &["xtask/python/requirements-peers.txt"],
         }
     }
 
     fn folder(self) -> PathBuf {
         match self {
-            Self::Usual | Self::Full | Self::Platforms => paths::in_root("target/venv"),
+            Self::Usual | Self::Full | Self::Platforms | Self::Filters => paths::in_root("target/venv"),
             Self::Peers => paths::in_root("target/venv-peers"),
         }
     }

@@ -5,7 +5,7 @@ use fivebar::variables::Value;
 
 use super::{STEPS, bare};
 use crate::case::Case;
-use crate::scene::{Scene, effects, other_values};
+use crate::scene::{ESTIMATOR, Scene, effects, other_values};
 
 /// The table of scenes in which parameters of effects that are off have other values.
 pub(crate) const OFF: &str = "off";
@@ -27,7 +27,7 @@ pub(super) fn cases() -> Result<Vec<Case>> {
     }
     cases.push(bare("effects", "all together", together, STEPS));
     cases.push(bare(OFF, "as they are", fall()?, STEPS));
-    for effect in effects().filter(|effect| *effect != "gravity") {
+    for effect in effects().filter(|effect| *effect != "gravity").chain([ESTIMATOR]) {
         cases.push(bare(OFF, effect, off(effect)?, STEPS));
     }
     Ok(cases)

@@ -8,7 +8,7 @@ use fivebar::variables::{Method, VARIABLES, Value, VariableId};
 use super::{H, STEPS, bare};
 use crate::case::{Case, Work};
 use crate::host::{Host, reference};
-use crate::scene::Scene;
+use crate::scene::{ESTIMATOR, Scene, other_values};
 
 /// The fall, as values of variables.
 fn fall() -> Result<Vec<(u32, Value)>> {
@@ -21,6 +21,16 @@ fn fall() -> Result<Vec<(u32, Value)>> {
 /// The fall with another value.
 fn fall_with(name: &str, value: Value) -> Result<Vec<(u32, Value)>> {
     Ok([fall()?, vec![(reference(name)?, value)]].concat())
+}
+
+/// Communication steps of the fall, and of it with other values of the estimator, which is off.
+pub(crate) const OFF_CALLS: &str = "off, fmi2DoStep";
+
+/// The fall with other values of the estimator, and samples that nobody uses.
+fn with_other_estimator() -> Result<Vec<(u32, Value)>> {
+    let samples = ["measured.theta[1]", "measured.time[1]"].map(|name| (name, Value::Real(0.0)));
+    let others = other_values(ESTIMATOR).chain(samples).map(|(name, value)| Ok((reference(name)?, value)));
+    fall()?.into_iter().map(Ok).chain(others).collect()
 }
 
 /// Communication steps of one macro step each along the fall; `also` is done after each.
@@ -76,6 +86,8 @@ pub(super) fn cases() -> Result<Vec<Case>> {
             host.write(black_box(&[tau]), black_box(&[torque]));
         }),
         calls("outputs", "none", |_| ()),
+        calls(OFF_CALLS, "as it is", |_| ()),
+        calls_along(OFF_CALLS, ESTIMATOR, with_other_estimator, |_| ()),
     ];
     let outputs = || VARIABLES.iter().filter(|variable| matches!(variable.id, VariableId::RealComputed(_)));
     // Groups by the first part of the name; theta[1] and the like are one of their own.

@@ -9,12 +9,15 @@ use super::{H, STEPS};
 use crate::case::{Case, Work};
 use crate::scene::Scene;
 
+/// The table of machines that are followed.
+pub(crate) const FOLLOWING: &str = "following";
+
 /// Steps of the encoders, rad: 16 bits.
 const QUANTUM: f64 = std::f64::consts::TAU / 65536.0;
 
 /// The fall, followed: `samples` says whether the encoders speak.
 fn followed(name: &'static str, samples: bool) -> Case {
-    Case::new("following", name, STEPS, move || {
+    Case::new(FOLLOWING, name, STEPS, move || {
         let Scene { mut parameters, inputs, .. } = Scene::fall();
         let mut machine = Simulation::new(&parameters, &inputs)?;
         let mut measured = Vec::new();

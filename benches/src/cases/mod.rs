@@ -18,6 +18,8 @@ use crate::case::{Case, Work};
 use crate::scene::Scene;
 
 pub(crate) use effects::{OFF, off};
+pub(crate) use fmi::OFF_CALLS;
+pub(crate) use following::FOLLOWING;
 
 /// Macro step of all cases, s.
 const H: f64 = 1e-3;

@@ -2,6 +2,7 @@
 
 mod bits;
 mod falls;
+mod followed;
 mod hour;
 mod kinks;
 mod postures;
@@ -17,6 +18,7 @@ use rayon::prelude::*;
 
 pub use bits::{bits_row, fingerprint};
 pub use falls::falls_of_seed;
+pub use followed::{followed, followed_count};
 pub use hour::hour;
 
 use crate::report::{Row, Verdict};
@@ -118,7 +120,7 @@ impl Case {
         }
     }
 
-    /// All cases but the last two of the list, which are not made of trials: [`hour`] and [`bits_row`].
+    /// All cases but those of the list that are not judged by trials alone: [`hour`], [`bits_row`] and [`followed()`].
     pub fn all(extent: Extent) -> Vec<Self> {
         [1, 2, 3, 4, 5, 6, 9].into_iter().flat_map(|item| Self::of_item(extent, item)).collect()
     }

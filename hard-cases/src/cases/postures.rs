@@ -35,7 +35,7 @@ fn passing(passes: &'static [usize], mut trials: Vec<Trial>) -> Vec<Trial> {
 }
 
 /// Distal links in line: stretched as in the paper, with and without rates, and lying on each other.
-fn direct(duration: f64) -> Vec<Trial> {
+pub(super) fn direct(duration: f64) -> Vec<Trial> {
     let mut trials = Vec::new();
     for (omega, assembly) in [
         ([0.0, 0.0], Assembly::Plus),
@@ -57,7 +57,7 @@ fn direct(duration: f64) -> Vec<Trial> {
 }
 
 /// A leg stretched, a leg folded, both stretched; passed through with rates.
-fn inverse(duration: f64) -> Vec<Trial> {
+pub(super) fn inverse(duration: f64) -> Vec<Trial> {
     let geometry = default_parameters().geometry;
     let (length, base) = (geometry.links[0].length, geometry.base_distance);
     let mut trials = Vec::new();
@@ -101,7 +101,7 @@ fn inverse(duration: f64) -> Vec<Trial> {
 }
 
 /// Base distance 0 and equal links: legs on each other and rhombi meet in a continuum of singular postures.
-fn coaxial(duration: f64) -> Vec<Trial> {
+pub(super) fn coaxial(duration: f64) -> Vec<Trial> {
     let mut parameters = default_parameters();
     parameters.geometry.base_distance = 0.0;
     let mut trials = Vec::new();

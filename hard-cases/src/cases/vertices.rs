@@ -33,7 +33,7 @@ fn approach(vertex: Vertex, rates: [f64; 4]) -> ([f64; 4], [f64; 4]) {
 
 /// 4 vertices, 20 directions on the cone, 3 rates of the odd link: from the vertex 50 ms back, turned round, 100 ms forward, all by
 /// the same setting. So the vertex is met exactly, but for round-off and what the method is not reversible.
-fn crossings(extent: Extent) -> Case {
+pub(super) fn crossings(extent: Extent) -> Case {
     let directions = extent.pick(20_u32, 2);
     let mut trials = Vec::new();
     for vertex in POSTURES {

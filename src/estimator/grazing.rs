@@ -1,0 +1,135 @@
+//! Behind a direct singularity that is passed slowly or only grazed: whether the machine has crossed it, or has turned back before it.
+//!
+//! The motors do not tell the two assemblies apart, only how the motion goes on does, and slowly. An unknown force explains either, and as
+//! the models of the estimate allow for forces that change, it is not they that can decide. So two motions are followed beside the estimate
+//! on which next to nothing acts that is not known, one in each assembly: the one that tells the samples better is right.
+
+use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::branches::{advance, mirrored, tell};
+use super::track::Track;
+use super::{Constants, Scene};
+
+/// It is left where |sin(θ₃ − θ₂)| is at least this.
+const APART: f64 = 0.1;
+/// Unknown forces on both motions, in those of the estimate.
+const QUIET: f64 = 0.003;
+/// Both are dropped after this time, s,
+const LONGEST: f64 = 5.0;
+/// or where samples speak against the other assembly, and the other takes over where they speak for it: differences of log likelihoods.
+const DECIDED: [f64; 2] = [-30.0, 6.0];
+/// How sure of its side an estimate may be, at the least, for both to be followed; next to the line it errs by more than it thinks,
+const SURE: f64 = -300.0;
+/// and no more than this is believed of it.
+const BELIEVED: f64 = -10.0;
+/// The log likelihood of the other side far from direct singularities.
+const FAR: f64 = -1e3;
+/// Variance of the unknown force of an assembly that takes over, in squared torque scales.
+const UNKNOWN: f64 = 0.04;
+
+/// What is known of the side on which a direct singularity is left.
+#[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+pub(super) struct Grazing {
+    /// The log likelihood of the other side of the singularity that the estimate is passing, at its largest; −∞ far from one.
+    other_side: f64,
+    pair: Option<Pair>,
+}
+
+/// Motions in the assembly of the estimate and in the other.
+#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+struct Pair {
+    tracks: [Track; 2],
+    /// log likelihood of the other less that of the estimate.
+    evidence: f64,
+    /// s.
+    age: f64,
+}
+
+impl Default for Grazing {
+    fn default() -> Self {
+        Self { other_side: FAR, pair: None }
+    }
+}
+
+impl Grazing {
+    /// Whether both assemblies are followed.
+    pub(super) fn is_open(&self) -> bool {
+        self.pair.is_some()
+    }
+
+    pub(super) fn tracks(&self) -> impl Iterator<Item = &Track> {
+        self.pair.iter().flat_map(|pair| &pair.tracks)
+    }
+
+    pub(super) fn is_sound(&self) -> bool {
+        (FAR..=0.0).contains(&self.other_side)
+            && self.pair.is_none_or(|pair| pair.evidence.is_finite() && (0.0..=LONGEST).contains(&pair.age))
+    }
+
+    /// The estimate has gone on by a macro step; `clear`: no vertex is near, and samples come.
+    #[inline(never)]
+    pub(super) fn step(
+        &mut self,
+        constants: &Constants,
+        (track, clear): (&Track, bool),
+        scene: &impl Scene,
+        (h, switch_time): (f64, f64),
+    ) {
+        if !clear {
+            *self = Self::default();
+            return;
+        }
+        let scale = QUIET * constants.torque_scale();
+        if let Some(pair) = &mut self.pair {
+            pair.age += h;
+            let goes_on = pair.age < LONGEST
+                && pair.tracks.iter_mut().all(|track| advance(track, constants, scene, false, (h, switch_time, scale)));
+            if !goes_on {
+                self.pair = None;
+            }
+        }
+        let side = libm::sin(track.theta[2] - track.theta[1]).abs();
+        if side < APART {
+            let odds = track.other_side(&constants.linkage.frame(&track.theta));
+            self.other_side = self.other_side.max(odds).clamp(FAR, 0.0);
+        } else if self.other_side > FAR {
+            let prior = std::mem::replace(&mut self.other_side, FAR);
+            if prior > SURE {
+                self.pair = Pair::new(constants, track, prior.max(BELIEVED));
+            }
+        }
+    }
+
+    /// Samples (angle, noise, age) that the estimate has taken in. The motion that takes over.
+    pub(super) fn correct(&mut self, constants: &Constants, samples: &[Option<(f64, f64, f64)>; 2]) -> Option<Track> {
+        let pair = self.pair.as_mut()?;
+        let told = [0, 1].map(|k| tell(&mut pair.tracks[k], &constants.linkage, samples));
+        let ([Some(own), Some(other)], scale) = (told, constants.torque_scale()) else {
+            self.pair = None;
+            return None;
+        };
+        pair.evidence += other - own;
+        if pair.evidence.is_nan() || pair.evidence <= DECIDED[0] {
+            self.pair = None;
+            return None;
+        }
+        if pair.evidence < DECIDED[1] {
+            return None;
+        }
+        pair.tracks.swap(0, 1);
+        pair.evidence = -pair.evidence;
+        let mut track = pair.tracks[0];
+        track.bank.unsettle_force(UNKNOWN * scale * scale);
+        Some(track)
+    }
+}
+
+impl Pair {
+    #[cold]
+    fn new(constants: &Constants, track: &Track, prior: f64) -> Option<Self> {
+        let other = mirrored(constants, track, [0.0; 2])?;
+        let scale = QUIET * constants.torque_scale();
+        let quiet = |track: &Track| Track { force: [0.0; 4], bank: track.bank.with_force(scale * scale), ..*track };
+        Some(Self { tracks: [quiet(track), quiet(&other)], evidence: prior, age: 0.0 })
+    }
+}
