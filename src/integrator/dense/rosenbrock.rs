@@ -19,7 +19,7 @@ mod tableau;
 use std::marker::PhantomData;
 
 use super::hermite::{self, Knowing};
-use super::trial::{Allowed, Landing, Slope, Trial, fastest, for_each, larger};
+use super::trial::{Allowed, Landing, Slope, Trial, for_each, larger};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{AccelerationTangents, EnergyBalance, Kkt, Passage, State, StepError, System, Work};
@@ -141,7 +141,9 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
     fn prepare<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Shared<N>> {
         let tangents = system.acceleration_tangents(from, settings.regularization)?;
         let size = |columns: &[Vector<N>; N]| columns.iter().map(|column| column.dot(column)).sum::<f64>().sqrt();
-        let fastest = fastest([1.0, size(&tangents.by_v), size(&tangents.by_q)]);
+        // The larger root of ρ² = ρ |C| + |K|: the decay of a damper, the frequency of a spring.
+        let (stiffness, damping) = (size(&tangents.by_q), size(&tangents.by_v));
+        let fastest = 0.5 * (damping + (damping * damping + 4.0 * stiffness).sqrt());
         Some(Shared { tangents, fastest })
     }
 
