@@ -122,10 +122,12 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// q̈ and λ from equilibrium, and the power; at rest exactly in a vertex q̈ is that of the branch of least constraint.
     pub fn balance<S: System<N, M> + Passage<N>>(&mut self, system: &S, regularization: f64) {
-        let (a, lambda) = equilibrium(system, &self.q, &self.v, regularization);
+        let pose = system.pose(&self.q);
+        let (forces, power) = system.forces_and_power(&self.q, &pose, &self.v);
+        let mass = system.factor_mass(&pose, regularization);
+        let (a, lambda) = equilibrium_under(system, &forces, (&self.q, &pose, &self.v), &mass);
         self.a = system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
-        self.lambda = lambda;
-        self.power = power(system, &self.q, &system.pose(&self.q), &self.v);
+        (self.lambda, self.power) = (lambda, power);
     }
 
     /// Counts the determinants that have changed sign.

@@ -5,7 +5,7 @@ use std::borrow::Borrow;
 use super::dop853::Stages;
 use super::events::Border;
 use super::kind::Seen;
-use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
+use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock, Shared};
 use super::trial::{Allowed, Landing, RATE, Slope, Trial};
 use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, Kind, Kinds, Settings};
@@ -61,6 +61,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
         };
+        self.choose_at_start(system, settings, horizon.limit);
         // Where friction may hold, steps are explicit ones of order 8.
         let kind = if system.has_grips() {
             Kind::Eighth
@@ -90,6 +91,20 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
+    /// The kind that a run begins with is chosen by its tangents.
+    #[inline]
+    fn choose_at_start<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        limit: f64,
+    ) {
+        let chooses = settings.kinds == Kinds::Automatic && self.start.counters.substeps == 0 && system.is_steep();
+        if chooses && let Some(shared) = Shared::about(system.on(self.sides).borrow(), settings, &self.start) {
+            self.memory.choice.begin(settings.first_step.min(limit), shared.fastest);
+        }
+    }
+
     /// A step of one kind, as long as the error allows.
     #[inline(never)]
     fn attempt<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
@@ -101,7 +116,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let &Plan { mut h, wanted, longest, near, horizon } = plan;
         let mut on_sides = system.on(self.sides);
         let mut shared = T::prepare(on_sides.borrow(), settings, &self.start);
-        let (mut rejected, mut tries) = (false, 0);
+        // The last try that was rejected: length and error.
+        let mut rejected: Option<[f64; 2]> = None;
+        let mut tries = 0;
         loop {
             let on: &S = on_sides.borrow();
             let Some(prepared) = &shared else { return self.attempt::<Stages<N>, S>(system, settings, plan) };
@@ -138,7 +155,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                     self.dense = trial.dense(on, settings.regularization, [&self.start, &self.end]);
                 }
                 self.end.error_estimate = error * settings.error_tolerance;
-                self.adapt::<T>(error, wanted, rejected);
+                self.adapt::<T>(error, wanted, rejected.is_some());
                 // Friction that sticks leaves no choice: nothing is to be learned from its steps.
                 let chooses = settings.kinds == Kinds::Automatic;
                 if chooses && !system.has_grips() {
@@ -157,11 +174,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
             self.end.counters.rejected += 1;
-            rejected = true;
+            let before = rejected.replace([h, error]).filter(|[_, worst]| worst.is_finite() && error.is_finite());
+            let before = before.map(|[length, worst]| [length / h, worst / error]);
             if h < SHORTEST {
                 return Err(StepError::StepTooShort { substep: h, error: error * settings.error_tolerance });
             }
-            h *= T::CONTROLLER.reduction(error);
+            h *= T::CONTROLLER.reduction(error, before);
         }
     }
 

@@ -78,6 +78,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         accepted: [0.3, 5.0],
         rejected: [0.2, 0.85],
         failed: 0.3,
+        observes: false,
     };
 
     fn prepare<const M: usize>(_: &impl System<N, M>, _: &Settings, _: &State<N, M>) -> Option<()> {
@@ -140,7 +141,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         rate_between([end.q - self.last, end.v - last.q, end.a - last.v])
     }
 
-    fn dense<const M: usize>(&mut self, system: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [Slope<N>; 4] {
-        hermite::coefficients(system, ends, self.h, Knowing::Accelerations)
+    fn dense<const M: usize>(&mut self, _: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [Slope<N>; 4] {
+        hermite::coefficients(ends, self.h, Knowing::Accelerations)
     }
 }
