@@ -35,8 +35,6 @@ struct Plan {
     wanted: f64,
     /// What it may be.
     longest: f64,
-    /// Whether a vertex is near, where the energy is kept.
-    near: bool,
     /// When an output is asked for, and what limits it while inputs are held.
     horizon: Horizon,
 }
@@ -51,9 +49,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         horizon: Horizon,
     ) -> Result<(), StepError> {
         self.begin();
-        let (longest, near) = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
-            Approach::Clear => (horizon.limit, false),
-            Approach::Limited(limits) => (horizon.limit.min(limits.longest), true),
+        let longest = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
+            Approach::Clear => horizon.limit,
+            Approach::Limited(limits) => horizon.limit.min(limits.longest),
             Approach::Passed(transit) => {
                 self.end.pass_through(system, &transit, settings.regularization)?;
                 (self.length, self.straight) = (transit.duration, true);
@@ -82,7 +80,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.end.counters.substeps += 1;
             return Ok(());
         }
-        let plan = Plan { h, wanted, longest, near, horizon };
+        let plan = Plan { h, wanted, longest, horizon };
         match kind {
             Kind::Fifth => self.attempt::<Tsit5<N>, S>(system, settings, &plan),
             Kind::Eighth => self.attempt::<Stages<N>, S>(system, settings, &plan),
@@ -113,7 +111,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         plan: &Plan,
     ) -> Result<(), StepError> {
-        let &Plan { mut h, wanted, longest, near, horizon } = plan;
+        let &Plan { mut h, wanted, longest, horizon } = plan;
         let mut on_sides = system.on(self.sides);
         let mut shared = T::prepare(on_sides.borrow(), settings, &self.start);
         // The last try that was rejected: length and error.
@@ -122,9 +120,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         loop {
             let on: &S = on_sides.borrow();
             let Some(prepared) = &shared else { return self.attempt::<Stages<N>, S>(system, settings, plan) };
-            let kept = if near { on.energy_to_keep(&self.start.q, &self.start.v) } else { None };
+            let kept = self.kept(on, h);
             let mut trial = T::new(on, prepared, settings.regularization, &self.start, h);
-            let (error, landing) = trial.land(on, settings, &settings.allowed_of(on), kept.map(|energy| (energy, h)));
+            let (error, landing) = trial.land(on, settings, &settings.allowed_of(on), kept);
             if let Ok(landing) = landing {
                 self.accept(landing, h, T::KIND);
                 if system.has_kinks() {
@@ -181,6 +179,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
             h *= T::CONTROLLER.reduction(error, before);
         }
+    }
+
+    /// The energy that a step of h seconds keeps: one made once more keeps the same.
+    #[inline]
+    pub(super) fn kept<S: Passage<N>>(&self, system: &S, h: f64) -> Option<(EnergyBalance, f64)> {
+        system.energy_to_keep(&self.start.q, &self.start.v).map(|energy| (energy, h))
     }
 
     /// Time has passed the end of the step.
