@@ -6,17 +6,18 @@ use crate::vector::Vector;
 /// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇.
 ///
 /// With e = 1/(κ m̄) in the place of 0 the solution is unique also where Φ_q loses rank: the multipliers are then those of minimum norm.
+#[inline(never)]
 pub fn equilibrium<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     q: &Vector<N>,
     v: &Vector<N>,
     regularization: f64,
 ) -> (Vector<N>, Vector<M>) {
-    let (a, lambda, _) = equilibrium_with_power(system, q, v, regularization);
-    (a, lambda)
+    let pose = system.pose(q);
+    equilibrium_at(system, q, &pose, v, &system.factor_mass(&pose, regularization))
 }
 
-/// The same, with the power of the forces. One piece of code for all that are not steps.
+/// The same, with the power of the forces.
 #[inline(never)]
 pub(super) fn equilibrium_with_power<const N: usize, const M: usize>(
     system: &impl System<N, M>,

@@ -35,6 +35,8 @@ struct Plan {
     wanted: f64,
     /// What it may be.
     longest: f64,
+    /// Whether a vertex is near, where energy may have to be kept.
+    near: bool,
     /// When an output is asked for, and what limits it while inputs are held.
     horizon: Horizon,
 }
@@ -49,6 +51,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         horizon: Horizon,
     ) -> Result<(), StepError> {
         self.begin();
+        let near = system.is_near_vertex(&self.start.q);
         let longest = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
             Approach::Clear => horizon.limit,
             Approach::Limited(limits) => horizon.limit.min(limits.longest),
@@ -80,7 +83,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.end.counters.substeps += 1;
             return Ok(());
         }
-        let plan = Plan { h, wanted, longest, horizon };
+        let plan = Plan { h, wanted, longest, near, horizon };
         match kind {
             Kind::Fifth => self.attempt::<Tsit5<N>, S>(system, settings, &plan),
             Kind::Eighth => self.attempt::<Stages<N>, S>(system, settings, &plan),
@@ -111,7 +114,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         plan: &Plan,
     ) -> Result<(), StepError> {
-        let &Plan { mut h, wanted, longest, horizon } = plan;
+        let &Plan { mut h, wanted, longest, near, horizon } = plan;
         let mut on_sides = system.on(self.sides);
         let mut shared = T::prepare(on_sides.borrow(), settings, &self.start);
         // The last try that was rejected: length and error.
@@ -120,7 +123,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         loop {
             let on: &S = on_sides.borrow();
             let Some(prepared) = &shared else { return self.attempt::<Stages<N>, S>(system, settings, plan) };
-            let kept = self.kept(on, h);
+            let kept = if near { self.kept(on, h) } else { None };
             let mut trial = T::new(on, prepared, settings.regularization, &self.start, h);
             let (error, landing) = trial.land(on, settings, &settings.allowed_of(on), kept);
             if let Ok(landing) = landing {
