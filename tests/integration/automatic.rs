@@ -227,3 +227,26 @@ fn switching_loses_no_digit() {
         assert!(free < 2 * as_many, "{tolerance:e}: {free} free steps, {as_many} by dop853");
     }
 }
+
+/// A machine that friction brings to rest stays there at no price, however steep its law is against the tolerance on rates.
+#[test]
+fn rest_under_steep_friction_takes_no_steps() {
+    for (breakaway_velocity, tolerance) in [(1e-2, 1e-4), (1e-4, 1e-4), (1e-5, 1e-4), (1e-5, 1e-6), (1e-5, 3e-9)] {
+        let mut parameters = automatic(fall_90_120(Method::Automatic), tolerance);
+        enable(&mut parameters, "friction");
+        let friction = &mut parameters.effects.friction;
+        friction.breakaway_velocity = breakaway_velocity;
+        let torque = [0.06, 0.06, 2e-3, 2e-3, 0.06];
+        (friction.coulomb, friction.breakaway) = (torque, torque);
+        parameters.start.omega = [3.0, 0.0];
+        let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
+        run(&mut simulation, &default_inputs(), 1e-3, 1.0);
+        let come = counters(&simulation);
+        run(&mut simulation, &default_inputs(), 1e-3, 2.0);
+        let rest = counters(&simulation);
+        // It creeps at a part of the breakaway velocity.
+        assert!(simulation.state().core.v.max_norm() < breakaway_velocity, "{breakaway_velocity:e}, {tolerance:e}");
+        assert!(come.substeps < 3000, "{breakaway_velocity:e}, {tolerance:e}: {come:?}");
+        assert!(rest.substeps - come.substeps < 5, "{breakaway_velocity:e}, {tolerance:e}: {come:?}, {rest:?}");
+    }
+}

@@ -40,7 +40,8 @@ const RECONSIDERED: f64 = 1.05;
 const STABILITY_LIMIT: f64 = 2.5;
 /// So many steps at the border are no accident, after as many changes back and forth as have been counted; doubled by each.
 const AT_BORDER: u8 = 3;
-/// The same for implicit steps that explicit ones could have made.
+/// The same for implicit steps in a row that explicit ones could have made: friction in saturation has no tangents, and by three steps that
+/// find it there nothing ever comes to rest.
 const WITHIN_BORDER: u8 = 3;
 /// Most doublings.
 const MOST_RETURNS: u8 = 5;
@@ -149,7 +150,7 @@ impl Choice {
         }
         let could_be_explicit = seen.wanted.min(seen.limit) * rate < self.border;
         self.against = if could_be_explicit { self.against + 1 } else { 0 };
-        if self.against >= WITHIN_BORDER {
+        if self.against >= WITHIN_BORDER << self.returns {
             *self = Self { returns: (self.returns + 1).min(MOST_RETURNS), fifth: self.fifth, ..Self::NEW };
         }
     }
@@ -159,7 +160,7 @@ impl Choice {
         if kinds != Kinds::Automatic {
             return *self == Self::NEW;
         }
-        let most = if self.stiff { WITHIN_BORDER } else { AT_BORDER << self.returns.min(MOST_RETURNS) };
+        let most = if self.stiff { WITHIN_BORDER } else { AT_BORDER } << self.returns.min(MOST_RETURNS);
         let [least, largest] = BORDERS;
         let border = match self.stiff {
             true => self.border.is_finite() && (self.border < 0.0 || (least..=largest).contains(&self.border)),
