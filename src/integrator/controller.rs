@@ -22,8 +22,6 @@ pub(super) struct StepSizeController {
     pub(super) rejected: [f64; 2],
     /// The change after a step that failed altogether.
     pub(super) failed: f64,
-    /// Whether a second rejection in a row goes by how the error has fallen since the first, and not by the order alone.
-    pub(super) observes: bool,
 }
 
 impl StepSizeController {
@@ -34,17 +32,19 @@ impl StepSizeController {
         change.clamp(self.accepted[0], self.accepted[1])
     }
 
-    /// The same after one that was rejected; its error is NaN where it failed. If another was rejected just before it, `before` says how
-    /// many times longer and worse that was: with stiff forces errors fall more slowly with the step than the order promises, and by the
-    /// order alone a third and a fourth rejection would follow.
-    pub(super) fn reduction(&self, error: f64, before: Option<[f64; 2]>) -> f64 {
+    /// The same after one that was rejected; its error is NaN where it failed.
+    pub(super) fn reduction(&self, error: f64) -> f64 {
+        self.reduction_after(error, None)
+    }
+
+    /// The same if another may have been rejected just before it, so many times longer and worse: with stiff forces errors fall more slowly
+    /// with the step than the order promises, and by the order alone a third and a fourth rejection would follow.
+    pub(super) fn reduction_after(&self, error: f64, before: Option<[f64; 2]>) -> f64 {
         if error.is_nan() {
             return self.failed;
         }
         let exponent = match before {
-            Some([longer, worse]) if self.observes && worse > 1.0 => {
-                (libm::log(longer) / libm::log(worse)).clamp(self.exponent, 1.0)
-            }
+            Some([longer, worse]) if worse > 1.0 => (libm::log(longer) / libm::log(worse)).clamp(self.exponent, 1.0),
             _ => self.exponent,
         };
         (SAFETY * libm::exp(-exponent * libm::log(error))).clamp(self.rejected[0], self.rejected[1])

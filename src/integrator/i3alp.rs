@@ -54,14 +54,8 @@ const SHORTEST_FOR_NEWTON: f64 = 1e-12;
 /// Where forces change steeply, a rate may be off by what an angle may, times this and its own magnitude, 1/s.
 const RATE: f64 = 100.0;
 /// The local error is of third order.
-const CONTROLLER: StepSizeController = StepSizeController {
-    exponent: 1.0 / 3.0,
-    memory: 0.0,
-    accepted: [0.5, 2.0],
-    rejected: [0.1, 0.7],
-    failed: 0.35,
-    observes: false,
-};
+const CONTROLLER: StepSizeController =
+    StepSizeController { exponent: 1.0 / 3.0, memory: 0.0, accepted: [0.5, 2.0], rejected: [0.1, 0.7], failed: 0.35 };
 
 /// One macro step of h seconds, from the sides on which the grips of dry friction are: in one step, or in sub-steps. On failure state and
 /// sides are undefined: the caller keeps a copy.
@@ -143,7 +137,7 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
             }
             _ => {
                 search = Search::NONE;
-                state.substep = h * CONTROLLER.reduction(error / tolerance, None);
+                state.substep = h * CONTROLLER.reduction(error / tolerance);
                 state.counters.rejected += 1;
             }
         }

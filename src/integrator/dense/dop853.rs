@@ -114,7 +114,6 @@ impl<const N: usize> Trial<N> for Stages<N> {
         accepted: [0.3, 3.0],
         rejected: [0.3, 0.85],
         failed: 0.3,
-        observes: false,
     };
 
     fn prepare<const M: usize>(_: &impl System<N, M>, _: &Settings, _: &State<N, M>) -> Option<()> {

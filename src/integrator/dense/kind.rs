@@ -19,6 +19,13 @@ pub enum Kind {
     StiffFifth,
 }
 
+impl Kind {
+    /// Whether its steps are linearly implicit.
+    pub(super) const fn is_implicit(self) -> bool {
+        matches!(self, Self::StiffFourth | Self::StiffFifth)
+    }
+}
+
 /// Which kinds are made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kinds {

@@ -148,7 +148,6 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         accepted: [0.2, 5.0],
         rejected: [0.1, 0.85],
         failed: 0.2,
-        observes: true,
     };
 
     fn prepare<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Shared<N>> {

@@ -175,12 +175,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
             self.end.counters.rejected += 1;
-            let before = rejected.replace([h, error]).filter(|[_, worst]| worst.is_finite() && error.is_finite());
+            let before = rejected.replace([h, error]);
+            let before = before.filter(|[_, worst]| T::KIND.is_implicit() && worst.is_finite() && error > 1.0);
             let before = before.map(|[length, worst]| [length / h, worst / error]);
             if h < SHORTEST {
                 return Err(StepError::StepTooShort { substep: h, error: error * settings.error_tolerance });
             }
-            h *= T::CONTROLLER.reduction(error, before);
+            h *= T::CONTROLLER.reduction_after(error, before);
         }
     }
 

@@ -78,7 +78,6 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         accepted: [0.3, 5.0],
         rejected: [0.2, 0.85],
         failed: 0.3,
-        observes: false,
     };
 
     fn prepare<const M: usize>(_: &impl System<N, M>, _: &Settings, _: &State<N, M>) -> Option<()> {
