@@ -34,10 +34,20 @@ impl StepSizeController {
 
     /// The same after one that was rejected; its error is NaN where it failed.
     pub(super) fn reduction(&self, error: f64) -> f64 {
+        self.reduction_after(error, None)
+    }
+
+    /// The same if another may have been rejected just before it, so many times longer and worse: with stiff forces errors fall more slowly
+    /// with the step than the order promises, and by the order alone a third and a fourth rejection would follow.
+    pub(super) fn reduction_after(&self, error: f64, before: Option<[f64; 2]>) -> f64 {
         if error.is_nan() {
             return self.failed;
         }
-        (SAFETY * libm::exp(-self.exponent * libm::log(error))).clamp(self.rejected[0], self.rejected[1])
+        let exponent = match before {
+            Some([longer, worse]) if worse > 1.0 => (libm::log(longer) / libm::log(worse)).clamp(self.exponent, 1.0),
+            _ => self.exponent,
+        };
+        (SAFETY * libm::exp(-exponent * libm::log(error))).clamp(self.rejected[0], self.rejected[1])
     }
 }
 

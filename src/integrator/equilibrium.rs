@@ -1,6 +1,6 @@
 //! q̈ and λ that belong to q, q̇ and the forces.
 
-use super::{Kkt, System};
+use super::{Kkt, System, Work};
 use crate::vector::Vector;
 
 /// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇.
@@ -15,6 +15,20 @@ pub fn equilibrium<const N: usize, const M: usize>(
 ) -> (Vector<N>, Vector<M>) {
     let pose = system.pose(q);
     equilibrium_at(system, q, &pose, v, &system.factor_mass(&pose, regularization))
+}
+
+/// The same, with the power of the forces.
+#[inline(never)]
+pub(super) fn equilibrium_with_power<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    q: &Vector<N>,
+    v: &Vector<N>,
+    regularization: f64,
+) -> (Vector<N>, Vector<M>, Work) {
+    let pose = system.pose(q);
+    let (forces, power) = system.forces_and_power(q, &pose, v);
+    let (a, lambda) = equilibrium_under(system, &forces, (q, &pose, v), &system.factor_mass(&pose, regularization));
+    (a, lambda, power)
 }
 
 /// The same with pose and factor at hand.

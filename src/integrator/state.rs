@@ -2,7 +2,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::equilibrium::{equilibrium, equilibrium_under};
+use super::equilibrium::{equilibrium_under, equilibrium_with_power};
 use super::{Passage, StepError, System, Work};
 use crate::vector::Vector;
 
@@ -122,10 +122,9 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// q̈ and λ from equilibrium, and the power; at rest exactly in a vertex q̈ is that of the branch of least constraint.
     pub fn balance<S: System<N, M> + Passage<N>>(&mut self, system: &S, regularization: f64) {
-        let (a, lambda) = equilibrium(system, &self.q, &self.v, regularization);
+        let (a, lambda, power) = equilibrium_with_power(system, &self.q, &self.v, regularization);
         self.a = system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
-        self.lambda = lambda;
-        self.power = power(system, &self.q, &system.pose(&self.q), &self.v);
+        (self.lambda, self.power) = (lambda, power);
     }
 
     /// Counts the determinants that have changed sign.
@@ -175,8 +174,8 @@ impl<const N: usize, const M: usize> Arrival<N, M> {
 
     /// The same for what happens rarely, without code of its own.
     pub(super) fn out_of_line<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], regularization: f64) -> Self {
-        let (a, lambda) = equilibrium(system, &q, &v, regularization);
-        Self::new(system, [q, v, a], &system.pose(&q), lambda)
+        let (a, lambda, power) = equilibrium_with_power(system, &q, &v, regularization);
+        Self { q, v, a, lambda, power, modes: system.modes(&system.pose(&q)) }
     }
 
     /// Refuses what is not finite.

@@ -95,6 +95,7 @@ impl Passage<ANGLES> for ByAngles<'_> {
         (!self.can_project(q)).then(|| self.energy_balance(q, v))
     }
 
+    #[inline]
     fn is_near_vertex(&self, q: &Angles) -> bool {
         self.offset(q).is_some()
     }

@@ -194,3 +194,60 @@ fn a_copy_goes_on_to_the_same_bits() {
     }
     assert_eq!(default_parameters().settings.method, Method::I3alp, "what the unit starts with");
 }
+
+/// From a clamp to a free fall and back, three times: implicit steps there, explicit ones here, and an error like that of the explicit
+/// method, whose steps are of one kind throughout.
+#[test]
+fn switching_loses_no_digit() {
+    let end = |method: Method, tolerance: f64| {
+        let (parameters, inputs) = clamped();
+        let mut parameters = automatic(parameters, tolerance);
+        parameters.settings.method = method;
+        let held = parameters.effects.clone();
+        let mut free = held.clone();
+        (free.servo.kp, free.servo.kd) = ([0.0; 2], [0.0; 2]);
+        let mut simulation = Simulation::new(&parameters, &inputs).expect("scene");
+        let mut substeps = [0; 2];
+        for phase in 0..6 {
+            simulation.tune(if phase % 2 == 0 { &held } else { &free }).expect("what may be tuned");
+            let before = counters(&simulation).substeps;
+            run(&mut simulation, &inputs, 1e-3, [0.2, 0.05][phase % 2]);
+            substeps[phase % 2] += counters(&simulation).substeps - before;
+        }
+        (simulation.state().core.q, substeps)
+    };
+    let exact = end(Method::Dop853, 1e-13).0;
+    for tolerance in [1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10] {
+        let [(own, [few, free]), (explicit, [many, as_many])] =
+            [Method::Automatic, Method::Dop853].map(|method| end(method, tolerance));
+        let errors = [own, explicit].map(|q| angle_error(&q, &exact));
+        // Both are below 0.2 tolerances: the clamp forgets what was before it.
+        assert!(errors[0] < tolerance, "{tolerance:e}: {errors:?} rad");
+        assert!(few < many, "{tolerance:e}: {few} steps in the clamp, {many} by dop853");
+        assert!(free < 3 * as_many, "{tolerance:e}: {free} free steps, {as_many} by dop853");
+    }
+}
+
+/// A machine that friction brings to rest stays there at no price, also where its law is ten times as steep as the tolerance on rates
+/// can tell; dop853 takes 40,000 steps and more a second.
+#[test]
+fn rest_under_steep_friction_takes_no_steps() {
+    for (breakaway_velocity, tolerance) in [(1e-2, 1e-4), (1e-4, 1e-4), (1e-5, 1e-6), (1e-5, 3e-9)] {
+        let mut parameters = automatic(fall_90_120(Method::Automatic), tolerance);
+        enable(&mut parameters, "friction");
+        let friction = &mut parameters.effects.friction;
+        friction.breakaway_velocity = breakaway_velocity;
+        let torque = [0.06, 0.06, 2e-3, 2e-3, 0.06];
+        (friction.coulomb, friction.breakaway) = (torque, torque);
+        parameters.start.omega = [3.0, 0.0];
+        let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
+        run(&mut simulation, &default_inputs(), 1e-3, 1.0);
+        let come = counters(&simulation);
+        run(&mut simulation, &default_inputs(), 1e-3, 2.0);
+        let rest = counters(&simulation);
+        // It creeps at a part of the breakaway velocity.
+        assert!(simulation.state().core.v.max_norm() < breakaway_velocity, "{breakaway_velocity:e}, {tolerance:e}");
+        assert!(come.substeps < 5000, "{breakaway_velocity:e}, {tolerance:e}: {come:?}");
+        assert!(rest.substeps - come.substeps < 5, "{breakaway_velocity:e}, {tolerance:e}: {come:?}, {rest:?}");
+    }
+}

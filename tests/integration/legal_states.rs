@@ -277,6 +277,33 @@ fn states_in_and_near_vertices_are_read_back() {
     }
 }
 
+/// Within 1e-5 rad of a vertex on a ray that a steep spring lets nothing follow: no straight way, and still the energy is kept.
+#[test]
+fn states_next_to_a_vertex_under_steep_springs_are_read_back() {
+    for (method, adaptive) in [(Method::Dop853, true), (Method::Automatic, true)] {
+        for ([theta, omega], stiffness, aside, rate) in vertices().flat_map(|vertex| {
+            let cases = [1e3, 1e6].into_iter().flat_map(|k| [1e-7, 1e-6, 5e-6].map(|aside| (k, aside)));
+            cases.flat_map(move |(k, aside)| [1e-3, 0.1, 3.0].map(|rate| (vertex, k, aside, rate)))
+        }) {
+            let mut parameters = default_parameters();
+            (parameters.settings.method, parameters.settings.adaptive) = (method, adaptive);
+            enable(&mut parameters, "spring");
+            parameters.effects.spring.k = [stiffness; 2];
+            parameters.effects.spring.theta0 = [theta[0], theta[3]];
+            let omega = omega.map(|omega| omega * rate);
+            let theta: [f64; 4] = std::array::from_fn(|i| theta[i] + aside * omega[i] / rate);
+            let name = format!("{method:?}, {theta:?}, {omega:?}, {stiffness:e} N.m/rad, {aside:e} rad");
+            let start = Simulation::at(&parameters, &default_inputs(), theta, omega).expect("on the cone, to 3e-11 of its size");
+            let mut twins = Twins::new(name, start);
+            for _ in 0..20 {
+                if !twins.advance(&default_inputs(), 1e-7, 1) {
+                    break;
+                }
+            }
+        }
+    }
+}
+
 /// Links that spin: whole turns move from the angles to their counters, also in the middle of a step.
 #[test]
 fn states_with_many_turns_are_read_back() {

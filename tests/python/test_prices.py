@@ -24,3 +24,18 @@ def test_prices(fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caps
     assert bare["us_per_substep"] == bare["bare_us_per_substep"]
     assert float(damped["substeps_per_step"]) >= 1.0 and float(damped["bare_us_per_step"]) > 0.0
     assert "| `damped` | viscous |" in capsys.readouterr().out
+
+
+def test_prices_by_one_method(fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(prices, "REPEATS", 1)
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    write(folder / "fall.json", made_scene({"init.theta[2]": 2.0944}, 0.2))
+    command = ["--fmu", str(fmu), "--scenes", str(folder), "--out", str(tmp_path / "prices.csv"), "--method"]
+    assert prices.main([*command, "automatic"]) == 0
+    with (tmp_path / "prices.csv").open(encoding="utf-8") as file:
+        [row] = csv.DictReader(file)
+    # Steps past communication points; the default method makes one and more per ms.
+    assert float(row["substeps_per_step"]) < 0.5
+    with pytest.raises(SystemExit, match="solver.method has no item newton, but i3alp, "):
+        prices.main([*command, "newton"])

@@ -123,6 +123,18 @@ def test_the_cheapest_that_is_good_enough() -> None:
     assert not picks.pick(found, reference, 2e-9).resolved
 
 
+def test_what_a_choice_of_its_own_costs() -> None:
+    reference = Reference("fall", "whipping", 1e-9, "")
+    found = [marker("automatic", 1e-7, 5.0), marker("dop853", 1e-8, 3.0), marker("rk4", 1e-3, 2.0)]
+    assert picks.by_itself(found, reference, 1e-2) == 2.5
+    assert picks.by_itself(found, reference, 1e-6) == 5.0 / 3.0
+    # Nothing of its own gets there; no fixed method does; the reference cannot tell.
+    assert picks.by_itself(found, reference, 1e-8) is picks.by_itself(found[:1], reference, 1e-6) is None
+    assert picks.by_itself(found, reference, 2e-9) is None
+    head, [row] = picks.ratio_table([*found, marker("automatic", 1e-3, 2.1)], [reference, Reference("other", "whipping", 1e-9, "")])
+    assert len(head) == len(row) and row[:4] == ["fall", "1.05", "1.05", "**1.67**"]
+
+
 def test_sentences_name_a_method_for_every_stretch() -> None:
     found = [marker("i3alp, fixed step", 1e-3, 0.2), marker("dop853", 1e-8, 3.0)]
     [(kind, sentence)] = picks.sentences(found, [Reference("fall", "whipping", 1e-15, "")])
@@ -199,9 +211,13 @@ def test_docs_are_rewritten_between_their_marks(tmp_path: Path, content: str) ->
     (tmp_path / "docs").mkdir()
     for name in docs.FILES:
         (tmp_path / name).write_text(f"before\n{docs.BEGIN}\n{content}{docs.END}\nafter\n", encoding="utf-8")
-    table = ["| a |", "| --- |", "| 1 |"]
+    begin, end = docs.RATIOS
+    (tmp_path / "docs/automatic.md").write_text(f"before\n{begin}\n{content}{end}\nafter\n", encoding="utf-8")
+    table, ratios = ["| a |", "| --- |", "| 1 |"], ["| b |", "| --- |", "| 2 |"]
     for _ in range(2):
-        docs.update(tmp_path, table, ABOUT)
+        docs.update(tmp_path, table, ratios, ABOUT)
+        own = (tmp_path / "docs/automatic.md").read_text(encoding="utf-8")
+        assert own == "\n".join(["before", begin, *ratios, "", f"Measured on: {ABOUT}", end, "after", ""])
         for name, picture in docs.FILES.items():
             text = (tmp_path / name).read_text(encoding="utf-8")
             assert text.startswith("before\n") and text.endswith("\nafter\n") and "old" not in text

@@ -15,7 +15,7 @@ import fmpy
 from fmpy.model_description import ModelDescription
 
 from drive import Progress, Run, drive
-from scene import Scene, Variant, read
+from scene import Scene, Values, Variant, read
 
 STEP = 0.02
 """Communication step, s: 20 macro steps share one call, so that the call itself, some microseconds in Python, does not count."""
@@ -46,12 +46,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="What the effects of each scene cost against the bare mechanism.")
     parser.add_argument("--fmu", type=Path, required=True, help="the packed .fmu")
     parser.add_argument("--scenes", type=Path, required=True, help="the folder target/scenes/")
+    parser.add_argument("--method", help="an item of solver.method for all scenes; without it what each says")
     parser.add_argument("--out", type=Path, required=True, help="the CSV file to write")
     options = parser.parse_args(arguments)
     directory = fmpy.extract(str(options.fmu))
     try:
         model = fmpy.read_model_description(directory, validate=False)
-        prices = [_price(model, directory, read(path)) for path in sorted(options.scenes.glob("*.json"))]
+        method = {"solver.method": _number(model, options.method)} if options.method else {}
+        prices = [_price(model, directory, read(path), method) for path in sorted(options.scenes.glob("*.json"))]
     finally:
         shutil.rmtree(directory, ignore_errors=True)
     options.out.parent.mkdir(parents=True, exist_ok=True)
@@ -77,9 +79,18 @@ def table(prices: list[Price]) -> str:
     return "\n".join(lines)
 
 
-def _price(model: ModelDescription, directory: str, scene: Scene) -> Price:
+def _number(model: ModelDescription, method: str) -> int:
+    """Of an item of solver.method."""
+    [variable] = [v for v in model.modelVariables if v.name == "solver.method"]
+    items = {item.name: int(item.value) for item in variable.declaredType.items}
+    if method not in items:
+        raise SystemExit(f"solver.method has no item {method}, but {', '.join(items)}")
+    return items[method]
+
+
+def _price(model: ModelDescription, directory: str, scene: Scene, method: Values) -> Price:
     scene = scene.coarser(STEP)
-    own = scene.variants[0]
+    own = Variant(scene.variants[0].label, scene.variants[0].values | method)
     switches = {v.name: v.start == "true" for v in model.modelVariables if v.name.endswith(".enabled")}
     active = [name for name, start in switches.items() if own.values.get(name, start)]
     off = {name: False for name in active if name != "gravity.enabled"}

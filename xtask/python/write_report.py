@@ -65,14 +65,16 @@ def write(path: Path, m: Measurements, curves: dict[str, dict[str, np.ndarray]])
 
 
 def update_docs(m: Measurements) -> None:
-    """The picture and the short table, where readers meet them first."""
+    """The picture and the short table, where readers meet them first, and the ratios."""
     found, judged = markers(m.precision), references(m.references)
     figure = figures.main_picture(found, judged)
     drawing = io.StringIO()
     figure.savefig(drawing, format="svg", metadata={"Date": None})
     plt.close(figure)
     (ROOT / "docs/images/accuracy.svg").write_text(page.compact(drawing.getvalue()), encoding="utf-8", newline="\n")
-    docs.update(ROOT, picks.short_table(found, judged), m.precision.about)
+    head, rows = picks.ratio_table(found, judged)
+    ratios = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1), *("| " + " | ".join(row) + " |" for row in rows)]
+    docs.update(ROOT, picks.short_table(found, judged), ratios, m.precision.about)
 
 
 def keep_beside(table: Table, data: Path) -> None:

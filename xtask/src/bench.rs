@@ -1,6 +1,8 @@
-//! `cargo xtask bench`: times and instructions, and the falls of the battery; tables under `target/bench/`. With `--check` the
+//! `cargo xtask bench`: times and instructions, the falls of the battery, predictions through FMPy; tables under `target/bench/`. With `--check` the
 //! instructions that CI checks.
 
+use crate::package::{self, Scope};
+use crate::venv::{self, Packages};
 use crate::{hard_cases, paths, process};
 use anyhow::Result;
 use std::process::Command;
@@ -17,7 +19,13 @@ pub(crate) fn bench(quick: bool) -> Result<()> {
         }
         process::run(&mut program)?;
     }
-    Ok(())
+    let mut look_ahead = venv::python(Packages::Usual)?;
+    look_ahead.arg("xtask/python/look_ahead.py").arg("--fmu").arg(package::package(Scope::Here)?);
+    look_ahead.arg("--out").arg(paths::in_root("target/bench/look-ahead.csv"));
+    if quick {
+        look_ahead.arg("--quick");
+    }
+    process::run(&mut look_ahead)
 }
 
 /// Instructions against their ceilings, and that what is off costs nothing.

@@ -100,7 +100,11 @@ enum Command {
         check: bool,
     },
     /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
-    Prices,
+    Prices {
+        /// An item of solver.method, for all scenes [default: what each says]
+        #[arg(long, value_name = "NAME")]
+        method: Option<String>,
+    },
     /// Draw stick and slip, a bounce and a hold for docs/effects.md, write docs/images/kinks.svg
     Kinks,
     /// Build the library and pack it as target/fmu/FiveBar.fmu, verified after packing
@@ -144,7 +148,7 @@ fn command(command: Command) -> Result<()> {
         Command::Peers { only } => peers::peers(&only),
         Command::Bench { check: true, .. } => bench::check(),
         Command::Bench { quick, .. } => bench::bench(quick),
-        Command::Prices => prices::prices(),
+        Command::Prices { method } => prices::prices(method.as_deref()),
         Command::Kinks => kinks::kinks(),
         Command::Package { scene, name, all_platforms } => {
             let scope = if all_platforms { Scope::All } else { Scope::Here };

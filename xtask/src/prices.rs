@@ -6,16 +6,13 @@ use crate::{paths, process};
 use anyhow::Result;
 
 /// Packs the unit and measures every scene with its effects and without; the table goes to `target/run/prices.csv`.
-pub(crate) fn prices() -> Result<()> {
+pub(crate) fn prices(method: Option<&str>) -> Result<()> {
     let fmu = package::package(Scope::Here)?;
-    process::run(
-        venv::python(Packages::Usual)?
-            .arg("xtask/python/prices.py")
-            .arg("--fmu")
-            .arg(fmu)
-            .arg("--scenes")
-            .arg(paths::resolved_scenes())
-            .arg("--out")
-            .arg(paths::in_root("target/run/prices.csv")),
-    )
+    let mut python = venv::python(Packages::Usual)?;
+    python.arg("xtask/python/prices.py").arg("--fmu").arg(fmu).arg("--scenes").arg(paths::resolved_scenes());
+    python.arg("--out").arg(paths::in_root("target/run/prices.csv"));
+    if let Some(method) = method {
+        python.args(["--method", method]);
+    }
+    process::run(&mut python)
 }

@@ -96,8 +96,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Result<bool, StepError> {
         let Some(shared) = T::prepare(system, settings, &self.start) else { return Ok(false) };
         let mut trial = T::new(system, &shared, settings.regularization, &self.start, self.length);
-        let kept = system.energy_to_keep(&self.start.q, &self.start.v).map(|energy| (energy, self.length));
-        let landing = trial.land(system, settings, &settings.allowed_of(system), kept).1?;
+        let landing = trial.land(system, settings, &settings.allowed_of(system), self.kept(system, self.length)).1?;
         let mut end = self.start;
         end.arrive(landing.arrival);
         end.work += landing.work;

@@ -21,7 +21,6 @@ pub(super) enum Knowing<const N: usize> {
 /// The coefficients of [`Interpolant`] beyond the cubic ones.
 #[inline(never)]
 pub(super) fn coefficients<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
     [from, to]: [&State<N, M>; 2],
     h: f64,
     knowing: Knowing<N>,
@@ -45,20 +44,18 @@ pub(super) fn coefficients<const N: usize, const M: usize>(
     };
     let mut dense = [Slope::NONE; 4];
     (dense[0].q, dense[1].q) = (fourth, fifth);
-    if system.follows_work() {
-        dense[0].power = follow_work(system, [from, to], h, &dense);
-    }
     dense
 }
 
-/// The coefficient of the work.
-fn follow_work<const N: usize, const M: usize>(
+/// The first higher coefficient of the work between states h seconds apart, with the interpolant of the coordinates: it takes the power at
+/// two places, which is why it is not asked for before the work is.
+#[cold]
+pub(super) fn of_work<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     [from, to]: [&State<N, M>; 2],
     h: f64,
-    dense: &[Slope<N>; 4],
+    positions: &Interpolant<N>,
 ) -> Work {
-    let positions = Interpolant::new([from.q, to.q], [h * from.v, h * to.v], dense.map(|slope| slope.q));
     let both = |work: &Work| Vector::from([work.input, work.dissipated]);
     let rates = [&from.power, &to.power].map(|power| h * both(power));
     let cubic = Interpolant::new([&from.work, &to.work].map(both), rates, [Vector::ZERO; 4]);

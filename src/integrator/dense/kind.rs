@@ -19,6 +19,13 @@ pub enum Kind {
     StiffFifth,
 }
 
+impl Kind {
+    /// Whether its steps are linearly implicit.
+    pub(super) const fn is_implicit(self) -> bool {
+        matches!(self, Self::StiffFourth | Self::StiffFifth)
+    }
+}
+
 /// Which kinds are made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kinds {
@@ -40,12 +47,15 @@ const RECONSIDERED: f64 = 1.05;
 const STABILITY_LIMIT: f64 = 2.5;
 /// So many steps at the border are no accident, after as many changes back and forth as have been counted; doubled by each.
 const AT_BORDER: u8 = 3;
-/// The same for implicit steps that explicit ones could have made.
+/// The same for implicit steps in a row that explicit ones could have made: friction in saturation has no tangents, and by three steps that
+/// find it there nothing ever comes to rest.
 const WITHIN_BORDER: u8 = 3;
 /// Most doublings.
 const MOST_RETURNS: u8 = 5;
 /// Bounds on the product of explicit steps with the fastest rate of the tangents, as it is found when implicit ones begin.
 const BORDERS: [f64; 2] = [0.1, 12.0];
+/// Their product where none has been seen: that of DOP853 for a damper.
+const USUAL_BORDER: f64 = 6.4;
 /// Where forces are steep, implicit steps are tried after so many explicit ones: round-off, which stiff forces magnify, may keep those
 /// away from the border. Doubled like the counts above.
 const PROBED: u16 = 100;
@@ -112,6 +122,14 @@ impl Choice {
     /// Before anything is known.
     pub(super) const NEW: Self = Self { stiff: false, against: 0, explicit: 0, returns: 0, border: 0.0, fifth: f64::INFINITY };
 
+    /// Before the first step: implicit ones begin at once where tangents have so fast a rate, 1/s, that an explicit step of the length that
+    /// is wanted could not be one.
+    pub(super) fn begin(&mut self, wanted: f64, rate: f64) {
+        if wanted * rate > BORDERS[1] {
+            (self.stiff, self.border) = (true, USUAL_BORDER);
+        }
+    }
+
     /// What an accepted step says about the next ones.
     pub(super) fn learn(&mut self, seen: &Seen) {
         match seen.kind {
@@ -126,7 +144,7 @@ impl Choice {
     fn learn_from_explicit(&mut self, seen: &Seen) {
         // The product is an estimate: between steps at the border it is below now and then.
         self.against = if seen.product > STABILITY_LIMIT { self.against + 1 } else { self.against.saturating_sub(1) };
-        self.explicit += u16::from(seen.steep);
+        self.explicit += u16::from(seen.steep && seen.wanted < seen.limit);
         if self.against >= AT_BORDER << self.returns || self.explicit >= PROBED << self.returns {
             (self.stiff, self.against, self.explicit, self.border) = (true, 0, 0, -seen.length);
         }
@@ -139,7 +157,7 @@ impl Choice {
         }
         let could_be_explicit = seen.wanted.min(seen.limit) * rate < self.border;
         self.against = if could_be_explicit { self.against + 1 } else { 0 };
-        if self.against >= WITHIN_BORDER {
+        if self.against >= WITHIN_BORDER << self.returns {
             *self = Self { returns: (self.returns + 1).min(MOST_RETURNS), fifth: self.fifth, ..Self::NEW };
         }
     }
@@ -149,7 +167,7 @@ impl Choice {
         if kinds != Kinds::Automatic {
             return *self == Self::NEW;
         }
-        let most = if self.stiff { WITHIN_BORDER } else { AT_BORDER << self.returns.min(MOST_RETURNS) };
+        let most = if self.stiff { WITHIN_BORDER } else { AT_BORDER } << self.returns.min(MOST_RETURNS);
         let [least, largest] = BORDERS;
         let border = match self.stiff {
             true => self.border.is_finite() && (self.border < 0.0 || (least..=largest).contains(&self.border)),

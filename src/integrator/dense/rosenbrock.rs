@@ -19,7 +19,7 @@ mod tableau;
 use std::marker::PhantomData;
 
 use super::hermite::{self, Knowing};
-use super::trial::{Allowed, Landing, Slope, Trial, fastest, for_each, larger};
+use super::trial::{Allowed, Landing, Slope, Trial, for_each, larger};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{AccelerationTangents, EnergyBalance, Kkt, Passage, State, StepError, System, Work};
@@ -46,7 +46,20 @@ pub(super) struct Rosenbrock<T, const N: usize> {
 /// The tangents at the beginning of a step, and the fastest rate that they show, 1/s.
 pub(super) struct Shared<const N: usize> {
     tangents: AccelerationTangents<N>,
-    fastest: f64,
+    pub(super) fastest: f64,
+}
+
+impl<const N: usize> Shared<N> {
+    /// About a state; `None` where it has no tangents.
+    #[inline(never)]
+    pub(super) fn about<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Self> {
+        let tangents = system.acceleration_tangents(from, settings.regularization)?;
+        let size = |columns: &[Vector<N>; N]| columns.iter().map(|column| column.dot(column)).sum::<f64>().sqrt();
+        // The larger root of ρ² = ρ |C| + |K|: the decay of a damper, the frequency of a spring.
+        let (stiffness, damping) = (size(&tangents.by_q), size(&tangents.by_v));
+        let fastest = 0.5 * (damping + (damping * damping + 4.0 * stiffness).sqrt());
+        Some(Self { tangents, fastest })
+    }
 }
 
 /// By which part of a direction the power is differentiated along it, both ways: truncation and round-off are below 1e-9 of it.
@@ -137,12 +150,8 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         failed: 0.2,
     };
 
-    #[inline(never)]
     fn prepare<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Shared<N>> {
-        let tangents = system.acceleration_tangents(from, settings.regularization)?;
-        let size = |columns: &[Vector<N>; N]| columns.iter().map(|column| column.dot(column)).sum::<f64>().sqrt();
-        let fastest = fastest([1.0, size(&tangents.by_v), size(&tangents.by_q)]);
-        Some(Shared { tangents, fastest })
+        Shared::about(system, settings, from)
     }
 
     #[inline(never)]
@@ -216,11 +225,11 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         self.fastest
     }
 
-    fn dense<const M: usize>(&mut self, system: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [Slope<N>; 4] {
+    fn dense<const M: usize>(&mut self, _: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [Slope<N>; 4] {
         let mut middle = [0.5 * (ends[0].q + ends[1].q), 0.5 * (ends[0].v + ends[1].v)];
         for (weight, u) in const { T::MIDDLE }.iter().zip(&self.u) {
             middle = [middle[0] + *weight * u[0], middle[1] + *weight * u[1]];
         }
-        hermite::coefficients(system, ends, self.h, Knowing::Middle(middle))
+        hermite::coefficients(ends, self.h, Knowing::Middle(middle))
     }
 }

@@ -1,7 +1,9 @@
 //! The state between the ends of the step that is under way.
 
+use std::borrow::Borrow;
+
 use super::interpolant::Interpolant;
-use super::{DenseStep, Kind, Settings};
+use super::{DenseStep, Kind, Settings, hermite};
 use crate::integrator::{Kinked, Passage, System, Work};
 use crate::vector::Vector;
 
@@ -39,7 +41,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return redone.sample(system, settings);
             }
         }
-        let ([q, v], work) = self.interpolated(system.follows_work());
+        let ([q, v], work) = self.interpolated(system.on(self.sides).borrow());
         let (mut on_q, mut on_v) = (q, v);
         let projected = if self.straight { None } else { settings.project(system, &mut on_q, &mut on_v).ok() };
         let (q, v, pose) = projected.map_or_else(|| (q, v, system.pose(&q)), |(_, pose, _)| (on_q, on_v, pose));
@@ -49,12 +51,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// What the interpolant says at the present time, inside the step.
     #[inline]
-    fn interpolated(&self, follows_work: bool) -> ([Vector<N>; 2], Work) {
+    fn interpolated(&self, system: &impl System<N, M>) -> ([Vector<N>; 2], Work) {
         let Self { start, end, length, .. } = self;
         let part = self.elapsed / length;
-        let work = if follows_work {
+        let work = if system.follows_work() {
             let both = |work: &Work| Vector::from([work.input, work.dissipated]);
-            let higher = std::array::from_fn(|k| both(&self.dense[k].power));
+            let mut higher = self.dense.map(|slope| both(&slope.power));
+            if self.kind != Kind::Eighth && !self.straight {
+                higher[0] = both(&hermite::of_work(system, [start, end], *length, &self.positions()));
+            }
             let ends = [&start.work, &end.work].map(both);
             let rates = [&start.power, &end.power].map(|power| *length * both(power));
             let work = Interpolant::new(ends, rates, higher).at(part);

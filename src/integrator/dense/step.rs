@@ -5,7 +5,7 @@ use std::borrow::Borrow;
 use super::dop853::Stages;
 use super::events::Border;
 use super::kind::Seen;
-use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
+use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock, Shared};
 use super::trial::{Allowed, Landing, RATE, Slope, Trial};
 use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, Kind, Kinds, Settings};
@@ -35,7 +35,7 @@ struct Plan {
     wanted: f64,
     /// What it may be.
     longest: f64,
-    /// Whether a vertex is near, where the energy is kept.
+    /// Whether a vertex is near, where energy may have to be kept.
     near: bool,
     /// When an output is asked for, and what limits it while inputs are held.
     horizon: Horizon,
@@ -51,9 +51,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         horizon: Horizon,
     ) -> Result<(), StepError> {
         self.begin();
-        let (longest, near) = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
-            Approach::Clear => (horizon.limit, false),
-            Approach::Limited(limits) => (horizon.limit.min(limits.longest), true),
+        let near = system.is_near_vertex(&self.start.q);
+        let longest = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
+            Approach::Clear => horizon.limit,
+            Approach::Limited(limits) => horizon.limit.min(limits.longest),
             Approach::Passed(transit) => {
                 self.end.pass_through(system, &transit, settings.regularization)?;
                 (self.length, self.straight) = (transit.duration, true);
@@ -61,6 +62,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
         };
+        self.choose_at_start(system, settings, horizon.limit);
         // Where friction may hold, steps are explicit ones of order 8.
         let kind = if system.has_grips() {
             Kind::Eighth
@@ -90,6 +92,20 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
+    /// The kind that a run begins with is chosen by its tangents.
+    #[inline]
+    fn choose_at_start<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        limit: f64,
+    ) {
+        let chooses = settings.kinds == Kinds::Automatic && self.start.counters.substeps == 0 && system.is_steep();
+        if chooses && let Some(shared) = Shared::about(system.on(self.sides).borrow(), settings, &self.start) {
+            self.memory.choice.begin(settings.first_step.min(limit), shared.fastest);
+        }
+    }
+
     /// A step of one kind, as long as the error allows.
     #[inline(never)]
     fn attempt<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
@@ -101,13 +117,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let &Plan { mut h, wanted, longest, near, horizon } = plan;
         let mut on_sides = system.on(self.sides);
         let mut shared = T::prepare(on_sides.borrow(), settings, &self.start);
-        let (mut rejected, mut tries) = (false, 0);
+        // The last try that was rejected: length and error.
+        let mut rejected: Option<[f64; 2]> = None;
+        let mut tries = 0;
         loop {
             let on: &S = on_sides.borrow();
             let Some(prepared) = &shared else { return self.attempt::<Stages<N>, S>(system, settings, plan) };
-            let kept = if near { on.energy_to_keep(&self.start.q, &self.start.v) } else { None };
+            let kept = if near { self.kept(on, h) } else { None };
             let mut trial = T::new(on, prepared, settings.regularization, &self.start, h);
-            let (error, landing) = trial.land(on, settings, &settings.allowed_of(on), kept.map(|energy| (energy, h)));
+            let (error, landing) = trial.land(on, settings, &settings.allowed_of(on), kept);
             if let Ok(landing) = landing {
                 self.accept(landing, h, T::KIND);
                 if system.has_kinks() {
@@ -138,7 +156,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                     self.dense = trial.dense(on, settings.regularization, [&self.start, &self.end]);
                 }
                 self.end.error_estimate = error * settings.error_tolerance;
-                self.adapt::<T>(error, wanted, rejected);
+                self.adapt::<T>(error, wanted, rejected.is_some());
                 // Friction that sticks leaves no choice: nothing is to be learned from its steps.
                 let chooses = settings.kinds == Kinds::Automatic;
                 if chooses && !system.has_grips() {
@@ -157,12 +175,20 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
             self.end.counters.rejected += 1;
-            rejected = true;
+            let before = rejected.replace([h, error]);
+            let before = before.filter(|[_, worst]| T::KIND.is_implicit() && worst.is_finite() && error > 1.0);
+            let before = before.map(|[length, worst]| [length / h, worst / error]);
             if h < SHORTEST {
                 return Err(StepError::StepTooShort { substep: h, error: error * settings.error_tolerance });
             }
-            h *= T::CONTROLLER.reduction(error);
+            h *= T::CONTROLLER.reduction_after(error, before);
         }
+    }
+
+    /// The energy that a step of h seconds keeps: one made once more keeps the same.
+    #[inline]
+    pub(super) fn kept<S: Passage<N>>(&self, system: &S, h: f64) -> Option<(EnergyBalance, f64)> {
+        system.energy_to_keep(&self.start.q, &self.start.v).map(|energy| (energy, h))
     }
 
     /// Time has passed the end of the step.

@@ -134,11 +134,7 @@ pub(super) fn larger<const N: usize>(most: &Vector<N>, x: &Vector<N>) -> Vector<
 /// The fastest rate, 1/s, that a difference of q, q̇ and q̈ between two states shows: the r of r² |Δq| + r |Δq̇| = |Δq̈|, which is the
 /// frequency of a spring and the decay of a damper.
 pub(super) fn rate_between<const N: usize>([dq, dv, da]: [Vector<N>; 3]) -> f64 {
-    fastest([dq, dv, da].map(|x| x.norm()))
-}
-
-/// The r of r² q + r v = a.
-pub(super) fn fastest([q, v, a]: [f64; 3]) -> f64 {
+    let [q, v, a] = [dq, dv, da].map(|x| x.norm());
     let both = v + (v * v + 4.0 * q * a).sqrt();
     if both > 0.0 { 2.0 * a / both } else { 0.0 }
 }

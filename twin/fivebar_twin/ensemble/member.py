@@ -32,8 +32,8 @@ PASSES: Final = ("singular.passes.direct", "singular.passes.inverse[1]", "singul
 HALVINGS: Final = 10
 """Of the step in which a singularity was passed: its time is known to a thousandth of the step."""
 
-METHOD: Final[Values] = {"solver.method": 4, "solver.maxWork": 20000}
-"""dop853, unless the scene has another one; a member that whirls beyond that many evaluations in a ms is given up."""
+METHOD: Final[Values] = {"solver.method": 6, "solver.maxWork": 20000}
+"""automatic, unless the scene has another one; a member that whirls beyond that many evaluations in a ms is given up."""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,12 @@
-"""The main table and picture in README.md and docs/accuracy.md, between two comments."""
+"""The main table and picture in README.md and docs/accuracy.md, and the table of ratios in docs/automatic.md, between comments."""
 
 from pathlib import Path
 
 BEGIN = "<!-- accuracy: what follows is written by `cargo xtask report --update-docs`, not by hand -->"
 END = "<!-- accuracy: end -->"
+
+RATIOS = ("<!-- ratios: what follows is written by `cargo xtask report --update-docs`, not by hand -->", "<!-- ratios: end -->")
+"""The same of the table of ratios, in docs/automatic.md."""
 
 FILES = {"README.md": "docs/images/accuracy.svg", "docs/accuracy.md": "images/accuracy.svg"}
 """The files, and where each sees the picture."""
@@ -11,11 +14,12 @@ FILES = {"README.md": "docs/images/accuracy.svg", "docs/accuracy.md": "images/ac
 CAPTION = "Error of the tip against time on one core, by method, for one scene of each kind"
 
 
-def block(text: str, name: str) -> str:
+def block(text: str, name: str, marks: tuple[str, str] = (BEGIN, END)) -> str:
     """What is between the comments of `text`."""
-    if text.count(BEGIN) != 1 or text.count(END) != 1:
-        raise ValueError(f"{name} must have the lines `{BEGIN}` and `{END}` once each")
-    return text.split(BEGIN)[1].split(END)[0]
+    begin, end = marks
+    if text.count(begin) != 1 or text.count(end) != 1:
+        raise ValueError(f"{name} must have the lines `{begin}` and `{end}` once each")
+    return text.split(begin)[1].split(end)[0]
 
 
 def table_of(text: str, name: str) -> list[str]:
@@ -23,12 +27,18 @@ def table_of(text: str, name: str) -> list[str]:
     return [line for line in block(text, name).splitlines() if line.startswith("|")]
 
 
-def update(root: Path, table: list[str], about: str) -> None:
-    """Writes the table and the link to the picture into both files."""
+def update(root: Path, table: list[str], ratios: list[str], about: str) -> None:
+    """Writes the table and the link to the picture into both files, and the ratios into theirs."""
     for name, picture in FILES.items():
-        file = root / name
-        text = file.read_text(encoding="utf-8")
-        new = "\n".join(["", f"![{CAPTION}]({picture})", "", *table, "", f"Measured on: {about}", ""])
-        block(text, name)  # refuses a file without the marks
-        before, after = text.split(BEGIN)[0], text.split(END)[1]
-        file.write_text(before + BEGIN + new + END + after, encoding="utf-8", newline="\n")
+        write(root, name, (BEGIN, END), [f"![{CAPTION}]({picture})", "", *table, "", f"Measured on: {about}"])
+    write(root, "docs/automatic.md", RATIOS, [*ratios, "", f"Measured on: {about}"])
+
+
+def write(root: Path, name: str, marks: tuple[str, str], lines: list[str]) -> None:
+    """Writes lines between the comments of a file."""
+    file = root / name
+    text = file.read_text(encoding="utf-8")
+    block(text, name, marks)  # refuses a file without the marks
+    begin, end = marks
+    new = "\n".join(["", *lines, ""])
+    file.write_text(text.split(begin)[0] + begin + new + end + text.split(end)[1], encoding="utf-8", newline="\n")

@@ -38,6 +38,31 @@ def pick(markers: list[Marker], reference: Reference, wanted: float) -> Pick:
     return Pick(wanted, best, second, wanted >= RESOLVED * reference.own_error)
 
 
+AUTOMATIC = "automatic"
+"""The method that chooses the kind of its steps."""
+
+FAIR = 1.3
+"""It is to take no more than this many times what the best fixed method takes."""
+
+
+def by_itself(markers: list[Marker], reference: Reference, wanted: float) -> float | None:
+    """What `automatic` takes for a scene and a wanted error, over what the best of the other methods takes; None where one of them does
+    not get there, or the reference cannot tell."""
+    own = pick([m for m in markers if m.method == AUTOMATIC], reference, wanted)
+    fixed = pick([m for m in markers if m.method != AUTOMATIC], reference, wanted)
+    return own.best.cost / fixed.best.cost if own.resolved and own.best and fixed.best else None
+
+
+def ratio_table(markers: list[Marker], references: list[Reference]) -> tuple[list[str], list[list[str]]]:
+    """Head and rows: scenes by wanted errors, what is dearer than fair in bold (of Markdown)."""
+    judged = [r for r in references if any(m.scene == r.scene and m.method == AUTOMATIC for m in markers)]
+    rows = []
+    for reference in judged:
+        ratios = [by_itself(markers, reference, wanted) for wanted in WANTED]
+        rows.append([reference.scene, *("" if r is None else f"**{r:.2f}**" if r > FAIR else f"{r:.2f}" for r in ratios)])
+    return ["scene", *(f"{power(wanted)} m" for wanted in WANTED)], rows
+
+
 def picks(markers: list[Marker], reference: Reference) -> list[Pick]:
     """The answers for every wanted accuracy."""
     return [pick(markers, reference, wanted) for wanted in WANTED]

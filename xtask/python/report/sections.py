@@ -47,6 +47,14 @@ def need(markers: list[Marker], references: list[Reference]) -> Section:
     section.text("The time is that of one simulated millisecond. All decades, scene by scene:")
     for reference in references:
         section.folded(f"{reference.kind}: {html.escape(reference.scene)}", decades(markers, reference))
+    head, rows = picks.ratio_table(markers, references)
+    if rows:
+        section.text(
+            "What <code>automatic</code>, which chooses the kind of its steps by itself, takes over what the best of the other methods "
+            f"takes; bold: more than {picks.FAIR}. Where two are of one kind of step, what differs from 1 is the choice or luck:"
+        )
+        cells = [[html.escape(cell[2:-2]).join(("<b>", "</b>")) if cell.startswith("**") else html.escape(cell) for cell in row] for row in rows]
+        section.parts.append(table(head, cells, tuple(range(1, len(head)))))
     section.text('Data: <a href="data/precision.csv">precision.csv</a>.')
     return section
 
