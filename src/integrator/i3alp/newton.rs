@@ -93,7 +93,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     let &Settings { regularization, max_iterations, .. } = settings;
     let beta = step.beta;
     let mut q = step.q();
-    let mut pose = system.pose(&q);
+    let mut pose = system.pose_in_place(&q);
     let mut phi = system.phi(&q, &pose);
     let mut violation = phi.max_norm();
     let mut iterations = 0;
@@ -113,7 +113,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         step.lambda = y / beta;
         step.delta += correction;
         q = step.q();
-        pose = system.pose(&q);
+        pose = system.pose_in_place(&q);
         phi = system.phi(&q, &pose);
 
         let previous = violation;
