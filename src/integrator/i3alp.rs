@@ -57,14 +57,29 @@ const RATE: f64 = 100.0;
 const CONTROLLER: StepSizeController =
     StepSizeController { exponent: 1.0 / 3.0, memory: 0.0, accepted: [0.5, 2.0], rejected: [0.1, 0.7], failed: 0.35 };
 
-/// One macro step, from the sides on which the grips of dry friction are: in one step, or in equal parts, as many as the local error asks,
-/// asked anew after each. On failure state and sides are undefined: the caller keeps a copy.
+/// One macro step of h seconds, from the sides on which the grips of dry friction are: in one step, or in sub-steps. On failure state and
+/// sides are undefined: the caller keeps a copy.
 #[inline(never)]
 pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
-    without_sides: &S,
+    system: &S,
     settings: &Settings,
     state: &mut State<N, M>,
     sides: &mut S::Sides,
+    h: f64,
+) -> Result<(), StepError> {
+    if settings.adaptive {
+        return in_substeps(system, settings, (state, sides), h);
+    }
+    attempt(system, settings, state, h, &StepLimits::NONE)?.accept(system, state, h);
+    Ok(())
+}
+
+/// A macro step in equal parts, as many as the local error asks, asked anew after each.
+#[inline(never)]
+fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
+    without_sides: &S,
+    settings: &Settings,
+    (state, sides): (&mut State<N, M>, &mut S::Sides),
     duration: f64,
 ) -> Result<(), StepError> {
     let passage = PassageLimits::for_error_tolerance(settings.error_tolerance);
@@ -73,41 +88,31 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
     let done = state.counters.iterations;
     // Every round counts as one more: one through a vertex has no iteration.
     for rounds in 0.. {
-        let on_sides;
-        let (system, limits) = if settings.adaptive {
-            if rounds + without_sides.iteration_work() * (state.counters.iterations - done) > u64::from(settings.max_work) {
-                break;
-            }
-            on_sides = without_sides.on(*sides);
-            let system: &S = on_sides.borrow();
-            if system.is_at_rest() {
-                state.counters.substeps += 1;
-                return Ok(());
-            }
-            let limits = match system.approach(&passage, &state.departure(rest)) {
-                Approach::Clear => StepLimits::NONE,
-                Approach::Limited(limits) => limits,
-                Approach::Passed(transit) => {
-                    state.pass_through(system, &transit, settings.regularization)?;
-                    *sides = without_sides.sides_of(&state.q, &state.v);
-                    if transit.duration >= rest {
-                        return Ok(());
-                    }
-                    rest -= transit.duration;
-                    continue;
-                }
-            };
-            h = search.next().unwrap_or_else(|| rest / (rest / state.substep.min(limits.longest)).ceil().max(1.0));
-            (system, limits)
-        } else {
-            (without_sides, StepLimits::NONE)
-        };
-        let attempt = attempt(system, settings, state, h, &limits);
-        if !settings.adaptive {
-            attempt?.accept(system, state, h);
+        if rounds + without_sides.iteration_work() * (state.counters.iterations - done) > u64::from(settings.max_work) {
+            break;
+        }
+        let on_sides = without_sides.on(*sides);
+        let system: &S = on_sides.borrow();
+        if system.is_at_rest() {
+            state.counters.substeps += 1;
             return Ok(());
         }
+        let limits = match system.approach(&passage, &state.departure(rest)) {
+            Approach::Clear => StepLimits::NONE,
+            Approach::Limited(limits) => limits,
+            Approach::Passed(transit) => {
+                state.pass_through(system, &transit, settings.regularization)?;
+                *sides = without_sides.sides_of(&state.q, &state.v);
+                if transit.duration >= rest {
+                    return Ok(());
+                }
+                rest -= transit.duration;
+                continue;
+            }
+        };
         let tolerance = settings.error_tolerance.max(limits.round_off);
+        h = search.next().unwrap_or_else(|| rest / (rest / state.substep.min(limits.longest)).ceil().max(1.0));
+        let attempt = attempt(system, settings, state, h, &limits);
         error = attempt.as_ref().map_or(f64::NAN, |attempt| attempt.error);
         match attempt {
             Ok(attempt) if error <= tolerance => {

@@ -71,9 +71,15 @@ impl Legs2 {
 }
 
 impl Mechanism {
-    /// From a pose along increments of the coordinates.
-    #[inline(always)]
+    /// From a pose along increments of the coordinates. One piece of code for all callers.
+    #[inline(never)]
     pub(crate) fn secant(&self, begin: &Pose, d: &Coordinates) -> Secant {
+        self.secant_in_place(begin, d)
+    }
+
+    /// The same compiled into its caller.
+    #[inline(always)]
+    pub(crate) fn secant_in_place(&self, begin: &Pose, d: &Coordinates) -> Secant {
         let [cos_p, sin_p, sinc_p] = turn(both(0.5) * legs_of(d, P_THETA));
         let [cos_d, sin_d, sinc_d] = turn(both(0.5) * legs_of(d, D_THETA));
         let (p, d) = (begin.u_p.turned_by(cos_p, sin_p), begin.u_d.turned_by(cos_d, sin_d));
