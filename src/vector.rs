@@ -83,6 +83,7 @@ impl<const N: usize> BorshSerialize for Vector<N> {
 }
 
 impl<const N: usize> BorshDeserialize for Vector<N> {
+    #[inline(never)]
     fn deserialize_reader<R: Read>(reader: &mut R) -> io::Result<Self> {
         let mut vector = Self::ZERO;
         read(&mut vector.0, reader)?;

@@ -278,7 +278,7 @@ impl LinearSolver {
 
 fn full_tangents(forces: &impl TangentSource, h: f64) -> SMatrix<f64, COORDINATES, COORDINATES> {
     let mut tangents = FullTangents::new(h);
-    forces.add_tangents(&mut tangents);
+    forces.add_tangents(&mut (&mut tangents as &mut dyn Tangents));
     tangents.weighted
 }
 
