@@ -95,9 +95,10 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     let (mut violation, mut last) = (f64::INFINITY, f64::INFINITY);
     let mut iterations = 0;
     let mut held = None;
+    let (mut q, mut pose);
     loop {
-        let q = step.q();
-        let pose = system.pose_in_place(&q);
+        q = step.q();
+        pose = system.pose_in_place(&q);
         let phi = system.phi(&q, &pose);
         let previous = violation;
         violation = phi.max_norm();
@@ -105,7 +106,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
             let at_round_off = violation >= previous && violation < ROUND_OFF * system.length_scale();
             let met = (violation < step.tolerance || at_round_off) && last < LAST_CORRECTION;
             if met && (!settings.watches_rates(system) || rates_hold(system, settings, step, held, (&q, &pose))) {
-                return Ok(Found { q, pose, v: step.velocity() });
+                break;
             }
             if iterations >= max_iterations {
                 return Err(StepError::NotConverged { iterations, violation, tolerance: step.tolerance, correction: last });
@@ -126,6 +127,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         step.delta += correction;
         last = correction.max_norm();
     }
+    Ok(Found { q, pose, v: step.velocity() })
 }
 
 /// A correction after which nothing moves in what friction holds, and the force that sees to it.
