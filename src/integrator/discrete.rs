@@ -10,8 +10,12 @@ use crate::vector::Vector;
 pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
     /// What depends on q₀ and d only, and is computed once per d.
     type Secant;
-    /// The factorised matrix of [`Discrete::factor_secant`].
-    type Factor: SecantFactor<N, M>;
+    /// What is left of the unknowns where the loops are cut.
+    type CutUnknowns;
+    /// See [`Discrete::cut`].
+    type Cut<'a>: CutStep<N, M, Unknowns = Self::CutUnknowns, Secant = Self::Secant>
+    where
+        Self: 'a;
 
     /// From the pose at q₀ along d.
     fn secant(&self, begin: &Self::Pose, d: &Vector<N>) -> Self::Secant;
@@ -31,11 +35,13 @@ pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
     /// What the inputs put in and what is dissipated over the step, J. Asked only if [`System::follows_work`].
     fn work_over(&self, over: &Chord<'_, Self::Secant, N>) -> Work;
 
+    /// The step of h seconds from q₀ and q̇₀ with its loops cut: in coordinates in which all joints but some are met, whose forces follow
+    /// from what the bodies between them take. What is left has the same roots and is small.
+    fn cut<'a>(&'a self, begin: &'a Self::Pose, at: [&'a Vector<N>; 2], h: f64) -> Self::Cut<'a>;
+    /// Of d, Λ and ν the unknowns of that.
+    fn cut_unknowns(&self, d: &Vector<N>, multipliers: [&Vector<M>; 2]) -> Self::CutUnknowns;
     /// Whether Λ and ν may be found in turn: the forces depend on no rates and couple no coordinates.
     fn alternates(&self) -> bool;
-    /// Factorises [A J_bᵀ; J₁ −e], A the tangent of the step's equations with respect to d. Asked only if [`Discrete::alternates`].
-    fn factor_secant(&self, over: &Chord<'_, Self::Secant, N>, pull: (&Vector<M>, &Vector<N>), regularization: f64)
-    -> Self::Factor;
     /// Newton's increments of d, Λ and ν with the whole tangent; e weighs increments only.
     fn newton(
         &self,
@@ -66,10 +72,39 @@ pub struct Chord<'a, S, const N: usize> {
     pub secant: &'a S,
 }
 
-/// A factorised matrix [A J_bᵀ; J₁ −e].
-pub trait SecantFactor<const N: usize, const M: usize> {
-    /// Solves A x + J_bᵀ y = b, J₁ x − e y = c.
-    fn solve(&self, b: &Vector<N>, c: &Vector<M>) -> (Vector<N>, Vector<M>);
-    /// (J₁ A⁻¹ J_bᵀ + e)⁻¹ r.
-    fn dual(&self, r: &Vector<M>) -> Vector<M>;
+/// A step whose loops are cut: ν by a linear equation for a given d, Newton's method on d and Λ.
+pub trait CutStep<const N: usize, const M: usize> {
+    /// What is left of the unknowns d, Λ and ν.
+    type Unknowns;
+    /// [`Discrete::Secant`].
+    type Secant;
+    /// How the system moves at some unknowns.
+    type Motion;
+    /// What forces make of it.
+    type Balance;
+    /// A factorised matrix.
+    type Factor;
+
+    /// Meets the constraints of the rates, by ν. e weighs how ν changes only.
+    fn motion(&self, x: &Self::Unknowns, regularization: f64) -> Self::Motion;
+    /// What that leaves of the momentum.
+    fn balance(&self, motion: &Self::Motion) -> Self::Balance;
+    /// What is left: of the momentum, as an angle, rad; of Φ and of h/2 times its rate, m.
+    fn left(&self, motion: &Self::Motion, balance: &Self::Balance) -> [f64; 3];
+    /// The matrix of Newton's method for d and Λ: e weighs increments only.
+    fn factor(&self, motion: &Self::Motion, balance: &Self::Balance, regularization: f64) -> Self::Factor;
+    /// The unknowns with Newton's increments, by the matrix of this motion or one close by.
+    fn improved(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Unknowns;
+    /// The motion with the rates, and Λ, of these increments, but on its own way.
+    fn with_rates(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Motion;
+    /// [`System::angle_norm`] of d.
+    fn turn(x: &Self::Unknowns) -> f64;
+    /// The unknowns, with the ν of this motion.
+    fn unknowns(motion: &Self::Motion) -> Self::Unknowns;
+    /// d and q̇₁.
+    fn end(&self, motion: &Self::Motion) -> [Vector<N>; 2];
+    /// What depends on d.
+    fn secant(&self, motion: &Self::Motion) -> Self::Secant;
+    /// Λ and ν of all joints.
+    fn multipliers(&self, motion: &Self::Motion) -> [Vector<M>; 2];
 }

@@ -20,11 +20,11 @@ mod newton;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::{Bounds, Counters, Discrete, Inconsistency, Passage, State, StepError, Work, equilibrium};
+use super::{Chord, Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, Work, equilibrium};
 use crate::vector::Vector;
 use equations::{Evaluation, Step, Unknowns};
 use ladder::{Rescued, climb, from_equilibrium};
-use newton::{Allowance, Until, alternate, whole};
+use newton::{Allowance, Bounds, Until, in_turn, whole};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,16 +41,14 @@ pub struct Settings {
 
 /// A step shorter than this, s, moves on by its Taylor series.
 const SHORTEST: f64 = 1e-12;
-/// Where |M⁻¹f| is larger than this, m and rad, after Λ and ν were looked for in turn, they have led nowhere.
-const NEARBY: f64 = 1e-3;
 /// Accelerations below this, m/s² and rad/s², are round-off.
 const BALANCED: f64 = 1e-12;
 /// Steps that the extrapolation of the unknowns looks back on.
-const REMEMBERED: usize = 3;
+const REMEMBERED: usize = 6;
 
 /// A run: accelerations and joint forces are no part of it, they follow from equilibrium when they are asked for.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub struct ConservingRun<const N: usize, const M: usize> {
+pub struct ConservingRun<const N: usize, const K: usize> {
     /// Coordinates, m and rad.
     pub q: Vector<N>,
     /// Velocities, m/s and rad/s.
@@ -61,60 +59,44 @@ pub struct ConservingRun<const N: usize, const M: usize> {
     pub modes: u8,
     /// Counters since the start.
     pub counters: Counters,
-    memory: Memory<N, M>,
+    memory: Memory<K>,
 }
 
-/// The unknowns of the last steps, from which those of the next are extrapolated.
+/// The unknowns of the last steps, with the loops cut, from which those of the next are extrapolated.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-struct Memory<const N: usize, const M: usize> {
+struct Memory<const K: usize> {
     /// The length of these steps, s.
     h: f64,
     /// How many there are.
     known: u8,
     /// The latest first.
-    d: [Vector<N>; REMEMBERED],
-    lambda: [Vector<M>; REMEMBERED],
-    nu: [Vector<M>; REMEMBERED],
+    x: [Vector<K>; REMEMBERED],
 }
 
-impl<const N: usize, const M: usize> Memory<N, M> {
-    const NONE: Self = Self {
-        h: 0.0,
-        known: 0,
-        d: [Vector::ZERO; REMEMBERED],
-        lambda: [Vector::ZERO; REMEMBERED],
-        nu: [Vector::ZERO; REMEMBERED],
-    };
+impl<const K: usize> Memory<K> {
+    const NONE: Self = Self { h: 0.0, known: 0, x: [Vector::ZERO; REMEMBERED] };
 
     /// By a parabola through the last three steps of the same length.
     #[inline(always)]
-    fn extrapolated(&self, h: f64) -> Option<Unknowns<N, M>> {
-        if usize::from(self.known) < REMEMBERED || self.h != h {
-            return None;
-        }
-        let Self { d, lambda, nu, .. } = self;
-        Some(Unknowns {
-            d: 3.0 * (d[0] - d[1]) + d[2],
-            lambda: 3.0 * (lambda[0] - lambda[1]) + lambda[2],
-            nu: 3.0 * (nu[0] - nu[1]) + nu[2],
-        })
+    fn extrapolated(&self, h: f64) -> Option<Vector<K>> {
+        let Self { known, x: [last, before, third, fourth, fifth, first], .. } = *self;
+        (usize::from(known) == REMEMBERED && self.h == h)
+            .then(|| 6.0 * (last + fifth) - 15.0 * (before + fourth) + 20.0 * third - first)
     }
 
     #[inline(always)]
-    fn remember(&mut self, h: f64, x: &Unknowns<N, M>) {
+    fn remember(&mut self, h: f64, x: Vector<K>) {
         if self.h != h {
             *self = Self { h, ..Self::NONE };
         }
         self.known = (self.known + 1).min(REMEMBERED as u8);
-        self.d = [x.d, self.d[0], self.d[1]];
-        self.lambda = [x.lambda, self.lambda[0], self.lambda[1]];
-        self.nu = [x.nu, self.nu[0], self.nu[1]];
+        self.x = [x, self.x[0], self.x[1], self.x[2], self.x[3], self.x[4]];
     }
 }
 
-impl<const N: usize, const M: usize> ConservingRun<N, M> {
+impl<const N: usize, const K: usize> ConservingRun<N, K> {
     /// Begins with q and q̇, which meet the constraints.
-    pub fn start<S: Discrete<N, M>>(system: &S, q: Vector<N>, v: Vector<N>) -> Self {
+    pub fn start<const M: usize, S: Discrete<N, M>>(system: &S, q: Vector<N>, v: Vector<N>) -> Self {
         let modes = system.modes(&system.pose(&q));
         Self { q, v, work: Work::default(), modes, counters: Counters::default(), memory: Memory::NONE }
     }
@@ -127,7 +109,7 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
     }
 
     /// The state, with q̈, λ and power from equilibrium. Nothing of it is fed back.
-    pub fn state<S: Discrete<N, M> + Passage<N>>(&self, system: &S, regularization: f64) -> State<N, M> {
+    pub fn state<const M: usize, S: Discrete<N, M> + Passage<N>>(&self, system: &S, regularization: f64) -> State<N, M> {
         let &Self { q, v, work, modes, counters, .. } = self;
         let mut state = State {
             q,
@@ -151,12 +133,16 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
     /// One step of h seconds. On failure the run is undefined: the caller keeps a copy. `general` is the same system, for what is rare:
     /// a form of its own that `system` may have is compiled for the first try only.
     #[inline(never)]
-    pub fn advance<S: Discrete<N, M>, G: Discrete<N, M> + Passage<N>>(
+    pub fn advance<const M: usize, S, G>(
         &mut self,
         (system, general): (&S, &G),
         settings: &Settings,
         h: f64,
-    ) -> Result<(), StepError> {
+    ) -> Result<(), StepError>
+    where
+        S: Discrete<N, M, CutUnknowns = Vector<K>>,
+        G: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>,
+    {
         if h < SHORTEST {
             return self.taylor_step(general, settings, h);
         }
@@ -164,28 +150,43 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
             self.counters.substeps += 1;
             return Ok(());
         }
-        let mut x = match self.memory.extrapolated(h) {
+        let x = match self.memory.extrapolated(h) {
             Some(x) => x,
             None => self.predicted_by_equilibrium(general, settings, h),
         };
         let begun = self.counters.iterations;
-        let mut nearby = true;
+        let mut nearby = Some(x);
         if system.alternates() {
-            let &Settings { regularization, max_iterations, .. } = settings;
-            let step = Step::new(system, [&self.q, &self.v], h);
-            let mut allowance = Allowance { left: max_iterations, counters: &mut self.counters };
-            match alternate(&step, &mut x, regularization, max_iterations, &mut allowance) {
-                Ok(end) => return self.arrive(&step, &x, &end),
-                Err(left) => nearby = left < NEARBY,
+            let Self { q, v, .. } = *self;
+            let pose = system.pose(&q);
+            let cut = system.cut(&pose, [&q, &v], h);
+            let arrive = |end: &_, iterations| {
+                self.counters.iterations += u64::from(iterations);
+                let ([d, v], secant) = (cut.end(end), cut.secant(end));
+                let over = Chord { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
+                self.arrive(system, &over, S::Cut::unknowns(end))
+            };
+            match in_turn(
+                &cut,
+                x,
+                &Bounds::cut(system, h, S::Cut::turn(&x)),
+                (settings.regularization, settings.max_iterations),
+                arrive,
+            ) {
+                Ok(arrived) => return arrived,
+                Err((left, iterations)) => {
+                    self.counters.iterations += u64::from(iterations);
+                    nearby = left;
+                }
             }
         }
-        self.at_once(&Step::new(general, [&self.q, &self.v], h), settings, (begun, nearby.then_some(x)))
+        self.at_once(&Step::new(general, [&self.q.clone(), &self.v.clone()], h), settings, (begun, nearby))
     }
 
     /// Whether the system, at rest, stays there: what Newton's method makes of round-off would drive it from a vertex.
     #[cold]
     #[inline(never)]
-    fn is_in_balance<S: Discrete<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> bool {
+    fn is_in_balance<const M: usize, S: Discrete<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> bool {
         let (a, _) = equilibrium(system, &self.q, &self.v, settings.equilibrium);
         system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a).max_norm() < BALANCED
     }
@@ -193,31 +194,34 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
     /// What equilibrium predicts: at the start, after a change, and where the step has another length.
     #[cold]
     #[inline(never)]
-    fn predicted_by_equilibrium<S: Discrete<N, M> + Passage<N>>(
-        &mut self,
-        system: &S,
-        settings: &Settings,
-        h: f64,
-    ) -> Unknowns<N, M> {
+    fn predicted_by_equilibrium<const M: usize, S>(&mut self, system: &S, settings: &Settings, h: f64) -> Vector<K>
+    where
+        S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>,
+    {
         let (a, lambda) = equilibrium(system, &self.q, &self.v, settings.equilibrium);
         let branch = system.acceleration_from_rest(&self.q, &self.v);
         self.counters.launches += u64::from(branch.is_some_and(|a| a.max_norm() > 0.0));
-        from_equilibrium(&self.v, (&branch.unwrap_or(a), &lambda), h)
+        let Unknowns { d, lambda, nu } = from_equilibrium(&self.v, (&branch.unwrap_or(a), &lambda), h);
+        system.cut_unknowns(&d, [&lambda, &nu])
     }
 
     /// By the whole tangent from where Λ and ν in turn have come to, or up the ladder.
     #[inline(never)]
-    fn at_once<S: Discrete<N, M> + Passage<N>>(
+    fn at_once<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
         &mut self,
         step: &Step<'_, S, N, M>,
         settings: &Settings,
-        (begun, nearby): (u64, Option<Unknowns<N, M>>),
+        (begun, nearby): (u64, Option<Vector<K>>),
     ) -> Result<(), StepError> {
         let &Settings { regularization, max_iterations, .. } = settings;
-        let Some(mut x) = nearby else { return self.rescue(step, settings, begun) };
+        let Some(x) = nearby else { return self.rescue(step, settings, begun) };
+        let cut = step.system.cut(&step.pose, [&step.q, &step.v], step.h);
+        let motion = cut.motion(&x, regularization);
+        let ([d, _], [lambda, nu]) = (cut.end(&motion), cut.multipliers(&motion));
+        let mut x = Unknowns { d, lambda, nu };
         let mut allowance = Allowance { left: max_iterations, counters: &mut self.counters };
         match whole(step, &mut x, regularization, (max_iterations, Until::Solved), &mut allowance) {
-            Some(end) => self.arrive(step, &x, &end),
+            Some(end) => self.arrive_at(step, &x, &end),
             None => self.rescue(step, settings, begun),
         }
     }
@@ -225,7 +229,7 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
     /// Up the ladder, with what the step, begun at this number of iterations, may still take.
     #[cold]
     #[inline(never)]
-    fn rescue<S: Discrete<N, M> + Passage<N>>(
+    fn rescue<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
         &mut self,
         step: &Step<'_, S, N, M>,
         settings: &Settings,
@@ -241,46 +245,57 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
         let mut allowance = Allowance { left, counters: &mut self.counters };
         let rescued = climb(step, settings, (&a, &lambda), &mut allowance)?;
         match rescued {
-            Rescued::Root(x, end) => self.arrive(step, &x, &end),
+            Rescued::Root(x, end) => self.arrive_at(step, &x, &end),
             Rescued::Landed { d, acting, v } => {
                 self.memory = Memory::NONE;
-                self.land(step, (&step.secant(&d), &d), [&acting, &v])
+                self.land(step.system, &step.chord(&step.secant(&d), &d, &acting), &v)
             }
         }
     }
 
-    #[inline(always)]
-    fn arrive<S: Discrete<N, M>>(
+    /// At a root of all unknowns.
+    fn arrive_at<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
         &mut self,
         step: &Step<'_, S, N, M>,
-        x: &Unknowns<N, M>,
+        Unknowns { d, lambda, nu }: &Unknowns<N, M>,
         end: &Evaluation<S, N, M>,
     ) -> Result<(), StepError> {
-        if !x.lambda.is_finite() {
-            return Err(StepError::NotFinite);
-        }
-        self.memory.remember(step.h, x);
-        self.land(step, (&end.secant, &x.d), [&end.v, &end.v])
+        let x = step.system.cut_unknowns(d, [lambda, nu]);
+        self.arrive(step.system, &step.chord(&end.secant, d, &end.v), x)
     }
 
-    /// The run goes on from q₀ + d: with the rates at which forces have acted, and those at the end.
+    /// At a root, whose unknowns are remembered.
     #[inline(always)]
-    fn land<S: Discrete<N, M>>(
+    fn arrive<const M: usize, S: Discrete<N, M>>(
         &mut self,
-        step: &Step<'_, S, N, M>,
-        (secant, d): (&S::Secant, &Vector<N>),
-        [acting, v]: [&Vector<N>; 2],
+        system: &S,
+        over: &Chord<'_, S::Secant, N>,
+        x: Vector<K>,
     ) -> Result<(), StepError> {
-        let system = step.system;
-        let q = step.q + *d;
+        if !x.is_finite() {
+            return Err(StepError::NotFinite);
+        }
+        self.memory.remember(over.h, x);
+        self.land(system, over, over.v)
+    }
+
+    /// The run goes on from q₀ + d over the chord, with the rates at which forces have acted, and those at the end.
+    #[inline(always)]
+    fn land<const M: usize, S: Discrete<N, M>>(
+        &mut self,
+        system: &S,
+        over: &Chord<'_, S::Secant, N>,
+        v: &Vector<N>,
+    ) -> Result<(), StepError> {
+        let q = *over.q + *over.d;
         if !(q.is_finite() && v.is_finite()) {
             return Err(StepError::NotFinite);
         }
         if system.follows_work() {
-            self.work = self.work.plus(1.0, system.work_over(&step.chord(secant, d, acting)));
+            self.work = self.work.plus(1.0, system.work_over(over));
         }
         (self.q, self.v) = (q, *v);
-        let modes = system.modes(S::end(secant));
+        let modes = system.modes(S::end(over.secant));
         if modes != self.modes {
             self.counters.observe_modes(self.modes, modes);
             self.modes = modes;
@@ -291,7 +306,12 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
 
     /// A step so short that q̈ stays but for round-off.
     #[cold]
-    fn taylor_step<S: Discrete<N, M> + Passage<N>>(&mut self, system: &S, settings: &Settings, h: f64) -> Result<(), StepError> {
+    fn taylor_step<const M: usize, S: Discrete<N, M> + Passage<N>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        h: f64,
+    ) -> Result<(), StepError> {
         let state = self.state(system, settings.equilibrium);
         (self.q, self.v) = (self.q + h * self.v, self.v + h * state.a);
         self.work = self.work.plus(h, state.power);
@@ -301,22 +321,21 @@ impl<const N: usize, const M: usize> ConservingRun<N, M> {
 
     /// Refuses a run that is none of this system.
     #[cold]
-    pub fn check<S: Discrete<N, M> + Passage<N>>(&self, system: &S, bounds: &Bounds) -> Result<(), Inconsistency> {
-        let Memory { h, known, d, lambda, nu } = &self.memory;
-        let finite =
-            d.iter().all(|d| d.is_finite()) && lambda.iter().all(|lambda| lambda.is_finite()) && nu.iter().all(|nu| nu.is_finite());
-        if !(finite && *h >= 0.0 && h.is_finite() && usize::from(*known) <= REMEMBERED) {
+    pub fn check<const M: usize, S: Discrete<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        bounds: &super::Bounds,
+    ) -> Result<(), Inconsistency> {
+        let Memory { h, known, x } = &self.memory;
+        if !(x.iter().all(|x| x.is_finite()) && *h >= 0.0 && h.is_finite() && usize::from(*known) <= REMEMBERED) {
             return Err("what it remembers of its last steps is not finite");
         }
-        self.state(system, bounds.regularizations[0]).check(system, &Bounds { in_balance: false, ..*bounds })
+        self.state(system, bounds.regularizations[0]).check(system, &super::Bounds { in_balance: false, ..*bounds })
     }
 
     /// The sum of all that it remembers of its last steps: a number that a change of any of it changes.
     pub fn remembered(&self) -> f64 {
-        let Memory { h, d, lambda, nu, .. } = &self.memory;
-        let sum = |x: &[f64]| x.iter().enumerate().map(|(i, x)| x.abs() * (i + 1) as f64).sum::<f64>();
-        h + d.iter().map(|d| sum(&d[..])).sum::<f64>()
-            + lambda.iter().map(|l| sum(&l[..])).sum::<f64>()
-            + nu.iter().map(|nu| sum(&nu[..])).sum::<f64>()
+        let Memory { h, x, .. } = &self.memory;
+        h + x.iter().flat_map(|x| x.iter().enumerate()).map(|(i, x)| x.abs() * (i + 1) as f64).sum::<f64>()
     }
 }

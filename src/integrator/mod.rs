@@ -19,7 +19,7 @@ mod state;
 mod system;
 
 pub use consistency::{Bounds, Inconsistency};
-pub use discrete::{Chord, Discrete, SecantFactor};
+pub use discrete::{Chord, CutStep, Discrete};
 pub use equilibrium::{equilibrium, equilibrium_at};
 pub use error::StepError;
 pub use kinks::Kinked;

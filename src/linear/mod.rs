@@ -7,13 +7,13 @@
 //! | `dense.rs` | anything: inertias are far apart |
 //! | `lu.rs` | Gauss's elimination for `coupled.rs` |
 //! | `tangents.rs` | A₀ as each of them needs it |
-//! | `secant_legs.rs` | the conserving step's systems joint by joint along both legs |
+//! | `cut_loop.rs` | the conserving step's equations and systems in the turns of the links, the loop cut at the tip |
 //! | `secant_newton.rs` | the whole tangent of that step |
 
 pub mod coupled;
+pub mod cut_loop;
 pub mod dense;
 mod lu;
-pub mod secant_legs;
 pub mod secant_newton;
 pub mod tangents;
 pub mod two_leg;
@@ -26,8 +26,8 @@ use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
 use crate::mechanism::{COORDINATES, Coordinates, Geometry, MULTIPLIERS, Mechanism, Multipliers, Pose};
 use crate::vector::Vector;
 use coupled::Coupled;
+use cut_loop::OpenLegs;
 use dense::Dense;
-use secant_legs::LegConstants;
 use tangents::{CoupledTangents, DiagonalTangents, FullTangents, INNER, INNERS};
 use two_leg::{Elimination, TwoLeg};
 
@@ -111,7 +111,7 @@ pub struct TangentOf<'a, F> {
 pub struct LinearSolver {
     solve: LinearSolve,
     elimination: Elimination,
-    legs: LegConstants,
+    legs: OpenLegs,
 }
 
 /// The factorised saddle-point matrix with M, which is always diagonal, in the corner. Where the inertias are far apart, it is factorised
@@ -152,7 +152,7 @@ type Solution = (Coordinates, Multipliers);
 impl LinearSolver {
     /// For a mechanism whose saddle-point systems have this e, 1/kg, most of the time.
     pub fn new(solve: LinearSolve, mechanism: &Mechanism, regularization: f64) -> Self {
-        Self { solve, elimination: Elimination::new(mechanism, regularization), legs: LegConstants::new(mechanism) }
+        Self { solve, elimination: Elimination::new(mechanism, regularization), legs: OpenLegs::new(mechanism) }
     }
 
     /// The same mechanism with another solve.
@@ -162,7 +162,7 @@ impl LinearSolver {
 
     /// What the conserving step's solve knows of the machine.
     #[inline(always)]
-    pub fn legs(&self) -> &LegConstants {
+    pub fn legs(&self) -> &OpenLegs {
         &self.legs
     }
 

@@ -33,13 +33,9 @@ pub struct Secant {
 #[inline(always)]
 fn small(angle: Legs) -> [Legs; 3] {
     let z = angle * angle;
-    let term = |z: Legs, divisor: f64| z * both(1.0 / divisor);
-    let one = both(1.0);
-    let sinc = one - term(z, 6.0) * (one - term(z, 20.0) * (one - term(z, 42.0) * (one - term(z, 72.0) * (one - term(z, 110.0)))));
-    let cos = one
-        - term(z, 2.0)
-            * (one
-                - term(z, 12.0) * (one - term(z, 30.0) * (one - term(z, 56.0) * (one - term(z, 90.0) * (one - term(z, 132.0))))));
+    let series = |divisors: [f64; 6]| divisors.into_iter().rev().fold(both(0.0), |sum, divisor| both(1.0 / divisor) + z * sum);
+    let sinc = series([1.0, -6.0, 120.0, -5040.0, 362_880.0, -39_916_800.0]);
+    let cos = both(1.0) + z * series([-2.0, 24.0, -720.0, 40_320.0, -3_628_800.0, 479_001_600.0]);
     [cos, angle * sinc, sinc]
 }
 
@@ -80,12 +76,38 @@ impl Mechanism {
     /// The same compiled into its caller.
     #[inline(always)]
     pub(crate) fn secant_in_place(&self, begin: &Pose, d: &Coordinates) -> Secant {
-        let [cos_p, sin_p, sinc_p] = turn(both(0.5) * legs_of(d, P_THETA));
-        let [cos_d, sin_d, sinc_d] = turn(both(0.5) * legs_of(d, D_THETA));
+        self.secant_along(&Turned::new(begin, [legs_of(d, P_THETA), legs_of(d, D_THETA)]))
+    }
+
+    /// The same from directions.
+    #[inline(always)]
+    pub(crate) fn secant_along(&self, &Turned { middle, end, sinc, cos }: &Turned) -> Secant {
+        Secant { middle: self.pose_along(middle), end: self.pose_along(end), sinc, cos }
+    }
+}
+
+/// The directions of a step: of the proximal and the distal links.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Turned {
+    /// û_m.
+    pub(crate) middle: [Legs2; 2],
+    /// û₁.
+    pub(crate) end: [Legs2; 2],
+    /// s and c.
+    pub(crate) sinc: [Legs; 2],
+    pub(crate) cos: [Legs; 2],
+}
+
+impl Turned {
+    /// From a pose by the turns of the proximal and the distal links.
+    #[inline(always)]
+    pub(crate) fn new(begin: &Pose, turns: [Legs; 2]) -> Self {
+        let [cos_p, sin_p, sinc_p] = turn(both(0.5) * turns[0]);
+        let [cos_d, sin_d, sinc_d] = turn(both(0.5) * turns[1]);
         let (p, d) = (begin.u_p.turned_by(cos_p, sin_p), begin.u_d.turned_by(cos_d, sin_d));
-        Secant {
-            middle: self.pose_along([p, d]),
-            end: self.pose_along([p.turned_by(cos_p, sin_p), d.turned_by(cos_d, sin_d)]),
+        Self {
+            middle: [p, d],
+            end: [p.turned_by(cos_p, sin_p), d.turned_by(cos_d, sin_d)],
             sinc: [sinc_p, sinc_d],
             cos: [cos_p, cos_d],
         }

@@ -14,8 +14,9 @@ use crate::effects::payload::Join;
 use crate::effects::{Grips, Inputs, Sides};
 use crate::integrator::i3alp_conserving::ConservingRun;
 use crate::integrator::{Counters, MacroStepMethod, StepError, Work, i3alp};
+use crate::linear::cut_loop::CUT_UNKNOWNS;
 use crate::mechanism::coordinates::THETA;
-use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS};
+use crate::mechanism::{COORDINATES, Coordinates};
 
 /// Everything that changes during a run. A copy is a complete snapshot.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -37,7 +38,7 @@ pub(super) enum Progress {
     /// Wherever the error lets them: the step that runs past the call.
     PastCall(DenseRun),
     /// With the call, by the method that conserves: accelerations and joint forces are no part of the state.
-    Conserving(ConservingRun<COORDINATES, MULTIPLIERS>),
+    Conserving(ConservingRun<COORDINATES, CUT_UNKNOWNS>),
     /// Wherever a master puts the machine.
     Outside(Driven),
 }
@@ -239,7 +240,7 @@ impl WithCall for Core {
     }
 }
 
-impl WithCall for ConservingRun<COORDINATES, MULTIPLIERS> {
+impl WithCall for ConservingRun<COORDINATES, CUT_UNKNOWNS> {
     #[inline(always)]
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters) {
         (&mut self.q, &mut self.counters)

@@ -238,31 +238,37 @@ fn inputs_that_change_are_of_second_order() {
 #[test]
 fn the_work_of_a_step_is_bounded() {
     let mut parameters = conserving(default_parameters(), 4e-3);
-    parameters.start.theta = [1.3698, 1.6889];
+    // Falls that come as close to vertices as they will: which of them meet a step without a root, round-off decides.
+    let starts = (0..20).map(|i| 1.36 + 1e-3 * f64::from(i));
     let mut outcomes = Vec::new();
     for (most, iterations) in [(0, 20), (25, 80), (1000, 1100)] {
         parameters.settings.max_work = most;
-        let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
-        let (mut worst, mut failure) = (0, None);
-        for _ in 0..5000 {
-            let before = simulation.clone();
-            let spent = before.counters().iterations;
-            if let Err(cause) = simulation.advance(&default_inputs(), 4e-3, 1) {
-                assert_eq!(simulation.run(), before.run());
-                failure = Some(cause.to_string());
-                break;
+        let (mut failures, mut last_resorts) = (Vec::new(), 0);
+        for start in starts.clone() {
+            parameters.start.theta = [start, 1.6889];
+            let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
+            for _ in 0..5000 {
+                let before = simulation.clone();
+                let spent = before.counters().iterations;
+                if let Err(cause) = simulation.advance(&default_inputs(), 4e-3, 1) {
+                    assert_eq!(simulation.run(), before.run());
+                    failures.push(cause.to_string());
+                    break;
+                }
+                let taken = simulation.counters().iterations - spent;
+                assert!(taken <= iterations, "{most}: {taken}");
             }
-            worst = worst.max(simulation.counters().iterations - spent);
+            let error = observers::energies(simulation.model(), &simulation.state()).error.abs();
+            assert!(error <= 1e-8 * MGL, "{most}: {error:e}");
+            last_resorts += simulation.counters().last_resorts;
         }
-        assert!(worst <= iterations, "{most}: {worst}");
-        let error = observers::energies(simulation.model(), &simulation.state()).error.abs();
-        assert!(error <= 1e-8 * MGL, "{most}: {error:e}");
-        outcomes.push((failure, simulation.counters().last_resorts));
+        outcomes.push((failures, last_resorts));
     }
-    let status = outcomes[0].0.as_ref().expect("without a rescue this fall ends");
-    assert!(status.contains("solver.maxWork = 0"), "{status}");
-    assert!(outcomes[1].0.is_none() && outcomes[1].1 > 0, "the last resort is taken");
-    assert!(outcomes[2].0.is_none(), "{outcomes:?}");
+    let [without_rescue, bounded, free] = &outcomes[..] else { unreachable!("three bounds") };
+    assert!(!without_rescue.0.is_empty(), "without a rescue some falls end");
+    assert!(without_rescue.0.iter().all(|status| status.contains("solver.maxWork = 0")), "{without_rescue:?}");
+    assert!(bounded.0.is_empty() && bounded.1 > 0, "the last resort is taken");
+    assert!(free.0.is_empty(), "{free:?}");
 }
 
 /// All effects on at once, against steps of order 8 with an error of 1e-11 rad: of second order, the work of each kind too.

@@ -30,8 +30,6 @@ pub(super) struct Unknowns<const N: usize, const M: usize> {
 /// What depends on d, and what is left of the equations.
 pub(super) struct Evaluation<S: Discrete<N, M>, const N: usize, const M: usize> {
     pub(super) secant: S::Secant,
-    /// J_bᵀ Λ.
-    pub(super) pull: Vector<N>,
     /// q̇₁.
     pub(super) v: Vector<N>,
     /// M⁻¹ f, m and rad.
@@ -87,6 +85,6 @@ impl<'a, S: Discrete<N, M>, const N: usize, const M: usize> Step<'a, S, N, M> {
         let applied = system.mean_forces(&self.chord(&secant, &x.d, &v));
         let force = system.mass_times(S::end(&secant), &(z - h * v0)) + pull + 0.5 * turning - 0.5 * h * h * applied;
         let phi = system.phi(&(q + x.d), S::end(&secant));
-        Evaluation { pull, v, offset: system.apply_inverse_mass(&force), force, phi, secant }
+        Evaluation { v, offset: system.apply_inverse_mass(&force), force, phi, secant }
     }
 }

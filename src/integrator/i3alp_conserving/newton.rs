@@ -1,15 +1,18 @@
 //! The unknowns of a conserving step, by Newton's method: Λ and ν in turn where forces let it, or all at once.
 
 use super::equations::{Evaluation, Step, Unknowns};
-use crate::integrator::{Counters, Discrete, SecantFactor};
-use crate::vector::Vector;
+use crate::integrator::{Counters, CutStep, Discrete};
 
 /// Largest |M⁻¹f| per second of step of one that has converged, m/s and rad/s: what is left does work, in proportion to it.
 const OFFSET: f64 = 1e-9;
+/// The same with the loops cut, per square of it, m/s² and rad/s²: there it is not by chance less, for the first guess is good.
+const CUT_OFFSET: f64 = 1e-10;
 /// Largest |Φ| of it, in parts of the system's size.
 const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
 /// Largest |J₁w|/2 per second of step, in parts of the system's size per second.
 const RATE: f64 = 5e-12;
+/// Where |M⁻¹f| is larger than this, m and rad, after Λ and ν were looked for in turn, they have led nowhere.
+const NEARBY: f64 = 1e-3;
 /// Most |M⁻¹f| after none, one and two iterations: where it is larger, the whole tangent takes less work.
 const PROMISING: [f64; 3] = [f64::INFINITY, 3e-3, 1e-7];
 /// After these the matrix is factorised anew each time, and |M⁻¹f| has to fall to this part.
@@ -23,7 +26,7 @@ const TOLERANCE: f64 = 1.0;
 const LARGEST_TURN: f64 = 6.0;
 
 /// What a step that has converged may leave of its equations.
-struct Bounds {
+pub(super) struct Bounds {
     offset: f64,
     phi: f64,
     rate: f64,
@@ -31,15 +34,21 @@ struct Bounds {
 
 impl Bounds {
     #[inline(always)]
-    fn new<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64) -> Self {
+    pub(super) fn new<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64) -> Self {
         let size = system.length_scale();
         Self { offset: OFFSET * h, phi: ROUND_OFF * size, rate: size * ROUND_OFF.max(RATE * h) }
     }
 
-    /// By M⁻¹f, Φ and |J₁w|/2.
+    /// With the loops cut, for a step that turns links so far.
     #[inline(always)]
-    fn are_met<const N: usize, const M: usize>(&self, offset: &Vector<N>, phi: &Vector<M>, rate: f64) -> bool {
-        offset.max_norm() < self.offset && phi.max_norm() < self.phi && rate < self.rate
+    pub(super) fn cut<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64, turn: f64) -> Self {
+        Self { offset: (CUT_OFFSET * h).max(ROUND_OFF * turn), ..Self::new(system, h) }
+    }
+
+    /// By the largest elements of M⁻¹f, Φ and J₁w/2.
+    #[inline(always)]
+    fn are_met(&self, offset: f64, phi: f64, rate: f64) -> bool {
+        offset < self.offset && phi < self.phi && rate < self.rate
     }
 
     /// All of them by a factor larger.
@@ -64,54 +73,41 @@ impl Allowance<'_> {
     }
 }
 
-/// Λ and ν in turn: ν by a linear equation for given d, Newton's method on d and Λ. Contracts by (hω)² per iteration.
+/// Λ and ν in turn, with the loops cut: ν by a linear equation for given d, Newton's method on d and Λ. Contracts by (hω)² per iteration.
+/// What is found there goes to `arrive`; where that is too little: the unknowns it has come to, unless they lead nowhere.
 #[inline(always)]
-pub(super) fn alternate<const N: usize, const M: usize, S: Discrete<N, M>>(
-    step: &Step<'_, S, N, M>,
-    x: &mut Unknowns<N, M>,
-    regularization: f64,
-    most: u32,
-    allowance: &mut Allowance<'_>,
-) -> Result<Evaluation<S, N, M>, f64> {
-    let system = step.system;
-    let bounds = Bounds::new(system, step.h);
+pub(super) fn in_turn<const N: usize, const M: usize, C: CutStep<N, M>, T>(
+    cut: &C,
+    mut x: C::Unknowns,
+    bounds: &Bounds,
+    (regularization, most): (f64, u32),
+    arrive: impl FnOnce(&C::Motion, u32) -> T,
+) -> Result<T, (Option<C::Unknowns>, u32)> {
     let mut before = f64::INFINITY;
-    let mut factor: Option<S::Factor> = None;
+    let mut factor: Option<C::Factor> = None;
     for iteration in 0..=most {
-        let secant = step.secant(&x.d);
-        let mut z = step.mean_motion(&secant, x);
-        let mut rate = f64::INFINITY;
-        if let Some(factor) = &factor {
-            let left = system.phi_q_times(S::end(&secant), &(z - (0.5 * step.h) * step.v));
-            rate = left.max_norm();
-            let nu = factor.dual(&left);
-            x.nu += nu;
-            z = z - system.apply_inverse_mass(&system.mean_transposed_times(&secant, &nu));
-        }
-        let found = step.evaluate(secant, z, x);
-        let Evaluation { secant, pull, v, offset, force, phi } = &found;
-        let left = offset.max_norm();
-        if bounds.are_met(offset, phi, rate) {
-            return Ok(found);
+        let motion = cut.motion(&x, regularization);
+        let balance = cut.balance(&motion);
+        let [offset, gap, rate] = cut.left(&motion, &balance);
+        if bounds.are_met(offset, gap, rate) {
+            let factor = factor.get_or_insert_with(|| cut.factor(&motion, &balance, regularization));
+            return Ok(arrive(&cut.with_rates(&motion, &balance, factor), iteration));
         }
         let promising = PROMISING.get(iteration as usize).copied().unwrap_or(CONTRACTION * before);
-        if left > promising || iteration == most || allowance.take().is_none() {
-            return Err(left);
+        if offset > promising || iteration == most {
+            return Err(((offset < NEARBY).then(|| C::unknowns(&motion)), iteration));
         }
-        before = left;
+        before = offset;
         if iteration as usize >= PROMISING.len() {
             factor = None;
         }
-        let factor =
-            factor.get_or_insert_with(|| system.factor_secant(&step.chord(secant, &x.d, v), (&x.lambda, pull), regularization));
-        let (d, lambda) = factor.solve(&-*force, &-*phi);
-        x.d += d;
-        x.lambda += lambda;
-        if !(x.d.is_finite() && system.angle_norm(&x.d) < LARGEST_TURN) {
-            break;
+        let factor = factor.get_or_insert_with(|| cut.factor(&motion, &balance, regularization));
+        x = cut.improved(&motion, &balance, factor);
+        if !(C::turn(&x) < LARGEST_TURN) {
+            return Err((None, iteration + 1));
         }
     }
-    Err(f64::INFINITY)
+    Err((None, most))
 }
 
 /// Until when the whole tangent is used.
@@ -146,7 +142,7 @@ pub(super) fn whole<const N: usize, const M: usize, S: Discrete<N, M>>(
             Until::Solved => {
                 let is_last = correction < LAST_CORRECTION || iteration == most;
                 let allowed = if is_last { bounds.times(TOLERANCE) } else { bounds.times(1.0) };
-                no_further && allowed.are_met(offset, phi, 0.5 * rate.max_norm())
+                no_further && allowed.are_met(offset.max_norm(), phi.max_norm(), 0.5 * rate.max_norm())
             }
             Until::Corrected(bound) => correction < bound || no_further,
         };

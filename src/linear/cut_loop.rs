@@ -1,0 +1,472 @@
+//! The conserving step with its loop cut at the tip: its equations in the turns of the links.
+//!
+//! Two open legs, each ground – elbow – tip, meet the joints of the ground and the elbows whatever their links' turns Δθ and rates are, and
+//! the positions' rows of (37) give the forces of these joints. What is left of ten multipliers are Λ and ν of the tip, and of (37) the
+//! angles' rows and the tip's closure. With ℓ = a + b of the proximal and L of the distal link, the moments of inertia
+//!
+//! ```text
+//! A = m_P a² + m_D ℓ²,   B = m_D ℓ a_D,   D = m_D a_D²        moment(p, d) = (A p + B d, B p + D d)
+//! ```
+//!
+//! ω̂ = ½h ω₁ of the rates at the end and moments of the motion (m_P a times that of a proximal plus m_D ℓ times that of a distal centre of
+//! mass, and m_D a_D times the latter), these are
+//!
+//! ```text
+//! k = moment(s Δθ n̂_m) − k₀,     k₀ of ½h q̇₀          of the way d − ½h q̇₀
+//! w = moment(ω̂ n̂₁)                                     of ½h q̇₁
+//! y = k − w − σ(ℓ, L) ν                                 what ν moves
+//! g = ½h² Q̄ + k₀ − w − σ(ℓ, L) Λ                        what Λ pulls
+//!
+//! ν:  I ω̂ + c n̂_m·w + c n̂_m·σ(ℓ, L) ν = I (Δθ − ½h ω₀) + c n̂_m·k,     Σ σ (ℓ n̂₁ ω̂)_P + σ (L n̂₁ ω̂)_D = 0
+//! f:  I (ω̂ − ½h ω₀) − s n̂_m·g + ½ s (ω̂ + ½h ω₀) û_m·y − ½h² Q̄_θ = 0
+//! ```
+//!
+//! The first are linear in ω̂ and ν. Newton's method for Δθ and Λ has the same matrix, with s for c and the joint forces' stiffness: 2×2 in
+//! each leg, which leaves 2×2 for the tip ([`Closed`]).
+
+use crate::mechanism::coordinates::{
+    D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, add_legs, legs_of, set_legs,
+};
+use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
+use crate::mechanism::secant::{Secant, Turned};
+use crate::mechanism::{Coordinates, Mechanism, Multipliers, Pose};
+use crate::vector::Vector;
+
+/// Number of unknowns.
+pub const CUT_UNKNOWNS: usize = 8;
+/// Δθ of the proximal and of the distal links, Λ and ν of the tip.
+pub type CutUnknowns = Vector<CUT_UNKNOWNS>;
+/// Places in it, by pairs.
+const PROXIMAL: usize = 0;
+const DISTAL: usize = 1;
+const LAMBDA: usize = 2;
+const NU: usize = 3;
+
+/// Of d, Λ and ν.
+#[inline(always)]
+pub fn cut_unknowns(d: &Coordinates, [lambda, nu]: [&Multipliers; 2]) -> CutUnknowns {
+    let mut x = CutUnknowns::ZERO;
+    set_legs(&mut x, PROXIMAL, legs_of(d, P_THETA));
+    set_legs(&mut x, DISTAL, legs_of(d, D_THETA));
+    set_legs(&mut x, LAMBDA, Legs::new([lambda[TIP_X], lambda[TIP_Y]]));
+    set_legs(&mut x, NU, Legs::new([nu[TIP_X], nu[TIP_Y]]));
+    x
+}
+
+/// The largest |Δθ|, rad.
+#[inline(always)]
+pub fn largest_turn(x: &CutUnknowns) -> f64 {
+    let [left, right] = legs_of(x, PROXIMAL).abs().fast_max(legs_of(x, DISTAL).abs()).to_array();
+    if left > right { left } else { right }
+}
+
+/// What of it depends on the machine only.
+#[derive(Clone, Copy, Debug)]
+pub struct OpenLegs {
+    mechanism: Mechanism,
+    /// 1/m and 1/I in the order of the coordinates.
+    mobility: [Legs; 6],
+    /// ℓ and L with the leg's sign in the tip's closure, m.
+    sigma_length: [Legs; 2],
+    /// m_P a, m_D ℓ and m_D a_D, kg·m.
+    mass_moment: [Legs; 3],
+    /// A, B and D, kg·m².
+    moment: [Legs; 3],
+    /// 1/(I + A) and 1/(I + D): of a link that its joint alone holds, 1/(kg·m²).
+    turn_mobility: [Legs; 2],
+}
+
+/// The motion's moments of the proximal and the distal links.
+type Moments = [Legs2; 2];
+
+impl Legs2 {
+    #[inline(always)]
+    fn plus(self, other: Self) -> Self {
+        Self { x: self.x + other.x, y: self.y + other.y }
+    }
+
+    #[inline(always)]
+    fn minus(self, other: Self) -> Self {
+        Self { x: self.x - other.x, y: self.y - other.y }
+    }
+}
+
+/// Of both links the first minus the second.
+#[inline(always)]
+fn minus([p, d]: Moments, [other_p, other_d]: Moments) -> Moments {
+    [p.minus(other_p), d.minus(other_d)]
+}
+
+/// What the links' centres of mass do.
+#[inline(always)]
+fn centres(x: &Coordinates) -> [Legs2; 2] {
+    [Legs2 { x: legs_of(x, P_X), y: legs_of(x, P_Y) }, Legs2 { x: legs_of(x, D_X), y: legs_of(x, D_Y) }]
+}
+
+#[inline(always)]
+fn angles(x: &Coordinates) -> [Legs; 2] {
+    [legs_of(x, P_THETA), legs_of(x, D_THETA)]
+}
+
+/// Something of the tip for both legs.
+#[inline(always)]
+fn at_tip([x, y]: [f64; 2]) -> Legs2 {
+    Legs2 { x: both(x), y: both(y) }
+}
+
+impl OpenLegs {
+    /// Of a mechanism.
+    pub fn new(mechanism: &Mechanism) -> Self {
+        let &Mechanism { a_p, b_p, a_d, sigma_b_d, mass_p, mass_d, inertia_p, inertia_d, .. } = mechanism;
+        let length = a_p + b_p;
+        let mass_moment @ [proximal, elbow, distal] = [mass_p * a_p, mass_d * length, mass_d * a_d];
+        let moment = [proximal * a_p + elbow * length, distal * length, distal * a_d];
+        Self {
+            mechanism: *mechanism,
+            mobility: mechanism.mass_diagonal().map(|m| both(1.0) / m),
+            sigma_length: [SIGMA * length, SIGMA * a_d + sigma_b_d],
+            mass_moment,
+            moment,
+            turn_mobility: [both(1.0) / (inertia_p + moment[0]), both(1.0) / (inertia_d + moment[2])],
+        }
+    }
+
+    /// M⁻¹ x.
+    #[inline(always)]
+    pub fn apply_inverse_mass(&self, x: &Coordinates) -> Coordinates {
+        let mut result = Coordinates::ZERO;
+        for (i, mobility) in self.mobility.iter().enumerate() {
+            set_legs(&mut result, i, *mobility * legs_of(x, i));
+        }
+        result
+    }
+
+    /// Moments of links that turn by p and d about their joints.
+    #[inline(always)]
+    fn moment(&self, [p, d]: [Legs2; 2]) -> Moments {
+        let [own, shared, distal] = self.moment;
+        [p.scaled(own).plus(d.scaled(shared)), p.scaled(shared).plus(d.scaled(distal))]
+    }
+
+    /// Moments of motions of the centres of mass.
+    #[inline(always)]
+    fn moment_of_centres(&self, [p, d]: [Legs2; 2]) -> Moments {
+        let [proximal, elbow, distal] = self.mass_moment;
+        [p.scaled(proximal).plus(d.scaled(elbow)), d.scaled(distal)]
+    }
+
+    /// Moments of forces on the centres of mass.
+    #[inline(always)]
+    fn moment_of_forces(&self, [p, d]: [Legs2; 2]) -> Moments {
+        let Mechanism { a_p, b_p, a_d, .. } = self.mechanism;
+        [p.scaled(a_p).plus(d.scaled(a_p + b_p)), d.scaled(a_d)]
+    }
+
+    /// σ(ℓ, L) times something of the tip.
+    #[inline(always)]
+    fn levers(&self, tip: Legs2) -> Moments {
+        self.sigma_length.map(|length| tip.scaled(length))
+    }
+
+    /// A step of h seconds from q₀ and q̇₀.
+    #[inline(always)]
+    pub fn begin<'a>(&'a self, pose: &'a Pose, [q, v]: [&'a Coordinates; 2], h: f64) -> OpenStep<'a> {
+        let half = both(0.5 * h);
+        let begun = self.moment_of_centres(centres(v)).map(|moment| moment.scaled(half));
+        OpenStep { legs: self, pose, q, v, h, begun, begun_rates: angles(v).map(|rate| half * rate) }
+    }
+}
+
+/// A matrix of each leg over its two links by rows, closed by the tip: [A b; c −e] with the columns b of the tip's forces and the rows c
+/// of its closure.
+#[derive(Clone, Copy, Debug)]
+pub struct Closed {
+    /// A⁻¹ by rows.
+    inverse: [[Legs; 2]; 2],
+    /// A⁻¹ b by links.
+    columns: [Legs2; 2],
+    /// (c A⁻¹ b + e)⁻¹ by rows.
+    tip_inverse: [f64; 4],
+}
+
+impl Closed {
+    /// `pulls`: the rows of b by links; `ends`: the columns of c.
+    #[inline(always)]
+    fn new([[pp, pd], [dp, dd]]: [[Legs; 2]; 2], [p, d]: [Legs2; 2], ends: &[Legs2; 2], e: f64) -> Self {
+        let reciprocal = both(1.0) / (pp * dd - pd * dp);
+        let inverse @ [[ipp, ipd], [idp, idd]] = [[dd * reciprocal, -pd * reciprocal], [-dp * reciprocal, pp * reciprocal]];
+        let columns = [p.scaled(ipp).plus(d.scaled(ipd)), p.scaled(idp).plus(d.scaled(idd))];
+        let [xx, yx] = apart(ends, columns.map(|column| column.x));
+        let [xy, yy] = apart(ends, columns.map(|column| column.y));
+        let (xx, yy) = (xx + e, yy + e);
+        let reciprocal = 1.0 / (xx * yy - xy * yx);
+        Self { inverse, columns, tip_inverse: [yy * reciprocal, -xy * reciprocal, -yx * reciprocal, xx * reciprocal] }
+    }
+
+    /// (c A⁻¹ b + e)⁻¹ x.
+    #[inline(always)]
+    fn at_tip(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        let [xx, xy, yx, yy] = self.tip_inverse;
+        [xx * x + xy * y, yx * x + yy * y]
+    }
+
+    /// x and y of A x + b y = r, c x − e y = 0, and x of the same with c x − e y = −gap.
+    #[inline(always)]
+    fn solve(&self, [p, d]: [Legs; 2], ends: &[Legs2; 2], gap: [f64; 2]) -> ([Legs; 2], [f64; 2]) {
+        let [[pp, pd], [dp, dd]] = self.inverse;
+        let free = [pp * p + pd * d, dp * p + dd * d];
+        let open @ [x, y] = apart(ends, free);
+        let closing = at_tip(self.at_tip([x + gap[0], y + gap[1]]));
+        ([free[0] - self.columns[0].dot(closing), free[1] - self.columns[1].dot(closing)], self.at_tip(open))
+    }
+}
+
+/// By how much the legs' tips come apart where their links turn so far.
+#[inline(always)]
+fn apart([p, d]: &[Legs2; 2], [turn_p, turn_d]: [Legs; 2]) -> [f64; 2] {
+    [sum(p.x * turn_p + d.x * turn_d), sum(p.y * turn_p + d.y * turn_d)]
+}
+
+/// A step as it begins.
+#[derive(Clone, Copy)]
+pub struct OpenStep<'a> {
+    legs: &'a OpenLegs,
+    pose: &'a Pose,
+    /// q₀.
+    pub q: &'a Coordinates,
+    /// q̇₀.
+    v: &'a Coordinates,
+    /// The step, s.
+    pub h: f64,
+    /// k₀.
+    begun: Moments,
+    /// ½h ω₀.
+    begun_rates: [Legs; 2],
+}
+
+/// How the legs move at some unknowns: the joints but the tip's are met, and the rates at the end.
+#[derive(Clone, Copy, Debug)]
+pub struct OpenMotion {
+    directions: Turned,
+    /// The unknowns, with ν of these rates.
+    pub x: CutUnknowns,
+    /// ω̂.
+    half: [Legs; 2],
+    /// y and k₀ − w.
+    moved: Moments,
+    slowed: Moments,
+    /// σ(ℓ, L) n̂₁.
+    ends: [Legs2; 2],
+    /// What is left of the tip's closure, m, and of ½h times its rate.
+    gap: [f64; 2],
+    rate: [f64; 2],
+}
+
+/// What forces make of a motion.
+#[derive(Clone, Copy, Debug)]
+pub struct OpenBalance {
+    /// g.
+    pull: Moments,
+    /// f of the angles.
+    left: [Legs; 2],
+}
+
+/// The larger magnitude; NaN if the second is.
+#[inline(always)]
+fn larger([x, y]: [f64; 2]) -> f64 {
+    if x.abs() > y.abs() { x.abs() } else { y.abs() }
+}
+
+/// The normals n̂ of directions.
+#[inline(always)]
+fn normals([p, d]: [Legs2; 2]) -> [Legs2; 2] {
+    [p.turned(), d.turned()]
+}
+
+/// Link by link the vectors times the numbers.
+#[inline(always)]
+fn scaled([p, d]: [Legs2; 2], [by_p, by_d]: [Legs; 2]) -> [Legs2; 2] {
+    [p.scaled(by_p), d.scaled(by_d)]
+}
+
+impl<'a> OpenStep<'a> {
+    /// The matrix with ω̂ or Δθ: the inertias of the angles' rows, in which joint forces act along `factors` n̂_m.
+    #[inline(always)]
+    fn closed(&self, (turned, ends): (&Turned, &[Legs2; 2]), [proximal, distal]: [Legs; 2], factors: [Legs; 2], e: f64) -> Closed {
+        let [own, shared, last] = self.legs.moment;
+        let ([by_p, by_d], [cos_p, cos_d]) = (factors, turned.cos);
+        let ([middle_p, middle_d], [end_p, end_d]) = (turned.middle, turned.end);
+        let matrix = [
+            // n̂_m·n̂₁ of a link is its c.
+            [proximal + by_p * cos_p * own, by_p * shared * middle_p.dot(end_d)],
+            [by_d * shared * middle_d.dot(end_p), distal + by_d * cos_d * last],
+        ];
+        let [length_p, length_d] = self.legs.sigma_length;
+        Closed::new(matrix, scaled(normals(turned.middle), [by_p * length_p, by_d * length_d]), ends, e)
+    }
+
+    /// The motion at these Δθ, which does not depend on Λ; ν is a guess, as exact as its change times e.
+    #[inline(always)]
+    pub fn motion(&self, mut x: CutUnknowns, e: f64) -> OpenMotion {
+        let &Self { legs, begun_rates: [begun_p, begun_d], .. } = self;
+        let mechanism = &legs.mechanism;
+        let turns @ [turn_p, turn_d] = [legs_of(&x, PROXIMAL), legs_of(&x, DISTAL)];
+        let directions = Turned::new(self.pose, turns);
+        let (across, end) = (normals(directions.middle), normals(directions.end));
+        let ends = scaled(end, legs.sigma_length);
+        let ([sinc_p, sinc_d], [cos_p, cos_d]) = (directions.sinc, directions.cos);
+
+        let way = minus(legs.moment(scaled(across, [sinc_p * turn_p, sinc_d * turn_d])), self.begun);
+        let nu = legs_of(&x, NU);
+        let [moved_p, moved_d] = minus(way, legs.levers(at_tip(nu.to_array())));
+        let right = [
+            mechanism.inertia_p * (turn_p - begun_p) + cos_p * across[0].dot(moved_p),
+            mechanism.inertia_d * (turn_d - begun_d) + cos_d * across[1].dot(moved_d),
+        ];
+        let closed = self.closed((&directions, &ends), [mechanism.inertia_p, mechanism.inertia_d], directions.cos, e);
+        let (half, change) = closed.solve(right, &ends, [0.0; 2]);
+        set_legs(&mut x, NU, nu + Legs::new(change));
+        let turning = legs.moment(scaled(end, half));
+        let moved = minus(minus([moved_p, moved_d], turning), legs.levers(at_tip(change)));
+
+        let [p, d] = scaled(directions.end, legs.sigma_length);
+        let gap = [sum(p.x + d.x + SIGMA * mechanism.ground_x), sum(p.y + d.y)];
+        let rate = change.map(|change| e * change);
+        OpenMotion { directions, x, half, moved, slowed: minus(self.begun, turning), ends, gap, rate }
+    }
+
+    /// What depends on d.
+    #[inline(always)]
+    pub fn secant(&self, motion: &OpenMotion) -> Secant {
+        self.legs.mechanism.secant_along(&motion.directions)
+    }
+
+    /// d = q₁ − q₀ along the legs.
+    #[inline(always)]
+    pub fn way(&self, motion: &OpenMotion) -> Coordinates {
+        let Mechanism { ground_x, a_p, b_p, a_d, .. } = self.legs.mechanism;
+        let OpenMotion { directions: Turned { end: [p, d], .. }, x, .. } = motion;
+        let (proximal, distal) = (p.scaled(a_p), p.scaled(a_p + b_p).plus(d.scaled(a_d)));
+        let mut q = Coordinates::ZERO;
+        set_legs(&mut q, P_X, ground_x + proximal.x);
+        set_legs(&mut q, P_Y, proximal.y);
+        set_legs(&mut q, D_X, ground_x + distal.x);
+        set_legs(&mut q, D_Y, distal.y);
+        let mut d = q - *self.q;
+        set_legs(&mut d, P_THETA, legs_of(x, PROXIMAL));
+        set_legs(&mut d, D_THETA, legs_of(x, DISTAL));
+        d
+    }
+
+    /// q̇₁ along the legs.
+    #[inline(always)]
+    pub fn rates(&self, motion: &OpenMotion) -> Coordinates {
+        let Mechanism { a_p, b_p, a_d, .. } = self.legs.mechanism;
+        let OpenMotion { directions, half: [half_p, half_d], .. } = motion;
+        let per_second = both(2.0 / self.h);
+        let rates @ [rate_p, rate_d] = [per_second * *half_p, per_second * *half_d];
+        let [p, d] = scaled(normals(directions.end), rates);
+        let (proximal, distal) = (p.scaled(a_p), p.scaled(a_p + b_p).plus(d.scaled(a_d)));
+        let mut v = Coordinates::ZERO;
+        set_legs(&mut v, P_X, proximal.x);
+        set_legs(&mut v, P_Y, proximal.y);
+        set_legs(&mut v, P_THETA, rate_p);
+        set_legs(&mut v, D_X, distal.x);
+        set_legs(&mut v, D_Y, distal.y);
+        set_legs(&mut v, D_THETA, rate_d);
+        v
+    }
+
+    /// What is left under mean forces Q̄.
+    #[inline(always)]
+    pub fn balance(&self, motion: &OpenMotion, forces: &Coordinates) -> OpenBalance {
+        let &Self { legs, begun_rates: [begun_p, begun_d], h, .. } = self;
+        let mechanism = &legs.mechanism;
+        let applied = 0.5 * h * h * *forces;
+        let OpenMotion { directions, x, half: [half_p, half_d], moved: [moved_p, moved_d], slowed: [slowed_p, slowed_d], .. } =
+            motion;
+        let [load_p, load_d] = legs.moment_of_forces(centres(&applied));
+        let [lever_p, lever_d] = legs.levers(at_tip(legs_of(x, LAMBDA).to_array()));
+        let pull @ [pull_p, pull_d] = [load_p.plus(*slowed_p).minus(lever_p), load_d.plus(*slowed_d).minus(lever_d)];
+        let ([along_p, along_d], [sinc_p, sinc_d]) = (directions.middle, directions.sinc);
+        let [torque_p, torque_d] = angles(&applied);
+        let half = both(0.5);
+        let turning_p = half * (*half_p + begun_p) * along_p.dot(*moved_p) - along_p.turned().dot(pull_p);
+        let turning_d = half * (*half_d + begun_d) * along_d.dot(*moved_d) - along_d.turned().dot(pull_d);
+        let left = [
+            mechanism.inertia_p * (*half_p - begun_p) - torque_p + sinc_p * turning_p,
+            mechanism.inertia_d * (*half_d - begun_d) - torque_d + sinc_d * turning_d,
+        ];
+        OpenBalance { pull, left }
+    }
+
+    /// What is left: of f as an angle, rad; of the tip's closure and of ½h times its rate, m.
+    #[inline(always)]
+    pub fn left(&self, OpenMotion { gap, rate, .. }: &OpenMotion, OpenBalance { left: [p, d], .. }: &OpenBalance) -> [f64; 3] {
+        let [mobility_p, mobility_d] = self.legs.turn_mobility;
+        let offset = (mobility_p * *p).abs().fast_max((mobility_d * *d).abs()).to_array();
+        [larger(offset), larger(*gap), larger(*rate)]
+    }
+
+    /// The matrix of Newton's increments where loads have these stiffnesses ½h² K in the angles.
+    #[inline(always)]
+    pub fn factor(&self, motion: &OpenMotion, balance: &OpenBalance, [load_p, load_d]: [Legs; 2], e: f64) -> Closed {
+        let (OpenMotion { directions, x, ends, .. }, [pull_p, pull_d]) = (motion, balance.pull);
+        let mechanism = &self.legs.mechanism;
+        let ([along_p, along_d], [sinc_p, sinc_d]) = (directions.middle, directions.sinc);
+        // s n̂_m turns by half of Δθ, and s falls: its derivative is −Δθ/12 but for the third order.
+        let stiffness = |along: Legs2, pull: Legs2, turn: Legs| {
+            both(0.5) * along.dot(pull) + both(1.0 / 12.0) * turn * along.turned().dot(pull)
+        };
+        let inertias = [
+            mechanism.inertia_p + load_p + sinc_p * stiffness(along_p, pull_p, legs_of(x, PROXIMAL)),
+            mechanism.inertia_d + load_d + sinc_d * stiffness(along_d, pull_d, legs_of(x, DISTAL)),
+        ];
+        self.closed((directions, ends), inertias, directions.sinc, e)
+    }
+
+    /// Newton's increments of Δθ and Λ. What closes the tip moves no rates, so that Λ takes no part in it.
+    #[inline(always)]
+    pub fn correction(&self, OpenMotion { gap, ends, .. }: &OpenMotion, balance: &OpenBalance, matrix: &Closed) -> CutUnknowns {
+        let [left_p, left_d] = balance.left;
+        let ([p, d], lambda) = matrix.solve([-left_p, -left_d], ends, *gap);
+        let mut change = CutUnknowns::ZERO;
+        set_legs(&mut change, PROXIMAL, p);
+        set_legs(&mut change, DISTAL, d);
+        set_legs(&mut change, LAMBDA, Legs::new(lambda));
+        change
+    }
+
+    /// The motion with rates, and Λ, to which forces leave nothing: the last increment, without that of Δθ.
+    #[inline(always)]
+    pub fn with_rates(&self, motion: &OpenMotion, balance: &OpenBalance, matrix: &Closed) -> OpenMotion {
+        let [left_p, left_d] = balance.left;
+        let ([p, d], lambda) = matrix.solve([-left_p, -left_d], &motion.ends, [0.0; 2]);
+        let mut x = motion.x;
+        add_legs(&mut x, LAMBDA, Legs::new(lambda));
+        OpenMotion { x, half: [motion.half[0] + p, motion.half[1] + d], ..*motion }
+    }
+
+    /// Λ and ν of all joints under mean forces Q̄.
+    pub fn multipliers(&self, motion: &OpenMotion, forces: &Coordinates) -> [Multipliers; 2] {
+        let (x, mechanism) = (&motion.x, &self.legs.mechanism);
+        let z = 0.5 * self.h * (*self.v + self.rates(motion));
+        // From the tip to the ground each link passes on what it takes itself.
+        let along = |taken: &Coordinates, tip: Legs| {
+            let [proximal, distal] = centres(taken);
+            let tip = tip.to_array();
+            let elbow = distal.minus(at_tip(tip).scaled(SIGMA));
+            let ground = proximal.plus(elbow);
+            let mut joints = Multipliers::ZERO;
+            set_legs(&mut joints, G_X, ground.x);
+            set_legs(&mut joints, G_Y, ground.y);
+            set_legs(&mut joints, E_X, elbow.x);
+            set_legs(&mut joints, E_Y, elbow.y);
+            [joints[TIP_X], joints[TIP_Y]] = tip;
+            joints
+        };
+        let taken = 0.5 * self.h * self.h * *forces - mechanism.mass_times(&(z - self.h * *self.v));
+        let moved = mechanism.mass_times(&(self.way(motion) - z));
+        [along(&taken, legs_of(x, LAMBDA)), along(&moved, legs_of(x, NU))]
+    }
+}
