@@ -163,9 +163,9 @@ mod tests {
     #[test]
     fn a_few_entries_are_as_in_the_xml() {
         let tau = Variable::find(101).expect("tau[2]");
-        assert_eq!((tau.name, tau.id, tau.unit), ("tau[2]", VariableId::RealInput(RealInput::Tau(1)), Some("N.m")));
+        assert_eq!((tau.name, tau.id, tau.unit()), ("tau[2]", VariableId::RealInput(RealInput::Tau(1)), Some("N.m")));
         let method = Variable::named("solver.method").expect("solver.method");
-        assert_eq!(method.items[2], Item { name: "rk4", value: 3 });
+        assert_eq!(method.items()[2], Item { name: "rk4", value: 3 });
         assert_eq!(Method::from_number(3), Some(Method::Rk4));
         assert_eq!(Method::from_number(0), None);
     }
