@@ -4,7 +4,7 @@
 //! `link[1..4].length` one variant with a 0-based index. The bindings in src/fmi match over these enums, so a variable
 //! that is not bound, or a binding that is misspelt, does not compile.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 use std::{env, fs, path::Path};
 
@@ -144,6 +144,17 @@ fn families(description: &ModelDescription, code: &mut String) -> Written {
 fn table(description: &ModelDescription, code: &mut String) -> Written {
     let mut variables: Vec<&Variable> = description.variables.iter().filter(|variable| !variable.is_alias()).collect();
     variables.sort_by_key(|variable| variable.reference);
+    // By their places, for what points to something has to be relocated when the library is loaded.
+    let units: BTreeSet<&str> = variables.iter().filter_map(|variable| variable.unit.as_deref()).collect();
+    let units: Vec<&str> = units.into_iter().collect();
+    let enumerations: BTreeSet<&str> = variables.iter().filter_map(|variable| enumeration(variable)).collect();
+    let enumerations: Vec<&str> = enumerations.into_iter().collect();
+    writeln!(code, "\n/// The units.\nconst UNITS: &[&str] = &{units:?};")?;
+    writeln!(code, "\n/// The items of each enumeration.\nconst ENUMERATIONS: &[&[Item]] = &[")?;
+    for name in &enumerations {
+        writeln!(code, "    {name}::ITEMS,")?;
+    }
+    writeln!(code, "];")?;
     writeln!(code, "\n/// Every variable once (derivatives share the entry of what they are), by ascending reference.")?;
     writeln!(
         code,
@@ -163,22 +174,24 @@ fn table(description: &ModelDescription, code: &mut String) -> Written {
             Kind::Boolean { start } => (start.map(|b| format!("Value::Boolean({b})")), None, None),
             Kind::Enumeration { start } => (start.map(|n| format!("Value::Integer({n})")), None, None),
         };
-        let items = match (&variable.kind, &variable.declared_type) {
-            (Kind::Enumeration { .. }, Some(name)) => format!("{name}::ITEMS"),
-            _ => "&[]".to_owned(),
-        };
+        let unit = variable.unit.as_deref().and_then(|unit| units.iter().position(|other| *other == unit));
+        let items = enumeration(variable).and_then(|name| enumerations.iter().position(|other| *other == name));
         writeln!(
             code,
-            "    Variable {{ name: {:?}, reference: {}, id: VariableId::{group}({group}::{}{index}), unit: {:?}, \
-             start: {}, min: {min:?}, max: {max:?}, items: {items}, tunable: {}, output: {} }},",
+            "    Variable {{ name: {:?}, reference: {}, id: VariableId::{group}({group}::{}{index}), unit: {unit:?}, \
+             start: {}, min: {min:?}, max: {max:?}, enumeration: {items:?}, tunable: {}, output: {} }},",
             variable.name.full,
             variable.reference,
             camel(&variable.name.family),
-            variable.unit,
             start.map_or("None".to_owned(), |start| format!("Some({start})")),
             variable.variability == Variability::Tunable,
             variable.causality == Causality::Output,
         )?;
     }
     writeln!(code, "];")
+}
+
+/// The enumeration of a variable that has one.
+fn enumeration(variable: &Variable) -> Option<&str> {
+    variable.declared_type.as_deref().filter(|_| matches!(variable.kind, Kind::Enumeration { .. }))
 }

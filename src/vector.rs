@@ -3,13 +3,14 @@
 //! They work on two elements at a time, from the first on: the five-bar has its two legs side by side, and pairs that stay together need
 //! no shuffling. Left to itself the compiler pairs the second with the third. As part of a stored state they have a specified layout.
 
+use std::io::{self, Read, Write};
 use std::ops::{Add, AddAssign, Deref, DerefMut, Div, Mul, Neg, Sub};
 
 use borsh::{BorshDeserialize, BorshSerialize};
 use wide::f64x2;
 
 /// A vector with N elements: an array that can be added and scaled.
-#[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(16))] // pairs of elements are read from memory by the instruction that uses them
 pub struct Vector<const N: usize>([f64; N]);
 
@@ -72,6 +73,52 @@ impl<const N: usize> Vector<N> {
         }
         result
     }
+}
+
+/// As an array is stored.
+impl<const N: usize> BorshSerialize for Vector<N> {
+    fn serialize<W: Write>(&self, writer: &mut W) -> io::Result<()> {
+        write(&self.0, writer)
+    }
+}
+
+impl<const N: usize> BorshDeserialize for Vector<N> {
+    #[inline(never)]
+    fn deserialize_reader<R: Read>(reader: &mut R) -> io::Result<Self> {
+        let mut vector = Self::ZERO;
+        read(&mut vector.0, reader)?;
+        Ok(vector)
+    }
+}
+
+/// Elements that are stored at a time.
+const AT_A_TIME: usize = 12;
+
+/// One piece of code for vectors of every length.
+#[inline(never)]
+fn write(elements: &[f64], writer: &mut dyn Write) -> io::Result<()> {
+    for elements in elements.chunks(AT_A_TIME) {
+        let mut bytes = [0; AT_A_TIME * size_of::<f64>()];
+        let mut rest = &mut bytes[..];
+        for element in elements {
+            element.serialize(&mut rest)?;
+        }
+        writer.write_all(&bytes[..size_of_val(elements)])?;
+    }
+    Ok(())
+}
+
+#[inline(never)]
+fn read(elements: &mut [f64], reader: &mut dyn Read) -> io::Result<()> {
+    for elements in elements.chunks_mut(AT_A_TIME) {
+        let mut bytes = [0; AT_A_TIME * size_of::<f64>()];
+        reader.read_exact(&mut bytes[..size_of_val(elements)])?;
+        let mut rest = &bytes[..];
+        for element in elements {
+            *element = f64::deserialize(&mut rest)?;
+        }
+    }
+    Ok(())
 }
 
 impl<const N: usize> From<[f64; N]> for Vector<N> {

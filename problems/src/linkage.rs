@@ -212,6 +212,12 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
 }
 
 impl<const N: usize, const M: usize, const W: usize> Implicit<N, M> for Linkage<N, M, W> {
+    type General = Self;
+
+    fn general(&self) -> Self {
+        self.clone()
+    }
+
     fn phi_q_transposed_times(&self, pose: &Pose<M>, lambda: &Vector<M>) -> Vector<N> {
         pose.transposed_times(lambda)
     }

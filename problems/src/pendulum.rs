@@ -89,6 +89,12 @@ impl System<2, 1> for Pendulum {
 }
 
 impl Implicit<2, 1> for Pendulum {
+    type General = Self;
+
+    fn general(&self) -> Self {
+        self.clone()
+    }
+
     fn phi_q_transposed_times(&self, q: &Vector<2>, lambda: &Vector<1>) -> Vector<2> {
         lambda[0] * *q
     }

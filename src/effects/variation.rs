@@ -34,7 +34,7 @@ impl Inputs {
     /// How the generalised force of the loads changes.
     pub fn force_change(&self, at: &ForceContext, change: &Perturbation) -> Coordinates {
         let mut products = Products { change, forces: Coordinates::ZERO };
-        self.add_tangents(at, &mut products);
+        self.add_tangents(at, &mut (&mut products as &mut dyn Tangents));
         // The force is linear in the loads.
         change.inputs.add_forces(at, &mut products.forces);
         products.forces
@@ -45,7 +45,7 @@ impl Effect {
     /// How the generalised force changes.
     pub fn force_change(&self, at: &ForceContext, change: &Perturbation) -> Coordinates {
         let mut products = Products { change, forces: Coordinates::ZERO };
-        self.add_tangents(at, &mut products);
+        self.add_tangents(at, &mut (&mut products as &mut dyn Tangents));
         self.add_input_change(at, &change.inputs, &mut products.forces);
         products.forces
     }

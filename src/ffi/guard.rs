@@ -47,6 +47,27 @@ impl Component {
         }
     }
 
+    /// Logs why a call is refused; its status.
+    #[cold]
+    #[inline(never)]
+    fn rejected(&mut self, call: Call, rejection: &CallError) -> Status {
+        self.instance.log.push(rejection.status, || format!("{call}: {}", rejection.message));
+        rejection.status
+    }
+
+    /// Logs a panic, after which the instance may be half-changed.
+    #[cold]
+    #[inline(never)]
+    fn poisoned_by(&mut self, call: Call, panic: &(dyn Any + Send)) -> Status {
+        self.poisoned = true;
+        self.instance.log.push(Status::Fatal, || {
+            format!("{call}: defect of the library, the instance can only be freed: {}", panic_text(panic))
+        });
+        Status::Fatal
+    }
+
+    #[cold]
+    #[inline(never)]
     fn send_gathered(&mut self) {
         for message in self.instance.log.drain() {
             Self::send(&self.name, &self.callbacks, &message);
@@ -76,17 +97,8 @@ pub(super) unsafe fn guard(
     let status =
         match catch_unwind(AssertUnwindSafe(|| call.require(instance.kind(), instance.stage()).and_then(|()| body(instance)))) {
             Ok(Ok(())) => Status::Ok,
-            Ok(Err(rejection)) => {
-                component.instance.log.push(rejection.status, || format!("{call}: {}", rejection.message));
-                rejection.status
-            }
-            Err(panic) => {
-                component.poisoned = true;
-                component.instance.log.push(Status::Fatal, || {
-                    format!("{call}: defect of the library, the instance can only be freed: {}", panic_text(&*panic))
-                });
-                Status::Fatal
-            }
+            Ok(Err(rejection)) => component.rejected(call, &rejection),
+            Err(panic) => component.poisoned_by(call, &*panic),
         };
     component.send_all();
     number(status)

@@ -273,7 +273,7 @@ mod tests {
         let (mut parameters, mut inputs) = starts();
         let set_one_by_one = |v: &&Variable| v.start.is_some() && !matches!(v.id, VariableId::RealSample(_));
         for variable in VARIABLES.iter().filter(set_one_by_one) {
-            let value = match (variable.fmi_type(), variable.items) {
+            let value = match (variable.fmi_type(), variable.items()) {
                 (FmiType::Real, _) => Value::Real(0.125),
                 (FmiType::Integer, []) => Value::Integer(7),
                 (FmiType::Integer, items) => Value::Integer(items[items.len() - 1].value),

@@ -36,7 +36,7 @@ impl Instance {
                 return Err(CallError::error(format!(
                     "derivative {order} of {} is {value} {}/s^{order}, must be finite.",
                     variable.name,
-                    variable.unit.unwrap_or_default()
+                    variable.unit().unwrap_or_default()
                 )));
             }
         }
@@ -128,7 +128,7 @@ pub(super) fn check_reach(signal: &Signal, size: f64) -> Result<(), CallError> {
             return Err(CallError::error(format!(
                 "{} would become {value} {} within {size:?} s by its derivatives, must stay finite.",
                 variable.name,
-                variable.unit.unwrap_or_default()
+                variable.unit().unwrap_or_default()
             )));
         }
     }

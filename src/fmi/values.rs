@@ -74,15 +74,15 @@ pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), CallE
         Value::Boolean(_) => return Ok(()),
     };
     // Only a refusal makes text: setting an input allocates nothing.
-    let unit = || variable.unit.filter(|unit| *unit != "1").map(|unit| format!(" {unit}")).unwrap_or_default();
+    let unit = || variable.unit().filter(|unit| *unit != "1").map(|unit| format!(" {unit}")).unwrap_or_default();
     let refuse = |allowed: String| {
         Err(CallError::error(format!("{} = {value}{} is not allowed: it must be {allowed}.", variable.name, unit())))
     };
     if !number.is_finite() {
         return refuse("finite".to_owned());
     }
-    if !variable.items.is_empty() && variable.items.iter().all(|item| Value::Integer(item.value) != value) {
-        let items: Vec<String> = variable.items.iter().map(|item| format!("{} ({})", item.value, item.name)).collect();
+    if !variable.items().is_empty() && variable.items().iter().all(|item| Value::Integer(item.value) != value) {
+        let items: Vec<String> = variable.items().iter().map(|item| format!("{} ({})", item.value, item.name)).collect();
         return refuse(format!("one of {}", items.join(", ")));
     }
     match (variable.min, variable.max) {

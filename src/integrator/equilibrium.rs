@@ -13,8 +13,8 @@ pub fn equilibrium<const N: usize, const M: usize>(
     v: &Vector<N>,
     regularization: f64,
 ) -> (Vector<N>, Vector<M>) {
-    let pose = system.pose(q);
-    equilibrium_at(system, q, &pose, v, &system.factor_mass(&pose, regularization))
+    let pose = system.pose_in_place(q);
+    equilibrium_at(system, q, &pose, v, &system.factor_mass_in_place(&pose, regularization))
 }
 
 /// The same, with the power of the forces.
@@ -51,7 +51,7 @@ pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>
     (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
     mass: &S::Mass,
 ) -> (Vector<N>, Vector<M>) {
-    let free = mass.solve(forces, &-system.phi_q_dot_times(pose, v));
+    let free = mass.solve_in_place(forces, &-system.phi_q_dot_times(pose, v));
     // Copies, which are made only where something is held: what is pointed to has to be in memory.
     if system.holds() { system.balanced_with_held(*q, *v, free) } else { free }
 }

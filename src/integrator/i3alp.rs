@@ -173,13 +173,15 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kink
             Ok(found) => break found,
             // Stiff friction lets the rates stay what they are, where the accelerations foretell others.
             Err(_) if settings.watches_rates(system) && !again => (step, again) = (step.with_rates_of(state), true),
-            Err(error) => break line_search::solve(system, settings, step.anew(state), &mut state.counters).ok_or(error)?,
+            Err(error) => {
+                break line_search::solve(&system.general(), settings, step.anew(state), &mut state.counters).ok_or(error)?;
+            }
         }
     };
 
     // Project the velocity, then the acceleration and the multipliers from equilibrium: one factor serves both.
     let Found { q, pose, v } = found;
-    let mass = system.factor_mass(&pose, settings.regularization);
+    let mass = system.factor_mass_in_place(&pose, settings.regularization);
     let correction = velocity_correction(system, &pose, &mass, &v);
     let mut v = v + correction;
     if system.holds() {

@@ -27,15 +27,25 @@ impl Projection {
     }
 
     /// Newton onto Φ = 0; the iterations spent, and the pose there.
-    #[inline]
+    #[inline(never)]
     pub fn position<const N: usize, const M: usize, S: System<N, M>>(
+        &self,
+        system: &S,
+        q: &mut Vector<N>,
+    ) -> Result<(u32, S::Pose), StepError> {
+        self.position_in_place(system, q)
+    }
+
+    /// The same compiled into its caller.
+    #[inline(always)]
+    pub(super) fn position_in_place<const N: usize, const M: usize, S: System<N, M>>(
         &self,
         system: &S,
         q: &mut Vector<N>,
     ) -> Result<(u32, S::Pose), StepError> {
         let (mut violation, mut last) = (f64::INFINITY, 0.0);
         for iteration in 0..=self.max_iterations {
-            let pose = system.pose(q);
+            let pose = system.pose_in_place(q);
             let phi = system.phi(q, &pose);
             let previous = violation;
             violation = phi.max_norm();

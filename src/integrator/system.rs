@@ -18,6 +18,10 @@ pub trait System<const N: usize, const M: usize> {
 
     /// Pose at q.
     fn pose(&self, q: &Vector<N>) -> Self::Pose;
+    /// The same compiled into its caller, for steps that keep it in registers. Elsewhere one piece of code for all callers takes less place.
+    fn pose_in_place(&self, q: &Vector<N>) -> Self::Pose {
+        self.pose(q)
+    }
     /// Φ(q).
     fn phi(&self, q: &Vector<N>, pose: &Self::Pose) -> Vector<M>;
     /// Φ_q v.
@@ -30,6 +34,10 @@ pub trait System<const N: usize, const M: usize> {
     fn forces(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> Vector<N>;
     /// Factorises [M Φ_qᵀ; Φ_q −e].
     fn factor_mass(&self, pose: &Self::Pose, regularization: f64) -> Self::Mass;
+    /// The same compiled into its caller.
+    fn factor_mass_in_place(&self, pose: &Self::Pose, regularization: f64) -> Self::Mass {
+        self.factor_mass(pose, regularization)
+    }
 
     /// Whether forces change so steeply in places that a step may miss it, or ring on it.
     fn is_steep(&self) -> bool {
@@ -86,6 +94,11 @@ pub trait System<const N: usize, const M: usize> {
 
 /// What the implicit methods ask in addition: forces of the constraints and the tangents of all forces.
 pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
+    /// The same system for what is rare. A form of its own that a system may have for its steps is compiled for these only.
+    type General: Implicit<N, M, Pose = Self::Pose>;
+
+    /// It.
+    fn general(&self) -> Self::General;
     /// Φ_qᵀ λ.
     fn phi_q_transposed_times(&self, pose: &Self::Pose, lambda: &Vector<M>) -> Vector<N>;
     /// (M + h/2 C + h²/4 K) x with K = −∂Q/∂q and C = −∂Q/∂q̇: the weight of the printed projections.
@@ -148,6 +161,10 @@ pub struct AccelerationTangents<const N: usize> {
 pub trait Kkt<const N: usize, const M: usize> {
     /// Solves A x + Φ_qᵀ y = b, Φ_q x − e y = c.
     fn solve(&self, b: &Vector<N>, c: &Vector<M>) -> (Vector<N>, Vector<M>);
+    /// The same compiled into its caller.
+    fn solve_in_place(&self, b: &Vector<N>, c: &Vector<M>) -> (Vector<N>, Vector<M>) {
+        self.solve(b, c)
+    }
 
     /// The x of b = 0: the shortest change, in the metric of A, that moves Φ_q x by c. What projections ask for.
     fn correction(&self, c: &Vector<M>) -> Vector<N> {

@@ -124,8 +124,13 @@ pub struct MassFactor<'a, const BARE: bool> {
 }
 
 impl<const BARE: bool> Kkt<COORDINATES, MULTIPLIERS> for MassFactor<'_, BARE> {
-    #[inline(always)]
+    #[inline(never)]
     fn solve(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
+        self.solve_in_place(b, c)
+    }
+
+    #[inline(always)]
+    fn solve_in_place(&self, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         if !BARE && self.solver.solve == LinearSolve::Dense {
             return self.solver.solve_dense_mass(self.two_leg.pose(), self.regularization, (b, c));
         }
@@ -273,7 +278,7 @@ impl LinearSolver {
 
 fn full_tangents(forces: &impl TangentSource, h: f64) -> SMatrix<f64, COORDINATES, COORDINATES> {
     let mut tangents = FullTangents::new(h);
-    forces.add_tangents(&mut tangents);
+    forces.add_tangents(&mut (&mut tangents as &mut dyn Tangents));
     tangents.weighted
 }
 

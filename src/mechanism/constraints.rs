@@ -58,14 +58,19 @@ pub fn largest(values: &Multipliers) -> f64 {
 
 impl Mechanism {
     /// Directions and arms at q.
-    #[inline]
     pub fn pose(&self, q: &Coordinates) -> Pose {
         self.pose_at([legs_of(q, P_THETA), legs_of(q, D_THETA)])
     }
 
-    /// The same from the angles of the proximal and the distal links.
-    #[inline]
-    pub(crate) fn pose_at(&self, [proximal, distal]: [Legs; 2]) -> Pose {
+    /// The same from the angles of the proximal and the distal links. One piece of code for all callers, of which there are many.
+    #[inline(never)]
+    pub(crate) fn pose_at(&self, angles: [Legs; 2]) -> Pose {
+        self.pose_in_place(angles)
+    }
+
+    /// The same compiled into its caller: for steps that keep it in registers.
+    #[inline(always)]
+    pub(crate) fn pose_in_place(&self, [proximal, distal]: [Legs; 2]) -> Pose {
         let (sin_p, cos_p) = sin_cos(proximal);
         let (sin_d, cos_d) = sin_cos(distal);
         self.pose_along([Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d }])

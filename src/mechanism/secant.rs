@@ -67,9 +67,15 @@ impl Legs2 {
 }
 
 impl Mechanism {
-    /// From a pose along increments of the coordinates.
-    #[inline(always)]
+    /// From a pose along increments of the coordinates. One piece of code for all callers.
+    #[inline(never)]
     pub(crate) fn secant(&self, begin: &Pose, d: &Coordinates) -> Secant {
+        self.secant_in_place(begin, d)
+    }
+
+    /// The same compiled into its caller.
+    #[inline(always)]
+    pub(crate) fn secant_in_place(&self, begin: &Pose, d: &Coordinates) -> Secant {
         self.secant_along(&Turned::new(begin, [legs_of(d, P_THETA), legs_of(d, D_THETA)]))
     }
 

@@ -282,9 +282,13 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     type Pose = Pose;
     type Mass = Factor;
 
-    #[inline]
     fn pose(&self, q: &Angles) -> Pose {
         self.mechanism.pose_at([legs_of(q, PROXIMAL), legs_of(q, DISTAL)])
+    }
+
+    #[inline(always)]
+    fn pose_in_place(&self, q: &Angles) -> Pose {
+        self.mechanism.pose_in_place([legs_of(q, PROXIMAL), legs_of(q, DISTAL)])
     }
 
     #[inline]

@@ -4,7 +4,7 @@ use super::model::Model;
 use crate::effects::{ForceContext, Inputs, Sides, Tangents};
 use crate::integrator::{Held, Implicit, Kinked, StepError, System, TangentPoint, Work};
 use crate::linear::{Definite, LinearSolve, MassFactor, TangentOf, TangentSource};
-use crate::mechanism::coordinates::largest_angle;
+use crate::mechanism::coordinates::{D_THETA, P_THETA, largest_angle, legs_of};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
 /// A model with the inputs and whole turns that stay while it is stepped.
@@ -155,9 +155,13 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     type Pose = Pose;
     type Mass = MassFactor<'a, BARE>;
 
-    #[inline(always)]
     fn pose(&self, q: &Coordinates) -> Pose {
         self.model.mechanism.pose(q)
+    }
+
+    #[inline(always)]
+    fn pose_in_place(&self, q: &Coordinates) -> Pose {
+        self.model.mechanism.pose_in_place([legs_of(q, P_THETA), legs_of(q, D_THETA)])
     }
 
     #[inline(always)]
@@ -188,8 +192,13 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         if BARE || self.model.effects.is_empty() { forces } else { self.with_effects(forces, *q, *pose, *v) }
     }
 
-    #[inline(always)]
+    #[inline(never)]
     fn factor_mass(&self, pose: &Pose, regularization: f64) -> MassFactor<'a, BARE> {
+        self.factor_mass_in_place(pose, regularization)
+    }
+
+    #[inline(always)]
+    fn factor_mass_in_place(&self, pose: &Pose, regularization: f64) -> MassFactor<'a, BARE> {
         self.model.solver.factor_mass(pose, regularization)
     }
 
@@ -265,7 +274,13 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     }
 }
 
-impl<const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> {
+impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE> {
+    type General = FiveBar<'a>;
+
+    fn general(&self) -> FiveBar<'a> {
+        FiveBar::general(*self)
+    }
+
     #[inline(always)]
     fn phi_q_transposed_times(&self, pose: &Pose, lambda: &Multipliers) -> Coordinates {
         pose.phi_q_transposed_times(lambda)

@@ -41,7 +41,8 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
 
     #[inline(always)]
     fn secant(&self, begin: &Pose, d: &Coordinates) -> Secant {
-        self.model.mechanism.secant(begin, d)
+        let mechanism = &self.model.mechanism;
+        if BARE { mechanism.secant_in_place(begin, d) } else { mechanism.secant(begin, d) }
     }
 
     #[inline(always)]

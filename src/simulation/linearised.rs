@@ -117,9 +117,9 @@ impl FiveBar<'_> {
         let forces = self.forces(q, pose, v);
         let mut by_links = ByLinks::new(pose, omega);
         let at = self.context(q, pose, v);
-        self.inputs.add_tangents(&at, &mut by_links);
+        self.inputs.add_tangents(&at, &mut (&mut by_links as &mut dyn Tangents));
         for effect in &self.model.effects {
-            effect.add_tangents(&at, &mut by_links);
+            effect.add_tangents(&at, &mut (&mut by_links as &mut dyn Tangents));
         }
         // The arms turn with their links: −∂Tᵀ/∂θ F = a·F.
         let on_p = Legs2 { x: legs_of(&forces, P_X), y: legs_of(&forces, P_Y) };

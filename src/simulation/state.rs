@@ -72,7 +72,7 @@ impl State {
     pub(super) fn solve(&self, model: &Model, pose: &Pose, b: &Coordinates, c: &Multipliers) -> (Coordinates, Multipliers) {
         use crate::integrator::{Kkt, System};
         let State { inputs, turns, .. } = self;
-        FiveBar::<false>::new(model, inputs, turns).factor_mass(pose, model.regularization).solve(b, c)
+        FiveBar::<false>::new(model, inputs, turns).factor_mass_in_place(pose, model.regularization).solve_in_place(b, c)
     }
 }
 
@@ -82,12 +82,19 @@ pub(super) fn unwind(q: &mut Coordinates, turns: &mut [i64; 4]) {
     if largest_angle(q) <= 2.0 * TAU {
         return;
     }
+    unwind_each(q, turns);
+}
+
+#[cold]
+#[inline(never)]
+fn unwind_each(q: &mut Coordinates, turns: &mut [i64; 4]) {
     for (turns, i) in turns.iter_mut().zip(THETA) {
         q[i] -= whole_turns(q[i], turns) * TAU;
     }
 }
 
 /// The whole turns of an angle that is more than two, after adding them to those counted; otherwise 0.
+#[inline(never)]
 pub(super) fn whole_turns(angle: f64, turns: &mut i64) -> f64 {
     if angle.abs() <= 2.0 * TAU {
         return 0.0;

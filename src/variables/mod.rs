@@ -17,20 +17,32 @@ pub struct Variable {
     pub reference: u32,
     /// Type, role and family: what the bindings match over.
     pub id: VariableId,
-    /// Unit of the value and its bounds, for Reals.
-    pub unit: Option<&'static str>,
-    /// Start value, in `unit`; what is computed has none.
+    /// The place of its unit.
+    unit: Option<u8>,
+    /// Start value, in its unit; what is computed has none.
     pub start: Option<Value>,
-    /// Smallest value allowed, in `unit`.
+    /// Smallest value allowed, in its unit.
     pub min: Option<f64>,
-    /// Largest value allowed, in `unit`.
+    /// Largest value allowed, in its unit.
     pub max: Option<f64>,
-    /// The values allowed, for enumerations.
-    pub items: &'static [Item],
+    /// The place of its enumeration.
+    enumeration: Option<u8>,
     /// For parameters: whether the value may be changed during a run.
     pub tunable: bool,
     /// Whether it is an output, and not only to be read.
     pub output: bool,
+}
+
+impl Variable {
+    /// Unit of the value and its bounds, for Reals.
+    pub fn unit(&self) -> Option<&'static str> {
+        self.unit.map(|place| UNITS[usize::from(place)])
+    }
+
+    /// The values allowed, for enumerations.
+    pub fn items(&self) -> &'static [Item] {
+        self.enumeration.map_or(&[], |place| ENUMERATIONS[usize::from(place)])
+    }
 }
 
 /// An item of an enumeration.
@@ -151,9 +163,9 @@ mod tests {
     #[test]
     fn a_few_entries_are_as_in_the_xml() {
         let tau = Variable::find(101).expect("tau[2]");
-        assert_eq!((tau.name, tau.id, tau.unit), ("tau[2]", VariableId::RealInput(RealInput::Tau(1)), Some("N.m")));
+        assert_eq!((tau.name, tau.id, tau.unit()), ("tau[2]", VariableId::RealInput(RealInput::Tau(1)), Some("N.m")));
         let method = Variable::named("solver.method").expect("solver.method");
-        assert_eq!(method.items[2], Item { name: "rk4", value: 3 });
+        assert_eq!(method.items()[2], Item { name: "rk4", value: 3 });
         assert_eq!(Method::from_number(3), Some(Method::Rk4));
         assert_eq!(Method::from_number(0), None);
     }

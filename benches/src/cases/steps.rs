@@ -32,7 +32,7 @@ pub(super) fn evaluations() -> Result<Vec<Case>> {
 
 /// One case per item of `solver.method`, and the default with its sub-steps.
 pub(super) fn cases() -> Result<Vec<Case>> {
-    let methods = Variable::named("solver.method").context("solver.method")?.items;
+    let methods = Variable::named("solver.method").context("solver.method")?.items();
     let mut cases = Vec::new();
     for method in methods {
         let scene = Scene::fall().with("solver.method", Value::Integer(method.value))?;

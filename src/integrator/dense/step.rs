@@ -292,7 +292,7 @@ impl Settings {
             return Ok((0, pose, mass));
         }
         let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
-        let (iterations, pose) = projection.position(system, q)?;
+        let (iterations, pose) = projection.position_in_place(system, q)?;
         let mass = system.factor_mass(&pose, self.regularization);
         *v += velocity_correction(system, &pose, &mass, v);
         if system.holds() {

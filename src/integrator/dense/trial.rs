@@ -113,7 +113,7 @@ impl<const N: usize> Slope<N> {
     /// At a place. One piece of code for all stages: written out for each of them it would not fit into what a processor keeps decoded.
     #[inline(never)]
     pub(super) fn at<const M: usize, S: System<N, M>>(system: &S, regularization: f64, q: &Vector<N>, v: &Vector<N>) -> Self {
-        let pose = system.pose(q);
+        let pose = system.pose_in_place(q);
         let (forces, power) = system.forces_and_power(q, &pose, v);
         let (a, _) = equilibrium_under(system, &forces, (q, &pose, v), &system.factor_mass(&pose, regularization));
         Self { q: *v, v: a, power }

@@ -92,13 +92,26 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
 ) -> Result<Found<N, S::Pose>, StepError> {
     let &Settings { regularization, max_iterations, .. } = settings;
     let beta = step.beta;
-    let mut q = step.q();
-    let mut pose = system.pose(&q);
-    let mut phi = system.phi(&q, &pose);
-    let mut violation = phi.max_norm();
+    let (mut violation, mut last) = (f64::INFINITY, f64::INFINITY);
     let mut iterations = 0;
     let mut held = None;
+    let (mut q, mut pose);
     loop {
+        q = step.q();
+        pose = system.pose_in_place(&q);
+        let phi = system.phi(&q, &pose);
+        let previous = violation;
+        violation = phi.max_norm();
+        if iterations > 0 {
+            let at_round_off = violation >= previous && violation < ROUND_OFF * system.length_scale();
+            let met = (violation < step.tolerance || at_round_off) && last < LAST_CORRECTION;
+            if met && (!settings.watches_rates(system) || rates_hold(system, settings, step, held, (&q, &pose))) {
+                break;
+            }
+            if iterations >= max_iterations {
+                return Err(StepError::NotConverged { iterations, violation, tolerance: step.tolerance, correction: last });
+            }
+        }
         iterations += 1;
         counters.iterations += 1;
         let v = step.velocity();
@@ -112,22 +125,9 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         }
         step.lambda = y / beta;
         step.delta += correction;
-        q = step.q();
-        pose = system.pose(&q);
-        phi = system.phi(&q, &pose);
-
-        let previous = violation;
-        violation = phi.max_norm();
-        let at_round_off = violation >= previous && violation < ROUND_OFF * system.length_scale();
-        let correction = correction.max_norm();
-        let met = (violation < step.tolerance || at_round_off) && correction < LAST_CORRECTION;
-        if met && (!settings.watches_rates(system) || rates_hold(system, settings, step, held, (&q, &pose))) {
-            return Ok(Found { q, pose, v: step.velocity() });
-        }
-        if iterations >= max_iterations {
-            return Err(StepError::NotConverged { iterations, violation, tolerance: step.tolerance, correction });
-        }
+        last = correction.max_norm();
     }
+    Ok(Found { q, pose, v: step.velocity() })
 }
 
 /// A correction after which nothing moves in what friction holds, and the force that sees to it.

@@ -44,7 +44,7 @@ impl<'a, S: Discrete<N, M>, const N: usize, const M: usize> Step<'a, S, N, M> {
     /// From q₀ and q̇₀ over h seconds.
     #[inline(always)]
     pub(super) fn new(system: &'a S, [q, v]: [&Vector<N>; 2], h: f64) -> Self {
-        Self { system, q: *q, v: *v, pose: system.pose(q), h, softening: 1.0 }
+        Self { system, q: *q, v: *v, pose: system.pose_in_place(q), h, softening: 1.0 }
     }
 
     /// The same step of another length.
