@@ -158,7 +158,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let mut nearby = Some(x);
         if system.alternates() {
             let Self { q, v, .. } = *self;
-            let pose = system.pose(&q);
+            let pose = system.pose_in_place(&q);
             let cut = system.cut(&pose, [&q, &v], h);
             let arrive = |end: &_, iterations| {
                 self.counters.iterations += u64::from(iterations);

@@ -5,9 +5,10 @@ use std::hint::black_box;
 use anyhow::Result;
 use fivebar::variables::{Method, Value};
 
+use super::effects::each_effect;
 use super::{H, STEPS, advance, bare};
 use crate::case::{Case, Work};
-use crate::scene::{Scene, effects};
+use crate::scene::Scene;
 
 /// The table.
 const TABLE: &str = "automatic";
@@ -16,12 +17,7 @@ const TABLE: &str = "automatic";
 pub(super) fn cases() -> Result<Vec<Case>> {
     let fall = || Scene::fall().with("solver.method", Value::Integer(Method::Automatic as i32));
     let mut cases = vec![held(fall()?), bare(TABLE, "stiff: a clamp by servos", clamp(fall()?)?, STEPS)];
-    let mut together = fall()?;
-    for effect in effects().filter(|effect| *effect != "gravity") {
-        together = together.effect(effect, true)?;
-        cases.push(bare(TABLE, effect, fall()?.effect(effect, true)?, STEPS));
-    }
-    cases.push(bare(TABLE, "all together", together, STEPS));
+    cases.extend(each_effect(TABLE, &fall()?)?);
     Ok(cases)
 }
 
