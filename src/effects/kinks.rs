@@ -13,7 +13,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::grips::{GRIPS, Grip, Grips};
 use super::unilateral_spring::{Border, Phase, UnilateralSpring};
 use super::{Active, ForceContext};
-use crate::mechanism::LINKS;
+use crate::mechanism::{LINKS, Parallels};
 
 /// One-sided springs: that of the contact, and two for each motor's stops.
 pub(super) const SPRINGS: usize = 5;
@@ -33,15 +33,22 @@ pub struct Sides {
     springs: [Option<Phase>; SPRINGS],
     /// What dry friction does.
     pub grips: Grips,
+    /// The branch of the closure, where it has several that meet.
+    pub parallels: Option<Parallels>,
 }
 
 impl Sides {
     /// Wherever the state is.
-    pub const BY_STATE: Self = Self { springs: [None; SPRINGS], grips: Grips::OPEN };
+    pub const BY_STATE: Self = Self { springs: [None; SPRINGS], grips: Grips::OPEN, parallels: None };
 
     /// The same with other grips.
     pub fn with_grips(self, grips: Grips) -> Self {
         Self { grips, ..self }
+    }
+
+    /// The same on another branch of the closure.
+    pub fn with_parallels(self, parallels: Option<Parallels>) -> Self {
+        Self { parallels, ..self }
     }
 
     /// With these grips, and springs wherever the state is.

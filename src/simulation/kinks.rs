@@ -2,13 +2,13 @@
 
 use std::borrow::Borrow;
 
-use super::angles::{ANGLES, Angles, ByAngles, PLACES};
+use super::angles::{ANGLES, Angles, ByAngles, DISTAL, PLACES, PROXIMAL};
 use super::five_bar::FiveBar;
 use super::grips::{resolved, slides, turns_between};
 use crate::effects::{Sides, Slides, Touches, slow};
 use crate::integrator::{Kinked, System};
-use crate::mechanism::coordinates::THETA;
-use crate::mechanism::{COORDINATES, Coordinates};
+use crate::mechanism::coordinates::{THETA, legs_of};
+use crate::mechanism::{COORDINATES, Coordinates, Parallels};
 
 impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     type Sides = Sides;
@@ -29,12 +29,21 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     #[inline]
     fn sides_of(&self, q: &Angles, v: &Angles) -> Sides {
         if !self.has_kinks() {
-            return Sides::BY_STATE;
+            return self.branched(Sides::BY_STATE, q, v);
         }
         let pose = self.pose(q);
         let (x, rates) = self.coordinates(&pose, q, v);
         let springs = Touches::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates), Slides::new()).sides();
-        self.with_resolved_grips(springs, q, v)
+        self.branched(self.with_resolved_grips(springs, q, v), q, v)
+    }
+
+    #[inline(always)]
+    fn branched(&self, sides: Sides, q: &Angles, v: &Angles) -> Sides {
+        if self.model().mechanism.geometry.base_distance != 0.0 || sides.parallels.is_some() {
+            return sides;
+        }
+        let pairs = |x: &Angles| [legs_of(x, PROXIMAL), legs_of(x, DISTAL)];
+        sides.with_parallels(Parallels::of(&self.model().mechanism.geometry, pairs(q), pairs(v)))
     }
 
     #[inline]
