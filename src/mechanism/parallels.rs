@@ -29,9 +29,9 @@ type Pairs = [Legs; 2];
 type Row = [[f64; 2]; 2];
 
 /// This near a branch, rad or rad/s, a motion is on it...
-const ON: f64 = 1e-9;
+const ON: f64 = 1e-6;
 /// ... unless another one is not farther than this.
-const APART: f64 = 1e-6;
+const APART: f64 = 1e-4;
 
 impl Parallels {
     const ALL: [Self; 3] = [Self::Opposite, Self::OnEachOther, Self::Folded];
