@@ -64,9 +64,9 @@ impl Goal {
         let text = format!("{:?}", (geometry, effects, start, inputs, duration));
         let words = text.split(|c: char| !(c.is_alphanumeric() || c == '.' || c == '-'));
         let rounded = words.map(|word| word.parse::<f64>().map_or_else(|_| word.to_owned(), |value| format!("{value:.8e}")));
-        let hash = rounded.flat_map(|word| word.into_bytes()).fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-        });
+        let hash = rounded
+            .flat_map(|word| word.into_bytes())
+            .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
         format!("{hash:016x}")
     }
 

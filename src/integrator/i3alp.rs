@@ -17,7 +17,7 @@ mod newton;
 
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, next_step};
 use super::{
-    Approach, Arrival, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, Transit, TangentPoint, Work,
+    Approach, Arrival, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, TangentPoint, Transit, Work,
     velocity_correction,
 };
 use crate::vector::Vector;
@@ -275,13 +275,13 @@ fn rate_error<const N: usize, const M: usize>(system: &impl Implicit<N, M>, h: f
     h / 12.0 * system.angle_norm(bend) / (RATE + system.angle_norm(v))
 }
 
-/// Whether between two states, given by q, q̇ and q̈, h seconds apart, something that touches at neither may have touched.
+/// Whether between two states, given by q, q̇ and q̈, h seconds apart, something may have touched more deeply than they show.
 fn may_overlook<const N: usize>(system: &impl Kinked<N>, settings: &Settings, [from, to]: [&[Vector<N>; 3]; 2], h: f64) -> bool {
     /// By how much rates and accelerations on the way may exceed those at its ends.
     const MARGIN: f64 = 1.5;
     let [before, after] = [from, to].map(|[q, v, _]| system.touches(q, v));
     let extremes = [1, 2].map(|order| Vector::from_fn(|i| MARGIN * from[order][i].abs().max(to[order][i].abs())));
-    !system.is_touching(&after) && !system.stays_within([&before, &after], h, &extremes, settings.error_tolerance)
+    !system.stays_within([&before, &after], h, &extremes, settings.error_tolerance)
 }
 
 /// A step so short that q̈ and λ stay but for round-off.

@@ -30,5 +30,5 @@ pub use closure::{Assembly, Start, close};
 pub use constraints::Pose;
 pub use coordinates::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
 pub use model::{Geometry, LINKS, Link, Mechanism, SceneError};
-pub use parallels::Parallels;
 pub(crate) use model::{finite, not_negative, positive};
+pub use parallels::Parallels;

@@ -88,6 +88,7 @@ impl Parallels {
             Self::OnEachOther => [[[1.0, -1.0], [0.0, 0.0]], [[0.0, 0.0], [1.0, -1.0]]],
             Self::Folded => [[[-1.0, 0.0], [1.0, 0.0]], [[0.0, -1.0], [0.0, 1.0]]],
         };
-        [0, 1].map(|link| Legs2 { x: Legs::new(x[link].map(|part| part * length)), y: Legs::new(y[link].map(|part| part * length)) })
+        [0, 1]
+            .map(|link| Legs2 { x: Legs::new(x[link].map(|part| part * length)), y: Legs::new(y[link].map(|part| part * length)) })
     }
 }

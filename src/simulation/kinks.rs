@@ -139,10 +139,6 @@ impl<'a, const BARE: bool> Kinked<COORDINATES> for FiveBar<'a, BARE> {
         at.beyond(&self.sides(), tolerance)
     }
 
-    fn is_touching(&self, at: &Touches<'a>) -> bool {
-        at.any(&self.sides())
-    }
-
     fn turns_between(&self, ends: [[&Coordinates; 3]; 2], duration: f64, tolerance: f64) -> bool {
         turns_between(&self.general(), ends, duration, slow(tolerance))
     }
@@ -150,6 +146,6 @@ impl<'a, const BARE: bool> Kinked<COORDINATES> for FiveBar<'a, BARE> {
     /// What slips is told by [`Kinked::turns_between`], which knows accelerations.
     fn stays_within(&self, ends: [&Touches<'a>; 2], duration: f64, extremes: &[Coordinates; 2], tolerance: f64) -> bool {
         let extremes = [0, 1].map(|order| THETA.map(|i| extremes[order][i]));
-        Touches::springs_stay_free(ends, &self.sides(), duration, extremes, tolerance)
+        Touches::show_their_way(ends, duration, extremes, tolerance)
     }
 }

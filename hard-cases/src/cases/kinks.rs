@@ -46,7 +46,10 @@ fn case(name: &'static str, kind: u64, scene: Scene, count: u64) -> Case {
         let duration = span.duration();
         Trial {
             schedule: vec![span],
-            watch: Watch::Follows { goal: Box::new(Goal { parameters: parameters.clone(), inputs, duration }), end: OnceLock::new() },
+            watch: Watch::Follows {
+                goal: Box::new(Goal { parameters: parameters.clone(), inputs, duration }),
+                end: OnceLock::new(),
+            },
             ..Trial::free(format!("scene {number}"), parameters, duration)
         }
     });
