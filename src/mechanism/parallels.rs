@@ -82,6 +82,8 @@ impl Parallels {
     }
 
     /// The derivatives of both equations by the proximal and by the distal angles, times a length.
+    #[cold]
+    #[inline(never)]
     pub fn derivatives(self, length: f64) -> [Legs2; 2] {
         let [x, y]: [Row; 2] = match self {
             Self::Opposite => [[[1.0, 0.0], [0.0, -1.0]], [[0.0, -1.0], [1.0, 0.0]]],

@@ -65,6 +65,10 @@ pub struct ByAngles<'a> {
     only_weight: bool,
     /// The branch of the closure that the motion stays on, where there are several.
     parallels: Option<Parallels>,
+    /// 1, or 0 on a branch.
+    open: Legs,
+    /// Φ_q of the branch, 0 without one.
+    on_branch: [Legs2; 2],
 }
 
 impl<'a> ByAngles<'a> {
@@ -73,7 +77,13 @@ impl<'a> ByAngles<'a> {
     pub fn new(five_bar: FiveBar<'a>) -> Self {
         let FiveBar { model, inputs, sides, .. } = five_bar;
         let only_weight = model.effects.is_empty() && !inputs.load();
-        Self { five_bar, mechanism: &model.mechanism, inertia: &model.inertia, only_weight, parallels: sides.parallels }
+        let mechanism = &model.mechanism;
+        let none = Legs2 { x: both(0.0), y: both(0.0) };
+        let (open, on_branch) = match sides.parallels {
+            None => (both(1.0), [none; 2]),
+            Some(parallels) => (both(0.0), parallels.derivatives(mechanism.geometry.links[0].length)),
+        };
+        Self { five_bar, mechanism, inertia: &model.inertia, only_weight, parallels: sides.parallels, open, on_branch }
     }
 
     /// The same in its twelve coordinates.
@@ -91,18 +101,26 @@ impl<'a> ByAngles<'a> {
         self.five_bar.model.regularization_by_angles
     }
 
-    /// Φ_q of the closure, or of the branch of it that the motion stays on.
+    /// Φ_q of the closure, or of the branch of it that the motion stays on: without a branch in the code, which would have all of a factor
+    /// in memory.
     #[inline(always)]
     pub(super) fn phi_q(&self, pose: &Pose) -> [Legs2; 2] {
-        match self.parallels {
-            None => phi_q(pose),
-            Some(parallels) => parallels.derivatives(self.arm()),
-        }
+        let [p, d] = phi_q(pose);
+        let [on_p, on_d] = self.on_branch;
+        let sum = |n: Legs2, on: Legs2| Legs2 { x: self.open * n.x + on.x, y: self.open * n.y + on.y };
+        [sum(p, on_p), sum(d, on_d)]
     }
 
     /// What turns the angles of branches into lengths, m.
     fn arm(&self) -> f64 {
         self.mechanism.geometry.links[0].length
+    }
+
+    /// How far angles are off it, m.
+    #[cold]
+    #[inline(never)]
+    fn off_branch(&self, parallels: Parallels, q: Angles) -> Vector<CLOSURES> {
+        parallels.apart([legs_of(&q, PROXIMAL), legs_of(&q, DISTAL)]).map(|angle| self.arm() * angle).into()
     }
 
     /// Whether the motion stays on a branch of the closure whose derivatives are constant.
@@ -310,7 +328,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     #[inline]
     fn phi(&self, q: &Angles, pose: &Pose) -> Vector<CLOSURES> {
         if let Some(parallels) = self.parallels {
-            return parallels.apart([legs_of(q, PROXIMAL), legs_of(q, DISTAL)]).map(|angle| self.arm() * angle).into();
+            return self.off_branch(parallels, *q);
         }
         let (l, a) = (proximal_arm(pose), pose.a_d);
         let x = SIGMA * (self.mechanism.ground_x + l.x + a.x) + pose.sigma_b_d.x;
@@ -325,13 +343,11 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline]
     fn phi_q_dot_times(&self, pose: &Pose, v: &Angles) -> Vector<CLOSURES> {
-        if self.is_on_branch() {
-            return Vector::ZERO;
-        }
         // n̂ turned on: −l ω², and Φ_q is turned already.
         let [p, d] = phi_q(pose).map(Legs2::turned);
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
         let (w_p, w_d) = (w_p * w_p, w_d * w_d);
+        let (w_p, w_d) = (self.open * w_p, self.open * w_d);
         [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)].into()
     }
 
