@@ -31,4 +31,4 @@ pub use constraints::Pose;
 pub use coordinates::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
 pub use model::{Geometry, LINKS, Link, Mechanism, SceneError};
 pub(crate) use model::{finite, not_negative, positive};
-pub use parallels::Parallels;
+pub use parallels::{ARM, Parallels, Terms};

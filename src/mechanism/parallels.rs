@@ -25,9 +25,6 @@ pub enum Parallels {
 /// Angles of both proximal and both distal links, rad, or their rates.
 type Pairs = [Legs; 2];
 
-/// All of an angle, or nothing, with its sign, left and right, proximal and distal: a row of the derivatives.
-type Row = [[f64; 2]; 2];
-
 /// This near a branch, rad or rad/s, a motion is on it...
 const ON: f64 = 1e-6;
 /// ... unless another one is not farther than this.
@@ -81,16 +78,44 @@ impl Parallels {
         }
     }
 
-    /// The derivatives of both equations by the proximal and by the distal angles, times a length.
-    #[cold]
-    #[inline(never)]
-    pub fn derivatives(self, length: f64) -> [Legs2; 2] {
-        let [x, y]: [Row; 2] = match self {
-            Self::Opposite => [[[1.0, 0.0], [0.0, -1.0]], [[0.0, -1.0], [1.0, 0.0]]],
-            Self::OnEachOther => [[[1.0, -1.0], [0.0, 0.0]], [[0.0, 0.0], [1.0, -1.0]]],
-            Self::Folded => [[[-1.0, 0.0], [1.0, 0.0]], [[0.0, -1.0], [0.0, 1.0]]],
-        };
-        [0, 1]
-            .map(|link| Legs2 { x: Legs::new(x[link].map(|part| part * length)), y: Legs::new(y[link].map(|part| part * length)) })
+    /// Φ_q of the branch.
+    pub fn terms(self) -> &'static Terms {
+        match self {
+            Self::Opposite => &OPPOSITE,
+            Self::OnEachOther => &ON_EACH_OTHER,
+            Self::Folded => &FOLDED,
+        }
     }
+}
+
+/// What turns the angles of branches into lengths, m: about that of a link, it matters to round-off alone.
+pub const ARM: f64 = 0.25;
+
+/// Φ_q of a branch, or of none, as a sum: without a branch in the code, which would have all of a factor in memory.
+#[derive(Debug)]
+pub struct Terms {
+    /// How much of the closure of the tip holds: 1, or 0 on a branch.
+    pub open: Legs,
+    /// The derivatives of both equations by the proximal and by the distal angles, m; 0 without a branch.
+    pub constant: [Legs2; 2],
+}
+
+impl Terms {
+    /// On no branch.
+    pub const OPEN: &'static Self = &Self { open: Legs::new([1.0; 2]), constant: [NOTHING; 2] };
+}
+
+const NOTHING: Legs2 = Legs2 { x: Legs::new([0.0; 2]), y: Legs::new([0.0; 2]) };
+
+/// Parts of the arm: of the first and the second equation, left and right.
+const fn arms(x: [f64; 2], y: [f64; 2]) -> Legs2 {
+    Legs2 { x: Legs::new([x[0] * ARM, x[1] * ARM]), y: Legs::new([y[0] * ARM, y[1] * ARM]) }
+}
+
+static OPPOSITE: Terms = branch(arms([1.0, 0.0], [0.0, -1.0]), arms([0.0, -1.0], [1.0, 0.0]));
+static ON_EACH_OTHER: Terms = branch(arms([1.0, -1.0], [0.0, 0.0]), arms([0.0, 0.0], [1.0, -1.0]));
+static FOLDED: Terms = branch(arms([-1.0, 0.0], [0.0, -1.0]), arms([1.0, 0.0], [0.0, 1.0]));
+
+const fn branch(proximal: Legs2, distal: Legs2) -> Terms {
+    Terms { open: Legs::new([0.0; 2]), constant: [proximal, distal] }
 }

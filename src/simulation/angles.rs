@@ -19,7 +19,7 @@ use crate::integrator::{AccelerationTangents, Held, Kkt, Passage, State, System,
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::vertex::{self, Branch};
-use crate::mechanism::{Coordinates, Mechanism, Multipliers, Parallels, Pose};
+use crate::mechanism::{ARM, Coordinates, Mechanism, Multipliers, Parallels, Pose, Terms};
 use crate::vector::Vector;
 
 /// Number of angles.
@@ -65,10 +65,8 @@ pub struct ByAngles<'a> {
     only_weight: bool,
     /// The branch of the closure that the motion stays on, where there are several.
     parallels: Option<Parallels>,
-    /// 1, or 0 on a branch.
-    open: Legs,
-    /// Φ_q of the branch, 0 without one.
-    on_branch: [Legs2; 2],
+    /// Its Φ_q.
+    terms: &'a Terms,
 }
 
 impl<'a> ByAngles<'a> {
@@ -78,12 +76,8 @@ impl<'a> ByAngles<'a> {
         let FiveBar { model, inputs, sides, .. } = five_bar;
         let only_weight = model.effects.is_empty() && !inputs.load();
         let mechanism = &model.mechanism;
-        let none = Legs2 { x: both(0.0), y: both(0.0) };
-        let (open, on_branch) = match sides.parallels {
-            None => (both(1.0), [none; 2]),
-            Some(parallels) => (both(0.0), parallels.derivatives(mechanism.geometry.links[0].length)),
-        };
-        Self { five_bar, mechanism, inertia: &model.inertia, only_weight, parallels: sides.parallels, open, on_branch }
+        let terms = sides.parallels.map_or(Terms::OPEN, Parallels::terms);
+        Self { five_bar, mechanism, inertia: &model.inertia, only_weight, parallels: sides.parallels, terms }
     }
 
     /// The same in its twelve coordinates.
@@ -101,26 +95,20 @@ impl<'a> ByAngles<'a> {
         self.five_bar.model.regularization_by_angles
     }
 
-    /// Φ_q of the closure, or of the branch of it that the motion stays on: without a branch in the code, which would have all of a factor
-    /// in memory.
+    /// Φ_q of the closure, or of the branch of it that the motion stays on.
     #[inline(always)]
     pub(super) fn phi_q(&self, pose: &Pose) -> [Legs2; 2] {
         let [p, d] = phi_q(pose);
-        let [on_p, on_d] = self.on_branch;
-        let sum = |n: Legs2, on: Legs2| Legs2 { x: self.open * n.x + on.x, y: self.open * n.y + on.y };
+        let Terms { open, constant: [on_p, on_d] } = *self.terms;
+        let sum = |n: Legs2, on: Legs2| Legs2 { x: open * n.x + on.x, y: open * n.y + on.y };
         [sum(p, on_p), sum(d, on_d)]
-    }
-
-    /// What turns the angles of branches into lengths, m.
-    fn arm(&self) -> f64 {
-        self.mechanism.geometry.links[0].length
     }
 
     /// How far angles are off it, m.
     #[cold]
     #[inline(never)]
     fn off_branch(&self, parallels: Parallels, q: Angles) -> Vector<CLOSURES> {
-        parallels.apart([legs_of(&q, PROXIMAL), legs_of(&q, DISTAL)]).map(|angle| self.arm() * angle).into()
+        parallels.apart([legs_of(&q, PROXIMAL), legs_of(&q, DISTAL)]).map(|angle| ARM * angle).into()
     }
 
     /// Whether the motion stays on a branch of the closure whose derivatives are constant.
@@ -347,7 +335,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         let [p, d] = phi_q(pose).map(Legs2::turned);
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
         let (w_p, w_d) = (w_p * w_p, w_d * w_d);
-        let (w_p, w_d) = (self.open * w_p, self.open * w_d);
+        let (w_p, w_d) = (self.terms.open * w_p, self.terms.open * w_d);
         [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)].into()
     }
 
