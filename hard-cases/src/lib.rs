@@ -5,6 +5,7 @@
 //! [`cases`], numbered as in the list that asked for them.
 
 pub mod cases;
+pub mod ends;
 pub mod gauss;
 pub mod horizon;
 pub mod independent;

@@ -8,7 +8,7 @@ use std::process::{Command, ExitCode};
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
 use hard_cases::cases::{bits_row, falls_of_seed, fingerprint, followed, followed_count, hour};
-use hard_cases::{Case, Extent, Row, Setting, Verdict, horizon, speed, step_times, write_csv, write_markdown};
+use hard_cases::{Case, Extent, Row, Setting, Verdict, ends, horizon, speed, step_times, write_csv, write_markdown};
 
 /// The battery of hard cases
 #[derive(Parser)]
@@ -54,6 +54,18 @@ enum Task {
         /// How many falls of each
         #[arg(long, default_value_t = 1000)]
         falls: usize,
+    },
+    /// Work out where the independent programs end in the random scenes with kinks, and add what is missing to a table
+    Ends {
+        /// The table
+        #[arg(long, default_value = "hard-cases/data/ends.csv")]
+        table: PathBuf,
+        /// Only cases whose name contains this
+        #[arg(long, default_value = "")]
+        only: String,
+        /// Only so many scenes of each
+        #[arg(long, default_value_t = usize::MAX)]
+        count: usize,
     },
     /// Print the bits of a sample of the battery
     Fingerprint,
@@ -103,6 +115,10 @@ impl Task {
                 println!("worst |dE| of {} falls of 50 s: {worst:.1e} mgL", rows.iter().map(|row| row.runs).sum::<usize>());
                 write_csv(&rows, file(&out, "seeds.csv")?)?;
                 Ok(rows.iter().all(|row| row.verdict == Verdict::Pass))
+            }
+            Self::Ends { table, only, count } => {
+                ends::add(&table, &only, count)?;
+                Ok(true)
             }
             Self::Fingerprint => {
                 print!("{}", fingerprint());

@@ -1,13 +1,8 @@
 //! What a trial asks beyond energy and constraints: of the path of the link angles.
 
-use std::f64::consts::TAU;
 use std::sync::OnceLock;
 
-use fivebar::effects::Law;
-use fivebar::simulation::{Inputs, Parameters};
-
-use crate::independent::Independent;
-use crate::sticking::Sticking;
+use crate::ends::{End, Goal, apart};
 use crate::vertex::{Vertex, cosine};
 
 /// A sample of the path: time (s) and link angles (rad).
@@ -50,13 +45,9 @@ pub enum Watch {
     /// Ends where an independent program says, as far as that can be told.
     Follows {
         /// The scene.
-        parameters: Box<Parameters>,
-        /// Inputs that are held.
-        inputs: Inputs,
-        /// s.
-        duration: f64,
-        /// Where that program ends, and how far off a run may be, rad: worked out once.
-        end: OnceLock<Option<([f64; 4], f64)>>,
+        goal: Box<Goal>,
+        /// Where that program ends: worked out once.
+        end: OnceLock<Option<End>>,
     },
     /// Leaves rest in the vertex with one of these accelerations, the first where it can be told.
     Leaves {
@@ -71,13 +62,6 @@ pub enum Watch {
 const LEAVING: f64 = 5e-3;
 /// Cosine from which two directions count as the same.
 const SAME: f64 = 0.999;
-
-/// An end that is farther off than this, rad, is wrong...
-const WRONG: f64 = 1e-3;
-/// ... unless a start that is so much off, rad and rad/s, ...
-const NUDGE: f64 = 1e-7;
-/// ... makes an end off by more than WRONG over this: bounces multiply errors.
-const MULTIPLIED: f64 = 100.0;
 
 impl Watch {
     /// What is wrong with a path; `failed` if the run ended early.
@@ -126,14 +110,14 @@ impl Watch {
                 (!failed && from_witness > *within)
                     .then(|| format!("ends {from_witness:.1e} rad from the witness, allowed {within:e} rad"))
             }
-            Self::Follows { parameters, inputs, duration, end } => {
+            Self::Follows { goal, end } => {
                 if failed {
                     return None;
                 }
-                let Some((end, allowed)) = end.get_or_init(|| independent_end(parameters, inputs, *duration)) else {
+                let Some(End { angles, allowed }) = end.get_or_init(|| goal.kept_or_new()) else {
                     return Some("the independent program gives up".into());
                 };
-                let off = apart(&last, end);
+                let off = apart(&last, angles);
                 (off > *allowed).then(|| format!("ends {off:.1e} rad from an independent program, allowed {allowed:.1e} rad"))
             }
             Self::Leaves { vertex, branches } => {
@@ -156,38 +140,4 @@ impl Watch {
     pub(crate) fn needs_path(&self) -> bool {
         !matches!(self, Self::Nothing)
     }
-}
-
-/// Where the independent program ends, and how far off a run may be, rad.
-fn independent_end(parameters: &Parameters, inputs: &Inputs, duration: f64) -> Option<([f64; 4], f64)> {
-    let parameters = &merged(parameters);
-    let program = Independent::new(parameters, inputs);
-    let start = program.start();
-    let effects = &parameters.effects;
-    let sticks = [(effects.friction.enabled, effects.friction.law), (effects.contact.enabled, effects.contact.law)]
-        .contains(&(true, Law::Stick));
-    let after = |start| match sticks {
-        true => Sticking::new(parameters, inputs).after(start, duration),
-        false => program.after(start, duration),
-    };
-    let angles = |start| after(start).map(|end| std::array::from_fn(|i| end[i]));
-    let (end, other) = (angles(start)?, angles(program.closed(start.map(|x| x + NUDGE)))?);
-    Some((end, WRONG.max(MULTIPLIED * apart(&end, &other))))
-}
-
-/// With coaxial motors and equal links the inner joints turn by the same angle: one of them then has the friction of all three.
-fn merged(parameters: &Parameters) -> Parameters {
-    let mut merged = parameters.clone();
-    if parameters.geometry.base_distance == 0.0 {
-        let friction = &mut merged.effects.friction;
-        for torques in [&mut friction.coulomb, &mut friction.breakaway] {
-            (torques[1], torques[2], torques[3]) = (torques[1] + torques[2] + torques[3], 0.0, 0.0);
-        }
-    }
-    merged
-}
-
-/// The largest difference of two postures, rad, whole turns left out.
-fn apart(x: &[f64; 4], y: &[f64; 4]) -> f64 {
-    (0..4).map(|i| ((x[i] - y[i] + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0).abs()).fold(0.0, f64::max)
 }

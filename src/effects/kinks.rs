@@ -13,7 +13,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::grips::{GRIPS, Grip, Grips};
 use super::unilateral_spring::{Border, Phase, UnilateralSpring};
 use super::{Active, ForceContext};
-use crate::mechanism::LINKS;
+use crate::mechanism::{LINKS, Parallels};
 
 /// One-sided springs: that of the contact, and two for each motor's stops.
 pub(super) const SPRINGS: usize = 5;
@@ -33,15 +33,22 @@ pub struct Sides {
     springs: [Option<Phase>; SPRINGS],
     /// What dry friction does.
     pub grips: Grips,
+    /// The branch of the closure, where it has several that meet.
+    pub parallels: Option<Parallels>,
 }
 
 impl Sides {
     /// Wherever the state is.
-    pub const BY_STATE: Self = Self { springs: [None; SPRINGS], grips: Grips::OPEN };
+    pub const BY_STATE: Self = Self { springs: [None; SPRINGS], grips: Grips::OPEN, parallels: None };
 
     /// The same with other grips.
     pub fn with_grips(self, grips: Grips) -> Self {
         Self { grips, ..self }
+    }
+
+    /// The same on another branch of the closure.
+    pub fn with_parallels(self, parallels: Option<Parallels>) -> Self {
+        Self { parallels, ..self }
     }
 
     /// With these grips, and springs wherever the state is.
@@ -103,6 +110,13 @@ impl Touch<'_> {
         const ROUND_OFF: f64 = 1e-13;
         let scale: f64 = self.arms.iter().sum();
         (tolerance * scale).min(PART * self.spring.width).max(ROUND_OFF * scale)
+    }
+
+    /// The greatest penetration that there can be on the way to another place, some seconds later, m or rad; links turn at these rates,
+    /// rad/s, and accelerations, rad/s², at most.
+    fn deepest_on_way(&self, to: &Self, duration: f64, [rates, accelerations]: &[[f64; LINKS]; 2]) -> f64 {
+        let bend: f64 = (0..LINKS).map(|link| self.arms[link] * (accelerations[link] + rates[link] * rates[link])).sum();
+        deepest([self.depth, self.rate], [to.depth, to.rate], duration, bend)
     }
 
     /// The borders of the phase that holds, in units of what may be overlooked.
@@ -225,18 +239,24 @@ impl<'a> Touches<'a> {
     pub fn stay_free(ends: [&Self; 2], sides: &Sides, duration: f64, extremes: [[f64; LINKS]; 2], tolerance: f64) -> bool {
         let [from, to] = ends;
         let mut slides = from.slides.iter().zip(&to.slides);
+        let mut free = from.springs.iter().zip(&to.springs).filter(|(touch, _)| touch.phase(sides) == Phase::Free);
         slides.all(|(from, to)| from.stays(to, &sides.grips, duration, &extremes, tolerance))
-            && Self::springs_stay_free(ends, sides, duration, extremes, tolerance)
+            && free.all(|(from, to)| from.deepest_on_way(to, duration, &extremes) <= from.unit(tolerance))
     }
 
-    /// The same of springs alone.
-    pub fn springs_stay_free(ends: [&Self; 2], sides: &Sides, duration: f64, extremes: [[f64; LINKS]; 2], tolerance: f64) -> bool {
+    /// Whether the ends of such a motion show how deep springs are touched on its way, for one who sees nothing else: by no more than half
+    /// as much again, or than may be overlooked. Where both ends touch the way between is taken as the cubic through them.
+    pub fn show_their_way(ends: [&Self; 2], duration: f64, extremes: [[f64; LINKS]; 2], tolerance: f64) -> bool {
+        const DEEPER: f64 = 1.5;
         let [from, to] = ends;
-        let [rates, accelerations] = extremes;
-        let mut pairs = from.springs.iter().zip(&to.springs).filter(|(touch, _)| touch.phase(sides) == Phase::Free);
-        pairs.all(|(from, to)| {
-            let bend: f64 = (0..LINKS).map(|link| from.arms[link] * (accelerations[link] + rates[link] * rates[link])).sum();
-            deepest([from.depth, from.rate], [to.depth, to.rate], duration, bend) <= from.unit(tolerance)
+        from.springs.iter().zip(&to.springs).all(|(from, to)| {
+            let seen = from.depth.max(to.depth);
+            let most = if from.depth > 0.0 && to.depth > 0.0 {
+                (from.depth + to.depth) / 2.0 + duration * (from.rate - to.rate) / 8.0
+            } else {
+                from.deepest_on_way(to, duration, &extremes)
+            };
+            most <= f64::max(DEEPER * seen, from.unit(tolerance))
         })
     }
 }

@@ -17,7 +17,7 @@ mod newton;
 
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, next_step};
 use super::{
-    Approach, Arrival, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, TangentPoint, Work,
+    Approach, Arrival, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, TangentPoint, Transit, Work,
     velocity_correction,
 };
 use crate::vector::Vector;
@@ -101,12 +101,10 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
             Approach::Clear => StepLimits::NONE,
             Approach::Limited(limits) => limits,
             Approach::Passed(transit) => {
-                state.pass_through(system, &transit, settings.regularization)?;
-                *sides = without_sides.sides_of(&state.q, &state.v);
-                if transit.duration >= rest {
+                rest = pass(without_sides, settings, state, (sides, &transit), rest)?;
+                if rest <= 0.0 {
                     return Ok(());
                 }
-                rest -= transit.duration;
                 continue;
             }
         };
@@ -137,6 +135,14 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
             }
             _ => {
                 search = Search::NONE;
+                if let Some(transit) = system.past_meeting(&state.q, &state.v, h) {
+                    state.counters.rescued += 1;
+                    rest = pass(without_sides, settings, state, (sides, &transit), rest)?;
+                    if rest <= 0.0 {
+                        return Ok(());
+                    }
+                    continue;
+                }
                 state.substep = h * CONTROLLER.reduction(error / tolerance);
                 state.counters.rejected += 1;
             }
@@ -144,6 +150,20 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
     }
     let error = if error.is_nan() { f64::INFINITY } else { error };
     Err(StepError::TooMuchWork { most: settings.max_work, substep: h, error })
+}
+
+/// Goes where the system has gone by itself; what is left of so many seconds.
+#[cold]
+fn pass<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
+    without_sides: &S,
+    settings: &Settings,
+    state: &mut State<N, M>,
+    (sides, transit): (&mut S::Sides, &Transit<N>),
+    rest: f64,
+) -> Result<f64, StepError> {
+    state.pass_through(without_sides.on(*sides).borrow(), transit, settings.regularization)?;
+    *sides = without_sides.sides_of(&state.q, &state.v);
+    Ok(rest - transit.duration)
 }
 
 /// A sub-step that converged, not yet accepted.
@@ -257,13 +277,13 @@ fn rate_error<const N: usize, const M: usize>(system: &impl Implicit<N, M>, h: f
     h / 12.0 * system.angle_norm(bend) / (RATE + system.angle_norm(v))
 }
 
-/// Whether between two states, given by q, q̇ and q̈, h seconds apart, something that touches at neither may have touched.
+/// Whether between two states, given by q, q̇ and q̈, h seconds apart, something may have touched more deeply than they show.
 fn may_overlook<const N: usize>(system: &impl Kinked<N>, settings: &Settings, [from, to]: [&[Vector<N>; 3]; 2], h: f64) -> bool {
     /// By how much rates and accelerations on the way may exceed those at its ends.
     const MARGIN: f64 = 1.5;
     let [before, after] = [from, to].map(|[q, v, _]| system.touches(q, v));
     let extremes = [1, 2].map(|order| Vector::from_fn(|i| MARGIN * from[order][i].abs().max(to[order][i].abs())));
-    !system.is_touching(&after) && !system.stays_within([&before, &after], h, &extremes, settings.error_tolerance)
+    !system.stays_within([&before, &after], h, &extremes, settings.error_tolerance)
 }
 
 /// A step so short that q̈ and λ stay but for round-off.

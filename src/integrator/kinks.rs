@@ -29,6 +29,12 @@ pub trait Kinked<const N: usize>: Sized {
     /// The sides of a state by itself.
     fn sides_of(&self, q: &Vector<N>, v: &Vector<N>) -> Self::Sides;
 
+    /// The same sides where a motion begins to be on one of several branches.
+    #[inline(always)]
+    fn branched(&self, sides: Self::Sides, _q: &Vector<N>, _v: &Vector<N>) -> Self::Sides {
+        sides
+    }
+
     /// The same system with forces that stay on some sides.
     fn on(&self, _sides: Self::Sides) -> impl Borrow<Self> {
         self

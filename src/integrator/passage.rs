@@ -4,7 +4,7 @@
 //! Each method asks once per step, and gets a decision: nothing is near, the step is limited, or the system has passed the vertex and
 //! says where it is now. `docs/vertices.md` has the reasons.
 
-use super::{Arrival, State, StepError, System};
+use super::{Arrival, State, StepError, System, Work};
 use crate::vector::Vector;
 
 /// How close to a vertex a motion is taken straight through it.
@@ -79,7 +79,7 @@ pub struct EnergyBalance {
     pub power: f64,
 }
 
-/// A straight motion that the system has made.
+/// A motion that the system has made.
 #[derive(Clone, Copy, Debug)]
 pub struct Transit<const N: usize> {
     /// Coordinates at its end.
@@ -94,6 +94,8 @@ pub struct Transit<const N: usize> {
     pub passed: bool,
     /// Where it started from rest in the vertex: whether forces drive it, and the number of other branches that they could.
     pub from_rest: Option<(bool, u32)>,
+    /// q̈ at its end and the work on the way where the equations of motion do not tell them.
+    pub known: Option<(Vector<N>, Work)>,
 }
 
 /// A system's own knowledge of its vertices; by default it has none.
@@ -101,6 +103,12 @@ pub trait Passage<const N: usize> {
     /// What a vertex makes of the next step.
     fn approach(&self, _limits: &PassageLimits, _from: &Departure<'_, N>) -> Approach<N> {
         Approach::Clear
+    }
+
+    /// Where a step of h seconds leads that a method has tried in vain, for it ends too near to where branches of the constraints meet.
+    #[inline(always)]
+    fn past_meeting(&self, _q: &Vector<N>, _v: &Vector<N>, _h: f64) -> Option<Transit<N>> {
+        None
     }
 
     /// The factor by which q̇ at the end of a step of h seconds has to be scaled to keep the energy.
@@ -145,8 +153,13 @@ impl<const N: usize, const M: usize> State<N, M> {
         transit: &Transit<N>,
         regularization: f64,
     ) -> Result<(), StepError> {
-        let arrival = Arrival::out_of_line(system, [transit.q, transit.v], regularization).finite()?;
-        self.work = self.work.plus(transit.duration / 2.0, self.power).plus(transit.duration / 2.0, arrival.power);
+        let mut arrival = Arrival::out_of_line(system, [transit.q, transit.v], regularization).finite()?;
+        if let Some((a, work)) = transit.known {
+            arrival.a = a;
+            self.work += work;
+        } else {
+            self.work = self.work.plus(transit.duration / 2.0, self.power).plus(transit.duration / 2.0, arrival.power);
+        }
         self.jerk = Vector::ZERO;
         self.arrive(arrival);
         self.on_ray = transit.on_ray;

@@ -19,7 +19,7 @@ use crate::integrator::{AccelerationTangents, Held, Kkt, Passage, State, System,
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::vertex::{self, Branch};
-use crate::mechanism::{Coordinates, Mechanism, Multipliers, Pose};
+use crate::mechanism::{ARM, Coordinates, Mechanism, Multipliers, Parallels, Pose, Terms};
 use crate::vector::Vector;
 
 /// Number of angles.
@@ -63,15 +63,21 @@ pub struct ByAngles<'a> {
     inertia: &'a Inertia,
     /// Whether nothing acts but the weight, which asks for no coordinates.
     only_weight: bool,
+    /// The branch of the closure that the motion stays on, where there are several.
+    parallels: Option<Parallels>,
+    /// Its Φ_q.
+    terms: &'a Terms,
 }
 
 impl<'a> ByAngles<'a> {
     /// The same model under the same inputs.
     #[inline]
     pub fn new(five_bar: FiveBar<'a>) -> Self {
-        let FiveBar { model, inputs, .. } = five_bar;
+        let FiveBar { model, inputs, sides, .. } = five_bar;
         let only_weight = model.effects.is_empty() && !inputs.load();
-        Self { five_bar, mechanism: &model.mechanism, inertia: &model.inertia, only_weight }
+        let mechanism = &model.mechanism;
+        let terms = sides.parallels.map_or(Terms::OPEN, Parallels::terms);
+        Self { five_bar, mechanism, inertia: &model.inertia, only_weight, parallels: sides.parallels, terms }
     }
 
     /// The same in its twelve coordinates.
@@ -87,6 +93,27 @@ impl<'a> ByAngles<'a> {
     /// e of the saddle-point systems, 1/kg.
     pub(super) fn regularization_by_angles(&self) -> f64 {
         self.five_bar.model.regularization_by_angles
+    }
+
+    /// Φ_q of the closure, or of the branch of it that the motion stays on.
+    #[inline(always)]
+    pub(super) fn phi_q(&self, pose: &Pose) -> [Legs2; 2] {
+        let [p, d] = phi_q(pose);
+        let Terms { open, constant: [on_p, on_d] } = *self.terms;
+        let sum = |n: Legs2, on: Legs2| Legs2 { x: open * n.x + on.x, y: open * n.y + on.y };
+        [sum(p, on_p), sum(d, on_d)]
+    }
+
+    /// How far angles are off it, m.
+    #[cold]
+    #[inline(never)]
+    fn off_branch(&self, parallels: Parallels, q: Angles) -> Vector<CLOSURES> {
+        parallels.apart([legs_of(&q, PROXIMAL), legs_of(&q, DISTAL)]).map(|angle| ARM * angle).into()
+    }
+
+    /// Whether the motion stays on a branch of the closure whose derivatives are constant.
+    pub(super) fn is_on_branch(&self) -> bool {
+        self.parallels.is_some()
     }
 
     /// Displacement from the nearest vertex, if one is near. With coaxial motors all links in line are no isolated posture: there they
@@ -222,7 +249,7 @@ impl<'a> ByAngles<'a> {
 
 /// Φ_q: how the end of each leg moves with its proximal and its distal angle, with the leg's sign.
 #[inline]
-pub(super) fn phi_q(pose: &Pose) -> [Legs2; 2] {
+fn phi_q(pose: &Pose) -> [Legs2; 2] {
     let distal = Legs2 { x: SIGMA * pose.a_d.x + pose.sigma_b_d.x, y: SIGMA * pose.a_d.y + pose.sigma_b_d.y };
     [proximal_arm(pose).scaled(SIGMA).turned(), distal.turned()]
 }
@@ -239,11 +266,10 @@ pub struct Factor {
 impl Factor {
     /// S is computed times both determinants of M, so that its division need not wait for that of M⁻¹.
     #[inline]
-    fn new(inertia: &Inertia, pose: &Pose, regularization: f64) -> Self {
+    fn new(inertia: &Inertia, pose: &Pose, [p, d]: [Legs2; 2], regularization: f64) -> Self {
         let (adjugate, determinant) = inertia.adjugate(pose);
         let [left, right] = determinant.to_array();
         let (others, both_determinants) = (Legs::new([right, left]), left * right);
-        let [p, d] = phi_q(pose);
         let times = |p: Legs, d: Legs| [adjugate.proximal * p + adjugate.coupling * d, adjugate.coupling * p + adjugate.distal * d];
         let ([px, dx], [py, dy]) = (times(p.x, d.x), times(p.y, d.y));
         let regularization = both_determinants * regularization;
@@ -292,7 +318,10 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline]
-    fn phi(&self, _q: &Angles, pose: &Pose) -> Vector<CLOSURES> {
+    fn phi(&self, q: &Angles, pose: &Pose) -> Vector<CLOSURES> {
+        if let Some(parallels) = self.parallels {
+            return self.off_branch(parallels, *q);
+        }
         let (l, a) = (proximal_arm(pose), pose.a_d);
         let x = SIGMA * (self.mechanism.ground_x + l.x + a.x) + pose.sigma_b_d.x;
         let y = SIGMA * (l.y + a.y) + pose.sigma_b_d.y;
@@ -301,7 +330,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline]
     fn phi_q_times(&self, pose: &Pose, v: &Angles) -> Vector<CLOSURES> {
-        end_velocity(&phi_q(pose), v)
+        end_velocity(&self.phi_q(pose), v)
     }
 
     #[inline]
@@ -310,6 +339,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         let [p, d] = phi_q(pose).map(Legs2::turned);
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
         let (w_p, w_d) = (w_p * w_p, w_d * w_d);
+        let (w_p, w_d) = (self.terms.open * w_p, self.terms.open * w_d);
         [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)].into()
     }
 
@@ -334,7 +364,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline]
     fn factor_mass(&self, pose: &Pose, regularization: f64) -> Factor {
-        Factor::new(self.inertia, pose, regularization)
+        Factor::new(self.inertia, pose, self.phi_q(pose), regularization)
     }
 
     #[inline]

@@ -105,6 +105,9 @@ impl DenseRun {
         }
         for ((state, sides), ends) in self.step.ends().into_iter().zip([false, true]) {
             let (x, rates) = system.coordinates(&system.pose(&state.q), &state.q, &state.v);
+            if sides.parallels.is_some_and(|parallels| !parallels.is_of(&system.model().mechanism.geometry)) {
+                return Err("it is on a branch of the closure that there is none of");
+            }
             check_grips(system.model(), &system.five_bar().on(sides), [&x, &rates], ends)?;
         }
         self.step.check(system, settings, bounds)

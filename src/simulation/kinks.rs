@@ -2,13 +2,13 @@
 
 use std::borrow::Borrow;
 
-use super::angles::{ANGLES, Angles, ByAngles, PLACES};
+use super::angles::{ANGLES, Angles, ByAngles, DISTAL, PLACES, PROXIMAL};
 use super::five_bar::FiveBar;
 use super::grips::{resolved, slides, turns_between};
 use crate::effects::{Sides, Slides, Touches, slow};
 use crate::integrator::{Kinked, System};
-use crate::mechanism::coordinates::THETA;
-use crate::mechanism::{COORDINATES, Coordinates};
+use crate::mechanism::coordinates::{THETA, legs_of};
+use crate::mechanism::{COORDINATES, Coordinates, Parallels};
 
 impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     type Sides = Sides;
@@ -29,12 +29,21 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     #[inline]
     fn sides_of(&self, q: &Angles, v: &Angles) -> Sides {
         if !self.has_kinks() {
-            return Sides::BY_STATE;
+            return self.branched(Sides::BY_STATE, q, v);
         }
         let pose = self.pose(q);
         let (x, rates) = self.coordinates(&pose, q, v);
         let springs = Touches::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates), Slides::new()).sides();
-        self.with_resolved_grips(springs, q, v)
+        self.branched(self.with_resolved_grips(springs, q, v), q, v)
+    }
+
+    #[inline(always)]
+    fn branched(&self, sides: Sides, q: &Angles, v: &Angles) -> Sides {
+        if self.model().mechanism.geometry.base_distance != 0.0 || sides.parallels.is_some() {
+            return sides;
+        }
+        let pairs = |x: &Angles| [legs_of(x, PROXIMAL), legs_of(x, DISTAL)];
+        sides.with_parallels(Parallels::of(&self.model().mechanism.geometry, pairs(q), pairs(v)))
     }
 
     #[inline]
@@ -130,10 +139,6 @@ impl<'a, const BARE: bool> Kinked<COORDINATES> for FiveBar<'a, BARE> {
         at.beyond(&self.sides(), tolerance)
     }
 
-    fn is_touching(&self, at: &Touches<'a>) -> bool {
-        at.any(&self.sides())
-    }
-
     fn turns_between(&self, ends: [[&Coordinates; 3]; 2], duration: f64, tolerance: f64) -> bool {
         turns_between(&self.general(), ends, duration, slow(tolerance))
     }
@@ -141,6 +146,6 @@ impl<'a, const BARE: bool> Kinked<COORDINATES> for FiveBar<'a, BARE> {
     /// What slips is told by [`Kinked::turns_between`], which knows accelerations.
     fn stays_within(&self, ends: [&Touches<'a>; 2], duration: f64, extremes: &[Coordinates; 2], tolerance: f64) -> bool {
         let extremes = [0, 1].map(|order| THETA.map(|i| extremes[order][i]));
-        Touches::springs_stay_free(ends, &self.sides(), duration, extremes, tolerance)
+        Touches::show_their_way(ends, duration, extremes, tolerance)
     }
 }

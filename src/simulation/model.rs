@@ -256,7 +256,8 @@ const RATE: f64 = 10.0;
 /// e of the explicit method in the link angles, in multiples of 1 over the mean mass: no more than round-off makes of a singular
 /// Φ_q M⁻¹ Φ_qᵀ. At 1e-14 passes close to a vertex were falsified.
 const RANK_LOSS: f64 = 1e-20;
-/// The same with coaxial motors, where links of equal lengths lose rank in every direction and no gate helps: motions must pass softly.
+/// The same with coaxial motors, where rank is lost along any line and no gate helps: what is on none of the branches that `Parallels` knows
+/// must pass softly.
 const COAXIAL: f64 = 1e-10;
 
 /// e of the conserving step in multiples of 1 over the mean mass. It weighs increments only: smaller, Newton's method finds fewer roots

@@ -9,8 +9,11 @@
 //! All of it is in the four link angles. Nothing here changes a state: [`ByAngles::approach`] decides, and says where a straight motion
 //! ends.
 
-use super::angles::{ANGLES, Angles, ByAngles, angles_of};
+use std::borrow::Borrow;
+
+use super::angles::{ANGLES, Angles, ByAngles, PLACES, angles_of};
 use super::five_bar::FiveBar;
+use crate::integrator::dense::{DenseStep, Horizon, Kinds, Settings};
 use crate::integrator::{
     Approach, Departure, EnergyBalance, Kinked, Passage, PassageLimits, Projection, StepError, StepLimits, System, Transit,
     equilibrium, velocity_correction,
@@ -35,6 +38,12 @@ const NEAREST: f64 = 1e-5;
 
 /// Largest part of the kinetic energy by which a step close to a vertex may be off before it is put right.
 const ENERGY_CHANGE: f64 = 0.01;
+
+/// With coaxial motors, nearer than this to a posture with all links in line, rad, the twelve coordinates may fail.
+const NEAR_MEETING: f64 = 1e-2;
+
+/// Most evaluations of the way past it.
+const MOST_WORK: u32 = 20_000;
 
 /// A kinetic energy below this part of the others is lost in their round-off.
 const LOST: f64 = 1e-9;
@@ -110,6 +119,35 @@ impl Passage<ANGLES> for ByAngles<'_> {
 }
 
 impl ByAngles<'_> {
+    /// Where a motion on a branch of the closure is h seconds later, if that is near to where branches meet: by steps in the angles, for
+    /// which it is a place like any other. In the twelve coordinates.
+    #[cold]
+    #[inline(never)]
+    fn along_branch(&self, [q, v]: [Angles; 2], h: f64) -> Option<Transit<COORDINATES>> {
+        let model = self.model();
+        let settings = Settings {
+            kinds: Kinds::Automatic,
+            error_tolerance: model.error_tolerance,
+            energy_scale: f64::INFINITY,
+            first_step: h,
+            max_iterations: model.max_iterations,
+            max_work: MOST_WORK,
+            regularization: self.regularization_by_angles(),
+        };
+        if angle_to_meeting(&(q + h * v)).min(angle_to_meeting(&q)) > NEAR_MEETING {
+            return None;
+        }
+        let mut step = DenseStep::start(self, q, v, &settings);
+        step.sides().parallels?;
+        step.advance(self, &settings, h, Horizon { output: f64::INFINITY, limit: h }).ok()?;
+        let sample = step.sample(self, &settings);
+        let on_branch = self.on(step.sides());
+        let (a, _) = equilibrium(on_branch.borrow(), &sample.q, &sample.v, settings.regularization);
+        let (x, rates) = self.coordinates(&sample.pose, &sample.q, &sample.v);
+        let a = self.coordinates(&sample.pose, &sample.q, &a).1 + self.turning(&sample.pose, &sample.v);
+        Some(Transit { q: x, v: rates, duration: h, on_ray: false, passed: false, from_rest: None, known: Some((a, sample.work)) })
+    }
+
     /// What a vertex at this offset makes of the next step.
     #[cold]
     #[inline(never)]
@@ -196,7 +234,7 @@ impl ByAngles<'_> {
         // The rate along the ray is known from the energy better than from the acceleration, which was taken as constant.
         let scale = self.energy_scale(&self.energy_balance(from.q, from.v), &q, &v, duration).ok()?;
         let passed = position < 0.0 && ahead >= 0.0;
-        Some(Transit { q, v: scale * v, duration, on_ray: !leaves, passed, from_rest: None })
+        Some(Transit { q, v: scale * v, duration, on_ray: !leaves, passed, from_rest: None, known: None })
     }
 
     /// Mean acceleration along a ray from a position to where it leaves the ball, at a speed, and the time that takes, s; infinite if
@@ -245,6 +283,12 @@ impl ByAngles<'_> {
     }
 }
 
+/// How far the links are from being in line, along any line: the left leg straight, and the right one along it.
+fn angle_to_meeting(q: &Angles) -> f64 {
+    let [left, elbow, _, right] = PLACES;
+    f64::max((q[elbow] - q[left]).sin().abs(), (q[right] - q[left]).sin().abs())
+}
+
 /// First time at which position + speed t + acceleration t²/2 reaches `reach`, if ever.
 fn time_to(reach: f64, position: f64, speed: f64, acceleration: f64) -> Option<f64> {
     let discriminant = speed * speed + 2.0 * acceleration * (reach - position);
@@ -260,11 +304,19 @@ impl<const BARE: bool> Passage<COORDINATES> for FiveBar<'_, BARE> {
         match by_angles.approach(limits, &Departure { q: &q, v: &v, on_ray: from.on_ray, rest: from.rest }) {
             Approach::Clear => Approach::Clear,
             Approach::Limited(limits) => Approach::Limited(limits),
-            Approach::Passed(Transit { q, v, duration, on_ray, passed, from_rest }) => {
+            Approach::Passed(Transit { q, v, duration, on_ray, passed, from_rest, .. }) => {
                 let (q, v) = by_angles.coordinates(&by_angles.pose(&q), &q, &v);
-                Approach::Passed(Transit { q, v, duration, on_ray, passed, from_rest })
+                Approach::Passed(Transit { q, v, duration, on_ray, passed, from_rest, known: None })
             }
         }
+    }
+
+    #[inline(always)]
+    fn past_meeting(&self, q: &Coordinates, v: &Coordinates, h: f64) -> Option<Transit<COORDINATES>> {
+        if self.model.mechanism.geometry.base_distance != 0.0 {
+            return None;
+        }
+        ByAngles::new(self.general()).along_branch([angles_of(q), angles_of(v)], h)
     }
 
     fn energy_scale(&self, before: &EnergyBalance, q: &Coordinates, v: &Coordinates, h: f64) -> Result<f64, StepError> {

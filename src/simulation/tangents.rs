@@ -10,7 +10,7 @@
 //!
 //! with the same matrix for both. K and C are the effects' own, carried over by `linearised.rs`.
 
-use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, DISTAL, PLACES, PROXIMAL, phi_q};
+use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, DISTAL, PLACES, PROXIMAL};
 use super::inertia::proximal_arm;
 use crate::integrator::{AccelerationTangents, Kkt, State, System};
 use crate::mechanism::coordinates::{legs_of, set_legs};
@@ -52,7 +52,9 @@ impl ByAngles<'_> {
         let on_d = (slope * a_p - coupling * w_p * w_p).to_array();
         let (turn_p, turn_d) = ((both(2.0) * slope * w_d).to_array(), (both(2.0) * slope * w_p).to_array());
         // and of the arms along the closure, which turn as well.
-        let [n_p, n_d] = phi_q(&pose);
+        // Those of a branch do not turn.
+        let turning = if self.is_on_branch() { 0.0 } else { 1.0 };
+        let [n_p, n_d] = self.phi_q(&pose).map(|n| n.scaled(both(turning)));
         let [r_p, r_d] = [n_p, n_d].map(|n| n.turned().scaled(both(-1.0)));
         let pulled = |r: Legs2| r.x * both(lambda[0]) + r.y * both(lambda[1]);
         let mut along = Angles::ZERO;

@@ -287,6 +287,9 @@ fn layout(content: &[u8]) -> Vec<(usize, String)> {
                     }
                 }
                 grips(&mut next, &format!("run.{name}"));
+                if content[next(&format!("run.{name}.parallels.some"), 1)] == 1 {
+                    next(&format!("run.{name}.parallels"), 1);
+                }
             }
             for memory in ["memory", "before"] {
                 next(&format!("run.{memory}.log_error"), 8);

@@ -54,7 +54,7 @@ pub(super) enum Border {
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Before a step: the sides on which it begins, behind all borders that its beginning is beyond.
     pub(super) fn settle<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) {
-        let mut sides = self.sides_behind;
+        let mut sides = system.branched(self.sides_behind, &self.start.q, &self.start.v);
         if system.has_kinks() {
             let touches = system.touches(&self.start.q, &self.start.v);
             for _ in 0..MOST_SIDES {

@@ -1,0 +1,146 @@
+//! Where the independent programs end in random scenes. That takes far longer than the runs that are judged, so ends are kept, in
+//! `data/ends.csv`; a scene that is not among them is worked out when it is asked for.
+
+use std::collections::HashMap;
+use std::f64::consts::TAU;
+use std::fs::{self, File, OpenOptions};
+use std::io::Write;
+use std::path::Path;
+use std::sync::{LazyLock, Mutex};
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use fivebar::effects::Law;
+use fivebar::simulation::{Inputs, Parameters};
+use rayon::prelude::*;
+
+use crate::independent::Independent;
+use crate::sticking::Sticking;
+use crate::watch::Watch;
+use crate::{Case, Extent};
+
+/// An end that is farther off than this, rad, is wrong...
+const WRONG: f64 = 1e-3;
+/// ... unless a start that is so much off, rad and rad/s, ...
+const NUDGE: f64 = 1e-7;
+/// ... makes an end off by more than WRONG over this: bounces multiply errors.
+const MULTIPLIED: f64 = 100.0;
+
+/// A scene to be followed to its end.
+#[derive(Clone, Debug)]
+pub struct Goal {
+    /// Its parameters.
+    pub parameters: Parameters,
+    /// Inputs that are held.
+    pub inputs: Inputs,
+    /// s.
+    pub duration: f64,
+}
+
+/// An end.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct End {
+    /// Of the links, rad.
+    pub angles: [f64; 4],
+    /// How far off a run may be, rad.
+    pub allowed: f64,
+}
+
+/// Ends by the name of their scene; `None` where the program gave up.
+type Ends = HashMap<String, Option<End>>;
+
+/// What is kept.
+static KEPT: LazyLock<Ends> = LazyLock::new(|| read(include_str!("../data/ends.csv")));
+
+impl Goal {
+    /// The end that is kept, or a new one.
+    pub(crate) fn kept_or_new(&self) -> Option<End> {
+        KEPT.get(&self.name()).copied().unwrap_or_else(|| self.end())
+    }
+
+    /// A name that tells scenes apart, whatever the round-off of their values: FNV-1a of nine digits of each.
+    fn name(&self) -> String {
+        let Self { parameters: Parameters { geometry, effects, start, .. }, inputs, duration } = self;
+        let text = format!("{:?}", (geometry, effects, start, inputs, duration));
+        let words = text.split(|c: char| !(c.is_alphanumeric() || c == '.' || c == '-'));
+        let rounded = words.map(|word| word.parse::<f64>().map_or_else(|_| word.to_owned(), |value| format!("{value:.8e}")));
+        let hash = rounded
+            .flat_map(|word| word.into_bytes())
+            .fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
+        format!("{hash:016x}")
+    }
+
+    /// Where the independent program ends.
+    fn end(&self) -> Option<End> {
+        let Self { inputs, duration, .. } = self;
+        let parameters = &merged(&self.parameters);
+        let program = Independent::new(parameters, inputs);
+        let start = program.start();
+        let effects = &parameters.effects;
+        let sticks = [(effects.friction.enabled, effects.friction.law), (effects.contact.enabled, effects.contact.law)]
+            .contains(&(true, Law::Stick));
+        let after = |start| match sticks {
+            true => Sticking::new(parameters, inputs).after(start, *duration),
+            false => program.after(start, *duration),
+        };
+        let angles = |start| after(start).map(|end| std::array::from_fn(|i| end[i]));
+        let (angles, other) = (angles(start)?, angles(program.closed(start.map(|x| x + NUDGE)))?);
+        Some(End { angles, allowed: WRONG.max(MULTIPLIED * apart(&angles, &other)) })
+    }
+}
+
+/// With coaxial motors and equal links the inner joints turn by the same angle: one of them then has the friction of all three.
+fn merged(parameters: &Parameters) -> Parameters {
+    let mut merged = parameters.clone();
+    if parameters.geometry.base_distance == 0.0 {
+        let friction = &mut merged.effects.friction;
+        for torques in [&mut friction.coulomb, &mut friction.breakaway] {
+            (torques[1], torques[2], torques[3]) = (torques[1] + torques[2] + torques[3], 0.0, 0.0);
+        }
+    }
+    merged
+}
+
+/// The largest difference of two postures, rad, whole turns left out.
+pub(crate) fn apart(x: &[f64; 4], y: &[f64; 4]) -> f64 {
+    (0..4).map(|i| ((x[i] - y[i] + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0).abs()).fold(0.0, f64::max)
+}
+
+/// The ends in a table: scene, case, number, four angles, what is allowed, and the seconds that it took; no angles where the program gave up.
+fn read(table: &str) -> Ends {
+    let numbers = |row: &str| {
+        let columns: Vec<f64> = row.split(',').skip(3).filter_map(|column| column.parse().ok()).collect();
+        let [a, b, c, d, allowed, ..] = columns[..] else { return None };
+        Some(End { angles: [a, b, c, d], allowed })
+    };
+    table.lines().filter_map(|row| Some((row.split(',').next()?.to_owned(), numbers(row)))).collect()
+}
+
+/// Works out the ends that are not in a table yet, and adds them one by one: it may be stopped and started again.
+///
+/// # Errors
+///
+/// A file that cannot be read or written.
+pub fn add(table: &Path, only: &str, count: usize) -> Result<()> {
+    let text = if table.exists() { fs::read_to_string(table)? } else { String::new() };
+    let known = read(&text);
+    let file = OpenOptions::new().create(true).append(true).open(table);
+    let file: Mutex<File> = Mutex::new(file.with_context(|| format!("{} cannot be written", table.display()))?);
+    for case in Case::of_item(Extent::Full, 9).iter().filter(|case| case.name.contains(only)) {
+        case.trials.par_iter().enumerate().take(count).try_for_each(|(number, trial)| {
+            let Watch::Follows { goal, .. } = &trial.watch else { return Ok(()) };
+            let name = goal.name();
+            if known.contains_key(&name) {
+                return Ok(());
+            }
+            let begin = Instant::now();
+            let end = goal.end().map_or(",,,,".into(), |End { angles: [a, b, c, d], allowed }| {
+                format!("{a:.9},{b:.9},{c:.9},{d:.9},{allowed:.2e}")
+            });
+            let row = format!("{name},{},{number},{end},{:.2}\n", case.name.replace(',', ""), begin.elapsed().as_secs_f64());
+            let mut file = file.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            file.write_all(row.as_bytes()).context("the table cannot be written")
+        })?;
+    }
+    Ok(())
+}
