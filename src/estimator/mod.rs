@@ -19,6 +19,7 @@ mod history;
 mod lengths;
 pub mod linkage;
 mod parameters;
+mod posture;
 mod process_noise;
 mod track;
 pub mod transition;

@@ -8,7 +8,8 @@
 //!
 //! K and C are the tangents that the implicit steps use. Six directions: N in the angles, N in the rates, the unknown force.
 
-use super::linkage::{Frame, LEGS, Linkage, Links, Pair, Posture};
+use super::linkage::{Frame, LEGS, Linkage, Links, Pair};
+use super::posture::Posture;
 
 /// Number of errors: two of the angles, two of the rates, two of the unknown force.
 pub const ERRORS: usize = 6;

@@ -12,15 +12,19 @@
 //! Forces, power and potential are those of the twelve coordinates, carried over by their derivatives with respect to the angles: an
 //! effect is written once.
 
+mod factor;
+mod placing;
+
 use super::five_bar::FiveBar;
-use super::inertia::{Inertia, Mass, proximal_arm};
+use super::inertia::{Inertia, proximal_arm};
 use super::model::Model;
 use crate::integrator::{AccelerationTangents, Held, Kkt, Passage, State, System, Work};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
+use crate::mechanism::legs::{Legs2, SIGMA, both, sum};
 use crate::mechanism::vertex::{self, Branch};
 use crate::mechanism::{ARM, Coordinates, Mechanism, Multipliers, Parallels, Pose, Terms};
 use crate::vector::Vector;
+use factor::{Factor, end_velocity};
 
 /// Number of angles.
 pub const ANGLES: usize = 4;
@@ -44,15 +48,6 @@ pub fn angles_of(x: &Coordinates) -> Angles {
     set_legs(&mut angles, PROXIMAL, legs_of(x, P_THETA));
     set_legs(&mut angles, DISTAL, legs_of(x, D_THETA));
     angles
-}
-
-/// The twelve coordinates with these angles and 0 elsewhere.
-#[inline]
-fn in_place(angles: &Angles) -> Coordinates {
-    let mut x = Coordinates::ZERO;
-    set_legs(&mut x, P_THETA, legs_of(angles, PROXIMAL));
-    set_legs(&mut x, D_THETA, legs_of(angles, DISTAL));
-    x
 }
 
 /// A five-bar seen in its link angles.
@@ -152,57 +147,6 @@ impl<'a> ByAngles<'a> {
         [kinetic, self.five_bar.potential_energy(&x, &pose), self.five_bar.power_without_potential(&x, &pose, &rates)]
     }
 
-    /// Applied forces of the twelve coordinates carried over to the angles, and the centripetal ones of the distal centre of mass.
-    #[inline(always)]
-    fn in_angles(&self, applied: &Coordinates, pose: &Pose, v: &Angles) -> Angles {
-        let (l, a_d) = (proximal_arm(pose), pose.a_d);
-        let on_p = Legs2 { x: legs_of(applied, P_X), y: legs_of(applied, P_Y) };
-        let on_d = Legs2 { x: legs_of(applied, D_X), y: legs_of(applied, D_Y) };
-        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
-        let centripetal = self.mechanism.mass_d * l.turned().dot(a_d);
-        let proximal = legs_of(applied, P_THETA) + pose.a_p.turned().dot(on_p) + l.turned().dot(on_d) + centripetal * w_d * w_d;
-        let distal = legs_of(applied, D_THETA) + a_d.turned().dot(on_d) - centripetal * w_p * w_p;
-        let mut forces = Angles::ZERO;
-        set_legs(&mut forces, PROXIMAL, proximal);
-        set_legs(&mut forces, DISTAL, distal);
-        forces
-    }
-
-    /// The twelve coordinates and their rates, each leg built up from its motor axis.
-    #[inline]
-    pub fn coordinates(&self, pose: &Pose, q: &Angles, v: &Angles) -> (Coordinates, Coordinates) {
-        (self.placed(q, pose), self.moving(v, pose))
-    }
-
-    #[inline]
-    fn placed(&self, q: &Angles, pose: &Pose) -> Coordinates {
-        let elbow = Legs2 { x: self.mechanism.ground_x + pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y };
-        let mut x = in_place(q);
-        set_legs(&mut x, P_X, self.mechanism.ground_x + pose.a_p.x);
-        set_legs(&mut x, P_Y, pose.a_p.y);
-        set_legs(&mut x, D_X, elbow.x + pose.a_d.x);
-        set_legs(&mut x, D_Y, elbow.y + pose.a_d.y);
-        x
-    }
-
-    /// A generalised force of the twelve coordinates in the angles.
-    #[cold]
-    pub(super) fn carried_over(&self, pose: &Pose, force: &Coordinates) -> Angles {
-        Angles::from_fn(|i| force.dot(&self.moving(&Angles::unit(i), pose)))
-    }
-
-    /// The part of the accelerations of the twelve coordinates that comes from the rates.
-    pub(super) fn turning(&self, pose: &Pose, v: &Angles) -> Coordinates {
-        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
-        let (p, l, d) = (pose.a_p, proximal_arm(pose), pose.a_d);
-        let mut x = Coordinates::ZERO;
-        set_legs(&mut x, P_X, -p.x * w_p * w_p);
-        set_legs(&mut x, P_Y, -p.y * w_p * w_p);
-        set_legs(&mut x, D_X, -l.x * w_p * w_p - d.x * w_d * w_d);
-        set_legs(&mut x, D_Y, -l.y * w_p * w_p - d.y * w_d * w_d);
-        x
-    }
-
     /// q̈ and λ of the twelve coordinates, and the power, where nothing is held: from the angles and the force at the tip, link by link.
     pub(super) fn balance(
         &self,
@@ -233,18 +177,6 @@ impl<'a> ByAngles<'a> {
     fn acting(&self, q: Angles, pose: Pose, v: Angles) -> (Coordinates, Work) {
         self.five_bar.forces_and_power(&self.placed(&q, &pose), &pose, &self.moving(&v, &pose))
     }
-
-    #[inline]
-    fn moving(&self, v: &Angles, pose: &Pose) -> Coordinates {
-        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
-        let (n_p, n_l, n_d) = (pose.a_p.turned(), proximal_arm(pose).turned(), pose.a_d.turned());
-        let mut x = in_place(v);
-        set_legs(&mut x, P_X, n_p.x * w_p);
-        set_legs(&mut x, P_Y, n_p.y * w_p);
-        set_legs(&mut x, D_X, n_l.x * w_p + n_d.x * w_d);
-        set_legs(&mut x, D_Y, n_l.y * w_p + n_d.y * w_d);
-        x
-    }
 }
 
 /// Φ_q: how the end of each leg moves with its proximal and its distal angle, with the leg's sign.
@@ -252,56 +184,6 @@ impl<'a> ByAngles<'a> {
 fn phi_q(pose: &Pose) -> [Legs2; 2] {
     let distal = Legs2 { x: SIGMA * pose.a_d.x + pose.sigma_b_d.x, y: SIGMA * pose.a_d.y + pose.sigma_b_d.y };
     [proximal_arm(pose).scaled(SIGMA).turned(), distal.turned()]
-}
-
-/// The factorised saddle-point matrix: M⁻¹ of each leg, and the inverse of S = Φ_q M⁻¹ Φ_qᵀ + e, 2×2 for both.
-#[derive(Clone, Copy)]
-pub struct Factor {
-    mobility: Mass,
-    phi_q: [Legs2; 2],
-    /// Inverse of S: xx, xy, yy.
-    dual: [f64; 3],
-}
-
-impl Factor {
-    /// S is computed times both determinants of M, so that its division need not wait for that of M⁻¹.
-    #[inline]
-    fn new(inertia: &Inertia, pose: &Pose, [p, d]: [Legs2; 2], regularization: f64) -> Self {
-        let (adjugate, determinant) = inertia.adjugate(pose);
-        let [left, right] = determinant.to_array();
-        let (others, both_determinants) = (Legs::new([right, left]), left * right);
-        let times = |p: Legs, d: Legs| [adjugate.proximal * p + adjugate.coupling * d, adjugate.coupling * p + adjugate.distal * d];
-        let ([px, dx], [py, dy]) = (times(p.x, d.x), times(p.y, d.y));
-        let regularization = both_determinants * regularization;
-        let xx = sum(others * (p.x * px + d.x * dx)) + regularization;
-        let xy = sum(others * (p.x * py + d.x * dy));
-        let yy = sum(others * (p.y * py + d.y * dy)) + regularization;
-        let scale = both_determinants / (xx * yy - xy * xy);
-        let mobility = adjugate.scaled(both(1.0) / determinant);
-        Self { mobility, phi_q: [p, d], dual: [yy * scale, -xy * scale, xx * scale] }
-    }
-}
-
-/// Φ_q v.
-#[inline]
-fn end_velocity([p, d]: &[Legs2; 2], v: &Angles) -> Vector<CLOSURES> {
-    let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
-    [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)].into()
-}
-
-impl Kkt<ANGLES, CLOSURES> for Factor {
-    #[inline]
-    fn solve(&self, b: &Angles, c: &Vector<CLOSURES>) -> (Angles, Vector<CLOSURES>) {
-        let unconstrained = self.mobility.times(b);
-        let [x, y] = *(end_velocity(&self.phi_q, &unconstrained) - *c);
-        let [xx, xy, yy] = self.dual;
-        let (x, y) = (xx * x + xy * y, xy * x + yy * y);
-        let [p, d] = self.phi_q;
-        let mut force = Angles::ZERO;
-        set_legs(&mut force, PROXIMAL, p.x * both(x) + p.y * both(y));
-        set_legs(&mut force, DISTAL, d.x * both(x) + d.y * both(y));
-        (unconstrained - self.mobility.times(&force), [x, y].into())
-    }
 }
 
 impl System<ANGLES, CLOSURES> for ByAngles<'_> {

@@ -4,8 +4,8 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::five_bar::FiveBar;
-use super::model::sticking_law;
 use super::run::MacroSteps;
+use super::settings::sticking_law;
 use super::{Inputs, Parameters, Residuals, Run, Signal, Simulation, State, StepFailure};
 use crate::effects;
 use crate::estimator::{self, Constants, Estimator, Fault, Measured, Status};

@@ -1,0 +1,81 @@
+//! Where the links point to, and what follows from it without a division.
+
+use super::linkage::{Links, Pair};
+
+/// Where the links point to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Posture {
+    /// ûᵢ.
+    pub(super) directions: [Pair; 4],
+    /// sᵢ lᵢ, m.
+    pub(super) arm: Links,
+}
+
+impl Posture {
+    /// J x.
+    pub(super) fn end_velocity(&self, x: &Links) -> Pair {
+        let mut sum = [0.0; 2];
+        for i in 0..4 {
+            let [u_x, u_y] = self.directions[i];
+            sum[0] -= self.arm[i] * u_y * x[i];
+            sum[1] += self.arm[i] * u_x * x[i];
+        }
+        sum
+    }
+
+    /// How the tip moves as the links turn, m.
+    pub(super) fn tip_velocity(&self, x: &Links) -> Pair {
+        let arm = [0, 1].map(|i| self.arm[i] * x[i]);
+        let [p, d] = [self.directions[0], self.directions[1]];
+        [-p[1] * arm[0] - d[1] * arm[1], p[0] * arm[0] + d[0] * arm[1]]
+    }
+
+    /// −J̇ x for links that turn at ω: Σ sᵢ lᵢ ûᵢ ωᵢ xᵢ.
+    pub(super) fn inward(&self, omega: &Links, x: &Links) -> Pair {
+        let mut sum = [0.0; 2];
+        for i in 0..4 {
+            let part = self.arm[i] * omega[i] * x[i];
+            sum[0] += part * self.directions[i][0];
+            sum[1] += part * self.directions[i][1];
+        }
+        sum
+    }
+
+    /// Jᵀ λ.
+    pub(super) fn transposed(&self, [x, y]: Pair) -> Links {
+        std::array::from_fn(|i| self.arm[i] * (self.directions[i][0] * y - self.directions[i][1] * x))
+    }
+
+    /// sᵢ lᵢ ûᵢ·λ.
+    pub(super) fn along(&self, [x, y]: Pair) -> Links {
+        std::array::from_fn(|i| self.arm[i] * (self.directions[i][0] * x + self.directions[i][1] * y))
+    }
+
+    /// cos of the angle between two links.
+    pub(super) fn cosine(&self, i: usize, k: usize) -> f64 {
+        let ([x, y], [v, w]) = (self.directions[i], self.directions[k]);
+        x * v + y * w
+    }
+
+    /// sin of the angle from the first link to the second.
+    pub(super) fn sine(&self, from: usize, to: usize) -> f64 {
+        let ([x, y], [v, w]) = (self.directions[from], self.directions[to]);
+        x * w - y * v
+    }
+
+    /// sin(θ₃ − θ₂): 0 in a direct singularity, its sign is the assembly.
+    pub fn side(&self) -> f64 {
+        self.sine(1, 2)
+    }
+
+    /// Torques on the links of a unit of each input, τ₁, τ₂ in N·m, F_x, F_y in N: rows by link.
+    pub(super) fn inputs(&self) -> [[f64; 4]; 4] {
+        let mut rows = [[0.0; 4]; 4];
+        (rows[0][0], rows[3][1]) = (1.0, 1.0);
+        for i in [0, 1] {
+            rows[i][2] = -self.arm[i] * self.directions[i][1];
+            rows[i][3] = self.arm[i] * self.directions[i][0];
+        }
+        rows
+    }
+}

@@ -1,0 +1,81 @@
+//! The twelve coordinates of a machine in its link angles: each leg is built up from its motor axis.
+
+use super::{Angles, ByAngles, DISTAL, PROXIMAL};
+use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
+use crate::mechanism::legs::Legs2;
+use crate::mechanism::{Coordinates, Pose};
+use crate::simulation::inertia::proximal_arm;
+
+/// The twelve coordinates with these angles and 0 elsewhere.
+#[inline]
+fn in_place(angles: &Angles) -> Coordinates {
+    let mut x = Coordinates::ZERO;
+    set_legs(&mut x, P_THETA, legs_of(angles, PROXIMAL));
+    set_legs(&mut x, D_THETA, legs_of(angles, DISTAL));
+    x
+}
+
+impl ByAngles<'_> {
+    /// Applied forces of the twelve coordinates carried over to the angles, and the centripetal ones of the distal centre of mass.
+    #[inline(always)]
+    pub(super) fn in_angles(&self, applied: &Coordinates, pose: &Pose, v: &Angles) -> Angles {
+        let (l, a_d) = (proximal_arm(pose), pose.a_d);
+        let on_p = Legs2 { x: legs_of(applied, P_X), y: legs_of(applied, P_Y) };
+        let on_d = Legs2 { x: legs_of(applied, D_X), y: legs_of(applied, D_Y) };
+        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
+        let centripetal = self.mechanism.mass_d * l.turned().dot(a_d);
+        let proximal = legs_of(applied, P_THETA) + pose.a_p.turned().dot(on_p) + l.turned().dot(on_d) + centripetal * w_d * w_d;
+        let distal = legs_of(applied, D_THETA) + a_d.turned().dot(on_d) - centripetal * w_p * w_p;
+        let mut forces = Angles::ZERO;
+        set_legs(&mut forces, PROXIMAL, proximal);
+        set_legs(&mut forces, DISTAL, distal);
+        forces
+    }
+
+    /// The twelve coordinates and their rates, each leg built up from its motor axis.
+    #[inline]
+    pub fn coordinates(&self, pose: &Pose, q: &Angles, v: &Angles) -> (Coordinates, Coordinates) {
+        (self.placed(q, pose), self.moving(v, pose))
+    }
+
+    #[inline]
+    pub(super) fn placed(&self, q: &Angles, pose: &Pose) -> Coordinates {
+        let elbow = Legs2 { x: self.mechanism.ground_x + pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y };
+        let mut x = in_place(q);
+        set_legs(&mut x, P_X, self.mechanism.ground_x + pose.a_p.x);
+        set_legs(&mut x, P_Y, pose.a_p.y);
+        set_legs(&mut x, D_X, elbow.x + pose.a_d.x);
+        set_legs(&mut x, D_Y, elbow.y + pose.a_d.y);
+        x
+    }
+
+    /// A generalised force of the twelve coordinates in the angles.
+    #[cold]
+    pub(in crate::simulation) fn carried_over(&self, pose: &Pose, force: &Coordinates) -> Angles {
+        Angles::from_fn(|i| force.dot(&self.moving(&Angles::unit(i), pose)))
+    }
+
+    /// The part of the accelerations of the twelve coordinates that comes from the rates.
+    pub(in crate::simulation) fn turning(&self, pose: &Pose, v: &Angles) -> Coordinates {
+        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
+        let (p, l, d) = (pose.a_p, proximal_arm(pose), pose.a_d);
+        let mut x = Coordinates::ZERO;
+        set_legs(&mut x, P_X, -p.x * w_p * w_p);
+        set_legs(&mut x, P_Y, -p.y * w_p * w_p);
+        set_legs(&mut x, D_X, -l.x * w_p * w_p - d.x * w_d * w_d);
+        set_legs(&mut x, D_Y, -l.y * w_p * w_p - d.y * w_d * w_d);
+        x
+    }
+
+    #[inline]
+    pub(super) fn moving(&self, v: &Angles, pose: &Pose) -> Coordinates {
+        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
+        let (n_p, n_l, n_d) = (pose.a_p.turned(), proximal_arm(pose).turned(), pose.a_d.turned());
+        let mut x = in_place(v);
+        set_legs(&mut x, P_X, n_p.x * w_p);
+        set_legs(&mut x, P_Y, n_p.y * w_p);
+        set_legs(&mut x, D_X, n_l.x * w_p + n_d.x * w_d);
+        set_legs(&mut x, D_Y, n_l.y * w_p + n_d.y * w_d);
+        x
+    }
+}
