@@ -58,11 +58,31 @@ def test_the_cheapest_of_ours_against_the_cheapest_of_each_peer() -> None:
 
 
 def test_the_table_says_who_is_behind() -> None:
-    lines = ahead.markdown(ahead.table(ROWS, FALL, 1))
+    lines = ahead.markdown(ahead.cells(ahead.table(ROWS, FALL, 1)))
     assert lines[0] == "| error below | ours | ms/s | Fast & rough | Never |"
     assert lines[2] == "| 1e-2 m | dop853, 1e-4 | 0.1 | 0.5 ×, behind | not reached |"
     assert lines[6] == "| 1e-6 m | dop853, 1e-12 | 0.4 | 3 × | not reached |"
     assert lines[-1] == "| 1e-10 m | not reached |  |  |  |"
+
+
+def test_energies_are_compared_at_fixed_steps_of_a_millisecond() -> None:
+    def of_fall(peer: str, settings: str, energy: object, note: str = "") -> dict[str, str]:
+        return row(peer, settings, "", "", note, ahead.ENERGY_SCENE) | {"energy_error_mgL": str(energy)}
+
+    rows = [
+        of_fall("Fast & rough", "RK4, h = 0.001 s, C++ by g++ -O3", 0.9),
+        of_fall("Fast & rough", "RK4, h = 0.0001 s", 0.1),
+        of_fall("FiveBar i3alp, fixed step", "solver.adaptive = False, solver.stepSize = 0.001", 3, "ended after 12 s: gave up"),
+        of_fall("FiveBar i3alpConserving", "solver.stepSize = 0.001", 3e-11),
+        of_fall("FiveBar dop853", "solver.errorTolerance = 0.001", 1e-3),
+        of_fall("Never", "h = 0.001 s", "", "ended after 0 s: NaN"),
+    ]
+    assert ahead.energies(ROWS + rows)[1:] == [
+        ["i3alpConserving", "solver.stepSize = 0.001", "3.0e-11", "50 s"],
+        ["Fast & rough", "RK4, h = 0.001 s", "9.0e-1", "50 s"],
+        ["i3alp, fixed step", "solver.adaptive = False, solver.stepSize = 0.001", "3.0e0", "ended after 12 s: gave up"],
+        ["Never", "h = 0.001 s", "", "ended after 0 s: NaN"],
+    ]
 
 
 def test_the_report_shows_them_all(tmp_path: object) -> None:

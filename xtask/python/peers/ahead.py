@@ -1,5 +1,6 @@
 """Which of our methods is ahead of which peer, by how much, for every wanted accuracy; from the rows of peers.csv."""
 
+import re
 from dataclasses import dataclass
 
 OURS = "FiveBar "
@@ -10,6 +11,12 @@ SCENES = ("fall_90_120", "swing", "servo_friction")
 
 WANTED = tuple(10.0**-n for n in range(2, 11))
 """Errors of the tip, m."""
+
+ENERGY_SCENE = "paper_free_fall"
+"""The scene of 50 s in which energies are compared."""
+
+FIXED_STEP = re.compile(r"(?:h|solver\.stepSize) = (?:0\.001|1e-03)(?![\d.])")
+"""In settings: strictly fixed steps of 1 ms."""
 
 Row = dict[str, str]
 
@@ -62,9 +69,25 @@ def cells(answers: list[Answer]) -> list[list[str]]:
     return lines
 
 
-def markdown(answers: list[Answer]) -> list[str]:
-    """Lines of Markdown."""
-    head, *lines = cells(answers)
+def energies(rows: list[Row]) -> list[list[str]]:
+    """Head and lines: of every program at strictly fixed steps of 1 ms, what becomes of the energy over 50 s, the least change first."""
+    fixed = [row for row in rows if row["scene"] == ENERGY_SCENE and FIXED_STEP.search(row["settings"])]
+    fixed.sort(key=lambda row: (bool(row["note"]), float(row["energy_error_mgL"] or "inf")))
+    lines = [
+        [
+            row["peer"].removeprefix(OURS),
+            row["settings"].removesuffix(", C++ by g++ -O3"),
+            f"{float(row['energy_error_mgL']):.1e}".replace("e-0", "e-").replace("e+0", "e") if row["energy_error_mgL"] else "",
+            row["note"] or "50 s",
+        ]
+        for row in fixed
+    ]
+    return [["program", "settings", "largest change of the energy, mgL", "reached"], *lines]
+
+
+def markdown(table: list[list[str]]) -> list[str]:
+    """Lines of Markdown of a head and lines."""
+    head, *lines = table
     return [f"| {' | '.join(line)} |" for line in (head, ["---"] * len(head), *lines)]
 
 

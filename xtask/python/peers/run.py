@@ -91,8 +91,9 @@ def main() -> int:
     cells = [{name: "" if value is None else str(value) for name, value in asdict(row).items()} for row in rows]
     for scene, second in itertools.product(ahead.SCENES, (1, 2)):
         print(f"\nTime against ours for an error of the tip after {second} s of {scene}:\n")
-        print("\n".join(ahead.markdown(ahead.table(cells, scene, second))))
-    print()
+        print("\n".join(ahead.markdown(ahead.cells(ahead.table(cells, scene, second)))))
+    print(f"\nEnergy over 50 s of {ahead.ENERGY_SCENE} at strictly fixed steps of 1 ms:\n")
+    print("\n".join(ahead.markdown(ahead.energies(cells))) + "\n")
     rows += [Row("", name, "", "", note=f"left out: {why}") for name, why in left_out.items()]
     for row in rows[len(rows) - len(left_out) :]:
         print(f"{row.peer}: {row.note}")

@@ -247,6 +247,9 @@ def peers(m: Measurements) -> Section:
         head, *lines = [[html.escape(cell) for cell in line] for line in ahead.cells(ahead.table(m.peers.rows, scene, second))]
         section.parts.append(f"<h3>Error after {second} s of {scene}</h3>")
         section.parts.append(table(head, lines, tuple(range(2, len(head)))))
+    head, *lines = [[html.escape(cell) for cell in line] for line in ahead.energies(m.peers.rows)]
+    section.parts.append(f"<h3>Energy over 50 s of {ahead.ENERGY_SCENE} at strictly fixed steps of 1 ms</h3>")
+    section.parts.append(table(head, lines, (2,)))
     caption = "Error of the tip after 1 s against time, each program at several settings; FiveBar through the .fmu, in steps of 1 s."
     section.figure(more_figures.peers(m.peers.rows), "peers", caption, ["peers.csv"])
     absent = [row for row in m.peers.rows if not row["scene"]]
