@@ -30,6 +30,9 @@ enum Task {
         /// Only cases whose name contains this
         #[arg(long)]
         only: Option<String>,
+        /// Only items 1 to 6 and 9 by this method, named as `solver.method` names it
+        #[arg(long)]
+        by: Option<String>,
         /// A file with the fingerprint of a build without optimisation
         #[arg(long)]
         unoptimised: Option<PathBuf>,
@@ -86,8 +89,8 @@ impl Task {
     /// True if every judged case passes.
     fn run(self) -> Result<bool> {
         match self {
-            Self::Run { out, quick, only, unoptimised } => {
-                let rows = rows(extent(quick), only.as_deref().unwrap_or_default(), unoptimised.as_deref())?;
+            Self::Run { out, quick, only, by, unoptimised } => {
+                let rows = rows(extent(quick), (only.as_deref().unwrap_or_default(), by.as_deref()), unoptimised.as_deref())?;
                 write(&out, &rows)?;
                 Ok(rows.iter().all(|row| row.verdict != Verdict::Fail))
             }
@@ -132,9 +135,12 @@ fn extent(quick: bool) -> Extent {
     if quick { Extent::Quick } else { Extent::Full }
 }
 
-fn rows(extent: Extent, only: &str, unoptimised: Option<&Path>) -> Result<Vec<Row>> {
-    let cases: Vec<Case> = Case::all(extent).into_iter().filter(|case| case.name.contains(only)).collect();
-    let count = cases.iter().map(|case| case.settings.len()).sum::<usize>() + followed_count(only) + 2;
+/// The rows of the cases whose names contain `only`, and of all methods or one.
+fn rows(extent: Extent, (only, by): (&str, Option<&str>), unoptimised: Option<&Path>) -> Result<Vec<Row>> {
+    let mut cases: Vec<Case> = Case::all(extent).into_iter().filter(|case| case.name.contains(only)).collect();
+    cases.iter_mut().for_each(|case| case.settings.retain(|setting| by.is_none_or(|by| setting.method() == by)));
+    let of_all = if by.is_none() { followed_count(only) + 2 } else { 0 };
+    let count = cases.iter().map(|case| case.settings.len()).sum::<usize>() + of_all;
     let mut rows: Vec<Row> = Vec::new();
     let mut done = |row: Row| {
         eprintln!("[{}/{count}] {row}", rows.len() + 1);
@@ -145,6 +151,9 @@ fn rows(extent: Extent, only: &str, unoptimised: Option<&Path>) -> Result<Vec<Ro
     };
     for case in &cases {
         case.settings.iter().for_each(|setting| done(case.measure(*setting)));
+    }
+    if by.is_some() {
+        return Ok(rows);
     }
     followed(extent, only, &mut done);
     if "one hour".contains(only) {
