@@ -14,7 +14,7 @@ const IMPOSSIBLE: f64 = 400.0;
 /// and how many of these are left out in a row before the encoder is believed again.
 const PATIENCE: u32 = 10;
 /// A quantiser's error repeats for as long as the axis stays within one step of it, but not for longer than this, s.
-const REPEATING: f64 = 0.1;
+const REPEATING: f64 = 0.3;
 /// White noise of this many steps of the quantiser makes its error white.
 const DITHER: f64 = 0.4;
 /// An encoder is silent where this many of its intervals have passed since its last sample,

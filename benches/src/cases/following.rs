@@ -1,9 +1,15 @@
-//! A machine that is followed, beside the bare step: with samples of both encoders at every step, and without.
+//! A machine that is followed, beside the bare step: with samples of both encoders at every step, without, and while both assemblies are
+//! followed behind a direct singularity.
 
 use std::hint::black_box;
 
-use fivebar::estimator::{MEASURED, Measured};
-use fivebar::simulation::{Following, Signal, Simulation};
+use anyhow::{Context, Result, ensure};
+use fivebar::effects::Inputs;
+use fivebar::estimator::linkage::Linkage;
+use fivebar::estimator::{MEASURED, Measured, Status};
+use fivebar::mechanism::Assembly;
+use fivebar::mechanism::coordinates::THETA;
+use fivebar::simulation::{Following, Parameters, Signal, Simulation};
 
 use super::{H, STEPS};
 use crate::case::{Case, Work};
@@ -15,29 +21,37 @@ pub(crate) const FOLLOWING: &str = "following";
 /// Steps of the encoders, rad: 16 bits.
 const QUANTUM: f64 = std::f64::consts::TAU / 65536.0;
 
-/// The fall, followed: `samples` says whether the encoders speak.
-fn followed(name: &'static str, samples: bool) -> Case {
+/// What the encoders of a machine say at some steps, as it goes on.
+fn samples(machine: &mut Simulation, inputs: &Inputs, steps: std::ops::Range<u64>) -> Result<Vec<(Measured, f64)>> {
+    let mut samples = Vec::new();
+    for step in steps {
+        let (theta, now) = (machine.state().angles(), step as f64 * H);
+        let theta = MEASURED.map(|link| (theta[link] / QUANTUM).round() * QUANTUM);
+        samples.push((Measured { theta, time: [now; 2] }, now));
+        machine.advance(inputs, H, 1)?;
+    }
+    Ok(samples)
+}
+
+/// A twin of a machine with these parameters.
+fn twin(mut parameters: Parameters, inputs: &Inputs) -> Result<Following> {
+    parameters.estimator.enabled = true;
+    parameters.estimator.quantum = [QUANTUM; 2];
+    parameters.estimator.sigma0_theta = 1e-3;
+    parameters.estimator.sigma0_omega = 1e-2;
+    Ok(Following::new(&parameters, inputs)?)
+}
+
+/// The fall, followed: `speak` says whether the encoders do.
+fn followed(name: &'static str, speak: bool) -> Case {
     Case::new(FOLLOWING, name, STEPS, move || {
-        let Scene { mut parameters, inputs, .. } = Scene::fall();
-        let mut machine = Simulation::new(&parameters, &inputs)?;
-        let mut measured = Vec::new();
-        for step in 0..STEPS {
-            let theta = machine.state().angles();
-            measured.push(Measured {
-                theta: MEASURED.map(|link| (theta[link] / QUANTUM).round() * QUANTUM),
-                time: [step as f64 * H; 2],
-            });
-            machine.advance(&inputs, H, 1)?;
-        }
-        parameters.estimator.enabled = true;
-        parameters.estimator.quantum = [QUANTUM; 2];
-        parameters.estimator.sigma0_theta = 1e-3;
-        parameters.estimator.sigma0_omega = 1e-2;
-        let mut twin = Following::new(&parameters, &inputs)?;
+        let Scene { parameters, inputs, .. } = Scene::fall();
+        let samples = samples(&mut Simulation::new(&parameters, &inputs)?, &inputs, 0..STEPS)?;
+        let mut twin = twin(parameters, &inputs)?;
         let work: Work = Box::new(move || {
-            for (step, measured) in measured.iter().enumerate() {
-                if samples {
-                    twin.correct(black_box(measured), step as f64 * H);
+            for (measured, now) in &samples {
+                if speak {
+                    twin.correct(black_box(measured), *now);
                 }
                 twin.advance_along(black_box(&Signal::held(inputs)), H, 1).expect("the fall does not fail");
             }
@@ -46,7 +60,63 @@ fn followed(name: &'static str, samples: bool) -> Case {
     })
 }
 
+/// A free machine that has crossed the line of its distal links slowly, so that samples do not tell for some time whether it has.
+fn doubtful() -> Case {
+    /// The crossing takes place at this step,
+    const CROSSING: u64 = 1000;
+    /// and both assemblies are followed from one before this on,
+    const LATEST: u64 = 1500;
+    /// for at least so many steps.
+    const DOUBTFUL: u64 = 500;
+    /// Rate along the first direction of the tangent basis, rad/s.
+    const SLOW: f64 = 0.2;
+    Case::new(FOLLOWING, "a step with a sample of both encoders, two assemblies followed", DOUBTFUL, || {
+        let Scene { mut parameters, inputs, .. } = Scene::fall();
+        parameters.effects.gravity.enabled = false;
+        parameters.geometry.base_distance = 0.1;
+        // Distal links in line above the base: elbows as far apart as both are long.
+        let [left, right] = [0, 1].map(|leg| parameters.geometry.links[1 + leg].length);
+        let reach = (left + right - parameters.geometry.base_distance) / 2.0 / parameters.geometry.links[0].length;
+        let pi = std::f64::consts::PI;
+        let crossing = [pi - reach.acos(), 0.0, pi, reach.acos()];
+        let omega = Linkage::new(&parameters.geometry).frame(&crossing).tangent([SLOW, 0.0]);
+        // Where it came from: time runs backwards.
+        let mut back = Simulation::at(&parameters, &inputs, crossing, omega.map(|rate| -rate))?;
+        back.advance(&inputs, H, CROSSING)?;
+        let state = back.state();
+        let (theta, omega) = (state.angles(), THETA.map(|i| -state.core.v[i]));
+        let mut machine = Simulation::at(&parameters, &inputs, theta, omega)?;
+        parameters.start.theta = MEASURED.map(|link| theta[link]);
+        parameters.start.omega = MEASURED.map(|link| omega[link]);
+        parameters.start.assembly = if (theta[2] - theta[1]).sin() > 0.0 { Assembly::Plus } else { Assembly::Minus };
+        let mut twin = twin(parameters, &inputs)?;
+        let samples = samples(&mut machine, &inputs, 0..LATEST + DOUBTFUL)?;
+        let follow = move |twin: &mut Following, (measured, now): &(Measured, f64)| {
+            twin.correct(black_box(measured), *now);
+            twin.advance_along(black_box(&Signal::held(inputs)), H, 1)
+        };
+        let open = |twin: &Following| twin.status() == Status::TwoBranches;
+        let mut ahead = samples.into_iter();
+        while !open(&twin) {
+            follow(&mut twin, &ahead.next().context("two assemblies are never followed")?)?;
+        }
+        let samples: Vec<_> = ahead.take(DOUBTFUL as usize).collect();
+        ensure!(samples.len() == DOUBTFUL as usize, "two assemblies are followed too late");
+        let mut trial = twin.clone();
+        for sample in &samples {
+            follow(&mut trial, sample)?;
+            ensure!(open(&trial), "two assemblies are not followed for long enough");
+        }
+        let work: Work = Box::new(move || {
+            for sample in &samples {
+                follow(&mut twin, sample).expect("it has been tried");
+            }
+        });
+        Ok(work)
+    })
+}
+
 /// Table `following`.
 pub(super) fn cases() -> Vec<Case> {
-    vec![followed("a step with a sample of both encoders", true), followed("a coasting step", false)]
+    vec![followed("a step with a sample of both encoders", true), followed("a coasting step", false), doubtful()]
 }
