@@ -241,8 +241,8 @@ pub(super) fn let_hold(system: &FiveBar<'_>, q: Coordinates, v: Coordinates) -> 
 /// The grips as they are now, for those who watch for what they do next.
 #[cold]
 #[inline(never)]
-pub(super) fn slides(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -> Slides {
-    let grasps = system.grasps(q, &system.pose(q), v);
+pub(super) fn slides(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Slides {
+    let grasps = system.grasps(q, pose, v);
     let watched = system.sides.grips.hold() && !system.sides.grips.at_rest();
     let holding = if watched { holding(system, q, v) } else { [0.0; GRIPS] };
     let slide = |grasp: &Grasp<COORDINATES>| Slide {
@@ -291,7 +291,7 @@ pub(super) fn are_possible(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinate
         let slowest = if just_stopped { AT_REST * system.slow() } else { 0.0 };
         return v.max_norm() <= slowest && all.can_rest() && *grips == Grips::resting(all.places.into_iter());
     }
-    let slides = slides(system, q, v);
+    let slides = slides(system, q, &system.pose(q), v);
     let far = FAR * system.slow();
     let there = |place: usize| slides.iter().any(|slide| slide.place == place);
     let held = |grasp: &Grasp<COORDINATES>| matches!(grips.at(grasp.place), Grip::Holds(_));
