@@ -119,11 +119,11 @@ impl Touch<'_> {
         deepest([self.depth, self.rate], [to.depth, to.rate], duration, bend)
     }
 
-    /// The borders of the phase that holds, in units of what may be overlooked.
-    fn borders(&self, sides: &Sides, tolerance: f64) -> impl Iterator<Item = Border> {
-        let unit = self.unit(tolerance);
+    /// The border of the phase that holds that it is farthest beyond, in units of what may be overlooked.
+    fn farthest(&self, sides: &Sides, tolerance: f64) -> Option<Border> {
         let borders = self.spring.borders(self.phase(sides), self.depth, self.rate).into_iter().flatten();
-        borders.map(move |Border { beyond, behind }| Border { beyond: beyond / unit, behind })
+        let farthest = borders.reduce(|one, other| if other.beyond >= one.beyond { other } else { one });
+        farthest.map(|Border { beyond, behind }| Border { beyond: beyond / self.unit(tolerance), behind })
     }
 }
 
@@ -216,7 +216,7 @@ impl<'a> Touches<'a> {
     /// How far the state is beyond the border that it is farthest beyond, in units of what may be overlooked at an angular tolerance, rad;
     /// negative on the near side of all.
     pub fn beyond(&self, sides: &Sides, tolerance: f64) -> f64 {
-        let borders = self.springs.iter().flat_map(|touch| touch.borders(sides, tolerance)).map(|border| border.beyond);
+        let borders = self.springs.iter().filter_map(|touch| touch.farthest(sides, tolerance)).map(|border| border.beyond);
         let slides = self.slides.iter().map(|slide| slide.beyond(&sides.grips, tolerance));
         borders.chain(slides).fold(f64::NEG_INFINITY, f64::max)
     }
@@ -226,8 +226,7 @@ impl<'a> Touches<'a> {
         let nearest = self.beyond(&sides, tolerance).min(0.0);
         let mut behind = sides;
         for touch in &self.springs {
-            let crossed = touch.borders(&sides, tolerance).filter(|border| border.beyond >= nearest);
-            if let Some(border) = crossed.max_by(|a, b| a.beyond.total_cmp(&b.beyond)) {
+            if let Some(border) = touch.farthest(&sides, tolerance).filter(|border| border.beyond >= nearest) {
                 behind.springs[touch.place] = Some(border.behind);
             }
         }

@@ -257,7 +257,12 @@ macro_rules! effects {
 
             /// Whether its force has kinks that a method may follow.
             pub fn has_kinks(&self) -> bool {
-                match self { $(Self::$Force(force) => $Force::TOUCHES || force.sticks(),)+ }
+                self.may_touch() || self.sticks()
+            }
+
+            /// Whether it has one-sided springs.
+            pub fn may_touch(&self) -> bool {
+                match self { $(Self::$Force(_) => $Force::TOUCHES,)+ }
             }
 
             /// Whether it has dry friction that sticks.

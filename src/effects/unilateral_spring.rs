@@ -71,10 +71,9 @@ impl UnilateralSpring {
     pub(super) fn borders(&self, phase: Phase, depth: f64, rate: f64) -> [Option<Border>; 3] {
         let deeper = |than: f64, behind| Some(Border { beyond: depth - than, behind });
         let shallower = |than: f64, behind| Some(Border { beyond: than - depth, behind });
-        let push = self.scaled_push(depth, rate);
         // Without damping what touches pushes.
-        let lets_go = |behind| (self.damping > 0.0).then_some(Border { beyond: -push, behind });
-        let pushes_again = |behind| Some(Border { beyond: push, behind });
+        let lets_go = |behind| (self.damping > 0.0).then(|| Border { beyond: -self.scaled_push(depth, rate), behind });
+        let pushes_again = |behind| Some(Border { beyond: self.scaled_push(depth, rate), behind });
         match phase {
             Phase::Free => [deeper(0.0, Phase::Ramp), None, None],
             Phase::Ramp => [deeper(self.width, Phase::Full), shallower(0.0, Phase::Free), lets_go(Phase::RampLetGo)],

@@ -21,7 +21,7 @@ use super::{
     velocity_correction,
 };
 use crate::vector::Vector;
-use events::Search;
+use events::{Outcome, Search};
 use newton::{Found, Step, constraint_tolerance};
 use std::borrow::Borrow;
 
@@ -114,17 +114,16 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
         error = attempt.as_ref().map_or(f64::NAN, |attempt| attempt.error);
         match attempt {
             Ok(attempt) if error <= tolerance => {
-                let turns = system.has_grips() && {
-                    if search.goes_on(system, settings, state, (&attempt.end, h)) {
-                        state.counters.rejected += 1;
-                        continue;
-                    }
-                    search.ends(system, &attempt.end)
-                };
+                let outcome =
+                    if system.has_grips() { search.judge(system, settings, state, (&attempt.end, h)) } else { Outcome::Passes };
+                if outcome == Outcome::Again {
+                    state.counters.rejected += 1;
+                    continue;
+                }
                 let last = h >= rest;
                 state.substep = next_step(h, CONTROLLER.growth(error / tolerance, LEAST_LOG_ERROR), state.substep);
                 attempt.accept(system, state, h);
-                if turns {
+                if outcome == Outcome::Turns {
                     events::turn(system, settings, state, sides);
                 }
                 search = Search::NONE;
@@ -241,7 +240,7 @@ fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
     h: f64,
     (pose, to): (&S::Pose, &Arrival<N, M>),
 ) -> f64 {
-    if system.has_kinks() && may_overlook(system, settings, [&[from.q, from.v, from.a], &[to.q, to.v, to.a]], h) {
+    if system.may_touch() && may_overlook(system, settings, [&[from.q, from.v, from.a], &[to.q, to.v, to.a]], h) {
         return f64::INFINITY;
     }
     let bend = to.a - from.a - h * from.jerk;

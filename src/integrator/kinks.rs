@@ -23,6 +23,11 @@ pub trait Kinked<const N: usize>: Sized {
         false
     }
 
+    /// Whether any of its kinks is where something begins to touch.
+    fn may_touch(&self) -> bool {
+        false
+    }
+
     /// What a state is to its kinks.
     fn touches(&self, q: &Vector<N>, v: &Vector<N>) -> Self::Touches;
 

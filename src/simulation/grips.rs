@@ -58,13 +58,19 @@ pub(super) fn resolved(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -
 #[cold]
 #[inline(never)]
 pub(super) fn turns_between(system: &FiveBar<'_>, ends: [[&Coordinates; 3]; 2], duration: f64, slow: f64) -> bool {
-    let [from, to] = ends.map(|[q, v, _]| system.grasps(q, &system.pose(q), v));
+    let grasps = |[q, v, _]: [&Coordinates; 3]| system.grasps(q, &system.pose(q), v);
+    let (from, to) = (grasps(ends[0]), grasps(ends[1]));
     let pairs = from.iter().zip(&to).filter(|(from, to)| from.place == to.place);
     pairs.into_iter().any(|(from, to)| {
         let Grip::Slips(way) = system.sides.grips.at(from.place) else { return false };
         let change =
             |grasp: &Grasp<COORDINATES>, [.., a]: [&Coordinates; 3]| way.sign() * duration * (grasp.row.dot(a) + grasp.drift);
-        lowest([from, to].map(|grasp| way.sign() * grasp.rate), [change(from, ends[0]), change(to, ends[1])]) < -slow
+        let rates = [from, to].map(|grasp| way.sign() * grasp.rate);
+        let changes = [change(from, ends[0]), change(to, ends[1])];
+        // Between its ends a cubic is lower than both by no more than this part of the slopes that lead there.
+        const DEEPEST: f64 = 4.0 / 27.0;
+        let dip = DEEPEST * ((-changes[0]).max(0.0) + changes[1].max(0.0));
+        rates[0].min(rates[1]) - dip < -slow && lowest(rates, changes) < -slow
     })
 }
 
@@ -241,8 +247,8 @@ pub(super) fn let_hold(system: &FiveBar<'_>, q: Coordinates, v: Coordinates) -> 
 /// The grips as they are now, for those who watch for what they do next.
 #[cold]
 #[inline(never)]
-pub(super) fn slides(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -> Slides {
-    let grasps = system.grasps(q, &system.pose(q), v);
+pub(super) fn slides(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Slides {
+    let grasps = system.grasps(q, pose, v);
     let watched = system.sides.grips.hold() && !system.sides.grips.at_rest();
     let holding = if watched { holding(system, q, v) } else { [0.0; GRIPS] };
     let slide = |grasp: &Grasp<COORDINATES>| Slide {
@@ -291,7 +297,7 @@ pub(super) fn are_possible(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinate
         let slowest = if just_stopped { AT_REST * system.slow() } else { 0.0 };
         return v.max_norm() <= slowest && all.can_rest() && *grips == Grips::resting(all.places.into_iter());
     }
-    let slides = slides(system, q, v);
+    let slides = slides(system, q, &system.pose(q), v);
     let far = FAR * system.slow();
     let there = |place: usize| slides.iter().any(|slide| slide.place == place);
     let held = |grasp: &Grasp<COORDINATES>| matches!(grips.at(grasp.place), Grip::Holds(_));

@@ -8,7 +8,7 @@ use super::grips::{resolved, slides, turns_between};
 use crate::effects::{Sides, Slides, Touches, slow};
 use crate::integrator::{Kinked, System};
 use crate::mechanism::coordinates::{THETA, legs_of};
-use crate::mechanism::{COORDINATES, Coordinates, Parallels};
+use crate::mechanism::{COORDINATES, Coordinates, Parallels, Pose};
 
 impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     type Sides = Sides;
@@ -22,7 +22,7 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     fn touches(&self, q: &Angles, v: &Angles) -> Touches<'a> {
         let pose = self.pose(q);
         let (x, rates) = self.coordinates(&pose, q, v);
-        let slides = self.five_bar().slides(&x, &rates);
+        let slides = self.five_bar().slides(&x, &pose, &rates);
         Touches::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates), slides)
     }
 
@@ -91,8 +91,8 @@ impl ByAngles<'_> {
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
     /// The grips as they are, where there are any.
-    fn slides(&self, q: &Coordinates, v: &Coordinates) -> Slides {
-        if self.model.sticks { slides(&self.general(), q, v) } else { Slides::new() }
+    fn slides(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Slides {
+        if self.model.sticks { slides(&self.general(), q, pose, v) } else { Slides::new() }
     }
 }
 
@@ -105,9 +105,15 @@ impl<'a, const BARE: bool> Kinked<COORDINATES> for FiveBar<'a, BARE> {
         !BARE && self.model.has_kinks
     }
 
+    #[inline(always)]
+    fn may_touch(&self) -> bool {
+        !BARE && self.model.may_touch
+    }
+
     fn touches(&self, q: &Coordinates, v: &Coordinates) -> Touches<'a> {
-        let slides = self.slides(q, v);
-        Touches::new(&self.model.effects, &self.context(q, &self.pose(q), v), slides)
+        let pose = self.pose(q);
+        let slides = self.slides(q, &pose, v);
+        Touches::new(&self.model.effects, &self.context(q, &pose, v), slides)
     }
 
     /// Springs are wherever the state is, and so are grips that nobody remembers.

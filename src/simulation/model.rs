@@ -53,6 +53,8 @@ pub struct Model {
     pub conservative: bool,
     /// Whether any has kinks that a method may follow.
     pub has_kinks: bool,
+    /// Whether any has one-sided springs.
+    pub(super) may_touch: bool,
     /// Whether any has dry friction that sticks.
     pub(super) sticks: bool,
     /// Local error allowed per sub-step, rad.
@@ -97,6 +99,7 @@ impl Model {
             typical_inertia: TypicalInertia::new(&geometry),
             conservative: effects.iter().all(Effect::conservative),
             has_kinks: effects.iter().any(Effect::has_kinks),
+            may_touch: effects.iter().any(Effect::may_touch),
             sticks: effects.iter().any(Effect::sticks),
             error_tolerance: settings.error_tolerance,
             is_steep: effects.iter().any(Effect::is_steep),
@@ -161,6 +164,7 @@ impl Model {
         self.weight = weight;
         self.conservative = effects.iter().all(Effect::conservative);
         self.has_kinks = effects.iter().any(Effect::has_kinks);
+        self.may_touch = effects.iter().any(Effect::may_touch);
         self.sticks = effects.iter().any(Effect::sticks);
         self.solver.choose(LinearSolve::choose(&self.mechanism.geometry, &effects));
         self.effects = effects;

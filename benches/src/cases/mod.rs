@@ -9,6 +9,7 @@ mod growth;
 mod phases;
 mod state;
 mod steps;
+mod sticking;
 
 use anyhow::Result;
 use fivebar::simulation::Simulation;
@@ -34,6 +35,7 @@ pub(crate) fn all() -> Result<Vec<Case>> {
     cases.extend(effects::cases()?);
     cases.extend(automatic::cases()?);
     cases.extend(conserving::cases()?);
+    cases.extend(sticking::cases()?);
     cases.extend(fmi::cases()?);
     cases.extend(following::cases());
     cases.extend(state::cases()?);

@@ -145,9 +145,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         while part < 1.0 {
             let end = f64::min(part + stretch, 1.0);
             let there = at(end);
-            let crossed = system.beyond(&there, tolerance) > CROSSED;
+            let beyond = system.beyond(&there, tolerance);
+            let crossed = beyond > CROSSED;
             if crossed && stretch <= FINE {
-                return Some(self.length * self.border_between(system, tolerance, [part, end]));
+                let before = system.beyond(&here, tolerance);
+                return Some(self.length * self.border_between(system, tolerance, [[part, before], [end, beyond]]));
             }
             let duration = (end - part) * self.length;
             if crossed || (stretch > FINEST && !system.stays_within([&here, &there], duration, &extremes, tolerance)) {
@@ -160,13 +162,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         None
     }
 
-    /// The part of the step at which the motion is at a border, between one before it and one beyond: by false position (Illinois).
-    fn border_between<S: Kinked<N>>(&self, system: &S, tolerance: f64, [mut before, mut after]: [f64; 2]) -> f64 {
+    /// The part of the step at which the motion is at a border, between one before it and one beyond, each with how far beyond the borders
+    /// it is: by false position (Illinois).
+    fn border_between<S: Kinked<N>>(&self, system: &S, tolerance: f64, ends: [[f64; 2]; 2]) -> f64 {
         let beyond = |part: f64| {
             let [q, v] = self.moved(part);
             system.beyond(&system.touches(&q, &v), tolerance) - AT_BORDER
         };
-        let (mut low, mut high) = (beyond(before), beyond(after));
+        let [[mut before, mut low], [mut after, mut high]] = ends.map(|[part, beyond]| [part, beyond - AT_BORDER]);
         if low >= 0.0 {
             return before;
         }

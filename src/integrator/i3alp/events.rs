@@ -26,6 +26,17 @@ const FAR: f64 = -1e15;
 /// A sub-step is at least this part longer than one that does not come to the border.
 const LEAST: f64 = 1e-9;
 
+/// What becomes of a sub-step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Outcome {
+    /// It is tried once more, shorter or longer.
+    Again,
+    /// It ends where grips do something else, or are no longer those there were.
+    Turns,
+    /// No grip does anything else.
+    Passes,
+}
+
 /// The search for the length of a sub-step that ends at a border.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Search {
@@ -62,18 +73,37 @@ impl Search {
         self.tries >= MOST_TRIES || self.beyond.is_some_and(|[far, _]| far - self.before[0] < SHORTEST)
     }
 
-    /// Whether a sub-step of h seconds that is accepted otherwise has to be tried once more, shorter or longer.
+    /// What becomes of a sub-step of h seconds that is accepted otherwise.
     #[cold]
-    pub(super) fn goes_on<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
+    pub(super) fn judge<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
         &mut self,
         system: &S,
         settings: &Settings,
         from: &State<N, M>,
         (to, h): (&Arrival<N, M>, f64),
+    ) -> Outcome {
+        let end = system.touches(&to.q, &to.v);
+        let beyond = system.beyond(&end, settings.error_tolerance).max(FAR);
+        if self.goes_on(system, settings, from, (to, h), beyond) {
+            Outcome::Again
+        } else if self.at_border || !system.knows_grips(&end) {
+            Outcome::Turns
+        } else {
+            Outcome::Passes
+        }
+    }
+
+    /// Whether a sub-step of h seconds that ends so far beyond the borders has to be tried once more, shorter or longer.
+    fn goes_on<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        from: &State<N, M>,
+        (to, h): (&Arrival<N, M>, f64),
+        beyond: f64,
     ) -> bool {
         let tolerance = settings.error_tolerance;
         let beyond_at = |q: &Vector<N>, v: &Vector<N>| system.beyond(&system.touches(q, v), tolerance);
-        let beyond = beyond_at(&to.q, &to.v).max(FAR);
         let Some([far, above]) = &mut self.beyond else {
             if beyond > CROSSED {
                 let start = beyond_at(&from.q, &from.v).min(0.0) - AT_BORDER;
@@ -105,16 +135,6 @@ impl Search {
         self.is_slow = *far - self.before[0] > 0.5 * left;
         self.tries += 1;
         !self.at_border
-    }
-
-    /// Whether an accepted sub-step ends where grips do something else, or are no longer those there were.
-    #[cold]
-    pub(super) fn ends<const N: usize, const M: usize>(
-        &self,
-        system: &(impl Implicit<N, M> + Kinked<N>),
-        end: &Arrival<N, M>,
-    ) -> bool {
-        self.at_border || !system.knows_grips(&system.touches(&end.q, &end.v))
     }
 }
 
