@@ -25,9 +25,9 @@ const AT: [[f64; STAGES]; STAGES + 1] = [
     [0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774],
 ];
 
-/// The new value minus an embedded one, by stages. The eight conditions of order 4 leave none but the new value itself. Of those that meet the
-/// four of order 3 this is the direction that meets the others best, to 0.0006 (weighted as in the error's expansion); it is as long as
-/// makes its terms of order 5 those of the authors' estimate, 0.001, and so never below it.
+/// An embedded value of order 3 minus the new one, by stages. The eight conditions of order 4 leave none but the new value itself. Of those that
+/// meet the four of order 3 this is the direction that meets the others best, to 0.0006 (root of the sum of squares, weighted as in the
+/// expansion of the error); it is so long that its terms of order 5 are as large as those of the authors' estimate, 0.001.
 const ERROR: [f64; STAGES] = [
     0.003014534158676784,
     -0.0015531644641268323,
@@ -37,7 +37,8 @@ const ERROR: [f64; STAGES] = [
     -0.20895707374933137,
 ];
 
-/// The same of order 2.
+/// The same of order 2: that which misses the two conditions of order 3 most. It is so long that for short steps the estimate is as large as
+/// the authors'.
 const COARSE: [f64; STAGES] = [
     -0.0015344258113236782,
     0.00051699329780930943,
@@ -157,5 +158,35 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
 
     fn dense<const M: usize>(&mut self, _: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [Slope<N>; 4] {
         hermite::coefficients(ends, self.h, Knowing::Accelerations)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn dot(x: &[f64; STAGES], y: &[f64; STAGES]) -> f64 {
+        x.iter().zip(y).map(|(x, y)| x * y).sum()
+    }
+
+    /// What trees of up to three vertices ask of weights: that these sums are 0 for estimates, and 1, 1/2, 1/3, 1/6 for the new value.
+    fn conditions(weights: &[f64; STAGES]) -> [f64; 4] {
+        let times: [f64; STAGES] = std::array::from_fn(|i| dot(&AT[i], &[1.0; STAGES]));
+        let squares = times.map(|time| time * time);
+        let sums = std::array::from_fn(|i| dot(&AT[i], &times));
+        [&[1.0; STAGES], &times, &squares, &sums].map(|sums| dot(weights, sums))
+    }
+
+    #[test]
+    fn estimates_are_of_orders_3_and_2() {
+        // Sums of numbers of up to 13, and of less than 1.
+        let round_off = [2e-14, 1e-16];
+        for (sum, exact) in conditions(&AT[STAGES]).into_iter().zip([1.0, 1.0 / 2.0, 1.0 / 3.0, 1.0 / 6.0]) {
+            assert!((sum - exact).abs() < round_off[0], "{sum} instead of {exact}");
+        }
+        assert!(conditions(&ERROR).iter().all(|sum| sum.abs() < 10.0 * round_off[1]), "{:?}", conditions(&ERROR));
+        let coarse = conditions(&COARSE);
+        assert!(coarse[..2].iter().all(|sum| sum.abs() < round_off[1]), "{coarse:?}");
+        assert!(coarse[2..].iter().all(|sum| sum.abs() > 1e-4), "{coarse:?}");
     }
 }
