@@ -11,11 +11,20 @@ use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
 
-/// Stages of a step, and the row of its end.
+/// Stages of a step.
 const STAGES: usize = 6;
+/// The row of its end.
+const END: usize = STAGES;
+/// An embedded value of order 3 minus the new one, by stages. The eight conditions of order 4 leave none but the new value itself. Of those that
+/// meet the four of order 3 this is the direction that meets the others best, to 0.0006 (root of the sum of squares, weighted as in the
+/// expansion of the error); it is so long that its terms of order 5 are as large as those of the authors' estimate, 0.001.
+const ERROR: usize = END + 1;
+/// The same of order 2: that which misses the two conditions of order 3 most. It is so long that for short steps the estimate is as large as
+/// the authors'.
+const COARSE: usize = END + 2;
 
-/// Where each stage is evaluated; the last row is the end of the step.
-const AT: [[f64; STAGES]; STAGES + 1] = [
+/// Where each stage is evaluated, then the rows named above.
+const WEIGHTS: [[f64; STAGES]; STAGES + 3] = [
     [0.0; STAGES],
     [0.161, 0.0, 0.0, 0.0, 0.0, 0.0],
     [-0.008480655492356989, 0.335480655492357, 0.0, 0.0, 0.0, 0.0],
@@ -23,29 +32,22 @@ const AT: [[f64; STAGES]; STAGES + 1] = [
     [5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525, 0.0, 0.0],
     [5.86145544294642, -12.92096931784711, 8.159367898576159, -0.071584973281401, -0.028269050394068383, 0.0],
     [0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774],
-];
-
-/// An embedded value of order 3 minus the new one, by stages. The eight conditions of order 4 leave none but the new value itself. Of those that
-/// meet the four of order 3 this is the direction that meets the others best, to 0.0006 (root of the sum of squares, weighted as in the
-/// expansion of the error); it is so long that its terms of order 5 are as large as those of the authors' estimate, 0.001.
-const ERROR: [f64; STAGES] = [
-    0.003014534158676784,
-    -0.0015531644641268323,
-    -0.0034780779268492137,
-    -0.04479532242331361,
-    0.2557691044049442,
-    -0.20895707374933137,
-];
-
-/// The same of order 2: that which misses the two conditions of order 3 most. It is so long that for short steps the estimate is as large as
-/// the authors'.
-const COARSE: [f64; STAGES] = [
-    -0.0015344258113236782,
-    0.00051699329780930943,
-    0.0015821823673065846,
-    0.00043533664844560833,
-    -0.00038418880549101459,
-    -0.00061589769674681011,
+    [
+        0.003014534158676784,
+        -0.0015531644641268323,
+        -0.0034780779268492137,
+        -0.04479532242331361,
+        0.2557691044049442,
+        -0.20895707374933137,
+    ],
+    [
+        -0.0015344258113236782,
+        0.0005169932978093094,
+        0.0015821823673065846,
+        0.00043533664844560833,
+        -0.0003841888054910146,
+        -0.0006158976967468101,
+    ],
 ];
 
 /// A step from a state, stage by stage.
@@ -59,19 +61,26 @@ pub(super) struct Tsit5<const N: usize> {
 }
 
 impl<const N: usize> Tsit5<N> {
-    /// q and q̇ at the place of a row.
+    /// Sums of q̇ and q̈ by a row.
     #[inline(always)]
-    fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
+    fn sums<const ROW: usize>(&self) -> [Vector<N>; 2] {
         let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
         macro_rules! add {
             ($stage:literal) => {
-                if const { AT[ROW][$stage] != 0.0 } {
-                    q += const { AT[ROW][$stage] } * self.slopes[$stage].q;
-                    v += const { AT[ROW][$stage] } * self.slopes[$stage].v;
+                if const { WEIGHTS[ROW][$stage] != 0.0 } {
+                    q += const { WEIGHTS[ROW][$stage] } * self.slopes[$stage].q;
+                    v += const { WEIGHTS[ROW][$stage] } * self.slopes[$stage].v;
                 }
             };
         }
         for_each!(add: 0 1 2 3 4 5);
+        [q, v]
+    }
+
+    /// q and q̇ at the place of a row.
+    #[inline(always)]
+    fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
+        let [q, v] = self.sums::<ROW>();
         [self.start[0] + self.h * q, self.start[1] + self.h * v]
     }
 
@@ -79,23 +88,16 @@ impl<const N: usize> Tsit5<N> {
     /// Wanner, *Solving Ordinary Differential Equations I*, section II.5, eq. 5.17): it falls with the fifth power of the step.
     #[inline(always)]
     fn error(&self, allowed: &Allowed, v_end: &Vector<N>) -> f64 {
-        let mean_square = |weights: &[f64; STAGES]| {
-            let [mut q, mut v] = [Vector::ZERO; 2];
-            for (slope, weight) in self.slopes.iter().zip(weights) {
-                q += *weight * slope.q;
-                v += *weight * slope.v;
-            }
-            allowed.mean_square([q, v], [&self.start[1], v_end], || self.power(weights))
-        };
-        let fine = mean_square(&ERROR);
-        let damped = fine + mean_square(&COARSE);
+        let rates = [&self.start[1], v_end];
+        let fine = allowed.mean_square(self.sums::<ERROR>(), rates, || self.power::<ERROR>());
+        let damped = fine + allowed.mean_square(self.sums::<COARSE>(), rates, || self.power::<COARSE>());
         // Both are 0 where nothing moves.
         if damped == 0.0 { 0.0 } else { self.h * fine / damped.sqrt() }
     }
 
-    /// Mean power by some weights of the stages.
-    fn power(&self, weights: &[f64; STAGES]) -> Work {
-        self.slopes.iter().zip(weights).fold(Work::default(), |sum, (slope, weight)| sum.plus(*weight, slope.power))
+    /// The power by a row.
+    fn power<const ROW: usize>(&self) -> Work {
+        self.slopes.iter().zip(&WEIGHTS[ROW]).fold(Work::default(), |sum, (slope, weight)| sum.plus(*weight, slope.power))
     }
 }
 
@@ -136,12 +138,12 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let end = self.at::<STAGES>();
+        let end = self.at::<END>();
         let error = self.error(allowed, &end[1]);
         if error.is_nan() || error > 1.0 {
             return (error, Err(StepError::NotFinite));
         }
-        let work = || if system.follows_work() { Work::default().plus(self.h, self.power(&AT[STAGES])) } else { Work::default() };
+        let work = || if system.follows_work() { Work::default().plus(self.h, self.power::<END>()) } else { Work::default() };
         let landed = settings.project_without_balance(system, end, kept);
         (error, landed.map(|(iterations, arrival)| Landing { iterations, arrival, work: work() }))
     }
@@ -171,9 +173,9 @@ mod tests {
 
     /// What trees of up to three vertices ask of weights: that these sums are 0 for estimates, and 1, 1/2, 1/3, 1/6 for the new value.
     fn conditions(weights: &[f64; STAGES]) -> [f64; 4] {
-        let times: [f64; STAGES] = std::array::from_fn(|i| dot(&AT[i], &[1.0; STAGES]));
+        let times: [f64; STAGES] = std::array::from_fn(|i| dot(&WEIGHTS[i], &[1.0; STAGES]));
         let squares = times.map(|time| time * time);
-        let sums = std::array::from_fn(|i| dot(&AT[i], &times));
+        let sums = std::array::from_fn(|i| dot(&WEIGHTS[i], &times));
         [&[1.0; STAGES], &times, &squares, &sums].map(|sums| dot(weights, sums))
     }
 
@@ -181,11 +183,11 @@ mod tests {
     fn estimates_are_of_orders_3_and_2() {
         // Sums of numbers of up to 13, and of less than 1.
         let round_off = [2e-14, 1e-16];
-        for (sum, exact) in conditions(&AT[STAGES]).into_iter().zip([1.0, 1.0 / 2.0, 1.0 / 3.0, 1.0 / 6.0]) {
+        for (sum, exact) in conditions(&WEIGHTS[END]).into_iter().zip([1.0, 1.0 / 2.0, 1.0 / 3.0, 1.0 / 6.0]) {
             assert!((sum - exact).abs() < round_off[0], "{sum} instead of {exact}");
         }
-        assert!(conditions(&ERROR).iter().all(|sum| sum.abs() < 10.0 * round_off[1]), "{:?}", conditions(&ERROR));
-        let coarse = conditions(&COARSE);
+        assert!(conditions(&WEIGHTS[ERROR]).iter().all(|sum| sum.abs() < 10.0 * round_off[1]), "{:?}", conditions(&WEIGHTS[ERROR]));
+        let coarse = conditions(&WEIGHTS[COARSE]);
         assert!(coarse[..2].iter().all(|sum| sum.abs() < round_off[1]), "{coarse:?}");
         assert!(coarse[2..].iter().all(|sum| sum.abs() > 1e-4), "{coarse:?}");
     }
