@@ -82,7 +82,7 @@ impl Horizon {
 pub struct DenseStep<const N: usize, const M: usize, K> {
     /// The last accepted state that time has passed: the beginning of the step.
     start: State<N, M>,
-    /// Its end.
+    /// Its end; of a step of order 5 without q̈, λ and power, which are found where they are asked for.
     end: State<N, M>,
     /// s.
     length: f64,
@@ -228,6 +228,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let Counters { rejected, iterations, .. } = self.end.counters;
         self.end = self.start;
         self.dense = [Slope::NONE; 4];
+        self.length = 0.0;
         self.end.counters.rejected = rejected;
         self.end.counters.iterations = iterations;
     }

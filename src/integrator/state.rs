@@ -172,6 +172,12 @@ impl<const N: usize, const M: usize> Arrival<N, M> {
         Self { q, v, a, lambda, power, modes: system.modes(pose) }
     }
 
+    /// At q and q̇; q̈, λ and the power are left open, 0.
+    #[inline(always)]
+    pub(super) fn without_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose) -> Self {
+        Self { q, v, a: Vector::ZERO, lambda: Vector::ZERO, power: Work::default(), modes: system.modes(pose) }
+    }
+
     /// The same for what happens rarely, without code of its own.
     pub(super) fn out_of_line<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], regularization: f64) -> Self {
         let (a, lambda, power) = equilibrium_with_power(system, &q, &v, regularization);

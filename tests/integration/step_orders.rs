@@ -199,6 +199,31 @@ fn every_kind_is_of_its_order() {
     }
 }
 
+/// The error that a step of order 5 estimates by its stages alone is more than it is, and falls with the fifth power of the step.
+#[test]
+fn the_estimate_of_order_5_is_on_the_safe_side() {
+    let mut estimates = vec![];
+    for h in [0.1, 0.07, 0.05, 0.035, 0.02, 0.01] {
+        let [q, v] = polar(ellipse(0.7));
+        // In units of a tolerance by which every step is accepted.
+        let settings = Settings { kinds: Kinds::Only(Kind::Fifth), ..settings(1e6, h) };
+        let mut running = DenseStep::start(&POLAR, q.into(), v.into(), &settings);
+        running.advance(&POLAR, &settings, h, Horizon { output: f64::INFINITY, limit: f64::INFINITY }).expect("a step");
+        let sample = running.sample(&POLAR, &settings);
+        let mut state = State::start(&POLAR, sample.q, sample.v, 0.0);
+        running.record(&sample, &mut state);
+        let (to, rate) = (polar(ellipse(0.7 + h))[0], polar(ellipse(0.7 + h))[1]);
+        // Weighted as the step does: rates may be off by 10/s and their own magnitude times what coordinates may.
+        let off = |i: usize| (sample.q[i] - to[i]).powi(2) + ((sample.v[i] - rate[i]) / (10.0 + rate[i].abs())).powi(2);
+        let error = ((off(0) + off(1)) / 4.0).sqrt();
+        assert!(state.error_estimate > 3.0 * error, "{h} s: estimated {:e}, {error:e}", state.error_estimate);
+        estimates.push((h, state.error_estimate));
+    }
+    // The damping begins within these steps, and the next term of both estimates bends the line.
+    let slope = slope(&estimates);
+    assert!((slope - 5.0).abs() < 0.5, "slope {slope:.2}, {estimates:?}");
+}
+
 /// A stiff spring that pulls a point onto a curve along which it swings like a pendulum, q₀ = sin(q₁)/4: by itself a run takes steps of
 /// the motion's length, loses no digit where kinds change, and goes back to explicit ones where nothing is stiff.
 #[test]

@@ -45,7 +45,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let on_sides = system.on(self.sides);
         self.start.check(on_sides.borrow(), bounds)?;
         // A way straight through a vertex knows no sides.
-        self.end.check(if self.straight { system } else { on_sides.borrow() }, bounds)?;
+        self.balanced_end(on_sides.borrow(), settings).check(if self.straight { system } else { on_sides.borrow() }, bounds)?;
         if !(self.memory.is_possible(settings) && self.before.is_possible(settings)) {
             return Err("the step-size controller remembers the impossible");
         }
@@ -105,6 +105,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             && end.work == self.end.work;
         // Without its coefficients a step is over: nothing is asked for within it.
         let needless = self.dense == [Slope::NONE; 4] && self.elapsed == self.length;
-        Ok(same && (needless || trial.dense(system, settings.regularization, [&self.start, &end]) == self.dense))
+        let mut dense = || trial.dense(system, settings.regularization, [&self.start, &self.balanced_end(system, settings)]);
+        Ok(same && (needless || dense() == self.dense))
     }
 }

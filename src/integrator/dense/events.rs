@@ -86,7 +86,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Whether a step that is accepted otherwise has to end before, after so many tries; `system` is on its sides.
     #[inline(never)]
-    pub(super) fn border<S: System<N, M> + Kinked<N, Sides = K>>(
+    pub(super) fn border<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -94,7 +94,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         tries: u32,
     ) -> Border {
         if tries > 0 {
-            let beyond = self.beyond_at(system, settings, 0.0);
+            let end = self.balanced_end(system, settings);
+            let beyond_at = |later: f64| {
+                system.beyond(&system.touches(&(end.q + later * end.v), &(end.v + later * end.a)), settings.error_tolerance)
+            };
+            let beyond = beyond_at(0.0);
             if (beyond - AT_BORDER).abs() <= NEAR_ENOUGH {
                 return Border::AtEnd;
             }
@@ -103,7 +107,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
             // The interpolant was not that exact: the end itself says how far to go.
             let later = NEARBY * self.length;
-            let (gained, missing) = (self.beyond_at(system, settings, later) - beyond, (beyond - AT_BORDER) * later);
+            let (gained, missing) = (beyond_at(later) - beyond, (beyond - AT_BORDER) * later);
             if missing.abs() < NEAR * self.length * gained.abs() {
                 return Border::Before(self.length - missing / gained);
             }
@@ -111,14 +115,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if self.is_clear(system, settings, extremes) {
             return Border::Clear;
         }
-        self.dense = dense(&self.end);
+        self.dense = dense(&self.balanced_end(system, settings));
         self.first_crossing(system, settings).map_or(Border::Clear, Border::Before)
-    }
-
-    /// How far the motion is beyond the borders so many seconds after the end of the step.
-    fn beyond_at<S: Kinked<N>>(&self, system: &S, settings: &Settings, later: f64) -> f64 {
-        let end = &self.end;
-        system.beyond(&system.touches(&(end.q + later * end.v), &(end.v + later * end.a)), settings.error_tolerance)
     }
 
     /// Whether the step certainly crosses no border, by what its stages have seen of rates and accelerations.

@@ -1,7 +1,7 @@
 //! Of which kinds steps are, and which comes next.
 //!
 //! By itself a run goes by DOP853, which nothing here beats where the road is free. Two things change that. Inputs that are held for no
-//! longer than a step or two of order 5 reaches leave nothing for order 8 to gain. And where stability limits the step instead of the
+//! longer than a step of order 5 reaches leave nothing for order 8 to gain. And where stability limits the step instead of the
 //! error, a linearly implicit one goes on, until its own error asks for steps that an explicit one could make.
 
 use borsh::{BorshDeserialize, BorshSerialize};
@@ -38,9 +38,7 @@ pub enum Kinds {
 /// From this error tolerance on the implicit steps are of order 4: they take less, and ring less on kinks.
 const LOOSE: f64 = 1e-5;
 
-/// Inputs are held for so much of a step of order 5, or less: two such steps cost no more than one of order 8.
-const SHORT_HOLD: f64 = 1.9;
-/// After each step of order 8 within a short hold one of order 5 is taken to reach so much farther, so that it is tried again.
+/// After each step of order 8 while inputs are held one of order 5 is taken to reach so much farther, so that it is tried again.
 const RECONSIDERED: f64 = 1.05;
 
 /// A step whose product with the fastest rate is larger is at the border of stability; see `stiffness.rs`.
@@ -112,7 +110,7 @@ impl Kinds {
         match self {
             Self::Only(kind) => kind,
             Self::Automatic if choice.stiff => Self::stiff(error_tolerance),
-            Self::Automatic if limit <= SHORT_HOLD * choice.fifth && limit.is_finite() => Kind::Fifth,
+            Self::Automatic if limit <= choice.fifth && limit.is_finite() => Kind::Fifth,
             Self::Automatic => Kind::Eighth,
         }
     }

@@ -41,7 +41,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return redone.sample(system, settings);
             }
         }
-        let ([q, v], work) = self.interpolated(system.on(self.sides).borrow());
+        let ([q, v], work) = self.interpolated(system.on(self.sides).borrow(), settings);
         let (mut on_q, mut on_v) = (q, v);
         let projected =
             if self.straight { None } else { settings.project(system.on(self.sides).borrow(), &mut on_q, &mut on_v).ok() };
@@ -52,11 +52,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// What the interpolant says at the present time, inside the step.
     #[inline]
-    fn interpolated(&self, system: &impl System<N, M>) -> ([Vector<N>; 2], Work) {
-        let Self { start, end, length, .. } = self;
+    fn interpolated<S: System<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> ([Vector<N>; 2], Work) {
+        let Self { start, length, .. } = self;
         let part = self.elapsed / length;
         let work = if system.follows_work() {
             let both = |work: &Work| Vector::from([work.input, work.dissipated]);
+            let end = &self.balanced_end(system, settings);
             let mut higher = self.dense.map(|slope| both(&slope.power));
             if self.kind != Kind::Eighth && !self.straight {
                 higher[0] = both(&hermite::of_work(system, [start, end], *length, &self.positions()));

@@ -11,7 +11,7 @@ use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, Kind, Kinds, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, next_step};
 use crate::integrator::{
-    Approach, Arrival, EnergyBalance, Kinked, Passage, PassageLimits, Projection, StepError, System, velocity_correction,
+    Approach, Arrival, EnergyBalance, Kinked, Passage, PassageLimits, Projection, State, StepError, System, velocity_correction,
 };
 use crate::vector::Vector;
 
@@ -50,7 +50,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         horizon: Horizon,
     ) -> Result<(), StepError> {
-        self.begin();
+        self.begin(system, settings);
         let near = system.is_near_vertex(&self.start.q);
         let longest = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
             Approach::Clear => horizon.limit,
@@ -153,7 +153,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 let interpolated = horizon.output < WITH_ROUNDING * h;
                 // Where a kink was near, the search for it has left the coefficients.
                 if interpolated && !(on.has_kinks() && self.dense != [Slope::NONE; 4]) {
-                    self.dense = trial.dense(on, settings.regularization, [&self.start, &self.end]);
+                    self.dense = trial.dense(on, settings.regularization, [&self.start, &self.balanced_end(on, settings)]);
                 }
                 self.end.error_estimate = error * settings.error_tolerance;
                 self.adapt::<T>(error, wanted, rejected.is_some());
@@ -191,8 +191,26 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         system.energy_to_keep(&self.start.q, &self.start.v).map(|energy| (energy, h))
     }
 
+    /// Whether the forces at the end of the step have not been asked for: inputs are expected to change there, and those of the next step
+    /// to be other ones.
+    fn is_open_ended(&self) -> bool {
+        self.kind == Kind::Fifth && self.length > 0.0 && !self.straight
+    }
+
+    /// The end of the step with the accelerations, multipliers and power of its own system, which is on the sides of the step.
+    pub(super) fn balanced_end<S: System<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> State<N, M> {
+        let mut end = self.end;
+        if self.is_open_ended() {
+            end.balance(system, settings.regularization);
+        }
+        end
+    }
+
     /// Time has passed the end of the step.
-    fn begin(&mut self) {
+    fn begin<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) {
+        if self.is_open_ended() {
+            self.end.balance(system.on(self.sides).borrow(), settings.regularization);
+        }
         self.start = self.end;
         self.before = self.memory;
         self.elapsed = 0.0;
@@ -275,6 +293,21 @@ impl Settings {
             v = system.energy_scale(energy, &q, &v, *h)? * v;
         }
         Ok((iterations, Arrival::in_balance(system, [q, v], &pose, &mass).finite()?))
+    }
+
+    /// The same without what holds there.
+    #[inline]
+    pub(super) fn project_without_balance<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        [mut q, mut v]: [Vector<N>; 2],
+        kept: Option<(EnergyBalance, f64)>,
+    ) -> Result<(u32, Arrival<N, M>), StepError> {
+        let (iterations, pose, _) = self.project(system, &mut q, &mut v)?;
+        if let Some((energy, h)) = &kept {
+            v = system.energy_scale(energy, &q, &v, *h)? * v;
+        }
+        Ok((iterations, Arrival::without_balance(system, [q, v], &pose).finite()?))
     }
 
     /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
