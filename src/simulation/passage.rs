@@ -286,7 +286,7 @@ impl ByAngles<'_> {
 /// How far the links are from being in line, along any line: the left leg straight, and the right one along it.
 fn angle_to_meeting(q: &Angles) -> f64 {
     let [left, elbow, _, right] = PLACES;
-    f64::max((q[elbow] - q[left]).sin().abs(), (q[right] - q[left]).sin().abs())
+    f64::max(libm::sin(q[elbow] - q[left]).abs(), libm::sin(q[right] - q[left]).abs())
 }
 
 /// First time at which position + speed t + acceleration t²/2 reaches `reach`, if ever.

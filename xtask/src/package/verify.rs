@@ -138,6 +138,11 @@ fn library(name: &str, bytes: &[u8], guid: &str, glibc_floor: Option<&[u32]>) ->
         object::FileKind::Elf64 => elf_needs(bytes)?,
         _ => imports(bytes)?,
     };
+    if let Some(library) = needs.libraries.iter().find(|library| library.starts_with("libm.")) {
+        bail!(
+            "it needs {library}, whose functions have other last bits on other systems: those of the crate libm are the same everywhere"
+        );
+    }
     if let Some(floor) = glibc_floor {
         check_needs(&needs, floor)?;
     }
