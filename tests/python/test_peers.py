@@ -78,10 +78,10 @@ def test_energies_are_compared_at_fixed_steps_of_a_millisecond() -> None:
         of_fall("Never", "h = 0.001 s", "", "ended after 0 s: NaN"),
     ]
     assert ahead.energies(ROWS + rows)[1:] == [
-        ["i3alpConserving", "solver.stepSize = 0.001", "3.0e-11", "50 s"],
-        ["Fast & rough", "RK4, h = 0.001 s", "9.0e-1", "50 s"],
-        ["i3alp, fixed step", "solver.adaptive = False, solver.stepSize = 0.001", "3.0e0", "ended after 12 s: gave up"],
-        ["Never", "h = 0.001 s", "", "ended after 0 s: NaN"],
+        ["i3alpConserving", "solver.stepSize = 0.001", "3e-11", "50 s"],
+        ["Fast & rough", "RK4, h = 0.001 s", "0.9", "50 s"],
+        ["i3alp, fixed step", "solver.adaptive = False, solver.stepSize = 0.001", "3", "ended after 12 s"],
+        ["Never", "h = 0.001 s", "", "ended after 0 s"],
     ]
 
 

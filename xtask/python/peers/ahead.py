@@ -77,8 +77,8 @@ def energies(rows: list[Row]) -> list[list[str]]:
         [
             row["peer"].removeprefix(OURS),
             row["settings"].removesuffix(", C++ by g++ -O3"),
-            f"{float(row['energy_error_mgL']):.1e}".replace("e-0", "e-").replace("e+0", "e") if row["energy_error_mgL"] else "",
-            row["note"] or "50 s",
+            f"{float(row['energy_error_mgL']):.2g}".replace("e-0", "e-") if row["energy_error_mgL"] else "",
+            row["note"].split(":")[0] or "50 s",
         ]
         for row in fixed
     ]
