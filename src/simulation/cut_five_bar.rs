@@ -48,15 +48,7 @@ impl<const BARE: bool> CutStep<COORDINATES, MULTIPLIERS> for CutFiveBar<'_, BARE
     #[inline(always)]
     fn factor(&self, motion: &OpenMotion, balance: &OpenBalance, regularization: f64) -> Closed {
         let mut loads = self.step.loads(motion);
-        self.over(motion, |step| {
-            let over = self.system.over(step);
-            self.system.inputs.add_mean_tangents(&over, &mut loads);
-            if !BARE {
-                for effect in &self.system.model.effects {
-                    effect.add_mean_tangents(&over, &mut loads);
-                }
-            }
-        });
+        self.over(motion, |step| self.system.add_mean_tangents(&self.system.over(step), &mut loads));
         self.step.factor(motion, balance, &loads, regularization)
     }
 

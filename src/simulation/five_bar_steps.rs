@@ -3,7 +3,7 @@
 
 use super::cut_five_bar::CutFiveBar;
 use super::five_bar::FiveBar;
-use crate::effects::StepContext;
+use crate::effects::{StepContext, Tangents};
 use crate::integrator::{Chord, Discrete, Work};
 use crate::linear::LinearSolve;
 use crate::linear::cut_loop::{CutUnknowns, OpenStep, cut_unknowns};
@@ -19,6 +19,17 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
         let &Chord { q, d, v, h, softening, secant } = step;
         let inertia = &self.model.typical_inertia;
         StepContext { q, d, v, h, softening, secant, inputs: self.inputs, turns: self.turns, inertia }
+    }
+
+    /// Adds the tangents of all mean forces.
+    #[inline(always)]
+    pub(super) fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
+        self.inputs.add_mean_tangents(over, tangents);
+        if !BARE {
+            for effect in &self.model.effects {
+                effect.add_mean_tangents(over, tangents);
+            }
+        }
     }
 
     #[inline(never)]
@@ -112,10 +123,7 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
         let &Chord { d, v, h, secant, .. } = step;
         let over = self.over(step);
         let mut forces = StepTangents::new(h);
-        self.inputs.add_mean_tangents(&over, &mut forces);
-        for effect in &self.model.effects {
-            effect.add_mean_tangents(&over, &mut forces);
-        }
+        self.add_mean_tangents(&over, &mut forces);
         let at = StepPoint { secant, d, w: &(h * *v), multipliers, forces: &forces, regularization };
         newton(&self.model.mechanism, &at, residuals)
     }
@@ -128,7 +136,7 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::effects::{Inputs, Tangents};
+    use crate::effects::Inputs;
     use crate::fmi::bindings::{default_inputs, default_parameters};
     use crate::integrator::System;
     use crate::mechanism::closure;
