@@ -128,6 +128,39 @@ def test_a_gap_is_coasted_through_and_a_long_one_starts_anew(config: Config, lib
     twin.close()
 
 
+def standing(gaps: list[float], **orders: float) -> list[Message]:
+    """A machine that stands where pick_and_place begins, sampled after those gaps, s."""
+    fields = {"measured.theta[1]": 2.7567, "measured.theta[2]": 1.345} | {name.replace("_", ".") + f"[{i}]": to for name, to in orders.items() for i in (1, 2)}
+    times = [BEGIN + round(1e9 * sum(gaps[: seq + 1])) for seq in range(len(gaps))]
+    return [Message("meas", "", time, seq, fields) for seq, time in enumerate(times)]
+
+
+STALLED = [0.005, 0.025, 0.109, *[0.005] * 200]
+"""A machine whose process comes late to its second and third sample."""
+
+
+def test_servos_that_are_told_nothing_hold_where_the_machine_starts(config: Config, library: Library) -> None:
+    """They hung on the start value of `servo.theta`, 0: 50 N·m that were not there, which late samples could not make up for."""
+    twin = follower(config, library)
+    said = estimates(twin, standing(STALLED))
+    assert all(each.fields["estimated.status"] == 2 for each in said) and not twin.failure
+    # A step of the 16-bit encoder is 9.6e-5 rad.
+    assert all(abs(each.fields["theta[1]"] - 2.7567) < 1e-4 for each in said)
+    twin.close()
+
+
+def test_a_machine_that_was_lost_is_found_again(config: Config, library: Library) -> None:
+    """Orders that the machine does not follow, and two late samples: nothing fits any more until the twin starts anew."""
+    twin = follower(config, library)
+    said = estimates(twin, standing(STALLED, servo_theta=0.0))
+    lost = [each for each in said if each.fields["estimated.status"] in (7, 8)]
+    assert len(lost) > 20, "or this test shows nothing"
+    assert twin.failure == "samples have not fitted the estimate for more than 0.25 s"
+    assert lost[-1].time - said[0].time < 0.6e9
+    assert all(each.fields["estimated.status"] == 2 and abs(each.fields["theta[1]"] - 2.7567) < 1e-3 for each in said[-100:])
+    twin.close()
+
+
 def test_a_stored_state_goes_on_to_the_same_bytes_elsewhere(config: Config, library: Library, samples: list[Message]) -> None:
     one, other = follower(config, library), follower(config, library)
     estimates(one, samples[:250])

@@ -26,6 +26,13 @@ JUMP: Final = 0.5
 """Seconds by which times and numbers of two samples may differ: a machine that is timed by software is late now and then. More, or a
 time that goes back, is a jump of the machine's clock."""
 
+ASTRAY: Final = 0.25
+"""Seconds for which the unit may say that samples do not fit before the twin starts anew: it has lost the machine. A push or a stalled
+process is over sooner."""
+
+NOT_FITTING: Final = (7.0, 8.0)
+"""Values of `estimated.status`: inconsistent and rejected."""
+
 LEGS: Final = (1, 2)
 
 ESTIMATED: Final = (
@@ -58,6 +65,8 @@ class Book:
 
     assembly: int
     measured: dict[str, float] = field(default_factory=dict)
+    astray_since: int | None = None
+    """The first of the newest samples that did not fit, one after another, ns."""
 
     @property
     def clock(self) -> float:
@@ -169,6 +178,8 @@ class Follower(Rider):
             return False
         if self.book is not None and message.seq - self.book.seq > LONGEST_GAP / self.setup.period:
             self._leave(f"no sample for more than {LONGEST_GAP:g} s")
+        if self.book is not None and self.book.astray_since is not None and message.time - self.book.astray_since > 1e9 * ASTRAY:
+            self._leave(f"samples have not fitted the estimate for more than {ASTRAY:g} s")
         try:
             if self.book is None:
                 self._start(message)
@@ -215,8 +226,11 @@ class Follower(Rider):
         """The estimate, one macro step after the newest sample, and the inputs that it is made of."""
         assert self.book is not None, "there is an estimate after a sample only"
         fields = {name: value for name, value in self.reader.read().items() if math.isfinite(value)}
-        self.assembly = int(fields["mode.assembly"])
-        self.book = replace(self.book, assembly=self.assembly)
+        astray = fields["estimated.status"] in NOT_FITTING
+        if not astray:
+            self.assembly = int(fields["mode.assembly"])
+        since = self.book.astray_since if astray and self.book.astray_since is not None else self.book.time
+        self.book = replace(self.book, assembly=self.assembly, astray_since=since if astray else None)
         extra = {"after": self.after, "inputs": self.inputs}
         self.inputs, self.after = [], self.book.seq
         return Message("est", "", self.book.time + self.setup.step_ns, self.book.seq, fields, extra)
@@ -262,7 +276,7 @@ class Follower(Rider):
         self.done.append(_Done(message, self.book, self.unit.store()))
 
     def _start(self, message: Message) -> None:
-        """Starts at rest, or at the rate between two samples, if this sample has both angles."""
+        """Starts at rest, or at the rate between two samples, if this sample has both angles. Servos that are told nothing hold there."""
         angles = [message.fields.get(name) for name in MEASURED]
         if None in angles:
             return
@@ -273,7 +287,8 @@ class Follower(Rider):
             span = (message.seq - before.seq) * self.setup.period
             rates = [(message.fields[name] - before.fields[name]) / span for name in MEASURED]
         values |= {f"init.omega[{i}]": rate for i, rate in zip(LEGS, rates, strict=True)} | {"init.assembly": self.assembly}
-        self.unit.start(self.setup.values | values | self.parameters)
+        held = {f"servo.theta[{i}]": angle for i, angle in zip(LEGS, angles, strict=True)}
+        self.unit.start(held | self.setup.values | values | self.parameters)
         self.book = Book(message.time, message.time, message.seq, {}, False, self.assembly)
 
     def _take(self, message: Message) -> None:
