@@ -1,9 +1,9 @@
 //! A communication step of a machine that is followed: what the encoders have told corrects the motion, then it goes on.
 
 use super::derivatives::check_reach;
-use super::instance::{step_discarded, warn};
 use super::messages::Status;
 use super::snapshot::Scene;
+use super::stepping::{step_discarded, warn};
 use super::{CallError, Instance};
 use crate::estimator::Fault;
 use crate::simulation::Signal;

@@ -11,7 +11,8 @@
 //! | `derivatives.rs` | derivatives of inputs and outputs |
 //! | `exchange.rs` | the functions of model exchange |
 //! | `instance.rs` | an instance: all of these together |
-//! | `following.rs` | a communication step of a machine that is followed |
+//! | `stepping.rs` | a communication step of a simulation |
+//! | `following.rs` | the same of a machine that is followed |
 //! | `snapshot.rs`, `stored.rs` | stored states, in memory and as bytes |
 //! | `status.rs` | the status functions of co-simulation |
 
@@ -26,6 +27,7 @@ pub mod lifecycle;
 pub mod messages;
 pub mod snapshot;
 pub mod status;
+mod stepping;
 mod stored;
 mod values;
 
