@@ -35,7 +35,7 @@ SLOPE_RANGE = (1e-10, 3e-3)
 
 
 def work_precision(markers: list[Marker], references: list[Reference]) -> Figure:
-    """Error against time, a panel per scene, a line per method, the setting beside every third marker."""
+    """Error against time, a panel per scene, a line per method, settings beside markers."""
     columns = 2 if len(references) == 4 else min(3, len(references))
     rows = -(-len(references) // columns)
     figure, panels = plt.subplots(rows, columns, figsize=(4.1 * columns + 0.6, 4.3 * rows + 0.5), squeeze=False, sharey=True)
@@ -57,36 +57,48 @@ def work_precision(markers: list[Marker], references: list[Reference]) -> Figure
         top.set_xlabel("times real time", fontsize=8, color="#495057")
         top.tick_params(labelsize=7.5, colors="#495057")
         top.minorticks_off()
-        _notes(axes, own)
     for row in panels:
         row[0].set_ylabel("largest error of the tip  (m)")
     _legend(figure, panels[0][0])
+    # Where panels and markers are on the page is known when all else has its place.
+    figure.draw_without_rendering()
+    for axes, reference in zip(panels.flat, references):
+        own = [m for m in markers if m.scene == reference.scene and m.complete and m.error < USELESS]
+        _notes(axes, own, [text.get_window_extent() for text in axes.texts])
     return figure
 
 
 NOTE_SIZE = 7
 """Of the settings beside markers, points."""
 
-SIDES = (((5, 3), "left", "bottom"), ((5, -3), "left", "top"), ((-5, -3), "right", "top"), ((-5, 3), "right", "bottom"))
+SIDES = tuple(
+    ((distance * x, distance * y), ha, va)
+    for distance in (4, 9)
+    for (x, ha) in ((1, "left"), (-1, "right"))
+    for (y, va) in ((1, "bottom"), (-1, "top"), (0, "center"))
+)
 """Where a note may stand: how far from its marker, points, and what of it is there."""
 
 
-def _notes(axes: Axes, markers: list[Marker]) -> None:
-    """The setting beside every third marker of each line, where it covers no other note; where it would on every side, it is left out."""
-    taken: list[Bbox] = []
-    for method, colour in COLOURS.items():
-        for m in [m for m in markers if m.method == method][::3]:
-            for offset, ha, va in SIDES:
-                note = axes.annotate(
-                    m.setting, (m.cost, m.error), xytext=offset, textcoords="offset points", fontsize=NOTE_SIZE, color=colour, ha=ha, va=va
-                )
-                # Notes lie inside the panels: making room for each of them takes seconds.
-                note.set_in_layout(False)
-                box = note.get_window_extent()
-                if not any(box.overlaps(other) for other in taken):
-                    taken.append(box)
-                    break
-                note.remove()
+def _notes(axes: Axes, markers: list[Marker], taken: list[Bbox]) -> None:
+    """The setting beside the ends of each line and every third marker, where it covers no line and no other note; where it would on every
+    side, it is left out."""
+    lines = [line.get_transform().transform_path(line.get_path()) for line in axes.get_lines() if len(line.get_xdata()) > 1]
+    # Both ends of all lines come first, for they tell most.
+    of_method = [[m for m in markers if m.method == method] for method in COLOURS]
+    for m in [*(m for line in of_method for m in dict.fromkeys([*line[:1], *line[-1:]])), *(m for line in of_method for m in line[3:-2:3])]:
+        for offset, ha, va in SIDES:
+            note = axes.annotate(
+                m.setting, (m.cost, m.error), xytext=offset, textcoords="offset points", fontsize=NOTE_SIZE, color=COLOURS[m.method], ha=ha, va=va
+            )
+            # Notes lie inside the panels: making room for each of them takes seconds.
+            note.set_in_layout(False)
+            box = note.get_window_extent()
+            inside = axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1 and axes.bbox.y0 <= box.y0 and box.y1 <= axes.bbox.y1
+            if inside and not any(box.overlaps(other) for other in taken) and not any(line.intersects_bbox(box, filled=False) for line in lines):
+                taken.append(box)
+                break
+            note.remove()
 
 
 def main_picture(markers: list[Marker], references: list[Reference]) -> Figure:

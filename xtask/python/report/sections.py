@@ -92,7 +92,7 @@ def decades(markers: list[Marker], reference: Reference) -> str:
 def precision(markers: list[Marker], references: list[Reference]) -> Section:
     """3: work and precision."""
     section = Section("precision", "Error against time")
-    section.text("Lower and further left is better. Step or tolerance stands beside every third marker.")
+    section.text("Lower and further left is better. Step or tolerance stands beside the ends of each line and every third marker, where there is room.")
     for kind, scenes in by_kind(references).items():
         caption = f"Work and precision, {kind}: a line per method, from its coarsest to its finest setting. Runs that ended early are left out."
         section.figure(figures.work_precision(markers, scenes), f"precision-{name_of(kind)}", caption, ["precision.csv", "references.csv"])
