@@ -116,11 +116,12 @@ fn methods_that_do_not_hold_are_noticed() {
 #[test]
 fn no_method_ends_in_nan() {
     for case in Case::all(Extent::Quick) {
-        for setting in [Setting::Default, Setting::EXPLICIT, Setting::Fixed(1e-3), Setting::Printed(1e-3), Setting::Rk4(1e-3)] {
+        let fixed = [Setting::CONSERVING, Setting::Fixed(1e-3), Setting::Printed(1e-3), Setting::Rk4(1e-3)];
+        for setting in [Setting::Default, Setting::EXPLICIT, Setting::AUTOMATIC].into_iter().chain(fixed) {
             for trial in case.trials.iter().take(12) {
                 let outcome = trial.run(setting);
                 assert!(!matches!(outcome.ending, Ending::NotFinite(_)), "{} by {setting:?}: {:?}", trial.label, outcome.ending);
-                if matches!(setting, Setting::Fixed(_)) {
+                if matches!(setting, Setting::Fixed(_) | Setting::Conserving(_)) {
                     assert!(outcome.most <= 1, "{}: {} sub-steps at a fixed step", trial.label, outcome.most);
                 }
             }

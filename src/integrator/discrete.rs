@@ -51,8 +51,8 @@ pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
         regularization: f64,
     ) -> (Vector<N>, [Vector<M>; 2]);
 
-    /// Whether laws of friction can be made softer, see [`Chord::softening`].
-    fn has_friction(&self) -> bool;
+    /// Whether no effect dissipates or drives, so that no law can be made softer, see [`Chord::softening`].
+    fn is_conservative(&self) -> bool;
 }
 
 /// A step as the forces see it.
@@ -66,7 +66,7 @@ pub struct Chord<'a, S, const N: usize> {
     pub v: &'a Vector<N>,
     /// The step, s.
     pub h: f64,
-    /// Factor on the rates at which friction turns, 1 but on the way to a root that Newton's method does not find at once.
+    /// Factor on the rates at which friction and servos turn, 1 but on the way to a root that Newton's method does not find at once.
     pub softening: f64,
     /// What belongs to q₀ and d.
     pub secant: &'a S,

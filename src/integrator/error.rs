@@ -23,6 +23,8 @@ pub enum StepError {
         /// Iterations spent.
         iterations: u32,
     },
+    /// Nor was there a shorter way that keeps the energy.
+    NoWayOn,
     /// A value became NaN or infinite.
     NotFinite,
     /// Close to a vertex a sub-step changed the energy.
@@ -62,6 +64,9 @@ impl fmt::Display for StepError {
                     "the step's equations were not solved in {iterations} iterations, and solver.maxWork = 0 allows no rescue"
                 )
             }
+            Self::NoWayOn => f.write_str(
+                "neither the step's equations were solved within solver.maxWork, nor was a shorter way found that keeps the energy",
+            ),
             Self::IndefiniteTangent => {
                 f.write_str("the tangent matrix is not positive definite: the step is too long for this posture and load")
             }

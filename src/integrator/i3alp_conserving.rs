@@ -31,7 +31,7 @@ use newton::{Allowance, Bounds, Until, in_turn, whole};
 pub struct Settings {
     /// Most Newton iterations of the first try.
     pub max_iterations: u32,
-    /// Most Newton iterations of one step, with those of its rescue but the last rung; 0: no rescue.
+    /// Most Newton iterations of one step, with those of its rescue but the last rung; 0: no rescue but a better first guess.
     pub max_work: u32,
     /// e of the step's systems, 1/kg: it weighs increments, and moves no root.
     pub regularization: f64,
@@ -45,6 +45,8 @@ const SHORTEST: f64 = 1e-12;
 const BALANCED: f64 = 1e-12;
 /// Steps that the extrapolation of the unknowns looks back on.
 const REMEMBERED: usize = 6;
+/// Those that a parabola takes.
+const PARABOLA: usize = 3;
 
 /// A run: accelerations and joint forces are no part of it, they follow from equilibrium when they are asked for.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -76,12 +78,16 @@ struct Memory<const K: usize> {
 impl<const K: usize> Memory<K> {
     const NONE: Self = Self { h: 0.0, known: 0, x: [Vector::ZERO; REMEMBERED] };
 
-    /// By the polynomial of the fifth degree through the last steps of the same length.
+    /// By the polynomial of the fifth degree through the last steps of the same length, or by a parabola where fewer are known.
     #[inline(always)]
     fn extrapolated(&self, h: f64) -> Option<Vector<K>> {
         let Self { known, x: [last, before, third, fourth, fifth, first], .. } = *self;
-        (usize::from(known) == REMEMBERED && self.h == h)
-            .then(|| 6.0 * (last + fifth) - 15.0 * (before + fourth) + 20.0 * third - first)
+        match usize::from(known) {
+            _ if self.h != h => None,
+            REMEMBERED => Some(6.0 * (last + fifth) - 15.0 * (before + fourth) + 20.0 * third - first),
+            PARABOLA.. => Some(3.0 * (last - before) + third),
+            _ => None,
+        }
     }
 
     #[inline(always)]
@@ -101,7 +107,14 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         Self { q, v, work: Work::default(), modes, counters: Counters::default(), memory: Memory::NONE }
     }
 
-    /// The forces have changed at once, which did some work: what was extrapolated does not hold any more.
+    /// The inputs have changed at once. Of the motion of the last steps that changes the second differences: what looks at higher ones
+    /// would be farther off than a parabola.
+    pub fn change(&mut self) {
+        self.memory.known = self.memory.known.min(PARABOLA as u8);
+        self.counters.restarts += 1;
+    }
+
+    /// The motion or the machine has changed at once, which did some work: what was extrapolated does not hold any more.
     pub fn restart(&mut self, work: Work) {
         self.work += work;
         self.memory = Memory::NONE;
@@ -146,9 +159,13 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if h < SHORTEST {
             return self.taylor_step(general, settings, h);
         }
-        if self.v.max_norm() == 0.0 && self.is_in_balance(general, settings) {
-            self.counters.substeps += 1;
-            return Ok(());
+        if self.v.max_norm() == 0.0 {
+            if self.is_in_balance(general, settings) {
+                self.counters.substeps += 1;
+                return Ok(());
+            }
+            // Where it has been says nothing about the branch on which it starts.
+            self.memory = Memory::NONE;
         }
         let x = match self.memory.extrapolated(h) {
             Some(x) => x,
@@ -214,7 +231,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let motion = cut.motion(&x, regularization);
         let ([d, _], [lambda, nu]) = (cut.end(&motion), cut.multipliers(&motion));
         let mut x = Unknowns { d, lambda, nu };
-        let mut allowance = Allowance { left: max_iterations, counters: &mut self.counters };
+        let mut allowance = Allowance { left: max_iterations, begun, counters: &mut self.counters };
         match whole(step, &mut x, regularization, (max_iterations, Until::Solved), &mut allowance) {
             Some(end) => self.arrive_at(step, &x, &end),
             None => self.rescue(step, settings, begun),
@@ -231,13 +248,12 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         begun: u64,
     ) -> Result<(), StepError> {
         let &Settings { max_iterations, max_work, equilibrium: e, .. } = settings;
-        if max_work == 0 {
-            return Err(StepError::NoRootWithin { iterations: max_iterations });
-        }
         let (a, lambda) = equilibrium(step.system, &self.q, &self.v, e);
         let a = step.system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
-        let left = max_work.saturating_sub((self.counters.iterations - begun) as u32);
-        let mut allowance = Allowance { left, counters: &mut self.counters };
+        let mut allowance = Allowance { left: max_iterations, begun, counters: &mut self.counters };
+        if max_work > 0 {
+            allowance.left = max_work.saturating_sub(allowance.spent());
+        }
         let rescued = climb(step, settings, (&a, &lambda), &mut allowance)?;
         match rescued {
             Rescued::Root(x, end) => self.arrive_at(step, &x, &end),

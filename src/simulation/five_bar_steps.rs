@@ -128,8 +128,8 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
         newton(&self.model.mechanism, &at, residuals)
     }
 
-    fn has_friction(&self) -> bool {
-        self.model.effects.iter().any(|effect| !effect.conservative())
+    fn is_conservative(&self) -> bool {
+        self.model.effects.iter().all(|effect| effect.conservative())
     }
 }
 

@@ -13,7 +13,7 @@ use super::state::{Core, State, unwind};
 use crate::effects::payload::Join;
 use crate::effects::{Grips, Inputs, Sides};
 use crate::integrator::i3alp_conserving::ConservingRun;
-use crate::integrator::{Counters, MacroStepMethod, StepError, Work, i3alp};
+use crate::integrator::{Counters, MacroStepMethod, StepError, i3alp};
 use crate::linear::cut_loop::CUT_UNKNOWNS;
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{COORDINATES, Coordinates};
@@ -146,7 +146,7 @@ impl Run {
             (Stepper::Conserving(settings), Progress::Conserving(run)) => {
                 let before = (*run, self.turns, self.inputs);
                 if !model.same_active_inputs(&self.inputs, inputs) {
-                    run.restart(Work::default());
+                    run.change();
                 }
                 self.inputs = *inputs;
                 let held = (&self.inputs, &mut self.turns);

@@ -1,13 +1,11 @@
 //! The method that chooses the kind of its steps: inputs held for one step each, a stiff clamp, and what each effect costs by it.
 
-use std::hint::black_box;
-
 use anyhow::Result;
 use fivebar::variables::{Method, Value};
 
 use super::effects::each_effect;
-use super::{H, STEPS, advance, bare};
-use crate::case::{Case, Work};
+use super::{STEPS, bare, held};
+use crate::case::Case;
 use crate::scene::Scene;
 
 /// The table.
@@ -16,23 +14,9 @@ const TABLE: &str = "automatic";
 /// A held step, a stiff step, the fall with each effect, and with all.
 pub(super) fn cases() -> Result<Vec<Case>> {
     let fall = || Scene::fall().with("solver.method", Value::Integer(Method::Automatic as i32));
-    let mut cases = vec![held(fall()?), bare(TABLE, "stiff: a clamp by servos", clamp(fall()?)?, STEPS)];
+    let mut cases = vec![held(TABLE, fall()?, 1e-6), bare(TABLE, "stiff: a clamp by servos", clamp(fall()?)?, STEPS)];
     cases.extend(each_effect(TABLE, &fall()?)?);
     Ok(cases)
-}
-
-/// A torque that changes before each step.
-fn held(scene: Scene) -> Case {
-    Case::new(TABLE, "inputs held for 1 ms each", STEPS, move || {
-        let (mut simulation, mut inputs) = (scene.simulation()?, scene.inputs);
-        let work: Work = Box::new(move || {
-            for step in 0..STEPS {
-                inputs.tau[0] = 1e-3 * H * (step % 7) as f64;
-                advance(black_box(&mut simulation), black_box(&inputs), 1);
-            }
-        });
-        Ok(work)
-    })
 }
 
 /// Servos that hold both motors so stiffly that explicit steps are bound to 0.1 ms.

@@ -1,13 +1,20 @@
-//! The strictly fixed step that conserves: what each effect costs by it.
+//! The strictly fixed step that conserves: inputs that change before every step, and what each effect costs by it.
 
 use anyhow::Result;
 use fivebar::variables::{Method, Value};
 
 use super::effects::each_effect;
+use super::held;
 use crate::case::Case;
 use crate::scene::Scene;
 
-/// The fall with each effect, and with all.
+/// The table.
+const TABLE: &str = "conserving";
+
+/// The fall with a torque that jumps by 0.01 to 0.06 N·m before each step, with each effect, and with all.
 pub(super) fn cases() -> Result<Vec<Case>> {
-    each_effect("conserving", &Scene::fall().with("solver.method", Value::Integer(Method::I3alpConserving as i32))?)
+    let fall = || Scene::fall().with("solver.method", Value::Integer(Method::I3alpConserving as i32));
+    let mut cases = vec![held(TABLE, fall()?, 0.01)];
+    cases.extend(each_effect(TABLE, &fall()?)?);
+    Ok(cases)
 }

@@ -56,6 +56,20 @@ fn bare(table: &'static str, name: impl Into<String>, scene: Scene, each: u64) -
     })
 }
 
+/// A torque that changes before each step, by one jump up six times and then back.
+fn held(table: &'static str, scene: Scene, jump: f64) -> Case {
+    Case::new(table, "inputs held for 1 ms each", STEPS, move || {
+        let (mut simulation, mut inputs) = (scene.simulation()?, scene.inputs);
+        let work: Work = Box::new(move || {
+            for step in 0..STEPS {
+                inputs.tau[0] = jump * (step % 7) as f64;
+                advance(black_box(&mut simulation), black_box(&inputs), 1);
+            }
+        });
+        Ok(work)
+    })
+}
+
 fn advance(simulation: &mut Simulation, inputs: &fivebar::simulation::Inputs, steps: u64) {
     simulation.advance(inputs, H, steps).expect("the fall does not fail");
 }

@@ -1,17 +1,26 @@
-//! 5: the paper's first test: 0.25 N·m on the left motor, with and without gravity; whips of 70 rad/s.
+//! 5: the paper's tests: 0.25 N·m on the left motor, with and without gravity, whips of 70 rad/s; by the conserving step over 50 s, in
+//! which the pull goes on, and the free fall as well.
 
 use fivebar::fmi::bindings::default_parameters;
 use fivebar::simulation::Inputs;
 
 use super::Case;
 use crate::machine::{NO_LOAD, weightless};
+use crate::setting::Setting;
 use crate::trial::Trial;
 
 pub(super) fn cases() -> Vec<Case> {
     let pull = Inputs { tau: [0.25, 0.0], ..NO_LOAD };
-    let trials = vec![
-        Trial::driven("without gravity", weightless(), pull, 2.5),
-        Trial::driven("with gravity", default_parameters(), pull, 2.5),
-    ];
-    vec![Case::new(5, "paper test 1", [1e-2, 1e-3], trials)]
+    let pulls = |duration| {
+        vec![
+            Trial::driven("without gravity", weightless(), pull, duration),
+            Trial::driven("with gravity", default_parameters(), pull, duration),
+        ]
+    };
+    let mut long = pulls(50.0);
+    long.push(Trial::free("free fall", default_parameters(), 50.0));
+    vec![
+        Case::new(5, "paper test 1", [1e-2, 1e-3], pulls(2.5)),
+        Case { settings: vec![Setting::CONSERVING], ..Case::new(5, "paper tests over 50 s", [1e-2, 1e-3], long) },
+    ]
 }

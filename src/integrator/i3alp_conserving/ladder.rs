@@ -3,11 +3,14 @@
 //! | rung | way |
 //! | --- | --- |
 //! | 1 | the whole tangent, from what equilibrium at the beginning predicts |
-//! | 2 | friction made soft and hardened again, each root the start of the next |
+//! | 2 | friction and servos made soft and hardened again, each root the start of the next |
 //! | 3 | continuation: roots at h/8, 2h/8, … h |
 //! | 4 | a smaller e |
-//! | 5 | finer continuations, with the smaller e |
-//! | last | no root, which happens close to vertices: what equilibrium predicts, projected and scaled to the energy |
+//! | 5 | continuations with a smaller e, and finer ones |
+//! | 6 | from where two to sixteen shorter steps lead |
+//! | last | no root, which happens close to vertices: what the rates or equilibrium predict, projected and scaled to the energy |
+//!
+//! Without an allowance for a rescue the first rung is the only one.
 
 use super::Settings;
 use super::equations::{Evaluation, Step, Unknowns};
@@ -29,9 +32,11 @@ const SOLVED: (u32, Until) = (10, Until::Solved);
 const ON_THE_WAY: (u32, Until) = (10, Until::Corrected(1e-8));
 /// Most iterations of each softening.
 const SOFTENED: u32 = 15;
-/// Most iterations of a projection by the last rung, and most halvings of its way.
+/// Most iterations of a projection by the last rung.
 const MOST_PROJECTIONS: u32 = 30;
-const MOST_HALVINGS: i32 = 40;
+/// By which its way is shortened where that is not enough, and how often.
+const SHORTENED: f64 = 0.25;
+const MOST_SHORTENINGS: i32 = 20;
 /// Part of e of its projections, and of the rates what they may leave.
 const CLOSE_TO_VERTEX: f64 = 1e-4;
 const CLOSED: f64 = 64.0 * f64::EPSILON;
@@ -74,6 +79,7 @@ pub(super) fn climb<const N: usize, const M: usize, S: Discrete<N, M> + Passage<
 ) -> Result<Rescued<S, N, M>, StepError> {
     match root(step, settings, rest, allowance) {
         Some((x, end)) => Ok(Rescued::Root(x, end)),
+        None if settings.max_work == 0 => Err(StepError::NoRootWithin { iterations: allowance.spent() }),
         None => last_resort(step, settings, rest, allowance),
     }
 }
@@ -93,8 +99,13 @@ fn root<const N: usize, const M: usize, S: Discrete<N, M>>(
     if let Some(root) = at_once(1.0, allowance) {
         return Some(root);
     }
+    if settings.max_work == 0 {
+        return None;
+    }
     allowance.counters.rescued += 1;
-    None.or_else(|| if step.system.has_friction() { hardened(step, start, with(1.0), allowance) } else { None })
+    (!step.system.is_conservative())
+        .then(|| hardened(step, start, with(1.0), allowance))
+        .flatten()
         .or_else(|| continued(step, with(1.0), rest, 8, allowance))
         .or_else(|| SMALLER.into_iter().find_map(|part| at_once(part, allowance)))
         .or_else(|| FINER.into_iter().find_map(|(stages, part)| continued(step, with(part), rest, stages, allowance)))
@@ -175,7 +186,7 @@ fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
     end.map(|end| (x, end))
 }
 
-/// Where the equations have no root: as far as equilibrium predicts, or half as far, and so on, projected onto the positions; the mean
+/// Where the equations have no root: as far as the rates or equilibrium predict, or a part of it, projected onto the positions; the mean
 /// rate of that way, projected and scaled so that the energy is kept: what the forces have put in on it is known.
 fn last_resort<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     step: &Step<'_, S, N, M>,
@@ -183,43 +194,47 @@ fn last_resort<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     rest: (&Vector<N>, &Vector<M>),
     allowance: &mut Allowance<'_>,
 ) -> Result<Rescued<S, N, M>, StepError> {
+    // What dampers and drives do at the beginning says nothing about the rest of the step, unless the rates lead nowhere.
+    let by_rates = (!step.system.is_conservative() && step.v.max_norm() > 0.0).then(|| step.h * step.v);
+    let ways = [by_rates, Some(from_equilibrium(&step.v, rest, step.h).d)];
+    let landed = ways
+        .into_iter()
+        .flatten()
+        .find_map(|way| (0..MOST_SHORTENINGS).find_map(|times| landing(step, settings, SHORTENED.powi(times) * way, allowance)));
+    allowance.counters.last_resorts += u64::from(landed.is_some());
+    landed.ok_or(StepError::NoWayOn)
+}
+
+/// Where this way leads.
+fn landing<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
+    step: &Step<'_, S, N, M>,
+    settings: &Settings,
+    way: Vector<N>,
+    allowance: &mut Allowance<'_>,
+) -> Option<Rescued<S, N, M>> {
     let &Step { system, q, v: v0, h, .. } = step;
-    // What friction does at the beginning says nothing about the rest of the step.
-    let way = if system.has_friction() { h * v0 } else { from_equilibrium(&v0, rest, h).d };
+    let mut end = q + way;
     let projection = Projection::to_round_off(system.length_scale(), settings.equilibrium, MOST_PROJECTIONS);
-    let mut failure = StepError::NotFinite;
-    for halvings in 0..MOST_HALVINGS {
-        let mut end = q + 0.5f64.powi(halvings) * way;
-        let pose = match projection.position(system, &mut end) {
-            Ok((iterations, pose)) => {
-                allowance.counters.iterations += u64::from(iterations);
-                pose
-            }
-            Err(cause) => {
-                failure = cause;
-                continue;
-            }
-        };
-        let d = end - q;
-        let mass = system.factor_mass(&pose, CLOSE_TO_VERTEX * settings.equilibrium);
-        let mut v = d / h;
-        // Close to a vertex each leaves some of it, and the steps to come take for granted that nothing is left.
-        for _ in 0..MOST_PROJECTIONS {
-            v += velocity_correction(system, &pose, &mass, &v);
-            if system.phi_q_times(&pose, &v).max_norm() <= CLOSED * v.max_norm() * system.length_scale() {
-                break;
-            }
-        }
-        let closed = system.phi_q_times(&pose, &v).max_norm() <= CLOSED * v.max_norm() * system.length_scale();
-        let kinetic = |v: &Vector<N>| 0.5 * system.mass_times(&pose, v).dot(v);
-        let secant = step.secant(&d);
-        let put_in = system.mean_forces(&step.chord(&secant, &d, &v)).dot(&d);
-        let (wanted, got) = (kinetic(&v0) + put_in, kinetic(&v));
-        let scale = (wanted / got).sqrt();
-        if closed && wanted > 0.0 && got > 0.0 && (scale * v).is_finite() {
-            allowance.counters.last_resorts += 1;
-            return Ok(Rescued::Landed { d, acting: v, v: scale * v });
+    let (iterations, pose) = projection.position(system, &mut end).ok()?;
+    allowance.counters.iterations += u64::from(iterations);
+    let d = end - q;
+    let mass = system.factor_mass(&pose, CLOSE_TO_VERTEX * settings.equilibrium);
+    let mut v = d / h;
+    let is_closed = |v: &Vector<N>| system.phi_q_times(&pose, v).max_norm() <= CLOSED * v.max_norm() * system.length_scale();
+    // Close to a vertex each leaves some of it, and the steps to come take for granted that nothing is left.
+    for _ in 0..MOST_PROJECTIONS {
+        v += velocity_correction(system, &pose, &mass, &v);
+        if is_closed(&v) {
+            break;
         }
     }
-    Err(failure)
+    let kinetic = |v: &Vector<N>| 0.5 * system.mass_times(&pose, v).dot(v);
+    let secant = step.secant(&d);
+    let put_in = system.mean_forces(&step.chord(&secant, &d, &v)).dot(&d);
+    let (wanted, got) = (kinetic(&v0) + put_in, kinetic(&v));
+    if !(is_closed(&v) && wanted > 0.0 && got > 0.0) {
+        return None;
+    }
+    let scaled = (wanted / got).sqrt() * v;
+    scaled.is_finite().then_some(Rescued::Landed { d, acting: v, v: scaled })
 }

@@ -6,7 +6,7 @@ use crate::integrator::{Counters, CutStep, Discrete};
 /// Largest |M⁻¹f| per second of step of one that has converged, m/s and rad/s: what is left does work, in proportion to it.
 const OFFSET: f64 = 1e-9;
 /// The same with the loops cut, where the rates take up what is left.
-const CUT_OFFSET: f64 = 1e-10;
+const CUT_OFFSET: f64 = 5e-11;
 /// Largest |Φ| of it, in parts of the system's size.
 const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
 /// Largest |J₁w|/2 per second of step, in parts of the system's size per second.
@@ -18,10 +18,9 @@ const PROMISING: [f64; 3] = [f64::INFINITY, 3e-3, 1e-7];
 /// After these the matrix is factorised anew each time, and |M⁻¹f| has to fall to this part.
 const CONTRACTION: f64 = 0.05;
 /// The whole tangent goes to round-off: to a correction of an angle below the first, or to one below the second that does not fall any
-/// more, rad. What is left then may be larger by the third where no more iterations are allowed.
+/// more, rad.
 const LAST_CORRECTION: f64 = 1e-13;
 const STAGNATION: f64 = 1e-10;
-const TOLERANCE: f64 = 1.0;
 /// A link that turns farther in one step, rad, is on its way to no root.
 const LARGEST_TURN: f64 = 6.0;
 
@@ -50,20 +49,22 @@ impl Bounds {
     fn are_met(&self, offset: f64, phi: f64, rate: f64) -> bool {
         offset < self.offset && phi < self.phi && rate < self.rate
     }
-
-    /// All of them by a factor larger.
-    fn times(&self, factor: f64) -> Self {
-        Self { offset: factor * self.offset, phi: factor * self.phi, rate: factor * self.rate }
-    }
 }
 
 /// Iterations that a step may still take.
 pub(super) struct Allowance<'a> {
     pub(super) left: u32,
+    /// Iterations counted when the step began.
+    pub(super) begun: u64,
     pub(super) counters: &'a mut Counters,
 }
 
 impl Allowance<'_> {
+    /// Iterations that the step has taken.
+    pub(super) fn spent(&self) -> u32 {
+        (self.counters.iterations - self.begun) as u32
+    }
+
     /// Takes one, if there is one.
     #[inline(always)]
     fn take(&mut self) -> Option<()> {
@@ -139,11 +140,7 @@ pub(super) fn whole<const N: usize, const M: usize, S: Discrete<N, M>>(
         let rate = system.phi_q_times(S::end(secant), &(step.h * *v));
         let no_further = correction < LAST_CORRECTION || correction < STAGNATION && correction >= 0.25 * before;
         let done = match until {
-            Until::Solved => {
-                let is_last = correction < LAST_CORRECTION || iteration == most;
-                let allowed = if is_last { bounds.times(TOLERANCE) } else { bounds.times(1.0) };
-                no_further && allowed.are_met(offset.max_norm(), phi.max_norm(), 0.5 * rate.max_norm())
-            }
+            Until::Solved => no_further && bounds.are_met(offset.max_norm(), phi.max_norm(), 0.5 * rate.max_norm()),
             Until::Corrected(bound) => correction < bound || no_further,
         };
         if iteration > 0 && done {
