@@ -94,10 +94,13 @@ impl Instance {
             match kind {
                 Kind::ModelExchange => format!("ready: {kind}, effects: {effects}"),
                 Kind::CoSimulation => format!(
-                    "ready: method {}, h = {:?} s, adaptive {}, effects: {effects}",
+                    "ready: method {}, h = {:?} s, {}, effects: {effects}",
                     bindings::method_name(settings.method),
                     settings.step_size,
-                    settings.adaptive,
+                    match settings.method {
+                        Method::I3alpConserving => "strictly fixed".to_owned(),
+                        _ => format!("adaptive {}", settings.adaptive),
+                    },
                 ),
             }
         });

@@ -48,7 +48,7 @@ impl Instance {
         if last_resorts > 0 {
             warn(&mut self.log, || {
                 format!(
-                    "between {point:?} s and {:?} s: {last_resorts} steps by the last resort, their equations were not solved: the energy is \
+                    "between {point:?} s and {:?} s: steps by the last resort: {last_resorts}, whose equations were not solved: the energy is \
                      kept, the way is not known; see solver.lastResorts and solver.maxWork.",
                     point + size
                 )

@@ -1,4 +1,5 @@
-//! The whole tangent of the conserving step, for loads that depend on the rates and for the ladder of rescues.
+//! The whole tangent of the conserving step: where Λ and ν in turn contract slowly, where inertias are far apart, and for the ladder of
+//! rescues.
 //!
 //! Newton's increments of the unknowns d, Λ, ν and of z = d − M⁻¹J_cᵀν satisfy, by links (`docs/conserving.md`, (37)),
 //!

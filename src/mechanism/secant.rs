@@ -10,7 +10,7 @@
 //!
 //! without an error, however long the step: each is Φ_q in the middle with its angles' columns shortened. So a step with J_b and J_c
 //! keeps energy and both levels of the constraints (O. Gonzalez, *Time integration and discrete Hamiltonian systems*, J. Nonlinear Sci. 6
-//! (1996) 449; J. C. García Orden and M. Ortega Aguilera, *A conservative augmented Lagrangian algorithm for the dynamics of constrained
+//! (1996) 449; J. C. García Orden and R. Ortega, *A conservative augmented Lagrangian algorithm for the dynamics of constrained
 //! mechanical systems*, 2006). `docs/conserving.md` derives the step.
 
 use super::coordinates::{D_THETA, P_THETA, legs_of, set_legs};

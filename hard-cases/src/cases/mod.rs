@@ -209,6 +209,21 @@ impl Case {
                 row.objections.push(format!("{}: {objection}", trial.label));
             }
         }
+        if let Setting::Conserving(step) = setting {
+            let last_resorts: u64 =
+                outcomes.iter().filter_map(|outcome| outcome.state).map(|state| state.core.counters.last_resorts).sum();
+            if substeps != steps {
+                row.failures += 1;
+                row.objections.push(format!("{substeps} sub-steps in {steps} strictly fixed steps"));
+            }
+            if self.conserving.all_steps && last_resorts > allowed_last_resorts(step, steps) {
+                row.failures += 1;
+                row.objections.push(format!("{last_resorts} of {steps} steps by the last resort"));
+            }
+            if last_resorts > 0 {
+                statuses.insert(format!("of {steps} steps by the last resort"), last_resorts as usize);
+            }
+        }
         row.mean = if steps == 0 { 0.0 } else { substeps as f64 / steps as f64 };
         row.statuses = statuses.into_iter().map(|(text, count)| format!("{count} x {text}")).collect::<Vec<_>>().join("; ");
         row.verdict = match (self.is_judged(setting), row.failures == 0) {
@@ -264,6 +279,11 @@ impl Demand {
         objections.extend(outcome.objection.clone().filter(|_| self.path));
         (!objections.is_empty()).then(|| objections.join("; "))
     }
+}
+
+/// Steps of a fall that the conserving method may make by its last resort: one in a million, or two where they are longer than 1 ms.
+fn allowed_last_resorts(step: f64, steps: u64) -> u64 {
+    (if step > 1e-3 { 2 * steps } else { steps }).div_ceil(1_000_000)
 }
 
 /// A status without the figures in it, so that equal reasons are counted together.

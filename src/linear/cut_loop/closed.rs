@@ -36,7 +36,7 @@ impl Closed {
         [xx * x + xy * y, yx * x + yy * y]
     }
 
-    /// x and y of A x + b y = r, c x − e y = 0, and x of the same with c x − e y = −gap.
+    /// y of A x + b y = r, c x − e y = 0, and x of the same with c x − e y = −gap.
     #[inline(always)]
     pub(super) fn solve(&self, [p, d]: [Legs; 2], ends: &[Legs2; 2], gap: [f64; 2]) -> ([Legs; 2], [f64; 2]) {
         let [[pp, pd], [dp, dd]] = self.inverse;
