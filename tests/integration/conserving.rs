@@ -98,6 +98,7 @@ fn any_machine_keeps_its_energy() {
     for (name, parameters) in [("unequal", unequal()), ("loaded", loaded), ("light", light), ("coaxial", coaxial)] {
         let mut simulation = Simulation::new(&conserving(parameters, 1e-3), &default_inputs()).expect("scene");
         let worst = followed(&mut simulation, &default_inputs(), 1e-3, 2.0);
+        // As the battery demands of any machine: 1e-9 m/s; what 2 s leave of the energy next to links without inertia.
         assert!(worst.balance <= 1e-9 && worst.velocity <= 1e-9, "{name}: {:e} {:e}", worst.balance, worst.velocity);
     }
 }
@@ -190,6 +191,7 @@ fn every_effect_balances() {
         let mut simulation = Simulation::new(&parameters, &inputs).expect("scene");
         let worst = followed(&mut simulation, &inputs, 1e-3, 2.0);
         let counters = simulation.counters();
+        // A fall against the stiffest friction comes to a posture without a root.
         if worst.balance > *allowed || worst.velocity > 1e-9 || counters.last_resorts > 1 {
             wrong.push((name, worst.balance, worst.velocity, counters));
         }
@@ -205,7 +207,7 @@ fn dry(parameters: &mut Parameters, torque: f64, turn: f64) {
     friction.breakaway_velocity = 10.0 * turn;
 }
 
-/// Friction that holds the mechanism up: it creeps at a small part of the rate at which the law turns, from the first step on. And
+/// Friction that holds the mechanism up: it creeps at a small part of the rate at which the law turns. And
 /// friction that brakes a motion stops it.
 #[test]
 fn friction_holds_and_brakes() {
