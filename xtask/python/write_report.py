@@ -11,9 +11,10 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 from pictures import STYLE, thinned
-from report import docs, figures, page, picks, sections
+from report import docs, figures, more_figures, page, picks, sections
 from report.tables import Measurements, Table, markers, references
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,16 +66,22 @@ def write(path: Path, m: Measurements, curves: dict[str, dict[str, np.ndarray]])
 
 
 def update_docs(m: Measurements) -> None:
-    """The picture and the short table, where readers meet them first, and the ratios."""
+    """The picture and the short table, where readers meet them first, the ratios, and where there is one the histogram of fixed steps."""
     found, judged = markers(m.precision), references(m.references)
-    figure = figures.main_picture(found, judged)
-    drawing = io.StringIO()
-    figure.savefig(drawing, format="svg", metadata={"Date": None})
-    plt.close(figure)
-    (ROOT / "docs/images/accuracy.svg").write_text(page.compact(drawing.getvalue()), encoding="utf-8", newline="\n")
+    save_in_docs(figures.main_picture(found, judged), "accuracy")
+    if m.step_times:
+        save_in_docs(more_figures.histogram(m.step_times.rows), "step-times")
     head, rows = picks.ratio_table(found, judged)
     ratios = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1), *("| " + " | ".join(row) + " |" for row in rows)]
     docs.update(ROOT, picks.short_table(found, judged), ratios, m.precision.about)
+
+
+def save_in_docs(figure: Figure, name: str) -> None:
+    """A picture of docs/images/."""
+    drawing = io.StringIO()
+    figure.savefig(drawing, format="svg", metadata={"Date": None})
+    plt.close(figure)
+    (ROOT / f"docs/images/{name}.svg").write_text(page.compact(drawing.getvalue()), encoding="utf-8", newline="\n")
 
 
 def keep_beside(table: Table, data: Path) -> None:

@@ -52,6 +52,7 @@ def histogram(rows: list[Row]) -> Figure:
         label = f"h = {1e3 * float(step):g} ms, solver.maxWork = {work}: {counts.sum():.0e} steps".replace("e+0", "e")
         axes.hist(ends / 10**0.05 / 1e3, bins=BINS, weights=counts, histtype="step", color=colour, linewidth=1.5, label=label)
     logarithmic(axes, xlabel="µs per step", ylabel="steps, per tenth of a decade")
+    axes.set_xlim(left=0.1)
     axes.legend(loc="upper right", fontsize=8.5)
     return figure
 
