@@ -144,11 +144,15 @@ mod tests {
     fn every_step_is_in_the_histogram() {
         assert_eq!([quantile(&[1, 2, 7], 0.1), quantile(&[1, 2, 7], 0.3), quantile(&[1, 2, 7], 1.0)], [0, 1, 2]);
         let all = measure(Extent::Quick).expect("falls that come to their end");
-        assert_eq!(all.iter().map(StepTimes::count).collect::<Vec<_>>(), [100_000, 100_000, 100_000, 100_000, 25_000]);
+        for found in &all {
+            let (steps, ended) = (if found.step > 1e-3 { 25_000 } else { 100_000 }, found.rescued[2] > 0);
+            assert!(if ended { found.max_work == 0 && found.count() < steps } else { found.count() == steps }, "{found:?}");
+        }
         // Typical and rare steps, as docs/conserving.md has them: 99.99 % at most 8 iterations at 1 ms, and 50 at 4 ms.
         for found in &all {
             let [median, rare] = [0.5, 0.9999].map(|part| quantile(&found.iterations, part));
-            assert!(median <= 3 && rare <= if found.step > 1e-3 { 50 } else { 8 }, "{} s: {median}, {rare}", found.step);
+            let most = if found.step > 1e-3 { [4, 50] } else { [3, 8] };
+            assert!(median <= most[0] && rare <= most[1], "{} s: {median}, {rare}", found.step);
             let bound = if found.max_work == UNBOUNDED { MOST } else { found.max_work.max(30) as usize + LAST_RESORT };
             assert!(quantile(&found.iterations, 1.0) <= bound, "solver.maxWork = {}", found.max_work);
         }
