@@ -46,6 +46,12 @@ impl Legs2 {
         self.x * other.x + self.y * other.y
     }
 
+    /// The third component of the vector product, leg by leg.
+    #[inline]
+    pub fn cross(self, other: Self) -> Legs {
+        self.x * other.y - self.y * other.x
+    }
+
     /// Turned by +90°: the derivative of an arm with respect to its angle.
     #[inline]
     pub fn turned(self) -> Self {
