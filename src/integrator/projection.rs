@@ -44,8 +44,8 @@ impl Projection {
         q: &mut Vector<N>,
     ) -> Result<(u32, S::Pose), StepError> {
         let (mut violation, mut last) = (f64::INFINITY, 0.0);
+        let mut pose = system.pose_in_place(q);
         for iteration in 0..=self.max_iterations {
-            let pose = system.pose_in_place(q);
             let phi = system.phi(q, &pose);
             let previous = violation;
             violation = phi.max_norm();
@@ -55,7 +55,9 @@ impl Projection {
             }
             let correction = system.factor_mass(&pose, self.regularization).correction(&-phi);
             last = correction.max_norm();
-            *q += correction;
+            let corrected = *q + correction;
+            pose = system.pose_turned(&pose, &(corrected - *q), &corrected);
+            *q = corrected;
         }
         Err(StepError::NotConverged { iterations: self.max_iterations, violation, tolerance: self.tolerance, correction: last })
     }

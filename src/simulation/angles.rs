@@ -200,6 +200,12 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         self.mechanism.pose_in_place([legs_of(q, PROXIMAL), legs_of(q, DISTAL)])
     }
 
+    #[inline(always)]
+    fn pose_turned(&self, from: &Pose, by: &Angles, q: &Angles) -> Pose {
+        let legs = |x: &Angles| [legs_of(x, PROXIMAL), legs_of(x, DISTAL)];
+        self.mechanism.pose_turned(from, legs(by), legs(q))
+    }
+
     #[inline]
     fn phi(&self, q: &Angles, pose: &Pose) -> Vector<CLOSURES> {
         if let Some(parallels) = self.parallels {

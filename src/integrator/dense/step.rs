@@ -51,10 +51,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         horizon: Horizon,
     ) -> Result<(), StepError> {
         self.begin(system, settings);
-        let near = system.is_near_vertex(&self.start.q);
-        let longest = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
-            Approach::Clear => horizon.limit,
-            Approach::Limited(limits) => horizon.limit.min(limits.longest),
+        let (longest, near) = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
+            Approach::Clear => (horizon.limit, false),
+            Approach::Limited(limits) => (horizon.limit.min(limits.longest), true),
             Approach::Passed(transit) => {
                 self.end.pass_through(system, &transit, settings.regularization)?;
                 (self.length, self.straight) = (transit.duration, true);
@@ -249,14 +248,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The step to come, from the error of this one.
     #[inline]
     fn adapt<T: Trial<N>>(&mut self, error: f64, wanted: f64, rejected: bool) {
-        let growth = T::CONTROLLER.growth(error, self.memory.log_error);
+        let log_error = libm::log(error);
+        let growth = T::CONTROLLER.growth(log_error, self.memory.log_error);
         let growth = if rejected { growth.min(1.0) } else { growth };
         // A step that was rejected is as long as its error allows, not cut short.
         let wanted = if rejected { self.length } else { wanted };
         let next = next_step(self.length, growth, wanted);
         *(if T::KIND == Kind::Fifth { &mut self.memory.choice.fifth } else { &mut self.end.substep }) = next;
         if !is_cut_short(self.length, wanted) {
-            self.memory.log_error = libm::log(error).max(LEAST_LOG_ERROR);
+            self.memory.log_error = log_error.max(LEAST_LOG_ERROR);
         }
     }
 

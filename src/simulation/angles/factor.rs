@@ -22,7 +22,8 @@ impl Factor {
     #[inline]
     pub(super) fn new(inertia: &Inertia, pose: &Pose, [p, d]: [Legs2; 2], regularization: f64) -> Self {
         let mobility = inertia.inverse(pose);
-        let on_p = Legs2 { x: mobility.proximal * p.x + mobility.coupling * d.x, y: mobility.proximal * p.y + mobility.coupling * d.y };
+        let on_p =
+            Legs2 { x: mobility.proximal * p.x + mobility.coupling * d.x, y: mobility.proximal * p.y + mobility.coupling * d.y };
         let on_d = Legs2 { x: mobility.coupling * p.x + mobility.distal * d.x, y: mobility.coupling * p.y + mobility.distal * d.y };
         let xx = sum(p.x * on_p.x + d.x * on_d.x) + regularization;
         let xy = sum(p.x * on_p.y + d.x * on_d.y);
