@@ -84,11 +84,10 @@ impl<const N: usize> Stages<N> {
 
     /// Evaluates the stages of the step, in place: what a function returns is copied.
     #[inline(never)]
-    fn evaluate_all<const M: usize>(&mut self, system: &impl System<N, M>, regularization: f64) {
-        let origin = Origin::new(system, &self.q);
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Pose, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
-                self.last = self.evaluate::<$stage, M, _>(system, regularization, &origin);
+                self.last = self.evaluate::<$stage, M, _>(system, regularization, origin);
             };
         }
         for_each!(evaluate: 1 2 3 4 5 6 7 8 9 10 11);
@@ -165,11 +164,16 @@ impl<const N: usize> Trial<N> for Stages<N> {
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        self.evaluate_all(system, settings.regularization);
+        let origin = Origin::new(system, &self.q);
+        self.evaluate_all(system, settings.regularization, &origin);
         let mean = self.sums::<END>();
         let end = [self.q + self.h * mean[0], self.v + self.h * mean[1]];
         let error = self.error(allowed, &mean, &end[1]);
-        let arrival = if error <= 1.0 { settings.project_and_evaluate(system, end, kept) } else { Err(StepError::NotFinite) };
+        let arrival = if error <= 1.0 {
+            settings.project_and_evaluate(system, system.pose_turned(&origin.pose, &(end[0] - self.q), &end[0]), end, kept)
+        } else {
+            Err(StepError::NotFinite)
+        };
         let land = |(iterations, arrival)| {
             let work = if system.follows_work() { Work::default().plus(self.h, self.mean_power()) } else { Work::default() };
             Landing { iterations, arrival, work }

@@ -216,7 +216,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             let work = if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
             Landing { iterations, arrival, work }
         };
-        (error, settings.project_and_evaluate(system, end, kept).map(land))
+        (error, settings.project_and_evaluate(system, system.pose(&end[0]), end, kept).map(land))
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {

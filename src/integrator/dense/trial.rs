@@ -130,7 +130,7 @@ impl<const N: usize> Slope<N> {
 /// Where a step begins: its stages are not far away, and their poses are turned from this one.
 pub(super) struct Origin<P, const N: usize> {
     q: Vector<N>,
-    pose: P,
+    pub(super) pose: P,
 }
 
 impl<P, const N: usize> Origin<P, N> {
