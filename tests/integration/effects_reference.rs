@@ -275,7 +275,7 @@ fn a_fall_against_friction_that_sticks() {
 
 #[test]
 fn rotors_that_run_down_against_friction_that_sticks() {
-    sticks("run_down_stick", [[1.2e-5, 7e-8], [2e-7, 2e-9]]);
+    sticks("run_down_stick", [[1.2e-5, 7e-8], [1e-6, 2e-9]]);
 }
 
 #[test]
