@@ -176,7 +176,7 @@ fn cross(command: &str, triple: &str) -> Result<Command> {
     cargo
         .args([command, "--release", "--target", &target, "--target-dir"])
         .arg(&folder)
-        .args(["-Zbuild-std=std,panic_unwind", "-Zbuild-std-features=panic-unwind"])
+        .args(["-Zbuild-std=std,panic_unwind", "-Zbuild-std-features=panic-unwind,optimize_for_size"])
         .env("PATH", env::join_paths([programs, Path::new(DEBIAN), Path::new("/bin")]).context("the path of programs")?)
         .env("CARGO", Path::new(DEBIAN).join("cargo"))
         .env("RUSTC", Path::new(DEBIAN).join("rustc"))
