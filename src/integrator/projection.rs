@@ -33,19 +33,19 @@ impl Projection {
         system: &S,
         q: &mut Vector<N>,
     ) -> Result<(u32, S::Pose), StepError> {
-        self.position_in_place(system, q)
+        self.position_from(system, system.pose(q), q)
     }
 
-    /// The same compiled into its caller.
+    /// The same from the pose at q, compiled into its caller.
     #[inline(always)]
-    pub(super) fn position_in_place<const N: usize, const M: usize, S: System<N, M>>(
+    pub(super) fn position_from<const N: usize, const M: usize, S: System<N, M>>(
         &self,
         system: &S,
+        mut pose: S::Pose,
         q: &mut Vector<N>,
     ) -> Result<(u32, S::Pose), StepError> {
         let (mut violation, mut last) = (f64::INFINITY, 0.0);
         for iteration in 0..=self.max_iterations {
-            let pose = system.pose_in_place(q);
             let phi = system.phi(q, &pose);
             let previous = violation;
             violation = phi.max_norm();
@@ -55,7 +55,9 @@ impl Projection {
             }
             let correction = system.factor_mass(&pose, self.regularization).correction(&-phi);
             last = correction.max_norm();
-            *q += correction;
+            let corrected = *q + correction;
+            pose = system.pose_turned(&pose, &(corrected - *q), &corrected);
+            *q = corrected;
         }
         Err(StepError::NotConverged { iterations: self.max_iterations, violation, tolerance: self.tolerance, correction: last })
     }

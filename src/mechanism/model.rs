@@ -46,23 +46,25 @@ impl std::error::Error for SceneError {}
 /// Refuses a value that is not finite and positive; text is made by a refusal only, here and below: a step that finds a parameter tuned
 /// allocates nothing.
 pub(crate) fn positive(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
-    finite(&name, value, unit)?;
-    if value > 0.0 { Ok(()) } else { Err(SceneError(format!("{name} = {value} {unit} is not allowed: it must be positive."))) }
+    if value.is_finite() && value > 0.0 { Ok(()) } else { Err(refusal(&name, value, unit, "positive")) }
 }
 
 /// Refuses a value that is not finite or is negative.
 pub(crate) fn not_negative(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
-    finite(&name, value, unit)?;
-    if value >= 0.0 {
-        Ok(())
-    } else {
-        Err(SceneError(format!("{name} = {value} {unit} is not allowed: it must be 0 or positive.")))
-    }
+    if value.is_finite() && value >= 0.0 { Ok(()) } else { Err(refusal(&name, value, unit, "0 or positive")) }
 }
 
 /// Refuses NaN and infinities.
 pub(crate) fn finite(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
-    if value.is_finite() { Ok(()) } else { Err(SceneError(format!("{name} = {value} {unit} is not allowed: it must be finite."))) }
+    if value.is_finite() { Ok(()) } else { Err(refusal(&name, value, unit, "finite")) }
+}
+
+/// Says what a value must be: finite before anything else. One piece of code for all names.
+#[cold]
+#[inline(never)]
+fn refusal(name: &dyn fmt::Display, value: f64, unit: &str, allowed: &str) -> SceneError {
+    let allowed = if value.is_finite() { allowed } else { "finite" };
+    SceneError(format!("{name} = {value} {unit} is not allowed: it must be {allowed}."))
 }
 
 impl Geometry {

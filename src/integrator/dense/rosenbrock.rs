@@ -19,7 +19,7 @@ mod tableau;
 use std::marker::PhantomData;
 
 use super::hermite::{self, Knowing};
-use super::trial::{Allowed, Landing, Slope, Trial, for_each, larger};
+use super::trial::{Allowed, Landing, Origin, Slope, Trial, for_each, larger};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{AccelerationTangents, EnergyBalance, Kkt, Passage, State, StepError, System, Work};
@@ -176,12 +176,14 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             tableau: PhantomData,
         };
         step.u[0] = step.solve(tangents, [from.v, from.a]);
+        let origin = Origin::new(system, &from.q);
         let per_step = 1.0 / h;
         macro_rules! evaluate {
             ($stage:literal) => {
                 if const { $stage < T::STAGES } {
                     let [q, v] = step.at::<$stage>();
-                    let slope = Slope::at(system, regularization, &q, &v);
+                    let mut slope = Slope { q: v, ..Slope::NONE };
+                    slope.complete(system, regularization, &origin, &(q - from.q));
                     let [before_q, before_v] = step.before::<$stage>();
                     step.u[$stage] = step.solve(tangents, [v + per_step * before_q, slope.v + per_step * before_v]);
                     step.power[$stage] = slope.power;
@@ -214,7 +216,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             let work = if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
             Landing { iterations, arrival, work }
         };
-        (error, settings.project_and_evaluate(system, end, kept).map(land))
+        (error, settings.project_and_evaluate(system, system.pose(&end[0]), end, kept).map(land))
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {
