@@ -43,6 +43,17 @@ impl Projection {
         system: &S,
         q: &mut Vector<N>,
     ) -> Result<(u32, S::Pose), StepError> {
+        self.position_along(system, q, |pose, missing| system.factor_mass(pose, self.regularization).correction(&missing))
+    }
+
+    /// The same along other ways than the shortest: by what q is corrected for what Φ lacks at a pose.
+    #[inline(always)]
+    pub(super) fn position_along<const N: usize, const M: usize, S: System<N, M>>(
+        &self,
+        system: &S,
+        q: &mut Vector<N>,
+        mut correction: impl FnMut(&S::Pose, Vector<M>) -> Vector<N>,
+    ) -> Result<(u32, S::Pose), StepError> {
         let (mut violation, mut last) = (f64::INFINITY, 0.0);
         for iteration in 0..=self.max_iterations {
             let pose = system.pose_in_place(q);
@@ -53,7 +64,7 @@ impl Projection {
             if violation < self.tolerance || at_round_off {
                 return Ok((iteration, pose));
             }
-            let correction = system.factor_mass(&pose, self.regularization).correction(&-phi);
+            let correction = correction(&pose, -phi);
             last = correction.max_norm();
             *q += correction;
         }

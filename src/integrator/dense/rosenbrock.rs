@@ -19,10 +19,12 @@ mod tableau;
 use std::marker::PhantomData;
 
 use super::hermite::{self, Knowing};
+use super::step::with_energy;
 use super::trial::{Allowed, Landing, Slope, Trial, for_each, larger};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
-use crate::integrator::{AccelerationTangents, EnergyBalance, Kkt, Passage, State, StepError, System, Work};
+use crate::integrator::state::Arrival;
+use crate::integrator::{AccelerationTangents, EnergyBalance, Kkt, Passage, State, StepError, System, Work, velocity_correction};
 use crate::vector::Vector;
 use inverse::{Inverse, combination};
 use tableau::{MOST, Tableau};
@@ -108,17 +110,36 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         [part * (q + v), v]
     }
 
-    /// Most of the way back onto the constraints. A projection goes along the shortest way in the metric of the masses, without asking the
-    /// forces; where those are stiff it would leave them out of balance. The way here is the one that the step itself would find:
-    /// (1 − hγ C − (hγ)² K)⁻¹ times that of the masses, which satisfies the linearised constraints as well, but for terms of h q̇.
+    /// Back onto the constraints, not along the shortest way in the metric of the masses, which asks no force: where forces are stiff it
+    /// would leave them out of balance. The way here is the one that the step itself would find, (1 − hγ C − (hγ)² K)⁻¹ times that of the
+    /// masses. The iterations spent, with pose and mass factor.
     #[inline]
-    fn approach<const M: usize>(&self, system: &impl System<N, M>, regularization: f64, [q, v]: &mut [Vector<N>; 2]) {
-        let pose = system.pose(q);
-        let mass = system.factor_mass(&pose, regularization);
-        let part = 1.0 / (self.h * T::GAMMA);
-        let (missing_q, missing_v) = (-system.phi(q, &pose), -system.phi_q_times(&pose, v));
-        *q += self.inverse.times(&(part * mass.correction(&missing_q)));
-        *v += self.inverse.times(&(part * mass.correction(&missing_v)));
+    fn project<const M: usize, S: System<N, M>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+        [q, v]: &mut [Vector<N>; 2],
+    ) -> Result<(u32, S::Pose, S::Mass), StepError> {
+        let mut ways = None;
+        let along =
+            |pose: &S::Pose, missing| combination(ways.get_or_insert_with(|| self.ways_back(system, settings, pose)), &missing);
+        let (iterations, pose) = settings.projection(system).position_along(system, q, along)?;
+        if let Some(ways) = &ways {
+            *v += combination(ways, &-system.phi_q_times(&pose, v));
+        }
+        let mass = system.factor_mass(&pose, settings.regularization);
+        *v += velocity_correction(system, &pose, &mass, v);
+        Ok((iterations, pose, mass))
+    }
+
+    /// By what q or q̇ is corrected for a unit of each constraint.
+    #[inline]
+    fn ways_back<const M: usize, S: System<N, M>>(&self, system: &S, settings: &Settings, pose: &S::Pose) -> [Vector<N>; M] {
+        let mass = system.factor_mass(pose, settings.regularization);
+        let ways: [Vector<N>; M] = std::array::from_fn(|i| self.inverse.times(&mass.correction(&Vector::unit(i))));
+        // A load may turn them: so that each is one constraint's.
+        let shares = Inverse::new(ways.map(|way| system.phi_q_times(pose, &way)), f64::EPSILON * self.h);
+        std::array::from_fn(|i| combination(&ways, &shares.times(&Vector::unit(i))))
     }
 
     /// Work by some weights of the stages, J.
@@ -207,14 +228,18 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         if error.is_nan() || error > 1.0 {
             return (error, Err(StepError::NotFinite));
         }
-        if system.can_project(&end[0]) {
-            self.approach(system, settings.regularization, &mut end);
-        }
-        let land = |(iterations, arrival)| {
+        let mut land = || {
+            let (iterations, pose, mass) = if system.can_project(&end[0]) {
+                self.project(system, settings, &mut end)?
+            } else {
+                settings.project(system, &mut end)?
+            };
+            let end = [end[0], with_energy(system, end, kept)?];
+            let arrival = Arrival::in_balance(system, end, &pose, &mass).finite()?;
             let work = if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
-            Landing { iterations, arrival, work }
+            Ok(Landing { iterations, arrival, work })
         };
-        (error, settings.project_and_evaluate(system, end, kept).map(land))
+        (error, land())
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {
