@@ -19,12 +19,13 @@ mod tableau;
 use std::marker::PhantomData;
 
 use super::hermite::{self, Knowing};
-use super::step::with_energy;
 use super::trial::{Allowed, Landing, Slope, Trial, for_each, larger};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::state::Arrival;
-use crate::integrator::{AccelerationTangents, EnergyBalance, Kkt, Passage, State, StepError, System, Work, velocity_correction};
+use crate::integrator::{
+    AccelerationTangents, EnergyBalance, Kkt, Passage, Projection, State, StepError, System, Work, velocity_correction,
+};
 use crate::vector::Vector;
 use inverse::{Inverse, combination};
 use tableau::{MOST, Tableau};
@@ -118,12 +119,14 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         &self,
         system: &S,
         settings: &Settings,
-        [q, v]: &mut [Vector<N>; 2],
+        q: &mut Vector<N>,
+        v: &mut Vector<N>,
     ) -> Result<(u32, S::Pose, S::Mass), StepError> {
         let mut ways = None;
         let along =
             |pose: &S::Pose, missing| combination(ways.get_or_insert_with(|| self.ways_back(system, settings, pose)), &missing);
-        let (iterations, pose) = settings.projection(system).position_along(system, q, along)?;
+        let projection = Projection::to_round_off(system.length_scale(), settings.regularization, settings.max_iterations);
+        let (iterations, pose) = projection.position_along(system, q, along)?;
         if let Some(ways) = &ways {
             *v += combination(ways, &-system.phi_q_times(&pose, v));
         }
@@ -221,21 +224,22 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let mut end = self.at::<MOST>();
-        let v_end = end[1];
+        let [mut q, mut v] = self.at::<MOST>();
         let judged = || if allowed.work.is_some() { self.work(system, const { &T::WORK_ERROR }) } else { Work::default() };
-        let error = allowed.mean_square(self.u[T::STAGES - 1], [&self.start[1], &v_end], judged).sqrt();
+        let error = allowed.mean_square(self.u[T::STAGES - 1], [&self.start[1], &v], judged).sqrt();
         if error.is_nan() || error > 1.0 {
             return (error, Err(StepError::NotFinite));
         }
         let mut land = || {
-            let (iterations, pose, mass) = if system.can_project(&end[0]) {
-                self.project(system, settings, &mut end)?
+            let (iterations, pose, mass) = if system.can_project(&q) {
+                self.project(system, settings, &mut q, &mut v)?
             } else {
-                settings.project(system, &mut end)?
+                settings.project(system, &mut q, &mut v)?
             };
-            let end = [end[0], with_energy(system, end, kept)?];
-            let arrival = Arrival::in_balance(system, end, &pose, &mass).finite()?;
+            if let Some((energy, h)) = &kept {
+                v = system.energy_scale(energy, &q, &v, *h)? * v;
+            }
+            let arrival = Arrival::in_balance(system, [q, v], &pose, &mass).finite()?;
             let work = if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
             Ok(Landing { iterations, arrival, work })
         };

@@ -41,10 +41,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return redone.sample(system, settings);
             }
         }
-        let (between, work) = self.interpolated(system.on(self.sides).borrow(), settings);
-        let mut on = between;
-        let projected = if self.straight { None } else { settings.project(system.on(self.sides).borrow(), &mut on).ok() };
-        let ([q, v], pose) = projected.map_or_else(|| (between, system.pose(&between[0])), |(_, pose, _)| (on, pose));
+        let ([q, v], work) = self.interpolated(system.on(self.sides).borrow(), settings);
+        let (mut on_q, mut on_v) = (q, v);
+        let projected =
+            if self.straight { None } else { settings.project(system.on(self.sides).borrow(), &mut on_q, &mut on_v).ok() };
+        let (q, v, pose) = projected.map_or_else(|| (q, v, system.pose(&q)), |(_, pose, _)| (on_q, on_v, pose));
         let modes = system.modes(&pose);
         Sample { q, v, pose, work, modes }
     }

@@ -285,12 +285,14 @@ impl Settings {
     pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        mut end: [Vector<N>; 2],
+        [mut q, mut v]: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
     ) -> Result<(u32, Arrival<N, M>), StepError> {
-        let (iterations, pose, mass) = self.project(system, &mut end)?;
-        let end = [end[0], with_energy(system, end, kept)?];
-        Ok((iterations, Arrival::in_balance(system, end, &pose, &mass).finite()?))
+        let (iterations, pose, mass) = self.project(system, &mut q, &mut v)?;
+        if let Some((energy, h)) = &kept {
+            v = system.energy_scale(energy, &q, &v, *h)? * v;
+        }
+        Ok((iterations, Arrival::in_balance(system, [q, v], &pose, &mass).finite()?))
     }
 
     /// The same without what holds there.
@@ -298,18 +300,14 @@ impl Settings {
     pub(super) fn project_without_balance<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        mut end: [Vector<N>; 2],
+        [mut q, mut v]: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
     ) -> Result<(u32, Arrival<N, M>), StepError> {
-        let (iterations, pose, _) = self.project(system, &mut end)?;
-        let end = [end[0], with_energy(system, end, kept)?];
-        Ok((iterations, Arrival::without_balance(system, end, &pose).finite()?))
-    }
-
-    /// How far a projection goes.
-    #[inline]
-    pub(super) fn projection<const N: usize, const M: usize>(&self, system: &impl System<N, M>) -> Projection {
-        Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations)
+        let (iterations, pose, _) = self.project(system, &mut q, &mut v)?;
+        if let Some((energy, h)) = &kept {
+            v = system.energy_scale(energy, &q, &v, *h)? * v;
+        }
+        Ok((iterations, Arrival::without_balance(system, [q, v], &pose).finite()?))
     }
 
     /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
@@ -318,14 +316,16 @@ impl Settings {
     pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        [q, v]: &mut [Vector<N>; 2],
+        q: &mut Vector<N>,
+        v: &mut Vector<N>,
     ) -> Result<(u32, S::Pose, S::Mass), StepError> {
         if !system.can_project(q) {
             let pose = system.pose(q);
             let mass = system.factor_mass(&pose, self.regularization);
             return Ok((0, pose, mass));
         }
-        let (iterations, pose) = self.projection(system).position_in_place(system, q)?;
+        let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
+        let (iterations, pose) = projection.position_in_place(system, q)?;
         let mass = system.factor_mass(&pose, self.regularization);
         *v += velocity_correction(system, &pose, &mass, v);
         if system.holds() {
@@ -333,15 +333,4 @@ impl Settings {
         }
         Ok((iterations, pose, mass))
     }
-}
-
-/// q̇ scaled to the energy that was there so many seconds before, where there is any to keep.
-#[inline]
-pub(super) fn with_energy<const N: usize>(
-    system: &impl Passage<N>,
-    [q, v]: [Vector<N>; 2],
-    kept: Option<(EnergyBalance, f64)>,
-) -> Result<Vector<N>, StepError> {
-    let Some((energy, h)) = &kept else { return Ok(v) };
-    Ok(system.energy_scale(energy, &q, &v, *h)? * v)
 }
