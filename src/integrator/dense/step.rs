@@ -24,6 +24,8 @@ const WITH_ROUNDING: f64 = 1.000_001;
 /// An interpolant whose rates differ from the derivatives of its coordinates by more than so many tolerances is none; those of good steps
 /// differ by 60 at most.
 const GREATEST_DEFECT: f64 = 1e3;
+/// A slow rate may be off by this part of what turns a force round: steps that jump over that never find the rest behind it.
+const TURN: f64 = 0.3;
 /// Round-off of a difference of coordinates, rad.
 const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
@@ -271,7 +273,12 @@ impl Settings {
     /// known.
     #[inline]
     pub(super) fn allowed_of<const N: usize>(&self, system: &impl Kinked<N>) -> Allowed {
-        Allowed { coordinate: self.error_tolerance, work: system.has_kinks().then_some(self.error_tolerance * self.energy_scale) }
+        let rate = RATE.min(TURN * system.turning_rate() / self.error_tolerance);
+        Allowed {
+            coordinate: self.error_tolerance,
+            rate,
+            work: system.has_kinks().then_some(self.error_tolerance * self.energy_scale),
+        }
     }
 
     /// The error is far below what the impact parameter could hide, at any tolerance.

@@ -71,6 +71,8 @@ pub(super) struct Landing<const N: usize, const M: usize> {
 pub(super) struct Allowed {
     /// Of a coordinate.
     pub(super) coordinate: f64,
+    /// Of a rate, in what a coordinate may be off: this and its own magnitude, 1/s.
+    pub(super) rate: f64,
     /// Of the work, J, where it is judged.
     pub(super) work: Option<f64>,
 }
@@ -89,7 +91,7 @@ impl Allowed {
     ) -> f64 {
         let mut sum = 0.0;
         for i in 0..N {
-            let rate = v[i] / (RATE + from[i].abs().max(to[i].abs()));
+            let rate = v[i] / (self.rate + from[i].abs().max(to[i].abs()));
             sum += q[i] * q[i] + rate * rate;
         }
         let mean = sum / (2.0 * N as f64 * self.coordinate * self.coordinate);
