@@ -54,14 +54,20 @@ impl<const N: usize> Vector<N> {
     /// Whether all elements are finite, and not so large that their sum is infinite.
     #[inline]
     pub fn is_finite(&self) -> bool {
+        self.sum().is_finite()
+    }
+
+    /// The sum of all elements.
+    #[inline]
+    pub fn sum(&self) -> f64 {
         let (pairs, single) = self.as_chunks::<2>();
         let [left, right] = pairs.iter().fold([0.0; 2], |[left, right], pair| [left + pair[0], right + pair[1]]);
-        single.iter().fold(left + right, |sum, x| sum + x).is_finite()
+        single.iter().fold(left + right, |sum, x| sum + x)
     }
 
     /// Element by element a function of this and another vector, pair by pair.
     #[inline]
-    fn with(&self, other: &Self, function: impl Fn(f64x2, f64x2) -> f64x2) -> Self {
+    pub fn with(&self, other: &Self, function: impl Fn(f64x2, f64x2) -> f64x2) -> Self {
         let mut result = Self::ZERO;
         let (pairs, single) = result.as_chunks_mut::<2>();
         for (i, pair) in pairs.iter_mut().enumerate() {

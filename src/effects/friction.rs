@@ -70,9 +70,9 @@ impl Friction {
         self.curves.iter().flatten()
     }
 
-    /// −T by the law, N·m.
-    fn drag_by_law(&self, curve: &Curve, at: &ForceContext) -> f64 {
-        let rate = at.joint_rate(curve.joint);
+    /// −T by the law at a joint's rate, N·m.
+    #[inline]
+    fn drag_by_law(&self, curve: &Curve, rate: f64, at: &ForceContext) -> f64 {
         match self.law {
             Law::Smooth => self.drag(curve, rate),
             Law::Stick => at.sides.grips.direction(curve.joint, rate) * self.sliding(curve, rate),
@@ -152,7 +152,7 @@ impl Force for Friction {
     #[inline(never)]
     fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
         for curve in self.curves() {
-            add_joint_torque(curve.joint, -self.drag_by_law(curve, at), forces);
+            add_joint_torque(curve.joint, -self.drag_by_law(curve, at.joint_rate(curve.joint), at), forces);
         }
     }
 
@@ -167,7 +167,8 @@ impl Force for Friction {
     fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
         let mut dissipated = 0.0;
         for curve in self.curves() {
-            let (rate, drag) = (at.joint_rate(curve.joint), self.drag_by_law(curve, at));
+            let rate = at.joint_rate(curve.joint);
+            let drag = self.drag_by_law(curve, rate, at);
             add_joint_torque(curve.joint, -drag, forces);
             dissipated += drag * rate;
         }
@@ -175,7 +176,11 @@ impl Force for Friction {
     }
 
     fn dissipation(&self, at: &ForceContext) -> f64 {
-        self.curves().map(|curve| self.drag_by_law(curve, at) * at.joint_rate(curve.joint)).sum()
+        let power = |curve: &Curve| {
+            let rate = at.joint_rate(curve.joint);
+            self.drag_by_law(curve, rate, at) * rate
+        };
+        self.curves().map(power).sum()
     }
 
     fn sticks(&self) -> bool {

@@ -25,10 +25,10 @@ pub(super) struct StepSizeController {
 }
 
 impl StepSizeController {
-    /// By how much the step may change after one that was accepted; `before` is ln of the error before it.
+    /// By how much the step may change after one that was accepted, by ln of its error and of that before it.
     #[inline]
-    pub(super) fn growth(&self, error: f64, before: f64) -> f64 {
-        let change = SAFETY * libm::exp(self.memory * before - self.exponent * libm::log(error));
+    pub(super) fn growth(&self, log_error: f64, before: f64) -> f64 {
+        let change = SAFETY * libm::exp(self.memory * before - self.exponent * log_error);
         change.clamp(self.accepted[0], self.accepted[1])
     }
 

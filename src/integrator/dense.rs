@@ -144,19 +144,28 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// One macro step of h seconds within the step under way; false, and nothing has changed, if that ends before.
+    /// Macro steps of h seconds within the step under way, up to so many: how many it has room for.
     #[inline]
-    pub fn advance_within(&mut self, h: f64) -> bool {
-        let (left, rounded) = (self.length - self.elapsed, ROUNDED * self.length);
-        // At its very end even the shortest macro step goes past it.
-        if left == 0.0 || h > left + rounded {
-            return false;
+    pub fn advance_within(&mut self, h: f64, most: u64) -> u64 {
+        let (length, rounded) = (self.length, ROUNDED * self.length);
+        let (mut elapsed, mut count) = (self.elapsed, 0);
+        while count < most {
+            let left = length - elapsed;
+            if h < left - rounded {
+                elapsed += h;
+            } else if left == 0.0 || h > left + rounded {
+                // At its very end even the shortest macro step goes past it.
+                break;
+            } else {
+                // A macro step that ends with the step but for round-off ends with it.
+                elapsed = length;
+            }
+            count += 1;
         }
-        // A macro step that ends with the step but for round-off ends with it.
-        self.elapsed = if h < left - rounded { self.elapsed + h } else { self.length };
-        self.start.counters.steps += 1;
-        self.end.counters.steps += 1;
-        true
+        self.elapsed = elapsed;
+        self.start.counters.steps += count;
+        self.end.counters.steps += count;
+        count
     }
 
     /// One macro step of h seconds. On failure the run is undefined: the caller keeps a copy.
@@ -171,7 +180,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let mut rest = h;
         let done = self.work();
         loop {
-            if self.advance_within(rest) {
+            if self.advance_within(rest, 1) == 1 {
                 return Ok(());
             }
             self.check_work(settings, done)?;

@@ -121,7 +121,7 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
                     continue;
                 }
                 let last = h >= rest;
-                state.substep = next_step(h, CONTROLLER.growth(error / tolerance, LEAST_LOG_ERROR), state.substep);
+                state.substep = next_step(h, CONTROLLER.growth(libm::log(error / tolerance), LEAST_LOG_ERROR), state.substep);
                 attempt.accept(system, state, h);
                 if outcome == Outcome::Turns {
                     events::turn(system, settings, state, sides);

@@ -67,7 +67,7 @@ pub struct StepLimits {
 
 impl StepLimits {
     /// Far from every vertex.
-    pub(super) const NONE: Self = Self { longest: f64::INFINITY, round_off: 0.0, regularization: 1.0, energy: None };
+    pub const NONE: Self = Self { longest: f64::INFINITY, round_off: 0.0, regularization: 1.0, energy: None };
 }
 
 /// The energy before a step, and how it changes.

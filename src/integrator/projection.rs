@@ -33,17 +33,18 @@ impl Projection {
         system: &S,
         q: &mut Vector<N>,
     ) -> Result<(u32, S::Pose), StepError> {
-        self.position_in_place(system, q)
+        self.position_from(system, system.pose(q), q)
     }
 
-    /// The same compiled into its caller.
+    /// The same from the pose at q, compiled into its caller.
     #[inline(always)]
-    pub(super) fn position_in_place<const N: usize, const M: usize, S: System<N, M>>(
+    pub(super) fn position_from<const N: usize, const M: usize, S: System<N, M>>(
         &self,
         system: &S,
+        pose: S::Pose,
         q: &mut Vector<N>,
     ) -> Result<(u32, S::Pose), StepError> {
-        self.position_along(system, q, |pose, missing| system.factor_mass(pose, self.regularization).correction(&missing))
+        self.position_along(system, pose, q, |pose, missing| system.factor_mass(pose, self.regularization).correction(&missing))
     }
 
     /// The same along other ways than the shortest: by what q is corrected for what Φ lacks at a pose.
@@ -51,12 +52,12 @@ impl Projection {
     pub(super) fn position_along<const N: usize, const M: usize, S: System<N, M>>(
         &self,
         system: &S,
+        mut pose: S::Pose,
         q: &mut Vector<N>,
         mut correction: impl FnMut(&S::Pose, Vector<M>) -> Vector<N>,
     ) -> Result<(u32, S::Pose), StepError> {
         let (mut violation, mut last) = (f64::INFINITY, 0.0);
         for iteration in 0..=self.max_iterations {
-            let pose = system.pose_in_place(q);
             let phi = system.phi(q, &pose);
             let previous = violation;
             violation = phi.max_norm();
@@ -66,7 +67,9 @@ impl Projection {
             }
             let correction = correction(&pose, -phi);
             last = correction.max_norm();
-            *q += correction;
+            let corrected = *q + correction;
+            pose = system.pose_turned(&pose, &(corrected - *q), &corrected);
+            *q = corrected;
         }
         Err(StepError::NotConverged { iterations: self.max_iterations, violation, tolerance: self.tolerance, correction: last })
     }

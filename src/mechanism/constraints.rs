@@ -14,7 +14,7 @@
 use nalgebra::SMatrix;
 
 use super::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, THETA, TIP_X, TIP_Y, legs_of, set_legs};
-use super::legs::{Legs, Legs2, SIGMA, both, sin_cos, sum};
+use super::legs::{Legs, Legs2, SIGMA, are_small, both, sin_cos, sum, turned_by};
 use super::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers};
 
 /// The directions of the links at one q, and the arms from the centres of mass to the joints.
@@ -56,6 +56,16 @@ pub fn largest(values: &Multipliers) -> f64 {
     values.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()))
 }
 
+/// The directions of the proximal and the distal links. Out of line, for what is rare.
+#[cold]
+#[inline(never)]
+fn directions(angles: [Legs; 2]) -> [Legs2; 2] {
+    angles.map(|angle| {
+        let (sin, cos) = sin_cos(angle);
+        Legs2 { x: cos, y: sin }
+    })
+}
+
 impl Mechanism {
     /// Directions and arms at q.
     pub fn pose(&self, q: &Coordinates) -> Pose {
@@ -74,6 +84,12 @@ impl Mechanism {
         let (sin_p, cos_p) = sin_cos(proximal);
         let (sin_d, cos_d) = sin_cos(distal);
         self.pose_along([Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d }])
+    }
+
+    /// The pose at angles to which the links have turned from another pose: small turns cost half as much as angles.
+    #[inline(always)]
+    pub(crate) fn pose_turned(&self, from: &Pose, by: [Legs; 2], angles: [Legs; 2]) -> Pose {
+        self.pose_along(if are_small(by) { [turned_by(from.u_p, by[0]), turned_by(from.u_d, by[1])] } else { directions(angles) })
     }
 
     /// The same from the directions of the proximal and the distal links.

@@ -56,9 +56,13 @@ pub fn tanh(x: Legs) -> Legs {
     tanh_of(power, less_one) ^ sign
 }
 
-/// exp(−bell²) within 3 ulp and its argument's rounding, and tanh(turn) within 4 ulp, side by side.
+/// exp(−bell²) within 3 ulp and its argument's rounding, and tanh(turn) within 4 ulp, side by side. Where both are at their ends, as where
+/// a joint turns fast, nothing is computed.
 #[inline]
 pub fn bell_and_tanh(bell: f64, turn: f64) -> [f64; 2] {
+    if -bell * bell < LEAST && 2.0 * turn.abs() > GREATEST {
+        return [0.0, 1.0_f64.copysign(turn)];
+    }
     let (power, less_one) = split(Legs::new([(-bell * bell).max(LEAST), (2.0 * turn.abs()).min(GREATEST)]));
     let exponential = (power + power * less_one).to_array()[0];
     [exponential, tanh_of(power, less_one).to_array()[1].copysign(turn)]

@@ -109,6 +109,8 @@ pub struct Mechanism {
     pub(crate) a_d: Legs,
     /// Centre of mass of the distal link to the tip, with the sign of the leg in the tip's closure, m.
     pub(crate) sigma_b_d: Legs,
+    /// Lengths of the proximal and the distal links with the sign of the leg in the tip's closure, m.
+    pub(crate) sigma_length: [Legs; 2],
     /// Masses, kg, and inertias about the centres of mass, kg·m²: the diagonal of M.
     pub(crate) mass_p: Legs,
     pub(crate) mass_d: Legs,
@@ -130,6 +132,7 @@ impl Mechanism {
             b_p: proximal(|link| link.length - link.com),
             a_d: distal(|link| link.com),
             sigma_b_d: SIGMA * distal(|link| link.length - link.com),
+            sigma_length: [SIGMA * proximal(|link| link.length), SIGMA * distal(|link| link.length)],
             mass_p: proximal(|link| link.mass),
             mass_d: distal(|link| link.mass),
             inertia_p: proximal(|link| link.inertia),

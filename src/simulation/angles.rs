@@ -16,15 +16,15 @@ mod factor;
 mod placing;
 
 use super::five_bar::FiveBar;
-use super::inertia::{Inertia, proximal_arm};
+use super::inertia::Inertia;
 use super::model::Model;
 use crate::integrator::{AccelerationTangents, Held, Kkt, Passage, State, System, Work};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
-use crate::mechanism::legs::{Legs2, SIGMA, both, sum};
+use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::vertex::{self, Branch};
 use crate::mechanism::{ARM, Coordinates, Mechanism, Multipliers, Parallels, Pose, Terms};
 use crate::vector::Vector;
-use factor::{Factor, end_velocity};
+use factor::{Factor, at_tip};
 
 /// Number of angles.
 pub const ANGLES: usize = 4;
@@ -60,8 +60,10 @@ pub struct ByAngles<'a> {
     only_weight: bool,
     /// The branch of the closure that the motion stays on, where there are several.
     parallels: Option<Parallels>,
-    /// Its Φ_q.
-    terms: &'a Terms,
+    /// The lengths of the links in Φ_q, with the signs of the legs, m; 0 on a branch.
+    sigma_length: [Legs; 2],
+    /// What the branch adds to Φ_q; 0 on none.
+    constant: &'a [Legs2; 2],
 }
 
 impl<'a> ByAngles<'a> {
@@ -71,8 +73,9 @@ impl<'a> ByAngles<'a> {
         let FiveBar { model, inputs, sides, .. } = five_bar;
         let only_weight = model.effects.is_empty() && !inputs.load();
         let mechanism = &model.mechanism;
-        let terms = sides.parallels.map_or(Terms::OPEN, Parallels::terms);
-        Self { five_bar, mechanism, inertia: &model.inertia, only_weight, parallels: sides.parallels, terms }
+        let Terms { open, constant } = sides.parallels.map_or(Terms::OPEN, Parallels::terms);
+        let sigma_length = mechanism.sigma_length.map(|length| *open * length);
+        Self { five_bar, mechanism, inertia: &model.inertia, only_weight, parallels: sides.parallels, sigma_length, constant }
     }
 
     /// The same in its twelve coordinates.
@@ -93,10 +96,15 @@ impl<'a> ByAngles<'a> {
     /// Φ_q of the closure, or of the branch of it that the motion stays on.
     #[inline(always)]
     pub(super) fn phi_q(&self, pose: &Pose) -> [Legs2; 2] {
-        let [p, d] = phi_q(pose);
-        let Terms { open, constant: [on_p, on_d] } = *self.terms;
-        let sum = |n: Legs2, on: Legs2| Legs2 { x: open * n.x + on.x, y: open * n.y + on.y };
-        [sum(p, on_p), sum(d, on_d)]
+        let ([p, d], [on_p, on_d]) = (self.links(pose), self.constant);
+        [Legs2 { x: on_p.x - p.y, y: on_p.y + p.x }, Legs2 { x: on_d.x - d.y, y: on_d.y + d.x }]
+    }
+
+    /// The links from end to end with the signs of the legs in the closure, unless the motion stays on a branch of it: 0 then.
+    #[inline(always)]
+    fn links(&self, pose: &Pose) -> [Legs2; 2] {
+        let [p, d] = self.sigma_length;
+        [pose.u_p.scaled(p), pose.u_d.scaled(d)]
     }
 
     /// How far angles are off it, m.
@@ -179,13 +187,6 @@ impl<'a> ByAngles<'a> {
     }
 }
 
-/// Φ_q: how the end of each leg moves with its proximal and its distal angle, with the leg's sign.
-#[inline]
-fn phi_q(pose: &Pose) -> [Legs2; 2] {
-    let distal = Legs2 { x: SIGMA * pose.a_d.x + pose.sigma_b_d.x, y: SIGMA * pose.a_d.y + pose.sigma_b_d.y };
-    [proximal_arm(pose).scaled(SIGMA).turned(), distal.turned()]
-}
-
 impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     type Pose = Pose;
     type Mass = Factor;
@@ -199,30 +200,34 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         self.mechanism.pose_in_place([legs_of(q, PROXIMAL), legs_of(q, DISTAL)])
     }
 
+    #[inline(always)]
+    fn pose_turned(&self, from: &Pose, by: &Angles, q: &Angles) -> Pose {
+        let legs = |x: &Angles| [legs_of(x, PROXIMAL), legs_of(x, DISTAL)];
+        self.mechanism.pose_turned(from, legs(by), legs(q))
+    }
+
     #[inline]
     fn phi(&self, q: &Angles, pose: &Pose) -> Vector<CLOSURES> {
         if let Some(parallels) = self.parallels {
             return self.off_branch(parallels, *q);
         }
-        let (l, a) = (proximal_arm(pose), pose.a_d);
-        let x = SIGMA * (self.mechanism.ground_x + l.x + a.x) + pose.sigma_b_d.x;
-        let y = SIGMA * (l.y + a.y) + pose.sigma_b_d.y;
-        [sum(x), sum(y)].into()
+        let [p, d] = self.links(pose);
+        [sum(SIGMA * self.mechanism.ground_x + p.x + d.x), sum(p.y + d.y)].into()
     }
 
     #[inline]
     fn phi_q_times(&self, pose: &Pose, v: &Angles) -> Vector<CLOSURES> {
-        end_velocity(&self.phi_q(pose), v)
+        at_tip(&self.phi_q(pose), v)
     }
 
     #[inline]
     fn phi_q_dot_times(&self, pose: &Pose, v: &Angles) -> Vector<CLOSURES> {
-        // n̂ turned on: −l ω², and Φ_q is turned already.
-        let [p, d] = phi_q(pose).map(Legs2::turned);
+        // n̂ turned on: −l ω².
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
-        let (w_p, w_d) = (w_p * w_p, w_d * w_d);
-        let (w_p, w_d) = (self.terms.open * w_p, self.terms.open * w_d);
-        [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)].into()
+        let mut squares = Angles::ZERO;
+        set_legs(&mut squares, PROXIMAL, w_p * w_p);
+        set_legs(&mut squares, DISTAL, w_d * w_d);
+        -at_tip(&self.links(pose), &squares)
     }
 
     #[inline]
@@ -238,7 +243,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     #[inline(always)]
     fn forces_and_power(&self, q: &Angles, pose: &Pose, v: &Angles) -> (Angles, Work) {
         if self.only_weight {
-            return (self.in_angles(&self.five_bar.model.weight, pose, v), Work::default());
+            return (self.weight_in_angles(pose, v), Work::default());
         }
         let (applied, power) = self.acting(*q, *pose, *v);
         (self.in_angles(&applied, pose, v), power)

@@ -145,7 +145,7 @@ impl Held<'_> {
         steps: MacroSteps,
     ) -> Result<(), StepFailure> {
         // A call that ends inside the step under way, as most do, costs no copy.
-        if steps.count == 1 && self.inputs == inputs && self.run.step.advance_within(steps.h) {
+        if steps.count == 1 && self.inputs == inputs && self.run.step.advance_within(steps.h, 1) == 1 {
             self.run.held[1] += 1;
             return Ok(());
         }
@@ -162,17 +162,22 @@ impl Held<'_> {
             run.resume(model, settings, (inputs, turns), Work::default());
         }
         **held = *inputs;
-        for step in 0..steps.count {
-            if !run.step.advance_within(steps.h) {
-                // Before a new step begins, so that each is made from the angles that it has.
-                unwind(&mut run.step, turns);
-                let horizon = run.horizon(steps, steps.count - step);
-                let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
-                run.step.advance(&system, settings, steps.h, horizon).map_err(|cause| steps.failure(step, cause))?;
+        let mut step = 0;
+        loop {
+            let within = run.step.advance_within(steps.h, steps.count - step);
+            run.held[1] += within;
+            step += within;
+            if step == steps.count {
+                return Ok(());
             }
+            // Before a new step begins, so that each is made from the angles that it has.
+            unwind(&mut run.step, turns);
+            let horizon = run.horizon(steps, steps.count - step);
+            let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
+            run.step.advance(&system, settings, steps.h, horizon).map_err(|cause| steps.failure(step, cause))?;
             run.held[1] += 1;
+            step += 1;
         }
-        Ok(())
     }
 }
 

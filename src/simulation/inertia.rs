@@ -2,7 +2,7 @@
 
 use super::angles::{Angles, DISTAL, PROXIMAL};
 use crate::mechanism::coordinates::{legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2};
+use crate::mechanism::legs::{Legs, Legs2, both};
 use crate::mechanism::{Mechanism, Pose};
 
 /// Motor axis to elbow.
@@ -20,12 +20,6 @@ pub(super) struct Mass {
 }
 
 impl Mass {
-    /// Each leg times a number of its own.
-    #[inline]
-    pub(super) fn scaled(&self, factor: Legs) -> Self {
-        Self { proximal: self.proximal * factor, distal: self.distal * factor, coupling: self.coupling * factor }
-    }
-
     #[inline]
     pub(super) fn times(&self, x: &Angles) -> Angles {
         let (p, d) = (legs_of(x, PROXIMAL), legs_of(x, DISTAL));
@@ -43,7 +37,7 @@ pub(super) struct Inertia {
     proximal: Legs,
     /// I_D + m_D a_D².
     distal: Legs,
-    /// m_D.
+    /// m_D l_P a_D: times the cosine and the sine of the angle between the links.
     carried: Legs,
     /// The determinant of M where the leg is stretched, a sum of positive terms; l_P × a_D adds its square times m_D².
     stretched: Legs,
@@ -55,21 +49,26 @@ impl Inertia {
         let &Mechanism { mass_p, mass_d, inertia_p, inertia_d, a_p, b_p, a_d, .. } = mechanism;
         let (own, swung) = (inertia_p + mass_p * a_p * a_p, mass_d * (a_p + b_p) * (a_p + b_p));
         let distal = inertia_d + mass_d * a_d * a_d;
-        Self { proximal: own + swung, distal, carried: mass_d, stretched: own * distal + swung * inertia_d }
+        Self { proximal: own + swung, distal, carried: mass_d * (a_p + b_p) * a_d, stretched: own * distal + swung * inertia_d }
     }
 
     #[inline]
     pub(super) fn mass(&self, pose: &Pose) -> Mass {
-        Mass { proximal: self.proximal, distal: self.distal, coupling: self.carried * proximal_arm(pose).dot(pose.a_d) }
+        Mass { proximal: self.proximal, distal: self.distal, coupling: self.carried * pose.u_p.dot(pose.u_d) }
     }
 
-    /// The adjugate of M, constant but for its coupling, and the determinant, in which nothing cancels with links of little inertia:
-    /// M⁻¹ is the one over the other.
+    /// m_D l_P × a_D: by what the square of one rate drives the other link.
     #[inline]
-    pub(super) fn adjugate(&self, pose: &Pose) -> (Mass, Legs) {
-        let (l, a) = (proximal_arm(pose), pose.a_d);
-        let across = self.carried * (l.x * a.y - l.y * a.x);
+    pub(super) fn centripetal(&self, pose: &Pose) -> Legs {
+        self.carried * pose.u_p.cross(pose.u_d)
+    }
+
+    /// M⁻¹: its adjugate over its determinant, in which nothing cancels with links of little inertia.
+    #[inline]
+    pub(super) fn inverse(&self, pose: &Pose) -> Mass {
+        let across = self.centripetal(pose);
+        let reciprocal = both(1.0) / (self.stretched + across * across);
         let coupling = self.mass(pose).coupling;
-        (Mass { proximal: self.distal, distal: self.proximal, coupling: -coupling }, self.stretched + across * across)
+        Mass { proximal: self.distal * reciprocal, distal: self.proximal * reciprocal, coupling: -coupling * reciprocal }
     }
 }

@@ -192,7 +192,7 @@ impl ByAngles<'_> {
             return limited(f64::INFINITY);
         }
         let ray = Ray { vertex: *from.q - offset, aside, direction, position, speed, acceleration, duration };
-        self.transit(from, &ray, rest).map_or(Approach::Clear, Approach::Passed)
+        self.transit(from, &ray, rest).map_or(Approach::Limited(StepLimits::NONE), Approach::Passed)
     }
 
     /// From rest in a vertex: along the branch of least constraint, or not at all.

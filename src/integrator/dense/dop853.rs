@@ -4,7 +4,7 @@
 
 mod tableau;
 
-use super::trial::{Allowed, Landing, Slope, Trial, extremes_of, for_each, rate_between};
+use super::trial::{Allowed, Landing, Origin, Slope, Trial, extremes_of, for_each, rate_between};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
@@ -18,10 +18,8 @@ pub(super) struct Stages<const N: usize> {
     v: Vector<N>,
     /// The step, s.
     h: f64,
-    /// Where the last stage is evaluated: at the end of the step as well, but of lower order.
+    /// How far from the beginning the last stage is evaluated: at the end of the step as well, but of lower order.
     last: Vector<N>,
-    /// q and q̇ at the end of the step, of order 8.
-    end: [Vector<N>; 2],
 }
 
 impl<const N: usize> Stages<N> {
@@ -46,6 +44,23 @@ impl<const N: usize> Stages<N> {
         [self.sum::<ROW>(|slope| slope.q), self.sum::<ROW>(|slope| slope.v)]
     }
 
+    /// What the sums of one row are more than those of another: less, where rows have most in common.
+    #[inline(always)]
+    fn sums_beside<const ROW: usize, const OTHER: usize>(&self) -> [Vector<N>; 2] {
+        let mut sums = [Vector::ZERO; 2];
+        macro_rules! add {
+            ($stage:literal) => {
+                if const { COEFFICIENTS[ROW][$stage] != COEFFICIENTS[OTHER][$stage] } {
+                    let difference = const { COEFFICIENTS[ROW][$stage] - COEFFICIENTS[OTHER][$stage] };
+                    sums[0] += difference * self.slopes[$stage].q;
+                    sums[1] += difference * self.slopes[$stage].v;
+                }
+            };
+        }
+        for_each!(add: 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
+        sums
+    }
+
     /// The same over the power.
     #[inline(always)]
     fn power<const ROW: usize>(&self) -> Work {
@@ -61,22 +76,35 @@ impl<const N: usize> Stages<N> {
         power
     }
 
-    /// q and q̇ at the place of a row.
+    /// How far q and q̇ at the place of a row are from the beginning.
     #[inline(always)]
-    fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
-        [self.place::<ROW>(), self.rate::<ROW>()]
+    fn way<const ROW: usize>(&self) -> [Vector<N>; 2] {
+        self.sums::<ROW>().map(|sum| self.h * sum)
     }
 
-    /// q there: what the accelerations of the stage before are does not matter.
-    #[inline(always)]
-    fn place<const ROW: usize>(&self) -> Vector<N> {
-        self.q + self.h * self.sum::<ROW>(|slope| slope.q)
+    /// Evaluates the stages of the step, in place: what a function returns is copied.
+    #[inline(never)]
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Pose, N>) {
+        macro_rules! evaluate {
+            ($stage:literal) => {
+                self.last = self.evaluate::<$stage, M, _>(system, regularization, origin);
+            };
+        }
+        for_each!(evaluate: 1 2 3 4 5 6 7 8 9 10 11);
     }
 
-    /// q̇ there.
+    /// Evaluates the stage of a row: how far its q is from the beginning.
     #[inline(always)]
-    fn rate<const ROW: usize>(&self) -> Vector<N> {
-        self.v + self.h * self.sum::<ROW>(|slope| slope.v)
+    fn evaluate<const ROW: usize, const M: usize, S: System<N, M>>(
+        &mut self,
+        system: &S,
+        regularization: f64,
+        origin: &Origin<S::Pose, N>,
+    ) -> Vector<N> {
+        let [q, v] = self.way::<ROW>();
+        self.slopes[ROW].q = self.v + v;
+        self.slopes[ROW].complete(system, regularization, origin, &q);
+        q
     }
 
     /// Mean power over the step, of order 8.
@@ -87,10 +115,11 @@ impl<const N: usize> Stages<N> {
     /// Estimated error in units of what is allowed: of the coordinates, of their rates (10/s + |q̇| times that) and of the work; root of
     /// the mean square. The estimate of order 5 is damped by that of order 3 (Hairer, Nørsett, Wanner, section II.5, eq. 5.17).
     #[inline(always)]
-    fn error(&self, allowed: &Allowed, v_end: &Vector<N>) -> f64 {
+    fn error(&self, allowed: &Allowed, mean: &[Vector<N>; 2], v_end: &Vector<N>) -> f64 {
         let rates = [&self.v, v_end];
         let fifth = allowed.mean_square(self.sums::<AT_ERROR_5>(), rates, || self.power::<AT_ERROR_5>());
-        let third = allowed.mean_square(self.sums::<AT_ERROR_3>(), rates, || self.power::<AT_ERROR_3>());
+        let beside = self.sums_beside::<AT_ERROR_3, END>();
+        let third = allowed.mean_square([mean[0] + beside[0], mean[1] + beside[1]], rates, || self.power::<AT_ERROR_3>());
         let damped = fifth + 0.01 * third;
         // Both are 0 where nothing moves.
         if damped == 0.0 { 0.0 } else { self.h * fifth / damped.sqrt() }
@@ -120,20 +149,11 @@ impl<const N: usize> Trial<N> for Stages<N> {
         Some(())
     }
 
-    #[inline(never)]
-    fn new<const M: usize>(system: &impl System<N, M>, (): &(), regularization: f64, from: &State<N, M>, h: f64) -> Self {
-        let mut stages = Self { slopes: [Slope::NONE; ALL], q: from.q, v: from.v, h, last: from.q, end: [from.q, from.v] };
-        stages.slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
-        macro_rules! evaluate {
-            ($stage:literal) => {
-                let [q, v] = stages.at::<$stage>();
-                stages.slopes[$stage] = Slope::at(system, regularization, &q, &v);
-                stages.last = q;
-            };
-        }
-        for_each!(evaluate: 1 2 3 4 5 6 7 8 9 10 11);
-        stages.end = stages.at::<END>();
-        stages
+    #[inline(always)]
+    fn new<const M: usize>(_: &impl System<N, M>, (): &(), _: f64, from: &State<N, M>, h: f64) -> Self {
+        let mut slopes = [Slope::NONE; ALL];
+        slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
+        Self { slopes, q: from.q, v: from.v, h, last: Vector::ZERO }
     }
 
     #[inline(always)]
@@ -144,9 +164,16 @@ impl<const N: usize> Trial<N> for Stages<N> {
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let end = self.end;
-        let error = self.error(allowed, &end[1]);
-        let arrival = if error <= 1.0 { settings.project_and_evaluate(system, end, kept) } else { Err(StepError::NotFinite) };
+        let origin = Origin::new(system, &self.q);
+        self.evaluate_all(system, settings.regularization, &origin);
+        let mean = self.sums::<END>();
+        let end = [self.q + self.h * mean[0], self.v + self.h * mean[1]];
+        let error = self.error(allowed, &mean, &end[1]);
+        let arrival = if error <= 1.0 {
+            settings.project_and_evaluate(system, system.pose_turned(&origin.pose, &(end[0] - self.q), &end[0]), end, kept)
+        } else {
+            Err(StepError::NotFinite)
+        };
         let land = |(iterations, arrival)| {
             let work = if system.follows_work() { Work::default().plus(self.h, self.mean_power()) } else { Work::default() };
             Landing { iterations, arrival, work }
@@ -161,7 +188,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
     /// By the difference between the last stage and the end of the step, which stand at the same time.
     fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64 {
         let last = &self.slopes[STAGES - 1];
-        rate_between([end.q - self.last, end.v - last.q, end.a - last.v])
+        rate_between([end.q - self.q - self.last, end.v - last.q, end.a - last.v])
     }
 
     /// Three more stages, after the derivatives at the end of the step.
@@ -173,10 +200,10 @@ impl<const N: usize> Trial<N> for Stages<N> {
         [_, end]: [&State<N, M>; 2],
     ) -> [Slope<N>; 4] {
         self.slopes[END] = Slope { q: end.v, v: end.a, power: end.power };
+        let origin = Origin::new(system, &self.q);
         macro_rules! evaluate {
             ($stage:literal) => {
-                let [q, v] = self.at::<$stage>();
-                self.slopes[$stage] = Slope::at(system, regularization, &q, &v);
+                self.evaluate::<$stage, M, _>(system, regularization, &origin);
             };
         }
         for_each!(evaluate: 13 14 15);

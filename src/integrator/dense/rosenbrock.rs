@@ -19,7 +19,7 @@ mod tableau;
 use std::marker::PhantomData;
 
 use super::hermite::{self, Knowing};
-use super::trial::{Allowed, Landing, Slope, Trial, for_each, larger};
+use super::trial::{Allowed, Landing, Origin, Slope, Trial, for_each, larger};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::state::Arrival;
@@ -126,7 +126,7 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         let along =
             |pose: &S::Pose, missing| combination(ways.get_or_insert_with(|| self.ways_back(system, settings, pose)), &missing);
         let projection = Projection::to_round_off(system.length_scale(), settings.regularization, settings.max_iterations);
-        let (iterations, pose) = projection.position_along(system, q, along)?;
+        let (iterations, pose) = projection.position_along(system, system.pose(q), q, along)?;
         if let Some(ways) = &ways {
             *v += combination(ways, &-system.phi_q_times(&pose, v));
         }
@@ -200,12 +200,14 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             tableau: PhantomData,
         };
         step.u[0] = step.solve(tangents, [from.v, from.a]);
+        let origin = Origin::new(system, &from.q);
         let per_step = 1.0 / h;
         macro_rules! evaluate {
             ($stage:literal) => {
                 if const { $stage < T::STAGES } {
                     let [q, v] = step.at::<$stage>();
-                    let slope = Slope::at(system, regularization, &q, &v);
+                    let mut slope = Slope { q: v, ..Slope::NONE };
+                    slope.complete(system, regularization, &origin, &(q - from.q));
                     let [before_q, before_v] = step.before::<$stage>();
                     step.u[$stage] = step.solve(tangents, [v + per_step * before_q, slope.v + per_step * before_v]);
                     step.power[$stage] = slope.power;

@@ -53,10 +53,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         horizon: Horizon,
     ) -> Result<(), StepError> {
         self.begin(system, settings);
-        let near = system.is_near_vertex(&self.start.q);
-        let longest = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
-            Approach::Clear => horizon.limit,
-            Approach::Limited(limits) => horizon.limit.min(limits.longest),
+        let (longest, near) = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
+            Approach::Clear => (horizon.limit, false),
+            Approach::Limited(limits) => (horizon.limit.min(limits.longest), true),
             Approach::Passed(transit) => {
                 self.end.pass_through(system, &transit, settings.regularization)?;
                 (self.length, self.straight) = (transit.duration, true);
@@ -79,7 +78,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         };
         let h = wanted.min(longest).min(LONGEST);
         self.settle(system, settings);
-        if system.on(self.sides).borrow().is_at_rest() {
+        if system.has_grips() && system.on(self.sides).borrow().is_at_rest() {
             self.length = longest.min(LONGEST);
             self.end = self.start;
             self.end.counters.substeps += 1;
@@ -251,14 +250,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The step to come, from the error of this one.
     #[inline]
     fn adapt<T: Trial<N>>(&mut self, error: f64, wanted: f64, rejected: bool) {
-        let growth = T::CONTROLLER.growth(error, self.memory.log_error);
+        let log_error = libm::log(error);
+        let growth = T::CONTROLLER.growth(log_error, self.memory.log_error);
         let growth = if rejected { growth.min(1.0) } else { growth };
         // A step that was rejected is as long as its error allows, not cut short.
         let wanted = if rejected { self.length } else { wanted };
         let next = next_step(self.length, growth, wanted);
         *(if T::KIND == Kind::Fifth { &mut self.memory.choice.fifth } else { &mut self.end.substep }) = next;
         if !is_cut_short(self.length, wanted) {
-            self.memory.log_error = libm::log(error).max(LEAST_LOG_ERROR);
+            self.memory.log_error = log_error.max(LEAST_LOG_ERROR);
         }
     }
 
@@ -286,16 +286,17 @@ impl Settings {
         PassageLimits { radius: 1e-4, impact_parameter: 1e-7, longest_with_dissipation: self.first_step }
     }
 
-    /// Puts the end of a step onto the constraints: the iterations spent, and what holds there. The energy that was at its beginning, so
-    /// many seconds before, is kept where there is any.
-    #[inline]
+    /// Puts the end of a step, with its pose, onto the constraints: the iterations spent, and what holds there. The energy that was at its
+    /// beginning, so many seconds before, is kept where there is any.
+    #[inline(never)]
     pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
+        pose: S::Pose,
         [mut q, mut v]: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
     ) -> Result<(u32, Arrival<N, M>), StepError> {
-        let (iterations, pose, mass) = self.project(system, &mut q, &mut v)?;
+        let (iterations, pose, mass) = self.project_in_place(system, pose, &mut q, &mut v)?;
         if let Some((energy, h)) = &kept {
             v = system.energy_scale(energy, &q, &v, *h)? * v;
         }
@@ -319,20 +320,31 @@ impl Settings {
 
     /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
     /// spent, with pose and mass factor.
-    #[inline]
+    #[inline(never)]
     pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
         q: &mut Vector<N>,
         v: &mut Vector<N>,
     ) -> Result<(u32, S::Pose, S::Mass), StepError> {
+        self.project_in_place(system, system.pose(q), q, v)
+    }
+
+    /// The same from the pose at q, compiled into its caller.
+    #[inline(always)]
+    fn project_in_place<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        pose: S::Pose,
+        q: &mut Vector<N>,
+        v: &mut Vector<N>,
+    ) -> Result<(u32, S::Pose, S::Mass), StepError> {
         if !system.can_project(q) {
-            let pose = system.pose(q);
             let mass = system.factor_mass(&pose, self.regularization);
             return Ok((0, pose, mass));
         }
         let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
-        let (iterations, pose) = projection.position_in_place(system, q)?;
+        let (iterations, pose) = projection.position_from(system, pose, q)?;
         let mass = system.factor_mass(&pose, self.regularization);
         *v += velocity_correction(system, &pose, &mass, v);
         if system.holds() {

@@ -8,6 +8,7 @@ use crate::integrator::equilibrium::equilibrium_under;
 use crate::integrator::state::Arrival;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
+use wide::f64x2;
 
 /// Does something for each stage, without a loop at run time: stages and their coefficients are constants.
 macro_rules! for_each {
@@ -29,7 +30,7 @@ pub(super) trait Trial<const N: usize>: Sized {
     /// What tries from a state share; `None` where steps of this kind cannot begin.
     fn prepare<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Self::Shared>;
 
-    /// A step of h seconds.
+    /// A step of h seconds, to be made by [`land`](Self::land) at the latest.
     fn new<const M: usize>(
         system: &impl System<N, M>,
         shared: &Self::Shared,
@@ -89,12 +90,10 @@ impl Allowed {
         [from, to]: [&Vector<N>; 2],
         work: impl FnOnce() -> Work,
     ) -> f64 {
-        let mut sum = 0.0;
-        for i in 0..N {
-            let rate = v[i] / (self.rate + from[i].abs().max(to[i].abs()));
-            sum += q[i] * q[i] + rate * rate;
-        }
-        let mean = sum / (2.0 * N as f64 * self.coordinate * self.coordinate);
+        let units = from.with(to, |from, to| f64x2::splat(1.0) / (f64x2::splat(self.rate) + from.abs().fast_max(to.abs())));
+        let rates = v.with(&units, |v, unit| v * unit);
+        let squares = q.with(&rates, |q, rate| q * q + rate * rate);
+        let mean = squares.sum() / (2.0 * N as f64 * self.coordinate * self.coordinate);
         let Some(allowed) = self.work else { return mean };
         let Work { input, dissipated } = work();
         mean + (input * input + dissipated * dissipated) / (allowed * allowed)
@@ -112,13 +111,33 @@ pub(super) struct Slope<const N: usize> {
 impl<const N: usize> Slope<N> {
     pub(super) const NONE: Self = Self { q: Vector::ZERO, v: Vector::ZERO, power: Work { input: 0.0, dissipated: 0.0 } };
 
-    /// At a place. One piece of code for all stages: written out for each of them it would not fit into what a processor keeps decoded.
+    /// Completes that of q̇ at a distance from an origin. One piece of code for all stages: written out for each of them it would not fit
+    /// into what a processor keeps decoded.
     #[inline(never)]
-    pub(super) fn at<const M: usize, S: System<N, M>>(system: &S, regularization: f64, q: &Vector<N>, v: &Vector<N>) -> Self {
-        let pose = system.pose_in_place(q);
-        let (forces, power) = system.forces_and_power(q, &pose, v);
-        let (a, _) = equilibrium_under(system, &forces, (q, &pose, v), &system.factor_mass(&pose, regularization));
-        Self { q: *v, v: a, power }
+    pub(super) fn complete<const M: usize, S: System<N, M>>(
+        &mut self,
+        system: &S,
+        regularization: f64,
+        origin: &Origin<S::Pose, N>,
+        by: &Vector<N>,
+    ) {
+        let (q, v) = (origin.q + *by, self.q);
+        let pose = system.pose_turned(&origin.pose, by, &q);
+        let (forces, power) = system.forces_and_power(&q, &pose, &v);
+        (self.v, _) = equilibrium_under(system, &forces, (&q, &pose, &v), &system.factor_mass(&pose, regularization));
+        self.power = power;
+    }
+}
+
+/// Where a step begins: its stages are not far away, and their poses are turned from this one.
+pub(super) struct Origin<P, const N: usize> {
+    q: Vector<N>,
+    pub(super) pose: P,
+}
+
+impl<P, const N: usize> Origin<P, N> {
+    pub(super) fn new<const M: usize>(system: &impl System<N, M, Pose = P>, q: &Vector<N>) -> Self {
+        Self { q: *q, pose: system.pose(q) }
     }
 }
 

@@ -5,7 +5,7 @@
 //! where inputs change; ours is made of the six.
 
 use super::hermite::{self, Knowing};
-use super::trial::{Allowed, Landing, Slope, Trial, extremes_of, for_each, rate_between};
+use super::trial::{Allowed, Landing, Origin, Slope, Trial, extremes_of, for_each, rate_between};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
@@ -56,7 +56,7 @@ pub(super) struct Tsit5<const N: usize> {
     start: [Vector<N>; 2],
     /// The step, s.
     h: f64,
-    /// Where the last two stages are evaluated, nearly at the same time.
+    /// How far from the beginning the last two stages are evaluated, nearly at the same time.
     last: [Vector<N>; 2],
 }
 
@@ -118,12 +118,14 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
 
     #[inline(never)]
     fn new<const M: usize>(system: &impl System<N, M>, (): &(), regularization: f64, from: &State<N, M>, h: f64) -> Self {
-        let mut step = Self { slopes: [Slope::NONE; STAGES], start: [from.q, from.v], h, last: [from.q; 2] };
+        let mut step = Self { slopes: [Slope::NONE; STAGES], start: [from.q, from.v], h, last: [Vector::ZERO; 2] };
         step.slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
+        let origin = Origin::new(system, &from.q);
         macro_rules! evaluate {
             ($stage:literal) => {
-                let [q, v] = step.at::<$stage>();
-                step.slopes[$stage] = Slope::at(system, regularization, &q, &v);
+                let [q, v] = step.sums::<$stage>().map(|sum| h * sum);
+                step.slopes[$stage].q = from.v + v;
+                step.slopes[$stage].complete(system, regularization, &origin, &q);
                 step.last = [step.last[1], q];
             };
         }

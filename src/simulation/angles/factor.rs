@@ -4,7 +4,7 @@ use super::{ANGLES, Angles, CLOSURES, DISTAL, PROXIMAL};
 use crate::integrator::Kkt;
 use crate::mechanism::Pose;
 use crate::mechanism::coordinates::{legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2, both, sum};
+use crate::mechanism::legs::{Legs2, both, sum};
 use crate::simulation::inertia::{Inertia, Mass};
 use crate::vector::Vector;
 
@@ -12,48 +12,60 @@ use crate::vector::Vector;
 #[derive(Clone, Copy)]
 pub struct Factor {
     mobility: Mass,
-    phi_q: [Legs2; 2],
+    /// M⁻¹ Φ_qᵀ, of the proximal and the distal links: what a force at the tip does.
+    by_tip: [Legs2; 2],
     /// Inverse of S: xx, xy, yy.
     dual: [f64; 3],
 }
 
 impl Factor {
-    /// S is computed times both determinants of M, so that its division need not wait for that of M⁻¹.
     #[inline]
     pub(super) fn new(inertia: &Inertia, pose: &Pose, [p, d]: [Legs2; 2], regularization: f64) -> Self {
-        let (adjugate, determinant) = inertia.adjugate(pose);
-        let [left, right] = determinant.to_array();
-        let (others, both_determinants) = (Legs::new([right, left]), left * right);
-        let times = |p: Legs, d: Legs| [adjugate.proximal * p + adjugate.coupling * d, adjugate.coupling * p + adjugate.distal * d];
-        let ([px, dx], [py, dy]) = (times(p.x, d.x), times(p.y, d.y));
-        let regularization = both_determinants * regularization;
-        let xx = sum(others * (p.x * px + d.x * dx)) + regularization;
-        let xy = sum(others * (p.x * py + d.x * dy));
-        let yy = sum(others * (p.y * py + d.y * dy)) + regularization;
-        let scale = both_determinants / (xx * yy - xy * xy);
-        let mobility = adjugate.scaled(both(1.0) / determinant);
-        Self { mobility, phi_q: [p, d], dual: [yy * scale, -xy * scale, xx * scale] }
+        let mobility = inertia.inverse(pose);
+        let on_p =
+            Legs2 { x: mobility.proximal * p.x + mobility.coupling * d.x, y: mobility.proximal * p.y + mobility.coupling * d.y };
+        let on_d = Legs2 { x: mobility.coupling * p.x + mobility.distal * d.x, y: mobility.coupling * p.y + mobility.distal * d.y };
+        let xx = sum(p.x * on_p.x + d.x * on_d.x) + regularization;
+        let xy = sum(p.x * on_p.y + d.x * on_d.y);
+        let yy = sum(p.y * on_p.y + d.y * on_d.y) + regularization;
+        let reciprocal = 1.0 / (xx * yy - xy * xy);
+        Self { mobility, by_tip: [on_p, on_d], dual: [yy * reciprocal, xy * reciprocal, xx * reciprocal] }
+    }
+
+    /// S⁻¹ x.
+    #[inline(always)]
+    fn dual_times(&self, [x, y]: [f64; 2]) -> Vector<CLOSURES> {
+        let [xx, xy, yy] = self.dual;
+        [xx * x - xy * y, yy * y - xy * x].into()
+    }
+
+    /// M⁻¹ Φ_qᵀ λ.
+    #[inline(always)]
+    fn by_tip_times(&self, &[x, y]: &[f64; 2]) -> Angles {
+        let [p, d] = self.by_tip;
+        let mut moved = Angles::ZERO;
+        set_legs(&mut moved, PROXIMAL, p.x * both(x) + p.y * both(y));
+        set_legs(&mut moved, DISTAL, d.x * both(x) + d.y * both(y));
+        moved
     }
 }
 
-/// Φ_q v.
+/// What pairs of both links make of two numbers each: Φ_q v, or (M⁻¹ Φ_qᵀ)ᵀ of a force.
 #[inline]
-pub(super) fn end_velocity([p, d]: &[Legs2; 2], v: &Angles) -> Vector<CLOSURES> {
-    let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
-    [sum(p.x * w_p + d.x * w_d), sum(p.y * w_p + d.y * w_d)].into()
+pub(super) fn at_tip([p, d]: &[Legs2; 2], x: &Angles) -> Vector<CLOSURES> {
+    let (on_p, on_d) = (legs_of(x, PROXIMAL), legs_of(x, DISTAL));
+    [sum(p.x * on_p + d.x * on_d), sum(p.y * on_p + d.y * on_d)].into()
 }
 
 impl Kkt<ANGLES, CLOSURES> for Factor {
     #[inline]
     fn solve(&self, b: &Angles, c: &Vector<CLOSURES>) -> (Angles, Vector<CLOSURES>) {
-        let unconstrained = self.mobility.times(b);
-        let [x, y] = *(end_velocity(&self.phi_q, &unconstrained) - *c);
-        let [xx, xy, yy] = self.dual;
-        let (x, y) = (xx * x + xy * y, xy * x + yy * y);
-        let [p, d] = self.phi_q;
-        let mut force = Angles::ZERO;
-        set_legs(&mut force, PROXIMAL, p.x * both(x) + p.y * both(y));
-        set_legs(&mut force, DISTAL, d.x * both(x) + d.y * both(y));
-        (unconstrained - self.mobility.times(&force), [x, y].into())
+        let lambda = self.dual_times(*(at_tip(&self.by_tip, b) - *c));
+        (self.mobility.times(b) - self.by_tip_times(&lambda), lambda)
+    }
+
+    #[inline]
+    fn correction(&self, c: &Vector<CLOSURES>) -> Angles {
+        self.by_tip_times(&self.dual_times(**c))
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{Angles, ByAngles, DISTAL, PROXIMAL};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
-use crate::mechanism::legs::Legs2;
+use crate::mechanism::legs::{Legs, Legs2};
 use crate::mechanism::{Coordinates, Pose};
 use crate::simulation::inertia::proximal_arm;
 
@@ -22,13 +22,26 @@ impl ByAngles<'_> {
         let (l, a_d) = (proximal_arm(pose), pose.a_d);
         let on_p = Legs2 { x: legs_of(applied, P_X), y: legs_of(applied, P_Y) };
         let on_d = Legs2 { x: legs_of(applied, D_X), y: legs_of(applied, D_Y) };
+        let proximal = legs_of(applied, P_THETA) + pose.a_p.turned().dot(on_p) + l.turned().dot(on_d);
+        let distal = legs_of(applied, D_THETA) + a_d.turned().dot(on_d);
+        self.with_centripetal([proximal, distal], pose, v)
+    }
+
+    /// The weight alone in the angles, with the centripetal forces.
+    #[inline(always)]
+    pub(super) fn weight_in_angles(&self, pose: &Pose, v: &Angles) -> Angles {
+        let [on_p, on_d] = self.five_bar.model.weight_on_arms;
+        self.with_centripetal([pose.u_p.cross(on_p), pose.u_d.cross(on_d)], pose, v)
+    }
+
+    /// Torques on the links with those of the distal centre of mass, which is carried around.
+    #[inline(always)]
+    fn with_centripetal(&self, [on_p, on_d]: [Legs; 2], pose: &Pose, v: &Angles) -> Angles {
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
-        let centripetal = self.mechanism.mass_d * l.turned().dot(a_d);
-        let proximal = legs_of(applied, P_THETA) + pose.a_p.turned().dot(on_p) + l.turned().dot(on_d) + centripetal * w_d * w_d;
-        let distal = legs_of(applied, D_THETA) + a_d.turned().dot(on_d) - centripetal * w_p * w_p;
+        let centripetal = self.inertia.centripetal(pose);
         let mut forces = Angles::ZERO;
-        set_legs(&mut forces, PROXIMAL, proximal);
-        set_legs(&mut forces, DISTAL, distal);
+        set_legs(&mut forces, PROXIMAL, on_p + centripetal * (w_d * w_d));
+        set_legs(&mut forces, DISTAL, on_d - centripetal * (w_p * w_p));
         forces
     }
 
