@@ -308,10 +308,11 @@ impl Settings {
     pub(super) fn project_without_balance<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
+        pose: S::Pose,
         [mut q, mut v]: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
     ) -> Result<(u32, Arrival<N, M>), StepError> {
-        let (iterations, pose, _) = self.project(system, &mut q, &mut v)?;
+        let (iterations, pose, _) = self.project_in_place(system, pose, &mut q, &mut v)?;
         if let Some((energy, h)) = &kept {
             v = system.energy_scale(energy, &q, &v, *h)? * v;
         }
