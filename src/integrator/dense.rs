@@ -16,6 +16,7 @@ mod events;
 mod hermite;
 mod interpolant;
 mod kind;
+mod landing;
 mod rosenbrock;
 mod sample;
 mod step;

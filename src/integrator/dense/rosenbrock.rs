@@ -19,6 +19,7 @@ mod tableau;
 use std::marker::PhantomData;
 
 use super::hermite::{self, Knowing};
+use super::landing::with_energy;
 use super::trial::{Allowed, Landing, Origin, Slope, Trial, for_each, larger};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
@@ -238,9 +239,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             } else {
                 settings.project(system, &mut q, &mut v)?
             };
-            if let Some((energy, h)) = &kept {
-                v = system.energy_scale(energy, &q, &v, *h)? * v;
-            }
+            v = with_energy(system, [&q, &v], kept)?;
             let arrival = Arrival::in_balance(system, [q, v], &pose, &mass).finite()?;
             let work = if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
             Ok(Landing { iterations, arrival, work })
