@@ -54,8 +54,8 @@ pub fn advance<const N: usize, const M: usize>(
         let (iterations, _) = Projection { regularization, tolerance, max_iterations }.position(system, &mut q)?;
         state.counters.iterations += u64::from(iterations);
     }
-    let pose = system.pose_in_place(&q);
-    let mass = system.factor_mass_in_place(&pose, regularization);
+    let pose = system.pose(&q);
+    let mass = system.factor_mass(&pose, regularization);
     if settings.projection {
         v += velocity_correction(system, &pose, &mass, &v);
     }

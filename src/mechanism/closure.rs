@@ -97,10 +97,14 @@ impl Span {
     }
 }
 
-/// A number as a sentence shows it: ten significant digits, the shortest form.
+/// A number as a sentence shows it: ten significant digits, the shortest form; none beyond 1e-22. By products, which are exact: a
+/// function for powers would bring a table of 4 kB.
 fn rounded(value: f64) -> f64 {
-    let scale = libm::exp10(9.0 - libm::log10(value.abs()).floor()).round();
-    if scale.is_finite() && scale >= 1.0 { (value * scale).round() / scale } else { value }
+    let mut scale = 1.0;
+    while value.abs() * scale < 1e9 && scale < 1e22 {
+        scale *= 10.0;
+    }
+    (value * scale).round() / scale
 }
 
 /// q and q̇ (with all constraints met) of a start, or a sentence why it is not possible.

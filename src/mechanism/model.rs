@@ -46,23 +46,25 @@ impl std::error::Error for SceneError {}
 /// Refuses a value that is not finite and positive; text is made by a refusal only, here and below: a step that finds a parameter tuned
 /// allocates nothing.
 pub(crate) fn positive(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
-    finite(&name, value, unit)?;
-    if value > 0.0 { Ok(()) } else { Err(SceneError(format!("{name} = {value} {unit} is not allowed: it must be positive."))) }
+    if value.is_finite() && value > 0.0 { Ok(()) } else { Err(refusal(&name, value, unit, "positive")) }
 }
 
 /// Refuses a value that is not finite or is negative.
 pub(crate) fn not_negative(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
-    finite(&name, value, unit)?;
-    if value >= 0.0 {
-        Ok(())
-    } else {
-        Err(SceneError(format!("{name} = {value} {unit} is not allowed: it must be 0 or positive.")))
-    }
+    if value.is_finite() && value >= 0.0 { Ok(()) } else { Err(refusal(&name, value, unit, "0 or positive")) }
 }
 
 /// Refuses NaN and infinities.
 pub(crate) fn finite(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
-    if value.is_finite() { Ok(()) } else { Err(SceneError(format!("{name} = {value} {unit} is not allowed: it must be finite."))) }
+    if value.is_finite() { Ok(()) } else { Err(refusal(&name, value, unit, "finite")) }
+}
+
+/// Says what a value must be: finite before anything else. One piece of code for all names.
+#[cold]
+#[inline(never)]
+fn refusal(name: &dyn fmt::Display, value: f64, unit: &str, allowed: &str) -> SceneError {
+    let allowed = if value.is_finite() { allowed } else { "finite" };
+    SceneError(format!("{name} = {value} {unit} is not allowed: it must be {allowed}."))
 }
 
 impl Geometry {
@@ -109,8 +111,6 @@ pub struct Mechanism {
     pub(crate) a_d: Legs,
     /// Centre of mass of the distal link to the tip, with the sign of the leg in the tip's closure, m.
     pub(crate) sigma_b_d: Legs,
-    /// Lengths of the proximal and the distal links with the sign of the leg in the tip's closure, m.
-    pub(crate) sigma_length: [Legs; 2],
     /// Masses, kg, and inertias about the centres of mass, kg·m²: the diagonal of M.
     pub(crate) mass_p: Legs,
     pub(crate) mass_d: Legs,
@@ -132,7 +132,6 @@ impl Mechanism {
             b_p: proximal(|link| link.length - link.com),
             a_d: distal(|link| link.com),
             sigma_b_d: SIGMA * distal(|link| link.length - link.com),
-            sigma_length: [SIGMA * proximal(|link| link.length), SIGMA * distal(|link| link.length)],
             mass_p: proximal(|link| link.mass),
             mass_d: distal(|link| link.mass),
             inertia_p: proximal(|link| link.inertia),

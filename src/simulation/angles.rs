@@ -18,6 +18,7 @@ mod placing;
 use super::five_bar::FiveBar;
 use super::inertia::Inertia;
 use super::model::Model;
+use crate::effects::Sides;
 use crate::integrator::{AccelerationTangents, Held, Kkt, Passage, State, System, Work};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
@@ -25,6 +26,7 @@ use crate::mechanism::vertex::{self, Branch};
 use crate::mechanism::{ARM, Coordinates, Mechanism, Multipliers, Parallels, Pose, Terms};
 use crate::vector::Vector;
 use factor::{Factor, at_tip};
+use placing::on_arms;
 
 /// Number of angles.
 pub const ANGLES: usize = 4;
@@ -58,6 +60,8 @@ pub struct ByAngles<'a> {
     inertia: &'a Inertia,
     /// Whether nothing acts but the weight, which asks for no coordinates.
     only_weight: bool,
+    /// The weight where it pulls at links of length 1, proximal and distal, N·m.
+    weight_on_arms: [Legs2; 2],
     /// The branch of the closure that the motion stays on, where there are several.
     parallels: Option<Parallels>,
     /// The lengths of the links in Φ_q, with the signs of the legs, m; 0 on a branch.
@@ -73,9 +77,19 @@ impl<'a> ByAngles<'a> {
         let FiveBar { model, inputs, sides, .. } = five_bar;
         let only_weight = model.effects.is_empty() && !inputs.load();
         let mechanism = &model.mechanism;
+        let (inertia, weight_on_arms) = (&model.inertia, on_arms(mechanism, &model.weight));
+        let (sigma_length, constant) = ([Legs::ZERO; 2], &Terms::OPEN.constant);
+        let free = Self { five_bar, mechanism, inertia, only_weight, weight_on_arms, parallels: None, sigma_length, constant };
+        free.on_sides(sides)
+    }
+
+    /// The same with forces on some sides of their kinks, and on the branch of the closure that is among them.
+    #[inline]
+    pub(super) fn on_sides(self, sides: Sides) -> Self {
         let Terms { open, constant } = sides.parallels.map_or(Terms::OPEN, Parallels::terms);
-        let sigma_length = mechanism.sigma_length.map(|length| *open * length);
-        Self { five_bar, mechanism, inertia: &model.inertia, only_weight, parallels: sides.parallels, sigma_length, constant }
+        let Mechanism { a_p, b_p, a_d, sigma_b_d, .. } = *self.mechanism;
+        let sigma_length = [*open * (SIGMA * (a_p + b_p)), *open * (SIGMA * a_d + sigma_b_d)];
+        Self { five_bar: self.five_bar.on(sides), parallels: sides.parallels, sigma_length, constant, ..self }
     }
 
     /// The same in its twelve coordinates.

@@ -53,7 +53,7 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
 
     #[inline]
     fn on(&self, sides: Sides) -> impl Borrow<Self> {
-        Self::new(self.five_bar().on(sides))
+        self.on_sides(sides)
     }
 
     fn beyond(&self, at: &Touches<'a>, tolerance: f64) -> f64 {

@@ -8,8 +8,6 @@ use crate::effects::{self, Active, Effect, ForceContext, Inputs, Perturbation, T
 use crate::estimator;
 use crate::integrator::{MacroStepMethod, dense, i3alp_conserving};
 use crate::linear::{LinearSolve, LinearSolver};
-use crate::mechanism::coordinates::{D_X, D_Y, P_X, P_Y, legs_of};
-use crate::mechanism::legs::Legs2;
 use crate::mechanism::{Assembly, Coordinates, Geometry, Mechanism, SceneError, Start};
 
 /// Everything that defines a scene, before it is made ready.
@@ -47,8 +45,6 @@ pub struct Model {
     pub mechanism: Mechanism,
     /// Constant generalised force of the active effects, N and N·m.
     pub weight: Coordinates,
-    /// The same where it pulls at a link of length 1, proximal and distal, N·m.
-    pub(super) weight_on_arms: [Legs2; 2],
     /// The active effects whose forces depend on the motion, and no others; those with masses are in the mechanism.
     pub effects: Active,
     /// Names of all active effects.
@@ -98,7 +94,6 @@ impl Model {
         let mechanism = Mechanism::new(&geometry)?;
         let effects = parameters.effects.active(&mechanism)?;
         settings.check_laws(&parameters.effects)?;
-        let weight = parameters.effects.weight(&mechanism)?;
         // e = 1/(αβ) with α = κ m̄/β.
         let regularization = 1.0 / (settings.penalty_scale * geometry.mean_mass());
         let regularization_by_angles = if geometry.base_distance == 0.0 { COAXIAL } else { RANK_LOSS } / geometry.mean_mass();
@@ -114,8 +109,7 @@ impl Model {
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
-            weight,
-            weight_on_arms: on_arms(&mechanism, &weight),
+            weight: parameters.effects.weight(&mechanism)?,
             solver: LinearSolver::new(LinearSolve::choose(&geometry, &effects), &mechanism, regularization),
             inertia: Inertia::new(&mechanism),
             mechanism,
@@ -171,7 +165,6 @@ impl Model {
         let weight = parameters.weight(&self.mechanism)?;
         let changed = weight != self.weight || effects != self.effects;
         self.weight = weight;
-        self.weight_on_arms = on_arms(&self.mechanism, &weight);
         self.conservative = effects.iter().all(Effect::conservative);
         self.has_kinks = effects.iter().any(Effect::has_kinks);
         self.turning_rate = turning_rate(&effects);
@@ -197,13 +190,6 @@ impl Model {
     pub fn same_active_inputs(&self, a: &Inputs, b: &Inputs) -> bool {
         a.same_loads(b) && (!self.has_servo || a.same_references(b))
     }
-}
-
-/// What forces on the centres of mass are to links of length 1: the proximal one carries that of the distal one at its elbow.
-fn on_arms(mechanism: &Mechanism, force: &Coordinates) -> [Legs2; 2] {
-    let [on_p, on_d] = [[P_X, P_Y], [D_X, D_Y]].map(|[x, y]| Legs2 { x: legs_of(force, x), y: legs_of(force, y) });
-    let (own, carried) = (on_p.scaled(mechanism.a_p), on_d.scaled(mechanism.a_p + mechanism.b_p));
-    [Legs2 { x: own.x + carried.x, y: own.y + carried.y }, on_d.scaled(mechanism.a_d)]
 }
 
 /// The refusal of a payload with which inertias are further apart than the linear solve of a run takes, with how far it may go.

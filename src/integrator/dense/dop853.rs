@@ -9,11 +9,11 @@ use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
-use tableau::{ALL, AT_DENSE, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, END, STAGES};
+use tableau::{A, ALL, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, DENSE, END, Row, STAGES};
 
 /// A step from a state, stage by stage.
 pub(super) struct Stages<const N: usize> {
-    slopes: [Slope<N>; ALL],
+    slopes: [Slope<N>; STAGES],
     q: Vector<N>,
     v: Vector<N>,
     /// The step, s.
@@ -34,7 +34,7 @@ impl<const N: usize> Stages<N> {
                 }
             };
         }
-        for_each!(add: 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
+        for_each!(add: 0 1 2 3 4 5 6 7 8 9 10 11);
         sum
     }
 
@@ -57,7 +57,7 @@ impl<const N: usize> Stages<N> {
                 }
             };
         }
-        for_each!(add: 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
+        for_each!(add: 0 1 2 3 4 5 6 7 8 9 10 11);
         sums
     }
 
@@ -72,7 +72,7 @@ impl<const N: usize> Stages<N> {
                 }
             };
         }
-        for_each!(add: 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15);
+        for_each!(add: 0 1 2 3 4 5 6 7 8 9 10 11);
         power
     }
 
@@ -124,13 +124,6 @@ impl<const N: usize> Stages<N> {
         // Both are 0 where nothing moves.
         if damped == 0.0 { 0.0 } else { self.h * fifth / damped.sqrt() }
     }
-
-    /// One of them.
-    fn coefficient<const ROW: usize>(&self, follows_work: bool) -> Slope<N> {
-        let [q, v] = self.sums::<ROW>();
-        let power = if follows_work { self.power::<ROW>() } else { Work::default() };
-        Slope { q: self.h * q, v: self.h * v, power: Work::default().plus(self.h, power) }
-    }
 }
 
 impl<const N: usize> Trial<N> for Stages<N> {
@@ -151,7 +144,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
 
     #[inline(always)]
     fn new<const M: usize>(_: &impl System<N, M>, (): &(), _: f64, from: &State<N, M>, h: f64) -> Self {
-        let mut slopes = [Slope::NONE; ALL];
+        let mut slopes = [Slope::NONE; STAGES];
         slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
         Self { slopes, q: from.q, v: from.v, h, last: Vector::ZERO }
     }
@@ -182,7 +175,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {
-        extremes_of(&self.slopes[..STAGES])
+        extremes_of(&self.slopes)
     }
 
     /// By the difference between the last stage and the end of the step, which stand at the same time.
@@ -199,20 +192,27 @@ impl<const N: usize> Trial<N> for Stages<N> {
         regularization: f64,
         [_, end]: [&State<N, M>; 2],
     ) -> [Slope<N>; 4] {
-        self.slopes[END] = Slope { q: end.v, v: end.a, power: end.power };
+        let mut slopes = [Slope::NONE; ALL];
+        slopes[..STAGES].copy_from_slice(&self.slopes);
+        slopes[END] = Slope { q: end.v, v: end.a, power: end.power };
         let origin = Origin::new(system, &self.q);
-        macro_rules! evaluate {
-            ($stage:literal) => {
-                self.evaluate::<$stage, M, _>(system, regularization, &origin);
-            };
+        for stage in END + 1..ALL {
+            let way = over(self.h, &slopes, A[stage]);
+            slopes[stage].q = self.v + way.v;
+            slopes[stage].complete(system, regularization, &origin, &way.q);
         }
-        for_each!(evaluate: 13 14 15);
-        let follows_work = system.follows_work();
-        [
-            self.coefficient::<AT_DENSE>(follows_work),
-            self.coefficient::<{ AT_DENSE + 1 }>(follows_work),
-            self.coefficient::<{ AT_DENSE + 2 }>(follows_work),
-            self.coefficient::<{ AT_DENSE + 3 }>(follows_work),
-        ]
+        DENSE.map(|row| over(self.h, &slopes, row))
     }
+}
+
+/// h times the sum of slopes by a row. By a loop: for the interpolant, which few steps need.
+fn over<const N: usize>(h: f64, slopes: &[Slope<N>; ALL], row: Row) -> Slope<N> {
+    let mut sum = Slope::NONE;
+    for &(stage, coefficient) in row {
+        let Slope { q, v, power } = &slopes[stage];
+        sum.q += coefficient * *q;
+        sum.v += coefficient * *v;
+        sum.power = sum.power.plus(coefficient, *power);
+    }
+    Slope { q: h * sum.q, v: h * sum.v, power: Work::default().plus(h, sum.power) }
 }

@@ -3,7 +3,7 @@
 use super::{Angles, ByAngles, DISTAL, PROXIMAL};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2};
-use crate::mechanism::{Coordinates, Pose};
+use crate::mechanism::{Coordinates, Mechanism, Pose};
 use crate::simulation::inertia::proximal_arm;
 
 /// The twelve coordinates with these angles and 0 elsewhere.
@@ -13,6 +13,14 @@ fn in_place(angles: &Angles) -> Coordinates {
     set_legs(&mut x, P_THETA, legs_of(angles, PROXIMAL));
     set_legs(&mut x, D_THETA, legs_of(angles, DISTAL));
     x
+}
+
+/// What forces on the centres of mass are to links of length 1: the proximal one carries that of the distal one at its elbow.
+#[inline(always)]
+pub(super) fn on_arms(mechanism: &Mechanism, force: &Coordinates) -> [Legs2; 2] {
+    let [on_p, on_d] = [[P_X, P_Y], [D_X, D_Y]].map(|[x, y]| Legs2 { x: legs_of(force, x), y: legs_of(force, y) });
+    let (own, carried) = (on_p.scaled(mechanism.a_p), on_d.scaled(mechanism.a_p + mechanism.b_p));
+    [Legs2 { x: own.x + carried.x, y: own.y + carried.y }, on_d.scaled(mechanism.a_d)]
 }
 
 impl ByAngles<'_> {
@@ -30,7 +38,7 @@ impl ByAngles<'_> {
     /// The weight alone in the angles, with the centripetal forces.
     #[inline(always)]
     pub(super) fn weight_in_angles(&self, pose: &Pose, v: &Angles) -> Angles {
-        let [on_p, on_d] = self.five_bar.model.weight_on_arms;
+        let [on_p, on_d] = self.weight_on_arms;
         self.with_centripetal([pose.u_p.cross(on_p), pose.u_d.cross(on_d)], pose, v)
     }
 

@@ -5,7 +5,7 @@
 //! those of the authors' code `dop853.f`, rounded to double precision. The test below checks them by the order conditions.
 
 /// The coefficients of a sum over stages: (stage, coefficient), zeros left out.
-type Row = &'static [(usize, f64)];
+pub(super) type Row = &'static [(usize, f64)];
 
 /// Stages of a step.
 pub(super) const STAGES: usize = 12;
@@ -15,13 +15,11 @@ pub(super) const END: usize = STAGES;
 pub(super) const ALL: usize = 16;
 
 /// All sums over the stages: those of [`A`], then these.
-const SUMS: usize = ALL + 6;
+const SUMS: usize = ALL + 2;
 /// Place of [`ERROR_5`] among them.
 pub(super) const AT_ERROR_5: usize = ALL;
 /// Place of [`ERROR_3`].
 pub(super) const AT_ERROR_3: usize = ALL + 1;
-/// Place of the first of [`DENSE`].
-pub(super) const AT_DENSE: usize = ALL + 2;
 
 /// The coefficients of every sum for every stage, zeros included: the compiler sees which are 0 and leaves them out.
 pub(super) const COEFFICIENTS: [[f64; ALL]; SUMS] = {
@@ -31,7 +29,6 @@ pub(super) const COEFFICIENTS: [[f64; ALL]; SUMS] = {
         let row = match sum {
             AT_ERROR_5 => ERROR_5,
             AT_ERROR_3 => ERROR_3,
-            AT_DENSE.. => DENSE[sum - AT_DENSE],
             _ => A[sum],
         };
         let mut i = 0;
@@ -45,7 +42,7 @@ pub(super) const COEFFICIENTS: [[f64; ALL]; SUMS] = {
 };
 
 /// Where each stage is evaluated: the sum over the stages before it. Row [`END`] is the new value, of order 8.
-const A: [Row; ALL] = [
+pub(super) const A: [Row; ALL] = [
     &[],
     &[(0, 0.05260015195876773)],
     &[(0, 0.0197250569845379), (1, 0.0591751709536137)],
@@ -165,7 +162,7 @@ const ERROR_3: Row = &[
 ];
 
 /// The higher coefficients of the dense output.
-const DENSE: [Row; 4] = [
+pub(super) const DENSE: [Row; 4] = [
     &[
         (0, -8.428938276109013),
         (5, 0.5667149535193777),
