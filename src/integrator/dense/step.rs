@@ -247,16 +247,21 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The step to come, from the error of this one.
     #[inline]
     fn adapt<T: Trial<N>>(&mut self, error: f64, wanted: f64, rejected: bool) {
-        let log_error = libm::log(error);
-        let growth = T::CONTROLLER.growth(log_error, self.memory.log_error);
-        let growth = if rejected { growth.min(1.0) } else { growth };
         // A step that was rejected is as long as its error allows, not cut short.
         let wanted = if rejected { self.length } else { wanted };
-        let next = next_step(self.length, growth, wanted);
+        let cut_short = is_cut_short(self.length, wanted);
+        let next = if cut_short && T::CONTROLLER.longest_after(self.length) <= wanted {
+            // Most held inputs end a step so early that its error has nothing to say.
+            wanted
+        } else {
+            let log_error = libm::log(error);
+            let growth = T::CONTROLLER.growth(log_error, self.memory.log_error);
+            if !cut_short {
+                self.memory.log_error = log_error.max(LEAST_LOG_ERROR);
+            }
+            next_step(self.length, if rejected { growth.min(1.0) } else { growth }, wanted)
+        };
         *(if T::KIND == Kind::Fifth { &mut self.memory.choice.fifth } else { &mut self.end.substep }) = next;
-        if !is_cut_short(self.length, wanted) {
-            self.memory.log_error = log_error.max(LEAST_LOG_ERROR);
-        }
     }
 
     /// The step that one of a kind wants next, s.
