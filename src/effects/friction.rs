@@ -187,6 +187,10 @@ impl Force for Friction {
         self.law == Law::Stick
     }
 
+    fn turning_rate(&self) -> f64 {
+        if self.sticks() { f64::INFINITY } else { self.coulomb_rate }
+    }
+
     #[cold]
     fn add_grasps(&self, at: &ForceContext, grasps: &mut Grasps<COORDINATES>) {
         if self.law == Law::Smooth {

@@ -94,6 +94,11 @@ trait Force: Sized {
         false
     }
 
+    /// The change of a joint's rate by which its force turns round without a kink, rad/s.
+    fn turning_rate(&self) -> f64 {
+        f64::INFINITY
+    }
+
     /// Adds the grips that it has.
     fn add_grasps(&self, _at: &ForceContext, _grasps: &mut Grasps<COORDINATES>) {}
 }
@@ -278,6 +283,11 @@ macro_rules! effects {
             /// Whether the force changes so steeply in places that a long step may miss it.
             pub fn is_steep(&self) -> bool {
                 match self { $(Self::$Force(_) => $Force::STEEP,)+ }
+            }
+
+            /// The change of a joint's rate by which its force turns round without a kink, rad/s.
+            pub fn turning_rate(&self) -> f64 {
+                match self { $(Self::$Force(force) => force.turning_rate(),)+ }
             }
 
             /// Its one-sided springs.

@@ -32,6 +32,12 @@ impl StepSizeController {
         change.clamp(self.accepted[0], self.accepted[1])
     }
 
+    /// The longest step that may follow one of h seconds.
+    #[inline]
+    pub(super) fn longest_after(&self, h: f64) -> f64 {
+        self.accepted[1] * h
+    }
+
     /// The same after one that was rejected; its error is NaN where it failed.
     pub(super) fn reduction(&self, error: f64) -> f64 {
         self.reduction_after(error, None)

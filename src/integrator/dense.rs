@@ -16,6 +16,7 @@ mod events;
 mod hermite;
 mod interpolant;
 mod kind;
+mod landing;
 mod rosenbrock;
 mod sample;
 mod step;
@@ -208,7 +209,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Ends the step at the present time, because what was held from here on will change: the step is redone, up to here and no
-    /// further. `system` is that of the step. On failure the run is undefined.
+    /// further. `system` is that of the step; [`restart`](Self::restart) follows. On failure the run is undefined.
     pub fn truncate_and_redo<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &mut self,
         system: &S,
@@ -227,7 +228,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 rest -= self.length;
             }
         }
-        self.start = self.end;
         (self.length, self.elapsed) = (0.0, 0.0);
         Ok(())
     }

@@ -28,6 +28,11 @@ pub trait Kinked<const N: usize>: Sized {
         false
     }
 
+    /// The least change of a rate of a coordinate, 1/s times its unit, that turns a force round: more than a method may overlook.
+    fn turning_rate(&self) -> f64 {
+        f64::INFINITY
+    }
+
     /// What a state is to its kinks.
     fn touches(&self, q: &Vector<N>, v: &Vector<N>) -> Self::Touches;
 

@@ -41,8 +41,20 @@ impl Projection {
     pub(super) fn position_from<const N: usize, const M: usize, S: System<N, M>>(
         &self,
         system: &S,
+        pose: S::Pose,
+        q: &mut Vector<N>,
+    ) -> Result<(u32, S::Pose), StepError> {
+        self.position_along(system, pose, q, |pose, missing| system.factor_mass(pose, self.regularization).correction(&missing))
+    }
+
+    /// The same along other ways than the shortest: by what q is corrected for what Φ lacks at a pose.
+    #[inline(always)]
+    pub(super) fn position_along<const N: usize, const M: usize, S: System<N, M>>(
+        &self,
+        system: &S,
         mut pose: S::Pose,
         q: &mut Vector<N>,
+        mut correction: impl FnMut(&S::Pose, Vector<M>) -> Vector<N>,
     ) -> Result<(u32, S::Pose), StepError> {
         let (mut violation, mut last) = (f64::INFINITY, 0.0);
         for iteration in 0..=self.max_iterations {
@@ -53,7 +65,7 @@ impl Projection {
             if violation < self.tolerance || at_round_off {
                 return Ok((iteration, pose));
             }
-            let correction = system.factor_mass(&pose, self.regularization).correction(&-phi);
+            let correction = correction(&pose, -phi);
             last = correction.max_norm();
             let corrected = *q + correction;
             pose = system.pose_turned(&pose, &(corrected - *q), &corrected);

@@ -197,7 +197,12 @@ impl<'a> ByAngles<'a> {
     /// where nothing acts but the weight it stays in registers.
     #[inline(never)]
     fn acting(&self, q: Angles, pose: Pose, v: Angles) -> (Coordinates, Work) {
-        self.five_bar.forces_and_power(&self.placed(&q, &pose), &pose, &self.moving(&v, &pose))
+        let (x, rates) = (self.placed(&q, &pose), self.moving(&v, &pose));
+        if self.five_bar.follows_work() {
+            self.five_bar.acting(&self.five_bar.context(&x, &pose, &rates))
+        } else {
+            (self.five_bar.forces(&x, &pose, &rates), Work::default())
+        }
     }
 }
 

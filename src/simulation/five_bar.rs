@@ -106,15 +106,25 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
 }
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
-    /// The forces and the power with those of the effects: out of line, as above.
+    /// The forces of inputs and effects with their power, of what is in memory already.
+    #[inline(always)]
+    pub(super) fn acting(&self, at: &ForceContext) -> (Coordinates, Work) {
+        let mut forces = self.model.weight;
+        self.inputs.add_forces(at, &mut forces);
+        let power = self.act(at, &mut forces);
+        (forces, power)
+    }
+
+    /// Adds the forces of the effects: the power of all. Out of line, as above.
     #[inline(never)]
-    fn with_acting_effects(&self, mut forces: Coordinates, mut power: Work, at: &ForceContext) -> (Coordinates, Work) {
+    fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> Work {
+        let mut power = Work { input: self.inputs.power(at), dissipated: 0.0 };
         for effect in &self.model.effects {
-            let [input, dissipated] = effect.act(at, &mut forces);
+            let [input, dissipated] = effect.act(at, forces);
             power.input += input;
             power.dissipated += dissipated;
         }
-        (forces, power)
+        power
     }
 }
 
@@ -252,10 +262,7 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
             return (self.forces(q, pose, v), power);
         }
         let (q, pose, v) = (*q, *pose, *v);
-        let at = self.context(&q, &pose, &v);
-        let mut forces = self.model.weight;
-        self.inputs.add_forces(&at, &mut forces);
-        self.with_acting_effects(forces, Work { input: self.inputs.power(&at), dissipated: 0.0 }, &at)
+        self.acting(&self.context(&q, &pose, &v))
     }
 
     #[cold]

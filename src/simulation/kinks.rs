@@ -19,6 +19,11 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
         self.model().has_kinks
     }
 
+    #[inline]
+    fn turning_rate(&self) -> f64 {
+        self.model().turning_rate
+    }
+
     fn touches(&self, q: &Angles, v: &Angles) -> Touches<'a> {
         let pose = self.pose(q);
         let (x, rates) = self.coordinates(&pose, q, v);

@@ -53,6 +53,8 @@ pub struct Model {
     pub conservative: bool,
     /// Whether any has kinks that a method may follow.
     pub has_kinks: bool,
+    /// The least change of a joint's rate that turns a force round, rad/s.
+    pub(super) turning_rate: f64,
     /// Whether any has one-sided springs.
     pub(super) may_touch: bool,
     /// Whether any has dry friction that sticks.
@@ -99,6 +101,7 @@ impl Model {
             typical_inertia: TypicalInertia::new(&geometry),
             conservative: effects.iter().all(Effect::conservative),
             has_kinks: effects.iter().any(Effect::has_kinks),
+            turning_rate: turning_rate(&effects),
             may_touch: effects.iter().any(Effect::may_touch),
             sticks: effects.iter().any(Effect::sticks),
             error_tolerance: settings.error_tolerance,
@@ -164,6 +167,7 @@ impl Model {
         self.weight = weight;
         self.conservative = effects.iter().all(Effect::conservative);
         self.has_kinks = effects.iter().any(Effect::has_kinks);
+        self.turning_rate = turning_rate(&effects);
         self.may_touch = effects.iter().any(Effect::may_touch);
         self.sticks = effects.iter().any(Effect::sticks);
         self.solver.choose(LinearSolve::choose(&self.mechanism.geometry, &effects));
@@ -216,3 +220,8 @@ const RANK_LOSS: f64 = 1e-20;
 /// The same with coaxial motors, where rank is lost along any line and no gate helps: what is on none of the branches that `Parallels` knows
 /// must pass softly.
 const COAXIAL: f64 = 1e-10;
+
+/// The least change of a joint's rate by which a force of any effect turns round, rad/s.
+fn turning_rate(effects: &Active) -> f64 {
+    effects.iter().map(Effect::turning_rate).fold(f64::INFINITY, f64::min)
+}

@@ -1,6 +1,8 @@
 //! The method that chooses the kind of its steps, on the five-bar: the derivatives that implicit steps take, which kinds are chosen and
 //! what that saves, communication points, stored states.
 
+use std::f64::consts::FRAC_PI_2;
+
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator::{State, System, equilibrium};
 use fivebar::observers;
@@ -9,7 +11,7 @@ use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::{Counters, Inputs, Method, Parameters, Simulation};
 use fivebar::vector::Vector;
 
-use crate::support::{MGL, angle_error, enable, fall_90_120, run, unequal};
+use crate::support::{MGL, Reference, angle_error, enable, fall_90_120, run, tip_error, unequal};
 
 /// e of the explicit method, in the link angles: what round-off leaves of a regular matrix does not see it.
 const REGULARIZATION: f64 = 1e-18;
@@ -111,6 +113,26 @@ fn stiff_loads_take_implicit_steps() {
         let energies = observers::energies(own.model(), &own.state());
         assert!(energies.error.abs() < 1e3 * tolerance * MGL, "{tolerance:e}: {energies:?}");
         assert!(!own.is_stiff(), "nothing to warn of");
+    }
+}
+
+/// Back on the constraints, a machine in stiff hands is still in balance: on `stiff_servo` loose tolerances give five digits in few steps.
+/// Along the shortest way errors were a hundred times as large, and steps twice as many.
+#[test]
+fn implicit_steps_end_in_balance() {
+    let mut parameters = fall_90_120(Method::Automatic);
+    enable(&mut parameters, "servo");
+    let servo = &mut parameters.effects.servo;
+    (servo.kp, servo.kd, servo.limit) = ([1e6, 0.0], [30.0, 0.0], [1e6, 1.0]);
+    let inputs = Inputs { servo_theta: [FRAC_PI_2, 0.0], ..default_inputs() };
+    let reference = Reference::read("stiff_servo").pop().expect("rows");
+    for (tolerance, most_off, most_tries) in [(1e-3, 1e-4, 45), (1e-4, 1e-5, 65), (1e-6, 1e-6, 100)] {
+        let mut simulation = Simulation::new(&automatic(parameters.clone(), tolerance), &inputs).expect("scene");
+        run(&mut simulation, &inputs, 1e-3, reference.t);
+        let error = tip_error(&simulation, reference.tip);
+        let Counters { substeps, rejected, .. } = counters(&simulation);
+        assert!(error < most_off, "{tolerance:e}: {error:e} m");
+        assert!(substeps + rejected < most_tries, "{tolerance:e}: {substeps} steps and {rejected} refused tries");
     }
 }
 
@@ -228,11 +250,11 @@ fn switching_loses_no_digit() {
     }
 }
 
-/// A machine that friction brings to rest stays there at no price, also where its law is ten times as steep as the tolerance on rates
-/// can tell; dop853 takes 40,000 steps and more a second.
+/// A machine that friction brings to rest comes there in some ten steps and stays there at no price, also where its law is ten thousand
+/// times as steep as the tolerance on rates can tell; dop853 takes 40,000 steps and more a second.
 #[test]
 fn rest_under_steep_friction_takes_no_steps() {
-    for (breakaway_velocity, tolerance) in [(1e-2, 1e-4), (1e-4, 1e-4), (1e-5, 1e-6), (1e-5, 3e-9)] {
+    for (breakaway_velocity, tolerance) in [(1e-2, 1e-4), (1e-4, 1e-4), (1e-5, 1e-4), (1e-5, 1e-6), (1e-5, 3e-9), (1e-6, 1e-3)] {
         let mut parameters = automatic(fall_90_120(Method::Automatic), tolerance);
         enable(&mut parameters, "friction");
         let friction = &mut parameters.effects.friction;
@@ -247,7 +269,7 @@ fn rest_under_steep_friction_takes_no_steps() {
         let rest = counters(&simulation);
         // It creeps at a part of the breakaway velocity.
         assert!(simulation.state().core.v.max_norm() < breakaway_velocity, "{breakaway_velocity:e}, {tolerance:e}");
-        assert!(come.substeps < 5000, "{breakaway_velocity:e}, {tolerance:e}: {come:?}");
+        assert!(come.substeps < 150, "{breakaway_velocity:e}, {tolerance:e}: {come:?}");
         assert!(rest.substeps - come.substeps < 5, "{breakaway_velocity:e}, {tolerance:e}: {come:?}, {rest:?}");
     }
 }

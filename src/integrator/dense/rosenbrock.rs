@@ -19,10 +19,14 @@ mod tableau;
 use std::marker::PhantomData;
 
 use super::hermite::{self, Knowing};
+use super::landing::with_energy;
 use super::trial::{Allowed, Landing, Origin, Slope, Trial, for_each, larger};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
-use crate::integrator::{AccelerationTangents, EnergyBalance, Kkt, Passage, State, StepError, System, Work};
+use crate::integrator::state::Arrival;
+use crate::integrator::{
+    AccelerationTangents, EnergyBalance, Kkt, Passage, Projection, State, StepError, System, Work, velocity_correction,
+};
 use crate::vector::Vector;
 use inverse::{Inverse, combination};
 use tableau::{MOST, Tableau};
@@ -108,17 +112,38 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         [part * (q + v), v]
     }
 
-    /// Most of the way back onto the constraints. A projection goes along the shortest way in the metric of the masses, without asking the
-    /// forces; where those are stiff it would leave them out of balance. The way here is the one that the step itself would find:
-    /// (1 − hγ C − (hγ)² K)⁻¹ times that of the masses, which satisfies the linearised constraints as well, but for terms of h q̇.
+    /// Back onto the constraints, not along the shortest way in the metric of the masses, which asks no force: where forces are stiff it
+    /// would leave them out of balance. The way here is the one that the step itself would find, (1 − hγ C − (hγ)² K)⁻¹ times that of the
+    /// masses. The iterations spent, with pose and mass factor.
     #[inline]
-    fn approach<const M: usize>(&self, system: &impl System<N, M>, regularization: f64, [q, v]: &mut [Vector<N>; 2]) {
-        let pose = system.pose(q);
-        let mass = system.factor_mass(&pose, regularization);
-        let part = 1.0 / (self.h * T::GAMMA);
-        let (missing_q, missing_v) = (-system.phi(q, &pose), -system.phi_q_times(&pose, v));
-        *q += self.inverse.times(&(part * mass.correction(&missing_q)));
-        *v += self.inverse.times(&(part * mass.correction(&missing_v)));
+    fn project<const M: usize, S: System<N, M>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+        q: &mut Vector<N>,
+        v: &mut Vector<N>,
+    ) -> Result<(u32, S::Pose, S::Mass), StepError> {
+        let mut ways = None;
+        let along =
+            |pose: &S::Pose, missing| combination(ways.get_or_insert_with(|| self.ways_back(system, settings, pose)), &missing);
+        let projection = Projection::to_round_off(system.length_scale(), settings.regularization, settings.max_iterations);
+        let (iterations, pose) = projection.position_along(system, system.pose(q), q, along)?;
+        if let Some(ways) = &ways {
+            *v += combination(ways, &-system.phi_q_times(&pose, v));
+        }
+        let mass = system.factor_mass(&pose, settings.regularization);
+        *v += velocity_correction(system, &pose, &mass, v);
+        Ok((iterations, pose, mass))
+    }
+
+    /// By what q or q̇ is corrected for a unit of each constraint.
+    #[inline]
+    fn ways_back<const M: usize, S: System<N, M>>(&self, system: &S, settings: &Settings, pose: &S::Pose) -> [Vector<N>; M] {
+        let mass = system.factor_mass(pose, settings.regularization);
+        let ways: [Vector<N>; M] = std::array::from_fn(|i| self.inverse.times(&mass.correction(&Vector::unit(i))));
+        // A load may turn them: so that each is one constraint's.
+        let shares = Inverse::new(ways.map(|way| system.phi_q_times(pose, &way)), f64::EPSILON * self.h);
+        std::array::from_fn(|i| combination(&ways, &shares.times(&Vector::unit(i))))
     }
 
     /// Work by some weights of the stages, J.
@@ -202,21 +227,24 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let mut end = self.at::<MOST>();
-        let v_end = end[1];
+        let [mut q, mut v] = self.at::<MOST>();
         let judged = || if allowed.work.is_some() { self.work(system, const { &T::WORK_ERROR }) } else { Work::default() };
-        let error = allowed.mean_square(self.u[T::STAGES - 1], [&self.start[1], &v_end], judged).sqrt();
+        let error = allowed.mean_square(self.u[T::STAGES - 1], [&self.start[1], &v], judged).sqrt();
         if error.is_nan() || error > 1.0 {
             return (error, Err(StepError::NotFinite));
         }
-        if system.can_project(&end[0]) {
-            self.approach(system, settings.regularization, &mut end);
-        }
-        let land = |(iterations, arrival)| {
+        let mut land = || {
+            let (iterations, pose, mass) = if system.can_project(&q) {
+                self.project(system, settings, &mut q, &mut v)?
+            } else {
+                settings.project(system, &mut q, &mut v)?
+            };
+            v = with_energy(system, [&q, &v], kept)?;
+            let arrival = Arrival::in_balance(system, [q, v], &pose, &mass).finite()?;
             let work = if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
-            Landing { iterations, arrival, work }
+            Ok(Landing { iterations, arrival, work })
         };
-        (error, settings.project_and_evaluate(system, system.pose(&end[0]), end, kept).map(land))
+        (error, land())
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {

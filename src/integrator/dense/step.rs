@@ -1,4 +1,4 @@
-//! One accepted step: passage of a vertex, tries, error control, projection.
+//! One accepted step: passage of a vertex, tries, error control.
 
 use std::borrow::Borrow;
 
@@ -10,10 +10,7 @@ use super::trial::{Allowed, Landing, RATE, Slope, Trial};
 use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, Kind, Kinds, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, next_step};
-use crate::integrator::{
-    Approach, Arrival, EnergyBalance, Kinked, Passage, PassageLimits, Projection, State, StepError, System, velocity_correction,
-};
-use crate::vector::Vector;
+use crate::integrator::{Approach, EnergyBalance, Kinked, Passage, PassageLimits, State, StepError, System};
 
 /// A step below this, s, that is rejected is not made shorter.
 const SHORTEST: f64 = 1e-15;
@@ -24,6 +21,8 @@ const WITH_ROUNDING: f64 = 1.000_001;
 /// An interpolant whose rates differ from the derivatives of its coordinates by more than so many tolerances is none; those of good steps
 /// differ by 60 at most.
 const GREATEST_DEFECT: f64 = 1e3;
+/// A slow rate may be off by this part of what turns a force round: steps that jump over that never find the rest behind it.
+const TURN: f64 = 0.3;
 /// Round-off of a difference of coordinates, rad.
 const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
@@ -248,16 +247,21 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The step to come, from the error of this one.
     #[inline]
     fn adapt<T: Trial<N>>(&mut self, error: f64, wanted: f64, rejected: bool) {
-        let log_error = libm::log(error);
-        let growth = T::CONTROLLER.growth(log_error, self.memory.log_error);
-        let growth = if rejected { growth.min(1.0) } else { growth };
         // A step that was rejected is as long as its error allows, not cut short.
         let wanted = if rejected { self.length } else { wanted };
-        let next = next_step(self.length, growth, wanted);
+        let cut_short = is_cut_short(self.length, wanted);
+        let next = if cut_short && T::CONTROLLER.longest_after(self.length) <= wanted {
+            // Most held inputs end a step so early that its error has nothing to say.
+            wanted
+        } else {
+            let log_error = libm::log(error);
+            let growth = T::CONTROLLER.growth(log_error, self.memory.log_error);
+            if !cut_short {
+                self.memory.log_error = log_error.max(LEAST_LOG_ERROR);
+            }
+            next_step(self.length, if rejected { growth.min(1.0) } else { growth }, wanted)
+        };
         *(if T::KIND == Kind::Fifth { &mut self.memory.choice.fifth } else { &mut self.end.substep }) = next;
-        if !is_cut_short(self.length, wanted) {
-            self.memory.log_error = log_error.max(LEAST_LOG_ERROR);
-        }
     }
 
     /// The step that one of a kind wants next, s.
@@ -271,78 +275,16 @@ impl Settings {
     /// known.
     #[inline]
     pub(super) fn allowed_of<const N: usize>(&self, system: &impl Kinked<N>) -> Allowed {
-        Allowed { coordinate: self.error_tolerance, work: system.has_kinks().then_some(self.error_tolerance * self.energy_scale) }
+        let rate = RATE.min(TURN * system.turning_rate() / self.error_tolerance);
+        Allowed {
+            coordinate: self.error_tolerance,
+            rate,
+            work: system.has_kinks().then_some(self.error_tolerance * self.energy_scale),
+        }
     }
 
     /// The error is far below what the impact parameter could hide, at any tolerance.
     pub(super) fn passage(&self) -> PassageLimits {
         PassageLimits { radius: 1e-4, impact_parameter: 1e-7, longest_with_dissipation: self.first_step }
-    }
-
-    /// Puts the end of a step, with its pose, onto the constraints: the iterations spent, and what holds there. The energy that was at its
-    /// beginning, so many seconds before, is kept where there is any.
-    #[inline(never)]
-    pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
-        &self,
-        system: &S,
-        pose: S::Pose,
-        [mut q, mut v]: [Vector<N>; 2],
-        kept: Option<(EnergyBalance, f64)>,
-    ) -> Result<(u32, Arrival<N, M>), StepError> {
-        let (iterations, pose, mass) = self.project_in_place(system, pose, &mut q, &mut v)?;
-        if let Some((energy, h)) = &kept {
-            v = system.energy_scale(energy, &q, &v, *h)? * v;
-        }
-        Ok((iterations, Arrival::in_balance(system, [q, v], &pose, &mass).finite()?))
-    }
-
-    /// The same without what holds there.
-    #[inline]
-    pub(super) fn project_without_balance<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
-        &self,
-        system: &S,
-        [mut q, mut v]: [Vector<N>; 2],
-        kept: Option<(EnergyBalance, f64)>,
-    ) -> Result<(u32, Arrival<N, M>), StepError> {
-        let (iterations, pose, _) = self.project(system, &mut q, &mut v)?;
-        if let Some((energy, h)) = &kept {
-            v = system.energy_scale(energy, &q, &v, *h)? * v;
-        }
-        Ok((iterations, Arrival::without_balance(system, [q, v], &pose).finite()?))
-    }
-
-    /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
-    /// spent, with pose and mass factor.
-    #[inline(never)]
-    pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
-        &self,
-        system: &S,
-        q: &mut Vector<N>,
-        v: &mut Vector<N>,
-    ) -> Result<(u32, S::Pose, S::Mass), StepError> {
-        self.project_in_place(system, system.pose(q), q, v)
-    }
-
-    /// The same from the pose at q, compiled into its caller.
-    #[inline(always)]
-    fn project_in_place<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
-        &self,
-        system: &S,
-        pose: S::Pose,
-        q: &mut Vector<N>,
-        v: &mut Vector<N>,
-    ) -> Result<(u32, S::Pose, S::Mass), StepError> {
-        if !system.can_project(q) {
-            let mass = system.factor_mass(&pose, self.regularization);
-            return Ok((0, pose, mass));
-        }
-        let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
-        let (iterations, pose) = projection.position_from(system, pose, q)?;
-        let mass = system.factor_mass(&pose, self.regularization);
-        *v += velocity_correction(system, &pose, &mass, v);
-        if system.holds() {
-            *v = system.let_hold(*q, *v);
-        }
-        Ok((iterations, pose, mass))
     }
 }

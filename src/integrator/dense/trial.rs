@@ -72,6 +72,8 @@ pub(super) struct Landing<const N: usize, const M: usize> {
 pub(super) struct Allowed {
     /// Of a coordinate.
     pub(super) coordinate: f64,
+    /// Of a rate, in what a coordinate may be off: this and its own magnitude, 1/s.
+    pub(super) rate: f64,
     /// Of the work, J, where it is judged.
     pub(super) work: Option<f64>,
 }
@@ -88,7 +90,7 @@ impl Allowed {
         [from, to]: [&Vector<N>; 2],
         work: impl FnOnce() -> Work,
     ) -> f64 {
-        let units = from.with(to, |from, to| f64x2::splat(1.0) / (f64x2::splat(RATE) + from.abs().fast_max(to.abs())));
+        let units = from.with(to, |from, to| f64x2::splat(1.0) / (f64x2::splat(self.rate) + from.abs().fast_max(to.abs())));
         let rates = v.with(&units, |v, unit| v * unit);
         let squares = q.with(&rates, |q, rate| q * q + rate * rate);
         let mean = squares.sum() / (2.0 * N as f64 * self.coordinate * self.coordinate);

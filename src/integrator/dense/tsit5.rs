@@ -77,11 +77,24 @@ impl<const N: usize> Tsit5<N> {
         [q, v]
     }
 
-    /// q and q̇ at the place of a row.
+    /// How far q and q̇ at the place of a row are from the beginning.
     #[inline(always)]
-    fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
-        let [q, v] = self.sums::<ROW>();
-        [self.start[0] + self.h * q, self.start[1] + self.h * v]
+    fn way<const ROW: usize>(&self) -> [Vector<N>; 2] {
+        self.sums::<ROW>().map(|sum| self.h * sum)
+    }
+
+    /// Evaluates the stages of the step, in place: what a function returns is copied.
+    #[inline(never)]
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Pose, N>) {
+        macro_rules! evaluate {
+            ($stage:literal) => {
+                let [q, v] = self.way::<$stage>();
+                self.slopes[$stage].q = self.start[1] + v;
+                self.slopes[$stage].complete(system, regularization, origin, &q);
+                self.last = [self.last[1], q];
+            };
+        }
+        for_each!(evaluate: 1 2 3 4 5);
     }
 
     /// Estimated error in units of what is allowed. The estimate of order 3 is damped by that of order 2, as in DOP853 (Hairer, Nørsett,
@@ -116,21 +129,11 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         Some(())
     }
 
-    #[inline(never)]
-    fn new<const M: usize>(system: &impl System<N, M>, (): &(), regularization: f64, from: &State<N, M>, h: f64) -> Self {
-        let mut step = Self { slopes: [Slope::NONE; STAGES], start: [from.q, from.v], h, last: [Vector::ZERO; 2] };
-        step.slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
-        let origin = Origin::new(system, &from.q);
-        macro_rules! evaluate {
-            ($stage:literal) => {
-                let [q, v] = step.sums::<$stage>().map(|sum| h * sum);
-                step.slopes[$stage].q = from.v + v;
-                step.slopes[$stage].complete(system, regularization, &origin, &q);
-                step.last = [step.last[1], q];
-            };
-        }
-        for_each!(evaluate: 1 2 3 4 5);
-        step
+    #[inline(always)]
+    fn new<const M: usize>(_: &impl System<N, M>, (): &(), _: f64, from: &State<N, M>, h: f64) -> Self {
+        let mut slopes = [Slope::NONE; STAGES];
+        slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
+        Self { slopes, start: [from.q, from.v], h, last: [Vector::ZERO; 2] }
     }
 
     fn land<const M: usize, S: System<N, M> + Passage<N>>(
@@ -140,13 +143,16 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let end = self.at::<END>();
+        let origin = Origin::new(system, &self.start[0]);
+        self.evaluate_all(system, settings.regularization, &origin);
+        let way = self.way::<END>();
+        let end = [self.start[0] + way[0], self.start[1] + way[1]];
         let error = self.error(allowed, &end[1]);
         if error.is_nan() || error > 1.0 {
             return (error, Err(StepError::NotFinite));
         }
         let work = || if system.follows_work() { Work::default().plus(self.h, self.power::<END>()) } else { Work::default() };
-        let landed = settings.project_without_balance(system, end, kept);
+        let landed = settings.project_without_balance(system, system.pose_turned(&origin.pose, &way[0], &end[0]), end, kept);
         (error, landed.map(|(iterations, arrival)| Landing { iterations, arrival, work: work() }))
     }
 

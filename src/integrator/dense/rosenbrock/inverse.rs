@@ -45,7 +45,7 @@ impl<const N: usize> Inverse<N> {
 
 /// Σ bᵢ columnᵢ.
 #[inline(always)]
-pub(super) fn combination<const N: usize>(columns: &[Vector<N>; N], b: &Vector<N>) -> Vector<N> {
+pub(super) fn combination<const N: usize, const K: usize>(columns: &[Vector<N>; K], b: &Vector<K>) -> Vector<N> {
     let mut sum = Vector::ZERO;
     for (column, b) in columns.iter().zip(b) {
         sum += *b * *column;

@@ -1,0 +1,83 @@
+//! Where a step ends: on the constraints, in balance.
+
+use super::Settings;
+use crate::integrator::state::Arrival;
+use crate::integrator::{EnergyBalance, Passage, Projection, StepError, System, velocity_correction};
+use crate::vector::Vector;
+
+impl Settings {
+    /// Puts the end of a step, with its pose, onto the constraints: the iterations spent, and what holds there. The energy that was at its
+    /// beginning, so many seconds before, is kept where there is any.
+    #[inline(never)]
+    pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        pose: S::Pose,
+        [mut q, mut v]: [Vector<N>; 2],
+        kept: Option<(EnergyBalance, f64)>,
+    ) -> Result<(u32, Arrival<N, M>), StepError> {
+        let (iterations, pose, mass) = self.project_in_place(system, pose, &mut q, &mut v)?;
+        v = with_energy(system, [&q, &v], kept)?;
+        Ok((iterations, Arrival::in_balance(system, [q, v], &pose, &mass).finite()?))
+    }
+
+    /// The same without what holds there.
+    #[inline]
+    pub(super) fn project_without_balance<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        pose: S::Pose,
+        [mut q, mut v]: [Vector<N>; 2],
+        kept: Option<(EnergyBalance, f64)>,
+    ) -> Result<(u32, Arrival<N, M>), StepError> {
+        let (iterations, pose, _) = self.project_in_place(system, pose, &mut q, &mut v)?;
+        v = with_energy(system, [&q, &v], kept)?;
+        Ok((iterations, Arrival::without_balance(system, [q, v], &pose).finite()?))
+    }
+
+    /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
+    /// spent, with pose and mass factor.
+    #[inline(never)]
+    pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        q: &mut Vector<N>,
+        v: &mut Vector<N>,
+    ) -> Result<(u32, S::Pose, S::Mass), StepError> {
+        self.project_in_place(system, system.pose(q), q, v)
+    }
+
+    /// The same from the pose at q, compiled into its caller.
+    #[inline(always)]
+    fn project_in_place<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        pose: S::Pose,
+        q: &mut Vector<N>,
+        v: &mut Vector<N>,
+    ) -> Result<(u32, S::Pose, S::Mass), StepError> {
+        if !system.can_project(q) {
+            let mass = system.factor_mass(&pose, self.regularization);
+            return Ok((0, pose, mass));
+        }
+        let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
+        let (iterations, pose) = projection.position_from(system, pose, q)?;
+        let mass = system.factor_mass(&pose, self.regularization);
+        *v += velocity_correction(system, &pose, &mass, v);
+        if system.holds() {
+            *v = system.let_hold(*q, *v);
+        }
+        Ok((iterations, pose, mass))
+    }
+}
+
+/// q̇ scaled to the energy that was there so many seconds before, where there is any to keep.
+#[inline]
+pub(super) fn with_energy<const N: usize>(
+    system: &impl Passage<N>,
+    [q, v]: [&Vector<N>; 2],
+    kept: Option<(EnergyBalance, f64)>,
+) -> Result<Vector<N>, StepError> {
+    let Some((energy, h)) = &kept else { return Ok(*v) };
+    Ok(system.energy_scale(energy, q, v, *h)? * *v)
+}
