@@ -25,8 +25,8 @@ const FORCE: usize = 4;
 const FORCE_WALK: [f64; MODELS] = [4e-4, 0.04, 4.0, 4000.0];
 /// White torque on every link, s, in units of the squared torque scale.
 const WHITE_TORQUE: [f64; MODELS] = [4e-7, 4e-7, 4e-5, 4e-3];
-/// What a model that is left is followed by.
-const PRIOR: [f64; MODELS] = [0.45, 0.45, 0.095, 0.005];
+/// What a model that is left is followed by; one of 0 takes no part.
+pub(super) const PRIOR: [f64; MODELS] = [0.45, 0.45, 0.095, 0.005];
 /// A model never becomes less likely than this in one sample.
 const LEAST_LIKELIHOOD: f64 = 1e-12;
 /// Variances that say that nothing is known, rad² and rad²/s².
@@ -143,7 +143,7 @@ impl Bank {
     /// Moves all errors by a transition.
     #[inline(never)]
     pub fn carry(&mut self, f: &Matrix) {
-        for member in &mut self.members {
+        for member in self.taking_part() {
             member.error = apply(f, &member.error);
             member.covariance = sandwich(f, &member.covariance);
         }
@@ -152,7 +152,7 @@ impl Bank {
     /// The same errors on another tangent basis: angles, rates and force turn alike.
     #[inline(never)]
     pub fn turn(&mut self, turn: &[Pair; 2]) {
-        for member in &mut self.members {
+        for member in self.taking_part() {
             member.error = turned(turn, &member.error);
             // By the second index, then by the first.
             let half = member.covariance.map(|row| turned(turn, &row));
@@ -168,17 +168,32 @@ impl Bank {
         }
     }
 
+    /// Those that are believed at all.
+    fn taking_part(&mut self) -> impl Iterator<Item = &mut Member> {
+        self.members.iter_mut().filter(|member| member.weight > 0.0)
+    }
+
     /// Mixes the models as they may have changed in h seconds, moves them, and adds what each expects of the process. `switch_time`, s, is
-    /// how long a model stays.
+    /// how long a model stays before one of `priors` follows it.
     #[inline(never)]
-    pub fn predict(&mut self, linkage: &Linkage, (at, f): (&Frame, &Matrix), scale: f64, (h, switch_time): (f64, f64)) {
+    pub fn predict(
+        &mut self,
+        linkage: &Linkage,
+        (at, f): (&Frame, &Matrix),
+        scale: f64,
+        (h, switch_time): (f64, f64),
+        priors: &[f64; MODELS],
+    ) {
         let stay = libm::exp(-h / switch_time);
         let (mean, all) = self.moments();
         let noise = ProcessNoise::new(linkage, at, h);
         for (j, member) in self.members.iter_mut().enumerate() {
             // It has stayed, or any of them is left for it.
-            let (own, any) = (member.weight * stay, (1.0 - stay) * PRIOR[j]);
+            let (own, any) = (member.weight * stay, (1.0 - stay) * priors[j]);
             member.weight = own + any;
+            if member.weight == 0.0 {
+                continue;
+            }
             let (own, any) = (own / member.weight, any / member.weight);
             let (white, walk) = (scale * scale * WHITE_TORQUE[j], scale * scale * FORCE_WALK[j]);
             let off: Error = std::array::from_fn(|i| member.error[i] - mean[i]);
@@ -208,13 +223,19 @@ impl Bank {
         }
     }
 
-    /// The same where next to nothing is known of the force but its variance, and which model holds.
+    /// The same error in all models, as likely as before any sample.
+    #[cold]
+    pub fn with_priors(&self, priors: [f64; MODELS]) -> Self {
+        let (error, covariance) = self.moments();
+        Self { members: priors.map(|weight| Member { weight, error, covariance }) }
+    }
+
+    /// The same where nothing is known of the force but its variance.
     #[cold]
     pub fn with_force(&self, variance: f64) -> Self {
         let mut bank = *self;
-        for (member, weight) in bank.members.iter_mut().zip(PRIOR) {
-            member.weight = weight;
-            for i in 4..ERRORS {
+        for member in &mut bank.members {
+            for i in FORCE..ERRORS {
                 member.error[i] = 0.0;
                 member.covariance[i] = [0.0; ERRORS];
                 member.covariance.iter_mut().for_each(|row| row[i] = 0.0);
@@ -227,7 +248,7 @@ impl Bank {
     /// The force may be another one, by this variance.
     pub fn unsettle_force(&mut self, variance: f64) {
         for member in &mut self.members {
-            for i in 4..ERRORS {
+            for i in FORCE..ERRORS {
                 member.covariance[i][i] += variance;
             }
         }
@@ -241,6 +262,17 @@ impl Bank {
     /// Mean of all models together.
     pub fn mean(&self) -> Error {
         std::array::from_fn(|i| self.members.iter().map(|member| member.weight * member.error[i]).sum())
+    }
+
+    /// Covariance of the force about the mean, (N·m)²: xx, xy, yy.
+    pub fn force_covariance(&self) -> [f64; 3] {
+        let mut sum = [0.0; 3];
+        for Member { weight, error, covariance } in &self.members {
+            let [.., x, y] = *error;
+            let [.., [.., xx, xy], [.., yy]] = *covariance;
+            sum = [sum[0] + weight * (xx + x * x), sum[1] + weight * (xy + x * y), sum[2] + weight * (yy + y * y)];
+        }
+        sum
     }
 
     /// Mean and covariance of all models together.
@@ -262,8 +294,12 @@ impl Bank {
     /// Corrects all models by a sample of which they have expected that, and their weights by how likely each had made it.
     #[inline(never)]
     pub fn update(&mut self, expected: &Expected) {
-        let mut likelihood = [0.0; MODELS];
-        for ((member, (residual, variance, column)), likelihood) in self.members.iter_mut().zip(&expected.each).zip(&mut likelihood) {
+        let mut likelihood = [f64::NEG_INFINITY; MODELS];
+        for ((member, (residual, variance, column)), likelihood) in self.members.iter_mut().zip(&expected.each).zip(&mut likelihood)
+        {
+            if member.weight == 0.0 {
+                continue;
+            }
             *likelihood = log_likelihood(residual * residual / variance, *variance);
             let gain = column.map(|element| element / variance);
             for i in 0..ERRORS {

@@ -3,6 +3,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::bank::{MODELS, PRIOR};
 use super::innovation::{Expected, Innovation, log_likelihood};
 use super::linkage::{Linkage, MEASURED, VERTEX};
 use super::track::{Track, wrapped};
@@ -102,8 +103,8 @@ impl Branches {
             if let Some(motion) = other {
                 motion.age += h;
                 let scale = constants.torque_scale();
-                let goes_on =
-                    motion.age < LONGEST && advance(&mut motion.track, constants, scene, motion.straight, (h, switch_time, scale));
+                let goes_on = motion.age < LONGEST
+                    && advance(&mut motion.track, constants, scene, motion.straight, (h, switch_time, scale), &PRIOR);
                 if !goes_on {
                     *other = None;
                 }
@@ -209,8 +210,8 @@ impl Other {
     }
 }
 
-/// A motion beside the estimate goes on by a macro step, by Runge–Kutta, with unknown forces of a scale, N·m; false where it cannot.
-/// `straight`: it goes straight through a vertex.
+/// A motion beside the estimate goes on by a macro step, by Runge–Kutta, with unknown forces of a scale, N·m, and models of such
+/// priors; false where it cannot. `straight`: it goes straight through a vertex.
 #[inline(never)]
 pub(super) fn advance(
     track: &mut Track,
@@ -218,6 +219,7 @@ pub(super) fn advance(
     scene: &impl Scene,
     straight: bool,
     (h, switch_time, scale): (f64, f64, f64),
+    priors: &[f64; MODELS],
 ) -> bool {
     let linkage = &constants.linkage;
     let from = linkage.frame(&track.theta);
@@ -238,7 +240,7 @@ pub(super) fn advance(
         }
     };
     let step = track.step((&from, &to), (&theta, &omega), &flow, h);
-    track.bank.predict(linkage, (&from, &step.transition), scale, (h, switch_time));
+    track.bank.predict(linkage, (&from, &step.transition), scale, (h, switch_time), priors);
     (track.theta, track.omega) = (theta, omega);
     true
 }

@@ -1,6 +1,7 @@
 //! A sample against what was expected of it.
 
 use super::bank::{Bank, Error, MODELS, Member};
+use super::transition::ERRORS;
 
 /// A sample of one encoder against what was expected of it.
 #[derive(Clone, Copy, Debug)]
@@ -43,7 +44,10 @@ impl Bank {
     #[inline(never)]
     pub fn expect(&self, sample: &Innovation) -> Expected {
         let each = std::array::from_fn(|i| {
-            let Member { error, covariance, .. } = &self.members[i];
+            let Member { weight, error, covariance } = &self.members[i];
+            if *weight == 0.0 {
+                return (0.0, 1.0, [0.0; ERRORS]);
+            }
             let column: Error = std::array::from_fn(|i| along(&sample.row, &covariance[i]));
             let variance = along(&sample.row, &column) + sample.noise;
             (sample.residual - along(&sample.row, error), variance, column)

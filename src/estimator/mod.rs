@@ -34,7 +34,7 @@ use branches::Branches;
 pub use constants::Constants;
 pub use encoder::{Encoder, Fault, Measured};
 use forecast::Forecast;
-use grazing::Grazing;
+use grazing::{Grazing, Way};
 use history::History;
 pub use history::REMEMBERED;
 pub use innovation::Innovation;
@@ -210,13 +210,14 @@ impl Estimator {
         let turned = self.track.has_turned(omega, frame.smallest.min(to.smallest));
         self.branches.pass(linkage, &self.track, scene, [frame.smallest, to.smallest], turned);
         self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
-        self.track.bank.predict(linkage, (&frame, &step.transition), scale, timing);
+        self.track.bank.predict(linkage, (&frame, &step.transition), scale, timing, &bank::PRIOR);
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
         self.branches.step(constants, (&self.track, step.held), scene, timing);
         // Without samples nothing decides.
         let clear = !step.held && self.branches.are_known() && !self.is_coasting();
-        self.grazing.step(constants, (&self.track, clear), known, timing);
+        let way = Way { from: &frame, to: &to, transition: &step.transition, steps: flow.steps };
+        self.grazing.step(constants, (&self.track, clear, &way), known, timing);
         for encoder in &mut self.encoders {
             encoder.silent += h;
         }

@@ -58,6 +58,8 @@ pub struct Flow {
     pub theta: Links,
     /// Rates, rad/s.
     pub omega: Links,
+    /// Steps of Runge–Kutta.
+    pub(super) steps: u32,
     /// How the angles change with the errors at the beginning.
     pub(super) d_theta: Columns,
     /// How the rates do.
@@ -160,7 +162,7 @@ pub fn flow(
         point = point.plus(h / 6.0, &k1).plus(h / 3.0, &k2).plus(h / 3.0, &k3).plus(h / 6.0, &k4);
     }
     let Point { theta, omega, d_theta, d_omega } = point;
-    Flow { theta, omega, d_theta, d_omega }
+    Flow { theta, omega, steps, d_theta, d_omega }
 }
 
 /// The factors of the saddle-point system.
