@@ -122,6 +122,17 @@ pub fn straight(from: &Frame, to: &Frame, h: f64) -> Matrix {
     f
 }
 
+/// A transition on other tangent spaces next to its own: `onto` turns errors to where it begins, `back` from where it ends.
+#[inline(never)]
+pub fn seen_from(f: &Matrix, onto: &[Pair; 2], back: &[Pair; 2]) -> Matrix {
+    let transposed = [[onto[0][0], onto[1][0]], [onto[0][1], onto[1][1]]];
+    let half = f.map(|row| turned(&transposed, &row));
+    std::array::from_fn(|i| {
+        let ([first, second], pair) = (back[i % 2], i - i % 2);
+        std::array::from_fn(|k| first * half[pair][k] + second * half[pair + 1][k])
+    })
+}
+
 fn turn_force(f: &mut Matrix, turned: [Pair; 2]) {
     for i in 0..2 {
         for k in 0..2 {

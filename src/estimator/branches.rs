@@ -230,10 +230,10 @@ pub(super) fn advance(
         let Track { theta, omega, .. } = track.gone_straight(linkage, h);
         (theta, omega, linkage.frame(&theta))
     } else {
-        let near = linkage.frame(&flow.theta);
         // Next to a vertex J is no way back onto the loop.
-        if near.smallest < VERTEX {
-            (flow.theta, flow.omega, near)
+        let at = linkage.posture(&flow.theta);
+        if at.gram(linkage.length).1 < VERTEX {
+            (flow.theta, flow.omega, linkage.frame(&flow.theta))
         } else {
             let Some(closed) = linkage.closed(flow.theta, flow.omega) else { return false };
             closed

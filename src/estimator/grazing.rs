@@ -160,7 +160,8 @@ impl Pair {
 #[inline(never)]
 fn accompany(track: &mut Track, constants: &Constants, scene: &impl Scene, way: &Way<'_>, timing: (f64, f64, f64)) -> bool {
     let linkage = &constants.linkage;
-    let onto = linkage.frame(&track.theta).carried_to(way.from);
+    let from = linkage.frame(&track.theta);
+    let onto = from.carried_to(way.from);
     let [[a, b], [c, d]] = onto;
     if (a * d - b * c).abs() < ALIKE {
         return advance(track, constants, scene, false, timing, &PRIOR);
@@ -168,9 +169,8 @@ fn accompany(track: &mut Track, constants: &Constants, scene: &impl Scene, way: 
     let (h, switch_time, scale) = timing;
     let (theta, omega) = transition::motion(linkage, scene, (track.theta, track.omega), h, way.steps);
     let Some((theta, omega, to)) = linkage.closed(theta, omega) else { return false };
-    track.bank.turn(&onto);
-    track.bank.predict(linkage, (way.from, way.transition), scale, (h, switch_time), &PRIOR);
-    track.bank.turn(&way.to.carried_to(&to));
+    let transition = bank::seen_from(way.transition, &onto, &way.to.carried_to(&to));
+    track.bank.predict(linkage, (&from, &transition), scale, (h, switch_time), &PRIOR);
     (track.theta, track.omega) = (theta, omega);
     true
 }

@@ -155,8 +155,7 @@ impl Track {
 
     /// The motion with the errors about it, in at least so many steps of Runge-Kutta.
     pub(super) fn flow(&self, linkage: &Linkage, at: &Frame, scene: &impl Scene, (h, least): (f64, u32)) -> Flow {
-        let steps = transition::steps(linkage, at, scene, (&self.theta, &self.omega), h).max(least);
-        transition::flow(linkage, scene, (&self.theta, &self.omega, at), &by_inputs(linkage, at), h, steps)
+        transition::flow(linkage, scene, (&self.theta, &self.omega, at), &by_inputs(linkage, at), h, least)
     }
 
     /// What is expected of a sample that an encoder takes now.

@@ -100,9 +100,14 @@ impl Point {
 /// How many steps of Runge–Kutta a time of h seconds needs.
 #[inline(never)]
 pub fn steps(linkage: &Linkage, at: &Frame, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) -> u32 {
-    let Loads { stiffness, damping, .. } = scene.loads(theta, omega);
+    steps_for(linkage, at, &scene.loads(theta, omega), scene.is_steep(), (omega, h))
+}
+
+/// The same of loads that are known.
+fn steps_for(linkage: &Linkage, at: &Frame, loads: &Loads, steep: bool, (omega, h): (&Links, f64)) -> u32 {
+    let Loads { stiffness, damping, .. } = loads;
     let inertia = linkage.least_inertia(at);
-    let mut rate = RATES[usize::from(scene.is_steep())];
+    let mut rate = RATES[usize::from(steep)];
     let mut fastest = 0.0_f64;
     for i in 0..4 {
         rate = rate.max(PER_DAMPER * damping[i][i].abs() / inertia[i]).max((stiffness[i][i].abs() / inertia[i]).sqrt());
@@ -133,7 +138,8 @@ pub fn motion(linkage: &Linkage, scene: &impl Scene, (mut theta, mut omega): (Li
     (theta, omega)
 }
 
-/// The motion with the errors about it. `force` says with what torques on the inputs the two unknown forces act, by input.
+/// The motion with the errors about it, in as many steps as it needs, and at least so many. `force` says with what torques on the inputs the
+/// two unknown forces act, by input.
 #[inline(never)]
 pub fn flow(
     linkage: &Linkage,
@@ -141,8 +147,10 @@ pub fn flow(
     (theta, omega, frame): (&Links, &Links, &Frame),
     force: &[Pair; 4],
     h: f64,
-    steps: u32,
+    least: u32,
 ) -> Flow {
+    let mut loads = scene.loads(theta, omega);
+    let steps = steps_for(linkage, frame, &loads, scene.is_steep(), (omega, h)).max(least);
     let mut point = Point { theta: *theta, omega: *omega, d_theta: [[0.0; ERRORS]; 4], d_omega: [[0.0; ERRORS]; 4] };
     for (k, direction) in frame.basis.iter().enumerate() {
         // J δω = −δJ ω: what the turned links need to stay closed.
@@ -154,12 +162,16 @@ pub fn flow(
         }
     }
     let h = h / f64::from(steps);
-    for _ in 0..steps {
-        let k1 = rate(linkage, scene, force, &point);
-        let k2 = rate(linkage, scene, force, &point.plus(h / 2.0, &k1));
-        let k3 = rate(linkage, scene, force, &point.plus(h / 2.0, &k2));
-        let k4 = rate(linkage, scene, force, &point.plus(h, &k3));
-        point = point.plus(h / 6.0, &k1).plus(h / 3.0, &k2).plus(h / 3.0, &k3).plus(h / 6.0, &k4);
+    for step in 0..steps {
+        let rate_at = |point: &Point| rate(linkage, &scene.loads(&point.theta, &point.omega), force, point);
+        if step > 0 {
+            loads = scene.loads(&point.theta, &point.omega);
+        }
+        let k1 = rate(linkage, &loads, force, &point);
+        let k2 = rate_at(&point.plus(h / 2.0, &k1));
+        let k3 = rate_at(&point.plus(h / 2.0, &k2));
+        let k4 = rate_at(&point.plus(h, &k3));
+        point = point.plus(h / 6.0, &k1.plus(2.0, &k2).plus(2.0, &k3).plus(1.0, &k4));
     }
     let Point { theta, omega, d_theta, d_omega } = point;
     Flow { theta, omega, steps, d_theta, d_omega }
@@ -279,10 +291,10 @@ fn acceleration(linkage: &Linkage, scene: &impl Scene, theta: &Links, omega: &Li
 
 /// The rate of change of a point.
 #[inline(never)]
-fn rate(linkage: &Linkage, scene: &impl Scene, force: &[Pair; 4], point: &Point) -> Point {
+fn rate(linkage: &Linkage, loads: &Loads, force: &[Pair; 4], point: &Point) -> Point {
     let Point { theta, omega, d_theta, d_omega } = point;
     let frame = linkage.posture(theta);
-    let Loads { torque, stiffness, damping } = scene.loads(theta, omega);
+    let &Loads { torque, stiffness, damping } = loads;
     let factor = Factor::new(linkage, &frame);
     let (alpha, lambda) = factor.solve(&pushed(linkage, &frame, torque, omega), frame.inward(omega, omega));
 
