@@ -59,7 +59,7 @@ pub struct Flow {
     /// Rates, rad/s.
     pub omega: Links,
     /// Steps of Runge–Kutta.
-    pub(super) steps: u32,
+    pub steps: u32,
     /// How the angles change with the errors at the beginning.
     pub(super) d_theta: Columns,
     /// How the rates do.
