@@ -53,8 +53,7 @@ impl Alarm {
         self.nis += samples / CONSISTENCY.0 * ((nis / samples).min(WORST) - self.nis);
         let change = std::array::from_fn(|i| track.force[i] - self.usual[i]);
         let [x, y] = Track { force: change, ..*track }.tangent_force(at);
-        let covariance = track.covariance();
-        let (xx, xy, yy) = (covariance[4][4], covariance[4][5], covariance[5][5]);
+        let [xx, xy, yy] = track.bank.force_covariance();
         let (size, determinant) = ((x * x + y * y).sqrt(), xx * yy - xy * xy);
         // (size/σ)² without a division.
         let squared = x * x * yy - 2.0 * x * y * xy + y * y * xx;

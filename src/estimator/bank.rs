@@ -6,6 +6,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::innovation::{Expected, log_likelihood};
 use super::linkage::{Frame, Linkage, Pair};
 use super::process_noise::ProcessNoise;
 use super::transition::{ERRORS, Flow};
@@ -17,13 +18,15 @@ pub const MODELS: usize = 4;
 pub type Error = [f64; ERRORS];
 /// A covariance or a transition.
 pub type Matrix = [Error; ERRORS];
+/// Where the force begins in an error.
+const FORCE: usize = 4;
 
 /// Squared change of the unknown force per second, in units of the squared torque scale.
 const FORCE_WALK: [f64; MODELS] = [4e-4, 0.04, 4.0, 4000.0];
 /// White torque on every link, s, in units of the squared torque scale.
 const WHITE_TORQUE: [f64; MODELS] = [4e-7, 4e-7, 4e-5, 4e-3];
-/// What a model that is left is followed by.
-const PRIOR: [f64; MODELS] = [0.45, 0.45, 0.095, 0.005];
+/// What a model that is left is followed by; one of 0 takes no part.
+pub(super) const PRIOR: [f64; MODELS] = [0.45, 0.45, 0.095, 0.005];
 /// A model never becomes less likely than this in one sample.
 const LEAST_LIKELIHOOD: f64 = 1e-12;
 /// Variances that say that nothing is known, rad² and rad²/s².
@@ -49,23 +52,12 @@ pub struct Bank {
     pub members: [Member; MODELS],
 }
 
-/// A sample of one encoder against what was expected of it.
-#[derive(Clone, Copy, Debug)]
-pub struct Innovation {
-    /// Measured less expected, rad.
-    pub residual: f64,
-    /// How the measured angle changes with the error.
-    pub row: Error,
-    /// Variance of the measurement, rad².
-    pub noise: f64,
-}
-
-/// F P Fᵀ, symmetric to the bit.
+/// F P Fᵀ, symmetric to the bit, of a transition: angles and rates do nothing to the force.
 #[inline(never)]
-pub fn sandwich(f: &Matrix, p: &Matrix) -> Matrix {
+fn sandwich(f: &Matrix, p: &Matrix) -> Matrix {
     let mut half = [[0.0; ERRORS]; ERRORS];
     for i in 0..ERRORS {
-        for k in 0..ERRORS {
+        for k in (if i < FORCE { 0 } else { FORCE })..ERRORS {
             let factor = f[i][k];
             for j in 0..ERRORS {
                 half[i][j] += factor * p[k][j];
@@ -73,14 +65,23 @@ pub fn sandwich(f: &Matrix, p: &Matrix) -> Matrix {
         }
     }
     let mut product = [[0.0; ERRORS]; ERRORS];
-    for i in 0..ERRORS {
-        for j in 0..=i {
-            let sum: f64 = (0..ERRORS).map(|k| half[i][k] * f[j][k]).sum();
+    for j in 0..ERRORS {
+        for i in j..ERRORS {
+            let sum: f64 = (if j < FORCE { 0 } else { FORCE }..ERRORS).map(|k| half[i][k] * f[j][k]).sum();
             product[i][j] = sum;
             product[j][i] = sum;
         }
     }
     product
+}
+
+/// Each pair of an error turned.
+#[inline]
+fn turned(turn: &[Pair; 2], x: &Error) -> Error {
+    std::array::from_fn(|i| {
+        let [first, second] = turn[i % 2];
+        first * x[i - i % 2] + second * x[i - i % 2 + 1]
+    })
 }
 
 fn apply(f: &Matrix, x: &Error) -> Error {
@@ -105,6 +106,7 @@ pub fn transition(from: &Frame, to: &Frame, flow: &Flow) -> Matrix {
 }
 
 /// The same in a time in which nothing can be said of the forces: angles follow the rates.
+#[cold]
 #[inline(never)]
 pub fn straight(from: &Frame, to: &Frame, h: f64) -> Matrix {
     let turned = from.carried_to(to);
@@ -118,6 +120,17 @@ pub fn straight(from: &Frame, to: &Frame, h: f64) -> Matrix {
     }
     turn_force(&mut f, turned);
     f
+}
+
+/// A transition on other tangent spaces next to its own: `onto` turns errors to where it begins, `back` from where it ends.
+#[inline(never)]
+pub fn seen_from(f: &Matrix, onto: &[Pair; 2], back: &[Pair; 2]) -> Matrix {
+    let transposed = [[onto[0][0], onto[1][0]], [onto[0][1], onto[1][1]]];
+    let half = f.map(|row| turned(&transposed, &row));
+    std::array::from_fn(|i| {
+        let ([first, second], pair) = (back[i % 2], i - i % 2);
+        std::array::from_fn(|k| first * half[pair][k] + second * half[pair + 1][k])
+    })
 }
 
 fn turn_force(f: &mut Matrix, turned: [Pair; 2]) {
@@ -141,27 +154,68 @@ impl Bank {
     /// Moves all errors by a transition.
     #[inline(never)]
     pub fn carry(&mut self, f: &Matrix) {
-        for member in &mut self.members {
+        for member in self.taking_part() {
             member.error = apply(f, &member.error);
             member.covariance = sandwich(f, &member.covariance);
         }
     }
 
-    /// Mixes the models as they may have changed in h seconds, moves them, and adds what each expects of the process. `switch_time`, s, is
-    /// how long a model stays.
+    /// The same errors on another tangent basis: angles, rates and force turn alike.
     #[inline(never)]
-    pub fn predict(&mut self, linkage: &Linkage, (at, f): (&Frame, &Matrix), scale: f64, (h, switch_time): (f64, f64)) {
+    pub fn turn(&mut self, turn: &[Pair; 2]) {
+        for member in self.taking_part() {
+            member.error = turned(turn, &member.error);
+            // By the second index, then by the first.
+            let half = member.covariance.map(|row| turned(turn, &row));
+            let p = &mut member.covariance;
+            for first in (0..ERRORS).step_by(2) {
+                for (i, row) in turn.iter().enumerate() {
+                    for k in 0..=first + i {
+                        p[first + i][k] = row[0] * half[first][k] + row[1] * half[first + 1][k];
+                        p[k][first + i] = p[first + i][k];
+                    }
+                }
+            }
+        }
+    }
+
+    /// Those that are believed at all.
+    fn taking_part(&mut self) -> impl Iterator<Item = &mut Member> {
+        self.members.iter_mut().filter(|member| member.weight > 0.0)
+    }
+
+    /// Mixes the models as they may have changed in h seconds, moves them, and adds what each expects of the process. `switch_time`, s, is
+    /// how long a model stays before one of `priors` follows it.
+    #[inline(never)]
+    pub fn predict(
+        &mut self,
+        linkage: &Linkage,
+        (at, f): (&Frame, &Matrix),
+        scale: f64,
+        (h, switch_time): (f64, f64),
+        priors: &[f64; MODELS],
+    ) {
         let stay = libm::exp(-h / switch_time);
-        let before = self.members;
+        let (mean, all) = self.moments();
         let noise = ProcessNoise::new(linkage, at, h);
         for (j, member) in self.members.iter_mut().enumerate() {
-            let mut shares: [f64; MODELS] =
-                std::array::from_fn(|i| before[i].weight * (if i == j { stay } else { 0.0 } + (1.0 - stay) * PRIOR[j]));
-            let weight: f64 = shares.iter().sum();
-            shares = shares.map(|share| share / weight);
-            let (error, covariance) = mixture(&before, &shares);
-            *member = Member { weight, error: apply(f, &error), covariance: sandwich(f, &covariance) };
+            // It has stayed, or any of them is left for it.
+            let (own, any) = (member.weight * stay, (1.0 - stay) * priors[j]);
+            member.weight = own + any;
+            if member.weight == 0.0 {
+                continue;
+            }
+            let (own, any) = (own / member.weight, any / member.weight);
             let (white, walk) = (scale * scale * WHITE_TORQUE[j], scale * scale * FORCE_WALK[j]);
+            let off: Error = std::array::from_fn(|i| member.error[i] - mean[i]);
+            let error: Error = std::array::from_fn(|i| own * member.error[i] + any * mean[i]);
+            for i in 0..ERRORS {
+                for k in 0..ERRORS {
+                    let apart = off[i] * off[k];
+                    member.covariance[i][k] = own * (member.covariance[i][k] + any * apart) + any * all[i][k];
+                }
+            }
+            (member.error, member.covariance) = (apply(f, &error), sandwich(f, &member.covariance));
             for i in 0..ERRORS {
                 for k in 0..ERRORS {
                     member.covariance[i][k] += white * noise.white[i][k] + walk * noise.walk[i][k];
@@ -180,13 +234,19 @@ impl Bank {
         }
     }
 
-    /// The same where next to nothing is known of the force but its variance, and which model holds.
+    /// The same error in all models, as likely as before any sample.
+    #[cold]
+    pub fn with_priors(&self, priors: [f64; MODELS]) -> Self {
+        let (error, covariance) = self.moments();
+        Self { members: priors.map(|weight| Member { weight, error, covariance }) }
+    }
+
+    /// The same where nothing is known of the force but its variance.
     #[cold]
     pub fn with_force(&self, variance: f64) -> Self {
         let mut bank = *self;
-        for (member, weight) in bank.members.iter_mut().zip(PRIOR) {
-            member.weight = weight;
-            for i in 4..ERRORS {
+        for member in &mut bank.members {
+            for i in FORCE..ERRORS {
                 member.error[i] = 0.0;
                 member.covariance[i] = [0.0; ERRORS];
                 member.covariance.iter_mut().for_each(|row| row[i] = 0.0);
@@ -199,7 +259,7 @@ impl Bank {
     /// The force may be another one, by this variance.
     pub fn unsettle_force(&mut self, variance: f64) {
         for member in &mut self.members {
-            for i in 4..ERRORS {
+            for i in FORCE..ERRORS {
                 member.covariance[i][i] += variance;
             }
         }
@@ -210,47 +270,59 @@ impl Bank {
         scale * scale * self.members.iter().zip(FORCE_WALK).map(|(member, walk)| member.weight * walk).sum::<f64>()
     }
 
+    /// Mean of all models together.
+    pub fn mean(&self) -> Error {
+        std::array::from_fn(|i| self.members.iter().map(|member| member.weight * member.error[i]).sum())
+    }
+
+    /// Covariance of the force about the mean, (N·m)²: xx, xy, yy.
+    pub fn force_covariance(&self) -> [f64; 3] {
+        let mut sum = [0.0; 3];
+        for Member { weight, error, covariance } in &self.members {
+            let [.., x, y] = *error;
+            let [.., [.., xx, xy], [.., yy]] = *covariance;
+            sum = [sum[0] + weight * (xx + x * x), sum[1] + weight * (xy + x * y), sum[2] + weight * (yy + y * y)];
+        }
+        sum
+    }
+
     /// Mean and covariance of all models together.
     #[inline(never)]
     pub fn moments(&self) -> (Error, Matrix) {
-        mixture(&self.members, &self.members.map(|member| member.weight))
-    }
-
-    /// What a sample would say: NIS and variance of the residual, with all models together.
-    #[inline(never)]
-    pub fn surprise(&self, sample: &Innovation) -> (f64, f64) {
-        let (error, covariance) = self.moments();
-        let (_, variance) = projected(&covariance, sample);
-        let residual = sample.residual - along(&sample.row, &error);
-        (residual * residual / variance, variance)
-    }
-
-    /// The residual in units of what the model that allows for most would expect.
-    pub fn least_surprise(&self, sample: &Innovation) -> f64 {
-        let wildest = &self.members[MODELS - 1];
-        let (_, variance) = projected(&wildest.covariance, sample);
-        let residual = sample.residual - along(&sample.row, &wildest.error);
-        residual * residual / variance
-    }
-
-    /// Corrects all models by a sample, and their weights by how likely each had made it.
-    #[inline(never)]
-    pub fn update(&mut self, sample: &Innovation) {
-        let mut likelihood = [0.0; MODELS];
-        for (member, likelihood) in self.members.iter_mut().zip(&mut likelihood) {
-            let (column, variance) = projected(&member.covariance, sample);
-            let residual = sample.residual - along(&sample.row, &member.error);
-            *likelihood = -0.5 * (residual * residual / variance + libm::log(variance));
+        let mean = self.mean();
+        let mut covariance = [[0.0; ERRORS]; ERRORS];
+        for member in self.members.iter().filter(|member| member.weight >= NEGLIGIBLE) {
+            let off: Error = std::array::from_fn(|i| member.error[i] - mean[i]);
             for i in 0..ERRORS {
-                member.error[i] += column[i] * (residual / variance);
+                for k in 0..ERRORS {
+                    covariance[i][k] += member.weight * (member.covariance[i][k] + off[i] * off[k]);
+                }
+            }
+        }
+        (mean, covariance)
+    }
+
+    /// Corrects all models by a sample of which they have expected that, and their weights by how likely each had made it.
+    #[inline(never)]
+    pub fn update(&mut self, expected: &Expected) {
+        let mut likelihood = [f64::NEG_INFINITY; MODELS];
+        for ((member, (residual, variance, column)), likelihood) in self.members.iter_mut().zip(&expected.each).zip(&mut likelihood)
+        {
+            if member.weight == 0.0 {
+                continue;
+            }
+            *likelihood = log_likelihood(residual * residual / variance, *variance);
+            let gain = column.map(|element| element / variance);
+            for i in 0..ERRORS {
+                member.error[i] += gain[i] * residual;
                 for k in 0..=i {
-                    let less = member.covariance[i][k] - column[i] * column[k] / variance;
+                    let less = member.covariance[i][k] - gain[i] * column[k];
                     member.covariance[i][k] = less;
                     member.covariance[k][i] = less;
                 }
                 // What the sample tells cannot be more than everything, but for round-off.
                 let own = &mut member.covariance[i][i];
-                *own = own.max(f64::EPSILON * column[i] * column[i] / variance);
+                *own = own.max(f64::EPSILON * gain[i] * column[i]);
             }
         }
         let largest = likelihood.into_iter().fold(f64::NEG_INFINITY, f64::max);
@@ -289,36 +361,6 @@ impl Bank {
             }
         }
     }
-}
-
-/// Mean and covariance of members with shares that sum up to 1.
-#[inline(never)]
-fn mixture(members: &[Member; MODELS], shares: &[f64; MODELS]) -> (Error, Matrix) {
-    let mean: Error = std::array::from_fn(|i| members.iter().zip(shares).map(|(member, share)| share * member.error[i]).sum());
-    let mut covariance = [[0.0; ERRORS]; ERRORS];
-    for (member, share) in members.iter().zip(shares) {
-        if *share < NEGLIGIBLE {
-            continue;
-        }
-        let off: Error = std::array::from_fn(|i| member.error[i] - mean[i]);
-        for i in 0..ERRORS {
-            for k in 0..ERRORS {
-                covariance[i][k] += share * (member.covariance[i][k] + off[i] * off[k]);
-            }
-        }
-    }
-    (mean, covariance)
-}
-
-/// P hᵀ, and h P hᵀ + R.
-#[inline(never)]
-fn projected(covariance: &Matrix, sample: &Innovation) -> (Error, f64) {
-    let column: Error = std::array::from_fn(|i| along(&sample.row, &covariance[i]));
-    (column, along(&sample.row, &column) + sample.noise)
-}
-
-fn along(row: &Error, x: &Error) -> f64 {
-    row.iter().zip(x).map(|(a, b)| a * b).sum()
 }
 
 /// Keeps a direction of which nothing is known from growing beyond sense.

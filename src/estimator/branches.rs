@@ -3,7 +3,8 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::bank::Innovation;
+use super::bank::{MODELS, PRIOR};
+use super::innovation::{Expected, Innovation, log_likelihood};
 use super::linkage::{Linkage, MEASURED, VERTEX};
 use super::track::{Track, wrapped};
 use super::{Constants, Scene, transition};
@@ -102,8 +103,8 @@ impl Branches {
             if let Some(motion) = other {
                 motion.age += h;
                 let scale = constants.torque_scale();
-                let goes_on =
-                    motion.age < LONGEST && advance(&mut motion.track, constants, scene, motion.straight, (h, switch_time, scale));
+                let goes_on = motion.age < LONGEST
+                    && advance(&mut motion.track, constants, scene, motion.straight, (h, switch_time, scale), &PRIOR);
                 if !goes_on {
                     *other = None;
                 }
@@ -136,10 +137,11 @@ impl Branches {
             let mut evidence = 0.0;
             for (encoder, sample) in samples.iter().enumerate() {
                 let Some((innovation, angle)) = sample else { continue };
-                let (nis, variance) = track.bank.surprise(innovation);
+                let (nis, variance) = track.bank.expect(innovation).surprise();
+                let frame = linkage.frame(&other.track.theta);
                 let (other_nis, other_variance) =
-                    other.track.bank.surprise(&other.track.innovation(linkage, encoder, *angle, innovation.noise));
-                evidence += 0.5 * (nis + libm::log(variance) - other_nis - libm::log(other_variance));
+                    other.track.bank.expect(&other.track.innovation(&frame, encoder, *angle, innovation.noise)).surprise();
+                evidence += log_likelihood(other_nis, other_variance) - log_likelihood(nis, variance);
             }
             evidence
         };
@@ -158,11 +160,11 @@ impl Branches {
     }
 
     /// A sample that the estimate takes in: its likelihood.
-    pub(super) fn weigh(&mut self, track: &Track, sample: &Innovation) {
+    pub(super) fn weigh(&mut self, expected: &Expected) {
         if self.are_open() {
-            let (nis, variance) = track.bank.surprise(sample);
+            let (nis, variance) = expected.surprise();
             for other in self.others.iter_mut().flatten() {
-                other.evidence += 0.5 * (nis + libm::log(variance));
+                other.evidence -= log_likelihood(nis, variance);
             }
         }
     }
@@ -208,8 +210,8 @@ impl Other {
     }
 }
 
-/// A motion beside the estimate goes on by a macro step, by Runge–Kutta, with unknown forces of a scale, N·m; false where it cannot.
-/// `straight`: it goes straight through a vertex.
+/// A motion beside the estimate goes on by a macro step, by Runge–Kutta, with unknown forces of a scale, N·m, and models of such
+/// priors; false where it cannot. `straight`: it goes straight through a vertex.
 #[inline(never)]
 pub(super) fn advance(
     track: &mut Track,
@@ -217,28 +219,28 @@ pub(super) fn advance(
     scene: &impl Scene,
     straight: bool,
     (h, switch_time, scale): (f64, f64, f64),
+    priors: &[f64; MODELS],
 ) -> bool {
     let linkage = &constants.linkage;
-    let frame = linkage.frame(&track.theta);
-    let (theta, omega) = if straight && frame.smallest < VERTEX {
+    let from = linkage.frame(&track.theta);
+    let fastest = track.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
+    let fine = (h * fastest / (PART * from.smallest.max(LEAST))).ceil().clamp(1.0, MOST) as u32;
+    let flow = track.flow(linkage, &from, scene, (h, fine));
+    let (theta, omega, to) = if straight && from.smallest < VERTEX {
         let Track { theta, omega, .. } = track.gone_straight(linkage, h);
-        (theta, omega)
+        (theta, omega, linkage.frame(&theta))
     } else {
-        let start = (track.theta, track.omega);
-        let fastest = start.1.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
-        let fine = (h * fastest / (PART * frame.smallest.max(LEAST))).ceil().clamp(1.0, MOST) as u32;
-        let steps = transition::steps(linkage, scene, (&start.0, &start.1), h).max(fine);
-        let (theta, omega) = transition::motion(linkage, scene, start, h, steps);
         // Next to a vertex J is no way back onto the loop.
-        if linkage.frame(&theta).smallest < VERTEX {
-            (theta, omega)
+        let at = linkage.posture(&flow.theta);
+        if at.gram(linkage.length).1 < VERTEX {
+            (flow.theta, flow.omega, linkage.frame(&flow.theta))
         } else {
-            let Some((theta, omega, _)) = linkage.closed(theta, omega) else { return false };
-            (theta, omega)
+            let Some(closed) = linkage.closed(flow.theta, flow.omega) else { return false };
+            closed
         }
     };
-    let step = track.step(linkage, scene, (&theta, &omega), h);
-    track.bank.predict(linkage, (&frame, &step.transition), scale, (h, switch_time));
+    let step = track.step((&from, &to), (&theta, &omega), &flow, h);
+    track.bank.predict(linkage, (&from, &step.transition), scale, (h, switch_time), priors);
     (track.theta, track.omega) = (theta, omega);
     true
 }
@@ -247,16 +249,18 @@ pub(super) fn advance(
 #[inline(never)]
 pub(super) fn tell(track: &mut Track, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> Option<f64> {
     let mut likelihood = 0.0;
+    let frame = linkage.frame(&track.theta);
     for (encoder, sample) in samples.iter().enumerate() {
         let Some((angle, noise, age)) = *sample else { continue };
-        let mut innovation = track.innovation(linkage, encoder, angle, noise);
+        let mut innovation = track.innovation(&frame, encoder, angle, noise);
         // Motions that are followed beside are slow: where they stood follows from their rates.
         innovation.residual = wrapped(innovation.residual + age * track.omega[MEASURED[encoder]]);
-        let (nis, variance) = track.bank.surprise(&innovation);
-        likelihood -= 0.5 * (nis + libm::log(variance));
-        track.bank.update(&innovation);
+        let expected = track.bank.expect(&innovation);
+        let (nis, variance) = expected.surprise();
+        likelihood += log_likelihood(nis, variance);
+        track.bank.update(&expected);
     }
-    track.absorb(linkage).map(|_| likelihood)
+    track.absorb(linkage, &frame).map(|_| likelihood)
 }
 
 /// The other assembly with the same angles and rates of the motors.

@@ -68,7 +68,7 @@ impl Point {
     /// Some seconds on; unchanged where that cannot be computed.
     fn step(&mut self, linkage: &Linkage, scene: &impl Scene, h: f64) {
         let scene = Pushed { scene, linkage, force: self.force };
-        let steps = transition::steps(linkage, &scene, (&self.theta, &self.omega), h);
+        let steps = transition::steps(linkage, &linkage.frame(&self.theta), &scene, (&self.theta, &self.omega), h);
         let (theta, omega) = transition::motion(linkage, &scene, (self.theta, self.omega), h, steps);
         if let Some((theta, omega, _)) = linkage.closed(theta, omega) {
             (self.theta, self.omega) = (theta, omega);

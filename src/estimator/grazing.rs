@@ -6,14 +6,21 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::bank::{MODELS, Matrix};
 use super::branches::{advance, mirrored, tell};
+use super::linkage::Frame;
 use super::track::Track;
-use super::{Constants, Scene};
+use super::{Constants, Scene, bank, transition};
 
 /// It is left where |sin(θ₃ − θ₂)| is at least this.
 const APART: f64 = 0.1;
-/// Unknown forces on both motions, in those of the estimate.
-const QUIET: f64 = 0.003;
+/// Unknown forces on both motions, in those of the estimate: these, with the quietest and the loudest model. A force that does act lets the
+/// loudest take part on both sides, so that it does not decide.
+const QUIET: f64 = 0.006;
+const PRIOR: [f64; MODELS] = [0.999, 0.0, 0.0, 0.001];
+/// A motion goes on as the estimate does, with other forces, where a plane of one tangent space is at least this large on the other.
+const ALIKE: f64 = 0.9999;
+
 /// Both are dropped after this time, s,
 const LONGEST: f64 = 5.0;
 /// or where samples speak against the other assembly, and the other takes over where they speak for it: differences of log likelihoods.
@@ -45,6 +52,16 @@ struct Pair {
     age: f64,
 }
 
+/// How the estimate has gone on.
+pub(super) struct Way<'a> {
+    pub(super) from: &'a Frame,
+    pub(super) to: &'a Frame,
+    /// Of its errors,
+    pub(super) transition: &'a Matrix,
+    /// in so many steps of Runge-Kutta.
+    pub(super) steps: u32,
+}
+
 impl Default for Grazing {
     fn default() -> Self {
         Self { other_side: FAR, pair: None }
@@ -71,7 +88,7 @@ impl Grazing {
     pub(super) fn step(
         &mut self,
         constants: &Constants,
-        (track, clear): (&Track, bool),
+        (track, clear, way): (&Track, bool, &Way<'_>),
         scene: &impl Scene,
         (h, switch_time): (f64, f64),
     ) {
@@ -82,15 +99,18 @@ impl Grazing {
         let scale = QUIET * constants.torque_scale();
         if let Some(pair) = &mut self.pair {
             pair.age += h;
+            let timing = (h, switch_time, scale);
+            let [own, other] = &mut pair.tracks;
             let goes_on = pair.age < LONGEST
-                && pair.tracks.iter_mut().all(|track| advance(track, constants, scene, false, (h, switch_time, scale)));
+                && accompany(own, constants, scene, way, timing)
+                && advance(other, constants, scene, false, timing, &PRIOR);
             if !goes_on {
                 self.pair = None;
             }
         }
         let side = libm::sin(track.theta[2] - track.theta[1]).abs();
         if side < APART {
-            let odds = track.other_side(&constants.linkage.frame(&track.theta));
+            let odds = track.other_side(way.to);
             self.other_side = self.other_side.max(odds).clamp(FAR, 0.0);
         } else if self.other_side > FAR {
             let prior = std::mem::replace(&mut self.other_side, FAR);
@@ -118,9 +138,10 @@ impl Grazing {
         }
         pair.tracks.swap(0, 1);
         pair.evidence = -pair.evidence;
-        let mut track = pair.tracks[0];
-        track.bank.unsettle_force(UNKNOWN * scale * scale);
-        Some(track)
+        let track = pair.tracks[0];
+        let mut bank = track.bank.with_priors(bank::PRIOR);
+        bank.unsettle_force(UNKNOWN * scale * scale);
+        Some(Track { bank, ..track })
     }
 }
 
@@ -129,7 +150,27 @@ impl Pair {
     fn new(constants: &Constants, track: &Track, prior: f64) -> Option<Self> {
         let other = mirrored(constants, track, [0.0; 2])?;
         let scale = QUIET * constants.torque_scale();
-        let quiet = |track: &Track| Track { force: [0.0; 4], bank: track.bank.with_force(scale * scale), ..*track };
+        let quiet =
+            |track: &Track| Track { force: [0.0; 4], bank: track.bank.with_priors(PRIOR).with_force(scale * scale), ..*track };
         Some(Self { tracks: [quiet(track), quiet(&other)], evidence: prior, age: 0.0 })
     }
+}
+
+/// A motion in the assembly of the estimate goes on by a macro step, and its errors as those of the estimate do; false where it cannot.
+#[inline(never)]
+fn accompany(track: &mut Track, constants: &Constants, scene: &impl Scene, way: &Way<'_>, timing: (f64, f64, f64)) -> bool {
+    let linkage = &constants.linkage;
+    let from = linkage.frame(&track.theta);
+    let onto = from.carried_to(way.from);
+    let [[a, b], [c, d]] = onto;
+    if (a * d - b * c).abs() < ALIKE {
+        return advance(track, constants, scene, false, timing, &PRIOR);
+    }
+    let (h, switch_time, scale) = timing;
+    let (theta, omega) = transition::motion(linkage, scene, (track.theta, track.omega), h, way.steps);
+    let Some((theta, omega, to)) = linkage.closed(theta, omega) else { return false };
+    let transition = bank::seen_from(way.transition, &onto, &way.to.carried_to(&to));
+    track.bank.predict(linkage, (&from, &transition), scale, (h, switch_time), &PRIOR);
+    (track.theta, track.omega) = (theta, omega);
+    true
 }

@@ -7,9 +7,12 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::{Error, Matrix};
-use super::linkage::{Frame, MEASURED};
+use super::linkage::{Frame, MEASURED, Pair};
 use super::track::{Track, wrapped};
 use super::transition::ERRORS;
+
+/// Least determinant of a turn of the basis that rows can follow.
+const LEAST_TURN: f64 = 1e-6;
 
 /// Most macro steps that are remembered.
 pub const REMEMBERED: usize = 64;
@@ -70,18 +73,21 @@ impl History {
     }
 
     /// The estimate has been corrected by an error, and the basis turned.
-    pub(super) fn correct(&mut self, error: &Error, turn: &Matrix) {
-        if self.0.is_empty() {
-            return;
-        }
-        let Some(back) = inverse(turn) else {
+    pub(super) fn correct(&mut self, error: &Error, [[a, b], [c, d]]: &[Pair; 2]) {
+        let determinant = a * d - b * c;
+        // All of the basis has turned over: a correction by radians.
+        if determinant.is_nan() || determinant.abs() < LEAST_TURN {
             self.0.clear();
-            return;
-        };
+        }
         for past in &mut self.0 {
             for i in 0..2 {
                 past.angles[i] += past.rows[i].iter().zip(error).map(|(a, b)| a * b).sum::<f64>();
-                past.rows[i] = times(&past.rows[i], &back);
+                let row = past.rows[i];
+                for first in (0..ERRORS).step_by(2) {
+                    let (x, y) = (row[first], row[first + 1]);
+                    past.rows[i][first] = (x * d - y * c) / determinant;
+                    past.rows[i][first + 1] = (y * a - x * b) / determinant;
+                }
             }
         }
     }

@@ -29,9 +29,6 @@ pub(super) const LEGS: [[usize; 2]; 2] = [[0, 1], [3, 2]];
 /// Links whose angles the encoders measure.
 pub const MEASURED: [usize; 2] = [0, 3];
 
-/// In JJᵀ, relative to the squared mean length: nothing is divided by 0 in a vertex.
-const RANK_LOSS: f64 = 1e-20;
-
 /// Most closing steps, and what they have to reach relative to the mean length.
 const CLOSING: (usize, f64) = (8, 1e-13);
 
@@ -139,10 +136,11 @@ impl Linkage {
     #[inline(never)]
     pub fn closed(&self, mut theta: Links, omega: Links) -> Option<(Links, Links, Frame)> {
         for _ in 0..CLOSING.0 {
-            let frame = self.frame(&theta);
-            let gap = self.gap(&frame);
+            let posture = self.posture(&theta);
+            let gap = self.gap(&posture);
             let size = gap[0].abs().max(gap[1].abs());
             if size <= CLOSING.1 * self.length {
+                let frame = Frame::new(self, posture);
                 let back = frame.least_squares(frame.end_velocity(&omega));
                 let omega: Links = std::array::from_fn(|i| omega[i] - back[i]);
                 return (theta.iter().chain(&omega).all(|x| x.is_finite())).then_some((theta, omega, frame));
@@ -150,7 +148,7 @@ impl Linkage {
             if !size.is_finite() || size > self.length {
                 return None;
             }
-            let back = frame.least_squares(gap);
+            let back = posture.least_squares(&posture.gram(self.length).0, gap);
             theta = std::array::from_fn(|i| theta[i] - back[i]);
         }
         None
@@ -203,23 +201,7 @@ impl Deref for Frame {
 
 impl Frame {
     fn new(linkage: &Linkage, posture: Posture) -> Self {
-        let Posture { directions, arm } = posture;
-        let scale = linkage.length * linkage.length;
-        // n̂ = (−u_y, u_x).
-        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
-        for ([x, y], l) in directions.into_iter().zip(arm) {
-            let squared = l * l;
-            xx += squared * y * y;
-            xy -= squared * x * y;
-            yy += squared * x * x;
-        }
-        let (mean, half) = ((xx + yy) / 2.0, (xx - yy) / 2.0);
-        let spread = (half * half + xy * xy).sqrt();
-        let (a, c) = (xx + RANK_LOSS * scale, yy + RANK_LOSS * scale);
-        let determinant = (a * c - xy * xy).max(RANK_LOSS * scale * scale);
-        let inverse_gram = [c / determinant, -xy / determinant, a / determinant];
-        // σ_min² = det/σ_max²: without the cancellation of mean − spread.
-        let smallest = ((xx * yy - xy * xy).max(0.0) / (mean + spread)).sqrt() / linkage.length;
+        let (inverse_gram, smallest) = posture.gram(linkage.length);
         let mut frame = Self { posture, inverse_gram, smallest, basis: [[0.0; 4]; 2] };
         frame.basis = frame.null_space();
         frame
@@ -253,9 +235,8 @@ impl Frame {
     }
 
     /// J⁺ r.
-    pub(super) fn least_squares(&self, [x, y]: Pair) -> Links {
-        let [xx, xy, yy] = self.inverse_gram;
-        self.transposed([xx * x + xy * y, xy * x + yy * y])
+    pub(super) fn least_squares(&self, gap: Pair) -> Links {
+        self.posture.least_squares(&self.inverse_gram, gap)
     }
 
     /// Nᵀ x.

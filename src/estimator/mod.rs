@@ -16,6 +16,7 @@ pub mod encoder;
 pub mod forecast;
 mod grazing;
 mod history;
+pub mod innovation;
 mod lengths;
 pub mod linkage;
 mod parameters;
@@ -28,14 +29,15 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use nalgebra::{Matrix4, Vector4};
 
 pub use alarm::Alarm;
-pub use bank::{Innovation, Matrix};
+pub use bank::Matrix;
 use branches::Branches;
 pub use constants::Constants;
 pub use encoder::{Encoder, Fault, Measured};
 use forecast::Forecast;
-use grazing::Grazing;
+use grazing::{Grazing, Way};
 use history::History;
 pub use history::REMEMBERED;
+pub use innovation::Innovation;
 pub use linkage::{Frame, Linkage, Links, MEASURED, Pair};
 pub use parameters::{Bands, Parameters};
 pub use track::{Track, wrapped};
@@ -114,7 +116,7 @@ impl Estimator {
         let Constants { linkage, parameters, .. } = constants;
         let (mut heard, mut ages) = ([None; 2], [0.0; 2]);
         let mut any = false;
-        let frame = linkage.frame(&self.track.theta);
+        let mut frame = linkage.frame(&self.track.theta);
         let lasting = frame.motors_by_lengths(parameters.sigma0_length);
         for i in 0..2 {
             let Some(sample) = self.encoders[i].hear(measured.theta[i], measured.time[i], now, parameters.max_delay) else {
@@ -122,7 +124,7 @@ impl Estimator {
             };
             let rate = self.track.omega[MEASURED[i]];
             let noise = self.encoders[i].noise(parameters.sigma[i], parameters.quantum[i], rate, lasting[i]);
-            let mut innovation = self.track.innovation(linkage, i, sample.angle, noise);
+            let mut innovation = self.track.innovation(&frame, i, sample.angle, noise);
             if sample.age > 0.0 {
                 match self.history.at(&self.track, &frame, i, sample.age) {
                     Some((angle, row)) => innovation = Innovation { residual: wrapped(sample.angle - angle), row, noise },
@@ -143,9 +145,10 @@ impl Estimator {
         if let Some(other) = self.branches.preferred(linkage, &self.track, &heard) {
             self.branches.swap(&mut self.track, other);
             self.history.clear();
+            frame = linkage.frame(&self.track.theta);
             for i in 0..2 {
                 if let Some((innovation, angle)) = &mut heard[i] {
-                    *innovation = self.track.innovation(linkage, i, *angle, innovation.noise);
+                    *innovation = self.track.innovation(&frame, i, *angle, innovation.noise);
                     ages[i] = 0.0;
                 }
             }
@@ -154,16 +157,16 @@ impl Estimator {
         let (mut nis, mut fit, mut used) = (0.0, 0.0, [None; 2]);
         for i in 0..2 {
             let Some((innovation, angle)) = heard[i] else { continue };
-            let (own, _) = self.track.bank.surprise(&innovation);
-            let least = self.track.bank.least_surprise(&innovation);
+            let expected = self.track.bank.expect(&innovation);
+            let ((own, _), least) = (expected.surprise(), expected.least_surprise());
             let rate = self.track.omega[MEASURED[i]];
             let suspicious =
                 !other_stands[i] && self.encoders[i].should_not_repeat(rate, parameters.quantum[i], parameters.sigma[i]);
             self.innovation[i] = innovation.residual;
             nis += own;
             if self.encoders[i].accepts(own, least, (suspicious, self.branches.are_known())) {
-                self.branches.weigh(&self.track, &innovation);
-                self.track.bank.update(&innovation);
+                self.branches.weigh(&expected);
+                self.track.bank.update(&expected);
                 fit += own;
                 used[i] = Some((angle, innovation.noise, ages[i]));
             }
@@ -172,20 +175,20 @@ impl Estimator {
         if used.iter().all(Option::is_none) {
             return false;
         }
-        match self.track.absorb(linkage) {
-            Some((error, turn)) => self.history.correct(&error, &turn),
+        match self.track.absorb(linkage, &frame) {
+            Some((error, turn, to)) => {
+                self.history.correct(&error, &turn);
+                frame = to;
+            }
             // Nothing near closes the loop: what is known of the errors is worth nothing.
             None => self.track.bank = bank::Bank::new(constants.start_variances()),
         }
-        if let Some(other) = self.branches.correct(linkage, &used) {
-            self.branches.swap(&mut self.track, other);
+        let by_branches = self.branches.correct(linkage, &used).map(|other| self.branches.swap(&mut self.track, other));
+        let by_grazing = self.grazing.correct(constants, &used).map(|other| self.track = other);
+        if by_branches.or(by_grazing).is_some() {
             self.history.clear();
+            frame = linkage.frame(&self.track.theta);
         }
-        if let Some(other) = self.grazing.correct(constants, &used) {
-            self.track = other;
-            self.history.clear();
-        }
-        let frame = linkage.frame(&self.track.theta);
         let samples = used.iter().flatten().count();
         self.alarm.hear(&self.track, &frame, constants.torque_scale(), (fit, samples));
         true
@@ -201,17 +204,20 @@ impl Estimator {
         if parameters.forecast == Bands::SigmaPoints && self.is_coasting() {
             self.forecast.step(&self.track, constants, scene, h);
         }
-        let step = self.track.step(linkage, scene, (theta, omega), h);
-        let turned = self.track.has_turned(linkage, (theta, omega));
-        self.branches.pass(linkage, &self.track, scene, [frame.smallest, linkage.frame(theta).smallest], turned);
+        let to = linkage.frame(theta);
+        let flow = self.track.flow(linkage, &frame, scene, (h, 1));
+        let step = self.track.step((&frame, &to), (theta, omega), &flow, h);
+        let turned = self.track.has_turned(omega, frame.smallest.min(to.smallest));
+        self.branches.pass(linkage, &self.track, scene, [frame.smallest, to.smallest], turned);
         self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
-        self.track.bank.predict(linkage, (&frame, &step.transition), scale, timing);
+        self.track.bank.predict(linkage, (&frame, &step.transition), scale, timing, &bank::PRIOR);
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
         self.branches.step(constants, (&self.track, step.held), scene, timing);
         // Without samples nothing decides.
         let clear = !step.held && self.branches.are_known() && !self.is_coasting();
-        self.grazing.step(constants, (&self.track, clear), known, timing);
+        let way = Way { from: &frame, to: &to, transition: &step.transition, steps: flow.steps };
+        self.grazing.step(constants, (&self.track, clear, &way), known, timing);
         for encoder in &mut self.encoders {
             encoder.silent += h;
         }

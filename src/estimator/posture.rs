@@ -23,6 +23,44 @@ impl Posture {
         sum
     }
 
+    /// Rows of J, each link's element times a factor.
+    pub(super) fn end_rows(&self, factors: &Links) -> [Links; 2] {
+        let arm: Links = std::array::from_fn(|i| self.arm[i] * factors[i]);
+        [std::array::from_fn(|i| -arm[i] * self.directions[i][1]), std::array::from_fn(|i| arm[i] * self.directions[i][0])]
+    }
+
+    /// Rows of −J̇ for links that turn at such rates.
+    pub(super) fn inward_rows(&self, omega: &Links) -> [Links; 2] {
+        [0, 1].map(|k| std::array::from_fn(|i| self.arm[i] * omega[i] * self.directions[i][k]))
+    }
+
+    /// (JJᵀ)⁻¹ as xx, xy, yy, and the smallest singular value of J over a mean length, m.
+    pub(super) fn gram(&self, length: f64) -> ([f64; 3], f64) {
+        /// Relative to the squared mean length: nothing is divided by 0 in a vertex.
+        const RANK_LOSS: f64 = 1e-20;
+        let scale = length * length;
+        // n̂ = (−u_y, u_x).
+        let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
+        for ([x, y], l) in self.directions.into_iter().zip(self.arm) {
+            let squared = l * l;
+            xx += squared * y * y;
+            xy -= squared * x * y;
+            yy += squared * x * x;
+        }
+        let (mean, half) = ((xx + yy) / 2.0, (xx - yy) / 2.0);
+        let spread = (half * half + xy * xy).sqrt();
+        let (a, c) = (xx + RANK_LOSS * scale, yy + RANK_LOSS * scale);
+        let determinant = (a * c - xy * xy).max(RANK_LOSS * scale * scale);
+        // σ_min² = det/σ_max²: without the cancellation of mean − spread.
+        let smallest = ((xx * yy - xy * xy).max(0.0) / (mean + spread)).sqrt() / length;
+        ([c / determinant, -xy / determinant, a / determinant], smallest)
+    }
+
+    /// J⁺ r with (JJᵀ)⁻¹.
+    pub(super) fn least_squares(&self, [xx, xy, yy]: &[f64; 3], [x, y]: Pair) -> Links {
+        self.transposed([xx * x + xy * y, xy * x + yy * y])
+    }
+
     /// How the tip moves as the links turn, m.
     pub(super) fn tip_velocity(&self, x: &Links) -> Pair {
         let arm = [0, 1].map(|i| self.arm[i] * x[i]);

@@ -2,7 +2,8 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::bank::{self, Bank, Error, Innovation, Matrix};
+use super::bank::{self, Bank, Error, Matrix};
+use super::innovation::Innovation;
 use super::linkage::{Frame, Linkage, Links, MEASURED, Pair, VERTEX};
 use super::transition::{self, ERRORS, Flow, Scene};
 
@@ -80,11 +81,10 @@ fn on_basis(at: &Frame, force: &[f64; 4]) -> Pair {
 }
 
 impl Track {
-    /// The errors over h seconds, from the motion's beginning at `theta`, `omega` to its end.
+    /// The errors over h seconds, from the motion's beginning to its end at `theta`, `omega`, beside which the equations of motion lead as
+    /// `flow` says.
     #[inline(never)]
-    pub(super) fn step(&self, linkage: &Linkage, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) -> Step {
-        let flow = self.flow(linkage, scene, h);
-        let (from, to) = (linkage.frame(&self.theta), linkage.frame(theta));
+    pub(super) fn step(&self, (from, to): (&Frame, &Frame), (theta, omega): (&Links, &Links), flow: &Flow, h: f64) -> Step {
         let smallest = from.smallest.min(to.smallest);
         let agrees = || {
             (0..4).all(|i| {
@@ -94,14 +94,14 @@ impl Track {
         };
         // NaN counts as near.
         let held = !(smallest > VERTEX && (smallest > DOUBTFUL || agrees()));
-        let transition = if held { bank::straight(&from, &to, h) } else { bank::transition(&from, &to, &flow) };
+        let transition = if held { bank::straight(from, to, h) } else { bank::transition(from, to, flow) };
         let finite = transition.iter().flatten().all(|x| x.is_finite());
-        if finite { Step { transition, held } } else { Step { transition: bank::straight(&from, &to, h), held: true } }
+        if finite { Step { transition, held } } else { Step { transition: bank::straight(from, to, h), held: true } }
     }
 
-    /// Whether a motion to these angles and rates has turned next to a vertex: forces change no rate by as much in a step.
-    pub(super) fn has_turned(&self, linkage: &Linkage, (theta, omega): (&Links, &Links)) -> bool {
-        let smallest = linkage.frame(&self.theta).smallest.min(linkage.frame(theta).smallest);
+    /// Whether a motion to these rates, whose smallest singular value comes to `smallest`, has turned next to a vertex: forces change no rate
+    /// by as much in a step.
+    pub(super) fn has_turned(&self, omega: &Links, smallest: f64) -> bool {
         let fastest = self.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
         fastest > SLOWEST && smallest < VERTEX && (0..4).any(|i| (omega[i] - self.omega[i]).abs() > TURNED * fastest)
     }
@@ -147,50 +147,44 @@ impl Track {
         if !theta.iter().chain(&omega).all(|x| x.abs() < FASTEST) || !linkage.is_closed(&theta, &omega) {
             return None;
         }
-        let turn = bank::straight(&linkage.frame(&self.theta), &linkage.frame(&theta), 0.0);
         let mut bank = self.bank;
-        bank.carry(&turn);
+        bank.turn(&linkage.frame(&self.theta).carried_to(&linkage.frame(&theta)));
         bank.unsettle([aside * aside, (aside / before * fastest).powi(2)]);
         Some(Self { theta, omega, bank, ..*self })
     }
 
-    /// The motion with the errors about it.
-    pub(super) fn flow(&self, linkage: &Linkage, scene: &impl Scene, h: f64) -> Flow {
-        let frame = linkage.frame(&self.theta);
-        let steps = transition::steps(linkage, scene, (&self.theta, &self.omega), h);
-        transition::flow(linkage, scene, (&self.theta, &self.omega, &frame), &by_inputs(linkage, &frame), h, steps)
+    /// The motion with the errors about it, in at least so many steps of Runge-Kutta.
+    pub(super) fn flow(&self, linkage: &Linkage, at: &Frame, scene: &impl Scene, (h, least): (f64, u32)) -> Flow {
+        transition::flow(linkage, scene, (&self.theta, &self.omega, at), &by_inputs(linkage, at), h, least)
     }
 
     /// What is expected of a sample that an encoder takes now.
-    #[inline(never)]
-    pub(super) fn innovation(&self, linkage: &Linkage, encoder: usize, angle: f64, noise: f64) -> Innovation {
-        let frame = linkage.frame(&self.theta);
+    pub(super) fn innovation(&self, at: &Frame, encoder: usize, angle: f64, noise: f64) -> Innovation {
         let link = MEASURED[encoder];
         let mut row = [0.0; ERRORS];
-        (row[0], row[1]) = (frame.basis[0][link], frame.basis[1][link]);
+        (row[0], row[1]) = (at.basis[0][link], at.basis[1][link]);
         Innovation { residual: wrapped(angle - self.theta[link]), row, noise }
     }
 
-    /// The mean takes over what the models think of the error. What it was and how the errors are turned with the basis; `None`, and
-    /// nothing has changed, where the loop cannot be closed there.
+    /// The mean takes over what the models think of the error. What it was, how the errors are turned with the basis, and where the estimate
+    /// is now; `None`, and nothing has changed, where the loop cannot be closed there.
     #[inline(never)]
-    pub(super) fn absorb(&mut self, linkage: &Linkage) -> Option<(Error, Matrix)> {
-        let frame = linkage.frame(&self.theta);
-        let (error, _) = self.bank.moments();
-        let (turned, quickened) = (frame.tangent([error[0], error[1]]), frame.tangent([error[2], error[3]]));
+    pub(super) fn absorb(&mut self, linkage: &Linkage, from: &Frame) -> Option<(Error, [Pair; 2], Frame)> {
+        let error = self.bank.mean();
+        let (turned, quickened) = (from.tangent([error[0], error[1]]), from.tangent([error[2], error[3]]));
         let (theta, omega, to) = linkage
             .closed(std::array::from_fn(|i| self.theta[i] + turned[i]), std::array::from_fn(|i| self.omega[i] + quickened[i]))?;
         if !omega.iter().all(|rate| rate.abs() < FASTEST) {
             return None;
         }
-        let force = on_basis(&frame, &self.force);
+        let force = on_basis(from, &self.force);
         let force = [force[0] + error[4], force[1] + error[5]];
-        self.force = by_inputs(linkage, &frame).map(|row| row[0] * force[0] + row[1] * force[1]);
+        self.force = by_inputs(linkage, from).map(|row| row[0] * force[0] + row[1] * force[1]);
         (self.theta, self.omega) = (theta, omega);
-        let turn = bank::straight(&frame, &to, 0.0);
+        let turn = from.carried_to(&to);
         self.bank.recentre(&error);
-        self.bank.carry(&turn);
-        Some((error, turn))
+        self.bank.turn(&turn);
+        Some((error, turn, to))
     }
 
     /// The estimate on a tangent basis: covariance of the error about the mean, whatever the mean leaves to the models included.

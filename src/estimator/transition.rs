@@ -14,8 +14,10 @@ use super::posture::Posture;
 /// Number of errors: two of the angles, two of the rates, two of the unknown force.
 pub const ERRORS: usize = 6;
 
+/// What changes with each error.
+type Error = [f64; ERRORS];
 /// One row for each link, one column for each error.
-type Columns = [[f64; ERRORS]; 4];
+type Columns = [Error; 4];
 
 /// Rates to which steps are adapted: of the free motion, of steep loads, 1/s.
 const RATES: [f64; 2] = [600.0, 2500.0];
@@ -56,6 +58,8 @@ pub struct Flow {
     pub theta: Links,
     /// Rates, rad/s.
     pub omega: Links,
+    /// Steps of Runge–Kutta.
+    pub steps: u32,
     /// How the angles change with the errors at the beginning.
     pub(super) d_theta: Columns,
     /// How the rates do.
@@ -95,17 +99,21 @@ impl Point {
 
 /// How many steps of Runge–Kutta a time of h seconds needs.
 #[inline(never)]
-pub fn steps(linkage: &Linkage, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) -> u32 {
-    let frame = linkage.frame(theta);
-    let Loads { stiffness, damping, .. } = scene.loads(theta, omega);
-    let inertia = linkage.least_inertia(&frame);
-    let mut rate = RATES[usize::from(scene.is_steep())];
+pub fn steps(linkage: &Linkage, at: &Frame, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) -> u32 {
+    steps_for(linkage, at, &scene.loads(theta, omega), scene.is_steep(), (omega, h))
+}
+
+/// The same of loads that are known.
+fn steps_for(linkage: &Linkage, at: &Frame, loads: &Loads, steep: bool, (omega, h): (&Links, f64)) -> u32 {
+    let Loads { stiffness, damping, .. } = loads;
+    let inertia = linkage.least_inertia(at);
+    let mut rate = RATES[usize::from(steep)];
     let mut fastest = 0.0_f64;
     for i in 0..4 {
         rate = rate.max(PER_DAMPER * damping[i][i].abs() / inertia[i]).max((stiffness[i][i].abs() / inertia[i]).sqrt());
         fastest = fastest.max(omega[i].abs());
     }
-    rate = rate.max(PER_RADIAN * fastest / frame.smallest.clamp(0.01, 1.0).sqrt());
+    rate = rate.max(PER_RADIAN * fastest / at.smallest.clamp(0.01, 1.0).sqrt());
     (h * rate).ceil().clamp(1.0, MOST_STEPS).max(1.0) as u32
 }
 
@@ -130,7 +138,8 @@ pub fn motion(linkage: &Linkage, scene: &impl Scene, (mut theta, mut omega): (Li
     (theta, omega)
 }
 
-/// The motion with the errors about it. `force` says with what torques on the inputs the two unknown forces act, by input.
+/// The motion with the errors about it, in as many steps as it needs, and at least so many. `force` says with what torques on the inputs the
+/// two unknown forces act, by input.
 #[inline(never)]
 pub fn flow(
     linkage: &Linkage,
@@ -138,8 +147,10 @@ pub fn flow(
     (theta, omega, frame): (&Links, &Links, &Frame),
     force: &[Pair; 4],
     h: f64,
-    steps: u32,
+    least: u32,
 ) -> Flow {
+    let mut loads = scene.loads(theta, omega);
+    let steps = steps_for(linkage, frame, &loads, scene.is_steep(), (omega, h)).max(least);
     let mut point = Point { theta: *theta, omega: *omega, d_theta: [[0.0; ERRORS]; 4], d_omega: [[0.0; ERRORS]; 4] };
     for (k, direction) in frame.basis.iter().enumerate() {
         // J δω = −δJ ω: what the turned links need to stay closed.
@@ -151,15 +162,19 @@ pub fn flow(
         }
     }
     let h = h / f64::from(steps);
-    for _ in 0..steps {
-        let k1 = rate(linkage, scene, force, &point);
-        let k2 = rate(linkage, scene, force, &point.plus(h / 2.0, &k1));
-        let k3 = rate(linkage, scene, force, &point.plus(h / 2.0, &k2));
-        let k4 = rate(linkage, scene, force, &point.plus(h, &k3));
-        point = point.plus(h / 6.0, &k1).plus(h / 3.0, &k2).plus(h / 3.0, &k3).plus(h / 6.0, &k4);
+    for step in 0..steps {
+        let rate_at = |point: &Point| rate(linkage, &scene.loads(&point.theta, &point.omega), force, point);
+        if step > 0 {
+            loads = scene.loads(&point.theta, &point.omega);
+        }
+        let k1 = rate(linkage, &loads, force, &point);
+        let k2 = rate_at(&point.plus(h / 2.0, &k1));
+        let k3 = rate_at(&point.plus(h / 2.0, &k2));
+        let k4 = rate_at(&point.plus(h, &k3));
+        point = point.plus(h / 6.0, &k1.plus(2.0, &k2).plus(2.0, &k3).plus(1.0, &k4));
     }
     let Point { theta, omega, d_theta, d_omega } = point;
-    Flow { theta, omega, d_theta, d_omega }
+    Flow { theta, omega, steps, d_theta, d_omega }
 }
 
 /// The factors of the saddle-point system.
@@ -194,6 +209,43 @@ impl<'a> Factor<'a> {
         let back = yielding(&self.mobility, &self.at.transposed(lambda));
         (std::array::from_fn(|i| free[i] - back[i]), lambda)
     }
+
+    /// x of the same for all errors at once: rows of b by link, of c by direction.
+    fn solve_columns(&self, b: &Columns, c: &[Error; 2]) -> Columns {
+        let free = yielding_columns(&self.mobility, b);
+        let [end_x, end_y] = self.at.end_rows(&[1.0; 4]);
+        let (x, y) = (sum(end_x, &free), sum(end_y, &free));
+        let [xx, xy, yy] = self.dual;
+        let (mut l_x, mut l_y) = ([0.0; ERRORS], [0.0; ERRORS]);
+        for k in 0..ERRORS {
+            let (x, y) = (x[k] - c[0][k], y[k] - c[1][k]);
+            (l_x[k], l_y[k]) = (xx * x + xy * y, xy * x + yy * y);
+        }
+        let mut held = [[0.0; ERRORS]; 4];
+        for i in 0..4 {
+            for k in 0..ERRORS {
+                held[i][k] = end_x[i] * l_x[k] + end_y[i] * l_y[k];
+            }
+        }
+        let back = yielding_columns(&self.mobility, &held);
+        let mut solution = free;
+        for i in 0..4 {
+            for k in 0..ERRORS {
+                solution[i][k] -= back[i][k];
+            }
+        }
+        solution
+    }
+}
+
+/// Σ fᵢ rowᵢ.
+#[inline]
+fn sum(factors: Links, rows: &Columns) -> Error {
+    let mut sum = [0.0; ERRORS];
+    for k in 0..ERRORS {
+        sum[k] = factors[0] * rows[0][k] + factors[1] * rows[1][k] + factors[2] * rows[2][k] + factors[3] * rows[3][k];
+    }
+    sum
 }
 
 /// M⁻¹ x.
@@ -203,6 +255,19 @@ fn yielding(mobility: &[[f64; 3]; 2], x: &Links) -> Links {
     for ([p, d], [own_p, own_d, coupling]) in LEGS.into_iter().zip(mobility) {
         product[p] = own_p * x[p] + coupling * x[d];
         product[d] = coupling * x[p] + own_d * x[d];
+    }
+    product
+}
+
+/// The same of each column.
+#[inline]
+fn yielding_columns(mobility: &[[f64; 3]; 2], x: &Columns) -> Columns {
+    let mut product = [[0.0; ERRORS]; 4];
+    for ([p, d], [own_p, own_d, coupling]) in LEGS.into_iter().zip(mobility) {
+        for k in 0..ERRORS {
+            product[p][k] = own_p * x[p][k] + coupling * x[d][k];
+            product[d][k] = coupling * x[p][k] + own_d * x[d][k];
+        }
     }
     product
 }
@@ -226,10 +291,10 @@ fn acceleration(linkage: &Linkage, scene: &impl Scene, theta: &Links, omega: &Li
 
 /// The rate of change of a point.
 #[inline(never)]
-fn rate(linkage: &Linkage, scene: &impl Scene, force: &[Pair; 4], point: &Point) -> Point {
+fn rate(linkage: &Linkage, loads: &Loads, force: &[Pair; 4], point: &Point) -> Point {
     let Point { theta, omega, d_theta, d_omega } = point;
     let frame = linkage.posture(theta);
-    let Loads { torque, stiffness, damping } = scene.loads(theta, omega);
+    let &Loads { torque, stiffness, damping } = loads;
     let factor = Factor::new(linkage, &frame);
     let (alpha, lambda) = factor.solve(&pushed(linkage, &frame, torque, omega), frame.inward(omega, omega));
 
@@ -249,28 +314,25 @@ fn rate(linkage: &Linkage, scene: &impl Scene, force: &[Pair; 4], point: &Point)
         by_rate[p][d] -= 2.0 * sine * omega[d];
         by_rate[d][p] += 2.0 * sine * omega[p];
     }
-    let inputs = frame.inputs();
-    let mut d_alpha = [[0.0; ERRORS]; 4];
-    for k in 0..ERRORS {
-        let (turned, quickened): (Links, Links) = (std::array::from_fn(|i| d_theta[i][k]), std::array::from_fn(|i| d_omega[i][k]));
-        let mut right: Links = std::array::from_fn(|i| {
-            let sum = |row: &Links, x: &Links| row[0] * x[0] + row[1] * x[1] + row[2] * x[2] + row[3] * x[3];
-            -sum(&by_angle[i], &turned) - sum(&by_rate[i], &quickened)
-        });
-        if k >= 4 {
-            for i in 0..4 {
-                right[i] += (0..4).map(|input| inputs[i][input] * force[input][k - 4]).sum::<f64>();
-            }
-        }
-        let (a, b, c) = (
-            frame.inward(&alpha, &turned),
-            frame.end_velocity(&std::array::from_fn(|i| omega[i] * omega[i] * turned[i])),
-            frame.inward(omega, &quickened),
-        );
-        let (column, _) = factor.solve(&right, [a[0] + b[0] + 2.0 * c[0], a[1] + b[1] + 2.0 * c[1]]);
-        for i in 0..4 {
-            d_alpha[i][k] = column[i];
+    let mut right: Columns = std::array::from_fn(|i| {
+        let (turned, quickened) = (sum(by_angle[i], d_theta), sum(by_rate[i], d_omega));
+        std::array::from_fn(|k| -turned[k] - quickened[k])
+    });
+    for (right, row) in right.iter_mut().zip(frame.inputs()) {
+        for k in 0..2 {
+            right[4 + k] += row.iter().zip(force).map(|(row, force)| row * force[k]).sum::<f64>();
         }
     }
+    // Σ sᵢ lᵢ (ûᵢ (αᵢ δθᵢ + 2 ωᵢ δωᵢ) + n̂ᵢ ωᵢ² δθᵢ).
+    let [squares, doubled]: [Links; 2] = [std::array::from_fn(|i| omega[i] * omega[i]), omega.map(|rate| 2.0 * rate)];
+    let ([inward_x, inward_y], [across_x, across_y]) = (frame.inward_rows(&alpha), frame.end_rows(&squares));
+    let quickened = frame.inward_rows(&doubled);
+    let by_turn = |inward: Links, across: Links| -> Links { std::array::from_fn(|i| inward[i] + across[i]) };
+    let turned = [by_turn(inward_x, across_x), by_turn(inward_y, across_y)];
+    let opened = [0, 1].map(|k| {
+        let (turned, quickened) = (sum(turned[k], d_theta), sum(quickened[k], d_omega));
+        std::array::from_fn(|k| turned[k] + quickened[k])
+    });
+    let d_alpha = factor.solve_columns(&right, &opened);
     Point { theta: *omega, omega: alpha, d_theta: *d_omega, d_omega: d_alpha }
 }

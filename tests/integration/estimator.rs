@@ -88,10 +88,10 @@ fn transitions_are_differences() {
         let (theta, omega) = motion(&simulation);
         let linkage = Linkage::new(&model.mechanism.geometry);
         let frame = linkage.frame(&theta);
-        let (h, steps) = (2e-3, 4);
+        let (h, least) = (2e-3, 4);
         // The unknown force: a unit of torque on the left motor, and of tip force along x.
         let force = [[1.0, 0.0], [0.0, 0.0], [0.0, 1.0], [0.0, 0.0]];
-        let flow = transition::flow(&linkage, &scene, (&theta, &omega, &frame), &force, h, steps);
+        let flow = transition::flow(&linkage, &scene, (&theta, &omega, &frame), &force, h, least);
         let moved = |k: usize, by: f64| {
             let mut error = [0.0; 6];
             error[k] = by;
@@ -104,7 +104,7 @@ fn transitions_are_differences() {
                 ..inputs
             };
             let scene = FiveBar::<false>::new(model, &pushed, &turns);
-            transition::motion(&linkage, &scene, (theta, omega), h, steps)
+            transition::motion(&linkage, &scene, (theta, omega), h, flow.steps)
         };
         for k in 0..6 {
             let step = 1e-5;

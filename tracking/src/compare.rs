@@ -285,7 +285,10 @@ pub fn write(seeds: u64, first: u64, folder: &Path) -> anyhow::Result<()> {
     let columns = ["tau[1]", "tau[2]", "servo.theta[1]", "servo.theta[2]", "servo.omega[1]", "servo.omega[2]"];
     samples.write_record([&["run", "time", "measured[1]", "measured[2]"][..], &columns, &["tip.x", "tip.y"]].concat())?;
     errors.write_record(["run", "time"].into_iter().chain(WAYS.map(|(label, _)| label)).chain(["the unit"]))?;
-    for (run, (name, encoder, seed, scenario, random)) in runs(seeds, first).enumerate() {
+    let all: Vec<_> = runs(seeds, first).collect();
+    let count = all.len();
+    for (run, (name, encoder, seed, scenario, random)) in all.into_iter().enumerate() {
+        eprintln!("[{}/{count}] {name}, {}: by the ways in Rust", run + 1, encoder.name);
         let run = run.to_string();
         for (variable, value) in variables(&scenario.model, &encoder) {
             described.write_record([&run, name, encoder.name, &seed.to_string(), variable, &value.to_string()])?;

@@ -269,7 +269,7 @@ def main(arguments: list[str] | None = None) -> int:
             spent = by_the_unit(unit, machine)
             around.append(time)
             times.append(spent)
-            print(f"[{run + 1}/{len(found)}] {machine.scene}, {machine.encoder}", file=sys.stderr)
+            print(f"[{run + 1}/{len(found)}] {machine.scene}, {machine.encoder}: through FMPy", file=sys.stderr)
     finally:
         shutil.rmtree(directory, ignore_errors=True)
     print("| scene | encoder | " + " | ".join(WAYS) + " |\n| --- | --- |" + " ---: |" * len(WAYS))

@@ -67,7 +67,7 @@ fn doubtful() -> Case {
     /// and both assemblies are followed from one before this on,
     const LATEST: u64 = 1500;
     /// for at least so many steps.
-    const DOUBTFUL: u64 = 500;
+    const DOUBTFUL: u64 = 100;
     /// Rate along the first direction of the tangent basis, rad/s.
     const SLOW: f64 = 0.2;
     Case::new(FOLLOWING, "a step with a sample of both encoders, two assemblies followed", DOUBTFUL, || {
