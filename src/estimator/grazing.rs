@@ -10,7 +10,7 @@ use super::bank::{MODELS, Matrix};
 use super::branches::{advance, mirrored, tell};
 use super::linkage::Frame;
 use super::track::Track;
-use super::{Constants, Scene, bank, transition};
+use super::{Constants, Scene, bank, carry, transition};
 
 /// It is left where |sin(θ₃ − θ₂)| is at least this.
 const APART: f64 = 0.1;
@@ -169,7 +169,7 @@ fn accompany(track: &mut Track, constants: &Constants, scene: &impl Scene, way: 
     let (h, switch_time, scale) = timing;
     let (theta, omega) = transition::motion(linkage, scene, (track.theta, track.omega), h, way.steps);
     let Some((theta, omega, to)) = linkage.closed(theta, omega) else { return false };
-    let transition = bank::seen_from(way.transition, &onto, &way.to.carried_to(&to));
+    let transition = carry::seen_from(way.transition, &onto, &way.to.carried_to(&to));
     track.bank.predict(linkage, (&from, &transition), scale, (h, switch_time), &PRIOR);
     (track.theta, track.omega) = (theta, omega);
     true

@@ -11,6 +11,7 @@
 pub mod alarm;
 pub mod bank;
 mod branches;
+mod carry;
 mod constants;
 pub mod encoder;
 pub mod forecast;

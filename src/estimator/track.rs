@@ -2,7 +2,8 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::bank::{self, Bank, Error, Matrix};
+use super::bank::{Bank, Error, Matrix};
+use super::carry;
 use super::innovation::Innovation;
 use super::linkage::{Frame, Linkage, Links, MEASURED, Pair, VERTEX};
 use super::transition::{self, ERRORS, Flow, Scene};
@@ -94,9 +95,9 @@ impl Track {
         };
         // NaN counts as near.
         let held = !(smallest > VERTEX && (smallest > DOUBTFUL || agrees()));
-        let transition = if held { bank::straight(from, to, h) } else { bank::transition(from, to, flow) };
+        let transition = if held { carry::straight(from, to, h) } else { carry::transition(from, to, flow) };
         let finite = transition.iter().flatten().all(|x| x.is_finite());
-        if finite { Step { transition, held } } else { Step { transition: bank::straight(from, to, h), held: true } }
+        if finite { Step { transition, held } } else { Step { transition: carry::straight(from, to, h), held: true } }
     }
 
     /// Whether a motion to these rates, whose smallest singular value comes to `smallest`, has turned next to a vertex: forces change no rate
