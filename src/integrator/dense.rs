@@ -114,6 +114,8 @@ impl<const N: usize, const M: usize, K: Copy> Clone for DenseStep<N, M, K> {
 struct Memory {
     /// ln of the error of the last accepted step in units of the tolerance.
     log_error: f64,
+    /// The step wanted where something that touches pushes, if nothing does, and the other way round, s; infinite where none is known.
+    elsewhere: f64,
     stiffness: Stiffness,
     choice: Choice,
 }
@@ -128,7 +130,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Self {
         let sides = system.sides_of(&q, &v);
         let state = State::start(system.on(sides).borrow(), q, v, settings.regularization);
-        let memory = Memory { log_error: LEAST_LOG_ERROR, stiffness: Stiffness::default(), choice: Choice::NEW };
+        let memory =
+            Memory { log_error: LEAST_LOG_ERROR, elsewhere: f64::INFINITY, stiffness: Stiffness::default(), choice: Choice::NEW };
         Self {
             start: state,
             end: state,

@@ -23,6 +23,7 @@ impl Memory {
     fn is_possible(&self, settings: &Settings) -> bool {
         // The error of an accepted step is 1 tolerance at most.
         (LEAST_LOG_ERROR..=0.0).contains(&self.log_error)
+            && self.elsewhere > 0.0
             && self.stiffness.is_consistent()
             && self.choice.is_possible(settings.kinds)
     }

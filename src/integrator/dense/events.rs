@@ -41,6 +41,9 @@ const ROUNDS: u32 = 60;
 /// interpolant to an end.
 type ByStages<'a, const N: usize, const M: usize> = (&'a [Vector<N>; 2], &'a mut dyn FnMut(&State<N, M>) -> [Slope<N>; 4]);
 
+/// By so much more than a ramp seems to last a step on it is longer, so that the border lies within it.
+const LONGER: f64 = 1.2;
+
 /// How a step stands to the borders of its sides.
 pub(super) enum Border {
     /// It crosses none.
@@ -52,9 +55,10 @@ pub(super) enum Border {
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// Before a step: the sides on which it begins, behind all borders that its beginning is beyond.
-    pub(super) fn settle<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) {
+    /// Before a step: the sides on which it begins, behind all borders that its beginning is beyond. How long it is worth to be on them, s.
+    pub(super) fn settle<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
         let mut sides = system.branched(self.sides_behind, &self.start.q, &self.start.v);
+        let mut longest = f64::INFINITY;
         if system.has_kinks() {
             let touches = system.touches(&self.start.q, &self.start.v);
             for _ in 0..MOST_SIDES {
@@ -65,8 +69,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 }
                 sides = on_sides.behind(&self.start.q, &self.start.v, settings.error_tolerance);
             }
+            longest = LONGER * system.on(sides).borrow().lasts(&touches);
         }
         self.begin_on(system, settings, sides);
+        longest
     }
 
     /// The sides behind a border that the step crosses at its very beginning.
@@ -78,7 +84,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The sides of the step: where they are others than before, forces and accelerations are those behind the border.
     fn begin_on<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, sides: K) {
         if sides != self.sides {
-            self.start.settle(system.on(sides).borrow(), settings.regularization);
+            let [before, behind] = [system.on(self.sides), system.on(sides)];
+            self.start.settle(behind.borrow(), settings.regularization);
+            if before.borrow().is_pushed() != behind.borrow().is_pushed() {
+                std::mem::swap(&mut self.start.substep, &mut self.memory.elsewhere);
+                self.before = self.memory;
+            }
             self.end = self.start;
         }
         (self.sides, self.sides_behind) = (sides, sides);

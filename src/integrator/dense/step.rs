@@ -69,14 +69,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         } else {
             settings.kinds.next(&self.memory.choice, settings.error_tolerance, horizon.limit)
         };
+        let lasting = self.settle(system, settings);
         let wanted = match kind {
             Kind::Fifth if self.memory.choice.fifth.is_finite() => self.memory.choice.fifth,
             Kind::Fifth => settings.first_step,
             _ if self.start.substep.is_finite() => self.start.substep,
             _ => settings.first_step,
         };
-        let h = wanted.min(longest).min(LONGEST);
-        self.settle(system, settings);
+        let h = wanted.min(longest).min(LONGEST).min(lasting);
         if system.on(self.sides).borrow().is_at_rest() {
             self.length = longest.min(LONGEST);
             self.end = self.start;
