@@ -11,6 +11,7 @@
 //! Where a force has a kink, a step ends there (`events.rs`).
 
 mod consistency;
+mod cut;
 mod dop853;
 mod events;
 mod hermite;
@@ -86,6 +87,8 @@ pub struct DenseStep<const N: usize, const M: usize, K> {
     end: State<N, M>,
     /// s.
     length: f64,
+    /// The step that was made, of which this is the part before a border, s; 0 where it is all of it.
+    cut_from: f64,
     /// Time into the step, s, never beyond its end.
     elapsed: f64,
     /// What kind of step it is.
@@ -136,6 +139,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             start: state,
             end: state,
             length: 0.0,
+            cut_from: 0.0,
             elapsed: 0.0,
             kind: Kind::Eighth,
             dense: [Slope::NONE; 4],
@@ -231,7 +235,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let Counters { rejected, iterations, .. } = self.end.counters;
         self.end = self.start;
         self.dense = [Slope::NONE; 4];
-        self.length = 0.0;
+        (self.length, self.cut_from) = (0.0, 0.0);
         self.end.counters.rejected = rejected;
         self.end.counters.iterations = iterations;
     }

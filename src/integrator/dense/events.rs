@@ -6,6 +6,7 @@
 
 use std::borrow::Borrow;
 
+use super::step::SHORTEST;
 use super::trial::Slope;
 use super::{DenseStep, Settings};
 use crate::integrator::{Kinked, Passage, State, System};
@@ -44,6 +45,34 @@ type ByStages<'a, const N: usize, const M: usize> = (&'a [Vector<N>; 2], &'a mut
 /// By so much more than a ramp seems to last a step on it is longer, so that the border lies within it.
 const LONGER: f64 = 1.2;
 
+/// How a state stands to the border at which a step is to end.
+pub(super) enum Window {
+    /// It is as far beyond it as it is to be.
+    Within,
+    /// It is not; by how many seconds later it would be, if the motion goes straight there.
+    Off(Option<f64>),
+}
+
+impl Window {
+    /// How q, q̇ and q̈ near the end of a step of some seconds do.
+    pub(super) fn of<const N: usize>(
+        system: &impl Kinked<N>,
+        settings: &Settings,
+        [q, v, a]: [&Vector<N>; 3],
+        length: f64,
+    ) -> Self {
+        let beyond_at =
+            |later: f64| system.beyond(&system.touches(&(*q + later * *v), &(*v + later * *a)), settings.error_tolerance);
+        let beyond = beyond_at(0.0);
+        if (beyond - AT_BORDER).abs() <= NEAR_ENOUGH {
+            return Self::Within;
+        }
+        let later = NEARBY * length;
+        let (gained, missing) = (beyond_at(later) - beyond, (beyond - AT_BORDER) * later);
+        Self::Off((missing.abs() < NEAR * length * gained.abs()).then(|| -missing / gained))
+    }
+}
+
 /// How a step stands to the borders of its sides.
 pub(super) enum Border {
     /// It crosses none.
@@ -60,6 +89,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let mut sides = system.branched(self.sides_behind, &self.start.q, &self.start.v);
         let mut longest = f64::INFINITY;
         if system.has_kinks() {
+            self.cut_from = 0.0;
             let touches = system.touches(&self.start.q, &self.start.v);
             for _ in 0..MOST_SIDES {
                 let on_sides = system.on(sides);
@@ -106,28 +136,23 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Border {
         if tries > 0 {
             let end = self.balanced_end(system, settings);
-            let beyond_at = |later: f64| {
-                system.beyond(&system.touches(&(end.q + later * end.v), &(end.v + later * end.a)), settings.error_tolerance)
-            };
-            let beyond = beyond_at(0.0);
-            if (beyond - AT_BORDER).abs() <= NEAR_ENOUGH {
-                return Border::AtEnd;
-            }
-            if tries >= MOST_TRIES {
-                return Border::Clear;
-            }
-            // The interpolant was not that exact: the end itself says how far to go.
-            let later = NEARBY * self.length;
-            let (gained, missing) = (beyond_at(later) - beyond, (beyond - AT_BORDER) * later);
-            if missing.abs() < NEAR * self.length * gained.abs() {
-                return Border::Before(self.length - missing / gained);
+            match Window::of(system, settings, [&end.q, &end.v, &end.a], self.length) {
+                Window::Within => return Border::AtEnd,
+                Window::Off(_) if tries >= MOST_TRIES => return Border::Clear,
+                // The interpolant was not that exact: the end itself says how far to go.
+                Window::Off(Some(later)) => return Border::Before(self.length + later),
+                Window::Off(None) => {}
             }
         }
         if self.is_clear(system, settings, extremes) {
             return Border::Clear;
         }
         self.dense = dense(&self.balanced_end(system, settings));
-        self.first_crossing(system, settings).map_or(Border::Clear, Border::Before)
+        match self.first_crossing(system, settings) {
+            None => Border::Clear,
+            Some(when) if when >= SHORTEST && self.cut(system, settings, when) => Border::AtEnd,
+            Some(when) => Border::Before(when),
+        }
     }
 
     /// Whether the step certainly crosses no border, by what its stages have seen of rates and accelerations.

@@ -16,7 +16,7 @@ use crate::integrator::{
 use crate::vector::Vector;
 
 /// A step below this, s, that is rejected is not made shorter.
-const SHORTEST: f64 = 1e-15;
+pub(super) const SHORTEST: f64 = 1e-15;
 /// No step is longer than this, s: where nothing moves the error sets no limit.
 pub(super) const LONGEST: f64 = 10.0;
 /// A step is interpolated if the next output is within this part of it, a little more than the whole: sums of macro steps are rounded.
@@ -152,14 +152,17 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 }
                 let interpolated = horizon.output < WITH_ROUNDING * h;
                 // Where a kink was near, the search for it has left the coefficients.
-                if interpolated && !(on.has_kinks() && self.dense != [Slope::NONE; 4]) {
+                let is_cut = on.has_kinks() && self.cut_from > 0.0;
+                if interpolated && !(is_cut || on.has_kinks() && self.dense != [Slope::NONE; 4]) {
                     self.dense = trial.dense(on, settings.regularization, [&self.start, &self.balanced_end(on, settings)]);
                 }
                 self.end.error_estimate = error * settings.error_tolerance;
-                self.adapt::<T>(error, wanted, rejected.is_some());
+                self.adapt::<T>(h, error, wanted, rejected.is_some());
                 // Friction that sticks leaves no choice: nothing is to be learned from its steps.
                 let chooses = settings.kinds == Kinds::Automatic;
-                if chooses && !system.has_grips() {
+                if is_cut {
+                    // Neither do those whose last stage stands elsewhere than their end.
+                } else if chooses && !system.has_grips() {
                     let (product, wanted) = (h * trial.fastest_rate(&self.end), self.wanted_by::<T>());
                     self.memory.choice.learn(&Seen {
                         kind: T::KIND,
@@ -220,7 +223,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// The step has reached its end.
     #[inline]
-    fn accept(&mut self, landing: Landing<N, M>, h: f64, kind: Kind) {
+    pub(super) fn accept(&mut self, landing: Landing<N, M>, h: f64, kind: Kind) {
         let Landing { iterations, arrival, work } = landing;
         (self.length, self.kind) = (h, kind);
         self.end.arrive(arrival);
@@ -246,16 +249,16 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         })
     }
 
-    /// The step to come, from the error of this one.
+    /// The step to come, from the error of one of h seconds.
     #[inline]
-    fn adapt<T: Trial<N>>(&mut self, error: f64, wanted: f64, rejected: bool) {
+    fn adapt<T: Trial<N>>(&mut self, h: f64, error: f64, wanted: f64, rejected: bool) {
         let growth = T::CONTROLLER.growth(error, self.memory.log_error);
         let growth = if rejected { growth.min(1.0) } else { growth };
         // A step that was rejected is as long as its error allows, not cut short.
-        let wanted = if rejected { self.length } else { wanted };
-        let next = next_step(self.length, growth, wanted);
+        let wanted = if rejected { h } else { wanted };
+        let next = next_step(h, growth, wanted);
         *(if T::KIND == Kind::Fifth { &mut self.memory.choice.fifth } else { &mut self.end.substep }) = next;
-        if !is_cut_short(self.length, wanted) {
+        if !is_cut_short(h, wanted) {
             self.memory.log_error = libm::log(error).max(LEAST_LOG_ERROR);
         }
     }
