@@ -219,10 +219,10 @@ fn a_tip_that_bounces() {
 #[test]
 fn dop853_reaches_a_nanometre() {
     for (scene, coarsest) in [
-        ("bounce", 1e-8),
+        ("bounce", 1e-9),
         ("end_stops", 1e-10),
         ("friction_fall", 1e-12),
-        ("haptic", 1e-8),
+        ("haptic", 1e-9),
         ("run_down", 1e-12),
         ("servo_step", 1e-10),
     ] {

@@ -158,11 +158,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 }
                 self.end.error_estimate = error * settings.error_tolerance;
                 self.adapt::<T>(h, error, wanted, rejected.is_some());
-                // Friction that sticks leaves no choice: nothing is to be learned from its steps.
+                // Friction that sticks leaves no choice: nothing is to be learned from its steps. Nor from one that ends where it has no stage.
                 let chooses = settings.kinds == Kinds::Automatic;
-                if is_cut {
-                    // Neither do those whose last stage stands elsewhere than their end.
-                } else if chooses && !system.has_grips() {
+                if chooses && !system.has_grips() && !is_cut {
                     let (product, wanted) = (h * trial.fastest_rate(&self.end), self.wanted_by::<T>());
                     self.memory.choice.learn(&Seen {
                         kind: T::KIND,
@@ -172,7 +170,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                         limit: horizon.limit,
                         steep: on.is_steep(),
                     });
-                } else if !chooses && self.memory.stiffness.is_due(self.end.counters.substeps) {
+                } else if !chooses && !is_cut && self.memory.stiffness.is_due(self.end.counters.substeps) {
                     self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
                 }
                 return Ok(());
