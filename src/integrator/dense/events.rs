@@ -144,11 +144,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 Window::Off(None) => {}
             }
         }
-        if self.is_clear(system, settings, extremes) {
+        let from = system.touches(&self.start.q, &self.start.v);
+        if self.is_clear(system, settings, &from, extremes) {
             return Border::Clear;
         }
         self.dense = dense(&self.balanced_end(system, settings));
-        match self.first_crossing(system, settings) {
+        match self.first_crossing(system, settings, from) {
             None => Border::Clear,
             Some(when) if when >= SHORTEST && self.cut(system, settings, when) => Border::AtEnd,
             Some(when) => Border::Before(when),
@@ -156,25 +157,24 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Whether the step certainly crosses no border, by what its stages have seen of rates and accelerations.
-    fn is_clear<S: Kinked<N>>(&self, system: &S, settings: &Settings, extremes: &[Vector<N>; 2]) -> bool {
-        let Self { start, end, length, .. } = self;
-        let [start, end] = [start, end].map(|state| system.touches(&state.q, &state.v));
+    fn is_clear<S: Kinked<N>>(&self, system: &S, settings: &Settings, start: &S::Touches, extremes: &[Vector<N>; 2]) -> bool {
+        let end = system.touches(&self.end.q, &self.end.v);
         let (extremes, tolerance) = (extremes.map(|most| MARGIN * most), settings.error_tolerance);
-        !system.is_touching(&start)
+        !system.is_touching(start)
             && system.beyond(&end, tolerance) <= CROSSED
-            && system.stays_within([&start, &end], *length, &extremes, tolerance)
+            && system.stays_within([start, &end], self.length, &extremes, tolerance)
     }
 
     /// When the motion of the step first crosses a border, s from its beginning. The interpolant's coefficients must be there.
     #[cold]
-    fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings) -> Option<f64> {
+    fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings, from: S::Touches) -> Option<f64> {
         let tolerance = settings.error_tolerance;
         let extremes = self.extremes();
         let at = |part: f64| {
             let [q, v] = self.moved(part);
             system.touches(&q, &v)
         };
-        let (mut part, mut here) = (0.0, at(0.0));
+        let (mut part, mut here) = (0.0, from);
         let mut stretch = FIRST;
         while part < 1.0 {
             let end = f64::min(part + stretch, 1.0);
