@@ -45,10 +45,6 @@ type ByStages<'a, const N: usize, const M: usize> = (&'a [Vector<N>; 2], &'a mut
 /// By so much more than a ramp seems to last a step on it is longer, so that the border lies within it.
 const LONGER: f64 = 1.2;
 
-/// Part of the step that the last touch wanted with which the next begins: it may be another one, and where much pushes a small error of the
-/// place is much energy.
-const OTHER_TOUCH: f64 = 0.7;
-
 /// How a state stands to the border at which a step is to end.
 pub(super) enum Window {
     /// It is as far beyond it as it is to be.
@@ -122,9 +118,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.start.settle(behind.borrow(), settings.regularization);
             if before.borrow().is_pushed() != behind.borrow().is_pushed() {
                 std::mem::swap(&mut self.start.substep, &mut self.memory.elsewhere);
-                if behind.borrow().is_pushed() {
-                    self.start.substep *= OTHER_TOUCH;
-                }
                 self.before = self.memory;
             }
             self.end = self.start;
