@@ -41,6 +41,11 @@ impl Sides {
     /// Wherever the state is.
     pub const BY_STATE: Self = Self { springs: [None; SPRINGS], grips: Grips::OPEN, parallels: None };
 
+    /// Whether any spring pushes.
+    pub fn any_pushes(&self) -> bool {
+        self.springs.iter().flatten().any(|phase| phase.pushes())
+    }
+
     /// The same with other grips.
     pub fn with_grips(self, grips: Grips) -> Self {
         Self { grips, ..self }
@@ -219,6 +224,12 @@ impl<'a> Touches<'a> {
         let borders = self.springs.iter().filter_map(|touch| touch.farthest(sides, tolerance)).map(|border| border.beyond);
         let slides = self.slides.iter().map(|slide| slide.beyond(&sides.grips, tolerance));
         borders.chain(slides).fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// About how long the motion stays on the ramps on which it is, s.
+    pub fn last(&self, sides: &Sides) -> f64 {
+        let lasting = self.springs.iter().map(|touch| touch.spring.lasts(touch.phase(sides), touch.depth, touch.rate));
+        lasting.fold(f64::INFINITY, f64::min)
     }
 
     /// The sides behind the borders of springs that the state is beyond, and behind the nearest one.

@@ -83,6 +83,20 @@ impl UnilateralSpring {
         }
     }
 
+    /// How long a motion at this rate takes to the end of a ramp, on it or towards it, s. The formulas of a ramp are polynomials, of which
+    /// nothing is asked far beyond its ends.
+    pub(super) fn lasts(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
+        /// Least part of a ramp that lies ahead.
+        const LEAST: f64 = 0.1;
+        let ahead = match phase {
+            Phase::Ramp | Phase::RampLetGo if rate > 0.0 => self.width - depth,
+            Phase::Ramp | Phase::RampLetGo => depth,
+            Phase::FullLetGo if rate < 0.0 => depth - self.width,
+            Phase::Free | Phase::Full | Phase::FullLetGo => return f64::INFINITY,
+        };
+        if rate == 0.0 { f64::INFINITY } else { ahead.max(LEAST * self.width) / rate.abs() }
+    }
+
     /// What changes sign where a motion that touches passes a kink: penetration, that beyond the ramp, and the push, m or rad.
     pub(super) fn kinks(&self, depth: f64, rate: f64) -> [f64; 3] {
         [depth, depth - self.width, self.scaled_push(depth, rate)]

@@ -11,6 +11,7 @@
 //! Where a force has a kink, a step ends there (`events.rs`).
 
 mod consistency;
+mod cut;
 mod dop853;
 mod events;
 mod hermite;
@@ -87,6 +88,8 @@ pub struct DenseStep<const N: usize, const M: usize, K> {
     end: State<N, M>,
     /// s.
     length: f64,
+    /// The step that was made, of which this is the part before a border, s; 0 where it is all of it.
+    cut_from: f64,
     /// Time into the step, s, never beyond its end.
     elapsed: f64,
     /// What kind of step it is.
@@ -115,6 +118,8 @@ impl<const N: usize, const M: usize, K: Copy> Clone for DenseStep<N, M, K> {
 struct Memory {
     /// ln of the error of the last accepted step in units of the tolerance.
     log_error: f64,
+    /// The step wanted where something that touches pushes, if nothing does, and the other way round, s; infinite where none is known.
+    elsewhere: f64,
     stiffness: Stiffness,
     choice: Choice,
 }
@@ -129,11 +134,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Self {
         let sides = system.sides_of(&q, &v);
         let state = State::start(system.on(sides).borrow(), q, v, settings.regularization);
-        let memory = Memory { log_error: LEAST_LOG_ERROR, stiffness: Stiffness::default(), choice: Choice::NEW };
+        let memory =
+            Memory { log_error: LEAST_LOG_ERROR, elsewhere: f64::INFINITY, stiffness: Stiffness::default(), choice: Choice::NEW };
         Self {
             start: state,
             end: state,
             length: 0.0,
+            cut_from: 0.0,
             elapsed: 0.0,
             kind: Kind::Eighth,
             dense: [Slope::NONE; 4],
@@ -237,7 +244,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let Counters { rejected, iterations, .. } = self.end.counters;
         self.end = self.start;
         self.dense = [Slope::NONE; 4];
-        self.length = 0.0;
+        (self.length, self.cut_from) = (0.0, 0.0);
         self.end.counters.rejected = rejected;
         self.end.counters.iterations = iterations;
     }

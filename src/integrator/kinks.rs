@@ -66,6 +66,16 @@ pub trait Kinked<const N: usize>: Sized {
         false
     }
 
+    /// Whether anything that touches pushes on these sides.
+    fn is_pushed(&self) -> bool {
+        false
+    }
+
+    /// About how long a motion goes on by formulas that hold on a short way only, s.
+    fn lasts(&self, _at: &Self::Touches) -> f64 {
+        f64::INFINITY
+    }
+
     /// Whether the whole system is held: nothing moves while the forces stay.
     fn is_at_rest(&self) -> bool {
         false

@@ -215,6 +215,18 @@ impl AddAssign for Work {
 }
 
 impl Work {
+    /// Both, of the inputs first.
+    #[inline(always)]
+    pub(super) fn pair(&self) -> Vector<2> {
+        Vector::from([self.input, self.dissipated])
+    }
+
+    /// The same the other way round.
+    #[inline(always)]
+    pub(super) fn of_pair(pair: Vector<2>) -> Self {
+        Self { input: pair[0], dissipated: pair[1] }
+    }
+
     /// self + duration·rate.
     #[inline(always)]
     pub(super) fn plus(self, duration: f64, rate: Self) -> Self {

@@ -69,6 +69,14 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
         self.model().sticks
     }
 
+    fn is_pushed(&self) -> bool {
+        self.five_bar().sides().any_pushes()
+    }
+
+    fn lasts(&self, at: &Touches<'a>) -> f64 {
+        at.last(&self.five_bar().sides())
+    }
+
     fn is_at_rest(&self) -> bool {
         self.five_bar().sides.grips.at_rest()
     }

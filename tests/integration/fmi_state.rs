@@ -145,6 +145,44 @@ fn bytes_bring_a_state_back_bit_for_bit() {
     }
 }
 
+/// Where forces have kinks a step may be a part of a longer one: stored within each step of such a run, at loose tolerances and tight ones,
+/// it is made once more to the same bits, and goes on as if nobody had stored it. Of 400 ms in which links meet their stops.
+#[test]
+fn steps_that_end_at_kinks_come_back() {
+    let start = |tolerance: f64| {
+        let host = Host::initializing(0.0, None);
+        assert_eq!(host.set_boolean(&[reference("stop.enabled"), reference("spring.enabled")], &[1; 2]), fmi2OK);
+        assert_eq!(host.set_integer(&[reference("solver.method")], &[4]), fmi2OK);
+        let limits = ["stop.lower[1]", "stop.lower[2]", "stop.upper[1]", "stop.upper[2]", "init.theta[2]", "solver.errorTolerance"];
+        let values = [0.52, 0.52, 2.62, 2.62, 2.1, tolerance];
+        assert_eq!(host.set_real(&limits.map(reference), &values), fmi2OK);
+        assert_eq!(host.call(fmi2ExitInitializationMode), fmi2OK, "{:?}", host.take());
+        host
+    };
+    for tolerance in [1e-3, 1e-7, 1e-11] {
+        let (host, other) = (start(tolerance), Host::new());
+        let points = 1000;
+        for i in 0..points {
+            let now = 0.4 + 0.4 * f64::from(i) / f64::from(points);
+            if i == 0 {
+                assert_eq!(host.do_step(0.0, 0.4), fmi2OK, "{:?}", host.take());
+            }
+            let mut state = host.state();
+            let (_, size) = host.serialized_size(state);
+            let (_, bytes) = host.serialize(state, size);
+            let mut restored = null_mut();
+            assert_eq!(other.deserialize(&bytes, &mut restored), fmi2OK, "{tolerance:e} rad, {now} s: {:?}", other.take());
+            assert_eq!(other.set_state(restored), fmi2OK, "{tolerance:e} rad, {now} s: {:?}", other.take());
+            assert_eq!((host.free_state(&mut state), other.free_state(&mut restored)), (fmi2OK, fmi2OK));
+            assert_eq!(host.do_step(now, 4e-4), fmi2OK, "{:?}", host.take());
+            if i % 100 == 0 {
+                assert_eq!(other.do_step(now, 4e-4), fmi2OK, "{:?}", other.take());
+                assert_eq!(seen(&other), seen(&host));
+            }
+        }
+    }
+}
+
 /// Every byte changed, every length cut, foreign bytes: fmi2Error with one sentence, and nothing has changed.
 #[test]
 fn bytes_that_are_no_state_are_refused() {

@@ -275,8 +275,9 @@ fn layout(content: &[u8]) -> Vec<(usize, String)> {
             }
         }
         if dense {
-            next("run.length", 8);
-            next("run.elapsed", 8);
+            for name in ["length", "cut_from", "elapsed"] {
+                next(&format!("run.{name}"), 8);
+            }
             next("run.kind", 1);
             next("run.dense", 4 * (16 * n + 16));
             next("run.straight", 1);
@@ -293,6 +294,7 @@ fn layout(content: &[u8]) -> Vec<(usize, String)> {
             }
             for memory in ["memory", "before"] {
                 next(&format!("run.{memory}.log_error"), 8);
+                next(&format!("run.{memory}.elsewhere"), 8);
                 next(&format!("run.{memory}.stiffness"), 3);
                 for (name, size) in [("stiff", 1), ("against", 1), ("explicit", 2), ("returns", 1), ("border", 8), ("fifth", 8)] {
                     next(&format!("run.{memory}.choice.{name}"), size);

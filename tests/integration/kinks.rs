@@ -81,9 +81,10 @@ fn no_slow_touch_is_missed() {
         let width = if seed % 2 == 0 { 1e-6 } else { 1e-4 };
         plane(&mut parameters, normal, reach + depth, [k, damping, width]);
 
-        let end = |method: Method, tolerance: f64, calls: u64| {
+        let nudged_end = |nudge: f64, method: Method, tolerance: f64, calls: u64| {
             let mut parameters = parameters.clone();
             (parameters.settings.method, parameters.settings.error_tolerance) = (method, tolerance);
+            parameters.start.theta[0] += nudge;
             let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("a scene");
             for _ in 0..calls {
                 simulation.advance(&default_inputs(), duration / calls as f64, 1).expect("a step");
@@ -94,13 +95,18 @@ fn no_slow_touch_is_missed() {
             }
             simulation
         };
+        let end = |method: Method, tolerance: f64, calls: u64| nudged_end(0.0, method, tolerance, calls);
         let (usual, exact) = (end(Method::Dop853, 3e-9, 600), end(Method::Dop853, 1e-13, 1));
         // A touch multiplies errors by the stiffness: bounces in a row have made 1e-6 m of 1e-9.
         let error = tip_error(&usual, tip(&exact));
         assert!(error < 1e-5, "seed {seed}: {error:e} m");
-        // The default method, of second order, follows as well, as far as bounces do not multiply its errors.
+        // The default method, of second order, follows as well, as far as bounces do not multiply its errors: they do what they do to a
+        // start that is nudged.
         let default = tip_error(&end(Method::I3alp, 3e-9, 600), tip(&exact));
-        assert!(default < f64::max(2e-4, 3e3 * error), "seed {seed}: {default:e} m by i3alp");
+        if default > 2e-4 {
+            let nudged = tip_error(&nudged_end(1e-7, Method::Dop853, 1e-13, 1), tip(&exact));
+            assert!(default < 100.0 * nudged, "seed {seed}: {default:e} m by i3alp, {nudged:e} m by a nudge");
+        }
         touches += u32::from(tip_error(&exact, tip(&free)) > 1e-4);
     }
     assert!(touches >= 15, "only {touches} of 40 motions touch with any consequence");

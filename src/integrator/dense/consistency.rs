@@ -23,6 +23,7 @@ impl Memory {
     fn is_possible(&self, settings: &Settings) -> bool {
         // The error of an accepted step is 1 tolerance at most.
         (LEAST_LOG_ERROR..=0.0).contains(&self.log_error)
+            && self.elsewhere > 0.0
             && self.stiffness.is_consistent()
             && self.choice.is_possible(settings.kinds)
     }
@@ -51,6 +52,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         if !(0.0..=LONGEST).contains(&self.length) || !(0.0..=self.length).contains(&self.elapsed) {
             return Err("the time is not within the step under way");
+        }
+        if !(self.cut_from == 0.0 || (self.cut_from > self.length && self.cut_from <= LONGEST)) {
+            return Err("a step is cut from a shorter one");
         }
         if self.length == 0.0 {
             let same = self.start == self.end && self.dense == [Slope::NONE; 4] && !self.straight;
@@ -95,17 +99,29 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
     ) -> Result<bool, StepError> {
         let Some(shared) = T::prepare(system, settings, &self.start) else { return Ok(false) };
-        let mut trial = T::new(system, &shared, settings.regularization, &self.start, self.length);
-        let landing = trial.land(system, settings, &settings.allowed_of(system), self.kept(system, self.length)).1?;
-        let mut end = self.start;
-        end.arrive(landing.arrival);
-        end.work += landing.work;
+        let is_cut = self.cut_from > 0.0;
+        let length = if is_cut { self.cut_from } else { self.length };
+        let mut trial = T::new(system, &shared, settings.regularization, &self.start, length);
+        let landing = trial.land(system, settings, &settings.allowed_of(system), self.kept(system, length)).1?;
+        let mut redone = *self;
+        redone.retract();
+        redone.accept(landing, length, T::KIND);
+        if is_cut {
+            redone.dense = trial.dense(system, settings.regularization, [&self.start, &redone.end]);
+            if !redone.cut_again(system, settings, self.length) {
+                return Ok(false);
+            }
+        }
+        let end = &redone.end;
         let same = [end.q, end.v, end.a] == [self.end.q, self.end.v, self.end.a]
             && end.lambda == self.end.lambda
             && end.work == self.end.work;
         // Without its coefficients a step is over: nothing is asked for within it.
         let needless = self.dense == [Slope::NONE; 4] && self.elapsed == self.length;
-        let mut dense = || trial.dense(system, settings.regularization, [&self.start, &self.balanced_end(system, settings)]);
+        let mut dense = || match is_cut {
+            true => redone.dense,
+            false => trial.dense(system, settings.regularization, [&self.start, &self.balanced_end(system, settings)]),
+        };
         Ok(same && (needless || dense() == self.dense))
     }
 }

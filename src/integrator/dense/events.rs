@@ -6,6 +6,7 @@
 
 use std::borrow::Borrow;
 
+use super::step::SHORTEST;
 use super::trial::Slope;
 use super::{DenseStep, Settings};
 use crate::integrator::{Kinked, Passage, State, System};
@@ -41,6 +42,37 @@ const ROUNDS: u32 = 60;
 /// interpolant to an end.
 type ByStages<'a, const N: usize, const M: usize> = (&'a [Vector<N>; 2], &'a mut dyn FnMut(&State<N, M>) -> [Slope<N>; 4]);
 
+/// By so much more than a ramp seems to last a step on it is longer, so that the border lies within it.
+const LONGER: f64 = 1.2;
+
+/// How a state stands to the border at which a step is to end.
+pub(super) enum Window {
+    /// It is as far beyond it as it is to be.
+    Within,
+    /// It is not; by how many seconds later it would be, if the motion goes straight there.
+    Off(Option<f64>),
+}
+
+impl Window {
+    /// How q, q̇ and q̈ near the end of a step of some seconds do.
+    pub(super) fn of<const N: usize>(
+        system: &impl Kinked<N>,
+        settings: &Settings,
+        [q, v, a]: [&Vector<N>; 3],
+        length: f64,
+    ) -> Self {
+        let beyond_at =
+            |later: f64| system.beyond(&system.touches(&(*q + later * *v), &(*v + later * *a)), settings.error_tolerance);
+        let beyond = beyond_at(0.0);
+        if (beyond - AT_BORDER).abs() <= NEAR_ENOUGH {
+            return Self::Within;
+        }
+        let later = NEARBY * length;
+        let (gained, missing) = (beyond_at(later) - beyond, (beyond - AT_BORDER) * later);
+        Self::Off((missing.abs() < NEAR * length * gained.abs()).then(|| -missing / gained))
+    }
+}
+
 /// How a step stands to the borders of its sides.
 pub(super) enum Border {
     /// It crosses none.
@@ -52,10 +84,12 @@ pub(super) enum Border {
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// Before a step: the sides on which it begins, behind all borders that its beginning is beyond.
-    pub(super) fn settle<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) {
+    /// Before a step: the sides on which it begins, behind all borders that its beginning is beyond. How long it is worth to be on them, s.
+    pub(super) fn settle<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
         let mut sides = system.branched(self.sides_behind, &self.start.q, &self.start.v);
+        let mut longest = f64::INFINITY;
         if system.has_kinks() {
+            self.cut_from = 0.0;
             let touches = system.touches(&self.start.q, &self.start.v);
             for _ in 0..MOST_SIDES {
                 let on_sides = system.on(sides);
@@ -65,8 +99,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 }
                 sides = on_sides.behind(&self.start.q, &self.start.v, settings.error_tolerance);
             }
+            longest = LONGER * system.on(sides).borrow().lasts(&touches);
         }
         self.begin_on(system, settings, sides);
+        longest
     }
 
     /// The sides behind a border that the step crosses at its very beginning.
@@ -78,7 +114,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The sides of the step: where they are others than before, forces and accelerations are those behind the border.
     fn begin_on<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, sides: K) {
         if sides != self.sides {
-            self.start.settle(system.on(sides).borrow(), settings.regularization);
+            let [before, behind] = [system.on(self.sides), system.on(sides)];
+            self.start.settle(behind.borrow(), settings.regularization);
+            if before.borrow().is_pushed() != behind.borrow().is_pushed() {
+                std::mem::swap(&mut self.start.substep, &mut self.memory.elsewhere);
+                self.before = self.memory;
+            }
             self.end = self.start;
         }
         (self.sides, self.sides_behind) = (sides, sides);
@@ -95,50 +136,45 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Border {
         if tries > 0 {
             let end = self.balanced_end(system, settings);
-            let beyond_at = |later: f64| {
-                system.beyond(&system.touches(&(end.q + later * end.v), &(end.v + later * end.a)), settings.error_tolerance)
-            };
-            let beyond = beyond_at(0.0);
-            if (beyond - AT_BORDER).abs() <= NEAR_ENOUGH {
-                return Border::AtEnd;
-            }
-            if tries >= MOST_TRIES {
-                return Border::Clear;
-            }
-            // The interpolant was not that exact: the end itself says how far to go.
-            let later = NEARBY * self.length;
-            let (gained, missing) = (beyond_at(later) - beyond, (beyond - AT_BORDER) * later);
-            if missing.abs() < NEAR * self.length * gained.abs() {
-                return Border::Before(self.length - missing / gained);
+            match Window::of(system, settings, [&end.q, &end.v, &end.a], self.length) {
+                Window::Within => return Border::AtEnd,
+                Window::Off(_) if tries >= MOST_TRIES => return Border::Clear,
+                // The interpolant was not that exact: the end itself says how far to go.
+                Window::Off(Some(later)) => return Border::Before(self.length + later),
+                Window::Off(None) => {}
             }
         }
-        if self.is_clear(system, settings, extremes) {
+        let from = system.touches(&self.start.q, &self.start.v);
+        if self.is_clear(system, settings, &from, extremes) {
             return Border::Clear;
         }
         self.dense = dense(&self.balanced_end(system, settings));
-        self.first_crossing(system, settings).map_or(Border::Clear, Border::Before)
+        match self.first_crossing(system, settings, from) {
+            None => Border::Clear,
+            Some(when) if when >= SHORTEST && self.cut(system, settings, when) => Border::AtEnd,
+            Some(when) => Border::Before(when),
+        }
     }
 
     /// Whether the step certainly crosses no border, by what its stages have seen of rates and accelerations.
-    fn is_clear<S: Kinked<N>>(&self, system: &S, settings: &Settings, extremes: &[Vector<N>; 2]) -> bool {
-        let Self { start, end, length, .. } = self;
-        let [start, end] = [start, end].map(|state| system.touches(&state.q, &state.v));
+    fn is_clear<S: Kinked<N>>(&self, system: &S, settings: &Settings, start: &S::Touches, extremes: &[Vector<N>; 2]) -> bool {
+        let end = system.touches(&self.end.q, &self.end.v);
         let (extremes, tolerance) = (extremes.map(|most| MARGIN * most), settings.error_tolerance);
-        !system.is_touching(&start)
+        !system.is_touching(start)
             && system.beyond(&end, tolerance) <= CROSSED
-            && system.stays_within([&start, &end], *length, &extremes, tolerance)
+            && system.stays_within([start, &end], self.length, &extremes, tolerance)
     }
 
     /// When the motion of the step first crosses a border, s from its beginning. The interpolant's coefficients must be there.
     #[cold]
-    fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings) -> Option<f64> {
+    fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings, from: S::Touches) -> Option<f64> {
         let tolerance = settings.error_tolerance;
         let extremes = self.extremes();
         let at = |part: f64| {
             let [q, v] = self.moved(part);
             system.touches(&q, &v)
         };
-        let (mut part, mut here) = (0.0, at(0.0));
+        let (mut part, mut here) = (0.0, from);
         let mut stretch = FIRST;
         while part < 1.0 {
             let end = f64::min(part + stretch, 1.0);

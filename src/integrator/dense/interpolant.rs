@@ -35,6 +35,39 @@ impl<const K: usize> Interpolant<K> {
         rate
     }
 
+    /// The higher coefficients of the same polynomial on the part of the step before some part.
+    pub(super) fn cut(&self, part: f64) -> [Vector<K>; 4] {
+        // The coefficients of its powers there, from the innermost bracket on.
+        let mut powers = [Vector::ZERO; 8];
+        powers[0] = self.0[7];
+        for place in (0..7).rev() {
+            // The factors are θ and 1−θ in turn.
+            let [constant, slope] = if place % 2 == 0 { [0.0, part] } else { [1.0, -part] };
+            for k in (0..8 - place).rev() {
+                let below = if k > 0 { powers[k - 1] } else { Vector::ZERO };
+                powers[k] = constant * powers[k] + slope * below;
+            }
+            powers[0] += self.0[place];
+        }
+        // The same brackets there: what is left at 0 and 1 in turn, and the rest divided by θ and 1−θ.
+        let mut coefficients = [Vector::ZERO; 8];
+        for (place, coefficient) in coefficients.iter_mut().enumerate() {
+            if place % 2 == 0 {
+                *coefficient = powers[0];
+                powers.rotate_left(1);
+                powers[7] = Vector::ZERO;
+            } else {
+                let mut rest = Vector::ZERO;
+                for power in powers.iter_mut().rev() {
+                    (*power, rest) = (-1.0 * rest, rest + *power);
+                }
+                *coefficient = rest;
+            }
+        }
+        let [.., d, e, f, g] = coefficients;
+        [d, e, f, g]
+    }
+
     /// Bounds on the magnitudes of the values and of the derivatives times the step: no product of θ and 1−θ is larger than 1/4 from
     /// the third coefficient on, and none has a derivative larger than 1.
     pub(super) fn extremes(&self) -> [Vector<K>; 2] {
@@ -74,6 +107,15 @@ mod tests {
         let [a, b, c, d, e, f, g, h] = numbers.map(|x| Vector::<1>::from([x]));
         let interpolant = Interpolant::new([a, b], [c, d], [e, f, g, h]);
         let [value, rate] = interpolant.extremes();
+        // Of its first 0.3 it is the same polynomial.
+        let part = 0.3;
+        let ends = [interpolant.at(0.0), interpolant.at(part)];
+        let rates = [0.0, part].map(|at| part * interpolant.rate_at(at));
+        let first = Interpolant::new(ends, rates, interpolant.cut(part));
+        for i in 0..=10 {
+            let at = f64::from(i) / 10.0;
+            assert!((first.at(at) - interpolant.at(part * at)).max_norm() < 1e-14, "{at}");
+        }
         let step = 1e-6;
         for i in 0..1000 {
             let part = f64::from(i) / 1000.0;

@@ -4,7 +4,7 @@ use std::borrow::Borrow;
 
 use super::interpolant::Interpolant;
 use super::{DenseStep, Kind, Settings, hermite};
-use crate::integrator::{Kinked, Passage, System, Work};
+use crate::integrator::{Kinked, Passage, State, System, Work};
 use crate::vector::Vector;
 
 /// What holds at the present time, between the ends of the step.
@@ -56,20 +56,21 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let Self { start, length, .. } = self;
         let part = self.elapsed / length;
         let work = if system.follows_work() {
-            let both = |work: &Work| Vector::from([work.input, work.dissipated]);
             let end = &self.balanced_end(system, settings);
-            let mut higher = self.dense.map(|slope| both(&slope.power));
+            let mut higher = self.dense.map(|slope| slope.power.pair());
             if self.kind != Kind::Eighth && !self.straight {
-                higher[0] = both(&hermite::of_work(system, [start, end], *length, &self.positions()));
+                higher[0] = hermite::of_work(system, [start, end], *length, &self.positions()).pair();
             }
-            let ends = [&start.work, &end.work].map(both);
-            let rates = [&start.power, &end.power].map(|power| *length * both(power));
-            let work = Interpolant::new(ends, rates, higher).at(part);
-            Work { input: work[0], dissipated: work[1] }
+            Work::of_pair(works([start, end], *length, higher).at(part))
         } else {
             start.work
         };
         (self.moved(part), work)
+    }
+
+    /// The interpolant of the work of a step that is of order 8.
+    pub(super) fn works(&self) -> Interpolant<2> {
+        works([&self.start, &self.end], self.length, self.dense.map(|slope| slope.power.pair()))
     }
 
     /// q and q̇ at a part of the step.
@@ -108,4 +109,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let Self { start, end, length, dense, .. } = self;
         Interpolant::new([start.v, end.v], [*length * start.a, *length * end.a], std::array::from_fn(|k| dense[k].v))
     }
+}
+
+/// The interpolant of the work between states some seconds apart.
+fn works<const N: usize, const M: usize>([start, end]: [&State<N, M>; 2], length: f64, higher: [Vector<2>; 4]) -> Interpolant<2> {
+    let rates = [&start.power, &end.power].map(|power| length * power.pair());
+    Interpolant::new([start.work.pair(), end.work.pair()], rates, higher)
 }

@@ -13,7 +13,7 @@ use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, next_step};
 use crate::integrator::{Approach, EnergyBalance, Kinked, Passage, PassageLimits, State, StepError, System};
 
 /// A step below this, s, that is rejected is not made shorter.
-const SHORTEST: f64 = 1e-15;
+pub(super) const SHORTEST: f64 = 1e-15;
 /// No step is longer than this, s: where nothing moves the error sets no limit.
 pub(super) const LONGEST: f64 = 10.0;
 /// A step is interpolated if the next output is within this part of it, a little more than the whole: sums of macro steps are rounded.
@@ -67,14 +67,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         } else {
             settings.kinds.next(&self.memory.choice, settings.error_tolerance, horizon.limit)
         };
+        let lasting = self.settle(system, settings);
         let wanted = match kind {
             Kind::Fifth if self.memory.choice.fifth.is_finite() => self.memory.choice.fifth,
             Kind::Fifth => settings.first_step,
             _ if self.start.substep.is_finite() => self.start.substep,
             _ => settings.first_step,
         };
-        let h = wanted.min(longest).min(LONGEST);
-        self.settle(system, settings);
+        let h = wanted.min(longest).min(LONGEST).min(lasting);
         if system.has_grips() && system.on(self.sides).borrow().is_at_rest() {
             self.length = longest.min(LONGEST);
             self.end = self.start;
@@ -150,14 +150,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 }
                 let interpolated = horizon.output < WITH_ROUNDING * h;
                 // Where a kink was near, the search for it has left the coefficients.
-                if interpolated && !(on.has_kinks() && self.dense != [Slope::NONE; 4]) {
+                let is_cut = on.has_kinks() && self.cut_from > 0.0;
+                if interpolated && !(is_cut || on.has_kinks() && self.dense != [Slope::NONE; 4]) {
                     self.dense = trial.dense(on, settings.regularization, [&self.start, &self.balanced_end(on, settings)]);
                 }
                 self.end.error_estimate = error * settings.error_tolerance;
-                self.adapt::<T>(error, wanted, rejected.is_some());
-                // Friction that sticks leaves no choice: nothing is to be learned from its steps.
+                self.adapt::<T>(h, error, wanted, rejected.is_some());
+                // Friction that sticks leaves no choice: nothing is to be learned from its steps. Nor from one that ends where it has no stage.
                 let chooses = settings.kinds == Kinds::Automatic;
-                if chooses && !system.has_grips() {
+                if chooses && !system.has_grips() && !is_cut {
                     let (product, wanted) = (h * trial.fastest_rate(&self.end), self.wanted_by::<T>());
                     self.memory.choice.learn(&Seen {
                         kind: T::KIND,
@@ -167,7 +168,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                         limit: horizon.limit,
                         steep: on.is_steep(),
                     });
-                } else if !chooses && self.memory.stiffness.is_due(self.end.counters.substeps) {
+                } else if !chooses && !is_cut && self.memory.stiffness.is_due(self.end.counters.substeps) {
                     self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
                 }
                 return Ok(());
@@ -218,7 +219,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// The step has reached its end.
     #[inline]
-    fn accept(&mut self, landing: Landing<N, M>, h: f64, kind: Kind) {
+    pub(super) fn accept(&mut self, landing: Landing<N, M>, h: f64, kind: Kind) {
         let Landing { iterations, arrival, work } = landing;
         (self.length, self.kind) = (h, kind);
         self.end.arrive(arrival);
@@ -244,13 +245,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         })
     }
 
-    /// The step to come, from the error of this one.
+    /// The step to come, from the error of one of h seconds.
     #[inline]
-    fn adapt<T: Trial<N>>(&mut self, error: f64, wanted: f64, rejected: bool) {
+    fn adapt<T: Trial<N>>(&mut self, h: f64, error: f64, wanted: f64, rejected: bool) {
         // A step that was rejected is as long as its error allows, not cut short.
-        let wanted = if rejected { self.length } else { wanted };
-        let cut_short = is_cut_short(self.length, wanted);
-        let next = if cut_short && T::CONTROLLER.longest_after(self.length) <= wanted {
+        let wanted = if rejected { h } else { wanted };
+        let cut_short = is_cut_short(h, wanted);
+        let next = if cut_short && T::CONTROLLER.longest_after(h) <= wanted {
             // Most held inputs end a step so early that its error has nothing to say.
             wanted
         } else {
@@ -259,7 +260,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             if !cut_short {
                 self.memory.log_error = log_error.max(LEAST_LOG_ERROR);
             }
-            next_step(self.length, if rejected { growth.min(1.0) } else { growth }, wanted)
+            next_step(h, if rejected { growth.min(1.0) } else { growth }, wanted)
         };
         *(if T::KIND == Kind::Fifth { &mut self.memory.choice.fifth } else { &mut self.end.substep }) = next;
     }
