@@ -154,7 +154,8 @@ impl Platform {
 /// Windows is Debian's, because Debian's Rust links a library there that zig does not have.
 ///
 /// The sources must be those of the compiler, hence not the Rust in use; `RUSTC_BOOTSTRAP` lets a stable one build them.
-/// Backtraces are left out of the standard library: a stripped library has none to show.
+/// Backtraces are left out of the standard library: a stripped library has none to show. What it formats and sorts is made for size: no step
+/// does either.
 fn cross(command: &str, triple: &str) -> Result<Command> {
     let needs = [
         ("/usr/bin/rustc", "rustc-web"),
@@ -176,7 +177,7 @@ fn cross(command: &str, triple: &str) -> Result<Command> {
     cargo
         .args([command, "--release", "--target", &target, "--target-dir"])
         .arg(&folder)
-        .args(["-Zbuild-std=std,panic_unwind", "-Zbuild-std-features=panic-unwind"])
+        .args(["-Zbuild-std=std,panic_unwind", "-Zbuild-std-features=panic-unwind,optimize_for_size"])
         .env("PATH", env::join_paths([programs, Path::new(DEBIAN), Path::new("/bin")]).context("the path of programs")?)
         .env("CARGO", Path::new(DEBIAN).join("cargo"))
         .env("RUSTC", Path::new(DEBIAN).join("rustc"))
