@@ -112,40 +112,6 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         [part * (q + v), v]
     }
 
-    /// Back onto the constraints, not along the shortest way in the metric of the masses, which asks no force: where forces are stiff it
-    /// would leave them out of balance. The way here is the one that the step itself would find, (1 − hγ C − (hγ)² K)⁻¹ times that of the
-    /// masses. The iterations spent, with pose and mass factor.
-    #[inline]
-    fn project<const M: usize, S: System<N, M>>(
-        &self,
-        system: &S,
-        settings: &Settings,
-        q: &mut Vector<N>,
-        v: &mut Vector<N>,
-    ) -> Result<(u32, S::Pose, S::Mass), StepError> {
-        let mut ways = None;
-        let along =
-            |pose: &S::Pose, missing| combination(ways.get_or_insert_with(|| self.ways_back(system, settings, pose)), &missing);
-        let projection = Projection::to_round_off(system.length_scale(), settings.regularization, settings.max_iterations);
-        let (iterations, pose) = projection.position_along(system, system.pose(q), q, along)?;
-        if let Some(ways) = &ways {
-            *v += combination(ways, &-system.phi_q_times(&pose, v));
-        }
-        let mass = system.factor_mass(&pose, settings.regularization);
-        *v += velocity_correction(system, &pose, &mass, v);
-        Ok((iterations, pose, mass))
-    }
-
-    /// By what q or q̇ is corrected for a unit of each constraint.
-    #[inline]
-    fn ways_back<const M: usize, S: System<N, M>>(&self, system: &S, settings: &Settings, pose: &S::Pose) -> [Vector<N>; M] {
-        let mass = system.factor_mass(pose, settings.regularization);
-        let ways: [Vector<N>; M] = std::array::from_fn(|i| self.inverse.times(&mass.correction(&Vector::unit(i))));
-        // A load may turn them: so that each is one constraint's.
-        let shares = Inverse::new(ways.map(|way| system.phi_q_times(pose, &way)), f64::EPSILON * self.h);
-        std::array::from_fn(|i| combination(&ways, &shares.times(&Vector::unit(i))))
-    }
-
     /// Work by some weights of the stages, J.
     #[inline(never)]
     fn work<const M: usize>(&self, system: &impl System<N, M>, weights: &[f64; MOST]) -> Work {
@@ -160,6 +126,64 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         };
         let along = power_at(ALONG).plus(-1.0, power_at(-ALONG));
         Work::default().plus(self.h, mean.plus(0.5 / ALONG, along))
+    }
+}
+
+/// The way back onto the constraints, which does not depend on the tableau.
+struct WayBack<'a, const N: usize> {
+    inverse: &'a Inverse<N>,
+    h: f64,
+}
+
+impl<const N: usize> WayBack<'_, N> {
+    /// The end of a step on the constraints, in balance, with the energy that was there so many seconds before, if there is any to keep; and
+    /// the iterations spent.
+    #[inline(never)]
+    fn land<const M: usize, S: System<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+        [mut q, mut v]: [Vector<N>; 2],
+        kept: Option<(EnergyBalance, f64)>,
+    ) -> Result<(u32, Arrival<N, M>), StepError> {
+        let (iterations, pose, mass) = if system.can_project(&q) {
+            self.project(system, settings, &mut q, &mut v)?
+        } else {
+            settings.project(system, &mut q, &mut v)?
+        };
+        v = with_energy(system, [&q, &v], kept)?;
+        Ok((iterations, Arrival::in_balance(system, [q, v], &pose, &mass).finite()?))
+    }
+
+    /// Back onto the constraints, not along the shortest way in the metric of the masses, which asks no force: where forces are stiff it
+    /// would leave them out of balance. The way here is the one that the step itself would find, (1 − hγ C − (hγ)² K)⁻¹ times that of the
+    /// masses. The iterations spent, with pose and mass factor.
+    fn project<const M: usize, S: System<N, M>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+        q: &mut Vector<N>,
+        v: &mut Vector<N>,
+    ) -> Result<(u32, S::Pose, S::Mass), StepError> {
+        let mut ways = None;
+        let along = |pose: &S::Pose, missing| combination(ways.get_or_insert_with(|| self.ways(system, settings, pose)), &missing);
+        let projection = Projection::to_round_off(system.length_scale(), settings.regularization, settings.max_iterations);
+        let (iterations, pose) = projection.position_along(system, system.pose(q), q, along)?;
+        if let Some(ways) = &ways {
+            *v += combination(ways, &-system.phi_q_times(&pose, v));
+        }
+        let mass = system.factor_mass(&pose, settings.regularization);
+        *v += velocity_correction(system, &pose, &mass, v);
+        Ok((iterations, pose, mass))
+    }
+
+    /// By what q or q̇ is corrected for a unit of each constraint.
+    fn ways<const M: usize, S: System<N, M>>(&self, system: &S, settings: &Settings, pose: &S::Pose) -> [Vector<N>; M] {
+        let mass = system.factor_mass(pose, settings.regularization);
+        let ways: [Vector<N>; M] = std::array::from_fn(|i| self.inverse.times(&mass.correction(&Vector::unit(i))));
+        // A load may turn them: so that each is one constraint's.
+        let shares = Inverse::new(ways.map(|way| system.phi_q_times(pose, &way)), f64::EPSILON * self.h);
+        std::array::from_fn(|i| combination(&ways, &shares.times(&Vector::unit(i))))
     }
 }
 
@@ -227,24 +251,15 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let [mut q, mut v] = self.at::<MOST>();
+        let end = self.at::<MOST>();
         let judged = || if allowed.work.is_some() { self.work(system, const { &T::WORK_ERROR }) } else { Work::default() };
-        let error = allowed.mean_square(self.u[T::STAGES - 1], [&self.start[1], &v], judged).sqrt();
+        let error = allowed.mean_square(self.u[T::STAGES - 1], [&self.start[1], &end[1]], judged).sqrt();
         if error.is_nan() || error > 1.0 {
             return (error, Err(StepError::NotFinite));
         }
-        let mut land = || {
-            let (iterations, pose, mass) = if system.can_project(&q) {
-                self.project(system, settings, &mut q, &mut v)?
-            } else {
-                settings.project(system, &mut q, &mut v)?
-            };
-            v = with_energy(system, [&q, &v], kept)?;
-            let arrival = Arrival::in_balance(system, [q, v], &pose, &mass).finite()?;
-            let work = if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
-            Ok(Landing { iterations, arrival, work })
-        };
-        (error, land())
+        let work = || if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
+        let landed = WayBack { inverse: &self.inverse, h: self.h }.land(system, settings, end, kept);
+        (error, landed.map(|(iterations, arrival)| Landing { iterations, arrival, work: work() }))
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {
