@@ -31,7 +31,7 @@ use newton::{Allowance, Bounds, Until, in_turn, whole};
 pub struct Settings {
     /// Most Newton iterations of the first try.
     pub max_iterations: u32,
-    /// Most Newton iterations of one step, with those of its rescue but the last rung; 0: no rescue but a better first guess.
+    /// Most Newton iterations of one step and its rescue but the last rung; 0: no rescue but a better first guess.
     pub max_work: u32,
     /// e of the step's systems, 1/kg: it weighs increments, and moves no root.
     pub regularization: f64,
@@ -55,7 +55,7 @@ pub struct ConservingRun<const N: usize, const K: usize> {
     pub q: Vector<N>,
     /// Velocities, m/s and rad/s.
     pub v: Vector<N>,
-    /// Work since the start, J: force times displacement, as the energy has it.
+    /// Work since the start, J.
     pub work: Work,
     /// [`super::System::modes`] of q.
     pub modes: u8,
@@ -107,8 +107,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         Self { q, v, work: Work::default(), modes, counters: Counters::default(), memory: Memory::NONE }
     }
 
-    /// The inputs have changed at once. Of the motion of the last steps that changes the second differences: what looks at higher ones
-    /// would be farther off than a parabola.
+    /// The inputs have changed at once, and with them second differences of the motion: what looks at higher ones would be farther off.
     pub fn change(&mut self) {
         self.memory.known = self.memory.known.min(PARABOLA as u8);
         self.counters.restarts += 1;
@@ -164,7 +163,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
                 self.counters.substeps += 1;
                 return Ok(());
             }
-            // Where it has been says nothing about the branch on which it starts.
+            // Where it was says nothing about its branch.
             self.memory = Memory::NONE;
         }
         let x = match self.memory.extrapolated(h) {
@@ -230,8 +229,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let cut = step.system.cut(&step.pose, [&step.q, &step.v], step.h);
         let motion = cut.motion(&x, regularization);
         let ([d, _], [lambda, nu]) = (cut.end(&motion), cut.multipliers(&motion));
-        let mut x = Unknowns { d, lambda, nu };
-        let mut allowance = Allowance { left: max_iterations, begun, counters: &mut self.counters };
+        let (mut x, mut allowance) =
+            (Unknowns { d, lambda, nu }, Allowance { left: max_iterations, begun, counters: &mut self.counters });
         match whole(step, &mut x, regularization, (max_iterations, Until::Solved), &mut allowance) {
             Some(end) => self.arrive_at(step, &x, &end),
             None => self.rescue(step, settings, begun),
@@ -254,8 +253,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if max_work > 0 {
             allowance.left = max_work.saturating_sub(allowance.spent());
         }
-        let rescued = climb(step, settings, (&a, &lambda), &mut allowance)?;
-        match rescued {
+        match climb(step, settings, (&a, &lambda), &mut allowance)? {
             Rescued::Root(x, end) => self.arrive_at(step, &x, &end),
             Rescued::Landed { d, acting, v } => {
                 self.memory = Memory::NONE;

@@ -14,8 +14,9 @@ use std::path::Path;
 use zip::{CompressionMethod, ZipArchive};
 
 /// Largest library that is shipped, bytes: five methods, two of them in forms for the bare mechanism and for any scene; friction that
-/// sticks, the corrector and model exchange have some 100 kB each, and what Rust's panics bring along has 180 kB.
-const LARGEST_LIBRARY: usize = 1_510_000;
+/// sticks, the corrector and model exchange have some 100 kB each, and what Rust's panics bring along has 180 kB. 1,510,000 before steps end at
+/// borders on their own interpolants and implicit steps have their own way back onto the constraints.
+const LARGEST_LIBRARY: usize = 1_535_000;
 
 /// All that a library for both kinds exports: FMI 2.0.4, sections 2.1 (common functions), 3.2 (model exchange) and 4.2 (co-simulation).
 #[rustfmt::skip]
