@@ -39,7 +39,7 @@ def main(arguments: list[str] | None = None) -> int:
     with plt.rc_context(STYLE):
         write(options.folder / "index.html", m, {scene: found for scene, found in curves.items() if found})
         if options.update_docs:
-            update_docs(m)
+            update_docs(m, options.hard_cases)
     print(options.folder / "index.html")
     return 0
 
@@ -65,12 +65,16 @@ def write(path: Path, m: Measurements, curves: dict[str, dict[str, np.ndarray]])
     page.write(path, picks.sentences(found, judged), main_picture, parts)
 
 
-def update_docs(m: Measurements) -> None:
-    """The picture and the short table, where readers meet them first, the ratios, and where there is one the histogram of fixed steps."""
+def update_docs(m: Measurements, hard_cases: Path) -> None:
+    """The picture and the short table, where readers meet them first, the ratios, and where there are any the histogram of fixed steps and
+    the pictures of hard cases."""
     found, judged = markers(m.precision), references(m.references)
     save_in_docs(figures.main_picture(found, judged), "accuracy")
     if m.step_times:
         save_in_docs(more_figures.histogram(m.step_times.rows), "step-times")
+    for name in ("hard-cases", "horizon"):
+        if (drawn := hard_cases / f"{name}.svg").is_file():
+            write_in_docs(drawn.read_text(encoding="utf-8"), name)
     head, rows = picks.ratio_table(found, judged)
     ratios = ["| " + " | ".join(head) + " |", "| --- |" + " ---: |" * (len(head) - 1), *("| " + " | ".join(row) + " |" for row in rows)]
     docs.update(ROOT, picks.short_table(found, judged), ratios, m.precision.about)
@@ -81,7 +85,12 @@ def save_in_docs(figure: Figure, name: str) -> None:
     drawing = io.StringIO()
     figure.savefig(drawing, format="svg", metadata={"Date": None})
     plt.close(figure)
-    (ROOT / f"docs/images/{name}.svg").write_text(page.compact(drawing.getvalue()), encoding="utf-8", newline="\n")
+    write_in_docs(drawing.getvalue(), name)
+
+
+def write_in_docs(drawing: str, name: str) -> None:
+    """The same as text."""
+    (ROOT / f"docs/images/{name}.svg").write_text(page.compact(drawing), encoding="utf-8", newline="\n")
 
 
 def keep_beside(table: Table, data: Path) -> None:

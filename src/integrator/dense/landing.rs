@@ -13,12 +13,10 @@ impl Settings {
         &self,
         system: &S,
         pose: S::Pose,
-        [mut q, mut v]: [Vector<N>; 2],
+        end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
     ) -> Result<(u32, Arrival<N, M>), StepError> {
-        let (iterations, pose, mass) = self.project_in_place(system, pose, &mut q, &mut v)?;
-        v = with_energy(system, [&q, &v], kept)?;
-        Ok((iterations, Arrival::in_balance(system, [q, v], &pose, &mass).finite()?))
+        self.arrive(system, pose, end, kept, |end, pose, mass| Arrival::in_balance(system, end, pose, mass))
     }
 
     /// The same without what holds there.
@@ -27,12 +25,25 @@ impl Settings {
         &self,
         system: &S,
         pose: S::Pose,
-        [mut q, mut v]: [Vector<N>; 2],
+        end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
     ) -> Result<(u32, Arrival<N, M>), StepError> {
-        let (iterations, pose, _) = self.project_in_place(system, pose, &mut q, &mut v)?;
+        self.arrive(system, pose, end, kept, |end, pose, _| Arrival::without_balance(system, end, pose))
+    }
+
+    /// The end of a step on the constraints, as `arrival` finds it there.
+    #[inline(always)]
+    fn arrive<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+        &self,
+        system: &S,
+        pose: S::Pose,
+        [mut q, mut v]: [Vector<N>; 2],
+        kept: Option<(EnergyBalance, f64)>,
+        arrival: impl FnOnce([Vector<N>; 2], &S::Pose, &S::Mass) -> Arrival<N, M>,
+    ) -> Result<(u32, Arrival<N, M>), StepError> {
+        let (iterations, pose, mass) = self.project_in_place(system, pose, &mut q, &mut v)?;
         v = with_energy(system, [&q, &v], kept)?;
-        Ok((iterations, Arrival::without_balance(system, [q, v], &pose).finite()?))
+        Ok((iterations, arrival([q, v], &pose, &mass).finite()?))
     }
 
     /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
