@@ -68,7 +68,7 @@ pub fn are_small([one, other]: [Legs; 2]) -> bool {
     one.abs().fast_max(other.abs()).simd_lt(both(SMALL)).to_bitmask() == 0b11
 }
 
-/// A direction of each leg turned by an angle of at most [`SMALL`], for half of what sine and cosine take: no reduction, no quadrants.
+/// A direction of each leg turned by an angle of at most ½ rad, for half of what sine and cosine take: no reduction, no quadrants.
 ///
 /// sin δ and 1 − cos δ by minimax polynomials within 6.3e-18 and 1.4e-19 (Remez, in 50 digits); both are small, so that round-off is
 /// that of the direction itself.
