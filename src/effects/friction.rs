@@ -187,6 +187,9 @@ impl Force for Friction {
         self.law == Law::Stick
     }
 
+    // Out of line: compiled into its caller it would read what another effect has not written, and select it away, which valgrind reports.
+    #[cold]
+    #[inline(never)]
     fn turning_rate(&self) -> f64 {
         if self.sticks() { f64::INFINITY } else { self.coulomb_rate }
     }
