@@ -1,6 +1,6 @@
 //! Planar five-bar mechanism as an FMI 2.0 co-simulation unit.
 //!
-//! The rooms and the arrows between them are described in `ARCHITECTURE.md`.
+//! The modules and the arrows between them are described in `ARCHITECTURE.md`.
 
 pub mod effects;
 pub mod estimator;

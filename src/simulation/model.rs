@@ -215,7 +215,7 @@ fn too_far_apart(in_force: &effects::Parameters, tuned: &Parameters) -> SceneErr
 const BISECTIONS: usize = 40;
 
 /// e of the explicit method in the link angles, in multiples of 1 over the mean mass: no more than round-off makes of a singular
-/// Φ_q M⁻¹ Φ_qᵀ. At 1e-14 passes close to a vertex were falsified.
+/// Φ_q M⁻¹ Φ_qᵀ. A larger one, say 1e-14, falsifies passes close to a vertex.
 const RANK_LOSS: f64 = 1e-20;
 /// The same with coaxial motors, where rank is lost along any line and no gate helps: what is on none of the branches that `Parallels` knows
 /// must pass softly.
