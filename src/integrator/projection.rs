@@ -68,7 +68,7 @@ impl Projection {
             let correction = correction(&pose, -phi);
             last = correction.max_norm();
             let corrected = *q + correction;
-            pose = system.pose_turned(&pose, &(corrected - *q), &corrected);
+            pose = system.pose_turned((q, &pose), &(corrected - *q));
             *q = corrected;
         }
         Err(StepError::NotConverged { iterations: self.max_iterations, violation, tolerance: self.tolerance, correction: last })

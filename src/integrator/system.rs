@@ -22,9 +22,9 @@ pub trait System<const N: usize, const M: usize> {
     fn pose_in_place(&self, q: &Vector<N>) -> Self::Pose {
         self.pose(q)
     }
-    /// Pose at q, which is `by` away from where another pose is known: for less, where that is little.
-    fn pose_turned(&self, _from: &Self::Pose, _by: &Vector<N>, q: &Vector<N>) -> Self::Pose {
-        self.pose(q)
+    /// Pose `by` away from a q whose pose is known: for less, where that is little.
+    fn pose_turned(&self, (q, _pose): (&Vector<N>, &Self::Pose), by: &Vector<N>) -> Self::Pose {
+        self.pose(&(*q + *by))
     }
     /// Φ(q).
     fn phi(&self, q: &Vector<N>, pose: &Self::Pose) -> Vector<M>;

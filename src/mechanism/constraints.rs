@@ -86,10 +86,14 @@ impl Mechanism {
         self.pose_along([Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d }])
     }
 
-    /// The pose at angles to which the links have turned from another pose: small turns cost half as much as angles.
+    /// The pose at which links arrive that turn from angles with a known pose: small turns cost half as much as angles.
     #[inline(always)]
-    pub(crate) fn pose_turned(&self, from: &Pose, by: [Legs; 2], angles: [Legs; 2]) -> Pose {
-        self.pose_along(if are_small(by) { [turned_by(from.u_p, by[0]), turned_by(from.u_d, by[1])] } else { directions(angles) })
+    pub(crate) fn pose_turned(&self, (angles, from): ([Legs; 2], &Pose), by: [Legs; 2]) -> Pose {
+        self.pose_along(if are_small(by) {
+            [turned_by(from.u_p, by[0]), turned_by(from.u_d, by[1])]
+        } else {
+            directions([angles[0] + by[0], angles[1] + by[1]])
+        })
     }
 
     /// The same from the directions of the proximal and the distal links.

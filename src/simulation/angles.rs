@@ -220,9 +220,9 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline(always)]
-    fn pose_turned(&self, from: &Pose, by: &Angles, q: &Angles) -> Pose {
+    fn pose_turned(&self, (q, pose): (&Angles, &Pose), by: &Angles) -> Pose {
         let legs = |x: &Angles| [legs_of(x, PROXIMAL), legs_of(x, DISTAL)];
-        self.mechanism.pose_turned(from, legs(by), legs(q))
+        self.mechanism.pose_turned((legs(q), pose), legs(by))
     }
 
     #[inline]

@@ -11,7 +11,7 @@ pub(super) fn proximal_arm(pose: &Pose) -> Legs2 {
     Legs2 { x: pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y }
 }
 
-/// The mass matrix of each leg, or its inverse.
+/// The mass matrix of each leg.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mass {
     pub(super) proximal: Legs,
@@ -39,7 +39,10 @@ pub(super) struct Inertia {
     distal: Legs,
     /// m_D l_P a_D: times the cosine and the sine of the angle between the links.
     carried: Legs,
-    /// The determinant of M where the leg is stretched, a sum of positive terms; l_P × a_D adds its square times m_D².
+    /// 1/P and m_D l_P a_D / P with P the first of these.
+    mobility: Legs,
+    share: Legs,
+    /// The determinant of M where the leg is stretched, a sum of positive terms, by P; l_P × a_D adds its square times m_D² / P.
     stretched: Legs,
 }
 
@@ -49,7 +52,10 @@ impl Inertia {
         let &Mechanism { mass_p, mass_d, inertia_p, inertia_d, a_p, b_p, a_d, .. } = mechanism;
         let (own, swung) = (inertia_p + mass_p * a_p * a_p, mass_d * (a_p + b_p) * (a_p + b_p));
         let distal = inertia_d + mass_d * a_d * a_d;
-        Self { proximal: own + swung, distal, carried: mass_d * (a_p + b_p) * a_d, stretched: own * distal + swung * inertia_d }
+        let (proximal, carried) = (own + swung, mass_d * (a_p + b_p) * a_d);
+        let mobility = both(1.0) / proximal;
+        let stretched = (own * distal + swung * inertia_d) * mobility;
+        Self { proximal, distal, carried, mobility, share: carried * mobility, stretched }
     }
 
     #[inline]
@@ -63,12 +69,25 @@ impl Inertia {
         self.carried * pose.u_p.cross(pose.u_d)
     }
 
-    /// M⁻¹: its adjugate over its determinant, in which nothing cancels with links of little inertia.
-    #[inline]
-    pub(super) fn inverse(&self, pose: &Pose) -> Mass {
+    /// M⁻¹, with the angle of the proximal link eliminated. In the remainder nothing cancels with links of little inertia.
+    #[inline(always)]
+    pub(super) fn eliminated(&self, pose: &Pose) -> Eliminated {
         let across = self.centripetal(pose);
-        let reciprocal = both(1.0) / (self.stretched + across * across);
-        let coupling = self.mass(pose).coupling;
-        Mass { proximal: self.distal * reciprocal, distal: self.proximal * reciprocal, coupling: -coupling * reciprocal }
+        Eliminated {
+            proximal: self.mobility,
+            share: self.share * pose.u_p.dot(pose.u_d),
+            distal: both(1.0) / (self.stretched + across * across * self.mobility),
+        }
     }
+}
+
+/// The inverse of M of each leg, P and D its diagonal and C beside it, by the elimination of the proximal link's angle.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Eliminated {
+    /// 1/P.
+    pub(super) proximal: Legs,
+    /// C/P: what of a torque on the proximal link is taken from the distal one.
+    pub(super) share: Legs,
+    /// 1/(D − C²/P).
+    pub(super) distal: Legs,
 }

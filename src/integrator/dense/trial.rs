@@ -121,8 +121,8 @@ impl<const N: usize> Slope<N> {
         origin: &Origin<S::Pose, N>,
         by: &Vector<N>,
     ) {
+        let pose = origin.turned(system, by);
         let (q, v) = (origin.q + *by, self.q);
-        let pose = system.pose_turned(&origin.pose, by, &q);
         let (forces, power) = system.forces_and_power(&q, &pose, &v);
         (self.v, _) = equilibrium_under(system, &forces, (&q, &pose, &v), &system.factor_mass(&pose, regularization));
         self.power = power;
@@ -132,12 +132,18 @@ impl<const N: usize> Slope<N> {
 /// Where a step begins: its stages are not far away, and their poses are turned from this one.
 pub(super) struct Origin<P, const N: usize> {
     q: Vector<N>,
-    pub(super) pose: P,
+    pose: P,
 }
 
 impl<P, const N: usize> Origin<P, N> {
     pub(super) fn new<const M: usize>(system: &impl System<N, M, Pose = P>, q: &Vector<N>) -> Self {
         Self { q: *q, pose: system.pose(q) }
+    }
+
+    /// The pose at a distance.
+    #[inline(always)]
+    pub(super) fn turned<const M: usize>(&self, system: &impl System<N, M, Pose = P>, by: &Vector<N>) -> P {
+        system.pose_turned((&self.q, &self.pose), by)
     }
 }
 

@@ -152,7 +152,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
             return (error, Err(StepError::NotFinite));
         }
         let work = || if system.follows_work() { Work::default().plus(self.h, self.power::<END>()) } else { Work::default() };
-        let landed = settings.project_without_balance(system, system.pose_turned(&origin.pose, &way[0], &end[0]), end, kept);
+        let landed = settings.project_without_balance(system, origin.turned(system, &way[0]), end, kept);
         (error, landed.map(|(iterations, arrival)| Landing { iterations, arrival, work: work() }))
     }
 
