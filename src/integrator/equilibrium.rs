@@ -31,6 +31,25 @@ pub(super) fn equilibrium_with_power<const N: usize, const M: usize>(
     (a, lambda, power)
 }
 
+/// q̈ and the power at rates v, `by` away from a q whose pose is known.
+#[inline(always)]
+pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>(
+    system: &S,
+    from: (&Vector<N>, &S::Pose),
+    by: &Vector<N>,
+    v: &Vector<N>,
+    regularization: f64,
+) -> (Vector<N>, Work) {
+    let pose = system.pose_turned(from, by);
+    if let Some(a) = system.acceleration_by_weight(&pose, v, regularization) {
+        return (a, Work::default());
+    }
+    let q = *from.0 + *by;
+    let (forces, power) = system.forces_and_power(&q, &pose, v);
+    let (a, _) = equilibrium_under(system, &forces, (&q, &pose, v), &system.factor_mass(&pose, regularization));
+    (a, power)
+}
+
 /// The same with pose and factor at hand.
 #[inline(always)]
 pub fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(

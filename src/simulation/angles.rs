@@ -260,6 +260,11 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline(always)]
+    fn acceleration_by_weight(&self, pose: &Pose, v: &Angles, regularization: f64) -> Option<Angles> {
+        (self.only_weight && self.parallels.is_none()).then(|| self.falling(pose, v, regularization))
+    }
+
+    #[inline(always)]
     fn forces_and_power(&self, q: &Angles, pose: &Pose, v: &Angles) -> (Angles, Work) {
         if self.only_weight {
             return (self.weight_in_angles(pose, v), Work::default());
@@ -270,7 +275,8 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline]
     fn factor_mass(&self, pose: &Pose, regularization: f64) -> Factor {
-        Factor::new(self.inertia, pose, self.phi_q(pose), regularization)
+        let [p, d] = self.phi_q(pose);
+        Factor::new(self.inertia, &self.inertia.coupling(pose), [p.scaled(self.inertia.per_root), d], regularization)
     }
 
     #[inline]

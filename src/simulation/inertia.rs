@@ -33,16 +33,17 @@ impl Mass {
 /// What of the mass matrix in the angles is constant.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Inertia {
-    /// I_P + m_P a_P² + m_D l_P².
+    /// P = I_P + m_P a_P² + m_D l_P².
     proximal: Legs,
     /// I_D + m_D a_D².
     distal: Legs,
-    /// m_D l_P a_D: times the cosine and the sine of the angle between the links.
+    /// m_D l_P a_D, and that by √P: times the cosine and the sine of the angle between the links.
     carried: Legs,
-    /// 1/P and m_D l_P a_D / P with P the first of these.
-    mobility: Legs,
-    share: Legs,
-    /// The determinant of M where the leg is stretched, a sum of positive terms, by P; l_P × a_D adds its square times m_D² / P.
+    carried_by_root: Legs,
+    /// √P and 1/√P.
+    pub(super) root: Legs,
+    pub(super) per_root: Legs,
+    /// The determinant of M where the leg is stretched, a sum of positive terms, by P.
     stretched: Legs,
 }
 
@@ -51,11 +52,11 @@ impl Inertia {
     pub(super) fn new(mechanism: &Mechanism) -> Self {
         let &Mechanism { mass_p, mass_d, inertia_p, inertia_d, a_p, b_p, a_d, .. } = mechanism;
         let (own, swung) = (inertia_p + mass_p * a_p * a_p, mass_d * (a_p + b_p) * (a_p + b_p));
-        let distal = inertia_d + mass_d * a_d * a_d;
-        let (proximal, carried) = (own + swung, mass_d * (a_p + b_p) * a_d);
-        let mobility = both(1.0) / proximal;
-        let stretched = (own * distal + swung * inertia_d) * mobility;
-        Self { proximal, distal, carried, mobility, share: carried * mobility, stretched }
+        let (proximal, distal) = (own + swung, inertia_d + mass_d * a_d * a_d);
+        let (root, carried) = (proximal.sqrt(), mass_d * (a_p + b_p) * a_d);
+        let (per_root, carried_by_root) = (both(1.0) / root, carried / root);
+        let stretched = (own * distal + swung * inertia_d) / proximal;
+        Self { proximal, distal, carried, carried_by_root, root, per_root, stretched }
     }
 
     #[inline]
@@ -69,25 +70,22 @@ impl Inertia {
         self.carried * pose.u_p.cross(pose.u_d)
     }
 
-    /// M⁻¹, with the angle of the proximal link eliminated. In the remainder nothing cancels with links of little inertia.
+    /// How the links of each leg are coupled.
     #[inline(always)]
-    pub(super) fn eliminated(&self, pose: &Pose) -> Eliminated {
-        let across = self.centripetal(pose);
-        Eliminated {
-            proximal: self.mobility,
-            share: self.share * pose.u_p.dot(pose.u_d),
-            distal: both(1.0) / (self.stretched + across * across * self.mobility),
-        }
+    pub(super) fn coupling(&self, pose: &Pose) -> Coupling {
+        let carried = self.carried_by_root;
+        let across = carried * pose.u_p.cross(pose.u_d);
+        Coupling { along: carried * pose.u_p.dot(pose.u_d), across, remainder: self.stretched + across * across }
     }
 }
 
-/// The inverse of M of each leg, P and D its diagonal and C beside it, by the elimination of the proximal link's angle.
+/// How the links of each leg are coupled.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Eliminated {
-    /// 1/P.
-    pub(super) proximal: Legs,
-    /// C/P: what of a torque on the proximal link is taken from the distal one.
-    pub(super) share: Legs,
-    /// 1/(D − C²/P).
-    pub(super) distal: Legs,
+pub(super) struct Coupling {
+    /// m_D l_P·a_D by √P.
+    pub(super) along: Legs,
+    /// m_D l_P × a_D by √P: by what the square of one rate drives the other link.
+    pub(super) across: Legs,
+    /// What M leaves for the distal link where the proximal one gives way, kg m². Nothing cancels with links of little inertia.
+    pub(super) remainder: Legs,
 }

@@ -4,7 +4,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
-use crate::integrator::equilibrium::equilibrium_under;
+use crate::integrator::equilibrium::acceleration_near;
 use crate::integrator::state::Arrival;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
@@ -121,11 +121,7 @@ impl<const N: usize> Slope<N> {
         origin: &Origin<S::Pose, N>,
         by: &Vector<N>,
     ) {
-        let pose = origin.turned(system, by);
-        let (q, v) = (origin.q + *by, self.q);
-        let (forces, power) = system.forces_and_power(&q, &pose, &v);
-        (self.v, _) = equilibrium_under(system, &forces, (&q, &pose, &v), &system.factor_mass(&pose, regularization));
-        self.power = power;
+        (self.v, self.power) = acceleration_near(system, (&origin.q, &origin.pose), by, &self.q, regularization);
     }
 }
 
