@@ -40,10 +40,10 @@ pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>
     v: &Vector<N>,
     regularization: f64,
 ) -> (Vector<N>, Work) {
-    let pose = system.pose_turned(from, by);
-    if let Some(a) = system.acceleration_by_weight(&pose, v, regularization) {
+    if let Some(a) = system.acceleration_by_weight(from, by, v, regularization) {
         return (a, Work::default());
     }
+    let pose = system.pose_turned(from, by);
     let q = *from.0 + *by;
     let (forces, power) = system.forces_and_power(&q, &pose, v);
     let (a, _) = equilibrium_under(system, &forces, (&q, &pose, v), &system.factor_mass(&pose, regularization));

@@ -85,8 +85,15 @@ pub trait System<const N: usize, const M: usize> {
     fn forces_and_power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work) {
         (self.forces(q, pose, v), if self.follows_work() { self.power(q, pose, v) } else { Work::default() })
     }
-    /// q̈ for less where nothing acts but weight, which does no work that is followed; `None` where anything else may.
-    fn acceleration_by_weight(&self, _pose: &Self::Pose, _v: &Vector<N>, _regularization: f64) -> Option<Vector<N>> {
+    /// q̈ at rates v, `by` away from a q whose pose is known: for less where nothing acts but weight, which does no work that is followed;
+    /// `None` where anything else may.
+    fn acceleration_by_weight(
+        &self,
+        _from: (&Vector<N>, &Self::Pose),
+        _by: &Vector<N>,
+        _v: &Vector<N>,
+        _regularization: f64,
+    ) -> Option<Vector<N>> {
         None
     }
     /// Kinetic energy and that of the forces that have a potential, but for those of the inputs, J: what changes by [`System::power`].

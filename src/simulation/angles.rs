@@ -60,12 +60,16 @@ pub struct ByAngles<'a> {
     inertia: &'a Inertia,
     /// Whether nothing acts but the weight, which asks for no coordinates.
     only_weight: bool,
-    /// The weight where it pulls at links of length 1, proximal and distal, N·m.
+    /// The same where the tip closes the loop.
+    only_falls: bool,
+    /// The weight where it pulls at links of length 1, N·m: at the proximal ones by √P, and at the distal ones.
     weight_on_arms: [Legs2; 2],
     /// The branch of the closure that the motion stays on, where there are several.
     parallels: Option<Parallels>,
     /// The lengths of the links in Φ_q, with the signs of the legs, m; 0 on a branch.
     sigma_length: [Legs; 2],
+    /// The first of them by √P.
+    sigma_length_by_root: Legs,
     /// What the branch adds to Φ_q; 0 on none.
     constant: &'a [Legs2; 2],
 }
@@ -77,9 +81,20 @@ impl<'a> ByAngles<'a> {
         let FiveBar { model, inputs, sides, .. } = five_bar;
         let only_weight = model.effects.is_empty() && !inputs.load();
         let mechanism = &model.mechanism;
-        let (inertia, weight_on_arms) = (&model.inertia, on_arms(mechanism, &model.weight));
-        let (sigma_length, constant) = ([Legs::ZERO; 2], &Terms::OPEN.constant);
-        let free = Self { five_bar, mechanism, inertia, only_weight, weight_on_arms, parallels: None, sigma_length, constant };
+        let inertia = &model.inertia;
+        let [on_p, on_d] = on_arms(mechanism, &model.weight);
+        let free = Self {
+            five_bar,
+            mechanism,
+            inertia,
+            only_weight,
+            only_falls: only_weight,
+            weight_on_arms: [on_p.scaled(inertia.per_root), on_d],
+            parallels: None,
+            sigma_length: [Legs::ZERO; 2],
+            sigma_length_by_root: Legs::ZERO,
+            constant: &Terms::OPEN.constant,
+        };
         free.on_sides(sides)
     }
 
@@ -89,7 +104,15 @@ impl<'a> ByAngles<'a> {
         let Terms { open, constant } = sides.parallels.map_or(Terms::OPEN, Parallels::terms);
         let Mechanism { a_p, b_p, a_d, sigma_b_d, .. } = *self.mechanism;
         let sigma_length = [*open * (SIGMA * (a_p + b_p)), *open * (SIGMA * a_d + sigma_b_d)];
-        Self { five_bar: self.five_bar.on(sides), parallels: sides.parallels, sigma_length, constant, ..self }
+        Self {
+            five_bar: self.five_bar.on(sides),
+            only_falls: self.only_weight && sides.parallels.is_none(),
+            parallels: sides.parallels,
+            sigma_length,
+            sigma_length_by_root: sigma_length[0] * self.inertia.per_root,
+            constant,
+            ..self
+        }
     }
 
     /// The same in its twelve coordinates.
@@ -260,8 +283,8 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline(always)]
-    fn acceleration_by_weight(&self, pose: &Pose, v: &Angles, regularization: f64) -> Option<Angles> {
-        (self.only_weight && self.parallels.is_none()).then(|| self.falling(pose, v, regularization))
+    fn acceleration_by_weight(&self, from: (&Angles, &Pose), by: &Angles, v: &Angles, regularization: f64) -> Option<Angles> {
+        self.only_falls.then(|| self.falling(&self.pose_turned(from, by), v, regularization))
     }
 
     #[inline(always)]

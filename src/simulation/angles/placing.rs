@@ -5,7 +5,7 @@ use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_o
 use crate::mechanism::legs::{Legs, Legs2};
 use crate::mechanism::{Coordinates, Mechanism, Pose};
 use super::factor::{Factor, sums};
-use crate::simulation::inertia::{Inertia, proximal_arm};
+use crate::simulation::inertia::proximal_arm;
 
 /// The twelve coordinates with these angles and 0 elsewhere.
 #[inline]
@@ -40,21 +40,19 @@ impl ByAngles<'_> {
     #[inline(always)]
     pub(super) fn weight_in_angles(&self, pose: &Pose, v: &Angles) -> Angles {
         let [on_p, on_d] = self.weight_on_arms;
-        self.with_centripetal([pose.u_p.cross(on_p), pose.u_d.cross(on_d)], pose, v)
+        self.with_centripetal([self.inertia.root * pose.u_p.cross(on_p), pose.u_d.cross(on_d)], pose, v)
     }
 
     /// q̈ where nothing acts but the weight, and the tip closes the loop. In the coordinates of the tip turned by −90°, where the columns of
     /// Φ_q are the links themselves.
     #[inline(always)]
     pub(super) fn falling(&self, pose: &Pose, v: &Angles, regularization: f64) -> Angles {
-        let Inertia { root, per_root, .. } = self.inertia;
         let coupling = self.inertia.coupling(pose);
-        let [p, d] = self.links(pose);
-        let p = p.scaled(*per_root);
+        let [p, d] = [pose.u_p.scaled(self.sigma_length_by_root), pose.u_d.scaled(self.sigma_length[DISTAL])];
         let [on_p, on_d] = self.weight_on_arms;
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
-        let (s_p, s_d) = (*root * (w_p * w_p), w_d * w_d);
-        let torques = [pose.u_p.cross(on_p) * *per_root + coupling.across * s_d, pose.u_d.cross(on_d) - coupling.across * s_p];
+        let (s_p, s_d) = (self.inertia.root * (w_p * w_p), w_d * w_d);
+        let torques = [pose.u_p.cross(on_p) + coupling.across * s_d, pose.u_d.cross(on_d) - coupling.across * s_p];
         let factor = Factor::new(self.inertia, &coupling, [p, d], regularization);
         let (a, _) = factor.accelerated(torques, |[x, y]| sums([x - p.y * s_p - d.y * s_d, y + p.x * s_p + d.x * s_d]));
         a
