@@ -88,10 +88,11 @@ impl<const N: usize> Stages<N> {
     fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Pose, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
-                self.last = self.evaluate::<$stage, M, _>(system, regularization, origin);
+                let _ = self.evaluate::<$stage, M, _>(system, regularization, origin);
             };
         }
-        for_each!(evaluate: 1 2 3 4 5 6 7 8 9 10 11);
+        for_each!(evaluate: 1 2 3 4 5 6 7 8 9 10);
+        self.last = self.evaluate::<{ STAGES - 1 }, M, _>(system, regularization, origin);
     }
 
     /// Evaluates the stage of a row: how far its q is from the beginning.

@@ -9,7 +9,7 @@ use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock, Shared};
 use super::trial::{Allowed, Landing, RATE, Slope, Trial};
 use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, Kind, Kinds, Settings};
-use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, next_step};
+use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
 use crate::integrator::{Approach, EnergyBalance, Kinked, Passage, PassageLimits, State, StepError, System};
 
 /// A step below this, s, that is rejected is not made shorter.
@@ -255,7 +255,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             // Most held inputs end a step so early that its error has nothing to say.
             wanted
         } else {
-            let log_error = libm::log(error);
+            let log_error = ln(error);
             let growth = T::CONTROLLER.growth(log_error, self.memory.log_error);
             if !cut_short {
                 self.memory.log_error = log_error.max(LEAST_LOG_ERROR);
