@@ -31,11 +31,11 @@ pub(super) fn equilibrium_with_power<const N: usize, const M: usize>(
     (a, lambda, power)
 }
 
-/// q̈ and the power at rates v, `by` away from a q whose pose is known.
+/// q̈ and the power at rates v, `by` away from a q where turns begin.
 #[inline(always)]
 pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
-    from: (&Vector<N>, &S::Pose),
+    from: (&Vector<N>, &S::Place),
     by: &Vector<N>,
     v: &Vector<N>,
     regularization: f64,
@@ -43,7 +43,7 @@ pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>
     if let Some(a) = system.acceleration_by_weight(from, by, v, regularization) {
         return (a, Work::default());
     }
-    let pose = system.pose_turned(from, by);
+    let pose = system.pose_near(from, by);
     let q = *from.0 + *by;
     let (forces, power) = system.forces_and_power(&q, &pose, v);
     let (a, _) = equilibrium_under(system, &forces, (&q, &pose, v), &system.factor_mass(&pose, regularization));

@@ -13,6 +13,8 @@ use crate::vector::Vector;
 pub trait System<const N: usize, const M: usize> {
     /// What depends on q only and is computed once per q (directions, arms).
     type Pose;
+    /// What of a pose turns to poses nearby begin with.
+    type Place;
     /// The factorised saddle-point matrix with the mass matrix in its corner.
     type Mass: Kkt<N, M>;
 
@@ -24,6 +26,12 @@ pub trait System<const N: usize, const M: usize> {
     }
     /// Pose `by` away from a q whose pose is known: for less, where that is little.
     fn pose_turned(&self, (q, _pose): (&Vector<N>, &Self::Pose), by: &Vector<N>) -> Self::Pose {
+        self.pose(&(*q + *by))
+    }
+    /// What turns that begin at q start from.
+    fn place(&self, q: &Vector<N>) -> Self::Place;
+    /// Pose `by` away from a q where turns begin.
+    fn pose_near(&self, (q, _place): (&Vector<N>, &Self::Place), by: &Vector<N>) -> Self::Pose {
         self.pose(&(*q + *by))
     }
     /// Φ(q).
@@ -85,11 +93,11 @@ pub trait System<const N: usize, const M: usize> {
     fn forces_and_power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work) {
         (self.forces(q, pose, v), if self.follows_work() { self.power(q, pose, v) } else { Work::default() })
     }
-    /// q̈ at rates v, `by` away from a q whose pose is known: for less where nothing acts but weight, which does no work that is followed;
+    /// q̈ at rates v, `by` away from a q where turns begin: for less where nothing acts but weight, which does no work that is followed;
     /// `None` where anything else may.
     fn acceleration_by_weight(
         &self,
-        _from: (&Vector<N>, &Self::Pose),
+        _from: (&Vector<N>, &Self::Place),
         _by: &Vector<N>,
         _v: &Vector<N>,
         _regularization: f64,

@@ -56,10 +56,26 @@ pub fn largest(values: &Multipliers) -> f64 {
     values.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()))
 }
 
-/// The directions of the proximal and the distal links. Out of line, for what is rare.
-#[cold]
+/// Links of some lengths that turn from where they are at known angles: small turns cost half as much as angles.
+#[inline(always)]
+pub(crate) fn links_turned((angles, links, lengths): ([Legs; 2], [Legs2; 2], [Legs; 2]), by: [Legs; 2]) -> [Legs2; 2] {
+    if are_small(by) {
+        [turned_by(links[0], by[0]), turned_by(links[1], by[1])]
+    } else {
+        let [p, d] = directions([angles[0] + by[0], angles[1] + by[1]]);
+        [p.scaled(lengths[0]), d.scaled(lengths[1])]
+    }
+}
+
+/// The same of length 1.
+#[inline(always)]
+pub(crate) fn directions_turned((angles, directions): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
+    links_turned((angles, directions, [both(1.0); 2]), by)
+}
+
+/// The directions of the proximal and the distal links.
 #[inline(never)]
-fn directions(angles: [Legs; 2]) -> [Legs2; 2] {
+pub(crate) fn directions(angles: [Legs; 2]) -> [Legs2; 2] {
     angles.map(|angle| {
         let (sin, cos) = sin_cos(angle);
         Legs2 { x: cos, y: sin }
@@ -84,16 +100,6 @@ impl Mechanism {
         let (sin_p, cos_p) = sin_cos(proximal);
         let (sin_d, cos_d) = sin_cos(distal);
         self.pose_along([Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d }])
-    }
-
-    /// The pose at which links arrive that turn from angles with a known pose: small turns cost half as much as angles.
-    #[inline(always)]
-    pub(crate) fn pose_turned(&self, (angles, from): ([Legs; 2], &Pose), by: [Legs; 2]) -> Pose {
-        self.pose_along(if are_small(by) {
-            [turned_by(from.u_p, by[0]), turned_by(from.u_d, by[1])]
-        } else {
-            directions([angles[0] + by[0], angles[1] + by[1]])
-        })
     }
 
     /// The same from the directions of the proximal and the distal links.

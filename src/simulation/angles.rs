@@ -13,6 +13,7 @@
 //! effect is written once.
 
 mod factor;
+mod falling;
 mod placing;
 
 use super::five_bar::FiveBar;
@@ -20,13 +21,15 @@ use super::inertia::Inertia;
 use super::model::Model;
 use crate::effects::Sides;
 use crate::integrator::{AccelerationTangents, Held, Kkt, Passage, State, System, Work};
+use crate::mechanism::constraints::{directions, directions_turned};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::vertex::{self, Branch};
 use crate::mechanism::{ARM, Coordinates, Mechanism, Multipliers, Parallels, Pose, Terms};
 use crate::vector::Vector;
 use factor::{Factor, at_tip};
-use placing::on_arms;
+pub(super) use falling::Falling;
+use falling::Place;
 
 /// Number of angles.
 pub const ANGLES: usize = 4;
@@ -52,6 +55,12 @@ pub fn angles_of(x: &Coordinates) -> Angles {
     angles
 }
 
+/// Angles or what belongs to them of the proximal and of the distal links.
+#[inline(always)]
+fn legs(x: &Angles) -> [Legs; 2] {
+    [legs_of(x, PROXIMAL), legs_of(x, DISTAL)]
+}
+
 /// A five-bar seen in its link angles.
 #[derive(Clone, Copy, Debug)]
 pub struct ByAngles<'a> {
@@ -62,14 +71,10 @@ pub struct ByAngles<'a> {
     only_weight: bool,
     /// The same where the tip closes the loop.
     only_falls: bool,
-    /// The weight where it pulls at links of length 1, N·m: at the proximal ones by √P, and at the distal ones.
-    weight_on_arms: [Legs2; 2],
     /// The branch of the closure that the motion stays on, where there are several.
     parallels: Option<Parallels>,
     /// The lengths of the links in Φ_q, with the signs of the legs, m; 0 on a branch.
     sigma_length: [Legs; 2],
-    /// The first of them by √P.
-    sigma_length_by_root: Legs,
     /// What the branch adds to Φ_q; 0 on none.
     constant: &'a [Legs2; 2],
 }
@@ -82,17 +87,14 @@ impl<'a> ByAngles<'a> {
         let only_weight = model.effects.is_empty() && !inputs.load();
         let mechanism = &model.mechanism;
         let inertia = &model.inertia;
-        let [on_p, on_d] = on_arms(mechanism, &model.weight);
         let free = Self {
             five_bar,
             mechanism,
             inertia,
             only_weight,
             only_falls: only_weight,
-            weight_on_arms: [on_p.scaled(inertia.per_root), on_d],
             parallels: None,
             sigma_length: [Legs::ZERO; 2],
-            sigma_length_by_root: Legs::ZERO,
             constant: &Terms::OPEN.constant,
         };
         free.on_sides(sides)
@@ -109,7 +111,6 @@ impl<'a> ByAngles<'a> {
             only_falls: self.only_weight && sides.parallels.is_none(),
             parallels: sides.parallels,
             sigma_length,
-            sigma_length_by_root: sigma_length[0] * self.inertia.per_root,
             constant,
             ..self
         }
@@ -231,21 +232,32 @@ impl<'a> ByAngles<'a> {
 
 impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     type Pose = Pose;
+    type Place = Place;
     type Mass = Factor;
 
     fn pose(&self, q: &Angles) -> Pose {
-        self.mechanism.pose_at([legs_of(q, PROXIMAL), legs_of(q, DISTAL)])
+        self.mechanism.pose_at(legs(q))
     }
 
     #[inline(always)]
     fn pose_in_place(&self, q: &Angles) -> Pose {
-        self.mechanism.pose_in_place([legs_of(q, PROXIMAL), legs_of(q, DISTAL)])
+        self.mechanism.pose_along(directions(legs(q)))
     }
 
     #[inline(always)]
     fn pose_turned(&self, (q, pose): (&Angles, &Pose), by: &Angles) -> Pose {
-        let legs = |x: &Angles| [legs_of(x, PROXIMAL), legs_of(x, DISTAL)];
-        self.mechanism.pose_turned((legs(q), pose), legs(by))
+        self.mechanism.pose_along(directions_turned((legs(q), [pose.u_p, pose.u_d]), legs(by)))
+    }
+
+    #[inline]
+    fn place(&self, q: &Angles) -> Place {
+        let (directions @ [p, d], lengths) = (directions(legs(q)), self.model().falling.lengths);
+        Place { directions, links: [p.scaled(lengths[0]), d.scaled(lengths[1])] }
+    }
+
+    #[inline(always)]
+    fn pose_near(&self, (q, place): (&Angles, &Place), by: &Angles) -> Pose {
+        self.mechanism.pose_along(directions_turned((legs(q), place.directions), legs(by)))
     }
 
     #[inline]
@@ -283,8 +295,8 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline(always)]
-    fn acceleration_by_weight(&self, from: (&Angles, &Pose), by: &Angles, v: &Angles, regularization: f64) -> Option<Angles> {
-        self.only_falls.then(|| self.falling(&self.pose_turned(from, by), v, regularization))
+    fn acceleration_by_weight(&self, from: (&Angles, &Place), by: &Angles, v: &Angles, regularization: f64) -> Option<Angles> {
+        self.only_falls.then(|| self.falling(from, by, v, regularization))
     }
 
     #[inline(always)]
@@ -292,8 +304,10 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         if self.only_weight {
             return (self.weight_in_angles(pose, v), Work::default());
         }
-        let (applied, power) = self.acting(*q, *pose, *v);
-        (self.in_angles(&applied, pose, v), power)
+        // The arms once more from the directions, which alone a step keeps.
+        let pose = self.mechanism.pose_along([pose.u_p, pose.u_d]);
+        let (applied, power) = self.acting(*q, pose, *v);
+        (self.in_angles(&applied, &pose, v), power)
     }
 
     #[inline]

@@ -37,9 +37,8 @@ pub(super) struct Inertia {
     proximal: Legs,
     /// I_D + m_D a_D².
     distal: Legs,
-    /// m_D l_P a_D, and that by √P: times the cosine and the sine of the angle between the links.
+    /// m_D l_P a_D: times the cosine and the sine of the angle between the links.
     carried: Legs,
-    carried_by_root: Legs,
     /// √P and 1/√P.
     pub(super) root: Legs,
     pub(super) per_root: Legs,
@@ -54,9 +53,8 @@ impl Inertia {
         let (own, swung) = (inertia_p + mass_p * a_p * a_p, mass_d * (a_p + b_p) * (a_p + b_p));
         let (proximal, distal) = (own + swung, inertia_d + mass_d * a_d * a_d);
         let (root, carried) = (proximal.sqrt(), mass_d * (a_p + b_p) * a_d);
-        let (per_root, carried_by_root) = (both(1.0) / root, carried / root);
         let stretched = (own * distal + swung * inertia_d) / proximal;
-        Self { proximal, distal, carried, carried_by_root, root, per_root, stretched }
+        Self { proximal, distal, carried, root, per_root: both(1.0) / root, stretched }
     }
 
     #[inline]
@@ -73,9 +71,14 @@ impl Inertia {
     /// How the links of each leg are coupled.
     #[inline(always)]
     pub(super) fn coupling(&self, pose: &Pose) -> Coupling {
-        let carried = self.carried_by_root;
-        let across = carried * pose.u_p.cross(pose.u_d);
-        Coupling { along: carried * pose.u_p.dot(pose.u_d), across, remainder: self.stretched + across * across }
+        self.coupled(self.carried * self.per_root, [pose.u_p.dot(pose.u_d), pose.u_p.cross(pose.u_d)])
+    }
+
+    /// The same by the scalar and the vector product of both links in some lengths, with m_D l_P a_D / √P for these.
+    #[inline(always)]
+    pub(super) fn coupled(&self, carried: Legs, [along, across]: [Legs; 2]) -> Coupling {
+        let (along, across) = (carried * along, carried * across);
+        Coupling { along, across, remainder: self.stretched + across * across }
     }
 }
 

@@ -85,7 +85,7 @@ impl<const N: usize> Stages<N> {
 
     /// Evaluates the stages of the step, in place: what a function returns is copied.
     #[inline(never)]
-    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Pose, N>) {
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Place, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
                 let _ = self.evaluate::<$stage, M, _>(system, regularization, origin);
@@ -101,7 +101,7 @@ impl<const N: usize> Stages<N> {
         &mut self,
         system: &S,
         regularization: f64,
-        origin: &Origin<S::Pose, N>,
+        origin: &Origin<S::Place, N>,
     ) -> Vector<N> {
         let [q, v] = self.way::<ROW>();
         self.slopes[ROW].q = self.v + v;
@@ -165,7 +165,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
         let end = [self.q + self.h * mean[0], self.v + self.h * mean[1]];
         let error = self.error(allowed, &mean, &end[1]);
         let arrival = if error <= 1.0 {
-            settings.project_and_evaluate(system, origin.turned(system, &(end[0] - self.q)), end, kept)
+            settings.project_and_evaluate(system, (&origin, end[0] - self.q), end, kept)
         } else {
             Err(StepError::NotFinite)
         };

@@ -1,22 +1,23 @@
 //! Where a step ends: on the constraints, in balance.
 
 use super::Settings;
+use super::trial::Origin;
 use crate::integrator::state::Arrival;
 use crate::integrator::{EnergyBalance, Passage, Projection, StepError, System, velocity_correction};
 use crate::vector::Vector;
 
 impl Settings {
-    /// Puts the end of a step, with its pose, onto the constraints: the iterations spent, and what holds there. The energy that was at its
+    /// Puts the end of a step, so far from where it begins, onto the constraints: the iterations spent, and what holds there. The energy that was at its
     /// beginning, so many seconds before, is kept where there is any.
     #[inline(never)]
     pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        pose: S::Pose,
+        from: (&Origin<S::Place, N>, Vector<N>),
         end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
     ) -> Result<(u32, Arrival<N, M>), StepError> {
-        self.arrive(system, pose, end, kept, |end, pose, mass| Arrival::in_balance(system, end, pose, mass))
+        self.arrive(system, from, end, kept, |end, pose, mass| Arrival::in_balance(system, end, pose, mass))
     }
 
     /// The same without what holds there.
@@ -24,11 +25,11 @@ impl Settings {
     pub(super) fn project_without_balance<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        pose: S::Pose,
+        from: (&Origin<S::Place, N>, Vector<N>),
         end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
     ) -> Result<(u32, Arrival<N, M>), StepError> {
-        self.arrive(system, pose, end, kept, |end, pose, _| Arrival::without_balance(system, end, pose))
+        self.arrive(system, from, end, kept, |end, pose, _| Arrival::without_balance(system, end, pose))
     }
 
     /// The end of a step on the constraints, as `arrival` finds it there.
@@ -36,12 +37,12 @@ impl Settings {
     fn arrive<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        pose: S::Pose,
+        (origin, by): (&Origin<S::Place, N>, Vector<N>),
         [mut q, mut v]: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
         arrival: impl FnOnce([Vector<N>; 2], &S::Pose, &S::Mass) -> Arrival<N, M>,
     ) -> Result<(u32, Arrival<N, M>), StepError> {
-        let (iterations, pose, mass) = self.project_in_place(system, pose, &mut q, &mut v)?;
+        let (iterations, pose, mass) = self.project_in_place(system, origin.turned(system, &by), &mut q, &mut v)?;
         v = with_energy(system, [&q, &v], kept)?;
         Ok((iterations, arrival([q, v], &pose, &mass).finite()?))
     }

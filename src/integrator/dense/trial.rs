@@ -118,28 +118,29 @@ impl<const N: usize> Slope<N> {
         &mut self,
         system: &S,
         regularization: f64,
-        origin: &Origin<S::Pose, N>,
+        origin: &Origin<S::Place, N>,
         by: &Vector<N>,
     ) {
-        (self.v, self.power) = acceleration_near(system, (&origin.q, &origin.pose), by, &self.q, regularization);
+        (self.v, self.power) = acceleration_near(system, (&origin.q, &origin.place), by, &self.q, regularization);
     }
 }
 
-/// Where a step begins: its stages are not far away, and their poses are turned from this one.
+/// Where a step begins: its stages are not far away, and their poses are turned from there.
 pub(super) struct Origin<P, const N: usize> {
     q: Vector<N>,
-    pose: P,
+    place: P,
 }
 
 impl<P, const N: usize> Origin<P, N> {
-    pub(super) fn new<const M: usize>(system: &impl System<N, M, Pose = P>, q: &Vector<N>) -> Self {
-        Self { q: *q, pose: system.pose(q) }
+    #[inline(always)]
+    pub(super) fn new<const M: usize>(system: &impl System<N, M, Place = P>, q: &Vector<N>) -> Self {
+        Self { q: *q, place: system.place(q) }
     }
 
     /// The pose at a distance.
     #[inline(always)]
-    pub(super) fn turned<const M: usize>(&self, system: &impl System<N, M, Pose = P>, by: &Vector<N>) -> P {
-        system.pose_turned((&self.q, &self.pose), by)
+    pub(super) fn turned<const M: usize, S: System<N, M, Place = P>>(&self, system: &S, by: &Vector<N>) -> S::Pose {
+        system.pose_near((&self.q, &self.place), by)
     }
 }
 

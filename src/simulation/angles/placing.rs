@@ -3,8 +3,7 @@
 use super::{Angles, ByAngles, DISTAL, PROXIMAL};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2};
-use crate::mechanism::{Coordinates, Mechanism, Pose};
-use super::factor::{Factor, sums};
+use crate::mechanism::{Coordinates, Pose};
 use crate::simulation::inertia::proximal_arm;
 
 /// The twelve coordinates with these angles and 0 elsewhere.
@@ -14,14 +13,6 @@ fn in_place(angles: &Angles) -> Coordinates {
     set_legs(&mut x, P_THETA, legs_of(angles, PROXIMAL));
     set_legs(&mut x, D_THETA, legs_of(angles, DISTAL));
     x
-}
-
-/// What forces on the centres of mass are to links of length 1: the proximal one carries that of the distal one at its elbow.
-#[inline(always)]
-pub(super) fn on_arms(mechanism: &Mechanism, force: &Coordinates) -> [Legs2; 2] {
-    let [on_p, on_d] = [[P_X, P_Y], [D_X, D_Y]].map(|[x, y]| Legs2 { x: legs_of(force, x), y: legs_of(force, y) });
-    let (own, carried) = (on_p.scaled(mechanism.a_p), on_d.scaled(mechanism.a_p + mechanism.b_p));
-    [Legs2 { x: own.x + carried.x, y: own.y + carried.y }, on_d.scaled(mechanism.a_d)]
 }
 
 impl ByAngles<'_> {
@@ -39,23 +30,10 @@ impl ByAngles<'_> {
     /// The weight alone in the angles, with the centripetal forces.
     #[inline(always)]
     pub(super) fn weight_in_angles(&self, pose: &Pose, v: &Angles) -> Angles {
-        let [on_p, on_d] = self.weight_on_arms;
-        self.with_centripetal([self.inertia.root * pose.u_p.cross(on_p), pose.u_d.cross(on_d)], pose, v)
-    }
-
-    /// q̈ where nothing acts but the weight, and the tip closes the loop. In the coordinates of the tip turned by −90°, where the columns of
-    /// Φ_q are the links themselves.
-    #[inline(always)]
-    pub(super) fn falling(&self, pose: &Pose, v: &Angles, regularization: f64) -> Angles {
-        let coupling = self.inertia.coupling(pose);
-        let [p, d] = [pose.u_p.scaled(self.sigma_length_by_root), pose.u_d.scaled(self.sigma_length[DISTAL])];
-        let [on_p, on_d] = self.weight_on_arms;
-        let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
-        let (s_p, s_d) = (self.inertia.root * (w_p * w_p), w_d * w_d);
-        let torques = [pose.u_p.cross(on_p) + coupling.across * s_d, pose.u_d.cross(on_d) - coupling.across * s_p];
-        let factor = Factor::new(self.inertia, &coupling, [p, d], regularization);
-        let (a, _) = factor.accelerated(torques, |[x, y]| sums([x - p.y * s_p - d.y * s_d, y + p.x * s_p + d.x * s_d]));
-        a
+        let falling = &self.model().falling;
+        let [p, d] = falling.lengths;
+        let [on_p, on_d] = falling.torques([pose.u_p.scaled(p), pose.u_d.scaled(d)]);
+        self.with_centripetal([self.inertia.root * on_p, on_d], pose, v)
     }
 
     /// Torques on the links with those of the distal centre of mass, which is carried around.
