@@ -40,9 +40,6 @@ pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>
     v: &Vector<N>,
     regularization: f64,
 ) -> (Vector<N>, Work) {
-    if let Some(a) = system.acceleration_by_weight(from, by, v, regularization) {
-        return (a, Work::default());
-    }
     let pose = system.pose_near(from, by);
     let q = *from.0 + *by;
     let (forces, power) = system.forces_and_power(&q, &pose, v);

@@ -121,6 +121,21 @@ impl<const N: usize> Slope<N> {
         origin: &Origin<S::Place, N>,
         by: &Vector<N>,
     ) {
+        match system.acceleration_by_weight((&origin.q, &origin.place), by, &self.q, regularization) {
+            Some(a) => (self.v, self.power) = (a, Work::default()),
+            None => self.complete_under_loads(system, regularization, origin, by),
+        }
+    }
+
+    /// The same for any forces. Out of line, so that where only weight acts there is little to save and restore.
+    #[inline(never)]
+    fn complete_under_loads<const M: usize, S: System<N, M>>(
+        &mut self,
+        system: &S,
+        regularization: f64,
+        origin: &Origin<S::Place, N>,
+        by: &Vector<N>,
+    ) {
         (self.v, self.power) = acceleration_near(system, (&origin.q, &origin.place), by, &self.q, regularization);
     }
 }
