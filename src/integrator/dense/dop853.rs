@@ -164,16 +164,14 @@ impl<const N: usize> Trial<N> for Stages<N> {
         let mean = self.sums::<END>();
         let end = [self.q + self.h * mean[0], self.v + self.h * mean[1]];
         let error = self.error(allowed, &mean, &end[1]);
-        let arrival = if error <= 1.0 {
-            settings.project_and_evaluate(system, (&origin, end[0] - self.q), end, kept)
-        } else {
-            Err(StepError::NotFinite)
-        };
-        let land = |(iterations, arrival)| {
-            let work = if system.follows_work() { Work::default().plus(self.h, self.mean_power()) } else { Work::default() };
-            Landing { iterations, arrival, work }
-        };
-        (error, arrival.map(land))
+        if error.is_nan() || error > 1.0 {
+            return (error, Err(StepError::NotFinite));
+        }
+        let mut landed = settings.project_and_evaluate(system, (&origin, end[0] - self.q), end, kept);
+        if system.follows_work() && let Ok(landing) = &mut landed {
+            landing.work = Work::default().plus(self.h, self.mean_power());
+        }
+        (error, landed)
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {

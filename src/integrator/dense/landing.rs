@@ -1,7 +1,7 @@
 //! Where a step ends: on the constraints, in balance.
 
 use super::Settings;
-use super::trial::Origin;
+use super::trial::{Landing, Origin};
 use crate::integrator::state::Arrival;
 use crate::integrator::{EnergyBalance, Passage, Projection, StepError, System, velocity_correction};
 use crate::vector::Vector;
@@ -16,7 +16,7 @@ impl Settings {
         from: (&Origin<S::Place, N>, Vector<N>),
         end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
-    ) -> Result<(u32, Arrival<N, M>), StepError> {
+    ) -> Result<Landing<N, M>, StepError> {
         self.arrive(system, from, end, kept, |end, pose, mass| Arrival::in_balance(system, end, pose, mass))
     }
 
@@ -28,7 +28,7 @@ impl Settings {
         from: (&Origin<S::Place, N>, Vector<N>),
         end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
-    ) -> Result<(u32, Arrival<N, M>), StepError> {
+    ) -> Result<Landing<N, M>, StepError> {
         self.arrive(system, from, end, kept, |end, pose, _| Arrival::without_balance(system, end, pose))
     }
 
@@ -41,10 +41,11 @@ impl Settings {
         [mut q, mut v]: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
         arrival: impl FnOnce([Vector<N>; 2], &S::Pose, &S::Mass) -> Arrival<N, M>,
-    ) -> Result<(u32, Arrival<N, M>), StepError> {
-        let (iterations, pose, mass) = self.project_in_place(system, origin.turned(system, &by), &mut q, &mut v)?;
+    ) -> Result<Landing<N, M>, StepError> {
+        let mut pose = origin.turned(system, &by);
+        let (iterations, mass) = self.project_in_place(system, &mut pose, &mut q, &mut v)?;
         v = with_energy(system, [&q, &v], kept)?;
-        Ok((iterations, arrival([q, v], &pose, &mass).finite()?))
+        Landing::at(iterations, arrival([q, v], &pose, &mass))
     }
 
     /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
@@ -56,30 +57,31 @@ impl Settings {
         q: &mut Vector<N>,
         v: &mut Vector<N>,
     ) -> Result<(u32, S::Pose, S::Mass), StepError> {
-        self.project_in_place(system, system.pose(q), q, v)
+        let mut pose = system.pose(q);
+        let (iterations, mass) = self.project_in_place(system, &mut pose, q, v)?;
+        Ok((iterations, pose, mass))
     }
 
-    /// The same from the pose at q, compiled into its caller.
+    /// The same with the pose at q, compiled into its caller.
     #[inline(always)]
     fn project_in_place<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        pose: S::Pose,
+        pose: &mut S::Pose,
         q: &mut Vector<N>,
         v: &mut Vector<N>,
-    ) -> Result<(u32, S::Pose, S::Mass), StepError> {
+    ) -> Result<(u32, S::Mass), StepError> {
         if !system.can_project(q) {
-            let mass = system.factor_mass(&pose, self.regularization);
-            return Ok((0, pose, mass));
+            return Ok((0, system.factor_mass(pose, self.regularization)));
         }
         let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
-        let (iterations, pose) = projection.position_from(system, pose, q)?;
-        let mass = system.factor_mass(&pose, self.regularization);
-        *v += velocity_correction(system, &pose, &mass, v);
+        let iterations = projection.position_from(system, pose, q)?;
+        let mass = system.factor_mass(pose, self.regularization);
+        *v += velocity_correction(system, pose, &mass, v);
         if system.holds() {
             *v = system.let_hold(*q, *v);
         }
-        Ok((iterations, pose, mass))
+        Ok((iterations, mass))
     }
 }
 

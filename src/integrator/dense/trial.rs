@@ -68,6 +68,17 @@ pub(super) struct Landing<const N: usize, const M: usize> {
     pub(super) work: Work,
 }
 
+impl<const N: usize, const M: usize> Landing<N, M> {
+    /// Where it does no work, unless something there is not finite.
+    #[inline(always)]
+    pub(super) fn at(iterations: u32, arrival: Arrival<N, M>) -> Result<Self, StepError> {
+        if !arrival.is_finite() {
+            return Err(StepError::NotFinite);
+        }
+        Ok(Self { iterations, arrival, work: Work::default() })
+    }
+}
+
 /// What the local error of a step may be.
 pub(super) struct Allowed {
     /// Of a coordinate.

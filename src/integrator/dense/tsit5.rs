@@ -153,7 +153,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         }
         let work = || if system.follows_work() { Work::default().plus(self.h, self.power::<END>()) } else { Work::default() };
         let landed = settings.project_without_balance(system, (&origin, way[0]), end, kept);
-        (error, landed.map(|(iterations, arrival)| Landing { iterations, arrival, work: work() }))
+        (error, landed.map(|landing| Landing { work: work(), ..landing }))
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {
