@@ -217,16 +217,18 @@ impl<'a> ByAngles<'a> {
         (from_rest.unwrap_or(accelerations), lambda, power)
     }
 
-    /// What acts on the twelve coordinates, with its power. Out of line, and it takes copies: what is pointed to has to be in memory, and
-    /// where nothing acts but the weight it stays in registers.
+    /// Forces in the angles, and their power, where anything acts but the weight. Out of line, and it takes copies: what is pointed to has
+    /// to be in memory, and where nothing acts but the weight it stays in registers. Of a pose the directions are enough.
     #[inline(never)]
-    fn acting(&self, q: Angles, pose: Pose, v: Angles) -> (Coordinates, Work) {
+    fn under_loads(&self, q: Angles, directions: [Legs2; 2], v: Angles) -> (Angles, Work) {
+        let pose = self.mechanism.pose_along(directions);
         let (x, rates) = (self.placed(&q, &pose), self.moving(&v, &pose));
-        if self.five_bar.follows_work() {
+        let (applied, power) = if self.five_bar.follows_work() {
             self.five_bar.acting(&self.five_bar.context(&x, &pose, &rates))
         } else {
             (self.five_bar.forces(&x, &pose, &rates), Work::default())
-        }
+        };
+        (self.in_angles(&applied, &pose, &v), power)
     }
 }
 
@@ -304,10 +306,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         if self.only_weight {
             return (self.weight_in_angles(pose, v), Work::default());
         }
-        // The arms once more from the directions, which alone a step keeps.
-        let pose = self.mechanism.pose_along([pose.u_p, pose.u_d]);
-        let (applied, power) = self.acting(*q, pose, *v);
-        (self.in_angles(&applied, &pose, v), power)
+        self.under_loads(*q, [pose.u_p, pose.u_d], *v)
     }
 
     #[inline]

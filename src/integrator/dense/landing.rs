@@ -17,7 +17,7 @@ impl Settings {
         end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
     ) -> Result<Landing<N, M>, StepError> {
-        self.arrive(system, from, end, kept, |end, pose, mass| Arrival::in_balance(system, end, pose, mass))
+        self.arrive::<true, N, M, S>(system, from, end, kept)
     }
 
     /// The same without what holds there.
@@ -29,23 +29,27 @@ impl Settings {
         end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
     ) -> Result<Landing<N, M>, StepError> {
-        self.arrive(system, from, end, kept, |end, pose, _| Arrival::without_balance(system, end, pose))
+        self.arrive::<false, N, M, S>(system, from, end, kept)
     }
 
-    /// The end of a step on the constraints, as `arrival` finds it there.
+    /// The end of a step on the constraints, in balance or without.
     #[inline(always)]
-    fn arrive<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+    fn arrive<const BALANCED: bool, const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
         (origin, by): (&Origin<S::Place, N>, Vector<N>),
         [mut q, mut v]: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
-        arrival: impl FnOnce([Vector<N>; 2], &S::Pose, &S::Mass) -> Arrival<N, M>,
     ) -> Result<Landing<N, M>, StepError> {
         let mut pose = origin.turned(system, &by);
         let (iterations, mass) = self.project_in_place(system, &mut pose, &mut q, &mut v)?;
         v = with_energy(system, [&q, &v], kept)?;
-        Landing::at(iterations, arrival([q, v], &pose, &mass))
+        let arrival = if BALANCED {
+            Arrival::in_balance(system, [q, v], &pose, &mass)
+        } else {
+            Arrival::without_balance(system, [q, v], &pose)
+        };
+        Landing::at(iterations, arrival)
     }
 
     /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
