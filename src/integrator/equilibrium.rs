@@ -69,5 +69,8 @@ pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>
 ) -> (Vector<N>, Vector<M>) {
     let (a, lambda) = mass.solve_in_place(forces, &-system.phi_q_dot_times(pose, v));
     // Copies, which are made only where something is held: what is pointed to has to be in memory.
-    if system.holds() { system.balanced_with_held(*q, *v, (a, lambda)) } else { (a, lambda) }
+    if system.holds() {
+        return system.balanced_with_held(*q, *v, (a, lambda));
+    }
+    (a, lambda)
 }

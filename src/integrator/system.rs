@@ -93,11 +93,11 @@ pub trait System<const N: usize, const M: usize> {
     fn forces_and_power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work) {
         (self.forces(q, pose, v), if self.follows_work() { self.power(q, pose, v) } else { Work::default() })
     }
-    /// q̈ at rates v, `by` away from a q where turns begin: for less where nothing acts but weight, which does no work that is followed;
-    /// `None` where anything else may.
+    /// q̈ at rates v, `by` away from where turns begin: for less where nothing acts but weight, which does no work that is followed, and the
+    /// way is short; `None` elsewhere.
     fn acceleration_by_weight(
         &self,
-        _from: (&Vector<N>, &Self::Place),
+        _place: &Self::Place,
         _by: &Vector<N>,
         _v: &Vector<N>,
         _regularization: f64,

@@ -56,21 +56,14 @@ pub fn largest(values: &Multipliers) -> f64 {
     values.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()))
 }
 
-/// Links of some lengths that turn from where they are at known angles: small turns cost half as much as angles.
+/// The directions of links that turn from known ones at known angles: small turns cost half as much as angles.
 #[inline(always)]
-pub(crate) fn links_turned((angles, links, lengths): ([Legs; 2], [Legs2; 2], [Legs; 2]), by: [Legs; 2]) -> [Legs2; 2] {
+pub(crate) fn directions_turned((angles, directions_there): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
     if are_small(by) {
-        [turned_by(links[0], by[0]), turned_by(links[1], by[1])]
+        [turned_by(directions_there[0], by[0]), turned_by(directions_there[1], by[1])]
     } else {
-        let [p, d] = directions([angles[0] + by[0], angles[1] + by[1]]);
-        [p.scaled(lengths[0]), d.scaled(lengths[1])]
+        directions([angles[0] + by[0], angles[1] + by[1]])
     }
-}
-
-/// The same of length 1.
-#[inline(always)]
-pub(crate) fn directions_turned((angles, directions): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
-    links_turned((angles, directions, [both(1.0); 2]), by)
 }
 
 /// The directions of the proximal and the distal links.

@@ -23,7 +23,7 @@ use crate::effects::Sides;
 use crate::integrator::{AccelerationTangents, Held, Kkt, Passage, State, System, Work};
 use crate::mechanism::constraints::{directions, directions_turned};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
+use crate::mechanism::legs::{Legs, Legs2, SIGMA, are_small, both, sum};
 use crate::mechanism::vertex::{self, Branch};
 use crate::mechanism::{ARM, Coordinates, Mechanism, Multipliers, Parallels, Pose, Terms};
 use crate::vector::Vector;
@@ -297,8 +297,8 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline(always)]
-    fn acceleration_by_weight(&self, from: (&Angles, &Place), by: &Angles, v: &Angles, regularization: f64) -> Option<Angles> {
-        self.only_falls.then(|| self.falling(from, by, v, regularization))
+    fn acceleration_by_weight(&self, place: &Place, by: &Angles, v: &Angles, regularization: f64) -> Option<Angles> {
+        (self.only_falls && are_small(legs(by))).then(|| self.falling(place, by, v, regularization))
     }
 
     #[inline(always)]

@@ -132,7 +132,7 @@ impl<const N: usize> Slope<N> {
         origin: &Origin<S::Place, N>,
         by: &Vector<N>,
     ) {
-        match system.acceleration_by_weight((&origin.q, &origin.place), by, &self.q, regularization) {
+        match system.acceleration_by_weight(&origin.place, by, &self.q, regularization) {
             Some(a) => (self.v, self.power) = (a, Work::default()),
             None => self.complete_under_loads(system, regularization, origin, by),
         }

@@ -2,9 +2,8 @@
 
 use super::factor::{Factor, sums};
 use super::{Angles, ByAngles, CLOSURES, legs};
-use crate::mechanism::constraints::links_turned;
 use crate::mechanism::coordinates::{D_X, D_Y, P_X, P_Y, legs_of};
-use crate::mechanism::legs::{Legs, Legs2, SIGMA};
+use crate::mechanism::legs::{Legs, Legs2, SIGMA, turned_by};
 use crate::mechanism::{Coordinates, Mechanism};
 use crate::simulation::inertia::Inertia;
 
@@ -48,12 +47,13 @@ pub struct Place {
 }
 
 impl ByAngles<'_> {
-    /// q̈, `by` away from some angles, with the rates there. In coordinates of the tip that are turned by −90°: the columns of Φ_q are the
+    /// q̈, a small way from a place, with the rates there. In coordinates of the tip that are turned by −90°: the columns of Φ_q are the
     /// links themselves.
     #[inline(always)]
-    pub(super) fn falling(&self, (q, place): (&Angles, &Place), by: &Angles, v: &Angles, regularization: f64) -> Angles {
+    pub(super) fn falling(&self, place: &Place, by: &Angles, v: &Angles, regularization: f64) -> Angles {
         let (falling, inertia) = (&self.model().falling, self.inertia);
-        let [p, d] = links_turned((legs(q), place.links, falling.lengths), legs(by));
+        let ([p, d], [by_p, by_d]) = (place.links, legs(by));
+        let [p, d] = [turned_by(p, by_p), turned_by(d, by_d)];
         let coupling = inertia.coupled(falling.carried, [p.dot(d), p.cross(d)]);
         let ([w_p, w_d], [on_p, on_d]) = (legs(v), falling.torques([p, d]));
         let (s_p, s_d) = (inertia.root * (w_p * w_p), w_d * w_d);
