@@ -168,7 +168,9 @@ impl<const N: usize> Trial<N> for Stages<N> {
             return (error, Err(StepError::NotFinite));
         }
         let mut landed = settings.project_and_evaluate(system, (&origin, end[0] - self.q), end, kept);
-        if system.follows_work() && let Ok(landing) = &mut landed {
+        if system.follows_work()
+            && let Ok(landing) = &mut landed
+        {
             landing.work = Work::default().plus(self.h, self.mean_power());
         }
         (error, landed)

@@ -133,7 +133,8 @@ impl<const N: usize> Slope<N> {
         by: &Vector<N>,
     ) {
         match system.acceleration_by_weight(&origin.place, by, &self.q, regularization) {
-            Some(a) => (self.v, self.power) = (a, Work::default()),
+            // The power stays what it is before: none.
+            Some(a) => self.v = a,
             None => self.complete_under_loads(system, regularization, origin, by),
         }
     }
