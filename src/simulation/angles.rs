@@ -253,8 +253,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline]
     fn place(&self, q: &Angles) -> Place {
-        let (directions @ [p, d], lengths) = (directions(legs(q)), self.model().falling.lengths);
-        Place { directions, links: [p.scaled(lengths[0]), d.scaled(lengths[1])] }
+        self.model().falling.place(directions(legs(q)))
     }
 
     #[inline(always)]
@@ -298,7 +297,8 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline(always)]
     fn acceleration_by_weight(&self, place: &Place, by: &Angles, v: &Angles, regularization: f64) -> Option<Angles> {
-        (self.only_falls && are_small(legs(by))).then(|| self.falling(place, by, v, regularization))
+        (self.only_falls && are_small(legs(by)))
+            .then(|| self.model().falling.acceleration(place, legs(by), legs(v), regularization))
     }
 
     #[inline(always)]
@@ -311,8 +311,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline]
     fn factor_mass(&self, pose: &Pose, regularization: f64) -> Factor {
-        let [p, d] = self.phi_q(pose);
-        Factor::new(self.inertia, &self.inertia.coupling(pose), [p.scaled(self.inertia.per_root), d], regularization)
+        Factor::new(self.inertia, pose, self.phi_q(pose), regularization)
     }
 
     #[inline]

@@ -31,9 +31,7 @@ impl ByAngles<'_> {
     #[inline(always)]
     pub(super) fn weight_in_angles(&self, pose: &Pose, v: &Angles) -> Angles {
         let falling = &self.model().falling;
-        let [p, d] = falling.lengths;
-        let [on_p, on_d] = falling.torques([pose.u_p.scaled(p), pose.u_d.scaled(d)]);
-        self.with_centripetal([self.inertia.root * on_p, on_d], pose, v)
+        self.with_centripetal(falling.torques([pose.u_p, pose.u_d]), pose, v)
     }
 
     /// Torques on the links with those of the distal centre of mass, which is carried around.
