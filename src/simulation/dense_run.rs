@@ -173,12 +173,15 @@ impl Held<'_> {
             // Before a new step begins, so that each is made from the angles that it has.
             unwind(&mut run.step, turns);
             let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
-            while step < steps.count && !is_wound(&run.step) {
+            loop {
                 let horizon = run.horizon(steps, steps.count - step);
                 run.step.advance(&system, settings, steps.h, horizon).map_err(|cause| steps.failure(step, cause))?;
                 let within = run.step.advance_within(steps.h, steps.count - step - 1);
                 run.held[1] += 1 + within;
                 step += 1 + within;
+                if step == steps.count || is_wound(&run.step) {
+                    break;
+                }
             }
         }
     }

@@ -2,11 +2,11 @@
 //!
 //! Per leg, with P = I_P + m_P a_P² + m_D l_P², angles of the proximal link are counted in units of 1/√P, so that M = [1 χ; χ D]. In coordinates
 //! of the tip turned by −90° the columns of Φ_q are the links themselves, p = σ l_P/√P and d = σ l_D, with the signs of the legs in the closure.
-//! With the proximal angle eliminated, e = d − χ p and δ = D − χ² remain of the distal one, and
+//! With the proximal angle eliminated, r = d − χ p and δ = D − χ² remain of the distal one, and
 //!
 //! ```text
-//! S = Σ (p pᵀ + e eᵀ/δ) + e 1,     S μ = Σ (p Q_P + e (Q_D − χ Q_P)/δ + n̂(p) √P ω_P² + n̂(d) ω_D²),
-//! α_D = (Q_D − χ Q_P − e·μ)/δ,     √P α_P = Q_P − p·μ − χ α_D.
+//! S = Σ (p pᵀ + r rᵀ/δ) + e 1,     S μ = Σ (p Q_P + r (Q_D − χ Q_P)/δ + n̂(p) √P ω_P² + n̂(d) ω_D²),
+//! α_D = (Q_D − χ Q_P − r·μ)/δ,     √P α_P = Q_P − p·μ − χ α_D.
 //! ```
 //!
 //! Where loads act, forces come last and few operations may follow them: there M is inverted (`factor.rs`).
@@ -88,18 +88,18 @@ impl Falling {
         let (on_p, on_d) = (p.cross(self.weight[0]) + across * s_d, d.cross(self.weight[1]) - across * s_p);
         // S, its diagonal also the other way round.
         let mobility = both(1.0) / (self.stretched + across * across);
-        let e = Legs2 { x: d.x - chi * p.x, y: d.y - chi * p.y };
-        let moved = e.scaled(mobility);
-        let diagonal = sums([p.x * p.x + e.x * moved.x, p.y * p.y + e.y * moved.y]) + both(regularization);
-        let beside = p.x * p.y + e.x * moved.y;
+        let r = Legs2 { x: d.x - chi * p.x, y: d.y - chi * p.y };
+        let moved = r.scaled(mobility);
+        let diagonal = sums([p.x * p.x + r.x * moved.x, p.y * p.y + r.y * moved.y]) + both(regularization);
+        let beside = p.x * p.y + r.x * moved.y;
         let (exchanged, beside) = (other(diagonal), beside + other(beside));
         let reciprocal = both(1.0) / (diagonal * exchanged - beside * beside);
         // The force at the tip.
-        let on_e = on_d - chi * on_p;
+        let on_r = on_d - chi * on_p;
         let lacking =
-            sums([p.x * on_p + moved.x * on_e - p.y * s_p - d.y * s_d, p.y * on_p + moved.y * on_e + p.x * s_p + d.x * s_d]);
+            sums([p.x * on_p + moved.x * on_r - p.y * s_p - d.y * s_d, p.y * on_p + moved.y * on_r + p.x * s_p + d.x * s_d]);
         let [x, y] = ((exchanged * lacking - beside * other(lacking)) * reciprocal).to_array().map(both);
-        let a_d = mobility * on_e - (moved.x * x + moved.y * y);
+        let a_d = mobility * on_r - (moved.x * x + moved.y * y);
         let a_p = on_p - (p.x * x + p.y * y) - chi * a_d;
         let mut a = Angles::ZERO;
         set_legs(&mut a, PROXIMAL, self.per_root * a_p);
