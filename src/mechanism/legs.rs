@@ -76,7 +76,7 @@ pub fn are_small([one, other]: [Legs; 2]) -> bool {
 /// round-off is that of the direction itself.
 #[inline(always)]
 pub fn turned_by(direction: Legs2, angle: Legs) -> Legs2 {
-    const A: [f64; 2] = [1007.466_882_411_849_2, -111.946_052_422_894_71];
+    const A: [f64; 2] = [1_007.466_882_411_849_2, -111.946_052_422_894_71];
     const B: [f64; 3] = [0.5 * A[0], -13.995_239_444_296_098, 0.033_359_826_126_325_32];
     let z = angle * angle;
     let a = (z + both(A[1])) * z + both(A[0]);
