@@ -185,14 +185,6 @@ impl<'a> ByAngles<'a> {
         Some(Branch { direction, alternatives: branch.alternatives })
     }
 
-    /// Kinetic energy, J, potential energy with that of the held loads, J, and power of the forces that have no potential, W.
-    pub(super) fn energies(&self, q: &Angles, v: &Angles) -> [f64; 3] {
-        let pose = self.pose(q);
-        let (x, rates) = self.coordinates(&pose, q, v);
-        let kinetic = self.mass_times(&pose, v).dot(v) / 2.0;
-        [kinetic, self.five_bar.potential_energy(&x, &pose), self.five_bar.power_without_potential(&x, &pose, &rates)]
-    }
-
     /// q̈ and λ of the twelve coordinates, and the power, where nothing is held: from the angles and the force at the tip, link by link.
     pub(super) fn balance(
         &self,
@@ -215,20 +207,6 @@ impl<'a> ByAngles<'a> {
         }
         let from_rest = self.acceleration_from_rest(q, v).map(|a| self.moving(&a, pose));
         (from_rest.unwrap_or(accelerations), lambda, power)
-    }
-
-    /// Forces in the angles, and their power, where anything acts but the weight. Out of line, and it takes copies: what is pointed to has
-    /// to be in memory, and where nothing acts but the weight it stays in registers. Of a pose the directions are enough.
-    #[inline(never)]
-    fn under_loads(&self, q: Angles, directions: [Legs2; 2], v: Angles) -> (Angles, Work) {
-        let pose = self.mechanism.pose_along(directions);
-        let (x, rates) = (self.placed(&q, &pose), self.moving(&v, &pose));
-        let (applied, power) = if self.five_bar.follows_work() {
-            self.five_bar.acting(&self.five_bar.context(&x, &pose, &rates))
-        } else {
-            (self.five_bar.forces(&x, &pose, &rates), Work::default())
-        };
-        (self.in_angles(&applied, &pose, &v), power)
     }
 }
 

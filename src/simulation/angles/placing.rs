@@ -1,6 +1,7 @@
 //! The twelve coordinates of a machine in its link angles: each leg is built up from its motor axis.
 
 use super::{Angles, ByAngles, DISTAL, PROXIMAL};
+use crate::integrator::{System, Work};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2};
 use crate::mechanism::{Coordinates, Pose};
@@ -16,6 +17,28 @@ fn in_place(angles: &Angles) -> Coordinates {
 }
 
 impl ByAngles<'_> {
+    /// Kinetic energy, J, potential energy with that of the held loads, J, and power of the forces that have no potential, W.
+    pub(in crate::simulation) fn energies(&self, q: &Angles, v: &Angles) -> [f64; 3] {
+        let pose = self.pose(q);
+        let (x, rates) = self.coordinates(&pose, q, v);
+        let kinetic = self.mass_times(&pose, v).dot(v) / 2.0;
+        [kinetic, self.five_bar.potential_energy(&x, &pose), self.five_bar.power_without_potential(&x, &pose, &rates)]
+    }
+
+    /// Forces in the angles, and their power, where anything acts but the weight. Out of line, and it takes copies: what is pointed to has
+    /// to be in memory, and where nothing acts but the weight it stays in registers. Of a pose the directions are enough.
+    #[inline(never)]
+    pub(super) fn under_loads(&self, q: Angles, directions: [Legs2; 2], v: Angles) -> (Angles, Work) {
+        let pose = self.mechanism.pose_along(directions);
+        let (x, rates) = (self.placed(&q, &pose), self.moving(&v, &pose));
+        let (applied, power) = if self.five_bar.follows_work() {
+            self.five_bar.acting(&self.five_bar.context(&x, &pose, &rates))
+        } else {
+            (self.five_bar.forces(&x, &pose, &rates), Work::default())
+        };
+        (self.in_angles(&applied, &pose, &v), power)
+    }
+
     /// Applied forces of the twelve coordinates carried over to the angles, and the centripetal ones of the distal centre of mass.
     #[inline(always)]
     pub(super) fn in_angles(&self, applied: &Coordinates, pose: &Pose, v: &Angles) -> Angles {
