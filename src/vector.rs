@@ -61,7 +61,8 @@ impl<const N: usize> Vector<N> {
     #[inline]
     pub fn sum(&self) -> f64 {
         let (pairs, single) = self.as_chunks::<2>();
-        let [left, right] = pairs.iter().fold([0.0; 2], |[left, right], pair| [left + pair[0], right + pair[1]]);
+        // −0 is what leaves every number as it is: there is nothing to add first.
+        let [left, right] = pairs.iter().fold([-0.0; 2], |[left, right], pair| [left + pair[0], right + pair[1]]);
         single.iter().fold(left + right, |sum, x| sum + x)
     }
 

@@ -146,11 +146,13 @@ impl Spring {
 
 impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N, M, W> {
     type Pose = Pose<M>;
+    type Place = ();
     type Mass = Factor<N, M, W>;
 
     fn pose(&self, q: &Vector<N>) -> Pose<M> {
         Pose::new(&self.joints, &q[..])
     }
+    fn place(&self, _: &Vector<N>) {}
     fn phi(&self, q: &Vector<N>, pose: &Pose<M>) -> Vector<M> {
         Vector::from_fn(|row| {
             let point = |end: &End, side: &Option<Side>| match (end, side) {

@@ -51,11 +51,13 @@ impl Kkt<2, 1> for Factor {
 
 impl System<2, 1> for Pendulum {
     type Pose = Vector<2>;
+    type Place = ();
     type Mass = Factor;
 
     fn pose(&self, q: &Vector<2>) -> Vector<2> {
         *q
     }
+    fn place(&self, _: &Vector<2>) {}
     fn phi(&self, q: &Vector<2>, _: &Vector<2>) -> Vector<1> {
         [(q.dot(q) - 1.0) / 2.0].into()
     }

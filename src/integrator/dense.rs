@@ -156,20 +156,19 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     #[inline]
     pub fn advance_within(&mut self, h: f64, most: u64) -> u64 {
         let (length, rounded) = (self.length, ROUNDED * self.length);
-        let (mut elapsed, mut count) = (self.elapsed, 0);
-        while count < most {
-            let left = length - elapsed;
-            if h < left - rounded {
-                elapsed += h;
-            } else if left == 0.0 || h > left + rounded {
-                // At its very end even the shortest macro step goes past it.
-                break;
-            } else {
-                // A macro step that ends with the step but for round-off ends with it.
-                elapsed = length;
-            }
-            count += 1;
+        // A macro step that begins before this ends before the step does.
+        let last = length - rounded - h;
+        let (mut elapsed, mut left) = (self.elapsed, most);
+        while left > 0 && elapsed < last {
+            elapsed += h;
+            left -= 1;
         }
+        // One that ends with the step but for round-off ends with it. At its very end even the shortest goes past it.
+        if left > 0 && elapsed < length && h <= length - elapsed + rounded {
+            elapsed = length;
+            left -= 1;
+        }
+        let count = most - left;
         self.elapsed = elapsed;
         self.start.counters.steps += count;
         self.end.counters.steps += count;

@@ -31,6 +31,22 @@ pub(super) fn equilibrium_with_power<const N: usize, const M: usize>(
     (a, lambda, power)
 }
 
+/// q̈ and the power at rates v, `by` away from a q where turns begin.
+#[inline(always)]
+pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>(
+    system: &S,
+    from: (&Vector<N>, &S::Place),
+    by: &Vector<N>,
+    v: &Vector<N>,
+    regularization: f64,
+) -> (Vector<N>, Work) {
+    let pose = system.pose_near(from, by);
+    let q = *from.0 + *by;
+    let (forces, power) = system.forces_and_power(&q, &pose, v);
+    let (a, _) = equilibrium_under(system, &forces, (&q, &pose, v), &system.factor_mass(&pose, regularization));
+    (a, power)
+}
+
 /// The same with pose and factor at hand.
 #[inline(always)]
 pub fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
@@ -51,7 +67,10 @@ pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>
     (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
     mass: &S::Mass,
 ) -> (Vector<N>, Vector<M>) {
-    let free = mass.solve_in_place(forces, &-system.phi_q_dot_times(pose, v));
+    let (a, lambda) = mass.solve_in_place(forces, &-system.phi_q_dot_times(pose, v));
     // Copies, which are made only where something is held: what is pointed to has to be in memory.
-    if system.holds() { system.balanced_with_held(*q, *v, free) } else { free }
+    if system.holds() {
+        return system.balanced_with_held(*q, *v, (a, lambda));
+    }
+    (a, lambda)
 }

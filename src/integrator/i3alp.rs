@@ -15,7 +15,7 @@ mod events;
 mod line_search;
 mod newton;
 
-use super::controller::{LEAST_LOG_ERROR, StepSizeController, next_step};
+use super::controller::{LEAST_LOG_ERROR, StepSizeController, ln, next_step};
 use super::{
     Approach, Arrival, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, TangentPoint, Transit, Work,
     velocity_correction,
@@ -121,7 +121,7 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
                     continue;
                 }
                 let last = h >= rest;
-                state.substep = next_step(h, CONTROLLER.growth(libm::log(error / tolerance), LEAST_LOG_ERROR), state.substep);
+                state.substep = next_step(h, CONTROLLER.growth(ln(error / tolerance), LEAST_LOG_ERROR), state.substep);
                 attempt.accept(system, state, h);
                 if outcome == Outcome::Turns {
                     events::turn(system, settings, state, sides);

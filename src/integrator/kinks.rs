@@ -23,6 +23,11 @@ pub trait Kinked<const N: usize>: Sized {
         false
     }
 
+    /// Whether its sides are ever others than at the start.
+    fn has_sides(&self) -> bool {
+        self.has_kinks()
+    }
+
     /// Whether any of its kinks is where something begins to touch.
     fn may_touch(&self) -> bool {
         false

@@ -33,17 +33,18 @@ impl Projection {
         system: &S,
         q: &mut Vector<N>,
     ) -> Result<(u32, S::Pose), StepError> {
-        self.position_from(system, system.pose(q), q)
+        let mut pose = system.pose(q);
+        Ok((self.position_from(system, &mut pose, q)?, pose))
     }
 
-    /// The same from the pose at q, compiled into its caller.
+    /// The same with the pose at q, compiled into its caller.
     #[inline(always)]
     pub(super) fn position_from<const N: usize, const M: usize, S: System<N, M>>(
         &self,
         system: &S,
-        pose: S::Pose,
+        pose: &mut S::Pose,
         q: &mut Vector<N>,
-    ) -> Result<(u32, S::Pose), StepError> {
+    ) -> Result<u32, StepError> {
         self.position_along(system, pose, q, |pose, missing| system.factor_mass(pose, self.regularization).correction(&missing))
     }
 
@@ -52,23 +53,23 @@ impl Projection {
     pub(super) fn position_along<const N: usize, const M: usize, S: System<N, M>>(
         &self,
         system: &S,
-        mut pose: S::Pose,
+        pose: &mut S::Pose,
         q: &mut Vector<N>,
         mut correction: impl FnMut(&S::Pose, Vector<M>) -> Vector<N>,
-    ) -> Result<(u32, S::Pose), StepError> {
+    ) -> Result<u32, StepError> {
         let (mut violation, mut last) = (f64::INFINITY, 0.0);
         for iteration in 0..=self.max_iterations {
-            let phi = system.phi(q, &pose);
+            let phi = system.phi(q, pose);
             let previous = violation;
             violation = phi.max_norm();
             let at_round_off = violation >= previous && violation < ROUND_OFF * system.length_scale();
             if violation < self.tolerance || at_round_off {
-                return Ok((iteration, pose));
+                return Ok(iteration);
             }
-            let correction = correction(&pose, -phi);
+            let correction = correction(pose, -phi);
             last = correction.max_norm();
             let corrected = *q + correction;
-            pose = system.pose_turned(&pose, &(corrected - *q), &corrected);
+            *pose = system.pose_turned((q, pose), &(corrected - *q));
             *q = corrected;
         }
         Err(StepError::NotConverged { iterations: self.max_iterations, violation, tolerance: self.tolerance, correction: last })

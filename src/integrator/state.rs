@@ -184,11 +184,16 @@ impl<const N: usize, const M: usize> Arrival<N, M> {
         Self { q, v, a, lambda, power, modes: system.modes(&system.pose(&q)) }
     }
 
+    /// Whether it is, and all sums of it are.
+    #[inline(always)]
+    pub(super) fn is_finite(&self) -> bool {
+        (self.q + self.v + self.a).is_finite()
+    }
+
     /// Refuses what is not finite.
     #[inline(always)]
     pub(super) fn finite(self) -> Result<Self, StepError> {
-        let finite = self.q.is_finite() && self.v.is_finite() && self.a.is_finite();
-        if finite { Ok(self) } else { Err(StepError::NotFinite) }
+        if self.is_finite() { Ok(self) } else { Err(StepError::NotFinite) }
     }
 }
 

@@ -13,6 +13,8 @@ use crate::vector::Vector;
 pub trait System<const N: usize, const M: usize> {
     /// What depends on q only and is computed once per q (directions, arms).
     type Pose;
+    /// What of a pose turns to poses nearby begin with.
+    type Place;
     /// The factorised saddle-point matrix with the mass matrix in its corner.
     type Mass: Kkt<N, M>;
 
@@ -22,9 +24,15 @@ pub trait System<const N: usize, const M: usize> {
     fn pose_in_place(&self, q: &Vector<N>) -> Self::Pose {
         self.pose(q)
     }
-    /// Pose at q, which is `by` away from where another pose is known: for less, where that is little.
-    fn pose_turned(&self, _from: &Self::Pose, _by: &Vector<N>, q: &Vector<N>) -> Self::Pose {
-        self.pose(q)
+    /// Pose `by` away from a q whose pose is known: for less, where that is little.
+    fn pose_turned(&self, (q, _pose): (&Vector<N>, &Self::Pose), by: &Vector<N>) -> Self::Pose {
+        self.pose(&(*q + *by))
+    }
+    /// What turns that begin at q start from.
+    fn place(&self, q: &Vector<N>) -> Self::Place;
+    /// Pose `by` away from a q where turns begin.
+    fn pose_near(&self, (q, _place): (&Vector<N>, &Self::Place), by: &Vector<N>) -> Self::Pose {
+        self.pose(&(*q + *by))
     }
     /// Φ(q).
     fn phi(&self, q: &Vector<N>, pose: &Self::Pose) -> Vector<M>;
@@ -84,6 +92,17 @@ pub trait System<const N: usize, const M: usize> {
     /// Forces and power at once, for less than both: [`System::forces`], [`System::power`].
     fn forces_and_power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work) {
         (self.forces(q, pose, v), if self.follows_work() { self.power(q, pose, v) } else { Work::default() })
+    }
+    /// q̈ at rates v, `by` away from where turns begin: for less where nothing acts but weight, which does no work that is followed, and the
+    /// way is short; `None` elsewhere.
+    fn acceleration_by_weight(
+        &self,
+        _place: &Self::Place,
+        _by: &Vector<N>,
+        _v: &Vector<N>,
+        _regularization: f64,
+    ) -> Option<Vector<N>> {
+        None
     }
     /// Kinetic energy and that of the forces that have a potential, but for those of the inputs, J: what changes by [`System::power`].
     /// Asked only of systems that are steep.

@@ -56,10 +56,19 @@ pub fn largest(values: &Multipliers) -> f64 {
     values.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()))
 }
 
-/// The directions of the proximal and the distal links. Out of line, for what is rare.
-#[cold]
+/// The directions of links that turn from known ones at known angles: small turns cost half as much as angles.
+#[inline(always)]
+pub(crate) fn directions_turned((angles, directions_there): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
+    if are_small(by) {
+        [turned_by(directions_there[0], by[0]), turned_by(directions_there[1], by[1])]
+    } else {
+        directions([angles[0] + by[0], angles[1] + by[1]])
+    }
+}
+
+/// The directions of the proximal and the distal links.
 #[inline(never)]
-fn directions(angles: [Legs; 2]) -> [Legs2; 2] {
+pub(crate) fn directions(angles: [Legs; 2]) -> [Legs2; 2] {
     angles.map(|angle| {
         let (sin, cos) = sin_cos(angle);
         Legs2 { x: cos, y: sin }
@@ -84,12 +93,6 @@ impl Mechanism {
         let (sin_p, cos_p) = sin_cos(proximal);
         let (sin_d, cos_d) = sin_cos(distal);
         self.pose_along([Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d }])
-    }
-
-    /// The pose at angles to which the links have turned from another pose: small turns cost half as much as angles.
-    #[inline(always)]
-    pub(crate) fn pose_turned(&self, from: &Pose, by: [Legs; 2], angles: [Legs; 2]) -> Pose {
-        self.pose_along(if are_small(by) { [turned_by(from.u_p, by[0]), turned_by(from.u_d, by[1])] } else { directions(angles) })
     }
 
     /// The same from the directions of the proximal and the distal links.

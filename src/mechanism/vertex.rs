@@ -16,12 +16,13 @@ const NEIGHBOURHOOD: f64 = 0.3;
 pub fn offset(angles: [Legs; 2]) -> Option<[Legs; 2]> {
     // Adding 1.5·2^52 rounds to an integer.
     const ROUND: f64 = 6_755_399_441_055_744.0;
-    let [proximal, distal] = angles.map(|angle| {
+    let near = |angle: Legs| {
         let turns = (angle * both(std::f64::consts::FRAC_1_PI) + both(ROUND)) - both(ROUND);
-        angle - turns * both(std::f64::consts::PI)
-    });
-    let [left, right] = proximal.abs().fast_max(distal.abs()).to_array();
-    (left < NEIGHBOURHOOD && right < NEIGHBOURHOOD).then_some([proximal, distal])
+        let offset = angle - turns * both(std::f64::consts::PI);
+        (offset.abs().simd_lt(both(NEIGHBOURHOOD)).to_bitmask() == 0b11).then_some(offset)
+    };
+    // Most postures are told by their proximal links.
+    near(angles[0]).and_then(|proximal| near(angles[1]).map(|distal| [proximal, distal]))
 }
 
 /// The branch of least constraint at rest in a vertex.

@@ -13,6 +13,7 @@
 //! effect is written once.
 
 mod factor;
+mod falling;
 mod placing;
 
 use super::five_bar::FiveBar;
@@ -20,13 +21,15 @@ use super::inertia::Inertia;
 use super::model::Model;
 use crate::effects::Sides;
 use crate::integrator::{AccelerationTangents, Held, Kkt, Passage, State, System, Work};
+use crate::mechanism::constraints::{directions, directions_turned};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
+use crate::mechanism::legs::{Legs, Legs2, SIGMA, are_small, both, sum};
 use crate::mechanism::vertex::{self, Branch};
 use crate::mechanism::{ARM, Coordinates, Mechanism, Multipliers, Parallels, Pose, Terms};
 use crate::vector::Vector;
 use factor::{Factor, at_tip};
-use placing::on_arms;
+pub(super) use falling::Falling;
+use falling::Place;
 
 /// Number of angles.
 pub const ANGLES: usize = 4;
@@ -52,6 +55,12 @@ pub fn angles_of(x: &Coordinates) -> Angles {
     angles
 }
 
+/// Angles or what belongs to them of the proximal and of the distal links.
+#[inline(always)]
+fn legs(x: &Angles) -> [Legs; 2] {
+    [legs_of(x, PROXIMAL), legs_of(x, DISTAL)]
+}
+
 /// A five-bar seen in its link angles.
 #[derive(Clone, Copy, Debug)]
 pub struct ByAngles<'a> {
@@ -60,8 +69,8 @@ pub struct ByAngles<'a> {
     inertia: &'a Inertia,
     /// Whether nothing acts but the weight, which asks for no coordinates.
     only_weight: bool,
-    /// The weight where it pulls at links of length 1, proximal and distal, N·m.
-    weight_on_arms: [Legs2; 2],
+    /// The same where the tip closes the loop.
+    only_falls: bool,
     /// The branch of the closure that the motion stays on, where there are several.
     parallels: Option<Parallels>,
     /// The lengths of the links in Φ_q, with the signs of the legs, m; 0 on a branch.
@@ -77,9 +86,17 @@ impl<'a> ByAngles<'a> {
         let FiveBar { model, inputs, sides, .. } = five_bar;
         let only_weight = model.effects.is_empty() && !inputs.load();
         let mechanism = &model.mechanism;
-        let (inertia, weight_on_arms) = (&model.inertia, on_arms(mechanism, &model.weight));
-        let (sigma_length, constant) = ([Legs::ZERO; 2], &Terms::OPEN.constant);
-        let free = Self { five_bar, mechanism, inertia, only_weight, weight_on_arms, parallels: None, sigma_length, constant };
+        let inertia = &model.inertia;
+        let free = Self {
+            five_bar,
+            mechanism,
+            inertia,
+            only_weight,
+            only_falls: only_weight,
+            parallels: None,
+            sigma_length: [Legs::ZERO; 2],
+            constant: &Terms::OPEN.constant,
+        };
         free.on_sides(sides)
     }
 
@@ -89,7 +106,14 @@ impl<'a> ByAngles<'a> {
         let Terms { open, constant } = sides.parallels.map_or(Terms::OPEN, Parallels::terms);
         let Mechanism { a_p, b_p, a_d, sigma_b_d, .. } = *self.mechanism;
         let sigma_length = [*open * (SIGMA * (a_p + b_p)), *open * (SIGMA * a_d + sigma_b_d)];
-        Self { five_bar: self.five_bar.on(sides), parallels: sides.parallels, sigma_length, constant, ..self }
+        Self {
+            five_bar: self.five_bar.on(sides),
+            only_falls: self.only_weight && sides.parallels.is_none(),
+            parallels: sides.parallels,
+            sigma_length,
+            constant,
+            ..self
+        }
     }
 
     /// The same in its twelve coordinates.
@@ -161,14 +185,6 @@ impl<'a> ByAngles<'a> {
         Some(Branch { direction, alternatives: branch.alternatives })
     }
 
-    /// Kinetic energy, J, potential energy with that of the held loads, J, and power of the forces that have no potential, W.
-    pub(super) fn energies(&self, q: &Angles, v: &Angles) -> [f64; 3] {
-        let pose = self.pose(q);
-        let (x, rates) = self.coordinates(&pose, q, v);
-        let kinetic = self.mass_times(&pose, v).dot(v) / 2.0;
-        [kinetic, self.five_bar.potential_energy(&x, &pose), self.five_bar.power_without_potential(&x, &pose, &rates)]
-    }
-
     /// q̈ and λ of the twelve coordinates, and the power, where nothing is held: from the angles and the force at the tip, link by link.
     pub(super) fn balance(
         &self,
@@ -192,37 +208,35 @@ impl<'a> ByAngles<'a> {
         let from_rest = self.acceleration_from_rest(q, v).map(|a| self.moving(&a, pose));
         (from_rest.unwrap_or(accelerations), lambda, power)
     }
-
-    /// What acts on the twelve coordinates, with its power. Out of line, and it takes copies: what is pointed to has to be in memory, and
-    /// where nothing acts but the weight it stays in registers.
-    #[inline(never)]
-    fn acting(&self, q: Angles, pose: Pose, v: Angles) -> (Coordinates, Work) {
-        let (x, rates) = (self.placed(&q, &pose), self.moving(&v, &pose));
-        if self.five_bar.follows_work() {
-            self.five_bar.acting(&self.five_bar.context(&x, &pose, &rates))
-        } else {
-            (self.five_bar.forces(&x, &pose, &rates), Work::default())
-        }
-    }
 }
 
 impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     type Pose = Pose;
+    type Place = Place;
     type Mass = Factor;
 
     fn pose(&self, q: &Angles) -> Pose {
-        self.mechanism.pose_at([legs_of(q, PROXIMAL), legs_of(q, DISTAL)])
+        self.mechanism.pose_at(legs(q))
     }
 
     #[inline(always)]
     fn pose_in_place(&self, q: &Angles) -> Pose {
-        self.mechanism.pose_in_place([legs_of(q, PROXIMAL), legs_of(q, DISTAL)])
+        self.mechanism.pose_along(directions(legs(q)))
     }
 
     #[inline(always)]
-    fn pose_turned(&self, from: &Pose, by: &Angles, q: &Angles) -> Pose {
-        let legs = |x: &Angles| [legs_of(x, PROXIMAL), legs_of(x, DISTAL)];
-        self.mechanism.pose_turned(from, legs(by), legs(q))
+    fn pose_turned(&self, (q, pose): (&Angles, &Pose), by: &Angles) -> Pose {
+        self.mechanism.pose_along(directions_turned((legs(q), [pose.u_p, pose.u_d]), legs(by)))
+    }
+
+    #[inline]
+    fn place(&self, q: &Angles) -> Place {
+        self.model().falling.place(directions(legs(q)))
+    }
+
+    #[inline(always)]
+    fn pose_near(&self, (q, place): (&Angles, &Place), by: &Angles) -> Pose {
+        self.mechanism.pose_along(directions_turned((legs(q), place.directions), legs(by)))
     }
 
     #[inline]
@@ -260,12 +274,17 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline(always)]
+    fn acceleration_by_weight(&self, place: &Place, by: &Angles, v: &Angles, regularization: f64) -> Option<Angles> {
+        (self.only_falls && are_small(legs(by)))
+            .then(|| self.model().falling.acceleration(place, legs(by), legs(v), regularization))
+    }
+
+    #[inline(always)]
     fn forces_and_power(&self, q: &Angles, pose: &Pose, v: &Angles) -> (Angles, Work) {
         if self.only_weight {
             return (self.weight_in_angles(pose, v), Work::default());
         }
-        let (applied, power) = self.acting(*q, *pose, *v);
-        (self.in_angles(&applied, pose, v), power)
+        self.under_loads(*q, [pose.u_p, pose.u_d], *v)
     }
 
     #[inline]

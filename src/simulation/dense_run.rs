@@ -172,19 +172,31 @@ impl Held<'_> {
             }
             // Before a new step begins, so that each is made from the angles that it has.
             unwind(&mut run.step, turns);
-            let horizon = run.horizon(steps, steps.count - step);
             let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
-            run.step.advance(&system, settings, steps.h, horizon).map_err(|cause| steps.failure(step, cause))?;
-            run.held[1] += 1;
-            step += 1;
+            loop {
+                let horizon = run.horizon(steps, steps.count - step);
+                run.step.advance(&system, settings, steps.h, horizon).map_err(|cause| steps.failure(step, cause))?;
+                let within = run.step.advance_within(steps.h, steps.count - step - 1);
+                run.held[1] += 1 + within;
+                step += 1 + within;
+                if step == steps.count || is_wound(&run.step) {
+                    break;
+                }
+            }
         }
     }
+}
+
+/// Whether angles are more than two turns.
+#[inline(always)]
+fn is_wound(step: &DenseStep<ANGLES, CLOSURES, Sides>) -> bool {
+    step.end().max_norm() > 2.0 * TAU
 }
 
 /// Moves whole turns of the angles into `turns`, where they are more than two: as [`super::state::unwind`] does with q.
 #[inline(always)]
 fn unwind(step: &mut DenseStep<ANGLES, CLOSURES, Sides>, turns: &mut [i64; 4]) {
-    if step.end().max_norm() <= 2.0 * TAU {
+    if !is_wound(step) {
         return;
     }
     let mut shift = Angles::ZERO;

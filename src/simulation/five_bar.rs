@@ -163,6 +163,7 @@ const DENSE_WORK: u64 = 16;
 
 impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE> {
     type Pose = Pose;
+    type Place = ();
     type Mass = MassFactor<'a, BARE>;
 
     fn pose(&self, q: &Coordinates) -> Pose {
@@ -173,6 +174,8 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     fn pose_in_place(&self, q: &Coordinates) -> Pose {
         self.model.mechanism.pose_in_place([legs_of(q, P_THETA), legs_of(q, D_THETA)])
     }
+
+    fn place(&self, _: &Coordinates) {}
 
     #[inline(always)]
     fn phi(&self, q: &Coordinates, pose: &Pose) -> Multipliers {

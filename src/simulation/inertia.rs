@@ -34,13 +34,13 @@ impl Mass {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Inertia {
     /// I_P + m_P a_P² + m_D l_P².
-    proximal: Legs,
+    pub(super) proximal: Legs,
     /// I_D + m_D a_D².
     distal: Legs,
     /// m_D l_P a_D: times the cosine and the sine of the angle between the links.
     carried: Legs,
     /// The determinant of M where the leg is stretched, a sum of positive terms; l_P × a_D adds its square times m_D².
-    stretched: Legs,
+    pub(super) stretched: Legs,
 }
 
 impl Inertia {

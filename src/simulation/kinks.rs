@@ -10,6 +10,22 @@ use crate::integrator::{Kinked, System};
 use crate::mechanism::coordinates::{THETA, legs_of};
 use crate::mechanism::{COORDINATES, Coordinates, Parallels, Pose};
 
+/// A system on some sides: itself where there are no others, which saves a copy in each step.
+enum On<'b, S> {
+    Same(&'b S),
+    Others(S),
+}
+
+impl<S> Borrow<S> for On<'_, S> {
+    #[inline(always)]
+    fn borrow(&self) -> &S {
+        match self {
+            Self::Same(system) => system,
+            Self::Others(system) => system,
+        }
+    }
+}
+
 impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     type Sides = Sides;
     type Touches = Touches<'a>;
@@ -17,6 +33,11 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
     #[inline]
     fn has_kinks(&self) -> bool {
         self.model().has_kinks
+    }
+
+    #[inline]
+    fn has_sides(&self) -> bool {
+        self.has_kinks() || self.model().mechanism.geometry.base_distance == 0.0
     }
 
     #[inline]
@@ -53,7 +74,7 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
 
     #[inline]
     fn on(&self, sides: Sides) -> impl Borrow<Self> {
-        self.on_sides(sides)
+        if self.has_sides() { On::Others(self.on_sides(sides)) } else { On::Same(self) }
     }
 
     fn beyond(&self, at: &Touches<'a>, tolerance: f64) -> f64 {

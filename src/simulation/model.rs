@@ -2,6 +2,7 @@
 
 use arrayvec::ArrayVec;
 
+use super::angles::Falling;
 use super::inertia::Inertia;
 use super::settings::{Settings, sticking_law};
 use crate::effects::{self, Active, Effect, ForceContext, Inputs, Perturbation, TypicalInertia};
@@ -71,6 +72,8 @@ pub struct Model {
     pub solver: LinearSolver,
     /// The mass matrix in the link angles.
     pub(super) inertia: Inertia,
+    /// How its weight acts in them.
+    pub(super) falling: Falling,
     /// What round-off in Φ is proportional to, m.
     pub length_scale: f64,
     /// e of the saddle-point systems outside the printed method, 1/kg.
@@ -97,6 +100,7 @@ impl Model {
         // e = 1/(αβ) with α = κ m̄/β.
         let regularization = 1.0 / (settings.penalty_scale * geometry.mean_mass());
         let regularization_by_angles = if geometry.base_distance == 0.0 { COAXIAL } else { RANK_LOSS } / geometry.mean_mass();
+        let (inertia, weight) = (Inertia::new(&mechanism), parameters.effects.weight(&mechanism)?);
         Ok(Self {
             typical_inertia: TypicalInertia::new(&geometry),
             conservative: effects.iter().all(Effect::conservative),
@@ -109,9 +113,10 @@ impl Model {
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
-            weight: parameters.effects.weight(&mechanism)?,
+            falling: Falling::new(&mechanism, &inertia, &weight),
+            weight,
             solver: LinearSolver::new(LinearSolve::choose(&geometry, &effects), &mechanism, regularization),
-            inertia: Inertia::new(&mechanism),
+            inertia,
             mechanism,
             effects,
             regularization,
@@ -165,6 +170,7 @@ impl Model {
         let weight = parameters.weight(&self.mechanism)?;
         let changed = weight != self.weight || effects != self.effects;
         self.weight = weight;
+        self.falling = Falling::new(&self.mechanism, &self.inertia, &weight);
         self.conservative = effects.iter().all(Effect::conservative);
         self.has_kinks = effects.iter().any(Effect::has_kinks);
         self.turning_rate = turning_rate(&effects);

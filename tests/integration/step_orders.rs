@@ -32,9 +32,11 @@ impl Kkt<2, 0> for Free {
 
 impl System<2, 0> for Point {
     type Pose = ();
+    type Place = ();
     type Mass = Free;
 
     fn pose(&self, _: &Vector<2>) {}
+    fn place(&self, _: &Vector<2>) {}
     fn phi(&self, _: &Vector<2>, (): &()) -> Vector<0> {
         Vector::ZERO
     }

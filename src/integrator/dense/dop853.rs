@@ -26,7 +26,7 @@ impl<const N: usize> Stages<N> {
     /// Σ coefficient · slope over what is picked of the slopes.
     #[inline(always)]
     fn sum<const ROW: usize>(&self, part: impl Fn(&Slope<N>) -> Vector<N>) -> Vector<N> {
-        let mut sum = Vector::ZERO;
+        let mut sum = const { COEFFICIENTS[ROW][0] } * part(&self.slopes[0]);
         macro_rules! add {
             ($stage:literal) => {
                 if const { COEFFICIENTS[ROW][$stage] != 0.0 } {
@@ -34,7 +34,7 @@ impl<const N: usize> Stages<N> {
                 }
             };
         }
-        for_each!(add: 0 1 2 3 4 5 6 7 8 9 10 11);
+        for_each!(add: 1 2 3 4 5 6 7 8 9 10 11);
         sum
     }
 
@@ -47,7 +47,8 @@ impl<const N: usize> Stages<N> {
     /// What the sums of one row are more than those of another: less, where rows have most in common.
     #[inline(always)]
     fn sums_beside<const ROW: usize, const OTHER: usize>(&self) -> [Vector<N>; 2] {
-        let mut sums = [Vector::ZERO; 2];
+        let difference = const { COEFFICIENTS[ROW][0] - COEFFICIENTS[OTHER][0] };
+        let mut sums = [difference * self.slopes[0].q, difference * self.slopes[0].v];
         macro_rules! add {
             ($stage:literal) => {
                 if const { COEFFICIENTS[ROW][$stage] != COEFFICIENTS[OTHER][$stage] } {
@@ -57,7 +58,7 @@ impl<const N: usize> Stages<N> {
                 }
             };
         }
-        for_each!(add: 0 1 2 3 4 5 6 7 8 9 10 11);
+        for_each!(add: 1 2 3 4 5 6 7 8 9 10 11);
         sums
     }
 
@@ -84,13 +85,14 @@ impl<const N: usize> Stages<N> {
 
     /// Evaluates the stages of the step, in place: what a function returns is copied.
     #[inline(never)]
-    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Pose, N>) {
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Place, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
-                self.last = self.evaluate::<$stage, M, _>(system, regularization, origin);
+                let _ = self.evaluate::<$stage, M, _>(system, regularization, origin);
             };
         }
-        for_each!(evaluate: 1 2 3 4 5 6 7 8 9 10 11);
+        for_each!(evaluate: 1 2 3 4 5 6 7 8 9 10);
+        self.last = self.evaluate::<{ STAGES - 1 }, M, _>(system, regularization, origin);
     }
 
     /// Evaluates the stage of a row: how far its q is from the beginning.
@@ -99,7 +101,7 @@ impl<const N: usize> Stages<N> {
         &mut self,
         system: &S,
         regularization: f64,
-        origin: &Origin<S::Pose, N>,
+        origin: &Origin<S::Place, N>,
     ) -> Vector<N> {
         let [q, v] = self.way::<ROW>();
         self.slopes[ROW].q = self.v + v;
@@ -162,16 +164,16 @@ impl<const N: usize> Trial<N> for Stages<N> {
         let mean = self.sums::<END>();
         let end = [self.q + self.h * mean[0], self.v + self.h * mean[1]];
         let error = self.error(allowed, &mean, &end[1]);
-        let arrival = if error <= 1.0 {
-            settings.project_and_evaluate(system, system.pose_turned(&origin.pose, &(end[0] - self.q), &end[0]), end, kept)
-        } else {
-            Err(StepError::NotFinite)
-        };
-        let land = |(iterations, arrival)| {
-            let work = if system.follows_work() { Work::default().plus(self.h, self.mean_power()) } else { Work::default() };
-            Landing { iterations, arrival, work }
-        };
-        (error, arrival.map(land))
+        if error.is_nan() || error > 1.0 {
+            return (error, Err(StepError::NotFinite));
+        }
+        let mut landed = settings.project_and_evaluate(system, (&origin, end[0] - self.q), end, kept);
+        if system.follows_work()
+            && let Ok(landing) = &mut landed
+        {
+            landing.work = Work::default().plus(self.h, self.mean_power());
+        }
+        (error, landed)
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {

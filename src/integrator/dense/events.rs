@@ -85,7 +85,13 @@ pub(super) enum Border {
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Before a step: the sides on which it begins, behind all borders that its beginning is beyond. How long it is worth to be on them, s.
+    #[inline]
     pub(super) fn settle<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
+        if system.has_sides() { self.settle_sides(system, settings) } else { f64::INFINITY }
+    }
+
+    #[inline(never)]
+    fn settle_sides<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
         let mut sides = system.branched(self.sides_behind, &self.start.q, &self.start.v);
         let mut longest = f64::INFINITY;
         if system.has_kinks() {

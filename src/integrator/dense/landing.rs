@@ -1,22 +1,23 @@
 //! Where a step ends: on the constraints, in balance.
 
 use super::Settings;
+use super::trial::{Landing, Origin};
 use crate::integrator::state::Arrival;
 use crate::integrator::{EnergyBalance, Passage, Projection, StepError, System, velocity_correction};
 use crate::vector::Vector;
 
 impl Settings {
-    /// Puts the end of a step, with its pose, onto the constraints: the iterations spent, and what holds there. The energy that was at its
+    /// Puts the end of a step, so far from where it begins, onto the constraints: the iterations spent, and what holds there. The energy that was at its
     /// beginning, so many seconds before, is kept where there is any.
     #[inline(never)]
     pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        pose: S::Pose,
+        from: (&Origin<S::Place, N>, Vector<N>),
         end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
-    ) -> Result<(u32, Arrival<N, M>), StepError> {
-        self.arrive(system, pose, end, kept, |end, pose, mass| Arrival::in_balance(system, end, pose, mass))
+    ) -> Result<Landing<N, M>, StepError> {
+        self.arrive::<true, N, M, S>(system, from, end, kept)
     }
 
     /// The same without what holds there.
@@ -24,26 +25,31 @@ impl Settings {
     pub(super) fn project_without_balance<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        pose: S::Pose,
+        from: (&Origin<S::Place, N>, Vector<N>),
         end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
-    ) -> Result<(u32, Arrival<N, M>), StepError> {
-        self.arrive(system, pose, end, kept, |end, pose, _| Arrival::without_balance(system, end, pose))
+    ) -> Result<Landing<N, M>, StepError> {
+        self.arrive::<false, N, M, S>(system, from, end, kept)
     }
 
-    /// The end of a step on the constraints, as `arrival` finds it there.
+    /// The end of a step on the constraints, in balance or without.
     #[inline(always)]
-    fn arrive<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+    fn arrive<const BALANCED: bool, const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        pose: S::Pose,
+        (origin, by): (&Origin<S::Place, N>, Vector<N>),
         [mut q, mut v]: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
-        arrival: impl FnOnce([Vector<N>; 2], &S::Pose, &S::Mass) -> Arrival<N, M>,
-    ) -> Result<(u32, Arrival<N, M>), StepError> {
-        let (iterations, pose, mass) = self.project_in_place(system, pose, &mut q, &mut v)?;
+    ) -> Result<Landing<N, M>, StepError> {
+        let mut pose = origin.turned(system, &by);
+        let (iterations, mass) = self.project_in_place(system, &mut pose, &mut q, &mut v)?;
         v = with_energy(system, [&q, &v], kept)?;
-        Ok((iterations, arrival([q, v], &pose, &mass).finite()?))
+        let arrival = if BALANCED {
+            Arrival::in_balance(system, [q, v], &pose, &mass)
+        } else {
+            Arrival::without_balance(system, [q, v], &pose)
+        };
+        Landing::at(iterations, arrival)
     }
 
     /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
@@ -55,30 +61,31 @@ impl Settings {
         q: &mut Vector<N>,
         v: &mut Vector<N>,
     ) -> Result<(u32, S::Pose, S::Mass), StepError> {
-        self.project_in_place(system, system.pose(q), q, v)
+        let mut pose = system.pose(q);
+        let (iterations, mass) = self.project_in_place(system, &mut pose, q, v)?;
+        Ok((iterations, pose, mass))
     }
 
-    /// The same from the pose at q, compiled into its caller.
+    /// The same with the pose at q, compiled into its caller.
     #[inline(always)]
     fn project_in_place<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        pose: S::Pose,
+        pose: &mut S::Pose,
         q: &mut Vector<N>,
         v: &mut Vector<N>,
-    ) -> Result<(u32, S::Pose, S::Mass), StepError> {
+    ) -> Result<(u32, S::Mass), StepError> {
         if !system.can_project(q) {
-            let mass = system.factor_mass(&pose, self.regularization);
-            return Ok((0, pose, mass));
+            return Ok((0, system.factor_mass(pose, self.regularization)));
         }
         let projection = Projection::to_round_off(system.length_scale(), self.regularization, self.max_iterations);
-        let (iterations, pose) = projection.position_from(system, pose, q)?;
-        let mass = system.factor_mass(&pose, self.regularization);
-        *v += velocity_correction(system, &pose, &mass, v);
+        let iterations = projection.position_from(system, pose, q)?;
+        let mass = system.factor_mass(pose, self.regularization);
+        *v += velocity_correction(system, pose, &mass, v);
         if system.holds() {
             *v = system.let_hold(*q, *v);
         }
-        Ok((iterations, pose, mass))
+        Ok((iterations, mass))
     }
 }
 

@@ -145,14 +145,14 @@ impl<const N: usize> WayBack<'_, N> {
         settings: &Settings,
         [mut q, mut v]: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
-    ) -> Result<(u32, Arrival<N, M>), StepError> {
+    ) -> Result<Landing<N, M>, StepError> {
         let (iterations, pose, mass) = if system.can_project(&q) {
             self.project(system, settings, &mut q, &mut v)?
         } else {
             settings.project(system, &mut q, &mut v)?
         };
         v = with_energy(system, [&q, &v], kept)?;
-        Ok((iterations, Arrival::in_balance(system, [q, v], &pose, &mass).finite()?))
+        Landing::at(iterations, Arrival::in_balance(system, [q, v], &pose, &mass))
     }
 
     /// Back onto the constraints, not along the shortest way in the metric of the masses, which asks no force: where forces are stiff it
@@ -168,7 +168,8 @@ impl<const N: usize> WayBack<'_, N> {
         let mut ways = None;
         let along = |pose: &S::Pose, missing| combination(ways.get_or_insert_with(|| self.ways(system, settings, pose)), &missing);
         let projection = Projection::to_round_off(system.length_scale(), settings.regularization, settings.max_iterations);
-        let (iterations, pose) = projection.position_along(system, system.pose(q), q, along)?;
+        let mut pose = system.pose(q);
+        let iterations = projection.position_along(system, &mut pose, q, along)?;
         if let Some(ways) = &ways {
             *v += combination(ways, &-system.phi_q_times(&pose, v));
         }
@@ -259,7 +260,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         }
         let work = || if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
         let landed = WayBack { inverse: &self.inverse, h: self.h }.land(system, settings, end, kept);
-        (error, landed.map(|(iterations, arrival)| Landing { iterations, arrival, work: work() }))
+        (error, landed.map(|landing| Landing { work: work(), ..landing }))
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {

@@ -9,7 +9,7 @@ use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock, Shared};
 use super::trial::{Allowed, Landing, RATE, Slope, Trial};
 use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, Kind, Kinds, Settings};
-use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, next_step};
+use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
 use crate::integrator::{Approach, EnergyBalance, Kinked, Passage, PassageLimits, State, StepError, System};
 
 /// A step below this, s, that is rejected is not made shorter.
@@ -127,10 +127,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             if let Ok(landing) = landing {
                 self.accept(landing, h, T::KIND);
                 if system.has_kinks() {
-                    let extremes = trial.extremes();
-                    let start = self.start;
-                    let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
-                    match self.border(on, settings, (&extremes, &mut dense), tries) {
+                    match self.border_of(on, settings, &mut trial, tries) {
                         Border::Clear => {}
                         Border::AtEnd => self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance),
                         Border::Before(when) => {
@@ -152,7 +149,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 // Where a kink was near, the search for it has left the coefficients.
                 let is_cut = on.has_kinks() && self.cut_from > 0.0;
                 if interpolated && !(is_cut || on.has_kinks() && self.dense != [Slope::NONE; 4]) {
-                    self.dense = trial.dense(on, settings.regularization, [&self.start, &self.balanced_end(on, settings)]);
+                    self.interpolate(on, settings, &mut trial);
                 }
                 self.end.error_estimate = error * settings.error_tolerance;
                 self.adapt::<T>(h, error, wanted, rejected.is_some());
@@ -182,6 +179,26 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
             h *= T::CONTROLLER.reduction_after(error, before);
         }
+    }
+
+    /// Whether a step that is accepted otherwise has to end before, after so many tries. Out of line, as is all that few steps need.
+    #[inline(never)]
+    fn border_of<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        trial: &mut T,
+        tries: u32,
+    ) -> Border {
+        let (extremes, start) = (trial.extremes(), self.start);
+        let mut dense = |end: &_| trial.dense(system, settings.regularization, [&start, end]);
+        self.border(system, settings, (&extremes, &mut dense), tries)
+    }
+
+    /// The higher coefficients of the interpolant.
+    #[inline(never)]
+    fn interpolate<T: Trial<N>, S: System<N, M> + Passage<N>>(&mut self, system: &S, settings: &Settings, trial: &mut T) {
+        self.dense = trial.dense(system, settings.regularization, [&self.start, &self.balanced_end(system, settings)]);
     }
 
     /// The energy that a step of h seconds keeps: one made once more keeps the same.
@@ -255,7 +272,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             // Most held inputs end a step so early that its error has nothing to say.
             wanted
         } else {
-            let log_error = libm::log(error);
+            let log_error = ln(error);
             let growth = T::CONTROLLER.growth(log_error, self.memory.log_error);
             if !cut_short {
                 self.memory.log_error = log_error.max(LEAST_LOG_ERROR);

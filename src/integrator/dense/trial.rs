@@ -4,7 +4,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
-use crate::integrator::equilibrium::equilibrium_under;
+use crate::integrator::equilibrium::acceleration_near;
 use crate::integrator::state::Arrival;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
@@ -68,6 +68,17 @@ pub(super) struct Landing<const N: usize, const M: usize> {
     pub(super) work: Work,
 }
 
+impl<const N: usize, const M: usize> Landing<N, M> {
+    /// Where it does no work, unless something there is not finite.
+    #[inline(always)]
+    pub(super) fn at(iterations: u32, arrival: Arrival<N, M>) -> Result<Self, StepError> {
+        if !arrival.is_finite() {
+            return Err(StepError::NotFinite);
+        }
+        Ok(Self { iterations, arrival, work: Work::default() })
+    }
+}
+
 /// What the local error of a step may be.
 pub(super) struct Allowed {
     /// Of a coordinate.
@@ -118,26 +129,45 @@ impl<const N: usize> Slope<N> {
         &mut self,
         system: &S,
         regularization: f64,
-        origin: &Origin<S::Pose, N>,
+        origin: &Origin<S::Place, N>,
         by: &Vector<N>,
     ) {
-        let (q, v) = (origin.q + *by, self.q);
-        let pose = system.pose_turned(&origin.pose, by, &q);
-        let (forces, power) = system.forces_and_power(&q, &pose, &v);
-        (self.v, _) = equilibrium_under(system, &forces, (&q, &pose, &v), &system.factor_mass(&pose, regularization));
-        self.power = power;
+        match system.acceleration_by_weight(&origin.place, by, &self.q, regularization) {
+            // The power stays what it is before: none.
+            Some(a) => self.v = a,
+            None => self.complete_under_loads(system, regularization, origin, by),
+        }
+    }
+
+    /// The same for any forces. Out of line, so that where only weight acts there is little to save and restore.
+    #[inline(never)]
+    fn complete_under_loads<const M: usize, S: System<N, M>>(
+        &mut self,
+        system: &S,
+        regularization: f64,
+        origin: &Origin<S::Place, N>,
+        by: &Vector<N>,
+    ) {
+        (self.v, self.power) = acceleration_near(system, (&origin.q, &origin.place), by, &self.q, regularization);
     }
 }
 
-/// Where a step begins: its stages are not far away, and their poses are turned from this one.
+/// Where a step begins: its stages are not far away, and their poses are turned from there.
 pub(super) struct Origin<P, const N: usize> {
     q: Vector<N>,
-    pub(super) pose: P,
+    place: P,
 }
 
 impl<P, const N: usize> Origin<P, N> {
-    pub(super) fn new<const M: usize>(system: &impl System<N, M, Pose = P>, q: &Vector<N>) -> Self {
-        Self { q: *q, pose: system.pose(q) }
+    #[inline(always)]
+    pub(super) fn new<const M: usize>(system: &impl System<N, M, Place = P>, q: &Vector<N>) -> Self {
+        Self { q: *q, place: system.place(q) }
+    }
+
+    /// The pose at a distance.
+    #[inline(always)]
+    pub(super) fn turned<const M: usize, S: System<N, M, Place = P>>(&self, system: &S, by: &Vector<N>) -> S::Pose {
+        system.pose_near((&self.q, &self.place), by)
     }
 }
 

@@ -85,7 +85,7 @@ impl<const N: usize> Tsit5<N> {
 
     /// Evaluates the stages of the step, in place: what a function returns is copied.
     #[inline(never)]
-    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Pose, N>) {
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Place, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
                 let [q, v] = self.way::<$stage>();
@@ -152,8 +152,8 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
             return (error, Err(StepError::NotFinite));
         }
         let work = || if system.follows_work() { Work::default().plus(self.h, self.power::<END>()) } else { Work::default() };
-        let landed = settings.project_without_balance(system, system.pose_turned(&origin.pose, &way[0], &end[0]), end, kept);
-        (error, landed.map(|(iterations, arrival)| Landing { iterations, arrival, work: work() }))
+        let landed = settings.project_without_balance(system, (&origin, way[0]), end, kept);
+        (error, landed.map(|landing| Landing { work: work(), ..landing }))
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {

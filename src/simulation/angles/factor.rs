@@ -4,7 +4,7 @@ use super::{ANGLES, Angles, CLOSURES, DISTAL, PROXIMAL};
 use crate::integrator::Kkt;
 use crate::mechanism::Pose;
 use crate::mechanism::coordinates::{legs_of, set_legs};
-use crate::mechanism::legs::{Legs2, both, sum};
+use crate::mechanism::legs::{Legs, Legs2, both, sum};
 use crate::simulation::inertia::{Inertia, Mass};
 use crate::vector::Vector;
 
@@ -50,11 +50,18 @@ impl Factor {
     }
 }
 
+/// The sums over both legs of two numbers of each.
+#[inline(always)]
+pub(super) fn sums([x, y]: [Legs; 2]) -> Legs {
+    let ([x_left, x_right], [y_left, y_right]) = (x.to_array(), y.to_array());
+    Legs::new([x_left, y_left]) + Legs::new([x_right, y_right])
+}
+
 /// What pairs of both links make of two numbers each: Φ_q v, or (M⁻¹ Φ_qᵀ)ᵀ of a force.
 #[inline]
 pub(super) fn at_tip([p, d]: &[Legs2; 2], x: &Angles) -> Vector<CLOSURES> {
     let (on_p, on_d) = (legs_of(x, PROXIMAL), legs_of(x, DISTAL));
-    [sum(p.x * on_p + d.x * on_d), sum(p.y * on_p + d.y * on_d)].into()
+    sums([p.x * on_p + d.x * on_d, p.y * on_p + d.y * on_d]).to_array().into()
 }
 
 impl Kkt<ANGLES, CLOSURES> for Factor {

@@ -1,9 +1,10 @@
 //! The twelve coordinates of a machine in its link angles: each leg is built up from its motor axis.
 
 use super::{Angles, ByAngles, DISTAL, PROXIMAL};
+use crate::integrator::{System, Work};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2};
-use crate::mechanism::{Coordinates, Mechanism, Pose};
+use crate::mechanism::{Coordinates, Pose};
 use crate::simulation::inertia::proximal_arm;
 
 /// The twelve coordinates with these angles and 0 elsewhere.
@@ -15,15 +16,29 @@ fn in_place(angles: &Angles) -> Coordinates {
     x
 }
 
-/// What forces on the centres of mass are to links of length 1: the proximal one carries that of the distal one at its elbow.
-#[inline(always)]
-pub(super) fn on_arms(mechanism: &Mechanism, force: &Coordinates) -> [Legs2; 2] {
-    let [on_p, on_d] = [[P_X, P_Y], [D_X, D_Y]].map(|[x, y]| Legs2 { x: legs_of(force, x), y: legs_of(force, y) });
-    let (own, carried) = (on_p.scaled(mechanism.a_p), on_d.scaled(mechanism.a_p + mechanism.b_p));
-    [Legs2 { x: own.x + carried.x, y: own.y + carried.y }, on_d.scaled(mechanism.a_d)]
-}
-
 impl ByAngles<'_> {
+    /// Kinetic energy, J, potential energy with that of the held loads, J, and power of the forces that have no potential, W.
+    pub(in crate::simulation) fn energies(&self, q: &Angles, v: &Angles) -> [f64; 3] {
+        let pose = self.pose(q);
+        let (x, rates) = self.coordinates(&pose, q, v);
+        let kinetic = self.mass_times(&pose, v).dot(v) / 2.0;
+        [kinetic, self.five_bar.potential_energy(&x, &pose), self.five_bar.power_without_potential(&x, &pose, &rates)]
+    }
+
+    /// Forces in the angles, and their power, where anything acts but the weight. Out of line, and it takes copies: what is pointed to has
+    /// to be in memory, and where nothing acts but the weight it stays in registers. Of a pose the directions are enough.
+    #[inline(never)]
+    pub(super) fn under_loads(&self, q: Angles, directions: [Legs2; 2], v: Angles) -> (Angles, Work) {
+        let pose = self.mechanism.pose_along(directions);
+        let (x, rates) = (self.placed(&q, &pose), self.moving(&v, &pose));
+        let (applied, power) = if self.five_bar.follows_work() {
+            self.five_bar.acting(&self.five_bar.context(&x, &pose, &rates))
+        } else {
+            (self.five_bar.forces(&x, &pose, &rates), Work::default())
+        };
+        (self.in_angles(&applied, &pose, &v), power)
+    }
+
     /// Applied forces of the twelve coordinates carried over to the angles, and the centripetal ones of the distal centre of mass.
     #[inline(always)]
     pub(super) fn in_angles(&self, applied: &Coordinates, pose: &Pose, v: &Angles) -> Angles {
@@ -38,8 +53,8 @@ impl ByAngles<'_> {
     /// The weight alone in the angles, with the centripetal forces.
     #[inline(always)]
     pub(super) fn weight_in_angles(&self, pose: &Pose, v: &Angles) -> Angles {
-        let [on_p, on_d] = self.weight_on_arms;
-        self.with_centripetal([pose.u_p.cross(on_p), pose.u_d.cross(on_d)], pose, v)
+        let falling = &self.model().falling;
+        self.with_centripetal(falling.torques([pose.u_p, pose.u_d]), pose, v)
     }
 
     /// Torques on the links with those of the distal centre of mass, which is carried around.

@@ -1,0 +1,116 @@
+//! A machine on which nothing acts but its weight: the evaluation that all others are measured by, in as few operations as it takes.
+//!
+//! Per leg, with P = I_P + m_P a_P² + m_D l_P², angles of the proximal link are counted in units of 1/√P, so that M = [1 χ; χ D]. In coordinates
+//! of the tip turned by −90° the columns of Φ_q are the links themselves, p = σ l_P/√P and d = σ l_D, with the signs of the legs in the closure.
+//! With the proximal angle eliminated, r = d − χ p and δ = D − χ² remain of the distal one, and
+//!
+//! ```text
+//! S = Σ (p pᵀ + r rᵀ/δ) + e 1,     S μ = Σ (p Q_P + r (Q_D − χ Q_P)/δ + n̂(p) √P ω_P² + n̂(d) ω_D²),
+//! α_D = (Q_D − χ Q_P − r·μ)/δ,     √P α_P = Q_P − p·μ − χ α_D.
+//! ```
+//!
+//! Where loads act, forces come last and few operations may follow them: there M is inverted (`factor.rs`).
+
+use super::factor::sums;
+use super::{Angles, DISTAL, PROXIMAL};
+use crate::mechanism::coordinates::{D_X, D_Y, P_X, P_Y, legs_of, set_legs};
+use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, turned_by};
+use crate::mechanism::{Coordinates, Mechanism};
+use crate::simulation::inertia::Inertia;
+
+/// What of it is constant.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::simulation) struct Falling {
+    /// The lengths of p and d.
+    lengths: [Legs; 2],
+    /// m_D a_D / l_D: χ is that times p·d.
+    carried: Legs,
+    /// δ where the leg is stretched, a sum of positive terms; the square of that times p × d adds to it.
+    stretched: Legs,
+    /// √P and 1/√P.
+    root: Legs,
+    per_root: Legs,
+    /// The weight where it pulls at links of length 1, N·m.
+    on_arms: [Legs2; 2],
+    /// The same at p and d.
+    weight: [Legs2; 2],
+}
+
+/// Where links begin to turn: their directions, and p and d.
+#[derive(Clone, Copy, Debug)]
+pub struct Place {
+    pub(super) directions: [Legs2; 2],
+    links: [Legs2; 2],
+}
+
+impl Falling {
+    /// Of a mechanism and the constant force on it.
+    pub(in crate::simulation) fn new(mechanism: &Mechanism, inertia: &Inertia, force: &Coordinates) -> Self {
+        let &Mechanism { mass_d, a_p, b_p, a_d, sigma_b_d, .. } = mechanism;
+        let root = inertia.proximal.sqrt();
+        let lengths @ [p, d] = [SIGMA * (a_p + b_p) / root, SIGMA * a_d + sigma_b_d];
+        // The proximal link carries the force on the distal one at its elbow.
+        let [on_p, on_d] = [[P_X, P_Y], [D_X, D_Y]].map(|[x, y]| Legs2 { x: legs_of(force, x), y: legs_of(force, y) });
+        let (own, hung) = (on_p.scaled(a_p), on_d.scaled(a_p + b_p));
+        let on_arms @ [on_p, on_d] = [Legs2 { x: own.x + hung.x, y: own.y + hung.y }, on_d.scaled(a_d)];
+        Self {
+            lengths,
+            carried: SIGMA * mass_d * a_d / d,
+            stretched: inertia.stretched / inertia.proximal,
+            root,
+            per_root: both(1.0) / root,
+            on_arms,
+            weight: [on_p.scaled(both(1.0) / (root * p)), on_d.scaled(both(1.0) / d)],
+        }
+    }
+
+    /// Where links with these directions begin to turn.
+    #[inline(always)]
+    pub(super) fn place(&self, directions: [Legs2; 2]) -> Place {
+        let ([p, d], lengths) = (directions, self.lengths);
+        Place { directions, links: [p.scaled(lengths[0]), d.scaled(lengths[1])] }
+    }
+
+    /// The torques of the weight on links with these directions, N·m.
+    #[inline(always)]
+    pub(super) fn torques(&self, [p, d]: [Legs2; 2]) -> [Legs; 2] {
+        let [on_p, on_d] = self.on_arms;
+        [p.cross(on_p), d.cross(on_d)]
+    }
+
+    /// q̈ at some rates, where the links have turned by small angles, with e of the saddle-point systems.
+    #[inline(always)]
+    pub(super) fn acceleration(&self, place: &Place, by: [Legs; 2], [w_p, w_d]: [Legs; 2], regularization: f64) -> Angles {
+        let [p, d] = [turned_by(place.links[0], by[0]), turned_by(place.links[1], by[1])];
+        let (chi, across) = (self.carried * p.dot(d), self.carried * p.cross(d));
+        // Torques with those of the distal centre of mass, which is carried around.
+        let (s_p, s_d) = (self.root * (w_p * w_p), w_d * w_d);
+        let (on_p, on_d) = (p.cross(self.weight[0]) + across * s_d, d.cross(self.weight[1]) - across * s_p);
+        // S, its diagonal also the other way round.
+        let mobility = both(1.0) / (self.stretched + across * across);
+        let r = Legs2 { x: d.x - chi * p.x, y: d.y - chi * p.y };
+        let moved = r.scaled(mobility);
+        let diagonal = sums([p.x * p.x + r.x * moved.x, p.y * p.y + r.y * moved.y]) + both(regularization);
+        let beside = p.x * p.y + r.x * moved.y;
+        let (exchanged, beside) = (other(diagonal), beside + other(beside));
+        let reciprocal = both(1.0) / (diagonal * exchanged - beside * beside);
+        // The force at the tip.
+        let on_r = on_d - chi * on_p;
+        let lacking =
+            sums([p.x * on_p + moved.x * on_r - p.y * s_p - d.y * s_d, p.y * on_p + moved.y * on_r + p.x * s_p + d.x * s_d]);
+        let [x, y] = ((exchanged * lacking - beside * other(lacking)) * reciprocal).to_array().map(both);
+        let a_d = mobility * on_r - (moved.x * x + moved.y * y);
+        let a_p = on_p - (p.x * x + p.y * y) - chi * a_d;
+        let mut a = Angles::ZERO;
+        set_legs(&mut a, PROXIMAL, self.per_root * a_p);
+        set_legs(&mut a, DISTAL, a_d);
+        a
+    }
+}
+
+/// One and the other exchanged.
+#[inline(always)]
+fn other(x: Legs) -> Legs {
+    let [one, other] = x.to_array();
+    Legs::new([other, one])
+}
