@@ -84,7 +84,7 @@ impl<const N: usize> Stages<N> {
 
     /// Evaluates the stages of the step, in place: what a function returns is copied.
     #[inline(never)]
-    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Pose, N>) {
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<'_, S::Pose, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
                 self.last = self.evaluate::<$stage, M, _>(system, regularization, origin);
@@ -99,7 +99,7 @@ impl<const N: usize> Stages<N> {
         &mut self,
         system: &S,
         regularization: f64,
-        origin: &Origin<S::Pose, N>,
+        origin: &Origin<'_, S::Pose, N>,
     ) -> Vector<N> {
         let [q, v] = self.way::<ROW>();
         self.slopes[ROW].q = self.v + v;
@@ -143,7 +143,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
     }
 
     #[inline(always)]
-    fn new<const M: usize>(_: &impl System<N, M>, (): &(), _: f64, from: &State<N, M>, h: f64) -> Self {
+    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), _: f64, (from, _): (&State<N, M>, &S::Pose), h: f64) -> Self {
         let mut slopes = [Slope::NONE; STAGES];
         slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
         Self { slopes, q: from.q, v: from.v, h, last: Vector::ZERO }
@@ -154,16 +154,17 @@ impl<const N: usize> Trial<N> for Stages<N> {
         &mut self,
         system: &S,
         settings: &Settings,
+        pose: &S::Pose,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let origin = Origin::new(system, &self.q);
-        self.evaluate_all(system, settings.regularization, &origin);
+        let q = self.q;
+        self.evaluate_all(system, settings.regularization, &Origin { q: &q, pose });
         let mean = self.sums::<END>();
         let end = [self.q + self.h * mean[0], self.v + self.h * mean[1]];
         let error = self.error(allowed, &mean, &end[1]);
         let arrival = if error <= 1.0 {
-            settings.project_and_evaluate(system, system.pose_turned(&origin.pose, &(end[0] - self.q), &end[0]), end, kept)
+            settings.project_and_evaluate(system, system.pose_turned(pose, &(end[0] - self.q), &end[0]), end, kept)
         } else {
             Err(StepError::NotFinite)
         };
@@ -195,7 +196,8 @@ impl<const N: usize> Trial<N> for Stages<N> {
         let mut slopes = [Slope::NONE; ALL];
         slopes[..STAGES].copy_from_slice(&self.slopes);
         slopes[END] = Slope { q: end.v, v: end.a, power: end.power };
-        let origin = Origin::new(system, &self.q);
+        let pose = system.pose(&self.q);
+        let origin = Origin { q: &self.q, pose: &pose };
         for stage in END + 1..ALL {
             let way = over(self.h, &slopes, A[stage]);
             slopes[stage].q = self.v + way.v;

@@ -204,11 +204,11 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
     }
 
     #[inline(never)]
-    fn new<const M: usize>(
-        system: &impl System<N, M>,
+    fn new<const M: usize, S: System<N, M>>(
+        system: &S,
         shared: &Shared<N>,
         regularization: f64,
-        from: &State<N, M>,
+        (from, pose): (&State<N, M>, &S::Pose),
         h: f64,
     ) -> Self {
         let Shared { tangents, fastest } = shared;
@@ -225,14 +225,13 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             tableau: PhantomData,
         };
         step.u[0] = step.solve(tangents, [from.v, from.a]);
-        let origin = Origin::new(system, &from.q);
         let per_step = 1.0 / h;
         macro_rules! evaluate {
             ($stage:literal) => {
                 if const { $stage < T::STAGES } {
                     let [q, v] = step.at::<$stage>();
                     let mut slope = Slope { q: v, ..Slope::NONE };
-                    slope.complete(system, regularization, &origin, &(q - from.q));
+                    slope.complete(system, regularization, &Origin { q: &from.q, pose }, &(q - from.q));
                     let [before_q, before_v] = step.before::<$stage>();
                     step.u[$stage] = step.solve(tangents, [v + per_step * before_q, slope.v + per_step * before_v]);
                     step.power[$stage] = slope.power;
@@ -248,6 +247,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         &mut self,
         system: &S,
         settings: &Settings,
+        _: &S::Pose,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {

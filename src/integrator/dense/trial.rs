@@ -31,20 +31,21 @@ pub(super) trait Trial<const N: usize>: Sized {
     fn prepare<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Self::Shared>;
 
     /// A step of h seconds, to be made by [`land`](Self::land) at the latest.
-    fn new<const M: usize>(
-        system: &impl System<N, M>,
+    fn new<const M: usize, S: System<N, M>>(
+        system: &S,
         shared: &Self::Shared,
         regularization: f64,
-        from: &State<N, M>,
+        from: (&State<N, M>, &S::Pose),
         h: f64,
     ) -> Self;
 
-    /// Its error in units of what is allowed, and where it leads, on the constraints, if that is 1 at most; near a vertex with the energy
-    /// of its beginning, after so many seconds.
+    /// Its error in units of what is allowed, and where it leads, on the constraints, if that is 1 at most, by the pose at its beginning; near a vertex
+    /// with the energy there, so many seconds before.
     fn land<const M: usize, S: System<N, M> + Passage<N>>(
         &mut self,
         system: &S,
         settings: &Settings,
+        pose: &S::Pose,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>);
@@ -118,11 +119,11 @@ impl<const N: usize> Slope<N> {
         &mut self,
         system: &S,
         regularization: f64,
-        origin: &Origin<S::Pose, N>,
+        origin: &Origin<'_, S::Pose, N>,
         by: &Vector<N>,
     ) {
-        let (q, v) = (origin.q + *by, self.q);
-        let pose = system.pose_turned(&origin.pose, by, &q);
+        let (q, v) = (*origin.q + *by, self.q);
+        let pose = system.pose_turned(origin.pose, by, &q);
         let (forces, power) = system.forces_and_power(&q, &pose, &v);
         (self.v, _) = equilibrium_under(system, &forces, (&q, &pose, &v), &system.factor_mass(&pose, regularization));
         self.power = power;
@@ -130,15 +131,9 @@ impl<const N: usize> Slope<N> {
 }
 
 /// Where a step begins: its stages are not far away, and their poses are turned from this one.
-pub(super) struct Origin<P, const N: usize> {
-    q: Vector<N>,
-    pub(super) pose: P,
-}
-
-impl<P, const N: usize> Origin<P, N> {
-    pub(super) fn new<const M: usize>(system: &impl System<N, M, Pose = P>, q: &Vector<N>) -> Self {
-        Self { q: *q, pose: system.pose(q) }
-    }
+pub(super) struct Origin<'a, P, const N: usize> {
+    pub(super) q: &'a Vector<N>,
+    pub(super) pose: &'a P,
 }
 
 /// The greatest magnitudes of q̇ and q̈ among some slopes.

@@ -85,13 +85,15 @@ impl<const N: usize> Tsit5<N> {
 
     /// Evaluates the stages of the step, in place: what a function returns is copied.
     #[inline(never)]
-    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Pose, N>) {
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<'_, S::Pose, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
                 let [q, v] = self.way::<$stage>();
                 self.slopes[$stage].q = self.start[1] + v;
                 self.slopes[$stage].complete(system, regularization, origin, &q);
-                self.last = [self.last[1], q];
+                if const { $stage >= STAGES - 2 } {
+                    self.last[const { $stage % 2 }] = q;
+                }
             };
         }
         for_each!(evaluate: 1 2 3 4 5);
@@ -130,7 +132,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
     }
 
     #[inline(always)]
-    fn new<const M: usize>(_: &impl System<N, M>, (): &(), _: f64, from: &State<N, M>, h: f64) -> Self {
+    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), _: f64, (from, _): (&State<N, M>, &S::Pose), h: f64) -> Self {
         let mut slopes = [Slope::NONE; STAGES];
         slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
         Self { slopes, start: [from.q, from.v], h, last: [Vector::ZERO; 2] }
@@ -140,11 +142,12 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         &mut self,
         system: &S,
         settings: &Settings,
+        pose: &S::Pose,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let origin = Origin::new(system, &self.start[0]);
-        self.evaluate_all(system, settings.regularization, &origin);
+        let q = self.start[0];
+        self.evaluate_all(system, settings.regularization, &Origin { q: &q, pose });
         let way = self.way::<END>();
         let end = [self.start[0] + way[0], self.start[1] + way[1]];
         let error = self.error(allowed, &end[1]);
@@ -152,7 +155,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
             return (error, Err(StepError::NotFinite));
         }
         let work = || if system.follows_work() { Work::default().plus(self.h, self.power::<END>()) } else { Work::default() };
-        let landed = settings.project_without_balance(system, system.pose_turned(&origin.pose, &way[0], &end[0]), end, kept);
+        let landed = settings.project_without_balance(system, system.pose_turned(pose, &way[0], &end[0]), end, kept);
         (error, landed.map(|(iterations, arrival)| Landing { iterations, arrival, work: work() }))
     }
 
