@@ -74,7 +74,12 @@ pub trait System<const N: usize, const M: usize> {
     }
     /// How q̈ changes with q and q̇ about a state whose q̈ and λ are those of equilibrium; `None` where that is not known: no step that
     /// begins there is implicit.
-    fn acceleration_tangents(&self, _at: &State<N, M>, _regularization: f64) -> Option<AccelerationTangents<N>> {
+    fn acceleration_tangents(
+        &self,
+        _at: &State<N, M>,
+        _pose: &Self::Pose,
+        _regularization: f64,
+    ) -> Option<AccelerationTangents<N>> {
         None
     }
     /// Whether any force does work that must be followed along the path.

@@ -60,7 +60,7 @@ impl System<2, 0> for Point {
     fn power(&self, q: &Vector<2>, (): &(), v: &Vector<2>) -> Work {
         Work { input: (self.power)(q, v, &(self.acceleration)(q, v)), dissipated: 0.0 }
     }
-    fn acceleration_tangents(&self, at: &State<2, 0>, _: f64) -> Option<AccelerationTangents<2>> {
+    fn acceleration_tangents(&self, at: &State<2, 0>, (): &(), _: f64) -> Option<AccelerationTangents<2>> {
         self.tangents.map(|tangents| tangents(&at.q, &at.v))
     }
     fn angle_norm(&self, x: &Vector<2>) -> f64 {

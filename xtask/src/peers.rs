@@ -28,7 +28,9 @@ pub(crate) fn peers(options: &Options) -> Result<()> {
     if !options.update_docs {
         return Ok(());
     }
-    process::run(venv::python(Packages::Usual)?.arg("xtask/python/peers_in_docs.py").arg("--peers").arg(paths::in_root("target/peers")))
+    process::run(
+        venv::python(Packages::Usual)?.arg("xtask/python/peers_in_docs.py").arg("--peers").arg(paths::in_root("target/peers")),
+    )
 }
 
 /// Runs those named in `only`, or all; the table goes to `target/peers/peers.csv`.

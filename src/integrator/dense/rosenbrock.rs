@@ -54,10 +54,14 @@ pub(super) struct Shared<const N: usize> {
 }
 
 impl<const N: usize> Shared<N> {
-    /// About a state; `None` where it has no tangents.
+    /// About a state with its pose; `None` where it has no tangents.
     #[inline(never)]
-    pub(super) fn about<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Self> {
-        let tangents = system.acceleration_tangents(from, settings.regularization)?;
+    pub(super) fn about<const M: usize, S: System<N, M>>(
+        system: &S,
+        settings: &Settings,
+        (from, pose): (&State<N, M>, &S::Pose),
+    ) -> Option<Self> {
+        let tangents = system.acceleration_tangents(from, pose, settings.regularization)?;
         let size = |columns: &[Vector<N>; N]| columns.iter().map(|column| column.dot(column)).sum::<f64>().sqrt();
         // The larger root of ρ² = ρ |C| + |K|: the decay of a damper, the frequency of a spring.
         let (stiffness, damping) = (size(&tangents.by_q), size(&tangents.by_v));
@@ -136,18 +140,18 @@ struct WayBack<'a, const N: usize> {
 }
 
 impl<const N: usize> WayBack<'_, N> {
-    /// The end of a step on the constraints, in balance, with the energy that was there so many seconds before, if there is any to keep; and
+    /// The end of a step, with its pose, on the constraints, in balance, with the energy that was there so many seconds before, if there is any to keep; and
     /// the iterations spent.
     #[inline(never)]
     fn land<const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
         settings: &Settings,
-        [mut q, mut v]: [Vector<N>; 2],
+        ([mut q, mut v], pose): ([Vector<N>; 2], S::Pose),
         kept: Option<(EnergyBalance, f64)>,
     ) -> Result<(u32, Arrival<N, M>), StepError> {
         let (iterations, pose, mass) = if system.can_project(&q) {
-            self.project(system, settings, &mut q, &mut v)?
+            self.project(system, settings, pose, [&mut q, &mut v])?
         } else {
             settings.project(system, &mut q, &mut v)?
         };
@@ -162,13 +166,13 @@ impl<const N: usize> WayBack<'_, N> {
         &self,
         system: &S,
         settings: &Settings,
-        q: &mut Vector<N>,
-        v: &mut Vector<N>,
+        pose: S::Pose,
+        [q, v]: [&mut Vector<N>; 2],
     ) -> Result<(u32, S::Pose, S::Mass), StepError> {
         let mut ways = None;
         let along = |pose: &S::Pose, missing| combination(ways.get_or_insert_with(|| self.ways(system, settings, pose)), &missing);
         let projection = Projection::to_round_off(system.length_scale(), settings.regularization, settings.max_iterations);
-        let (iterations, pose) = projection.position_along(system, system.pose(q), q, along)?;
+        let (iterations, pose) = projection.position_along(system, pose, q, along)?;
         if let Some(ways) = &ways {
             *v += combination(ways, &-system.phi_q_times(&pose, v));
         }
@@ -199,7 +203,11 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         failed: 0.2,
     };
 
-    fn prepare<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Shared<N>> {
+    fn prepare<const M: usize, S: System<N, M>>(
+        system: &S,
+        settings: &Settings,
+        from: (&State<N, M>, &S::Pose),
+    ) -> Option<Shared<N>> {
         Shared::about(system, settings, from)
     }
 
@@ -247,7 +255,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         &mut self,
         system: &S,
         settings: &Settings,
-        _: &S::Pose,
+        pose: &S::Pose,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
@@ -258,7 +266,8 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             return (error, Err(StepError::NotFinite));
         }
         let work = || if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
-        let landed = WayBack { inverse: &self.inverse, h: self.h }.land(system, settings, end, kept);
+        let at_end = system.pose_turned(pose, &(end[0] - self.start[0]), &end[0]);
+        let landed = WayBack { inverse: &self.inverse, h: self.h }.land(system, settings, (end, at_end), kept);
         (error, landed.map(|(iterations, arrival)| Landing { iterations, arrival, work: work() }))
     }
 

@@ -71,7 +71,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
         };
-        self.choose_at_start(system, settings, horizon.limit);
+        self.choose_at_start(system, settings, pose, horizon.limit);
         // Where friction may hold, steps are explicit ones of order 8.
         let kind = if system.has_grips() {
             Kind::Eighth
@@ -107,10 +107,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         &mut self,
         system: &S,
         settings: &Settings,
+        pose: &S::Pose,
         limit: f64,
     ) {
         let chooses = settings.kinds == Kinds::Automatic && self.start.counters.substeps == 0 && system.is_steep();
-        if chooses && let Some(shared) = Shared::about(system.on(self.sides).borrow(), settings, &self.start) {
+        if chooses && let Some(shared) = Shared::about(system.on(self.sides).borrow(), settings, (&self.start, pose)) {
             self.memory.choice.begin(settings.first_step.min(limit), shared.fastest);
         }
     }
@@ -125,7 +126,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Result<(), StepError> {
         let &Plan { mut h, wanted, longest, near, horizon, pose } = plan;
         let mut on_sides = system.on(self.sides);
-        let mut shared = T::prepare(on_sides.borrow(), settings, &self.start);
+        let mut shared = T::prepare(on_sides.borrow(), settings, (&self.start, pose));
         // The last try that was rejected: length and error.
         let mut rejected: Option<[f64; 2]> = None;
         let mut tries = 0;
@@ -151,7 +152,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                             if when < SHORTEST {
                                 self.turn(system, settings);
                                 on_sides = system.on(self.sides);
-                                shared = T::prepare(on_sides.borrow(), settings, &self.start);
+                                shared = T::prepare(on_sides.borrow(), settings, (&self.start, pose));
                             } else {
                                 h = when.min(longest);
                             }

@@ -28,7 +28,11 @@ pub(super) trait Trial<const N: usize>: Sized {
     const CONTROLLER: StepSizeController;
 
     /// What tries from a state share; `None` where steps of this kind cannot begin.
-    fn prepare<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Self::Shared>;
+    fn prepare<const M: usize, S: System<N, M>>(
+        system: &S,
+        settings: &Settings,
+        from: (&State<N, M>, &S::Pose),
+    ) -> Option<Self::Shared>;
 
     /// A step of h seconds, to be made by [`land`](Self::land) at the latest.
     fn new<const M: usize, S: System<N, M>>(

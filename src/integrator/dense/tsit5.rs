@@ -127,7 +127,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         failed: 0.3,
     };
 
-    fn prepare<const M: usize>(_: &impl System<N, M>, _: &Settings, _: &State<N, M>) -> Option<()> {
+    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &S::Pose)) -> Option<()> {
         Some(())
     }
 
