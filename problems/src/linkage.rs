@@ -152,7 +152,7 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
     fn pose(&self, q: &Vector<N>) -> Pose<M> {
         Pose::new(&self.joints, &q[..])
     }
-    fn place(&self, _: &Vector<N>) {}
+    fn place(&self, _: &Pose<M>) {}
     fn phi(&self, q: &Vector<N>, pose: &Pose<M>) -> Vector<M> {
         Vector::from_fn(|row| {
             let point = |end: &End, side: &Option<Side>| match (end, side) {

@@ -160,7 +160,7 @@ fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kink
     state: &mut State<N, M>,
     h: f64,
 ) -> Result<(), StepError> {
-    running.advance(system, settings, h, Horizon { output: h, limit: f64::INFINITY })?;
+    running.advance(system, settings, h, Horizon { output: h, limit: f64::INFINITY }, None)?;
     let sample = running.sample(system, settings);
     running.record(&sample, state);
     (state.q, state.v) = (sample.q, sample.v);

@@ -175,7 +175,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         count
     }
 
-    /// One macro step of h seconds. On failure the run is undefined: the caller keeps a copy.
+    /// One macro step of h seconds, from the end of the step under way with the pose there, where it is at hand. On failure the run is undefined: the caller keeps
+    /// a copy.
     #[inline]
     pub fn advance<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &mut self,
@@ -183,6 +184,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         h: f64,
         mut horizon: Horizon,
+        mut pose: Option<&S::Pose>,
     ) -> Result<(), StepError> {
         let mut rest = h;
         let done = self.work();
@@ -194,7 +196,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let left = self.length - self.elapsed;
             rest -= left;
             horizon = horizon.after(left);
-            self.step(system, settings, horizon)?;
+            self.step(system, settings, horizon, pose.take())?;
         }
     }
 
@@ -221,21 +223,32 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         system: &S,
         settings: &Settings,
     ) -> Result<(), StepError> {
+        if self.finish() {
+            return Ok(());
+        }
         let mut rest = self.elapsed;
-        if rest < self.length {
-            self.memory = self.before;
-            self.sides_behind = self.sides;
-            self.retract();
-            self.end.counters.rejected += 1;
-            let done = self.work();
-            while rest > 0.0 {
-                self.check_work(settings, done)?;
-                self.step(system, settings, Horizon { output: f64::INFINITY, limit: rest })?;
-                rest -= self.length;
-            }
+        self.memory = self.before;
+        self.sides_behind = self.sides;
+        self.retract();
+        self.end.counters.rejected += 1;
+        let done = self.work();
+        while rest > 0.0 {
+            self.check_work(settings, done)?;
+            self.step(system, settings, Horizon { output: f64::INFINITY, limit: rest }, None)?;
+            rest -= self.length;
         }
         (self.length, self.elapsed) = (0.0, 0.0);
         Ok(())
+    }
+
+    /// Whether the present time is the end of the step, which is over then: it need not be redone.
+    #[inline]
+    pub fn finish(&mut self) -> bool {
+        let is_over = self.elapsed == self.length;
+        if is_over {
+            (self.length, self.elapsed) = (0.0, 0.0);
+        }
+        is_over
     }
 
     /// Takes the end of the step back to its beginning: what has been spent on it stays.
@@ -253,10 +266,16 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.end.v = *v;
     }
 
-    /// The forces have changed at once, after [`truncate_and_redo`](Self::truncate_and_redo), which did some work.
-    pub fn restart<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, work: Work) {
+    /// The forces have changed at once, after [`truncate_and_redo`](Self::truncate_and_redo), which did some work. From the pose there.
+    pub fn restart<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        pose: &S::Pose,
+        work: Work,
+    ) {
         let sides = system.sides_of(&self.end.q, &self.end.v);
-        self.end.restart(system.on(sides).borrow(), settings.regularization);
+        self.end.restart(system.on(sides).borrow(), pose, settings.regularization);
         self.end.work += work;
         self.start = self.end;
         (self.sides, self.sides_behind) = (sides, sides);
@@ -277,12 +296,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.end.counters.rejected += 1;
         }
         (self.end.q, self.end.v, self.end.on_ray) = (q, v, false);
-        self.end.modes = after.modes(&after.pose(&q));
+        let pose = after.pose(&q);
+        self.end.modes = after.modes(&pose);
         self.end.work = work;
         self.dense = [Slope::NONE; 4];
         self.straight = false;
         (self.length, self.elapsed) = (0.0, 0.0);
-        self.restart(after, settings, Work { input: put_in, dissipated: 0.0 });
+        self.restart(after, settings, &pose, Work { input: put_in, dissipated: 0.0 });
     }
 
     /// Moves the origin of the coordinates: by `shift`, which the system does not notice (whole turns of angles).

@@ -17,17 +17,15 @@ pub fn equilibrium<const N: usize, const M: usize>(
     equilibrium_at(system, q, &pose, v, &system.factor_mass_in_place(&pose, regularization))
 }
 
-/// The same, with the power of the forces.
+/// The same, with the power of the forces, from the pose.
 #[inline(never)]
-pub(super) fn equilibrium_with_power<const N: usize, const M: usize>(
-    system: &impl System<N, M>,
-    q: &Vector<N>,
-    v: &Vector<N>,
+pub(super) fn equilibrium_with_power<const N: usize, const M: usize, S: System<N, M>>(
+    system: &S,
+    (q, pose, v): (&Vector<N>, &S::Pose, &Vector<N>),
     regularization: f64,
 ) -> (Vector<N>, Vector<M>, Work) {
-    let pose = system.pose(q);
-    let (forces, power) = system.forces_and_power(q, &pose, v);
-    let (a, lambda) = equilibrium_under(system, &forces, (q, &pose, v), &system.factor_mass(&pose, regularization));
+    let (forces, power) = system.forces_and_power(q, pose, v);
+    let (a, lambda) = equilibrium_under(system, &forces, (q, pose, v), &system.factor_mass(pose, regularization));
     (a, lambda, power)
 }
 

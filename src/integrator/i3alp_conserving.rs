@@ -138,7 +138,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
             alternatives: 0,
             counters,
         };
-        state.balance(system, regularization);
+        state.balance(system, &system.pose(&state.q), regularization);
         state
     }
 

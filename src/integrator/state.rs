@@ -99,30 +99,30 @@ impl<const N: usize, const M: usize> State<N, M> {
             alternatives: 0,
             counters: Counters::default(),
         };
-        state.settle(system, regularization);
+        state.settle(system, &system.pose(&q), regularization);
         state
     }
 
     /// The forces have changed at once: q̈ and λ follow from equilibrium, the predictor starts anew.
     ///
     /// Without it a new input would act half a step late and every driven scene would be first order only.
-    pub fn restart<S: System<N, M> + Passage<N>>(&mut self, system: &S, regularization: f64) {
-        self.settle(system, regularization);
+    pub fn restart<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
+        self.settle(system, pose, regularization);
         self.counters.restarts += 1;
     }
 
     /// Friction holds something else from here on: q̇ is without it, q̈ and λ follow, the predictor starts anew.
-    pub fn settle<S: System<N, M> + Passage<N>>(&mut self, system: &S, regularization: f64) {
+    pub fn settle<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
         if system.holds() {
             self.v = system.let_hold(self.q, self.v);
         }
-        self.balance(system, regularization);
+        self.balance(system, pose, regularization);
         self.jerk = Vector::ZERO;
     }
 
     /// q̈ and λ from equilibrium, and the power; at rest exactly in a vertex q̈ is that of the branch of least constraint.
-    pub fn balance<S: System<N, M> + Passage<N>>(&mut self, system: &S, regularization: f64) {
-        let (a, lambda, power) = equilibrium_with_power(system, &self.q, &self.v, regularization);
+    pub fn balance<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
+        let (a, lambda, power) = equilibrium_with_power(system, (&self.q, pose, &self.v), regularization);
         self.a = system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
         (self.lambda, self.power) = (lambda, power);
     }
@@ -180,8 +180,9 @@ impl<const N: usize, const M: usize> Arrival<N, M> {
 
     /// The same for what happens rarely, without code of its own.
     pub(super) fn out_of_line<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], regularization: f64) -> Self {
-        let (a, lambda, power) = equilibrium_with_power(system, &q, &v, regularization);
-        Self { q, v, a, lambda, power, modes: system.modes(&system.pose(&q)) }
+        let pose = system.pose(&q);
+        let (a, lambda, power) = equilibrium_with_power(system, (&q, &pose, &v), regularization);
+        Self { q, v, a, lambda, power, modes: system.modes(&pose) }
     }
 
     /// Whether it is, and all sums of it are.

@@ -28,8 +28,8 @@ pub trait System<const N: usize, const M: usize> {
     fn pose_turned(&self, (q, _pose): (&Vector<N>, &Self::Pose), by: &Vector<N>) -> Self::Pose {
         self.pose(&(*q + *by))
     }
-    /// What turns that begin at q start from.
-    fn place(&self, q: &Vector<N>) -> Self::Place;
+    /// What turns that begin at a pose start from.
+    fn place(&self, pose: &Self::Pose) -> Self::Place;
     /// Pose `by` away from a q where turns begin.
     fn pose_near(&self, (q, _place): (&Vector<N>, &Self::Place), by: &Vector<N>) -> Self::Pose {
         self.pose(&(*q + *by))
@@ -82,7 +82,12 @@ pub trait System<const N: usize, const M: usize> {
     }
     /// How q̈ changes with q and q̇ about a state whose q̈ and λ are those of equilibrium; `None` where that is not known: no step that
     /// begins there is implicit.
-    fn acceleration_tangents(&self, _at: &State<N, M>, _regularization: f64) -> Option<AccelerationTangents<N>> {
+    fn acceleration_tangents(
+        &self,
+        _at: &State<N, M>,
+        _pose: &Self::Pose,
+        _regularization: f64,
+    ) -> Option<AccelerationTangents<N>> {
         None
     }
     /// Whether any force does work that must be followed along the path.

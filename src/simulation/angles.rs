@@ -230,8 +230,8 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline]
-    fn place(&self, q: &Angles) -> Place {
-        self.model().falling.place(directions(legs(q)))
+    fn place(&self, pose: &Pose) -> Place {
+        self.model().falling.place([pose.u_p, pose.u_d])
     }
 
     #[inline(always)]
@@ -324,8 +324,13 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         angles_of(&super::grips::let_hold(&self.five_bar, x, rates))
     }
 
-    fn acceleration_tangents(&self, at: &State<ANGLES, CLOSURES>, regularization: f64) -> Option<AccelerationTangents<ANGLES>> {
-        self.tangents_of_acceleration(at, regularization)
+    fn acceleration_tangents(
+        &self,
+        at: &State<ANGLES, CLOSURES>,
+        pose: &Pose,
+        regularization: f64,
+    ) -> Option<AccelerationTangents<ANGLES>> {
+        self.tangents_of_acceleration(at, pose, regularization)
     }
 
     #[inline]

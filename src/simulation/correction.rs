@@ -50,7 +50,7 @@ impl Run {
                 (core.q, core.v, core.on_ray) = (q, v, false);
                 core.modes = system.modes(&system.pose(&q));
                 core.work.input += put_in;
-                core.restart(&system, model.regularization);
+                core.restart(&system, &system.pose(&core.q), model.regularization);
             }
             (Stepper::Conserving(_), Progress::Conserving(run)) => {
                 (run.q, run.v) = (q, v);

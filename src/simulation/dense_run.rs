@@ -34,12 +34,16 @@ impl DenseRun {
     /// Before model or inputs change: what runs past the present time is thrown away, and the present state is the end of a step. On
     /// failure the run is undefined.
     pub(super) fn stop(&mut self, model: &Model, settings: &Settings, inputs: &Inputs, turns: &[i64; 4]) -> Result<(), StepError> {
+        if self.step.finish() {
+            return Ok(());
+        }
         self.step.truncate_and_redo(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings)
     }
 
     /// After they have changed, which did some work.
     pub(super) fn resume(&mut self, model: &Model, settings: &Settings, (inputs, turns): (&Inputs, &[i64; 4]), work: Work) {
-        self.step.restart(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings, work);
+        let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
+        self.step.restart(&system, settings, &system.pose(self.step.end()), work);
     }
 
     /// Angles and rates at the present time.
@@ -90,7 +94,7 @@ impl DenseRun {
             FiveBar::<false>::resolved(model, inputs, turns, [&core.q, &core.v])
         };
         if system.holds() {
-            core.balance(&system, model.regularization);
+            core.balance(&system, &system.pose(&core.q), model.regularization);
         } else {
             let motion = [&sample.q, &sample.v];
             (core.a, core.lambda, core.power) = ByAngles::new(system).balance(motion, &sample.pose, [&core.q, &core.v]);
@@ -156,10 +160,10 @@ impl Held<'_> {
     #[inline(never)]
     fn forward(&mut self, model: &Model, settings: &Settings, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
         let Self { run, inputs: held, turns } = self;
-        if !model.same_active_inputs(held, inputs) {
+        let mut changed = !model.same_active_inputs(held, inputs);
+        if changed {
             run.stop(model, settings, held, turns).map_err(|cause| steps.failure(0, cause))?;
             run.held = [run.held[1], 0];
-            run.resume(model, settings, (inputs, turns), Work::default());
         }
         **held = *inputs;
         let mut step = 0;
@@ -173,9 +177,16 @@ impl Held<'_> {
             // Before a new step begins, so that each is made from the angles that it has.
             unwind(&mut run.step, turns);
             let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
+            let mut pose = changed.then(|| system.pose(run.step.end()));
+            if let Some(pose) = &pose {
+                run.step.restart(&system, settings, pose, Work::default());
+                changed = false;
+            }
             loop {
                 let horizon = run.horizon(steps, steps.count - step);
-                run.step.advance(&system, settings, steps.h, horizon).map_err(|cause| steps.failure(step, cause))?;
+                run.step
+                    .advance(&system, settings, steps.h, horizon, pose.take().as_ref())
+                    .map_err(|cause| steps.failure(step, cause))?;
                 let within = run.step.advance_within(steps.h, steps.count - step - 1);
                 run.held[1] += 1 + within;
                 step += 1 + within;

@@ -175,7 +175,7 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         self.model.mechanism.pose_in_place([legs_of(q, P_THETA), legs_of(q, D_THETA)])
     }
 
-    fn place(&self, _: &Coordinates) {}
+    fn place(&self, _: &Pose) {}
 
     #[inline(always)]
     fn phi(&self, q: &Coordinates, pose: &Pose) -> Multipliers {

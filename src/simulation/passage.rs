@@ -139,7 +139,7 @@ impl ByAngles<'_> {
         }
         let mut step = DenseStep::start(self, q, v, &settings);
         step.sides().parallels?;
-        step.advance(self, &settings, h, Horizon { output: f64::INFINITY, limit: h }).ok()?;
+        step.advance(self, &settings, h, Horizon { output: f64::INFINITY, limit: h }, None).ok()?;
         let sample = step.sample(self, &settings);
         let on_branch = self.on(step.sides());
         let (a, _) = equilibrium(on_branch.borrow(), &sample.q, &sample.v, settings.regularization);

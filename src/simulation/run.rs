@@ -13,7 +13,7 @@ use super::state::{Core, State, unwind};
 use crate::effects::payload::Join;
 use crate::effects::{Grips, Inputs, Sides};
 use crate::integrator::i3alp_conserving::ConservingRun;
-use crate::integrator::{Counters, MacroStepMethod, StepError, i3alp};
+use crate::integrator::{Counters, MacroStepMethod, StepError, System, i3alp};
 use crate::linear::cut_loop::CUT_UNKNOWNS;
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{COORDINATES, Coordinates};
@@ -118,7 +118,7 @@ impl Run {
                 if !model.same_active_inputs(&self.inputs, inputs) {
                     let system = FiveBar::<false>::resolved(model, inputs, &self.turns, [&core.q, &core.v]);
                     *grips = system.sides.grips;
-                    core.restart(&system, model.regularization);
+                    core.restart(&system, &system.pose(&core.q), model.regularization);
                 }
                 self.inputs = *inputs;
                 let held = (&self.inputs, &mut self.turns);
@@ -177,7 +177,7 @@ impl Run {
             Progress::WithCall(core, _) => {
                 let mut core = *core;
                 let system = FiveBar::<false>::resolved(model, inputs, &turns, [&core.q, &core.v]);
-                core.balance(&system, model.regularization);
+                core.balance(&system, &system.pose(&core.q), model.regularization);
                 (core, system.sides.grips)
             }
             Progress::Conserving(run) => {
@@ -219,7 +219,7 @@ impl Run {
                 core.work += work;
                 let system = FiveBar::<false>::resolved(after, &tuned.inputs, &tuned.turns, [&core.q, &core.v]);
                 *grips = system.sides.grips;
-                core.restart(&system, after.regularization);
+                core.restart(&system, &system.pose(&core.q), after.regularization);
             }
             _ => unreachable!("a run is made for its method"),
         }

@@ -13,27 +13,28 @@
 use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, DISTAL, PLACES, PROXIMAL};
 use super::inertia::proximal_arm;
 use crate::integrator::{AccelerationTangents, Kkt, State, System};
+use crate::mechanism::Pose;
 use crate::mechanism::coordinates::{legs_of, set_legs};
 use crate::mechanism::legs::{Legs2, both};
 use crate::vector::Vector;
 
 impl ByAngles<'_> {
-    /// About a state whose q̈ and λ are those of equilibrium, with what the equilibrium is regularised by. None where friction may hold:
+    /// About a state with its pose, whose q̈ and λ are those of equilibrium, with what the equilibrium is regularised by. None where friction may hold:
     /// what holds has a multiplier of its own.
     #[inline(never)]
     pub(super) fn tangents_of_acceleration(
         &self,
         at: &State<ANGLES, CLOSURES>,
+        pose: &Pose,
         regularization: f64,
     ) -> Option<AccelerationTangents<ANGLES>> {
         if self.model().sticks {
             return None;
         }
         let State { q, v, a, lambda, .. } = at;
-        let pose = self.pose(q);
-        let factor = self.factor_mass(&pose, regularization);
-        let (x, rates) = self.coordinates(&pose, q, v);
-        let (_, loads) = self.five_bar().tangents_by_links([&x, &rates], &pose, &PLACES.map(|place| v[place]));
+        let factor = self.factor_mass(pose, regularization);
+        let (x, rates) = self.coordinates(pose, q, v);
+        let (_, loads) = self.five_bar().tangents_by_links([&x, &rates], pose, &PLACES.map(|place| v[place]));
 
         // Columns of the right-hand sides: of the loads,
         let (mut by_q, mut by_v) = ([Angles::ZERO; ANGLES], [Angles::ZERO; ANGLES]);
@@ -46,7 +47,7 @@ impl ByAngles<'_> {
         // of the masses and of what they pull when they turn, leg by leg,
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
         let (a_p, a_d) = (legs_of(a, PROXIMAL), legs_of(a, DISTAL));
-        let (carried, l) = (self.model().mechanism.mass_d, proximal_arm(&pose));
+        let (carried, l) = (self.model().mechanism.mass_d, proximal_arm(pose));
         let (coupling, slope) = (carried * l.dot(pose.a_d), carried * l.turned().dot(pose.a_d));
         let on_p = (coupling * w_d * w_d + slope * a_d).to_array();
         let on_d = (slope * a_p - coupling * w_p * w_p).to_array();
@@ -54,7 +55,7 @@ impl ByAngles<'_> {
         // and of the arms along the closure, which turn as well.
         // Those of a branch do not turn.
         let turning = if self.is_on_branch() { 0.0 } else { 1.0 };
-        let [n_p, n_d] = self.phi_q(&pose).map(|n| n.scaled(both(turning)));
+        let [n_p, n_d] = self.phi_q(pose).map(|n| n.scaled(both(turning)));
         let [r_p, r_d] = [n_p, n_d].map(|n| n.turned().scaled(both(-1.0)));
         let pulled = |r: Legs2| r.x * both(lambda[0]) + r.y * both(lambda[1]);
         let mut along = Angles::ZERO;

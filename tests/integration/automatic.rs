@@ -59,7 +59,7 @@ fn tangents_of_accelerations_are_derivatives() {
             let (q, v) = (angles_of(&state.core.q), angles_of(&state.core.v) + Vector::from([0.3, -0.2, 0.5, 0.1]));
             let system = ByAngles::new(FiveBar::<false>::new(simulation.model(), &loads, &state.turns));
             let at = State::start(&system, q, v, REGULARIZATION);
-            let tangents = system.acceleration_tangents(&at, REGULARIZATION).expect("tangents");
+            let tangents = system.acceleration_tangents(&at, &system.pose(&at.q), REGULARIZATION).expect("tangents");
             let step = 1e-6;
             let acceleration = |q: Angles, v: Angles| equilibrium(&system, &q, &v, REGULARIZATION).0;
             for i in 0..4 {

@@ -36,7 +36,7 @@ impl System<2, 0> for Point {
     type Mass = Free;
 
     fn pose(&self, _: &Vector<2>) {}
-    fn place(&self, _: &Vector<2>) {}
+    fn place(&self, _: &()) {}
     fn phi(&self, _: &Vector<2>, (): &()) -> Vector<0> {
         Vector::ZERO
     }
@@ -62,7 +62,7 @@ impl System<2, 0> for Point {
     fn power(&self, q: &Vector<2>, (): &(), v: &Vector<2>) -> Work {
         Work { input: (self.power)(q, v, &(self.acceleration)(q, v)), dissipated: 0.0 }
     }
-    fn acceleration_tangents(&self, at: &State<2, 0>, _: f64) -> Option<AccelerationTangents<2>> {
+    fn acceleration_tangents(&self, at: &State<2, 0>, (): &(), _: f64) -> Option<AccelerationTangents<2>> {
         self.tangents.map(|tangents| tangents(&at.q, &at.v))
     }
     fn angle_norm(&self, x: &Vector<2>) -> f64 {
@@ -139,7 +139,9 @@ fn the_step_is_of_order_8_and_its_interpolant_of_order_7() {
             // Every step is accepted, so that the first has this length.
             let settings = settings(1e6, h);
             let mut running = DenseStep::start(&KEPLER, q.into(), v.into(), &settings);
-            running.advance(&KEPLER, &settings, part * h, Horizon { output: part * h, limit: f64::INFINITY }).expect("a step");
+            running
+                .advance(&KEPLER, &settings, part * h, Horizon { output: part * h, limit: f64::INFINITY }, None)
+                .expect("a step");
             let sample = running.sample(&KEPLER, &settings);
             let [position, velocity] = ellipse(START + part * h);
             let energy = |[x, y]: [f64; 2]| (x * x + y * y) / 2.0;
@@ -174,7 +176,9 @@ fn every_kind_is_of_its_order() {
                 let [q, v] = polar(ellipse(START));
                 let settings = Settings { kinds: Kinds::Only(kind), ..settings(1e6, h) };
                 let mut running = DenseStep::start(&POLAR, q.into(), v.into(), &settings);
-                running.advance(&POLAR, &settings, part * h, Horizon { output: part * h, limit: f64::INFINITY }).expect("a step");
+                running
+                    .advance(&POLAR, &settings, part * h, Horizon { output: part * h, limit: f64::INFINITY }, None)
+                    .expect("a step");
                 let sample = running.sample(&POLAR, &settings);
                 let [to, rate] = polar(ellipse(START + part * h));
                 let energy = |q: [f64; 2], v: [f64; 2]| (v[0] * v[0] + (q[0] * v[1]).powi(2)) / 2.0;
@@ -210,7 +214,7 @@ fn the_estimate_of_order_5_is_on_the_safe_side() {
         // In units of a tolerance by which every step is accepted.
         let settings = Settings { kinds: Kinds::Only(Kind::Fifth), ..settings(1e6, h) };
         let mut running = DenseStep::start(&POLAR, q.into(), v.into(), &settings);
-        running.advance(&POLAR, &settings, h, Horizon { output: f64::INFINITY, limit: f64::INFINITY }).expect("a step");
+        running.advance(&POLAR, &settings, h, Horizon { output: f64::INFINITY, limit: f64::INFINITY }, None).expect("a step");
         let sample = running.sample(&POLAR, &settings);
         let mut state = State::start(&POLAR, sample.q, sample.v, 0.0);
         running.record(&sample, &mut state);
@@ -259,7 +263,7 @@ fn kinds_change_and_no_digit_is_lost() {
         let mut running = DenseStep::start(&PULLED, start.into(), Vector::ZERO, &settings);
         let mut worst: f64 = 0.0;
         for _ in 0..2000 {
-            running.advance(&PULLED, &settings, 1e-2, Horizon { output: 1e-2, limit: f64::INFINITY }).expect("steps");
+            running.advance(&PULLED, &settings, 1e-2, Horizon { output: 1e-2, limit: f64::INFINITY }, None).expect("steps");
             let sample = running.sample(&PULLED, &settings);
             worst = worst.max((sample.q[0] - 0.25 * sample.q[1].sin()).abs());
         }
@@ -288,7 +292,7 @@ fn the_error_follows_the_tolerance() {
         let [q, v] = ellipse(0.0);
         let mut running = DenseStep::start(&KEPLER, q.into(), v.into(), &settings);
         let orbits = 10.0 * std::f64::consts::TAU;
-        running.advance(&KEPLER, &settings, orbits, Horizon { output: orbits, limit: f64::INFINITY }).expect("steps");
+        running.advance(&KEPLER, &settings, orbits, Horizon { output: orbits, limit: f64::INFINITY }, None).expect("steps");
         let sample = running.sample(&KEPLER, &settings);
         // Local errors add up to one of the period, and that to one of the place: with the square of the number of steps, some 1e2.
         let error = (sample.q[0] - q[0]).hypot(sample.q[1] - q[1]);
@@ -306,7 +310,7 @@ fn stiffness_is_noticed() {
         while !running.is_stiff() {
             steps += 1;
             assert!(steps < 5000, "5 s without a verdict");
-            running.advance(&stiff, &settings, 1e-3, Horizon { output: 1e-3, limit: f64::INFINITY }).expect("steps");
+            running.advance(&stiff, &settings, 1e-3, Horizon { output: 1e-3, limit: f64::INFINITY }, None).expect("steps");
         }
     }
 }

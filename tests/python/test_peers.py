@@ -5,13 +5,16 @@ import json
 import re
 import sys
 import xml.etree.ElementTree as ET
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import peers_in_docs
+from conftest import REPOSITORY
 from peers import ahead, native, timing
-from report import sections, tables
+from report import docs, sections, tables
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="peers are driven on Unix")
 
@@ -176,3 +179,33 @@ def test_the_peers_have_the_loads_of_the_scene() -> None:
     text = (native.REPOSITORY / "xtask/python/peers/run.py").read_text(encoding="utf-8")
     left, right = re.search(r'"servo_friction": \(math.radians\(([0-9]+)\), ([0-9.]+), 1\)', text).groups()
     assert np.radians(float(left)) == float(values["init.theta[1]"]) and float(right) == scene["init.theta[2]"]
+
+
+def test_docs_show_the_tables_of_all_peers(tmp_path: Path) -> None:
+    own = REPOSITORY / peers_in_docs.FILE
+    (tmp_path / "docs").mkdir()
+    copy = tmp_path / peers_in_docs.FILE
+    copy.write_text(own.read_text(encoding="utf-8"), encoding="utf-8")
+    for _ in range(2):
+        peers_in_docs.update(tmp_path, ROWS, "a machine; cargo xtask peers")
+    text = copy.read_text(encoding="utf-8")
+    ahead_of, energies = (docs.block(text, "", marks) for marks in (peers_in_docs.AHEAD, peers_in_docs.ENERGIES))
+    assert all(f"(../scenes/{scene}.json), after 1 s:" in ahead_of for scene in ahead.SCENES)
+    shown = ahead.markdown(ahead.cells(ahead.table(ROWS, FALL, 1)))
+    assert "\n".join(shown) in ahead_of and len(shown) > len(ahead.WANTED)
+    assert ahead_of.count("Measured on: a machine") == energies.count("Measured on: a machine") == 1
+
+
+PRESENT = [line for line in ROWS if line["scene"]]
+
+
+@pytest.mark.parametrize(
+    ("about", "rows", "missing"),
+    [
+        ("x; cargo xtask peers", PRESENT, ""),
+        ("x; cargo xtask peers heyoka", PRESENT, "others than heyoka"),
+        ("x; cargo xtask peers", [*PRESENT, row("Drake", "", "", "", "left out", scene="")], "Drake"),
+    ],
+)
+def test_docs_are_not_written_from_some_peers(about: str, rows: list[dict[str, str]], missing: str) -> None:
+    assert peers_in_docs.left_out(tables.Table(Path(), about, rows)) == missing

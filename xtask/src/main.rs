@@ -86,10 +86,7 @@ enum Command {
     /// Measure what accuracy costs in time, write the page target/report/index.html
     Report(report::Options),
     /// Run other programs on the same scenes beside ours, write target/peers/peers.csv; needs packages of some 2 GB
-    Peers {
-        /// Names of the programs to run [default: all]
-        only: Vec<String>,
-    },
+    Peers(peers::Options),
     /// Measure times and instructions, write tables to target/bench/
     Bench {
         /// Few repeats, scenes of at most 2 s, a sample of the falls
@@ -145,7 +142,7 @@ fn command(command: Command) -> Result<()> {
         Command::HardCases { quick } => hard_cases::hard_cases(quick),
         Command::Estimator { only, part, seeds } => estimator::estimator(&only, part, seeds),
         Command::Report(options) => report::report(&options),
-        Command::Peers { only } => peers::peers(&only),
+        Command::Peers(options) => peers::peers(&options),
         Command::Bench { check: true, .. } => bench::check(),
         Command::Bench { quick, .. } => bench::bench(quick),
         Command::Prices { method } => prices::prices(method.as_deref()),

@@ -5,9 +5,36 @@ use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
 use crate::{paths, process, report};
 use anyhow::Result;
+use clap::Args;
+
+/// What is run, and what becomes of it.
+#[derive(Args)]
+pub(crate) struct Options {
+    /// Names of the programs to run [default: all]
+    only: Vec<String>,
+    /// Do not measure; for --update-docs, from the last measurements
+    #[arg(long, conflicts_with = "only", requires = "update_docs")]
+    reuse: bool,
+    /// Also write the tables into docs/accuracy.md
+    #[arg(long, conflicts_with = "only")]
+    update_docs: bool,
+}
+
+/// Runs programs and writes what was measured.
+pub(crate) fn peers(options: &Options) -> Result<()> {
+    if !options.reuse {
+        measure(&options.only)?;
+    }
+    if !options.update_docs {
+        return Ok(());
+    }
+    process::run(
+        venv::python(Packages::Usual)?.arg("xtask/python/peers_in_docs.py").arg("--peers").arg(paths::in_root("target/peers")),
+    )
+}
 
 /// Runs those named in `only`, or all; the table goes to `target/peers/peers.csv`.
-pub(crate) fn peers(only: &[String]) -> Result<()> {
+fn measure(only: &[String]) -> Result<()> {
     let fmu = package::package(Scope::Here)?;
     let mut command = venv::python(Packages::Peers)?;
     command.arg("xtask/python/peers/run.py").arg("--fmu").arg(fmu);

@@ -98,11 +98,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         system: &S,
         settings: &Settings,
     ) -> Result<bool, StepError> {
-        let Some(shared) = T::prepare(system, settings, &self.start) else { return Ok(false) };
+        let pose = system.pose(&self.start.q);
+        let Some(shared) = T::prepare(system, settings, (&self.start, &pose)) else { return Ok(false) };
         let is_cut = self.cut_from > 0.0;
         let length = if is_cut { self.cut_from } else { self.length };
-        let mut trial = T::new(system, &shared, settings.regularization, &self.start, length);
-        let landing = trial.land(system, settings, &settings.allowed_of(system), self.kept(system, length)).1?;
+        let mut trial = T::new(system, &shared, settings.regularization, (&self.start, &pose), length);
+        let landing = trial.land(system, settings, &pose, &settings.allowed_of(system), self.kept(system, length)).1?;
         let mut redone = *self;
         redone.retract();
         redone.accept(landing, length, T::KIND);

@@ -140,12 +140,12 @@ impl<const N: usize> Trial<N> for Stages<N> {
         failed: 0.3,
     };
 
-    fn prepare<const M: usize>(_: &impl System<N, M>, _: &Settings, _: &State<N, M>) -> Option<()> {
+    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &S::Pose)) -> Option<()> {
         Some(())
     }
 
     #[inline(always)]
-    fn new<const M: usize>(_: &impl System<N, M>, (): &(), _: f64, from: &State<N, M>, h: f64) -> Self {
+    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), _: f64, (from, _): (&State<N, M>, &S::Pose), h: f64) -> Self {
         let mut slopes = [Slope::NONE; STAGES];
         slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
         Self { slopes, q: from.q, v: from.v, h, last: Vector::ZERO }
@@ -156,10 +156,11 @@ impl<const N: usize> Trial<N> for Stages<N> {
         &mut self,
         system: &S,
         settings: &Settings,
+        pose: &S::Pose,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let origin = Origin::new(system, &self.q);
+        let origin = Origin::new(system, &self.q, pose);
         self.evaluate_all(system, settings.regularization, &origin);
         let mean = self.sums::<END>();
         let end = [self.q + self.h * mean[0], self.v + self.h * mean[1]];
@@ -197,7 +198,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
         let mut slopes = [Slope::NONE; ALL];
         slopes[..STAGES].copy_from_slice(&self.slopes);
         slopes[END] = Slope { q: end.v, v: end.a, power: end.power };
-        let origin = Origin::new(system, &self.q);
+        let origin = Origin::new(system, &self.q, &system.pose(&self.q));
         for stage in END + 1..ALL {
             let way = over(self.h, &slopes, A[stage]);
             slopes[stage].q = self.v + way.v;

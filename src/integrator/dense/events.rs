@@ -121,7 +121,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     fn begin_on<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, sides: K) {
         if sides != self.sides {
             let [before, behind] = [system.on(self.sides), system.on(sides)];
-            self.start.settle(behind.borrow(), settings.regularization);
+            self.start.settle(behind.borrow(), &system.pose(&self.start.q), settings.regularization);
             if before.borrow().is_pushed() != behind.borrow().is_pushed() {
                 std::mem::swap(&mut self.start.substep, &mut self.memory.elsewhere);
                 self.before = self.memory;

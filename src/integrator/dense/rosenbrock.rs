@@ -54,10 +54,14 @@ pub(super) struct Shared<const N: usize> {
 }
 
 impl<const N: usize> Shared<N> {
-    /// About a state; `None` where it has no tangents.
+    /// About a state with its pose; `None` where it has no tangents.
     #[inline(never)]
-    pub(super) fn about<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Self> {
-        let tangents = system.acceleration_tangents(from, settings.regularization)?;
+    pub(super) fn about<const M: usize, S: System<N, M>>(
+        system: &S,
+        settings: &Settings,
+        (from, pose): (&State<N, M>, &S::Pose),
+    ) -> Option<Self> {
+        let tangents = system.acceleration_tangents(from, pose, settings.regularization)?;
         let size = |columns: &[Vector<N>; N]| columns.iter().map(|column| column.dot(column)).sum::<f64>().sqrt();
         // The larger root of ρ² = ρ |C| + |K|: the decay of a damper, the frequency of a spring.
         let (stiffness, damping) = (size(&tangents.by_q), size(&tangents.by_v));
@@ -136,18 +140,18 @@ struct WayBack<'a, const N: usize> {
 }
 
 impl<const N: usize> WayBack<'_, N> {
-    /// The end of a step on the constraints, in balance, with the energy that was there so many seconds before, if there is any to keep; and
+    /// The end of a step, with its pose, on the constraints, in balance, with the energy that was there so many seconds before, if there is any to keep; and
     /// the iterations spent.
     #[inline(never)]
     fn land<const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
         settings: &Settings,
-        [mut q, mut v]: [Vector<N>; 2],
+        ([mut q, mut v], pose): ([Vector<N>; 2], S::Pose),
         kept: Option<(EnergyBalance, f64)>,
     ) -> Result<Landing<N, M>, StepError> {
         let (iterations, pose, mass) = if system.can_project(&q) {
-            self.project(system, settings, &mut q, &mut v)?
+            self.project(system, settings, pose, [&mut q, &mut v])?
         } else {
             settings.project(system, &mut q, &mut v)?
         };
@@ -162,13 +166,12 @@ impl<const N: usize> WayBack<'_, N> {
         &self,
         system: &S,
         settings: &Settings,
-        q: &mut Vector<N>,
-        v: &mut Vector<N>,
+        mut pose: S::Pose,
+        [q, v]: [&mut Vector<N>; 2],
     ) -> Result<(u32, S::Pose, S::Mass), StepError> {
         let mut ways = None;
         let along = |pose: &S::Pose, missing| combination(ways.get_or_insert_with(|| self.ways(system, settings, pose)), &missing);
         let projection = Projection::to_round_off(system.length_scale(), settings.regularization, settings.max_iterations);
-        let mut pose = system.pose(q);
         let iterations = projection.position_along(system, &mut pose, q, along)?;
         if let Some(ways) = &ways {
             *v += combination(ways, &-system.phi_q_times(&pose, v));
@@ -200,16 +203,20 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         failed: 0.2,
     };
 
-    fn prepare<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Shared<N>> {
+    fn prepare<const M: usize, S: System<N, M>>(
+        system: &S,
+        settings: &Settings,
+        from: (&State<N, M>, &S::Pose),
+    ) -> Option<Shared<N>> {
         Shared::about(system, settings, from)
     }
 
     #[inline(never)]
-    fn new<const M: usize>(
-        system: &impl System<N, M>,
+    fn new<const M: usize, S: System<N, M>>(
+        system: &S,
         shared: &Shared<N>,
         regularization: f64,
-        from: &State<N, M>,
+        (from, pose): (&State<N, M>, &S::Pose),
         h: f64,
     ) -> Self {
         let Shared { tangents, fastest } = shared;
@@ -226,7 +233,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             tableau: PhantomData,
         };
         step.u[0] = step.solve(tangents, [from.v, from.a]);
-        let origin = Origin::new(system, &from.q);
+        let origin = Origin::new(system, &from.q, pose);
         let per_step = 1.0 / h;
         macro_rules! evaluate {
             ($stage:literal) => {
@@ -249,6 +256,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         &mut self,
         system: &S,
         settings: &Settings,
+        pose: &S::Pose,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
@@ -259,7 +267,9 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             return (error, Err(StepError::NotFinite));
         }
         let work = || if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
-        let landed = WayBack { inverse: &self.inverse, h: self.h }.land(system, settings, end, kept);
+        let by = end[0] - self.start[0];
+        let at_end = system.pose_turned((&self.start[0], pose), &by);
+        let landed = WayBack { inverse: &self.inverse, h: self.h }.land(system, settings, (end, at_end), kept);
         (error, landed.map(|landing| Landing { work: work(), ..landing }))
     }
 

@@ -27,7 +27,7 @@ const TURN: f64 = 0.3;
 const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
 /// What the next step is to be.
-struct Plan {
+struct Plan<'a, P> {
     /// Its length, s.
     h: f64,
     /// What the error wants it to be.
@@ -38,18 +38,29 @@ struct Plan {
     near: bool,
     /// When an output is asked for, and what limits it while inputs are held.
     horizon: Horizon,
+    /// The pose at its beginning.
+    pose: &'a P,
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// The next step: its beginning is the end of the one under way.
+    /// The next step: its beginning is the end of the one under way, whose pose may be known already.
     #[inline(never)]
     pub(super) fn step<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
         horizon: Horizon,
+        pose: Option<&S::Pose>,
     ) -> Result<(), StepError> {
-        self.begin(system, settings);
+        let fresh;
+        let pose = match pose {
+            Some(pose) => pose,
+            None => {
+                fresh = system.pose_in_place(&self.end.q);
+                &fresh
+            }
+        };
+        self.begin(system, settings, pose);
         let (longest, near) = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
             Approach::Clear => (horizon.limit, false),
             Approach::Limited(limits) => (horizon.limit.min(limits.longest), true),
@@ -60,7 +71,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
         };
-        self.choose_at_start(system, settings, horizon.limit);
+        self.choose_at_start(system, settings, pose, horizon.limit);
         // Where friction may hold, steps are explicit ones of order 8.
         let kind = if system.has_grips() {
             Kind::Eighth
@@ -81,7 +92,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.end.counters.substeps += 1;
             return Ok(());
         }
-        let plan = Plan { h, wanted, longest, near, horizon };
+        let plan = Plan { h, wanted, longest, near, horizon, pose };
         match kind {
             Kind::Fifth => self.attempt::<Tsit5<N>, S>(system, settings, &plan),
             Kind::Eighth => self.attempt::<Stages<N>, S>(system, settings, &plan),
@@ -96,10 +107,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         &mut self,
         system: &S,
         settings: &Settings,
+        pose: &S::Pose,
         limit: f64,
     ) {
         let chooses = settings.kinds == Kinds::Automatic && self.start.counters.substeps == 0 && system.is_steep();
-        if chooses && let Some(shared) = Shared::about(system.on(self.sides).borrow(), settings, &self.start) {
+        if chooses && let Some(shared) = Shared::about(system.on(self.sides).borrow(), settings, (&self.start, pose)) {
             self.memory.choice.begin(settings.first_step.min(limit), shared.fastest);
         }
     }
@@ -110,11 +122,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         &mut self,
         system: &S,
         settings: &Settings,
-        plan: &Plan,
+        plan: &Plan<'_, S::Pose>,
     ) -> Result<(), StepError> {
-        let &Plan { mut h, wanted, longest, near, horizon } = plan;
+        let &Plan { mut h, wanted, longest, near, horizon, pose } = plan;
         let mut on_sides = system.on(self.sides);
-        let mut shared = T::prepare(on_sides.borrow(), settings, &self.start);
+        let mut shared = T::prepare(on_sides.borrow(), settings, (&self.start, pose));
         // The last try that was rejected: length and error.
         let mut rejected: Option<[f64; 2]> = None;
         let mut tries = 0;
@@ -122,8 +134,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let on: &S = on_sides.borrow();
             let Some(prepared) = &shared else { return self.attempt::<Stages<N>, S>(system, settings, plan) };
             let kept = if near { self.kept(on, h) } else { None };
-            let mut trial = T::new(on, prepared, settings.regularization, &self.start, h);
-            let (error, landing) = trial.land(on, settings, &settings.allowed_of(on), kept);
+            let mut trial = T::new(on, prepared, settings.regularization, (&self.start, pose), h);
+            let (error, landing) = trial.land(on, settings, pose, &settings.allowed_of(on), kept);
             if let Ok(landing) = landing {
                 self.accept(landing, h, T::KIND);
                 if system.has_kinks() {
@@ -137,7 +149,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                             if when < SHORTEST {
                                 self.turn(system, settings);
                                 on_sides = system.on(self.sides);
-                                shared = T::prepare(on_sides.borrow(), settings, &self.start);
+                                shared = T::prepare(on_sides.borrow(), settings, (&self.start, pose));
                             } else {
                                 h = when.min(longest);
                             }
@@ -217,15 +229,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     pub(super) fn balanced_end<S: System<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> State<N, M> {
         let mut end = self.end;
         if self.is_open_ended() {
-            end.balance(system, settings.regularization);
+            end.balance(system, &system.pose(&end.q), settings.regularization);
         }
         end
     }
 
-    /// Time has passed the end of the step.
-    fn begin<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) {
+    /// Time has passed the end of the step, where this is the pose.
+    fn begin<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose) {
         if self.is_open_ended() {
-            self.end.balance(system.on(self.sides).borrow(), settings.regularization);
+            self.end.balance(system.on(self.sides).borrow(), pose, settings.regularization);
         }
         self.start = self.end;
         self.before = self.memory;

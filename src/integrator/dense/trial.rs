@@ -28,23 +28,28 @@ pub(super) trait Trial<const N: usize>: Sized {
     const CONTROLLER: StepSizeController;
 
     /// What tries from a state share; `None` where steps of this kind cannot begin.
-    fn prepare<const M: usize>(system: &impl System<N, M>, settings: &Settings, from: &State<N, M>) -> Option<Self::Shared>;
+    fn prepare<const M: usize, S: System<N, M>>(
+        system: &S,
+        settings: &Settings,
+        from: (&State<N, M>, &S::Pose),
+    ) -> Option<Self::Shared>;
 
     /// A step of h seconds, to be made by [`land`](Self::land) at the latest.
-    fn new<const M: usize>(
-        system: &impl System<N, M>,
+    fn new<const M: usize, S: System<N, M>>(
+        system: &S,
         shared: &Self::Shared,
         regularization: f64,
-        from: &State<N, M>,
+        from: (&State<N, M>, &S::Pose),
         h: f64,
     ) -> Self;
 
-    /// Its error in units of what is allowed, and where it leads, on the constraints, if that is 1 at most; near a vertex with the energy
-    /// of its beginning, after so many seconds.
+    /// Its error in units of what is allowed, and where it leads, on the constraints, if that is 1 at most, by the pose at its beginning; near a vertex
+    /// with the energy there, so many seconds before.
     fn land<const M: usize, S: System<N, M> + Passage<N>>(
         &mut self,
         system: &S,
         settings: &Settings,
+        pose: &S::Pose,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>);
@@ -160,8 +165,8 @@ pub(super) struct Origin<P, const N: usize> {
 
 impl<P, const N: usize> Origin<P, N> {
     #[inline(always)]
-    pub(super) fn new<const M: usize>(system: &impl System<N, M, Place = P>, q: &Vector<N>) -> Self {
-        Self { q: *q, place: system.place(q) }
+    pub(super) fn new<const M: usize, S: System<N, M, Place = P>>(system: &S, q: &Vector<N>, pose: &S::Pose) -> Self {
+        Self { q: *q, place: system.place(pose) }
     }
 
     /// The pose at a distance.

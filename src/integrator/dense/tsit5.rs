@@ -91,7 +91,9 @@ impl<const N: usize> Tsit5<N> {
                 let [q, v] = self.way::<$stage>();
                 self.slopes[$stage].q = self.start[1] + v;
                 self.slopes[$stage].complete(system, regularization, origin, &q);
-                self.last = [self.last[1], q];
+                if const { $stage >= STAGES - 2 } {
+                    self.last[const { $stage % 2 }] = q;
+                }
             };
         }
         for_each!(evaluate: 1 2 3 4 5);
@@ -125,12 +127,12 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         failed: 0.3,
     };
 
-    fn prepare<const M: usize>(_: &impl System<N, M>, _: &Settings, _: &State<N, M>) -> Option<()> {
+    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &S::Pose)) -> Option<()> {
         Some(())
     }
 
     #[inline(always)]
-    fn new<const M: usize>(_: &impl System<N, M>, (): &(), _: f64, from: &State<N, M>, h: f64) -> Self {
+    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), _: f64, (from, _): (&State<N, M>, &S::Pose), h: f64) -> Self {
         let mut slopes = [Slope::NONE; STAGES];
         slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
         Self { slopes, start: [from.q, from.v], h, last: [Vector::ZERO; 2] }
@@ -140,10 +142,11 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         &mut self,
         system: &S,
         settings: &Settings,
+        pose: &S::Pose,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let origin = Origin::new(system, &self.start[0]);
+        let origin = Origin::new(system, &self.start[0], pose);
         self.evaluate_all(system, settings.regularization, &origin);
         let way = self.way::<END>();
         let end = [self.start[0] + way[0], self.start[1] + way[1]];

@@ -148,5 +148,5 @@ pub(super) fn turn<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N
 ) {
     *sides = system.sides_of(&state.q, &state.v);
     let on_sides = system.on(*sides);
-    state.settle(on_sides.borrow(), settings.regularization);
+    state.settle(on_sides.borrow(), &system.pose(&state.q), settings.regularization);
 }

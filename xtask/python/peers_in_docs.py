@@ -1,0 +1,63 @@
+"""Writes the tables of `cargo xtask peers` into docs/accuracy.md.
+
+python peers_in_docs.py --peers target/peers
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+from peers import ahead
+from report import docs, tables
+
+ROOT = Path(__file__).resolve().parents[2]
+FILE = "docs/accuracy.md"
+AHEAD, ENERGIES = (
+    (f"<!-- {name}: what follows is written by `cargo xtask peers --update-docs`, not by hand -->", f"<!-- {name}: end -->")
+    for name in ("peers", "peers' energies")
+)
+"""The comments around what is written."""
+
+COMMAND = "cargo xtask peers"
+"""What the head of the table ends with if all peers were asked for; names of some follow."""
+
+SECOND = 1
+"""After which errors are compared, s."""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The exit code: 0 done, 1 there is no table, or not of all peers."""
+    parser = argparse.ArgumentParser(description="Writes the tables of the peers into docs/accuracy.md.")
+    parser.add_argument("--peers", type=Path, required=True, help="the folder of peers.csv")
+    options = parser.parse_args(arguments)
+    found = tables.read(options.peers / "peers.csv")
+    if not found:
+        print(f"There is no table in {options.peers}; `cargo xtask peers` measures it.", file=sys.stderr)
+        return 1
+    if missing := left_out(found):
+        print(f"The docs stay as they are, for the table has no {missing}; `.ci/setup-peers` and `cargo xtask peers` have all.", file=sys.stderr)
+        return 1
+    update(ROOT, found.rows, found.about)
+    print(FILE)
+    return 0
+
+
+def left_out(found: tables.Table) -> str:
+    """Names of peers that were not run; nothing if all were."""
+    of_some = found.about.partition(f"{COMMAND} ")[2] if COMMAND in found.about else found.about
+    return ", ".join([row["peer"] for row in found.rows if not row["scene"]]) or (f"others than {of_some}" if of_some else "")
+
+
+def update(root: Path, rows: list[ahead.Row], about: str) -> None:
+    """Writes one table for each scene, and that of the energies, between their comments."""
+    measured, lines = f"Measured on: {about}", []
+    for scene in ahead.SCENES:
+        shown = ahead.markdown(ahead.cells(ahead.table(rows, scene, SECOND)))
+        lines += [f"[`{scene}`](../scenes/{scene}.json), after {SECOND} s:", ""]
+        lines += [*(line.replace("solver.errorTolerance = ", "") for line in shown), ""]
+    docs.write(root, FILE, AHEAD, [*lines, measured])
+    docs.write(root, FILE, ENERGIES, [*ahead.markdown(ahead.energies(rows)), "", measured])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
