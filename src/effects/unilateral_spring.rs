@@ -41,6 +41,8 @@ pub(super) enum Phase {
 pub(super) struct Border {
     /// How far beyond it, m or rad; negative on the near side.
     pub(super) beyond: f64,
+    /// How that changes with penetration and rate.
+    pub(super) by: [f64; 2],
     /// The phase behind it.
     pub(super) behind: Phase,
 }
@@ -69,11 +71,15 @@ impl UnilateralSpring {
 
     /// Where a motion leaves a phase.
     pub(super) fn borders(&self, phase: Phase, depth: f64, rate: f64) -> [Option<Border>; 3] {
-        let deeper = |than: f64, behind| Some(Border { beyond: depth - than, behind });
-        let shallower = |than: f64, behind| Some(Border { beyond: than - depth, behind });
+        let deeper = |than: f64, behind| Some(Border { beyond: depth - than, by: [1.0, 0.0], behind });
+        let shallower = |than: f64, behind| Some(Border { beyond: than - depth, by: [-1.0, 0.0], behind });
+        let push = |sign: f64, behind| {
+            let by = [self.stiffness, self.damping].map(|by| sign * by / self.push_scale());
+            Some(Border { beyond: sign * self.scaled_push(depth, rate), by, behind })
+        };
         // Without damping what touches pushes.
-        let lets_go = |behind| (self.damping > 0.0).then(|| Border { beyond: -self.scaled_push(depth, rate), behind });
-        let pushes_again = |behind| Some(Border { beyond: self.scaled_push(depth, rate), behind });
+        let lets_go = |behind| if self.damping > 0.0 { push(-1.0, behind) } else { None };
+        let pushes_again = |behind| push(1.0, behind);
         match phase {
             Phase::Free => [deeper(0.0, Phase::Ramp), None, None],
             Phase::Ramp => [deeper(self.width, Phase::Full), shallower(0.0, Phase::Free), lets_go(Phase::RampLetGo)],
@@ -81,6 +87,24 @@ impl UnilateralSpring {
             Phase::RampLetGo => [deeper(self.width, Phase::FullLetGo), shallower(0.0, Phase::Free), pushes_again(Phase::Ramp)],
             Phase::FullLetGo => [None, shallower(self.width, Phase::RampLetGo), pushes_again(Phase::Full)],
         }
+    }
+
+    /// How far a motion can be beyond any border of a phase, m or rad, between two places some seconds apart, each given by penetration and
+    /// rate. How fast the penetration changes on the way at most, and the first two derivatives of that, are given too.
+    pub(super) fn farthest_between(&self, phase: Phase, ends: [[f64; 2]; 2], duration: f64, changes: [f64; 3]) -> f64 {
+        let [from, to] = ends.map(|[depth, rate]| self.borders(phase, depth, rate));
+        let pairs = from.into_iter().flatten().zip(to.into_iter().flatten());
+        let farthest = pairs.map(|(from, to)| {
+            let [by_depth, by_rate] = from.by.map(f64::abs);
+            if by_rate == 0.0 {
+                let [u, w] = ends.map(|[_, rate]| from.by[0] * rate);
+                deepest([from.beyond, u], [to.beyond, w], duration, by_depth * changes[1])
+            } else {
+                let change = |order: usize| by_depth * changes[order] + by_rate * changes[order + 1];
+                highest([from.beyond, to.beyond], duration, [change(0), change(1)])
+            }
+        });
+        farthest.fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// How long a motion at this rate takes to the end of a ramp, on it or towards it, s. The formulas of a ramp are polynomials, of which
@@ -104,7 +128,12 @@ impl UnilateralSpring {
 
     /// (k d + c ḋ) as a distance, m or rad.
     fn scaled_push(&self, depth: f64, rate: f64) -> f64 {
-        self.push(depth, rate) / (self.stiffness + self.damping / RATE_TIME).max(f64::MIN_POSITIVE)
+        self.push(depth, rate) / self.push_scale()
+    }
+
+    /// What makes a distance of a push, N/m or N·m/rad.
+    fn push_scale(&self) -> f64 {
+        (self.stiffness + self.damping / RATE_TIME).max(f64::MIN_POSITIVE)
     }
 
     /// k d + c ḋ.
@@ -157,6 +186,30 @@ impl UnilateralSpring {
     pub(super) fn dissipation(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
         (self.force(phase, depth, rate) - self.ramp(phase, depth)[0] * self.stiffness * depth) * rate
     }
+}
+
+/// The greatest value that a function can have between two places, from values and slopes there and the bound on its second derivative:
+/// below both parabolas.
+pub(super) fn deepest([x, u]: [f64; 2], [y, w]: [f64; 2], duration: f64, bend: f64) -> f64 {
+    let at = |start: f64, slope: f64, time: f64| start + time * (slope + bend / 2.0 * time);
+    // Where they meet: they differ by a linear function of time, which only round-off keeps from rising.
+    let rising = u - w + bend * duration;
+    let meet =
+        if rising > 0.0 { ((y - x - w * duration + bend / 2.0 * duration * duration) / rising).clamp(0.0, duration) } else { 0.0 };
+    x.max(y).max(at(x, u, meet).max(at(y, -w, duration - meet)))
+}
+
+/// The same from the values and bounds on the first two derivatives: below both straight lines, and below the parabola over the chord.
+fn highest([x, y]: [f64; 2], duration: f64, [slope, bend]: [f64; 2]) -> f64 {
+    let (rise, arch) = (y - x, bend * duration * duration);
+    let below_lines = 0.5 * (x + y + slope * duration);
+    let below_arch = if arch > 2.0 * rise.abs() {
+        let part = 0.5 + rise / arch;
+        x + part * (rise + 0.5 * arch * (1.0 - part))
+    } else {
+        x.max(y)
+    };
+    x.max(y).max(below_lines.min(below_arch))
 }
 
 /// What a one-sided spring and damper push with over a step.

@@ -3,8 +3,9 @@
 use std::borrow::Borrow;
 
 use super::interpolant::Interpolant;
+use super::trial::larger;
 use super::{DenseStep, Kind, Settings, hermite};
-use crate::integrator::{Kinked, Passage, State, System, Work};
+use crate::integrator::{Extremes, Kinked, Passage, State, System, Work};
 use crate::vector::Vector;
 
 /// What holds at the present time, between the ends of the step.
@@ -87,15 +88,18 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         [q, v]
     }
 
-    /// Bounds on the magnitudes of q̇ and q̈ of the interpolant.
-    pub(super) fn extremes(&self) -> [Vector<N>; 2] {
+    /// Bounds on the motion of the interpolant: of coordinates and of rates, which are polynomials of their own in a step of order 8.
+    pub(super) fn extremes(&self) -> Extremes<N> {
         let per_step = 1.0 / self.length;
-        if self.kind == Kind::Eighth {
-            let [rates, changes] = self.velocities().extremes();
-            return [rates, per_step * changes];
+        let of = |polynomial: &Interpolant<N>, order: usize| (0..order).fold(polynomial.greatest(order), |most, _| per_step * most);
+        let positions = self.positions();
+        let [rates, accelerations] = [1, 2].map(|order| of(&positions, order));
+        if self.kind != Kind::Eighth {
+            return Extremes { rates, accelerations, jerks: Some(of(&positions, 3)) };
         }
-        let [rates, changes] = self.positions().extremes_of_quintic();
-        [per_step * rates, per_step * per_step * changes]
+        let velocities = self.velocities();
+        let [v, a, jerks] = [0, 1, 2].map(|order| of(&velocities, order));
+        Extremes { rates: larger(&rates, &v), accelerations: larger(&accelerations, &a), jerks: Some(jerks) }
     }
 
     #[inline]
