@@ -69,8 +69,8 @@ pub struct Extremes {
     pub rates: [f64; LINKS],
     /// Of their accelerations, rad/s².
     pub accelerations: [f64; LINKS],
-    /// Of the derivatives of these, rad/s³, where they are known.
-    pub jerks: Option<[f64; LINKS]>,
+    /// Of the first two derivatives of these, rad/s³ and rad/s⁴, where they are known.
+    pub higher: Option<[[f64; LINKS]; 2]>,
 }
 
 /// A one-sided spring as it is now.
@@ -128,36 +128,50 @@ impl Touch<'_> {
         (tolerance * scale).min(PART * self.spring.width).max(ROUND_OFF * scale)
     }
 
-    /// How fast the penetration changes at most, and the first two derivatives of that.
-    fn changes(&self, Extremes { rates, accelerations, jerks }: &Extremes) -> [f64; 3] {
-        let sum = |change: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| self.arms[link] * change(link)).sum::<f64>();
-        let jerk = |jerks: &[f64; LINKS]| {
-            sum(&|link| jerks[link] + rates[link] * (3.0 * accelerations[link] + rates[link] * rates[link])).min(f64::MAX)
-        };
-        [
-            sum(&|link| rates[link]),
-            sum(&|link| accelerations[link] + rates[link] * rates[link]),
-            jerks.as_ref().map_or(f64::MAX, jerk),
-        ]
+    /// The first two derivatives of the penetration at most.
+    fn bends(&self, Extremes { rates, accelerations, .. }: &Extremes) -> [f64; 2] {
+        let sum = |change: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| self.arms[link] * change(link)).sum();
+        [sum(&|link| rates[link]), sum(&|link| accelerations[link] + rates[link] * rates[link])]
+    }
+
+    /// The derivatives of order 2, 3 and 4.
+    fn higher(&self, extremes: &Extremes, [jerks, snaps]: &[[f64; LINKS]; 2]) -> [f64; 3] {
+        let Extremes { rates, accelerations, .. } = extremes;
+        let mut derivatives = [self.bends(extremes)[1], 0.0, 0.0];
+        for (link, arm) in self.arms.iter().enumerate() {
+            let (rate, acceleration) = (rates[link], accelerations[link]);
+            let square = rate * rate;
+            derivatives[1] += arm * (jerks[link] + rate * (3.0 * acceleration + square));
+            derivatives[2] += arm
+                * (snaps[link]
+                    + 4.0 * rate * jerks[link]
+                    + 3.0 * acceleration * acceleration
+                    + square * (6.0 * acceleration + square));
+        }
+        derivatives
     }
 
     /// The greatest penetration that there can be on the way to another place, some seconds later, m or rad.
     fn deepest_on_way(&self, to: &Self, duration: f64, extremes: &Extremes) -> f64 {
-        deepest([self.depth, self.rate], [to.depth, to.rate], duration, self.changes(extremes)[1])
+        let [_, bend] = self.bends(extremes);
+        deepest([self.depth, self.rate], [to.depth, to.rate], duration, bend)
     }
 
     /// Whether its phase certainly holds on the way to another place, some seconds later, but for what may be overlooked.
     fn stays(&self, to: &Self, sides: &Sides, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        let [from, to] = [self, to].map(|touch| [touch.depth, touch.rate]);
-        let beyond = self.spring.farthest_between(self.phase(sides), [from, to], duration, self.changes(extremes));
-        beyond <= self.unit(tolerance)
+        let (phase, unit) = (self.phase(sides), self.unit(tolerance));
+        let ends = [self, to].map(|touch| [touch.depth, touch.rate]);
+        // Most are far away, which takes little to see.
+        let by_bends = || self.spring.farthest_by_bends(phase, ends, duration, self.bends(extremes)) <= unit;
+        let by_cubic = |higher| self.spring.farthest_by_cubic(phase, ends, duration, self.higher(extremes, higher)) <= unit;
+        by_bends() || extremes.higher.as_ref().is_some_and(by_cubic)
     }
 
     /// The border of the phase that holds that it is farthest beyond, in units of what may be overlooked.
     fn farthest(&self, sides: &Sides, tolerance: f64) -> Option<Border> {
         let borders = self.spring.borders(self.phase(sides), self.depth, self.rate).into_iter().flatten();
         let farthest = borders.reduce(|one, other| if other.beyond >= one.beyond { other } else { one });
-        farthest.map(|border| Border { beyond: border.beyond / self.unit(tolerance), ..border })
+        farthest.map(|border| border.per(self.unit(tolerance)))
     }
 }
 
@@ -198,7 +212,14 @@ impl Slide {
     }
 
     /// Whether it certainly does not turn on the way from here to another place, some seconds later.
-    fn stays(&self, to: &Self, grips: &Grips, duration: f64, Extremes { rates, accelerations, .. }: &Extremes, tolerance: f64) -> bool {
+    fn stays(
+        &self,
+        to: &Self,
+        grips: &Grips,
+        duration: f64,
+        Extremes { rates, accelerations, .. }: &Extremes,
+        tolerance: f64,
+    ) -> bool {
         let Grip::Slips(way) = grips.at(self.place) else { return true };
         let most: f64 = (0..LINKS).map(|link| self.arms[link] * (accelerations[link] + rates[link] * rates[link])).sum();
         way.sign() * (self.rate + to.rate) - most * duration >= -2.0 * slow(tolerance)

@@ -22,6 +22,7 @@ use kinks::{SPRINGS, Touch};
 pub use loads::Inputs;
 pub use step_context::{StepContext, TypicalInertia};
 pub use tangents::Tangents;
+pub use unilateral_spring::lowest;
 pub use variation::Perturbation;
 
 use arrayvec::ArrayVec;

@@ -8,7 +8,12 @@
 //! differentiable at d = 0; where max(0, ·) begins to act, on fast separation, N has a kink. The potential is that of the spring
 //! part, U = ∫ s k d dd; the rest of the power, (N − s k d) ḋ ≥ 0, is dissipated.
 
+mod bounds;
+
 use borsh::{BorshDeserialize, BorshSerialize};
+
+pub(super) use bounds::deepest;
+pub use bounds::lowest;
 
 /// A one-sided spring and damper.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,7 +47,7 @@ pub(super) struct Border {
     /// How far beyond it, m or rad; negative on the near side.
     pub(super) beyond: f64,
     /// How that changes with penetration and rate.
-    pub(super) by: [f64; 2],
+    by: [f64; 2],
     /// The phase behind it.
     pub(super) behind: Phase,
 }
@@ -50,6 +55,13 @@ pub(super) struct Border {
 /// For the border at which a spring lets go, a rate counts as the distance that it makes in this time, s: as in the error norm of the
 /// explicit method.
 const RATE_TIME: f64 = 0.1;
+
+impl Border {
+    /// The same in other units.
+    pub(super) fn per(self, unit: f64) -> Self {
+        Self { beyond: self.beyond / unit, ..self }
+    }
+}
 
 impl Phase {
     pub(super) fn pushes(self) -> bool {
@@ -87,24 +99,6 @@ impl UnilateralSpring {
             Phase::RampLetGo => [deeper(self.width, Phase::FullLetGo), shallower(0.0, Phase::Free), pushes_again(Phase::Ramp)],
             Phase::FullLetGo => [None, shallower(self.width, Phase::RampLetGo), pushes_again(Phase::Full)],
         }
-    }
-
-    /// How far a motion can be beyond any border of a phase, m or rad, between two places some seconds apart, each given by penetration and
-    /// rate. How fast the penetration changes on the way at most, and the first two derivatives of that, are given too.
-    pub(super) fn farthest_between(&self, phase: Phase, ends: [[f64; 2]; 2], duration: f64, changes: [f64; 3]) -> f64 {
-        let [from, to] = ends.map(|[depth, rate]| self.borders(phase, depth, rate));
-        let pairs = from.into_iter().flatten().zip(to.into_iter().flatten());
-        let farthest = pairs.map(|(from, to)| {
-            let [by_depth, by_rate] = from.by.map(f64::abs);
-            if by_rate == 0.0 {
-                let [u, w] = ends.map(|[_, rate]| from.by[0] * rate);
-                deepest([from.beyond, u], [to.beyond, w], duration, by_depth * changes[1])
-            } else {
-                let change = |order: usize| by_depth * changes[order] + by_rate * changes[order + 1];
-                highest([from.beyond, to.beyond], duration, [change(0), change(1)])
-            }
-        });
-        farthest.fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// How long a motion at this rate takes to the end of a ramp, on it or towards it, s. The formulas of a ramp are polynomials, of which
@@ -186,30 +180,6 @@ impl UnilateralSpring {
     pub(super) fn dissipation(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
         (self.force(phase, depth, rate) - self.ramp(phase, depth)[0] * self.stiffness * depth) * rate
     }
-}
-
-/// The greatest value that a function can have between two places, from values and slopes there and the bound on its second derivative:
-/// below both parabolas.
-pub(super) fn deepest([x, u]: [f64; 2], [y, w]: [f64; 2], duration: f64, bend: f64) -> f64 {
-    let at = |start: f64, slope: f64, time: f64| start + time * (slope + bend / 2.0 * time);
-    // Where they meet: they differ by a linear function of time, which only round-off keeps from rising.
-    let rising = u - w + bend * duration;
-    let meet =
-        if rising > 0.0 { ((y - x - w * duration + bend / 2.0 * duration * duration) / rising).clamp(0.0, duration) } else { 0.0 };
-    x.max(y).max(at(x, u, meet).max(at(y, -w, duration - meet)))
-}
-
-/// The same from the values and bounds on the first two derivatives: below both straight lines, and below the parabola over the chord.
-fn highest([x, y]: [f64; 2], duration: f64, [slope, bend]: [f64; 2]) -> f64 {
-    let (rise, arch) = (y - x, bend * duration * duration);
-    let below_lines = 0.5 * (x + y + slope * duration);
-    let below_arch = if arch > 2.0 * rise.abs() {
-        let part = 0.5 + rise / arch;
-        x + part * (rise + 0.5 * arch * (1.0 - part))
-    } else {
-        x.max(y)
-    };
-    x.max(y).max(below_lines.min(below_arch))
 }
 
 /// What a one-sided spring and damper push with over a step.

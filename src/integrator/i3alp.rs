@@ -282,7 +282,7 @@ fn may_overlook<const N: usize>(system: &impl Kinked<N>, settings: &Settings, [f
     const MARGIN: f64 = 1.5;
     let [before, after] = [from, to].map(|[q, v, _]| system.touches(q, v));
     let [rates, accelerations] = [1, 2].map(|order| Vector::from_fn(|i| MARGIN * from[order][i].abs().max(to[order][i].abs())));
-    let extremes = Extremes { rates, accelerations, jerks: None };
+    let extremes = Extremes { rates, accelerations, higher: None };
     !system.stays_within([&before, &after], h, &extremes, settings.error_tolerance)
 }
 

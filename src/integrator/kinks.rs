@@ -11,15 +11,15 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use crate::vector::Vector;
 
-/// What is not exceeded on a way: the magnitudes of q̇, of q̈ and, where it is known, of how fast that changes.
+/// Magnitudes that are not exceeded on a way.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extremes<const N: usize> {
     /// Of q̇.
     pub rates: Vector<N>,
     /// Of q̈.
     pub accelerations: Vector<N>,
-    /// Of the derivative of q̈.
-    pub jerks: Option<Vector<N>>,
+    /// Of the first two derivatives of q̈, where they are known.
+    pub higher: Option<[Vector<N>; 2]>,
 }
 
 /// A system that knows its kinks. By default it has none.

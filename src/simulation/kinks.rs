@@ -96,9 +96,13 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
 }
 
 /// Extremes of coordinates, of which these are the angles of the links.
-fn of_links<const N: usize>(Extremes { rates, accelerations, jerks }: &Extremes<N>, links: [usize; LINKS]) -> effects::Extremes {
+fn of_links<const N: usize>(Extremes { rates, accelerations, higher }: &Extremes<N>, links: [usize; LINKS]) -> effects::Extremes {
     let of = |x: &Vector<N>| links.map(|i| x[i]);
-    effects::Extremes { rates: of(rates), accelerations: of(accelerations), jerks: jerks.as_ref().map(of) }
+    effects::Extremes {
+        rates: of(rates),
+        accelerations: of(accelerations),
+        higher: higher.as_ref().map(|[jerks, snaps]| [of(jerks), of(snaps)]),
+    }
 }
 
 impl ByAngles<'_> {

@@ -161,7 +161,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let ([rates, accelerations], tolerance) = (extremes.map(|most| MARGIN * most), settings.error_tolerance);
         !system.holds_in_motion(start)
             && system.beyond(&end, tolerance) <= CROSSED
-            && system.stays_within([start, &end], self.length, &Extremes { rates, accelerations, jerks: None }, tolerance)
+            && system.stays_within([start, &end], self.length, &Extremes { rates, accelerations, higher: None }, tolerance)
     }
 
     /// When the motion of the step first crosses a border, s from its beginning. The interpolant's coefficients must be there.
@@ -235,28 +235,35 @@ impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
         f64::max(from, to).max(middle) + ABOVE * (from - 2.0 * middle + to).abs() <= CROSSED
     }
 
-    /// Where the motion is at a border, between a place before it and one beyond: by false position (Illinois).
+    /// Where the motion is at a border, between a place before it and one beyond: by false position (Anderson and Björck, *BIT* 13, 1973).
     fn border_between(&self, from: &Place<S::Touches>, to: &Place<S::Touches>) -> Place<S::Touches> {
         let [mut before, mut after] = [from.part, to.part];
         // Of the function only the sign and the size near the border matter.
         let (mut low, mut high) = ((from.beyond - AT_BORDER).max(-1e12), to.beyond - AT_BORDER);
+        let mut last_beyond = None;
         if low < 0.0 {
             for _ in 0..ROUNDS {
                 let part = after - high * (after - before) / (high - low);
                 let place = self.at(part);
                 let here = place.beyond - AT_BORDER;
-                if here.abs() <= 0.1 * NEAR_ENOUGH {
+                if here.abs() <= 0.5 * NEAR_ENOUGH {
                     return place;
                 }
                 if after - before <= f64::EPSILON {
                     break;
                 }
-                if here > 0.0 {
+                // The value at an end that stays twice in a row counts less.
+                let beyond = here > 0.0;
+                let (value, opposite) = if beyond { (high, &mut low) } else { (low, &mut high) };
+                if last_beyond == Some(beyond) {
+                    let less = 1.0 - here / value;
+                    *opposite *= if less > 0.0 { less } else { 0.5 };
+                }
+                last_beyond = Some(beyond);
+                if beyond {
                     (after, high) = (part, here);
-                    low /= 2.0;
                 } else {
                     (before, low) = (part, here);
-                    high /= 2.0;
                 }
             }
         }

@@ -3,7 +3,6 @@
 use std::borrow::Borrow;
 
 use super::interpolant::Interpolant;
-use super::trial::larger;
 use super::{DenseStep, Kind, Settings, hermite};
 use crate::integrator::{Extremes, Kinked, Passage, State, System, Work};
 use crate::vector::Vector;
@@ -88,18 +87,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         [q, v]
     }
 
-    /// Bounds on the motion of the interpolant: of coordinates and of rates, which are polynomials of their own in a step of order 8.
+    /// Bounds on the motion of the interpolant: on the derivatives of its coordinates.
     pub(super) fn extremes(&self) -> Extremes<N> {
-        let per_step = 1.0 / self.length;
-        let of = |polynomial: &Interpolant<N>, order: usize| (0..order).fold(polynomial.greatest(order), |most, _| per_step * most);
-        let positions = self.positions();
-        let [rates, accelerations] = [1, 2].map(|order| of(&positions, order));
-        if self.kind != Kind::Eighth {
-            return Extremes { rates, accelerations, jerks: Some(of(&positions, 3)) };
-        }
-        let velocities = self.velocities();
-        let [v, a, jerks] = [0, 1, 2].map(|order| of(&velocities, order));
-        Extremes { rates: larger(&rates, &v), accelerations: larger(&accelerations, &a), jerks: Some(jerks) }
+        let mut per = 1.0;
+        let [rates, accelerations, jerks, snaps] = self.positions().greatest().map(|greatest| {
+            per /= self.length;
+            per * greatest
+        });
+        Extremes { rates, accelerations, higher: Some([jerks, snaps]) }
     }
 
     #[inline]
