@@ -11,7 +11,7 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::grips::{GRIPS, Grip, Grips};
-use super::unilateral_spring::{Border, Phase, UnilateralSpring};
+use super::unilateral_spring::{Border, Phase, UnilateralSpring, deepest};
 use super::{Active, ForceContext};
 use crate::mechanism::{LINKS, Parallels};
 
@@ -60,6 +60,17 @@ impl Sides {
     pub fn of_grips(grips: Grips) -> Self {
         Self::BY_STATE.with_grips(grips)
     }
+}
+
+/// What the links do not exceed on a way.
+#[derive(Clone, Copy, Debug)]
+pub struct Extremes {
+    /// Magnitudes of their rates, rad/s.
+    pub rates: [f64; LINKS],
+    /// Of their accelerations, rad/s².
+    pub accelerations: [f64; LINKS],
+    /// Of the first two derivatives of these, rad/s³ and rad/s⁴, where they are known.
+    pub higher: Option<[[f64; LINKS]; 2]>,
 }
 
 /// A one-sided spring as it is now.
@@ -117,18 +128,50 @@ impl Touch<'_> {
         (tolerance * scale).min(PART * self.spring.width).max(ROUND_OFF * scale)
     }
 
-    /// The greatest penetration that there can be on the way to another place, some seconds later, m or rad; links turn at these rates,
-    /// rad/s, and accelerations, rad/s², at most.
-    fn deepest_on_way(&self, to: &Self, duration: f64, [rates, accelerations]: &[[f64; LINKS]; 2]) -> f64 {
-        let bend: f64 = (0..LINKS).map(|link| self.arms[link] * (accelerations[link] + rates[link] * rates[link])).sum();
+    /// The first two derivatives of the penetration at most.
+    fn bends(&self, Extremes { rates, accelerations, .. }: &Extremes) -> [f64; 2] {
+        let sum = |change: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| self.arms[link] * change(link)).sum();
+        [sum(&|link| rates[link]), sum(&|link| accelerations[link] + rates[link] * rates[link])]
+    }
+
+    /// The derivatives of order 2, 3 and 4.
+    fn higher(&self, extremes: &Extremes, [jerks, snaps]: &[[f64; LINKS]; 2]) -> [f64; 3] {
+        let Extremes { rates, accelerations, .. } = extremes;
+        let mut derivatives = [self.bends(extremes)[1], 0.0, 0.0];
+        for (link, arm) in self.arms.iter().enumerate() {
+            let (rate, acceleration) = (rates[link], accelerations[link]);
+            let square = rate * rate;
+            derivatives[1] += arm * (jerks[link] + rate * (3.0 * acceleration + square));
+            derivatives[2] += arm
+                * (snaps[link]
+                    + 4.0 * rate * jerks[link]
+                    + 3.0 * acceleration * acceleration
+                    + square * (6.0 * acceleration + square));
+        }
+        derivatives
+    }
+
+    /// The greatest penetration that there can be on the way to another place, some seconds later, m or rad.
+    fn deepest_on_way(&self, to: &Self, duration: f64, extremes: &Extremes) -> f64 {
+        let [_, bend] = self.bends(extremes);
         deepest([self.depth, self.rate], [to.depth, to.rate], duration, bend)
+    }
+
+    /// Whether its phase certainly holds on the way to another place, some seconds later, but for what may be overlooked.
+    fn stays(&self, to: &Self, sides: &Sides, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        let (phase, unit) = (self.phase(sides), self.unit(tolerance));
+        let ends = [self, to].map(|touch| [touch.depth, touch.rate]);
+        // Most are far away, which takes little to see.
+        let by_bends = || self.spring.farthest_by_bends(phase, ends, duration, self.bends(extremes)) <= unit;
+        let by_cubic = |higher| self.spring.farthest_by_cubic(phase, ends, duration, self.higher(extremes, higher)) <= unit;
+        by_bends() || extremes.higher.as_ref().is_some_and(by_cubic)
     }
 
     /// The border of the phase that holds that it is farthest beyond, in units of what may be overlooked.
     fn farthest(&self, sides: &Sides, tolerance: f64) -> Option<Border> {
         let borders = self.spring.borders(self.phase(sides), self.depth, self.rate).into_iter().flatten();
         let farthest = borders.reduce(|one, other| if other.beyond >= one.beyond { other } else { one });
-        farthest.map(|Border { beyond, behind }| Border { beyond: beyond / self.unit(tolerance), behind })
+        farthest.map(|border| border.per(self.unit(tolerance)))
     }
 }
 
@@ -169,7 +212,14 @@ impl Slide {
     }
 
     /// Whether it certainly does not turn on the way from here to another place, some seconds later.
-    fn stays(&self, to: &Self, grips: &Grips, duration: f64, [rates, accelerations]: &[[f64; LINKS]; 2], tolerance: f64) -> bool {
+    fn stays(
+        &self,
+        to: &Self,
+        grips: &Grips,
+        duration: f64,
+        Extremes { rates, accelerations, .. }: &Extremes,
+        tolerance: f64,
+    ) -> bool {
         let Grip::Slips(way) = grips.at(self.place) else { return true };
         let most: f64 = (0..LINKS).map(|link| self.arms[link] * (accelerations[link] + rates[link] * rates[link])).sum();
         way.sign() * (self.rate + to.rate) - most * duration >= -2.0 * slow(tolerance)
@@ -212,10 +262,19 @@ impl<'a> Touches<'a> {
         indicators
     }
 
-    /// Whether any spring touches, or any grip holds while something moves.
-    pub fn any(&self, sides: &Sides) -> bool {
-        let holds = !sides.grips.at_rest() && self.slides.iter().any(|slide| matches!(sides.grips.at(slide.place), Grip::Holds(_)));
-        holds || self.springs.iter().any(|touch| touch.phase(sides) != Phase::Free)
+    /// Whether any grip holds while something moves.
+    pub fn any_holds_in_motion(&self, sides: &Sides) -> bool {
+        !sides.grips.at_rest() && self.held(sides).next().is_some()
+    }
+
+    /// What grips hold over what they can hold, in units of what may be overlooked: the most of all.
+    pub fn strain(&self, sides: &Sides, tolerance: f64) -> f64 {
+        self.held(sides).map(|slide| slide.beyond(&sides.grips, tolerance)).fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// The grips that hold.
+    fn held(&self, sides: &Sides) -> impl Iterator<Item = &Slide> {
+        self.slides.iter().filter(|slide| matches!(sides.grips.at(slide.place), Grip::Holds(_)))
     }
 
     /// How far the state is beyond the border that it is farthest beyond, in units of what may be overlooked at an angular tolerance, rad;
@@ -244,19 +303,19 @@ impl<'a> Touches<'a> {
         behind
     }
 
-    /// Whether springs that do not touch at one end of a motion cannot have touched on its way, deeper than may be overlooked, and what slips
-    /// has not turned: it takes some seconds, and links turn at these rates, rad/s, and accelerations, rad/s², at most.
-    pub fn stay_free(ends: [&Self; 2], sides: &Sides, duration: f64, extremes: [[f64; LINKS]; 2], tolerance: f64) -> bool {
+    /// Whether springs stay in their phases, and what slips does not turn, on the way from one place to another some seconds later, but for
+    /// what may be overlooked. What grips hold is not bounded.
+    pub fn stay(ends: [&Self; 2], sides: &Sides, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         let [from, to] = ends;
         let mut slides = from.slides.iter().zip(&to.slides);
-        let mut free = from.springs.iter().zip(&to.springs).filter(|(touch, _)| touch.phase(sides) == Phase::Free);
-        slides.all(|(from, to)| from.stays(to, &sides.grips, duration, &extremes, tolerance))
-            && free.all(|(from, to)| from.deepest_on_way(to, duration, &extremes) <= from.unit(tolerance))
+        let mut springs = from.springs.iter().zip(&to.springs);
+        slides.all(|(from, to)| from.stays(to, &sides.grips, duration, extremes, tolerance))
+            && springs.all(|(from, to)| from.stays(to, sides, duration, extremes, tolerance))
     }
 
     /// Whether the ends of such a motion show how deep springs are touched on its way, for one who sees nothing else: by no more than half
     /// as much again, or than may be overlooked. Where both ends touch the way between is taken as the cubic through them.
-    pub fn show_their_way(ends: [&Self; 2], duration: f64, extremes: [[f64; LINKS]; 2], tolerance: f64) -> bool {
+    pub fn show_their_way(ends: [&Self; 2], duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         const DEEPER: f64 = 1.5;
         let [from, to] = ends;
         from.springs.iter().zip(&to.springs).all(|(from, to)| {
@@ -264,20 +323,9 @@ impl<'a> Touches<'a> {
             let most = if from.depth > 0.0 && to.depth > 0.0 {
                 (from.depth + to.depth) / 2.0 + duration * (from.rate - to.rate) / 8.0
             } else {
-                from.deepest_on_way(to, duration, &extremes)
+                from.deepest_on_way(to, duration, extremes)
             };
             most <= f64::max(DEEPER * seen, from.unit(tolerance))
         })
     }
-}
-
-/// The greatest value that a function can have between two places, from values and slopes there and the bound on its second derivative:
-/// below both parabolas.
-fn deepest([x, u]: [f64; 2], [y, w]: [f64; 2], duration: f64, bend: f64) -> f64 {
-    let at = |start: f64, slope: f64, time: f64| start + time * (slope + bend / 2.0 * time);
-    // Where they meet: they differ by a linear function of time, which only round-off keeps from rising.
-    let rising = u - w + bend * duration;
-    let meet =
-        if rising > 0.0 { ((y - x - w * duration + bend / 2.0 * duration * duration) / rising).clamp(0.0, duration) } else { 0.0 };
-    x.max(y).max(at(x, u, meet).max(at(y, -w, duration - meet)))
 }

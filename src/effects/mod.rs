@@ -17,11 +17,12 @@ mod variation;
 
 pub use force_context::{ForceContext, JOINTS};
 pub use grips::{GRIPS, Grasp, Grasps, Grips, Law};
-pub use kinks::{INDICATORS, Sides, Slide, Slides, Touches, slow};
+pub use kinks::{Extremes, INDICATORS, Sides, Slide, Slides, Touches, slow};
 use kinks::{SPRINGS, Touch};
 pub use loads::Inputs;
 pub use step_context::{StepContext, TypicalInertia};
 pub use tangents::Tangents;
+pub use unilateral_spring::lowest;
 pub use variation::Perturbation;
 
 use arrayvec::ArrayVec;

@@ -8,7 +8,12 @@
 //! differentiable at d = 0; where max(0, ·) begins to act, on fast separation, N has a kink. The potential is that of the spring
 //! part, U = ∫ s k d dd; the rest of the power, (N − s k d) ḋ ≥ 0, is dissipated.
 
+mod bounds;
+
 use borsh::{BorshDeserialize, BorshSerialize};
+
+pub(super) use bounds::deepest;
+pub use bounds::lowest;
 
 /// A one-sided spring and damper.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,6 +46,8 @@ pub(super) enum Phase {
 pub(super) struct Border {
     /// How far beyond it, m or rad; negative on the near side.
     pub(super) beyond: f64,
+    /// How that changes with penetration and rate.
+    by: [f64; 2],
     /// The phase behind it.
     pub(super) behind: Phase,
 }
@@ -48,6 +55,13 @@ pub(super) struct Border {
 /// For the border at which a spring lets go, a rate counts as the distance that it makes in this time, s: as in the error norm of the
 /// explicit method.
 const RATE_TIME: f64 = 0.1;
+
+impl Border {
+    /// The same in other units.
+    pub(super) fn per(self, unit: f64) -> Self {
+        Self { beyond: self.beyond / unit, ..self }
+    }
+}
 
 impl Phase {
     pub(super) fn pushes(self) -> bool {
@@ -69,11 +83,15 @@ impl UnilateralSpring {
 
     /// Where a motion leaves a phase.
     pub(super) fn borders(&self, phase: Phase, depth: f64, rate: f64) -> [Option<Border>; 3] {
-        let deeper = |than: f64, behind| Some(Border { beyond: depth - than, behind });
-        let shallower = |than: f64, behind| Some(Border { beyond: than - depth, behind });
+        let deeper = |than: f64, behind| Some(Border { beyond: depth - than, by: [1.0, 0.0], behind });
+        let shallower = |than: f64, behind| Some(Border { beyond: than - depth, by: [-1.0, 0.0], behind });
+        let push = |sign: f64, behind| {
+            let by = [self.stiffness, self.damping].map(|by| sign * by / self.push_scale());
+            Some(Border { beyond: sign * self.scaled_push(depth, rate), by, behind })
+        };
         // Without damping what touches pushes.
-        let lets_go = |behind| (self.damping > 0.0).then(|| Border { beyond: -self.scaled_push(depth, rate), behind });
-        let pushes_again = |behind| Some(Border { beyond: self.scaled_push(depth, rate), behind });
+        let lets_go = |behind| if self.damping > 0.0 { push(-1.0, behind) } else { None };
+        let pushes_again = |behind| push(1.0, behind);
         match phase {
             Phase::Free => [deeper(0.0, Phase::Ramp), None, None],
             Phase::Ramp => [deeper(self.width, Phase::Full), shallower(0.0, Phase::Free), lets_go(Phase::RampLetGo)],
@@ -104,7 +122,12 @@ impl UnilateralSpring {
 
     /// (k d + c ḋ) as a distance, m or rad.
     fn scaled_push(&self, depth: f64, rate: f64) -> f64 {
-        self.push(depth, rate) / (self.stiffness + self.damping / RATE_TIME).max(f64::MIN_POSITIVE)
+        self.push(depth, rate) / self.push_scale()
+    }
+
+    /// What makes a distance of a push, N/m or N·m/rad.
+    fn push_scale(&self) -> f64 {
+        (self.stiffness + self.damping / RATE_TIME).max(f64::MIN_POSITIVE)
     }
 
     /// k d + c ḋ.

@@ -17,8 +17,8 @@ mod newton;
 
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, ln, next_step};
 use super::{
-    Approach, Arrival, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, TangentPoint, Transit, Work,
-    velocity_correction,
+    Approach, Arrival, Extremes, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, TangentPoint, Transit,
+    Work, velocity_correction,
 };
 use crate::vector::Vector;
 use events::{Outcome, Search};
@@ -281,7 +281,8 @@ fn may_overlook<const N: usize>(system: &impl Kinked<N>, settings: &Settings, [f
     /// By how much rates and accelerations on the way may exceed those at its ends.
     const MARGIN: f64 = 1.5;
     let [before, after] = [from, to].map(|[q, v, _]| system.touches(q, v));
-    let extremes = [1, 2].map(|order| Vector::from_fn(|i| MARGIN * from[order][i].abs().max(to[order][i].abs())));
+    let [rates, accelerations] = [1, 2].map(|order| Vector::from_fn(|i| MARGIN * from[order][i].abs().max(to[order][i].abs())));
+    let extremes = Extremes { rates, accelerations, higher: None };
     !system.stays_within([&before, &after], h, &extremes, settings.error_tolerance)
 }
 

@@ -11,6 +11,17 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use crate::vector::Vector;
 
+/// Magnitudes that are not exceeded on a way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Extremes<const N: usize> {
+    /// Of q̇.
+    pub rates: Vector<N>,
+    /// Of q̈.
+    pub accelerations: Vector<N>,
+    /// Of the first two derivatives of q̈, where they are known.
+    pub higher: Option<[Vector<N>; 2]>,
+}
+
 /// A system that knows its kinks. By default it has none.
 pub trait Kinked<const N: usize>: Sized {
     /// On which side of each kink its forces are.
@@ -97,14 +108,19 @@ pub trait Kinked<const N: usize>: Sized {
         false
     }
 
-    /// Whether any border is near that is judged at states only: the forces there keep steps short.
-    fn is_touching(&self, _at: &Self::Touches) -> bool {
+    /// Whether a grip holds while something moves: what it has to hold is known where it is asked for, and not bounded in between.
+    fn holds_in_motion(&self, _at: &Self::Touches) -> bool {
         false
     }
 
-    /// Whether a motion from one state to another, with these greatest magnitudes of q̇ and q̈ on its way of some seconds, certainly
-    /// crosses no other border by more than it may overlook.
-    fn stays_within(&self, _ends: [&Self::Touches; 2], _duration: f64, _extremes: &[Vector<N>; 2], _tolerance: f64) -> bool {
+    /// How close what grips hold comes to what they can hold, in units of what may be overlooked; negative below.
+    fn strain(&self, _at: &Self::Touches, _tolerance: f64) -> f64 {
+        f64::NEG_INFINITY
+    }
+
+    /// Whether a motion from one state to another, within these bounds on its way of some seconds, certainly crosses no border by more than
+    /// it may overlook, but for what grips hold.
+    fn stays_within(&self, _ends: [&Self::Touches; 2], _duration: f64, _extremes: &Extremes<N>, _tolerance: f64) -> bool {
         true
     }
 }

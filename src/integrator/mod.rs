@@ -22,7 +22,7 @@ pub use consistency::{Bounds, Inconsistency};
 pub use discrete::{Chord, CutStep, Discrete};
 pub use equilibrium::{equilibrium, equilibrium_at};
 pub use error::StepError;
-pub use kinks::Kinked;
+pub use kinks::{Extremes, Kinked};
 pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, StepLimits, Transit};
 pub use projection::{Projection, velocity_correction};
 use state::Arrival;

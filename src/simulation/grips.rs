@@ -6,7 +6,7 @@ use arrayvec::ArrayVec;
 use super::angles::{Angles, ByAngles};
 use super::five_bar::FiveBar;
 use crate::effects::grips::{Balance, GRIPS, Grasp, Grasps, Grip, Grips, Way};
-use crate::effects::{Slide, Slides, slow};
+use crate::effects::{Slide, Slides, lowest, slow};
 use crate::integrator::{Held, Kkt, System};
 use crate::mechanism::{COORDINATES, Coordinates, Multipliers, Pose, SceneError};
 use crate::vector::Vector;
@@ -72,21 +72,6 @@ pub(super) fn turns_between(system: &FiveBar<'_>, ends: [[&Coordinates; 3]; 2], 
         let dip = DEEPEST * ((-changes[0]).max(0.0) + changes[1].max(0.0));
         rates[0].min(rates[1]) - dip < -slow && lowest(rates, changes) < -slow
     })
-}
-
-/// The least value between the ends of the cubic with these values and slopes there, 1 apart.
-fn lowest([x, y]: [f64; 2], [u, w]: [f64; 2]) -> f64 {
-    let rise = y - x;
-    // x + τ (u + τ (b + c τ)), and where it is level: 3c τ² + 2b τ + u = 0.
-    let (b, c) = (3.0 * rise - 2.0 * u - w, u + w - 2.0 * rise);
-    let root = (b * b - 3.0 * c * u).max(0.0).sqrt();
-    let at = |place: f64, scale: f64| {
-        let part = if scale == 0.0 { 0.0 } else { (place / scale).clamp(0.0, 1.0) };
-        x + part * (u + part * (b + c * part))
-    };
-    // Both roots, each without cancellation.
-    let sum = -b - root.copysign(b);
-    x.min(y).min(at(sum, 3.0 * c)).min(at(u, sum))
 }
 
 /// All slip.

@@ -5,10 +5,11 @@ use std::borrow::Borrow;
 use super::angles::{ANGLES, Angles, ByAngles, DISTAL, PLACES, PROXIMAL};
 use super::five_bar::FiveBar;
 use super::grips::{resolved, slides, turns_between};
-use crate::effects::{Sides, Slides, Touches, slow};
-use crate::integrator::{Kinked, System};
+use crate::effects::{self, Sides, Slides, Touches, slow};
+use crate::integrator::{Extremes, Kinked, System};
 use crate::mechanism::coordinates::{THETA, legs_of};
-use crate::mechanism::{COORDINATES, Coordinates, Parallels, Pose};
+use crate::mechanism::{COORDINATES, Coordinates, LINKS, Parallels, Pose};
+use crate::vector::Vector;
 
 /// A system on some sides: itself where there are no others, which saves a copy in each step.
 enum On<'b, S> {
@@ -102,13 +103,26 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
         self.five_bar().sides.grips.at_rest()
     }
 
-    fn is_touching(&self, at: &Touches<'a>) -> bool {
-        at.any(&self.five_bar().sides())
+    fn holds_in_motion(&self, at: &Touches<'a>) -> bool {
+        at.any_holds_in_motion(&self.five_bar().sides())
     }
 
-    fn stays_within(&self, ends: [&Touches<'a>; 2], duration: f64, extremes: &[Angles; 2], tolerance: f64) -> bool {
-        let extremes = [0, 1].map(|order| PLACES.map(|i| extremes[order][i]));
-        Touches::stay_free(ends, &self.five_bar().sides(), duration, extremes, tolerance)
+    fn strain(&self, at: &Touches<'a>, tolerance: f64) -> f64 {
+        at.strain(&self.five_bar().sides(), tolerance)
+    }
+
+    fn stays_within(&self, ends: [&Touches<'a>; 2], duration: f64, extremes: &Extremes<ANGLES>, tolerance: f64) -> bool {
+        Touches::stay(ends, &self.five_bar().sides(), duration, &of_links(extremes, PLACES), tolerance)
+    }
+}
+
+/// Extremes of coordinates, of which these are the angles of the links.
+fn of_links<const N: usize>(Extremes { rates, accelerations, higher }: &Extremes<N>, links: [usize; LINKS]) -> effects::Extremes {
+    let of = |x: &Vector<N>| links.map(|i| x[i]);
+    effects::Extremes {
+        rates: of(rates),
+        accelerations: of(accelerations),
+        higher: higher.as_ref().map(|[jerks, snaps]| [of(jerks), of(snaps)]),
     }
 }
 
@@ -184,8 +198,7 @@ impl<'a, const BARE: bool> Kinked<COORDINATES> for FiveBar<'a, BARE> {
     }
 
     /// What slips is told by [`Kinked::turns_between`], which knows accelerations.
-    fn stays_within(&self, ends: [&Touches<'a>; 2], duration: f64, extremes: &[Coordinates; 2], tolerance: f64) -> bool {
-        let extremes = [0, 1].map(|order| THETA.map(|i| extremes[order][i]));
-        Touches::show_their_way(ends, duration, extremes, tolerance)
+    fn stays_within(&self, ends: [&Touches<'a>; 2], duration: f64, extremes: &Extremes<COORDINATES>, tolerance: f64) -> bool {
+        Touches::show_their_way(ends, duration, &of_links(extremes, THETA), tolerance)
     }
 }

@@ -1,15 +1,15 @@
 //! Where a force has a kink, a step ends.
 //!
-//! A step is made on the sides on which it begins. Its interpolant tells where its motion first crosses a border: it is searched in
-//! halves of halves, and a stretch is left out only where both its ends and the greatest acceleration on it say that nothing deeper than
-//! the tolerance lies between. Then the step is made once more, up to the border.
+//! A step is made on the sides on which it begins. Its interpolant tells where its motion first crosses a border: of a stretch bounds on
+//! its polynomials say that nothing deeper than the tolerance lies between its ends, or its halves are looked at. Then the step ends at the
+//! border, or is made once more up to there.
 
 use std::borrow::Borrow;
 
 use super::step::SHORTEST;
 use super::trial::Slope;
 use super::{DenseStep, Settings};
-use crate::integrator::{Kinked, Passage, State, System};
+use crate::integrator::{Extremes, Kinked, Passage, State, System};
 use crate::vector::Vector;
 
 /// A step ends at a border where it is beyond it by half of what may be overlooked: on the sides behind it is then well on the near side of
@@ -17,13 +17,9 @@ use crate::vector::Vector;
 const AT_BORDER: f64 = 0.5;
 /// This near.
 const NEAR_ENOUGH: f64 = 0.4;
-/// Farther beyond, a border has been crossed.
-const CROSSED: f64 = 1.0;
-/// The first stretch that is looked at, as a part of the step: of what touches, borders are seen at the ends of stretches only.
-const FIRST: f64 = 0.25;
-/// A crossing in a stretch no longer than this part of the step is the first one there.
-const FINE: f64 = 1.0 / 32.0;
-/// No stretch is shorter than this part of the step.
+/// Farther beyond, a border has been crossed: less than may be overlooked, so that a bound may lie between.
+const CROSSED: f64 = 0.95;
+/// No stretch is shorter than this part of the step: what lies between its ends is round-off.
 const FINEST: f64 = 1e-6;
 /// Most sides that a state passes at once.
 const MOST_SIDES: u32 = 8;
@@ -40,7 +36,7 @@ const ROUNDS: u32 = 60;
 
 /// What the stages of a step say about it: the greatest magnitudes of q̇ and q̈ that they have seen, and the coefficients of the
 /// interpolant to an end.
-type ByStages<'a, const N: usize, const M: usize> = (&'a [Vector<N>; 2], &'a mut dyn FnMut(&State<N, M>) -> [Slope<N>; 4]);
+type ByStages<'a, const N: usize, const M: usize> = ([Vector<N>; 2], &'a mut dyn FnMut(&State<N, M>) -> [Slope<N>; 4]);
 
 /// By so much more than a ramp seems to last a step on it is longer, so that the border lies within it.
 const LONGER: f64 = 1.2;
@@ -140,9 +136,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (extremes, dense): ByStages<'_, N, M>,
         tries: u32,
     ) -> Border {
+        let mut crosses = Border::Clear;
         if tries > 0 {
             let end = self.balanced_end(system, settings);
             match Window::of(system, settings, [&end.q, &end.v, &end.a], self.length) {
+                // Another border may be crossed before.
+                Window::Within if tries < MOST_TRIES => crosses = Border::AtEnd,
                 Window::Within => return Border::AtEnd,
                 Window::Off(_) if tries >= MOST_TRIES => return Border::Clear,
                 // The interpolant was not that exact: the end itself says how far to go.
@@ -152,83 +151,128 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         let from = system.touches(&self.start.q, &self.start.v);
         if self.is_clear(system, settings, &from, extremes) {
-            return Border::Clear;
+            return crosses;
         }
         self.dense = dense(&self.balanced_end(system, settings));
         match self.first_crossing(system, settings, from) {
-            None => Border::Clear,
+            None => crosses,
             Some(when) if when >= SHORTEST && self.cut(system, settings, when) => Border::AtEnd,
             Some(when) => Border::Before(when),
         }
     }
 
-    /// Whether the step certainly crosses no border, by what its stages have seen of rates and accelerations.
-    fn is_clear<S: Kinked<N>>(&self, system: &S, settings: &Settings, start: &S::Touches, extremes: &[Vector<N>; 2]) -> bool {
+    /// Whether the step crosses no border, by what its stages have seen of rates and accelerations.
+    fn is_clear<S: Kinked<N>>(&self, system: &S, settings: &Settings, start: &S::Touches, extremes: [Vector<N>; 2]) -> bool {
         let end = system.touches(&self.end.q, &self.end.v);
-        let (extremes, tolerance) = (extremes.map(|most| MARGIN * most), settings.error_tolerance);
-        !system.is_touching(start)
+        let ([rates, accelerations], tolerance) = (extremes.map(|most| MARGIN * most), settings.error_tolerance);
+        !system.holds_in_motion(start)
             && system.beyond(&end, tolerance) <= CROSSED
-            && system.stays_within([start, &end], self.length, &extremes, tolerance)
+            && system.stays_within([start, &end], self.length, &Extremes { rates, accelerations, higher: None }, tolerance)
     }
 
     /// When the motion of the step first crosses a border, s from its beginning. The interpolant's coefficients must be there.
     #[cold]
     fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings, from: S::Touches) -> Option<f64> {
-        let tolerance = settings.error_tolerance;
-        let extremes = self.extremes();
-        let at = |part: f64| {
-            let [q, v] = self.moved(part);
-            system.touches(&q, &v)
-        };
-        let (mut part, mut here) = (0.0, from);
-        let mut stretch = FIRST;
-        while part < 1.0 {
-            let end = f64::min(part + stretch, 1.0);
-            let there = at(end);
-            let beyond = system.beyond(&there, tolerance);
-            let crossed = beyond > CROSSED;
-            if crossed && stretch <= FINE {
-                let before = system.beyond(&here, tolerance);
-                return Some(self.length * self.border_between(system, tolerance, [[part, before], [end, beyond]]));
-            }
-            let duration = (end - part) * self.length;
-            if crossed || (stretch > FINEST && !system.stays_within([&here, &there], duration, &extremes, tolerance)) {
-                stretch /= 2.0;
-            } else {
-                (part, here) = (end, there);
-                stretch = f64::min(2.0 * stretch, FIRST);
-            }
-        }
-        None
+        let search = Search { step: self, system, tolerance: settings.error_tolerance, extremes: self.extremes() };
+        let first = search.first(&search.place(0.0, from), &search.at(1.0))?;
+        Some(self.length * first)
+    }
+}
+
+/// A place on the interpolant of a step.
+struct Place<T> {
+    /// Part of the step.
+    part: f64,
+    touches: T,
+    /// How far beyond the borders it is.
+    beyond: f64,
+}
+
+/// A search of the interpolant of a step for the first border that it crosses.
+struct Search<'a, S, const N: usize, const M: usize, K> {
+    step: &'a DenseStep<N, M, K>,
+    system: &'a S,
+    tolerance: f64,
+    /// Of the whole step.
+    extremes: Extremes<N>,
+}
+
+impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'_, S, N, M, K> {
+    fn place(&self, part: f64, touches: S::Touches) -> Place<S::Touches> {
+        let beyond = self.system.beyond(&touches, self.tolerance);
+        Place { part, touches, beyond }
     }
 
-    /// The part of the step at which the motion is at a border, between one before it and one beyond, each with how far beyond the borders
-    /// it is: by false position (Illinois).
-    fn border_between<S: Kinked<N>>(&self, system: &S, tolerance: f64, ends: [[f64; 2]; 2]) -> f64 {
-        let beyond = |part: f64| {
-            let [q, v] = self.moved(part);
-            system.beyond(&system.touches(&q, &v), tolerance) - AT_BORDER
-        };
-        let [[mut before, mut low], [mut after, mut high]] = ends.map(|[part, beyond]| [part, beyond - AT_BORDER]);
-        if low >= 0.0 {
-            return before;
+    fn at(&self, part: f64) -> Place<S::Touches> {
+        let [q, v] = self.step.moved(part);
+        self.place(part, self.system.touches(&q, &v))
+    }
+
+    /// The part of the step at which the first border is crossed between two places, of which the first is not beyond any.
+    fn first(&self, from: &Place<S::Touches>, to: &Place<S::Touches>) -> Option<f64> {
+        if to.beyond > CROSSED {
+            // Somewhere it is crossed; whether it, or another one, is crossed before, too, the way there says.
+            let at = self.border_between(from, to);
+            let before = if at.beyond <= CROSSED { self.first(from, &at) } else { None };
+            return before.or(Some(at.part));
         }
+        let stretch = to.part - from.part;
+        if stretch <= FINEST {
+            return None;
+        }
+        let duration = stretch * self.step.length;
+        let stays = self.system.stays_within([&from.touches, &to.touches], duration, &self.extremes, self.tolerance);
+        if stays && !self.system.holds_in_motion(&from.touches) {
+            return None;
+        }
+        let middle = self.at(0.5 * (from.part + to.part));
+        if stays && self.holds_on([from, &middle, to]) {
+            return None;
+        }
+        self.first(from, &middle).or_else(|| self.first(&middle, to))
+    }
+
+    /// Whether what grips hold has no summit above what they can hold between places as far from each other: that of the parabola through
+    /// all three, with a margin.
+    fn holds_on(&self, places: [&Place<S::Touches>; 3]) -> bool {
+        /// A parabola rises above its chords by an eighth of its second difference.
+        const ABOVE: f64 = 0.5;
+        let [from, middle, to] = places.map(|place| self.system.strain(&place.touches, self.tolerance));
+        f64::max(from, to).max(middle) + ABOVE * (from - 2.0 * middle + to).abs() <= CROSSED
+    }
+
+    /// Where the motion is at a border, between a place before it and one beyond: by false position (Anderson and Björck, *BIT* 13, 1973).
+    fn border_between(&self, from: &Place<S::Touches>, to: &Place<S::Touches>) -> Place<S::Touches> {
+        let [mut before, mut after] = [from.part, to.part];
         // Of the function only the sign and the size near the border matter.
-        low = low.max(-1e12);
-        for _ in 0..ROUNDS {
-            let part = after - high * (after - before) / (high - low);
-            let here = beyond(part);
-            if here.abs() <= 0.1 * NEAR_ENOUGH || after - before <= f64::EPSILON {
-                return part;
-            }
-            if here > 0.0 {
-                (after, high) = (part, here);
-                low /= 2.0;
-            } else {
-                (before, low) = (part, here);
-                high /= 2.0;
+        let (mut low, mut high) = ((from.beyond - AT_BORDER).max(-1e12), to.beyond - AT_BORDER);
+        let mut last_beyond = None;
+        if low < 0.0 {
+            for _ in 0..ROUNDS {
+                let part = after - high * (after - before) / (high - low);
+                let place = self.at(part);
+                let here = place.beyond - AT_BORDER;
+                if here.abs() <= 0.5 * NEAR_ENOUGH {
+                    return place;
+                }
+                if after - before <= f64::EPSILON {
+                    break;
+                }
+                // The value at an end that stays twice in a row counts less.
+                let beyond = here > 0.0;
+                let (value, opposite) = if beyond { (high, &mut low) } else { (low, &mut high) };
+                if last_beyond == Some(beyond) {
+                    let less = 1.0 - here / value;
+                    *opposite *= if less > 0.0 { less } else { 0.5 };
+                }
+                last_beyond = Some(beyond);
+                if beyond {
+                    (after, high) = (part, here);
+                } else {
+                    (before, low) = (part, here);
+                }
             }
         }
-        before
+        self.at(before)
     }
 }

@@ -4,7 +4,7 @@ use std::borrow::Borrow;
 
 use super::interpolant::Interpolant;
 use super::{DenseStep, Kind, Settings, hermite};
-use crate::integrator::{Kinked, Passage, State, System, Work};
+use crate::integrator::{Extremes, Kinked, Passage, State, System, Work};
 use crate::vector::Vector;
 
 /// What holds at the present time, between the ends of the step.
@@ -87,15 +87,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         [q, v]
     }
 
-    /// Bounds on the magnitudes of q̇ and q̈ of the interpolant.
-    pub(super) fn extremes(&self) -> [Vector<N>; 2] {
-        let per_step = 1.0 / self.length;
-        if self.kind == Kind::Eighth {
-            let [rates, changes] = self.velocities().extremes();
-            return [rates, per_step * changes];
-        }
-        let [rates, changes] = self.positions().extremes_of_quintic();
-        [per_step * rates, per_step * per_step * changes]
+    /// Bounds on the motion of the interpolant: on the derivatives of its coordinates.
+    pub(super) fn extremes(&self) -> Extremes<N> {
+        let mut per = 1.0;
+        let [rates, accelerations, jerks, snaps] = self.positions().greatest().map(|greatest| {
+            per /= self.length;
+            per * greatest
+        });
+        Extremes { rates, accelerations, higher: Some([jerks, snaps]) }
     }
 
     #[inline]

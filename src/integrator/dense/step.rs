@@ -204,7 +204,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Border {
         let (extremes, start) = (trial.extremes(), self.start);
         let mut dense = |end: &_| trial.dense(system, settings.regularization, [&start, end]);
-        self.border(system, settings, (&extremes, &mut dense), tries)
+        self.border(system, settings, (extremes, &mut dense), tries)
     }
 
     /// The higher coefficients of the interpolant.

@@ -1,0 +1,160 @@
+//! How far beyond a border a motion may be between two places: bounds, so that nothing is missed that happens where nobody looks.
+
+use super::{Border, Phase, UnilateralSpring};
+
+impl UnilateralSpring {
+    /// How far a motion can be beyond any border of a phase, m or rad, between two places some seconds apart, each given by penetration and
+    /// rate, whose first two derivatives are no greater than these.
+    pub(in crate::effects) fn farthest_by_bends(
+        &self,
+        phase: Phase,
+        ends: [[f64; 2]; 2],
+        duration: f64,
+        [slope, bend]: [f64; 2],
+    ) -> f64 {
+        let farthest = self.borders_of(phase, ends).map(|[from, to]| {
+            let [by_depth, by_rate] = from.by;
+            if by_rate == 0.0 {
+                let [u, w] = ends.map(|[_, rate]| by_depth * rate);
+                deepest([from.beyond, u], [to.beyond, w], duration, bend)
+            } else {
+                // Below straight lines.
+                let steepest = by_depth.abs() * slope + by_rate.abs() * bend;
+                f64::max(from.beyond, to.beyond).max(0.5 * (from.beyond + to.beyond + steepest * duration))
+            }
+        });
+        farthest.fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// The same where its derivatives of order 2, 3 and 4 are no greater than these: by the parabola over the chord, or by the cubic through
+    /// both places, from which penetration and rate are off by 1/384 and √3/216 of the fourth derivative at most, times the fourth and the
+    /// third power of the time.
+    pub(in crate::effects) fn farthest_by_cubic(
+        &self,
+        phase: Phase,
+        ends: [[f64; 2]; 2],
+        duration: f64,
+        [bend_most, third, fourth]: [f64; 3],
+    ) -> f64 {
+        const OFF: [f64; 2] = [1.0 / 384.0, 0.008_018_753_738_744_79];
+        let [[x, u], [y, w]] = ends;
+        let mean = 3.0 * (y - x) / duration;
+        let [bend, bend_to] = [mean - 2.0 * u - w, u + 2.0 * w - mean].map(|rise| 2.0 * rise / duration);
+        let farthest = self.borders_of(phase, ends).map(|[from, to]| {
+            let [by_depth, by_rate] = from.by;
+            let slopes = [by_depth * u + by_rate * bend, by_depth * w + by_rate * bend_to];
+            let off = (OFF[0] * by_depth.abs() * duration + OFF[1] * by_rate.abs()) * fourth * duration * duration * duration;
+            let cubic = off - lowest([-from.beyond, -to.beyond], slopes.map(|slope| -slope * duration));
+            let arch = (by_depth.abs() * bend_most + by_rate.abs() * third) * duration * duration;
+            cubic.min(below_arch([from.beyond, to.beyond], arch))
+        });
+        farthest.fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// Each border of a phase, as it is at two places.
+    fn borders_of(&self, phase: Phase, ends: [[f64; 2]; 2]) -> impl Iterator<Item = [Border; 2]> {
+        let [from, to] = ends.map(|[depth, rate]| self.borders(phase, depth, rate));
+        from.into_iter().flatten().zip(to.into_iter().flatten()).map(|(from, to)| [from, to])
+    }
+}
+
+/// The greatest value that a function can have between two places, from values and slopes there and the bound on its second derivative:
+/// below both parabolas.
+pub(in crate::effects) fn deepest([x, u]: [f64; 2], [y, w]: [f64; 2], duration: f64, bend: f64) -> f64 {
+    let at = |start: f64, slope: f64, time: f64| start + time * (slope + bend / 2.0 * time);
+    // Where they meet: they differ by a linear function of time, which only round-off keeps from rising.
+    let rising = u - w + bend * duration;
+    let meet =
+        if rising > 0.0 { ((y - x - w * duration + bend / 2.0 * duration * duration) / rising).clamp(0.0, duration) } else { 0.0 };
+    x.max(y).max(at(x, u, meet).max(at(y, -w, duration - meet)))
+}
+
+/// The greatest value between these, where the second derivative times the square of the way is no greater than this: below the parabola over
+/// the chord.
+fn below_arch([x, y]: [f64; 2], arch: f64) -> f64 {
+    let rise = y - x;
+    if arch <= 2.0 * rise.abs() {
+        return x.max(y);
+    }
+    let part = 0.5 + rise / arch;
+    x + part * (rise + 0.5 * arch * (1.0 - part))
+}
+
+/// The least value between the ends of the cubic with these values and slopes there, 1 apart.
+pub fn lowest([x, y]: [f64; 2], [u, w]: [f64; 2]) -> f64 {
+    let rise = y - x;
+    // x + τ (u + τ (b + c τ)), and where it is level: 3c τ² + 2b τ + u = 0.
+    let (b, c) = (3.0 * rise - 2.0 * u - w, u + w - 2.0 * rise);
+    let root = (b * b - 3.0 * c * u).max(0.0).sqrt();
+    let at = |place: f64, scale: f64| {
+        let part = if scale == 0.0 { 0.0 } else { (place / scale).clamp(0.0, 1.0) };
+        x + part * (u + part * (b + c * part))
+    };
+    // Both roots, each without cancellation.
+    let sum = -b - root.copysign(b);
+    x.min(y).min(at(sum, 3.0 * c)).min(at(u, sum))
+}
+
+#[cfg(test)]
+mod tests {
+    use rand_chacha::ChaCha8Rng;
+    use rand_chacha::rand_core::{Rng, SeedableRng};
+
+    use super::*;
+
+    const SPRING: UnilateralSpring = UnilateralSpring { stiffness: 50.0, damping: 0.02, width: 1e-3 };
+
+    /// No bound is exceeded by a dense sampling of motions whose derivatives are known, and by the cubic most are hardly above it: a sum of
+    /// swings of random frequencies, of which many come near a border, pass it and come back between places that do not show it.
+    #[test]
+    fn no_border_is_passed_beyond_the_bounds() {
+        let mut random = ChaCha8Rng::seed_from_u64(14);
+        let mut uniform = |low: f64, high: f64| low + (high - low) * ((random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64);
+        let (mut hidden, mut looseness) = (0, Vec::new());
+        for case in 0..4000 {
+            let duration = 1e-3 * 100_f64.powf(uniform(-1.0, 0.5));
+            let swings = [0, 1, 2].map(|_| [1e-3 * uniform(-1.0, 1.0), uniform(0.1, 4.0) / duration, uniform(0.0, 6.3)]);
+            let sum = |order: u32, time: f64| -> f64 {
+                let angle = |rate: f64, start: f64| rate * time + start + f64::from(order) * std::f64::consts::FRAC_PI_2;
+                swings.iter().map(|&[size, rate, start]| size * rate.powi(order as i32) * angle(rate, start).sin()).sum()
+            };
+            // Every other one goes 5 µm beyond the first border where it turns.
+            let places = (0..=500).map(|i| f64::from(i) / 500.0 * duration);
+            let top = places.clone().map(|time| sum(0, time)).fold(f64::NEG_INFINITY, f64::max);
+            let middle = if case % 2 == 0 { uniform(-1e-3, 2e-3) } else { 5e-6 - top };
+            let spring = UnilateralSpring { damping: if case % 3 == 0 { 0.0 } else { uniform(0.0, 0.5) }, ..SPRING };
+            let at = |time: f64| [middle + sum(0, time), sum(1, time)];
+            let most = |order: i32| swings.iter().map(|[size, rate, _]| size.abs() * rate.powi(order)).sum::<f64>();
+            let [slope, bend, third, fourth] = [1, 2, 3, 4].map(most);
+            for phase in [Phase::Free, Phase::Ramp, Phase::Full, Phase::RampLetGo, Phase::FullLetGo] {
+                let ends = [at(0.0), at(duration)];
+                let beyond = |[depth, rate]: [f64; 2]| {
+                    spring
+                        .borders(phase, depth, rate)
+                        .into_iter()
+                        .flatten()
+                        .map(|border| border.beyond)
+                        .fold(f64::NEG_INFINITY, f64::max)
+                };
+                let sampled = places.clone().map(|time| beyond(at(time))).fold(f64::NEG_INFINITY, f64::max);
+                let by_bends = spring.farthest_by_bends(phase, ends, duration, [slope, bend]);
+                let by_cubic = spring.farthest_by_cubic(phase, ends, duration, [bend, third, fourth]);
+                // Round-off of sums of some millimetres.
+                assert!(
+                    sampled <= by_bends + 1e-15 && sampled <= by_cubic + 1e-15,
+                    "{case} {phase:?}: {sampled:e} {by_bends:e} {by_cubic:e}"
+                );
+                let quarters = [0.0, 0.25, 0.5, 0.75, 1.0].map(|part| beyond(at(part * duration)));
+                hidden += u32::from(sampled > 1e-6 && quarters.into_iter().all(|beyond| beyond < 0.0));
+                looseness.push((by_cubic - sampled) / 1e-3);
+            }
+        }
+        assert!(hidden > 200, "only {hidden} crossings are hidden from the quarters of the way");
+        looseness.sort_by(f64::total_cmp);
+        assert!(
+            looseness[looseness.len() / 2] < 0.5,
+            "half of the bounds are loose by {} of a swing",
+            looseness[looseness.len() / 2]
+        );
+    }
+}
