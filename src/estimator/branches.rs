@@ -1,5 +1,5 @@
 //! Behind a vertex: what the motion may have become beside the estimate, followed until the samples have told which it is. It may have gone
-//! straight on or turned to either side; later the other assembly may have the same motors.
+//! straight on or turned to either side; later, `grazing` follows the other assembly with the same motors.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -10,18 +10,12 @@ use super::track::{Track, wrapped};
 use super::{Constants, Scene, transition};
 use crate::mechanism::{Assembly, Geometry, Start, close};
 
-/// How long after a vertex the other assembly is begun, s,
-const LATEST: f64 = 0.15;
-/// where sin(θ₃ − θ₂) is at least this.
-const APART: f64 = 0.1;
 /// It is dropped after this time, s,
 const LONGEST: f64 = 0.5;
 /// or where the samples speak against it, and takes over where they speak for it: differences of log likelihoods.
 const DECIDED: [f64; 2] = [-12.0, 6.0];
 /// A difference by which samples decide at once.
 const IMMEDIATE: f64 = 15.0;
-/// Variances that the other assembly has beside: of rates, rad²/s², and of the force in squared torque scales.
-const BESIDE: [f64; 2] = [0.01, 0.04];
 /// Motions that turn at a vertex are begun this far before it, rad of the fastest link,
 const BEFORE: f64 = 0.05;
 /// so far aside, rad: how they turn does not depend on it,
@@ -86,19 +80,8 @@ impl Branches {
     }
 
     /// The estimate has gone on by a macro step.
-    pub(super) fn step(
-        &mut self,
-        constants: &Constants,
-        (track, held): (&Track, bool),
-        scene: &impl Scene,
-        (h, switch_time): (f64, f64),
-    ) {
-        let linkage = &constants.linkage;
-        if held {
-            self.since_vertex = 0.0;
-        }
-        let begins = self.since_vertex < LATEST && !held && !self.are_open();
-        self.since_vertex = (self.since_vertex + h).min(f64::MAX);
+    pub(super) fn step(&mut self, constants: &Constants, held: bool, scene: &impl Scene, (h, switch_time): (f64, f64)) {
+        self.since_vertex = (if held { 0.0 } else { self.since_vertex } + h).min(f64::MAX);
         for other in &mut self.others {
             if let Some(motion) = other {
                 motion.age += h;
@@ -109,11 +92,6 @@ impl Branches {
                     *other = None;
                 }
             }
-        }
-        if begins && linkage.frame(&track.theta).side().abs() > APART {
-            // Once for each vertex.
-            self.since_vertex = LATEST;
-            self.others[0] = mirrored(constants, track, BESIDE).map(|track| Other::new(track, false));
         }
     }
 
@@ -266,7 +244,7 @@ pub(super) fn tell(track: &mut Track, linkage: &Linkage, samples: &[Option<(f64,
 /// The other assembly with the same angles and rates of the motors.
 #[cold]
 #[inline(never)]
-pub(super) fn mirrored(constants: &Constants, track: &Track, [rate, force]: [f64; 2]) -> Option<Track> {
+pub(super) fn mirrored(constants: &Constants, track: &Track) -> Option<Track> {
     let linkage = &constants.linkage;
     let from = linkage.frame(&track.theta);
     let assembly = if from.side() > 0.0 { Assembly::Minus } else { Assembly::Plus };
@@ -292,13 +270,6 @@ pub(super) fn mirrored(constants: &Constants, track: &Track, [rate, force]: [f64
     }
     let mut bank = track.bank;
     bank.carry(&turn);
-    let scale = constants.torque_scale();
-    for member in &mut bank.members {
-        for i in 0..2 {
-            member.covariance[2 + i][2 + i] += rate;
-            member.covariance[4 + i][4 + i] += force * scale * scale;
-        }
-    }
     Some(Track { theta, omega, force: [0.0; 4], bank })
 }
 

@@ -1,4 +1,5 @@
 //! Behind a direct singularity that is passed slowly or only grazed: whether the machine has crossed it, or has turned back before it.
+//! Behind a vertex: in which of the two assemblies it has come out.
 //!
 //! The motors do not tell the two assemblies apart, only how the motion goes on does, and slowly. An unknown force explains either, and as
 //! the models of the estimate allow for forces that change, it is not they that can decide. So two motions are followed beside the estimate
@@ -37,7 +38,8 @@ const UNKNOWN: f64 = 0.04;
 /// What is known of the side on which a direct singularity is left.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Grazing {
-    /// The log likelihood of the other side of the singularity that the estimate is passing, at its largest; −∞ far from one.
+    /// The log likelihood of the other side of the singularity that the estimate is passing, at its largest: −1000 far from one, 0 behind a
+    /// vertex.
     other_side: f64,
     pair: Option<Pair>,
 }
@@ -50,6 +52,17 @@ struct Pair {
     evidence: f64,
     /// s.
     age: f64,
+}
+
+/// Where the estimate passes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Passage {
+    /// Neither of the others.
+    Clear,
+    /// By a vertex, or several motions are followed behind it: nothing is known of the side.
+    Vertex,
+    /// Without samples: nothing decides.
+    Unseen,
 }
 
 /// How the estimate has gone on.
@@ -83,18 +96,19 @@ impl Grazing {
             && self.pair.is_none_or(|pair| pair.evidence.is_finite() && (0.0..=LONGEST).contains(&pair.age))
     }
 
-    /// The estimate has gone on by a macro step; `clear`: no vertex is near, and samples come.
+    /// The estimate has gone on by a macro step.
     #[inline(never)]
     pub(super) fn step(
         &mut self,
         constants: &Constants,
-        (track, clear, way): (&Track, bool, &Way<'_>),
+        (track, passage, way): (&Track, Passage, &Way<'_>),
         scene: &impl Scene,
         (h, switch_time): (f64, f64),
     ) {
-        if !clear {
-            *self = Self::default();
-            return;
+        match passage {
+            Passage::Clear => (),
+            Passage::Unseen => return *self = Self::default(),
+            Passage::Vertex => return *self = Self { other_side: 0.0, pair: None },
         }
         let scale = QUIET * constants.torque_scale();
         if let Some(pair) = &mut self.pair {
@@ -148,7 +162,7 @@ impl Grazing {
 impl Pair {
     #[cold]
     fn new(constants: &Constants, track: &Track, prior: f64) -> Option<Self> {
-        let other = mirrored(constants, track, [0.0; 2])?;
+        let other = mirrored(constants, track)?;
         let scale = QUIET * constants.torque_scale();
         let quiet =
             |track: &Track| Track { force: [0.0; 4], bank: track.bank.with_priors(PRIOR).with_force(scale * scale), ..*track };

@@ -35,7 +35,7 @@ use branches::Branches;
 pub use constants::Constants;
 pub use encoder::{Encoder, Fault, Measured};
 use forecast::Forecast;
-use grazing::{Grazing, Way};
+use grazing::{Grazing, Passage, Way};
 use history::History;
 pub use history::REMEMBERED;
 pub use innovation::Innovation;
@@ -214,11 +214,14 @@ impl Estimator {
         self.track.bank.predict(linkage, (&frame, &step.transition), scale, timing, &bank::PRIOR);
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
-        self.branches.step(constants, (&self.track, step.held), scene, timing);
-        // Without samples nothing decides.
-        let clear = !step.held && self.branches.are_known() && !self.is_coasting();
+        self.branches.step(constants, step.held, scene, timing);
+        let passage = match () {
+            () if self.is_coasting() => Passage::Unseen,
+            () if step.held || self.branches.are_open() => Passage::Vertex,
+            () => Passage::Clear,
+        };
         let way = Way { from: &frame, to: &to, transition: &step.transition, steps: flow.steps };
-        self.grazing.step(constants, (&self.track, clear, &way), known, timing);
+        self.grazing.step(constants, (&self.track, passage, &way), known, timing);
         for encoder in &mut self.encoders {
             encoder.silent += h;
         }
