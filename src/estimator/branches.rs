@@ -4,6 +4,7 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::{MODELS, PRIOR};
+use super::encoder::Reading;
 use super::innovation::{Expected, Innovation, log_likelihood};
 use super::linkage::{Linkage, MEASURED, VERTEX};
 use super::track::{Track, wrapped};
@@ -147,10 +148,10 @@ impl Branches {
         }
     }
 
-    /// The same samples (angle, noise, age) for what is followed beside. What of it takes over.
-    pub(super) fn correct(&mut self, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> Option<usize> {
+    /// The same samples for what is followed beside. What of it takes over.
+    pub(super) fn correct(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> Option<usize> {
         for other in &mut self.others {
-            if other.as_mut().is_some_and(|other| !other.correct(linkage, samples)) {
+            if other.as_mut().is_some_and(|other| !other.correct(linkage, readings)) {
                 *other = None;
             }
         }
@@ -180,8 +181,8 @@ impl Other {
     }
 
     /// Takes samples in; false where they speak against it.
-    fn correct(&mut self, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> bool {
-        let Some(likelihood) = tell(&mut self.track, linkage, samples) else { return false };
+    fn correct(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> bool {
+        let Some(likelihood) = tell(&mut self.track, linkage, readings) else { return false };
         self.evidence += likelihood;
         // NaN speaks against it.
         self.evidence > DECIDED[0]
@@ -223,19 +224,24 @@ pub(super) fn advance(
     true
 }
 
-/// A motion beside the estimate takes samples (angle, noise, age) in; their log likelihood, `None` where the loop cannot be closed.
+/// A motion beside the estimate takes samples in; their log likelihood, `None` where the loop cannot be closed.
 #[inline(never)]
-pub(super) fn tell(track: &mut Track, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> Option<f64> {
+pub(super) fn tell(track: &mut Track, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> Option<f64> {
     let mut likelihood = 0.0;
     let frame = linkage.frame(&track.theta);
-    for (encoder, sample) in samples.iter().enumerate() {
-        let Some((angle, noise, age)) = *sample else { continue };
+    for (encoder, reading) in readings.iter().enumerate() {
+        let Some(Reading { angle, noise, age, slack }) = *reading else { continue };
         let mut innovation = track.innovation(&frame, encoder, angle, noise);
         // Motions that are followed beside are slow: where they stood follows from their rates.
-        innovation.residual = wrapped(innovation.residual + age * track.omega[MEASURED[encoder]]);
+        let residual = wrapped(innovation.residual + age * track.omega[MEASURED[encoder]]);
+        if residual.abs() < slack {
+            continue;
+        }
+        innovation.residual = residual - slack.copysign(residual);
         let expected = track.bank.expect(&innovation);
         let (nis, variance) = expected.surprise();
-        likelihood += log_likelihood(nis, variance);
+        // Of what is told within the slack by no motion, its density is no part.
+        likelihood += if slack > 0.0 { -0.5 * nis } else { log_likelihood(nis, variance) };
         track.bank.update(&expected);
     }
     track.absorb(linkage, &frame).map(|_| likelihood)

@@ -9,6 +9,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::{MODELS, Matrix};
 use super::branches::{advance, mirrored, tell};
+use super::encoder::Reading;
 use super::linkage::Frame;
 use super::track::Track;
 use super::{Constants, Scene, bank, carry, transition};
@@ -30,6 +31,8 @@ const DECIDED: [f64; 2] = [-30.0, 6.0];
 const SURE: f64 = -300.0;
 /// and no more than this is believed of it.
 const BELIEVED: f64 = -10.0;
+/// The least that is believed of a motion that has come through the line by itself.
+const STRAIGHT: f64 = -4.0;
 /// The log likelihood of the other side far from direct singularities.
 const FAR: f64 = -1e3;
 /// Variance of the unknown force of an assembly that takes over, in squared torque scales.
@@ -41,6 +44,9 @@ pub(super) struct Grazing {
     /// The log likelihood of the other side of the singularity that the estimate is passing, at its largest: −1000 far from one, 0 behind a
     /// vertex.
     other_side: f64,
+    /// A motion on which next to nothing acts that is not known, from where the estimate has come near the line, and the log likelihood of its
+    /// other side, at its largest.
+    quiet: Option<(Track, f64)>,
     pair: Option<Pair>,
 }
 
@@ -77,7 +83,7 @@ pub(super) struct Way<'a> {
 
 impl Default for Grazing {
     fn default() -> Self {
-        Self { other_side: FAR, pair: None }
+        Self { other_side: FAR, quiet: None, pair: None }
     }
 }
 
@@ -88,7 +94,7 @@ impl Grazing {
     }
 
     pub(super) fn tracks(&self) -> impl Iterator<Item = &Track> {
-        self.pair.iter().flat_map(|pair| &pair.tracks)
+        self.pair.iter().flat_map(|pair| &pair.tracks).chain(self.quiet.iter().map(|(track, _)| track))
     }
 
     pub(super) fn is_sound(&self) -> bool {
@@ -108,7 +114,7 @@ impl Grazing {
         match passage {
             Passage::Clear => (),
             Passage::Unseen => return *self = Self::default(),
-            Passage::Vertex => return *self = Self { other_side: 0.0, pair: None },
+            Passage::Vertex => return *self = Self { other_side: 0.0, ..Self::default() },
         }
         let scale = QUIET * constants.torque_scale();
         if let Some(pair) = &mut self.pair {
@@ -122,22 +128,42 @@ impl Grazing {
                 self.pair = None;
             }
         }
-        let side = libm::sin(track.theta[2] - track.theta[1]).abs();
+        if let Some((quiet, other_side)) = &mut self.quiet {
+            if accompany(quiet, constants, scene, way, (h, switch_time, scale)) {
+                *other_side = other_side.max(quiet.other_side(&constants.linkage.frame(&quiet.theta))).clamp(FAR, 0.0);
+            } else {
+                self.quiet = None;
+            }
+        }
+        let side = side_of(track).abs();
         if side < APART {
+            if self.other_side == FAR && self.pair.is_none() {
+                self.quiet = Some((quieted(constants, track), FAR));
+            }
             let odds = track.other_side(way.to);
             self.other_side = self.other_side.max(odds).clamp(FAR, 0.0);
         } else if self.other_side > FAR {
             let prior = std::mem::replace(&mut self.other_side, FAR);
-            if prior > SURE {
-                self.pair = Pair::new(constants, track, prior.max(BELIEVED));
+            let quiet = self.quiet.take();
+            let crossed = quiet.as_ref().is_some_and(|(quiet, _)| side_of(quiet) * side_of(track) < 0.0);
+            if prior > SURE || crossed {
+                self.pair = match quiet {
+                    Some((quiet, sure)) => Pair::around(constants, &quiet, (crossed, sure.clamp(BELIEVED, STRAIGHT))),
+                    None => Pair::around(constants, &quieted(constants, track), (false, prior.max(BELIEVED))),
+                };
             }
         }
     }
 
-    /// Samples (angle, noise, age) that the estimate has taken in. The motion that takes over.
-    pub(super) fn correct(&mut self, constants: &Constants, samples: &[Option<(f64, f64, f64)>; 2]) -> Option<Track> {
+    /// Samples that the estimate has taken in. The motion that takes over.
+    pub(super) fn correct(&mut self, constants: &Constants, readings: &[Option<Reading>; 2]) -> Option<Track> {
+        if let Some((quiet, _)) = &mut self.quiet
+            && tell(quiet, &constants.linkage, readings).is_none()
+        {
+            self.quiet = None;
+        }
         let pair = self.pair.as_mut()?;
-        let told = [0, 1].map(|k| tell(&mut pair.tracks[k], &constants.linkage, samples));
+        let told = [0, 1].map(|k| tell(&mut pair.tracks[k], &constants.linkage, readings));
         let ([Some(own), Some(other)], scale) = (told, constants.torque_scale()) else {
             self.pair = None;
             return None;
@@ -160,14 +186,28 @@ impl Grazing {
 }
 
 impl Pair {
+    /// A motion and the one in the other assembly, whose log likelihood is less by `-odds`; `crossed`: it is the other that the estimate is in.
     #[cold]
-    fn new(constants: &Constants, track: &Track, prior: f64) -> Option<Self> {
+    fn around(constants: &Constants, track: &Track, (crossed, odds): (bool, f64)) -> Option<Self> {
         let other = mirrored(constants, track)?;
-        let scale = QUIET * constants.torque_scale();
-        let quiet =
-            |track: &Track| Track { force: [0.0; 4], bank: track.bank.with_priors(PRIOR).with_force(scale * scale), ..*track };
-        Some(Self { tracks: [quiet(track), quiet(&other)], evidence: prior, age: 0.0 })
+        Some(if crossed {
+            Self { tracks: [other, *track], evidence: (-odds).max(DECIDED[1] + 1.0), age: 0.0 }
+        } else {
+            Self { tracks: [*track, other], evidence: odds, age: 0.0 }
+        })
     }
+}
+
+/// The same motion where next to nothing acts that is not known.
+#[cold]
+fn quieted(constants: &Constants, track: &Track) -> Track {
+    let scale = QUIET * constants.torque_scale();
+    Track { force: [0.0; 4], bank: track.bank.with_priors(PRIOR).with_force(scale * scale), ..*track }
+}
+
+/// sin(θ₃ − θ₂).
+fn side_of(track: &Track) -> f64 {
+    libm::sin(track.theta[2] - track.theta[1])
 }
 
 /// A motion in the assembly of the estimate goes on by a macro step, and its errors as those of the estimate do; false where it cannot.

@@ -33,6 +33,7 @@ pub use alarm::Alarm;
 pub use bank::Matrix;
 use branches::Branches;
 pub use constants::Constants;
+use encoder::Reading;
 pub use encoder::{Encoder, Fault, Measured};
 use forecast::Forecast;
 use grazing::{Grazing, Passage, Way};
@@ -169,7 +170,7 @@ impl Estimator {
                 self.branches.weigh(&expected);
                 self.track.bank.update(&expected);
                 fit += own;
-                used[i] = Some((angle, innovation.noise, ages[i]));
+                used[i] = Some(Reading { angle, noise: innovation.noise, age: ages[i], slack: 0.0 });
             }
         }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
@@ -185,7 +186,11 @@ impl Estimator {
             None => self.track.bank = bank::Bank::new(constants.start_variances()),
         }
         let by_branches = self.branches.correct(linkage, &used).map(|other| self.branches.swap(&mut self.track, other));
-        let by_grazing = self.grazing.correct(constants, &used).map(|other| self.track = other);
+        let sharpened = [0, 1].map(|i| {
+            let (noise, rate) = ((parameters.sigma[i], parameters.quantum[i]), self.track.omega[MEASURED[i]]);
+            used[i].map(|reading| self.encoders[i].sharpened(reading, noise, rate))
+        });
+        let by_grazing = self.grazing.correct(constants, &sharpened).map(|other| self.track = other);
         if by_branches.or(by_grazing).is_some() {
             self.history.clear();
             frame = linkage.frame(&self.track.theta);
