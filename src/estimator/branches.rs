@@ -280,7 +280,7 @@ pub(super) fn mirrored(constants: &Constants, track: &Track) -> Option<Track> {
 }
 
 /// Angles and rates of all links of a start.
-fn posture(geometry: &Geometry, start: &Start) -> Option<(super::Links, super::Links)> {
+pub(super) fn posture(geometry: &Geometry, start: &Start) -> Option<(super::Links, super::Links)> {
     use crate::mechanism::coordinates::THETA;
     let (q, v) = close(geometry, start).ok()?;
     Some((THETA.map(|i| q[i]), THETA.map(|i| v[i])))

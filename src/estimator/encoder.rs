@@ -3,6 +3,8 @@
 use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::track::wrapped;
+
 /// The time of a sample that has not been taken, s.
 pub const NEVER: f64 = -1e30;
 /// Round-off of the times of a master, relative to them, or to 1 s.
@@ -167,6 +169,16 @@ impl Encoder {
     /// Whether it has been silent for longer than between its last samples.
     pub(super) fn is_silent(&self) -> bool {
         self.silent > LATE * if self.interval > 0.0 { self.interval } else { UNKNOWN_INTERVAL }
+    }
+
+    /// Between its last two samples, s; 0 before there are two.
+    pub(super) fn interval(&self) -> f64 {
+        self.interval
+    }
+
+    /// How fast its axis has turned between them, rad/s, by less than half a turn.
+    pub(super) fn rate(&self) -> f64 {
+        if self.interval > 0.0 { wrapped(self.change) / self.interval } else { 0.0 }
     }
 
     /// Whether it repeats itself.

@@ -15,7 +15,7 @@ use super::track::Track;
 use super::{Constants, Scene, bank, carry, transition};
 
 /// It is left where |sin(θ₃ − θ₂)| is at least this.
-const APART: f64 = 0.1;
+pub(super) const APART: f64 = 0.1;
 /// Unknown forces on both motions, in those of the estimate: these, with the quietest and the loudest model. A force that does act lets the
 /// loudest take part on both sides, so that it does not decide.
 const QUIET: f64 = 0.006;
@@ -31,6 +31,8 @@ const DECIDED: [f64; 2] = [-30.0, 6.0];
 const SURE: f64 = -300.0;
 /// and no more than this is believed of it.
 const BELIEVED: f64 = -10.0;
+/// Where the sine of the angle between the distal links changes faster, 1/s, there is no doubt: a machine does not turn back from that.
+const SLOW: f64 = 1.0;
 /// The least that is believed of a motion that has come through the line by itself.
 const STRAIGHT: f64 = -4.0;
 /// The log likelihood of the other side far from direct singularities.
@@ -88,6 +90,11 @@ impl Default for Grazing {
 }
 
 impl Grazing {
+    /// Where nothing is known of the side: both are followed, as soon as they are apart.
+    pub(super) fn of_unknown_side() -> Self {
+        Self { other_side: 0.0, ..Self::default() }
+    }
+
     /// Whether both assemblies are followed.
     pub(super) fn is_open(&self) -> bool {
         self.pair.is_some()
@@ -114,7 +121,7 @@ impl Grazing {
         match passage {
             Passage::Clear => (),
             Passage::Unseen => return *self = Self::default(),
-            Passage::Vertex => return *self = Self { other_side: 0.0, ..Self::default() },
+            Passage::Vertex => return *self = Self::of_unknown_side(),
         }
         let scale = QUIET * constants.torque_scale();
         if let Some(pair) = &mut self.pair {
@@ -137,18 +144,21 @@ impl Grazing {
         }
         let side = side_of(track).abs();
         if side < APART {
-            if self.other_side == FAR && self.pair.is_none() {
+            let rate = (track.omega[2] - track.omega[1]) * libm::cos(track.theta[2] - track.theta[1]);
+            if self.other_side == FAR && self.quiet.is_none() && self.pair.is_none() && rate.abs() < SLOW {
                 self.quiet = Some((quieted(constants, track), FAR));
             }
             let odds = track.other_side(way.to);
             self.other_side = self.other_side.max(odds).clamp(FAR, 0.0);
-        } else if self.other_side > FAR {
+        } else {
             let prior = std::mem::replace(&mut self.other_side, FAR);
             let quiet = self.quiet.take();
-            let crossed = quiet.as_ref().is_some_and(|(quiet, _)| side_of(quiet) * side_of(track) < 0.0);
-            if prior > SURE || crossed {
+            if prior > SURE {
                 self.pair = match quiet {
-                    Some((quiet, sure)) => Pair::around(constants, &quiet, (crossed, sure.clamp(BELIEVED, STRAIGHT))),
+                    Some((quiet, sure)) => {
+                        let other = side_of(&quiet) * side_of(track) < 0.0;
+                        Pair::around(constants, &quiet, (other, sure.clamp(BELIEVED, STRAIGHT)))
+                    }
                     None => Pair::around(constants, &quieted(constants, track), (false, prior.max(BELIEVED))),
                 };
             }
@@ -186,7 +196,8 @@ impl Grazing {
 }
 
 impl Pair {
-    /// A motion and the one in the other assembly, whose log likelihood is less by `-odds`; `crossed`: it is the other that the estimate is in.
+    /// A motion and the one in the other assembly, with the log likelihood of that; `crossed`: it is the other that the estimate is in, which
+    /// the next samples make give way.
     #[cold]
     fn around(constants: &Constants, track: &Track, (crossed, odds): (bool, f64)) -> Option<Self> {
         let other = mirrored(constants, track)?;
