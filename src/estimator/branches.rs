@@ -1,27 +1,22 @@
 //! Behind a vertex: what the motion may have become beside the estimate, followed until the samples have told which it is. It may have gone
-//! straight on or turned to either side; later the other assembly may have the same motors.
+//! straight on or turned to either side; later, `grazing` follows the other assembly with the same motors.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::{MODELS, PRIOR};
+use super::encoder::Reading;
 use super::innovation::{Expected, Innovation, log_likelihood};
 use super::linkage::{Linkage, MEASURED, VERTEX};
 use super::track::{Track, wrapped};
 use super::{Constants, Scene, transition};
 use crate::mechanism::{Assembly, Geometry, Start, close};
 
-/// How long after a vertex the other assembly is begun, s,
-const LATEST: f64 = 0.15;
-/// where sin(θ₃ − θ₂) is at least this.
-const APART: f64 = 0.1;
 /// It is dropped after this time, s,
 const LONGEST: f64 = 0.5;
 /// or where the samples speak against it, and takes over where they speak for it: differences of log likelihoods.
 const DECIDED: [f64; 2] = [-12.0, 6.0];
 /// A difference by which samples decide at once.
 const IMMEDIATE: f64 = 15.0;
-/// Variances that the other assembly has beside: of rates, rad²/s², and of the force in squared torque scales.
-const BESIDE: [f64; 2] = [0.01, 0.04];
 /// Motions that turn at a vertex are begun this far before it, rad of the fastest link,
 const BEFORE: f64 = 0.05;
 /// so far aside, rad: how they turn does not depend on it,
@@ -86,19 +81,8 @@ impl Branches {
     }
 
     /// The estimate has gone on by a macro step.
-    pub(super) fn step(
-        &mut self,
-        constants: &Constants,
-        (track, held): (&Track, bool),
-        scene: &impl Scene,
-        (h, switch_time): (f64, f64),
-    ) {
-        let linkage = &constants.linkage;
-        if held {
-            self.since_vertex = 0.0;
-        }
-        let begins = self.since_vertex < LATEST && !held && !self.are_open();
-        self.since_vertex = (self.since_vertex + h).min(f64::MAX);
+    pub(super) fn step(&mut self, constants: &Constants, held: bool, scene: &impl Scene, (h, switch_time): (f64, f64)) {
+        self.since_vertex = (if held { 0.0 } else { self.since_vertex } + h).min(f64::MAX);
         for other in &mut self.others {
             if let Some(motion) = other {
                 motion.age += h;
@@ -109,11 +93,6 @@ impl Branches {
                     *other = None;
                 }
             }
-        }
-        if begins && linkage.frame(&track.theta).side().abs() > APART {
-            // Once for each vertex.
-            self.since_vertex = LATEST;
-            self.others[0] = mirrored(constants, track, BESIDE).map(|track| Other::new(track, false));
         }
     }
 
@@ -169,10 +148,10 @@ impl Branches {
         }
     }
 
-    /// The same samples (angle, noise, age) for what is followed beside. What of it takes over.
-    pub(super) fn correct(&mut self, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> Option<usize> {
+    /// The same samples for what is followed beside. What of it takes over.
+    pub(super) fn correct(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> Option<usize> {
         for other in &mut self.others {
-            if other.as_mut().is_some_and(|other| !other.correct(linkage, samples)) {
+            if other.as_mut().is_some_and(|other| !other.correct(linkage, readings)) {
                 *other = None;
             }
         }
@@ -202,8 +181,8 @@ impl Other {
     }
 
     /// Takes samples in; false where they speak against it.
-    fn correct(&mut self, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> bool {
-        let Some(likelihood) = tell(&mut self.track, linkage, samples) else { return false };
+    fn correct(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> bool {
+        let Some(likelihood) = tell(&mut self.track, linkage, readings) else { return false };
         self.evidence += likelihood;
         // NaN speaks against it.
         self.evidence > DECIDED[0]
@@ -245,19 +224,24 @@ pub(super) fn advance(
     true
 }
 
-/// A motion beside the estimate takes samples (angle, noise, age) in; their log likelihood, `None` where the loop cannot be closed.
+/// A motion beside the estimate takes samples in; their log likelihood, `None` where the loop cannot be closed.
 #[inline(never)]
-pub(super) fn tell(track: &mut Track, linkage: &Linkage, samples: &[Option<(f64, f64, f64)>; 2]) -> Option<f64> {
+pub(super) fn tell(track: &mut Track, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> Option<f64> {
     let mut likelihood = 0.0;
     let frame = linkage.frame(&track.theta);
-    for (encoder, sample) in samples.iter().enumerate() {
-        let Some((angle, noise, age)) = *sample else { continue };
+    for (encoder, reading) in readings.iter().enumerate() {
+        let Some(Reading { angle, noise, age, slack }) = *reading else { continue };
         let mut innovation = track.innovation(&frame, encoder, angle, noise);
         // Motions that are followed beside are slow: where they stood follows from their rates.
-        innovation.residual = wrapped(innovation.residual + age * track.omega[MEASURED[encoder]]);
+        let residual = wrapped(innovation.residual + age * track.omega[MEASURED[encoder]]);
+        if residual.abs() < slack {
+            continue;
+        }
+        innovation.residual = residual - slack.copysign(residual);
         let expected = track.bank.expect(&innovation);
         let (nis, variance) = expected.surprise();
-        likelihood += log_likelihood(nis, variance);
+        // Of what is told within the slack by no motion, its density is no part.
+        likelihood += if slack > 0.0 { -0.5 * nis } else { log_likelihood(nis, variance) };
         track.bank.update(&expected);
     }
     track.absorb(linkage, &frame).map(|_| likelihood)
@@ -266,7 +250,7 @@ pub(super) fn tell(track: &mut Track, linkage: &Linkage, samples: &[Option<(f64,
 /// The other assembly with the same angles and rates of the motors.
 #[cold]
 #[inline(never)]
-pub(super) fn mirrored(constants: &Constants, track: &Track, [rate, force]: [f64; 2]) -> Option<Track> {
+pub(super) fn mirrored(constants: &Constants, track: &Track) -> Option<Track> {
     let linkage = &constants.linkage;
     let from = linkage.frame(&track.theta);
     let assembly = if from.side() > 0.0 { Assembly::Minus } else { Assembly::Plus };
@@ -292,18 +276,11 @@ pub(super) fn mirrored(constants: &Constants, track: &Track, [rate, force]: [f64
     }
     let mut bank = track.bank;
     bank.carry(&turn);
-    let scale = constants.torque_scale();
-    for member in &mut bank.members {
-        for i in 0..2 {
-            member.covariance[2 + i][2 + i] += rate;
-            member.covariance[4 + i][4 + i] += force * scale * scale;
-        }
-    }
     Some(Track { theta, omega, force: [0.0; 4], bank })
 }
 
 /// Angles and rates of all links of a start.
-fn posture(geometry: &Geometry, start: &Start) -> Option<(super::Links, super::Links)> {
+pub(super) fn posture(geometry: &Geometry, start: &Start) -> Option<(super::Links, super::Links)> {
     use crate::mechanism::coordinates::THETA;
     let (q, v) = close(geometry, start).ok()?;
     Some((THETA.map(|i| q[i]), THETA.map(|i| v[i])))

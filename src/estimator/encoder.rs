@@ -3,6 +3,8 @@
 use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::track::wrapped;
+
 /// The time of a sample that has not been taken, s.
 pub const NEVER: f64 = -1e30;
 /// Round-off of the times of a master, relative to them, or to 1 s.
@@ -17,6 +19,10 @@ const PATIENCE: u32 = 10;
 const REPEATING: f64 = 0.3;
 /// White noise of this many steps of the quantiser makes its error white.
 const DITHER: f64 = 0.4;
+/// A reading that changes by no more steps than this has passed one edge between them,
+const ONE: f64 = 1.5;
+/// which is known to this part of a step.
+const SHARP: f64 = 0.3;
 /// An encoder is silent where this many of its intervals have passed since its last sample,
 const LATE: f64 = 1.5;
 /// which before there are two samples are taken to be of this length, s.
@@ -84,6 +90,19 @@ pub(super) struct Sample {
     pub(super) age: f64,
 }
 
+/// What a sample tells of the angle of an axis.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reading {
+    /// rad.
+    pub(super) angle: f64,
+    /// Its variance, rad².
+    pub(super) noise: f64,
+    /// s.
+    pub(super) age: f64,
+    /// So far from the angle, rad, nothing is told.
+    pub(super) slack: f64,
+}
+
 /// An encoder.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Encoder {
@@ -92,6 +111,8 @@ pub struct Encoder {
     time: f64,
     /// Whether it was the same as the one before.
     repeated: bool,
+    /// From the one before, rad.
+    change: f64,
     /// Samples left out in a row.
     left_out: u32,
     /// Between the last two samples, s; 0 before there are two.
@@ -102,8 +123,16 @@ pub struct Encoder {
 }
 
 impl Encoder {
-    pub(super) const NEW: Self =
-        Self { angle: 0.0, time: NEVER, repeated: false, left_out: 0, interval: 0.0, silent: f64::INFINITY, fault: Fault::None };
+    pub(super) const NEW: Self = Self {
+        angle: 0.0,
+        time: NEVER,
+        repeated: false,
+        change: 0.0,
+        left_out: 0,
+        interval: 0.0,
+        silent: f64::INFINITY,
+        fault: Fault::None,
+    };
 
     /// The sample of a new time, if it can be used. `max_delay`, s, is the age that can be accounted for.
     pub(super) fn hear(&mut self, angle: f64, time: f64, now: f64, max_delay: f64) -> Option<Sample> {
@@ -128,6 +157,7 @@ impl Encoder {
             return None;
         }
         self.repeated = spoke && self.angle.to_bits() == angle.to_bits();
+        self.change = if spoke { angle - self.angle } else { 0.0 };
         self.angle = angle;
         if spoke {
             self.interval = (time - before).abs();
@@ -139,6 +169,16 @@ impl Encoder {
     /// Whether it has been silent for longer than between its last samples.
     pub(super) fn is_silent(&self) -> bool {
         self.silent > LATE * if self.interval > 0.0 { self.interval } else { UNKNOWN_INTERVAL }
+    }
+
+    /// Between its last two samples, s; 0 before there are two.
+    pub(super) fn interval(&self) -> f64 {
+        self.interval
+    }
+
+    /// How fast its axis has turned between them, rad/s, by less than half a turn.
+    pub(super) fn rate(&self) -> f64 {
+        if self.interval > 0.0 { wrapped(self.change) / self.interval } else { 0.0 }
     }
 
     /// Whether it repeats itself.
@@ -166,6 +206,22 @@ impl Encoder {
         };
         self.left_out = if self.fault == Fault::None { 0 } else { self.left_out.saturating_add(1) };
         self.fault == Fault::None
+    }
+
+    /// What a reading tells beside where the axis is slow: while it stays the same, that the axis is within the encoder's step; where it
+    /// changes, that it has just passed the edge between two steps.
+    pub(super) fn sharpened(&self, reading: Reading, (sigma, quantum): (f64, f64), rate: f64) -> Reading {
+        let Reading { angle, age, .. } = reading;
+        if quantum == 0.0 || sigma > DITHER * quantum || self.interval == 0.0 || self.change.abs() > ONE * quantum {
+            return reading;
+        }
+        let passed = rate * self.interval;
+        let noise = (SHARP * quantum).powi(2) + passed * passed / 3.0 + sigma * sigma;
+        if self.repeated {
+            Reading { angle, noise, age, slack: quantum / 2.0 }
+        } else {
+            Reading { angle: angle - self.change / 2.0, noise, age, slack: 0.0 }
+        }
     }
 
     /// Variance of a sample, rad², of an axis that turns at a rate, rad/s: that of the white noise, that of the quantiser, whose error

@@ -1,4 +1,5 @@
 //! Behind a direct singularity that is passed slowly or only grazed: whether the machine has crossed it, or has turned back before it.
+//! Behind a vertex: in which of the two assemblies it has come out.
 //!
 //! The motors do not tell the two assemblies apart, only how the motion goes on does, and slowly. An unknown force explains either, and as
 //! the models of the estimate allow for forces that change, it is not they that can decide. So two motions are followed beside the estimate
@@ -8,12 +9,13 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::{MODELS, Matrix};
 use super::branches::{advance, mirrored, tell};
+use super::encoder::Reading;
 use super::linkage::Frame;
 use super::track::Track;
 use super::{Constants, Scene, bank, carry, transition};
 
 /// It is left where |sin(θ₃ − θ₂)| is at least this.
-const APART: f64 = 0.1;
+pub(super) const APART: f64 = 0.1;
 /// Unknown forces on both motions, in those of the estimate: these, with the quietest and the loudest model. A force that does act lets the
 /// loudest take part on both sides, so that it does not decide.
 const QUIET: f64 = 0.006;
@@ -29,6 +31,10 @@ const DECIDED: [f64; 2] = [-30.0, 6.0];
 const SURE: f64 = -300.0;
 /// and no more than this is believed of it.
 const BELIEVED: f64 = -10.0;
+/// Where the sine of the angle between the distal links changes faster, 1/s, there is no doubt: a machine does not turn back from that.
+const SLOW: f64 = 1.0;
+/// The least that is believed of a motion that has come through the line by itself.
+const STRAIGHT: f64 = -4.0;
 /// The log likelihood of the other side far from direct singularities.
 const FAR: f64 = -1e3;
 /// Variance of the unknown force of an assembly that takes over, in squared torque scales.
@@ -37,8 +43,12 @@ const UNKNOWN: f64 = 0.04;
 /// What is known of the side on which a direct singularity is left.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Grazing {
-    /// The log likelihood of the other side of the singularity that the estimate is passing, at its largest; −∞ far from one.
+    /// The log likelihood of the other side of the singularity that the estimate is passing, at its largest: −1000 far from one, 0 behind a
+    /// vertex.
     other_side: f64,
+    /// A motion on which next to nothing acts that is not known, from where the estimate has come near the line, and the log likelihood of its
+    /// other side, at its largest.
+    quiet: Option<(Track, f64)>,
     pair: Option<Pair>,
 }
 
@@ -50,6 +60,17 @@ struct Pair {
     evidence: f64,
     /// s.
     age: f64,
+}
+
+/// Where the estimate passes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Passage {
+    /// Neither of the others.
+    Clear,
+    /// By a vertex, or several motions are followed behind it: nothing is known of the side.
+    Vertex,
+    /// Without samples: nothing decides.
+    Unseen,
 }
 
 /// How the estimate has gone on.
@@ -64,18 +85,23 @@ pub(super) struct Way<'a> {
 
 impl Default for Grazing {
     fn default() -> Self {
-        Self { other_side: FAR, pair: None }
+        Self { other_side: FAR, quiet: None, pair: None }
     }
 }
 
 impl Grazing {
+    /// Where nothing is known of the side: both are followed, as soon as they are apart.
+    pub(super) fn of_unknown_side() -> Self {
+        Self { other_side: 0.0, ..Self::default() }
+    }
+
     /// Whether both assemblies are followed.
     pub(super) fn is_open(&self) -> bool {
         self.pair.is_some()
     }
 
     pub(super) fn tracks(&self) -> impl Iterator<Item = &Track> {
-        self.pair.iter().flat_map(|pair| &pair.tracks)
+        self.pair.iter().flat_map(|pair| &pair.tracks).chain(self.quiet.iter().map(|(track, _)| track))
     }
 
     pub(super) fn is_sound(&self) -> bool {
@@ -83,18 +109,19 @@ impl Grazing {
             && self.pair.is_none_or(|pair| pair.evidence.is_finite() && (0.0..=LONGEST).contains(&pair.age))
     }
 
-    /// The estimate has gone on by a macro step; `clear`: no vertex is near, and samples come.
+    /// The estimate has gone on by a macro step.
     #[inline(never)]
     pub(super) fn step(
         &mut self,
         constants: &Constants,
-        (track, clear, way): (&Track, bool, &Way<'_>),
+        (track, passage, way): (&Track, Passage, &Way<'_>),
         scene: &impl Scene,
         (h, switch_time): (f64, f64),
     ) {
-        if !clear {
-            *self = Self::default();
-            return;
+        match passage {
+            Passage::Clear => (),
+            Passage::Unseen => return *self = Self::default(),
+            Passage::Vertex => return *self = Self::of_unknown_side(),
         }
         let scale = QUIET * constants.torque_scale();
         if let Some(pair) = &mut self.pair {
@@ -108,22 +135,45 @@ impl Grazing {
                 self.pair = None;
             }
         }
-        let side = libm::sin(track.theta[2] - track.theta[1]).abs();
+        if let Some((quiet, other_side)) = &mut self.quiet {
+            if accompany(quiet, constants, scene, way, (h, switch_time, scale)) {
+                *other_side = other_side.max(quiet.other_side(&constants.linkage.frame(&quiet.theta))).clamp(FAR, 0.0);
+            } else {
+                self.quiet = None;
+            }
+        }
+        let side = side_of(track).abs();
         if side < APART {
+            let rate = (track.omega[2] - track.omega[1]) * libm::cos(track.theta[2] - track.theta[1]);
+            if self.other_side == FAR && self.quiet.is_none() && self.pair.is_none() && rate.abs() < SLOW {
+                self.quiet = Some((quieted(constants, track), FAR));
+            }
             let odds = track.other_side(way.to);
             self.other_side = self.other_side.max(odds).clamp(FAR, 0.0);
-        } else if self.other_side > FAR {
+        } else {
             let prior = std::mem::replace(&mut self.other_side, FAR);
+            let quiet = self.quiet.take();
             if prior > SURE {
-                self.pair = Pair::new(constants, track, prior.max(BELIEVED));
+                self.pair = match quiet {
+                    Some((quiet, sure)) => {
+                        let other = side_of(&quiet) * side_of(track) < 0.0;
+                        Pair::around(constants, &quiet, (other, sure.clamp(BELIEVED, STRAIGHT)))
+                    }
+                    None => Pair::around(constants, &quieted(constants, track), (false, prior.max(BELIEVED))),
+                };
             }
         }
     }
 
-    /// Samples (angle, noise, age) that the estimate has taken in. The motion that takes over.
-    pub(super) fn correct(&mut self, constants: &Constants, samples: &[Option<(f64, f64, f64)>; 2]) -> Option<Track> {
+    /// Samples that the estimate has taken in. The motion that takes over.
+    pub(super) fn correct(&mut self, constants: &Constants, readings: &[Option<Reading>; 2]) -> Option<Track> {
+        if let Some((quiet, _)) = &mut self.quiet
+            && tell(quiet, &constants.linkage, readings).is_none()
+        {
+            self.quiet = None;
+        }
         let pair = self.pair.as_mut()?;
-        let told = [0, 1].map(|k| tell(&mut pair.tracks[k], &constants.linkage, samples));
+        let told = [0, 1].map(|k| tell(&mut pair.tracks[k], &constants.linkage, readings));
         let ([Some(own), Some(other)], scale) = (told, constants.torque_scale()) else {
             self.pair = None;
             return None;
@@ -146,14 +196,29 @@ impl Grazing {
 }
 
 impl Pair {
+    /// A motion and the one in the other assembly, with the log likelihood of that; `crossed`: it is the other that the estimate is in, which
+    /// the next samples make give way.
     #[cold]
-    fn new(constants: &Constants, track: &Track, prior: f64) -> Option<Self> {
-        let other = mirrored(constants, track, [0.0; 2])?;
-        let scale = QUIET * constants.torque_scale();
-        let quiet =
-            |track: &Track| Track { force: [0.0; 4], bank: track.bank.with_priors(PRIOR).with_force(scale * scale), ..*track };
-        Some(Self { tracks: [quiet(track), quiet(&other)], evidence: prior, age: 0.0 })
+    fn around(constants: &Constants, track: &Track, (crossed, odds): (bool, f64)) -> Option<Self> {
+        let other = mirrored(constants, track)?;
+        Some(if crossed {
+            Self { tracks: [other, *track], evidence: (-odds).max(DECIDED[1] + 1.0), age: 0.0 }
+        } else {
+            Self { tracks: [*track, other], evidence: odds, age: 0.0 }
+        })
     }
+}
+
+/// The same motion where next to nothing acts that is not known.
+#[cold]
+fn quieted(constants: &Constants, track: &Track) -> Track {
+    let scale = QUIET * constants.torque_scale();
+    Track { force: [0.0; 4], bank: track.bank.with_priors(PRIOR).with_force(scale * scale), ..*track }
+}
+
+/// sin(θ₃ − θ₂).
+fn side_of(track: &Track) -> f64 {
+    libm::sin(track.theta[2] - track.theta[1])
 }
 
 /// A motion in the assembly of the estimate goes on by a macro step, and its errors as those of the estimate do; false where it cannot.

@@ -9,6 +9,7 @@
 #![expect(clippy::needless_range_loop, reason = "matrices are indexed as formulas index them")]
 
 pub mod alarm;
+mod bands;
 pub mod bank;
 mod branches;
 mod carry;
@@ -23,19 +24,20 @@ pub mod linkage;
 mod parameters;
 mod posture;
 mod process_noise;
+mod restart;
 mod track;
 pub mod transition;
 
 use borsh::{BorshDeserialize, BorshSerialize};
-use nalgebra::{Matrix4, Vector4};
 
 pub use alarm::Alarm;
 pub use bank::Matrix;
 use branches::Branches;
 pub use constants::Constants;
+use encoder::Reading;
 pub use encoder::{Encoder, Fault, Measured};
 use forecast::Forecast;
-use grazing::{Grazing, Way};
+use grazing::{Grazing, Passage, Way};
 use history::History;
 pub use history::REMEMBERED;
 pub use innovation::Innovation;
@@ -57,7 +59,7 @@ pub enum Status {
     TwoBranches,
     /// One encoder is silent, the other is followed.
     OneEncoder,
-    /// The samples do not fit what is expected of them: the bands are too narrow.
+    /// The samples do not fit what is expected of them: the bands are too narrow, or the machine was lost and the estimate has begun anew.
     Inconsistent,
     /// What is wrong with an encoder.
     Faulty(Fault),
@@ -75,6 +77,10 @@ pub struct Estimator {
     history: History,
     forecast: Forecast,
     alarm: Alarm,
+    /// For how much longer samples have been far off the estimate than near, s.
+    astray: f64,
+    /// Whether the estimate has begun anew with the last samples.
+    begun_anew: bool,
     /// Of the last sample of each encoder, rad.
     innovation: [f64; 2],
     /// Of the last samples used at once.
@@ -97,6 +103,8 @@ impl Estimator {
             history: History::default(),
             forecast: Forecast::default(),
             alarm: Alarm::default(),
+            astray: 0.0,
+            begun_anew: false,
             innovation: [0.0; 2],
             nis: 0.0,
         }
@@ -138,6 +146,9 @@ impl Estimator {
             }
             (heard[i], ages[i], any) = (Some((innovation, sample.angle)), sample.age, true);
         }
+        if any && self.begin_anew(constants, &heard, &ages) {
+            return true;
+        }
         if !any || self.held {
             return false;
         }
@@ -169,7 +180,7 @@ impl Estimator {
                 self.branches.weigh(&expected);
                 self.track.bank.update(&expected);
                 fit += own;
-                used[i] = Some((angle, innovation.noise, ages[i]));
+                used[i] = Some(Reading { angle, noise: innovation.noise, age: ages[i], slack: 0.0 });
             }
         }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
@@ -185,7 +196,11 @@ impl Estimator {
             None => self.track.bank = bank::Bank::new(constants.start_variances()),
         }
         let by_branches = self.branches.correct(linkage, &used).map(|other| self.branches.swap(&mut self.track, other));
-        let by_grazing = self.grazing.correct(constants, &used).map(|other| self.track = other);
+        let sharpened = [0, 1].map(|i| {
+            let (noise, rate) = ((parameters.sigma[i], parameters.quantum[i]), self.track.omega[MEASURED[i]]);
+            used[i].map(|reading| self.encoders[i].sharpened(reading, noise, rate))
+        });
+        let by_grazing = self.grazing.correct(constants, &sharpened).map(|other| self.track = other);
         if by_branches.or(by_grazing).is_some() {
             self.history.clear();
             frame = linkage.frame(&self.track.theta);
@@ -214,11 +229,14 @@ impl Estimator {
         self.track.bank.predict(linkage, (&frame, &step.transition), scale, timing, &bank::PRIOR);
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
-        self.branches.step(constants, (&self.track, step.held), scene, timing);
-        // Without samples nothing decides.
-        let clear = !step.held && self.branches.are_known() && !self.is_coasting();
+        self.branches.step(constants, step.held, scene, timing);
+        let passage = match () {
+            () if self.is_coasting() => Passage::Unseen,
+            () if step.held || self.branches.are_open() => Passage::Vertex,
+            () => Passage::Clear,
+        };
         let way = Way { from: &frame, to: &to, transition: &step.transition, steps: flow.steps };
-        self.grazing.step(constants, (&self.track, clear, &way), known, timing);
+        self.grazing.step(constants, (&self.track, passage, &way), known, timing);
         for encoder in &mut self.encoders {
             encoder.silent += h;
         }
@@ -234,6 +252,7 @@ impl Estimator {
     pub fn status(&self) -> Status {
         let fault = self.encoders.iter().map(|encoder| encoder.fault).max().unwrap_or_default();
         match () {
+            () if self.begun_anew => Status::Inconsistent,
             () if self.held => Status::Holding,
             () if fault != Fault::None => Status::Faulty(fault),
             () if self.is_coasting() => Status::Coasting,
@@ -269,54 +288,6 @@ impl Estimator {
         self.alarm.is_on()
     }
 
-    /// Covariance of the error on the tangent basis, and of the angles and rates of links 1 to 4 its diagonal.
-    pub fn sigmas(&self, constants: &Constants) -> [Links; 2] {
-        if let Some(sigmas) = self.forecast.sigmas(&self.track) {
-            return sigmas;
-        }
-        let frame = constants.linkage.frame(&self.track.theta);
-        let covariance = self.track.covariance();
-        let sigma = |link: usize, first: usize| {
-            let [x, y] = frame.basis.map(|direction| direction[link]);
-            let variance = x * x * covariance[first][first]
-                + 2.0 * x * y * covariance[first][first + 1]
-                + y * y * covariance[first + 1][first + 1];
-            variance.max(0.0).sqrt()
-        };
-        [std::array::from_fn(|link| sigma(link, 0)), std::array::from_fn(|link| sigma(link, 2))]
-    }
-
-    /// Squared error against a true motion in units of the covariance of angles and rates: 4 on average where the bands are honest.
-    pub fn nees(&self, constants: &Constants, theta: &Links, omega: &Links) -> f64 {
-        let frame = constants.linkage.frame(&self.track.theta);
-        let angles = frame.coordinates(&std::array::from_fn(|i| wrapped(theta[i] - self.track.theta[i])));
-        let rates = frame.coordinates(&std::array::from_fn(|i| omega[i] - self.track.omega[i]));
-        let covariance = self.track.covariance();
-        let p = Matrix4::from_fn(|i, k| covariance[i][k]);
-        let error = Vector4::new(angles[0], angles[1], rates[0], rates[1]);
-        p.cholesky().map_or(f64::INFINITY, |factor| error.dot(&factor.solve(&error)))
-    }
-
-    /// Covariance of the tip, m²: xx, xy, yy.
-    pub fn tip_covariance(&self, constants: &Constants) -> [f64; 3] {
-        let frame = constants.linkage.frame(&self.track.theta);
-        let by_lengths = frame.tip_by_lengths(constants.parameters.sigma0_length);
-        let known = self.forecast.tip_covariance(&self.track, &constants.linkage).unwrap_or_else(|| {
-            let covariance = self.track.covariance();
-            let tip = frame.tip();
-            let element = |i: usize, k: usize| {
-                (0..2).map(|a| (0..2).map(|b| tip[i][a] * covariance[a][b] * tip[k][b]).sum::<f64>()).sum::<f64>()
-            };
-            [element(0, 0), element(0, 1), element(1, 1)]
-        });
-        std::array::from_fn(|i| known[i] + by_lengths[i])
-    }
-
-    /// Motor torques that would do what the unknown force does, with their standard deviations; see [`Track::motor_torques`].
-    pub fn motor_torques(&self, constants: &Constants) -> Option<(Pair, Pair)> {
-        self.track.motor_torques(&constants.linkage.frame(&self.track.theta))
-    }
-
     /// Probability of a direct singularity within the horizon, with the inputs held: from motions around the estimate.
     pub fn singularity_probability(&self, constants: &Constants, scene: &impl Scene, step: f64) -> f64 {
         forecast::singularity_probability(&self.track, &self.forecast, constants, scene, step)
@@ -336,7 +307,7 @@ impl Estimator {
         if !self.history.is_sound() || !self.forecast.is_sound(&constants.linkage) {
             return Err("what its estimator remembers is none");
         }
-        let numbers = self.innovation.iter().chain([&self.nis]);
+        let numbers = self.innovation.iter().chain([&self.nis, &self.astray]);
         if !numbers.chain(&self.alarm.numbers()).all(|x| x.is_finite()) || !self.branches.is_sound() || !self.grazing.is_sound() {
             return Err("a number of its estimator is not finite");
         }

@@ -39,11 +39,20 @@ impl Instance {
             return Err(refusal);
         }
         let news = following.take_news();
+        let begun_anew = following.estimator().has_begun_anew();
         clock.advance(plan);
         now.next.after_step(size);
         now.stage = super::Stage::StepComplete;
         for (encoder, fault) in news {
             warn(&mut self.log, || told(encoder, fault, point));
+        }
+        if begun_anew {
+            warn(&mut self.log, || {
+                format!(
+                    "at {point:?} s: measured.theta[1..2] were more than 0.1 rad off the estimate for most of 0.1 s: it has lost the machine \
+                     and begins anew where they are."
+                )
+            });
         }
         self.warn(point + size);
         if let Some(passes) = passes {

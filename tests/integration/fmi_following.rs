@@ -229,6 +229,53 @@ fn faults_are_told_once_and_survived() {
     }
 }
 
+/// A machine that is taken elsewhere while its encoders are silent: the estimate begins anew where they are, says so once, by its status and in
+/// the log, and finds the machine; from a state stored before, in memory or as bytes, it does so to the same bits.
+#[test]
+fn a_lost_machine_is_found_again() {
+    let (host, machine) = (following(1, &[]), machine());
+    follow(&host, &machine, 0..50, at_once);
+    // For 2 s the twin hears nothing.
+    for step in 50..2050 {
+        assert_eq!(host.do_step(f64::from(step) * H, H), fmi2OK);
+    }
+    // Then it hears of a machine that has fallen from elsewhere.
+    let other = Host::initializing(0.0, None);
+    assert_eq!(other.set_integer(&[reference("solver.method")], &[4]), fmi2OK);
+    for (name, value) in [("base.distance", 0.1), ("init.theta[1]", 2.0), ("init.theta[2]", 1.3)] {
+        assert_eq!(other.set_real(&[reference(name)], &[value]), fmi2OK);
+    }
+    assert_eq!(other.call(fmi2ExitInitializationMode), fmi2OK);
+    for step in 0..2050 {
+        assert_eq!(other.do_step(f64::from(step) * H, H), fmi2OK);
+    }
+    let _ = host.take();
+    let (mut before, mut machine_before) = (host.state(), other.state());
+    let bytes = bytes_of(&host, before);
+    let finds = |host: &Host| {
+        let mut begun = 0;
+        for step in 2050..3000 {
+            follow(host, &other, step..step + 1, at_once);
+            begun += usize::from(host.take().iter().any(|line| line.text.contains("it has lost the machine")));
+            if begun == 1 && status(host) == "inconsistent" {
+                assert!(step < 2250, "late: {step}");
+            }
+        }
+        assert_eq!(begun, 1);
+        assert!(tip_error(host, &other) < 1e-3, "{}", tip_error(host, &other));
+        reals(host)
+    };
+    let found = finds(&host);
+    assert_eq!((host.set_state(before), other.set_state(machine_before)), (fmi2OK, fmi2OK));
+    assert_eq!(finds(&host), found);
+    let mut read = state_of(&host, &bytes);
+    assert_eq!((host.set_state(read), other.set_state(machine_before)), (fmi2OK, fmi2OK));
+    assert_eq!(finds(&host), found);
+    for (host, state) in [(&host, &mut before), (&host, &mut read), (&other, &mut machine_before)] {
+        assert_eq!(host.free_state(state), fmi2OK);
+    }
+}
+
 /// Whole turns are left out of innovations.
 #[test]
 fn turns_do_not_matter() {

@@ -161,12 +161,12 @@ def test_servos_that_are_told_nothing_hold_where_the_machine_starts(config: Conf
 
 
 def test_a_machine_that_was_lost_is_found_again(config: Config, library: Library) -> None:
-    """Orders that the machine does not follow, and two late samples: nothing fits any more until the twin starts anew."""
+    """Orders that the machine does not follow, and two late samples: nothing fits any more until the unit begins anew."""
     twin = follower(config, library)
     said = estimates(twin, standing(STALLED, servo_theta=0.0))
     lost = [each for each in said if each.fields["estimated.status"] in (7, 8)]
-    assert len(lost) > 20, "or this test shows nothing"
-    assert twin.failure == "samples have not fitted the estimate for more than 0.25 s"
+    assert len(lost) > 10, "or this test shows nothing"
+    assert twin.failure == "", "the unit itself has found it"
     assert lost[-1].time - said[0].time < 0.6e9
     assert all(each.fields["estimated.status"] == 2 and abs(each.fields["theta[1]"] - 2.7567) < 1e-3 for each in said[-100:])
     twin.close()

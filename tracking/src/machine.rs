@@ -78,6 +78,8 @@ pub struct Plan {
     pub push: [f64; 2],
     /// From this time on, s.
     pub from: f64,
+    /// Both encoders are silent between these times, s.
+    pub silent: [f64; 2],
 }
 
 /// A scene to follow.
@@ -197,11 +199,15 @@ pub fn follow(
     mut look: impl FnMut(&Instant),
 ) -> Result<(), StepFailure> {
     let (mut machine, mut twin) = (scenario.machine(), scenario.twin(encoder));
+    let mut measured = Measured::default();
+    let [hushed, back] = scenario.plan.silent;
     for step in 0..(scenario.duration / h).round() as u64 {
         let time = step as f64 * h;
         let truth = machine.state();
         let (theta, _) = motion(&truth);
-        let measured = Measured { theta: MEASURED.map(|link| encoder.read(theta[link], random)), time: [time; 2] };
+        if !(hushed..back).contains(&time) {
+            measured = Measured { theta: MEASURED.map(|link| encoder.read(theta[link], random)), time: [time; 2] };
+        }
         twin.correct(&measured, time);
         let inputs = scenario.inputs(time);
         let estimate = twin.state_for(&inputs);

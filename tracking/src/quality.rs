@@ -51,7 +51,7 @@ pub fn servos(parameters: &mut Parameters, kp: f64, kd: f64) {
 
 /// Phases.
 pub fn plan(random: &mut Random) -> Plan {
-    Plan { phase: std::array::from_fn(|_| random.between(0.0, std::f64::consts::TAU)), push: [0.0; 2], from: f64::INFINITY }
+    Plan { phase: std::array::from_fn(|_| random.between(0.0, std::f64::consts::TAU)), from: f64::INFINITY, ..Plan::default() }
 }
 
 /// The pick with a payload that the twin does not know of.

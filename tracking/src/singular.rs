@@ -10,7 +10,7 @@ use fivebar::simulation::{Method, Parameters, Simulation};
 use crate::machine::{
     COARSE, Encoder, FINE, Plan, Random, Scenario, desk, five_percent, follow, motion, no_inputs, side, start_off,
 };
-use crate::quality::{outcome, push};
+use crate::quality::{fall, outcome, push};
 use crate::report::{Figure, Table};
 
 /// Speeds of the tip, m/s.
@@ -23,6 +23,10 @@ const LONGEST: u32 = 20;
 const CLEAR: f64 = 0.25;
 /// The same for a vertex.
 const AROUND_VERTEX: [f64; 2] = [0.2, 0.4];
+/// Both encoders are silent between these times, s,
+const SILENT: [f64; 2] = [0.5, 2.0];
+/// and the machine is to be found again within this, s.
+const FOUND: f64 = 1.0;
 /// Errors of the twin's start: small, so that it is the crossing that is judged.
 const START: [f64; 2] = [0.003, 0.03];
 
@@ -185,6 +189,15 @@ pub fn whip(random: &mut Random) -> Scenario {
     Scenario { model: twin, truth, course, plan: Plan::default(), duration: 2.5, from: None }
 }
 
+/// A fall of a machine with masses 5 % off, through whatever singularities, during which both encoders are silent for so long, s, that the twin
+/// knows nothing of where it is.
+pub fn silenced(random: &mut Random) -> Scenario {
+    let mut scenario = fall(random, true);
+    scenario.plan.silent = SILENT;
+    scenario.duration = SILENT[1] + FOUND;
+    scenario
+}
+
 /// How many are lost, and how many of these with several branches open still.
 fn lost(runs: u64, first: u64, encoder: &Encoder, h: f64, scenario: impl Fn(&mut Random) -> Scenario) -> [f64; 2] {
     let outcomes = (0..runs).map(|seed| {
@@ -247,6 +260,12 @@ pub fn table(part: f64, first: u64) -> Table {
         }
     }
     table.push(Figure::at_most("vertices at 1 ms, all".into(), sum, (0.02 * all as f64).floor(), format!("of {all}")));
+    for encoder in [COARSE, FINE] {
+        let count = runs(100.0);
+        let [lost, open] = lost(count, first + 7_600_000, &encoder, 1e-3, silenced);
+        let label = format!("falls after 1.5 s without encoders, {}, 1 ms, 1 s later", encoder.name);
+        table.push(Figure::at_most(label, lost, (0.05 * count as f64).floor(), format!("of {count}; undecided still: {open}")));
+    }
     for encoder in [COARSE, FINE] {
         let count = runs(100.0);
         let [lost, _] = lost(count, first + 7_500_000, &encoder, 1e-3, push);

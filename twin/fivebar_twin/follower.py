@@ -26,10 +26,6 @@ JUMP: Final = 0.5
 """Seconds by which times and numbers of two samples may differ: a machine that is timed by software is late now and then. More, or a
 time that goes back, is a jump of the machine's clock."""
 
-ASTRAY: Final = 0.25
-"""Seconds for which the unit may say that samples do not fit before the twin starts anew: it has lost the machine. A push or a stalled
-process is over sooner."""
-
 NOT_FITTING: Final = (7.0, 8.0)
 """Values of `estimated.status`: inconsistent and rejected."""
 
@@ -65,8 +61,6 @@ class Book:
 
     assembly: int
     measured: dict[str, float] = field(default_factory=dict)
-    astray_since: int | None = None
-    """The first of the newest samples that did not fit, one after another, ns."""
 
     @property
     def clock(self) -> float:
@@ -178,8 +172,6 @@ class Follower(Rider):
             return False
         if self.book is not None and message.seq - self.book.seq > LONGEST_GAP / self.setup.period:
             self._leave(f"no sample for more than {LONGEST_GAP:g} s")
-        if self.book is not None and self.book.astray_since is not None and message.time - self.book.astray_since > 1e9 * ASTRAY:
-            self._leave(f"samples have not fitted the estimate for more than {ASTRAY:g} s")
         try:
             if self.book is None:
                 self._start(message)
@@ -226,11 +218,9 @@ class Follower(Rider):
         """The estimate, one macro step after the newest sample, and the inputs that it is made of."""
         assert self.book is not None, "there is an estimate after a sample only"
         fields = {name: value for name, value in self.reader.read().items() if math.isfinite(value)}
-        astray = fields["estimated.status"] in NOT_FITTING
-        if not astray:
+        if fields["estimated.status"] not in NOT_FITTING:
             self.assembly = int(fields["mode.assembly"])
-        since = self.book.astray_since if astray and self.book.astray_since is not None else self.book.time
-        self.book = replace(self.book, assembly=self.assembly, astray_since=since if astray else None)
+        self.book = replace(self.book, assembly=self.assembly)
         extra = {"after": self.after, "inputs": self.inputs}
         self.inputs, self.after = [], self.book.seq
         return Message("est", "", self.book.time + self.setup.step_ns, self.book.seq, fields, extra)

@@ -1,0 +1,71 @@
+//! A machine that the estimate has lost: the samples say where it is and how fast, and the estimate begins there anew. In which assembly
+//! they do not say: it keeps that of the estimate, and both are followed, as behind a vertex.
+
+use super::branches::posture;
+use super::grazing::{APART, Grazing};
+use super::linkage::{MEASURED, Pair};
+use super::track::wrapped;
+use super::{Alarm, Branches, Constants, Encoder, Estimator, Innovation, Track, bank};
+use crate::mechanism::{Assembly, Start};
+
+/// Samples further off the estimate than this, rad, are those of another motion,
+const ASTRAY: f64 = 0.1;
+/// where they last for so much longer than others, s;
+const LONG: f64 = 0.1;
+/// each lasts until the next, but no longer than this, s.
+const EACH: f64 = 0.02;
+
+impl Estimator {
+    /// Samples (innovation, angle) with their ages, s: whether the machine was lost, and the estimate has begun anew where they are. Both
+    /// encoders have to say so, for one alone may be wrong; next to a vertex, where samples are not used, one is enough.
+    pub(super) fn begin_anew(&mut self, constants: &Constants, heard: &[Option<(Innovation, f64)>; 2], ages: &Pair) -> bool {
+        self.begun_anew = false;
+        let [Some(left), Some(right)] = heard else { return false };
+        let off = [left, right].map(|(innovation, _)| innovation.residual.abs() > ASTRAY);
+        let astray = if self.held { off[0] || off[1] } else { off[0] && off[1] };
+        let passed = self.encoders.iter().fold(EACH, |least, encoder| least.min(encoder.interval()));
+        self.astray = (self.astray + if astray { passed } else { -passed }).max(0.0);
+        if self.astray < LONG {
+            return false;
+        }
+        let Some(track) = self.measured(constants, [left.1, right.1], ages) else { return false };
+        self.innovation = [left, right].map(|(innovation, _)| innovation.residual);
+        (self.track, self.branches, self.grazing) = (track, Branches::default(), Grazing::of_unknown_side());
+        self.history.clear();
+        self.forecast.end();
+        self.alarm = Alarm::default();
+        (self.held, self.astray, self.begun_anew) = (false, 0.0, true);
+        true
+    }
+
+    /// The motion of the last two samples of each encoder; `None` where the loop cannot be closed, or the assemblies are one.
+    #[cold]
+    #[inline(never)]
+    fn measured(&self, constants: &Constants, angles: Pair, ages: &Pair) -> Option<Track> {
+        let parameters = &constants.parameters;
+        let at = constants.linkage.posture(&self.track.theta);
+        let omega = self.encoders.each_ref().map(Encoder::rate);
+        let theta = [0, 1].map(|i| {
+            let expected = self.track.theta[MEASURED[i]];
+            expected + wrapped(angles[i] - expected) + ages[i] * omega[i]
+        });
+        let assemblies = if at.side() > 0.0 { [Assembly::Plus, Assembly::Minus] } else { [Assembly::Minus, Assembly::Plus] };
+        let (theta, omega) =
+            assemblies.into_iter().find_map(|assembly| posture(&constants.geometry, &Start { theta, omega, assembly }))?;
+        if constants.linkage.posture(&theta).side().abs() < APART || !constants.linkage.is_closed(&theta, &omega) {
+            return None;
+        }
+        let mut variances = constants.start_variances();
+        for (i, encoder) in self.encoders.iter().enumerate() {
+            let noise = parameters.sigma[i] * parameters.sigma[i] + parameters.quantum[i] * parameters.quantum[i] / 12.0;
+            variances[0] = variances[0].max(noise);
+            variances[1] = variances[1].max(2.0 * noise / (encoder.interval() * encoder.interval()));
+        }
+        Some(Track { theta, omega, force: [0.0; 4], bank: bank::Bank::new(variances) })
+    }
+
+    /// Whether it has begun anew with the last samples.
+    pub fn has_begun_anew(&self) -> bool {
+        self.begun_anew
+    }
+}
