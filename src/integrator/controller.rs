@@ -71,7 +71,7 @@ pub(super) fn is_cut_short(h: f64, wanted: f64) -> bool {
 }
 
 /// The natural logarithm of a positive number within 2e-6: as much as a step's length needs, for a third of what all digits take.
-#[inline]
+#[inline(never)]
 pub(super) fn ln(x: f64) -> f64 {
     // 2^k m with m from √½ to √2; of 0 the k below the least.
     let k = (x.to_bits() as i64 - std::f64::consts::FRAC_1_SQRT_2.to_bits() as i64) >> (f64::MANTISSA_DIGITS - 1);
@@ -82,7 +82,7 @@ pub(super) fn ln(x: f64) -> f64 {
 }
 
 /// The exponential function, of numbers up to 4 beside 0, within a part of 2e-7: all changes of a step's length are within.
-#[inline]
+#[inline(never)]
 fn exp(x: f64) -> f64 {
     // Adding 1.5·2^52 rounds to an integer and leaves it in the low bits.
     const ROUND: f64 = 6_755_399_441_055_744.0;

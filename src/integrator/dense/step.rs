@@ -139,7 +139,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             if let Ok(landing) = landing {
                 self.accept(landing, h, T::KIND);
                 if system.has_kinks() {
-                    match self.border_of(on, settings, &mut trial, tries) {
+                    let extremes = trial.extremes();
+                    let start = self.start;
+                    let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
+                    match self.border(on, settings, (extremes, &mut dense), tries) {
                         Border::Clear => {}
                         Border::AtEnd => self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance),
                         Border::Before(when) => {
@@ -161,7 +164,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 // Where a kink was near, the search for it has left the coefficients.
                 let is_cut = on.has_kinks() && self.cut_from > 0.0;
                 if interpolated && !(is_cut || on.has_kinks() && self.dense != [Slope::NONE; 4]) {
-                    self.interpolate(on, settings, &mut trial);
+                    self.dense = trial.dense(on, settings.regularization, [&self.start, &self.balanced_end(on, settings)]);
                 }
                 self.end.error_estimate = error * settings.error_tolerance;
                 self.adapt::<T>(h, error, wanted, rejected.is_some());
@@ -191,26 +194,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
             h *= T::CONTROLLER.reduction_after(error, before);
         }
-    }
-
-    /// Whether a step that is accepted otherwise has to end before, after so many tries. Out of line, as is all that few steps need.
-    #[inline(never)]
-    fn border_of<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
-        &mut self,
-        system: &S,
-        settings: &Settings,
-        trial: &mut T,
-        tries: u32,
-    ) -> Border {
-        let (extremes, start) = (trial.extremes(), self.start);
-        let mut dense = |end: &_| trial.dense(system, settings.regularization, [&start, end]);
-        self.border(system, settings, (extremes, &mut dense), tries)
-    }
-
-    /// The higher coefficients of the interpolant.
-    #[inline(never)]
-    fn interpolate<T: Trial<N>, S: System<N, M> + Passage<N>>(&mut self, system: &S, settings: &Settings, trial: &mut T) {
-        self.dense = trial.dense(system, settings.regularization, [&self.start, &self.balanced_end(system, settings)]);
     }
 
     /// The energy that a step of h seconds keeps: one made once more keeps the same.
