@@ -3,6 +3,8 @@
 use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::innovation::Expected;
+
 /// The time of a sample that has not been taken, s.
 pub const NEVER: f64 = -1e30;
 /// Round-off of the times of a master, relative to them, or to 1 s.
@@ -21,6 +23,8 @@ const DITHER: f64 = 0.4;
 const LATE: f64 = 1.5;
 /// which before there are two samples are taken to be of this length, s.
 const UNKNOWN_INTERVAL: f64 = 0.1;
+/// Least variance of the white noise that stands for an interval, in Δ²/12: what an encoder is beside its steps.
+const LEAST: f64 = 0.03;
 /// The least standard deviation of a sample, rad.
 const FINEST: f64 = 1e-9;
 
@@ -90,8 +94,8 @@ pub struct Encoder {
     /// Angle and time of the last sample, as they were set.
     angle: f64,
     time: f64,
-    /// Whether it was the same as the one before.
-    repeated: bool,
+    /// How many before it were the same.
+    repeated: u32,
     /// Samples left out in a row.
     left_out: u32,
     /// Between the last two samples, s; 0 before there are two.
@@ -103,7 +107,7 @@ pub struct Encoder {
 
 impl Encoder {
     pub(super) const NEW: Self =
-        Self { angle: 0.0, time: NEVER, repeated: false, left_out: 0, interval: 0.0, silent: f64::INFINITY, fault: Fault::None };
+        Self { angle: 0.0, time: NEVER, repeated: 0, left_out: 0, interval: 0.0, silent: f64::INFINITY, fault: Fault::None };
 
     /// The sample of a new time, if it can be used. `max_delay`, s, is the age that can be accounted for.
     pub(super) fn hear(&mut self, angle: f64, time: f64, now: f64, max_delay: f64) -> Option<Sample> {
@@ -127,7 +131,8 @@ impl Encoder {
         if self.fault != Fault::None {
             return None;
         }
-        self.repeated = spoke && self.angle.to_bits() == angle.to_bits();
+        let repeats = spoke && self.angle.to_bits() == angle.to_bits();
+        self.repeated = if repeats { self.repeated.saturating_add(1) } else { 0 };
         self.angle = angle;
         if spoke {
             self.interval = (time - before).abs();
@@ -143,19 +148,19 @@ impl Encoder {
 
     /// Whether it repeats itself.
     pub(super) fn repeats(&self) -> bool {
-        self.repeated
+        self.repeated > 0
     }
 
     /// Whether it repeats itself on an axis that turns at a rate, rad/s, by more than its step and noise from sample to sample.
     pub(super) fn should_not_repeat(&self, rate: f64, quantum: f64, sigma: f64) -> bool {
-        self.repeated && rate.abs() * self.interval > 2.0 * quantum + 4.0 * sigma
+        self.repeats() && rate.abs() * self.interval > 2.0 * quantum + 4.0 * sigma
     }
 
     /// Whether a sample is to be used that is off by so many squared standard deviations: of all models, and of the one that allows for
     /// most. `suspicious`: it repeats itself, and the other does not; `patient`: the estimate is to be believed rather than the sample.
     pub(super) fn accepts(&mut self, nis: f64, least: f64, (suspicious, patient): (bool, bool)) -> bool {
         self.fault = match self.fault {
-            Fault::Stuck if self.repeated => Fault::Stuck,
+            Fault::Stuck if self.repeats() => Fault::Stuck,
             // NaN is wild.
             _ if nis <= WILD => Fault::None,
             _ if suspicious => Fault::Stuck,
@@ -168,19 +173,50 @@ impl Encoder {
         self.fault == Fault::None
     }
 
-    /// Variance of a sample, rad², of an axis that turns at a rate, rad/s: that of the white noise, that of the quantiser, whose error
-    /// does not average out while the axis rests, and one of an error that stays, `lasting`, rad².
+    /// How many samples an error that lasts counts as, at the most.
+    fn longest(&self) -> f64 {
+        if self.interval > 0.0 { (REPEATING / self.interval).max(1.0) } else { 1.0 }
+    }
+
+    /// Variance of a sample, rad², without what a quantiser does: that of the white noise, and one of an error that stays, `lasting`, rad².
+    fn white(&self, sigma: f64, lasting: f64) -> f64 {
+        (sigma * sigma).max(FINEST * FINEST) + lasting * self.longest()
+    }
+
+    /// Of how many samples of an axis that turns at a rate, rad/s, a quantiser's error is the same.
+    fn dwell(&self, quantum: f64, rate: f64) -> f64 {
+        let turns = quantum / (rate.abs() * self.interval).max(FINEST * quantum);
+        turns.min(self.longest()).max(1.0)
+    }
+
+    /// Whether a quantiser's error is white: the noise that it rounds moves it about, or there has been no sample before.
+    fn is_dithered(&self, sigma: f64, quantum: f64) -> bool {
+        quantum == 0.0 || sigma > DITHER * quantum || self.interval == 0.0
+    }
+
+    /// Variance of a sample, rad², of an axis that turns at a rate, rad/s, in itself: white noise, and a quantiser's error, which does not
+    /// average out while the axis rests.
     pub(super) fn noise(&self, sigma: f64, quantum: f64, rate: f64, lasting: f64) -> f64 {
-        let longest = if self.interval > 0.0 { (REPEATING / self.interval).max(1.0) } else { 1.0 };
-        let white = (sigma * sigma).max(FINEST * FINEST) + lasting * longest;
-        if quantum == 0.0 {
-            return white;
+        let repeated = if self.is_dithered(sigma, quantum) { 1.0 } else { self.dwell(quantum, rate) };
+        self.white(sigma, lasting) + quantum * quantum / 12.0 * repeated
+    }
+
+    /// What is expected of a sample, as the models have been told it with this noise, rad², where it is used as what it is: an interval.
+    pub(super) fn sharpened(
+        &self,
+        expected: &Expected,
+        (sigma, quantum): (f64, f64),
+        rate: f64,
+        [noise, lasting]: [f64; 2],
+    ) -> Expected {
+        if self.is_dithered(sigma, quantum) {
+            return *expected;
         }
-        let rounding = quantum * quantum / 12.0;
-        if sigma > DITHER * quantum || self.interval == 0.0 {
-            return white + rounding;
+        let (mut repeated, mut least) = (1.0, LEAST);
+        if self.repeats() {
+            repeated = self.dwell(quantum, rate).max(f64::from(self.repeated)).min(self.longest());
+            least = least.max(repeated / self.longest());
         }
-        let repeated = quantum / (rate.abs() * self.interval).max(FINEST * quantum);
-        white + rounding * repeated.min(longest).max(1.0)
+        expected.within(quantum, [noise, self.white(sigma, lasting)], [repeated, least])
     }
 }
