@@ -23,8 +23,9 @@ const DITHER: f64 = 0.4;
 const LATE: f64 = 1.5;
 /// which before there are two samples are taken to be of this length, s.
 const UNKNOWN_INTERVAL: f64 = 0.1;
-/// Least variance of the white noise that stands for an interval, in Δ²/12: what an encoder is beside its steps.
-const LEAST: f64 = 0.03;
+/// Least variance of the white noise that stands for an interval, in Δ²/12, of an axis that goes through a step from sample to sample; of a
+/// slower one as many times more as its error repeats.
+const LEAST: f64 = 0.04;
 /// The least standard deviation of a sample, rad.
 const FINEST: f64 = 1e-9;
 
@@ -94,8 +95,8 @@ pub struct Encoder {
     /// Angle and time of the last sample, as they were set.
     angle: f64,
     time: f64,
-    /// How many before it were the same.
-    repeated: u32,
+    /// Whether it was the same as the one before.
+    repeated: bool,
     /// Samples left out in a row.
     left_out: u32,
     /// Between the last two samples, s; 0 before there are two.
@@ -107,7 +108,7 @@ pub struct Encoder {
 
 impl Encoder {
     pub(super) const NEW: Self =
-        Self { angle: 0.0, time: NEVER, repeated: 0, left_out: 0, interval: 0.0, silent: f64::INFINITY, fault: Fault::None };
+        Self { angle: 0.0, time: NEVER, repeated: false, left_out: 0, interval: 0.0, silent: f64::INFINITY, fault: Fault::None };
 
     /// The sample of a new time, if it can be used. `max_delay`, s, is the age that can be accounted for.
     pub(super) fn hear(&mut self, angle: f64, time: f64, now: f64, max_delay: f64) -> Option<Sample> {
@@ -131,8 +132,7 @@ impl Encoder {
         if self.fault != Fault::None {
             return None;
         }
-        let repeats = spoke && self.angle.to_bits() == angle.to_bits();
-        self.repeated = if repeats { self.repeated.saturating_add(1) } else { 0 };
+        self.repeated = spoke && self.angle.to_bits() == angle.to_bits();
         self.angle = angle;
         if spoke {
             self.interval = (time - before).abs();
@@ -148,19 +148,19 @@ impl Encoder {
 
     /// Whether it repeats itself.
     pub(super) fn repeats(&self) -> bool {
-        self.repeated > 0
+        self.repeated
     }
 
     /// Whether it repeats itself on an axis that turns at a rate, rad/s, by more than its step and noise from sample to sample.
     pub(super) fn should_not_repeat(&self, rate: f64, quantum: f64, sigma: f64) -> bool {
-        self.repeats() && rate.abs() * self.interval > 2.0 * quantum + 4.0 * sigma
+        self.repeated && rate.abs() * self.interval > 2.0 * quantum + 4.0 * sigma
     }
 
     /// Whether a sample is to be used that is off by so many squared standard deviations: of all models, and of the one that allows for
     /// most. `suspicious`: it repeats itself, and the other does not; `patient`: the estimate is to be believed rather than the sample.
     pub(super) fn accepts(&mut self, nis: f64, least: f64, (suspicious, patient): (bool, bool)) -> bool {
         self.fault = match self.fault {
-            Fault::Stuck if self.repeats() => Fault::Stuck,
+            Fault::Stuck if self.repeated => Fault::Stuck,
             // NaN is wild.
             _ if nis <= WILD => Fault::None,
             _ if suspicious => Fault::Stuck,
@@ -212,11 +212,9 @@ impl Encoder {
         if self.is_dithered(sigma, quantum) {
             return *expected;
         }
-        let (mut repeated, mut least) = (1.0, LEAST);
-        if self.repeats() {
-            repeated = self.dwell(quantum, rate).max(f64::from(self.repeated)).min(self.longest());
-            least = least.max(repeated / self.longest());
-        }
-        expected.within(quantum, [noise, self.white(sigma, lasting)], [repeated, least])
+        let dwell = self.dwell(quantum, rate);
+        // Where the axis creeps over the edge of a step, where that edge is matters, and when it was passed.
+        let repeated = if self.repeated { dwell } else { 1.0 };
+        expected.within(quantum, [noise, self.white(sigma, lasting)], [repeated, LEAST * dwell])
     }
 }

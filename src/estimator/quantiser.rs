@@ -21,7 +21,7 @@ const NOTHING: [f64; 2] = [1e-300, 1e-3];
 impl Expected {
     /// The same of the reading that stands for an interval of `quantum`, rad, about the measured angle. The models have been told of a variance
     /// `noise`, rad², of which `white` is not the quantiser's. The error is that of `repeated` samples, which together tell no more than one;
-    /// `least`, in Δ²/12, is what each of these has at the least.
+    /// `least`, in Δ²/12, is what each of them has at the least.
     pub(super) fn within(&self, quantum: f64, [noise, white]: [f64; 2], [repeated, least]: [f64; 2]) -> Self {
         let (mean, variance) = self.together();
         let variance = variance - noise + white;
@@ -38,7 +38,7 @@ impl Expected {
                 MOST * rounding
             };
         }
-        let changed = told.max(least * rounding) * repeated + white - noise;
+        let changed = (told * repeated).max(least * rounding) + white - noise;
         let mut other = *self;
         for (residual, variance, _) in &mut other.each {
             (*residual, *variance) = (*residual + to - mean, *variance + changed);
