@@ -179,10 +179,9 @@ impl Bank {
         }
     }
 
-    /// By how much the unknown force's variance grows while the models stay as likely as they are, per second: in the squared torque scale,
-    /// and in the squared torque that accelerates the links.
-    pub fn walk(&self) -> Pair {
-        [FORCE_WALK, MASS_WALK].map(|walks| self.members.iter().zip(walks).map(|(member, walk)| member.weight * walk).sum())
+    /// By how much the unknown force's variance grows while the models stay as likely as they are, in squared torque scales per second.
+    pub fn walk(&self) -> f64 {
+        self.members.iter().zip(FORCE_WALK).map(|(member, walk)| member.weight * walk).sum()
     }
 
     /// Mean of all models together.

@@ -9,6 +9,9 @@ use super::track::{Track, wrapped};
 use super::transition::{self, ERRORS, Loads, Scene};
 use super::{Constants, track};
 
+/// By how much the unknown force's variance grows, per second, in the squared torque that accelerates the links: samples have told of the
+/// masses only what mattered until now.
+const MASS_WALK: f64 = 0.1;
 /// Motions beside that of the estimate.
 pub const POINTS: usize = 2 * ERRORS;
 
@@ -27,7 +30,7 @@ struct Cloud {
     points: [Point; POINTS],
     /// Covariance of what of the force depends on no other error, on the tangent basis, (N·m)²: xx, xy, yy.
     force: [f64; 3],
-    /// By how much its variance grows, 1/s: in the squared torque scale, and in the squared torque that accelerates the links.
+    /// By how much its variance grows, in squared torque scales per second, and in squares of the torque that accelerates the links.
     walk: Pair,
     /// By which inputs it acts.
     inputs: [Pair; 4],
@@ -172,7 +175,7 @@ impl Forecast {
     /// The motions go on with that of the estimate, which is still where it was.
     pub(super) fn step(&mut self, track: &Track, constants: &Constants, scene: &impl Scene, over: (f64, Pair)) {
         let linkage = &constants.linkage;
-        self.cloud.get_or_insert_with(|| Cloud::around(track, linkage, track.bank.walk())).step(linkage, scene, over);
+        self.cloud.get_or_insert_with(|| Cloud::around(track, linkage, [track.bank.walk(), MASS_WALK])).step(linkage, scene, over);
     }
 
     /// Standard deviations of angles and rates about the estimate.
