@@ -3,6 +3,7 @@
 use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::innovation::Expected;
 use super::track::wrapped;
 
 /// The time of a sample that has not been taken, s.
@@ -27,6 +28,9 @@ const SHARP: f64 = 0.3;
 const LATE: f64 = 1.5;
 /// which before there are two samples are taken to be of this length, s.
 const UNKNOWN_INTERVAL: f64 = 0.1;
+/// Least variance of the white noise that stands for an interval, in Δ²/12, of an axis that goes through a step from sample to sample; of a
+/// slower one as many times more as its error repeats.
+const LEAST: f64 = 0.04;
 /// The least standard deviation of a sample, rad.
 const FINEST: f64 = 1e-9;
 
@@ -224,19 +228,48 @@ impl Encoder {
         }
     }
 
-    /// Variance of a sample, rad², of an axis that turns at a rate, rad/s: that of the white noise, that of the quantiser, whose error
-    /// does not average out while the axis rests, and one of an error that stays, `lasting`, rad².
+    /// How many samples an error that lasts counts as, at the most.
+    fn longest(&self) -> f64 {
+        if self.interval > 0.0 { (REPEATING / self.interval).max(1.0) } else { 1.0 }
+    }
+
+    /// Variance of a sample, rad², without what a quantiser does: that of the white noise, and one of an error that stays, `lasting`, rad².
+    fn white(&self, sigma: f64, lasting: f64) -> f64 {
+        (sigma * sigma).max(FINEST * FINEST) + lasting * self.longest()
+    }
+
+    /// Of how many samples of an axis that turns at a rate, rad/s, a quantiser's error is the same.
+    fn dwell(&self, quantum: f64, rate: f64) -> f64 {
+        let turns = quantum / (rate.abs() * self.interval).max(FINEST * quantum);
+        turns.min(self.longest()).max(1.0)
+    }
+
+    /// Whether a quantiser's error is white: the noise that it rounds moves it about, or there has been no sample before.
+    fn is_dithered(&self, sigma: f64, quantum: f64) -> bool {
+        quantum == 0.0 || sigma > DITHER * quantum || self.interval == 0.0
+    }
+
+    /// Variance of a sample, rad², of an axis that turns at a rate, rad/s, in itself: white noise, and a quantiser's error, which does not
+    /// average out while the axis rests.
     pub(super) fn noise(&self, sigma: f64, quantum: f64, rate: f64, lasting: f64) -> f64 {
-        let longest = if self.interval > 0.0 { (REPEATING / self.interval).max(1.0) } else { 1.0 };
-        let white = (sigma * sigma).max(FINEST * FINEST) + lasting * longest;
-        if quantum == 0.0 {
-            return white;
+        let repeated = if self.is_dithered(sigma, quantum) { 1.0 } else { self.dwell(quantum, rate) };
+        self.white(sigma, lasting) + quantum * quantum / 12.0 * repeated
+    }
+
+    /// What is expected of a sample, as the models have been told it with this noise, rad², where it is used as what it is: an interval.
+    pub(super) fn within_step(
+        &self,
+        expected: &Expected,
+        (sigma, quantum): (f64, f64),
+        rate: f64,
+        [noise, lasting]: [f64; 2],
+    ) -> Expected {
+        if self.is_dithered(sigma, quantum) {
+            return *expected;
         }
-        let rounding = quantum * quantum / 12.0;
-        if sigma > DITHER * quantum || self.interval == 0.0 {
-            return white + rounding;
-        }
-        let repeated = quantum / (rate.abs() * self.interval).max(FINEST * quantum);
-        white + rounding * repeated.min(longest).max(1.0)
+        let dwell = self.dwell(quantum, rate);
+        // Where the axis creeps over the edge of a step, where that edge is matters, and when it was passed.
+        let repeated = if self.repeated { dwell } else { 1.0 };
+        expected.within(quantum, [noise, self.white(sigma, lasting)], [repeated, LEAST * dwell])
     }
 }

@@ -9,6 +9,9 @@ use super::track::{Track, wrapped};
 use super::transition::{self, ERRORS, Loads, Scene};
 use super::{Constants, track};
 
+/// By how much the unknown force's variance grows, per second, in the squared torque that accelerates the links: samples have told of the
+/// masses only what mattered until now.
+const MASS_WALK: f64 = 0.1;
 /// Motions beside that of the estimate.
 pub const POINTS: usize = 2 * ERRORS;
 
@@ -27,8 +30,8 @@ struct Cloud {
     points: [Point; POINTS],
     /// Covariance of what of the force depends on no other error, on the tangent basis, (N·m)²: xx, xy, yy.
     force: [f64; 3],
-    /// By how much its variance grows, (N·m)²/s.
-    walk: f64,
+    /// By how much its variance grows, in squared torque scales per second, and in squares of the torque that accelerates the links.
+    walk: Pair,
     /// By which inputs it acts.
     inputs: [Pair; 4],
 }
@@ -81,10 +84,10 @@ impl Point {
 }
 
 impl Cloud {
-    /// Around an estimate, whose force walks by some variance, (N·m)²/s.
+    /// Around an estimate, whose force walks so.
     #[cold]
     #[inline(never)]
-    fn around(track: &Track, linkage: &Linkage, walk: f64) -> Self {
+    fn around(track: &Track, linkage: &Linkage, walk: Pair) -> Self {
         let frame = linkage.frame(&track.theta);
         let inputs = track::by_inputs(linkage, &frame);
         let root = cholesky(&track.covariance());
@@ -108,10 +111,11 @@ impl Cloud {
     }
 
     /// All go on, those in the directions of the force with a force that grows as its standard deviation does: what walks cannot be
-    /// told from it at any one time.
-    fn step(&mut self, linkage: &Linkage, scene: &impl Scene, h: f64) {
-        self.force[0] += self.walk * h;
-        self.force[2] += self.walk * h;
+    /// told from it at any one time. `scales`: what it walks in, N·m.
+    fn step(&mut self, linkage: &Linkage, scene: &impl Scene, (h, scales): (f64, Pair)) {
+        let grown: f64 = self.walk.iter().zip(scales).map(|(walk, scale)| walk * scale * scale * h).sum();
+        self.force[0] += grown;
+        self.force[2] += grown;
         let [xx, xy, yy] = self.force;
         let x = xx.sqrt();
         let skew = if x > 0.0 { xy / x } else { 0.0 };
@@ -127,12 +131,12 @@ impl Cloud {
 
     fn is_sound(&self, linkage: &Linkage) -> bool {
         let [xx, xy, yy] = self.force;
-        let numbers = self.inputs.as_flattened().iter().chain(&self.force).chain([&self.walk]);
+        let numbers = self.inputs.as_flattened().iter().chain(&self.force).chain(&self.walk);
         numbers.into_iter().all(|x| x.is_finite())
             && xx >= 0.0
             && yy >= 0.0
             && xy * xy <= 1.01 * xx * yy
-            && self.walk >= 0.0
+            && self.walk.iter().all(|walk| *walk >= 0.0)
             && self
                 .points
                 .iter()
@@ -169,11 +173,9 @@ impl Forecast {
     }
 
     /// The motions go on with that of the estimate, which is still where it was.
-    pub(super) fn step(&mut self, track: &Track, constants: &Constants, scene: &impl Scene, h: f64) {
+    pub(super) fn step(&mut self, track: &Track, constants: &Constants, scene: &impl Scene, over: (f64, Pair)) {
         let linkage = &constants.linkage;
-        self.cloud
-            .get_or_insert_with(|| Cloud::around(track, linkage, track.bank.walk(constants.torque_scale())))
-            .step(linkage, scene, h);
+        self.cloud.get_or_insert_with(|| Cloud::around(track, linkage, [track.bank.walk(), MASS_WALK])).step(linkage, scene, over);
     }
 
     /// Standard deviations of angles and rates about the estimate.
@@ -216,9 +218,9 @@ pub(super) fn singularity_probability(
     step: f64,
 ) -> f64 {
     let linkage = &constants.linkage;
-    let mut cloud = forecast.cloud.unwrap_or_else(|| Cloud::around(track, linkage, 0.0));
+    let mut cloud = forecast.cloud.unwrap_or_else(|| Cloud::around(track, linkage, [0.0; 2]));
     // Here it is held: what may yet push makes bands honest, but a singularity foreseen less sharply.
-    cloud.walk = 0.0;
+    cloud.walk = [0.0; 2];
     let mut own = Point { theta: track.theta, omega: track.omega, force: [0.0; 4] };
     let side = linkage.posture(&track.theta).side();
     let mut met = [false; POINTS + 1];
@@ -231,7 +233,7 @@ pub(super) fn singularity_probability(
     };
     look(&cloud, &own);
     for _ in 0..(constants.parameters.horizon / step).ceil().max(0.0) as u64 {
-        cloud.step(linkage, scene, step);
+        cloud.step(linkage, scene, (step, [0.0; 2]));
         own.step(linkage, scene, step);
         look(&cloud, &own);
     }

@@ -25,11 +25,17 @@ pub struct Expected {
 impl Expected {
     /// NIS and variance of the residual, with all models together.
     pub fn surprise(&self) -> (f64, f64) {
+        let (mean, variance) = self.together();
+        (mean * mean / variance, variance)
+    }
+
+    /// Mean and variance of the residual, with all models together.
+    pub(super) fn together(&self) -> (f64, f64) {
         let models = || self.weights.iter().zip(&self.each);
         let mean: f64 = models().map(|(weight, (residual, ..))| weight * residual).sum();
         let spread = |residual: f64| (residual - mean) * (residual - mean);
         let variance = models().map(|(weight, (residual, variance, _))| weight * (variance + spread(*residual))).sum();
-        (mean * mean / variance, variance)
+        (mean, variance)
     }
 
     /// The same in units of what the model that allows for most would expect.

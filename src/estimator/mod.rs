@@ -24,6 +24,7 @@ pub mod linkage;
 mod parameters;
 mod posture;
 mod process_noise;
+mod quantiser;
 mod restart;
 mod track;
 pub mod transition;
@@ -178,7 +179,8 @@ impl Estimator {
             nis += own;
             if self.encoders[i].accepts(own, least, (suspicious, self.branches.are_known())) {
                 self.branches.weigh(&expected);
-                self.track.bank.update(&expected);
+                let (encoder, told) = ((parameters.sigma[i], parameters.quantum[i]), [innovation.noise, lasting[i]]);
+                self.track.bank.update(&self.encoders[i].within_step(&expected, encoder, rate, told));
                 fit += own;
                 used[i] = Some(Reading { angle, noise: innovation.noise, age: ages[i], slack: 0.0 });
             }
@@ -216,9 +218,12 @@ impl Estimator {
         let Constants { linkage, parameters, .. } = constants;
         let frame = linkage.frame(&self.track.theta);
         let timing = (h, parameters.switch_time);
-        let scale = constants.torque_scale();
+        // The torque that accelerates the links.
+        let forces = linkage.mass_times(&frame, &std::array::from_fn(|i| (omega[i] - self.track.omega[i]) / h));
+        let [first, second] = frame.basis.map(|direction| linkage::dot(&direction, &forces));
+        let scales = [constants.torque_scale(), (first * first + second * second).sqrt()];
         if parameters.forecast == Bands::SigmaPoints && self.is_coasting() {
-            self.forecast.step(&self.track, constants, scene, h);
+            self.forecast.step(&self.track, constants, scene, (h, scales));
         }
         let to = linkage.frame(theta);
         let flow = self.track.flow(linkage, &frame, scene, (h, 1));
@@ -226,7 +231,7 @@ impl Estimator {
         let turned = self.track.has_turned(omega, frame.smallest.min(to.smallest));
         self.branches.pass(linkage, &self.track, scene, [frame.smallest, to.smallest], turned);
         self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
-        self.track.bank.predict(linkage, (&frame, &step.transition), scale, timing, &bank::PRIOR);
+        self.track.bank.predict(linkage, (&frame, &step.transition), scales, timing, &bank::PRIOR);
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
         self.branches.step(constants, step.held, scene, timing);
