@@ -129,12 +129,14 @@ impl Touch<'_> {
     }
 
     /// The first two derivatives of the penetration at most.
+    #[inline(never)]
     fn bends(&self, Extremes { rates, accelerations, .. }: &Extremes) -> [f64; 2] {
         let sum = |change: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| self.arms[link] * change(link)).sum();
         [sum(&|link| rates[link]), sum(&|link| accelerations[link] + rates[link] * rates[link])]
     }
 
     /// The derivatives of order 2, 3 and 4.
+    #[inline(never)]
     fn higher(&self, extremes: &Extremes, [jerks, snaps]: &[[f64; LINKS]; 2]) -> [f64; 3] {
         let Extremes { rates, accelerations, .. } = extremes;
         let mut derivatives = [self.bends(extremes)[1], 0.0, 0.0];
@@ -212,6 +214,7 @@ impl Slide {
     }
 
     /// Whether it certainly does not turn on the way from here to another place, some seconds later.
+    #[inline(never)]
     fn stays(
         &self,
         to: &Self,

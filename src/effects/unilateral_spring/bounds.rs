@@ -5,6 +5,7 @@ use super::{Border, Phase, UnilateralSpring};
 impl UnilateralSpring {
     /// How far a motion can be beyond any border of a phase, m or rad, between two places some seconds apart, each given by penetration and
     /// rate, whose first two derivatives are no greater than these.
+    #[inline(never)]
     pub(in crate::effects) fn farthest_by_bends(
         &self,
         phase: Phase,
@@ -29,6 +30,7 @@ impl UnilateralSpring {
     /// The same where its derivatives of order 2, 3 and 4 are no greater than these: by the parabola over the chord, or by the cubic through
     /// both places, from which penetration and rate are off by 1/384 and √3/216 of the fourth derivative at most, times the fourth and the
     /// third power of the time.
+    #[inline(never)]
     pub(in crate::effects) fn farthest_by_cubic(
         &self,
         phase: Phase,
@@ -60,6 +62,7 @@ impl UnilateralSpring {
 
 /// The greatest value that a function can have between two places, from values and slopes there and the bound on its second derivative:
 /// below both parabolas.
+#[inline(never)]
 pub(in crate::effects) fn deepest([x, u]: [f64; 2], [y, w]: [f64; 2], duration: f64, bend: f64) -> f64 {
     let at = |start: f64, slope: f64, time: f64| start + time * (slope + bend / 2.0 * time);
     // Where they meet: they differ by a linear function of time, which only round-off keeps from rising.
@@ -81,6 +84,7 @@ fn below_arch([x, y]: [f64; 2], arch: f64) -> f64 {
 }
 
 /// The least value between the ends of the cubic with these values and slopes there, 1 apart.
+#[inline(never)]
 pub fn lowest([x, y]: [f64; 2], [u, w]: [f64; 2]) -> f64 {
     let rise = y - x;
     // x + τ (u + τ (b + c τ)), and where it is level: 3c τ² + 2b τ + u = 0.

@@ -109,7 +109,7 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
     }
 
     /// The u of a right-hand side.
-    #[inline(always)]
+    #[inline(never)]
     fn solve(&self, tangents: &AccelerationTangents<N>, [q, v]: [Vector<N>; 2]) -> [Vector<N>; 2] {
         let part = self.h * T::GAMMA;
         let v = self.inverse.times(&(v + part * combination(&tangents.by_q, &q)));
