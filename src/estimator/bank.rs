@@ -22,8 +22,11 @@ pub type Matrix = [Error; ERRORS];
 
 /// Squared change of the unknown force per second, in units of the squared torque scale.
 const FORCE_WALK: [f64; MODELS] = [4e-4, 0.04, 4.0, 4000.0];
+/// The same in units of the squared torque that accelerates the links: masses are not known exactly, and what they are off by changes as
+/// the motion does.
+const MASS_WALK: [f64; MODELS] = [4e-3, 0.08, 0.0, 0.0];
 /// White torque on every link, s, in units of the squared torque scale.
-const WHITE_TORQUE: [f64; MODELS] = [4e-7, 4e-7, 4e-5, 4e-3];
+const WHITE_TORQUE: [f64; MODELS] = [4e-7, 4e-6, 4e-5, 4e-3];
 /// What a model that is left is followed by; one of 0 takes no part.
 pub(super) const PRIOR: [f64; MODELS] = [0.45, 0.45, 0.095, 0.005];
 /// A model never becomes less likely than this in one sample.
@@ -94,14 +97,14 @@ impl Bank {
         self.members.iter_mut().filter(|member| member.weight > 0.0)
     }
 
-    /// Mixes the models as they may have changed in h seconds, moves them, and adds what each expects of the process. `switch_time`, s, is
-    /// how long a model stays before one of `priors` follows it.
+    /// Mixes the models as they may have changed in h seconds, moves them, and adds what each expects of the process: in units of a torque
+    /// scale, and of the torque that accelerates the links, N·m. `switch_time`, s, is how long a model stays before one of `priors` follows.
     #[inline(never)]
     pub fn predict(
         &mut self,
         linkage: &Linkage,
         (at, f): (&Frame, &Matrix),
-        scale: f64,
+        [scale, accelerates]: Pair,
         (h, switch_time): (f64, f64),
         priors: &[f64; MODELS],
     ) {
@@ -116,7 +119,8 @@ impl Bank {
                 continue;
             }
             let (own, any) = (own / member.weight, any / member.weight);
-            let (white, walk) = (scale * scale * WHITE_TORQUE[j], scale * scale * FORCE_WALK[j]);
+            let white = scale * scale * WHITE_TORQUE[j];
+            let walk = scale * scale * FORCE_WALK[j] + accelerates * accelerates * MASS_WALK[j];
             let off: Error = std::array::from_fn(|i| member.error[i] - mean[i]);
             let error: Error = std::array::from_fn(|i| own * member.error[i] + any * mean[i]);
             for i in 0..ERRORS {
@@ -175,9 +179,9 @@ impl Bank {
         }
     }
 
-    /// By how much the unknown force's variance grows while the models stay as likely as they are, in the squared units of `scale` per second.
-    pub fn walk(&self, scale: f64) -> f64 {
-        scale * scale * self.members.iter().zip(FORCE_WALK).map(|(member, walk)| member.weight * walk).sum::<f64>()
+    /// By how much the unknown force's variance grows while the models stay as likely as they are, in squared torque scales per second.
+    pub fn walk(&self) -> f64 {
+        self.members.iter().zip(FORCE_WALK).map(|(member, walk)| member.weight * walk).sum()
     }
 
     /// Mean of all models together.

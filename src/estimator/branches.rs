@@ -219,7 +219,7 @@ pub(super) fn advance(
         }
     };
     let step = track.step((&from, &to), (&theta, &omega), &flow, h);
-    track.bank.predict(linkage, (&from, &step.transition), scale, (h, switch_time), priors);
+    track.bank.predict(linkage, (&from, &step.transition), [scale, 0.0], (h, switch_time), priors);
     (track.theta, track.omega) = (theta, omega);
     true
 }

@@ -245,7 +245,7 @@ impl Encoder {
     }
 
     /// Whether a quantiser's error is white: the noise that it rounds moves it about, or there has been no sample before.
-    fn is_dithered(&self, sigma: f64, quantum: f64) -> bool {
+    pub(super) fn is_dithered(&self, sigma: f64, quantum: f64) -> bool {
         quantum == 0.0 || sigma > DITHER * quantum || self.interval == 0.0
     }
 

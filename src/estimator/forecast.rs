@@ -175,9 +175,7 @@ impl Forecast {
     /// The motions go on with that of the estimate, which is still where it was.
     pub(super) fn step(&mut self, track: &Track, constants: &Constants, scene: &impl Scene, over: (f64, Pair)) {
         let linkage = &constants.linkage;
-        self.cloud
-            .get_or_insert_with(|| Cloud::around(track, linkage, [track.bank.walk(1.0), MASS_WALK]))
-            .step(linkage, scene, over);
+        self.cloud.get_or_insert_with(|| Cloud::around(track, linkage, [track.bank.walk(), MASS_WALK])).step(linkage, scene, over);
     }
 
     /// Standard deviations of angles and rates about the estimate.

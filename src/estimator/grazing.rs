@@ -235,7 +235,7 @@ fn accompany(track: &mut Track, constants: &Constants, scene: &impl Scene, way: 
     let (theta, omega) = transition::motion(linkage, scene, (track.theta, track.omega), h, way.steps);
     let Some((theta, omega, to)) = linkage.closed(theta, omega) else { return false };
     let transition = carry::seen_from(way.transition, &onto, &way.to.carried_to(&to));
-    track.bank.predict(linkage, (&from, &transition), scale, (h, switch_time), &PRIOR);
+    track.bank.predict(linkage, (&from, &transition), [scale, 0.0], (h, switch_time), &PRIOR);
     (track.theta, track.omega) = (theta, omega);
     true
 }

@@ -231,7 +231,10 @@ impl Estimator {
         let turned = self.track.has_turned(omega, frame.smallest.min(to.smallest));
         self.branches.pass(linkage, &self.track, scene, [frame.smallest, to.smallest], turned);
         self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
-        self.track.bank.predict(linkage, (&frame, &step.transition), scales[0], timing, &bank::PRIOR);
+        // What masses are off by shows where readings are intervals, which confine the angles; in white noise it drowns.
+        let seen = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
+        let scales = [scales[0], if seen { scales[1] } else { 0.0 }];
+        self.track.bank.predict(linkage, (&frame, &step.transition), scales, timing, &bank::PRIOR);
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
         self.branches.step(constants, step.held, scene, timing);
