@@ -41,8 +41,8 @@ def table(rows: list[Row], scene: str, second: int) -> list[Answer]:
     done = [r for r in rows if r["scene"] == scene and r[column] and r["ms_per_simulated_second"]]
     points = [(r["peer"], r["settings"], float(r[column]), float(r["ms_per_simulated_second"])) for r in done]
     ours = [p for p in points if p[0].startswith(OURS)]
-    # Also those that never gave a result, so that they are seen; not those that were left out, which have no scene.
-    peers = list(dict.fromkeys(r["peer"] for r in rows if r["scene"] and not r["peer"].startswith(OURS)))
+    # Also those that never gave a result, so that they are seen; not those that were left out, or do not know what acts in the scene.
+    peers = list(dict.fromkeys(r["peer"] for r in rows if r["scene"] == scene and not r["peer"].startswith(OURS)))
     answers = []
     for wanted in WANTED:
         good = [p for p in ours if all(q[2] <= wanted for q in ours if q[0] == p[0] and q[3] >= p[3])]
