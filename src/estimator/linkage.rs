@@ -24,7 +24,7 @@ pub type Pair = [f64; 2];
 pub(super) const SIDE: Links = [1.0, 1.0, -1.0, -1.0];
 
 /// Proximal and distal link of the left and right leg.
-pub(super) const LEGS: [[usize; 2]; 2] = [[0, 1], [3, 2]];
+pub const LEGS: [[usize; 2]; 2] = [[0, 1], [3, 2]];
 
 /// Links whose angles the encoders measure.
 pub const MEASURED: [usize; 2] = [0, 3];

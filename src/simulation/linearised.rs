@@ -10,14 +10,12 @@
 use super::five_bar::FiveBar;
 use super::inertia::proximal_arm;
 use crate::effects::Tangents;
+use crate::estimator::linkage::LEGS;
 use crate::estimator::{Links, Loads, Scene};
 use crate::integrator::System;
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
 use crate::mechanism::legs::Legs2;
 use crate::mechanism::{COORDINATES, Coordinates, Pose};
-
-/// Proximal and distal link of the left and right leg.
-const LEGS: [[usize; 2]; 2] = [[0, 1], [3, 2]];
 
 /// The pose, and the twelve coordinates with their rates.
 #[inline(never)]

@@ -6,6 +6,8 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::stiffness::STABILITY_LIMIT;
+
 /// A kind of step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Kind {
@@ -41,8 +43,6 @@ const LOOSE: f64 = 1e-5;
 /// After each step of order 8 while inputs are held one of order 5 is taken to reach so much farther, so that it is tried again.
 const RECONSIDERED: f64 = 1.05;
 
-/// A step whose product with the fastest rate is larger is at the border of stability; see `stiffness.rs`.
-const STABILITY_LIMIT: f64 = 2.5;
 /// So many steps at the border are no accident, after as many changes back and forth as have been counted; doubled by each.
 const AT_BORDER: u8 = 3;
 /// The same for implicit steps in a row that explicit ones could have made: friction in saturation has no tangents, and by three steps that

@@ -20,7 +20,7 @@ pub(super) const LONGEST: f64 = 10.0;
 const WITH_ROUNDING: f64 = 1.000_001;
 /// An interpolant whose rates differ from the derivatives of its coordinates by more than so many tolerances is none; those of good steps
 /// differ by 60 at most.
-const GREATEST_DEFECT: f64 = 1e3;
+const MOST_TOLERANCES_OFF: f64 = 1e3;
 /// A slow rate may be off by this part of what turns a force round: steps that jump over that never find the rest behind it.
 const TURN: f64 = 0.3;
 /// Round-off of a difference of coordinates, rad.
@@ -251,7 +251,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let v = velocities.at(part);
             let defect = positions.rate_at(part) - self.length * v;
             (0..N).all(|i| {
-                let allowed = GREATEST_DEFECT * settings.error_tolerance * (RATE + v[i].abs()) * self.length;
+                let allowed = MOST_TOLERANCES_OFF * settings.error_tolerance * (RATE + v[i].abs()) * self.length;
                 defect[i].abs() <= allowed + ROUND_OFF * (1.0 + self.end.q[i].abs())
             })
         })

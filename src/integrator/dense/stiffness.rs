@@ -6,7 +6,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 const INTERVAL: u64 = 1000;
 /// A step whose product with the fastest rate is larger than this is at the border of stability: there the estimated product is 3.9 for
 /// a damper and in the mean 3.3 for a damped spring (the true ones are 6.4 and 5.5), and below 1.7 where accuracy limits the step.
-const STABILITY_LIMIT: f64 = 2.5;
+pub(super) const STABILITY_LIMIT: f64 = 2.5;
 /// So many steps there in all, without [`NONSTIFF_STEPS`] others in a row between them, are no accident.
 const STIFF_STEPS: u8 = 15;
 /// So many steps away from the border begin the count anew.
