@@ -213,19 +213,27 @@ impl Slide {
         }
     }
 
-    /// Whether it certainly does not turn on the way from here to another place, some seconds later.
+    /// Whether it certainly does not turn on the way from here to another place, some seconds later: by how fast its rate changes, or by how
+    /// far that may be from the chord.
     #[inline(never)]
     fn stays(
         &self,
         to: &Self,
         grips: &Grips,
         duration: f64,
-        Extremes { rates, accelerations, .. }: &Extremes,
+        Extremes { rates, accelerations, higher }: &Extremes,
         tolerance: f64,
     ) -> bool {
         let Grip::Slips(way) = grips.at(self.place) else { return true };
-        let most: f64 = (0..LINKS).map(|link| self.arms[link] * (accelerations[link] + rates[link] * rates[link])).sum();
-        way.sign() * (self.rate + to.rate) - most * duration >= -2.0 * slow(tolerance)
+        let [from, to] = [self.rate, to.rate].map(|rate| way.sign() * rate);
+        let along = |of: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| self.arms[link] * of(link)).sum::<f64>();
+        let most = along(&|link| accelerations[link] + rates[link] * rates[link]);
+        if from + to - most * duration >= -2.0 * slow(tolerance) {
+            return true;
+        }
+        let Some([jerks, _]) = higher else { return false };
+        let bend = along(&|link| jerks[link] + rates[link] * (3.0 * accelerations[link] + rates[link] * rates[link]));
+        from.min(to) - bend * duration * duration / 8.0 >= -slow(tolerance)
     }
 }
 

@@ -19,6 +19,8 @@ const AT_BORDER: f64 = 0.5;
 const NEAR_ENOUGH: f64 = 0.4;
 /// Farther beyond, a border has been crossed: less than may be overlooked, so that a bound may lie between.
 const CROSSED: f64 = 0.95;
+/// What grips hold has no bound: on stretches of this part of the step, or less, its summits are not looked for.
+const FINEST_SUMMIT: f64 = 0.125;
 /// No stretch is shorter than this part of the step: what lies between its ends is round-off.
 const FINEST: f64 = 1e-6;
 /// Most sides that a state passes at once.
@@ -222,7 +224,7 @@ impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
         }
         let duration = stretch * self.step.length;
         let stays = self.system.stays_within([&from.touches, &to.touches], duration, &self.extremes, self.tolerance);
-        if stays && !self.system.holds_in_motion(&from.touches) {
+        if stays && (stretch <= FINEST_SUMMIT || !self.system.holds_in_motion(&from.touches)) {
             return None;
         }
         let middle = self.at(0.5 * (from.part + to.part));
@@ -263,7 +265,8 @@ impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
                 let (value, opposite) = if beyond { (high, &mut low) } else { (low, &mut high) };
                 if last_beyond == Some(beyond) {
                     let less = 1.0 - here / value;
-                    *opposite *= if less > 0.0 { less } else { 0.5 };
+                    // Where another border was the farthest so far the values tell nothing of the slope there.
+                    *opposite *= if less > 0.0 { less.max(0.1) } else { 0.5 };
                 }
                 last_beyond = Some(beyond);
                 if beyond {
