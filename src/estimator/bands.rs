@@ -48,7 +48,7 @@ impl Estimator {
         std::array::from_fn(|i| known[i] + by_lengths[i])
     }
 
-    /// Motor torques that would do what the unknown force does, with their standard deviations; see [`Track::motor_torques`].
+    /// Motor torques that would do what the unknown force does, with their standard deviations; see `Track::motor_torques`.
     pub fn motor_torques(&self, constants: &Constants) -> Option<(Pair, Pair)> {
         self.track.motor_torques(&constants.linkage.frame(&self.track.theta))
     }
