@@ -216,7 +216,7 @@ impl Encoder {
     /// changes, that it has just passed the edge between two steps.
     pub(super) fn sharpened(&self, reading: Reading, (sigma, quantum): (f64, f64), rate: f64) -> Reading {
         let Reading { angle, age, .. } = reading;
-        if quantum == 0.0 || sigma > DITHER * quantum || self.interval == 0.0 || self.change.abs() > ONE * quantum {
+        if self.is_dithered(sigma, quantum) || self.change.abs() > ONE * quantum {
             return reading;
         }
         let passed = rate * self.interval;
