@@ -14,6 +14,8 @@
 //! Numbers are little-endian, reals IEEE 754 doubles; there are no pointers, and nothing depends on the process or the platform.
 //! The parameters are stored as values of variables, so that what is read back passes the same checks as what a master sets.
 
+use std::io::{self, Read, Write};
+
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::clock::Clock;
@@ -31,6 +33,38 @@ const MAGIC: [u8; 8] = *b"FiveBar\0";
 const FORMAT: u32 = 9;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
 const CHECKSUM: usize = size_of::<u32>();
+
+/// Bytes still to be read. In place of a slice, whose reading would be copied to each of some hundred fields.
+struct Rest<'a>(&'a [u8]);
+
+impl Read for Rest<'_> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        self.0.read(into)
+    }
+
+    #[inline(never)]
+    fn read_exact(&mut self, into: &mut [u8]) -> io::Result<()> {
+        self.0.read_exact(into)
+    }
+}
+
+/// Bytes written so far. In place of a vector, whose growing would be copied to each field.
+struct Written(Vec<u8>);
+
+impl Write for Written {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.write(bytes)
+    }
+
+    #[inline(never)]
+    fn write_all(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.0.write_all(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
 
 /// What the bytes hold.
 #[derive(BorshSerialize, BorshDeserialize)]
@@ -95,13 +129,13 @@ impl Snapshot {
             warned_of_references: self.warned_of_references,
             warned_of_stiffness: self.warned_of_stiffness,
         };
-        let bytes_of = |serialised: std::io::Result<Vec<u8>>| {
-            serialised.map_err(|error| CallError::error(format!("the state cannot be serialised: {error}.")))
-        };
-        let mut content = bytes_of(borsh::to_vec(&content))?;
-        if !is_nothing(&self.measured, estimate.is_some()) {
-            content.extend(bytes_of(borsh::to_vec(&(self.measured, estimate)))?);
-        }
+        let mut written = Written(Vec::new());
+        let all = content.serialize(&mut written).and_then(|()| match is_nothing(&self.measured, estimate.is_some()) {
+            true => Ok(()),
+            false => (self.measured, estimate).serialize(&mut written),
+        });
+        all.map_err(|error| CallError::error(format!("the state cannot be serialised: {error}.")))?;
+        let Written(content) = written;
         let length = content.len() as u64;
         let mut bytes = [&MAGIC[..], &FORMAT.to_le_bytes(), GUID.as_bytes(), &length.to_le_bytes(), &content].concat();
         bytes.extend(adler2::adler32_slice(&bytes).to_le_bytes());
@@ -155,14 +189,18 @@ fn is_nothing(measured: &Measured, estimates: bool) -> bool {
 }
 
 /// The content and what is followed.
-fn parts(mut bytes: &[u8]) -> std::io::Result<(Content, Followed)> {
-    let content = Content::deserialize(&mut bytes)?;
-    if bytes.is_empty() {
+fn parts(bytes: &[u8]) -> io::Result<(Content, Followed)> {
+    let mut rest = Rest(bytes);
+    let content = Content::deserialize_reader(&mut rest)?;
+    if rest.0.is_empty() {
         return Ok((content, Followed { measured: Measured::default(), estimate: None }));
     }
-    let followed = Followed::try_from_slice(bytes)?;
+    let followed = Followed::deserialize_reader(&mut rest)?;
+    if !rest.0.is_empty() {
+        return Err(io::Error::other("there is more than a state"));
+    }
     if is_nothing(&followed.measured, followed.estimate.is_some()) {
-        return Err(std::io::Error::other("samples that have not been set"));
+        return Err(io::Error::other("samples that have not been set"));
     }
     Ok((content, followed))
 }
