@@ -66,7 +66,7 @@ impl Observation {
 
     /// Smallest singular value of Φ_q (rows in m, columns in m and rad).
     pub fn sigma_phi(&self) -> f64 {
-        *self.sigma_phi.get_or_init(|| self.pose.phi_q().singular_values().min())
+        *self.sigma_phi.get_or_init(|| self.pose.smallest_singular_value())
     }
 }
 

@@ -8,7 +8,7 @@ use super::{Estimated, Observation};
 use crate::effects::{self, Effect, ForceContext, Slides, Touches};
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::singularity::{Jacobians, rank_margin};
-use crate::mechanism::{Coordinates, MULTIPLIERS, SceneError, closure};
+use crate::mechanism::{Coordinates, SceneError, SingularValue, closure};
 use crate::scalar::Scalar;
 use crate::simulation::{Following, Model, Variation};
 
@@ -225,15 +225,11 @@ impl<T: Scalar> Observed<'_, T> {
     /// Smallest singular value σ of Φ_q (rows in m, columns in m and rad). Its change is uᵀ δΦ_q v with its singular vectors.
     pub fn sigma_phi(&self) -> T {
         self.varying(self.observation.sigma_phi(), |along| {
-            let svd = self.observation.pose.phi_q().svd(true, true);
-            let (Some(u), Some(v)) = (svd.u, svd.v_t) else { unreachable!("both have been asked for") };
-            let changed = |i: usize| {
-                let right = Coordinates::from_fn(|j| v[(i, j)]);
-                let product = self.observation.pose.phi_q_varied_times(&along.change.q, &right);
-                product.iter().zip(u.column(i).iter()).map(|(x, y)| x * y).sum()
+            let pose = &self.observation.pose;
+            let changes = |SingularValue { value, left, right }| {
+                Dual64::new(value, pose.phi_q_varied_times(&along.change.q, &right).dot(&left))
             };
-            let values = std::array::from_fn::<_, MULTIPLIERS, _>(|i| Dual64::new(svd.singular_values[i], changed(i)));
-            Dual64::smallest(values).eps
+            Dual64::smallest(pose.singular_values().map(changes)).eps
         })
     }
 }
