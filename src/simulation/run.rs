@@ -110,7 +110,7 @@ impl Run {
     }
 
     /// On failure everything is as before.
-    #[inline(always)]
+    #[inline(never)] // called from five places
     pub(super) fn advance(&mut self, model: &Model, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
         match (&model.stepper, &mut self.progress) {
             (Stepper::MacroStep(method), Progress::WithCall(core, grips)) => {
