@@ -45,16 +45,19 @@ impl std::error::Error for SceneError {}
 
 /// Refuses a value that is not finite and positive; text is made by a refusal only, here and below: a step that finds a parameter tuned
 /// allocates nothing.
+#[inline(never)] // asked for in dozens of places, none of them in a step
 pub(crate) fn positive(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
     if value.is_finite() && value > 0.0 { Ok(()) } else { Err(refusal(&name, value, unit, "positive")) }
 }
 
 /// Refuses a value that is not finite or is negative.
+#[inline(never)] // asked for in dozens of places, none of them in a step
 pub(crate) fn not_negative(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
     if value.is_finite() && value >= 0.0 { Ok(()) } else { Err(refusal(&name, value, unit, "0 or positive")) }
 }
 
 /// Refuses NaN and infinities.
+#[inline(never)] // asked for in dozens of places, none of them in a step
 pub(crate) fn finite(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
     if value.is_finite() { Ok(()) } else { Err(refusal(&name, value, unit, "finite")) }
 }
