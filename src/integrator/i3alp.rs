@@ -250,7 +250,7 @@ fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
         let at = TangentPoint { q: &to.q, pose, v: &to.v, lambda: &to.lambda, h };
         let inertia = system.mass_times(pose, &bend);
         rates = system
-            .solve_tangent(&at, settings.regularization, (&inertia, &Vector::ZERO))
+            .solve_tangent_out_of_line(&at, settings.regularization, (&inertia, &Vector::ZERO))
             .map_or(rates, |(bend, _)| rate_error(system, h, &bend, &to.v));
     }
     let put_in = |work: Work| work.input - work.dissipated;

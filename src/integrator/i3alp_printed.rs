@@ -52,7 +52,7 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
         let residual = -beta * (inertia + constraint - system.forces(&q, &pose, &v));
         // The approximate tangent leaves out ∂(Φ_qᵀλ)/∂q: as if λ were 0.
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &Vector::ZERO, h };
-        let (correction, _) = solve(system, &at, regularization, (&residual, &-phi))?;
+        let (correction, _) = system.solve_tangent_out_of_line(&at, regularization, (&residual, &-phi))?;
         q += correction;
         pose = system.pose(&q);
         phi = system.phi(&q, &pose);
@@ -70,24 +70,18 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
     // Project: A q̇ = W q̇*, then A q̈ = W q̈* − βα Φ_qᵀ Φ̇_q q̇, with W = M + h/2 C + h²/4 K.
     let v = velocity(q);
     let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &Vector::ZERO, h };
-    let (projected, _) = solve(system, &at, regularization, (&system.effective_mass_times(&at, &v), &Vector::ZERO))?;
+    let (projected, _) =
+        system.solve_tangent_out_of_line(&at, regularization, (&system.effective_mass_times(&at, &v), &Vector::ZERO))?;
     let centripetal = -system.phi_q_dot_times(&pose, &projected);
-    let (a, _) = solve(system, &at, regularization, (&system.effective_mass_times(&at, &acceleration(q)), &centripetal))?;
+    let (a, _) = system.solve_tangent_out_of_line(
+        &at,
+        regularization,
+        (&system.effective_mass_times(&at, &acceleration(q)), &centripetal),
+    )?;
 
     let end = Arrival::new(system, [q, projected, a], &pose, state.lambda).finite()?;
     state.error_estimate = local_error(system, h, &(a - a0), &(projected - v));
     state.work = state.work.plus(h / 2.0, state.power).plus(h / 2.0, end.power);
     state.arrive(end);
     Ok(())
-}
-
-/// The solve of all three systems, once in the library: this method is for comparison.
-#[inline(never)]
-fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
-    system: &S,
-    at: &TangentPoint<'_, S::Pose, N, M>,
-    regularization: f64,
-    right: (&Vector<N>, &Vector<M>),
-) -> Result<(Vector<N>, Vector<M>), StepError> {
-    system.solve_tangent(at, regularization, right)
 }

@@ -140,6 +140,17 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
         right: (&Vector<N>, &Vector<M>),
     ) -> Result<(Vector<N>, Vector<M>), StepError>;
 
+    /// The same for what is no part of every step, without code of its own in each place.
+    #[inline(never)]
+    fn solve_tangent_out_of_line(
+        &self,
+        at: &TangentPoint<'_, Self::Pose, N, M>,
+        regularization: f64,
+        right: (&Vector<N>, &Vector<M>),
+    ) -> Result<(Vector<N>, Vector<M>), StepError> {
+        self.solve_tangent(at, regularization, right)
+    }
+
     /// The same with A₀ made positive definite where it is not: a direction of descent of the incremental potential, for the
     /// line-search fallback of a Newton loop that failed. `None`: no fallback.
     fn solve_descent(

@@ -38,7 +38,10 @@ pub(super) fn damped<const N: usize, const M: usize, S: Implicit<N, M>>(
     }
     let at = TangentPoint { q: &end.q, pose, v: &end.v, lambda: &end.lambda, h };
     let let_through = |x: &Vector<N>| {
-        system.solve_tangent(&at, settings.regularization, (&system.mass_times(pose, x), &Vector::ZERO)).ok().map(|(x, _)| x)
+        system
+            .solve_tangent_out_of_line(&at, settings.regularization, (&system.mass_times(pose, x), &Vector::ZERO))
+            .ok()
+            .map(|(x, _)| x)
     };
     // What is not stiff rings within the error.
     if let_through(&bend).is_none_or(|through| system.angle_norm(&through) > STIFF * system.angle_norm(&bend)) {

@@ -140,7 +140,7 @@ fn let_hold<const N: usize, const M: usize, S: Implicit<N, M>>(
 ) -> Result<((Vector<N>, Vector<M>), Vector<N>), StepError> {
     let Held::Direction { row, force, .. } = system.held(at.q, at.pose, at.v) else { return Ok(((correction, y), Vector::ZERO)) };
     let beta = at.h * at.h / 4.0;
-    let (by_force, y_by_force) = system.solve_tangent(at, regularization, (&(beta * force), &Vector::ZERO))?;
+    let (by_force, y_by_force) = system.solve_tangent_out_of_line(at, regularization, (&(beta * force), &Vector::ZERO))?;
     // The rate is that of the trapezoidal rule, which a correction changes by 2/h of it.
     let mobility = row.dot(&by_force);
     if mobility == 0.0 {
