@@ -15,9 +15,7 @@ use nalgebra::SMatrix;
 
 use super::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, THETA, TIP_X, TIP_Y, legs_of, set_legs};
 use super::legs::{Legs, Legs2, SIGMA, are_small, both, sin_cos, sum, turned_by};
-use super::{
-    COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers, SingularValue, singular_values, smallest_singular_value,
-};
+use super::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers};
 
 /// The directions of the links at one q, and the arms from the centres of mass to the joints.
 #[derive(Clone, Copy, Debug)]
@@ -198,21 +196,6 @@ impl Pose {
             turning[i] = v[i];
         }
         self.varied(w).phi_q_times(&turning)
-    }
-
-    /// The singular values of Φ_q (rows in m, columns in m and rad).
-    pub fn singular_values(&self) -> [SingularValue; MULTIPLIERS] {
-        singular_values(self.rows_of_phi_q())
-    }
-
-    /// The smallest of them.
-    pub fn smallest_singular_value(&self) -> f64 {
-        smallest_singular_value(self.rows_of_phi_q())
-    }
-
-    #[inline(never)]
-    fn rows_of_phi_q(&self) -> [Coordinates; MULTIPLIERS] {
-        std::array::from_fn(|i| self.phi_q_transposed_times(&Multipliers::unit(i)))
     }
 
     /// Φ_q as a matrix, for tests and the solve for anything; a step uses the products above.

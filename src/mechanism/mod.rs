@@ -33,4 +33,4 @@ pub use coordinates::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
 pub use model::{Geometry, LINKS, Link, Mechanism, SceneError};
 pub(crate) use model::{finite, not_negative, positive};
 pub use parallels::{ARM, Parallels, Terms};
-pub use singular_values::{SingularValue, singular_values, smallest_singular_value};
+pub use singular_values::SingularValue;

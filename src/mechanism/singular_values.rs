@@ -1,7 +1,7 @@
 //! Singular values of a matrix of the size of Φ_q: the smallest one alone, which an output asks for, or all with their vectors, of which
 //! derivatives are made. nalgebra's decomposition does both and takes 30 kB.
 
-use super::{Coordinates, MULTIPLIERS, Multipliers};
+use super::{Coordinates, MULTIPLIERS, Multipliers, Pose};
 use crate::vector::Vector;
 
 /// Cosine of the angle between two rows that counts as a right one: round-off of a scalar product.
@@ -21,10 +21,27 @@ pub struct SingularValue {
     pub right: Coordinates,
 }
 
+impl Pose {
+    /// The singular values of Φ_q (rows in m, columns in m and rad).
+    pub fn singular_values(&self) -> [SingularValue; MULTIPLIERS] {
+        singular_values(self.rows_of_phi_q())
+    }
+
+    /// The smallest of them.
+    pub fn smallest_singular_value(&self) -> f64 {
+        smallest_singular_value(self.rows_of_phi_q())
+    }
+
+    #[inline(never)]
+    fn rows_of_phi_q(&self) -> [Coordinates; MULTIPLIERS] {
+        std::array::from_fn(|i| self.phi_q_transposed_times(&Multipliers::unit(i)))
+    }
+}
+
 /// All singular values of the matrix with these rows, in no order, by one-sided Jacobi rotations: rows are turned in pairs until all are
 /// orthogonal to each other; then they are σ v (Golub and Van Loan, Matrix Computations, third edition, section 8.6.3).
 #[inline(never)]
-pub fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; MULTIPLIERS] {
+fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; MULTIPLIERS] {
     let mut left: [Multipliers; MULTIPLIERS] = std::array::from_fn(Multipliers::unit);
     for _ in 0..MOST_SWEEPS {
         let mut are_orthogonal = true;
@@ -62,7 +79,7 @@ pub fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; 
 /// their vectors. Householder's reflections from both sides leave a bidiagonal matrix (section 5.4.3 there); between zeros, its elements
 /// make the tridiagonal one whose eigenvalues are ±σ, and Sturm's sequence counts how many are below a bound (sections 8.5.2 and 8.6.1).
 #[inline(never)]
-pub fn smallest_singular_value(mut rows: [Coordinates; MULTIPLIERS]) -> f64 {
+fn smallest_singular_value(mut rows: [Coordinates; MULTIPLIERS]) -> f64 {
     let mut high = rows.iter().map(Coordinates::norm).fold(f64::INFINITY, f64::min);
     let precision = f64::EPSILON * high;
     // Squares of the diagonal and, after each, of the element below.
