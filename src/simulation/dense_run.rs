@@ -177,15 +177,16 @@ impl Held<'_> {
             // Before a new step begins, so that each is made from the angles that it has.
             unwind(&mut run.step, turns);
             let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
-            let mut pose = changed.then(|| system.pose(run.step.end()));
+            let pose = changed.then(|| system.pose(run.step.end()));
             if let Some(pose) = &pose {
                 run.step.restart(&system, settings, pose, Work::default());
                 changed = false;
             }
+            let mut at_hand = pose.as_ref();
             loop {
                 let horizon = run.horizon(steps, steps.count - step);
                 run.step
-                    .advance(&system, settings, steps.h, horizon, pose.take().as_ref())
+                    .advance(&system, settings, steps.h, horizon, at_hand.take())
                     .map_err(|cause| steps.failure(step, cause))?;
                 let within = run.step.advance_within(steps.h, steps.count - step - 1);
                 run.held[1] += 1 + within;

@@ -77,10 +77,16 @@ impl<const N: usize, const M: usize> Landing<N, M> {
     /// Where it does no work, unless something there is not finite.
     #[inline(always)]
     pub(super) fn at(iterations: u32, arrival: Arrival<N, M>) -> Result<Self, StepError> {
+        Self::after(Work::default(), iterations, arrival)
+    }
+
+    /// The same after some work, J.
+    #[inline(always)]
+    pub(super) fn after(work: Work, iterations: u32, arrival: Arrival<N, M>) -> Result<Self, StepError> {
         if !arrival.is_finite() {
             return Err(StepError::NotFinite);
         }
-        Ok(Self { iterations, arrival, work: Work::default() })
+        Ok(Self { iterations, arrival, work })
     }
 }
 
@@ -137,7 +143,7 @@ impl<const N: usize> Slope<N> {
         origin: &Origin<S::Place, N>,
         by: &Vector<N>,
     ) {
-        match system.acceleration_by_weight(&origin.place, by, &self.q, regularization) {
+        match system.acceleration_by_weight(&origin.place, by, &self.q) {
             // The power stays what it is before: none.
             Some(a) => self.v = a,
             None => self.complete_under_loads(system, regularization, origin, by),

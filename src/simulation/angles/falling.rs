@@ -14,7 +14,7 @@
 use super::factor::sums;
 use super::{Angles, DISTAL, PROXIMAL};
 use crate::mechanism::coordinates::{D_X, D_Y, P_X, P_Y, legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, turned_by};
+use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, turned_with};
 use crate::mechanism::{Coordinates, Mechanism};
 use crate::simulation::inertia::Inertia;
 
@@ -34,6 +34,8 @@ pub(in crate::simulation) struct Falling {
     on_arms: [Legs2; 2],
     /// The same at p and d.
     weight: [Legs2; 2],
+    /// e, 1/kg.
+    regularization: Legs,
 }
 
 /// Where links begin to turn: their directions, and p and d.
@@ -41,11 +43,13 @@ pub(in crate::simulation) struct Falling {
 pub struct Place {
     pub(super) directions: [Legs2; 2],
     links: [Legs2; 2],
+    /// Twice those.
+    twice: [Legs2; 2],
 }
 
 impl Falling {
-    /// Of a mechanism and the constant force on it.
-    pub(in crate::simulation) fn new(mechanism: &Mechanism, inertia: &Inertia, force: &Coordinates) -> Self {
+    /// Of a mechanism and the constant force on it, with e of the saddle-point systems, 1/kg.
+    pub(in crate::simulation) fn new(mechanism: &Mechanism, inertia: &Inertia, force: &Coordinates, regularization: f64) -> Self {
         let &Mechanism { mass_d, a_p, b_p, a_d, sigma_b_d, .. } = mechanism;
         let root = inertia.proximal.sqrt();
         let lengths @ [p, d] = [SIGMA * (a_p + b_p) / root, SIGMA * a_d + sigma_b_d];
@@ -61,14 +65,16 @@ impl Falling {
             per_root: both(1.0) / root,
             on_arms,
             weight: [on_p.scaled(both(1.0) / (root * p)), on_d.scaled(both(1.0) / d)],
+            regularization: both(regularization),
         }
     }
 
     /// Where links with these directions begin to turn.
     #[inline(always)]
     pub(super) fn place(&self, directions: [Legs2; 2]) -> Place {
-        let ([p, d], lengths) = (directions, self.lengths);
-        Place { directions, links: [p.scaled(lengths[0]), d.scaled(lengths[1])] }
+        let lengths = self.lengths;
+        let links @ [p, d] = [directions[0].scaled(lengths[0]), directions[1].scaled(lengths[1])];
+        Place { directions, links, twice: [p.scaled(both(2.0)), d.scaled(both(2.0))] }
     }
 
     /// The torques of the weight on links with these directions, N·m.
@@ -78,10 +84,10 @@ impl Falling {
         [p.cross(on_p), d.cross(on_d)]
     }
 
-    /// q̈ at some rates, where the links have turned by small angles, with e of the saddle-point systems.
+    /// q̈ at some rates, where the links have turned by small angles.
     #[inline(always)]
-    pub(super) fn acceleration(&self, place: &Place, by: [Legs; 2], [w_p, w_d]: [Legs; 2], regularization: f64) -> Angles {
-        let [p, d] = [turned_by(place.links[0], by[0]), turned_by(place.links[1], by[1])];
+    pub(super) fn acceleration(&self, place: &Place, by: [Legs; 2], [w_p, w_d]: [Legs; 2]) -> Angles {
+        let [p, d] = [0, 1].map(|link| turned_with(place.links[link], place.twice[link], by[link]));
         let (chi, across) = (self.carried * p.dot(d), self.carried * p.cross(d));
         // Torques with those of the distal centre of mass, which is carried around.
         let (s_p, s_d) = (self.root * (w_p * w_p), w_d * w_d);
@@ -90,7 +96,7 @@ impl Falling {
         let mobility = both(1.0) / (self.stretched + across * across);
         let r = Legs2 { x: d.x - chi * p.x, y: d.y - chi * p.y };
         let moved = r.scaled(mobility);
-        let diagonal = sums([p.x * p.x + r.x * moved.x, p.y * p.y + r.y * moved.y]) + both(regularization);
+        let diagonal = sums([p.x * p.x + r.x * moved.x, p.y * p.y + r.y * moved.y]) + self.regularization;
         let beside = p.x * p.y + r.x * moved.y;
         let (exchanged, beside) = (other(diagonal), beside + other(beside));
         let reciprocal = both(1.0) / (diagonal * exchanged - beside * beside);
