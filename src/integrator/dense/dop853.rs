@@ -17,7 +17,6 @@ use tableau::{A, ALL, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, DENSE, END, Row, STA
 pub(super) struct Stages<const N: usize> {
     slopes: [Slope<N>; STAGES],
     q: Vector<N>,
-    v: Vector<N>,
     /// The step, s.
     h: f64,
     /// How far from the beginning the last stage is evaluated: at the end of the step as well, but of lower order.
@@ -47,12 +46,15 @@ impl<const N: usize> Stages<N> {
     }
 
     /// Three sums at the end of the step: the mean of order 8, and what is estimated to be wrong by order 5 and by order 3. Pair by pair of
-    /// elements: what all three ask for is loaded once, and stays in registers.
-    #[inline(always)]
-    fn at_end(&self, part: impl Fn(&Slope<N>) -> &Vector<N>) -> [Vector<N>; 3] {
+    /// elements: what all three ask for is loaded once, and stays in registers. One piece of code for q and q̇.
+    #[inline(never)]
+    fn at_end(&self, of_rates: bool) -> [Vector<N>; 3] {
         let mut sums = [Vector::ZERO; 3];
         for place in 0..N.div_ceil(2) {
-            let slopes: [f64x2; STAGES] = std::array::from_fn(|stage| part(&self.slopes[stage]).pair(place));
+            let slopes: [f64x2; STAGES] = std::array::from_fn(|stage| {
+                let Slope { q, v, .. } = &self.slopes[stage];
+                (if of_rates { v } else { q }).pair(place)
+            });
             let mean = by_row(&slopes, |stage| COEFFICIENTS[END][stage]);
             let pairs = [
                 mean,
@@ -109,7 +111,7 @@ impl<const N: usize> Stages<N> {
         origin: &Origin<S::Place, N>,
     ) -> Vector<N> {
         let [q, v] = self.way::<ROW>();
-        self.slopes[ROW].q = self.v + v;
+        self.slopes[ROW].q = self.slopes[0].q + v;
         self.slopes[ROW].complete(system, regularization, origin, &q);
         q
     }
@@ -123,7 +125,7 @@ impl<const N: usize> Stages<N> {
     /// the mean square. The estimate of order 5 is damped by that of order 3 (Hairer, Nørsett, Wanner, section II.5, eq. 5.17).
     #[inline(always)]
     fn error(&self, allowed: &Allowed, [fifth, third]: [[Vector<N>; 2]; 2], v_end: &Vector<N>) -> f64 {
-        let rates = [&self.v, v_end];
+        let rates = [&self.slopes[0].q, v_end];
         let fifth = allowed.mean_square(fifth, rates, || self.power::<AT_ERROR_5>());
         let third = allowed.mean_square(third, rates, || self.power::<AT_ERROR_3>());
         let damped = fifth + 0.01 * third;
@@ -162,9 +164,9 @@ impl<const N: usize> Trial<N> for Stages<N> {
 
     #[inline(always)]
     fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), _: f64, (from, _): (&State<N, M>, &S::Pose), h: f64) -> Self {
-        let mut slopes = [Slope::NONE; STAGES];
-        slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
-        Self { slopes, q: from.q, v: from.v, h, last: Vector::ZERO }
+        let mut stages = Self { slopes: [Slope::NONE; STAGES], q: from.q, h, last: Vector::ZERO };
+        stages.slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
+        stages
     }
 
     #[inline(always)]
@@ -178,8 +180,8 @@ impl<const N: usize> Trial<N> for Stages<N> {
     ) -> (f64, Result<Landing<N, M>, StepError>) {
         let origin = Origin::new(system, &self.q, pose);
         self.evaluate_all(system, settings.regularization, &origin);
-        let ([mean_q, q_5, q_3], [mean_v, v_5, v_3]) = (self.at_end(|slope| &slope.q), self.at_end(|slope| &slope.v));
-        let end = [self.q + self.h * mean_q, self.v + self.h * mean_v];
+        let ([mean_q, q_5, q_3], [mean_v, v_5, v_3]) = (self.at_end(false), self.at_end(true));
+        let end = [self.q + self.h * mean_q, self.slopes[0].q + self.h * mean_v];
         let error = self.error(allowed, [[q_5, v_5], [q_3, v_3]], &end[1]);
         if error.is_nan() || error > 1.0 {
             return (error, Err(StepError::NotFinite));
@@ -212,7 +214,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
         let origin = Origin::new(system, &self.q, &system.pose(&self.q));
         for stage in END + 1..ALL {
             let way = over(self.h, &slopes, A[stage]);
-            slopes[stage].q = self.v + way.v;
+            slopes[stage].q = slopes[0].q + way.v;
             slopes[stage].complete(system, regularization, &origin, &way.q);
         }
         DENSE.map(|row| over(self.h, &slopes, row))

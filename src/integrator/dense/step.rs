@@ -42,6 +42,25 @@ struct Plan<'a, P> {
     pose: &'a P,
 }
 
+/// A try of it.
+struct Try {
+    /// Its length, s.
+    h: f64,
+    /// The last one that was rejected: length and error.
+    rejected: Option<[f64; 2]>,
+    /// How many were to end at a border.
+    cuts: u32,
+}
+
+/// What has come of it.
+enum Outcome {
+    Accepted,
+    /// Its error is too large, or NaN.
+    Rejected(f64),
+    /// It has to end at a border, so many seconds from its beginning.
+    Crosses(f64),
+}
+
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The next step: its beginning is the end of the one under way, whose pose may be known already.
     #[inline(never)]
@@ -124,76 +143,90 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         plan: &Plan<'_, S::Pose>,
     ) -> Result<(), StepError> {
-        let &Plan { mut h, wanted, longest, near, horizon, pose } = plan;
         let mut on_sides = system.on(self.sides);
-        let mut shared = T::prepare(on_sides.borrow(), settings, (&self.start, pose));
-        // The last try that was rejected: length and error.
-        let mut rejected: Option<[f64; 2]> = None;
-        let mut tries = 0;
+        let mut shared = T::prepare(on_sides.borrow(), settings, (&self.start, plan.pose));
+        let mut this = Try { h: plan.h, rejected: None, cuts: 0 };
         loop {
-            let on: &S = on_sides.borrow();
             let Some(prepared) = &shared else { return self.attempt::<Stages<N>, S>(system, settings, plan) };
-            let kept = if near { self.kept(on, h) } else { None };
-            let mut trial = T::new(on, prepared, settings.regularization, (&self.start, pose), h);
-            let (error, landing) = trial.land(on, settings, pose, &settings.allowed_of(on), kept);
-            if let Ok(landing) = landing {
-                self.accept(landing, h, T::KIND);
-                if system.has_kinks() {
-                    let extremes = trial.extremes();
-                    let start = self.start;
-                    let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
-                    match self.border(on, settings, (extremes, &mut dense), tries) {
-                        Border::Clear => {}
-                        Border::AtEnd => self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance),
-                        Border::Before(when) => {
-                            self.retract();
-                            self.end.counters.rejected += 1;
-                            tries += 1;
-                            if when < SHORTEST {
-                                self.turn(system, settings);
-                                on_sides = system.on(self.sides);
-                                shared = T::prepare(on_sides.borrow(), settings, (&self.start, pose));
-                            } else {
-                                h = when.min(longest);
-                            }
-                            continue;
-                        }
+            match self.try_once::<T, S>(on_sides.borrow(), settings, plan, prepared, &this) {
+                Outcome::Accepted => return Ok(()),
+                Outcome::Crosses(when) => {
+                    self.retract();
+                    self.end.counters.rejected += 1;
+                    this.cuts += 1;
+                    if when < SHORTEST {
+                        self.turn(system, settings);
+                        on_sides = system.on(self.sides);
+                        shared = T::prepare(on_sides.borrow(), settings, (&self.start, plan.pose));
+                    } else {
+                        this.h = when.min(plan.longest);
                     }
                 }
-                let interpolated = horizon.output < WITH_ROUNDING * h;
-                // Where a kink was near, the search for it has left the coefficients.
-                let is_cut = on.has_kinks() && self.cut_from > 0.0;
-                if interpolated && !(is_cut || on.has_kinks() && self.dense != [Slope::NONE; 4]) {
-                    self.dense = trial.dense(on, settings.regularization, [&self.start, &self.balanced_end(on, settings)]);
+                Outcome::Rejected(error) => {
+                    self.end.counters.rejected += 1;
+                    let h = this.h;
+                    let before = this.rejected.replace([h, error]);
+                    let before = before.filter(|[_, worst]| T::KIND.is_implicit() && worst.is_finite() && error > 1.0);
+                    let before = before.map(|[length, worst]| [length / h, worst / error]);
+                    if h < SHORTEST {
+                        return Err(StepError::StepTooShort { substep: h, error: error * settings.error_tolerance });
+                    }
+                    this.h *= T::CONTROLLER.reduction_after(error, before);
                 }
-                self.end.error_estimate = error * settings.error_tolerance;
-                self.adapt::<T>(h, error, wanted, rejected.is_some());
-                // Friction that sticks leaves no choice: nothing is to be learned from its steps. Nor from one that ends where it has no stage.
-                let chooses = settings.kinds == Kinds::Automatic;
-                if chooses && !system.has_grips() && !is_cut {
-                    let (product, wanted) = (h * trial.fastest_rate(&self.end), self.wanted_by::<T>());
-                    self.memory.choice.learn(&Seen {
-                        kind: T::KIND,
-                        length: h,
-                        product,
-                        wanted,
-                        limit: horizon.limit,
-                        steep: on.is_steep(),
-                    });
-                } else if !chooses && !is_cut && self.memory.stiffness.is_due(self.end.counters.substeps) {
-                    self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
-                }
-                return Ok(());
             }
-            self.end.counters.rejected += 1;
-            let before = rejected.replace([h, error]);
-            let before = before.filter(|[_, worst]| T::KIND.is_implicit() && worst.is_finite() && error > 1.0);
-            let before = before.map(|[length, worst]| [length / h, worst / error]);
-            if h < SHORTEST {
-                return Err(StepError::StepTooShort { substep: h, error: error * settings.error_tolerance });
-            }
-            h *= T::CONTROLLER.reduction_after(error, before);
         }
+    }
+
+    /// One try. A function of its own, so that nothing is made ready for another one: most steps take one.
+    #[inline(never)]
+    fn try_once<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        on: &S,
+        settings: &Settings,
+        plan: &Plan<'_, S::Pose>,
+        prepared: &T::Shared,
+        &Try { h, rejected, cuts }: &Try,
+    ) -> Outcome {
+        let &Plan { wanted, near, horizon, pose, .. } = plan;
+        let kept = if near { self.kept(on, h) } else { None };
+        let mut trial = T::new(on, prepared, settings.regularization, (&self.start, pose), h);
+        let (error, landing) = trial.land(on, settings, pose, &settings.allowed_of(on), kept);
+        let Ok(landing) = landing else { return Outcome::Rejected(error) };
+        self.accept(landing, h, T::KIND);
+        if on.has_kinks() {
+            let extremes = trial.extremes();
+            let start = self.start;
+            let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
+            match self.border(on, settings, (extremes, &mut dense), cuts) {
+                Border::Clear => {}
+                Border::AtEnd => self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance),
+                Border::Before(when) => return Outcome::Crosses(when),
+            }
+        }
+        let interpolated = horizon.output < WITH_ROUNDING * h;
+        // Where a kink was near, the search for it has left the coefficients.
+        let is_cut = on.has_kinks() && self.cut_from > 0.0;
+        if interpolated && !(is_cut || on.has_kinks() && self.dense != [Slope::NONE; 4]) {
+            self.dense = trial.dense(on, settings.regularization, [&self.start, &self.balanced_end(on, settings)]);
+        }
+        self.end.error_estimate = error * settings.error_tolerance;
+        self.adapt::<T>(h, error, wanted, rejected.is_some());
+        // Friction that sticks leaves no choice: nothing is to be learned from its steps. Nor from one that ends where it has no stage.
+        let chooses = settings.kinds == Kinds::Automatic;
+        if chooses && !on.has_grips() && !is_cut {
+            let (product, wanted) = (h * trial.fastest_rate(&self.end), self.wanted_by::<T>());
+            self.memory.choice.learn(&Seen {
+                kind: T::KIND,
+                length: h,
+                product,
+                wanted,
+                limit: horizon.limit,
+                steep: on.is_steep(),
+            });
+        } else if !chooses && !is_cut && self.memory.stiffness.is_due(self.end.counters.substeps) {
+            self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
+        }
+        Outcome::Accepted
     }
 
     /// The energy that a step of h seconds keeps: one made once more keeps the same.
