@@ -223,6 +223,16 @@ impl<const N: usize> Mul<Vector<N>> for f64 {
     }
 }
 
+/// By the first of the two for every first of a pair: the same number twice, as a rule.
+impl<const N: usize> Mul<Vector<N>> for f64x2 {
+    type Output = Vector<N>;
+
+    #[inline]
+    fn mul(self, vector: Vector<N>) -> Vector<N> {
+        vector.with(&vector, |x, _| self * x)
+    }
+}
+
 impl<const N: usize> Div<f64> for Vector<N> {
     type Output = Self;
 

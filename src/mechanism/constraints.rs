@@ -58,17 +58,16 @@ pub fn largest(values: &Multipliers) -> f64 {
 
 /// The directions of links that a projection turns: hardly at all, unless steps are coarse.
 #[inline(always)]
-pub(crate) fn directions_corrected(from: ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
+pub(crate) fn directions_corrected((angles, [p, d]): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
     if !are_tiny(by) {
-        return directions_turned_by_more(from, by);
+        return directions_corrected_by_more(angles, [p, d], by);
     }
-    let (_, [p, d]) = from;
     [barely_turned_by(p, by[0]), barely_turned_by(d, by[1])]
 }
 
 #[inline(never)]
-fn directions_turned_by_more(from: ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
-    directions_turned(from, by)
+fn directions_corrected_by_more(angles: [Legs; 2], directions_there: [Legs2; 2], by: [Legs; 2]) -> [Legs2; 2] {
+    directions_turned((angles, directions_there), by)
 }
 
 /// The directions of links that turn from known ones at known angles: small turns cost half as much as angles.
@@ -84,7 +83,8 @@ pub(crate) fn directions_turned((angles, directions_there): ([Legs; 2], [Legs2; 
 /// The directions of the proximal and the distal links.
 #[inline(never)]
 pub(crate) fn directions(angles: [Legs; 2]) -> [Legs2; 2] {
-    let [(sin_p, cos_p), (sin_d, cos_d)] = [sin_cos(angles[0]), sin_cos(angles[1])];
+    let (sin_p, cos_p) = sin_cos(angles[0]);
+    let (sin_d, cos_d) = sin_cos(angles[1]);
     [Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d }]
 }
 

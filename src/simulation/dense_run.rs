@@ -119,7 +119,8 @@ impl DenseRun {
 
     /// How long steps may be while the inputs stay, with `left` macro steps of the call to come.
     fn horizon(&self, steps: MacroSteps, left: u64) -> Horizon {
-        let rest = left as f64 * steps.h;
+        // By way of a signed number, which processors know.
+        let rest = left as i64 as f64 * steps.h;
         // Inputs that have changed may change again after as many macro steps as before: to step past that would be in vain.
         let limit = match self.held[0].saturating_sub(self.held[1]) {
             _ if !steps.open_ended => rest,

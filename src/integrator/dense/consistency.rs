@@ -106,7 +106,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let landing = trial.land(system, settings, &pose, &settings.allowed_of(system), self.kept(system, length)).1?;
         let mut redone = *self;
         redone.retract();
-        redone.accept(landing, length, T::KIND);
+        redone.accept(&landing, length, T::KIND);
         if is_cut {
             redone.dense = trial.dense(system, settings.regularization, [&self.start, &redone.end]);
             if !redone.cut_again(system, settings, self.length) {

@@ -19,6 +19,8 @@ pub(super) struct Stages<const N: usize> {
     q: Vector<N>,
     /// The step, s.
     h: f64,
+    /// The same for pairs of numbers.
+    both_h: f64x2,
     /// How far from the beginning the last stage is evaluated: at the end of the step as well, but of lower order.
     last: Vector<N>,
 }
@@ -87,7 +89,7 @@ impl<const N: usize> Stages<N> {
     /// How far q and q̇ at the place of a row are from the beginning.
     #[inline(always)]
     fn way<const ROW: usize>(&self) -> [Vector<N>; 2] {
-        self.sums::<ROW>().map(|sum| self.h * sum)
+        self.sums::<ROW>().map(|sum| self.both_h * sum)
     }
 
     /// Evaluates the stages of the step, in place: what a function returns is copied.
@@ -164,7 +166,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
 
     #[inline(always)]
     fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), _: f64, (from, _): (&State<N, M>, &S::Pose), h: f64) -> Self {
-        let mut stages = Self { slopes: [Slope::NONE; STAGES], q: from.q, h, last: Vector::ZERO };
+        let mut stages = Self { slopes: [Slope::NONE; STAGES], q: from.q, h, both_h: f64x2::splat(h), last: Vector::ZERO };
         stages.slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
         stages
     }

@@ -191,7 +191,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let kept = if near { self.kept(on, h) } else { None };
         let mut trial = T::new(on, prepared, settings.regularization, (&self.start, pose), h);
         let (error, landing) = trial.land(on, settings, pose, &settings.allowed_of(on), kept);
-        let Ok(landing) = landing else { return Outcome::Rejected(error) };
+        // What is moved is copied.
+        let Ok(landing) = &landing else { return Outcome::Rejected(error) };
         self.accept(landing, h, T::KIND);
         if on.has_kinks() {
             let extremes = trial.extremes();
@@ -264,12 +265,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// The step has reached its end.
     #[inline]
-    pub(super) fn accept(&mut self, landing: Landing<N, M>, h: f64, kind: Kind) {
+    pub(super) fn accept(&mut self, landing: &Landing<N, M>, h: f64, kind: Kind) {
         let Landing { iterations, arrival, work } = landing;
         (self.length, self.kind) = (h, kind);
         self.end.arrive(arrival);
-        self.end.counters.iterations += u64::from(iterations);
-        self.end.work += work;
+        self.end.counters.iterations += u64::from(*iterations);
+        self.end.work += *work;
     }
 
     /// Whether the interpolant is of one piece: its rates are the derivatives of its coordinates. Stages may miss what the further ones
