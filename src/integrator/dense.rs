@@ -177,7 +177,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// One macro step of h seconds, from the end of the step under way with the pose there, where it is at hand. On failure the run is undefined: the caller keeps
     /// a copy.
-    #[inline]
+    #[inline(always)]
     pub fn advance<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &mut self,
         system: &S,

@@ -131,7 +131,12 @@ fn moved_by(Legs2 { x, y }: Legs2, by: Legs2, [sin, versine]: [Legs; 2]) -> Legs
 #[inline]
 pub fn sin_cos(angle: Legs) -> (Legs, Legs) {
     const LIMIT: f64 = 1_647_099.0; // 2^20 · π/2
-    if angle.abs().simd_lt(both(LIMIT)).to_bitmask() == 0b11 { sin_cos_reduced(angle) } else { sin_cos_far(angle) }
+    if angle.abs().simd_lt(both(LIMIT)).to_bitmask() == 0b11 {
+        return sin_cos_reduced(angle);
+    }
+    // Taken apart: what a call returns is in memory, and the rest need not be.
+    let (sin, cos) = sin_cos_far(angle);
+    (sin, cos)
 }
 
 #[cold]

@@ -9,7 +9,7 @@ use crate::vector::Vector;
 impl Settings {
     /// Puts the end of a step, so far from where it begins, onto the constraints: the iterations spent, and what holds there. The energy that was at its
     /// beginning, so many seconds before, is kept where there is any; the work on the way is what it is.
-    #[inline(never)]
+    #[inline(always)]
     pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
