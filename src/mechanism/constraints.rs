@@ -14,7 +14,7 @@
 use nalgebra::SMatrix;
 
 use super::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, THETA, TIP_X, TIP_Y, legs_of, set_legs};
-use super::legs::{Legs, Legs2, SIGMA, are_small, are_tiny, barely_turned_by, both, sin_cos, sum, turned_by};
+use super::legs::{Legs, Legs2, SIGMA, are_small, are_tiny, barely_turned_by, both, sin_cos, sin_cos_of_both, sum, turned_by};
 use super::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers};
 
 /// The directions of the links at one q, and the arms from the centres of mass to the joints.
@@ -83,8 +83,7 @@ pub(crate) fn directions_turned((angles, directions_there): ([Legs; 2], [Legs2; 
 /// The directions of the proximal and the distal links.
 #[inline(never)]
 pub(crate) fn directions(angles: [Legs; 2]) -> [Legs2; 2] {
-    let (sin_p, cos_p) = sin_cos(angles[0]);
-    let (sin_d, cos_d) = sin_cos(angles[1]);
+    let [(sin_p, cos_p), (sin_d, cos_d)] = sin_cos_of_both(angles);
     [Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d }]
 }
 

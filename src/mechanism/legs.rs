@@ -130,13 +130,24 @@ fn moved_by(Legs2 { x, y }: Legs2, by: Legs2, [sin, versine]: [Legs; 2]) -> Legs
 /// for non-finite angles: the libm crate.
 #[inline]
 pub fn sin_cos(angle: Legs) -> (Legs, Legs) {
-    const LIMIT: f64 = 1_647_099.0; // 2^20 · π/2
-    if angle.abs().simd_lt(both(LIMIT)).to_bitmask() == 0b11 {
-        return sin_cos_reduced(angle);
+    if is_reducible(angle) { sin_cos_reduced(angle) } else { sin_cos_far(angle) }
+}
+
+/// The same of two angles, which share what is asked.
+#[inline(always)]
+pub fn sin_cos_of_both([one, other]: [Legs; 2]) -> [(Legs, Legs); 2] {
+    if is_reducible(one.abs().fast_max(other.abs())) {
+        [sin_cos_reduced(one), sin_cos_reduced(other)]
+    } else {
+        [sin_cos_far(one), sin_cos_far(other)]
     }
-    // Taken apart: what a call returns is in memory, and the rest need not be.
-    let (sin, cos) = sin_cos_far(angle);
-    (sin, cos)
+}
+
+/// Whether the reduction is good for an angle of each leg; it is not for what is not a number.
+#[inline(always)]
+fn is_reducible(angle: Legs) -> bool {
+    const LIMIT: f64 = 1_647_099.0; // 2^20 · π/2
+    angle.abs().simd_lt(both(LIMIT)).to_bitmask() == 0b11
 }
 
 #[cold]

@@ -94,14 +94,14 @@ impl<const N: usize> Stages<N> {
 
     /// Evaluates the stages of the step, in place: what a function returns is copied.
     #[inline(never)]
-    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Place, N>) {
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::Place, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
-                let _ = self.evaluate::<$stage, M, _>(system, regularization, origin);
+                let _ = self.evaluate::<$stage, M, _>(system, origin);
             };
         }
         for_each!(evaluate: 1 2 3 4 5 6 7 8 9 10);
-        self.last = self.evaluate::<{ STAGES - 1 }, M, _>(system, regularization, origin);
+        self.last = self.evaluate::<{ STAGES - 1 }, M, _>(system, origin);
     }
 
     /// Evaluates the stage of a row: how far its q is from the beginning.
@@ -109,12 +109,11 @@ impl<const N: usize> Stages<N> {
     fn evaluate<const ROW: usize, const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
-        regularization: f64,
         origin: &Origin<S::Place, N>,
     ) -> Vector<N> {
         let [q, v] = self.way::<ROW>();
         self.slopes[ROW].q = self.slopes[0].q + v;
-        self.slopes[ROW].complete(system, regularization, origin, &q);
+        self.slopes[ROW].complete(system, origin, &q);
         q
     }
 
@@ -160,12 +159,12 @@ impl<const N: usize> Trial<N> for Stages<N> {
         failed: 0.3,
     };
 
-    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &S::Pose)) -> Option<()> {
+    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::Place, N>)) -> Option<()> {
         Some(())
     }
 
     #[inline(always)]
-    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), _: f64, (from, _): (&State<N, M>, &S::Pose), h: f64) -> Self {
+    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<S::Place, N>), h: f64) -> Self {
         let mut stages = Self { slopes: [Slope::NONE; STAGES], q: from.q, h, both_h: f64x2::splat(h), last: Vector::ZERO };
         stages.slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
         stages
@@ -176,12 +175,11 @@ impl<const N: usize> Trial<N> for Stages<N> {
         &mut self,
         system: &S,
         settings: &Settings,
-        pose: &S::Pose,
+        origin: &Origin<S::Place, N>,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let origin = Origin::new(system, &self.q, pose);
-        self.evaluate_all(system, settings.regularization, &origin);
+        self.evaluate_all(system, origin);
         let ([mean_q, q_5, q_3], [mean_v, v_5, v_3]) = (self.at_end(false), self.at_end(true));
         let end = [self.q + self.h * mean_q, self.slopes[0].q + self.h * mean_v];
         let error = self.error(allowed, [[q_5, v_5], [q_3, v_3]], &end[1]);
@@ -189,7 +187,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
             return (error, Err(StepError::NotFinite));
         }
         let work = if system.follows_work() { Work::default().plus(self.h, self.mean_power()) } else { Work::default() };
-        (error, settings.project_and_evaluate(system, (&origin, end[0] - self.q), end, kept, work))
+        (error, settings.project_and_evaluate(system, (origin, end[0] - self.q), end, kept, work))
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {
@@ -213,11 +211,11 @@ impl<const N: usize> Trial<N> for Stages<N> {
         let mut slopes = [Slope::NONE; ALL];
         slopes[..STAGES].copy_from_slice(&self.slopes);
         slopes[END] = Slope { q: end.v, v: end.a, power: end.power };
-        let origin = Origin::new(system, &self.q, &system.pose(&self.q));
+        let origin = Origin::new(system, &self.q, &system.pose(&self.q), regularization);
         for stage in END + 1..ALL {
             let way = over(self.h, &slopes, A[stage]);
             slopes[stage].q = slopes[0].q + way.v;
-            slopes[stage].complete(system, regularization, &origin, &way.q);
+            slopes[stage].complete(system, &origin, &way.q);
         }
         DENSE.map(|row| over(self.h, &slopes, row))
     }

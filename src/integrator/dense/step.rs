@@ -6,7 +6,7 @@ use super::dop853::Stages;
 use super::events::Border;
 use super::kind::Seen;
 use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock, Shared};
-use super::trial::{Allowed, Landing, RATE, Slope, Trial};
+use super::trial::{Allowed, Landing, Origin, RATE, Slope, Trial};
 use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, Kind, Kinds, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
@@ -38,8 +38,8 @@ struct Plan<'a, P> {
     near: bool,
     /// When an output is asked for, and what limits it while inputs are held.
     horizon: Horizon,
-    /// The pose at its beginning.
-    pose: &'a P,
+    /// The pose at its beginning, where it is known.
+    pose: Option<&'a P>,
 }
 
 /// A try of it.
@@ -71,14 +71,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         horizon: Horizon,
         pose: Option<&S::Pose>,
     ) -> Result<(), StepError> {
-        let fresh;
-        let pose = match pose {
-            Some(pose) => pose,
-            None => {
-                fresh = system.pose_in_place(&self.end.q);
-                &fresh
-            }
-        };
         self.begin(system, settings, pose);
         let (longest, near) = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
             Approach::Clear => (horizon.limit, false),
@@ -90,7 +82,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
         };
-        self.choose_at_start(system, settings, pose, horizon.limit);
+        self.choose_at_start(system, settings, horizon.limit);
         // Where friction may hold, steps are explicit ones of order 8.
         let kind = if system.has_grips() {
             Kind::Eighth
@@ -126,11 +118,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         &mut self,
         system: &S,
         settings: &Settings,
-        pose: &S::Pose,
         limit: f64,
     ) {
         let chooses = settings.kinds == Kinds::Automatic && self.start.counters.substeps == 0 && system.is_steep();
-        if chooses && let Some(shared) = Shared::about(system.on(self.sides).borrow(), settings, (&self.start, pose)) {
+        if chooses
+            && let Some(shared) =
+                Shared::about(system.on(self.sides).borrow(), settings, (&self.start, &system.pose(&self.start.q)))
+        {
             self.memory.choice.begin(settings.first_step.min(limit), shared.fastest);
         }
     }
@@ -143,12 +137,17 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         plan: &Plan<'_, S::Pose>,
     ) -> Result<(), StepError> {
+        // Not as one pose that is pointed to: of what a pose has stages ask for little.
+        let origin = match plan.pose {
+            Some(pose) => Origin::new(system, &self.start.q, pose, settings.regularization),
+            None => Origin::new(system, &self.start.q, &system.pose_in_place(&self.start.q), settings.regularization),
+        };
         let mut on_sides = system.on(self.sides);
-        let mut shared = T::prepare(on_sides.borrow(), settings, (&self.start, plan.pose));
+        let mut shared = T::prepare(on_sides.borrow(), settings, (&self.start, &origin));
         let mut this = Try { h: plan.h, rejected: None, cuts: 0 };
         loop {
             let Some(prepared) = &shared else { return self.attempt::<Stages<N>, S>(system, settings, plan) };
-            match self.try_once::<T, S>(on_sides.borrow(), settings, plan, prepared, &this) {
+            match self.try_once::<T, S>(on_sides.borrow(), settings, plan, (prepared, &origin), &this) {
                 Outcome::Accepted => return Ok(()),
                 Outcome::Crosses(when) => {
                     self.retract();
@@ -157,7 +156,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                     if when < SHORTEST {
                         self.turn(system, settings);
                         on_sides = system.on(self.sides);
-                        shared = T::prepare(on_sides.borrow(), settings, (&self.start, plan.pose));
+                        shared = T::prepare(on_sides.borrow(), settings, (&self.start, &origin));
                     } else {
                         this.h = when.min(plan.longest);
                     }
@@ -184,13 +183,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         on: &S,
         settings: &Settings,
         plan: &Plan<'_, S::Pose>,
-        prepared: &T::Shared,
+        (prepared, origin): (&T::Shared, &Origin<S::Place, N>),
         &Try { h, rejected, cuts }: &Try,
     ) -> Outcome {
-        let &Plan { wanted, near, horizon, pose, .. } = plan;
+        let &Plan { wanted, near, horizon, .. } = plan;
         let kept = if near { self.kept(on, h) } else { None };
-        let mut trial = T::new(on, prepared, settings.regularization, (&self.start, pose), h);
-        let (error, landing) = trial.land(on, settings, pose, &settings.allowed_of(on), kept);
+        let mut trial = T::new(on, prepared, (&self.start, origin), h);
+        let (error, landing) = trial.land(on, settings, origin, &settings.allowed_of(on), kept);
         // What is moved is copied.
         let Ok(landing) = &landing else { return Outcome::Rejected(error) };
         self.accept(landing, h, T::KIND);
@@ -251,10 +250,18 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         end
     }
 
-    /// Time has passed the end of the step, where this is the pose.
-    fn begin<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose) {
+    /// Time has passed the end of the step, where this is the pose, if it is known.
+    fn begin<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        pose: Option<&S::Pose>,
+    ) {
         if self.is_open_ended() {
-            self.end.balance(system.on(self.sides).borrow(), pose, settings.regularization);
+            let fresh = pose.is_none().then(|| system.pose(&self.end.q));
+            if let Some(pose) = pose.or(fresh.as_ref()) {
+                self.end.balance(system.on(self.sides).borrow(), pose, settings.regularization);
+            }
         }
         self.start = self.end;
         self.before = self.memory;
