@@ -175,8 +175,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         count
     }
 
-    /// One macro step of h seconds, from the end of the step under way with the pose there, where it is at hand. On failure the run is undefined: the caller keeps
-    /// a copy.
+    /// One macro step of h seconds that the step under way has no room for, as [`advance_within`](Self::advance_within) has said; with the
+    /// pose at its end, where that is at hand. On failure the run is undefined: the caller keeps a copy.
     #[inline(always)]
     pub fn advance<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &mut self,
@@ -189,14 +189,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let mut rest = h;
         let done = self.work();
         loop {
-            if self.advance_within(rest, 1) == 1 {
-                return Ok(());
-            }
             self.check_work(settings, done)?;
             let left = self.length - self.elapsed;
             rest -= left;
             horizon = horizon.after(left);
             self.step(system, settings, horizon, pose.take())?;
+            if self.advance_within(rest, 1) == 1 {
+                return Ok(());
+            }
         }
     }
 

@@ -166,7 +166,9 @@ impl<const N: usize> Trial<N> for Stages<N> {
     #[inline(always)]
     fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<S::Place, N>), h: f64) -> Self {
         let mut stages = Self { slopes: [Slope::NONE; STAGES], q: from.q, h, both_h: f64x2::splat(h), last: Vector::ZERO };
-        stages.slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
+        stages.slopes[0].q = from.v;
+        stages.slopes[0].v = from.a;
+        stages.slopes[0].power = from.power;
         stages
     }
 
