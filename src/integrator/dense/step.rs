@@ -190,9 +190,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let kept = if near { self.kept(on, h) } else { None };
         let mut trial = T::new(on, prepared, (&self.start, origin), h);
         let (error, landing) = trial.land(on, settings, origin, &settings.allowed_of(on), kept);
-        // What is moved is copied.
-        let Ok(landing) = &landing else { return Outcome::Rejected(error) };
-        self.accept(landing, h, T::KIND);
+        let Ok(landing) = landing else { return Outcome::Rejected(error) };
+        self.accept(&landing, h, T::KIND);
         if on.has_kinks() {
             let extremes = trial.extremes();
             let start = self.start;
