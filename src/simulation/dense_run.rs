@@ -187,7 +187,7 @@ impl Held<'_> {
             loop {
                 let horizon = run.horizon(steps, steps.count - step);
                 run.step
-                    .advance(&system, settings, steps.h, horizon, at_hand.take())
+                    .advance_past(&system, settings, steps.h, horizon, at_hand.take())
                     .map_err(|cause| steps.failure(step, cause))?;
                 let within = run.step.advance_within(steps.h, steps.count - step - 1);
                 run.held[1] += 1 + within;
