@@ -139,11 +139,14 @@ impl<const N: usize> Stages<N> {
 #[inline(always)]
 fn by_row(slopes: &[f64x2; STAGES], coefficient: impl Fn(usize) -> f64) -> f64x2 {
     let mut sum = f64x2::splat(coefficient(0)) * slopes[0];
-    for stage in 1..STAGES {
-        if coefficient(stage) != 0.0 {
-            sum += f64x2::splat(coefficient(stage)) * slopes[stage];
-        }
+    macro_rules! add {
+        ($stage:literal) => {
+            if coefficient($stage) != 0.0 {
+                sum += f64x2::splat(coefficient($stage)) * slopes[$stage];
+            }
+        };
     }
+    for_each!(add: 1 2 3 4 5 6 7 8 9 10 11);
     sum
 }
 
