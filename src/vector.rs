@@ -66,6 +66,20 @@ impl<const N: usize> Vector<N> {
         single.iter().fold(left + right, |sum, x| sum + x)
     }
 
+    /// Two neighbours, by their place among pairs; the last of an odd number of elements beside 0.
+    #[inline(always)]
+    pub fn pair(&self, place: usize) -> f64x2 {
+        let (pairs, single) = self.as_chunks::<2>();
+        if let Some(pair) = pairs.get(place) { f64x2::new(*pair) } else { f64x2::new([single[0], 0.0]) }
+    }
+
+    /// Writes them.
+    #[inline(always)]
+    pub fn set_pair(&mut self, place: usize, value: f64x2) {
+        let (pairs, single) = self.as_chunks_mut::<2>();
+        if let Some(pair) = pairs.get_mut(place) { *pair = value.to_array() } else { single[0] = value.to_array()[0] }
+    }
+
     /// Element by element a function of this and another vector, pair by pair.
     #[inline]
     pub fn with(&self, other: &Self, function: impl Fn(f64x2, f64x2) -> f64x2) -> Self {
@@ -206,6 +220,16 @@ impl<const N: usize> Mul<Vector<N>> for f64 {
     #[inline]
     fn mul(self, vector: Vector<N>) -> Vector<N> {
         vector.with(&vector, |x, _| f64x2::splat(self) * x)
+    }
+}
+
+/// By the first of the two for every first of a pair: the same number twice, as a rule.
+impl<const N: usize> Mul<Vector<N>> for f64x2 {
+    type Output = Vector<N>;
+
+    #[inline]
+    fn mul(self, vector: Vector<N>) -> Vector<N> {
+        vector.with(&vector, |x, _| self * x)
     }
 }
 

@@ -175,10 +175,22 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         count
     }
 
-    /// One macro step of h seconds, from the end of the step under way with the pose there, where it is at hand. On failure the run is undefined: the caller keeps
-    /// a copy.
-    #[inline]
+    /// One macro step of h seconds, from the end of the step under way with the pose there, where it is at hand. On failure the run is
+    /// undefined: the caller keeps a copy.
     pub fn advance<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        h: f64,
+        horizon: Horizon,
+        pose: Option<&S::Pose>,
+    ) -> Result<(), StepError> {
+        if self.advance_within(h, 1) == 1 { Ok(()) } else { self.advance_past(system, settings, h, horizon, pose) }
+    }
+
+    /// The same where the step under way has no room for it, as [`advance_within`](Self::advance_within) has said.
+    #[inline(always)]
+    pub fn advance_past<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -189,14 +201,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let mut rest = h;
         let done = self.work();
         loop {
-            if self.advance_within(rest, 1) == 1 {
-                return Ok(());
-            }
             self.check_work(settings, done)?;
             let left = self.length - self.elapsed;
             rest -= left;
             horizon = horizon.after(left);
             self.step(system, settings, horizon, pose.take())?;
+            if self.advance_within(rest, 1) == 1 {
+                return Ok(());
+            }
         }
     }
 
@@ -329,19 +341,5 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Whether steps have been limited by stability instead of accuracy: an implicit method would do better.
     pub fn is_stiff(&self) -> bool {
         self.memory.stiffness.found
-    }
-
-    /// Writes into a state of the same system in any coordinates what does not depend on the coordinates.
-    pub fn record<const A: usize, const B: usize, P>(&self, sample: &Sample<N, P>, to: &mut State<A, B>) {
-        // What the step has done counts when time has passed its end; that it started from rest in a vertex, at once.
-        let passed = if self.elapsed == self.length { &self.end } else { &self.start };
-        to.modes = passed.modes;
-        to.counters = Counters { launches: self.end.counters.launches, ..passed.counters };
-        to.observe_modes(sample.modes);
-        to.work = sample.work;
-        to.substep = self.end.substep;
-        to.error_estimate = self.end.error_estimate;
-        to.alternatives = self.end.alternatives;
-        to.on_ray = self.straight;
     }
 }

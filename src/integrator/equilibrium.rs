@@ -66,9 +66,11 @@ pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>
     mass: &S::Mass,
 ) -> (Vector<N>, Vector<M>) {
     let (a, lambda) = mass.solve_in_place(forces, &-system.phi_q_dot_times(pose, v));
-    // Copies, which are made only where something is held: what is pointed to has to be in memory.
+    // Copies, which are made only where something is held: what is pointed to has to be in memory, and so has what a call returns, for
+    // all who share its place. A sum with 0 has a place of its own.
     if system.holds() {
-        return system.balanced_with_held(*q, *v, (a, lambda));
+        let (held, by) = system.balanced_with_held(*q, *v, (a, lambda));
+        return (Vector::ZERO + held, Vector::ZERO + by);
     }
     (a, lambda)
 }

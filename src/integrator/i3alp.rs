@@ -311,7 +311,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
             state.work = state.work.plus(h / 2.0, state.power).plus(h / 2.0, end.power);
         }
         state.error_estimate = error;
-        state.arrive(end);
+        state.arrive(&end);
     }
 }
 

@@ -161,7 +161,7 @@ impl<const N: usize, const M: usize> State<N, M> {
             self.work = self.work.plus(transit.duration / 2.0, self.power).plus(transit.duration / 2.0, arrival.power);
         }
         self.jerk = Vector::ZERO;
-        self.arrive(arrival);
+        self.arrive(&arrival);
         self.on_ray = transit.on_ray;
         self.counters.vertex_passes += u64::from(transit.passed);
         if let Some((driven, alternatives)) = transit.from_rest {

@@ -37,7 +37,7 @@ impl Projection {
         Ok((self.position_from(system, &mut pose, q)?, pose))
     }
 
-    /// The same with the pose at q, compiled into its caller.
+    /// The same with the pose at q, compiled into its caller, and without a loop: one correction is what most steps need.
     #[inline(always)]
     pub(super) fn position_from<const N: usize, const M: usize, S: System<N, M>>(
         &self,
@@ -45,7 +45,35 @@ impl Projection {
         pose: &mut S::Pose,
         q: &mut Vector<N>,
     ) -> Result<u32, StepError> {
-        self.position_along(system, pose, q, |pose, missing| system.factor_mass(pose, self.regularization).correction(&missing))
+        let phi = system.phi(q, pose);
+        let violation = phi.max_norm();
+        if violation < self.tolerance {
+            return Ok(0);
+        }
+        let corrected = *q + system.factor_mass(pose, self.regularization).correction(&-phi);
+        let correction = corrected - *q;
+        *pose = system.pose_turned((q, pose), &correction);
+        *q = corrected;
+        if self.max_iterations > 0 && system.phi(q, pose).max_norm() < self.tolerance {
+            return Ok(1);
+        }
+        let iterations;
+        (iterations, *q, *pose) = self.position_after((violation, correction.max_norm()), system, corrected)?;
+        Ok(iterations)
+    }
+
+    /// The same after a correction, with the violation before it. It takes a copy: what is pointed to has to be in memory.
+    #[inline(never)]
+    fn position_after<const N: usize, const M: usize, S: System<N, M>>(
+        &self,
+        before: (f64, f64),
+        system: &S,
+        mut q: Vector<N>,
+    ) -> Result<(u32, Vector<N>, S::Pose), StepError> {
+        let mut pose = system.pose(&q);
+        let correction = |pose: &S::Pose, missing| system.factor_mass(pose, self.regularization).correction(&missing);
+        let iterations = self.position_on((1, before), system, &mut pose, &mut q, correction)?;
+        Ok((iterations, q, pose))
     }
 
     /// The same along other ways than the shortest: by what q is corrected for what Φ lacks at a pose.
@@ -55,10 +83,22 @@ impl Projection {
         system: &S,
         pose: &mut S::Pose,
         q: &mut Vector<N>,
+        correction: impl FnMut(&S::Pose, Vector<M>) -> Vector<N>,
+    ) -> Result<u32, StepError> {
+        self.position_on((0, (f64::INFINITY, 0.0)), system, pose, q, correction)
+    }
+
+    /// The same after some iterations, with the violation before the last of them and what it corrected.
+    #[inline(always)]
+    fn position_on<const N: usize, const M: usize, S: System<N, M>>(
+        &self,
+        (iterations, (mut violation, mut last)): (u32, (f64, f64)),
+        system: &S,
+        pose: &mut S::Pose,
+        q: &mut Vector<N>,
         mut correction: impl FnMut(&S::Pose, Vector<M>) -> Vector<N>,
     ) -> Result<u32, StepError> {
-        let (mut violation, mut last) = (f64::INFINITY, 0.0);
-        for iteration in 0..=self.max_iterations {
+        for iteration in iterations..=self.max_iterations {
             let phi = system.phi(q, pose);
             let previous = violation;
             violation = phi.max_norm();

@@ -138,8 +138,8 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// Becomes what a step has led to. The work, the predictor and the steps to come are the method's.
     #[inline(always)]
-    pub(super) fn arrive(&mut self, arrival: Arrival<N, M>) {
-        let Arrival { q, v, a, lambda, power, modes } = arrival;
+    pub(super) fn arrive(&mut self, arrival: &Arrival<N, M>) {
+        let &Arrival { q, v, a, lambda, power, modes } = arrival;
         (self.q, self.v, self.a, self.lambda, self.power) = (q, v, a, lambda, power);
         self.on_ray = false;
         self.observe_modes(modes);

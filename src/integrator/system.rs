@@ -99,14 +99,8 @@ pub trait System<const N: usize, const M: usize> {
         (self.forces(q, pose, v), if self.follows_work() { self.power(q, pose, v) } else { Work::default() })
     }
     /// q̈ at rates v, `by` away from where turns begin: for less where nothing acts but weight, which does no work that is followed, and the
-    /// way is short; `None` elsewhere.
-    fn acceleration_by_weight(
-        &self,
-        _place: &Self::Place,
-        _by: &Vector<N>,
-        _v: &Vector<N>,
-        _regularization: f64,
-    ) -> Option<Vector<N>> {
+    /// way is short, with the system's own e; `None` elsewhere.
+    fn acceleration_by_weight(&self, _place: &Self::Place, _by: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
         None
     }
     /// Kinetic energy and that of the forces that have a potential, but for those of the inputs, J: what changes by [`System::power`].

@@ -14,7 +14,7 @@
 use nalgebra::SMatrix;
 
 use super::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, THETA, TIP_X, TIP_Y, legs_of, set_legs};
-use super::legs::{Legs, Legs2, SIGMA, are_small, both, sin_cos, sum, turned_by};
+use super::legs::{Legs, Legs2, SIGMA, are_small, are_tiny, barely_turned_by, both, sin_cos, sin_cos_of_both, sum, turned_by};
 use super::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers};
 
 /// The directions of the links at one q, and the arms from the centres of mass to the joints.
@@ -56,6 +56,20 @@ pub fn largest(values: &Multipliers) -> f64 {
     values.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()))
 }
 
+/// The directions of links that a projection turns: hardly at all, unless steps are coarse.
+#[inline(always)]
+pub(crate) fn directions_corrected((angles, [p, d]): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
+    if !are_tiny(by) {
+        return directions_corrected_by_more(angles, [p, d], by);
+    }
+    [barely_turned_by(p, by[0]), barely_turned_by(d, by[1])]
+}
+
+#[inline(never)]
+fn directions_corrected_by_more(angles: [Legs; 2], directions_there: [Legs2; 2], by: [Legs; 2]) -> [Legs2; 2] {
+    directions_turned((angles, directions_there), by)
+}
+
 /// The directions of links that turn from known ones at known angles: small turns cost half as much as angles.
 #[inline(always)]
 pub(crate) fn directions_turned((angles, directions_there): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
@@ -69,10 +83,8 @@ pub(crate) fn directions_turned((angles, directions_there): ([Legs; 2], [Legs2; 
 /// The directions of the proximal and the distal links.
 #[inline(never)]
 pub(crate) fn directions(angles: [Legs; 2]) -> [Legs2; 2] {
-    angles.map(|angle| {
-        let (sin, cos) = sin_cos(angle);
-        Legs2 { x: cos, y: sin }
-    })
+    let [(sin_p, cos_p), (sin_d, cos_d)] = sin_cos_of_both(angles);
+    [Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d }]
 }
 
 impl Mechanism {

@@ -62,10 +62,27 @@ impl Legs2 {
 /// The largest angle of [`turned_by`], rad.
 const SMALL: f64 = 0.45;
 
-/// Whether both angles of both legs are small enough for [`turned_by`]; what is not a number comes out as it is.
+/// Whether both angles of both legs are small enough for [`turned_by`]: by their squares, which it needs as well. What is not a number comes
+/// out as it is.
 #[inline(always)]
 pub fn are_small([one, other]: [Legs; 2]) -> bool {
-    one.abs().fast_max(other.abs()).simd_gt(both(SMALL)).to_bitmask() == 0
+    (one * one).fast_max(other * other).simd_gt(both(SMALL * SMALL)).to_bitmask() == 0
+}
+
+/// The largest angle of [`barely_turned_by`], rad: half of its square is below half an ulp.
+const TINY: f64 = 1e-8;
+
+/// The same for [`barely_turned_by`].
+#[inline(always)]
+pub fn are_tiny([one, other]: [Legs; 2]) -> bool {
+    (one * one).fast_max(other * other).simd_gt(both(TINY * TINY)).to_bitmask() == 0
+}
+
+/// A direction of each leg turned by an angle of at most 1e-8 rad, whose sine is itself and whose cosine is 1.
+#[inline(always)]
+pub fn barely_turned_by(direction: Legs2, angle: Legs) -> Legs2 {
+    let Legs2 { x, y } = direction;
+    Legs2 { x: x - angle * y, y: y + angle * x }
 }
 
 /// A direction of each leg turned by an angle of at most 0.45 rad, for less than half of what sine and cosine take: no reduction, no
@@ -76,15 +93,34 @@ pub fn are_small([one, other]: [Legs; 2]) -> bool {
 /// round-off is that of the direction itself.
 #[inline(always)]
 pub fn turned_by(direction: Legs2, angle: Legs) -> Legs2 {
+    let [a, b] = half_tangent(angle);
+    let double = (b + b) / (a * a + b * b);
+    moved_by(direction, direction, [double * a, double * b])
+}
+
+/// The same where twice the direction is at hand, for less and to the same bits.
+#[inline(always)]
+pub fn turned_with(direction: Legs2, twice: Legs2, angle: Legs) -> Legs2 {
+    let [a, b] = half_tangent(angle);
+    let quotient = b / (a * a + b * b);
+    moved_by(direction, twice, [quotient * a, quotient * b])
+}
+
+/// a and b with b/a the tangent of half an angle.
+#[inline(always)]
+fn half_tangent(angle: Legs) -> [Legs; 2] {
     const A: [f64; 2] = [1_007.466_882_411_849_2, -111.946_052_422_894_71];
     const B: [f64; 3] = [0.5 * A[0], -13.995_239_444_296_098, 0.033_359_826_126_325_32];
     let z = angle * angle;
     let a = (z + both(A[1])) * z + both(A[0]);
     let b = ((both(B[2]) * z + both(B[1])) * z + both(B[0])) * angle;
-    let double = (b + b) / (a * a + b * b);
-    let (sin, versine) = (double * a, double * b);
-    let Legs2 { x, y } = direction;
-    Legs2 { x: x - (versine * x + sin * y), y: y + (sin * x - versine * y) }
+    [a, b]
+}
+
+/// A direction, and what sin δ and 1 − cos δ make of it or of its double.
+#[inline(always)]
+fn moved_by(Legs2 { x, y }: Legs2, by: Legs2, [sin, versine]: [Legs; 2]) -> Legs2 {
+    Legs2 { x: x - (versine * by.x + sin * by.y), y: y + (sin * by.x - versine * by.y) }
 }
 
 /// sin and cos of an angle of each leg, within 1 ulp of the angle's own rounding.
@@ -94,8 +130,24 @@ pub fn turned_by(direction: Legs2, angle: Legs) -> Legs2 {
 /// for non-finite angles: the libm crate.
 #[inline]
 pub fn sin_cos(angle: Legs) -> (Legs, Legs) {
+    if is_reducible(angle) { sin_cos_reduced(angle) } else { sin_cos_far(angle) }
+}
+
+/// The same of two angles, which share what is asked.
+#[inline(always)]
+pub fn sin_cos_of_both([one, other]: [Legs; 2]) -> [(Legs, Legs); 2] {
+    if is_reducible(one.abs().fast_max(other.abs())) {
+        [sin_cos_reduced(one), sin_cos_reduced(other)]
+    } else {
+        [sin_cos_far(one), sin_cos_far(other)]
+    }
+}
+
+/// Whether the reduction is good for an angle of each leg; it is not for what is not a number.
+#[inline(always)]
+fn is_reducible(angle: Legs) -> bool {
     const LIMIT: f64 = 1_647_099.0; // 2^20 · π/2
-    if angle.abs().simd_lt(both(LIMIT)).to_bitmask() == 0b11 { sin_cos_reduced(angle) } else { sin_cos_far(angle) }
+    angle.abs().simd_lt(both(LIMIT)).to_bitmask() == 0b11
 }
 
 #[cold]

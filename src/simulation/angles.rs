@@ -21,7 +21,7 @@ use super::inertia::Inertia;
 use super::model::Model;
 use crate::effects::Sides;
 use crate::integrator::{AccelerationTangents, Held, Kkt, Passage, State, System, Work};
-use crate::mechanism::constraints::{directions, directions_turned};
+use crate::mechanism::constraints::{directions, directions_corrected, directions_turned};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, are_small, both, sum};
 use crate::mechanism::vertex::{self, Branch};
@@ -226,7 +226,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline(always)]
     fn pose_turned(&self, (q, pose): (&Angles, &Pose), by: &Angles) -> Pose {
-        self.mechanism.pose_along(directions_turned((legs(q), [pose.u_p, pose.u_d]), legs(by)))
+        self.mechanism.pose_along(directions_corrected((legs(q), [pose.u_p, pose.u_d]), legs(by)))
     }
 
     #[inline]
@@ -274,9 +274,8 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline(always)]
-    fn acceleration_by_weight(&self, place: &Place, by: &Angles, v: &Angles, regularization: f64) -> Option<Angles> {
-        (self.only_falls && are_small(legs(by)))
-            .then(|| self.model().falling.acceleration(place, legs(by), legs(v), regularization))
+    fn acceleration_by_weight(&self, place: &Place, by: &Angles, v: &Angles) -> Option<Angles> {
+        (self.only_falls && are_small(legs(by))).then(|| self.model().falling.acceleration(place, legs(by), legs(v)))
     }
 
     #[inline(always)]

@@ -119,7 +119,8 @@ impl DenseRun {
 
     /// How long steps may be while the inputs stay, with `left` macro steps of the call to come.
     fn horizon(&self, steps: MacroSteps, left: u64) -> Horizon {
-        let rest = left as f64 * steps.h;
+        // By way of a signed number, which processors know.
+        let rest = left as i64 as f64 * steps.h;
         // Inputs that have changed may change again after as many macro steps as before: to step past that would be in vain.
         let limit = match self.held[0].saturating_sub(self.held[1]) {
             _ if !steps.open_ended => rest,
@@ -177,15 +178,16 @@ impl Held<'_> {
             // Before a new step begins, so that each is made from the angles that it has.
             unwind(&mut run.step, turns);
             let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
-            let mut pose = changed.then(|| system.pose(run.step.end()));
+            let pose = changed.then(|| system.pose(run.step.end()));
             if let Some(pose) = &pose {
                 run.step.restart(&system, settings, pose, Work::default());
                 changed = false;
             }
+            let mut at_hand = pose.as_ref();
             loop {
                 let horizon = run.horizon(steps, steps.count - step);
                 run.step
-                    .advance(&system, settings, steps.h, horizon, pose.take().as_ref())
+                    .advance_past(&system, settings, steps.h, horizon, at_hand.take())
                     .map_err(|cause| steps.failure(step, cause))?;
                 let within = run.step.advance_within(steps.h, steps.count - step - 1);
                 run.held[1] += 1 + within;

@@ -113,7 +113,7 @@ impl Model {
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
-            falling: Falling::new(&mechanism, &inertia, &weight),
+            falling: Falling::new(&mechanism, &inertia, &weight, regularization_by_angles),
             weight,
             solver: LinearSolver::new(LinearSolve::choose(&geometry, &effects), &mechanism, regularization),
             inertia,
@@ -170,7 +170,7 @@ impl Model {
         let weight = parameters.weight(&self.mechanism)?;
         let changed = weight != self.weight || effects != self.effects;
         self.weight = weight;
-        self.falling = Falling::new(&self.mechanism, &self.inertia, &weight);
+        self.falling = Falling::new(&self.mechanism, &self.inertia, &weight, self.regularization_by_angles);
         self.conservative = effects.iter().all(Effect::conservative);
         self.has_kinks = effects.iter().any(Effect::has_kinks);
         self.turning_rate = turning_rate(&effects);

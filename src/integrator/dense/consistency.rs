@@ -5,7 +5,7 @@ use std::borrow::Borrow;
 use super::dop853::Stages;
 use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
 use super::step::LONGEST;
-use super::trial::{Slope, Trial};
+use super::trial::{Origin, Slope, Trial};
 use super::tsit5::Tsit5;
 use super::{DenseStep, Kind, LEAST_LOG_ERROR, Memory, Settings};
 use crate::integrator::consistency::{Bounds, Inconsistency};
@@ -98,15 +98,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         system: &S,
         settings: &Settings,
     ) -> Result<bool, StepError> {
-        let pose = system.pose(&self.start.q);
-        let Some(shared) = T::prepare(system, settings, (&self.start, &pose)) else { return Ok(false) };
+        let origin = Origin::new(system, &self.start.q, &system.pose(&self.start.q), settings.regularization);
+        let Some(shared) = T::prepare(system, settings, (&self.start, &origin)) else { return Ok(false) };
         let is_cut = self.cut_from > 0.0;
         let length = if is_cut { self.cut_from } else { self.length };
-        let mut trial = T::new(system, &shared, settings.regularization, (&self.start, &pose), length);
-        let landing = trial.land(system, settings, &pose, &settings.allowed_of(system), self.kept(system, length)).1?;
+        let mut trial = T::new(system, &shared, (&self.start, &origin), length);
+        let landing = trial.land(system, settings, &origin, &settings.allowed_of(system), self.kept(system, length)).1?;
         let mut redone = *self;
         redone.retract();
-        redone.accept(landing, length, T::KIND);
+        redone.accept(&landing, length, T::KIND);
         if is_cut {
             redone.dense = trial.dense(system, settings.regularization, [&self.start, &redone.end]);
             if !redone.cut_again(system, settings, self.length) {

@@ -94,7 +94,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let (q, v, w) = (positions.cut(part), velocities.cut(part), work.cut(part));
         let (tried, gained) = (self.length, Work::of_pair(work.at(part) - self.start.work.pair()));
         self.retract();
-        self.accept(Landing { iterations, arrival, work: gained }, when, Kind::Eighth);
+        self.accept(&Landing { iterations, arrival, work: gained }, when, Kind::Eighth);
         self.dense = std::array::from_fn(|k| Slope { q: q[k], v: v[k], power: Work::of_pair(w[k]) });
         self.cut_from = tried;
         true

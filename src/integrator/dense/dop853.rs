@@ -9,15 +9,18 @@ use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
+use wide::f64x2;
+
 use tableau::{A, ALL, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, DENSE, END, Row, STAGES};
 
 /// A step from a state, stage by stage.
 pub(super) struct Stages<const N: usize> {
     slopes: [Slope<N>; STAGES],
     q: Vector<N>,
-    v: Vector<N>,
     /// The step, s.
     h: f64,
+    /// The same for pairs of numbers.
+    both_h: f64x2,
     /// How far from the beginning the last stage is evaluated: at the end of the step as well, but of lower order.
     last: Vector<N>,
 }
@@ -44,21 +47,27 @@ impl<const N: usize> Stages<N> {
         [self.sum::<ROW>(|slope| slope.q), self.sum::<ROW>(|slope| slope.v)]
     }
 
-    /// What the sums of one row are more than those of another: less, where rows have most in common.
-    #[inline(always)]
-    fn sums_beside<const ROW: usize, const OTHER: usize>(&self) -> [Vector<N>; 2] {
-        let difference = const { COEFFICIENTS[ROW][0] - COEFFICIENTS[OTHER][0] };
-        let mut sums = [difference * self.slopes[0].q, difference * self.slopes[0].v];
-        macro_rules! add {
-            ($stage:literal) => {
-                if const { COEFFICIENTS[ROW][$stage] != COEFFICIENTS[OTHER][$stage] } {
-                    let difference = const { COEFFICIENTS[ROW][$stage] - COEFFICIENTS[OTHER][$stage] };
-                    sums[0] += difference * self.slopes[$stage].q;
-                    sums[1] += difference * self.slopes[$stage].v;
-                }
-            };
+    /// Three sums at the end of the step: the mean of order 8, and what is estimated to be wrong by order 5 and by order 3. Pair by pair of
+    /// elements: what all three ask for is loaded once, and stays in registers. One piece of code for q and q̇.
+    #[inline(never)]
+    fn at_end(&self, of_rates: bool) -> [Vector<N>; 3] {
+        let mut sums = [Vector::ZERO; 3];
+        for place in 0..N.div_ceil(2) {
+            let slopes: [f64x2; STAGES] = std::array::from_fn(|stage| {
+                let Slope { q, v, .. } = &self.slopes[stage];
+                (if of_rates { v } else { q }).pair(place)
+            });
+            let mean = by_row(&slopes, |stage| COEFFICIENTS[END][stage]);
+            let pairs = [
+                mean,
+                by_row(&slopes, |stage| COEFFICIENTS[AT_ERROR_5][stage]),
+                // Less, where rows have most in common.
+                mean + by_row(&slopes, |stage| COEFFICIENTS[AT_ERROR_3][stage] - COEFFICIENTS[END][stage]),
+            ];
+            for (sum, pair) in sums.iter_mut().zip(pairs) {
+                sum.set_pair(place, pair);
+            }
         }
-        for_each!(add: 1 2 3 4 5 6 7 8 9 10 11);
         sums
     }
 
@@ -80,19 +89,19 @@ impl<const N: usize> Stages<N> {
     /// How far q and q̇ at the place of a row are from the beginning.
     #[inline(always)]
     fn way<const ROW: usize>(&self) -> [Vector<N>; 2] {
-        self.sums::<ROW>().map(|sum| self.h * sum)
+        self.sums::<ROW>().map(|sum| self.both_h * sum)
     }
 
     /// Evaluates the stages of the step, in place: what a function returns is copied.
     #[inline(never)]
-    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Place, N>) {
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::Place, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
-                let _ = self.evaluate::<$stage, M, _>(system, regularization, origin);
+                let _ = self.evaluate::<$stage, M, _>(system, origin);
             };
         }
         for_each!(evaluate: 1 2 3 4 5 6 7 8 9 10);
-        self.last = self.evaluate::<{ STAGES - 1 }, M, _>(system, regularization, origin);
+        self.last = self.evaluate::<{ STAGES - 1 }, M, _>(system, origin);
     }
 
     /// Evaluates the stage of a row: how far its q is from the beginning.
@@ -100,12 +109,11 @@ impl<const N: usize> Stages<N> {
     fn evaluate<const ROW: usize, const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
-        regularization: f64,
         origin: &Origin<S::Place, N>,
     ) -> Vector<N> {
         let [q, v] = self.way::<ROW>();
-        self.slopes[ROW].q = self.v + v;
-        self.slopes[ROW].complete(system, regularization, origin, &q);
+        self.slopes[ROW].q = self.slopes[0].q + v;
+        self.slopes[ROW].complete(system, origin, &q);
         q
     }
 
@@ -117,15 +125,29 @@ impl<const N: usize> Stages<N> {
     /// Estimated error in units of what is allowed: of the coordinates, of their rates (10/s + |q̇| times that) and of the work; root of
     /// the mean square. The estimate of order 5 is damped by that of order 3 (Hairer, Nørsett, Wanner, section II.5, eq. 5.17).
     #[inline(always)]
-    fn error(&self, allowed: &Allowed, mean: &[Vector<N>; 2], v_end: &Vector<N>) -> f64 {
-        let rates = [&self.v, v_end];
-        let fifth = allowed.mean_square(self.sums::<AT_ERROR_5>(), rates, || self.power::<AT_ERROR_5>());
-        let beside = self.sums_beside::<AT_ERROR_3, END>();
-        let third = allowed.mean_square([mean[0] + beside[0], mean[1] + beside[1]], rates, || self.power::<AT_ERROR_3>());
+    fn error(&self, allowed: &Allowed, [fifth, third]: [[Vector<N>; 2]; 2], v_end: &Vector<N>) -> f64 {
+        let rates = [&self.slopes[0].q, v_end];
+        let fifth = allowed.mean_square(fifth, rates, || self.power::<AT_ERROR_5>());
+        let third = allowed.mean_square(third, rates, || self.power::<AT_ERROR_3>());
         let damped = fifth + 0.01 * third;
         // Both are 0 where nothing moves.
         if damped == 0.0 { 0.0 } else { self.h * fifth / damped.sqrt() }
     }
+}
+
+/// Σ coefficient · slope over the stages; the compiler leaves out what is 0.
+#[inline(always)]
+fn by_row(slopes: &[f64x2; STAGES], coefficient: impl Fn(usize) -> f64) -> f64x2 {
+    let mut sum = f64x2::splat(coefficient(0)) * slopes[0];
+    macro_rules! add {
+        ($stage:literal) => {
+            if coefficient($stage) != 0.0 {
+                sum += f64x2::splat(coefficient($stage)) * slopes[$stage];
+            }
+        };
+    }
+    for_each!(add: 1 2 3 4 5 6 7 8 9 10 11);
+    sum
 }
 
 impl<const N: usize> Trial<N> for Stages<N> {
@@ -140,15 +162,17 @@ impl<const N: usize> Trial<N> for Stages<N> {
         failed: 0.3,
     };
 
-    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &S::Pose)) -> Option<()> {
+    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::Place, N>)) -> Option<()> {
         Some(())
     }
 
     #[inline(always)]
-    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), _: f64, (from, _): (&State<N, M>, &S::Pose), h: f64) -> Self {
-        let mut slopes = [Slope::NONE; STAGES];
-        slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
-        Self { slopes, q: from.q, v: from.v, h, last: Vector::ZERO }
+    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<S::Place, N>), h: f64) -> Self {
+        let mut stages = Self { slopes: [Slope::NONE; STAGES], q: from.q, h, both_h: f64x2::splat(h), last: Vector::ZERO };
+        stages.slopes[0].q = from.v;
+        stages.slopes[0].v = from.a;
+        stages.slopes[0].power = from.power;
+        stages
     }
 
     #[inline(always)]
@@ -156,25 +180,19 @@ impl<const N: usize> Trial<N> for Stages<N> {
         &mut self,
         system: &S,
         settings: &Settings,
-        pose: &S::Pose,
+        origin: &Origin<S::Place, N>,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let origin = Origin::new(system, &self.q, pose);
-        self.evaluate_all(system, settings.regularization, &origin);
-        let mean = self.sums::<END>();
-        let end = [self.q + self.h * mean[0], self.v + self.h * mean[1]];
-        let error = self.error(allowed, &mean, &end[1]);
+        self.evaluate_all(system, origin);
+        let ([mean_q, q_5, q_3], [mean_v, v_5, v_3]) = (self.at_end(false), self.at_end(true));
+        let end = [self.q + self.h * mean_q, self.slopes[0].q + self.h * mean_v];
+        let error = self.error(allowed, [[q_5, v_5], [q_3, v_3]], &end[1]);
         if error.is_nan() || error > 1.0 {
             return (error, Err(StepError::NotFinite));
         }
-        let mut landed = settings.project_and_evaluate(system, (&origin, end[0] - self.q), end, kept);
-        if system.follows_work()
-            && let Ok(landing) = &mut landed
-        {
-            landing.work = Work::default().plus(self.h, self.mean_power());
-        }
-        (error, landed)
+        let work = if system.follows_work() { Work::default().plus(self.h, self.mean_power()) } else { Work::default() };
+        (error, settings.project_and_evaluate(system, (origin, end[0] - self.q), end, kept, work))
     }
 
     fn extremes(&self) -> [Vector<N>; 2] {
@@ -198,11 +216,11 @@ impl<const N: usize> Trial<N> for Stages<N> {
         let mut slopes = [Slope::NONE; ALL];
         slopes[..STAGES].copy_from_slice(&self.slopes);
         slopes[END] = Slope { q: end.v, v: end.a, power: end.power };
-        let origin = Origin::new(system, &self.q, &system.pose(&self.q));
+        let origin = Origin::new(system, &self.q, &system.pose(&self.q), regularization);
         for stage in END + 1..ALL {
             let way = over(self.h, &slopes, A[stage]);
-            slopes[stage].q = self.v + way.v;
-            slopes[stage].complete(system, regularization, &origin, &way.q);
+            slopes[stage].q = slopes[0].q + way.v;
+            slopes[stage].complete(system, &origin, &way.q);
         }
         DENSE.map(|row| over(self.h, &slopes, row))
     }

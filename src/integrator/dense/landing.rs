@@ -3,21 +3,22 @@
 use super::Settings;
 use super::trial::{Landing, Origin};
 use crate::integrator::state::Arrival;
-use crate::integrator::{EnergyBalance, Passage, Projection, StepError, System, velocity_correction};
+use crate::integrator::{EnergyBalance, Passage, Projection, StepError, System, Work, velocity_correction};
 use crate::vector::Vector;
 
 impl Settings {
     /// Puts the end of a step, so far from where it begins, onto the constraints: the iterations spent, and what holds there. The energy that was at its
-    /// beginning, so many seconds before, is kept where there is any.
-    #[inline(never)]
+    /// beginning, so many seconds before, is kept where there is any; the work on the way is what it is.
+    #[inline(always)]
     pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
         from: (&Origin<S::Place, N>, Vector<N>),
         end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
+        work: Work,
     ) -> Result<Landing<N, M>, StepError> {
-        self.arrive::<true, N, M, S>(system, from, end, kept)
+        self.arrive::<true, N, M, S>(system, from, end, kept, work)
     }
 
     /// The same without what holds there.
@@ -29,7 +30,7 @@ impl Settings {
         end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
     ) -> Result<Landing<N, M>, StepError> {
-        self.arrive::<false, N, M, S>(system, from, end, kept)
+        self.arrive::<false, N, M, S>(system, from, end, kept, Work::default())
     }
 
     /// The end of a step on the constraints, in balance or without.
@@ -40,6 +41,7 @@ impl Settings {
         (origin, by): (&Origin<S::Place, N>, Vector<N>),
         [mut q, mut v]: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
+        work: Work,
     ) -> Result<Landing<N, M>, StepError> {
         let mut pose = origin.turned(system, &by);
         let (iterations, mass) = self.project_in_place(system, &mut pose, &mut q, &mut v)?;
@@ -49,7 +51,7 @@ impl Settings {
         } else {
             Arrival::without_balance(system, [q, v], &pose)
         };
-        Landing::at(iterations, arrival)
+        Landing::after(work, iterations, arrival)
     }
 
     /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations

@@ -206,17 +206,16 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
     fn prepare<const M: usize, S: System<N, M>>(
         system: &S,
         settings: &Settings,
-        from: (&State<N, M>, &S::Pose),
+        (from, origin): (&State<N, M>, &Origin<S::Place, N>),
     ) -> Option<Shared<N>> {
-        Shared::about(system, settings, from)
+        Shared::about(system, settings, (from, &origin.turned(system, &Vector::ZERO)))
     }
 
     #[inline(never)]
     fn new<const M: usize, S: System<N, M>>(
         system: &S,
         shared: &Shared<N>,
-        regularization: f64,
-        (from, pose): (&State<N, M>, &S::Pose),
+        (from, origin): (&State<N, M>, &Origin<S::Place, N>),
         h: f64,
     ) -> Self {
         let Shared { tangents, fastest } = shared;
@@ -233,14 +232,13 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             tableau: PhantomData,
         };
         step.u[0] = step.solve(tangents, [from.v, from.a]);
-        let origin = Origin::new(system, &from.q, pose);
         let per_step = 1.0 / h;
         macro_rules! evaluate {
             ($stage:literal) => {
                 if const { $stage < T::STAGES } {
                     let [q, v] = step.at::<$stage>();
                     let mut slope = Slope { q: v, ..Slope::NONE };
-                    slope.complete(system, regularization, &origin, &(q - from.q));
+                    slope.complete(system, origin, &(q - from.q));
                     let [before_q, before_v] = step.before::<$stage>();
                     step.u[$stage] = step.solve(tangents, [v + per_step * before_q, slope.v + per_step * before_v]);
                     step.power[$stage] = slope.power;
@@ -256,7 +254,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         &mut self,
         system: &S,
         settings: &Settings,
-        pose: &S::Pose,
+        origin: &Origin<S::Place, N>,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
@@ -267,8 +265,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             return (error, Err(StepError::NotFinite));
         }
         let work = || if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
-        let by = end[0] - self.start[0];
-        let at_end = system.pose_turned((&self.start[0], pose), &by);
+        let at_end = origin.turned(system, &(end[0] - self.start[0]));
         let landed = WayBack { inverse: &self.inverse, h: self.h }.land(system, settings, (end, at_end), kept);
         (error, landed.map(|landing| Landing { work: work(), ..landing }))
     }

@@ -4,7 +4,7 @@ use std::borrow::Borrow;
 
 use super::interpolant::Interpolant;
 use super::{DenseStep, Kind, Settings, hermite};
-use crate::integrator::{Extremes, Kinked, Passage, State, System, Work};
+use crate::integrator::{Counters, Extremes, Kinked, Passage, State, System, Work};
 use crate::vector::Vector;
 
 /// What holds at the present time, between the ends of the step.
@@ -48,6 +48,20 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let (q, v, pose) = projected.map_or_else(|| (q, v, system.pose(&q)), |(_, pose, _)| (on_q, on_v, pose));
         let modes = system.modes(&pose);
         Sample { q, v, pose, work, modes }
+    }
+
+    /// Writes into a state of the same system in any coordinates what does not depend on the coordinates.
+    pub fn record<const A: usize, const B: usize, P>(&self, sample: &Sample<N, P>, to: &mut State<A, B>) {
+        // What the step has done counts when time has passed its end; that it started from rest in a vertex, at once.
+        let passed = if self.elapsed == self.length { &self.end } else { &self.start };
+        to.modes = passed.modes;
+        to.counters = Counters { launches: self.end.counters.launches, ..passed.counters };
+        to.observe_modes(sample.modes);
+        to.work = sample.work;
+        to.substep = self.end.substep;
+        to.error_estimate = self.end.error_estimate;
+        to.alternatives = self.end.alternatives;
+        to.on_ray = self.straight;
     }
 
     /// What the interpolant says at the present time, inside the step.

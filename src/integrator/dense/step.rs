@@ -6,7 +6,7 @@ use super::dop853::Stages;
 use super::events::Border;
 use super::kind::Seen;
 use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock, Shared};
-use super::trial::{Allowed, Landing, RATE, Slope, Trial};
+use super::trial::{Allowed, Landing, Origin, RATE, Slope, Trial};
 use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, Kind, Kinds, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
@@ -38,8 +38,27 @@ struct Plan<'a, P> {
     near: bool,
     /// When an output is asked for, and what limits it while inputs are held.
     horizon: Horizon,
-    /// The pose at its beginning.
-    pose: &'a P,
+    /// The pose at its beginning, where it is known.
+    pose: Option<&'a P>,
+}
+
+/// A try of it.
+struct Try {
+    /// Its length, s.
+    h: f64,
+    /// The last one that was rejected: length and error.
+    rejected: Option<[f64; 2]>,
+    /// How many were to end at a border.
+    cuts: u32,
+}
+
+/// What has come of it.
+enum Outcome {
+    Accepted,
+    /// Its error is too large, or NaN.
+    Rejected(f64),
+    /// It has to end at a border, so many seconds from its beginning.
+    Crosses(f64),
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
@@ -52,14 +71,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         horizon: Horizon,
         pose: Option<&S::Pose>,
     ) -> Result<(), StepError> {
-        let fresh;
-        let pose = match pose {
-            Some(pose) => pose,
-            None => {
-                fresh = system.pose_in_place(&self.end.q);
-                &fresh
-            }
-        };
         self.begin(system, settings, pose);
         let (longest, near) = match system.approach(&settings.passage(), &self.start.departure(horizon.limit.min(LONGEST))) {
             Approach::Clear => (horizon.limit, false),
@@ -71,7 +82,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
         };
-        self.choose_at_start(system, settings, pose, horizon.limit);
+        self.choose_at_start(system, settings, horizon.limit);
         // Where friction may hold, steps are explicit ones of order 8.
         let kind = if system.has_grips() {
             Kind::Eighth
@@ -107,11 +118,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         &mut self,
         system: &S,
         settings: &Settings,
-        pose: &S::Pose,
         limit: f64,
     ) {
         let chooses = settings.kinds == Kinds::Automatic && self.start.counters.substeps == 0 && system.is_steep();
-        if chooses && let Some(shared) = Shared::about(system.on(self.sides).borrow(), settings, (&self.start, pose)) {
+        if chooses
+            && let Some(shared) =
+                Shared::about(system.on(self.sides).borrow(), settings, (&self.start, &system.pose(&self.start.q)))
+        {
             self.memory.choice.begin(settings.first_step.min(limit), shared.fastest);
         }
     }
@@ -124,76 +137,95 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         plan: &Plan<'_, S::Pose>,
     ) -> Result<(), StepError> {
-        let &Plan { mut h, wanted, longest, near, horizon, pose } = plan;
+        // Not as one pose that is pointed to: of what a pose has stages ask for little.
+        let origin = match plan.pose {
+            Some(pose) => Origin::new(system, &self.start.q, pose, settings.regularization),
+            None => Origin::new(system, &self.start.q, &system.pose_in_place(&self.start.q), settings.regularization),
+        };
         let mut on_sides = system.on(self.sides);
-        let mut shared = T::prepare(on_sides.borrow(), settings, (&self.start, pose));
-        // The last try that was rejected: length and error.
-        let mut rejected: Option<[f64; 2]> = None;
-        let mut tries = 0;
+        let mut shared = T::prepare(on_sides.borrow(), settings, (&self.start, &origin));
+        let mut this = Try { h: plan.h, rejected: None, cuts: 0 };
         loop {
-            let on: &S = on_sides.borrow();
             let Some(prepared) = &shared else { return self.attempt::<Stages<N>, S>(system, settings, plan) };
-            let kept = if near { self.kept(on, h) } else { None };
-            let mut trial = T::new(on, prepared, settings.regularization, (&self.start, pose), h);
-            let (error, landing) = trial.land(on, settings, pose, &settings.allowed_of(on), kept);
-            if let Ok(landing) = landing {
-                self.accept(landing, h, T::KIND);
-                if system.has_kinks() {
-                    let extremes = trial.extremes();
-                    let start = self.start;
-                    let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
-                    match self.border(on, settings, (extremes, &mut dense), tries) {
-                        Border::Clear => {}
-                        Border::AtEnd => self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance),
-                        Border::Before(when) => {
-                            self.retract();
-                            self.end.counters.rejected += 1;
-                            tries += 1;
-                            if when < SHORTEST {
-                                self.turn(system, settings);
-                                on_sides = system.on(self.sides);
-                                shared = T::prepare(on_sides.borrow(), settings, (&self.start, pose));
-                            } else {
-                                h = when.min(longest);
-                            }
-                            continue;
-                        }
+            match self.try_once::<T, S>(on_sides.borrow(), settings, plan, (prepared, &origin), &this) {
+                Outcome::Accepted => return Ok(()),
+                Outcome::Crosses(when) => {
+                    self.retract();
+                    self.end.counters.rejected += 1;
+                    this.cuts += 1;
+                    if when < SHORTEST {
+                        self.turn(system, settings);
+                        on_sides = system.on(self.sides);
+                        shared = T::prepare(on_sides.borrow(), settings, (&self.start, &origin));
+                    } else {
+                        this.h = when.min(plan.longest);
                     }
                 }
-                let interpolated = horizon.output < WITH_ROUNDING * h;
-                // Where a kink was near, the search for it has left the coefficients.
-                let is_cut = on.has_kinks() && self.cut_from > 0.0;
-                if interpolated && !(is_cut || on.has_kinks() && self.dense != [Slope::NONE; 4]) {
-                    self.dense = trial.dense(on, settings.regularization, [&self.start, &self.balanced_end(on, settings)]);
+                Outcome::Rejected(error) => {
+                    self.end.counters.rejected += 1;
+                    let h = this.h;
+                    let before = this.rejected.replace([h, error]);
+                    let before = before.filter(|[_, worst]| T::KIND.is_implicit() && worst.is_finite() && error > 1.0);
+                    let before = before.map(|[length, worst]| [length / h, worst / error]);
+                    if h < SHORTEST {
+                        return Err(StepError::StepTooShort { substep: h, error: error * settings.error_tolerance });
+                    }
+                    this.h *= T::CONTROLLER.reduction_after(error, before);
                 }
-                self.end.error_estimate = error * settings.error_tolerance;
-                self.adapt::<T>(h, error, wanted, rejected.is_some());
-                // Friction that sticks leaves no choice: nothing is to be learned from its steps. Nor from one that ends where it has no stage.
-                let chooses = settings.kinds == Kinds::Automatic;
-                if chooses && !system.has_grips() && !is_cut {
-                    let (product, wanted) = (h * trial.fastest_rate(&self.end), self.wanted_by::<T>());
-                    self.memory.choice.learn(&Seen {
-                        kind: T::KIND,
-                        length: h,
-                        product,
-                        wanted,
-                        limit: horizon.limit,
-                        steep: on.is_steep(),
-                    });
-                } else if !chooses && !is_cut && self.memory.stiffness.is_due(self.end.counters.substeps) {
-                    self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
-                }
-                return Ok(());
             }
-            self.end.counters.rejected += 1;
-            let before = rejected.replace([h, error]);
-            let before = before.filter(|[_, worst]| T::KIND.is_implicit() && worst.is_finite() && error > 1.0);
-            let before = before.map(|[length, worst]| [length / h, worst / error]);
-            if h < SHORTEST {
-                return Err(StepError::StepTooShort { substep: h, error: error * settings.error_tolerance });
-            }
-            h *= T::CONTROLLER.reduction_after(error, before);
         }
+    }
+
+    /// One try. A function of its own, so that nothing is made ready for another one: most steps take one.
+    #[inline(never)]
+    fn try_once<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        on: &S,
+        settings: &Settings,
+        plan: &Plan<'_, S::Pose>,
+        (prepared, origin): (&T::Shared, &Origin<S::Place, N>),
+        &Try { h, rejected, cuts }: &Try,
+    ) -> Outcome {
+        let &Plan { wanted, near, horizon, .. } = plan;
+        let kept = if near { self.kept(on, h) } else { None };
+        let mut trial = T::new(on, prepared, (&self.start, origin), h);
+        let (error, landing) = trial.land(on, settings, origin, &settings.allowed_of(on), kept);
+        let Ok(landing) = landing else { return Outcome::Rejected(error) };
+        self.accept(&landing, h, T::KIND);
+        if on.has_kinks() {
+            let extremes = trial.extremes();
+            let start = self.start;
+            let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
+            match self.border(on, settings, (extremes, &mut dense), cuts) {
+                Border::Clear => {}
+                Border::AtEnd => self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance),
+                Border::Before(when) => return Outcome::Crosses(when),
+            }
+        }
+        let interpolated = horizon.output < WITH_ROUNDING * h;
+        // Where a kink was near, the search for it has left the coefficients.
+        let is_cut = on.has_kinks() && self.cut_from > 0.0;
+        if interpolated && !(is_cut || on.has_kinks() && self.dense != [Slope::NONE; 4]) {
+            self.dense = trial.dense(on, settings.regularization, [&self.start, &self.balanced_end(on, settings)]);
+        }
+        self.end.error_estimate = error * settings.error_tolerance;
+        self.adapt::<T>(h, error, wanted, rejected.is_some());
+        // Friction that sticks leaves no choice: nothing is to be learned from its steps. Nor from one that ends where it has no stage.
+        let chooses = settings.kinds == Kinds::Automatic;
+        if chooses && !on.has_grips() && !is_cut {
+            let (product, wanted) = (h * trial.fastest_rate(&self.end), self.wanted_by::<T>());
+            self.memory.choice.learn(&Seen {
+                kind: T::KIND,
+                length: h,
+                product,
+                wanted,
+                limit: horizon.limit,
+                steep: on.is_steep(),
+            });
+        } else if !chooses && !is_cut && self.memory.stiffness.is_due(self.end.counters.substeps) {
+            self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
+        }
+        Outcome::Accepted
     }
 
     /// The energy that a step of h seconds keeps: one made once more keeps the same.
@@ -217,10 +249,18 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         end
     }
 
-    /// Time has passed the end of the step, where this is the pose.
-    fn begin<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings, pose: &S::Pose) {
+    /// Time has passed the end of the step, where this is the pose, if it is known.
+    fn begin<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        pose: Option<&S::Pose>,
+    ) {
         if self.is_open_ended() {
-            self.end.balance(system.on(self.sides).borrow(), pose, settings.regularization);
+            let fresh = pose.is_none().then(|| system.pose(&self.end.q));
+            if let Some(pose) = pose.or(fresh.as_ref()) {
+                self.end.balance(system.on(self.sides).borrow(), pose, settings.regularization);
+            }
         }
         self.start = self.end;
         self.before = self.memory;
@@ -231,12 +271,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// The step has reached its end.
     #[inline]
-    pub(super) fn accept(&mut self, landing: Landing<N, M>, h: f64, kind: Kind) {
+    pub(super) fn accept(&mut self, landing: &Landing<N, M>, h: f64, kind: Kind) {
         let Landing { iterations, arrival, work } = landing;
         (self.length, self.kind) = (h, kind);
         self.end.arrive(arrival);
-        self.end.counters.iterations += u64::from(iterations);
-        self.end.work += work;
+        self.end.counters.iterations += u64::from(*iterations);
+        self.end.work += *work;
     }
 
     /// Whether the interpolant is of one piece: its rates are the derivatives of its coordinates. Stages may miss what the further ones

@@ -31,25 +31,24 @@ pub(super) trait Trial<const N: usize>: Sized {
     fn prepare<const M: usize, S: System<N, M>>(
         system: &S,
         settings: &Settings,
-        from: (&State<N, M>, &S::Pose),
+        from: (&State<N, M>, &Origin<S::Place, N>),
     ) -> Option<Self::Shared>;
 
     /// A step of h seconds, to be made by [`land`](Self::land) at the latest.
     fn new<const M: usize, S: System<N, M>>(
         system: &S,
         shared: &Self::Shared,
-        regularization: f64,
-        from: (&State<N, M>, &S::Pose),
+        from: (&State<N, M>, &Origin<S::Place, N>),
         h: f64,
     ) -> Self;
 
-    /// Its error in units of what is allowed, and where it leads, on the constraints, if that is 1 at most, by the pose at its beginning; near a vertex
+    /// Its error in units of what is allowed, and where it leads, on the constraints, if that is 1 at most; near a vertex
     /// with the energy there, so many seconds before.
     fn land<const M: usize, S: System<N, M> + Passage<N>>(
         &mut self,
         system: &S,
         settings: &Settings,
-        pose: &S::Pose,
+        origin: &Origin<S::Place, N>,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>);
@@ -77,10 +76,16 @@ impl<const N: usize, const M: usize> Landing<N, M> {
     /// Where it does no work, unless something there is not finite.
     #[inline(always)]
     pub(super) fn at(iterations: u32, arrival: Arrival<N, M>) -> Result<Self, StepError> {
+        Self::after(Work::default(), iterations, arrival)
+    }
+
+    /// The same after some work, J.
+    #[inline(always)]
+    pub(super) fn after(work: Work, iterations: u32, arrival: Arrival<N, M>) -> Result<Self, StepError> {
         if !arrival.is_finite() {
             return Err(StepError::NotFinite);
         }
-        Ok(Self { iterations, arrival, work: Work::default() })
+        Ok(Self { iterations, arrival, work })
     }
 }
 
@@ -130,30 +135,19 @@ impl<const N: usize> Slope<N> {
     /// Completes that of q̇ at a distance from an origin. One piece of code for all stages: written out for each of them it would not fit
     /// into what a processor keeps decoded.
     #[inline(never)]
-    pub(super) fn complete<const M: usize, S: System<N, M>>(
-        &mut self,
-        system: &S,
-        regularization: f64,
-        origin: &Origin<S::Place, N>,
-        by: &Vector<N>,
-    ) {
-        match system.acceleration_by_weight(&origin.place, by, &self.q, regularization) {
+    pub(super) fn complete<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::Place, N>, by: &Vector<N>) {
+        match system.acceleration_by_weight(&origin.place, by, &self.q) {
             // The power stays what it is before: none.
             Some(a) => self.v = a,
-            None => self.complete_under_loads(system, regularization, origin, by),
+            None => self.complete_under_loads(system, origin, by),
         }
     }
 
     /// The same for any forces. Out of line, so that where only weight acts there is little to save and restore.
     #[inline(never)]
-    fn complete_under_loads<const M: usize, S: System<N, M>>(
-        &mut self,
-        system: &S,
-        regularization: f64,
-        origin: &Origin<S::Place, N>,
-        by: &Vector<N>,
-    ) {
-        (self.v, self.power) = acceleration_near(system, (&origin.q, &origin.place), by, &self.q, regularization);
+    fn complete_under_loads<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::Place, N>, by: &Vector<N>) {
+        let Origin { q, place, regularization } = origin;
+        (self.v, self.power) = acceleration_near(system, (q, place), by, &self.q, *regularization);
     }
 }
 
@@ -161,12 +155,19 @@ impl<const N: usize> Slope<N> {
 pub(super) struct Origin<P, const N: usize> {
     q: Vector<N>,
     place: P,
+    /// e of the saddle-point systems, 1/kg.
+    regularization: f64,
 }
 
 impl<P, const N: usize> Origin<P, N> {
     #[inline(always)]
-    pub(super) fn new<const M: usize, S: System<N, M, Place = P>>(system: &S, q: &Vector<N>, pose: &S::Pose) -> Self {
-        Self { q: *q, place: system.place(pose) }
+    pub(super) fn new<const M: usize, S: System<N, M, Place = P>>(
+        system: &S,
+        q: &Vector<N>,
+        pose: &S::Pose,
+        regularization: f64,
+    ) -> Self {
+        Self { q: *q, place: system.place(pose), regularization }
     }
 
     /// The pose at a distance.

@@ -85,12 +85,12 @@ impl<const N: usize> Tsit5<N> {
 
     /// Evaluates the stages of the step, in place: what a function returns is copied.
     #[inline(never)]
-    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, regularization: f64, origin: &Origin<S::Place, N>) {
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::Place, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
                 let [q, v] = self.way::<$stage>();
                 self.slopes[$stage].q = self.start[1] + v;
-                self.slopes[$stage].complete(system, regularization, origin, &q);
+                self.slopes[$stage].complete(system, origin, &q);
                 if const { $stage >= STAGES - 2 } {
                     self.last[const { $stage % 2 }] = q;
                 }
@@ -127,12 +127,12 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         failed: 0.3,
     };
 
-    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &S::Pose)) -> Option<()> {
+    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::Place, N>)) -> Option<()> {
         Some(())
     }
 
     #[inline(always)]
-    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), _: f64, (from, _): (&State<N, M>, &S::Pose), h: f64) -> Self {
+    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<S::Place, N>), h: f64) -> Self {
         let mut slopes = [Slope::NONE; STAGES];
         slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
         Self { slopes, start: [from.q, from.v], h, last: [Vector::ZERO; 2] }
@@ -142,12 +142,11 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         &mut self,
         system: &S,
         settings: &Settings,
-        pose: &S::Pose,
+        origin: &Origin<S::Place, N>,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
-        let origin = Origin::new(system, &self.start[0], pose);
-        self.evaluate_all(system, settings.regularization, &origin);
+        self.evaluate_all(system, origin);
         let way = self.way::<END>();
         let end = [self.start[0] + way[0], self.start[1] + way[1]];
         let error = self.error(allowed, &end[1]);
@@ -155,7 +154,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
             return (error, Err(StepError::NotFinite));
         }
         let work = || if system.follows_work() { Work::default().plus(self.h, self.power::<END>()) } else { Work::default() };
-        let landed = settings.project_without_balance(system, (&origin, way[0]), end, kept);
+        let landed = settings.project_without_balance(system, (origin, way[0]), end, kept);
         (error, landed.map(|landing| Landing { work: work(), ..landing }))
     }
 

@@ -2,7 +2,8 @@
 //!
 //! Per leg, with P = I_P + m_P a_P² + m_D l_P², angles of the proximal link are counted in units of 1/√P, so that M = [1 χ; χ D]. In coordinates
 //! of the tip turned by −90° the columns of Φ_q are the links themselves, p = σ l_P/√P and d = σ l_D, with the signs of the legs in the closure.
-//! With the proximal angle eliminated, r = d − χ p and δ = D − χ² remain of the distal one, and
+//! With the proximal angle eliminated, r = d − χ p and δ = D − χ² remain of the distal one. Lengths and angles are the same seen upright,
+//! with the weight along −y, where it pulls at the first component of a link only. Then
 //!
 //! ```text
 //! S = Σ (p pᵀ + r rᵀ/δ) + e 1,     S μ = Σ (p Q_P + r (Q_D − χ Q_P)/δ + n̂(p) √P ω_P² + n̂(d) ω_D²),
@@ -14,15 +15,15 @@
 use super::factor::sums;
 use super::{Angles, DISTAL, PROXIMAL};
 use crate::mechanism::coordinates::{D_X, D_Y, P_X, P_Y, legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, turned_by};
+use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum, turned_with};
 use crate::mechanism::{Coordinates, Mechanism};
 use crate::simulation::inertia::Inertia;
 
 /// What of it is constant.
 #[derive(Clone, Copy, Debug)]
 pub(in crate::simulation) struct Falling {
-    /// The lengths of p and d.
-    lengths: [Legs; 2],
+    /// The lengths of p and d, times the cosine and times the sine of the angle by which the machine is turned to stand upright.
+    lengths: [[Legs; 2]; 2],
     /// m_D a_D / l_D: χ is that times p·d.
     carried: Legs,
     /// δ where the leg is stretched, a sum of positive terms; the square of that times p × d adds to it.
@@ -32,43 +33,56 @@ pub(in crate::simulation) struct Falling {
     per_root: Legs,
     /// The weight where it pulls at links of length 1, N·m.
     on_arms: [Legs2; 2],
-    /// The same at p and d.
-    weight: [Legs2; 2],
+    /// The same at p and d seen upright, where only this of it is left.
+    weight: [Legs; 2],
+    /// e, 1/kg.
+    regularization: Legs,
 }
 
-/// Where links begin to turn: their directions, and p and d.
+/// Where links begin to turn: their directions, and p and d seen upright.
 #[derive(Clone, Copy, Debug)]
 pub struct Place {
     pub(super) directions: [Legs2; 2],
     links: [Legs2; 2],
+    /// Twice those.
+    twice: [Legs2; 2],
 }
 
 impl Falling {
-    /// Of a mechanism and the constant force on it.
-    pub(in crate::simulation) fn new(mechanism: &Mechanism, inertia: &Inertia, force: &Coordinates) -> Self {
+    /// Of a mechanism and the constant force on it, with e of the saddle-point systems, 1/kg.
+    pub(in crate::simulation) fn new(mechanism: &Mechanism, inertia: &Inertia, force: &Coordinates, regularization: f64) -> Self {
         let &Mechanism { mass_d, a_p, b_p, a_d, sigma_b_d, .. } = mechanism;
         let root = inertia.proximal.sqrt();
-        let lengths @ [p, d] = [SIGMA * (a_p + b_p) / root, SIGMA * a_d + sigma_b_d];
+        let [p, d] = [SIGMA * (a_p + b_p) / root, SIGMA * a_d + sigma_b_d];
         // The proximal link carries the force on the distal one at its elbow.
         let [on_p, on_d] = [[P_X, P_Y], [D_X, D_Y]].map(|[x, y]| Legs2 { x: legs_of(force, x), y: legs_of(force, y) });
         let (own, hung) = (on_p.scaled(a_p), on_d.scaled(a_p + b_p));
-        let on_arms @ [on_p, on_d] = [Legs2 { x: own.x + hung.x, y: own.y + hung.y }, on_d.scaled(a_d)];
+        let on_arms = [Legs2 { x: own.x + hung.x, y: own.y + hung.y }, on_d.scaled(a_d)];
+        // All weights have the direction of their sum, which is turned to −y.
+        let [x, y] = [on_p.x + on_d.x, on_p.y + on_d.y].map(sum);
+        let all = libm::hypot(x, y);
+        let [cos, sin] = if all > 0.0 { [-y / all, x / all] } else { [1.0, 0.0] }.map(both);
+        let upright = |weight: Legs2, length: Legs| (cos * weight.y - sin * weight.x) / length;
         Self {
-            lengths,
+            lengths: [[p * cos, p * sin], [d * cos, d * sin]],
             carried: SIGMA * mass_d * a_d / d,
             stretched: inertia.stretched / inertia.proximal,
             root,
             per_root: both(1.0) / root,
             on_arms,
-            weight: [on_p.scaled(both(1.0) / (root * p)), on_d.scaled(both(1.0) / d)],
+            weight: [upright(on_arms[0], root * p), upright(on_arms[1], d)],
+            regularization: both(regularization),
         }
     }
 
     /// Where links with these directions begin to turn.
     #[inline(always)]
     pub(super) fn place(&self, directions: [Legs2; 2]) -> Place {
-        let ([p, d], lengths) = (directions, self.lengths);
-        Place { directions, links: [p.scaled(lengths[0]), d.scaled(lengths[1])] }
+        let links @ [p, d] = [0, 1].map(|link| {
+            let (Legs2 { x, y }, [cos, sin]) = (directions[link], self.lengths[link]);
+            Legs2 { x: cos * x + sin * y, y: cos * y - sin * x }
+        });
+        Place { directions, links, twice: [p.scaled(both(2.0)), d.scaled(both(2.0))] }
     }
 
     /// The torques of the weight on links with these directions, N·m.
@@ -78,19 +92,19 @@ impl Falling {
         [p.cross(on_p), d.cross(on_d)]
     }
 
-    /// q̈ at some rates, where the links have turned by small angles, with e of the saddle-point systems.
+    /// q̈ at some rates, where the links have turned by small angles.
     #[inline(always)]
-    pub(super) fn acceleration(&self, place: &Place, by: [Legs; 2], [w_p, w_d]: [Legs; 2], regularization: f64) -> Angles {
-        let [p, d] = [turned_by(place.links[0], by[0]), turned_by(place.links[1], by[1])];
+    pub(super) fn acceleration(&self, place: &Place, by: [Legs; 2], [w_p, w_d]: [Legs; 2]) -> Angles {
+        let [p, d] = [0, 1].map(|link| turned_with(place.links[link], place.twice[link], by[link]));
         let (chi, across) = (self.carried * p.dot(d), self.carried * p.cross(d));
         // Torques with those of the distal centre of mass, which is carried around.
         let (s_p, s_d) = (self.root * (w_p * w_p), w_d * w_d);
-        let (on_p, on_d) = (p.cross(self.weight[0]) + across * s_d, d.cross(self.weight[1]) - across * s_p);
+        let (on_p, on_d) = (p.x * self.weight[0] + across * s_d, d.x * self.weight[1] - across * s_p);
         // S, its diagonal also the other way round.
         let mobility = both(1.0) / (self.stretched + across * across);
         let r = Legs2 { x: d.x - chi * p.x, y: d.y - chi * p.y };
         let moved = r.scaled(mobility);
-        let diagonal = sums([p.x * p.x + r.x * moved.x, p.y * p.y + r.y * moved.y]) + both(regularization);
+        let diagonal = sums([p.x * p.x + r.x * moved.x, p.y * p.y + r.y * moved.y]) + self.regularization;
         let beside = p.x * p.y + r.x * moved.y;
         let (exchanged, beside) = (other(diagonal), beside + other(beside));
         let reciprocal = both(1.0) / (diagonal * exchanged - beside * beside);
