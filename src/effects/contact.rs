@@ -148,7 +148,7 @@ impl Force for Contact {
     fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
         let tip = at.tip();
         let touch = self.touch(&tip);
-        if touch.is_free(at) {
+        if touch.is_idle(at) {
             return [0.0; 2];
         }
         let (normal, slip) = (touch.force(at), self.slip(&tip));
@@ -161,7 +161,7 @@ impl Force for Contact {
     fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
         let tip = at.tip();
         let touch = self.touch(&tip);
-        if touch.is_free(at) {
+        if touch.is_idle(at) {
             return;
         }
         let (normal_force, slip) = (touch.force(at), self.slip(&tip));
@@ -184,7 +184,7 @@ impl Force for Contact {
     }
 
     fn dissipation(&self, at: &ForceContext) -> f64 {
-        let [_, dissipated] = self.act(at, &mut Coordinates::ZERO);
+        let [_, dissipated] = self.act(at, &mut { Coordinates::ZERO });
         dissipated
     }
 

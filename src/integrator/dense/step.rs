@@ -139,10 +139,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             if let Ok(landing) = landing {
                 self.accept(landing, h, T::KIND);
                 if system.has_kinks() {
-                    let extremes = trial.extremes();
                     let start = self.start;
                     let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
-                    match self.border(on, settings, (extremes, &mut dense), tries) {
+                    match self.border(on, settings, &mut dense, tries) {
                         Border::Clear => {}
                         Border::AtEnd => self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance),
                         Border::Before(when) => {
