@@ -298,6 +298,7 @@ impl<'a> Touches<'a> {
     }
 
     /// The potential of springs that have let go, J: what it loses is dissipated.
+    #[inline(never)]
     pub fn released(&self, sides: &Sides) -> f64 {
         let free = self.springs.iter().filter(|touch| touch.depth > 0.0 && touch.phase(sides) == Phase::Free);
         free.map(|touch| touch.spring.potential(Phase::Free, touch.depth)).sum()

@@ -173,12 +173,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// What is dissipated between the beginning of the step and a place of it, q and q̇, by forces that act no more, J.
+    #[cold]
     pub(super) fn released<S: Kinked<N>>(&self, system: &S, [q, v]: [&Vector<N>; 2]) -> f64 {
         let shown = system.released(&system.touches(&self.start.q, &self.start.v));
         if shown > 0.0 { (shown - system.released(&system.touches(q, v))).max(0.0) } else { 0.0 }
     }
 
     /// When the motion of the step first crosses a border, s from its beginning. The interpolant's coefficients must be there.
+    #[inline(never)]
     fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings, from: S::Touches) -> Option<f64> {
         let search = Search { step: self, system, tolerance: settings.error_tolerance, extremes: self.extremes() };
         let to = system.touches(&self.end.q, &self.end.v);
