@@ -337,8 +337,7 @@ fn no_touch_within_a_step_is_missed() {
     let (mut met, mut hidden) = (0, 0);
     for case in 0..60 {
         let (fastest, duration) = if case % 2 == 0 { (5.0, 0.3) } else { (0.05, 8.0) };
-        let mut free =
-            close_motors([uniform(1.8, 2.4), uniform(0.7, 1.3)], [uniform(-fastest, fastest), uniform(-fastest, fastest)]);
+        let free = close_motors([uniform(1.8, 2.4), uniform(0.7, 1.3)], [uniform(-fastest, fastest), uniform(-fastest, fastest)]);
         // The free motion, and a plane along its path at some place, on the outer side.
         const LOOKS: usize = 2000;
         let step = duration / LOOKS as f64;
