@@ -140,22 +140,28 @@ impl Force for Contact {
         self.spring.damping == 0.0 && self.mu == 0.0
     }
 
-    #[inline(never)]
     fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
+        self.act(at, forces);
+    }
+
+    #[inline(never)]
+    fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
         let tip = at.tip();
         let touch = self.touch(&tip);
-        if touch.is_free(at) {
-            return;
+        if touch.is_idle(at) {
+            return [0.0; 2];
         }
-        let normal = touch.force(at);
-        tip.add_force(self.direction(self.turn(at, self.slip(&tip))).map(|x| normal * x), forces);
+        let (normal, slip) = (touch.force(at), self.slip(&tip));
+        let turn = self.turn(at, slip);
+        tip.add_force(self.direction(turn).map(|x| normal * x), forces);
+        [0.0, touch.dissipation(at) + normal * self.mu * turn * slip]
     }
 
     #[inline(never)]
     fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
         let tip = at.tip();
         let touch = self.touch(&tip);
-        if touch.is_free(at) {
+        if touch.is_idle(at) {
             return;
         }
         let (normal_force, slip) = (touch.force(at), self.slip(&tip));
@@ -178,9 +184,8 @@ impl Force for Contact {
     }
 
     fn dissipation(&self, at: &ForceContext) -> f64 {
-        let tip = at.tip();
-        let (touch, slip) = (self.touch(&tip), self.slip(&tip));
-        touch.dissipation(at) + touch.force(at) * self.mu * self.turn(at, slip) * slip
+        let [_, dissipated] = self.act(at, &mut { Coordinates::ZERO });
+        dissipated
     }
 
     fn touches(&self, at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {

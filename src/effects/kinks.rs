@@ -88,9 +88,9 @@ pub(super) struct Touch<'a> {
 }
 
 impl Touch<'_> {
-    /// Whether it does not touch.
-    pub(super) fn is_free(&self, at: &ForceContext) -> bool {
-        self.phase(&at.sides) == Phase::Free
+    /// Whether it neither pushes nor loses anything now.
+    pub(super) fn is_idle(&self, at: &ForceContext) -> bool {
+        at.sides.springs[self.place].map_or(self.depth <= 0.0, |phase| !phase.pushes())
     }
 
     /// N, N or N·m.
@@ -108,7 +108,7 @@ impl Touch<'_> {
         self.spring.potential(self.phase(&at.sides), self.depth)
     }
 
-    /// Power lost, W.
+    /// Power lost, W; not what a spring that is known to have let go loses ([`Touches::released`]).
     pub(super) fn dissipation(&self, at: &ForceContext) -> f64 {
         self.spring.dissipation(self.phase(&at.sides), self.depth, self.rate)
     }
@@ -171,8 +171,9 @@ impl Touch<'_> {
 
     /// The border of the phase that holds that it is farthest beyond, in units of what may be overlooked.
     fn farthest(&self, sides: &Sides, tolerance: f64) -> Option<Border> {
-        let borders = self.spring.borders(self.phase(sides), self.depth, self.rate).into_iter().flatten();
-        let farthest = borders.reduce(|one, other| if other.beyond >= one.beyond { other } else { one });
+        let phase = self.phase(sides);
+        let borders = self.spring.borders(phase, self.depth, self.rate).into_iter().flatten();
+        let farthest = UnilateralSpring::farthest(phase, borders, |border| border.beyond);
         farthest.map(|border| border.per(self.unit(tolerance)))
     }
 }
@@ -294,6 +295,13 @@ impl<'a> Touches<'a> {
         let borders = self.springs.iter().filter_map(|touch| touch.farthest(sides, tolerance)).map(|border| border.beyond);
         let slides = self.slides.iter().map(|slide| slide.beyond(&sides.grips, tolerance));
         borders.chain(slides).fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// The potential of springs that have let go, J: what it loses is dissipated.
+    #[inline(never)]
+    pub fn released(&self, sides: &Sides) -> f64 {
+        let free = self.springs.iter().filter(|touch| touch.depth > 0.0 && touch.phase(sides) == Phase::Free);
+        free.map(|touch| touch.spring.potential(Phase::Free, touch.depth)).sum()
     }
 
     /// About how long the motion stays on the ramps on which it is, s.

@@ -56,12 +56,12 @@ impl Stop {
         })
     }
 
-    /// Goes through the stops that touch: motor, direction of its axis into the stop, and the spring.
+    /// Goes through the stops that act: motor, direction of its axis into the stop, and the spring.
     #[inline(always)]
     fn for_each_touch(&self, at: &ForceContext, mut visit: impl FnMut(usize, f64, &Touch<'_>)) {
         for motor in 0..2 {
             for (direction, touch) in DIRECTIONS.into_iter().zip(self.touches_of(at, motor)) {
-                if !touch.is_free(at) {
+                if !touch.is_idle(at) {
                     visit(motor, direction, &touch);
                 }
             }
@@ -115,9 +115,7 @@ impl Force for Stop {
     }
 
     fn potential(&self, at: &ForceContext) -> f64 {
-        let mut energy = 0.0;
-        self.for_each_touch(at, |_, _, touch| energy += touch.potential(at));
-        energy
+        (0..2).flat_map(|motor| self.touches_of(at, motor)).map(|touch| touch.potential(at)).sum()
     }
 
     fn dissipation(&self, at: &ForceContext) -> f64 {

@@ -29,16 +29,12 @@ pub(super) struct UnilateralSpring {
 /// Between which of its kinks a spring is. In each phase N is one smooth formula, which goes on smoothly beyond the phase's borders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub(super) enum Phase {
-    /// Not touching: N = 0.
+    /// Not pushing: it does not touch, or separates so fast that it would have to pull. N = 0.
     Free,
     /// On the ramp, pushing.
     Ramp,
     /// Beyond the ramp, pushing.
     Full,
-    /// On the ramp, but separating so fast that it would have to pull: N = 0.
-    RampLetGo,
-    /// Likewise beyond the ramp.
-    FullLetGo,
 }
 
 /// A border of a phase.
@@ -72,33 +68,36 @@ impl Phase {
 impl UnilateralSpring {
     /// The phase of a penetration, m or rad, and its rate by themselves.
     pub(super) fn phase(&self, depth: f64, rate: f64) -> Phase {
-        match (depth > 0.0, depth < self.width, self.push(depth, rate) > 0.0) {
-            (false, ..) => Phase::Free,
-            (true, true, true) => Phase::Ramp,
-            (true, true, false) => Phase::RampLetGo,
-            (true, false, true) => Phase::Full,
-            (true, false, false) => Phase::FullLetGo,
+        match (depth > 0.0 && self.push(depth, rate) > 0.0, depth < self.width) {
+            (false, _) => Phase::Free,
+            (true, true) => Phase::Ramp,
+            (true, false) => Phase::Full,
         }
     }
 
-    /// Where a motion leaves a phase.
+    /// Where a motion leaves a phase: where it is beyond any of these borders, or, if the spring is free, beyond all of them.
     pub(super) fn borders(&self, phase: Phase, depth: f64, rate: f64) -> [Option<Border>; 3] {
         let deeper = |than: f64, behind| Some(Border { beyond: depth - than, by: [1.0, 0.0], behind });
         let shallower = |than: f64, behind| Some(Border { beyond: than - depth, by: [-1.0, 0.0], behind });
         let push = |sign: f64, behind| {
             let by = [self.stiffness, self.damping].map(|by| sign * by / self.push_scale());
-            Some(Border { beyond: sign * self.scaled_push(depth, rate), by, behind })
+            // Without damping what touches pushes.
+            (self.damping > 0.0).then(|| Border { beyond: sign * self.scaled_push(depth, rate), by, behind })
         };
-        // Without damping what touches pushes.
-        let lets_go = |behind| if self.damping > 0.0 { push(-1.0, behind) } else { None };
-        let pushes_again = |behind| push(1.0, behind);
         match phase {
-            Phase::Free => [deeper(0.0, Phase::Ramp), None, None],
-            Phase::Ramp => [deeper(self.width, Phase::Full), shallower(0.0, Phase::Free), lets_go(Phase::RampLetGo)],
-            Phase::Full => [None, shallower(self.width, Phase::Ramp), lets_go(Phase::FullLetGo)],
-            Phase::RampLetGo => [deeper(self.width, Phase::FullLetGo), shallower(0.0, Phase::Free), pushes_again(Phase::Ramp)],
-            Phase::FullLetGo => [None, shallower(self.width, Phase::RampLetGo), pushes_again(Phase::Full)],
+            Phase::Free => {
+                let behind = if depth < self.width { Phase::Ramp } else { Phase::Full };
+                [deeper(0.0, behind), push(1.0, behind), None]
+            }
+            Phase::Ramp => [deeper(self.width, Phase::Full), shallower(0.0, Phase::Free), push(-1.0, Phase::Free)],
+            Phase::Full => [None, shallower(self.width, Phase::Ramp), push(-1.0, Phase::Free)],
         }
+    }
+
+    /// What is farthest beyond the borders of a phase, by what each of them says.
+    pub(super) fn farthest<T>(phase: Phase, borders: impl Iterator<Item = T>, beyond: impl Fn(&T) -> f64) -> Option<T> {
+        let all = phase == Phase::Free;
+        borders.reduce(|one, other| if (beyond(&other) >= beyond(&one)) != all { other } else { one })
     }
 
     /// How long a motion at this rate takes to the end of a ramp, on it or towards it, s. The formulas of a ramp are polynomials, of which
@@ -107,10 +106,9 @@ impl UnilateralSpring {
         /// Least part of a ramp that lies ahead.
         const LEAST: f64 = 0.1;
         let ahead = match phase {
-            Phase::Ramp | Phase::RampLetGo if rate > 0.0 => self.width - depth,
-            Phase::Ramp | Phase::RampLetGo => depth,
-            Phase::FullLetGo if rate < 0.0 => depth - self.width,
-            Phase::Free | Phase::Full | Phase::FullLetGo => return f64::INFINITY,
+            Phase::Ramp if rate > 0.0 => self.width - depth,
+            Phase::Ramp => depth,
+            Phase::Free | Phase::Full => return f64::INFINITY,
         };
         if rate == 0.0 { f64::INFINITY } else { ahead.max(LEAST * self.width) / rate.abs() }
     }
@@ -137,13 +135,22 @@ impl UnilateralSpring {
 
     /// s and ds/dd.
     fn ramp(&self, phase: Phase, depth: f64) -> [f64; 2] {
-        match phase {
+        match self.formula(phase, depth) {
             Phase::Free => [0.0, 0.0],
-            Phase::Full | Phase::FullLetGo => [1.0, 0.0],
-            Phase::Ramp | Phase::RampLetGo => {
+            Phase::Full => [1.0, 0.0],
+            Phase::Ramp => {
                 let u = depth / self.width;
                 [u * u * u * (u * (6.0 * u - 15.0) + 10.0), 30.0 * u * u * (1.0 - u) * (1.0 - u) / self.width]
             }
+        }
+    }
+
+    /// By which formula a spring is strained: one that has let go still is, where it is.
+    fn formula(&self, phase: Phase, depth: f64) -> Phase {
+        match phase {
+            Phase::Free if depth >= self.width => Phase::Full,
+            Phase::Free if depth > 0.0 => Phase::Ramp,
+            phase => phase,
         }
     }
 
@@ -166,17 +173,17 @@ impl UnilateralSpring {
         /// ∫ s u du over the ramp: 6/7 − 15/6 + 10/5.
         const RAMP: f64 = 5.0 / 14.0;
         let Self { stiffness: k, width, .. } = *self;
-        match phase {
+        match self.formula(phase, depth) {
             Phase::Free => 0.0,
-            Phase::Full | Phase::FullLetGo => k * (width * width * RAMP + (depth * depth - width * width) / 2.0),
-            Phase::Ramp | Phase::RampLetGo => {
+            Phase::Full => k * (width * width * RAMP + (depth * depth - width * width) / 2.0),
+            Phase::Ramp => {
                 let u = depth / width;
                 k * width * width * (u * u * u * u * u) * (u * (6.0 / 7.0 * u - 2.5) + 2.0)
             }
         }
     }
 
-    /// Power lost, W.
+    /// Power lost, W; of a spring that has let go what it has left.
     pub(super) fn dissipation(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
         (self.force(phase, depth, rate) - self.ramp(phase, depth)[0] * self.stiffness * depth) * rate
     }
@@ -303,7 +310,9 @@ mod tests {
                 assert!(SPRING.force(phase, depth, rate) >= 0.0 && SPRING.dissipation(phase, depth, rate) >= 0.0, "{depth} {rate}");
             }
         }
-        assert_eq!(SPRING.phase(0.1, -1e4), Phase::FullLetGo);
-        assert_eq!(SPRING.force(Phase::FullLetGo, 0.1, -1e4), 0.0);
+        assert_eq!(SPRING.phase(0.1, -1e4), Phase::Free);
+        assert_eq!(SPRING.force(Phase::Free, 0.1, -1e4), 0.0);
+        // What it is strained by then is lost on the way back.
+        assert_eq!(SPRING.dissipation(Phase::Free, 0.1, -2.0), 2.0 * SPRING.stiffness * 0.1);
     }
 }

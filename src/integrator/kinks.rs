@@ -87,6 +87,11 @@ pub trait Kinked<const N: usize>: Sized {
         false
     }
 
+    /// Energy that forces which act no more still show, J: what it loses on the way is dissipated, beside what their power says.
+    fn released(&self, _at: &Self::Touches) -> f64 {
+        0.0
+    }
+
     /// About how long a motion goes on by formulas that hold on a short way only, s.
     fn lasts(&self, _at: &Self::Touches) -> f64 {
         f64::INFINITY

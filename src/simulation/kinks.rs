@@ -95,6 +95,10 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
         self.five_bar().sides().any_pushes()
     }
 
+    fn released(&self, at: &Touches<'a>) -> f64 {
+        at.released(&self.five_bar().sides())
+    }
+
     fn lasts(&self, at: &Touches<'a>) -> f64 {
         at.last(&self.five_bar().sides())
     }

@@ -291,3 +291,146 @@ fn absurd_machines_take_bounded_work() {
     let attempt = 16 * (2 * 10 + 60 * 31);
     assert!((u64::from(most)..u64::from(most) + attempt).contains(&done), "{done} of {most}");
 }
+
+/// A motion that touches a plane of 240 kN/m with a ramp of 1 µm: at 1e-6 rad, before, stages met the short touch at random, and made
+/// 3.2e7 J of the 1.9e-6 J that there were.
+#[test]
+fn no_touch_makes_energy_at_a_loose_tolerance() {
+    let mut parameters = close_motors([2.1935064942368094, 1.0987417143110443], [0.04420263949810131, -0.031088100456916103]);
+    let damping = parameters.effects.contact.d;
+    plane(&mut parameters, [0.9984330203099676, -0.05595984233998259], 0.010448367007184557, [241408.05339717827, damping, 1e-6]);
+    for (method, tolerance) in [(Method::Dop853, 1e-6), (Method::Automatic, 1e-6), (Method::Dop853, 1e-4)] {
+        (parameters.settings.method, parameters.settings.error_tolerance) = (method, tolerance);
+        let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("a scene");
+        let start = simulation.state().kinetic_energy(simulation.model());
+        for call in 1..=200 {
+            simulation.advance(&default_inputs(), 6.352155035663073 / 200.0, 1).expect("a step");
+            let state = simulation.state();
+            let energy = state.kinetic_energy(simulation.model());
+            // Rates of 0.05 rad/s that are off by ten tolerances each second, and the work by 1.5 J times the tolerance per step.
+            assert!(
+                energy <= start * (1.0 + 200.0 * tolerance),
+                "{method:?}, {tolerance:e}, call {call}: {energy:e} of {start:e} J"
+            );
+            let error = state.energy_error(simulation.model()).abs();
+            assert!(error < start * 200.0 * tolerance, "{method:?}, {tolerance:e}, call {call}: {error:e} J");
+        }
+        let dissipated = simulation.state().core.work.dissipated;
+        assert!(dissipated > 0.0, "the tip has not met the plane");
+    }
+}
+
+/// Touches that begin and end within one step, most between its stages: none is missed that the free motion would pass through the plane by
+/// twice what a position may be off. Slow and fast, judged against the same method at 1e-12 rad.
+#[test]
+fn no_touch_within_a_step_is_missed() {
+    let inputs = default_inputs();
+    let mut random = ChaCha8Rng::seed_from_u64(14);
+    let mut uniform = |low: f64, high: f64| low + (high - low) * ((random.next_u64() >> 11) as f64 / (1_u64 << 53) as f64);
+    let run = |parameters: &Parameters, method: Method, tolerance: f64, duration: f64| {
+        let mut parameters = parameters.clone();
+        (parameters.settings.method, parameters.settings.error_tolerance) = (method, tolerance);
+        let mut simulation = Simulation::new(&parameters, &inputs).expect("a scene");
+        simulation.advance(&inputs, duration, 1).expect("a step");
+        simulation
+    };
+    let (mut met, mut hidden) = (0, 0);
+    for case in 0..60 {
+        let (fastest, duration) = if case % 2 == 0 { (5.0, 0.3) } else { (0.05, 8.0) };
+        let free = close_motors([uniform(1.8, 2.4), uniform(0.7, 1.3)], [uniform(-fastest, fastest), uniform(-fastest, fastest)]);
+        // The free motion, and a plane along its path at some place, on the outer side.
+        const LOOKS: usize = 2000;
+        let step = duration / LOOKS as f64;
+        let mut exact = run(&free, Method::Dop853, 1e-12, step);
+        let mut path = vec![tip(&exact)];
+        for _ in 1..LOOKS {
+            exact.advance(&inputs, step, 1).expect("a step");
+            path.push(tip(&exact));
+        }
+        let turn = (LOOKS as f64 * uniform(0.3, 0.9)) as usize;
+        let [before, here, after] = [path[turn - 1], path[turn], path[turn + 1]];
+        let along = [after[0] - before[0], after[1] - before[1]];
+        let length = along[0].hypot(along[1]);
+        let side =
+            if (after[0] - here[0]) * (here[1] - before[1]) > (after[1] - here[1]) * (here[0] - before[0]) { 1.0 } else { -1.0 };
+        let normal = [along[1], -along[0]].map(|x| side * x / length);
+        let reached: Vec<f64> = path.iter().map(|tip| tip[0] * normal[0] + tip[1] * normal[1]).collect();
+        let bend = (reached[turn - 1] - 2.0 * reached[turn] + reached[turn + 1]) / (step * step);
+        for tolerance in [1e-4, 1e-6, 1e-8] {
+            let arm = free.geometry.links[0].length + free.geometry.links[1].length;
+            let depth = uniform(2.0, 50.0) * tolerance * arm;
+            // Half of the time that the free motion would be behind the plane.
+            let half = (2.0 * depth / bend).sqrt();
+            let end = (turn + 1) as f64 * step + 5.0 * half;
+            // It has to be the first place where the plane is met, and well within the motion.
+            let until = ((end / step) as usize).min(LOOKS);
+            if half > 0.1 * end || reached[..until].iter().any(|other| *other < reached[turn] - 0.1 * depth) {
+                continue;
+            }
+            let mut scene = free.clone();
+            plane(&mut scene, normal, reached[turn] + depth, [1e7, 0.0, 1e-6]);
+            let exact = run(&scene, Method::Dop853, 1e-12, end);
+            let exact_free = run(&free, Method::Dop853, 1e-12, end);
+            let without = tip_error(&exact_free, tip(&exact));
+            for method in [Method::Dop853, Method::Automatic] {
+                let unaware = run(&free, method, tolerance, end);
+                // What a loose tolerance makes of the way there is another matter.
+                if tip_error(&unaware, tip(&exact_free)) > 0.1 * depth || without < depth {
+                    continue;
+                }
+                let error = tip_error(&run(&scene, method, tolerance, end), tip(&exact));
+                assert!(error < 0.1 * without, "{case}, {method:?}, {tolerance:e}: {error:e} m, without the touch {without:e} m");
+                met += 1;
+                hidden += u32::from(2.0 * half < 0.2 * end / unaware.counters().substeps as f64);
+            }
+        }
+    }
+    assert!(met > 150 && hidden > 50, "{met} touches, {hidden} of them in a fifth of a step");
+}
+
+/// Servos of 1e14 N·m/rad on a light arm: the explicit method, whose steps stability holds below 0.1 ns, ends by `solver.maxWork`, and says
+/// how far it came. A call of 0.3 s with such values took 49.5 s.
+#[test]
+fn absurd_drives_take_bounded_work_by_the_explicit_method() {
+    let mut parameters = default_parameters();
+    parameters.settings.method = Method::Dop853;
+    enable(&mut parameters, "servo");
+    let servo = &mut parameters.effects.servo;
+    (servo.kp, servo.kd, servo.limit) = ([1e14; 2], [1e3; 2], [1e15; 2]);
+    let inputs = default_inputs();
+    let mut simulation = Simulation::new(&parameters, &inputs).expect("a scene");
+    let before = simulation.state();
+    let failure = simulation.advance(&inputs, 0.3, 1).expect_err("more than a macro step may do").to_string();
+    assert!(failure.contains("s into the call, ") && failure.contains("solver.maxWork = 400000"), "{failure}");
+    assert_eq!(simulation.state(), before);
+}
+
+/// A drive of 1e8 N·m/rad, 1 µrad from where it holds, has 5e-5 J to lose within some microseconds: its work by the default method is that by
+/// dop853, which was off by orders.
+#[test]
+fn stiff_drives_work_as_they_do() {
+    let run = |method: Method, tolerance: f64| {
+        let mut parameters = default_parameters();
+        (parameters.settings.method, parameters.settings.error_tolerance) = (method, tolerance);
+        enable(&mut parameters, "servo");
+        let servo = &mut parameters.effects.servo;
+        (servo.kp, servo.kd, servo.limit) = ([1e8, 0.0], [30.0, 0.0], [1e8, 1.0]);
+        let mut inputs = default_inputs();
+        inputs.servo_theta[0] = parameters.start.theta[0] + 1e-6;
+        let mut simulation = Simulation::new(&parameters, &inputs).expect("a scene");
+        let mut works = Vec::new();
+        for _ in 0..20 {
+            simulation.advance(&inputs, 1e-3, 1).expect("a step");
+            let state = simulation.state();
+            let error = state.energy_error(simulation.model());
+            // A thousandth of what it loses.
+            assert!(error.abs() < 5e-8, "{method:?}: {error:e} J");
+            works.push(state.core.work.input);
+        }
+        works
+    };
+    let (default, exact) = (run(Method::I3alp, 3e-9), run(Method::Dop853, 1e-10));
+    for (default, exact) in default.into_iter().zip(exact) {
+        assert!((default - exact).abs() < 5e-8, "{default:e} J, by dop853 {exact:e} J");
+    }
+}

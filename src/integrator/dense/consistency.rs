@@ -113,6 +113,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(false);
             }
         }
+        if system.has_kinks() {
+            redone.end.work.dissipated += redone.released(system, [&redone.end.q, &redone.end.v]);
+        }
         let end = &redone.end;
         let same = [end.q, end.v, end.a] == [self.end.q, self.end.v, self.end.a]
             && end.lambda == self.end.lambda

@@ -4,7 +4,7 @@
 
 mod tableau;
 
-use super::trial::{Allowed, Landing, Origin, Slope, Trial, extremes_of, for_each, rate_between};
+use super::trial::{Allowed, Landing, Origin, Slope, Trial, for_each, rate_between};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
@@ -193,10 +193,6 @@ impl<const N: usize> Trial<N> for Stages<N> {
         }
         let work = if system.follows_work() { Work::default().plus(self.h, self.mean_power()) } else { Work::default() };
         (error, settings.project_and_evaluate(system, (origin, end[0] - self.q), end, kept, work))
-    }
-
-    fn extremes(&self) -> [Vector<N>; 2] {
-        extremes_of(&self.slopes)
     }
 
     /// By the difference between the last stage and the end of the step, which stand at the same time.

@@ -31,14 +31,8 @@ const MOST_TRIES: u32 = 8;
 const NEARBY: f64 = 1e-6;
 /// The end of a step that was to end at a border is not farther from it than this part of the step.
 const NEAR: f64 = 0.1;
-/// By how much what the stages have seen of rates and accelerations may be exceeded on the way between them.
-const MARGIN: f64 = 1.5;
 /// The false position is good enough after so many rounds.
 const ROUNDS: u32 = 60;
-
-/// What the stages of a step say about it: the greatest magnitudes of q̇ and q̈ that they have seen, and the coefficients of the
-/// interpolant to an end.
-type ByStages<'a, const N: usize, const M: usize> = ([Vector<N>; 2], &'a mut dyn FnMut(&State<N, M>) -> [Slope<N>; 4]);
 
 /// By so much more than a ramp seems to last a step on it is longer, so that the border lies within it.
 const LONGER: f64 = 1.2;
@@ -129,13 +123,32 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (self.sides, self.sides_behind) = (sides, sides);
     }
 
-    /// Whether a step that is accepted otherwise has to end before, after so many tries; `system` is on its sides.
+    /// Whether a step that is accepted otherwise has to end before, after so many tries; `system` is on its sides, and the coefficients of the
+    /// interpolant to an end are there where they are asked for.
     #[inline(never)]
     pub(super) fn border<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
-        (extremes, dense): ByStages<'_, N, M>,
+        dense: &mut dyn FnMut(&State<N, M>) -> [Slope<N>; 4],
+        tries: u32,
+    ) -> Border {
+        let from = system.touches(&self.start.q, &self.start.v);
+        let shown = system.released(&from);
+        let border = self.border_from(system, settings, from, dense, tries);
+        if shown > 0.0 && !matches!(border, Border::Before(_)) {
+            self.end.work.dissipated += self.released(system, [&self.end.q, &self.end.v]);
+        }
+        border
+    }
+
+    /// The same, from what touches at its beginning.
+    fn border_from<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        system: &S,
+        settings: &Settings,
+        from: S::Touches,
+        dense: &mut dyn FnMut(&State<N, M>) -> [Slope<N>; 4],
         tries: u32,
     ) -> Border {
         let mut crosses = Border::Clear;
@@ -151,10 +164,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 Window::Off(None) => {}
             }
         }
-        let from = system.touches(&self.start.q, &self.start.v);
-        if self.is_clear(system, settings, &from, extremes) {
-            return crosses;
-        }
         self.dense = dense(&self.balanced_end(system, settings));
         match self.first_crossing(system, settings, from) {
             None => crosses,
@@ -163,20 +172,19 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// Whether the step crosses no border, by what its stages have seen of rates and accelerations.
-    fn is_clear<S: Kinked<N>>(&self, system: &S, settings: &Settings, start: &S::Touches, extremes: [Vector<N>; 2]) -> bool {
-        let end = system.touches(&self.end.q, &self.end.v);
-        let ([rates, accelerations], tolerance) = (extremes.map(|most| MARGIN * most), settings.error_tolerance);
-        !system.holds_in_motion(start)
-            && system.beyond(&end, tolerance) <= CROSSED
-            && system.stays_within([start, &end], self.length, &Extremes { rates, accelerations, higher: None }, tolerance)
+    /// What is dissipated between the beginning of the step and a place of it, q and q̇, by forces that act no more, J.
+    #[cold]
+    pub(super) fn released<S: Kinked<N>>(&self, system: &S, [q, v]: [&Vector<N>; 2]) -> f64 {
+        let shown = system.released(&system.touches(&self.start.q, &self.start.v));
+        if shown > 0.0 { (shown - system.released(&system.touches(q, v))).max(0.0) } else { 0.0 }
     }
 
     /// When the motion of the step first crosses a border, s from its beginning. The interpolant's coefficients must be there.
-    #[cold]
+    #[inline(never)]
     fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings, from: S::Touches) -> Option<f64> {
         let search = Search { step: self, system, tolerance: settings.error_tolerance, extremes: self.extremes() };
-        let first = search.first(&search.place(0.0, from), &search.at(1.0))?;
+        let to = system.touches(&self.end.q, &self.end.v);
+        let first = search.first(&search.place(0.0, from), &search.place(1.0, to))?;
         Some(self.length * first)
     }
 }
@@ -206,7 +214,9 @@ impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
     }
 
     fn at(&self, part: f64) -> Place<S::Touches> {
-        let [q, v] = self.step.moved(part);
+        // One polynomial for both, which the bounds are of.
+        let positions = self.step.positions();
+        let (q, v) = (positions.at(part), (1.0 / self.step.length) * positions.rate_at(part));
         self.place(part, self.system.touches(&q, &v))
     }
 

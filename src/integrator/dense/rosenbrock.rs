@@ -20,7 +20,7 @@ use std::marker::PhantomData;
 
 use super::hermite::{self, Knowing};
 use super::landing::with_energy;
-use super::trial::{Allowed, Landing, Origin, Slope, Trial, for_each, larger};
+use super::trial::{Allowed, Landing, Origin, Slope, Trial, for_each};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::state::Arrival;
@@ -43,7 +43,6 @@ pub(super) struct Rosenbrock<T, const N: usize> {
     inverse: Inverse<N>,
     /// The fastest rate that the tangents show, 1/s.
     fastest: f64,
-    extremes: [Vector<N>; 2],
     tableau: PhantomData<T>,
 }
 
@@ -228,7 +227,6 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             h,
             inverse: Inverse::new(columns, f64::EPSILON / part),
             fastest: *fastest,
-            extremes: [from.v, from.a].map(|x| Vector::from_fn(|i| x[i].abs())),
             tableau: PhantomData,
         };
         step.u[0] = step.solve(tangents, [from.v, from.a]);
@@ -242,7 +240,6 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
                     let [before_q, before_v] = step.before::<$stage>();
                     step.u[$stage] = step.solve(tangents, [v + per_step * before_q, slope.v + per_step * before_v]);
                     step.power[$stage] = slope.power;
-                    step.extremes = [larger(&step.extremes[0], &v), larger(&step.extremes[1], &slope.v)];
                 }
             };
         }
@@ -268,10 +265,6 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         let at_end = origin.turned(system, &(end[0] - self.start[0]));
         let landed = WayBack { inverse: &self.inverse, h: self.h }.land(system, settings, (end, at_end), kept);
         (error, landed.map(|landing| Landing { work: work(), ..landing }))
-    }
-
-    fn extremes(&self) -> [Vector<N>; 2] {
-        self.extremes
     }
 
     fn fastest_rate<const M: usize>(&self, _: &State<N, M>) -> f64 {

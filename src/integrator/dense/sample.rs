@@ -66,20 +66,29 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// What the interpolant says at the present time, inside the step.
     #[inline]
-    fn interpolated<S: System<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> ([Vector<N>; 2], Work) {
+    fn interpolated<S: System<N, M> + Passage<N> + Kinked<N>>(&self, system: &S, settings: &Settings) -> ([Vector<N>; 2], Work) {
         let Self { start, length, .. } = self;
         let part = self.elapsed / length;
+        let [q, v] = self.moved(part);
         let work = if system.follows_work() {
-            let end = &self.balanced_end(system, settings);
+            let end = &mut self.balanced_end(system, settings);
+            // What springs that have let go lose is known at any place.
+            let mut released = 0.0;
+            if system.has_kinks() {
+                end.work.dissipated -= self.released(system, [&end.q, &end.v]);
+                released = self.released(system, [&q, &v]);
+            }
             let mut higher = self.dense.map(|slope| slope.power.pair());
             if self.kind != Kind::Eighth && !self.straight {
                 higher[0] = hermite::of_work(system, [start, end], *length, &self.positions()).pair();
             }
-            Work::of_pair(works([start, end], *length, higher).at(part))
+            let mut work = Work::of_pair(works([start, end], *length, higher).at(part));
+            work.dissipated += released;
+            work
         } else {
             start.work
         };
-        (self.moved(part), work)
+        ([q, v], work)
     }
 
     /// The interpolant of the work of a step that is of order 8.

@@ -193,10 +193,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let Ok(landing) = landing else { return Outcome::Rejected(error) };
         self.accept(&landing, h, T::KIND);
         if on.has_kinks() {
-            let extremes = trial.extremes();
             let start = self.start;
             let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
-            match self.border(on, settings, (extremes, &mut dense), cuts) {
+            match self.border(on, settings, &mut dense, cuts) {
                 Border::Clear => {}
                 Border::AtEnd => self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance),
                 Border::Before(when) => return Outcome::Crosses(when),

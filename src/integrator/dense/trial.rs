@@ -53,9 +53,6 @@ pub(super) trait Trial<const N: usize>: Sized {
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>);
 
-    /// The greatest magnitudes of q̇ and q̈ that the stages have seen.
-    fn extremes(&self) -> [Vector<N>; 2];
-
     /// The fastest rate of change, 1/s, that a step to this end shows.
     fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64;
 
@@ -175,11 +172,6 @@ impl<P, const N: usize> Origin<P, N> {
     pub(super) fn turned<const M: usize, S: System<N, M, Place = P>>(&self, system: &S, by: &Vector<N>) -> S::Pose {
         system.pose_near((&self.q, &self.place), by)
     }
-}
-
-/// The greatest magnitudes of q̇ and q̈ among some slopes.
-pub(super) fn extremes_of<const N: usize>(slopes: &[Slope<N>]) -> [Vector<N>; 2] {
-    slopes.iter().fold([Vector::ZERO; 2], |[q, v], slope| [larger(&q, &slope.q), larger(&v, &slope.v)])
 }
 
 /// The larger magnitudes, element by element; the first has none below 0.

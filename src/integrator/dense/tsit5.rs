@@ -5,7 +5,7 @@
 //! where inputs change; ours is made of the six.
 
 use super::hermite::{self, Knowing};
-use super::trial::{Allowed, Landing, Origin, Slope, Trial, extremes_of, for_each, rate_between};
+use super::trial::{Allowed, Landing, Origin, Slope, Trial, for_each, rate_between};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
@@ -156,10 +156,6 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         let work = || if system.follows_work() { Work::default().plus(self.h, self.power::<END>()) } else { Work::default() };
         let landed = settings.project_without_balance(system, (origin, way[0]), end, kept);
         (error, landed.map(|landing| Landing { work: work(), ..landing }))
-    }
-
-    fn extremes(&self) -> [Vector<N>; 2] {
-        extremes_of(&self.slopes)
     }
 
     /// By the difference between the last two stages, which stand at nearly the same time.
