@@ -288,11 +288,12 @@ impl Settings {
     /// known.
     #[inline]
     pub(super) fn allowed_of<const N: usize>(&self, system: &impl Kinked<N>) -> Allowed {
-        let rate = RATE.min(TURN * system.turning_rate() / self.error_tolerance);
+        let turning_rate = system.turning_rate();
         Allowed {
             coordinate: self.error_tolerance,
-            rate,
+            rate: RATE.min(TURN * turning_rate / self.error_tolerance),
             work: system.has_kinks().then_some(self.error_tolerance * self.energy_scale),
+            bends: turning_rate.is_finite(),
         }
     }
 

@@ -92,6 +92,8 @@ pub(super) struct Allowed {
     pub(super) rate: f64,
     /// Of the work, J, where it is judged.
     pub(super) work: Option<f64>,
+    /// Whether forces turn round within little of a rate.
+    pub(super) bends: bool,
 }
 
 /// A rate may be off by what a coordinate may, times this and its own magnitude, 1/s.
