@@ -64,6 +64,8 @@ pub struct Model {
     pub(super) error_tolerance: f64,
     /// Whether the force of any changes steeply in places.
     pub is_steep: bool,
+    /// Whether any bends sharply without a kink, and none has dry friction that sticks.
+    pub(super) has_bends: bool,
     /// The inertias by which the conserving method judges how stiff a force is.
     pub(super) typical_inertia: TypicalInertia,
     /// Whether an active effect reads the servo references.
@@ -110,6 +112,7 @@ impl Model {
             sticks: effects.iter().any(Effect::sticks),
             error_tolerance: settings.error_tolerance,
             is_steep: effects.iter().any(Effect::is_steep),
+            has_bends: effects.iter().any(|effect| effect.is_steep() && !effect.may_touch()) && !effects.iter().any(Effect::sticks),
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),

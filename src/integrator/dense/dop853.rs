@@ -11,6 +11,9 @@ use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
 use tableau::{A, ALL, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, DENSE, END, ERROR_AT_BENDS, Row, STAGES};
 
+/// An estimate at bends counts up to this part of the mean square of that of order 3: round-off is no bend.
+const AT_BENDS: f64 = 0.09;
+
 /// A step from a state, stage by stage.
 pub(super) struct Stages<const N: usize> {
     slopes: [Slope<N>; STAGES],
@@ -114,8 +117,8 @@ impl<const N: usize> Stages<N> {
         self.power::<END>()
     }
 
-    /// The mean square of another estimate of order 5, for where forces bend so sharply that the first may be small by accident: stages on
-    /// both sides of a bend may cancel in one of them, hardly in both. By a loop, for few scenes need it.
+    /// The mean square of another estimate of order 5, where forces bend so sharply that the first may be small by accident: what stages on
+    /// both sides of a bend say may cancel in one of them, hardly in both. By a loop, since few scenes need it.
     #[inline(never)]
     fn error_at_bends(&self, allowed: &Allowed, rates: [&Vector<N>; 2]) -> f64 {
         let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
@@ -132,11 +135,11 @@ impl<const N: usize> Stages<N> {
     fn error(&self, allowed: &Allowed, mean: &[Vector<N>; 2], v_end: &Vector<N>) -> f64 {
         let rates = [&self.v, v_end];
         let mut fifth = allowed.mean_square(self.sums::<AT_ERROR_5>(), rates, || self.power::<AT_ERROR_5>());
-        if allowed.bends {
-            fifth = fifth.max(self.error_at_bends(allowed, rates));
-        }
         let beside = self.sums_beside::<AT_ERROR_3, END>();
         let third = allowed.mean_square([mean[0] + beside[0], mean[1] + beside[1]], rates, || self.power::<AT_ERROR_3>());
+        if allowed.bends {
+            fifth = fifth.max(self.error_at_bends(allowed, rates).min(AT_BENDS * third));
+        }
         let damped = fifth + 0.01 * third;
         // Both are 0 where nothing moves.
         if damped == 0.0 { 0.0 } else { self.h * fifth / damped.sqrt() }

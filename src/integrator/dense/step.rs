@@ -71,7 +71,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
         };
-        self.choose_at_start(system, settings, pose, horizon.limit);
+        self.choose_by_tangents(system, settings, pose, horizon.limit);
         // Where friction may hold, steps are explicit ones of order 8.
         let kind = if system.has_grips() {
             Kind::Eighth
@@ -101,18 +101,26 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// The kind that a run begins with is chosen by its tangents.
+    /// The kind that a run begins with is chosen by its tangents, and after many explicit steps they are asked again.
     #[inline]
-    fn choose_at_start<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    fn choose_by_tangents<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
         pose: &S::Pose,
         limit: f64,
     ) {
-        let chooses = settings.kinds == Kinds::Automatic && self.start.counters.substeps == 0 && system.is_steep();
-        if chooses && let Some(shared) = Shared::about(system.on(self.sides).borrow(), settings, (&self.start, pose)) {
-            self.memory.choice.begin(settings.first_step.min(limit), shared.fastest);
+        let at_start = self.start.counters.substeps == 0;
+        let asks = settings.kinds == Kinds::Automatic && (at_start || self.memory.choice.is_probing());
+        if asks
+            && system.is_steep()
+            && let Some(shared) = Shared::about(system.on(self.sides).borrow(), settings, (&self.start, pose))
+        {
+            let choice = &mut self.memory.choice;
+            match at_start {
+                true => choice.begin(settings.first_step.min(limit), shared.fastest),
+                false => choice.probe(self.start.substep, shared.fastest),
+            }
         }
     }
 
@@ -288,12 +296,12 @@ impl Settings {
     /// known.
     #[inline]
     pub(super) fn allowed_of<const N: usize>(&self, system: &impl Kinked<N>) -> Allowed {
-        let turning_rate = system.turning_rate();
+        let rate = RATE.min(TURN * system.turning_rate() / self.error_tolerance);
         Allowed {
             coordinate: self.error_tolerance,
-            rate: RATE.min(TURN * turning_rate / self.error_tolerance),
+            rate,
             work: system.has_kinks().then_some(self.error_tolerance * self.energy_scale),
-            bends: turning_rate.is_finite(),
+            bends: system.has_bends(),
         }
     }
 

@@ -92,7 +92,7 @@ pub(super) struct Allowed {
     pub(super) rate: f64,
     /// Of the work, J, where it is judged.
     pub(super) work: Option<f64>,
-    /// Whether forces turn round within little of a rate.
+    /// Whether forces bend sharply without a kink.
     pub(super) bends: bool,
 }
 

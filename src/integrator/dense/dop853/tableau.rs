@@ -161,17 +161,18 @@ const ERROR_3: Row = &[
     (11, 0.02265179219836082),
 ];
 
-/// The new value minus another one of order 5, whose terms of order 6 nearly cancel: small where a motion is smooth, and as large as
-/// can be where a force bends within the step.
+/// The new value minus another one of order 5, for forces that bend. Of all sums over the stages that meet the conditions of order 5 it is
+/// the one that tells best the steps across bends in which the first estimate is small by accident: of 7,800 steps under friction 2 % have a
+/// larger error than it allows, and it sees four in five of these while it refuses one in fifty of the others.
 pub(super) const ERROR_AT_BENDS: Row = &[
-    (0, 0.046690289048900116),
-    (5, -17.031642813896568),
-    (6, -4.7540272347627575),
-    (7, 20.748472707835454),
-    (8, -3.4338941641835588),
-    (9, 4.144977116004451),
-    (10, 0.3388077209792138),
-    (11, -0.0593836210251318),
+    (0, 0.03594421965334723),
+    (5, -0.4741121613850806),
+    (6, -1.1021348694695676),
+    (7, 1.8973022951281686),
+    (8, 2.619891933369597),
+    (9, -2.655810808708063),
+    (10, -0.40644998960190937),
+    (11, 0.08536938101350793),
 ];
 
 /// The higher coefficients of the dense output.
