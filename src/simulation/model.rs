@@ -112,7 +112,7 @@ impl Model {
             sticks: effects.iter().any(Effect::sticks),
             error_tolerance: settings.error_tolerance,
             is_steep: effects.iter().any(Effect::is_steep),
-            has_bends: std::env::var("NB").is_err() && effects.iter().any(|effect| effect.is_steep() && !effect.may_touch()) && !effects.iter().any(Effect::sticks),
+            has_bends: effects.iter().any(|effect| effect.is_steep() && !effect.may_touch()) && !effects.iter().any(Effect::sticks),
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
