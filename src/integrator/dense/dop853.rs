@@ -126,7 +126,7 @@ impl<const N: usize> Stages<N> {
             q += coefficient * self.slopes[stage].q;
             v += coefficient * self.slopes[stage].v;
         }
-        allowed.mean_square([q, v], rates, Work::default)
+        allowed.mean_square_of([q, v], rates, Work::default())
     }
 
     /// Estimated error in units of what is allowed: of the coordinates, of their rates (10/s + |q̇| times that) and of the work; root of

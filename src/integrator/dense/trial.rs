@@ -118,6 +118,14 @@ impl Allowed {
     }
 }
 
+impl Allowed {
+    /// The same where it is not asked in every step: one piece of code.
+    #[inline(never)]
+    pub(super) fn mean_square_of<const N: usize>(&self, error: [Vector<N>; 2], ends: [&Vector<N>; 2], work: Work) -> f64 {
+        self.mean_square(error, ends, || work)
+    }
+}
+
 /// The derivatives of q, q̇ and the work, or a sum of such.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Slope<const N: usize> {
