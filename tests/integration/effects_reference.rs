@@ -250,7 +250,6 @@ fn bends_are_seen() {
         for tolerance in [1e-6, 1e-7, 1e-8, 1e-9] {
             for method in [Method::Dop853, Method::Automatic] {
                 let [tip, ..] = each_error(scene, method, &[("solver.errorTolerance", tolerance)]);
-                println!("{scene} {tolerance:e} {method:?}: {:.1}", tip / tolerance);
                 assert!(tip < 1e2 * tolerance, "{scene} by {method:?} at {tolerance:e} rad: {tip:e} m");
             }
         }
