@@ -195,6 +195,11 @@ impl Force for Friction {
     }
 
     #[cold]
+    fn bends(&self) -> bool {
+        !self.sticks()
+    }
+
+    #[cold]
     fn add_grasps(&self, at: &ForceContext, grasps: &mut Grasps<COORDINATES>) {
         if self.law == Law::Smooth {
             return;

@@ -100,6 +100,11 @@ trait Force: Sized {
         f64::INFINITY
     }
 
+    /// Whether it bends so sharply, without a kink, that stages of a step may stand on both sides and none within.
+    fn bends(&self) -> bool {
+        false
+    }
+
     /// Adds the grips that it has.
     fn add_grasps(&self, _at: &ForceContext, _grasps: &mut Grasps<COORDINATES>) {}
 }
@@ -289,6 +294,11 @@ macro_rules! effects {
             /// The change of a joint's rate by which its force turns round without a kink, rad/s.
             pub fn turning_rate(&self) -> f64 {
                 match self { $(Self::$Force(force) => force.turning_rate(),)+ }
+            }
+
+            /// Whether it bends sharply without a kink.
+            pub fn bends(&self) -> bool {
+                match self { $(Self::$Force(force) => force.bends(),)+ }
             }
 
             /// Its one-sided springs.

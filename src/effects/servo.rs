@@ -15,6 +15,10 @@ use super::{Force, Inputs, MeanForce, StepContext, Tangents};
 use crate::mechanism::exponential::tanh;
 use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative, positive};
 
+/// Saturation that is reached within this, rad, is a sharp bend. A servo that reaches it later is as good as linear; where it is stiff as well,
+/// a search for bends would find round-off.
+const SHARP: f64 = 0.1;
+
 /// The `servo.*` parameters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
@@ -71,6 +75,11 @@ impl Force for Servo {
 
     fn conservative(&self) -> bool {
         false
+    }
+
+    #[cold]
+    fn bends(&self) -> bool {
+        (0..2).any(|i| self.limit[i] < SHARP * self.kp[i])
     }
 
     #[inline(never)]

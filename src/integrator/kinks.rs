@@ -49,6 +49,11 @@ pub trait Kinked<const N: usize>: Sized {
         f64::INFINITY
     }
 
+    /// Whether forces bend sharply without a kink.
+    fn has_bends(&self) -> bool {
+        false
+    }
+
     /// What a state is to its kinks.
     fn touches(&self, q: &Vector<N>, v: &Vector<N>) -> Self::Touches;
 

@@ -46,6 +46,11 @@ impl<'a> Kinked<ANGLES> for ByAngles<'a> {
         self.model().turning_rate
     }
 
+    #[inline]
+    fn has_bends(&self) -> bool {
+        self.model().has_bends
+    }
+
     fn touches(&self, q: &Angles, v: &Angles) -> Touches<'a> {
         let pose = self.pose(q);
         let (x, rates) = self.coordinates(&pose, q, v);

@@ -64,6 +64,8 @@ pub struct Model {
     pub(super) error_tolerance: f64,
     /// Whether the force of any changes steeply in places.
     pub is_steep: bool,
+    /// Whether any bends sharply without a kink, and none has dry friction that sticks.
+    pub(super) has_bends: bool,
     /// The inertias by which the conserving method judges how stiff a force is.
     pub(super) typical_inertia: TypicalInertia,
     /// Whether an active effect reads the servo references.
@@ -110,6 +112,7 @@ impl Model {
             sticks: effects.iter().any(Effect::sticks),
             error_tolerance: settings.error_tolerance,
             is_steep: effects.iter().any(Effect::is_steep),
+            has_bends: has_bends(&effects),
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
@@ -174,6 +177,7 @@ impl Model {
         self.conservative = effects.iter().all(Effect::conservative);
         self.has_kinks = effects.iter().any(Effect::has_kinks);
         self.turning_rate = turning_rate(&effects);
+        self.has_bends = has_bends(&effects);
         self.may_touch = effects.iter().any(Effect::may_touch);
         self.sticks = effects.iter().any(Effect::sticks);
         self.solver.choose(LinearSolve::choose(&self.mechanism.geometry, &effects));
@@ -230,4 +234,9 @@ const COAXIAL: f64 = 1e-10;
 /// The least change of a joint's rate by which a force of any effect turns round, rad/s.
 fn turning_rate(effects: &Active) -> f64 {
     effects.iter().map(Effect::turning_rate).fold(f64::INFINITY, f64::min)
+}
+
+/// Whether any effect bends sharply, and none has dry friction that sticks.
+fn has_bends(effects: &Active) -> bool {
+    effects.iter().any(Effect::bends) && !effects.iter().any(Effect::sticks)
 }

@@ -9,9 +9,11 @@ use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
+use tableau::{A, ALL, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, DENSE, END, ERROR_AT_BENDS, Row, STAGES};
 use wide::f64x2;
 
-use tableau::{A, ALL, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, DENSE, END, Row, STAGES};
+/// An estimate at bends counts up to this part of the mean square of that of order 3: round-off is no bend.
+const AT_BENDS: f64 = 0.09;
 
 /// A step from a state, stage by stage.
 pub(super) struct Stages<const N: usize> {
@@ -122,13 +124,28 @@ impl<const N: usize> Stages<N> {
         self.power::<END>()
     }
 
+    /// The mean square of another estimate of order 5, where forces bend so sharply that the first may be small by accident: what stages on
+    /// both sides of a bend say may cancel in one of them, hardly in both. By a loop, since few scenes need it.
+    #[inline(never)]
+    fn error_at_bends(&self, allowed: &Allowed, rates: [&Vector<N>; 2]) -> f64 {
+        let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
+        for &(stage, coefficient) in ERROR_AT_BENDS {
+            q += coefficient * self.slopes[stage].q;
+            v += coefficient * self.slopes[stage].v;
+        }
+        allowed.mean_square_of([q, v], rates, Work::default())
+    }
+
     /// Estimated error in units of what is allowed: of the coordinates, of their rates (10/s + |q̇| times that) and of the work; root of
     /// the mean square. The estimate of order 5 is damped by that of order 3 (Hairer, Nørsett, Wanner, section II.5, eq. 5.17).
     #[inline(always)]
     fn error(&self, allowed: &Allowed, [fifth, third]: [[Vector<N>; 2]; 2], v_end: &Vector<N>) -> f64 {
         let rates = [&self.slopes[0].q, v_end];
-        let fifth = allowed.mean_square(fifth, rates, || self.power::<AT_ERROR_5>());
+        let mut fifth = allowed.mean_square(fifth, rates, || self.power::<AT_ERROR_5>());
         let third = allowed.mean_square(third, rates, || self.power::<AT_ERROR_3>());
+        if allowed.bends {
+            fifth = fifth.max(self.error_at_bends(allowed, rates).min(AT_BENDS * third));
+        }
         let damped = fifth + 0.01 * third;
         // Both are 0 where nothing moves.
         if damped == 0.0 { 0.0 } else { self.h * fifth / damped.sqrt() }

@@ -256,8 +256,8 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         kept: Option<(EnergyBalance, f64)>,
     ) -> (f64, Result<Landing<N, M>, StepError>) {
         let end = self.at::<MOST>();
-        let judged = || if allowed.work.is_some() { self.work(system, const { &T::WORK_ERROR }) } else { Work::default() };
-        let error = allowed.mean_square(self.u[T::STAGES - 1], [&self.start[1], &end[1]], judged).sqrt();
+        let judged = if allowed.work.is_some() { self.work(system, const { &T::WORK_ERROR }) } else { Work::default() };
+        let error = allowed.mean_square_of(self.u[T::STAGES - 1], [&self.start[1], &end[1]], judged).sqrt();
         if error.is_nan() || error > 1.0 {
             return (error, Err(StepError::NotFinite));
         }

@@ -82,7 +82,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
         };
-        self.choose_at_start(system, settings, horizon.limit);
+        self.choose_by_tangents(system, settings, horizon.limit);
         // Where friction may hold, steps are explicit ones of order 8.
         let kind = if system.has_grips() {
             Kind::Eighth
@@ -112,20 +112,25 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// The kind that a run begins with is chosen by its tangents.
+    /// The kind that a run begins with is chosen by its tangents, and after many explicit steps they are asked again.
     #[inline]
-    fn choose_at_start<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    fn choose_by_tangents<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
         limit: f64,
     ) {
-        let chooses = settings.kinds == Kinds::Automatic && self.start.counters.substeps == 0 && system.is_steep();
-        if chooses
-            && let Some(shared) =
-                Shared::about(system.on(self.sides).borrow(), settings, (&self.start, &system.pose(&self.start.q)))
+        let at_start = self.start.counters.substeps == 0;
+        let asks = settings.kinds == Kinds::Automatic && (at_start || self.memory.choice.is_probing());
+        if asks
+            && system.is_steep()
+            && let Some(shared) = Shared::about(system.on(self.sides).borrow(), settings, (&self.start, &system.pose(&self.start.q)))
         {
-            self.memory.choice.begin(settings.first_step.min(limit), shared.fastest);
+            let choice = &mut self.memory.choice;
+            match at_start {
+                true => choice.begin(settings.first_step.min(limit), shared.fastest),
+                false => choice.probe(self.start.substep, shared.fastest),
+            }
         }
     }
 
@@ -332,6 +337,7 @@ impl Settings {
             coordinate: self.error_tolerance,
             rate,
             work: system.has_kinks().then_some(self.error_tolerance * self.energy_scale),
+            bends: system.has_bends(),
         }
     }
 

@@ -94,6 +94,8 @@ pub(super) struct Allowed {
     pub(super) rate: f64,
     /// Of the work, J, where it is judged.
     pub(super) work: Option<f64>,
+    /// Whether forces bend sharply without a kink.
+    pub(super) bends: bool,
 }
 
 /// A rate may be off by what a coordinate may, times this and its own magnitude, 1/s.
@@ -115,6 +117,14 @@ impl Allowed {
         let Some(allowed) = self.work else { return mean };
         let Work { input, dissipated } = work();
         mean + (input * input + dissipated * dissipated) / (allowed * allowed)
+    }
+}
+
+impl Allowed {
+    /// The same where it is not asked in every step: one piece of code.
+    #[inline(never)]
+    pub(super) fn mean_square_of<const N: usize>(&self, error: [Vector<N>; 2], ends: [&Vector<N>; 2], work: Work) -> f64 {
+        self.mean_square(error, ends, || work)
     }
 }
 
