@@ -30,7 +30,7 @@ const LATE: f64 = 1.5;
 const UNKNOWN_INTERVAL: f64 = 0.1;
 /// Least variance of the white noise that stands for an interval, in Δ²/12, of an axis that goes through a step from sample to sample; of a
 /// slower one as many times more as its error repeats.
-const LEAST: f64 = 0.04;
+const LEAST: f64 = 0.003;
 /// The least standard deviation of a sample, rad.
 const FINEST: f64 = 1e-9;
 
@@ -267,9 +267,13 @@ impl Encoder {
         if self.is_dithered(sigma, quantum) {
             return *expected;
         }
-        let dwell = self.dwell(quantum, rate);
-        // Where the axis creeps over the edge of a step, where that edge is matters, and when it was passed.
-        let repeated = if self.repeated { dwell } else { 1.0 };
+        // An axis that turns by nearly whole steps from sample to sample is always at the same place within them: a reading that changes by as
+        // many repeats its error. One that changes by one more or less has just passed an edge, and where that is matters.
+        let turned = rate * self.interval;
+        let whole = (turned / quantum).round() * quantum;
+        let dwell = self.dwell(quantum, (turned - whole) / self.interval);
+        let repeats = (wrapped(self.change) - whole).abs() < quantum / 2.0;
+        let repeated = if repeats { dwell } else { 1.0 };
         expected.within(quantum, [noise, self.white(sigma, lasting)], [repeated, LEAST * dwell])
     }
 }

@@ -105,7 +105,9 @@ impl Grazing {
     }
 
     pub(super) fn is_sound(&self) -> bool {
-        (FAR..=0.0).contains(&self.other_side)
+        let is_known = |odds: f64| (FAR..=0.0).contains(&odds);
+        is_known(self.other_side)
+            && self.quiet.is_none_or(|(_, odds)| is_known(odds))
             && self.pair.is_none_or(|pair| pair.evidence.is_finite() && (0.0..=LONGEST).contains(&pair.age))
     }
 

@@ -88,6 +88,8 @@ pub struct Estimator {
     nis: f64,
 }
 
+/// Where |sin(θ₃ − θ₂)| is less, a push that is thought of too readily takes the estimate back from the line of the distal links.
+const BESIDE: f64 = 0.3;
 /// The largest that is told.
 const LARGEST_NIS: f64 = 1e12;
 
@@ -233,8 +235,12 @@ impl Estimator {
         self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
         // What masses are off by shows where readings are intervals, which confine the angles; in white noise it drowns.
         let seen = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
-        let scales = [scales[0], if seen { scales[1] } else { 0.0 }];
-        self.track.bank.predict(linkage, (&frame, &step.transition), scales, timing, &bank::PRIOR);
+        let (accelerates, priors) = match frame.side().abs() > BESIDE {
+            _ if !seen => (0.0, &bank::BY_NOISE),
+            true => (scales[1], &bank::BY_INTERVALS),
+            false => (scales[1], &bank::PRIOR),
+        };
+        self.track.bank.predict(linkage, (&frame, &step.transition), [scales[0], accelerates], timing, priors);
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
         self.branches.step(constants, step.held, scene, timing);
