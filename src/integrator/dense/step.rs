@@ -124,7 +124,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let asks = settings.kinds == Kinds::Automatic && (at_start || self.memory.choice.is_probing());
         if asks
             && system.is_steep()
-            && let Some(shared) = Shared::about(system.on(self.sides).borrow(), settings, (&self.start, &system.pose(&self.start.q)))
+            && let Some(shared) =
+                Shared::about(system.on(self.sides).borrow(), settings, (&self.start, &system.pose(&self.start.q)))
         {
             let choice = &mut self.memory.choice;
             match at_start {
