@@ -21,6 +21,8 @@ pub struct Instance {
     observation: Option<Observation>,
     /// Before the end of initialisation: the scene made ready with the present values, where an output has been read.
     preview: Option<Box<Scene>>,
+    /// What a call has read so far: values are handed over together. Kept for its room.
+    read: Vec<Value>,
     /// Lines for the master.
     pub log: Log,
 }
@@ -28,7 +30,7 @@ pub struct Instance {
 impl Instance {
     /// A fresh instance; `logging_on` as given to fmi2Instantiate.
     pub fn new(kind: Kind, logging_on: bool) -> Self {
-        Self { now: Snapshot::fresh(kind), observation: None, preview: None, log: Log::new(logging_on) }
+        Self { now: Snapshot::fresh(kind), observation: None, preview: None, read: Vec::new(), log: Log::new(logging_on) }
     }
 
     /// What is about to change: whatever has been observed of it does not hold any more.
@@ -173,18 +175,27 @@ impl Instance {
     /// fmi2GetReal, fmi2GetInteger, fmi2GetBoolean: hands each value with its position to `take`; nothing is handed
     /// over unless every reference is right and every value that is computed finite.
     pub fn get(&mut self, fmi_type: FmiType, references: &[u32], mut take: impl FnMut(usize, Value)) -> Result<(), CallError> {
-        for &reference in references {
-            let variable = lookup(reference, fmi_type)?;
-            let value = self.read(variable)?;
-            // A sample is told as it was set, whatever the encoder said.
-            if let (Value::Real(value), false) = (value, matches!(variable.id, VariableId::RealSample(_))) {
-                check_computed(|| variable.name.to_owned(), value)?;
-            }
+        let mut values = std::mem::take(&mut self.read);
+        values.clear();
+        let complete = references.iter().try_for_each(|&reference| {
+            values.push(self.read_checked(lookup(reference, fmi_type)?)?);
+            Ok(())
+        });
+        if complete.is_ok() {
+            values.iter().enumerate().for_each(|(position, value)| take(position, *value));
         }
-        for (position, &reference) in references.iter().enumerate() {
-            take(position, self.read(lookup(reference, fmi_type)?)?);
+        self.read = values;
+        complete
+    }
+
+    /// A value, unless it is computed and not finite.
+    fn read_checked(&mut self, variable: &Variable) -> Result<Value, CallError> {
+        let value = self.read(variable)?;
+        // A sample is told as it was set, whatever the encoder said.
+        if let (Value::Real(value), false) = (value, matches!(variable.id, VariableId::RealSample(_))) {
+            check_computed(|| variable.name.to_owned(), value)?;
         }
-        Ok(())
+        Ok(value)
     }
 
     fn read(&mut self, variable: &Variable) -> Result<Value, CallError> {
