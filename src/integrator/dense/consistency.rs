@@ -4,10 +4,10 @@ use std::borrow::Borrow;
 
 use super::dop853::Stages;
 use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
-use super::step::LONGEST;
+use super::step::{LONGEST, Outcome, Plan, Try};
 use super::trial::{Origin, Slope, Trial};
 use super::tsit5::Tsit5;
-use super::{DenseStep, Kind, LEAST_LOG_ERROR, Memory, Settings};
+use super::{DenseStep, Horizon, Kind, LEAST_LOG_ERROR, Memory, Settings};
 use crate::integrator::consistency::{Bounds, Inconsistency};
 use crate::integrator::{Approach, Departure, Kinked, Passage, State, StepError, System};
 use crate::vector::Vector;
@@ -83,35 +83,37 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         let system = system.on(self.sides);
         let system = system.borrow();
-        match self.kind {
-            kind if !settings.kinds.hold(kind, settings.error_tolerance) => Ok(false),
+        Ok(match self.kind {
+            kind if !settings.kinds.hold(kind, settings.error_tolerance) => false,
             Kind::Fifth => self.again_by::<Tsit5<N>, S>(system, settings),
             Kind::Eighth => self.again_by::<Stages<N>, S>(system, settings),
             Kind::StiffFourth => self.again_by::<Rosenbrock<Rodas4, N>, S>(system, settings),
             Kind::StiffFifth => self.again_by::<Rosenbrock<Rodas5p, N>, S>(system, settings),
-        }
+        })
     }
 
-    /// The same for a step of one kind.
+    /// The same for a step of one kind, by the very function that makes steps.
     fn again_by<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &self,
         system: &S,
         settings: &Settings,
-    ) -> Result<bool, StepError> {
+    ) -> bool {
         let origin = Origin::new(system, &self.start.q, &system.pose(&self.start.q), settings.regularization);
-        let Some(shared) = T::prepare(system, settings, (&self.start, &origin)) else { return Ok(false) };
+        let Some(shared) = T::prepare(system, settings, (&self.start, &origin)) else { return false };
         let is_cut = self.cut_from > 0.0;
         let length = if is_cut { self.cut_from } else { self.length };
-        let mut trial = T::new(system, &shared, (&self.start, &origin), length);
-        let landing = trial.land(system, settings, &origin, &settings.allowed_of(system), self.kept(system, length)).1?;
+        // Without its coefficients a step is over: nothing is asked for within it.
+        let needless = self.dense == [Slope::NONE; 4] && self.elapsed == self.length;
+        let horizon = Horizon { output: if needless && !is_cut { f64::INFINITY } else { 0.0 }, limit: f64::INFINITY };
+        let plan = Plan { h: length, wanted: length, longest: length, near: true, seeks_borders: false, horizon, pose: None };
+        let this = Try { h: length, rejected: None, cuts: 0 };
         let mut redone = *self;
         redone.retract();
-        redone.accept(&landing, length, T::KIND);
-        if is_cut {
-            redone.dense = trial.dense(system, settings.regularization, [&self.start, &redone.end]);
-            if !redone.cut_again(system, settings, self.length) {
-                return Ok(false);
-            }
+        let Outcome::Accepted = redone.try_once::<T, S>(system, settings, &plan, (&shared, &origin), &this) else {
+            return false;
+        };
+        if is_cut && !redone.cut_again(system, settings, self.length) {
+            return false;
         }
         if system.has_kinks() {
             redone.end.work.dissipated += redone.released(system, [&redone.end.q, &redone.end.v]);
@@ -120,12 +122,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let same = [end.q, end.v, end.a] == [self.end.q, self.end.v, self.end.a]
             && end.lambda == self.end.lambda
             && end.work == self.end.work;
-        // Without its coefficients a step is over: nothing is asked for within it.
-        let needless = self.dense == [Slope::NONE; 4] && self.elapsed == self.length;
-        let mut dense = || match is_cut {
-            true => redone.dense,
-            false => trial.dense(system, settings.regularization, [&self.start, &self.balanced_end(system, settings)]),
-        };
-        Ok(same && (needless || dense() == self.dense))
+        same && (needless || redone.dense == self.dense)
     }
 }

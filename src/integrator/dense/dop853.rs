@@ -7,7 +7,7 @@ mod tableau;
 use super::trial::{Allowed, Landing, Origin, Slope, Trial, for_each, rate_between};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
-use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
+use crate::integrator::{EnergyBalance, Passage, State, System, Work};
 use crate::vector::Vector;
 use tableau::{A, ALL, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, DENSE, END, ERROR_AT_BENDS, Row, STAGES};
 use wide::f64x2;
@@ -200,13 +200,13 @@ impl<const N: usize> Trial<N> for Stages<N> {
         origin: &Origin<S::Place, N>,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
-    ) -> (f64, Result<Landing<N, M>, StepError>) {
+    ) -> (f64, Option<Landing<N, M>>) {
         self.evaluate_all(system, origin);
         let ([mean_q, q_5, q_3], [mean_v, v_5, v_3]) = (self.at_end(false), self.at_end(true));
         let end = [self.q + self.h * mean_q, self.slopes[0].q + self.h * mean_v];
         let error = self.error(allowed, [[q_5, v_5], [q_3, v_3]], &end[1]);
         if error.is_nan() || error > 1.0 {
-            return (error, Err(StepError::NotFinite));
+            return (error, None);
         }
         let work = if system.follows_work() { Work::default().plus(self.h, self.mean_power()) } else { Work::default() };
         (error, settings.project_and_evaluate(system, (origin, end[0] - self.q), end, kept, work))

@@ -17,7 +17,7 @@ impl Settings {
         end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
         work: Work,
-    ) -> Result<Landing<N, M>, StepError> {
+    ) -> Option<Landing<N, M>> {
         self.arrive::<true, N, M, S>(system, from, end, kept, work)
     }
 
@@ -29,7 +29,7 @@ impl Settings {
         from: (&Origin<S::Place, N>, Vector<N>),
         end: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
-    ) -> Result<Landing<N, M>, StepError> {
+    ) -> Option<Landing<N, M>> {
         self.arrive::<false, N, M, S>(system, from, end, kept, Work::default())
     }
 
@@ -42,10 +42,10 @@ impl Settings {
         [mut q, mut v]: [Vector<N>; 2],
         kept: Option<(EnergyBalance, f64)>,
         work: Work,
-    ) -> Result<Landing<N, M>, StepError> {
+    ) -> Option<Landing<N, M>> {
         let mut pose = origin.turned(system, &by);
-        let (iterations, mass) = self.project_in_place(system, &mut pose, &mut q, &mut v)?;
-        v = with_energy(system, [&q, &v], kept)?;
+        let (iterations, mass) = self.project_in_place(system, &mut pose, &mut q, &mut v).ok()?;
+        v = with_energy(system, [&q, &v], kept).ok()?;
         let arrival = if BALANCED {
             Arrival::in_balance(system, [q, v], &pose, &mass)
         } else {

@@ -148,13 +148,13 @@ impl<const N: usize> WayBack<'_, N> {
         settings: &Settings,
         ([mut q, mut v], pose): ([Vector<N>; 2], S::Pose),
         kept: Option<(EnergyBalance, f64)>,
-    ) -> Result<Landing<N, M>, StepError> {
+    ) -> Option<Landing<N, M>> {
         let (iterations, pose, mass) = if system.can_project(&q) {
-            self.project(system, settings, pose, [&mut q, &mut v])?
+            self.project(system, settings, pose, [&mut q, &mut v]).ok()?
         } else {
-            settings.project(system, &mut q, &mut v)?
+            settings.project(system, &mut q, &mut v).ok()?
         };
-        v = with_energy(system, [&q, &v], kept)?;
+        v = with_energy(system, [&q, &v], kept).ok()?;
         Landing::at(iterations, Arrival::in_balance(system, [q, v], &pose, &mass))
     }
 
@@ -254,12 +254,12 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         origin: &Origin<S::Place, N>,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
-    ) -> (f64, Result<Landing<N, M>, StepError>) {
+    ) -> (f64, Option<Landing<N, M>>) {
         let end = self.at::<MOST>();
         let judged = if allowed.work.is_some() { self.work(system, const { &T::WORK_ERROR }) } else { Work::default() };
         let error = allowed.mean_square_of(self.u[T::STAGES - 1], [&self.start[1], &end[1]], judged).sqrt();
         if error.is_nan() || error > 1.0 {
-            return (error, Err(StepError::NotFinite));
+            return (error, None);
         }
         let work = || if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
         let at_end = origin.turned(system, &(end[0] - self.start[0]));

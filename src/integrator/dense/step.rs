@@ -27,33 +27,35 @@ const TURN: f64 = 0.3;
 const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
 /// What the next step is to be.
-struct Plan<'a, P> {
+pub(super) struct Plan<'a, P> {
     /// Its length, s.
-    h: f64,
+    pub(super) h: f64,
     /// What the error wants it to be.
-    wanted: f64,
+    pub(super) wanted: f64,
     /// What it may be.
-    longest: f64,
+    pub(super) longest: f64,
     /// Whether a vertex is near, where energy may have to be kept.
-    near: bool,
+    pub(super) near: bool,
+    /// Whether borders are looked for: a step made once more ends where it did.
+    pub(super) seeks_borders: bool,
     /// When an output is asked for, and what limits it while inputs are held.
-    horizon: Horizon,
+    pub(super) horizon: Horizon,
     /// The pose at its beginning, where it is known.
-    pose: Option<&'a P>,
+    pub(super) pose: Option<&'a P>,
 }
 
 /// A try of it.
-struct Try {
+pub(super) struct Try {
     /// Its length, s.
-    h: f64,
+    pub(super) h: f64,
     /// The last one that was rejected: length and error.
-    rejected: Option<[f64; 2]>,
+    pub(super) rejected: Option<[f64; 2]>,
     /// How many were to end at a border.
-    cuts: u32,
+    pub(super) cuts: u32,
 }
 
 /// What has come of it.
-enum Outcome {
+pub(super) enum Outcome {
     Accepted,
     /// Its error is too large, or NaN.
     Rejected(f64),
@@ -103,7 +105,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.end.counters.substeps += 1;
             return Ok(());
         }
-        let plan = Plan { h, wanted, longest, near, horizon, pose };
+        let plan = Plan { h, wanted, longest, near, seeks_borders: true, horizon, pose };
         match kind {
             Kind::Fifth => self.attempt::<Tsit5<N>, S>(system, settings, &plan),
             Kind::Eighth => self.attempt::<Stages<N>, S>(system, settings, &plan),
@@ -184,7 +186,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// One try. A function of its own, so that nothing is made ready for another one: most steps take one.
     #[inline(never)]
-    fn try_once<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    pub(super) fn try_once<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
         &mut self,
         on: &S,
         settings: &Settings,
@@ -192,13 +194,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (prepared, origin): (&T::Shared, &Origin<S::Place, N>),
         &Try { h, rejected, cuts }: &Try,
     ) -> Outcome {
-        let &Plan { wanted, near, horizon, .. } = plan;
+        let &Plan { wanted, near, seeks_borders, horizon, .. } = plan;
         let kept = if near { self.kept(on, h) } else { None };
         let mut trial = T::new(on, prepared, (&self.start, origin), h);
         let (error, landing) = trial.land(on, settings, origin, &settings.allowed_of(on), kept);
-        let Ok(landing) = landing else { return Outcome::Rejected(error) };
+        let Some(landing) = landing else { return Outcome::Rejected(error) };
         self.accept(&landing, h, T::KIND);
-        if on.has_kinks() {
+        if on.has_kinks() && seeks_borders {
             let start = self.start;
             let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
             match self.border(on, settings, &mut dense, cuts) {

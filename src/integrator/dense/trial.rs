@@ -6,7 +6,7 @@ use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::equilibrium::acceleration_near;
 use crate::integrator::state::Arrival;
-use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
+use crate::integrator::{EnergyBalance, Passage, State, System, Work};
 use crate::vector::Vector;
 use wide::f64x2;
 
@@ -51,7 +51,7 @@ pub(super) trait Trial<const N: usize>: Sized {
         origin: &Origin<S::Place, N>,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
-    ) -> (f64, Result<Landing<N, M>, StepError>);
+    ) -> (f64, Option<Landing<N, M>>);
 
     /// The fastest rate of change, 1/s, that a step to this end shows.
     fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64;
@@ -72,17 +72,14 @@ pub(super) struct Landing<const N: usize, const M: usize> {
 impl<const N: usize, const M: usize> Landing<N, M> {
     /// Where it does no work, unless something there is not finite.
     #[inline(always)]
-    pub(super) fn at(iterations: u32, arrival: Arrival<N, M>) -> Result<Self, StepError> {
+    pub(super) fn at(iterations: u32, arrival: Arrival<N, M>) -> Option<Self> {
         Self::after(Work::default(), iterations, arrival)
     }
 
     /// The same after some work, J.
     #[inline(always)]
-    pub(super) fn after(work: Work, iterations: u32, arrival: Arrival<N, M>) -> Result<Self, StepError> {
-        if !arrival.is_finite() {
-            return Err(StepError::NotFinite);
-        }
-        Ok(Self { iterations, arrival, work })
+    pub(super) fn after(work: Work, iterations: u32, arrival: Arrival<N, M>) -> Option<Self> {
+        arrival.is_finite().then_some(Self { iterations, arrival, work })
     }
 }
 

@@ -8,7 +8,7 @@ use super::hermite::{self, Knowing};
 use super::trial::{Allowed, Landing, Origin, Slope, Trial, for_each, rate_between};
 use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
-use crate::integrator::{EnergyBalance, Passage, State, StepError, System, Work};
+use crate::integrator::{EnergyBalance, Passage, State, System, Work};
 use crate::vector::Vector;
 
 /// Stages of a step.
@@ -145,13 +145,13 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         origin: &Origin<S::Place, N>,
         allowed: &Allowed,
         kept: Option<(EnergyBalance, f64)>,
-    ) -> (f64, Result<Landing<N, M>, StepError>) {
+    ) -> (f64, Option<Landing<N, M>>) {
         self.evaluate_all(system, origin);
         let way = self.way::<END>();
         let end = [self.start[0] + way[0], self.start[1] + way[1]];
         let error = self.error(allowed, &end[1]);
         if error.is_nan() || error > 1.0 {
-            return (error, Err(StepError::NotFinite));
+            return (error, None);
         }
         let work = || if system.follows_work() { Work::default().plus(self.h, self.power::<END>()) } else { Work::default() };
         let landed = settings.project_without_balance(system, (origin, way[0]), end, kept);
