@@ -9,7 +9,7 @@ use super::{Kind, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, System, Work};
 use crate::vector::Vector;
-use tableau::{A, ALL, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, DENSE, END, ERROR_AT_BENDS, Row, STAGES};
+use tableau::{A, ALL, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, DENSE, END, ERROR_AT_BENDS, Row, STAGES, last};
 use wide::f64x2;
 
 /// An estimate at bends counts up to this part of the mean square of that of order 3: round-off is no bend.
@@ -28,14 +28,14 @@ pub(super) struct Stages<const N: usize> {
 }
 
 impl<const N: usize> Stages<N> {
-    /// Σ coefficient · slope over what is picked of the slopes.
+    /// Σ coefficient · slope over what is picked of the slopes, in units of the last coefficient: what counts once is not multiplied.
     #[inline(always)]
     fn sum<const ROW: usize>(&self, part: impl Fn(&Slope<N>) -> Vector<N>) -> Vector<N> {
-        let mut sum = const { COEFFICIENTS[ROW][0] } * part(&self.slopes[0]);
+        let mut sum = const { COEFFICIENTS[ROW][0] / last(ROW) } * part(&self.slopes[0]);
         macro_rules! add {
             ($stage:literal) => {
                 if const { COEFFICIENTS[ROW][$stage] != 0.0 } {
-                    sum += const { COEFFICIENTS[ROW][$stage] } * part(&self.slopes[$stage]);
+                    sum += const { COEFFICIENTS[ROW][$stage] / last(ROW) } * part(&self.slopes[$stage]);
                 }
             };
         }
@@ -91,7 +91,8 @@ impl<const N: usize> Stages<N> {
     /// How far q and q̇ at the place of a row are from the beginning.
     #[inline(always)]
     fn way<const ROW: usize>(&self) -> [Vector<N>; 2] {
-        self.sums::<ROW>().map(|sum| self.both_h * sum)
+        let unit = self.both_h * f64x2::splat(const { last(ROW) });
+        self.sums::<ROW>().map(|sum| unit * sum)
     }
 
     /// Evaluates the stages of the step, in place: what a function returns is copied.

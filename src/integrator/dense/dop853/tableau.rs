@@ -41,6 +41,12 @@ pub(super) const COEFFICIENTS: [[f64; ALL]; SUMS] = {
     all
 };
 
+/// The last coefficient of a row that is not 0.
+pub(super) const fn last(row: usize) -> f64 {
+    let coefficients = A[row];
+    coefficients[coefficients.len() - 1].1
+}
+
 /// Where each stage is evaluated: the sum over the stages before it. Row [`END`] is the new value, of order 8.
 pub(super) const A: [Row; ALL] = [
     &[],
