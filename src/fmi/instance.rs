@@ -10,7 +10,7 @@ use super::values::{check_computed, check_settable, check_value, lookup};
 use super::{CallError, Kind, Snapshot, Stage, bindings, computed};
 use crate::observers::{Observation, Observed};
 use crate::simulation::Method;
-use crate::variables::{FmiType, Value, Variable, VariableId};
+use crate::variables::{FmiType, VARIABLES, Value, Variable, VariableId};
 
 /// An instance of the FMU.
 #[derive(Debug)]
@@ -21,7 +21,8 @@ pub struct Instance {
     observation: Option<Observation>,
     /// Before the end of initialisation: the scene made ready with the present values, where an output has been read.
     preview: Option<Box<Scene>>,
-    /// What a call has read so far: values are handed over together. Kept for its room.
+    /// What a call has read so far: values are handed over together. Kept for its room, which is there from the
+    /// beginning: calls allocate nothing, unless they ask for more values than there are variables.
     read: Vec<Value>,
     /// Lines for the master.
     pub log: Log,
@@ -30,7 +31,13 @@ pub struct Instance {
 impl Instance {
     /// A fresh instance; `logging_on` as given to fmi2Instantiate.
     pub fn new(kind: Kind, logging_on: bool) -> Self {
-        Self { now: Snapshot::fresh(kind), observation: None, preview: None, read: Vec::new(), log: Log::new(logging_on) }
+        Self {
+            now: Snapshot::fresh(kind),
+            observation: None,
+            preview: None,
+            read: Vec::with_capacity(VARIABLES.len()),
+            log: Log::new(logging_on),
+        }
     }
 
     /// What is about to change: whatever has been observed of it does not hold any more.

@@ -18,6 +18,7 @@ mod hermite;
 mod interpolant;
 mod kind;
 mod landing;
+mod plan;
 mod rosenbrock;
 mod sample;
 mod step;

@@ -3,8 +3,9 @@
 use std::borrow::Borrow;
 
 use super::dop853::Stages;
+use super::plan::{Outcome, Plan, Try};
 use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
-use super::step::{LONGEST, Outcome, Plan, Try};
+use super::step::LONGEST;
 use super::trial::{Origin, Slope, Trial};
 use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, Kind, LEAST_LOG_ERROR, Memory, Settings};
@@ -93,11 +94,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// The same for a step of one kind, by the very function that makes steps.
-    fn again_by<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
-        &self,
-        system: &S,
-        settings: &Settings,
-    ) -> bool {
+    fn again_by<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&self, system: &S, settings: &Settings) -> bool {
         let origin = Origin::new(system, &self.start.q, &system.pose(&self.start.q), settings.regularization);
         let Some(shared) = T::prepare(system, settings, (&self.start, &origin)) else { return false };
         let is_cut = self.cut_from > 0.0;

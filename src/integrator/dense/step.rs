@@ -5,6 +5,7 @@ use std::borrow::Borrow;
 use super::dop853::Stages;
 use super::events::Border;
 use super::kind::Seen;
+use super::plan::{Outcome, Plan, Try};
 use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock, Shared};
 use super::trial::{Allowed, Landing, Origin, RATE, Slope, Trial};
 use super::tsit5::Tsit5;
@@ -25,43 +26,6 @@ const MOST_TOLERANCES_OFF: f64 = 1e3;
 const TURN: f64 = 0.3;
 /// Round-off of a difference of coordinates, rad.
 const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
-
-/// What the next step is to be.
-pub(super) struct Plan<'a, P> {
-    /// Its length, s.
-    pub(super) h: f64,
-    /// What the error wants it to be.
-    pub(super) wanted: f64,
-    /// What it may be.
-    pub(super) longest: f64,
-    /// Whether a vertex is near, where energy may have to be kept.
-    pub(super) near: bool,
-    /// Whether borders are looked for: a step made once more ends where it did.
-    pub(super) seeks_borders: bool,
-    /// When an output is asked for, and what limits it while inputs are held.
-    pub(super) horizon: Horizon,
-    /// The pose at its beginning, where it is known.
-    pub(super) pose: Option<&'a P>,
-}
-
-/// A try of it.
-pub(super) struct Try {
-    /// Its length, s.
-    pub(super) h: f64,
-    /// The last one that was rejected: length and error.
-    pub(super) rejected: Option<[f64; 2]>,
-    /// How many were to end at a border.
-    pub(super) cuts: u32,
-}
-
-/// What has come of it.
-pub(super) enum Outcome {
-    Accepted,
-    /// Its error is too large, or NaN.
-    Rejected(f64),
-    /// It has to end at a border, so many seconds from its beginning.
-    Crosses(f64),
-}
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The next step: its beginning is the end of the one under way, whose pose may be known already.
