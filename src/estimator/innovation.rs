@@ -17,9 +17,11 @@ pub struct Innovation {
 /// What the models expect of a sample.
 #[derive(Clone, Copy, Debug)]
 pub struct Expected {
-    weights: [f64; MODELS],
+    pub(super) weights: [f64; MODELS],
     /// Of each model: residual, its variance, P hᵀ.
     pub(super) each: [(f64, f64, Error); MODELS],
+    /// The logarithm of how likely each model makes the sample; `None`: as `each` says.
+    pub(super) likelihood: Option<[f64; MODELS]>,
 }
 
 impl Expected {
@@ -58,7 +60,7 @@ impl Bank {
             let variance = along(&sample.row, &column) + sample.noise;
             (sample.residual - along(&sample.row, error), variance, column)
         });
-        Expected { weights: self.members.map(|member| member.weight), each }
+        Expected { weights: self.members.map(|member| member.weight), each, likelihood: None }
     }
 }
 
