@@ -243,7 +243,6 @@ impl Bank {
                 *own = own.max(f64::EPSILON * gain[i] * column[i]);
             }
         }
-        let likelihood = expected.likelihood.unwrap_or(likelihood);
         let largest = likelihood.into_iter().fold(f64::NEG_INFINITY, f64::max);
         let mut sum = 0.0;
         for (member, likelihood) in self.members.iter_mut().zip(likelihood) {

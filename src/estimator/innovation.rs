@@ -17,11 +17,9 @@ pub struct Innovation {
 /// What the models expect of a sample.
 #[derive(Clone, Copy, Debug)]
 pub struct Expected {
-    pub(super) weights: [f64; MODELS],
+    weights: [f64; MODELS],
     /// Of each model: residual, its variance, P hᵀ.
     pub(super) each: [(f64, f64, Error); MODELS],
-    /// The logarithm of how likely each model makes the sample; `None`: as `each` says.
-    pub(super) likelihood: Option<[f64; MODELS]>,
 }
 
 impl Expected {
@@ -60,7 +58,7 @@ impl Bank {
             let variance = along(&sample.row, &column) + sample.noise;
             (sample.residual - along(&sample.row, error), variance, column)
         });
-        Expected { weights: self.members.map(|member| member.weight), each, likelihood: None }
+        Expected { weights: self.members.map(|member| member.weight), each }
     }
 }
 

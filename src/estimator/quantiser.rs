@@ -26,13 +26,8 @@ impl Expected {
         let (mean, variance) = self.together();
         let variance = variance - noise + white;
         let (sigma, rounding) = (variance.sqrt(), quantum * quantum / 12.0);
-        let (mut to, mut told, mut likelihood) = (mean, rounding, None);
+        let (mut to, mut told) = (mean, rounding);
         if sigma < WIDE * quantum && mean.abs() < FAR * quantum {
-            // How likely the reading is that stands for it is not how likely it is itself: that reading is made for all models together.
-            likelihood = Some(self.each.map(|(residual, variance, _)| {
-                let sigma = (variance - noise + white).sqrt();
-                libm::log(part((residual - quantum / 2.0) / sigma, (residual + quantum / 2.0) / sigma).0)
-            }));
             let (shift, left) = truncated((mean - quantum / 2.0) / sigma, (mean + quantum / 2.0) / sigma);
             // P⁻¹ + R⁻¹ and P⁻¹ m + R⁻¹ y of a normal distribution are those of the part that is left.
             let less = 1.0 - left;
@@ -44,7 +39,7 @@ impl Expected {
             };
         }
         let changed = (told * repeated).max(least * rounding) + white - noise;
-        let mut other = Self { likelihood, ..*self };
+        let mut other = *self;
         for (residual, variance, _) in &mut other.each {
             (*residual, *variance) = (*residual + to - mean, *variance + changed);
         }
@@ -52,18 +47,12 @@ impl Expected {
     }
 }
 
-/// What of a standard normal distribution is between a and b, and its density at both.
-fn part(a: f64, b: f64) -> (f64, [f64; 2]) {
-    // Seen from where both are tails, if they are: no digits are lost.
-    let (a, b) = if a + b < 0.0 { (-b, -a) } else { (a, b) };
-    let densities = [a, b].map(density);
-    ((above(a, densities[0]) - above(b, densities[1])).max(NOTHING[0]), densities)
-}
-
 /// Mean and variance of the part of a standard normal distribution between a and b.
 fn truncated(a: f64, b: f64) -> (f64, f64) {
+    // Seen from where both are tails, if they are: no digits are lost.
     let (a, b, sign) = if a + b < 0.0 { (-b, -a, -1.0) } else { (a, b, 1.0) };
-    let (part, [at_a, at_b]) = part(a, b);
+    let [at_a, at_b] = [a, b].map(density);
+    let part = (above(a, at_a) - above(b, at_b)).max(NOTHING[0]);
     let mean = (at_a - at_b) / part;
     let variance = 1.0 - mean * mean + (a * at_a - b * at_b) / part;
     (sign * mean, variance.clamp(NOTHING[1], 1.0))
@@ -99,9 +88,6 @@ mod tests {
                 let weight = density(x);
                 sums = [sums[0] + weight, sums[1] + weight * x, sums[2] + weight * x * x];
             }
-            let (all, width) = (part(a, b).0, (b - a) / f64::from(n));
-            // The tails of intervals that lie in one are 1.2 % off each, at the most.
-            assert!((all - sums[0] * width).abs() < 0.025 * all.max(0.3), "{a} to {b}: {all}, not {}", sums[0] * width);
             let mean = sums[1] / sums[0];
             let variance = sums[2] / sums[0] - mean * mean;
             let (m, v) = truncated(a, b);
