@@ -22,7 +22,7 @@ pub type Matrix = [Error; ERRORS];
 
 /// Squared change of the unknown force per second, in units of the squared torque scale.
 const FORCE_WALK: [f64; MODELS] = [4e-4, 0.04, 4.0, 4000.0];
-/// The same in units of the squared torque that accelerates the links: masses are not known exactly, and what they are off by changes as
+/// The same in units of the squared torques that accelerate the links: masses are not known exactly, and what they are off by changes as
 /// the motion does.
 const MASS_WALK: [f64; MODELS] = [1e-3, 0.08, 0.0, 0.0];
 /// White torque on every link, s, in units of the squared torque scale.
@@ -102,7 +102,7 @@ impl Bank {
     }
 
     /// Mixes the models as they may have changed in h seconds, moves them, and adds what each expects of the process: in units of a torque
-    /// scale, and of the torque that accelerates the links, N·m. `switch_time`, s, is how long a model stays before one of `priors` follows.
+    /// scale, and of the torques that accelerate the links, N·m. `switch_time`, s, is how long a model stays before one of `priors` follows.
     #[inline(never)]
     pub fn predict(
         &mut self,

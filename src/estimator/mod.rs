@@ -220,10 +220,12 @@ impl Estimator {
         let Constants { linkage, parameters, .. } = constants;
         let frame = linkage.frame(&self.track.theta);
         let timing = (h, parameters.switch_time);
-        // The torque that accelerates the links.
+        // The torques that accelerate the links, each by itself: next to a singularity, where they whip, one holds what another takes, and
+        // what is left of all on the basis is no more than what acts on the machine; masses that are off are off one by one.
         let forces = linkage.mass_times(&frame, &std::array::from_fn(|i| (omega[i] - self.track.omega[i]) / h));
-        let [first, second] = frame.basis.map(|direction| linkage::dot(&direction, &forces));
-        let scales = [constants.torque_scale(), (first * first + second * second).sqrt()];
+        let [first, second] = frame.basis;
+        let squares = (0..4).map(|i| (first[i] * first[i] + second[i] * second[i]) * forces[i] * forces[i]).sum::<f64>();
+        let scales = [constants.torque_scale(), (squares / 2.0).sqrt()];
         if parameters.forecast == Bands::SigmaPoints && self.is_coasting() {
             self.forecast.step(&self.track, constants, scene, (h, scales));
         }
