@@ -262,13 +262,14 @@ fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
 
 /// By how much less a step may add to what the balance of energy is off already, J: thousands of bounces in a row add up.
 fn strictness(settings: &Settings, off: f64, balance: f64) -> f64 {
-    /// The balance may be off by this part of the energy scale, times the root of the error tolerance: what steps add up to falls faster.
-    const BUDGET: f64 = 0.15;
+    /// The balance may be off by this part of the energy scale, times the error tolerance: what steps add up to by themselves falls as its
+    /// power of 2/3 only.
+    const BUDGET: f64 = 2000.0;
     const LEAST: f64 = 0.02;
     if off * balance <= 0.0 {
         return 1.0;
     }
-    (1.0 - off.abs() / (BUDGET * settings.energy_scale * settings.error_tolerance.sqrt())).clamp(LEAST, 1.0)
+    (1.0 - off.abs() / (BUDGET * settings.energy_scale * settings.error_tolerance)).clamp(LEAST, 1.0)
 }
 
 /// The error of the rates from a change of q̈ that was not foretold, in units of [`RATE`] + |q̇|, as an angle, rad.
