@@ -74,7 +74,8 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
 
     /// Power of the forces that have no potential, W.
     pub(super) fn power_without_potential(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
-        let at = self.context(q, pose, v);
+        // By where the state is: what a spring that has let go loses is power here, for its potential is counted.
+        let at = ForceContext { sides: Sides::of_grips(self.sides.grips), ..self.context(q, pose, v) };
         self.model.effects.iter().map(|effect| effect.input_power(&at) - effect.dissipation(&at)).sum()
     }
 

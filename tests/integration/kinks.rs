@@ -175,6 +175,33 @@ fn what_a_stop_takes_when_it_lets_go_is_dissipated() {
     assert!((dissipated - 2.4546e-2).abs() < 1e-6, "{dissipated:e} J");
 }
 
+/// The same next to a vertex, where steps keep the energy there is: what a stop that has let go still has is lost there, too.
+#[test]
+fn what_has_let_go_is_lost_next_to_a_vertex() {
+    // Through the vertex on its tangent cone: rates a, b, c of three links with a + b + c = 1 = a² + b² + c², and 1 of the fourth.
+    let (sin, cos) = 0.7_f64.sin_cos();
+    let (e1, e2) = (cos / 3.0_f64.sqrt(), sin / 3.0);
+    let along = [1.0 / 3.0 + e1 + e2, 1.0 / 3.0 - e1 + e2, 1.0 / 3.0 - 2.0 * e2, 1.0];
+    let vertex = [0.0, 0.0, std::f64::consts::PI, 0.0];
+    let theta = std::array::from_fn(|i| vertex[i] - 3e-6 * along[i]);
+    let omega = along.map(|rate| 20.0 * rate);
+    let mut parameters = default_parameters();
+    (parameters.settings.method, parameters.effects.gravity.enabled) = (Method::Dop853, false);
+    enable(&mut parameters, "stop");
+    let stop = &mut parameters.effects.stop;
+    (stop.k, stop.d, stop.width) = (50.0, 100.0, 1e-3);
+    (stop.lower, stop.upper) = ([theta[0] + 0.1, -9.0], [theta[0] + 3.0, 9.0]);
+    let mut simulation = Simulation::at(&parameters, &default_inputs(), theta, omega).expect("a scene");
+    for _ in 0..40 {
+        simulation.advance(&default_inputs(), 3e-8, 1).expect("a step");
+        let state = simulation.state();
+        let error = state.energy_error(simulation.model());
+        // 1.2e-4 J are lost in all, which came back into the motion.
+        assert!(error.abs() < 1e-9, "{error:e} J");
+    }
+    assert!(simulation.state().core.work.dissipated > 1e-4);
+}
+
 /// Kinks cut steps, and where communication points are changes nothing: the same bits, whether one looks or not.
 #[test]
 fn kinks_do_not_depend_on_communication_points() {

@@ -139,7 +139,7 @@ impl Choice {
     /// What they say: the step that is wanted, s, and their fastest rate, 1/s. Where it is far from the border there is nothing to gain.
     pub(super) fn probe(&mut self, wanted: f64, rate: f64) {
         self.explicit = 0;
-        if wanted * rate > WORTH_A_TRY {
+        if wanted.is_finite() && wanted * rate > WORTH_A_TRY {
             (self.stiff, self.against, self.border) = (true, 0, (wanted * rate).min(BORDERS[1]));
         }
     }
