@@ -266,10 +266,15 @@ fn strictness(settings: &Settings, off: f64, balance: f64) -> f64 {
     /// power of 2/3 only.
     const BUDGET: f64 = 2000.0;
     const LEAST: f64 = 0.02;
+    /// Round-off of an energy, in parts of the energy scale.
+    const ROUND_OFF: f64 = 256.0 * f64::EPSILON;
     if off * balance <= 0.0 {
         return 1.0;
     }
-    (1.0 - off.abs() / (BUDGET * settings.energy_scale * settings.error_tolerance)).clamp(LEAST, 1.0)
+    (1.0 - off.abs() / (BUDGET * settings.energy_scale * settings.error_tolerance))
+        .max(LEAST)
+        .max(ROUND_OFF / settings.error_tolerance)
+        .min(1.0)
 }
 
 /// The error of the rates from a change of q̈ that was not foretold, in units of [`RATE`] + |q̇|, as an angle, rad.
