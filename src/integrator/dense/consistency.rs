@@ -103,7 +103,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let needless = self.dense == [Slope::NONE; 4] && self.elapsed == self.length;
         let horizon = Horizon { output: if needless && !is_cut { f64::INFINITY } else { 0.0 }, limit: f64::INFINITY };
         let plan = Plan { h: length, wanted: length, longest: length, near: true, seeks_borders: false, horizon, pose: None };
-        let this = Try { h: length, rejected: None, cuts: 0 };
+        let this = Try::of(length);
         let mut redone = *self;
         redone.retract();
         let Outcome::Accepted = redone.try_once::<T, S>(system, settings, &plan, (&shared, &origin), &this) else {

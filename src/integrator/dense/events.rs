@@ -5,10 +5,12 @@
 //! border, or is made once more up to there.
 
 use std::borrow::Borrow;
+use std::cell::Cell;
 
+use super::interpolant::Interpolant;
 use super::step::SHORTEST;
 use super::trial::Slope;
-use super::{DenseStep, Settings};
+use super::{DenseStep, Kind, Settings};
 use crate::integrator::{Extremes, Kinked, Passage, State, System};
 use crate::vector::Vector;
 
@@ -25,8 +27,12 @@ const FINEST_SUMMIT: f64 = 0.125;
 const FINEST: f64 = 1e-6;
 /// Most sides that a state passes at once.
 const MOST_SIDES: u32 = 8;
-/// So many tries to end at a border are enough.
+/// After so many tries to end at a border the step is halved instead.
 const MOST_TRIES: u32 = 8;
+/// No step is halved to less than this, s: nothing moves in it.
+const NOTHING_MOVES: f64 = 1e-12;
+/// A step that takes more places to be cleared is too long for its interpolant, and halved.
+const MOST_PLACES: u32 = 200;
 /// The motion is straight over this part of a step.
 const NEARBY: f64 = 1e-6;
 /// The end of a step that was to end at a border is not farther from it than this part of the step.
@@ -152,13 +158,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         tries: u32,
     ) -> Border {
         let mut crosses = Border::Clear;
-        if tries > 0 {
+        if (1..MOST_TRIES).contains(&tries) {
             let end = self.balanced_end(system, settings);
             match Window::of(system, settings, [&end.q, &end.v, &end.a], self.length) {
                 // Another border may be crossed before.
-                Window::Within if tries < MOST_TRIES => crosses = Border::AtEnd,
-                Window::Within => return Border::AtEnd,
-                Window::Off(_) if tries >= MOST_TRIES => return Border::Clear,
+                Window::Within => crosses = Border::AtEnd,
                 // The interpolant was not that exact: the end itself says how far to go.
                 Window::Off(Some(later)) => return Border::Before(self.length + later),
                 Window::Off(None) => {}
@@ -166,9 +170,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         self.dense = dense(&self.balanced_end(system, settings));
         match self.first_crossing(system, settings, from) {
-            None => crosses,
-            Some(when) if when >= SHORTEST && self.cut(system, settings, when) => Border::AtEnd,
-            Some(when) => Border::Before(when),
+            Found::Nothing => crosses,
+            Found::Crossing(when) if when >= SHORTEST && self.cut(system, settings, when) => Border::AtEnd,
+            Found::Crossing(when) if tries < MOST_TRIES => Border::Before(when),
+            Found::Crossing(_) | Found::TooMuch if self.length > NOTHING_MOVES => Border::Before(0.5 * self.length),
+            Found::Crossing(_) | Found::TooMuch => crosses,
         }
     }
 
@@ -179,14 +185,63 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if shown > 0.0 { (shown - system.released(&system.touches(q, v))).max(0.0) } else { 0.0 }
     }
 
-    /// When the motion of the step first crosses a border, s from its beginning. The interpolant's coefficients must be there.
+    /// When the motion of the step first crosses a border. The interpolant's coefficients must be there.
     #[inline(never)]
-    fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings, from: S::Touches) -> Option<f64> {
-        let search = Search { step: self, system, tolerance: settings.error_tolerance, extremes: self.extremes() };
+    fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings, from: S::Touches) -> Found {
+        let motion = self.resolved_motion();
+        let extremes = self.extremes(&motion);
+        let search =
+            Search { step: self, system, tolerance: settings.error_tolerance, motion, extremes, left: Cell::new(MOST_PLACES) };
         let to = system.touches(&self.end.q, &self.end.v);
-        let first = search.first(&search.place(0.0, from), &search.place(1.0, to))?;
-        Some(self.length * first)
+        match search.first(&search.place(0.0, from), &search.place(1.0, to)) {
+            _ if search.left.get() == 0 => Found::TooMuch,
+            Some(part) => Found::Crossing(self.length * part),
+            None => Found::Nothing,
+        }
     }
+
+    /// The interpolant of the coordinates from where the step begins. In a short step the round-off of coordinates would be more than all
+    /// tolerances in its rates: there the way is that of the rates, which it is within that round-off.
+    fn resolved_motion(&self) -> Interpolant<N> {
+        /// Places on the step and weights of Gauss's rule, exact for the interpolant of the rates.
+        const GAUSS: [[f64; 2]; 4] = [
+            [0.069_431_844_202_973_71, 0.173_927_422_568_726_93],
+            [0.330_009_478_207_571_87, 0.326_072_577_431_273_07],
+            [0.669_990_521_792_428_1, 0.326_072_577_431_273_07],
+            [0.930_568_155_797_026_3, 0.173_927_422_568_726_93],
+        ];
+        /// Of a coordinate at both ends, and of what has been corrected.
+        const ROUND_OFF: f64 = 4.0 * f64::EPSILON;
+        let Self { start, end, length, .. } = self;
+        let mut moved = end.q - start.q;
+        if self.kind == Kind::Eighth {
+            let velocities = self.velocities();
+            let way = GAUSS.iter().fold(Vector::ZERO, |sum, [part, weight]| sum + weight * length * velocities.at(*part));
+            let is_round_off = |i: usize| (way[i] - moved[i]).abs() <= ROUND_OFF * (1.0 + end.q[i].abs());
+            moved = Vector::from_fn(|i| if is_round_off(i) { way[i] } else { moved[i] });
+        }
+        Interpolant::new([Vector::ZERO, moved], [*length * start.v, *length * end.v], std::array::from_fn(|k| self.dense[k].q))
+    }
+
+    /// Bounds on the motion of an interpolant: on the derivatives of its coordinates.
+    fn extremes(&self, motion: &Interpolant<N>) -> Extremes<N> {
+        let mut per = 1.0;
+        let [rates, accelerations, jerks, snaps] = motion.greatest().map(|greatest| {
+            per /= self.length;
+            per * greatest
+        });
+        Extremes { rates, accelerations, higher: Some([jerks, snaps]) }
+    }
+}
+
+/// What a search of an interpolant has found.
+enum Found {
+    /// It crosses no border.
+    Nothing,
+    /// It crosses one, so many seconds from the beginning.
+    Crossing(f64),
+    /// It took too many places to tell.
+    TooMuch,
 }
 
 /// A place on the interpolant of a step.
@@ -203,8 +258,12 @@ struct Search<'a, S, const N: usize, const M: usize, K> {
     step: &'a DenseStep<N, M, K>,
     system: &'a S,
     tolerance: f64,
+    /// From where the step begins.
+    motion: Interpolant<N>,
     /// Of the whole step.
     extremes: Extremes<N>,
+    /// So many more places may be looked at.
+    left: Cell<u32>,
 }
 
 impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'_, S, N, M, K> {
@@ -214,9 +273,9 @@ impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
     }
 
     fn at(&self, part: f64) -> Place<S::Touches> {
+        self.left.set(self.left.get().saturating_sub(1));
         // One polynomial for both, which the bounds are of.
-        let positions = self.step.positions();
-        let (q, v) = (positions.at(part), (1.0 / self.step.length) * positions.rate_at(part));
+        let (q, v) = (self.step.start.q + self.motion.at(part), (1.0 / self.step.length) * self.motion.rate_at(part));
         self.place(part, self.system.touches(&q, &v))
     }
 
@@ -229,7 +288,7 @@ impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
             return before.or(Some(at.part));
         }
         let stretch = to.part - from.part;
-        if stretch <= FINEST {
+        if stretch <= FINEST || self.left.get() == 0 {
             return None;
         }
         let duration = stretch * self.step.length;

@@ -28,6 +28,15 @@ pub(super) struct Try {
     pub(super) rejected: Option<[f64; 2]>,
     /// How many were to end at a border.
     pub(super) cuts: u32,
+    /// The length of the one whose interpolant has shown it, s.
+    pub(super) shown_by: f64,
+}
+
+impl Try {
+    /// The first one.
+    pub(super) fn of(h: f64) -> Self {
+        Self { h, rejected: None, cuts: 0, shown_by: f64::INFINITY }
+    }
 }
 
 /// What has come of it.

@@ -4,7 +4,7 @@ use std::borrow::Borrow;
 
 use super::interpolant::Interpolant;
 use super::{DenseStep, Kind, Settings, hermite};
-use crate::integrator::{Counters, Extremes, Kinked, Passage, State, System, Work};
+use crate::integrator::{Counters, Kinked, Passage, State, System, Work};
 use crate::vector::Vector;
 
 /// What holds at the present time, between the ends of the step.
@@ -108,16 +108,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             Kind::Fifth | Kind::StiffFourth | Kind::StiffFifth => (1.0 / self.length) * self.positions().rate_at(part),
         };
         [q, v]
-    }
-
-    /// Bounds on the motion of the interpolant: on the derivatives of its coordinates.
-    pub(super) fn extremes(&self) -> Extremes<N> {
-        let mut per = 1.0;
-        let [rates, accelerations, jerks, snaps] = self.positions().greatest().map(|greatest| {
-            per /= self.length;
-            per * greatest
-        });
-        Extremes { rates, accelerations, higher: Some([jerks, snaps]) }
     }
 
     #[inline]

@@ -24,6 +24,11 @@ const WITH_ROUNDING: f64 = 1.000_001;
 const MOST_TOLERANCES_OFF: f64 = 1e3;
 /// A slow rate may be off by this part of what turns a force round: steps that jump over that never find the rest behind it.
 const TURN: f64 = 0.3;
+/// A step whose interpolant has shown a border that is not there, or one that leaves little of it, was too long to tell: the next one is not
+/// longer than this part of it. So what goes to and fro at a border is resolved in a few steps.
+const TRUSTED: f64 = 0.3;
+/// So much of a step is little.
+const LITTLE: f64 = 0.01;
 /// Round-off of a difference of coordinates, rad.
 const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
@@ -116,7 +121,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         };
         let mut on_sides = system.on(self.sides);
         let mut shared = T::prepare(on_sides.borrow(), settings, (&self.start, &origin));
-        let mut this = Try { h: plan.h, rejected: None, cuts: 0 };
+        let mut this = Try::of(plan.h);
         loop {
             let Some(prepared) = &shared else { return self.attempt::<Stages<N>, S>(system, settings, plan) };
             match self.try_once::<T, S>(on_sides.borrow(), settings, plan, (prepared, &origin), &this) {
@@ -126,10 +131,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                     self.end.counters.rejected += 1;
                     this.cuts += 1;
                     if when < SHORTEST {
+                        this.shown_by = f64::INFINITY;
                         self.turn(system, settings);
                         on_sides = system.on(self.sides);
                         shared = T::prepare(on_sides.borrow(), settings, (&self.start, &origin));
                     } else {
+                        this.shown_by = this.h;
                         this.h = when.min(plan.longest);
                     }
                 }
@@ -156,7 +163,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         plan: &Plan<'_, S::Pose>,
         (prepared, origin): (&T::Shared, &Origin<S::Place, N>),
-        &Try { h, rejected, cuts }: &Try,
+        &Try { h, rejected, cuts, shown_by }: &Try,
     ) -> Outcome {
         let &Plan { wanted, near, seeks_borders, horizon, .. } = plan;
         let kept = if near { self.kept(on, h) } else { None };
@@ -164,12 +171,18 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let (error, landing) = trial.land(on, settings, origin, &settings.allowed_of(on), kept);
         let Some(landing) = landing else { return Outcome::Rejected(error) };
         self.accept(&landing, h, T::KIND);
+        let mut tried = f64::INFINITY;
         if on.has_kinks() && seeks_borders {
             let start = self.start;
             let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
             match self.border(on, settings, &mut dense, cuts) {
-                Border::Clear => {}
-                Border::AtEnd => self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance),
+                // Nothing is where the interpolant of a longer step has shown a border.
+                Border::Clear => tried = shown_by,
+                Border::AtEnd => {
+                    self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance);
+                    tried = if self.cut_from > 0.0 { self.cut_from } else { shown_by };
+                    tried = if self.length < LITTLE * tried { tried } else { f64::INFINITY };
+                }
                 Border::Before(when) => return Outcome::Crosses(when),
             }
         }
@@ -181,10 +194,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         self.end.error_estimate = error * settings.error_tolerance;
         self.adapt::<T>(h, error, wanted, rejected.is_some());
+        let next = self.next_by::<T>();
+        *next = next.min((TRUSTED * tried).max(SHORTEST));
         // Friction that sticks leaves no choice: nothing is to be learned from its steps. Nor from one that ends where it has no stage.
         let chooses = settings.kinds == Kinds::Automatic;
         if chooses && !on.has_grips() && !is_cut {
-            let (product, wanted) = (h * trial.fastest_rate(&self.end), self.wanted_by::<T>());
+            let (product, wanted) = (h * trial.fastest_rate(&self.end), *self.next_by::<T>());
             self.memory.choice.learn(&Seen {
                 kind: T::KIND,
                 length: h,
@@ -285,12 +300,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
             next_step(h, if rejected { growth.min(1.0) } else { growth }, wanted)
         };
-        *(if T::KIND == Kind::Fifth { &mut self.memory.choice.fifth } else { &mut self.end.substep }) = next;
+        *self.next_by::<T>() = next;
     }
 
     /// The step that one of a kind wants next, s.
-    fn wanted_by<T: Trial<N>>(&self) -> f64 {
-        if T::KIND == Kind::Fifth { self.memory.choice.fifth } else { self.end.substep }
+    fn next_by<T: Trial<N>>(&mut self) -> &mut f64 {
+        if T::KIND == Kind::Fifth { &mut self.memory.choice.fifth } else { &mut self.end.substep }
     }
 }
 
