@@ -39,6 +39,8 @@ const NEAREST: f64 = 1e-5;
 /// Largest part of the kinetic energy by which a step close to a vertex may be off before it is put right.
 const ENERGY_CHANGE: f64 = 0.01;
 
+/// Largest part of it by which the power over a step of high order may vary for that.
+const VARIED: f64 = 1e-6;
 /// With coaxial motors, nearer than this to a posture with all links in line, rad, the twelve coordinates may fail.
 const NEAR_MEETING: f64 = 1e-2;
 
@@ -81,16 +83,8 @@ impl Passage<ANGLES> for ByAngles<'_> {
         }
     }
 
-    /// By little, or the step has failed. 1 where so little energy is involved that it is lost in round-off, or so much is lost or put
-    /// in on the way that the trapezoidal rule says less about it than the step itself.
     fn energy_scale(&self, before: &EnergyBalance, q: &Angles, v: &Angles, h: f64) -> Result<f64, StepError> {
-        let [kinetic, potential, power] = self.energies(q, v);
-        let work = h / 2.0 * (before.power + power);
-        if kinetic <= LOST * before.energy.abs().max(potential.abs()) || work.abs() > ENERGY_CHANGE * kinetic {
-            return Ok(1.0);
-        }
-        let part = (before.energy + work - potential) / kinetic - 1.0;
-        if part.abs() > ENERGY_CHANGE { Err(StepError::EnergyChange { part }) } else { Ok((1.0 + part).sqrt()) }
+        self.energy_scale_unless(VARIED, before, [q, v], h)
     }
 
     #[inline]
@@ -119,6 +113,18 @@ impl Passage<ANGLES> for ByAngles<'_> {
 }
 
 impl ByAngles<'_> {
+    /// What scales rates to the energy: by little, or the step has failed. 1 where so little energy is involved that it is lost in
+    /// round-off, or so much is lost or put in, by a power that varies by more, that the trapezoidal rule says less than the step itself.
+    fn energy_scale_unless(&self, varied: f64, before: &EnergyBalance, [q, v]: [&Angles; 2], h: f64) -> Result<f64, StepError> {
+        let [kinetic, potential, power] = self.energies(q, v);
+        let (work, varies) = (h / 2.0 * (before.power + power), h * (power - before.power).abs() > varied * kinetic);
+        if kinetic <= LOST * before.energy.abs().max(potential.abs()) || work.abs() > ENERGY_CHANGE * kinetic || varies {
+            return Ok(1.0);
+        }
+        let part = (before.energy + work - potential) / kinetic - 1.0;
+        if part.abs() > ENERGY_CHANGE { Err(StepError::EnergyChange { part }) } else { Ok((1.0 + part).sqrt()) }
+    }
+
     /// Where a motion on a branch of the closure is h seconds later, if that is near to where branches meet: by steps in the angles, for
     /// which it is a place like any other. In the twelve coordinates.
     #[cold]
@@ -220,7 +226,7 @@ impl ByAngles<'_> {
     /// Along a ray, out of the ball or as far as `rest` seconds go. Inside the ball nothing is projected: Φ is met to the order of impact
     /// parameter × radius, and near the rank loss a projection would divide round-off by the smallest singular value.
     ///
-    /// `None` where leaving the ball would change the energy: then the motion was on no ray.
+    /// `None` where leaving the ball would change the energy, or stops and planes take much of it: then the motion is on no ray.
     fn transit(&self, from: &Departure<'_, ANGLES>, ray: &Ray, rest: f64) -> Option<Transit<ANGLES>> {
         let &Ray { vertex, aside, direction, position, speed, acceleration, .. } = ray;
         let (duration, leaves) = (ray.duration.min(rest), ray.duration <= rest);
@@ -232,7 +238,12 @@ impl ByAngles<'_> {
             v += velocity_correction(self, &pose, &self.factor_mass(&pose, self.regularization_by_angles()), &v);
         }
         // The rate along the ray is known from the energy better than from the acceleration, which was taken as constant.
-        let scale = self.energy_scale(&self.energy_balance(from.q, from.v), &q, &v, duration).ok()?;
+        let before = self.energy_balance(from.q, from.v);
+        let scale = self.energy_scale_unless(f64::INFINITY, &before, [&q, &v], duration).ok()?;
+        let [kinetic, _, power] = self.energies(&q, &v);
+        if self.model().may_touch && duration * before.power.abs().max(power.abs()) > ENERGY_CHANGE * kinetic {
+            return None;
+        }
         let passed = position < 0.0 && ahead >= 0.0;
         Some(Transit { q, v: scale * v, duration, on_ray: !leaves, passed, from_rest: None, known: None })
     }
@@ -320,7 +331,7 @@ impl<const BARE: bool> Passage<COORDINATES> for FiveBar<'_, BARE> {
     }
 
     fn energy_scale(&self, before: &EnergyBalance, q: &Coordinates, v: &Coordinates, h: f64) -> Result<f64, StepError> {
-        ByAngles::new(self.general()).energy_scale(before, &angles_of(q), &angles_of(v), h)
+        ByAngles::new(self.general()).energy_scale_unless(f64::INFINITY, before, [&angles_of(q), &angles_of(v)], h)
     }
 
     fn can_project(&self, q: &Coordinates) -> bool {
