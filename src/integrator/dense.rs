@@ -21,6 +21,7 @@ mod landing;
 mod plan;
 mod rosenbrock;
 mod sample;
+mod search;
 mod step;
 mod stiffness;
 mod trial;
