@@ -4,7 +4,7 @@ mod bits;
 mod falls;
 mod followed;
 mod hour;
-mod kinks;
+pub(crate) mod kinks;
 mod postures;
 mod scales;
 mod torque;

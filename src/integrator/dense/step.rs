@@ -171,6 +171,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 Border::Clear => {}
                 Border::AtEnd => self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance),
                 Border::Before(when) => return Outcome::Crosses(when),
+                Border::Off(error) => {
+                    self.retract();
+                    self.sides_behind = self.sides;
+                    return Outcome::Rejected(error);
+                }
             }
         }
         let interpolated = horizon.output < WITH_ROUNDING * h;

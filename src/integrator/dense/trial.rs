@@ -117,7 +117,23 @@ impl Allowed {
     }
 }
 
+impl Settings {
+    /// The work of a step. What is dissipated in it is less than nothing only by an error, which is that large at least: 0 is nearer to the truth, and
+    /// where the error is more than the work may be off, the step is refused with it, in units of that.
+    #[inline]
+    pub(super) fn credible(&self, work: Work) -> Result<Work, f64> {
+        let error = -work.dissipated / (self.error_tolerance * self.energy_scale);
+        if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }
+    }
+}
+
 impl Allowed {
+    /// The work of a step, as [`Settings::credible`] has it; where there are kinks that is asked when it is known where the step ends.
+    #[inline]
+    pub(super) fn work(&self, settings: &Settings, work: Work) -> Result<Work, f64> {
+        if self.work.is_some() { Ok(work) } else { settings.credible(work) }
+    }
+
     /// The same where it is not asked in every step: one piece of code.
     #[inline(never)]
     pub(super) fn mean_square_of<const N: usize>(&self, error: [Vector<N>; 2], ends: [&Vector<N>; 2], work: Work) -> f64 {
