@@ -78,6 +78,9 @@ enum Task {
         /// Communication points to one of the battery; macro steps are as short
         #[arg(long, default_value_t = 1)]
         points: u64,
+        /// Torques that change now and then differ by multiples of this, N·m
+        #[arg(long, default_value_t = 1e-3)]
+        push: f64,
         /// At these tolerances, rad
         #[arg(long, value_delimiter = ',', default_value = "1e-4,1e-6,3e-9,1e-12")]
         tolerances: Vec<f64>,
@@ -143,12 +146,12 @@ impl Task {
                 write_csv(&rows, file(&out, "seeds.csv")?)?;
                 Ok(rows.iter().all(|row| row.verdict == Verdict::Pass))
             }
-            Self::Books { out, scenes, from, only, by, points, tolerances } => {
-                let sample = books::Sample { scenes: from..from + scenes, only, by, tolerances, points };
-                let rows = books::measure(&sample, |row| eprintln!("{}", row.line()));
+            Self::Books { out, scenes, from, only, by, points, push, tolerances } => {
+                let sample = books::Sample { scenes: from..from + scenes, only, by, tolerances, points, push };
+                let rows = books::measure(&sample, |row| eprintln!("{row}"));
                 books::write_markdown(&rows, io::stdout())?;
                 books::write_csv(&rows, file(&out, "books.csv")?)?;
-                Ok(true)
+                Ok(rows.iter().all(books::Books::is_met))
             }
             Self::Ends { table, only, count } => {
                 ends::add(&table, &only, count)?;
