@@ -6,6 +6,9 @@ use crate::vector::Vector;
 
 /// A rate may be off by what an angle may, times this and its own magnitude, 1/s.
 pub(super) const RATE: f64 = 100.0;
+/// Round-off of the balance of energy, in that of the energy scale and in that of the work of the joints' forces along the size of the machine.
+const OF_ENERGIES: f64 = 256.0;
+const OF_WORK: f64 = 4.0;
 
 /// Where forces change steeply: what the angles do not tell, in their unit. The error of the rates, from the change of q̈ that the last step
 /// did not foretell, counts in units of [`RATE`] + |q̇|; what the balance of energy is off in the step, in units of the energy scale: a
@@ -35,7 +38,10 @@ pub(super) fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Ki
     let before = system.energy(&from.q, &system.pose(&from.q), &from.v);
     let balance = system.energy(&to.q, pose, &to.v) - before - h / 2.0 * (put_in(from.power) + put_in(to.power)) - driven;
     let off = before - settings.energy_at_start - put_in(from.work);
-    rates.max(balance.abs() / (settings.energy_scale * strictness(settings, off, balance)))
+    // A place is known within round-off, and a force does work along it.
+    let noise = f64::EPSILON * (OF_ENERGIES * settings.energy_scale + OF_WORK * system.length_scale() * to.lambda.max_norm());
+    let allowed = settings.error_tolerance * settings.energy_scale * strictness(settings, off, balance);
+    rates.max(settings.error_tolerance * balance.abs() / allowed.max(noise))
 }
 
 /// What drives put in beyond the trapezoidal rule for their power, J: the mean of their forces Q at both ends times the way is
@@ -58,15 +64,10 @@ fn strictness(settings: &Settings, off: f64, balance: f64) -> f64 {
     /// power of 2/3 only.
     const BUDGET: f64 = 2000.0;
     const LEAST: f64 = 0.02;
-    /// Round-off of an energy, in parts of the energy scale.
-    const ROUND_OFF: f64 = 256.0 * f64::EPSILON;
     if off * balance <= 0.0 {
         return 1.0;
     }
-    (1.0 - off.abs() / (BUDGET * settings.energy_scale * settings.error_tolerance))
-        .max(LEAST)
-        .max(ROUND_OFF / settings.error_tolerance)
-        .min(1.0)
+    (1.0 - off.abs() / (BUDGET * settings.energy_scale * settings.error_tolerance)).max(LEAST)
 }
 
 /// The error of the rates from a change of q̈ that was not foretold, in units of [`RATE`] + |q̇|, as an angle, rad.
