@@ -3,7 +3,6 @@
 
 use std::fmt;
 use std::io::{self, Write};
-use std::ops::Range;
 
 use rayon::prelude::*;
 
@@ -43,7 +42,7 @@ fn settings(tolerance: f64) -> [Setting; 3] {
 #[derive(Clone, Debug)]
 pub struct Sample {
     /// Scenes of each kind, by their numbers.
-    pub scenes: Range<u64>,
+    pub scenes: Vec<u64>,
     /// Only kinds whose names contain this.
     pub only: String,
     /// Only this method, named as `solver.method` names it.
@@ -59,7 +58,7 @@ pub struct Sample {
 /// The books of a sample; `done` is shown each row.
 pub fn measure(sample: &Sample, mut done: impl FnMut(&Books)) -> Vec<Books> {
     let mut rows = Vec::new();
-    for (case, trials) in kinks::trials(sample.scenes.clone()).into_iter().filter(|(name, _)| name.contains(&sample.only)) {
+    for (case, trials) in kinks::trials(&sample.scenes).into_iter().filter(|(name, _)| name.contains(&sample.only)) {
         let trials: Vec<Trial> = trials.into_iter().map(|trial| looked_at_often(trial, sample.points, sample.push)).collect();
         for (tolerance, setting) in sample.tolerances.iter().flat_map(|at| settings(*at).map(|setting| (*at, setting))) {
             if sample.by.as_ref().is_some_and(|by| setting.method() != by) {

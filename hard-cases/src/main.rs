@@ -147,7 +147,7 @@ impl Task {
                 Ok(rows.iter().all(|row| row.verdict == Verdict::Pass))
             }
             Self::Books { out, scenes, from, only, by, points, push, tolerances } => {
-                let sample = books::Sample { scenes: from..from + scenes, only, by, tolerances, points, push };
+                let sample = books::Sample { scenes: (from..from + scenes).collect(), only, by, tolerances, points, push };
                 let rows = books::measure(&sample, |row| eprintln!("{row}"));
                 books::write_markdown(&rows, io::stdout())?;
                 books::write_csv(&rows, file(&out, "books.csv")?)?;

@@ -121,6 +121,9 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
                 }
                 let last = h >= rest;
                 state.substep = next_step(h, CONTROLLER.growth(ln(error / tolerance), LEAST_LOG_ERROR), state.substep);
+                if settings.watches_rates(system) {
+                    state.work.input += drive_work(system, h, state, &attempt.end);
+                }
                 attempt.accept(system, state, h);
                 if outcome == Outcome::Turns {
                     events::turn(system, settings, state, sides);
@@ -169,8 +172,6 @@ struct Attempt<const N: usize, const M: usize> {
     end: Arrival<N, M>,
     /// Local error, rad.
     error: f64,
-    /// Work that drives put in beside that of the trapezoidal rule, J.
-    driven: f64,
 }
 
 /// One step of h: predictor, Newton on positions and total multipliers, velocity projection, acceleration from equilibrium.
@@ -215,12 +216,11 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kink
     if settings.watches_rates(system) && limits.energy.is_none() {
         end = damping::damped(system, &settings, state, h, (&pose, &mass), end);
     }
-    let (mut error, mut driven) = (local_error(system, h, &(end.a - state.a), &correction), 0.0);
+    let mut error = local_error(system, h, &(end.a - state.a), &correction);
     if settings.watches_rates(system) {
-        driven = drive_work(system, h, state, (&pose, &end));
-        error = error.max(steep_error(system, &settings, state, h, (&pose, &end, driven)));
+        error = error.max(steep_error(system, &settings, state, h, (&pose, &end)));
     }
-    if error.is_finite() && end.a.is_finite() { Ok(Attempt { end, error, driven }) } else { Err(StepError::NotFinite) }
+    if error.is_finite() && end.a.is_finite() { Ok(Attempt { end, error }) } else { Err(StepError::NotFinite) }
 }
 
 impl Settings {
@@ -240,21 +240,20 @@ fn taylor_step<const N: usize, const M: usize>(
     regularization: f64,
 ) -> Result<Attempt<N, M>, StepError> {
     let end = Arrival::out_of_line(system, [state.q + h * state.v, state.v + h * state.a], regularization).finite()?;
-    Ok(Attempt { end, error: 0.0, driven: 0.0 })
+    Ok(Attempt { end, error: 0.0 })
 }
 
 impl<const N: usize, const M: usize> Attempt<N, M> {
     /// Makes the attempt the new state.
     #[inline(always)]
     fn accept(self, system: &impl Implicit<N, M>, state: &mut State<N, M>, h: f64) {
-        let Self { end, error, driven } = self;
+        let Self { end, error } = self;
         if h >= SHORTEST_FOR_JERK {
             state.jerk = (end.a - state.a) / h;
         }
         if system.follows_work() {
             // Trapezoidal rule, of the order of the method.
             state.work = state.work.plus(h / 2.0, state.power).plus(h / 2.0, end.power);
-            state.work.input += driven;
         }
         state.error_estimate = error;
         state.arrive(&end);

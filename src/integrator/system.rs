@@ -161,7 +161,7 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
     }
 
     /// The forces of drives, whose work is put in, if there are any. Asked only of systems that are steep.
-    fn drives(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> Option<Vector<N>> {
+    fn drives(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
         None
     }
 

@@ -326,8 +326,8 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
     }
 
     #[cold]
-    fn drives(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Option<Coordinates> {
-        self.model.has_servo.then(|| self.model.drives(&self.context(q, pose, v)))
+    fn drives(&self, q: &Coordinates, v: &Coordinates) -> Option<Coordinates> {
+        self.model.has_servo.then(|| self.model.drives(&self.context(q, &self.pose(q), v)))
     }
 
     /// That of a full matrix with 22 rows is factorised.

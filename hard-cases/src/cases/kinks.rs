@@ -2,7 +2,6 @@
 //! Judged by a program of its own, `independent.rs` with `sticking.rs`.
 
 use std::f64::consts::TAU;
-use std::ops::Range;
 use std::sync::OnceLock;
 
 use fivebar::effects::Law;
@@ -36,13 +35,13 @@ const KINDS: [(&str, Scene); 10] = [
 ];
 
 pub(super) fn cases(extent: Extent) -> Vec<Case> {
-    trials(0..extent.pick(200, 3)).into_iter().map(|(name, trials)| case(name, trials)).collect()
+    trials(&Vec::from_iter(0..extent.pick(200, 3))).into_iter().map(|(name, trials)| case(name, trials)).collect()
 }
 
 /// The scenes of every kind with these numbers.
-pub(crate) fn trials(numbers: Range<u64>) -> Vec<(&'static str, Vec<Trial>)> {
+pub(crate) fn trials(numbers: &[u64]) -> Vec<(&'static str, Vec<Trial>)> {
     let of_kind = |(kind, (name, scene)): (usize, (&'static str, Scene))| {
-        let trials = numbers.clone().map(|number| trial(scene, 1000 * (kind as u64 + 1) + number, number));
+        let trials = numbers.iter().map(|&number| trial(scene, 1000 * (kind as u64 + 1) + number, number));
         (name, trials.collect())
     };
     KINDS.into_iter().enumerate().map(of_kind).collect()

@@ -192,4 +192,29 @@ mod tests {
         }
         assert!(rate < 1.5 * steepest, "{rate} of {steepest}");
     }
+
+    /// Held against values at 4000 places, for polynomials that rise and fall in all manners.
+    #[test]
+    fn what_has_risen_never_falls() {
+        let (mut number, mut falling) = (1_u64, 0);
+        let mut next = || {
+            number = number.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (number >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        };
+        for _ in 0..100 {
+            let [a, b, c, d, e, f, g, h] = std::array::from_fn(|_| Vector::<1>::from([next()]));
+            let interpolant = Interpolant::new([a, b], [c, d], [e, f, g, h]);
+            let (mut most, mut falls) = (f64::NEG_INFINITY, false);
+            for i in 0..=4000 {
+                let part = f64::from(i) / 4000.0;
+                let here = interpolant.at(part)[0];
+                (most, falls) = (most.max(here), falls || here < most);
+                let risen = interpolant.risen(0, part);
+                // Between two places a summit is higher by an eighth of the square of their distance times the curvature, 100 at most.
+                assert!((most..most + 1e-6).contains(&risen), "{part}: {risen} instead of {most}");
+            }
+            falling += u32::from(falls);
+        }
+        assert!(falling > 50, "only {falling} of them fall anywhere");
+    }
 }

@@ -19,7 +19,7 @@ pub(super) fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Ki
     settings: &Settings,
     from: &State<N, M>,
     h: f64,
-    (pose, to, driven): (&S::Pose, &Arrival<N, M>, f64),
+    (pose, to): (&S::Pose, &Arrival<N, M>),
 ) -> f64 {
     if system.may_touch() && may_overlook(system, settings, [&[from.q, from.v, from.a], &[to.q, to.v, to.a]], h) {
         return f64::INFINITY;
@@ -36,7 +36,8 @@ pub(super) fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Ki
     }
     let put_in = |work: Work| work.input - work.dissipated;
     let before = system.energy(&from.q, &system.pose(&from.q), &from.v);
-    let balance = system.energy(&to.q, pose, &to.v) - before - h / 2.0 * (put_in(from.power) + put_in(to.power)) - driven;
+    let done = h / 2.0 * (put_in(from.power) + put_in(to.power)) + drive_work(system, h, from, to);
+    let balance = system.energy(&to.q, pose, &to.v) - before - done;
     let off = before - settings.energy_at_start - put_in(from.work);
     // A place is known within round-off, and a force does work along it.
     let noise = f64::EPSILON * (OF_ENERGIES * settings.energy_scale + OF_WORK * system.length_scale() * to.lambda.max_norm());
@@ -47,14 +48,13 @@ pub(super) fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Ki
 /// What drives put in beyond the trapezoidal rule for their power, J: the mean of their forces Q at both ends times the way is
 /// h/2 (P₀ + P₁) − h/4 (Q₁ − Q₀)·(q̇₁ − q̇₀), which is what the rule for the motion does with a stiff drive: of a linear one nothing is lost
 /// or gained.
-pub(super) fn drive_work<const N: usize, const M: usize, S: Implicit<N, M>>(
-    system: &S,
+pub(super) fn drive_work<const N: usize, const M: usize>(
+    system: &impl Implicit<N, M>,
     h: f64,
     from: &State<N, M>,
-    (pose, to): (&S::Pose, &Arrival<N, M>),
+    to: &Arrival<N, M>,
 ) -> f64 {
-    let Some(after) = system.drives(&to.q, pose, &to.v) else { return 0.0 };
-    let Some(before) = system.drives(&from.q, &system.pose(&from.q), &from.v) else { return 0.0 };
+    let (Some(before), Some(after)) = (system.drives(&from.q, &from.v), system.drives(&to.q, &to.v)) else { return 0.0 };
     -h / 4.0 * (after - before).dot(&(to.v - from.v))
 }
 
