@@ -9,6 +9,8 @@ pub(super) const RATE: f64 = 100.0;
 /// Round-off of the balance of energy, in that of the energy scale and in that of the work of the joints' forces along the size of the machine.
 const OF_ENERGIES: f64 = 256.0;
 const OF_WORK: f64 = 4.0;
+/// A motion is as good as exact where rates are off by this part of the tolerance.
+const EXACT: f64 = 1e-4;
 
 /// Where forces change steeply: what the angles do not tell, in their unit. The error of the rates, from the change of q̈ that the last step
 /// did not foretell, counts in units of [`RATE`] + |q̇|; what the balance of energy is off in the step, in units of the energy scale: a
@@ -39,8 +41,9 @@ pub(super) fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Ki
     let done = h / 2.0 * (put_in(from.power) + put_in(to.power)) + drive_work(system, h, from, to);
     let balance = system.energy(&to.q, pose, &to.v) - before - done;
     let off = before - settings.energy_at_start - put_in(from.work);
-    // A place is known within round-off, and a force does work along it.
-    let noise = f64::EPSILON * (OF_ENERGIES * settings.energy_scale + OF_WORK * system.length_scale() * to.lambda.max_norm());
+    // A place is known within round-off, and a force does work along it: all that is left where the motion is as good as exact.
+    let place = if rates < EXACT * settings.error_tolerance { system.length_scale() } else { 0.0 };
+    let noise = f64::EPSILON * (OF_ENERGIES * settings.energy_scale + OF_WORK * place * to.lambda.max_norm());
     let allowed = settings.error_tolerance * settings.energy_scale * strictness(settings, off, balance);
     rates.max(settings.error_tolerance * balance.abs() / allowed.max(noise))
 }
