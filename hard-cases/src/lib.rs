@@ -4,6 +4,7 @@
 //! result. [`Case::measure`] runs it by a [`Setting`] (method, step, tolerance) and gives a [`Row`]. The cases themselves are in
 //! [`cases`], numbered as in the list that asked for them.
 
+pub mod books;
 pub mod cases;
 pub mod ends;
 pub mod gauss;

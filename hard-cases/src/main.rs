@@ -8,7 +8,7 @@ use std::process::{Command, ExitCode};
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
 use hard_cases::cases::{bits_row, falls_of_seed, fingerprint, followed, followed_count, hour};
-use hard_cases::{Case, Extent, Row, Setting, Verdict, ends, horizon, speed, step_times, write_csv, write_markdown};
+use hard_cases::{Case, Extent, Row, Setting, Verdict, books, ends, horizon, speed, step_times, write_csv, write_markdown};
 
 /// The battery of hard cases
 #[derive(Parser)]
@@ -57,6 +57,33 @@ enum Task {
         /// How many falls of each
         #[arg(long, default_value_t = 1000)]
         falls: usize,
+    },
+    /// Keep the books of energy of random scenes with kinks at tolerances from 1e-4 to 1e-12 rad; books.csv goes to a folder
+    Books {
+        /// The folder
+        #[arg(long)]
+        out: PathBuf,
+        /// How many scenes of each kind
+        #[arg(long, default_value_t = 20)]
+        scenes: u64,
+        /// The number of the first
+        #[arg(long, default_value_t = 200)]
+        from: u64,
+        /// Only kinds whose name contains this
+        #[arg(long, default_value = "")]
+        only: String,
+        /// Only this method, named as `solver.method` names it
+        #[arg(long)]
+        by: Option<String>,
+        /// Communication points to one of the battery; macro steps are as short
+        #[arg(long, default_value_t = 1)]
+        points: u64,
+        /// Torques that change now and then differ by multiples of this, N·m
+        #[arg(long, default_value_t = 1e-3)]
+        push: f64,
+        /// At these tolerances, rad
+        #[arg(long, value_delimiter = ',', default_value = "1e-4,1e-6,3e-9,1e-12")]
+        tolerances: Vec<f64>,
     },
     /// Work out where the independent programs end in the random scenes with kinks, and add what is missing to a table
     Ends {
@@ -118,6 +145,13 @@ impl Task {
                 println!("worst |dE| of {} falls of 50 s: {worst:.1e} mgL", rows.iter().map(|row| row.runs).sum::<usize>());
                 write_csv(&rows, file(&out, "seeds.csv")?)?;
                 Ok(rows.iter().all(|row| row.verdict == Verdict::Pass))
+            }
+            Self::Books { out, scenes, from, only, by, points, push, tolerances } => {
+                let sample = books::Sample { scenes: (from..from + scenes).collect(), only, by, tolerances, points, push };
+                let rows = books::measure(&sample, |row| eprintln!("{row}"));
+                books::write_markdown(&rows, io::stdout())?;
+                books::write_csv(&rows, file(&out, "books.csv")?)?;
+                Ok(rows.iter().all(books::Books::is_met))
             }
             Self::Ends { table, only, count } => {
                 ends::add(&table, &only, count)?;

@@ -46,6 +46,8 @@ pub struct Row {
     pub statuses: String,
     /// Largest |balance residual of the energy|, mgL or the trial's larger unit.
     pub energy: f64,
+    /// Most of what was dissipated that was taken back, in parts of the largest energy.
+    pub taken_back: f64,
     /// Largest constraint violation, m for a machine of the paper's size.
     pub position: f64,
     /// The same at velocity level, m/s.
@@ -64,7 +66,7 @@ pub struct Row {
     pub seconds: f64,
 }
 
-const HEADER: [&str; 17] = [
+const HEADER: [&str; 18] = [
     "item",
     "case",
     "method",
@@ -74,6 +76,7 @@ const HEADER: [&str; 17] = [
     "ended early",
     "status",
     "worst |dE| [mgL]",
+    "taken back",
     "worst Phi [m]",
     "worst Phidot [m/s]",
     "most sub-steps",
@@ -85,7 +88,7 @@ const HEADER: [&str; 17] = [
 ];
 
 impl Row {
-    fn cells(&self) -> [String; 17] {
+    fn cells(&self) -> [String; 18] {
         [
             self.item.to_string(),
             self.case.to_owned(),
@@ -96,6 +99,7 @@ impl Row {
             self.ended_early.to_string(),
             self.statuses.clone(),
             format!("{:.2e}", self.energy),
+            format!("{:.0e}", self.taken_back),
             format!("{:.1e}", self.position),
             format!("{:.1e}", self.velocity),
             self.most.to_string(),
@@ -153,7 +157,7 @@ pub(crate) fn markdown_table<const N: usize>(
 /// The rows as a table in Markdown, and below it what was not met by the judged ones.
 pub fn write_markdown(rows: &[Row], mut to: impl Write) -> io::Result<()> {
     // Criteria and exact inputs are too long for a table.
-    let columns = [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12, 14, 15];
+    let columns = [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12, 13, 15, 16];
     let cells = |row: &Row| {
         let cells = row.cells();
         columns.map(|i| cells[i].clone())

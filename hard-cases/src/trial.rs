@@ -89,6 +89,10 @@ pub struct Outcome {
     pub ending: Ending,
     /// Largest |balance residual of the energy|, in the trial's unit.
     pub energy: f64,
+    /// The same, J.
+    pub joules: f64,
+    /// The most that what is dissipated has ever fallen below what it was, as part of the largest energy until then.
+    pub taken_back: f64,
     /// Largest constraint violation at the outputs, m, divided by the machine's size in sizes of the paper's machine.
     pub position: f64,
     /// The same at velocity level, m/s.
@@ -184,6 +188,8 @@ impl Trial {
         let mut outcome = Outcome {
             ending: Ending::Complete,
             energy: 0.0,
+            joules: 0.0,
+            taken_back: 0.0,
             position: 0.0,
             velocity: 0.0,
             judged: [0.0; 2],
@@ -261,7 +267,7 @@ impl Trial {
             }
         };
         sample(simulation, 0.0);
-        let (mut peak, mut error): (f64, f64) = (0.0, 0.0);
+        let (mut peak, mut most_dissipated, mut largest): (f64, f64, f64) = (0.0, 0.0, 0.0);
         let mut before = simulation.state().core.counters.substeps;
         self.drive(simulation, step, |simulation, steps, time| {
             let core = &simulation.state().core;
@@ -272,8 +278,14 @@ impl Trial {
             }
             let norms = observers::constraint_norms(simulation.model(), &simulation.state());
             peak = peak.max(energies.kinetic);
-            error = error.max(energies.error.abs());
-            outcome.energy = error / unit.max(self.kinetic_part * peak);
+            outcome.joules = outcome.joules.max(energies.error.abs());
+            let observers::Energies { kinetic, dissipated, input, .. } = energies;
+            largest = largest.max(kinetic).max(dissipated).max(input.abs());
+            most_dissipated = most_dissipated.max(dissipated);
+            if dissipated < most_dissipated {
+                outcome.taken_back = outcome.taken_back.max((most_dissipated - dissipated) / largest);
+            }
+            outcome.energy = outcome.joules / unit.max(self.kinetic_part * peak);
             outcome.position = outcome.position.max(norms.position / size);
             outcome.velocity = outcome.velocity.max(norms.velocity / size);
             if !(self.vertex_outputs && in_vertex(simulation)) {

@@ -241,6 +241,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             return Ok(());
         }
         let mut rest = self.elapsed;
+        let dissipated = self.dissipated(system, settings);
         self.memory = self.before;
         self.sides_behind = self.sides;
         self.retract();
@@ -251,6 +252,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.step(system, settings, Horizon { output: f64::INFINITY, limit: rest }, None)?;
             rest -= self.length;
         }
+        // What has been shown is not taken back: of two values below the truth the larger one is nearer to it.
+        self.end.work.dissipated = self.end.work.dissipated.max(dissipated);
         (self.length, self.elapsed) = (0.0, 0.0);
         Ok(())
     }

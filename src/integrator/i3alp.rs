@@ -14,16 +14,17 @@ mod damping;
 mod events;
 mod line_search;
 mod newton;
+mod steep;
 
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, ln, next_step};
 use super::{
-    Approach, Arrival, Extremes, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, TangentPoint, Transit,
-    Work, velocity_correction,
+    Approach, Arrival, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, Transit, velocity_correction,
 };
 use crate::vector::Vector;
 use events::{Outcome, Search};
 use newton::{Found, Step, constraint_tolerance};
 use std::borrow::Borrow;
+use steep::{drive_work, steep_error};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,8 +52,6 @@ pub struct Settings {
 const SHORTEST_FOR_JERK: f64 = 1e-10;
 /// A step shorter than this, s, moves on by its Taylor series, which is then exact: Newton would divide round-off by h².
 const SHORTEST_FOR_NEWTON: f64 = 1e-12;
-/// Where forces change steeply, a rate may be off by what an angle may, times this and its own magnitude, 1/s.
-const RATE: f64 = 100.0;
 /// The local error is of third order.
 const CONTROLLER: StepSizeController =
     StepSizeController { exponent: 1.0 / 3.0, memory: 0.0, accepted: [0.5, 2.0], rejected: [0.1, 0.7], failed: 0.35 };
@@ -122,6 +121,9 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
                 }
                 let last = h >= rest;
                 state.substep = next_step(h, CONTROLLER.growth(ln(error / tolerance), LEAST_LOG_ERROR), state.substep);
+                if settings.watches_rates(system) {
+                    state.work.input += drive_work(system, h, state, &attempt.end);
+                }
                 attempt.accept(system, state, h);
                 if outcome == Outcome::Turns {
                     events::turn(system, settings, state, sides);
@@ -227,69 +229,6 @@ impl Settings {
     fn watches_rates<const N: usize, const M: usize>(&self, system: &impl Implicit<N, M>) -> bool {
         self.adaptive && system.is_steep()
     }
-}
-
-/// Where forces change steeply: what the angles do not tell, in their unit. The error of the rates, from the change of q̈ that the last step
-/// did not foretell, counts in units of [`RATE`] + |q̇|; what the balance of energy is off in the step, in units of the energy scale: a
-/// step across a kink leaves the motion almost right, and its work not. Infinite where the step may have overlooked a touch.
-#[cold]
-fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
-    system: &S,
-    settings: &Settings,
-    from: &State<N, M>,
-    h: f64,
-    (pose, to): (&S::Pose, &Arrival<N, M>),
-) -> f64 {
-    if system.may_touch() && may_overlook(system, settings, [&[from.q, from.v, from.a], &[to.q, to.v, to.a]], h) {
-        return f64::INFINITY;
-    }
-    let bend = to.a - from.a - h * from.jerk;
-    let mut rates = rate_error(system, h, &bend, &to.v);
-    if rates > settings.error_tolerance {
-        // What decays much faster than a step, and rings, is seen as the step's own matrix lets it through (Hairer and Wanner, section IV.8).
-        let at = TangentPoint { q: &to.q, pose, v: &to.v, lambda: &to.lambda, h };
-        let inertia = system.mass_times(pose, &bend);
-        rates = system
-            .solve_tangent_out_of_line(&at, settings.regularization, (&inertia, &Vector::ZERO))
-            .map_or(rates, |(bend, _)| rate_error(system, h, &bend, &to.v));
-    }
-    let put_in = |work: Work| work.input - work.dissipated;
-    let before = system.energy(&from.q, &system.pose(&from.q), &from.v);
-    let balance = system.energy(&to.q, pose, &to.v) - before - h / 2.0 * (put_in(from.power) + put_in(to.power));
-    let off = before - settings.energy_at_start - put_in(from.work);
-    rates.max(balance.abs() / (settings.energy_scale * strictness(settings, off, balance)))
-}
-
-/// By how much less a step may add to what the balance of energy is off already, J: thousands of bounces in a row add up.
-fn strictness(settings: &Settings, off: f64, balance: f64) -> f64 {
-    /// The balance may be off by this part of the energy scale, times the error tolerance: what steps add up to by themselves falls as its
-    /// power of 2/3 only.
-    const BUDGET: f64 = 2000.0;
-    const LEAST: f64 = 0.02;
-    /// Round-off of an energy, in parts of the energy scale.
-    const ROUND_OFF: f64 = 256.0 * f64::EPSILON;
-    if off * balance <= 0.0 {
-        return 1.0;
-    }
-    (1.0 - off.abs() / (BUDGET * settings.energy_scale * settings.error_tolerance))
-        .max(LEAST)
-        .max(ROUND_OFF / settings.error_tolerance)
-        .min(1.0)
-}
-
-/// The error of the rates from a change of q̈ that was not foretold, in units of [`RATE`] + |q̇|, as an angle, rad.
-fn rate_error<const N: usize, const M: usize>(system: &impl Implicit<N, M>, h: f64, bend: &Vector<N>, v: &Vector<N>) -> f64 {
-    h / 12.0 * system.angle_norm(bend) / (RATE + system.angle_norm(v))
-}
-
-/// Whether between two states, given by q, q̇ and q̈, h seconds apart, something may have touched more deeply than they show.
-fn may_overlook<const N: usize>(system: &impl Kinked<N>, settings: &Settings, [from, to]: [&[Vector<N>; 3]; 2], h: f64) -> bool {
-    /// By how much rates and accelerations on the way may exceed those at its ends.
-    const MARGIN: f64 = 1.5;
-    let [before, after] = [from, to].map(|[q, v, _]| system.touches(q, v));
-    let [rates, accelerations] = [1, 2].map(|order| Vector::from_fn(|i| MARGIN * from[order][i].abs().max(to[order][i].abs())));
-    let extremes = Extremes { rates, accelerations, higher: None };
-    !system.stays_within([&before, &after], h, &extremes, settings.error_tolerance)
 }
 
 /// A step so short that q̈ and λ stay but for round-off.

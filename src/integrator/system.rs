@@ -160,6 +160,11 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
         None
     }
 
+    /// The forces of drives, whose work is put in, if there are any. Asked only of systems that are steep.
+    fn drives(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
+        None
+    }
+
     /// The work of an iteration, in those of the fastest solve.
     fn iteration_work(&self) -> u64 {
         1

@@ -325,6 +325,11 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
         self.model.conservative.then(|| self.potential_energy(q, pose))
     }
 
+    #[cold]
+    fn drives(&self, q: &Coordinates, v: &Coordinates) -> Option<Coordinates> {
+        self.model.has_servo.then(|| self.model.drives(&self.context(q, &self.pose(q), v)))
+    }
+
     /// That of a full matrix with 22 rows is factorised.
     #[inline(always)]
     fn iteration_work(&self) -> u64 {

@@ -190,6 +190,16 @@ impl Model {
         self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - at.q.dot(&self.weight)
     }
 
+    /// The generalised forces of the effects whose work is put in.
+    pub(super) fn drives(&self, at: &ForceContext) -> Coordinates {
+        let mut forces = Coordinates::ZERO;
+        self.effects
+            .iter()
+            .filter(|effect| matches!(effect, Effect::Servo(_)))
+            .for_each(|effect| effect.add_forces(at, &mut forces));
+        forces
+    }
+
     /// How it changes, J.
     pub fn potential_change(&self, at: &ForceContext, change: &Perturbation) -> f64 {
         self.effects.iter().map(|effect| effect.potential_change(at, change)).sum::<f64>() - change.q.dot(&self.weight)

@@ -20,45 +20,54 @@ use crate::watch::Watch;
 /// How a random scene is made: its parameters, its inputs, and how long it is followed, s.
 type Scene = fn(&mut Random) -> (Parameters, Inputs, f64);
 
+/// The kinds of scenes, by name.
+const KINDS: [(&str, Scene); 10] = [
+    ("slow touches", slow_touch),
+    ("fast touches", fast_touch),
+    ("stops", stops),
+    ("drives and friction", drives),
+    ("all loads with kinks", everything),
+    ("stick and slip", stick_and_slip),
+    ("holding under gravity", holding),
+    ("drives against friction that sticks", drives_that_stick),
+    ("sticking on a plane", sticking_on_a_plane),
+    ("all loads, and all friction sticks", everything_sticks),
+];
+
 pub(super) fn cases(extent: Extent) -> Vec<Case> {
-    let kinds: [(&str, Scene); 10] = [
-        ("slow touches", slow_touch),
-        ("fast touches", fast_touch),
-        ("stops", stops),
-        ("drives and friction", drives),
-        ("all loads with kinks", everything),
-        ("stick and slip", stick_and_slip),
-        ("holding under gravity", holding),
-        ("drives against friction that sticks", drives_that_stick),
-        ("sticking on a plane", sticking_on_a_plane),
-        ("all loads, and all friction sticks", everything_sticks),
-    ];
-    kinds.into_iter().enumerate().map(|(kind, (name, scene))| case(name, kind as u64, scene, extent.pick(200, 3))).collect()
+    trials(&Vec::from_iter(0..extent.pick(200, 3))).into_iter().map(|(name, trials)| case(name, trials)).collect()
 }
 
-fn case(name: &'static str, kind: u64, scene: Scene, count: u64) -> Case {
-    let trials = (0..count).map(|number| {
-        let mut random = Random::new(1000 * (kind + 1) + number);
-        let (parameters, inputs, duration) = scene(&mut random);
-        // Some 200 communication steps of whole milliseconds.
-        let size = 1e-3 * (duration / 0.2).ceil();
-        let span = Span { inputs, size, count: (duration / size).ceil() as u64 };
-        let duration = span.duration();
-        Trial {
-            schedule: vec![span],
-            watch: Watch::Follows {
-                goal: Box::new(Goal { parameters: parameters.clone(), inputs, duration }),
-                end: OnceLock::new(),
-            },
-            ..Trial::free(format!("scene {number}"), parameters, duration)
-        }
-    });
+/// The scenes of every kind with these numbers.
+pub(crate) fn trials(numbers: &[u64]) -> Vec<(&'static str, Vec<Trial>)> {
+    let of_kind = |(kind, (name, scene)): (usize, (&'static str, Scene))| {
+        let trials = numbers.iter().map(|&number| trial(scene, 1000 * (kind as u64 + 1) + number, number));
+        (name, trials.collect())
+    };
+    KINDS.into_iter().enumerate().map(of_kind).collect()
+}
+
+/// A scene of a kind by its seed and number.
+fn trial(scene: Scene, seed: u64, number: u64) -> Trial {
+    let (parameters, inputs, duration) = scene(&mut Random::new(seed));
+    // Some 200 communication steps of whole milliseconds.
+    let size = 1e-3 * (duration / 0.2).ceil();
+    let span = Span { inputs, size, count: (duration / size).ceil() as u64 };
+    let duration = span.duration();
+    Trial {
+        schedule: vec![span],
+        watch: Watch::Follows { goal: Box::new(Goal { parameters: parameters.clone(), inputs, duration }), end: OnceLock::new() },
+        ..Trial::free(format!("scene {number}"), parameters, duration)
+    }
+}
+
+fn case(name: &'static str, trials: Vec<Trial>) -> Case {
     Case {
         also: "the end is that of an independent program",
         explicit_energy: 1e-6,
         settings: vec![Setting::Default, Setting::TIGHT, Setting::EXPLICIT, Setting::AUTOMATIC],
         // 1 µJ, and a third of it.
-        ..Case::new(9, name, [2.85e-5, 9.5e-6], trials.collect())
+        ..Case::new(9, name, [2.85e-5, 9.5e-6], trials)
     }
 }
 

@@ -4,7 +4,7 @@ mod bits;
 mod falls;
 mod followed;
 mod hour;
-mod kinks;
+pub(crate) mod kinks;
 mod postures;
 mod scales;
 mod torque;
@@ -59,6 +59,9 @@ pub struct Demand {
 
 /// Largest constraint violation at position level for a machine of the paper's size, m, and at velocity level, m/s.
 const CONSTRAINTS: [f64; 2] = [1e-12, 1e-9];
+
+/// So much of what was dissipated may be taken back, in parts of the largest energy: round-off.
+pub const TAKEN_BACK: f64 = 1e-12;
 
 /// What a case demands of the conserving step at 1 ms.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -186,6 +189,7 @@ impl Case {
             substeps += outcome.substeps;
             steps += outcome.steps;
             row.energy = row.energy.max(outcome.energy);
+            row.taken_back = row.taken_back.max(outcome.taken_back);
             row.position = row.position.max(outcome.position);
             row.velocity = row.velocity.max(outcome.velocity);
             row.most = row.most.max(outcome.most);
@@ -243,6 +247,7 @@ impl Case {
                 text += &format!(" (of the larger of mgL and {:e} of the peak kinetic energy)", trial.kinetic_part);
             }
         }
+        text += &format!(", what is dissipated is not taken back ({TAKEN_BACK:e} of the energies)");
         let [position, velocity] = demand.constraints;
         text += &format!(", Phi <= {position:e} m, Phidot <= {velocity:e} m/s");
         if self.trials.iter().any(|trial| trial.vertex_outputs) {
@@ -269,6 +274,7 @@ impl Demand {
         }
         for (what, value, bound) in [
             ("|dE|/unit", outcome.energy, self.energy),
+            ("dissipated, and taken back,", outcome.taken_back, TAKEN_BACK),
             ("Phi", outcome.judged[0], self.constraints[0]),
             ("Phidot", outcome.judged[1], self.constraints[1]),
         ] {

@@ -113,6 +113,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             return false;
         }
         if system.has_kinks() {
+            redone.end.work.dissipated = redone.end.work.dissipated.max(redone.start.work.dissipated);
             redone.end.work.dissipated += redone.released(system, [&redone.end.q, &redone.end.v]);
         }
         let end = &redone.end;

@@ -5,6 +5,7 @@
 //! defect adds up to on the way to the border is judged like the error of a step.
 
 use super::events::Window;
+use super::sample::worked;
 use super::trial::{Landing, Slope, larger};
 use super::{DenseStep, Kind, Settings};
 use crate::integrator::state::Arrival;
@@ -92,7 +93,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             return false;
         }
         let (q, v, w) = (positions.cut(part), velocities.cut(part), work.cut(part));
-        let (tried, gained) = (self.length, Work::of_pair(work.at(part) - self.start.work.pair()));
+        let mut gained = worked(&work, part);
+        gained.input -= self.start.work.input;
+        gained.dissipated -= self.start.work.dissipated;
+        let tried = self.length;
         self.retract();
         self.accept(&Landing { iterations, arrival, work: gained }, when, Kind::Eighth);
         self.dense = std::array::from_fn(|k| Slope { q: q[k], v: v[k], power: Work::of_pair(w[k]) });

@@ -209,7 +209,15 @@ impl<const N: usize> Trial<N> for Stages<N> {
         if error.is_nan() || error > 1.0 {
             return (error, None);
         }
-        let work = if system.follows_work() { Work::default().plus(self.h, self.mean_power()) } else { Work::default() };
+        let work = if system.follows_work() {
+            allowed.work(settings, Work::default().plus(self.h, self.mean_power()))
+        } else {
+            Ok(Work::default())
+        };
+        let work = match work {
+            Ok(work) => work,
+            Err(error) => return (error, None),
+        };
         (error, settings.project_and_evaluate(system, (origin, end[0] - self.q), end, kept, work))
     }
 

@@ -9,7 +9,7 @@ use super::search::Found;
 use super::step::SHORTEST;
 use super::trial::Slope;
 use super::{DenseStep, Settings};
-use crate::integrator::{Kinked, Passage, State, System};
+use crate::integrator::{Kinked, Passage, State, System, Work};
 use crate::vector::Vector;
 
 /// A step ends at a border where it is beyond it by half of what may be overlooked: on the sides behind it is then well on the near side of
@@ -69,6 +69,8 @@ pub(super) enum Border {
     AtEnd,
     /// It has to end before, so many seconds from its beginning.
     Before(f64),
+    /// It crosses none, but its work is off by so many times what is allowed.
+    Off(f64),
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
@@ -132,7 +134,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let from = system.touches(&self.start.q, &self.start.v);
         let shown = system.released(&from);
         let border = self.border_from(system, settings, from, dense, tries);
-        if shown > 0.0 && !matches!(border, Border::Before(_)) {
+        if let Border::Before(_) = border {
+            return border;
+        }
+        let done = Work::of_pair(self.end.work.pair() - self.start.work.pair());
+        match settings.credible(done) {
+            Ok(_) => self.end.work.dissipated = self.end.work.dissipated.max(self.start.work.dissipated),
+            Err(error) => return Border::Off(error),
+        }
+        if shown > 0.0 {
             self.end.work.dissipated += self.released(system, [&self.end.q, &self.end.v]);
         }
         border

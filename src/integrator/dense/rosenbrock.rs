@@ -261,10 +261,15 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         if error.is_nan() || error > 1.0 {
             return (error, None);
         }
-        let work = || if system.follows_work() { self.work(system, const { &T::WORK }) } else { Work::default() };
+        let work =
+            if system.follows_work() { allowed.work(settings, self.work(system, const { &T::WORK })) } else { Ok(Work::default()) };
+        let work = match work {
+            Ok(work) => work,
+            Err(error) => return (error, None),
+        };
         let at_end = origin.turned(system, &(end[0] - self.start[0]));
         let landed = WayBack { inverse: &self.inverse, h: self.h }.land(system, settings, (end, at_end), kept);
-        (error, landed.map(|landing| Landing { work: work(), ..landing }))
+        (error, landed.map(|landing| Landing { work, ..landing }))
     }
 
     fn fastest_rate<const M: usize>(&self, _: &State<N, M>) -> f64 {

@@ -35,7 +35,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if self.elapsed == self.length {
             return Sample { q: end.q, v: end.v, pose: system.pose(&end.q), work: end.work, modes: end.modes };
         }
-        if system.is_steep() && !self.straight && !self.interpolates_well(settings) {
+        if !self.is_shown(system, settings) {
             let mut redone = *self;
             if redone.truncate_and_redo(system, settings).is_ok() {
                 return redone.sample(system, settings);
@@ -48,6 +48,22 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let (q, v, pose) = projected.map_or_else(|| (q, v, system.pose(&q)), |(_, pose, _)| (on_q, on_v, pose));
         let modes = system.modes(&pose);
         Sample { q, v, pose, work, modes }
+    }
+
+    /// Whether what is shown between the ends is the interpolant.
+    #[inline]
+    fn is_shown<S: Kinked<N> + System<N, M>>(&self, system: &S, settings: &Settings) -> bool {
+        !system.is_steep() || self.straight || self.interpolates_well(settings)
+    }
+
+    /// What is dissipated until the present time, inside the step, as far as it is shown, J.
+    pub(super) fn dissipated<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&self, system: &S, settings: &Settings) -> f64 {
+        let Self { start, end, .. } = self;
+        if end.work.dissipated > start.work.dissipated && self.is_shown(system, settings) {
+            self.interpolated(system.on(self.sides).borrow(), settings).1.dissipated
+        } else {
+            start.work.dissipated
+        }
     }
 
     /// Writes into a state of the same system in any coordinates what does not depend on the coordinates.
@@ -71,7 +87,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let part = self.elapsed / length;
         let [q, v] = self.moved(part);
         let work = if system.follows_work() {
-            let end = &mut self.balanced_end(system, settings);
+            let (mut end, ends_with) = (self.balanced_end(system, settings), self.end.work.dissipated);
             // What springs that have let go lose is known at any place.
             let mut released = 0.0;
             if system.has_kinks() {
@@ -80,10 +96,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
             let mut higher = self.dense.map(|slope| slope.power.pair());
             if self.kind != Kind::Eighth && !self.straight {
-                higher[0] = hermite::of_work(system, [start, end], *length, &self.positions()).pair();
+                higher[0] = hermite::of_work(system, [start, &end], *length, &self.positions()).pair();
             }
-            let mut work = Work::of_pair(works([start, end], *length, higher).at(part));
-            work.dissipated += released;
+            let mut work = worked(&works([start, &end], *length, higher), part);
+            work.dissipated = (work.dissipated.min(end.work.dissipated) + released).min(ends_with);
             work
         } else {
             start.work
@@ -121,6 +137,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let Self { start, end, length, dense, .. } = self;
         Interpolant::new([start.v, end.v], [*length * start.a, *length * end.a], std::array::from_fn(|k| dense[k].v))
     }
+}
+
+/// The work until a part of a step: what is dissipated never falls.
+pub(super) fn worked(works: &Interpolant<2>, part: f64) -> Work {
+    Work { input: works.at(part)[0], dissipated: works.risen(1, part) }
 }
 
 /// The interpolant of the work between states some seconds apart.

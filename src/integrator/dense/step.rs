@@ -203,6 +203,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                     tried = if self.length < LITTLE * tried { tried } else { f64::INFINITY };
                 }
                 Border::Before(when) => return Outcome::Crosses(when),
+                Border::Off(error) => {
+                    self.retract();
+                    self.sides_behind = self.sides;
+                    return Outcome::Rejected(error);
+                }
             }
         }
         let interpolated = horizon.output < WITH_ROUNDING * h;

@@ -117,7 +117,23 @@ impl Allowed {
     }
 }
 
+impl Settings {
+    /// The work of a step. What is dissipated in it is less than nothing by an error only, and that is so large at least: 0 is nearer to the
+    /// truth. Where the error is more than the work may be off the step is to be refused with it, in units of that.
+    #[inline]
+    pub(super) fn credible(&self, work: Work) -> Result<Work, f64> {
+        let error = -work.dissipated / (self.error_tolerance * self.energy_scale);
+        if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }
+    }
+}
+
 impl Allowed {
+    /// The work of a step, as [`Settings::credible`] has it; where there are kinks that is asked when it is known where the step ends.
+    #[inline]
+    pub(super) fn work(&self, settings: &Settings, work: Work) -> Result<Work, f64> {
+        if self.work.is_some() { Ok(work) } else { settings.credible(work) }
+    }
+
     /// The same where it is not asked in every step: one piece of code.
     #[inline(never)]
     pub(super) fn mean_square_of<const N: usize>(&self, error: [Vector<N>; 2], ends: [&Vector<N>; 2], work: Work) -> f64 {
@@ -193,4 +209,28 @@ pub(super) fn rate_between<const N: usize>([dq, dv, da]: [Vector<N>; 3]) -> f64 
     let [q, v, a] = [dq, dv, da].map(|x| x.norm());
     let both = v + (v * v + 4.0 * q * a).sqrt();
     if both > 0.0 { 2.0 * a / both } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Kinds;
+    use super::*;
+
+    #[test]
+    fn a_step_gives_nothing_back() {
+        let settings = Settings {
+            kinds: Kinds::Automatic,
+            error_tolerance: 1e-6,
+            energy_scale: 2.0,
+            first_step: 1e-3,
+            max_iterations: 10,
+            max_work: 1000,
+            regularization: 1e-20,
+        };
+        let lost = |dissipated: f64| settings.credible(Work { input: 1.0, dissipated });
+        assert_eq!(lost(3e-6), Ok(Work { input: 1.0, dissipated: 3e-6 }));
+        assert_eq!(lost(-1e-6), Ok(Work { input: 1.0, dissipated: 0.0 }));
+        // Off by three halves of what it may be.
+        assert!(lost(-3e-6).is_err_and(|error| (error - 1.5).abs() < 1e-15));
+    }
 }

@@ -153,9 +153,17 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         if error.is_nan() || error > 1.0 {
             return (error, None);
         }
-        let work = || if system.follows_work() { Work::default().plus(self.h, self.power::<END>()) } else { Work::default() };
+        let work = if system.follows_work() {
+            allowed.work(settings, Work::default().plus(self.h, self.power::<END>()))
+        } else {
+            Ok(Work::default())
+        };
+        let work = match work {
+            Ok(work) => work,
+            Err(error) => return (error, None),
+        };
         let landed = settings.project_without_balance(system, (origin, way[0]), end, kept);
-        (error, landed.map(|landing| Landing { work: work(), ..landing }))
+        (error, landed.map(|landing| Landing { work, ..landing }))
     }
 
     /// By the difference between the last two stages, which stand at nearly the same time.

@@ -10,7 +10,8 @@
 //! and of what is slow, z → 0, they change by z⁴/16, below the error of the rule, z³/12: the order stays what it is. Sub-steps are damped only
 //! where what they did not foretell of q̈ is stiff.
 
-use super::{Settings, rate_error};
+use super::Settings;
+use super::steep::rate_error;
 use crate::integrator::{Arrival, Implicit, State, TangentPoint};
 use crate::vector::Vector;
 

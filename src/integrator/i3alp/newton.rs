@@ -1,7 +1,8 @@
 //! The nonlinear equations of a step, by Newton's method.
 
 use super::super::projection::ROUND_OFF;
-use super::{RATE, Settings};
+use super::Settings;
+use super::steep::RATE;
 use crate::integrator::{Counters, Held, Implicit, State, StepError, TangentPoint};
 use crate::vector::Vector;
 
