@@ -1,9 +1,11 @@
 //! Where a step ends: on the constraints, in balance.
 
-use super::Settings;
+use std::borrow::Borrow;
+
 use super::trial::{Landing, Origin};
+use super::{DenseStep, Settings};
 use crate::integrator::state::Arrival;
-use crate::integrator::{EnergyBalance, Passage, Projection, StepError, System, Work, velocity_correction};
+use crate::integrator::{EnergyBalance, Kinked, Passage, Projection, State, StepError, System, Transit, Work, velocity_correction};
 use crate::vector::Vector;
 
 impl Settings {
@@ -88,6 +90,29 @@ impl Settings {
             *v = system.let_hold(*q, *v);
         }
         Ok((iterations, mass))
+    }
+}
+
+impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
+    /// A straight step through a vertex. Its work is by where the state is at both ends: it is on no sides.
+    #[cold]
+    pub(super) fn pass_through<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+        &mut self,
+        system: &S,
+        transit: &Transit<N>,
+        settings: &Settings,
+    ) -> Result<(), StepError> {
+        let power = |system: &S, State { q, v, .. }: &State<N, M>| system.power(q, &system.pose(q), v);
+        if system.has_kinks() {
+            self.end.power = power(system, &self.end);
+        }
+        self.end.pass_through(system, transit, settings.regularization)?;
+        (self.length, self.straight) = (transit.duration, true);
+        self.sides_behind = system.sides_of(&self.end.q, &self.end.v);
+        if system.has_kinks() {
+            self.end.power = power(system.on(self.sides_behind).borrow(), &self.end);
+        }
+        Ok(())
     }
 }
 

@@ -11,7 +11,7 @@ use super::trial::{Allowed, Landing, Origin, RATE, Slope, Trial};
 use super::tsit5::Tsit5;
 use super::{DenseStep, Horizon, Kind, Kinds, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
-use crate::integrator::{Approach, EnergyBalance, Kinked, Passage, PassageLimits, State, StepError, System, Transit};
+use crate::integrator::{Approach, EnergyBalance, Kinked, Passage, PassageLimits, State, StepError, System};
 
 /// A step below this, s, that is rejected is not made shorter.
 pub(super) const SHORTEST: f64 = 1e-15;
@@ -79,27 +79,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             Kind::StiffFourth => self.attempt::<Rosenbrock<Rodas4, N>, S>(system, settings, &plan),
             Kind::StiffFifth => self.attempt::<Rosenbrock<Rodas5p, N>, S>(system, settings, &plan),
         }
-    }
-
-    /// A straight step through a vertex. Its work is by where the state is at both ends: it is on no sides.
-    #[cold]
-    fn pass_through<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
-        &mut self,
-        system: &S,
-        transit: &Transit<N>,
-        settings: &Settings,
-    ) -> Result<(), StepError> {
-        let power = |system: &S, State { q, v, .. }: &State<N, M>| system.power(q, &system.pose(q), v);
-        if system.has_kinks() {
-            self.end.power = power(system, &self.end);
-        }
-        self.end.pass_through(system, transit, settings.regularization)?;
-        (self.length, self.straight) = (transit.duration, true);
-        self.sides_behind = system.sides_of(&self.end.q, &self.end.v);
-        if system.has_kinks() {
-            self.end.power = power(system.on(self.sides_behind).borrow(), &self.end);
-        }
-        Ok(())
     }
 
     /// The kind that a run begins with is chosen by its tangents, and after many explicit steps they are asked again.
