@@ -110,13 +110,14 @@ fn highest(at: &impl Fn(f64) -> f64, rates: [f64; 7], [from, to]: [f64; 2], unti
         return at(from).max(at(end));
     }
     // By the algorithm of de Casteljau.
-    let (mut first, mut second) = (rates, rates);
-    for round in 1..rates.len() {
-        for row in 0..rates.len() - round {
+    let mut second = rates;
+    let first = std::array::from_fn(|round| {
+        let coefficient = second[0];
+        for row in 0..rates.len() - 1 - round {
             second[row] = 0.5 * (second[row] + second[row + 1]);
         }
-        first[round] = second[0];
-    }
+        coefficient
+    });
     let middle = 0.5 * (from + to);
     let before = highest(at, first, [from, middle], until);
     if until <= middle { before } else { before.max(highest(at, second, [middle, to], until)) }
