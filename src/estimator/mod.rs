@@ -88,6 +88,8 @@ pub struct Estimator {
     nis: f64,
 }
 
+/// Where |sin(θ₃ − θ₂)| is less, a push that is thought of too readily takes the estimate back from the line of the distal links.
+const BESIDE: f64 = 0.3;
 /// The largest that is told.
 const LARGEST_NIS: f64 = 1e12;
 
@@ -218,10 +220,12 @@ impl Estimator {
         let Constants { linkage, parameters, .. } = constants;
         let frame = linkage.frame(&self.track.theta);
         let timing = (h, parameters.switch_time);
-        // The torque that accelerates the links.
+        // The torques that accelerate the links, each by itself: next to a singularity, where they whip, one holds what another takes, and
+        // what is left of all on the basis is no more than what acts on the machine; masses that are off are off one by one.
         let forces = linkage.mass_times(&frame, &std::array::from_fn(|i| (omega[i] - self.track.omega[i]) / h));
-        let [first, second] = frame.basis.map(|direction| linkage::dot(&direction, &forces));
-        let scales = [constants.torque_scale(), (first * first + second * second).sqrt()];
+        let [first, second] = frame.basis;
+        let squares = (0..4).map(|i| (first[i] * first[i] + second[i] * second[i]) * forces[i] * forces[i]).sum::<f64>();
+        let scales = [constants.torque_scale(), (squares / 2.0).sqrt()];
         if parameters.forecast == Bands::SigmaPoints && self.is_coasting() {
             self.forecast.step(&self.track, constants, scene, (h, scales));
         }
@@ -233,8 +237,12 @@ impl Estimator {
         self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
         // What masses are off by shows where readings are intervals, which confine the angles; in white noise it drowns.
         let seen = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
-        let scales = [scales[0], if seen { scales[1] } else { 0.0 }];
-        self.track.bank.predict(linkage, (&frame, &step.transition), scales, timing, &bank::PRIOR);
+        let (accelerates, priors) = match frame.side().abs() > BESIDE {
+            _ if !seen => (0.0, &bank::BY_NOISE),
+            true => (scales[1], &bank::BY_INTERVALS),
+            false => (scales[1], &bank::PRIOR),
+        };
+        self.track.bank.predict(linkage, (&frame, &step.transition), [scales[0], accelerates], timing, priors);
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
         self.branches.step(constants, step.held, scene, timing);
