@@ -143,6 +143,19 @@ impl Bank {
         }
     }
 
+    /// Models that were thought of by other priors become as likely as they are by [`PRIOR`].
+    #[cold]
+    pub(super) fn foresee(&mut self, thought: &[f64; MODELS]) {
+        let mut sum = 0.0;
+        for (member, (prior, thought)) in self.members.iter_mut().zip(PRIOR.iter().zip(thought)) {
+            member.weight *= prior / thought;
+            sum += member.weight;
+        }
+        for member in &mut self.members {
+            member.weight /= sum;
+        }
+    }
+
     /// The motion may be another one, by these variances of angles and rates; what is known of the forces stays.
     pub fn unsettle(&mut self, variances: Pair) {
         for member in &mut self.members {

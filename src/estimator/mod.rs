@@ -72,6 +72,8 @@ pub struct Estimator {
     track: Track,
     /// Whether the last macro step came too close to a vertex.
     held: bool,
+    /// Whether samples had ceased to come before the last macro step.
+    coasts: bool,
     branches: Branches,
     grazing: Grazing,
     encoders: [Encoder; 2],
@@ -100,6 +102,7 @@ impl Estimator {
         Self {
             track: Track { theta, omega, force: [0.0; 4], bank: bank::Bank::new(constants.start_variances()) },
             held: false,
+            coasts: true,
             branches: Branches::default(),
             grazing: Grazing::default(),
             encoders: [Encoder::NEW; 2],
@@ -226,7 +229,12 @@ impl Estimator {
         let [first, second] = frame.basis;
         let squares = (0..4).map(|i| (first[i] * first[i] + second[i] * second[i]) * forces[i] * forces[i]).sum::<f64>();
         let scales = [constants.torque_scale(), (squares / 2.0).sqrt()];
-        if parameters.forecast == Bands::SigmaPoints && self.is_coasting() {
+        let coasts = self.is_coasting();
+        if coasts && !self.coasts {
+            self.track.bank.foresee(&bank::BY_INTERVALS);
+        }
+        self.coasts = coasts;
+        if parameters.forecast == Bands::SigmaPoints && coasts {
             self.forecast.step(&self.track, constants, scene, (h, scales));
         }
         let to = linkage.frame(theta);
@@ -239,8 +247,8 @@ impl Estimator {
         let seen = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
         let (accelerates, priors) = match frame.side().abs() > BESIDE {
             _ if !seen => (0.0, &bank::BY_NOISE),
-            true => (scales[1], &bank::BY_INTERVALS),
-            false => (scales[1], &bank::PRIOR),
+            true if !coasts => (scales[1], &bank::BY_INTERVALS),
+            _ => (scales[1], &bank::PRIOR),
         };
         self.track.bank.predict(linkage, (&frame, &step.transition), [scales[0], accelerates], timing, priors);
         (self.track.theta, self.track.omega) = (*theta, *omega);
