@@ -21,10 +21,10 @@ pub type Error = [f64; ERRORS];
 pub type Matrix = [Error; ERRORS];
 
 /// Squared change of the unknown force per second, in units of the squared torque scale.
-const FORCE_WALK: [f64; MODELS] = [4e-4, 0.04, 4.0, 4000.0];
+const FORCE_WALK: [f64; MODELS] = [4e-5, 0.04, 4.0, 4000.0];
 /// The same in units of the squared torques that accelerate the links: masses are not known exactly, and what they are off by changes as
 /// the motion does.
-const MASS_WALK: [f64; MODELS] = [1e-3, 0.08, 0.0, 0.0];
+const MASS_WALK: [f64; MODELS] = [2e-4, 0.03, 0.0, 0.0];
 /// White torque on every link, s, in units of the squared torque scale.
 const WHITE_TORQUE: [f64; MODELS] = [4e-7, 4e-6, 4e-5, 4e-3];
 /// How likely models are before any sample, and on motions beside the estimate what one that is left is followed by; one of 0 takes no part.
@@ -143,14 +143,18 @@ impl Bank {
         }
     }
 
-    /// Models that were thought of by other priors become as likely as they are by [`PRIOR`].
+    /// Models that have been thought of by some priors become as likely as they are by [`PRIOR`].
     #[cold]
     pub(super) fn foresee(&mut self, thought: &[f64; MODELS]) {
-        let mut sum = 0.0;
         for (member, (prior, thought)) in self.members.iter_mut().zip(PRIOR.iter().zip(thought)) {
             member.weight *= prior / thought;
-            sum += member.weight;
         }
+        self.normalise();
+    }
+
+    /// Weights sum up to 1.
+    fn normalise(&mut self) {
+        let sum: f64 = self.members.iter().map(|member| member.weight).sum();
         for member in &mut self.members {
             member.weight /= sum;
         }
@@ -257,14 +261,10 @@ impl Bank {
             }
         }
         let largest = likelihood.into_iter().fold(f64::NEG_INFINITY, f64::max);
-        let mut sum = 0.0;
         for (member, likelihood) in self.members.iter_mut().zip(likelihood) {
             member.weight *= libm::exp(likelihood - largest).max(LEAST_LIKELIHOOD);
-            sum += member.weight;
         }
-        for member in &mut self.members {
-            member.weight /= sum;
-        }
+        self.normalise();
     }
 
     /// Whether weights sum up to 1 and covariances are symmetric and positive.

@@ -23,7 +23,7 @@ const DITHER: f64 = 0.4;
 /// A reading that changes by no more steps than this has passed one edge between them,
 const ONE: f64 = 1.5;
 /// which is known to this part of a step.
-const SHARP: f64 = 0.3;
+const SHARP: f64 = 0.5;
 /// An encoder is silent where this many of its intervals have passed since its last sample,
 const LATE: f64 = 1.5;
 /// which before there are two samples are taken to be of this length, s.

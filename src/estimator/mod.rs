@@ -230,8 +230,11 @@ impl Estimator {
         let squares = (0..4).map(|i| (first[i] * first[i] + second[i] * second[i]) * forces[i] * forces[i]).sum::<f64>();
         let scales = [constants.torque_scale(), (squares / 2.0).sqrt()];
         let coasts = self.is_coasting();
+        // What masses are off by shows where readings are intervals, which confine the angles; in white noise it drowns.
+        let seen = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
+        let thought = if seen { &bank::BY_INTERVALS } else { &bank::BY_NOISE };
         if coasts && !self.coasts {
-            self.track.bank.foresee(&bank::BY_INTERVALS);
+            self.track.bank.foresee(thought);
         }
         self.coasts = coasts;
         if parameters.forecast == Bands::SigmaPoints && coasts {
@@ -243,19 +246,14 @@ impl Estimator {
         let turned = self.track.has_turned(omega, frame.smallest.min(to.smallest));
         self.branches.pass(linkage, &self.track, scene, [frame.smallest, to.smallest], turned);
         self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
-        // What masses are off by shows where readings are intervals, which confine the angles; in white noise it drowns.
-        let seen = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
-        let (accelerates, priors) = match frame.side().abs() > BESIDE {
-            _ if !seen => (0.0, &bank::BY_NOISE),
-            true if !coasts => (scales[1], &bank::BY_INTERVALS),
-            _ => (scales[1], &bank::PRIOR),
-        };
-        self.track.bank.predict(linkage, (&frame, &step.transition), [scales[0], accelerates], timing, priors);
+        let priors = if coasts || seen && frame.side().abs() < BESIDE { &bank::PRIOR } else { thought };
+        let scales = [scales[0], if seen { scales[1] } else { 0.0 }];
+        self.track.bank.predict(linkage, (&frame, &step.transition), scales, timing, priors);
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
         self.branches.step(constants, step.held, scene, timing);
         let passage = match () {
-            () if self.is_coasting() => Passage::Unseen,
+            () if coasts => Passage::Unseen,
             () if step.held || self.branches.are_open() => Passage::Vertex,
             () => Passage::Clear,
         };
