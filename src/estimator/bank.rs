@@ -21,14 +21,18 @@ pub type Error = [f64; ERRORS];
 pub type Matrix = [Error; ERRORS];
 
 /// Squared change of the unknown force per second, in units of the squared torque scale.
-const FORCE_WALK: [f64; MODELS] = [4e-4, 0.04, 4.0, 4000.0];
-/// The same in units of the squared torque that accelerates the links: masses are not known exactly, and what they are off by changes as
+const FORCE_WALK: [f64; MODELS] = [4e-5, 0.04, 4.0, 4000.0];
+/// The same in units of the squared torques that accelerate the links: masses are not known exactly, and what they are off by changes as
 /// the motion does.
-const MASS_WALK: [f64; MODELS] = [4e-3, 0.08, 0.0, 0.0];
+const MASS_WALK: [f64; MODELS] = [2e-4, 0.03, 0.0, 0.0];
 /// White torque on every link, s, in units of the squared torque scale.
 const WHITE_TORQUE: [f64; MODELS] = [4e-7, 4e-6, 4e-5, 4e-3];
-/// What a model that is left is followed by; one of 0 takes no part.
+/// How likely models are before any sample, and on motions beside the estimate what one that is left is followed by; one of 0 takes no part.
 pub(super) const PRIOR: [f64; MODELS] = [0.45, 0.45, 0.095, 0.005];
+/// By what it is followed on the estimate, where encoders have white noise: a sample that is far off may be noise;
+pub(super) const BY_NOISE: [f64; MODELS] = [0.45, 0.45, 0.0999, 0.0001];
+/// and where readings are intervals: nothing but a force takes an angle out of them, and until it does nothing tells of the force.
+pub(super) const BY_INTERVALS: [f64; MODELS] = [0.3, 0.3, 0.1, 0.3];
 /// A model never becomes less likely than this in one sample.
 const LEAST_LIKELIHOOD: f64 = 1e-12;
 /// Variances that say that nothing is known, rad² and rad²/s².
@@ -98,7 +102,7 @@ impl Bank {
     }
 
     /// Mixes the models as they may have changed in h seconds, moves them, and adds what each expects of the process: in units of a torque
-    /// scale, and of the torque that accelerates the links, N·m. `switch_time`, s, is how long a model stays before one of `priors` follows.
+    /// scale, and of the torques that accelerate the links, N·m. `switch_time`, s, is how long a model stays before one of `priors` follows.
     #[inline(never)]
     pub fn predict(
         &mut self,
@@ -136,6 +140,23 @@ impl Bank {
                 }
             }
             bound(&mut member.covariance);
+        }
+    }
+
+    /// Models that have been thought of by some priors become as likely as they are by [`PRIOR`].
+    #[cold]
+    pub(super) fn foresee(&mut self, thought: &[f64; MODELS]) {
+        for (member, (prior, thought)) in self.members.iter_mut().zip(PRIOR.iter().zip(thought)) {
+            member.weight *= prior / thought;
+        }
+        self.normalise();
+    }
+
+    /// Weights sum up to 1.
+    fn normalise(&mut self) {
+        let sum: f64 = self.members.iter().map(|member| member.weight).sum();
+        for member in &mut self.members {
+            member.weight /= sum;
         }
     }
 
@@ -240,14 +261,10 @@ impl Bank {
             }
         }
         let largest = likelihood.into_iter().fold(f64::NEG_INFINITY, f64::max);
-        let mut sum = 0.0;
         for (member, likelihood) in self.members.iter_mut().zip(likelihood) {
             member.weight *= libm::exp(likelihood - largest).max(LEAST_LIKELIHOOD);
-            sum += member.weight;
         }
-        for member in &mut self.members {
-            member.weight /= sum;
-        }
+        self.normalise();
     }
 
     /// Whether weights sum up to 1 and covariances are symmetric and positive.

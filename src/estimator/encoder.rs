@@ -23,14 +23,14 @@ const DITHER: f64 = 0.4;
 /// A reading that changes by no more steps than this has passed one edge between them,
 const ONE: f64 = 1.5;
 /// which is known to this part of a step.
-const SHARP: f64 = 0.3;
+const SHARP: f64 = 0.5;
 /// An encoder is silent where this many of its intervals have passed since its last sample,
 const LATE: f64 = 1.5;
 /// which before there are two samples are taken to be of this length, s.
 const UNKNOWN_INTERVAL: f64 = 0.1;
 /// Least variance of the white noise that stands for an interval, in Δ²/12, of an axis that goes through a step from sample to sample; of a
 /// slower one as many times more as its error repeats.
-const LEAST: f64 = 0.04;
+const LEAST: f64 = 0.003;
 /// The least standard deviation of a sample, rad.
 const FINEST: f64 = 1e-9;
 
@@ -267,9 +267,49 @@ impl Encoder {
         if self.is_dithered(sigma, quantum) {
             return *expected;
         }
-        let dwell = self.dwell(quantum, rate);
-        // Where the axis creeps over the edge of a step, where that edge is matters, and when it was passed.
-        let repeated = if self.repeated { dwell } else { 1.0 };
+        // An axis that turns by nearly whole steps from sample to sample is always at the same place within them: a reading that changes by as
+        // many repeats its error. One that changes by one more or less has just passed an edge, and where that is matters.
+        let turned = rate * self.interval;
+        let whole = (turned / quantum).round() * quantum;
+        let dwell = self.dwell(quantum, (turned - whole) / self.interval);
+        let repeats = (wrapped(self.change) - whole).abs() < quantum / 2.0;
+        let repeated = if repeats { dwell } else { 1.0 };
         expected.within(quantum, [noise, self.white(sigma, lasting)], [repeated, LEAST * dwell])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimator::bank::Bank;
+    use crate::estimator::innovation::Innovation;
+
+    /// An axis that turns by whole steps from sample to sample is always at the same place within them: its readings tell as little as those of
+    /// an axis at rest. One that passes edges tells where they are.
+    #[test]
+    fn whole_steps_repeat() {
+        let (h, quantum, row) = (1e-3, 0.1_f64.to_radians(), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let known = (0.5 * quantum).powi(2);
+        // Of the white noise that stands for the third reading, with the estimate 0.4 of a step off.
+        let variance = |steps: f64| {
+            let mut encoder = Encoder::NEW;
+            for k in 0..3 {
+                let time = h * f64::from(k);
+                assert!(encoder.hear((steps * f64::from(k)).round() * quantum, time, time, 0.0).is_some());
+            }
+            let rate = steps * quantum / h;
+            let noise = encoder.noise(0.0, quantum, rate, 0.0);
+            let expected = Bank::new([known, 1.0, 1.0]).expect(&Innovation { residual: 0.4 * quantum, row, noise });
+            encoder.within_step(&expected, (0.0, quantum), rate, [noise, 0.0]).each[0].1 - known
+        };
+        let rest = variance(0.0);
+        for steps in [1.0, -1.0, 3.0] {
+            // Round-off: differences of variances that are alike.
+            assert!((variance(steps) / rest - 1.0).abs() < 1e-6, "{steps} steps: {}, at rest {rest}", variance(steps));
+        }
+        // 0, 1, 3 and 0, 2, 5 steps: the last change is another than the rate's.
+        for steps in [1.4, 2.4] {
+            assert!(variance(steps) < rest / 100.0, "{steps} steps: {}, at rest {rest}", variance(steps));
+        }
     }
 }

@@ -11,7 +11,7 @@ use super::{Constants, track};
 
 /// By how much the unknown force's variance grows, per second, in the squared torque that accelerates the links: samples have told of the
 /// masses only what mattered until now.
-const MASS_WALK: f64 = 0.1;
+const MASS_WALK: f64 = 0.2;
 /// Motions beside that of the estimate.
 pub const POINTS: usize = 2 * ERRORS;
 

@@ -19,6 +19,8 @@ pub(super) const APART: f64 = 0.1;
 /// Unknown forces on both motions, in those of the estimate: these, with the quietest and the loudest model. A force that does act lets the
 /// loudest take part on both sides, so that it does not decide.
 const QUIET: f64 = 0.006;
+/// What acts on them unknown where they begin, in torque scales: a force of 0.006 held a motion back from the line that it had passed.
+const AT_FIRST: f64 = 0.001;
 const PRIOR: [f64; MODELS] = [0.999, 0.0, 0.0, 0.001];
 /// A motion goes on as the estimate does, with other forces, where a plane of one tangent space is at least this large on the other.
 const ALIKE: f64 = 0.9999;
@@ -147,8 +149,18 @@ impl Grazing {
         let side = side_of(track).abs();
         if side < APART {
             let rate = (track.omega[2] - track.omega[1]) * libm::cos(track.theta[2] - track.theta[1]);
-            if self.other_side == FAR && self.quiet.is_none() && self.pair.is_none() && rate.abs() < SLOW {
-                self.quiet = Some((quieted(constants, track), FAR));
+            if rate.abs() < SLOW {
+                match self.pair.take() {
+                    // It comes back before samples have told all: the likelier goes on through the line.
+                    Some(Pair { tracks: [own, other], evidence, .. }) => {
+                        self.other_side = (-evidence.abs()).clamp(FAR, 0.0);
+                        self.quiet = Some((if evidence > 0.0 { other } else { own }, self.other_side));
+                    }
+                    None if self.other_side == FAR && self.quiet.is_none() => {
+                        self.quiet = Some((quieted(constants, track), FAR));
+                    }
+                    None => (),
+                }
             }
             let odds = track.other_side(way.to);
             self.other_side = self.other_side.max(odds).clamp(FAR, 0.0);
@@ -214,7 +226,7 @@ impl Pair {
 /// The same motion where next to nothing acts that is not known.
 #[cold]
 fn quieted(constants: &Constants, track: &Track) -> Track {
-    let scale = QUIET * constants.torque_scale();
+    let scale = AT_FIRST * constants.torque_scale();
     Track { force: [0.0; 4], bank: track.bank.with_priors(PRIOR).with_force(scale * scale), ..*track }
 }
 

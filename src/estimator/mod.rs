@@ -72,6 +72,8 @@ pub struct Estimator {
     track: Track,
     /// Whether the last macro step came too close to a vertex.
     held: bool,
+    /// Whether samples had ceased to come before the last macro step.
+    coasts: bool,
     branches: Branches,
     grazing: Grazing,
     encoders: [Encoder; 2],
@@ -88,6 +90,8 @@ pub struct Estimator {
     nis: f64,
 }
 
+/// Where |sin(θ₃ − θ₂)| is less, a push that is thought of too readily takes the estimate back from the line of the distal links.
+const BESIDE: f64 = 0.3;
 /// The largest that is told.
 const LARGEST_NIS: f64 = 1e12;
 
@@ -98,6 +102,7 @@ impl Estimator {
         Self {
             track: Track { theta, omega, force: [0.0; 4], bank: bank::Bank::new(constants.start_variances()) },
             held: false,
+            coasts: true,
             branches: Branches::default(),
             grazing: Grazing::default(),
             encoders: [Encoder::NEW; 2],
@@ -218,11 +223,21 @@ impl Estimator {
         let Constants { linkage, parameters, .. } = constants;
         let frame = linkage.frame(&self.track.theta);
         let timing = (h, parameters.switch_time);
-        // The torque that accelerates the links.
+        // The torques that accelerate the links, each by itself: next to a singularity, where they whip, one holds what another takes, and
+        // what is left of all on the basis is no more than what acts on the machine; masses that are off are off one by one.
         let forces = linkage.mass_times(&frame, &std::array::from_fn(|i| (omega[i] - self.track.omega[i]) / h));
-        let [first, second] = frame.basis.map(|direction| linkage::dot(&direction, &forces));
-        let scales = [constants.torque_scale(), (first * first + second * second).sqrt()];
-        if parameters.forecast == Bands::SigmaPoints && self.is_coasting() {
+        let [first, second] = frame.basis;
+        let squares = (0..4).map(|i| (first[i] * first[i] + second[i] * second[i]) * forces[i] * forces[i]).sum::<f64>();
+        let scales = [constants.torque_scale(), (squares / 2.0).sqrt()];
+        let coasts = self.is_coasting();
+        // What masses are off by shows where readings are intervals, which confine the angles; in white noise it drowns.
+        let seen = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
+        let thought = if seen { &bank::BY_INTERVALS } else { &bank::BY_NOISE };
+        if coasts && !self.coasts {
+            self.track.bank.foresee(thought);
+        }
+        self.coasts = coasts;
+        if parameters.forecast == Bands::SigmaPoints && coasts {
             self.forecast.step(&self.track, constants, scene, (h, scales));
         }
         let to = linkage.frame(theta);
@@ -231,15 +246,14 @@ impl Estimator {
         let turned = self.track.has_turned(omega, frame.smallest.min(to.smallest));
         self.branches.pass(linkage, &self.track, scene, [frame.smallest, to.smallest], turned);
         self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
-        // What masses are off by shows where readings are intervals, which confine the angles; in white noise it drowns.
-        let seen = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
+        let priors = if coasts || seen && frame.side().abs() < BESIDE { &bank::PRIOR } else { thought };
         let scales = [scales[0], if seen { scales[1] } else { 0.0 }];
-        self.track.bank.predict(linkage, (&frame, &step.transition), scales, timing, &bank::PRIOR);
+        self.track.bank.predict(linkage, (&frame, &step.transition), scales, timing, priors);
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
         self.branches.step(constants, step.held, scene, timing);
         let passage = match () {
-            () if self.is_coasting() => Passage::Unseen,
+            () if coasts => Passage::Unseen,
             () if step.held || self.branches.are_open() => Passage::Vertex,
             () => Passage::Clear,
         };

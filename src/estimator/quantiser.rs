@@ -14,7 +14,7 @@ const FAR: f64 = 1.5;
 const MOST: f64 = 1e4;
 /// Intervals one after the other confine the error more than variances can say, by this factor: with bounded noise errors decrease with the
 /// number of samples, not with its root.
-const CONFINED: f64 = 0.7;
+const CONFINED: f64 = 0.56;
 /// A part of the normal distribution that cannot be computed, and the least variance of one that can.
 const NOTHING: [f64; 2] = [1e-300, 1e-3];
 

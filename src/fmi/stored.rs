@@ -30,7 +30,7 @@ use crate::variables::{GUID, VARIABLES, Value};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Must change with every change of what is stored.
-const FORMAT: u32 = 9;
+const FORMAT: u32 = 10;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
 const CHECKSUM: usize = size_of::<u32>();
 

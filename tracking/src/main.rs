@@ -33,7 +33,7 @@ fn main() -> ExitCode {
     }
     let tables: [(&str, &dyn Fn() -> Table); 7] = [
         ("benchmark", &|| benchmark::table(runs(60), seeds)),
-        ("quality", &|| quality::table(runs(20), seeds)),
+        ("quality", &|| quality::table(runs(100), seeds)),
         ("compare", &|| compare::table(runs(10), seeds)),
         ("singular", &|| singular::table(part, seeds)),
         ("forecast", &|| forecast::table(runs(100), seeds)),
