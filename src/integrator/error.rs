@@ -75,15 +75,39 @@ impl fmt::Display for StepError {
             }
             Self::NotFinite => f.write_str("a coordinate, velocity or acceleration is not finite"),
             Self::StepTooShort { substep, error } => {
-                write!(f, "a sub-step of only {substep:.3e} s still had a local error of {error:.3e} rad")
+                write!(f, "a sub-step of only {substep:.3e} s still {}", Off(*error))
             }
             Self::TooMuchWork { most, substep, error } => write!(
                 f,
-                "a macro step needs more iterations and evaluations than solver.maxWork = {most} allows: the last sub-step, of {substep:.3e} s, \
-                 had a local error of {error:.3e} rad"
+                "a macro step needs more iterations and evaluations than solver.maxWork = {most} allows: the last sub-step, of {substep:.3e} s, {}",
+                Off(*error)
             ),
         }
     }
 }
 
 impl std::error::Error for StepError {}
+
+/// What became of a sub-step by its local error, rad.
+struct Off(f64);
+
+impl fmt::Display for Off {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(error) = self;
+        if error.is_finite() { write!(f, "had a local error of {error:.3e} rad") } else { f.write_str("failed altogether") }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::StepError;
+
+    #[test]
+    fn sub_steps_that_failed_have_no_local_error() {
+        let said = |error| StepError::TooMuchWork { most: 9, substep: 1e-6, error }.to_string();
+        assert!(said(1e-7).ends_with("the last sub-step, of 1.000e-6 s, had a local error of 1.000e-7 rad"), "{}", said(1e-7));
+        for error in [f64::INFINITY, f64::NAN] {
+            assert!(said(error).ends_with("the last sub-step, of 1.000e-6 s, failed altogether"), "{}", said(error));
+        }
+    }
+}

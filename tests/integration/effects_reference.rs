@@ -74,7 +74,9 @@ fn each_error(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 4]
 /// Before, stops and contact left up to 5 µJ by i3-ALP; dop853 booked losses that stop and plane had not made.
 #[test]
 fn work_adds_up_where_forces_have_kinks() {
-    for scene in ["bounce", "end_stops", "friction_fall", "haptic", "run_down", "servo_friction", "servo_step", "stiff_servo"] {
+    let smooth = ["bounce", "end_stops", "friction_fall", "haptic", "run_down", "servo_friction", "servo_step", "stiff_servo"];
+    let others = ["friction_fall_stick", "haptic_stick", "run_down_stick", "stick_slip", "pick_and_place", "pick_up"];
+    for scene in smooth.into_iter().chain(others) {
         for method in [Method::I3alp, Method::Dop853, Method::Automatic] {
             let [_, _, energy] = errors_and_energy(scene, method, &[]);
             assert!(energy < 1e-6, "{scene}, {method:?}: {energy:e} J");

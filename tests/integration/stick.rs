@@ -12,7 +12,7 @@ use fivebar::simulation::{Direction, Inputs, Method, Parameters, Simulation};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use crate::support::enable;
+use crate::support::{enable, tip};
 
 /// The methods that can end a step where something stops or lets go.
 const METHODS: [Method; 3] = [Method::I3alp, Method::Dop853, Method::Automatic];
@@ -78,6 +78,37 @@ fn below_breakaway_it_stays() {
         // Torques that friction holds at the motors are those that were put on top.
         let holding = held.state().holding(held.model());
         assert!((holding[0] + 0.006).abs() < 1e-9 && (holding[4] - 0.006).abs() < 1e-9, "{method:?}: {holding:?}");
+    }
+}
+
+/// The tip for 60 s under half of what the plane can hold: along the plane it stays. Across it there is the plane's spring, on which explicit
+/// steps are at the border of stability, so that accelerations are off by what rates may be off, 3e-8 rad/s, times its fastest rate.
+#[test]
+fn below_its_bound_the_tip_stays_on_the_plane() {
+    for method in METHODS {
+        let mut parameters = default_parameters();
+        parameters.geometry.base_distance = 0.1;
+        parameters.start.theta = [2.2, 0.9];
+        (parameters.settings.method, parameters.effects.gravity.enabled) = (method, false);
+        let [x, y] = tip(&Simulation::new(&parameters, &default_inputs()).expect("a scene"));
+        enable(&mut parameters, "contact");
+        let contact = &mut parameters.effects.contact;
+        (contact.law, contact.mu, contact.offset) = (Law::Stick, 0.5, y + 1.0 / contact.k);
+        let inputs = Inputs { tip_force: [0.25, -1.0], ..default_inputs() };
+        let mut held = Simulation::new(&parameters, &inputs).expect("a scene");
+        for call in 0..600 {
+            held.advance(&inputs, 1e-3, 100).expect("steps");
+            assert!((tip(&held)[0] - x).abs() < 1e-12, "{method:?}, call {call}");
+            let fastest = held.state().core.a.max_norm();
+            let allowed = if method == Method::I3alp { 1e-9 } else { 1e-3 };
+            assert!(fastest <= allowed, "{method:?}, call {call}: {fastest:e} rad/s² or m/s²");
+        }
+        // The free arm takes some 7,600 explicit steps for a minute.
+        let counters = held.counters();
+        assert!(
+            counters.substeps + counters.rejected <= if method == Method::I3alp { 60_000 } else { 5_000 },
+            "{method:?}: {counters:?}"
+        );
     }
 }
 
