@@ -39,7 +39,8 @@ impl Instance {
             return Err(refusal);
         }
         let news = following.take_news();
-        let begun_anew = following.estimator().has_begun_anew();
+        // Until the next samples it says so.
+        let begun_anew = following.estimator().has_begun_anew() && !before.estimator().has_begun_anew();
         clock.advance(plan);
         now.next.after_step(size);
         now.stage = super::Stage::StepComplete;
