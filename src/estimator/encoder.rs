@@ -153,7 +153,7 @@ impl Encoder {
             self.time = time;
         }
         let (age, rounded) = (now - time, ROUND_OFF * now.abs().max(1.0));
-        self.fault = if !(angle.abs() < LARGEST && time.is_finite()) {
+        self.fault = if angle.is_nan() || angle.abs() >= LARGEST || !time.is_finite() {
             Fault::Invalid
         } else if age < -rounded {
             Fault::Future
@@ -324,6 +324,7 @@ mod tests {
             assert!(variance(steps) < rest / 100.0, "{steps} steps: {}, at rest {rest}", variance(steps));
         }
     }
+
     /// Samples that could not be used are no part of intervals and changes, wherever their time is.
     #[test]
     fn what_is_not_used_is_not_counted() {

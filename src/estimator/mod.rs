@@ -232,6 +232,7 @@ impl Estimator {
         let coasts = self.is_coasting();
         // What masses are off by shows where readings are intervals, which confine the angles; in white noise it drowns.
         let seen = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
+        // By what models are followed while samples come.
         let thought = match seen {
             true if frame.side().abs() < BESIDE => &bank::PRIOR,
             true => &bank::BY_INTERVALS,
