@@ -308,3 +308,28 @@ fn bound(covariance: &mut Matrix) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What nothing has been told of is as likely as by [`PRIOR`]; what samples have told stays; what takes no part does not come back.
+    #[test]
+    fn forecasts_are_of_what_is_likely() {
+        let weights = |priors: [f64; MODELS], thought: &[f64; MODELS]| {
+            let mut bank = Bank::new([1.0; 3]).with_priors(priors);
+            bank.foresee(thought);
+            assert!(bank.is_sound());
+            bank.members.map(|member| member.weight)
+        };
+        for thought in [PRIOR, BY_NOISE, BY_INTERVALS] {
+            let weights = weights(thought, &thought);
+            // Round-off.
+            assert!((0..MODELS).all(|i| (weights[i] - PRIOR[i]).abs() <= 1e-15), "{weights:?}");
+        }
+        // Odds of 3 to 2, of which the priors had 3 to 1.
+        let [_, _, third, fourth] = weights([0.0, 0.0, 0.4, 0.6], &BY_INTERVALS);
+        assert!((fourth / third / (0.5 * PRIOR[3] / PRIOR[2]) - 1.0).abs() < 1e-14);
+        assert_eq!(weights([0.0, 0.0, 0.0, 1.0], &BY_INTERVALS), [0.0, 0.0, 0.0, 1.0]);
+    }
+}

@@ -8,6 +8,8 @@ use super::track::wrapped;
 
 /// The time of a sample that has not been taken, s.
 pub const NEVER: f64 = -1e30;
+/// An angle of this size, rad, is none: its whole turns are round-off.
+const LARGEST: f64 = 1e9;
 /// Round-off of the times of a master, relative to them, or to 1 s.
 const ROUND_OFF: f64 = 1e-9;
 /// Squared standard deviations by which a sample is off that is left out once,
@@ -80,7 +82,7 @@ pub enum Fault {
     Late,
     /// Its time has not come yet.
     Future,
-    /// It was not a number.
+    /// It was not a number, or too large for an angle.
     Invalid,
     /// It repeats itself while the machine moves.
     Stuck,
@@ -110,26 +112,29 @@ pub(super) struct Reading {
 /// An encoder.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Encoder {
-    /// Angle and time of the last sample, as they were set.
-    angle: f64,
+    /// Time of the last sample, as it was set.
     time: f64,
-    /// Whether it was the same as the one before.
+    /// Angle and time of the last one that could be used.
+    angle: f64,
+    used: f64,
+    /// Whether its angle was that of the one before.
     repeated: bool,
     /// From the one before, rad.
     change: f64,
     /// Samples left out in a row.
     left_out: u32,
-    /// Between the last two samples, s; 0 before there are two.
+    /// Between the last two that could be used, s; 0 before there are two.
     interval: f64,
-    /// Macro steps since the last sample, s; infinite before the first.
+    /// Macro steps since then, s; infinite before the first.
     pub(super) silent: f64,
     pub(super) fault: Fault,
 }
 
 impl Encoder {
     pub(super) const NEW: Self = Self {
-        angle: 0.0,
         time: NEVER,
+        angle: 0.0,
+        used: NEVER,
         repeated: false,
         change: 0.0,
         left_out: 0,
@@ -143,12 +148,12 @@ impl Encoder {
         if time.to_bits() == self.time.to_bits() {
             return None;
         }
-        let (before, spoke) = (self.time, self.time > NEVER);
+        let spoke = self.used > NEVER;
         if time.is_finite() {
             self.time = time;
         }
         let (age, rounded) = (now - time, ROUND_OFF * now.abs().max(1.0));
-        self.fault = if !(angle.is_finite() && time.is_finite()) {
+        self.fault = if angle.is_nan() || angle.abs() >= LARGEST || !time.is_finite() {
             Fault::Invalid
         } else if age < -rounded {
             Fault::Future
@@ -162,10 +167,10 @@ impl Encoder {
         }
         self.repeated = spoke && self.angle.to_bits() == angle.to_bits();
         self.change = if spoke { angle - self.angle } else { 0.0 };
-        self.angle = angle;
         if spoke {
-            self.interval = (time - before).abs();
+            self.interval = (time - self.used).abs();
         }
+        (self.angle, self.used) = (angle, time);
         self.silent = 0.0;
         Some(Sample { angle, age: if age <= rounded { 0.0 } else { age } })
     }
@@ -173,6 +178,13 @@ impl Encoder {
     /// Whether it has been silent for longer than between its last samples.
     pub(super) fn is_silent(&self) -> bool {
         self.silent > LATE * if self.interval > 0.0 { self.interval } else { UNKNOWN_INTERVAL }
+    }
+
+    /// Whether it can be one.
+    #[cold]
+    pub(super) fn is_sound(&self) -> bool {
+        let numbers = [self.time, self.angle, self.used, self.change, self.interval];
+        numbers.iter().all(|x| x.is_finite()) && self.interval >= 0.0 && self.silent >= 0.0
     }
 
     /// Between its last two samples, s; 0 before there are two.
@@ -311,5 +323,26 @@ mod tests {
         for steps in [1.4, 2.4] {
             assert!(variance(steps) < rest / 100.0, "{steps} steps: {}, at rest {rest}", variance(steps));
         }
+    }
+
+    /// Samples that could not be used are no part of intervals and changes, wherever their time is.
+    #[test]
+    fn what_is_not_used_is_not_counted() {
+        let mut encoder = Encoder::NEW;
+        let unused = |encoder: &mut Encoder, angle: f64, time: f64, fault: Fault| {
+            assert!(encoder.hear(angle, time, 1.0, 0.0).is_none());
+            assert_eq!((encoder.fault, encoder.interval), (fault, if encoder.silent == 0.0 { 0.25 } else { 0.0 }));
+        };
+        unused(&mut encoder, 5.0, 1e9, Fault::Future);
+        unused(&mut encoder, 5.0, -1.0, Fault::Late);
+        assert!(encoder.hear(2.0, 1.0, 1.0, 0.0).is_some());
+        assert_eq!((encoder.interval, encoder.change, encoder.repeated), (0.0, 0.0, false));
+        assert!(encoder.hear(2.5, 1.25, 1.25, 0.0).is_some());
+        unused(&mut encoder, f64::NAN, 1.0, Fault::Invalid);
+        unused(&mut encoder, -1e9, 1.01, Fault::Invalid);
+        unused(&mut encoder, 7.0, 1e300, Fault::Future);
+        assert!(encoder.hear(2.5, 1.5, 1.5, 0.0).is_some());
+        assert_eq!((encoder.interval, encoder.change, encoder.repeated), (0.25, 0.0, true));
+        assert!(encoder.is_sound() && !Encoder { interval: f64::INFINITY, ..encoder }.is_sound());
     }
 }

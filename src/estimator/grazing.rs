@@ -153,8 +153,8 @@ impl Grazing {
                 match self.pair.take() {
                     // It comes back before samples have told all: the likelier goes on through the line.
                     Some(Pair { tracks: [own, other], evidence, .. }) => {
-                        self.other_side = (-evidence.abs()).clamp(FAR, 0.0);
-                        self.quiet = Some((if evidence > 0.0 { other } else { own }, self.other_side));
+                        self.other_side = evidence.clamp(FAR, 0.0);
+                        self.quiet = Some((if evidence > 0.0 { other } else { own }, (-evidence.abs()).max(FAR)));
                     }
                     None if self.other_side == FAR && self.quiet.is_none() => {
                         self.quiet = Some((quieted(constants, track), FAR));

@@ -232,13 +232,20 @@ impl Estimator {
         let coasts = self.is_coasting();
         // What masses are off by shows where readings are intervals, which confine the angles; in white noise it drowns.
         let seen = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
-        let thought = if seen { &bank::BY_INTERVALS } else { &bank::BY_NOISE };
+        // By what models are followed while samples come.
+        let thought = match seen {
+            true if frame.side().abs() < BESIDE => &bank::PRIOR,
+            true => &bank::BY_INTERVALS,
+            false => &bank::BY_NOISE,
+        };
         if coasts && !self.coasts {
             self.track.bank.foresee(thought);
         }
         self.coasts = coasts;
-        if parameters.forecast == Bands::SigmaPoints && coasts {
+        if coasts && parameters.forecast == Bands::SigmaPoints {
             self.forecast.step(&self.track, constants, scene, (h, scales));
+        } else {
+            self.forecast.end();
         }
         let to = linkage.frame(theta);
         let flow = self.track.flow(linkage, &frame, scene, (h, 1));
@@ -246,7 +253,7 @@ impl Estimator {
         let turned = self.track.has_turned(omega, frame.smallest.min(to.smallest));
         self.branches.pass(linkage, &self.track, scene, [frame.smallest, to.smallest], turned);
         self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
-        let priors = if coasts || seen && frame.side().abs() < BESIDE { &bank::PRIOR } else { thought };
+        let priors = if coasts { &bank::PRIOR } else { thought };
         let scales = [scales[0], if seen { scales[1] } else { 0.0 }];
         self.track.bank.predict(linkage, (&frame, &step.transition), scales, timing, priors);
         (self.track.theta, self.track.omega) = (*theta, *omega);
@@ -274,7 +281,7 @@ impl Estimator {
     pub fn status(&self) -> Status {
         let fault = self.encoders.iter().map(|encoder| encoder.fault).max().unwrap_or_default();
         match () {
-            () if self.begun_anew => Status::Inconsistent,
+            () if self.begun_anew && !self.is_coasting() => Status::Inconsistent,
             () if self.held => Status::Holding,
             () if fault != Fault::None => Status::Faulty(fault),
             () if self.is_coasting() => Status::Coasting,
@@ -326,7 +333,8 @@ impl Estimator {
         if !tracks.all(|track| track.is_sound(&constants.linkage)) {
             return Err("its estimate is none");
         }
-        if !self.history.is_sound() || !self.forecast.is_sound(&constants.linkage) {
+        let heard = self.encoders.iter().all(Encoder::is_sound);
+        if !heard || !self.history.is_sound() || !self.forecast.is_sound(&constants.linkage) {
             return Err("what its estimator remembers is none");
         }
         let numbers = self.innovation.iter().chain([&self.nis, &self.astray]);

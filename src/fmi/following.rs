@@ -39,7 +39,8 @@ impl Instance {
             return Err(refusal);
         }
         let news = following.take_news();
-        let begun_anew = following.estimator().has_begun_anew();
+        // Until the next samples it says so.
+        let begun_anew = following.estimator().has_begun_anew() && !before.estimator().has_begun_anew();
         clock.advance(plan);
         now.next.after_step(size);
         now.stage = super::Stage::StepComplete;
@@ -70,7 +71,7 @@ fn told(encoder: usize, fault: Fault, time: f64) -> String {
         Fault::Rejected => "is too far from what is expected: the sample is not used",
         Fault::Late => "is older than estimator.maxDelay, or than anything that is remembered: the sample is not used",
         Fault::Future => "was measured after the communication point: the sample is not used",
-        Fault::Invalid => "or its time is not a number: the sample is not used",
+        Fault::Invalid => "or its time is not a number, or the angle is beyond 1e9 rad: the sample is not used",
         Fault::Stuck => "repeats itself while the machine moves: its samples are not used until it changes",
     };
     format!("at {time:?} s: {name} {what}. This is told once for each encoder; see estimated.status.")

@@ -2,7 +2,7 @@
 
 use fivebar::effects::Inputs;
 use fivebar::estimator::linkage::Linkage;
-use fivebar::estimator::{Links, Measured, Scene, transition};
+use fivebar::estimator::{Bands, Fault, Links, Measured, Scene, Status, transition};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::{Following, Method, Parameters, Signal, Simulation};
@@ -265,14 +265,18 @@ fn bands_are_honest() {
     assert!((1.5..5.4).contains(&nees), "NEES {nees}");
 }
 
-/// All methods, through coasting and samples: n steps in one call are n calls of one, to the bit.
+/// All methods and readings, through coasting and samples: n steps in one call are n calls of one, to the bit.
 #[test]
 fn grouping_does_not_matter() {
-    for method in [Method::I3alp, Method::I3alpPrinted, Method::Rk4, Method::Dop853, Method::I3alpConserving, Method::Automatic] {
+    let methods = [Method::I3alp, Method::I3alpPrinted, Method::Rk4, Method::Dop853, Method::I3alpConserving, Method::Automatic];
+    // White noise, intervals, one of each; not all with all, for that takes long.
+    let readings = [([1e-3; 2], [0.0; 2]), ([0.0; 2], [1e-3; 2]), ([1e-3, 0.0], [0.0, 1e-3])];
+    for (k, method) in methods.into_iter().enumerate() {
         let mut parameters = followed(method);
         enable(&mut parameters, "friction");
-        parameters.estimator.forecast = fivebar::estimator::Bands::SigmaPoints;
+        parameters.estimator.forecast = Bands::SigmaPoints;
         parameters.estimator.max_delay = 5e-3;
+        (parameters.estimator.sigma, parameters.estimator.quantum) = readings[k % 3];
         let mut one = Following::new(&parameters, &default_inputs()).expect("a scene");
         let mut machine = Machine::new(&parameters, 7, [0.0, 0.0]);
         let inputs = Signal::held(Inputs { tau: [0.01, 0.0], ..default_inputs() });
@@ -292,6 +296,78 @@ fn grouping_does_not_matter() {
             machine.truth.advance(&inputs.value, 1e-3, 8).expect("steps");
         }
     }
+}
+
+/// While samples come the models are thought of by a prior of their readings; once they have ceased, by one that is likely: the weights of a
+/// forecast are those of the estimate over its prior, and change towards the other. By intervals a push is thought of readily, so that the
+/// band of the estimate is wider than by the weights of its forecast; by white noise hardly, and it is narrower.
+#[test]
+fn a_forecast_is_of_what_is_likely() {
+    const LIKELY: [f64; 4] = [0.45, 0.45, 0.095, 0.005];
+    let advance = |following: &mut Following| {
+        following.advance_along(&Signal::held(default_inputs()), 1e-3, 1).expect("a step");
+        following.estimator().track().bank
+    };
+    for (sigma, quantum, thought, wider) in
+        [(0.0, 1e-4, [0.3, 0.3, 0.1, 0.3], true), (1e-3, 0.0, [0.45, 0.45, 0.0999, 0.0001], false)]
+    {
+        let mut parameters = followed(Method::Dop853);
+        (parameters.estimator.sigma, parameters.estimator.quantum) = ([sigma; 2], [quantum; 2]);
+        let mut following = Following::new(&parameters, &default_inputs()).expect("a scene");
+        let mut machine = Machine::new(&parameters, 5, [0.0; 2]);
+        for step in 0..100 {
+            let time = f64::from(step) * 1e-3;
+            following.correct(&machine.sample(time), time);
+            advance(&mut following);
+            machine.truth.advance(&default_inputs(), 1e-3, 1).expect("a step");
+        }
+        let theta = following.estimator().track().theta;
+        assert!((theta[2] - theta[1]).sin().abs() > 0.3, "beside the line of the distal links the priors are others");
+        while !following.estimator().is_coasting() {
+            advance(&mut following);
+        }
+        let told = following.estimator().track().bank;
+        let mut foreseen = told;
+        let over: [f64; 4] = std::array::from_fn(|i| told.members[i].weight * LIKELY[i] / thought[i]);
+        let sum: f64 = over.iter().sum();
+        for (member, over) in foreseen.members.iter_mut().zip(over) {
+            member.weight = over / sum;
+        }
+        // Variance of the rates along the first of the tangent basis.
+        let [band, by_forecast] = [told, foreseen].map(|bank| bank.moments().1[2][2]);
+        assert!(if wider { band > 2.0 * by_forecast } else { band < by_forecast }, "{quantum}: {band} {by_forecast}");
+        let stay = (-1e-3 / parameters.estimator.switch_time).exp();
+        let mut expected = foreseen.members.map(|member| member.weight);
+        for step in 0..5 {
+            let weights = advance(&mut following).members.map(|member| member.weight);
+            expected = std::array::from_fn(|i| stay * expected[i] + (1.0 - stay) * LIKELY[i]);
+            // Round-off.
+            let same = (0..4).all(|i| (weights[i] - expected[i]).abs() < 1e-14);
+            assert!(same, "{quantum}, step {step}: {weights:?}, not {expected:?}");
+        }
+    }
+}
+
+/// An encoder that speaks ends a forecast, even where its sample is older than anything that is remembered: bands are no longer those of
+/// motions that stay behind.
+#[test]
+fn forecasts_end_where_encoders_speak() {
+    let mut parameters = followed(Method::Dop853);
+    parameters.estimator.forecast = Bands::SigmaPoints;
+    parameters.estimator.max_delay = 5e-3;
+    (parameters.estimator.sigma0_theta, parameters.start.omega) = (1e-4, [3.0, 3.0]);
+    let mut following = Following::new(&parameters, &default_inputs()).expect("a scene");
+    for step in 0..4 {
+        let time = f64::from(step) * 1e-3;
+        if step > 0 {
+            following.correct(&Measured { theta: parameters.start.theta, time: [-0.9e-3 + 1e-4 * time; 2] }, time);
+            assert_eq!(following.status(), Status::Faulty(Fault::Late));
+        }
+        following.advance_along(&Signal::held(default_inputs()), 1e-3, 1).expect("a step");
+    }
+    // 3 ms at a σ of 0.2 rad/s beside 1e-4 rad; the motion has gone on by 1e-2 rad.
+    let [[left, ..], _] = following.sigmas();
+    assert!(left < 1.5e-3, "{left}");
 }
 
 /// Samples that come late are worth almost what they are worth at once.

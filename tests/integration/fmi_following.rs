@@ -259,6 +259,15 @@ fn a_lost_machine_is_found_again() {
             begun += usize::from(host.take().iter().any(|line| line.text.contains("it has lost the machine")));
             if begun == 1 && status(host) == "inconsistent" {
                 assert!(step < 2250, "late: {step}");
+                // Without samples it coasts, and tells nothing twice.
+                let mut here = host.state();
+                for step in step + 1..step + 4 {
+                    assert_eq!(host.do_step(f64::from(step) * H, H), fmi2OK);
+                }
+                assert_eq!(status(host), "coasting");
+                let told = host.take();
+                assert!(!told.iter().any(|line| line.text.contains("it has lost the machine")), "{told:?}");
+                assert_eq!((host.set_state(here), host.free_state(&mut here)), (fmi2OK, fmi2OK));
             }
         }
         assert_eq!(begun, 1);
@@ -317,6 +326,37 @@ fn stored_states_are_everything() {
     }
 }
 
+/// A forecast by sigma points that is stored at its beginning or on its way, as bytes, goes on to the same bits, and so does what follows when
+/// samples come again.
+#[test]
+fn forecasts_are_stored() {
+    let (host, machine) = (foreseeing(1, SIGMA_POINTS, &[]), machine());
+    follow(&host, &machine, 0..60, at_once);
+    let mut states: Vec<(u32, Vec<u8>)> = Vec::new();
+    for step in 60..90 {
+        assert_eq!((host.do_step(f64::from(step) * H, H), machine.do_step(f64::from(step) * H, H)), (fmi2OK, fmi2OK));
+        let mut state = host.state();
+        states.push((step + 1, bytes_of(&host, state)));
+        assert_eq!(host.free_state(&mut state), fmi2OK);
+    }
+    let (mut machine_state, ahead) = (machine.state(), reals(&host));
+    follow(&host, &machine, 90..110, at_once);
+    let again = reals(&host);
+    for (from, bytes) in states {
+        let other = Host::new();
+        let mut read = state_of(&other, &bytes);
+        assert_eq!((other.set_state(read), machine.set_state(machine_state)), (fmi2OK, fmi2OK), "{:?}", other.take());
+        if from < 90 {
+            assert_eq!(other.do_step(f64::from(from) * H, f64::from(90 - from) * H), fmi2OK);
+        }
+        assert_eq!(reals(&other), ahead, "stored at step {from}");
+        follow(&other, &machine, 90..110, at_once);
+        assert_eq!(reals(&other), again, "stored at step {from}");
+        assert_eq!(other.free_state(&mut read), fmi2OK);
+    }
+    assert_eq!(machine.free_state(&mut machine_state), fmi2OK);
+}
+
 /// Off there is no byte of it in a stored state, and a sample that has been set is kept.
 #[test]
 fn off_there_is_no_byte_of_state() {
@@ -340,7 +380,7 @@ fn off_there_is_no_byte_of_state() {
     assert_eq!((host.free_state(&mut state), other.free_state(&mut read)), (fmi2OK, fmi2OK));
 }
 
-/// A step that is discarded takes the correction back.
+/// More delay than is remembered is refused.
 #[test]
 fn a_refused_scene_says_why() {
     let host = Host::initializing(0.0, None);

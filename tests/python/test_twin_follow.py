@@ -82,7 +82,6 @@ def test_the_twin_follows_within_its_bands(config: Config, library: Library, sam
     # An encoder's step, 2π/2^16 rad, moves the tip by some 0.04 mm.
     assert max(off(each, samples) for each in said[:-1]) < 1e-4
     share = sum(off(each, samples) < half_width(covariance(each.fields)) for each in said[:-1]) / 399
-    widths = sorted(half_width(covariance(each.fields)) for each in said[:-1]); import json; json.dump([(e.seq, off(e, samples), half_width(covariance(e.fields))) for e in said[:-1]], open("/tmp/share.json","w")); print("SHARE", share, widths[200], max(off(each, samples) for each in said[:-1]))
     assert share > 0.85
 
 

@@ -42,7 +42,8 @@ fn direct_singularities_are_crossed() {
 /// machine's own by how the motion goes on.
 #[test]
 fn grazed_singularities_are_found_out() {
-    for (seed, encoder) in [(20_000_260, COARSE), (20_010_076, FINE)] {
+    // The last crosses the line, comes back and crosses it again while both assemblies are followed.
+    for (seed, encoder) in [(20_000_260, COARSE), (20_010_076, FINE), (759_300_583, COARSE)] {
         let mut random = Random::new(seed);
         let scenario = singular::crossing(&mut random, [0.02, 0.2]);
         let (mut both, mut wrong) = (false, false);
