@@ -19,8 +19,8 @@ use crate::mechanism::legs::{Legs2, both};
 use crate::vector::Vector;
 
 impl ByAngles<'_> {
-    /// About a state with its pose, whose q̈ and λ are those of equilibrium, with what the equilibrium is regularised by. None where friction may hold:
-    /// what holds has a multiplier of its own.
+    /// About a state with its pose, whose q̈ and λ are those of equilibrium, with what the equilibrium is regularised by, as if friction
+    /// that may hold did not: what holds has a multiplier of its own.
     #[inline(never)]
     pub(super) fn tangents_of_acceleration(
         &self,
@@ -28,9 +28,6 @@ impl ByAngles<'_> {
         pose: &Pose,
         regularization: f64,
     ) -> Option<AccelerationTangents<ANGLES>> {
-        if self.model().sticks {
-            return None;
-        }
         let State { q, v, a, lambda, .. } = at;
         let factor = self.factor_mass(pose, regularization);
         let (x, rates) = self.coordinates(pose, q, v);

@@ -81,8 +81,8 @@ fn below_breakaway_it_stays() {
     }
 }
 
-/// The tip for 60 s under half of what the plane can hold: along the plane it stays. Across it there is the plane's spring, on which explicit
-/// steps are at the border of stability, so that accelerations are off by what rates may be off, 3e-8 rad/s, times its fastest rate.
+/// The tip for 60 s under half of what the plane can hold: along the plane it stays. What the plane's spring does across it fades, though
+/// explicit steps could be as long as the border of stability allows.
 #[test]
 fn below_its_bound_the_tip_stays_on_the_plane() {
     for method in METHODS {
@@ -100,13 +100,12 @@ fn below_its_bound_the_tip_stays_on_the_plane() {
             held.advance(&inputs, 1e-3, 100).expect("steps");
             assert!((tip(&held)[0] - x).abs() < 1e-12, "{method:?}, call {call}");
             let fastest = held.state().core.a.max_norm();
-            let allowed = if method == Method::I3alp { 1e-9 } else { 1e-3 };
-            assert!(fastest <= allowed, "{method:?}, call {call}: {fastest:e} rad/s² or m/s²");
+            assert!(fastest <= 1e-6, "{method:?}, call {call}: {fastest:e} rad/s² or m/s²");
         }
         // The free arm takes some 7,600 explicit steps for a minute.
         let counters = held.counters();
         assert!(
-            counters.substeps + counters.rejected <= if method == Method::I3alp { 60_000 } else { 5_000 },
+            counters.substeps + counters.rejected <= if method == Method::I3alp { 60_000 } else { 7_600 },
             "{method:?}: {counters:?}"
         );
     }

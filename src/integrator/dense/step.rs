@@ -52,6 +52,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
         };
         self.choose_by_tangents(system, settings, horizon.limit);
+        let longest = if system.has_grips() { longest.min(self.longest_at_rest(system, settings)) } else { longest };
         // Where friction may hold, steps are explicit ones of order 8, and next to a vertex, where tangents are those of round-off.
         let kind = if system.has_grips() || near && !system.can_project(&self.start.q) {
             Kind::Eighth
@@ -90,7 +91,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         limit: f64,
     ) {
         let at_start = self.start.counters.substeps == 0;
-        let asks = settings.kinds == Kinds::Automatic && (at_start || self.memory.choice.is_probing());
+        // Where friction may hold there is no choice.
+        let asks = settings.kinds == Kinds::Automatic && !system.has_grips() && (at_start || self.memory.choice.is_probing());
         if asks
             && system.is_steep()
             && let Some(shared) =

@@ -1,6 +1,12 @@
 //! Whether the scene is too stiff for an explicit method (Hairer, Wanner II, section IV.2, the test of DOP853).
 
+use std::borrow::Borrow;
+
 use borsh::{BorshDeserialize, BorshSerialize};
+
+use super::rosenbrock::Shared;
+use super::{DenseStep, Settings};
+use crate::integrator::{Kinked, System};
 
 /// Accepted steps between two checks: a power of two, which counts are told by without a division.
 const INTERVAL: u64 = 1024;
@@ -12,6 +18,12 @@ const STIFF_STEPS: u8 = 15;
 /// So many steps away from the border begin the count anew.
 const NONSTIFF_STEPS: u8 = 6;
 
+/// Where nothing moves by more than the tolerance in a ms, what friction holds comes to rest on its springs:
+const STILL: f64 = 1e3;
+/// there a step times the fastest rate is at most this, within the border of stability, at which errors say nothing until accelerations are as
+/// large as rates may be off.
+const FADES: f64 = 5.0;
+
 /// What has been seen of the border of stability.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Stiffness {
@@ -19,6 +31,8 @@ pub(super) struct Stiffness {
     away: u8,
     /// Whether steps have been limited by stability and not by accuracy.
     pub(super) found: bool,
+    /// By tangents, where what friction holds has come to rest: the fastest rate, 1/s. Nothing that moves tells it there.
+    pub(super) held: Option<f64>,
 }
 
 impl Stiffness {
@@ -45,6 +59,27 @@ impl Stiffness {
 
     /// Whether the counts are such as checks leave behind.
     pub(super) fn is_consistent(&self) -> bool {
-        self.at_border <= STIFF_STEPS && self.away < NONSTIFF_STEPS && self.found == (self.at_border == STIFF_STEPS)
+        self.held.is_none_or(|rate| rate >= 0.0)
+            && self.at_border <= STIFF_STEPS
+            && self.away < NONSTIFF_STEPS
+            && self.found == (self.at_border == STIFF_STEPS)
+    }
+}
+
+impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
+    /// The longest step in which what springs do fades where friction lets nothing else move, s.
+    #[cold]
+    pub(super) fn longest_at_rest<S: System<N, M> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
+        let on = system.on(self.sides);
+        let rate = &mut self.memory.stiffness.held;
+        // Where nothing can move nothing has to fade.
+        if on.borrow().is_at_rest() || system.angle_norm(&self.start.v) > STILL * settings.error_tolerance {
+            *rate = None;
+            return f64::INFINITY;
+        }
+        let by_tangents = || {
+            Shared::about(on.borrow(), settings, (&self.start, &system.pose(&self.start.q))).map_or(0.0, |shared| shared.fastest)
+        };
+        FADES / *rate.get_or_insert_with(by_tangents)
     }
 }
