@@ -296,6 +296,9 @@ fn layout(content: &[u8]) -> Vec<(usize, String)> {
                 next(&format!("run.{memory}.log_error"), 8);
                 next(&format!("run.{memory}.elsewhere"), 8);
                 next(&format!("run.{memory}.stiffness"), 3);
+                if content[next(&format!("run.{memory}.stiffness.held.some"), 1)] == 1 {
+                    next(&format!("run.{memory}.stiffness.held"), 8);
+                }
                 for (name, size) in [("stiff", 1), ("against", 1), ("explicit", 2), ("returns", 1), ("border", 8), ("fifth", 8)] {
                     next(&format!("run.{memory}.choice.{name}"), size);
                 }

@@ -59,7 +59,7 @@ impl Stiffness {
 
     /// Whether the counts are such as checks leave behind.
     pub(super) fn is_consistent(&self) -> bool {
-        self.held.is_none_or(|rate| rate >= 0.0)
+        self.held.is_none_or(|rate| (0.0..f64::INFINITY).contains(&rate))
             && self.at_border <= STIFF_STEPS
             && self.away < NONSTIFF_STEPS
             && self.found == (self.at_border == STIFF_STEPS)
@@ -78,7 +78,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             return f64::INFINITY;
         }
         let by_tangents = || {
-            Shared::about(on.borrow(), settings, (&self.start, &system.pose(&self.start.q))).map_or(0.0, |shared| shared.fastest)
+            let shared = Shared::about(on.borrow(), settings, (&self.start, &system.pose(&self.start.q)));
+            shared.map(|shared| shared.fastest).filter(|rate| rate.is_finite()).unwrap_or_default()
         };
         FADES / *rate.get_or_insert_with(by_tangents)
     }
