@@ -152,13 +152,16 @@ impl Estimator {
             }
             (heard[i], ages[i], any) = (Some((innovation, sample.angle)), sample.age, true);
         }
+        // Also where what they say cannot be used.
+        if !self.is_coasting() {
+            self.forecast.end();
+        }
         if any && self.begin_anew(constants, &heard, &ages) {
             return true;
         }
         if !any || self.held {
             return false;
         }
-        self.forecast.end();
         // Where several branches are open, the first samples decide, before any is bent to them.
         if let Some(other) = self.branches.preferred(linkage, &self.track, &heard) {
             self.branches.swap(&mut self.track, other);
@@ -244,8 +247,6 @@ impl Estimator {
         self.coasts = coasts;
         if coasts && parameters.forecast == Bands::SigmaPoints {
             self.forecast.step(&self.track, constants, scene, (h, scales));
-        } else {
-            self.forecast.end();
         }
         let to = linkage.frame(theta);
         let flow = self.track.flow(linkage, &frame, scene, (h, 1));

@@ -32,7 +32,6 @@ impl Estimator {
         self.innovation = [left, right].map(|(innovation, _)| innovation.residual);
         (self.track, self.branches, self.grazing) = (track, Branches::default(), Grazing::of_unknown_side());
         self.history.clear();
-        self.forecast.end();
         self.alarm = Alarm::default();
         (self.held, self.astray, self.begun_anew) = (false, 0.0, true);
         true

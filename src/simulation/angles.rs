@@ -329,7 +329,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         pose: &Pose,
         regularization: f64,
     ) -> Option<AccelerationTangents<ANGLES>> {
-        self.tangents_of_acceleration(at, pose, regularization)
+        Some(self.tangents_of_acceleration(at, pose, regularization))
     }
 
     #[inline]

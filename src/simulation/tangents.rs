@@ -27,7 +27,7 @@ impl ByAngles<'_> {
         at: &State<ANGLES, CLOSURES>,
         pose: &Pose,
         regularization: f64,
-    ) -> Option<AccelerationTangents<ANGLES>> {
+    ) -> AccelerationTangents<ANGLES> {
         let State { q, v, a, lambda, .. } = at;
         let factor = self.factor_mass(pose, regularization);
         let (x, rates) = self.coordinates(pose, q, v);
@@ -81,6 +81,6 @@ impl ByAngles<'_> {
             by_q[i] = factor.solve(&by_q[i], &closure_q[i]).0;
             by_v[i] = factor.solve(&by_v[i], &closure_v[i]).0;
         }
-        Some(AccelerationTangents { by_q, by_v })
+        AccelerationTangents { by_q, by_v }
     }
 }

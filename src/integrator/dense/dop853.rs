@@ -209,12 +209,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
         if error.is_nan() || error > 1.0 {
             return (error, None);
         }
-        let work = if system.follows_work() {
-            allowed.work(settings, Work::default().plus(self.h, self.mean_power()))
-        } else {
-            Ok(Work::default())
-        };
-        let work = match work {
+        let work = match allowed.work(settings, system.follows_work(), || Work::default().plus(self.h, self.mean_power())) {
             Ok(work) => work,
             Err(error) => return (error, None),
         };

@@ -261,9 +261,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         if error.is_nan() || error > 1.0 {
             return (error, None);
         }
-        let work =
-            if system.follows_work() { allowed.work(settings, self.work(system, const { &T::WORK })) } else { Ok(Work::default()) };
-        let work = match work {
+        let work = match allowed.work(settings, system.follows_work(), || self.work(system, const { &T::WORK })) {
             Ok(work) => work,
             Err(error) => return (error, None),
         };

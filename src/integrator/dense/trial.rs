@@ -128,10 +128,15 @@ impl Settings {
 }
 
 impl Allowed {
-    /// The work of a step, as [`Settings::credible`] has it; where there are kinks that is asked when it is known where the step ends.
+    /// The work of a step if it is followed, as [`Settings::credible`] has it; where there are kinks that is asked when it is known where the
+    /// step ends.
     #[inline]
-    pub(super) fn work(&self, settings: &Settings, work: Work) -> Result<Work, f64> {
-        if self.work.is_some() { Ok(work) } else { settings.credible(work) }
+    pub(super) fn work(&self, settings: &Settings, follows: bool, work: impl FnOnce() -> Work) -> Result<Work, f64> {
+        match follows {
+            false => Ok(Work::default()),
+            true if self.work.is_some() => Ok(work()),
+            true => settings.credible(work()),
+        }
     }
 
     /// The same where it is not asked in every step: one piece of code.

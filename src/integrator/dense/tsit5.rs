@@ -153,12 +153,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         if error.is_nan() || error > 1.0 {
             return (error, None);
         }
-        let work = if system.follows_work() {
-            allowed.work(settings, Work::default().plus(self.h, self.power::<END>()))
-        } else {
-            Ok(Work::default())
-        };
-        let work = match work {
+        let work = match allowed.work(settings, system.follows_work(), || Work::default().plus(self.h, self.power::<END>())) {
             Ok(work) => work,
             Err(error) => return (error, None),
         };
