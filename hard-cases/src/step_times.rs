@@ -71,7 +71,7 @@ pub fn measure(extent: Extent) -> Result<Vec<StepTimes>, String> {
             }
             let counters = simulation.counters();
             found.rescued[0] += counters.rescued;
-            found.rescued[1] += counters.last_resorts;
+            found.rescued[1] += counters.fallbacks;
         }
         Ok(found)
     };

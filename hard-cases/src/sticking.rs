@@ -8,18 +8,18 @@ use crate::independent::{Independent, JOINTS, Motion, eliminate, extrapolate};
 
 /// What a grip does.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Grip {
+enum StickSlip {
     Free,
     Slips(f64),
     Holds,
 }
 
 /// The joints, and the tip on the plane.
-const GRIPS: usize = 6;
+const FRICTION_PLACES: usize = 6;
 /// The place of the tip.
 const TIP: usize = 5;
 
-type Grips = [Grip; GRIPS];
+type StickSlips = [StickSlip; FRICTION_PLACES];
 
 /// Rates below this, rad/s, are those of rest.
 const SLOW: f64 = 1e-8;
@@ -57,38 +57,39 @@ impl<'a> Sticking<'a> {
     /// After `duration` seconds; `None` where steps become too short or events too many.
     pub fn after(&self, start: Motion, duration: f64) -> Option<Motion> {
         let (mut state, mut time, mut wanted, mut events) = (start, 0.0, 1e-4_f64, 0);
-        let mut grips = self.decided(&mut state);
+        let mut stick_slip = self.decided(&mut state);
         while duration - time > 1e-12 {
             // Nothing moves, and no input changes.
-            if state[4..].iter().all(|rate| *rate == 0.0) && grips.iter().filter(|grip| **grip == Grip::Holds).count() > 1 {
+            if state[4..].iter().all(|rate| *rate == 0.0) && stick_slip.iter().filter(|grip| **grip == StickSlip::Holds).count() > 1
+            {
                 return Some(state);
             }
             let h = wanted.min(LONGEST).min(self.program.cap(&state)).min(duration - time);
             if h < 1e-13 || events > 10_000 {
                 return None;
             }
-            let (end, error) = extrapolate(&|state| self.slope(state, &grips), &state, h);
+            let (end, error) = extrapolate(&|state| self.slope(state, &stick_slip), &state, h);
             if error > 1.0 {
                 wanted = h * (0.7 * error.powf(-0.2)).clamp(0.1, 0.9);
                 continue;
             }
-            if self.margin(&end, &grips) >= 0.0 {
-                (state, time) = (self.held(end, &grips), time + h);
+            if self.margin(&end, &stick_slip) >= 0.0 {
+                (state, time) = (self.held(end, &stick_slip), time + h);
                 wanted = h * (0.7 * error.max(1e-12).powf(-0.2)).clamp(0.2, 4.0);
                 continue;
             }
-            let (end, h) = self.event(&state, &grips, h);
-            (state, time, events) = (self.held(end, &grips), time + h, events + 1);
-            grips = self.decided(&mut state);
+            let (end, h) = self.event(&state, &stick_slip, h);
+            (state, time, events) = (self.held(end, &stick_slip), time + h, events + 1);
+            stick_slip = self.decided(&mut state);
             wanted = 1e-4;
         }
         Some(state)
     }
 
     /// Back onto the closure, and what holds to rest.
-    fn held(&self, state: Motion, grips: &Grips) -> Motion {
+    fn held(&self, state: Motion, stick_slip: &StickSlips) -> Motion {
         let mut state = self.program.closed(state);
-        for grip in (0..GRIPS).filter(|grip| grips[*grip] == Grip::Holds) {
+        for grip in (0..FRICTION_PLACES).filter(|grip| stick_slip[*grip] == StickSlip::Holds) {
             let row = self.row(grip, &state);
             let rate = row.rate(&state);
             // The rates nearest by that keep the closure: two equations of it, and that of the grip.
@@ -110,12 +111,12 @@ impl<'a> Sticking<'a> {
     }
 
     /// The end of the step that comes just beyond where its grips do something else: by false position (Illinois).
-    fn event(&self, from: &Motion, grips: &Grips, longest: f64) -> (Motion, f64) {
+    fn event(&self, from: &Motion, stick_slip: &StickSlips, longest: f64) -> (Motion, f64) {
         /// So far beyond, rad/s and N·m, within the smaller.
         const BEYOND: [f64; 2] = [5e-13, 4e-13];
         const ROUNDS: usize = 60;
-        let step = |h: f64| extrapolate(&|state| self.slope(state, grips), from, h).0;
-        let above = |end: &Motion| self.margin(end, grips) + BEYOND[0];
+        let step = |h: f64| extrapolate(&|state| self.slope(state, stick_slip), from, h).0;
+        let above = |end: &Motion| self.margin(end, stick_slip) + BEYOND[0];
         let ([mut before, mut beyond], mut end) = ([0.0, longest], step(longest));
         let [mut high, mut low] = [above(from), above(&end)];
         for _ in 0..ROUNDS {
@@ -135,13 +136,13 @@ impl<'a> Sticking<'a> {
     }
 
     /// The least of what must not fall below 0: slip rates in their direction, what grips that hold have left, and the gap to the plane.
-    fn margin(&self, state: &Motion, grips: &Grips) -> f64 {
-        let (_, torques) = self.accelerations(state, grips);
-        let margins = (0..GRIPS).map(|grip| match grips[grip] {
-            Grip::Free if grip == TIP && self.tip_sticks() => 1e-13 - self.program.pressed(state)[0],
-            Grip::Free => f64::INFINITY,
-            Grip::Slips(sign) => sign * self.row(grip, state).rate(state) + 1e-13,
-            Grip::Holds => self.bound(grip, state, 0.0) - torques[grip].abs(),
+    fn margin(&self, state: &Motion, stick_slip: &StickSlips) -> f64 {
+        let (_, torques) = self.accelerations(state, stick_slip);
+        let margins = (0..FRICTION_PLACES).map(|grip| match stick_slip[grip] {
+            StickSlip::Free if grip == TIP && self.tip_sticks() => 1e-13 - self.program.pressed(state)[0],
+            StickSlip::Free => f64::INFINITY,
+            StickSlip::Slips(sign) => sign * self.row(grip, state).rate(state) + 1e-13,
+            StickSlip::Holds => self.bound(grip, state, 0.0) - torques[grip].abs(),
         });
         margins.fold(f64::INFINITY, f64::min)
     }
@@ -182,27 +183,27 @@ impl<'a> Sticking<'a> {
         friction.coulomb[grip] + (friction.breakaway[grip] - friction.coulomb[grip]) * (-u * u).exp()
     }
 
-    fn slope(&self, state: &Motion, grips: &Grips) -> Motion {
-        let (a, _) = self.accelerations(state, grips);
+    fn slope(&self, state: &Motion, stick_slip: &StickSlips) -> Motion {
+        let (a, _) = self.accelerations(state, stick_slip);
         [state[4], state[5], state[6], state[7], a[0], a[1], a[2], a[3]]
     }
 
     /// Accelerations, and the torques of the grips that hold. Two hold at most.
-    fn accelerations(&self, state: &Motion, grips: &Grips) -> ([f64; 4], [f64; GRIPS]) {
+    fn accelerations(&self, state: &Motion, stick_slip: &StickSlips) -> ([f64; 4], [f64; FRICTION_PLACES]) {
         let mut matrix = [[0.0; 9]; 8];
         for (row, equation) in self.program.equations(state).into_iter().enumerate() {
             matrix[row][..6].copy_from_slice(&equation[..6]);
             matrix[row][8] = equation[6];
         }
-        let mut places = [None; GRIPS];
+        let mut places = [None; FRICTION_PLACES];
         let mut place = 6;
-        for grip in 0..GRIPS {
-            if grips[grip] == Grip::Free {
+        for grip in 0..FRICTION_PLACES {
+            if stick_slip[grip] == StickSlip::Free {
                 continue;
             }
             let sliding = self.row(grip, state);
-            match grips[grip] {
-                Grip::Slips(sign) => {
+            match stick_slip[grip] {
+                StickSlip::Slips(sign) => {
                     let force = sign * self.bound(grip, state, sliding.rate(state));
                     (0..4).for_each(|link| matrix[link][8] -= sliding.row[link] * force);
                 }
@@ -234,50 +235,51 @@ impl<'a> Sticking<'a> {
     }
 
     /// What the grips do from here on.
-    fn decided(&self, state: &mut Motion) -> Grips {
-        let all: Vec<usize> = (0..GRIPS).filter(|grip| self.rubs(*grip, state)).collect();
-        let able = |grips: Vec<usize>| grips.into_iter().filter(|grip| self.bound(*grip, state, 0.0) > 0.0).collect::<Vec<_>>();
+    fn decided(&self, state: &mut Motion) -> StickSlips {
+        let all: Vec<usize> = (0..FRICTION_PLACES).filter(|grip| self.rubs(*grip, state)).collect();
+        let able =
+            |stick_slip: Vec<usize>| stick_slip.into_iter().filter(|grip| self.bound(*grip, state, 0.0) > 0.0).collect::<Vec<_>>();
         if state[4..].iter().all(|rate| rate.abs() < 100.0 * SLOW) {
             let mut still = *state;
             still[4..].fill(0.0);
-            let (violation, grips) = self.best(&still, &[Grip::Free; GRIPS], &able(all.clone()), true);
+            let (violation, stick_slip) = self.best(&still, &[StickSlip::Free; FRICTION_PLACES], &able(all.clone()), true);
             if violation < 1e-9 {
                 *state = still;
-                return grips;
+                return stick_slip;
             }
         }
-        let mut grips = [Grip::Free; GRIPS];
+        let mut stick_slip = [StickSlip::Free; FRICTION_PLACES];
         for grip in &all {
-            grips[*grip] = Grip::Slips(if self.row(*grip, state).rate(state) < 0.0 { -1.0 } else { 1.0 });
+            stick_slip[*grip] = StickSlip::Slips(if self.row(*grip, state).rate(state) < 0.0 { -1.0 } else { 1.0 });
         }
         let zero = able(all.into_iter().filter(|grip| self.row(*grip, state).rate(state).abs() < SLOW).collect());
-        self.best(state, &grips, &zero, false).1
+        self.best(state, &stick_slip, &zero, false).1
     }
 
     /// Of all that some grips may do, with two of them holding or with one at most, what violates the law least.
-    fn best(&self, state: &Motion, others: &Grips, zero: &[usize], rests: bool) -> (f64, Grips) {
+    fn best(&self, state: &Motion, others: &StickSlips, zero: &[usize], rests: bool) -> (f64, StickSlips) {
         let mut best = (f64::INFINITY, *others);
         for code in 0..3_usize.pow(zero.len() as u32) {
-            let mut grips = *others;
+            let mut stick_slip = *others;
             let mut rest = code;
             for grip in zero {
-                grips[*grip] = [Grip::Holds, Grip::Slips(1.0), Grip::Slips(-1.0)][rest % 3];
+                stick_slip[*grip] = [StickSlip::Holds, StickSlip::Slips(1.0), StickSlip::Slips(-1.0)][rest % 3];
                 rest /= 3;
             }
-            let holding = zero.iter().filter(|grip| grips[**grip] == Grip::Holds).count();
+            let holding = zero.iter().filter(|grip| stick_slip[**grip] == StickSlip::Holds).count();
             if if rests { holding != 2 } else { holding > 1 } {
                 continue;
             }
-            let (a, torques) = self.accelerations(state, &grips);
-            let violations = zero.iter().map(|grip| match grips[*grip] {
-                Grip::Holds => torques[*grip].abs() / self.bound(*grip, state, 0.0) - 1.0,
-                Grip::Slips(sign) if !rests => -sign * self.row(*grip, state).acceleration(&a),
-                Grip::Slips(_) | Grip::Free => 0.0,
+            let (a, torques) = self.accelerations(state, &stick_slip);
+            let violations = zero.iter().map(|grip| match stick_slip[*grip] {
+                StickSlip::Holds => torques[*grip].abs() / self.bound(*grip, state, 0.0) - 1.0,
+                StickSlip::Slips(sign) if !rests => -sign * self.row(*grip, state).acceleration(&a),
+                StickSlip::Slips(_) | StickSlip::Free => 0.0,
             });
             let moved = if rests { 1e-3 * a.iter().fold(0.0, |most: f64, a| most.max(a.abs())) } else { 0.0 };
             let violation = violations.fold(moved, f64::max);
             if violation < best.0 {
-                best = (violation, grips);
+                best = (violation, stick_slip);
             }
         }
         best

@@ -211,7 +211,7 @@ impl Trial {
                 outcome.objection = self.watch.objection(&path, failed);
                 outcome.path = path;
                 let counters = simulation.state().core.counters;
-                if !failed && !self.passes.is_empty() && self.passes.iter().all(|&bit| counters.mode_changes[bit] == 0) {
+                if !failed && !self.passes.is_empty() && self.passes.iter().all(|&bit| counters.sign_changes[bit] == 0) {
                     outcome.objection = Some("passes through no such singularity".into());
                 }
                 (outcome.steps, outcome.substeps) = (counters.steps, counters.substeps);

@@ -96,9 +96,9 @@ impl Watch {
             Self::Turns { vertex, between: [before, after], reference, witness, within } => {
                 let odd = vertex.odd();
                 let near = path.iter().filter(|(t, _)| *t >= before - 1e-9 && *t <= after + 1e-9);
-                let mut sides = near.map(|(_, theta)| vertex.offset(*theta)[odd].signum());
-                let first = sides.next();
-                if sides.any(|side| Some(side) != first) {
+                let mut mode = near.map(|(_, theta)| vertex.offset(*theta)[odd].signum());
+                let first = mode.next();
+                if mode.any(|side| Some(side) != first) {
                     return Some("crosses to the other sheet".into());
                 }
                 let apart = |x: &[f64; 4], y: &[f64; 4]| (0..4).map(|i| (x[i] - y[i]).abs()).fold(0.0, f64::max);

@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release -p problems --example cost`
 
-use fivebar::integrator::{Implicit, Kinked, Passage, StepError};
+use fivebar::integrator::{Events, Implicit, Passage, StepError};
 use problems::{Method, Outcome, Problem, four_bars, pendulum, squeezer};
 
 fn main() {
@@ -17,7 +17,7 @@ fn main() {
 }
 
 /// Two methods at fixed steps, and i3-ALP and DOP853 at several tolerances, looked at every h.
-fn show<S: Implicit<N, M> + Passage<N> + Kinked<N>, const N: usize, const M: usize>(
+fn show<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize>(
     name: &str,
     problem: &Problem<S, N, M>,
     steps: &[f64],

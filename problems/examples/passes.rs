@@ -4,7 +4,7 @@
 //!
 //! `cargo run --release -p problems --example passes`
 
-use fivebar::integrator::{Implicit, Kinked, Passage};
+use fivebar::integrator::{Events, Implicit, Passage};
 use problems::{Method, Problem, four_bars};
 
 fn main() {
@@ -20,7 +20,7 @@ fn main() {
     }
 }
 
-fn show<S: Implicit<N, M> + Passage<N> + Kinked<N>, const N: usize, const M: usize>(
+fn show<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize>(
     name: &str,
     mut problem: Problem<S, N, M>,
     regularization: f64,
@@ -51,7 +51,7 @@ struct Row {
 
 impl Row {
     /// Runs of `least` macro steps, and of up to a tenth more.
-    fn of<S: Implicit<N, M> + Passage<N> + Kinked<N>, const N: usize, const M: usize>(
+    fn of<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize>(
         problem: &Problem<S, N, M>,
         method: Method,
         least: u32,

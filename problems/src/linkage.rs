@@ -10,7 +10,7 @@ mod pose;
 pub use factor::Factor;
 pub use pose::Pose;
 
-use fivebar::integrator::{Implicit, Kinked, Kkt, Passage, StepError, System, TangentPoint, Work};
+use fivebar::integrator::{Events, Implicit, Kkt, Passage, StepError, System, TangentPoint, Work};
 use fivebar::vector::Vector;
 pub(crate) use pose::rotated;
 use pose::{Side, quarter_turn};
@@ -146,13 +146,13 @@ impl Spring {
 
 impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N, M, W> {
     type Pose = Pose<M>;
-    type Place = ();
+    type TrigBase = ();
     type Mass = Factor<N, M, W>;
 
     fn pose(&self, q: &Vector<N>) -> Pose<M> {
         Pose::new(&self.joints, &q[..])
     }
-    fn place(&self, _: &Pose<M>) {}
+    fn trig_base(&self, _: &Pose<M>) {}
     fn phi(&self, q: &Vector<N>, pose: &Pose<M>) -> Vector<M> {
         Vector::from_fn(|row| {
             let point = |end: &End, side: &Option<Side>| match (end, side) {
@@ -205,7 +205,7 @@ impl<const N: usize, const M: usize, const W: usize> System<N, M> for Linkage<N,
     fn power(&self, _: &Vector<N>, _: &Pose<M>, _: &Vector<N>) -> Work {
         Work::default()
     }
-    fn angle_norm(&self, x: &Vector<N>) -> f64 {
+    fn error_norm(&self, x: &Vector<N>) -> f64 {
         x.iter().skip(2).step_by(3).fold(0.0, |largest, x| largest.max(x.abs()))
     }
     fn length_scale(&self) -> f64 {
@@ -254,11 +254,11 @@ impl<const N: usize, const M: usize, const W: usize> Implicit<N, M> for Linkage<
 
 impl<const N: usize, const M: usize, const W: usize> Passage<N> for Linkage<N, M, W> {}
 
-impl<const N: usize, const M: usize, const W: usize> Kinked<N> for Linkage<N, M, W> {
-    type Sides = ();
-    type Touches = ();
+impl<const N: usize, const M: usize, const W: usize> Events<N> for Linkage<N, M, W> {
+    type Mode = ();
+    type GuardValues = ();
 
-    fn touches(&self, _: &Vector<N>, _: &Vector<N>) {}
+    fn guard_values(&self, _: &Vector<N>, _: &Vector<N>) {}
 
-    fn sides_of(&self, _: &Vector<N>, _: &Vector<N>) {}
+    fn mode_of(&self, _: &Vector<N>, _: &Vector<N>) {}
 }

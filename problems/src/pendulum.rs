@@ -6,7 +6,7 @@
 //! Source: Library of Computational Benchmark Problems, IFToMM Technical Committee for Multibody Dynamics, problem A01. The position
 //! at 10 s follows from Jacobi's elliptic functions.
 
-use fivebar::integrator::{Implicit, Kinked, Kkt, Passage, StepError, System, TangentPoint, Work};
+use fivebar::integrator::{Events, Implicit, Kkt, Passage, StepError, System, TangentPoint, Work};
 
 use crate::Problem;
 use fivebar::vector::Vector;
@@ -51,13 +51,13 @@ impl Kkt<2, 1> for Factor {
 
 impl System<2, 1> for Pendulum {
     type Pose = Vector<2>;
-    type Place = ();
+    type TrigBase = ();
     type Mass = Factor;
 
     fn pose(&self, q: &Vector<2>) -> Vector<2> {
         *q
     }
-    fn place(&self, _: &Vector<2>) {}
+    fn trig_base(&self, _: &Vector<2>) {}
     fn phi(&self, q: &Vector<2>, _: &Vector<2>) -> Vector<1> {
         [(q.dot(q) - 1.0) / 2.0].into()
     }
@@ -82,7 +82,7 @@ impl System<2, 1> for Pendulum {
     fn power(&self, _: &Vector<2>, _: &Vector<2>, _: &Vector<2>) -> Work {
         Work::default()
     }
-    fn angle_norm(&self, x: &Vector<2>) -> f64 {
+    fn error_norm(&self, x: &Vector<2>) -> f64 {
         x[0].abs().max(x[1].abs())
     }
     fn length_scale(&self) -> f64 {
@@ -115,11 +115,11 @@ impl Implicit<2, 1> for Pendulum {
 
 impl Passage<2> for Pendulum {}
 
-impl Kinked<2> for Pendulum {
-    type Sides = ();
-    type Touches = ();
+impl Events<2> for Pendulum {
+    type Mode = ();
+    type GuardValues = ();
 
-    fn touches(&self, _: &Vector<2>, _: &Vector<2>) {}
+    fn guard_values(&self, _: &Vector<2>, _: &Vector<2>) {}
 
-    fn sides_of(&self, _: &Vector<2>, _: &Vector<2>) {}
+    fn mode_of(&self, _: &Vector<2>, _: &Vector<2>) {}
 }

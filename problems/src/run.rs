@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use fivebar::integrator::dense::{DenseStep, Horizon};
-use fivebar::integrator::{Implicit, Kinked, Passage, State, StepError, dense, i3alp, rk4};
+use fivebar::integrator::{Events, Implicit, Passage, State, StepError, dense, i3alp, rk4};
 use fivebar::vector::Vector;
 
 /// A benchmark: a system, its start, its end and what is published about it.
@@ -63,13 +63,13 @@ const MAX_WORK: u32 = 400_000;
 /// The first step that DOP853 tries, s; a longer one is soon found.
 const FIRST_STEP: f64 = 1e-5;
 
-impl<S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>, const N: usize, const M: usize> Problem<S, N, M> {
+impl<S: Implicit<N, M> + Passage<N> + Events<N> + Events<N>, const N: usize, const M: usize> Problem<S, N, M> {
     /// i3-ALP at strictly fixed step.
     pub fn fixed(&self) -> Method {
         Method::I3alp(i3alp::Settings { adaptive: false, ..self.i3alp(f64::INFINITY) })
     }
 
-    /// i3-ALP with sub-steps of this local error, in the unit of [`fivebar::integrator::System::angle_norm`].
+    /// i3-ALP with sub-steps of this local error, in the unit of [`fivebar::integrator::System::error_norm`].
     pub fn adaptive(&self, error_tolerance: f64) -> Method {
         Method::I3alp(self.i3alp(error_tolerance))
     }
@@ -100,7 +100,7 @@ impl<S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>, const N: usize, con
     /// DOP853 with this local error, of the coordinates in their own units.
     pub fn dop853(&self, error_tolerance: f64) -> Method {
         Method::Dop853(dense::Settings {
-            kinds: dense::Kinds::Only(dense::Kind::Eighth),
+            schemes: dense::Schemes::Only(dense::Scheme::Dop853),
             error_tolerance,
             energy_scale: 1.0,
             first_step: FIRST_STEP,
@@ -122,14 +122,14 @@ impl<S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>, const N: usize, con
         let mut state = State::start(system, self.q, self.v, self.regularization);
         let energy = (self.energy)(system, &self.q, &self.v);
         let (mut energy_drift, mut violation) = (0.0f64, 0.0f64);
-        let mut sides = system.sides_of(&self.q, &self.v);
+        let mut mode = system.mode_of(&self.q, &self.v);
         let mut running = match method {
             Method::Dop853(settings) => Some(DenseStep::start(system, self.q, self.v, &settings)),
             _ => None,
         };
         for step in 1..=(self.duration / h).round() as u64 {
             match method {
-                Method::I3alp(settings) => i3alp::advance(system, &settings, &mut state, &mut sides, h)?,
+                Method::I3alp(settings) => i3alp::advance(system, &settings, &mut state, &mut mode, h)?,
                 Method::Rk4(settings) => rk4::advance(system, &settings, &mut state, h)?,
                 Method::Dop853(settings) => {
                     running.as_mut().map_or(Ok(()), |running| advance(system, &settings, running, &mut state, h))?
@@ -153,10 +153,10 @@ impl<S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>, const N: usize, con
 }
 
 /// A macro step of h seconds by DOP853, whose own steps run past its end: there the state is interpolated.
-fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N> + Kinked<N>>(
+fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N> + Events<N>>(
     system: &S,
     settings: &dense::Settings,
-    running: &mut DenseStep<N, M, S::Sides>,
+    running: &mut DenseStep<N, M, S::Mode>,
     state: &mut State<N, M>,
     h: f64,
 ) -> Result<(), StepError> {

@@ -8,7 +8,7 @@
 //!
 //! see `unilateral_spring.rs` for N; the tangential part is Coulomb friction, regularised. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ,
 //! C = −∂F/∂ṗ; both couple the coordinates of link 2 and are not symmetric. Potential: the spring part of N; the damper and the
-//! friction dissipate. That is `law` 1, smooth; by `law` 2, stick, friction is set-valued (`grips.rs`): a tip that slips has mu N against
+//! friction dissipate. That is `law` 1, smooth; by `law` 2, stick, friction is set-valued (`stick_slip.rs`): a tip that slips has mu N against
 //! its motion, and one at rest along the plane holds whatever it has to up to mu N. Defaults: a floor 1 m below the motor axes, which the paper's mechanism does not reach; k 2e3 N/m and 5 N·s/m,
 //! a soft fingertip or a haptic wall; mu 0.3, slip velocity 0.01 m/s, ramp 0.1 mm.
 //! Limits: a point against a plane; by the smooth law it creeps under a tangential load below mu N, at about slipVelocity F_t/(mu N).
@@ -16,8 +16,8 @@
 use arrayvec::ArrayVec;
 
 use super::force_context::{ForceContext, Tip};
-use super::grips::{GRIPS, Grasp, Grasps, Law, TIP_GRIP};
-use super::kinks::{CONTACT, SPRINGS, Touch};
+use super::stick_slip::{FRICTION_PLACES, FrictionConstraint, FrictionConstraints, Law, TIP_FRICTION};
+use super::guards::{CONTACT, SPRINGS, UnilateralGuard};
 use super::unilateral_spring::{Push, UnilateralSpring};
 use super::step_context::{TipStep, end_weight};
 use super::{Force, MeanForce, StepContext, Tangents};
@@ -67,10 +67,10 @@ fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
 
 impl Contact {
     /// The spring with d, m, and ḋ, m/s.
-    fn touch(&self, tip: &Tip) -> Touch<'_> {
+    fn guard(&self, tip: &Tip) -> UnilateralGuard<'_> {
         let depth = self.offset - dot(self.normal, tip.position);
         let rate = -dot(self.normal, tip.velocity);
-        Touch { place: CONTACT, spring: &self.spring, depth, rate, arms: &self.arms }
+        UnilateralGuard { place: CONTACT, spring: &self.spring, depth, rate, arms: &self.arms }
     }
 
     /// v_t, m/s.
@@ -86,7 +86,7 @@ impl Contact {
     fn turn(&self, at: &ForceContext, slip: f64) -> f64 {
         match self.law {
             Law::Smooth => libm::tanh(slip / self.slip_velocity),
-            Law::Stick => at.sides.grips.direction(TIP_GRIP, slip),
+            Law::Stick => at.mode.stick_slip.direction(TIP_FRICTION, slip),
         }
     }
 
@@ -97,20 +97,20 @@ impl Contact {
     }
 
     /// The force on the tip, N, when the grips hold with these torques and force.
-    pub fn force(&self, at: &ForceContext, holding: &[f64; GRIPS]) -> [f64; 2] {
+    pub fn force(&self, at: &ForceContext, holding: &[f64; FRICTION_PLACES]) -> [f64; 2] {
         let (tip, tangent) = (at.tip(), self.tangent());
-        let normal = self.touch(&tip).force(at);
+        let normal = self.guard(&tip).force(at);
         let slipping = self.direction(self.turn(at, self.slip(&tip))).map(|x| normal * x);
-        [0, 1].map(|i| slipping[i] + holding[TIP_GRIP] * tangent[i])
+        [0, 1].map(|i| slipping[i] + holding[TIP_FRICTION] * tangent[i])
     }
 }
 
 impl Force for Contact {
     type Parameters = Parameters;
 
-    const STEEP: bool = true;
+    const HAS_STIFF_FORCES: bool = true;
 
-    const TOUCHES: bool = true;
+    const HAS_CONTACT: bool = true;
 
     fn new(parameters: &Parameters, mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { nx, ny, offset, k, d, width, mu, slip_velocity, .. } = *parameters;
@@ -147,25 +147,25 @@ impl Force for Contact {
     #[inline(never)]
     fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
         let tip = at.tip();
-        let touch = self.touch(&tip);
-        if touch.is_idle(at) {
+        let guard = self.guard(&tip);
+        if guard.is_idle(at) {
             return [0.0; 2];
         }
-        let (normal, slip) = (touch.force(at), self.slip(&tip));
+        let (normal, slip) = (guard.force(at), self.slip(&tip));
         let turn = self.turn(at, slip);
         tip.add_force(self.direction(turn).map(|x| normal * x), forces);
-        [0.0, touch.dissipation(at) + normal * self.mu * turn * slip]
+        [0.0, guard.dissipation(at) + normal * self.mu * turn * slip]
     }
 
     #[inline(never)]
     fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
         let tip = at.tip();
-        let touch = self.touch(&tip);
-        if touch.is_idle(at) {
+        let guard = self.guard(&tip);
+        if guard.is_idle(at) {
             return;
         }
-        let (normal_force, slip) = (touch.force(at), self.slip(&tip));
-        let [by_depth, by_rate] = touch.slopes(at);
+        let (normal_force, slip) = (guard.force(at), self.slip(&tip));
+        let [by_depth, by_rate] = guard.slopes(at);
         let turn = self.turn(at, slip);
         let by_slip = match self.law {
             Law::Smooth => self.mu * normal_force * (1.0 - turn * turn) / self.slip_velocity,
@@ -180,7 +180,7 @@ impl Force for Contact {
     }
 
     fn potential(&self, at: &ForceContext) -> f64 {
-        self.touch(&at.tip()).potential(at)
+        self.guard(&at.tip()).potential(at)
     }
 
     fn dissipation(&self, at: &ForceContext) -> f64 {
@@ -188,8 +188,8 @@ impl Force for Contact {
         dissipated
     }
 
-    fn touches(&self, at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
-        ArrayVec::from_iter([self.touch(&at.tip())])
+    fn guard_values(&self, at: &ForceContext) -> ArrayVec<UnilateralGuard<'_>, SPRINGS> {
+        ArrayVec::from_iter([self.guard(&at.tip())])
     }
 
     fn sticks(&self) -> bool {
@@ -197,17 +197,17 @@ impl Force for Contact {
     }
 
     #[cold]
-    fn add_grasps(&self, at: &ForceContext, grasps: &mut Grasps<COORDINATES>) {
+    fn add_friction_constraints(&self, at: &ForceContext, grasps: &mut FrictionConstraints<COORDINATES>) {
         let tip = at.tip();
-        let touch = self.touch(&tip);
-        if !self.sticks() || !touch.phase(&at.sides).pushes() {
+        let guard = self.guard(&tip);
+        if !self.sticks() || !guard.phase(&at.mode).pushes() {
             return;
         }
         let (mut row, tangent) = (Coordinates::ZERO, self.tangent());
         tip.add_force(tangent, &mut row);
-        let (rate, bound) = (self.slip(&tip), self.mu * touch.force(at));
+        let (rate, bound) = (self.slip(&tip), self.mu * guard.force(at));
         let [proximal, distal, ..] = self.arms;
-        grasps.push(Grasp { place: TIP_GRIP, row, drift: dot(tangent, tip.centripetal()), rate, bound, arms: [proximal, distal, 0.0, 0.0] });
+        grasps.push(FrictionConstraint { place: TIP_FRICTION, row, drift: dot(tangent, tip.centripetal()), rate, bound, arms: [proximal, distal, 0.0, 0.0] });
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::f64::consts::TAU;
 
-use super::{Inputs, Sides, Tangents};
+use super::{Inputs, Mode, Tangents};
 use crate::mechanism::coordinates::{THETA, X, Y};
 use crate::mechanism::{Coordinates, Pose};
 
@@ -33,7 +33,7 @@ pub struct ForceContext<'a> {
     /// Whole turns of links 1 to 4 that q leaves out.
     pub turns: &'a [i64; 4],
     /// On which sides of their kinks forces are.
-    pub sides: Sides,
+    pub mode: Mode,
 }
 
 impl ForceContext<'_> {

@@ -8,7 +8,7 @@
 //! used rotational friction block (Simscape's "Rotational Friction", without its viscous term, which is the effect `viscous`;
 //! Armstrong-Hélouvry et al., Automatica 30 (1994) 1083). T_brk is met at w_brk to within 1e-4 of T_c. C = −∂T/∂w, K = 0; dissipates −T w ≥ 0.
 //!
-//! By `law` 2, stick, friction is set-valued (`grips.rs`): a joint at rest holds whatever it has to up to T_brk, and one that slips has
+//! By `law` 2, stick, friction is set-valued (`stick_slip.rs`): a joint at rest holds whatever it has to up to T_brk, and one that slips has
 //!
 //! ```text
 //! T_j = −[T_c + (T_brk − T_c) exp(−(w/w_st)²)] sign w
@@ -21,7 +21,7 @@
 //! is negative. By the law that sticks no presliding, no ageing at rest.
 
 use super::force_context::{JOINTS, ForceContext, add_joint_damping, add_joint_torque, is_inner};
-use super::grips::{Grasp, Grasps, Law};
+use super::stick_slip::{FrictionConstraint, FrictionConstraints, Law};
 use super::step_context::{add_joint_slopes, end_weight};
 use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::coordinates::THETA;
@@ -75,7 +75,7 @@ impl Friction {
     fn drag_by_law(&self, curve: &Curve, rate: f64, at: &ForceContext) -> f64 {
         match self.law {
             Law::Smooth => self.drag(curve, rate),
-            Law::Stick => at.sides.grips.direction(curve.joint, rate) * self.sliding(curve, rate),
+            Law::Stick => at.mode.stick_slip.direction(curve.joint, rate) * self.sliding(curve, rate),
         }
     }
 
@@ -87,7 +87,7 @@ impl Friction {
             Law::Stick => {
                 let u = rate / self.stribeck_rate;
                 let fall = (curve.breakaway - curve.coulomb) * libm::exp(-u * u) * 2.0 * u / self.stribeck_rate;
-                -at.sides.grips.direction(curve.joint, rate) * fall
+                -at.mode.stick_slip.direction(curve.joint, rate) * fall
             }
         }
     }
@@ -117,7 +117,7 @@ impl Friction {
 impl Force for Friction {
     type Parameters = Parameters;
 
-    const STEEP: bool = true;
+    const HAS_STIFF_FORCES: bool = true;
 
     fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let mut curves = [None; JOINTS];
@@ -190,17 +190,17 @@ impl Force for Friction {
     // Out of line: compiled into its caller it would read what another effect has not written, and select it away, which valgrind reports.
     #[cold]
     #[inline(never)]
-    fn turning_rate(&self) -> f64 {
+    fn regularization_velocity(&self) -> f64 {
         if self.sticks() { f64::INFINITY } else { self.coulomb_rate }
     }
 
     #[cold]
-    fn bends(&self) -> bool {
+    fn has_sharp_nonlinearity(&self) -> bool {
         !self.sticks()
     }
 
     #[cold]
-    fn add_grasps(&self, at: &ForceContext, grasps: &mut Grasps<COORDINATES>) {
+    fn add_friction_constraints(&self, at: &ForceContext, grasps: &mut FrictionConstraints<COORDINATES>) {
         if self.law == Law::Smooth {
             return;
         }
@@ -209,7 +209,7 @@ impl Force for Friction {
             add_joint_torque(curve.joint, 1.0, &mut row);
             let arms = std::array::from_fn::<_, LINKS, _>(|link| row[THETA[link]].abs());
             let rate = at.joint_rate(curve.joint);
-            grasps.push(Grasp { place: curve.joint, row, drift: 0.0, rate, bound: curve.breakaway, arms });
+            grasps.push(FrictionConstraint { place: curve.joint, row, drift: 0.0, rate, bound: curve.breakaway, arms });
         }
     }
 }

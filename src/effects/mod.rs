@@ -7,20 +7,20 @@
 //! Invariant: does no input or output; the same input bits give the same output bits.
 
 mod force_context;
-pub mod grips;
-mod kinks;
+mod guards;
 pub mod loads;
 mod step_context;
+pub mod stick_slip;
 pub mod tangents;
 mod unilateral_spring;
 mod variation;
 
 pub use force_context::{ForceContext, JOINTS};
-pub use grips::{GRIPS, Grasp, Grasps, Grips, Law};
-pub use kinks::{Extremes, INDICATORS, Sides, Slide, Slides, Touches, slow};
-use kinks::{SPRINGS, Touch};
+pub use guards::{Extremes, FrictionGuard, FrictionGuards, GuardValues, INDICATORS, Mode, stick_velocity};
+use guards::{SPRINGS, UnilateralGuard};
 pub use loads::Inputs;
 pub use step_context::{StepContext, TypicalInertia};
+pub use stick_slip::{FRICTION_PLACES, FrictionConstraint, FrictionConstraints, Law, StickSlips};
 pub use tangents::Tangents;
 pub use unilateral_spring::lowest;
 pub use variation::Perturbation;
@@ -80,13 +80,13 @@ trait Force: Sized {
     }
 
     /// Whether the force changes so steeply in places that a long step may miss it.
-    const STEEP: bool = false;
+    const HAS_STIFF_FORCES: bool = false;
 
     /// Whether it has one-sided springs, whose kinks a method may follow.
-    const TOUCHES: bool = false;
+    const HAS_CONTACT: bool = false;
 
     /// Its one-sided springs.
-    fn touches(&self, _at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
+    fn guard_values(&self, _at: &ForceContext) -> ArrayVec<UnilateralGuard<'_>, SPRINGS> {
         ArrayVec::new()
     }
 
@@ -96,17 +96,17 @@ trait Force: Sized {
     }
 
     /// The change of a joint's rate by which its force turns round without a kink, rad/s.
-    fn turning_rate(&self) -> f64 {
+    fn regularization_velocity(&self) -> f64 {
         f64::INFINITY
     }
 
     /// Whether it bends so sharply, without a kink, that stages of a step may stand on both sides and none within.
-    fn bends(&self) -> bool {
+    fn has_sharp_nonlinearity(&self) -> bool {
         false
     }
 
     /// Adds the grips that it has.
-    fn add_grasps(&self, _at: &ForceContext, _grasps: &mut Grasps<COORDINATES>) {}
+    fn add_friction_constraints(&self, _at: &ForceContext, _grasps: &mut FrictionConstraints<COORDINATES>) {}
 }
 
 /// The same force over a finite step, for the method that conserves: its work, force times displacement, is exactly what its potential
@@ -267,13 +267,13 @@ macro_rules! effects {
             }
 
             /// Whether its force has kinks that a method may follow.
-            pub fn has_kinks(&self) -> bool {
-                self.may_touch() || self.sticks()
+            pub fn has_events(&self) -> bool {
+                self.may_make_contact() || self.sticks()
             }
 
             /// Whether it has one-sided springs.
-            pub fn may_touch(&self) -> bool {
-                match self { $(Self::$Force(_) => $Force::TOUCHES,)+ }
+            pub fn may_make_contact(&self) -> bool {
+                match self { $(Self::$Force(_) => $Force::HAS_CONTACT,)+ }
             }
 
             /// Whether it has dry friction that sticks.
@@ -282,28 +282,28 @@ macro_rules! effects {
             }
 
             /// Adds the grips that it has.
-            pub fn add_grasps(&self, at: &ForceContext, grasps: &mut Grasps<COORDINATES>) {
-                match self { $(Self::$Force(force) => force.add_grasps(at, grasps),)+ }
+            pub fn add_friction_constraints(&self, at: &ForceContext, friction_constraints: &mut FrictionConstraints<COORDINATES>) {
+                match self { $(Self::$Force(force) => force.add_friction_constraints(at, friction_constraints),)+ }
             }
 
             /// Whether the force changes so steeply in places that a long step may miss it.
-            pub fn is_steep(&self) -> bool {
-                match self { $(Self::$Force(_) => $Force::STEEP,)+ }
+            pub fn has_stiff_forces(&self) -> bool {
+                match self { $(Self::$Force(_) => $Force::HAS_STIFF_FORCES,)+ }
             }
 
             /// The change of a joint's rate by which its force turns round without a kink, rad/s.
-            pub fn turning_rate(&self) -> f64 {
-                match self { $(Self::$Force(force) => force.turning_rate(),)+ }
+            pub fn regularization_velocity(&self) -> f64 {
+                match self { $(Self::$Force(force) => force.regularization_velocity(),)+ }
             }
 
             /// Whether it bends sharply without a kink.
-            pub fn bends(&self) -> bool {
-                match self { $(Self::$Force(force) => force.bends(),)+ }
+            pub fn has_sharp_nonlinearity(&self) -> bool {
+                match self { $(Self::$Force(force) => force.has_sharp_nonlinearity(),)+ }
             }
 
             /// Its one-sided springs.
-            fn touches(&self, at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
-                match self { $(Self::$Force(force) => force.touches(at),)+ }
+            fn guard_values(&self, at: &ForceContext) -> ArrayVec<UnilateralGuard<'_>, SPRINGS> {
+                match self { $(Self::$Force(force) => force.guard_values(at),)+ }
             }
         }
     };

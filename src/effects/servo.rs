@@ -61,7 +61,7 @@ impl Servo {
 impl Force for Servo {
     type Parameters = Parameters;
 
-    const STEEP: bool = true;
+    const HAS_STIFF_FORCES: bool = true;
 
     fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { kp, kd, limit, .. } = *parameters;
@@ -78,7 +78,7 @@ impl Force for Servo {
     }
 
     #[cold]
-    fn bends(&self) -> bool {
+    fn has_sharp_nonlinearity(&self) -> bool {
         (0..2).any(|i| self.limit[i] < SHARP * self.kp[i])
     }
 
@@ -109,12 +109,12 @@ impl Force for Servo {
 
     #[inline(never)]
     fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
-        let mut put_in = 0.0;
+        let mut external_work = 0.0;
         for (i, torque) in self.torques(at).into_iter().enumerate() {
             forces[MOTORS[i]] += torque;
-            put_in += torque * at.motor_rate(i);
+            external_work += torque * at.motor_rate(i);
         }
-        [put_in, 0.0]
+        [external_work, 0.0]
     }
 
     fn input_power(&self, at: &ForceContext) -> f64 {

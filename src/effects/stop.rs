@@ -8,7 +8,7 @@
 use arrayvec::ArrayVec;
 
 use super::force_context::{ForceContext, MOTORS};
-use super::kinks::{SPRINGS, STOPS, Touch};
+use super::guards::{SPRINGS, STOPS, UnilateralGuard};
 use super::unilateral_spring::{Push, UnilateralSpring};
 use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::{Coordinates, LINKS, Mechanism, SceneError, finite, not_negative, positive};
@@ -47,22 +47,22 @@ const DIRECTIONS: [f64; 2] = [-1.0, 1.0];
 impl Stop {
     /// A motor's lower and upper stop.
     #[inline(always)]
-    fn touches_of(&self, at: &ForceContext, motor: usize) -> [Touch<'_>; 2] {
+    fn guards_of(&self, at: &ForceContext, motor: usize) -> [UnilateralGuard<'_>; 2] {
         let (angle, rate) = (at.motor_angle(motor), at.motor_rate(motor));
         let depths = [self.lower[motor] - angle, angle - self.upper[motor]];
         [0, 1].map(|i| {
             let rate = DIRECTIONS[i] * rate;
-            Touch { place: STOPS[motor][i], spring: &self.spring, depth: depths[i], rate, arms: &ARMS[motor] }
+            UnilateralGuard { place: STOPS[motor][i], spring: &self.spring, depth: depths[i], rate, arms: &ARMS[motor] }
         })
     }
 
     /// Goes through the stops that act: motor, direction of its axis into the stop, and the spring.
     #[inline(always)]
-    fn for_each_touch(&self, at: &ForceContext, mut visit: impl FnMut(usize, f64, &Touch<'_>)) {
+    fn for_each_guard(&self, at: &ForceContext, mut visit: impl FnMut(usize, f64, &UnilateralGuard<'_>)) {
         for motor in 0..2 {
-            for (direction, touch) in DIRECTIONS.into_iter().zip(self.touches_of(at, motor)) {
-                if !touch.is_idle(at) {
-                    visit(motor, direction, &touch);
+            for (direction, guard) in DIRECTIONS.into_iter().zip(self.guards_of(at, motor)) {
+                if !guard.is_idle(at) {
+                    visit(motor, direction, &guard);
                 }
             }
         }
@@ -72,9 +72,9 @@ impl Stop {
 impl Force for Stop {
     type Parameters = Parameters;
 
-    const STEEP: bool = true;
+    const HAS_STIFF_FORCES: bool = true;
 
-    const TOUCHES: bool = true;
+    const HAS_CONTACT: bool = true;
 
     fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { lower, upper, k, d, width, .. } = *parameters;
@@ -102,30 +102,30 @@ impl Force for Stop {
 
     #[inline(never)]
     fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        self.for_each_touch(at, |motor, direction, touch| forces[MOTORS[motor]] -= direction * touch.force(at));
+        self.for_each_guard(at, |motor, direction, guard| forces[MOTORS[motor]] -= direction * guard.force(at));
     }
 
     #[inline(never)]
     fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
-        self.for_each_touch(at, |motor, _, touch| {
-            let [stiffness, damping] = touch.slopes(at);
+        self.for_each_guard(at, |motor, _, guard| {
+            let [stiffness, damping] = guard.slopes(at);
             tangents.stiffness(MOTORS[motor], MOTORS[motor], stiffness);
             tangents.damping(MOTORS[motor], MOTORS[motor], damping);
         });
     }
 
     fn potential(&self, at: &ForceContext) -> f64 {
-        (0..2).flat_map(|motor| self.touches_of(at, motor)).map(|touch| touch.potential(at)).sum()
+        (0..2).flat_map(|motor| self.guards_of(at, motor)).map(|guard| guard.potential(at)).sum()
     }
 
     fn dissipation(&self, at: &ForceContext) -> f64 {
         let mut power = 0.0;
-        self.for_each_touch(at, |_, _, touch| power += touch.dissipation(at));
+        self.for_each_guard(at, |_, _, guard| power += guard.dissipation(at));
         power
     }
 
-    fn touches(&self, at: &ForceContext) -> ArrayVec<Touch<'_>, SPRINGS> {
-        [0, 1].into_iter().flat_map(|motor| self.touches_of(at, motor)).collect()
+    fn guard_values(&self, at: &ForceContext) -> ArrayVec<UnilateralGuard<'_>, SPRINGS> {
+        [0, 1].into_iter().flat_map(|motor| self.guards_of(at, motor)).collect()
     }
 }
 

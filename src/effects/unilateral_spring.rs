@@ -39,23 +39,23 @@ pub(super) enum Phase {
 
 /// A border of a phase.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Border {
+pub(super) struct PhaseBorder {
     /// How far beyond it, m or rad; negative on the near side.
-    pub(super) beyond: f64,
+    pub(super) guard_residual: f64,
     /// How that changes with penetration and rate.
     by: [f64; 2],
     /// The phase behind it.
-    pub(super) behind: Phase,
+    pub(super) next_phase: Phase,
 }
 
 /// For the border at which a spring lets go, a rate counts as the distance that it makes in this time, s: as in the error norm of the
 /// explicit method.
 const RATE_TIME: f64 = 0.1;
 
-impl Border {
+impl PhaseBorder {
     /// The same in other units.
     pub(super) fn per(self, unit: f64) -> Self {
-        Self { beyond: self.beyond / unit, ..self }
+        Self { guard_residual: self.guard_residual / unit, ..self }
     }
 }
 
@@ -76,18 +76,18 @@ impl UnilateralSpring {
     }
 
     /// Where a motion leaves a phase: where it is beyond any of these borders, or, if the spring is free, beyond all of them.
-    pub(super) fn borders(&self, phase: Phase, depth: f64, rate: f64) -> [Option<Border>; 3] {
-        let deeper = |than: f64, behind| Some(Border { beyond: depth - than, by: [1.0, 0.0], behind });
-        let shallower = |than: f64, behind| Some(Border { beyond: than - depth, by: [-1.0, 0.0], behind });
-        let push = |sign: f64, behind| {
+    pub(super) fn borders(&self, phase: Phase, depth: f64, rate: f64) -> [Option<PhaseBorder>; 3] {
+        let deeper = |than: f64, next_phase| Some(PhaseBorder { guard_residual: depth - than, by: [1.0, 0.0], next_phase });
+        let shallower = |than: f64, next_phase| Some(PhaseBorder { guard_residual: than - depth, by: [-1.0, 0.0], next_phase });
+        let push = |sign: f64, next_phase| {
             let by = [self.stiffness, self.damping].map(|by| sign * by / self.push_scale());
             // Without damping what touches pushes.
-            (self.damping > 0.0).then(|| Border { beyond: sign * self.scaled_push(depth, rate), by, behind })
+            (self.damping > 0.0).then(|| PhaseBorder { guard_residual: sign * self.scaled_push(depth, rate), by, next_phase })
         };
         match phase {
             Phase::Free => {
-                let behind = if depth < self.width { Phase::Ramp } else { Phase::Full };
-                [deeper(0.0, behind), push(1.0, behind), None]
+                let next_phase = if depth < self.width { Phase::Ramp } else { Phase::Full };
+                [deeper(0.0, next_phase), push(1.0, next_phase), None]
             }
             Phase::Ramp => [deeper(self.width, Phase::Full), shallower(0.0, Phase::Free), push(-1.0, Phase::Free)],
             Phase::Full => [None, shallower(self.width, Phase::Ramp), push(-1.0, Phase::Free)],
@@ -95,14 +95,14 @@ impl UnilateralSpring {
     }
 
     /// What is farthest beyond the borders of a phase, by what each of them says.
-    pub(super) fn farthest<T>(phase: Phase, borders: impl Iterator<Item = T>, beyond: impl Fn(&T) -> f64) -> Option<T> {
+    pub(super) fn farthest<T>(phase: Phase, borders: impl Iterator<Item = T>, guard_residual: impl Fn(&T) -> f64) -> Option<T> {
         let all = phase == Phase::Free;
-        borders.reduce(|one, other| if (beyond(&other) >= beyond(&one)) != all { other } else { one })
+        borders.reduce(|one, other| if (guard_residual(&other) >= guard_residual(&one)) != all { other } else { one })
     }
 
     /// How long a motion at this rate takes to the end of a ramp, on it or towards it, s. The formulas of a ramp are polynomials, of which
     /// nothing is asked far beyond its ends.
-    pub(super) fn lasts(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
+    pub(super) fn dwell_time(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
         /// Least part of a ramp that lies ahead.
         const LEAST: f64 = 0.1;
         let ahead = match phase {
@@ -114,7 +114,7 @@ impl UnilateralSpring {
     }
 
     /// What changes sign where a motion that touches passes a kink: penetration, that beyond the ramp, and the push, m or rad.
-    pub(super) fn kinks(&self, depth: f64, rate: f64) -> [f64; 3] {
+    pub(super) fn indicators(&self, depth: f64, rate: f64) -> [f64; 3] {
         [depth, depth - self.width, self.scaled_push(depth, rate)]
     }
 

@@ -48,7 +48,7 @@ impl Alarm {
     }
 
     /// A correction by some samples.
-    pub(super) fn hear(&mut self, track: &Track, at: &Frame, scale: f64, (nis, samples): (f64, usize)) {
+    pub(super) fn receive(&mut self, track: &Track, at: &Frame, scale: f64, (nis, samples): (f64, usize)) {
         let samples = samples as f64;
         self.nis += samples / CONSISTENCY.0 * ((nis / samples).min(WORST) - self.nis);
         let change = std::array::from_fn(|i| track.force[i] - self.usual[i]);

@@ -145,9 +145,9 @@ impl Bank {
 
     /// Models that have been thought of by some priors become as likely as they are by [`PRIOR`].
     #[cold]
-    pub(super) fn foresee(&mut self, thought: &[f64; MODELS]) {
-        for (member, (prior, thought)) in self.members.iter_mut().zip(PRIOR.iter().zip(thought)) {
-            member.weight *= prior / thought;
+    pub(super) fn reset_priors(&mut self, model_prior: &[f64; MODELS]) {
+        for (member, (prior, model_prior)) in self.members.iter_mut().zip(PRIOR.iter().zip(model_prior)) {
+            member.weight *= prior / model_prior;
         }
         self.normalise();
     }
@@ -161,7 +161,7 @@ impl Bank {
     }
 
     /// The motion may be another one, by these variances of angles and rates; what is known of the forces stays.
-    pub fn unsettle(&mut self, variances: Pair) {
+    pub fn inflate(&mut self, variances: Pair) {
         for member in &mut self.members {
             for i in 0..4 {
                 member.covariance[i][i] += variances[i / 2];
@@ -192,7 +192,7 @@ impl Bank {
     }
 
     /// The force may be another one, by this variance.
-    pub fn unsettle_force(&mut self, variance: f64) {
+    pub fn inflate_force(&mut self, variance: f64) {
         for member in &mut self.members {
             for i in FORCE..ERRORS {
                 member.covariance[i][i] += variance;
@@ -316,14 +316,14 @@ mod tests {
     /// What nothing has been told of is as likely as by [`PRIOR`]; what samples have told stays; what takes no part does not come back.
     #[test]
     fn forecasts_are_of_what_is_likely() {
-        let weights = |priors: [f64; MODELS], thought: &[f64; MODELS]| {
+        let weights = |priors: [f64; MODELS], model_prior: &[f64; MODELS]| {
             let mut bank = Bank::new([1.0; 3]).with_priors(priors);
-            bank.foresee(thought);
+            bank.reset_priors(model_prior);
             assert!(bank.is_sound());
             bank.members.map(|member| member.weight)
         };
-        for thought in [PRIOR, BY_NOISE, BY_INTERVALS] {
-            let weights = weights(thought, &thought);
+        for model_prior in [PRIOR, BY_NOISE, BY_INTERVALS] {
+            let weights = weights(model_prior, &model_prior);
             // Round-off.
             assert!((0..MODELS).all(|i| (weights[i] - PRIOR[i]).abs() <= 1e-15), "{weights:?}");
         }

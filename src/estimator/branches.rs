@@ -1,5 +1,5 @@
 //! Behind a vertex: what the motion may have become beside the estimate, followed until the samples have told which it is. It may have gone
-//! straight on or turned to either side; later, `grazing` follows the other assembly with the same motors.
+//! straight on or turned to either side; later, `assembly` follows the other assembly with the same motors.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -244,7 +244,7 @@ pub(super) fn tell(track: &mut Track, linkage: &Linkage, readings: &[Option<Read
         likelihood += if slack > 0.0 { -0.5 * nis } else { log_likelihood(nis, variance) };
         track.bank.update(&expected);
     }
-    track.absorb(linkage, &frame).map(|_| likelihood)
+    track.inject_error(linkage, &frame).map(|_| likelihood)
 }
 
 /// The other assembly with the same angles and rates of the motors.

@@ -144,7 +144,7 @@ impl Encoder {
     };
 
     /// The sample of a new time, if it can be used. `max_delay`, s, is the age that can be accounted for.
-    pub(super) fn hear(&mut self, angle: f64, time: f64, now: f64, max_delay: f64) -> Option<Sample> {
+    pub(super) fn receive(&mut self, angle: f64, time: f64, now: f64, max_delay: f64) -> Option<Sample> {
         if time.to_bits() == self.time.to_bits() {
             return None;
         }
@@ -307,7 +307,7 @@ mod tests {
             let mut encoder = Encoder::NEW;
             for k in 0..3 {
                 let time = h * f64::from(k);
-                assert!(encoder.hear((steps * f64::from(k)).round() * quantum, time, time, 0.0).is_some());
+                assert!(encoder.receive((steps * f64::from(k)).round() * quantum, time, time, 0.0).is_some());
             }
             let rate = steps * quantum / h;
             let noise = encoder.noise(0.0, quantum, rate, 0.0);
@@ -330,18 +330,18 @@ mod tests {
     fn what_is_not_used_is_not_counted() {
         let mut encoder = Encoder::NEW;
         let unused = |encoder: &mut Encoder, angle: f64, time: f64, fault: Fault| {
-            assert!(encoder.hear(angle, time, 1.0, 0.0).is_none());
+            assert!(encoder.receive(angle, time, 1.0, 0.0).is_none());
             assert_eq!((encoder.fault, encoder.interval), (fault, if encoder.silent == 0.0 { 0.25 } else { 0.0 }));
         };
         unused(&mut encoder, 5.0, 1e9, Fault::Future);
         unused(&mut encoder, 5.0, -1.0, Fault::Late);
-        assert!(encoder.hear(2.0, 1.0, 1.0, 0.0).is_some());
+        assert!(encoder.receive(2.0, 1.0, 1.0, 0.0).is_some());
         assert_eq!((encoder.interval, encoder.change, encoder.repeated), (0.0, 0.0, false));
-        assert!(encoder.hear(2.5, 1.25, 1.25, 0.0).is_some());
+        assert!(encoder.receive(2.5, 1.25, 1.25, 0.0).is_some());
         unused(&mut encoder, f64::NAN, 1.0, Fault::Invalid);
         unused(&mut encoder, -1e9, 1.01, Fault::Invalid);
         unused(&mut encoder, 7.0, 1e300, Fault::Future);
-        assert!(encoder.hear(2.5, 1.5, 1.5, 0.0).is_some());
+        assert!(encoder.receive(2.5, 1.5, 1.5, 0.0).is_some());
         assert_eq!((encoder.interval, encoder.change, encoder.repeated), (0.25, 0.0, true));
         assert!(encoder.is_sound() && !Encoder { interval: f64::INFINITY, ..encoder }.is_sound());
     }

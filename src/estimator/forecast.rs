@@ -26,7 +26,7 @@ struct Point {
 
 /// All of them, and the unknown force on them, which goes on to walk.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-struct Cloud {
+struct SigmaPoints {
     points: [Point; POINTS],
     /// Covariance of what of the force depends on no other error, on the tangent basis, (N·m)²: xx, xy, yy.
     force: [f64; 3],
@@ -39,7 +39,7 @@ struct Cloud {
 /// The motions, once no samples come.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Forecast {
-    cloud: Option<Cloud>,
+    sigma_points: Option<SigmaPoints>,
 }
 
 /// A scene with a force beside.
@@ -62,8 +62,8 @@ impl<S: Scene> Scene for Pushed<'_, S> {
         std::array::from_fn(|i| torque[i] + inputs[i].iter().zip(self.force).map(|(row, force)| row * force).sum::<f64>())
     }
 
-    fn is_steep(&self) -> bool {
-        self.scene.is_steep()
+    fn has_stiff_forces(&self) -> bool {
+        self.scene.has_stiff_forces()
     }
 }
 
@@ -83,7 +83,7 @@ impl Point {
     }
 }
 
-impl Cloud {
+impl SigmaPoints {
     /// Around an estimate, whose force walks so.
     #[cold]
     #[inline(never)]
@@ -169,18 +169,20 @@ fn cholesky(p: &Matrix) -> Matrix {
 impl Forecast {
     /// Samples have come.
     pub(super) fn end(&mut self) {
-        self.cloud = None;
+        self.sigma_points = None;
     }
 
     /// The motions go on with that of the estimate, which is still where it was.
     pub(super) fn step(&mut self, track: &Track, constants: &Constants, scene: &impl Scene, over: (f64, Pair)) {
         let linkage = &constants.linkage;
-        self.cloud.get_or_insert_with(|| Cloud::around(track, linkage, [track.bank.walk(), MASS_WALK])).step(linkage, scene, over);
+        self.sigma_points
+            .get_or_insert_with(|| SigmaPoints::around(track, linkage, [track.bank.walk(), MASS_WALK]))
+            .step(linkage, scene, over);
     }
 
     /// Standard deviations of angles and rates about the estimate.
     pub(super) fn sigmas(&self, track: &Track) -> Option<[Links; 2]> {
-        let Cloud { points, .. } = self.cloud.as_ref()?;
+        let SigmaPoints { points, .. } = self.sigma_points.as_ref()?;
         let root_mean = |off: &dyn Fn(&Point, usize) -> f64| -> Links {
             std::array::from_fn(|i| (points.iter().map(|point| off(point, i).powi(2)).sum::<f64>() / POINTS as f64).sqrt())
         };
@@ -192,7 +194,7 @@ impl Forecast {
 
     /// Covariance of the tip about the estimate, m²: xx, xy, yy.
     pub(super) fn tip_covariance(&self, track: &Track, linkage: &Linkage) -> Option<[f64; 3]> {
-        let Cloud { points, .. } = self.cloud.as_ref()?;
+        let SigmaPoints { points, .. } = self.sigma_points.as_ref()?;
         let centre = linkage.tip(&track.theta);
         let mut sum = [0.0; 3];
         for point in points {
@@ -204,7 +206,7 @@ impl Forecast {
     }
 
     pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
-        self.cloud.iter().all(|cloud| cloud.is_sound(linkage))
+        self.sigma_points.iter().all(|sigma_points| sigma_points.is_sound(linkage))
     }
 }
 
@@ -218,24 +220,24 @@ pub(super) fn singularity_probability(
     step: f64,
 ) -> f64 {
     let linkage = &constants.linkage;
-    let mut cloud = forecast.cloud.unwrap_or_else(|| Cloud::around(track, linkage, [0.0; 2]));
+    let mut sigma_points = forecast.sigma_points.unwrap_or_else(|| SigmaPoints::around(track, linkage, [0.0; 2]));
     // Here it is held: what may yet push makes bands honest, but a singularity foreseen less sharply.
-    cloud.walk = [0.0; 2];
+    sigma_points.walk = [0.0; 2];
     let mut own = Point { theta: track.theta, omega: track.omega, force: [0.0; 4] };
     let side = linkage.posture(&track.theta).side();
     let mut met = [false; POINTS + 1];
-    let mut look = |cloud: &Cloud, own: &Point| {
-        for (met, point) in met.iter_mut().zip(cloud.points.iter().chain([own])) {
+    let mut look = |sigma_points: &SigmaPoints, own: &Point| {
+        for (met, point) in met.iter_mut().zip(sigma_points.points.iter().chain([own])) {
             // On the other side at once: it has been met.
             let now = linkage.posture(&point.theta).side() * side;
             *met |= now.is_nan() || now <= 0.0;
         }
     };
-    look(&cloud, &own);
+    look(&sigma_points, &own);
     for _ in 0..(constants.parameters.horizon / step).ceil().max(0.0) as u64 {
-        cloud.step(linkage, scene, (step, [0.0; 2]));
+        sigma_points.step(linkage, scene, (step, [0.0; 2]));
         own.step(linkage, scene, step);
-        look(&cloud, &own);
+        look(&sigma_points, &own);
     }
     met.iter().filter(|met| **met).count() as f64 / met.len() as f64
 }

@@ -9,6 +9,7 @@
 #![expect(clippy::needless_range_loop, reason = "matrices are indexed as formulas index them")]
 
 pub mod alarm;
+mod assembly;
 mod bands;
 pub mod bank;
 mod branches;
@@ -16,7 +17,6 @@ mod carry;
 mod constants;
 pub mod encoder;
 pub mod forecast;
-mod grazing;
 mod history;
 pub mod innovation;
 mod lengths;
@@ -32,13 +32,13 @@ pub mod transition;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 pub use alarm::Alarm;
+use assembly::{AssemblyHypotheses, Passage, Propagation};
 pub use bank::Matrix;
 use branches::Branches;
 pub use constants::Constants;
 use encoder::Reading;
 pub use encoder::{Encoder, Fault, Measured};
 use forecast::Forecast;
-use grazing::{Grazing, Passage, Way};
 use history::History;
 pub use history::REMEMBERED;
 pub use innovation::Innovation;
@@ -75,15 +75,15 @@ pub struct Estimator {
     /// Whether samples had ceased to come before the last macro step.
     coasts: bool,
     branches: Branches,
-    grazing: Grazing,
+    assembly: AssemblyHypotheses,
     encoders: [Encoder; 2],
     history: History,
     forecast: Forecast,
     alarm: Alarm,
     /// For how much longer samples have been far off the estimate than near, s.
-    astray: f64,
+    diverged: f64,
     /// Whether the estimate has begun anew with the last samples.
-    begun_anew: bool,
+    restarted: bool,
     /// Of the last sample of each encoder, rad.
     innovation: [f64; 2],
     /// Of the last samples used at once.
@@ -104,13 +104,13 @@ impl Estimator {
             held: false,
             coasts: true,
             branches: Branches::default(),
-            grazing: Grazing::default(),
+            assembly: AssemblyHypotheses::default(),
             encoders: [Encoder::NEW; 2],
             history: History::default(),
             forecast: Forecast::default(),
             alarm: Alarm::default(),
-            astray: 0.0,
-            begun_anew: false,
+            diverged: 0.0,
+            restarted: false,
             innovation: [0.0; 2],
             nis: 0.0,
         }
@@ -134,7 +134,7 @@ impl Estimator {
         let mut frame = linkage.frame(&self.track.theta);
         let lasting = frame.motors_by_lengths(parameters.sigma0_length);
         for i in 0..2 {
-            let Some(sample) = self.encoders[i].hear(measured.theta[i], measured.time[i], now, parameters.max_delay) else {
+            let Some(sample) = self.encoders[i].receive(measured.theta[i], measured.time[i], now, parameters.max_delay) else {
                 continue;
             };
             let rate = self.track.omega[MEASURED[i]];
@@ -156,7 +156,7 @@ impl Estimator {
         if !self.is_coasting() {
             self.forecast.end();
         }
-        if any && self.begin_anew(constants, &heard, &ages) {
+        if any && self.reinitialize(constants, &heard, &ages) {
             return true;
         }
         if !any || self.held {
@@ -197,7 +197,7 @@ impl Estimator {
         if used.iter().all(Option::is_none) {
             return false;
         }
-        match self.track.absorb(linkage, &frame) {
+        match self.track.inject_error(linkage, &frame) {
             Some((error, turn, to)) => {
                 self.history.correct(&error, &turn);
                 frame = to;
@@ -210,13 +210,13 @@ impl Estimator {
             let (noise, rate) = ((parameters.sigma[i], parameters.quantum[i]), self.track.omega[MEASURED[i]]);
             used[i].map(|reading| self.encoders[i].sharpened(reading, noise, rate))
         });
-        let by_grazing = self.grazing.correct(constants, &sharpened).map(|other| self.track = other);
+        let by_grazing = self.assembly.correct(constants, &sharpened).map(|other| self.track = other);
         if by_branches.or(by_grazing).is_some() {
             self.history.clear();
             frame = linkage.frame(&self.track.theta);
         }
         let samples = used.iter().flatten().count();
-        self.alarm.hear(&self.track, &frame, constants.torque_scale(), (fit, samples));
+        self.alarm.receive(&self.track, &frame, constants.torque_scale(), (fit, samples));
         true
     }
 
@@ -236,13 +236,13 @@ impl Estimator {
         // What masses are off by shows where readings are intervals, which confine the angles; in white noise it drowns.
         let seen = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
         // By what models are followed while samples come.
-        let thought = match seen {
+        let model_prior = match seen {
             true if frame.side().abs() < BESIDE => &bank::PRIOR,
             true => &bank::BY_INTERVALS,
             false => &bank::BY_NOISE,
         };
         if coasts && !self.coasts {
-            self.track.bank.foresee(thought);
+            self.track.bank.reset_priors(model_prior);
         }
         self.coasts = coasts;
         if coasts && parameters.forecast == Bands::SigmaPoints {
@@ -254,7 +254,7 @@ impl Estimator {
         let turned = self.track.has_turned(omega, frame.smallest.min(to.smallest));
         self.branches.pass(linkage, &self.track, scene, [frame.smallest, to.smallest], turned);
         self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
-        let priors = if coasts { &bank::PRIOR } else { thought };
+        let priors = if coasts { &bank::PRIOR } else { model_prior };
         let scales = [scales[0], if seen { scales[1] } else { 0.0 }];
         self.track.bank.predict(linkage, (&frame, &step.transition), scales, timing, priors);
         (self.track.theta, self.track.omega) = (*theta, *omega);
@@ -265,8 +265,8 @@ impl Estimator {
             () if step.held || self.branches.are_open() => Passage::Vertex,
             () => Passage::Clear,
         };
-        let way = Way { from: &frame, to: &to, transition: &step.transition, steps: flow.steps };
-        self.grazing.step(constants, (&self.track, passage, &way), known, timing);
+        let propagation = Propagation { from: &frame, to: &to, transition: &step.transition, steps: flow.steps };
+        self.assembly.step(constants, (&self.track, passage, &propagation), known, timing);
         for encoder in &mut self.encoders {
             encoder.silent += h;
         }
@@ -282,12 +282,12 @@ impl Estimator {
     pub fn status(&self) -> Status {
         let fault = self.encoders.iter().map(|encoder| encoder.fault).max().unwrap_or_default();
         match () {
-            () if self.begun_anew && !self.is_coasting() => Status::Inconsistent,
+            () if self.restarted && !self.is_coasting() => Status::Inconsistent,
             () if self.held => Status::Holding,
             () if fault != Fault::None => Status::Faulty(fault),
             () if self.is_coasting() => Status::Coasting,
             () if self.encoders.iter().any(Encoder::is_silent) => Status::OneEncoder,
-            () if self.branches.are_open() || self.grazing.is_open() => Status::TwoBranches,
+            () if self.branches.are_open() || self.assembly.is_open() => Status::TwoBranches,
             () if self.alarm.is_inconsistent() => Status::Inconsistent,
             () => Status::Following,
         }
@@ -299,7 +299,7 @@ impl Estimator {
     }
 
     /// Whether an encoder has ever given a sample.
-    pub fn has_heard(&self, i: usize) -> bool {
+    pub fn has_received(&self, i: usize) -> bool {
         self.encoders[i].silent.is_finite()
     }
 
@@ -330,7 +330,7 @@ impl Estimator {
         if !same(&self.track.theta, theta) || !same(&self.track.omega, omega) {
             return Err("its estimate is not the motion");
         }
-        let mut tracks = std::iter::once(&self.track).chain(self.branches.tracks()).chain(self.grazing.tracks());
+        let mut tracks = std::iter::once(&self.track).chain(self.branches.tracks()).chain(self.assembly.tracks());
         if !tracks.all(|track| track.is_sound(&constants.linkage)) {
             return Err("its estimate is none");
         }
@@ -338,8 +338,8 @@ impl Estimator {
         if !heard || !self.history.is_sound() || !self.forecast.is_sound(&constants.linkage) {
             return Err("what its estimator remembers is none");
         }
-        let numbers = self.innovation.iter().chain([&self.nis, &self.astray]);
-        if !numbers.chain(&self.alarm.numbers()).all(|x| x.is_finite()) || !self.branches.is_sound() || !self.grazing.is_sound() {
+        let numbers = self.innovation.iter().chain([&self.nis, &self.diverged]);
+        if !numbers.chain(&self.alarm.numbers()).all(|x| x.is_finite()) || !self.branches.is_sound() || !self.assembly.is_sound() {
             return Err("a number of its estimator is not finite");
         }
         Ok(())

@@ -1,15 +1,15 @@
 //! A machine that the estimate has lost: the samples say where it is and how fast, and the estimate begins there anew. In which assembly
 //! they do not say: it keeps that of the estimate, and both are followed, as behind a vertex.
 
+use super::assembly::{APART, AssemblyHypotheses};
 use super::branches::posture;
-use super::grazing::{APART, Grazing};
 use super::linkage::{MEASURED, Pair};
 use super::track::wrapped;
 use super::{Alarm, Branches, Constants, Encoder, Estimator, Innovation, Track, bank};
 use crate::mechanism::{Assembly, Start};
 
 /// Samples further off the estimate than this, rad, are those of another motion,
-const ASTRAY: f64 = 0.1;
+const DIVERGED: f64 = 0.1;
 /// where they last for so much longer than others, s;
 const LONG: f64 = 0.1;
 /// each lasts until the next, but no longer than this, s.
@@ -18,22 +18,22 @@ const EACH: f64 = 0.02;
 impl Estimator {
     /// Samples (innovation, angle) with their ages, s: whether the machine was lost, and the estimate has begun anew where they are. Both
     /// encoders have to say so, for one alone may be wrong; next to a vertex, where samples are not used, one is enough.
-    pub(super) fn begin_anew(&mut self, constants: &Constants, heard: &[Option<(Innovation, f64)>; 2], ages: &Pair) -> bool {
-        self.begun_anew = false;
+    pub(super) fn reinitialize(&mut self, constants: &Constants, heard: &[Option<(Innovation, f64)>; 2], ages: &Pair) -> bool {
+        self.restarted = false;
         let [Some(left), Some(right)] = heard else { return false };
-        let off = [left, right].map(|(innovation, _)| innovation.residual.abs() > ASTRAY);
-        let astray = if self.held { off[0] || off[1] } else { off[0] && off[1] };
+        let off = [left, right].map(|(innovation, _)| innovation.residual.abs() > DIVERGED);
+        let diverged = if self.held { off[0] || off[1] } else { off[0] && off[1] };
         let passed = self.encoders.iter().fold(EACH, |least, encoder| least.min(encoder.interval()));
-        self.astray = (self.astray + if astray { passed } else { -passed }).max(0.0);
-        if self.astray < LONG {
+        self.diverged = (self.diverged + if diverged { passed } else { -passed }).max(0.0);
+        if self.diverged < LONG {
             return false;
         }
         let Some(track) = self.measured(constants, [left.1, right.1], ages) else { return false };
         self.innovation = [left, right].map(|(innovation, _)| innovation.residual);
-        (self.track, self.branches, self.grazing) = (track, Branches::default(), Grazing::of_unknown_side());
+        (self.track, self.branches, self.assembly) = (track, Branches::default(), AssemblyHypotheses::of_unknown_side());
         self.history.clear();
         self.alarm = Alarm::default();
-        (self.held, self.astray, self.begun_anew) = (false, 0.0, true);
+        (self.held, self.diverged, self.restarted) = (false, 0.0, true);
         true
     }
 
@@ -64,7 +64,7 @@ impl Estimator {
     }
 
     /// Whether it has begun anew with the last samples.
-    pub fn has_begun_anew(&self) -> bool {
-        self.begun_anew
+    pub fn has_restarted(&self) -> bool {
+        self.restarted
     }
 }

@@ -150,7 +150,7 @@ impl Track {
         }
         let mut bank = self.bank;
         bank.turn(&linkage.frame(&self.theta).carried_to(&linkage.frame(&theta)));
-        bank.unsettle([aside * aside, (aside / before * fastest).powi(2)]);
+        bank.inflate([aside * aside, (aside / before * fastest).powi(2)]);
         Some(Self { theta, omega, bank, ..*self })
     }
 
@@ -170,7 +170,7 @@ impl Track {
     /// The mean takes over what the models think of the error. What it was, how the errors are turned with the basis, and where the estimate
     /// is now; `None`, and nothing has changed, where the loop cannot be closed there.
     #[inline(never)]
-    pub(super) fn absorb(&mut self, linkage: &Linkage, from: &Frame) -> Option<(Error, [Pair; 2], Frame)> {
+    pub(super) fn inject_error(&mut self, linkage: &Linkage, from: &Frame) -> Option<(Error, [Pair; 2], Frame)> {
         let error = self.bank.mean();
         let (turned, quickened) = (from.tangent([error[0], error[1]]), from.tangent([error[2], error[3]]));
         let (theta, omega, to) = linkage

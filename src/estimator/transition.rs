@@ -48,7 +48,7 @@ pub trait Scene {
     fn torque(&self, theta: &Links, omega: &Links) -> Links;
 
     /// Whether some load changes steeply.
-    fn is_steep(&self) -> bool;
+    fn has_stiff_forces(&self) -> bool;
 }
 
 /// Where a motion leads.
@@ -100,14 +100,14 @@ impl Point {
 /// How many steps of Runge–Kutta a time of h seconds needs.
 #[inline(never)]
 pub fn steps(linkage: &Linkage, at: &Frame, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) -> u32 {
-    steps_for(linkage, at, &scene.loads(theta, omega), scene.is_steep(), (omega, h))
+    steps_for(linkage, at, &scene.loads(theta, omega), scene.has_stiff_forces(), (omega, h))
 }
 
 /// The same of loads that are known.
-fn steps_for(linkage: &Linkage, at: &Frame, loads: &Loads, steep: bool, (omega, h): (&Links, f64)) -> u32 {
+fn steps_for(linkage: &Linkage, at: &Frame, loads: &Loads, stiff_forces: bool, (omega, h): (&Links, f64)) -> u32 {
     let Loads { stiffness, damping, .. } = loads;
     let inertia = linkage.least_inertia(at);
-    let mut rate = RATES[usize::from(steep)];
+    let mut rate = RATES[usize::from(stiff_forces)];
     let mut fastest = 0.0_f64;
     for i in 0..4 {
         rate = rate.max(PER_DAMPER * damping[i][i].abs() / inertia[i]).max((stiffness[i][i].abs() / inertia[i]).sqrt());
@@ -150,7 +150,7 @@ pub fn flow(
     least: u32,
 ) -> Flow {
     let mut loads = scene.loads(theta, omega);
-    let steps = steps_for(linkage, frame, &loads, scene.is_steep(), (omega, h)).max(least);
+    let steps = steps_for(linkage, frame, &loads, scene.has_stiff_forces(), (omega, h)).max(least);
     let mut point = Point { theta: *theta, omega: *omega, d_theta: [[0.0; ERRORS]; 4], d_omega: [[0.0; ERRORS]; 4] };
     for (k, direction) in frame.basis.iter().enumerate() {
         // J δω = −δJ ω: what the turned links need to stay closed.
@@ -189,7 +189,7 @@ impl<'a> Factor<'a> {
     fn new(linkage: &Linkage, at: &'a Posture) -> Self {
         let mobility = linkage.mobility(at);
         let (row_x, row_y) = (at.transposed([1.0, 0.0]), at.transposed([0.0, 1.0]));
-        let (x, y) = (yielding(&mobility, &row_x), yielding(&mobility, &row_y));
+        let (x, y) = (solve_mass(&mobility, &row_x), solve_mass(&mobility, &row_y));
         let sum = |a: &Links, b: &Links| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let (xx, xy, yy) = (sum(&row_x, &x), sum(&row_x, &y), sum(&row_y, &y));
         // Next to a vertex nothing is divided by 0.
@@ -201,18 +201,18 @@ impl<'a> Factor<'a> {
     /// x and y of M x + Jᵀ y = b, J x = c.
     #[inline(never)]
     fn solve(&self, b: &Links, c: Pair) -> (Links, Pair) {
-        let free = yielding(&self.mobility, b);
+        let free = solve_mass(&self.mobility, b);
         let [x, y] = self.at.end_velocity(&free);
         let (x, y) = (x - c[0], y - c[1]);
         let [xx, xy, yy] = self.dual;
         let lambda = [xx * x + xy * y, xy * x + yy * y];
-        let back = yielding(&self.mobility, &self.at.transposed(lambda));
+        let back = solve_mass(&self.mobility, &self.at.transposed(lambda));
         (std::array::from_fn(|i| free[i] - back[i]), lambda)
     }
 
     /// x of the same for all errors at once: rows of b by link, of c by direction.
     fn solve_columns(&self, b: &Columns, c: &[Error; 2]) -> Columns {
-        let free = yielding_columns(&self.mobility, b);
+        let free = solve_mass_columns(&self.mobility, b);
         let [end_x, end_y] = self.at.end_rows(&[1.0; 4]);
         let (x, y) = (sum(end_x, &free), sum(end_y, &free));
         let [xx, xy, yy] = self.dual;
@@ -227,7 +227,7 @@ impl<'a> Factor<'a> {
                 held[i][k] = end_x[i] * l_x[k] + end_y[i] * l_y[k];
             }
         }
-        let back = yielding_columns(&self.mobility, &held);
+        let back = solve_mass_columns(&self.mobility, &held);
         let mut solution = free;
         for i in 0..4 {
             for k in 0..ERRORS {
@@ -250,7 +250,7 @@ fn sum(factors: Links, rows: &Columns) -> Error {
 
 /// M⁻¹ x.
 #[inline]
-fn yielding(mobility: &[[f64; 3]; 2], x: &Links) -> Links {
+fn solve_mass(mobility: &[[f64; 3]; 2], x: &Links) -> Links {
     let mut product = [0.0; 4];
     for ([p, d], [own_p, own_d, coupling]) in LEGS.into_iter().zip(mobility) {
         product[p] = own_p * x[p] + coupling * x[d];
@@ -261,7 +261,7 @@ fn yielding(mobility: &[[f64; 3]; 2], x: &Links) -> Links {
 
 /// The same of each column.
 #[inline]
-fn yielding_columns(mobility: &[[f64; 3]; 2], x: &Columns) -> Columns {
+fn solve_mass_columns(mobility: &[[f64; 3]; 2], x: &Columns) -> Columns {
     let mut product = [[0.0; ERRORS]; 4];
     for ([p, d], [own_p, own_d, coupling]) in LEGS.into_iter().zip(mobility) {
         for k in 0..ERRORS {
@@ -273,7 +273,7 @@ fn yielding_columns(mobility: &[[f64; 3]; 2], x: &Columns) -> Columns {
 }
 
 /// Q + c.
-fn pushed(linkage: &Linkage, at: &Posture, mut torque: Links, omega: &Links) -> Links {
+fn with_coriolis(linkage: &Linkage, at: &Posture, mut torque: Links, omega: &Links) -> Links {
     for (carried, [p, d]) in linkage.carried.into_iter().zip(LEGS) {
         let centripetal = carried * at.sine(p, d);
         torque[p] += centripetal * omega[d] * omega[d];
@@ -285,7 +285,7 @@ fn pushed(linkage: &Linkage, at: &Posture, mut torque: Links, omega: &Links) -> 
 #[inline(never)]
 fn acceleration(linkage: &Linkage, scene: &impl Scene, theta: &Links, omega: &Links) -> Links {
     let frame = linkage.posture(theta);
-    let torque = pushed(linkage, &frame, scene.torque(theta, omega), omega);
+    let torque = with_coriolis(linkage, &frame, scene.torque(theta, omega), omega);
     Factor::new(linkage, &frame).solve(&torque, frame.inward(omega, omega)).0
 }
 
@@ -296,7 +296,7 @@ fn rate(linkage: &Linkage, loads: &Loads, force: &[Pair; 4], point: &Point) -> P
     let frame = linkage.posture(theta);
     let &Loads { torque, stiffness, damping } = loads;
     let factor = Factor::new(linkage, &frame);
-    let (alpha, lambda) = factor.solve(&pushed(linkage, &frame, torque, omega), frame.inward(omega, omega));
+    let (alpha, lambda) = factor.solve(&with_coriolis(linkage, &frame, torque, omega), frame.inward(omega, omega));
 
     // Minus the derivatives of the right-hand side with respect to the angles and the rates.
     let (mut by_angle, mut by_rate) = (stiffness, damping);

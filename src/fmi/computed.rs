@@ -129,12 +129,12 @@ fn integer(of: &Observed<'_, f64>, computed: IntegerComputed) -> i32 {
         IntegerComputed::SolverIterations => counters.iterations,
         IntegerComputed::SolverRejected => counters.rejected,
         IntegerComputed::SolverRescued => counters.rescued,
-        IntegerComputed::SolverLastResorts => counters.last_resorts,
+        IntegerComputed::SolverLastResorts => counters.fallbacks,
         IntegerComputed::SolverRestarts => counters.restarts,
         IntegerComputed::SolverLaunches => counters.launches,
         IntegerComputed::SolverVertexPasses => counters.vertex_passes,
-        IntegerComputed::SingularPassesDirect => counters.mode_changes[0],
-        IntegerComputed::SingularPassesInverse(i) => counters.mode_changes[1 + i],
+        IntegerComputed::SingularPassesDirect => counters.sign_changes[0],
+        IntegerComputed::SingularPassesInverse(i) => counters.sign_changes[1 + i],
     };
     // fmi2Integer has 32 bits: a counter that has grown past them stays at the largest value.
     i32::try_from(count).unwrap_or(i32::MAX)

@@ -114,7 +114,7 @@ impl Instance {
         if let Some(value) = states.iter().find(|value| !value.is_finite()) {
             return Err(CallError::error(format!("a continuous state is {value}, must be finite.")));
         }
-        self.simulation().drive(states).map_err(no_coordinates)
+        self.simulation().set_states(states).map_err(no_coordinates)
     }
 
     /// The simulation, about to change.

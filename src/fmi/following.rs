@@ -38,16 +38,16 @@ impl Instance {
             **following = before;
             return Err(refusal);
         }
-        let news = following.take_news();
+        let news = following.take_reports();
         // Until the next samples it says so.
-        let begun_anew = following.estimator().has_begun_anew() && !before.estimator().has_begun_anew();
+        let restarted = following.estimator().has_restarted() && !before.estimator().has_restarted();
         clock.advance(plan);
         now.next.after_step(size);
         now.stage = super::Stage::StepComplete;
         for (encoder, fault) in news {
             warn(&mut self.log, || told(encoder, fault, point));
         }
-        if begun_anew {
+        if restarted {
             warn(&mut self.log, || {
                 format!(
                     "at {point:?} s: measured.theta[1..2] were more than 0.1 rad off the estimate for most of 0.1 s: it has lost the machine \

@@ -42,7 +42,7 @@ impl Scene {
         match (kind, parameters.estimator.enabled) {
             (Kind::CoSimulation, false) => Ok(Self::Ready(Box::new(Simulation::new(parameters, inputs)?))),
             (Kind::CoSimulation, true) => Ok(Self::Following(Box::new(Following::new(parameters, inputs)?))),
-            (Kind::ModelExchange, false) => Ok(Self::Ready(Box::new(Simulation::driven(parameters, inputs)?))),
+            (Kind::ModelExchange, false) => Ok(Self::Ready(Box::new(Simulation::for_model_exchange(parameters, inputs)?))),
             (Kind::ModelExchange, true) => Err(SceneError(
                 "estimator.enabled = true is not allowed in model exchange, whose states are the master's: it must be false, or the unit \
                  instantiated for co-simulation."

@@ -4,7 +4,7 @@ use super::derivatives::check_reach;
 use super::messages::{Log, Status};
 use super::snapshot::Scene;
 use super::{CallError, Instance, Stage};
-use crate::integrator::MODES;
+use crate::integrator::CONFIGURATION_SIGNS;
 use crate::simulation::{Signal, Simulation, StepFailure};
 
 impl Instance {
@@ -18,7 +18,7 @@ impl Instance {
         let plan = clock.plan(point, size, simulation.parameters().settings.step_size)?;
         // To look has its price: it is paid only where the log wants the events.
         let before = wants_events.then(|| simulation.singular());
-        let last_resorts = simulation.last_resorts();
+        let fallbacks = simulation.fallbacks();
         let advanced = match (&now.next.parameters, &now.next.signal) {
             (None, None) => {
                 let inputs = *simulation.inputs();
@@ -41,14 +41,14 @@ impl Instance {
             now.stage = Stage::StepFailed;
             return Err(step_discarded(point, size, &failure));
         }
-        let last_resorts = simulation.last_resorts() - last_resorts;
+        let fallbacks = simulation.fallbacks() - fallbacks;
         clock.advance(plan);
         now.next.after_step(size);
         now.stage = Stage::StepComplete;
-        if last_resorts > 0 {
+        if fallbacks > 0 {
             warn(&mut self.log, || {
                 format!(
-                    "between {point:?} s and {:?} s: steps by the last resort: {last_resorts}, whose equations were not solved: the energy is \
+                    "between {point:?} s and {:?} s: steps by the last resort: {fallbacks}, whose equations were not solved: the energy is \
                      kept, the way is not known; see solver.lastResorts and solver.maxWork.",
                     point + size
                 )
@@ -91,10 +91,10 @@ impl Instance {
 
     /// One line for each kind of singularity that a step has passed, and for a start from rest in a vertex.
     #[cold]
-    pub(super) fn report_passes(&mut self, before: [u64; MODES + 2], from: f64, to: f64) -> Result<(), CallError> {
+    pub(super) fn report_passes(&mut self, before: [u64; CONFIGURATION_SIGNS + 2], from: f64, to: f64) -> Result<(), CallError> {
         let core = self.observe()?.observation().state().core;
         let counts = core.counters.singular();
-        let [launches, passes @ ..]: [u64; MODES + 2] = std::array::from_fn(|i| counts[i].saturating_sub(before[i]));
+        let [launches, passes @ ..]: [u64; CONFIGURATION_SIGNS + 2] = std::array::from_fn(|i| counts[i].saturating_sub(before[i]));
         for (count, what) in passes.into_iter().zip([
             "constraint singularity (all links in line), straight through",
             "direct singularity (distal links in line)",

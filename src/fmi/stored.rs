@@ -161,7 +161,7 @@ impl Snapshot {
             (
                 Stage::StepComplete | Stage::StepFailed | Stage::EventMode | Stage::ContinuousTimeMode | Stage::Terminated,
                 Some(StoredRun { run, residuals }),
-            ) if stage.belongs_to(kind) && run.is_driven() == (kind == Kind::ModelExchange) => {
+            ) if stage.belongs_to(kind) && run.is_model_exchange() == (kind == Kind::ModelExchange) => {
                 let refusal = |error: SceneError| wrong(&error.to_string());
                 match (parameters.estimator.enabled, followed.estimate) {
                     (false, None) => Scene::Ready(Box::new(Simulation::restored(&parameters, run, &residuals).map_err(refusal)?)),

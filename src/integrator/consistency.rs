@@ -34,10 +34,10 @@ const ON_RAY: [f64; 2] = [1e-4, 1e-1];
 
 impl Counters {
     fn are_countable(&self) -> bool {
-        let &Self { steps, substeps, iterations, rejected, rescued, restarts, launches, vertex_passes, mode_changes, last_resorts } =
+        let &Self { steps, substeps, iterations, rejected, rescued, restarts, launches, vertex_passes, sign_changes, fallbacks } =
             self;
-        let counters = [steps, substeps, iterations, rejected, rescued, restarts, launches, vertex_passes, last_resorts];
-        counters.iter().chain(&mode_changes).all(|count| *count < MOST_COUNTED)
+        let counters = [steps, substeps, iterations, rejected, rescued, restarts, launches, vertex_passes, fallbacks];
+        counters.iter().chain(&sign_changes).all(|count| *count < MOST_COUNTED)
     }
 }
 
@@ -66,7 +66,7 @@ impl<const N: usize, const M: usize> State<N, M> {
         if !(same(self.power.input, power.input) && same(self.power.dissipated, power.dissipated)) {
             return Err("the power is not that of the loads");
         }
-        if (self.modes ^ system.modes(&pose)) & !system.uncertain_modes(&pose) != 0 {
+        if (self.configuration_signs ^ system.configuration_signs(&pose)) & !system.uncertain_configuration_signs(&pose) != 0 {
             return Err("its modes are not those of the posture");
         }
         Ok(())

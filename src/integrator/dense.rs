@@ -1,7 +1,7 @@
 //! Error-controlled steps that pass communication points, with dense output, on the index-1 form of a [`System`]; projection onto the
 //! constraints after every accepted step.
 //!
-//! A step is of a [`Kind`]: explicit of order 8 (`dop853.rs`) or 5 (`tsit5.rs`), or linearly implicit (`rosenbrock.rs`) where loads are stiff.
+//! A step is of a [`Scheme`]: explicit of order 8 (`dop853.rs`) or 5 (`tsit5.rs`), or linearly implicit (`rosenbrock.rs`) where loads are stiff.
 //!
 //! Steps are as long as the local error allows, wherever communication points are. The step under way may go past one: there the state
 //! is that of the step's interpolant, projected. The step, which has been made with the inputs held, is thrown away if they
@@ -11,20 +11,20 @@
 //! Where a force has a kink, a step ends there (`events.rs`).
 
 mod consistency;
-mod cut;
 mod dop853;
 mod events;
 mod hermite;
 mod interpolant;
-mod kind;
-mod landing;
 mod plan;
 mod rosenbrock;
 mod sample;
+mod scheme;
 mod search;
 mod step;
+mod step_end;
 mod stiffness;
 mod trial;
+mod truncation;
 mod tsit5;
 
 use std::borrow::Borrow;
@@ -32,19 +32,19 @@ use std::borrow::Borrow;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::controller::LEAST_LOG_ERROR;
-use super::{Counters, Kinked, Passage, State, StepError, System, Work};
+use super::{Counters, Events, Passage, State, StepError, System, Work};
 use crate::vector::Vector;
-use kind::Choice;
-pub use kind::{Kind, Kinds};
 pub use sample::Sample;
+use scheme::StiffnessSwitch;
+pub use scheme::{Scheme, Schemes};
 use stiffness::Stiffness;
-use trial::Slope;
+use trial::StageDerivative;
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
     /// Which kinds of step are made.
-    pub kinds: Kinds,
+    pub schemes: Schemes,
     /// Local error allowed per step: of each coordinate this, of its rate this times (10/s + |q̇|); root of the mean square.
     pub error_tolerance: f64,
     /// The work of forces with kinks may be off by the error tolerance times this, J, per step.
@@ -95,14 +95,14 @@ pub struct DenseStep<const N: usize, const M: usize, K> {
     /// Time into the step, s, never beyond its end.
     elapsed: f64,
     /// What kind of step it is.
-    kind: Kind,
+    scheme: Scheme,
     /// The higher coefficients of the interpolant; 0 where it was not needed.
-    dense: [Slope<N>; 4],
+    dense: [StageDerivative<N>; 4],
     /// Whether the step is a straight motion close to a vertex, where nothing may be projected.
-    straight: bool,
+    is_linear: bool,
     /// On which sides of their kinks the forces are in the step, and from its end on.
-    sides: K,
-    sides_behind: K,
+    mode: K,
+    next_mode_at_end: K,
     memory: Memory,
     /// The memory at its beginning, for when the step is redone.
     before: Memory,
@@ -121,34 +121,38 @@ struct Memory {
     /// ln of the error of the last accepted step in units of the tolerance.
     log_error: f64,
     /// The step wanted where something that touches pushes, if nothing does, and the other way round, s; infinite where none is known.
-    elsewhere: f64,
+    substep_in_other_mode: f64,
     stiffness: Stiffness,
-    choice: Choice,
+    stiffness_switch: StiffnessSwitch,
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Begins with q and q̇, which meet the constraints.
-    pub fn start<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    pub fn start<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         system: &S,
         q: Vector<N>,
         v: Vector<N>,
         settings: &Settings,
     ) -> Self {
-        let sides = system.sides_of(&q, &v);
-        let state = State::start(system.on(sides).borrow(), q, v, settings.regularization);
-        let memory =
-            Memory { log_error: LEAST_LOG_ERROR, elsewhere: f64::INFINITY, stiffness: Stiffness::default(), choice: Choice::NEW };
+        let mode = system.mode_of(&q, &v);
+        let state = State::start(system.on(mode).borrow(), q, v, settings.regularization);
+        let memory = Memory {
+            log_error: LEAST_LOG_ERROR,
+            substep_in_other_mode: f64::INFINITY,
+            stiffness: Stiffness::default(),
+            stiffness_switch: StiffnessSwitch::NEW,
+        };
         Self {
             start: state,
             end: state,
             length: 0.0,
             cut_from: 0.0,
             elapsed: 0.0,
-            kind: Kind::Eighth,
-            dense: [Slope::NONE; 4],
-            straight: false,
-            sides,
-            sides_behind: sides,
+            scheme: Scheme::Dop853,
+            dense: [StageDerivative::NONE; 4],
+            is_linear: false,
+            mode,
+            next_mode_at_end: mode,
             memory,
             before: memory,
         }
@@ -179,7 +183,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// One macro step of h seconds, from the end of the step under way with the pose there, where it is at hand. On failure the run is
     /// undefined: the caller keeps a copy.
-    pub fn advance<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    pub fn advance<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -192,7 +196,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// The same where the step under way has no room for it, as [`advance_within`](Self::advance_within) has said.
     #[inline(always)]
-    pub fn advance_past<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    pub fn advance_past<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -232,7 +236,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Ends the step at the present time, because what was held from here on will change: the step is redone, up to here and no
     /// further. `system` is that of the step; [`restart`](Self::restart) follows. On failure the run is undefined.
-    pub fn truncate_and_redo<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    pub fn truncate_and_redo<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -243,7 +247,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let mut rest = self.elapsed;
         let dissipated = self.dissipated(system, settings);
         self.memory = self.before;
-        self.sides_behind = self.sides;
+        self.next_mode_at_end = self.mode;
         self.retract();
         self.end.counters.rejected += 1;
         let done = self.work();
@@ -272,7 +276,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     fn retract(&mut self) {
         let Counters { rejected, iterations, .. } = self.end.counters;
         self.end = self.start;
-        self.dense = [Slope::NONE; 4];
+        self.dense = [StageDerivative::NONE; 4];
         (self.length, self.cut_from) = (0.0, 0.0);
         self.end.counters.rejected = rejected;
         self.end.counters.iterations = iterations;
@@ -284,27 +288,27 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// The forces have changed at once, after [`truncate_and_redo`](Self::truncate_and_redo), which did some work. From the pose there.
-    pub fn restart<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    pub fn restart<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
         pose: &S::Pose,
         work: Work,
     ) {
-        let sides = system.sides_of(&self.end.q, &self.end.v);
-        self.end.restart(system.on(sides).borrow(), pose, settings.regularization);
+        let mode = system.mode_of(&self.end.q, &self.end.v);
+        self.end.restart(system.on(mode).borrow(), pose, settings.regularization);
         self.end.work += work;
         self.start = self.end;
-        (self.sides, self.sides_behind) = (sides, sides);
+        (self.mode, self.next_mode_at_end) = (mode, mode);
     }
 
     /// Goes on from another state, which puts in some energy, J: the step under way is thrown away. Systems before and after.
-    pub fn go_on_from<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    pub fn resume_from<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         [before, after]: [&S; 2],
         settings: &Settings,
         [q, v]: [Vector<N>; 2],
-        put_in: f64,
+        external_work: f64,
     ) {
         let work = self.sample(before, settings).work;
         if self.elapsed < self.length {
@@ -314,12 +318,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
         (self.end.q, self.end.v, self.end.on_ray) = (q, v, false);
         let pose = after.pose(&q);
-        self.end.modes = after.modes(&pose);
+        self.end.configuration_signs = after.configuration_signs(&pose);
         self.end.work = work;
-        self.dense = [Slope::NONE; 4];
-        self.straight = false;
+        self.dense = [StageDerivative::NONE; 4];
+        self.is_linear = false;
         (self.length, self.elapsed) = (0.0, 0.0);
-        self.restart(after, settings, &pose, Work { input: put_in, dissipated: 0.0 });
+        self.restart(after, settings, &pose, Work { input: external_work, dissipated: 0.0 });
     }
 
     /// Moves the origin of the coordinates: by `shift`, which the system does not notice (whole turns of angles).
@@ -334,8 +338,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// The sides that hold at the present time.
-    pub fn sides(&self) -> K {
-        if self.elapsed == self.length { self.sides_behind } else { self.sides }
+    pub fn mode(&self) -> K {
+        if self.elapsed == self.length { self.next_mode_at_end } else { self.mode }
     }
 
     /// Macro steps since the start.

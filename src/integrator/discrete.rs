@@ -31,9 +31,9 @@ pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
     fn apply_inverse_mass(&self, x: &Vector<N>) -> Vector<N>;
 
     /// Q̄.
-    fn mean_forces(&self, over: &Chord<'_, Self::Secant, N>) -> Vector<N>;
+    fn mean_forces(&self, over: &StepIncrement<'_, Self::Secant, N>) -> Vector<N>;
     /// What the inputs put in and what is dissipated over the step, J. Asked only if [`System::follows_work`].
-    fn work_over(&self, over: &Chord<'_, Self::Secant, N>) -> Work;
+    fn work_over(&self, over: &StepIncrement<'_, Self::Secant, N>) -> Work;
 
     /// The step of h seconds from q₀ and q̇₀ with its loops cut: in coordinates in which all joints but some are met, whose forces follow
     /// from what the bodies between them take. What is left has the same roots and is small.
@@ -45,19 +45,19 @@ pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
     /// Newton's increments of d, Λ and ν with the whole tangent; e weighs increments only.
     fn newton(
         &self,
-        over: &Chord<'_, Self::Secant, N>,
+        over: &StepIncrement<'_, Self::Secant, N>,
         multipliers: [&Vector<M>; 2],
         residuals: (&Vector<N>, &Vector<M>, &Vector<M>),
         regularization: f64,
     ) -> (Vector<N>, [Vector<M>; 2]);
 
-    /// Whether no effect dissipates or drives, so that no law can be made softer, see [`Chord::softening`].
+    /// Whether no effect dissipates or drives, so that no law can be made softer, see [`StepIncrement::softening`].
     fn is_conservative(&self) -> bool;
 }
 
 /// A step as the forces see it.
 #[derive(Clone, Copy, Debug)]
-pub struct Chord<'a, S, const N: usize> {
+pub struct StepIncrement<'a, S, const N: usize> {
     /// q₀.
     pub q: &'a Vector<N>,
     /// q₁ − q₀.
@@ -97,7 +97,7 @@ pub trait CutStep<const N: usize, const M: usize> {
     fn improved(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Unknowns;
     /// The motion with the rates, and Λ, of these increments, but on its own way.
     fn with_rates(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Motion;
-    /// [`System::angle_norm`] of d.
+    /// [`System::error_norm`] of d.
     fn turn(x: &Self::Unknowns) -> f64;
     /// The unknowns, with the ν of this motion.
     fn unknowns(motion: &Self::Motion) -> Self::Unknowns;

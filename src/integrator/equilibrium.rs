@@ -33,7 +33,7 @@ pub(super) fn equilibrium_with_power<const N: usize, const M: usize, S: System<N
 #[inline(always)]
 pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
-    from: (&Vector<N>, &S::Place),
+    from: (&Vector<N>, &S::TrigBase),
     by: &Vector<N>,
     v: &Vector<N>,
     regularization: f64,
@@ -69,7 +69,7 @@ pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>
     // Copies, which are made only where something is held: what is pointed to has to be in memory, and so has what a call returns, for
     // all who share its place. A sum with 0 has a place of its own.
     if system.holds() {
-        let (held, by) = system.balanced_with_held(*q, *v, (a, lambda));
+        let (held, by) = system.with_friction_reaction(*q, *v, (a, lambda));
         return (Vector::ZERO + held, Vector::ZERO + by);
     }
     (a, lambda)

@@ -24,7 +24,7 @@ pub enum StepError {
         iterations: u32,
     },
     /// Nor was there a shorter way that keeps the energy.
-    NoWayOn,
+    FallbackFailed,
     /// A value became NaN or infinite.
     NotFinite,
     /// Close to a vertex a sub-step changed the energy.
@@ -64,7 +64,7 @@ impl fmt::Display for StepError {
                     "the step's equations were not solved in {iterations} iterations, and solver.maxWork = 0 allows no rescue"
                 )
             }
-            Self::NoWayOn => f.write_str(
+            Self::FallbackFailed => f.write_str(
                 "neither the step's equations were solved within solver.maxWork, nor was a shorter way found that keeps the energy",
             ),
             Self::IndefiniteTangent => {
@@ -75,12 +75,12 @@ impl fmt::Display for StepError {
             }
             Self::NotFinite => f.write_str("a coordinate, velocity or acceleration is not finite"),
             Self::StepTooShort { substep, error } => {
-                write!(f, "a sub-step of only {substep:.3e} s still {}", Off(*error))
+                write!(f, "a sub-step of only {substep:.3e} s still {}", LocalError(*error))
             }
             Self::TooMuchWork { most, substep, error } => write!(
                 f,
                 "a macro step needs more iterations and evaluations than solver.maxWork = {most} allows: the last sub-step, of {substep:.3e} s, {}",
-                Off(*error)
+                LocalError(*error)
             ),
         }
     }
@@ -89,9 +89,9 @@ impl fmt::Display for StepError {
 impl std::error::Error for StepError {}
 
 /// What became of a sub-step by its local error, rad.
-struct Off(f64);
+struct LocalError(f64);
 
-impl fmt::Display for Off {
+impl fmt::Display for LocalError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self(error) = self;
         if error.is_finite() { write!(f, "had a local error of {error:.3e} rad") } else { f.write_str("failed altogether") }

@@ -14,17 +14,17 @@ mod damping;
 mod events;
 mod line_search;
 mod newton;
-mod steep;
+mod stiff_forces;
 
 use super::controller::{LEAST_LOG_ERROR, StepSizeController, ln, next_step};
 use super::{
-    Approach, Arrival, Implicit, Kinked, Passage, PassageLimits, State, StepError, StepLimits, Transit, velocity_correction,
+    Approach, Events, Implicit, Passage, PassageLimits, State, StepEnd, StepError, StepLimits, Transit, velocity_correction,
 };
 use crate::vector::Vector;
 use events::{Outcome, Search};
 use newton::{Found, Step, constraint_tolerance};
 use std::borrow::Borrow;
-use steep::{drive_work, steep_error};
+use stiff_forces::{drive_work, steep_error};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -59,15 +59,15 @@ const CONTROLLER: StepSizeController =
 /// One macro step of h seconds, from the sides on which the grips of dry friction are: in one step, or in sub-steps. On failure state and
 /// sides are undefined: the caller keeps a copy.
 #[inline(never)]
-pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
+pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
     system: &S,
     settings: &Settings,
     state: &mut State<N, M>,
-    sides: &mut S::Sides,
+    mode: &mut S::Mode,
     h: f64,
 ) -> Result<(), StepError> {
     if settings.adaptive {
-        return in_substeps(system, settings, (state, sides), h);
+        return in_substeps(system, settings, (state, mode), h);
     }
     attempt(system, settings, state, h, &StepLimits::NONE)?.accept(system, state, h);
     Ok(())
@@ -75,10 +75,10 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
 
 /// A macro step in equal parts, as many as the local error asks, asked anew after each.
 #[inline(never)]
-fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
+fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
     without_sides: &S,
     settings: &Settings,
-    (state, sides): (&mut State<N, M>, &mut S::Sides),
+    (state, mode): (&mut State<N, M>, &mut S::Mode),
     duration: f64,
 ) -> Result<(), StepError> {
     let passage = PassageLimits::for_error_tolerance(settings.error_tolerance);
@@ -90,8 +90,8 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
         if rounds + without_sides.iteration_work() * (state.counters.iterations - done) > u64::from(settings.max_work) {
             break;
         }
-        let on_sides = without_sides.on(*sides);
-        let system: &S = on_sides.borrow();
+        let in_mode = without_sides.on(*mode);
+        let system: &S = in_mode.borrow();
         if system.is_at_rest() {
             state.counters.substeps += 1;
             return Ok(());
@@ -100,7 +100,7 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
             Approach::Clear => StepLimits::NONE,
             Approach::Limited(limits) => limits,
             Approach::Passed(transit) => {
-                rest = pass(without_sides, settings, state, (sides, &transit), rest)?;
+                rest = pass(without_sides, settings, state, (mode, &transit), rest)?;
                 if rest <= 0.0 {
                     return Ok(());
                 }
@@ -113,8 +113,11 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
         error = attempt.as_ref().map_or(f64::NAN, |attempt| attempt.error);
         match attempt {
             Ok(attempt) if error <= tolerance => {
-                let outcome =
-                    if system.has_grips() { search.judge(system, settings, state, (&attempt.end, h)) } else { Outcome::Passes };
+                let outcome = if system.has_stick_slip() {
+                    search.judge(system, settings, state, (&attempt.end, h))
+                } else {
+                    Outcome::Passes
+                };
                 if outcome == Outcome::Again {
                     state.counters.rejected += 1;
                     continue;
@@ -126,7 +129,7 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
                 }
                 attempt.accept(system, state, h);
                 if outcome == Outcome::Turns {
-                    events::turn(system, settings, state, sides);
+                    events::turn(system, settings, state, mode);
                 }
                 search = Search::NONE;
                 if last {
@@ -136,9 +139,9 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
             }
             _ => {
                 search = Search::NONE;
-                if let Some(transit) = system.past_meeting(&state.q, &state.v, h) {
+                if let Some(transit) = system.cross_bifurcation(&state.q, &state.v, h) {
                     state.counters.rescued += 1;
-                    rest = pass(without_sides, settings, state, (sides, &transit), rest)?;
+                    rest = pass(without_sides, settings, state, (mode, &transit), rest)?;
                     if rest <= 0.0 {
                         return Ok(());
                     }
@@ -155,28 +158,28 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
 
 /// Goes where the system has gone by itself; what is left of so many seconds.
 #[cold]
-fn pass<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
+fn pass<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
     without_sides: &S,
     settings: &Settings,
     state: &mut State<N, M>,
-    (sides, transit): (&mut S::Sides, &Transit<N>),
+    (mode, transit): (&mut S::Mode, &Transit<N>),
     rest: f64,
 ) -> Result<f64, StepError> {
-    state.pass_through(without_sides.on(*sides).borrow(), transit, settings.regularization)?;
-    *sides = without_sides.sides_of(&state.q, &state.v);
+    state.pass_through(without_sides.on(*mode).borrow(), transit, settings.regularization)?;
+    *mode = without_sides.mode_of(&state.q, &state.v);
     Ok(rest - transit.duration)
 }
 
 /// A sub-step that converged, not yet accepted.
 struct Attempt<const N: usize, const M: usize> {
-    end: Arrival<N, M>,
+    end: StepEnd<N, M>,
     /// Local error, rad.
     error: f64,
 }
 
 /// One step of h: predictor, Newton on positions and total multipliers, velocity projection, acceleration from equilibrium.
 #[inline(never)] // one copy for fixed steps and sub-steps: 33 kB, for 1.5 % more instructions of a bare step
-fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
+fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
     system: &S,
     settings: &Settings,
     state: &mut State<N, M>,
@@ -206,12 +209,12 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kink
     let correction = velocity_correction(system, &pose, &mass, &v);
     let mut v = v + correction;
     if system.holds() {
-        v = system.let_hold(q, v);
+        v = system.project_sticking(q, v);
     }
     if let Some(energy) = &limits.energy {
         v = system.energy_scale(energy, &q, &v, h)? * v;
     }
-    let mut end = Arrival::in_balance(system, [q, v], &pose, &mass);
+    let mut end = StepEnd::in_balance(system, [q, v], &pose, &mass);
     // Next to a vertex the rates have been given their energy.
     if settings.watches_rates(system) && limits.energy.is_none() {
         end = damping::damped(system, &settings, state, h, (&pose, &mass), end);
@@ -227,7 +230,7 @@ impl Settings {
     /// Whether rates are judged beside the angles: where forces change steeply with them, the angles do not tell that they ring.
     #[inline(always)]
     fn watches_rates<const N: usize, const M: usize>(&self, system: &impl Implicit<N, M>) -> bool {
-        self.adaptive && system.is_steep()
+        self.adaptive && system.has_stiff_forces()
     }
 }
 
@@ -239,7 +242,7 @@ fn taylor_step<const N: usize, const M: usize>(
     h: f64,
     regularization: f64,
 ) -> Result<Attempt<N, M>, StepError> {
-    let end = Arrival::out_of_line(system, [state.q + h * state.v, state.v + h * state.a], regularization).finite()?;
+    let end = StepEnd::out_of_line(system, [state.q + h * state.v, state.v + h * state.a], regularization).finite()?;
     Ok(Attempt { end, error: 0.0 })
 }
 
@@ -268,5 +271,5 @@ pub(super) fn local_error<const N: usize, const M: usize>(
     jump: &Vector<N>,
     correction: &Vector<N>,
 ) -> f64 {
-    Vector::from([h * h / 12.0 * system.angle_norm(jump), h / 2.0 * system.angle_norm(correction)]).max_norm()
+    Vector::from([h * h / 12.0 * system.error_norm(jump), h / 2.0 * system.error_norm(correction)]).max_norm()
 }

@@ -12,19 +12,19 @@
 //!
 //! J_b d = ΔΦ = 0 and K_b(z) d = (J₁ − J₀) z make the constraints' forces do no work, whatever the step; Q̄ᵀd is what potentials lose.
 //! So energy, Φ and Φ̇ are kept to round-off, and no local error is estimated: the step is h. One that plain Newton's method does not
-//! solve climbs the ladder of `ladder.rs`.
+//! solve climbs the ladder of `fallback.rs`.
 
 mod equations;
-mod ladder;
+mod fallback;
 mod newton;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::{Chord, Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, Work, equilibrium};
+use super::{Counters, CutStep, Discrete, Inconsistency, Passage, State, StepError, StepIncrement, Work, equilibrium};
 use crate::vector::Vector;
 use equations::{Evaluation, Step, Unknowns};
-use ladder::{Rescued, climb, from_equilibrium};
-use newton::{Allowance, Bounds, Until, in_turn, whole};
+use fallback::{Recovered, from_equilibrium, recover_by_stages};
+use newton::{Allowance, Bounds, Until, full_newton, staggered_newton};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,8 +57,8 @@ pub struct ConservingRun<const N: usize, const K: usize> {
     pub v: Vector<N>,
     /// Work since the start, J.
     pub work: Work,
-    /// [`super::System::modes`] of q.
-    pub modes: u8,
+    /// [`super::System::configuration_signs`] of q.
+    pub configuration_signs: u8,
     /// Counters since the start.
     pub counters: Counters,
     memory: Memory<K>,
@@ -103,8 +103,8 @@ impl<const K: usize> Memory<K> {
 impl<const N: usize, const K: usize> ConservingRun<N, K> {
     /// Begins with q and q̇, which meet the constraints.
     pub fn start<const M: usize, S: Discrete<N, M>>(system: &S, q: Vector<N>, v: Vector<N>) -> Self {
-        let modes = system.modes(&system.pose(&q));
-        Self { q, v, work: Work::default(), modes, counters: Counters::default(), memory: Memory::NONE }
+        let configuration_signs = system.configuration_signs(&system.pose(&q));
+        Self { q, v, work: Work::default(), configuration_signs, counters: Counters::default(), memory: Memory::NONE }
     }
 
     /// The inputs have changed at once, and with them second differences of the motion: what looks at higher ones would be farther off.
@@ -122,7 +122,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
 
     /// The state, with q̈, λ and power from equilibrium. Nothing of it is fed back.
     pub fn state<const M: usize, S: Discrete<N, M> + Passage<N>>(&self, system: &S, regularization: f64) -> State<N, M> {
-        let &Self { q, v, work, modes, counters, .. } = self;
+        let &Self { q, v, work, configuration_signs, counters, .. } = self;
         let mut state = State {
             q,
             v,
@@ -133,7 +133,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
             error_estimate: 0.0,
             work,
             power: Work::default(),
-            modes,
+            configuration_signs,
             on_ray: false,
             alternatives: 0,
             counters,
@@ -179,10 +179,10 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
             let arrive = |end: &_, iterations| {
                 self.counters.iterations += u64::from(iterations);
                 let ([d, v], secant) = (cut.end(end), cut.secant(end));
-                let over = Chord { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
+                let over = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
                 self.arrive(system, &over, S::Cut::unknowns(end))
             };
-            match in_turn(&cut, x, &Bounds::cut(system, h), (settings.regularization, settings.max_iterations), arrive) {
+            match staggered_newton(&cut, x, &Bounds::cut(system, h), (settings.regularization, settings.max_iterations), arrive) {
                 Ok(arrived) => return arrived,
                 Err((left, iterations)) => {
                     self.counters.iterations += u64::from(iterations);
@@ -225,22 +225,22 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         (begun, nearby): (u64, Option<Vector<K>>),
     ) -> Result<(), StepError> {
         let &Settings { regularization, max_iterations, .. } = settings;
-        let Some(x) = nearby else { return self.rescue(step, settings, begun) };
+        let Some(x) = nearby else { return self.recover(step, settings, begun) };
         let cut = step.system.cut(&step.pose, [&step.q, &step.v], step.h);
         let motion = cut.motion(&x, regularization);
         let ([d, _], [lambda, nu]) = (cut.end(&motion), cut.multipliers(&motion));
         let (mut x, mut allowance) =
             (Unknowns { d, lambda, nu }, Allowance { left: max_iterations, begun, counters: &mut self.counters });
-        match whole(step, &mut x, regularization, (max_iterations, Until::Solved), &mut allowance) {
+        match full_newton(step, &mut x, regularization, (max_iterations, Until::Solved), &mut allowance) {
             Some(end) => self.arrive_at(step, &x, &end),
-            None => self.rescue(step, settings, begun),
+            None => self.recover(step, settings, begun),
         }
     }
 
     /// Up the ladder, with what the step, begun at this number of iterations, may still take.
     #[cold]
     #[inline(never)]
-    fn rescue<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
+    fn recover<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
         &mut self,
         step: &Step<'_, S, N, M>,
         settings: &Settings,
@@ -253,11 +253,11 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if max_work > 0 {
             allowance.left = max_work.saturating_sub(allowance.spent());
         }
-        match climb(step, settings, (&a, &lambda), &mut allowance)? {
-            Rescued::Root(x, end) => self.arrive_at(step, &x, &end),
-            Rescued::Landed { d, acting, v } => {
+        match recover_by_stages(step, settings, (&a, &lambda), &mut allowance)? {
+            Recovered::Root(x, end) => self.arrive_at(step, &x, &end),
+            Recovered::Scaled { d, acting, v } => {
                 self.memory = Memory::NONE;
-                self.land(step.system, &step.chord(&step.secant(&d), &d, &acting), &v)
+                self.conclude(step.system, &step.chord(&step.secant(&d), &d, &acting), &v)
             }
         }
     }
@@ -278,22 +278,22 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     fn arrive<const M: usize, S: Discrete<N, M>>(
         &mut self,
         system: &S,
-        over: &Chord<'_, S::Secant, N>,
+        over: &StepIncrement<'_, S::Secant, N>,
         x: Vector<K>,
     ) -> Result<(), StepError> {
         if !x.is_finite() {
             return Err(StepError::NotFinite);
         }
         self.memory.remember(over.h, x);
-        self.land(system, over, over.v)
+        self.conclude(system, over, over.v)
     }
 
     /// The run goes on from q₀ + d over the chord, with the rates at which forces have acted, and those at the end.
     #[inline(always)]
-    fn land<const M: usize, S: Discrete<N, M>>(
+    fn conclude<const M: usize, S: Discrete<N, M>>(
         &mut self,
         system: &S,
-        over: &Chord<'_, S::Secant, N>,
+        over: &StepIncrement<'_, S::Secant, N>,
         v: &Vector<N>,
     ) -> Result<(), StepError> {
         let q = *over.q + *over.d;
@@ -304,10 +304,10 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
             self.work = self.work.plus(1.0, system.work_over(over));
         }
         (self.q, self.v) = (q, *v);
-        let modes = system.modes(S::end(over.secant));
-        if modes != self.modes {
-            self.counters.observe_modes(self.modes, modes);
-            self.modes = modes;
+        let configuration_signs = system.configuration_signs(S::end(over.secant));
+        if configuration_signs != self.configuration_signs {
+            self.counters.count_sign_changes(self.configuration_signs, configuration_signs);
+            self.configuration_signs = configuration_signs;
         }
         self.counters.substeps += 1;
         Ok(())

@@ -4,7 +4,7 @@
 //! system (A₀ + αβ Φ_qᵀΦ_q) x = r + αβ Φ_qᵀ c is solved as [A₀ Φ_qᵀ; Φ_q −e] [x; y] = [r; c] with e = 1/(αβ): the same x.
 
 use super::i3alp::local_error;
-use super::{Arrival, Implicit, State, StepError, TangentPoint};
+use super::{Implicit, State, StepEnd, StepError, TangentPoint};
 use crate::vector::Vector;
 
 /// Settings of the method.
@@ -79,7 +79,7 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
         (&system.effective_mass_times(&at, &acceleration(q)), &centripetal),
     )?;
 
-    let end = Arrival::new(system, [q, projected, a], &pose, state.lambda).finite()?;
+    let end = StepEnd::new(system, [q, projected, a], &pose, state.lambda).finite()?;
     state.error_estimate = local_error(system, h, &(a - a0), &(projected - v));
     state.work = state.work.plus(h / 2.0, state.power).plus(h / 2.0, end.power);
     state.arrive(&end);

@@ -4,7 +4,7 @@
 //! Each method asks once per step, and gets a decision: nothing is near, the step is limited, or the system has passed the vertex and
 //! says where it is now. `docs/vertices.md` has the reasons.
 
-use super::{Arrival, State, StepError, System, Work};
+use super::{State, StepEnd, StepError, System, Work};
 use crate::vector::Vector;
 
 /// How close to a vertex a motion is taken straight through it.
@@ -107,7 +107,7 @@ pub trait Passage<const N: usize> {
 
     /// Where a step of h seconds leads that a method has tried in vain, for it ends too near to where branches of the constraints meet.
     #[inline(always)]
-    fn past_meeting(&self, _q: &Vector<N>, _v: &Vector<N>, _h: f64) -> Option<Transit<N>> {
+    fn cross_bifurcation(&self, _q: &Vector<N>, _v: &Vector<N>, _h: f64) -> Option<Transit<N>> {
         None
     }
 
@@ -153,15 +153,15 @@ impl<const N: usize, const M: usize> State<N, M> {
         transit: &Transit<N>,
         regularization: f64,
     ) -> Result<(), StepError> {
-        let mut arrival = Arrival::out_of_line(system, [transit.q, transit.v], regularization).finite()?;
+        let mut end_state = StepEnd::out_of_line(system, [transit.q, transit.v], regularization).finite()?;
         if let Some((a, work)) = transit.known {
-            arrival.a = a;
+            end_state.a = a;
             self.work += work;
         } else {
-            self.work = self.work.plus(transit.duration / 2.0, self.power).plus(transit.duration / 2.0, arrival.power);
+            self.work = self.work.plus(transit.duration / 2.0, self.power).plus(transit.duration / 2.0, end_state.power);
         }
         self.jerk = Vector::ZERO;
-        self.arrive(&arrival);
+        self.arrive(&end_state);
         self.on_ray = transit.on_ray;
         self.counters.vertex_passes += u64::from(transit.passed);
         if let Some((driven, alternatives)) = transit.from_rest {

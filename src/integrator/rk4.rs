@@ -4,7 +4,7 @@
 //! out (μ = ω = 0): the projection after each step does their work, and exactly.
 
 use super::equilibrium::equilibrium;
-use super::{Arrival, Projection, State, StepError, System, velocity_correction};
+use super::{Projection, State, StepEnd, StepError, System, velocity_correction};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -60,6 +60,6 @@ pub fn advance<const N: usize, const M: usize>(
         v += velocity_correction(system, &pose, &mass, &v);
     }
     state.work = work;
-    state.arrive(&Arrival::in_balance(system, [q, v], &pose, &mass).finite()?);
+    state.arrive(&StepEnd::in_balance(system, [q, v], &pose, &mass).finite()?);
     Ok(())
 }

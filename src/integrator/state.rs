@@ -25,30 +25,30 @@ pub struct Counters {
     pub launches: u64,
     /// Vertices of the configuration space passed straight through.
     pub vertex_passes: u64,
-    /// Changes of each bit of [`System::modes`].
-    pub mode_changes: [u64; MODES],
+    /// Changes of each bit of [`System::configuration_signs`].
+    pub sign_changes: [u64; CONFIGURATION_SIGNS],
     /// Steps of the conserving method by the last rung of its ladder.
-    pub last_resorts: u64,
+    pub fallbacks: u64,
 }
 
 impl Counters {
     /// Counts the determinants that have changed sign.
     #[inline(always)]
-    pub(super) fn observe_modes(&mut self, before: u8, after: u8) {
-        for (bit, changes) in self.mode_changes.iter_mut().enumerate() {
+    pub(super) fn count_sign_changes(&mut self, before: u8, after: u8) {
+        for (bit, changes) in self.sign_changes.iter_mut().enumerate() {
             *changes += u64::from((before ^ after) >> bit & 1);
         }
     }
 
     /// Singularities: starts from rest in a vertex, vertices passed, changes of each mode.
-    pub fn singular(&self) -> [u64; MODES + 2] {
-        let [first, second, third] = self.mode_changes;
+    pub fn singular(&self) -> [u64; CONFIGURATION_SIGNS + 2] {
+        let [first, second, third] = self.sign_changes;
         [self.launches, self.vertex_passes, first, second, third]
     }
 }
 
-/// Bits of [`System::modes`] that are counted.
-pub const MODES: usize = 3;
+/// Bits of [`System::configuration_signs`] that are counted.
+pub const CONFIGURATION_SIGNS: usize = 3;
 
 /// Everything that changes during a run: a copy of it is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -65,14 +65,14 @@ pub struct State<const N: usize, const M: usize> {
     pub jerk: Vector<N>,
     /// The sub-step that the local error last asked for, s; infinite before the first.
     pub substep: f64,
-    /// Local error of the last accepted sub-step, rad; see [`System::angle_norm`].
+    /// Local error of the last accepted sub-step, rad; see [`System::error_norm`].
     pub error_estimate: f64,
     /// Work since the start, J: along the path, by the order of the method.
     pub work: Work,
     /// Its rate, W; 0 unless [`System::follows_work`].
     pub power: Work,
-    /// [`System::modes`] of q.
-    pub modes: u8,
+    /// [`System::configuration_signs`] of q.
+    pub configuration_signs: u8,
     /// Whether it is on a ray through a vertex: not projected until it leaves the ball.
     pub on_ray: bool,
     /// Other branches on which the last start from rest in a vertex could have gone as well.
@@ -94,12 +94,12 @@ impl<const N: usize, const M: usize> State<N, M> {
             error_estimate: 0.0,
             work: Work::default(),
             power: Work::default(),
-            modes: system.modes(&system.pose(&q)),
+            configuration_signs: system.configuration_signs(&system.pose(&q)),
             on_ray: false,
             alternatives: 0,
             counters: Counters::default(),
         };
-        state.settle(system, &system.pose(&q), regularization);
+        state.reinitialize(system, &system.pose(&q), regularization);
         state
     }
 
@@ -107,14 +107,14 @@ impl<const N: usize, const M: usize> State<N, M> {
     ///
     /// Without it a new input would act half a step late and every driven scene would be first order only.
     pub fn restart<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
-        self.settle(system, pose, regularization);
+        self.reinitialize(system, pose, regularization);
         self.counters.restarts += 1;
     }
 
     /// Friction holds something else from here on: q̇ is without it, q̈ and λ follow, the predictor starts anew.
-    pub fn settle<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
+    pub fn reinitialize<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
         if system.holds() {
-            self.v = system.let_hold(self.q, self.v);
+            self.v = system.project_sticking(self.q, self.v);
         }
         self.balance(system, pose, regularization);
         self.jerk = Vector::ZERO;
@@ -129,39 +129,39 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// Counts the determinants that have changed sign.
     #[inline(always)]
-    pub(super) fn observe_modes(&mut self, modes: u8) {
-        if modes != self.modes {
-            self.counters.observe_modes(self.modes, modes);
-            self.modes = modes;
+    pub(super) fn count_sign_changes(&mut self, configuration_signs: u8) {
+        if configuration_signs != self.configuration_signs {
+            self.counters.count_sign_changes(self.configuration_signs, configuration_signs);
+            self.configuration_signs = configuration_signs;
         }
     }
 
     /// Becomes what a step has led to. The work, the predictor and the steps to come are the method's.
     #[inline(always)]
-    pub(super) fn arrive(&mut self, arrival: &Arrival<N, M>) {
-        let &Arrival { q, v, a, lambda, power, modes } = arrival;
+    pub(super) fn arrive(&mut self, end_state: &StepEnd<N, M>) {
+        let &StepEnd { q, v, a, lambda, power, configuration_signs } = end_state;
         (self.q, self.v, self.a, self.lambda, self.power) = (q, v, a, lambda, power);
         self.on_ray = false;
-        self.observe_modes(modes);
+        self.count_sign_changes(configuration_signs);
         self.counters.substeps += 1;
     }
 }
 
 /// Where a step leads.
-pub(super) struct Arrival<const N: usize, const M: usize> {
+pub(super) struct StepEnd<const N: usize, const M: usize> {
     pub(super) q: Vector<N>,
     pub(super) v: Vector<N>,
     pub(super) a: Vector<N>,
     pub(super) lambda: Vector<M>,
     pub(super) power: Work,
-    pub(super) modes: u8,
+    pub(super) configuration_signs: u8,
 }
 
-impl<const N: usize, const M: usize> Arrival<N, M> {
+impl<const N: usize, const M: usize> StepEnd<N, M> {
     /// At q and q̇ with these q̈ and λ.
     #[inline(always)]
     pub(super) fn new<S: System<N, M>>(system: &S, [q, v, a]: [Vector<N>; 3], pose: &S::Pose, lambda: Vector<M>) -> Self {
-        Self { q, v, a, lambda, power: power(system, &q, pose, &v), modes: system.modes(pose) }
+        Self { q, v, a, lambda, power: power(system, &q, pose, &v), configuration_signs: system.configuration_signs(pose) }
     }
 
     /// At q and q̇ with q̈ and λ from equilibrium.
@@ -169,20 +169,27 @@ impl<const N: usize, const M: usize> Arrival<N, M> {
     pub(super) fn in_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose, mass: &S::Mass) -> Self {
         let (forces, power) = system.forces_and_power(&q, pose, &v);
         let (a, lambda) = equilibrium_under(system, &forces, (&q, pose, &v), mass);
-        Self { q, v, a, lambda, power, modes: system.modes(pose) }
+        Self { q, v, a, lambda, power, configuration_signs: system.configuration_signs(pose) }
     }
 
     /// At q and q̇; q̈, λ and the power are left open, 0.
     #[inline(always)]
     pub(super) fn without_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose) -> Self {
-        Self { q, v, a: Vector::ZERO, lambda: Vector::ZERO, power: Work::default(), modes: system.modes(pose) }
+        Self {
+            q,
+            v,
+            a: Vector::ZERO,
+            lambda: Vector::ZERO,
+            power: Work::default(),
+            configuration_signs: system.configuration_signs(pose),
+        }
     }
 
     /// The same for what happens rarely, without code of its own.
     pub(super) fn out_of_line<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], regularization: f64) -> Self {
         let pose = system.pose(&q);
         let (a, lambda, power) = equilibrium_with_power(system, (&q, &pose, &v), regularization);
-        Self { q, v, a, lambda, power, modes: system.modes(&pose) }
+        Self { q, v, a, lambda, power, configuration_signs: system.configuration_signs(&pose) }
     }
 
     /// Whether it is, and all sums of it are.

@@ -14,7 +14,7 @@ pub trait System<const N: usize, const M: usize> {
     /// What depends on q only and is computed once per q (directions, arms).
     type Pose;
     /// What of a pose turns to poses nearby begin with.
-    type Place;
+    type TrigBase;
     /// The factorised saddle-point matrix with the mass matrix in its corner.
     type Mass: Kkt<N, M>;
 
@@ -29,9 +29,9 @@ pub trait System<const N: usize, const M: usize> {
         self.pose(&(*q + *by))
     }
     /// What turns that begin at a pose start from.
-    fn place(&self, pose: &Self::Pose) -> Self::Place;
+    fn trig_base(&self, pose: &Self::Pose) -> Self::TrigBase;
     /// Pose `by` away from a q where turns begin.
-    fn pose_near(&self, (q, _place): (&Vector<N>, &Self::Place), by: &Vector<N>) -> Self::Pose {
+    fn pose_near(&self, (q, _trig_base): (&Vector<N>, &Self::TrigBase), by: &Vector<N>) -> Self::Pose {
         self.pose(&(*q + *by))
     }
     /// Φ(q).
@@ -52,16 +52,16 @@ pub trait System<const N: usize, const M: usize> {
     }
 
     /// Whether forces change so steeply in places that a step may miss it, or ring on it.
-    fn is_steep(&self) -> bool {
+    fn has_stiff_forces(&self) -> bool {
         false
     }
 
     /// One bit for each determinant whose sign tells modes apart. A changed bit is a singularity passed.
-    fn modes(&self, _pose: &Self::Pose) -> u8 {
+    fn configuration_signs(&self, _pose: &Self::Pose) -> u8 {
         0
     }
-    /// Those bits of [`System::modes`] whose determinants are round-off of 0.
-    fn uncertain_modes(&self, _pose: &Self::Pose) -> u8 {
+    /// Those bits of [`System::configuration_signs`] whose determinants are round-off of 0.
+    fn uncertain_configuration_signs(&self, _pose: &Self::Pose) -> u8 {
         0
     }
     /// Whether friction holds anything.
@@ -73,11 +73,11 @@ pub trait System<const N: usize, const M: usize> {
         Held::Nothing
     }
     /// q̈ and λ with the forces by which friction holds, from those without. Asked only if [`System::holds`].
-    fn balanced_with_held(&self, _q: Vector<N>, _v: Vector<N>, free: (Vector<N>, Vector<M>)) -> (Vector<N>, Vector<M>) {
+    fn with_friction_reaction(&self, _q: Vector<N>, _v: Vector<N>, free: (Vector<N>, Vector<M>)) -> (Vector<N>, Vector<M>) {
         free
     }
     /// q̇ without what friction holds. Asked only if [`System::holds`].
-    fn let_hold(&self, _q: Vector<N>, v: Vector<N>) -> Vector<N> {
+    fn project_sticking(&self, _q: Vector<N>, v: Vector<N>) -> Vector<N> {
         v
     }
     /// How q̈ changes with q and q̇ about a state whose q̈ and λ are those of equilibrium; `None` where that is not known: no step that
@@ -100,7 +100,7 @@ pub trait System<const N: usize, const M: usize> {
     }
     /// q̈ at rates v, `by` away from where turns begin: for less where nothing acts but weight, which does no work that is followed, and the
     /// way is short, with the system's own e; `None` elsewhere.
-    fn acceleration_by_weight(&self, _place: &Self::Place, _by: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
+    fn acceleration_by_weight(&self, _trig_base: &Self::TrigBase, _by: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
         None
     }
     /// Kinetic energy and that of the forces that have a potential, but for those of the inputs, J: what changes by [`System::power`].
@@ -109,7 +109,7 @@ pub trait System<const N: usize, const M: usize> {
         0.0
     }
     /// Largest magnitude among those coordinates of x in which the local error is measured (link angles).
-    fn angle_norm(&self, x: &Vector<N>) -> f64;
+    fn error_norm(&self, x: &Vector<N>) -> f64;
     /// The largest magnitude a coordinate in m can have: what round-off in Φ is proportional to.
     fn length_scale(&self) -> f64;
 }

@@ -16,21 +16,21 @@
 //! Invariant: does no input or output, reads no clock; the same input bits give the same output bits.
 
 pub mod closure;
+mod closure_branch;
 pub mod constraints;
 pub mod coordinates;
 pub mod exponential;
 pub mod legs;
 mod model;
-mod parallels;
 pub mod secant;
 mod singular_values;
 pub mod singularity;
 pub mod vertex;
 
 pub use closure::{Assembly, Start, close};
+pub use closure_branch::{ARM, ClosureBranch, Terms};
 pub use constraints::Pose;
 pub use coordinates::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
 pub use model::{Geometry, LINKS, Link, Mechanism, SceneError};
 pub(crate) use model::{finite, not_negative, positive};
-pub use parallels::{ARM, Parallels, Terms};
 pub use singular_values::SingularValue;

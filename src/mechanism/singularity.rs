@@ -65,13 +65,13 @@ impl Pose {
     /// The signs that tell modes apart, a bit for each that is negative: det J_x (assembly), bend of the left and right leg (working
     /// mode). A bit that changes is a direct or inverse singularity passed.
     #[inline]
-    pub fn modes(&self) -> u8 {
+    pub fn configuration_signs(&self) -> u8 {
         let [tip, left, right] = self.sines();
         u8::from(tip < 0.0) | u8::from(left < 0.0) << 1 | u8::from(right < 0.0) << 2
     }
 
     /// The bits of those signs that are lost in round-off.
-    pub fn uncertain_modes(&self) -> u8 {
+    pub fn uncertain_configuration_signs(&self) -> u8 {
         let [tip, left, right] = self.sines().map(|sine| u8::from(sine.abs() < ROUND_OFF_OF_SINES));
         tip | left << 1 | right << 2
     }

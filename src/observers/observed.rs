@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 use num_dual::Dual64;
 
 use super::{Estimated, Observation};
-use crate::effects::{self, Effect, ForceContext, Slides, Touches};
+use crate::effects::{self, Effect, ForceContext, FrictionGuards, GuardValues};
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::singularity::{Jacobians, rank_margin};
 use crate::mechanism::{Coordinates, SceneError, SingularValue, closure};
@@ -59,7 +59,7 @@ impl Observed<'_, f64> {
         let [.., direct, inverse] = self.observation.pose.margins();
         // The constraints lose rank only where both are near, and to know it costs more than all else.
         let rank = if direct < 0.0 && inverse < 0.0 { rank_margin(self.observation.sigma_phi()) } else { 1.0 };
-        let kinks = self.at(|at| Touches::new(&self.model.effects, at, Slides::new()).indicators());
+        let kinks = self.at(|at| GuardValues::new(&self.model.effects, at, FrictionGuards::new()).indicators());
         let mut indicators = [rank; INDICATORS];
         indicators[..5].copy_from_slice(&self.observation.pose.margins());
         indicators[6..].copy_from_slice(&kinks);

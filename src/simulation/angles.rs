@@ -19,17 +19,17 @@ mod placing;
 use super::five_bar::FiveBar;
 use super::inertia::Inertia;
 use super::model::Model;
-use crate::effects::Sides;
+use crate::effects::Mode;
 use crate::integrator::{AccelerationTangents, Held, Kkt, Passage, State, System, Work};
 use crate::mechanism::constraints::{directions, directions_corrected, directions_turned};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, are_small, both, sum};
 use crate::mechanism::vertex::{self, Branch};
-use crate::mechanism::{ARM, Coordinates, Mechanism, Multipliers, Parallels, Pose, Terms};
+use crate::mechanism::{ARM, ClosureBranch, Coordinates, Mechanism, Multipliers, Pose, Terms};
 use crate::vector::Vector;
 use factor::{Factor, at_tip};
 pub(super) use falling::Falling;
-use falling::Place;
+use falling::TrigBase;
 
 /// Number of angles.
 pub const ANGLES: usize = 4;
@@ -72,7 +72,7 @@ pub struct ByAngles<'a> {
     /// The same where the tip closes the loop.
     only_falls: bool,
     /// The branch of the closure that the motion stays on, where there are several.
-    parallels: Option<Parallels>,
+    closure_branch: Option<ClosureBranch>,
     /// The lengths of the links in Φ_q, with the signs of the legs, m; 0 on a branch.
     sigma_length: [Legs; 2],
     /// What the branch adds to Φ_q; 0 on none.
@@ -83,7 +83,7 @@ impl<'a> ByAngles<'a> {
     /// The same model under the same inputs.
     #[inline]
     pub fn new(five_bar: FiveBar<'a>) -> Self {
-        let FiveBar { model, inputs, sides, .. } = five_bar;
+        let FiveBar { model, inputs, mode, .. } = five_bar;
         let only_weight = model.effects.is_empty() && !inputs.load();
         let mechanism = &model.mechanism;
         let inertia = &model.inertia;
@@ -93,23 +93,23 @@ impl<'a> ByAngles<'a> {
             inertia,
             only_weight,
             only_falls: only_weight,
-            parallels: None,
+            closure_branch: None,
             sigma_length: [Legs::ZERO; 2],
             constant: &Terms::OPEN.constant,
         };
-        free.on_sides(sides)
+        free.in_mode(mode)
     }
 
     /// The same with forces on some sides of their kinks, and on the branch of the closure that is among them.
     #[inline]
-    pub(super) fn on_sides(self, sides: Sides) -> Self {
-        let Terms { open, constant } = sides.parallels.map_or(Terms::OPEN, Parallels::terms);
+    pub(super) fn in_mode(self, mode: Mode) -> Self {
+        let Terms { open, constant } = mode.closure_branch.map_or(Terms::OPEN, ClosureBranch::terms);
         let Mechanism { a_p, b_p, a_d, sigma_b_d, .. } = *self.mechanism;
         let sigma_length = [*open * (SIGMA * (a_p + b_p)), *open * (SIGMA * a_d + sigma_b_d)];
         Self {
-            five_bar: self.five_bar.on(sides),
-            only_falls: self.only_weight && sides.parallels.is_none(),
-            parallels: sides.parallels,
+            five_bar: self.five_bar.on(mode),
+            only_falls: self.only_weight && mode.closure_branch.is_none(),
+            closure_branch: mode.closure_branch,
             sigma_length,
             constant,
             ..self
@@ -148,13 +148,13 @@ impl<'a> ByAngles<'a> {
     /// How far angles are off it, m.
     #[cold]
     #[inline(never)]
-    fn off_branch(&self, parallels: Parallels, q: Angles) -> Vector<CLOSURES> {
-        parallels.apart([legs_of(&q, PROXIMAL), legs_of(&q, DISTAL)]).map(|angle| ARM * angle).into()
+    fn off_branch(&self, closure_branch: ClosureBranch, q: Angles) -> Vector<CLOSURES> {
+        closure_branch.apart([legs_of(&q, PROXIMAL), legs_of(&q, DISTAL)]).map(|angle| ARM * angle).into()
     }
 
     /// Whether the motion stays on a branch of the closure whose derivatives are constant.
     pub(super) fn is_on_branch(&self) -> bool {
-        self.parallels.is_some()
+        self.closure_branch.is_some()
     }
 
     /// Displacement from the nearest vertex, if one is near. With coaxial motors all links in line are no isolated posture: there they
@@ -195,7 +195,7 @@ impl<'a> ByAngles<'a> {
         let (applied, power) = self.five_bar.forces_and_power(x, pose, rates);
         let mass = self.factor_mass(pose, self.regularization_by_angles());
         let (a, tip) = mass.solve(&self.in_angles(&applied, pose, v), &-self.phi_q_dot_times(pose, v));
-        let accelerations = self.moving(&a, pose) + self.turning(pose, v);
+        let accelerations = self.velocity_map(&a, pose) + self.velocity_product(pose, v);
         // What of the force on a link its acceleration leaves for the joints.
         let left = applied - self.mechanism.mass_times(&accelerations);
         let mut lambda = Multipliers::ZERO;
@@ -205,14 +205,14 @@ impl<'a> ByAngles<'a> {
             set_legs(&mut lambda, elbow, from_elbow);
             set_legs(&mut lambda, ground, legs_of(&left, on_p) + from_elbow);
         }
-        let from_rest = self.acceleration_from_rest(q, v).map(|a| self.moving(&a, pose));
+        let from_rest = self.acceleration_from_rest(q, v).map(|a| self.velocity_map(&a, pose));
         (from_rest.unwrap_or(accelerations), lambda, power)
     }
 }
 
 impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     type Pose = Pose;
-    type Place = Place;
+    type TrigBase = TrigBase;
     type Mass = Factor;
 
     fn pose(&self, q: &Angles) -> Pose {
@@ -230,19 +230,19 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline]
-    fn place(&self, pose: &Pose) -> Place {
-        self.model().falling.place([pose.u_p, pose.u_d])
+    fn trig_base(&self, pose: &Pose) -> TrigBase {
+        self.model().falling.trig_base([pose.u_p, pose.u_d])
     }
 
     #[inline(always)]
-    fn pose_near(&self, (q, place): (&Angles, &Place), by: &Angles) -> Pose {
-        self.mechanism.pose_along(directions_turned((legs(q), place.directions), legs(by)))
+    fn pose_near(&self, (q, trig_base): (&Angles, &TrigBase), by: &Angles) -> Pose {
+        self.mechanism.pose_along(directions_turned((legs(q), trig_base.directions), legs(by)))
     }
 
     #[inline]
     fn phi(&self, q: &Angles, pose: &Pose) -> Vector<CLOSURES> {
-        if let Some(parallels) = self.parallels {
-            return self.off_branch(parallels, *q);
+        if let Some(closure_branch) = self.closure_branch {
+            return self.off_branch(closure_branch, *q);
         }
         let [p, d] = self.links(pose);
         [sum(SIGMA * self.mechanism.ground_x + p.x + d.x), sum(p.y + d.y)].into()
@@ -270,12 +270,12 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline]
     fn forces(&self, q: &Angles, pose: &Pose, v: &Angles) -> Angles {
-        self.in_angles(&self.five_bar.forces(&self.placed(q, pose), pose, &self.moving(v, pose)), pose, v)
+        self.in_angles(&self.five_bar.forces(&self.placed(q, pose), pose, &self.velocity_map(v, pose)), pose, v)
     }
 
     #[inline(always)]
-    fn acceleration_by_weight(&self, place: &Place, by: &Angles, v: &Angles) -> Option<Angles> {
-        (self.only_falls && are_small(legs(by))).then(|| self.model().falling.acceleration(place, legs(by), legs(v)))
+    fn acceleration_by_weight(&self, trig_base: &TrigBase, by: &Angles, v: &Angles) -> Option<Angles> {
+        (self.only_falls && are_small(legs(by))).then(|| self.model().falling.acceleration(trig_base, legs(by), legs(v)))
     }
 
     #[inline(always)]
@@ -292,17 +292,17 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline]
-    fn is_steep(&self) -> bool {
-        self.five_bar.is_steep()
+    fn has_stiff_forces(&self) -> bool {
+        self.five_bar.has_stiff_forces()
     }
 
     #[inline]
-    fn modes(&self, pose: &Pose) -> u8 {
-        self.five_bar.modes(pose)
+    fn configuration_signs(&self, pose: &Pose) -> u8 {
+        self.five_bar.configuration_signs(pose)
     }
 
-    fn uncertain_modes(&self, pose: &Pose) -> u8 {
-        pose.uncertain_modes()
+    fn uncertain_configuration_signs(&self, pose: &Pose) -> u8 {
+        pose.uncertain_configuration_signs()
     }
 
     #[inline]
@@ -311,16 +311,16 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     fn held(&self, q: &Angles, pose: &Pose, v: &Angles) -> Held<ANGLES> {
-        self.held_in_angles(q, pose, v)
+        self.friction_reaction_in_angles(q, pose, v)
     }
 
-    fn balanced_with_held(&self, q: Angles, v: Angles, free: (Angles, Vector<CLOSURES>)) -> (Angles, Vector<CLOSURES>) {
-        super::grips::balanced_with_held(self, [q, v], free, self.regularization_by_angles())
+    fn with_friction_reaction(&self, q: Angles, v: Angles, free: (Angles, Vector<CLOSURES>)) -> (Angles, Vector<CLOSURES>) {
+        super::stick_slip::with_friction_reaction(self, [q, v], free, self.regularization_by_angles())
     }
 
-    fn let_hold(&self, q: Angles, v: Angles) -> Angles {
+    fn project_sticking(&self, q: Angles, v: Angles) -> Angles {
         let (x, rates) = self.coordinates(&self.pose(&q), &q, &v);
-        angles_of(&super::grips::let_hold(&self.five_bar, x, rates))
+        angles_of(&super::stick_slip::project_sticking(&self.five_bar, x, rates))
     }
 
     fn acceleration_tangents(
@@ -339,11 +339,11 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline]
     fn power(&self, q: &Angles, pose: &Pose, v: &Angles) -> Work {
-        self.five_bar.power(&self.placed(q, pose), pose, &self.moving(v, pose))
+        self.five_bar.power(&self.placed(q, pose), pose, &self.velocity_map(v, pose))
     }
 
     #[inline]
-    fn angle_norm(&self, x: &Angles) -> f64 {
+    fn error_norm(&self, x: &Angles) -> f64 {
         x.max_norm()
     }
 

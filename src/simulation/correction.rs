@@ -4,7 +4,7 @@ use super::Inputs;
 use super::angles::{PLACES, angles_of};
 use super::five_bar::FiveBar;
 use super::model::{Model, Stepper};
-use super::run::{Progress, Run};
+use super::run::{IntegratorState, Run};
 use crate::integrator::{System, Work};
 use crate::mechanism::Coordinates;
 use crate::mechanism::closure;
@@ -15,21 +15,21 @@ impl Run {
     #[inline(never)]
     pub(super) fn motion(&self, model: &Model) -> ([f64; 4], [f64; 4]) {
         let of = |q: &Coordinates, v: &Coordinates| (THETA.map(|i| q[i]), THETA.map(|i| v[i]));
-        match &self.progress {
-            Progress::WithCall(core, _) => of(&core.q, &core.v),
-            Progress::Conserving(run) => of(&run.q, &run.v),
-            Progress::PastCall(run) => {
+        match &self.integrator {
+            IntegratorState::MacroStepped(core, _) => of(&core.q, &core.v),
+            IntegratorState::Conserving(run) => of(&run.q, &run.v),
+            IntegratorState::DenseOutput(run) => {
                 let (q, v) = run.motion(model, &self.inputs, &self.turns);
                 (PLACES.map(|i| q[i]), PLACES.map(|i| v[i]))
             }
-            Progress::Outside(_) => unreachable!("no estimator follows a machine that a master drives"),
+            IntegratorState::ModelExchange(_) => unreachable!("no estimator follows a machine that a master drives"),
         }
     }
 
     /// Goes on from other angles, rad, and rates, rad/s, which close the loop, with other inputs. The energy that this puts in counts as
     /// input; signs of the modes that change are no passes.
     #[inline(never)]
-    pub(super) fn go_on_from(&mut self, model: &Model, (theta, omega): ([f64; 4], [f64; 4]), inputs: &Inputs) {
+    pub(super) fn resume_from(&mut self, model: &Model, (theta, omega): ([f64; 4], [f64; 4]), inputs: &Inputs) {
         let geometry = &model.mechanism.geometry;
         let (before_theta, before_omega) = self.motion(model);
         let before = closure::assemble(geometry, before_theta, before_omega);
@@ -40,25 +40,25 @@ impl Run {
             let pose = five_bar.pose(q);
             model.mechanism.mass_times(v).dot(v) / 2.0 + model.potential(&five_bar.context(q, &pose, v))
         };
-        let put_in = energy(&q, &v) - energy(&before.0, &before.1);
+        let external_work = energy(&q, &v) - energy(&before.0, &before.1);
         let held = std::mem::replace(&mut self.inputs, *inputs);
         let system = FiveBar::<false>::new(model, inputs, &turns);
-        match (&model.stepper, &mut self.progress) {
-            (Stepper::MacroStep(_), Progress::WithCall(core, grips)) => {
+        match (&model.stepper, &mut self.integrator) {
+            (Stepper::MacroStep(_), IntegratorState::MacroStepped(core, stick_slip)) => {
                 let system = FiveBar::<false>::resolved(model, inputs, &turns, [&q, &v]);
-                *grips = system.sides.grips;
+                *stick_slip = system.mode.stick_slip;
                 (core.q, core.v, core.on_ray) = (q, v, false);
-                core.modes = system.modes(&system.pose(&q));
-                core.work.input += put_in;
+                core.configuration_signs = system.configuration_signs(&system.pose(&q));
+                core.work.input += external_work;
                 core.restart(&system, &system.pose(&core.q), model.regularization);
             }
-            (Stepper::Conserving(_), Progress::Conserving(run)) => {
+            (Stepper::Conserving(_), IntegratorState::Conserving(run)) => {
                 (run.q, run.v) = (q, v);
-                run.modes = system.modes(&system.pose(&q));
-                run.restart(Work { input: put_in, dissipated: 0.0 });
+                run.configuration_signs = system.configuration_signs(&system.pose(&q));
+                run.restart(Work { input: external_work, dissipated: 0.0 });
             }
-            (Stepper::Dense(settings), Progress::PastCall(run)) => {
-                run.go_on_from(model, settings, ([&held, inputs], &turns), [angles_of(&q), angles_of(&v)], put_in);
+            (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) => {
+                run.resume_from(model, settings, ([&held, inputs], &turns), [angles_of(&q), angles_of(&v)], external_work);
             }
             _ => unreachable!("a run is made for its method"),
         }

@@ -2,7 +2,7 @@
 
 use super::five_bar::FiveBar;
 use super::five_bar_steps::Step;
-use crate::integrator::{Chord, CutStep, Discrete};
+use crate::integrator::{CutStep, Discrete, StepIncrement};
 use crate::linear::cut_loop::{Closed, CutUnknowns, OpenBalance, OpenMotion, OpenStep, largest_turn};
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
@@ -19,7 +19,7 @@ impl<const BARE: bool> CutFiveBar<'_, BARE> {
     fn over<T>(&self, motion: &OpenMotion, of: impl FnOnce(&Step<'_>) -> T) -> T {
         let &OpenStep { q, h, .. } = &self.step;
         let (secant, [d, v]) = (self.secant(motion), self.end(motion));
-        of(&Chord { q, d: &d, v: &v, h, softening: 1.0, secant: &secant })
+        of(&StepIncrement { q, d: &d, v: &v, h, softening: 1.0, secant: &secant })
     }
 }
 
@@ -114,7 +114,7 @@ mod tests {
             let ([d, v], secant) = (cut.end(&motion), cut.secant(&motion));
             let [lambda, nu] = cut.multipliers(&motion);
             let z = 0.5 * h * (v0 + v);
-            let chord = Chord { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
+            let chord = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
             let inertia = system.mass_times(&secant.end, &(z - h * v0));
             let joints = secant.discrete_transposed_times(&lambda) + 0.5 * secant.turning_transposed_times(&z, &nu);
             let f = inertia + joints - 0.5 * h * h * system.mean_forces(&chord);

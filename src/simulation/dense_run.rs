@@ -6,11 +6,11 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, PLACES, angles_of};
 use super::five_bar::FiveBar;
-use super::restore::check_grips;
+use super::restore::check_stick_slip;
 use super::run::{MacroSteps, StepFailure};
 use super::state::{Core, State, whole_turns};
 use super::{Inputs, Model};
-use crate::effects::{Grips, Sides};
+use crate::effects::{Mode, StickSlips};
 use crate::integrator::dense::{DenseStep, Horizon, Settings};
 use crate::integrator::{Bounds, Counters, Inconsistency, StepError, System, Work};
 use crate::mechanism::{Coordinates, Multipliers};
@@ -18,7 +18,7 @@ use crate::mechanism::{Coordinates, Multipliers};
 /// The step under way, and for how long inputs are held.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct DenseRun {
-    pub(super) step: DenseStep<ANGLES, CLOSURES, Sides>,
+    pub(super) step: DenseStep<ANGLES, CLOSURES, Mode>,
     /// For how many macro steps the inputs before the present ones were held, 0 at first, and these so far.
     held: [u64; 2],
 }
@@ -53,22 +53,22 @@ impl DenseRun {
     }
 
     /// Goes on from other angles and rates with other inputs, which puts in some energy, J.
-    pub(super) fn go_on_from(
+    pub(super) fn resume_from(
         &mut self,
         model: &Model,
         settings: &Settings,
         ([held, inputs], turns): ([&Inputs; 2], &[i64; 4]),
         motion: [Angles; 2],
-        put_in: f64,
+        external_work: f64,
     ) {
         let [before, after] = [held, inputs].map(|inputs| ByAngles::new(FiveBar::<false>::new(model, inputs, turns)));
-        self.step.go_on_from([&before, &after], settings, motion, put_in);
+        self.step.resume_from([&before, &after], settings, motion, external_work);
         self.held = [self.held[1], 0];
     }
 
     /// The present state in the twelve coordinates, made with the inputs held, and with the q̈ and λ that belong to others. Interpolated
     /// states are for output only; integration never starts from them.
-    pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> (Core, Grips) {
+    pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> (Core, StickSlips) {
         let system = ByAngles::new(FiveBar::<false>::new(model, held, turns));
         let sample = self.step.sample(&system, model.dense_settings());
         let (q, v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
@@ -82,14 +82,14 @@ impl DenseRun {
             error_estimate: 0.0,
             work: Work::default(),
             power: Work::default(),
-            modes: 0,
+            configuration_signs: 0,
             on_ray: false,
             alternatives: 0,
             counters: Counters::default(),
         };
         self.step.record(&sample, &mut core);
         let system = if held == inputs {
-            FiveBar::<false>::new(model, inputs, turns).on(Sides::of_grips(self.step.sides().grips))
+            FiveBar::<false>::new(model, inputs, turns).on(Mode::of_stick_slip(self.step.mode().stick_slip))
         } else {
             FiveBar::<false>::resolved(model, inputs, turns, [&core.q, &core.v])
         };
@@ -99,7 +99,7 @@ impl DenseRun {
             let motion = [&sample.q, &sample.v];
             (core.a, core.lambda, core.power) = ByAngles::new(system).balance(motion, &sample.pose, [&core.q, &core.v]);
         }
-        (core, system.sides.grips)
+        (core, system.mode.stick_slip)
     }
 
     /// Refuses a run that is none of this system.
@@ -107,12 +107,12 @@ impl DenseRun {
         if self.held.iter().any(|steps| *steps > self.step.steps()) {
             return Err("inputs were held for longer than the run is");
         }
-        for ((state, sides), ends) in self.step.ends().into_iter().zip([false, true]) {
+        for ((state, mode), ends) in self.step.ends().into_iter().zip([false, true]) {
             let (x, rates) = system.coordinates(&system.pose(&state.q), &state.q, &state.v);
-            if sides.parallels.is_some_and(|parallels| !parallels.is_of(&system.model().mechanism.geometry)) {
+            if mode.closure_branch.is_some_and(|closure_branch| !closure_branch.is_of(&system.model().mechanism.geometry)) {
                 return Err("it is on a branch of the closure that there is none of");
             }
-            check_grips(system.model(), &system.five_bar().on(sides), [&x, &rates], ends)?;
+            check_stick_slip(system.model(), &system.five_bar().on(mode), [&x, &rates], ends)?;
         }
         self.step.check(system, settings, bounds)
     }
@@ -176,7 +176,7 @@ impl Held<'_> {
                 return Ok(());
             }
             // Before a new step begins, so that each is made from the angles that it has.
-            unwind(&mut run.step, turns);
+            remove_whole_turns(&mut run.step, turns);
             let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
             let pose = changed.then(|| system.pose(run.step.end()));
             if let Some(pose) = &pose {
@@ -192,7 +192,7 @@ impl Held<'_> {
                 let within = run.step.advance_within(steps.h, steps.count - step - 1);
                 run.held[1] += 1 + within;
                 step += 1 + within;
-                if step == steps.count || is_wound(&run.step) {
+                if step == steps.count || has_whole_turns(&run.step) {
                     break;
                 }
             }
@@ -202,14 +202,14 @@ impl Held<'_> {
 
 /// Whether angles are more than two turns.
 #[inline(always)]
-fn is_wound(step: &DenseStep<ANGLES, CLOSURES, Sides>) -> bool {
+fn has_whole_turns(step: &DenseStep<ANGLES, CLOSURES, Mode>) -> bool {
     step.end().max_norm() > 2.0 * TAU
 }
 
-/// Moves whole turns of the angles into `turns`, where they are more than two: as [`super::state::unwind`] does with q.
+/// Moves whole turns of the angles into `turns`, where they are more than two: as [`super::state::remove_whole_turns`] does with q.
 #[inline(always)]
-fn unwind(step: &mut DenseStep<ANGLES, CLOSURES, Sides>, turns: &mut [i64; 4]) {
-    if !is_wound(step) {
+fn remove_whole_turns(step: &mut DenseStep<ANGLES, CLOSURES, Mode>, turns: &mut [i64; 4]) {
+    if !has_whole_turns(step) {
         return;
     }
     let mut shift = Angles::ZERO;

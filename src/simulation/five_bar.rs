@@ -1,8 +1,8 @@
 //! The five-bar with its active effects and held inputs, as the integrator sees it in its twelve coordinates.
 
 use super::model::Model;
-use crate::effects::{ForceContext, Inputs, Sides, Tangents};
-use crate::integrator::{Held, Implicit, Kinked, StepError, System, TangentPoint, Work};
+use crate::effects::{ForceContext, Inputs, Mode, Tangents};
+use crate::integrator::{Events, Held, Implicit, StepError, System, TangentPoint, Work};
 use crate::linear::{Definite, LinearSolve, MassFactor, TangentOf, TangentSource};
 use crate::mechanism::coordinates::{D_THETA, P_THETA, largest_angle, legs_of};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
@@ -17,7 +17,7 @@ pub struct FiveBar<'a, const BARE: bool = false> {
     pub(super) inputs: &'a Inputs,
     pub(super) turns: &'a [i64; 4],
     follows_work: bool,
-    pub(super) sides: Sides,
+    pub(super) mode: Mode,
 }
 
 /// A tangent is asked for at these coordinates and multipliers.
@@ -26,13 +26,13 @@ type At<'a> = TangentPoint<'a, Pose, COORDINATES, MULTIPLIERS>;
 impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     /// `model` under `inputs`, with the whole turns of links 1 to 4 that q leaves out.
     pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
-        Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, sides: Sides::BY_STATE }
+        Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, mode: Mode::OF_STATE }
     }
 
     /// The same with its grips as they are in a state by itself.
     pub(super) fn resolved(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4], [q, v]: [&Coordinates; 2]) -> Self {
         let system = Self::new(model, inputs, turns);
-        system.on(Kinked::sides_of(&system, q, v))
+        system.on(Events::mode_of(&system, q, v))
     }
 
     /// The same after whole turns have changed.
@@ -46,24 +46,24 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
 
     /// The same in the form for any scene.
     pub(super) fn general(self) -> FiveBar<'a> {
-        let Self { model, inputs, turns, follows_work, sides } = self;
-        FiveBar { model, inputs, turns, follows_work, sides }
+        let Self { model, inputs, turns, follows_work, mode } = self;
+        FiveBar { model, inputs, turns, follows_work, mode }
     }
 
     /// The same with forces that stay on some sides of their kinks.
     #[inline(always)]
-    pub(super) fn on(&self, sides: Sides) -> Self {
-        Self { sides, ..*self }
+    pub(super) fn on(&self, mode: Mode) -> Self {
+        Self { mode, ..*self }
     }
 
     /// Those sides.
-    pub(super) fn sides(&self) -> Sides {
-        self.sides
+    pub(super) fn mode(&self) -> Mode {
+        self.mode
     }
 
     #[inline(always)]
     pub(super) fn context<'b>(&'b self, q: &'b Coordinates, pose: &'b Pose, v: &'b Coordinates) -> ForceContext<'b> {
-        ForceContext { q, v, pose, inputs: self.inputs, turns: self.turns, sides: self.sides }
+        ForceContext { q, v, pose, inputs: self.inputs, turns: self.turns, mode: self.mode }
     }
 
     /// Potential energy of all forces that have one, held loads included, J.
@@ -75,7 +75,7 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     /// Power of the forces that have no potential, W.
     pub(super) fn power_without_potential(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
         // By where the state is: what a spring that has let go loses is power here, for its potential is counted.
-        let at = ForceContext { sides: Sides::of_grips(self.sides.grips), ..self.context(q, pose, v) };
+        let at = ForceContext { mode: Mode::of_stick_slip(self.mode.stick_slip), ..self.context(q, pose, v) };
         self.model.effects.iter().map(|effect| effect.input_power(&at) - effect.dissipation(&at)).sum()
     }
 
@@ -164,7 +164,7 @@ const DENSE_WORK: u64 = 16;
 
 impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE> {
     type Pose = Pose;
-    type Place = ();
+    type TrigBase = ();
     type Mass = MassFactor<'a, BARE>;
 
     fn pose(&self, q: &Coordinates) -> Pose {
@@ -176,7 +176,7 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         self.model.mechanism.pose_in_place([legs_of(q, P_THETA), legs_of(q, D_THETA)])
     }
 
-    fn place(&self, _: &Pose) {}
+    fn trig_base(&self, _: &Pose) {}
 
     #[inline(always)]
     fn phi(&self, q: &Coordinates, pose: &Pose) -> Multipliers {
@@ -217,34 +217,39 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     }
 
     #[inline(always)]
-    fn is_steep(&self) -> bool {
-        !BARE && self.model.is_steep
+    fn has_stiff_forces(&self) -> bool {
+        !BARE && self.model.has_stiff_forces
     }
 
     #[inline(always)]
-    fn modes(&self, pose: &Pose) -> u8 {
-        pose.modes()
+    fn configuration_signs(&self, pose: &Pose) -> u8 {
+        pose.configuration_signs()
     }
 
-    fn uncertain_modes(&self, pose: &Pose) -> u8 {
-        pose.uncertain_modes()
+    fn uncertain_configuration_signs(&self, pose: &Pose) -> u8 {
+        pose.uncertain_configuration_signs()
     }
 
     #[inline(always)]
     fn holds(&self) -> bool {
-        !BARE && self.model.sticks && self.sides.grips.hold()
+        !BARE && self.model.sticks && self.mode.stick_slip.any_sticks()
     }
 
     fn held(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Held<COORDINATES> {
-        super::grips::held(&self.general(), q, pose, v)
+        super::stick_slip::held(&self.general(), q, pose, v)
     }
 
-    fn balanced_with_held(&self, q: Coordinates, v: Coordinates, free: (Coordinates, Multipliers)) -> (Coordinates, Multipliers) {
-        super::grips::balanced_with_held(&self.general(), [q, v], free, self.model.regularization)
+    fn with_friction_reaction(
+        &self,
+        q: Coordinates,
+        v: Coordinates,
+        free: (Coordinates, Multipliers),
+    ) -> (Coordinates, Multipliers) {
+        super::stick_slip::with_friction_reaction(&self.general(), [q, v], free, self.model.regularization)
     }
 
-    fn let_hold(&self, q: Coordinates, v: Coordinates) -> Coordinates {
-        super::grips::let_hold(&self.general(), q, v)
+    fn project_sticking(&self, q: Coordinates, v: Coordinates) -> Coordinates {
+        super::stick_slip::project_sticking(&self.general(), q, v)
     }
 
     #[inline(always)]
@@ -275,7 +280,7 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     }
 
     #[inline(always)]
-    fn angle_norm(&self, x: &Coordinates) -> f64 {
+    fn error_norm(&self, x: &Coordinates) -> f64 {
         largest_angle(x)
     }
 

@@ -4,19 +4,19 @@
 use super::cut_five_bar::CutFiveBar;
 use super::five_bar::FiveBar;
 use crate::effects::{StepContext, Tangents};
-use crate::integrator::{Chord, Discrete, Work};
+use crate::integrator::{Discrete, StepIncrement, Work};
 use crate::linear::LinearSolve;
 use crate::linear::cut_loop::{CutUnknowns, OpenStep, cut_unknowns};
 use crate::linear::secant_newton::{StepPoint, StepTangents, newton};
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
-pub(super) type Step<'a> = Chord<'a, Secant, COORDINATES>;
+pub(super) type Step<'a> = StepIncrement<'a, Secant, COORDINATES>;
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
     #[inline(always)]
     pub(super) fn over<'b>(&'b self, step: &Step<'b>) -> StepContext<'b> {
-        let &Chord { q, d, v, h, softening, secant } = step;
+        let &StepIncrement { q, d, v, h, softening, secant } = step;
         let inertia = &self.model.typical_inertia;
         StepContext { q, d, v, h, softening, secant, inputs: self.inputs, turns: self.turns, inertia }
     }
@@ -120,7 +120,7 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
         residuals: (&Coordinates, &Multipliers, &Multipliers),
         regularization: f64,
     ) -> (Coordinates, [Multipliers; 2]) {
-        let &Chord { d, v, h, secant, .. } = step;
+        let &StepIncrement { d, v, h, secant, .. } = step;
         let over = self.over(step);
         let mut forces = StepTangents::new(h);
         self.add_mean_tangents(&over, &mut forces);
@@ -202,7 +202,7 @@ pub(super) mod tests {
         let turns = [0; 4];
         let system = FiveBar::<false>::new(&model, &inputs, &turns);
         let secant = system.secant(&system.pose(&q), &d);
-        let step = Chord { q: &q, d: &d, v: &v, h: 1e-3, softening: 1.0, secant: &secant };
+        let step = StepIncrement { q: &q, d: &d, v: &v, h: 1e-3, softening: 1.0, secant: &secant };
         let work = system.work_over(&step);
         let none = Inputs::default();
         let unloaded = FiveBar::<false>::new(&model, &none, &turns);
@@ -223,10 +223,10 @@ pub(super) mod tests {
         let begin = system.pose(&q);
         let forces = |d: &Coordinates, v: &Coordinates| {
             let secant = system.secant(&begin, d);
-            system.mean_forces(&Chord { q: &q, d, v, h: 1e-3, softening: 1.0, secant: &secant })
+            system.mean_forces(&StepIncrement { q: &q, d, v, h: 1e-3, softening: 1.0, secant: &secant })
         };
         let secant = system.secant(&begin, &d);
-        let step = Chord { q: &q, d: &d, v: &v, h: 1e-3, softening: 1.0, secant: &secant };
+        let step = StepIncrement { q: &q, d: &d, v: &v, h: 1e-3, softening: 1.0, secant: &secant };
         let over = system.over(&step);
         let mut tangents = Tangible([[[0.0; COORDINATES]; COORDINATES]; 2]);
         inputs.add_mean_tangents(&over, &mut tangents);
@@ -261,7 +261,7 @@ pub(super) mod tests {
             let secant = system.secant(&begin, d);
             let z = *d - system.apply_inverse_mass(&secant.mean_transposed_times(nu));
             let v = (2.0 / h) * z - v0;
-            let step = Chord { q: &q, d, v: &v, h, softening: 1.0, secant: &secant };
+            let step = StepIncrement { q: &q, d, v: &v, h, softening: 1.0, secant: &secant };
             let inertia = system.mass_times(&secant.end, &(z - h * v0));
             let joints = secant.discrete_transposed_times(lambda) + 0.5 * secant.turning_transposed_times(&z, nu);
             let f = inertia + joints - 0.5 * h * h * system.mean_forces(&step);
@@ -270,7 +270,7 @@ pub(super) mod tests {
         let (lambda, nu) = (1e-3 * numbers(1.0), 1e-4 * numbers(2.0));
         let (f, phi, rate, v) = left(&d, [&lambda, &nu]);
         let secant = system.secant(&begin, &d);
-        let step = Chord { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
+        let step = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
         let (by_d, [by_lambda, by_nu]) = system.newton(&step, [&lambda, &nu], (&f, &phi, &rate), 0.0);
         let along = |part: f64| left(&(d + part * by_d), [&(lambda + part * by_lambda), &(nu + part * by_nu)]);
         let part = 1e-5;

@@ -26,7 +26,7 @@ pub struct Estimate {
     /// What the master has set: the run holds the unknown force beside.
     inputs: Inputs,
     /// Of each encoder the faults that have been told, a bit for each.
-    told: [u8; 2],
+    reported: [u8; 2],
 }
 
 /// The inputs with the unknown force beside.
@@ -53,7 +53,7 @@ impl Following {
         let constants = Constants::new(&simulation.model.mechanism.geometry, &parameters.estimator);
         let (theta, omega) = simulation.run.motion(&simulation.model);
         let estimator = Estimator::new(&constants, theta, omega);
-        Ok(Self { simulation, constants, estimate: Estimate { estimator, inputs: *inputs, told: [0; 2] } })
+        Ok(Self { simulation, constants, estimate: Estimate { estimator, inputs: *inputs, reported: [0; 2] } })
     }
 
     /// A run that goes on, see [`Simulation::restored`]. Refused unless the estimate is one of its motion.
@@ -76,7 +76,7 @@ impl Following {
         if estimator.correct(constants, measured, now) {
             let track = estimator.track();
             let motion = (track.theta, track.omega);
-            simulation.run.go_on_from(&simulation.model, motion, &acting(inputs, &track.force));
+            simulation.run.resume_from(&simulation.model, motion, &acting(inputs, &track.force));
         }
     }
 
@@ -184,15 +184,15 @@ impl Following {
 
     /// What is wrong with an encoder and has not been told yet: its index and fault, [`Fault::None`] where it has become silent.
     #[inline(never)]
-    pub fn take_news(&mut self) -> ArrayVec<(usize, Fault), 2> {
-        let Estimate { estimator, told, .. } = &mut self.estimate;
+    pub fn take_reports(&mut self) -> ArrayVec<(usize, Fault), 2> {
+        let Estimate { estimator, reported, .. } = &mut self.estimate;
         let mut news = ArrayVec::new();
-        for (i, told) in told.iter_mut().enumerate() {
+        for (i, reported) in reported.iter_mut().enumerate() {
             let (silent, fault) = estimator.encoder(i);
             let bit = 1 << fault as u8;
             // One that has never spoken is not silent, but not connected.
-            if *told & bit == 0 && (fault != Fault::None || silent && estimator.has_heard(i)) {
-                *told |= bit;
+            if *reported & bit == 0 && (fault != Fault::None || silent && estimator.has_received(i)) {
+                *reported |= bit;
                 news.push((i, fault));
             }
         }

@@ -146,7 +146,7 @@ impl Scene for FiveBar<'_> {
         on_links(&pose, &self.forces(&q, &pose, &v))
     }
 
-    fn is_steep(&self) -> bool {
-        System::is_steep(self)
+    fn has_stiff_forces(&self) -> bool {
+        System::has_stiff_forces(self)
     }
 }

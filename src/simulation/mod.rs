@@ -7,22 +7,22 @@ pub mod angles;
 mod correction;
 mod cut_five_bar;
 mod dense_run;
-mod driven;
+mod events;
 pub mod five_bar;
 mod five_bar_steps;
 mod following;
-mod grips;
 mod inertia;
 mod join;
-mod kinks;
 mod linearised;
 pub mod model;
+mod model_exchange;
 mod passage;
 mod restore;
 mod run;
 mod settings;
 mod signal;
 mod state;
+mod stick_slip;
 mod tangents;
 mod variation;
 
@@ -30,16 +30,16 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use crate::effects;
 use crate::estimator;
-use crate::integrator::MODES;
+use crate::integrator::CONFIGURATION_SIGNS;
 use crate::mechanism::constraints::largest;
 use crate::mechanism::{self, Coordinates, SceneError, closure};
 
 pub use crate::effects::Inputs;
 pub use crate::integrator::Counters;
-pub use driven::STATES;
 pub use following::{Estimate, Following};
 pub use model::{Model, Parameters};
-use run::{MacroSteps, Progress};
+pub use model_exchange::STATES;
+use run::{IntegratorState, MacroSteps};
 pub use run::{Run, StepFailure};
 pub use settings::{Method, Settings};
 pub use signal::{ORDERS, Signal};
@@ -80,8 +80,8 @@ impl Simulation {
     }
 
     /// The same for a run whose states, proximal angles and rates, come from outside ([`Simulation::drive`]).
-    pub fn driven(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
-        let model = Model::outside(parameters)?;
+    pub fn for_model_exchange(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
+        let model = Model::for_model_exchange(parameters)?;
         let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
         Self::started(parameters, model, [q, v], inputs)
     }
@@ -123,7 +123,7 @@ impl Simulation {
     /// parameters is what they give, and the rest is a motion.
     #[cold]
     pub fn restored(parameters: &Parameters, run: Run, residuals: &Residuals) -> Result<Self, SceneError> {
-        let model = if run.is_driven() { Model::outside(parameters)? } else { Model::new(parameters)? };
+        let model = if run.is_model_exchange() { Model::for_model_exchange(parameters)? } else { Model::new(parameters)? };
         let simulation = Self { parameters: parameters.clone(), model, run };
         simulation.run.check(&simulation.model, parameters)?;
         // Worked out from the same numbers by the same operations: a difference of one bit is a number that has been changed.
@@ -201,25 +201,25 @@ impl Simulation {
 
     /// What the integrator has done since the start.
     pub fn counters(&self) -> Counters {
-        match &self.run.progress {
-            Progress::WithCall(core, _) => core.counters,
-            Progress::Conserving(run) => run.counters,
-            Progress::PastCall(_) => self.state().core.counters,
-            Progress::Outside(_) => Counters::default(),
+        match &self.run.integrator {
+            IntegratorState::MacroStepped(core, _) => core.counters,
+            IntegratorState::Conserving(run) => run.counters,
+            IntegratorState::DenseOutput(_) => self.state().core.counters,
+            IntegratorState::ModelExchange(_) => Counters::default(),
         }
     }
 
     /// Steps of the conserving method by the last rung of its ladder.
     #[inline(always)]
-    pub fn last_resorts(&self) -> u64 {
-        match &self.run.progress {
-            Progress::Conserving(run) => run.counters.last_resorts,
-            Progress::WithCall(..) | Progress::PastCall(_) | Progress::Outside(_) => 0,
+    pub fn fallbacks(&self) -> u64 {
+        match &self.run.integrator {
+            IntegratorState::Conserving(run) => run.counters.fallbacks,
+            IntegratorState::MacroStepped(..) | IntegratorState::DenseOutput(_) | IntegratorState::ModelExchange(_) => 0,
         }
     }
 
     /// Singularities met since the start; see [`Counters::singular`].
-    pub fn singular(&self) -> [u64; MODES + 2] {
+    pub fn singular(&self) -> [u64; CONFIGURATION_SIGNS + 2] {
         self.counters().singular()
     }
 
@@ -245,7 +245,7 @@ impl Simulation {
 
     /// Whether the loads are too stiff for an explicit method: its steps have been limited by stability instead of accuracy.
     pub fn is_stiff(&self) -> bool {
-        matches!(&self.run.progress, Progress::PastCall(run) if run.step.is_stiff())
+        matches!(&self.run.integrator, IntegratorState::DenseOutput(run) if run.step.is_stiff())
     }
 
     /// Names of the active effects, e.g. `gravity`.

@@ -36,7 +36,7 @@ pub enum Stepper {
     /// Strictly fixed steps that conserve.
     Conserving(i3alp_conserving::Settings),
     /// None: the proximal angles and rates come from outside, the others follow in this assembly.
-    Outside(Assembly),
+    ModelExchange(Assembly),
 }
 
 /// The constant part of a scene made ready.
@@ -53,19 +53,19 @@ pub struct Model {
     /// Whether all forces have a potential.
     pub conservative: bool,
     /// Whether any has kinks that a method may follow.
-    pub has_kinks: bool,
+    pub has_events: bool,
     /// The least change of a joint's rate that turns a force round, rad/s.
-    pub(super) turning_rate: f64,
+    pub(super) regularization_velocity: f64,
     /// Whether any has one-sided springs.
-    pub(super) may_touch: bool,
+    pub(super) may_make_contact: bool,
     /// Whether any has dry friction that sticks.
     pub(super) sticks: bool,
     /// Local error allowed per sub-step, rad.
     pub(super) error_tolerance: f64,
     /// Whether the force of any changes steeply in places.
-    pub is_steep: bool,
+    pub has_stiff_forces: bool,
     /// Whether any bends sharply without a kink, and none has dry friction that sticks.
-    pub(super) has_bends: bool,
+    pub(super) has_sharp_nonlinearity: bool,
     /// The inertias by which the conserving method judges how stiff a force is.
     pub(super) typical_inertia: TypicalInertia,
     /// Whether an active effect reads the servo references.
@@ -106,13 +106,13 @@ impl Model {
         Ok(Self {
             typical_inertia: TypicalInertia::new(&geometry),
             conservative: effects.iter().all(Effect::conservative),
-            has_kinks: effects.iter().any(Effect::has_kinks),
-            turning_rate: turning_rate(&effects),
-            may_touch: effects.iter().any(Effect::may_touch),
+            has_events: effects.iter().any(Effect::has_events),
+            regularization_velocity: regularization_velocity(&effects),
+            may_make_contact: effects.iter().any(Effect::may_make_contact),
             sticks: effects.iter().any(Effect::sticks),
             error_tolerance: settings.error_tolerance,
-            is_steep: effects.iter().any(Effect::is_steep),
-            has_bends: has_bends(&effects),
+            has_stiff_forces: effects.iter().any(Effect::has_stiff_forces),
+            has_sharp_nonlinearity: has_sharp_nonlinearity(&effects),
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
@@ -130,14 +130,14 @@ impl Model {
     }
 
     /// The same for a run whose angles and rates come from outside: `solver.method` is not used.
-    pub fn outside(parameters: &Parameters) -> Result<Self, SceneError> {
+    pub fn for_model_exchange(parameters: &Parameters) -> Result<Self, SceneError> {
         if let Some(name) = sticking_law(&parameters.effects) {
             return Err(SceneError(format!(
                 "{name} = stick is not allowed in model exchange, whose master does not know what holds: it must be smooth, or the unit \
                  instantiated for co-simulation."
             )));
         }
-        Ok(Self { stepper: Stepper::Outside(parameters.start.assembly), ..Self::new(parameters)? })
+        Ok(Self { stepper: Stepper::ModelExchange(parameters.start.assembly), ..Self::new(parameters)? })
     }
 
     /// Whether no effect has a force that depends on the motion, and the solve is leg by leg.
@@ -150,7 +150,9 @@ impl Model {
     pub(super) fn dense_settings(&self) -> &dense::Settings {
         match &self.stepper {
             Stepper::Dense(settings) => settings,
-            Stepper::MacroStep(_) | Stepper::Conserving(_) | Stepper::Outside(_) => unreachable!("a run is made for its method"),
+            Stepper::MacroStep(_) | Stepper::Conserving(_) | Stepper::ModelExchange(_) => {
+                unreachable!("a run is made for its method")
+            }
         }
     }
 
@@ -164,7 +166,7 @@ impl Model {
                 return Err(too_far_apart(in_force, tuned));
             }
             *self = match self.stepper {
-                Stepper::Outside(_) => Self::outside(tuned)?,
+                Stepper::ModelExchange(_) => Self::for_model_exchange(tuned)?,
                 _ => Self::new(tuned)?,
             };
             return Ok(true);
@@ -175,10 +177,10 @@ impl Model {
         self.weight = weight;
         self.falling = Falling::new(&self.mechanism, &self.inertia, &weight, self.regularization_by_angles);
         self.conservative = effects.iter().all(Effect::conservative);
-        self.has_kinks = effects.iter().any(Effect::has_kinks);
-        self.turning_rate = turning_rate(&effects);
-        self.has_bends = has_bends(&effects);
-        self.may_touch = effects.iter().any(Effect::may_touch);
+        self.has_events = effects.iter().any(Effect::has_events);
+        self.regularization_velocity = regularization_velocity(&effects);
+        self.has_sharp_nonlinearity = has_sharp_nonlinearity(&effects);
+        self.may_make_contact = effects.iter().any(Effect::may_make_contact);
         self.sticks = effects.iter().any(Effect::sticks);
         self.solver.choose(LinearSolve::choose(&self.mechanism.geometry, &effects));
         self.effects = effects;
@@ -237,16 +239,16 @@ const BISECTIONS: usize = 40;
 /// e of the explicit method in the link angles, in multiples of 1 over the mean mass: no more than round-off makes of a singular
 /// Φ_q M⁻¹ Φ_qᵀ. A larger one, say 1e-14, falsifies passes close to a vertex.
 const RANK_LOSS: f64 = 1e-20;
-/// The same with coaxial motors, where rank is lost along any line and no gate helps: what is on none of the branches that `Parallels` knows
+/// The same with coaxial motors, where rank is lost along any line and no gate helps: what is on none of the branches that `ClosureBranch` knows
 /// must pass softly.
 const COAXIAL: f64 = 1e-10;
 
 /// The least change of a joint's rate by which a force of any effect turns round, rad/s.
-fn turning_rate(effects: &Active) -> f64 {
-    effects.iter().map(Effect::turning_rate).fold(f64::INFINITY, f64::min)
+fn regularization_velocity(effects: &Active) -> f64 {
+    effects.iter().map(Effect::regularization_velocity).fold(f64::INFINITY, f64::min)
 }
 
 /// Whether any effect bends sharply, and none has dry friction that sticks.
-fn has_bends(effects: &Active) -> bool {
-    effects.iter().any(Effect::bends) && !effects.iter().any(Effect::sticks)
+fn has_sharp_nonlinearity(effects: &Active) -> bool {
+    effects.iter().any(Effect::has_sharp_nonlinearity) && !effects.iter().any(Effect::sticks)
 }

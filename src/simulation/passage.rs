@@ -13,9 +13,9 @@ use std::borrow::Borrow;
 
 use super::angles::{ANGLES, Angles, ByAngles, PLACES, angles_of};
 use super::five_bar::FiveBar;
-use crate::integrator::dense::{DenseStep, Horizon, Kinds, Settings};
+use crate::integrator::dense::{DenseStep, Horizon, Schemes, Settings};
 use crate::integrator::{
-    Approach, Departure, EnergyBalance, Kinked, Passage, PassageLimits, Projection, StepError, StepLimits, System, Transit,
+    Approach, Departure, EnergyBalance, Events, Passage, PassageLimits, Projection, StepError, StepLimits, System, Transit,
     equilibrium, velocity_correction,
 };
 use crate::mechanism::{COORDINATES, Coordinates};
@@ -42,7 +42,7 @@ const ENERGY_CHANGE: f64 = 0.01;
 /// Largest part of it by which the power over a step of high order may vary for that.
 const VARIED: f64 = 1e-6;
 /// With coaxial motors, nearer than this to a posture with all links in line, rad, the twelve coordinates may fail.
-const NEAR_MEETING: f64 = 1e-2;
+const NEAR_BIFURCATION: f64 = 1e-2;
 
 /// Most evaluations of the way past it.
 const MOST_WORK: u32 = 20_000;
@@ -132,7 +132,7 @@ impl ByAngles<'_> {
     fn along_branch(&self, [q, v]: [Angles; 2], h: f64) -> Option<Transit<COORDINATES>> {
         let model = self.model();
         let settings = Settings {
-            kinds: Kinds::Automatic,
+            schemes: Schemes::Automatic,
             error_tolerance: model.error_tolerance,
             energy_scale: f64::INFINITY,
             first_step: h,
@@ -140,17 +140,17 @@ impl ByAngles<'_> {
             max_work: MOST_WORK,
             regularization: self.regularization_by_angles(),
         };
-        if angle_to_meeting(&(q + h * v)).min(angle_to_meeting(&q)) > NEAR_MEETING {
+        if angle_to_bifurcation(&(q + h * v)).min(angle_to_bifurcation(&q)) > NEAR_BIFURCATION {
             return None;
         }
         let mut step = DenseStep::start(self, q, v, &settings);
-        step.sides().parallels?;
+        step.mode().closure_branch?;
         step.advance(self, &settings, h, Horizon { output: f64::INFINITY, limit: h }, None).ok()?;
         let sample = step.sample(self, &settings);
-        let on_branch = self.on(step.sides());
+        let on_branch = self.on(step.mode());
         let (a, _) = equilibrium(on_branch.borrow(), &sample.q, &sample.v, settings.regularization);
         let (x, rates) = self.coordinates(&sample.pose, &sample.q, &sample.v);
-        let a = self.coordinates(&sample.pose, &sample.q, &a).1 + self.turning(&sample.pose, &sample.v);
+        let a = self.coordinates(&sample.pose, &sample.q, &a).1 + self.velocity_product(&sample.pose, &sample.v);
         Some(Transit { q: x, v: rates, duration: h, on_ray: false, passed: false, from_rest: None, known: Some((a, sample.work)) })
     }
 
@@ -194,7 +194,7 @@ impl ByAngles<'_> {
         };
         // What forces across the ray could do meanwhile must stay below the impact parameter. A start from rest is on its branch already.
         let (pull, _) = equilibrium(self, from.q, &Angles::ZERO, self.regularization_by_angles());
-        if !from.on_ray && 0.5 * self.angle_norm(&pull) * duration * duration > limits.impact_parameter {
+        if !from.on_ray && 0.5 * self.error_norm(&pull) * duration * duration > limits.impact_parameter {
             return limited(f64::INFINITY);
         }
         let ray = Ray { vertex: *from.q - offset, aside, direction, position, speed, acceleration, duration };
@@ -206,11 +206,11 @@ impl ByAngles<'_> {
         let rest = self.rest(limits, from);
         let branch = self.branch_of_least_constraint(from.q);
         let alternatives = branch.as_ref().map_or(0, |branch| branch.alternatives);
-        let driven = branch.and_then(|branch| {
+        let model_exchange = branch.and_then(|branch| {
             let (acceleration, duration) = self.along(from.q, &branch.direction, [0.0, limits.radius, 0.0], rest)?;
             Some((branch.direction, acceleration, duration))
         });
-        let (direction, acceleration, duration) = driven.unwrap_or((Angles::ZERO, 0.0, f64::INFINITY));
+        let (direction, acceleration, duration) = model_exchange.unwrap_or((Angles::ZERO, 0.0, f64::INFINITY));
         let vertex = *from.q - offset;
         let ray = Ray { vertex, aside: Angles::ZERO, direction, position: 0.0, speed: 0.0, acceleration, duration };
         self.transit(from, &ray, rest).map_or(Approach::Clear, |transit| {
@@ -241,7 +241,7 @@ impl ByAngles<'_> {
         let before = self.energy_balance(from.q, from.v);
         let scale = self.energy_scale_unless(f64::INFINITY, &before, [&q, &v], duration).ok()?;
         let [kinetic, _, power] = self.energies(&q, &v);
-        if self.model().may_touch && duration * before.power.abs().max(power.abs()) > ENERGY_CHANGE * kinetic {
+        if self.model().may_make_contact && duration * before.power.abs().max(power.abs()) > ENERGY_CHANGE * kinetic {
             return None;
         }
         let passed = position < 0.0 && ahead >= 0.0;
@@ -254,13 +254,13 @@ impl ByAngles<'_> {
         let acceleration_at = |speed: f64| self.acceleration_along(q, direction, speed);
         let mut acceleration = acceleration_at(speed);
         if self.model().conservative {
-            return Some((acceleration, time_to(reach, position, speed, acceleration)?));
+            return Some((acceleration, time_to_bifurcation(reach, position, speed, acceleration)?));
         }
         // Friction may be stiff: the implicit Euler rule a = f(v + a t), by bisection between 0 and f(v), for the time that follows from a.
         let at_start = acceleration;
         let (mut duration, mut last) = (f64::INFINITY, f64::NAN);
         for _ in 0..ROUNDS {
-            duration = time_to(reach, position, speed, acceleration).unwrap_or(f64::INFINITY);
+            duration = time_to_bifurcation(reach, position, speed, acceleration).unwrap_or(f64::INFINITY);
             let t = duration.min(rest);
             if t == last {
                 break;
@@ -295,13 +295,13 @@ impl ByAngles<'_> {
 }
 
 /// How far the links are from being in line, along any line: the left leg straight, and the right one along it.
-fn angle_to_meeting(q: &Angles) -> f64 {
+fn angle_to_bifurcation(q: &Angles) -> f64 {
     let [left, elbow, _, right] = PLACES;
     f64::max(libm::sin(q[elbow] - q[left]).abs(), libm::sin(q[right] - q[left]).abs())
 }
 
 /// First time at which position + speed t + acceleration t²/2 reaches `reach`, if ever.
-fn time_to(reach: f64, position: f64, speed: f64, acceleration: f64) -> Option<f64> {
+fn time_to_bifurcation(reach: f64, position: f64, speed: f64, acceleration: f64) -> Option<f64> {
     let discriminant = speed * speed + 2.0 * acceleration * (reach - position);
     (discriminant > 0.0).then(|| 2.0 * (reach - position) / (speed + discriminant.sqrt())).filter(|time| *time > 0.0)
 }
@@ -323,7 +323,7 @@ impl<const BARE: bool> Passage<COORDINATES> for FiveBar<'_, BARE> {
     }
 
     #[inline(always)]
-    fn past_meeting(&self, q: &Coordinates, v: &Coordinates, h: f64) -> Option<Transit<COORDINATES>> {
+    fn cross_bifurcation(&self, q: &Coordinates, v: &Coordinates, h: f64) -> Option<Transit<COORDINATES>> {
         if self.model.mechanism.geometry.base_distance != 0.0 {
             return None;
         }

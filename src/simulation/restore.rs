@@ -2,12 +2,12 @@
 
 use super::angles::ByAngles;
 use super::five_bar::FiveBar;
-use super::grips;
 use super::model::{Model, Stepper};
 use super::passage::REGULARIZATION;
-use super::run::{Progress, Run};
+use super::run::{IntegratorState, Run};
+use super::stick_slip;
 use super::{Method, Parameters, Settings};
-use crate::effects::{Grips, Sides};
+use crate::effects::{Mode, StickSlips};
 use crate::integrator::{Bounds, Implicit, Inconsistency, System};
 use crate::mechanism::{Coordinates, SceneError};
 
@@ -21,24 +21,26 @@ const CLOSED_RATES: [f64; 2] = [1e-5, 0.5];
 impl Run {
     /// Refuses a run that is none of this model.
     pub(super) fn check(&self, model: &Model, parameters: &Parameters) -> Result<(), SceneError> {
-        let Self { turns, inputs, energy_at_start, progress } = self;
+        let Self { turns, inputs, energy_at_start, integrator } = self;
         if !inputs.are_finite() || !energy_at_start.is_finite() {
             return Err(SceneError("an input or an energy is not finite".into()));
         }
         let system = FiveBar::<false>::new(model, inputs, turns);
-        match (&model.stepper, progress) {
-            (Stepper::MacroStep(_), Progress::WithCall(core, grips)) => {
-                let system = system.on(Sides::of_grips(*grips));
-                check_grips(model, &system, [&core.q, &core.v], false)
+        match (&model.stepper, integrator) {
+            (Stepper::MacroStep(_), IntegratorState::MacroStepped(core, stick_slip)) => {
+                let system = system.on(Mode::of_stick_slip(*stick_slip));
+                check_stick_slip(model, &system, [&core.q, &core.v], false)
                     .and_then(|()| core.check(&system, &bounds(model, &parameters.settings)))
             }
-            (Stepper::Conserving(_), Progress::Conserving(run)) => run.check(&system, &bounds(model, &parameters.settings)),
-            (Stepper::Dense(settings), Progress::PastCall(run)) => {
+            (Stepper::Conserving(_), IntegratorState::Conserving(run)) => run.check(&system, &bounds(model, &parameters.settings)),
+            (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) => {
                 let e = settings.regularization;
                 let bounds = Bounds { regularizations: [e, e], ..bounds(model, &parameters.settings) };
                 run.check(&ByAngles::new(system), settings, &bounds)
             }
-            (Stepper::Outside(_), Progress::Outside(run)) => run.check(model, inputs, &bounds(model, &parameters.settings)),
+            (Stepper::ModelExchange(_), IntegratorState::ModelExchange(run)) => {
+                run.check(model, inputs, &bounds(model, &parameters.settings))
+            }
             _ => Err("it belongs to another solver.method than the one that is set in it"),
         }
         .map_err(|what| SceneError(what.into()))
@@ -46,13 +48,17 @@ impl Run {
 }
 
 /// Refuses grips that do what those of a state cannot.
-pub(super) fn check_grips(
+pub(super) fn check_stick_slip(
     model: &Model,
     system: &FiveBar<'_>,
     [q, v]: [&Coordinates; 2],
     just_stopped: bool,
 ) -> Result<(), Inconsistency> {
-    let possible = if model.sticks { grips::are_possible(system, q, v, just_stopped) } else { system.sides.grips == Grips::OPEN };
+    let possible = if model.sticks {
+        stick_slip::are_possible(system, q, v, just_stopped)
+    } else {
+        system.mode.stick_slip == StickSlips::OPEN
+    };
     if possible { Ok(()) } else { Err("friction does not hold or slip as it says") }
 }
 
@@ -61,14 +67,14 @@ impl Run {
     /// of h seconds; and the rates of closure, m/s. Where the step under way can be made once more they are not needed, and 0.
     pub(super) fn errors(&self, model: &Model, h: f64) -> [f64; 2] {
         let system = FiveBar::<false>::new(model, &self.inputs, &self.turns);
-        let (core, remembered) = match &self.progress {
-            Progress::WithCall(core, _) => (*core, 0.0),
+        let (core, remembered) = match &self.integrator {
+            IntegratorState::MacroStepped(core, _) => (*core, 0.0),
             // Its accelerations follow from equilibrium: they tell whether the inputs are those that it has held.
-            Progress::Conserving(run) => {
+            IntegratorState::Conserving(run) => {
                 let core = run.state(&system, model.regularization);
                 (core, run.remembered() + core.a.iter().map(|x| x.abs()).sum::<f64>())
             }
-            Progress::PastCall(_) | Progress::Outside(_) => return [0.0; 2],
+            IntegratorState::DenseOutput(_) | IntegratorState::ModelExchange(_) => return [0.0; 2],
         };
         let pose = system.pose(&core.q);
         let left = system.mass_times(&pose, &(core.a + h * core.jerk)) + system.phi_q_transposed_times(&pose, &core.lambda);

@@ -5,13 +5,13 @@ use std::fmt;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::dense_run::{DenseRun, Held};
-use super::driven::Driven;
 use super::five_bar::FiveBar;
 use super::join::Jump;
 use super::model::{Model, Stepper};
-use super::state::{Core, State, unwind};
+use super::model_exchange::ModelExchangeState;
+use super::state::{Core, State, remove_whole_turns};
 use crate::effects::payload::Join;
-use crate::effects::{Grips, Inputs, Sides};
+use crate::effects::{Inputs, Mode, StickSlips};
 use crate::integrator::i3alp_conserving::ConservingRun;
 use crate::integrator::{Counters, MacroStepMethod, StepError, System, i3alp};
 use crate::linear::cut_loop::CUT_UNKNOWNS;
@@ -27,21 +27,21 @@ pub struct Run {
     pub(super) inputs: Inputs,
     /// Kinetic plus potential energy at the start, J.
     pub(super) energy_at_start: f64,
-    pub(super) progress: Progress,
+    pub(super) integrator: IntegratorState,
 }
 
 /// Where steps end.
 #[expect(clippy::large_enum_variant, reason = "a copy is a snapshot, and a step allocates nothing")]
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub(super) enum Progress {
+pub(super) enum IntegratorState {
     /// With the call: the state there, and what dry friction does.
-    WithCall(Core, Grips),
+    MacroStepped(Core, StickSlips),
     /// Wherever the error lets them: the step that runs past the call.
-    PastCall(DenseRun),
+    DenseOutput(DenseRun),
     /// With the call, by the method that conserves: accelerations and joint forces are no part of the state.
     Conserving(ConservingRun<COORDINATES, CUT_UNKNOWNS>),
     /// Wherever a master puts the machine.
-    Outside(Driven),
+    ModelExchange(ModelExchangeState),
 }
 
 /// Why a simulation could not advance. It is as it was before the call.
@@ -85,65 +85,67 @@ impl Run {
     pub(super) fn start(model: &Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Self {
         let mut turns = [0; 4];
         let system = FiveBar::<false>::resolved(model, inputs, &turns, [&q, &v]);
-        let (grips, mut core) = (system.sides.grips, Core::start(&system, q, v, model.regularization));
+        let (stick_slip, mut core) = (system.mode.stick_slip, Core::start(&system, q, v, model.regularization));
         // Angles from outside keep their turns.
-        if !matches!(model.stepper, Stepper::Outside(_)) {
-            unwind(&mut core.q, &mut turns);
+        if !matches!(model.stepper, Stepper::ModelExchange(_)) {
+            remove_whole_turns(&mut core.q, &mut turns);
         }
-        let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0, grips };
+        let mut state = State { core, turns, inputs: *inputs, energy_at_start: 0.0, stick_slip };
         state.energy_at_start = state.kinetic_energy(model) + state.potential_energy(model);
-        let progress = match &model.stepper {
-            Stepper::MacroStep(_) => Progress::WithCall(core, grips),
+        let integrator = match &model.stepper {
+            Stepper::MacroStep(_) => IntegratorState::MacroStepped(core, stick_slip),
             Stepper::Conserving(_) => {
                 let system = FiveBar::<false>::new(model, inputs, &turns);
-                Progress::Conserving(ConservingRun::start(&system, core.q, core.v))
+                IntegratorState::Conserving(ConservingRun::start(&system, core.q, core.v))
             }
-            Stepper::Dense(settings) => Progress::PastCall(DenseRun::start(model, settings, &state)),
-            Stepper::Outside(_) => Progress::Outside(Driven::start(THETA.map(|i| q[i]), THETA.map(|i| v[i]))),
+            Stepper::Dense(settings) => IntegratorState::DenseOutput(DenseRun::start(model, settings, &state)),
+            Stepper::ModelExchange(_) => {
+                IntegratorState::ModelExchange(ModelExchangeState::start(THETA.map(|i| q[i]), THETA.map(|i| v[i])))
+            }
         };
-        Self { turns, inputs: *inputs, energy_at_start: state.energy_at_start, progress }
+        Self { turns, inputs: *inputs, energy_at_start: state.energy_at_start, integrator }
     }
 
     /// Whether its angles and rates come from outside.
-    pub fn is_driven(&self) -> bool {
-        matches!(self.progress, Progress::Outside(_))
+    pub fn is_model_exchange(&self) -> bool {
+        matches!(self.integrator, IntegratorState::ModelExchange(_))
     }
 
     /// On failure everything is as before.
     #[inline(never)] // called from five places
     pub(super) fn advance(&mut self, model: &Model, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
-        match (&model.stepper, &mut self.progress) {
-            (Stepper::MacroStep(method), Progress::WithCall(core, grips)) => {
-                let before = (*core, *grips, self.turns, self.inputs);
+        match (&model.stepper, &mut self.integrator) {
+            (Stepper::MacroStep(method), IntegratorState::MacroStepped(core, stick_slip)) => {
+                let before = (*core, *stick_slip, self.turns, self.inputs);
                 if !model.same_active_inputs(&self.inputs, inputs) {
                     let system = FiveBar::<false>::resolved(model, inputs, &self.turns, [&core.q, &core.v]);
-                    *grips = system.sides.grips;
+                    *stick_slip = system.mode.stick_slip;
                     core.restart(&system, &system.pose(&core.q), model.regularization);
                 }
                 self.inputs = *inputs;
                 let held = (&self.inputs, &mut self.turns);
-                let mut sides = Sides::of_grips(*grips);
+                let mut mode = Mode::of_stick_slip(*stick_slip);
                 let advanced = match method {
                     // The default method has a compiled form for the bare mechanism; of the others it would only take place.
                     MacroStepMethod::I3alp(settings) if model.is_bare() => {
                         macro_steps::<true, _>(model, core, held, steps, |system, core, h| {
-                            i3alp::advance(system, settings, core, &mut sides, h)
+                            i3alp::advance(system, settings, core, &mut mode, h)
                         })
                     }
                     MacroStepMethod::I3alp(settings) => {
                         let settings = i3alp::Settings { energy_at_start: self.energy_at_start, ..*settings };
                         macro_steps::<false, _>(model, core, held, steps, |system, core, h| {
-                            i3alp::advance(system, &settings, core, &mut sides, h)
+                            i3alp::advance(system, &settings, core, &mut mode, h)
                         })
                     }
                     _ => macro_steps::<false, _>(model, core, held, steps, |system, core, h| {
-                        method.advance(system, core, &mut sides, h)
+                        method.advance(system, core, &mut mode, h)
                     }),
                 };
-                *grips = sides.grips;
-                advanced.inspect_err(|_| (*core, *grips, self.turns, self.inputs) = before)
+                *stick_slip = mode.stick_slip;
+                advanced.inspect_err(|_| (*core, *stick_slip, self.turns, self.inputs) = before)
             }
-            (Stepper::Conserving(settings), Progress::Conserving(run)) => {
+            (Stepper::Conserving(settings), IntegratorState::Conserving(run)) => {
                 let before = (*run, self.turns, self.inputs);
                 if !model.same_active_inputs(&self.inputs, inputs) {
                     run.change();
@@ -161,7 +163,7 @@ impl Run {
                 };
                 advanced.inspect_err(|_| (*run, self.turns, self.inputs) = before)
             }
-            (Stepper::Dense(settings), Progress::PastCall(run)) => {
+            (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) => {
                 Held { run, inputs: &mut self.inputs, turns: &mut self.turns }.advance(model, settings, inputs, steps)
             }
             _ => unreachable!("a run is made for its method"),
@@ -170,55 +172,55 @@ impl Run {
 
     /// What holds now, with the q̈ and λ that belong to some inputs.
     pub(super) fn state(&self, model: &Model, inputs: &Inputs) -> State {
-        let &Self { turns, energy_at_start, ref progress, .. } = self;
+        let &Self { turns, energy_at_start, ref integrator, .. } = self;
         let same = model.same_active_inputs(&self.inputs, inputs);
-        let (core, grips) = match progress {
-            Progress::WithCall(core, grips) if same => (*core, *grips),
-            Progress::WithCall(core, _) => {
+        let (core, stick_slip) = match integrator {
+            IntegratorState::MacroStepped(core, stick_slip) if same => (*core, *stick_slip),
+            IntegratorState::MacroStepped(core, _) => {
                 let mut core = *core;
                 let system = FiveBar::<false>::resolved(model, inputs, &turns, [&core.q, &core.v]);
                 core.balance(&system, &system.pose(&core.q), model.regularization);
-                (core, system.sides.grips)
+                (core, system.mode.stick_slip)
             }
-            Progress::Conserving(run) => {
-                (run.state(&FiveBar::<false>::new(model, inputs, &turns), model.regularization), Grips::OPEN)
+            IntegratorState::Conserving(run) => {
+                (run.state(&FiveBar::<false>::new(model, inputs, &turns), model.regularization), StickSlips::OPEN)
             }
-            Progress::PastCall(run) => run.core(model, [&self.inputs, inputs], &turns),
-            Progress::Outside(run) => (run.core(model, inputs), Grips::OPEN),
+            IntegratorState::DenseOutput(run) => run.core(model, [&self.inputs, inputs], &turns),
+            IntegratorState::ModelExchange(run) => (run.core(model, inputs), StickSlips::OPEN),
         };
-        State { core, turns, inputs: *inputs, energy_at_start, grips }
+        State { core, turns, inputs: *inputs, energy_at_start, stick_slip }
     }
 
     /// The model has other effects from now on; what that adds to the potential energy counts as input, and mass joins. On failure nothing
     /// has changed.
     pub(super) fn tune(&mut self, before: &Model, after: &Model, join: Join) -> Result<(), StepError> {
         let mut tuned = self.clone();
-        if let (Stepper::Dense(settings), Progress::PastCall(run)) = (&before.stepper, &mut tuned.progress) {
+        if let (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) = (&before.stepper, &mut tuned.integrator) {
             run.stop(before, settings, &tuned.inputs, &tuned.turns)?;
         }
         let present = tuned.state(before, &self.inputs);
         let Jump { work, motion } = Jump::new(&present, before, after, join);
-        match (&after.stepper, &mut tuned.progress) {
-            (Stepper::Dense(settings), Progress::PastCall(run)) => {
+        match (&after.stepper, &mut tuned.integrator) {
+            (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) => {
                 if let Some(motion) = motion {
                     run.step.jump(&motion.rates);
                 }
                 run.resume(after, settings, (&tuned.inputs, &tuned.turns), work);
             }
-            (_, Progress::Conserving(run)) => {
+            (_, IntegratorState::Conserving(run)) => {
                 if let Some(motion) = motion {
                     (run.q, run.v) = (motion.q, motion.v);
                 }
                 run.restart(work);
             }
-            (_, Progress::Outside(run)) => run.jump(work, motion.map(|motion| motion.rates)),
-            (_, Progress::WithCall(core, grips)) => {
+            (_, IntegratorState::ModelExchange(run)) => run.jump(work, motion.map(|motion| motion.rates)),
+            (_, IntegratorState::MacroStepped(core, stick_slip)) => {
                 if let Some(motion) = motion {
                     (core.q, core.v) = (motion.q, motion.v);
                 }
                 core.work += work;
                 let system = FiveBar::<false>::resolved(after, &tuned.inputs, &tuned.turns, [&core.q, &core.v]);
-                *grips = system.sides.grips;
+                *stick_slip = system.mode.stick_slip;
                 core.restart(&system, &system.pose(&core.q), after.regularization);
             }
             _ => unreachable!("a run is made for its method"),
@@ -229,19 +231,19 @@ impl Run {
 }
 
 /// What is common to runs whose steps end with the call.
-trait WithCall {
+trait MacroStepped {
     /// Coordinates, whose whole turns are counted apart, and counters.
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters);
 }
 
-impl WithCall for Core {
+impl MacroStepped for Core {
     #[inline(always)]
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters) {
         (&mut self.q, &mut self.counters)
     }
 }
 
-impl WithCall for ConservingRun<COORDINATES, CUT_UNKNOWNS> {
+impl MacroStepped for ConservingRun<COORDINATES, CUT_UNKNOWNS> {
     #[inline(always)]
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters) {
         (&mut self.q, &mut self.counters)
@@ -250,7 +252,7 @@ impl WithCall for ConservingRun<COORDINATES, CUT_UNKNOWNS> {
 
 /// By a method whose steps end with the macro steps. On failure the state is undefined.
 #[inline(always)]
-fn macro_steps<const BARE: bool, R: WithCall>(
+fn macro_steps<const BARE: bool, R: MacroStepped>(
     model: &Model,
     run: &mut R,
     (inputs, turns): (&Inputs, &mut [i64; 4]),
@@ -263,7 +265,7 @@ fn macro_steps<const BARE: bool, R: WithCall>(
         advance(&system.with_turns(turns), run, steps.h).map_err(|cause| steps.failure(step, cause))?;
         let (q, counters) = run.counted();
         counters.steps += 1;
-        unwind(q, turns);
+        remove_whole_turns(q, turns);
     }
     Ok(())
 }

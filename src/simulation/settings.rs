@@ -2,7 +2,7 @@
 
 use super::model::Stepper;
 use crate::effects::{self, Law};
-use crate::integrator::dense::{Kind, Kinds};
+use crate::integrator::dense::{Scheme, Schemes};
 use crate::integrator::{MacroStepMethod, dense, i3alp, i3alp_conserving, i3alp_printed, rk4};
 use crate::mechanism::{Geometry, SceneError};
 
@@ -96,9 +96,9 @@ impl Settings {
                 });
             }
             Method::Dop853 | Method::Automatic => {
-                let kinds = if self.method == Method::Automatic { Kinds::Automatic } else { Kinds::Only(Kind::Eighth) };
+                let schemes = if self.method == Method::Automatic { Schemes::Automatic } else { Schemes::Only(Scheme::Dop853) };
                 return Stepper::Dense(dense::Settings {
-                    kinds,
+                    schemes,
                     error_tolerance: self.error_tolerance,
                     energy_scale,
                     first_step: self.step_size,

@@ -3,8 +3,8 @@
 use std::f64::consts::TAU;
 
 use super::five_bar::FiveBar;
-use super::{Model, grips};
-use crate::effects::{ForceContext, GRIPS, Grips, Inputs, Sides};
+use super::{Model, stick_slip};
+use crate::effects::{FRICTION_PLACES, ForceContext, Inputs, Mode, StickSlips};
 use crate::integrator;
 use crate::mechanism::coordinates::{THETA, largest_angle};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
@@ -25,7 +25,7 @@ pub struct State {
     /// Kinetic plus potential energy at the start, J.
     pub energy_at_start: f64,
     /// What dry friction does.
-    pub grips: Grips,
+    pub stick_slip: StickSlips,
 }
 
 impl State {
@@ -48,19 +48,23 @@ impl State {
 
     /// What effects answer for the present state.
     pub fn at<T>(&self, model: &Model, answer: impl FnOnce(&ForceContext) -> T) -> T {
-        let State { core, inputs, turns, grips, .. } = self;
+        let State { core, inputs, turns, stick_slip, .. } = self;
         let pose = model.mechanism.pose(&core.q);
-        answer(&ForceContext { q: &core.q, v: &core.v, pose: &pose, inputs, turns, sides: Sides::of_grips(*grips) })
+        answer(&ForceContext { q: &core.q, v: &core.v, pose: &pose, inputs, turns, mode: Mode::of_stick_slip(*stick_slip) })
     }
 
     /// By what torques friction holds joints, N·m, and by what force the tip, N; 0 where it does not.
-    pub fn holding(&self, model: &Model) -> [f64; GRIPS] {
-        if self.grips.hold() { grips::holding(&self.system(model), &self.core.q, &self.core.v) } else { [0.0; GRIPS] }
+    pub fn holding(&self, model: &Model) -> [f64; FRICTION_PLACES] {
+        if self.stick_slip.any_sticks() {
+            stick_slip::holding(&self.system(model), &self.core.q, &self.core.v)
+        } else {
+            [0.0; FRICTION_PLACES]
+        }
     }
 
     /// The model under the inputs, with the grips as they are.
     pub(super) fn system<'a>(&'a self, model: &'a Model) -> FiveBar<'a> {
-        FiveBar::new(model, &self.inputs, &self.turns).on(Sides::of_grips(self.grips))
+        FiveBar::new(model, &self.inputs, &self.turns).on(Mode::of_stick_slip(self.stick_slip))
     }
 
     /// Absolute angles of links 1 to 4, rad, not wrapped.
@@ -78,16 +82,16 @@ impl State {
 
 /// Moves whole turns of the angles from q into `turns`, where they are more than two.
 #[inline(always)]
-pub(super) fn unwind(q: &mut Coordinates, turns: &mut [i64; 4]) {
+pub(super) fn remove_whole_turns(q: &mut Coordinates, turns: &mut [i64; 4]) {
     if largest_angle(q) <= 2.0 * TAU {
         return;
     }
-    unwind_each(q, turns);
+    remove_whole_turns_of_each(q, turns);
 }
 
 #[cold]
 #[inline(never)]
-fn unwind_each(q: &mut Coordinates, turns: &mut [i64; 4]) {
+fn remove_whole_turns_of_each(q: &mut Coordinates, turns: &mut [i64; 4]) {
     for (turns, i) in turns.iter_mut().zip(THETA) {
         q[i] -= whole_turns(q[i], turns) * TAU;
     }

@@ -9,7 +9,7 @@
 //! The matrix is the one of the equations of motion themselves, K and C are those of the implicit steps; δq and δq̇ follow from the
 //! proximal ones by J_x ([`closure::varied`]).
 
-use super::{Model, State, grips};
+use super::{Model, State, stick_slip};
 use crate::effects::{Inputs, Perturbation};
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of, set_legs};
 use crate::mechanism::{Coordinates, Multipliers, SceneError, closure};
@@ -65,7 +65,7 @@ impl State {
         let rates = pose.phi_q_varied_times(&core.v, &v);
         let centripetal = -turning - arms - 2.0 * rates;
         let (a, lambda) = self.solve(model, &pose, &force, &centripetal);
-        let (a, lambda) = grips::varied(&self.system(model), [&core.q, &core.v], (a, lambda))?;
+        let (a, lambda) = stick_slip::varied(&self.system(model), [&core.q, &core.v], (a, lambda))?;
         Ok(Variation { change, a, lambda })
     }
 }

@@ -179,7 +179,7 @@ fn rates_at_a_vertex_lie_on_the_cone() {
         ([0.13, 0.17, 0.11, 0.19], 0.60, [0.0, PI], [0.7, -1.3], false),
     ] {
         let geometry = geometry(lengths, base_distance);
-        let mut sides = vec![];
+        let mut mode = vec![];
         for assembly in [Assembly::Plus, Assembly::Minus] {
             match close(&geometry, &Start { theta, omega, assembly }) {
                 Ok((q, v)) => {
@@ -192,13 +192,13 @@ fn rates_at_a_vertex_lie_on_the_cone() {
                     // A moment later the tip is on the side asked for.
                     let (ahead, _) = assemble(&geometry, THETA.map(|i| q[i] + 1e-4 * v[i]), [0.0; 4]);
                     let (sin, cos) = ((ahead[THETA[2]] - ahead[THETA[1]]).sin(), 1.0);
-                    sides.push((assembly, (sin * cos > 0.0) == (assembly == Assembly::Plus)));
+                    mode.push((assembly, (sin * cos > 0.0) == (assembly == Assembly::Plus)));
                 }
                 Err(refusal) => assert!(!possible && refusal.to_string().contains("init.omega"), "{refusal}"),
             }
         }
-        assert_eq!(sides.len(), if possible { 2 } else { 0 }, "{theta:?}: both sides or none");
-        assert!(sides.iter().all(|(_, right)| *right), "{theta:?}: {sides:?}");
+        assert_eq!(mode.len(), if possible { 2 } else { 0 }, "{theta:?}: both sides or none");
+        assert!(mode.iter().all(|(_, right)| *right), "{theta:?}: {mode:?}");
     }
 }
 

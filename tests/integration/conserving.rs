@@ -192,7 +192,7 @@ fn every_effect_balances() {
         let worst = followed(&mut simulation, &inputs, 1e-3, 2.0);
         let counters = simulation.counters();
         // A fall against the stiffest friction comes to a posture without a root.
-        if worst.balance > *allowed || worst.velocity > 1e-9 || counters.last_resorts > 1 {
+        if worst.balance > *allowed || worst.velocity > 1e-9 || counters.fallbacks > 1 {
             wrong.push((name, worst.balance, worst.velocity, counters));
         }
     }
@@ -259,7 +259,7 @@ fn the_work_of_a_step_is_bounded() {
     // Beyond the bound: two tries of ten and, without a rescue, a better first guess; what the last resort projects.
     for (most, iterations) in [(0, 30), (25, 55), (1000, 1030)] {
         parameters.settings.max_work = most;
-        let (mut failures, mut last_resorts) = (Vec::new(), 0);
+        let (mut failures, mut fallbacks) = (Vec::new(), 0);
         for start in starts.clone() {
             parameters.start.theta = [start, 1.6889];
             let mut simulation = Simulation::new(&parameters, &default_inputs()).expect("scene");
@@ -276,9 +276,9 @@ fn the_work_of_a_step_is_bounded() {
             }
             let error = observers::energies(simulation.model(), &simulation.state()).error.abs();
             assert!(error <= 1e-8 * MGL, "{most}: {error:e}");
-            last_resorts += simulation.counters().last_resorts;
+            fallbacks += simulation.counters().fallbacks;
         }
-        outcomes.push((failures, last_resorts));
+        outcomes.push((failures, fallbacks));
     }
     let [without_rescue, bounded, free] = &outcomes[..] else { unreachable!("three bounds") };
     assert!(!without_rescue.0.is_empty(), "without a rescue some falls end");

@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use fivebar::effects::{ForceContext, NAMES, Sides};
+use fivebar::effects::{ForceContext, Mode, NAMES};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator::{Implicit, System, TangentPoint};
 use fivebar::linear::LinearSolve;
@@ -127,7 +127,7 @@ fn powers_and_potentials_account_for_every_force() {
                     pose: &system.pose(&q),
                     inputs: &inputs,
                     turns: &turns,
-                    sides: Sides::BY_STATE,
+                    mode: Mode::OF_STATE,
                 })
             };
             let growth = (potential(1e-6) - potential(-1e-6)) / 2e-6;
@@ -185,7 +185,7 @@ fn end<const BARE: bool>(scene: &Simulation, inputs: &Inputs, solve: LinearSolve
     let Stepper::MacroStep(method) = model.stepper else { panic!("the default is i3-ALP") };
     let mut core = scene.state().core;
     for _ in 0..300 {
-        method.advance(&FiveBar::<BARE>::new(&model, inputs, &[0; 4]), &mut core, &mut { Sides::BY_STATE }, 1e-3).expect("step");
+        method.advance(&FiveBar::<BARE>::new(&model, inputs, &[0; 4]), &mut core, &mut { Mode::OF_STATE }, 1e-3).expect("step");
     }
     core.q
 }

@@ -204,7 +204,7 @@ fn steps(host: &Host) -> Result<Done, String> {
 /// One-sided springs of contact and stops.
 const SPRINGS: usize = 5;
 /// Grips of dry friction: joints, and the tip.
-const GRIPS: usize = 6;
+const FRICTION_PLACES: usize = 6;
 
 /// The names of the fields of the content, each where it begins.
 fn layout(content: &[u8]) -> Vec<(usize, String)> {
@@ -258,8 +258,8 @@ fn layout(content: &[u8]) -> Vec<(usize, String)> {
             next(&format!("run.{end}counters.mode_changes"), 24);
             next(&format!("run.{end}counters.last_resorts"), 8);
         }
-        let grips = |next: &mut dyn FnMut(&str, usize) -> usize, prefix: &str| {
-            for _ in 0..GRIPS {
+        let stick_slip = |next: &mut dyn FnMut(&str, usize) -> usize, prefix: &str| {
+            for _ in 0..FRICTION_PLACES {
                 if content[next(&format!("{prefix}.grip"), 1)] > 0 {
                     next(&format!("{prefix}.grip.way"), 1);
                 }
@@ -267,7 +267,7 @@ fn layout(content: &[u8]) -> Vec<(usize, String)> {
             next(&format!("{prefix}.at_rest"), 1);
         };
         if !(dense || conserving) {
-            grips(&mut next, "run");
+            stick_slip(&mut next, "run");
         }
         if conserving {
             for (name, size) in [("h", 8), ("known", 1), ("x", 6 * 8 * 8)] {
@@ -287,7 +287,7 @@ fn layout(content: &[u8]) -> Vec<(usize, String)> {
                         next(&format!("run.{name}"), 1);
                     }
                 }
-                grips(&mut next, &format!("run.{name}"));
+                stick_slip(&mut next, &format!("run.{name}"));
                 if content[next(&format!("run.{name}.parallels.some"), 1)] == 1 {
                     next(&format!("run.{name}.parallels"), 1);
                 }

@@ -199,14 +199,14 @@ fn states_of_driven_runs_are_read_back() {
     let (mut scenes, mut moves) = (0, 0);
     while scenes < 30 {
         let parameters = random.scene(METHODS[scenes % METHODS.len()]);
-        let Ok(start) = Simulation::driven(&parameters, &random.inputs()) else { continue };
+        let Ok(start) = Simulation::for_model_exchange(&parameters, &random.inputs()) else { continue };
         let mut twins = Twins::new(format!("scene {scenes}: {parameters:?}"), start);
         scenes += 1;
         for _ in 0..40 {
             let (state, kick) = (twins.free.state(), [random.pair(0.2), random.pair(2.0)]);
             let [theta, omega] = [state.core.q, state.core.v].map(|x| [x[THETA[0]], x[THETA[3]]]);
             let to = [theta[0] + kick[0][0], theta[1] + kick[0][1], omega[0] + kick[1][0], omega[1] + kick[1][1]];
-            moves += usize::from(twins.both(|simulation| simulation.drive(to)));
+            moves += usize::from(twins.both(|simulation| simulation.set_states(to)));
             let (completed, inputs) = (random.one_of(2) == 0, random.inputs());
             let tuned = random.tuned(&twins.free.parameters().effects);
             twins.both(|simulation| {

@@ -1,6 +1,6 @@
 //! What physics says without a reference: energy, symmetry, reversal, equivalent formulations, determinism.
 
-use fivebar::effects::Sides;
+use fivebar::effects::Mode;
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator::{self, MacroStepMethod, i3alp};
 use fivebar::mechanism::Assembly;
@@ -81,7 +81,7 @@ fn a_reversed_motion_returns() {
     let Stepper::MacroStep(MacroStepMethod::I3alp(settings)) = model.stepper else { panic!("the default is i3-ALP") };
     let mut back = integrator::State::start(&system, end.q, -end.v, model.regularization);
     for _ in 0..2000 {
-        i3alp::advance(&system, &settings, &mut back, &mut { Sides::BY_STATE }, 1e-4).expect("step");
+        i3alp::advance(&system, &settings, &mut back, &mut { Mode::OF_STATE }, 1e-4).expect("step");
     }
     let error = angle_error(&back.q, &start.state().core.q);
     // A local error of 3e-9 rad in each of 2 × 2000 steps, all of one sign at worst.

@@ -1,8 +1,8 @@
 //! Steps of each kind alone, on systems without constraints whose solutions are known: orders of the step and of the interpolant,
 //! stiffness.
 
-use fivebar::integrator::dense::{DenseStep, Horizon, Kind, Kinds, Settings};
-use fivebar::integrator::{AccelerationTangents, Kinked, Kkt, Passage, State, System, Work};
+use fivebar::integrator::dense::{DenseStep, Horizon, Scheme, Schemes, Settings};
+use fivebar::integrator::{AccelerationTangents, Events, Kkt, Passage, State, System, Work};
 use fivebar::vector::Vector;
 
 use crate::support::slope;
@@ -32,11 +32,11 @@ impl Kkt<2, 0> for Free {
 
 impl System<2, 0> for Point {
     type Pose = ();
-    type Place = ();
+    type TrigBase = ();
     type Mass = Free;
 
     fn pose(&self, _: &Vector<2>) {}
-    fn place(&self, _: &()) {}
+    fn trig_base(&self, _: &()) {}
     fn phi(&self, _: &Vector<2>, (): &()) -> Vector<0> {
         Vector::ZERO
     }
@@ -65,7 +65,7 @@ impl System<2, 0> for Point {
     fn acceleration_tangents(&self, at: &State<2, 0>, (): &(), _: f64) -> Option<AccelerationTangents<2>> {
         self.tangents.map(|tangents| tangents(&at.q, &at.v))
     }
-    fn angle_norm(&self, x: &Vector<2>) -> f64 {
+    fn error_norm(&self, x: &Vector<2>) -> f64 {
         x.max_norm()
     }
     fn length_scale(&self) -> f64 {
@@ -75,13 +75,13 @@ impl System<2, 0> for Point {
 
 impl Passage<2> for Point {}
 
-impl Kinked<2> for Point {
-    type Sides = ();
-    type Touches = ();
+impl Events<2> for Point {
+    type Mode = ();
+    type GuardValues = ();
 
-    fn touches(&self, _: &Vector<2>, _: &Vector<2>) {}
+    fn guard_values(&self, _: &Vector<2>, _: &Vector<2>) {}
 
-    fn sides_of(&self, _: &Vector<2>, _: &Vector<2>) {}
+    fn mode_of(&self, _: &Vector<2>, _: &Vector<2>) {}
 }
 
 /// Kepler's problem with unit constants: q̈ = −q/|q|³.
@@ -117,7 +117,7 @@ fn polar([[x, y], [u, v]]: [[f64; 2]; 2]) -> [[f64; 2]; 2] {
 
 fn settings(error_tolerance: f64, first_step: f64) -> Settings {
     Settings {
-        kinds: Kinds::Only(Kind::Eighth),
+        schemes: Schemes::Only(Scheme::Dop853),
         error_tolerance,
         energy_scale: 1.0,
         first_step,
@@ -162,19 +162,19 @@ fn the_step_is_of_order_8_and_its_interpolant_of_order_7() {
 #[test]
 fn every_kind_is_of_its_order() {
     const START: f64 = 0.7;
-    let local = |kind: Kind| match kind {
-        Kind::Eighth => 9.0,
-        Kind::Fifth | Kind::StiffFifth => 6.0,
-        Kind::StiffFourth => 5.0,
+    let local = |scheme: Scheme| match scheme {
+        Scheme::Dop853 => 9.0,
+        Scheme::Tsit5 | Scheme::Rodas5p => 6.0,
+        Scheme::Rodas4 => 5.0,
     };
-    for kind in [Kind::Eighth, Kind::Fifth, Kind::StiffFourth, Kind::StiffFifth] {
+    for scheme in [Scheme::Dop853, Scheme::Tsit5, Scheme::Rodas4, Scheme::Rodas5p] {
         for part in [1.0, 0.3, 0.5, 0.8] {
             let (mut positions, mut rates, mut works) = (vec![], vec![], vec![]);
             for h in [0.1, 0.07, 0.05, 0.035] {
                 // A longer step for the higher order, above round-off.
-                let h = if kind == Kind::Eighth { 3.0 * h } else { h };
+                let h = if scheme == Scheme::Dop853 { 3.0 * h } else { h };
                 let [q, v] = polar(ellipse(START));
-                let settings = Settings { kinds: Kinds::Only(kind), ..settings(1e6, h) };
+                let settings = Settings { schemes: Schemes::Only(scheme), ..settings(1e6, h) };
                 let mut running = DenseStep::start(&POLAR, q.into(), v.into(), &settings);
                 running
                     .advance(&POLAR, &settings, part * h, Horizon { output: part * h, limit: f64::INFINITY }, None)
@@ -187,19 +187,19 @@ fn every_kind_is_of_its_order() {
                 works.push((h, (sample.work.input - energy(to, rate) + energy(q, v)).abs()));
             }
             let inside = part < 1.0;
-            let step = local(kind);
-            let hermite = kind != Kind::Eighth;
+            let step = local(scheme);
+            let hermite = scheme != Scheme::Dop853;
             let expected = match (inside, hermite) {
                 (false, _) => [step; 3],
                 (true, false) => [step - 1.0; 3],
-                (true, true) if kind == Kind::Fifth => [6.0, 5.0, 5.0],
+                (true, true) if scheme == Scheme::Tsit5 => [6.0, 5.0, 5.0],
                 (true, true) => [step - 1.0, step - 2.0, step - 1.0],
             };
             for ((what, points), order) in [("angle", positions), ("rate", rates), ("work", works)].into_iter().zip(expected) {
                 let slope = slope(&points);
                 // The next term of the error bends the lines; a wrong coefficient or derivative costs one order or more. Where the leading
                 // term happens to be small more is found.
-                assert!(slope > order - 0.6, "{kind:?}, {what} at {part}: slope {slope:.2} of {order}, {points:?}");
+                assert!(slope > order - 0.6, "{scheme:?}, {what} at {part}: slope {slope:.2} of {order}, {points:?}");
             }
         }
     }
@@ -212,7 +212,7 @@ fn the_estimate_of_order_5_is_on_the_safe_side() {
     for h in [0.1, 0.07, 0.05, 0.035, 0.02, 0.01] {
         let [q, v] = polar(ellipse(0.7));
         // In units of a tolerance by which every step is accepted.
-        let settings = Settings { kinds: Kinds::Only(Kind::Fifth), ..settings(1e6, h) };
+        let settings = Settings { schemes: Schemes::Only(Scheme::Tsit5), ..settings(1e6, h) };
         let mut running = DenseStep::start(&POLAR, q.into(), v.into(), &settings);
         running.advance(&POLAR, &settings, h, Horizon { output: f64::INFINITY, limit: f64::INFINITY }, None).expect("a step");
         let sample = running.sample(&POLAR, &settings);
@@ -256,8 +256,8 @@ fn kinds_change_and_no_digit_is_lost() {
         }),
         power: |_, v, a| a.dot(v),
     };
-    let run = |kinds: Kinds, tolerance: f64| {
-        let settings = Settings { kinds, ..settings(tolerance, 1e-3) };
+    let run = |schemes: Schemes, tolerance: f64| {
+        let settings = Settings { schemes, ..settings(tolerance, 1e-3) };
         let angle: f64 = 3.0;
         let start: [f64; 2] = [0.25 * angle.sin(), angle];
         let mut running = DenseStep::start(&PULLED, start.into(), Vector::ZERO, &settings);
@@ -272,10 +272,10 @@ fn kinds_change_and_no_digit_is_lost() {
         running.record(&sample, &mut state);
         (sample.q, worst, state.counters.substeps)
     };
-    let (exact, ..) = run(Kinds::Only(Kind::Eighth), 1e-13);
+    let (exact, ..) = run(Schemes::Only(Scheme::Dop853), 1e-13);
     for tolerance in [1e-4, 1e-6] {
-        let (q, worst, steps) = run(Kinds::Automatic, tolerance);
-        let (explicit, explicit_worst, explicit_steps) = run(Kinds::Only(Kind::Eighth), tolerance);
+        let (q, worst, steps) = run(Schemes::Automatic, tolerance);
+        let (explicit, explicit_worst, explicit_steps) = run(Schemes::Only(Scheme::Dop853), tolerance);
         let (error, explicit_error) = ((q - exact).max_norm(), (explicit - exact).max_norm());
         assert!(worst < 100.0 * tolerance, "{tolerance:e}: {worst:e} off the curve, by dop853 alone {explicit_worst:e}");
         // Nearly upright the pendulum magnifies errors some 1e3 times.

@@ -4,7 +4,7 @@
 use std::f64::consts::PI;
 
 use fivebar::effects::Law;
-use fivebar::effects::grips::{Balance, Grip, Grips, Way};
+use fivebar::effects::stick_slip::{FrictionProblem, SlipDirection, StickSlip, StickSlips};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::mechanism::coordinates::THETA;
 use fivebar::simulation::{Direction, Inputs, Method, Parameters, Simulation};
@@ -190,10 +190,10 @@ fn it_sticks_and_slips_as_the_closed_form_says() {
         let mut dissipated = 0.0;
         for step in 0..8000 {
             let time = 1e-3 * f64::from(step);
-            let rested = simulation.state().grips.at_rest();
+            let rested = simulation.state().stick_slip.at_rest();
             simulation.advance(&pulling(&parameters, time), 1e-3, 1).expect("a step");
             let state = simulation.state();
-            match (rested, state.grips.at_rest()) {
+            match (rested, state.stick_slip.at_rest()) {
                 (true, false) => starts.push(time),
                 (false, true) => rests.push(angles(&simulation)[0]),
                 _ => {}
@@ -219,7 +219,7 @@ fn it_sticks_and_slips_as_the_closed_form_says() {
 /// it the same way, whichever of them could by itself.
 #[test]
 fn grips_of_one_motion_hold_one_motion() {
-    let mut balance = Balance::default();
+    let mut balance = FrictionProblem::default();
     balance.places.extend([0, 1, 2]);
     for (i, j, mobility) in [(0, 0, 1.0), (1, 1, 1.0), (2, 2, 1.0), (1, 2, -1.0), (2, 1, -1.0)] {
         balance.mobility[i][j] = mobility;
@@ -227,10 +227,14 @@ fn grips_of_one_motion_hold_one_motion() {
     balance.change[..3].copy_from_slice(&[2.0, -0.5, 0.5]);
     balance.bounds[..3].copy_from_slice(&[1.0, 0.1, 1.0]);
     assert!(!balance.can_rest());
-    let mut grips = Grips::OPEN;
-    balance.moving(&mut grips);
-    let expected = [Grip::Slips(Way::Forward), Grip::Holds(Way::Forward), Grip::Holds(Way::Backward)];
-    assert_eq!([0, 1, 2].map(|place| grips.at(place)), expected);
+    let mut stick_slip = StickSlips::OPEN;
+    balance.resolve_motion(&mut stick_slip);
+    let expected = [
+        StickSlip::Slips(SlipDirection::Forward),
+        StickSlip::Holds(SlipDirection::Forward),
+        StickSlip::Holds(SlipDirection::Backward),
+    ];
+    assert_eq!([0, 1, 2].map(|place| stick_slip.at(place)), expected);
     balance.change[0] = 0.5;
     assert!(balance.can_rest());
 }
@@ -316,7 +320,7 @@ fn what_is_dissipated_never_falls() {
                 dissipated = state.core.work.dissipated;
                 let error = state.energy_error(simulation.model()).abs();
                 assert!(error < 1e-6, "{method:?}, {time} s: {error:e} J");
-                rested += u32::from(state.grips.at_rest());
+                rested += u32::from(state.stick_slip.at_rest());
                 let holding = state.holding(simulation.model());
                 assert!(holding.iter().all(|torque| torque.is_finite()), "{method:?}, {time} s: {holding:?}");
             }
@@ -341,7 +345,7 @@ fn calls_and_copies_change_nothing() {
                         simulation = Simulation::restored(simulation.parameters(), run, &residuals).expect("a stored state");
                     }
                 }
-                (simulation.state().core.q, simulation.state().core.v, simulation.state().grips)
+                (simulation.state().core.q, simulation.state().core.v, simulation.state().stick_slip)
             };
             let [one, many] = [1, 50].map(run);
             assert!(one == many, "{method:?}: {one:?} {many:?}");
@@ -358,11 +362,11 @@ fn derivatives_keep_what_is_held() {
         Simulation::new(&parameters, &inputs).expect("a scene")
     };
     let by_torque = Direction { inputs: Inputs { tau: [1.0, 0.0], ..Inputs::default() }, ..Direction::default() };
-    let (moving, more) = (start(0.5), start(0.75));
-    let varied = moving.state().varied(moving.model(), &by_torque).expect("one joint is held");
+    let (resolve_motion, more) = (start(0.5), start(0.75));
+    let varied = resolve_motion.state().varied(resolve_motion.model(), &by_torque).expect("one joint is held");
     // The accelerations are affine in the torque: nothing but round-off.
     for link in [0, 3] {
-        let difference = (more.state().core.a[THETA[link]] - moving.state().core.a[THETA[link]]) / 0.25;
+        let difference = (more.state().core.a[THETA[link]] - resolve_motion.state().core.a[THETA[link]]) / 0.25;
         assert!((varied.a[THETA[link]] - difference).abs() < 1e-9 * (1.0 + difference.abs()), "{link}: {difference}");
     }
     assert!(varied.a[THETA[3]].abs() < 1e-9 && varied.a[THETA[0]] > 100.0, "{:?}", varied.a);

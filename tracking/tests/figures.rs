@@ -103,7 +103,7 @@ fn lost_machines_are_found_again() {
                 let estimator = at.twin.estimator();
                 let (theta, omega) = (estimator.track().theta, estimator.track().omega);
                 assert_eq!(estimator.check(&constants, &theta, &omega), Ok(()), "seed {seed} at {} s", at.time);
-                if estimator.has_begun_anew() {
+                if estimator.has_restarted() {
                     assert_eq!(at.twin.status(), Status::Inconsistent);
                     assert!(at.time > 2.0, "seed {seed}: it was not lost at {} s", at.time);
                     begun += 1;

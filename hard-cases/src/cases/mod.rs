@@ -214,18 +214,18 @@ impl Case {
             }
         }
         if let Setting::Conserving(step) = setting {
-            let last_resorts: u64 =
-                outcomes.iter().filter_map(|outcome| outcome.state).map(|state| state.core.counters.last_resorts).sum();
+            let fallbacks: u64 =
+                outcomes.iter().filter_map(|outcome| outcome.state).map(|state| state.core.counters.fallbacks).sum();
             if substeps != steps {
                 row.failures += 1;
                 row.objections.push(format!("{substeps} sub-steps in {steps} strictly fixed steps"));
             }
-            if self.conserving.all_steps && last_resorts > allowed_last_resorts(step, steps) {
+            if self.conserving.all_steps && fallbacks > allowed_last_resorts(step, steps) {
                 row.failures += 1;
-                row.objections.push(format!("{last_resorts} of {steps} steps by the last resort"));
+                row.objections.push(format!("{fallbacks} of {steps} steps by the last resort"));
             }
-            if last_resorts > 0 {
-                statuses.insert(format!("of {steps} steps by the last resort"), last_resorts as usize);
+            if fallbacks > 0 {
+                statuses.insert(format!("of {steps} steps by the last resort"), fallbacks as usize);
             }
         }
         row.mean = if steps == 0 { 0.0 } else { substeps as f64 / steps as f64 };

@@ -27,12 +27,12 @@ impl<const M: usize> Pose<M> {
     pub(super) fn new(joints: &[[End; 2]], q: &[f64]) -> Self {
         let mut rows = [[None; 2]; M];
         for (joint, ends) in joints.iter().enumerate() {
-            for (place, end) in ends.iter().enumerate() {
+            for (trig_base, end) in ends.iter().enumerate() {
                 if let End::Body(body, at) = *end {
                     let arm = rotated(at, q[3 * body + 2]);
                     let turn = quarter_turn(arm);
                     for axis in 0..2 {
-                        rows[2 * joint + axis][place] = Some(Side { body, arm: arm[axis], turn: turn[axis] });
+                        rows[2 * joint + axis][trig_base] = Some(Side { body, arm: arm[axis], turn: turn[axis] });
                     }
                 }
             }
@@ -64,8 +64,8 @@ impl<const M: usize> Pose<M> {
     /// Φ_qᵀ λ.
     pub(super) fn transposed_times<const N: usize>(&self, lambda: &Vector<M>) -> Vector<N> {
         let mut product = Vector::ZERO;
-        for (row, (sides, lambda)) in self.rows.iter().zip(lambda).enumerate() {
-            for (side, sign) in sides.iter().zip(SIGN) {
+        for (row, (mode, lambda)) in self.rows.iter().zip(lambda).enumerate() {
+            for (side, sign) in mode.iter().zip(SIGN) {
                 if let Some(side) = side {
                     product[3 * side.body + row % 2] += sign * lambda;
                     product[3 * side.body + 2] += sign * side.turn * lambda;
@@ -78,8 +78,8 @@ impl<const M: usize> Pose<M> {
     /// The diagonal of ∂(Φ_qᵀλ)/∂q, which is all of it: ∓ arm · λ at θ, N m.
     pub(super) fn geometric_stiffness<const N: usize>(&self, lambda: &Vector<M>) -> Vector<N> {
         let mut diagonal = Vector::ZERO;
-        for (sides, lambda) in self.rows.iter().zip(lambda) {
-            for (side, sign) in sides.iter().zip(SIGN) {
+        for (mode, lambda) in self.rows.iter().zip(lambda) {
+            for (side, sign) in mode.iter().zip(SIGN) {
                 if let Some(side) = side {
                     diagonal[3 * side.body + 2] -= sign * side.arm * lambda;
                 }

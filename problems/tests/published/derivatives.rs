@@ -3,7 +3,7 @@
 //! A wrong tangent converges all the same, only slower, and a wrong velocity term is an error of the method's order: neither would
 //! be seen in the results for sure.
 
-use fivebar::integrator::{Implicit, Kinked, Kkt, Passage, TangentPoint};
+use fivebar::integrator::{Events, Implicit, Kkt, Passage, TangentPoint};
 use fivebar::vector::Vector;
 use problems::{Problem, four_bars, pendulum, squeezer};
 
@@ -23,7 +23,7 @@ fn any<const K: usize>(seed: f64) -> Vector<K> {
 }
 
 /// Checks everything at 20 points of the motion. `h` is a step for the tangent: as long as it may be, so that stiffnesses weigh.
-fn check<S: Implicit<N, M> + Passage<N> + Kinked<N>, const N: usize, const M: usize>(
+fn check<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize>(
     mut problem: Problem<S, N, M>,
     duration: f64,
     h: f64,

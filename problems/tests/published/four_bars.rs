@@ -1,6 +1,6 @@
 //! IFToMM A02, N four-bars in a row: singular twice per turn, at 5 rad/s.
 
-use fivebar::integrator::{Implicit, Kinked, Passage, State};
+use fivebar::integrator::{Events, Implicit, Passage, State};
 use problems::{Outcome, Problem, four_bars};
 
 #[test]
@@ -21,7 +21,7 @@ fn two_loops_keep_their_energy_at_fixed_steps() {
 }
 
 /// Largest distance of any link's angle from that of the pendulum, in each second; and what the run gave.
-fn against_the_pendulum<S: Implicit<N, M> + Passage<N> + Kinked<N>, const N: usize, const M: usize>(
+fn against_the_pendulum<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize>(
     problem: &Problem<S, N, M>,
     error_tolerance: f64,
 ) -> (f64, Outcome) {

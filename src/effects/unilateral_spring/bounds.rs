@@ -1,12 +1,12 @@
 //! How far beyond a border a motion may be between two places: bounds, so that nothing is missed that happens where nobody looks.
 
-use super::{Border, Phase, UnilateralSpring};
+use super::{Phase, PhaseBorder, UnilateralSpring};
 
 impl UnilateralSpring {
     /// How far a motion can be beyond any border of a phase, m or rad, between two places some seconds apart, each given by penetration and
     /// rate, whose first two derivatives are no greater than these.
     #[inline(never)]
-    pub(in crate::effects) fn farthest_by_bends(
+    pub(in crate::effects) fn farthest_by_derivatives(
         &self,
         phase: Phase,
         ends: [[f64; 2]; 2],
@@ -17,14 +17,15 @@ impl UnilateralSpring {
             let [by_depth, by_rate] = from.by;
             if by_rate == 0.0 {
                 let [u, w] = ends.map(|[_, rate]| by_depth * rate);
-                deepest([from.beyond, u], [to.beyond, w], duration, bend)
+                deepest([from.guard_residual, u], [to.guard_residual, w], duration, bend)
             } else {
                 // Below straight lines.
                 let steepest = by_depth.abs() * slope + by_rate.abs() * bend;
-                f64::max(from.beyond, to.beyond).max(0.5 * (from.beyond + to.beyond + steepest * duration))
+                f64::max(from.guard_residual, to.guard_residual)
+                    .max(0.5 * (from.guard_residual + to.guard_residual + steepest * duration))
             }
         });
-        Self::farthest(phase, farthest, |beyond| *beyond).unwrap_or(f64::NEG_INFINITY)
+        Self::farthest(phase, farthest, |guard_residual| *guard_residual).unwrap_or(f64::NEG_INFINITY)
     }
 
     /// The same where its derivatives of order 2, 3 and 4 are no greater than these: by the parabola over the chord, or by the cubic through
@@ -46,15 +47,15 @@ impl UnilateralSpring {
             let [by_depth, by_rate] = from.by;
             let slopes = [by_depth * u + by_rate * bend, by_depth * w + by_rate * bend_to];
             let off = (OFF[0] * by_depth.abs() * duration + OFF[1] * by_rate.abs()) * fourth * duration * duration * duration;
-            let cubic = off - lowest([-from.beyond, -to.beyond], slopes.map(|slope| -slope * duration));
+            let cubic = off - lowest([-from.guard_residual, -to.guard_residual], slopes.map(|slope| -slope * duration));
             let arch = (by_depth.abs() * bend_most + by_rate.abs() * third) * duration * duration;
-            cubic.min(below_arch([from.beyond, to.beyond], arch))
+            cubic.min(below_arch([from.guard_residual, to.guard_residual], arch))
         });
-        Self::farthest(phase, farthest, |beyond| *beyond).unwrap_or(f64::NEG_INFINITY)
+        Self::farthest(phase, farthest, |guard_residual| *guard_residual).unwrap_or(f64::NEG_INFINITY)
     }
 
     /// Each border of a phase, as it is at two places.
-    fn borders_of(&self, phase: Phase, ends: [[f64; 2]; 2]) -> impl Iterator<Item = [Border; 2]> {
+    fn borders_of(&self, phase: Phase, ends: [[f64; 2]; 2]) -> impl Iterator<Item = [PhaseBorder; 2]> {
         let [from, to] = ends.map(|[depth, rate]| self.borders(phase, depth, rate));
         from.into_iter().flatten().zip(to.into_iter().flatten()).map(|(from, to)| [from, to])
     }
@@ -132,20 +133,20 @@ mod tests {
             let [slope, bend, third, fourth] = [1, 2, 3, 4].map(most);
             for phase in [Phase::Free, Phase::Ramp, Phase::Full] {
                 let ends = [at(0.0), at(duration)];
-                let beyond = |[depth, rate]: [f64; 2]| {
-                    let borders = spring.borders(phase, depth, rate).into_iter().flatten().map(|border| border.beyond);
-                    UnilateralSpring::farthest(phase, borders, |beyond| *beyond).expect("a border")
+                let guard_residual = |[depth, rate]: [f64; 2]| {
+                    let borders = spring.borders(phase, depth, rate).into_iter().flatten().map(|border| border.guard_residual);
+                    UnilateralSpring::farthest(phase, borders, |guard_residual| *guard_residual).expect("a border")
                 };
-                let sampled = places.clone().map(|time| beyond(at(time))).fold(f64::NEG_INFINITY, f64::max);
-                let by_bends = spring.farthest_by_bends(phase, ends, duration, [slope, bend]);
+                let sampled = places.clone().map(|time| guard_residual(at(time))).fold(f64::NEG_INFINITY, f64::max);
+                let by_derivatives = spring.farthest_by_derivatives(phase, ends, duration, [slope, bend]);
                 let by_cubic = spring.farthest_by_cubic(phase, ends, duration, [bend, third, fourth]);
                 // Round-off of sums of some millimetres.
                 assert!(
-                    sampled <= by_bends + 1e-15 && sampled <= by_cubic + 1e-15,
-                    "{case} {phase:?}: {sampled:e} {by_bends:e} {by_cubic:e}"
+                    sampled <= by_derivatives + 1e-15 && sampled <= by_cubic + 1e-15,
+                    "{case} {phase:?}: {sampled:e} {by_derivatives:e} {by_cubic:e}"
                 );
-                let quarters = [0.0, 0.25, 0.5, 0.75, 1.0].map(|part| beyond(at(part * duration)));
-                hidden += u32::from(sampled > 1e-6 && quarters.into_iter().all(|beyond| beyond < 0.0));
+                let quarters = [0.0, 0.25, 0.5, 0.75, 1.0].map(|part| guard_residual(at(part * duration)));
+                hidden += u32::from(sampled > 1e-6 && quarters.into_iter().all(|guard_residual| guard_residual < 0.0));
                 looseness.push((by_cubic - sampled) / 1e-3);
             }
         }

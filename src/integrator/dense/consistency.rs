@@ -6,11 +6,11 @@ use super::dop853::Stages;
 use super::plan::{Outcome, Plan, Try};
 use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
 use super::step::LONGEST;
-use super::trial::{Origin, Slope, Trial};
+use super::trial::{Origin, StageDerivative, Trial};
 use super::tsit5::Tsit5;
-use super::{DenseStep, Horizon, Kind, LEAST_LOG_ERROR, Memory, Settings};
+use super::{DenseStep, Horizon, LEAST_LOG_ERROR, Memory, Scheme, Settings};
 use crate::integrator::consistency::{Bounds, Inconsistency};
-use crate::integrator::{Approach, Departure, Kinked, Passage, State, StepError, System};
+use crate::integrator::{Approach, Departure, Events, Passage, State, StepError, System};
 use crate::vector::Vector;
 
 /// Part of each value by which a straight motion made once more may differ: it may have been cut short by something else.
@@ -24,30 +24,30 @@ impl Memory {
     fn is_possible(&self, settings: &Settings) -> bool {
         // The error of an accepted step is 1 tolerance at most.
         (LEAST_LOG_ERROR..=0.0).contains(&self.log_error)
-            && self.elsewhere > 0.0
+            && self.substep_in_other_mode > 0.0
             && self.stiffness.is_consistent()
-            && self.choice.is_possible(settings.kinds)
+            && self.stiffness_switch.is_possible(settings.schemes)
     }
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The beginning of the step with the sides on which it is made, and its end with those behind it.
     pub fn ends(&self) -> [(&State<N, M>, K); 2] {
-        [(&self.start, self.sides), (&self.end, self.sides_behind)]
+        [(&self.start, self.mode), (&self.end, self.next_mode_at_end)]
     }
 
     /// Whether both ends are states, and the step leads from one to the other.
     #[cold]
-    pub fn check<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    pub fn check<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &self,
         system: &S,
         settings: &Settings,
         bounds: &Bounds,
     ) -> Result<(), Inconsistency> {
-        let on_sides = system.on(self.sides);
-        self.start.check(on_sides.borrow(), bounds)?;
+        let in_mode = system.on(self.mode);
+        self.start.check(in_mode.borrow(), bounds)?;
         // A way straight through a vertex knows no sides.
-        self.balanced_end(on_sides.borrow(), settings).check(if self.straight { system } else { on_sides.borrow() }, bounds)?;
+        self.balanced_end(in_mode.borrow(), settings).check(if self.is_linear { system } else { in_mode.borrow() }, bounds)?;
         if !(self.memory.is_possible(settings) && self.before.is_possible(settings)) {
             return Err("the step-size controller remembers the impossible");
         }
@@ -58,7 +58,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             return Err("a step is cut from a shorter one");
         }
         if self.length == 0.0 {
-            let same = self.start == self.end && self.dense == [Slope::NONE; 4] && !self.straight;
+            let same = self.start == self.end && self.dense == [StageDerivative::NONE; 4] && !self.is_linear;
             return if same { Ok(()) } else { Err("a step of no length leads elsewhere") };
         }
         match self.again(system, settings) {
@@ -69,38 +69,41 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Makes the step once more: whether it leads to the same end.
     #[cold]
-    fn again<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    fn again<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &self,
         system: &S,
         settings: &Settings,
     ) -> Result<bool, StepError> {
         let mut end = self.start;
-        if self.straight {
+        if self.is_linear {
             let from = Departure { q: &self.start.q, v: &self.start.v, on_ray: self.start.on_ray, rest: self.length };
             let Approach::Passed(transit) = system.approach(&settings.passage(), &from) else { return Ok(false) };
             end.pass_through(system, &transit, settings.regularization)?;
             let same = (transit.duration - self.length).abs() <= SAME * self.length && end.on_ray == self.end.on_ray;
-            return Ok(same && self.dense == [Slope::NONE; 4] && close(&end.q, &self.end.q) && close(&end.v, &self.end.v));
+            return Ok(same
+                && self.dense == [StageDerivative::NONE; 4]
+                && close(&end.q, &self.end.q)
+                && close(&end.v, &self.end.v));
         }
-        let system = system.on(self.sides);
+        let system = system.on(self.mode);
         let system = system.borrow();
-        Ok(match self.kind {
-            kind if !settings.kinds.hold(kind, settings.error_tolerance) => false,
-            Kind::Fifth => self.again_by::<Tsit5<N>, S>(system, settings),
-            Kind::Eighth => self.again_by::<Stages<N>, S>(system, settings),
-            Kind::StiffFourth => self.again_by::<Rosenbrock<Rodas4, N>, S>(system, settings),
-            Kind::StiffFifth => self.again_by::<Rosenbrock<Rodas5p, N>, S>(system, settings),
+        Ok(match self.scheme {
+            scheme if !settings.schemes.allow(scheme, settings.error_tolerance) => false,
+            Scheme::Tsit5 => self.again_by::<Tsit5<N>, S>(system, settings),
+            Scheme::Dop853 => self.again_by::<Stages<N>, S>(system, settings),
+            Scheme::Rodas4 => self.again_by::<Rosenbrock<Rodas4, N>, S>(system, settings),
+            Scheme::Rodas5p => self.again_by::<Rosenbrock<Rodas5p, N>, S>(system, settings),
         })
     }
 
     /// The same for a step of one kind, by the very function that makes steps.
-    fn again_by<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&self, system: &S, settings: &Settings) -> bool {
+    fn again_by<T: Trial<N>, S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&self, system: &S, settings: &Settings) -> bool {
         let origin = Origin::new(system, &self.start.q, &system.pose(&self.start.q), settings.regularization);
         let Some(shared) = T::prepare(system, settings, (&self.start, &origin)) else { return false };
         let is_cut = self.cut_from > 0.0;
         let length = if is_cut { self.cut_from } else { self.length };
         // Without its coefficients a step is over: nothing is asked for within it.
-        let needless = self.dense == [Slope::NONE; 4] && self.elapsed == self.length;
+        let needless = self.dense == [StageDerivative::NONE; 4] && self.elapsed == self.length;
         let horizon = Horizon { output: if needless && !is_cut { f64::INFINITY } else { 0.0 }, limit: f64::INFINITY };
         let plan = Plan { h: length, wanted: length, longest: length, near: true, seeks_borders: false, horizon, pose: None };
         let this = Try::of(length);
@@ -112,9 +115,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if is_cut && !redone.cut_again(system, settings, self.length) {
             return false;
         }
-        if system.has_kinks() {
+        if system.has_events() {
             redone.end.work.dissipated = redone.end.work.dissipated.max(redone.start.work.dissipated);
-            redone.end.work.dissipated += redone.released(system, [&redone.end.q, &redone.end.v]);
+            redone.end.work.dissipated += redone.separation_energy(system, [&redone.end.q, &redone.end.v]);
         }
         let end = &redone.end;
         let same = [end.q, end.v, end.a] == [self.end.q, self.end.v, self.end.a]

@@ -4,20 +4,20 @@
 
 mod tableau;
 
-use super::trial::{Allowed, Landing, Origin, Slope, Trial, for_each, rate_between};
-use super::{Kind, Settings};
+use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, for_each, rate_between};
+use super::{Scheme, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, System, Work};
 use crate::vector::Vector;
-use tableau::{A, ALL, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, DENSE, END, ERROR_AT_BENDS, Row, STAGES, last};
+use tableau::{A, ALL, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, DENSE, END, Row, SECOND_ERROR, STAGES, last};
 use wide::f64x2;
 
 /// An estimate at bends counts up to this part of the mean square of that of order 3: round-off is no bend.
-const AT_BENDS: f64 = 0.09;
+const SECOND_ERROR_WEIGHT: f64 = 0.09;
 
 /// A step from a state, stage by stage.
 pub(super) struct Stages<const N: usize> {
-    slopes: [Slope<N>; STAGES],
+    slopes: [StageDerivative<N>; STAGES],
     q: Vector<N>,
     /// The step, s.
     h: f64,
@@ -30,7 +30,7 @@ pub(super) struct Stages<const N: usize> {
 impl<const N: usize> Stages<N> {
     /// Σ coefficient · slope over what is picked of the slopes, in units of the last coefficient: what counts once is not multiplied.
     #[inline(always)]
-    fn sum<const ROW: usize>(&self, part: impl Fn(&Slope<N>) -> Vector<N>) -> Vector<N> {
+    fn sum<const ROW: usize>(&self, part: impl Fn(&StageDerivative<N>) -> Vector<N>) -> Vector<N> {
         let mut sum = const { COEFFICIENTS[ROW][0] / last(ROW) } * part(&self.slopes[0]);
         macro_rules! add {
             ($stage:literal) => {
@@ -54,10 +54,10 @@ impl<const N: usize> Stages<N> {
     #[inline(never)]
     fn at_end(&self, of_rates: bool) -> [Vector<N>; 3] {
         let mut sums = [Vector::ZERO; 3];
-        for place in 0..N.div_ceil(2) {
+        for trig_base in 0..N.div_ceil(2) {
             let slopes: [f64x2; STAGES] = std::array::from_fn(|stage| {
-                let Slope { q, v, .. } = &self.slopes[stage];
-                (if of_rates { v } else { q }).pair(place)
+                let StageDerivative { q, v, .. } = &self.slopes[stage];
+                (if of_rates { v } else { q }).pair(trig_base)
             });
             let mean = by_row(&slopes, |stage| COEFFICIENTS[END][stage]);
             let pairs = [
@@ -67,7 +67,7 @@ impl<const N: usize> Stages<N> {
                 mean + by_row(&slopes, |stage| COEFFICIENTS[AT_ERROR_3][stage] - COEFFICIENTS[END][stage]),
             ];
             for (sum, pair) in sums.iter_mut().zip(pairs) {
-                sum.set_pair(place, pair);
+                sum.set_pair(trig_base, pair);
             }
         }
         sums
@@ -90,14 +90,14 @@ impl<const N: usize> Stages<N> {
 
     /// How far q and q̇ at the place of a row are from the beginning.
     #[inline(always)]
-    fn way<const ROW: usize>(&self) -> [Vector<N>; 2] {
+    fn increment<const ROW: usize>(&self) -> [Vector<N>; 2] {
         let unit = self.both_h * f64x2::splat(const { last(ROW) });
         self.sums::<ROW>().map(|sum| unit * sum)
     }
 
     /// Evaluates the stages of the step, in place: what a function returns is copied.
     #[inline(never)]
-    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::Place, N>) {
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::TrigBase, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
                 let _ = self.evaluate::<$stage, M, _>(system, origin);
@@ -112,9 +112,9 @@ impl<const N: usize> Stages<N> {
     fn evaluate<const ROW: usize, const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
-        origin: &Origin<S::Place, N>,
+        origin: &Origin<S::TrigBase, N>,
     ) -> Vector<N> {
-        let [q, v] = self.way::<ROW>();
+        let [q, v] = self.increment::<ROW>();
         self.slopes[ROW].q = self.slopes[0].q + v;
         self.slopes[ROW].complete(system, origin, &q);
         q
@@ -128,24 +128,24 @@ impl<const N: usize> Stages<N> {
     /// The mean square of another estimate of order 5, where forces bend so sharply that the first may be small by accident: what stages on
     /// both sides of a bend say may cancel in one of them, hardly in both. By a loop, since few scenes need it.
     #[inline(never)]
-    fn error_at_bends(&self, allowed: &Allowed, rates: [&Vector<N>; 2]) -> f64 {
+    fn second_error(&self, weights: &ErrorWeights, rates: [&Vector<N>; 2]) -> f64 {
         let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
-        for &(stage, coefficient) in ERROR_AT_BENDS {
+        for &(stage, coefficient) in SECOND_ERROR {
             q += coefficient * self.slopes[stage].q;
             v += coefficient * self.slopes[stage].v;
         }
-        allowed.mean_square_of([q, v], rates, Work::default())
+        weights.mean_square_of([q, v], rates, Work::default())
     }
 
     /// Estimated error in units of what is allowed: of the coordinates, of their rates (10/s + |q̇| times that) and of the work; root of
     /// the mean square. The estimate of order 5 is damped by that of order 3 (Hairer, Nørsett, Wanner, section II.5, eq. 5.17).
     #[inline(always)]
-    fn error(&self, allowed: &Allowed, [fifth, third]: [[Vector<N>; 2]; 2], v_end: &Vector<N>) -> f64 {
+    fn error(&self, weights: &ErrorWeights, [fifth, third]: [[Vector<N>; 2]; 2], v_end: &Vector<N>) -> f64 {
         let rates = [&self.slopes[0].q, v_end];
-        let mut fifth = allowed.mean_square(fifth, rates, || self.power::<AT_ERROR_5>());
-        let third = allowed.mean_square(third, rates, || self.power::<AT_ERROR_3>());
-        if allowed.bends {
-            fifth = fifth.max(self.error_at_bends(allowed, rates).min(AT_BENDS * third));
+        let mut fifth = weights.mean_square(fifth, rates, || self.power::<AT_ERROR_5>());
+        let third = weights.mean_square(third, rates, || self.power::<AT_ERROR_3>());
+        if weights.has_sharp_nonlinearity {
+            fifth = fifth.max(self.second_error(weights, rates).min(SECOND_ERROR_WEIGHT * third));
         }
         let damped = fifth + 0.01 * third;
         // Both are 0 where nothing moves.
@@ -169,7 +169,7 @@ fn by_row(slopes: &[f64x2; STAGES], coefficient: impl Fn(usize) -> f64) -> f64x2
 }
 
 impl<const N: usize> Trial<N> for Stages<N> {
-    const KIND: Kind = Kind::Eighth;
+    const KIND: Scheme = Scheme::Dop853;
     type Shared = ();
     /// With the memory and growth by 3 at most a quarter of the rejections of the classical controller remain.
     const CONTROLLER: StepSizeController = StepSizeController {
@@ -180,13 +180,14 @@ impl<const N: usize> Trial<N> for Stages<N> {
         failed: 0.3,
     };
 
-    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::Place, N>)) -> Option<()> {
+    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::TrigBase, N>)) -> Option<()> {
         Some(())
     }
 
     #[inline(always)]
-    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<S::Place, N>), h: f64) -> Self {
-        let mut stages = Self { slopes: [Slope::NONE; STAGES], q: from.q, h, both_h: f64x2::splat(h), last: Vector::ZERO };
+    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<S::TrigBase, N>), h: f64) -> Self {
+        let mut stages =
+            Self { slopes: [StageDerivative::NONE; STAGES], q: from.q, h, both_h: f64x2::splat(h), last: Vector::ZERO };
         stages.slopes[0].q = from.v;
         stages.slopes[0].v = from.a;
         stages.slopes[0].power = from.power;
@@ -194,26 +195,26 @@ impl<const N: usize> Trial<N> for Stages<N> {
     }
 
     #[inline(always)]
-    fn land<const M: usize, S: System<N, M> + Passage<N>>(
+    fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
         &mut self,
         system: &S,
         settings: &Settings,
-        origin: &Origin<S::Place, N>,
-        allowed: &Allowed,
-        kept: Option<(EnergyBalance, f64)>,
-    ) -> (f64, Option<Landing<N, M>>) {
+        origin: &Origin<S::TrigBase, N>,
+        weights: &ErrorWeights,
+        energy_target: Option<(EnergyBalance, f64)>,
+    ) -> (f64, Option<StepResult<N, M>>) {
         self.evaluate_all(system, origin);
         let ([mean_q, q_5, q_3], [mean_v, v_5, v_3]) = (self.at_end(false), self.at_end(true));
         let end = [self.q + self.h * mean_q, self.slopes[0].q + self.h * mean_v];
-        let error = self.error(allowed, [[q_5, v_5], [q_3, v_3]], &end[1]);
+        let error = self.error(weights, [[q_5, v_5], [q_3, v_3]], &end[1]);
         if error.is_nan() || error > 1.0 {
             return (error, None);
         }
-        let work = match allowed.work(settings, system.follows_work(), || Work::default().plus(self.h, self.mean_power())) {
+        let work = match weights.work(settings, system.follows_work(), || Work::default().plus(self.h, self.mean_power())) {
             Ok(work) => work,
             Err(error) => return (error, None),
         };
-        (error, settings.project_and_evaluate(system, (origin, end[0] - self.q), end, kept, work))
+        (error, settings.project_and_evaluate(system, (origin, end[0] - self.q), end, energy_target, work))
     }
 
     /// By the difference between the last stage and the end of the step, which stand at the same time.
@@ -229,28 +230,28 @@ impl<const N: usize> Trial<N> for Stages<N> {
         system: &impl System<N, M>,
         regularization: f64,
         [_, end]: [&State<N, M>; 2],
-    ) -> [Slope<N>; 4] {
-        let mut slopes = [Slope::NONE; ALL];
+    ) -> [StageDerivative<N>; 4] {
+        let mut slopes = [StageDerivative::NONE; ALL];
         slopes[..STAGES].copy_from_slice(&self.slopes);
-        slopes[END] = Slope { q: end.v, v: end.a, power: end.power };
+        slopes[END] = StageDerivative { q: end.v, v: end.a, power: end.power };
         let origin = Origin::new(system, &self.q, &system.pose(&self.q), regularization);
         for stage in END + 1..ALL {
-            let way = over(self.h, &slopes, A[stage]);
-            slopes[stage].q = slopes[0].q + way.v;
-            slopes[stage].complete(system, &origin, &way.q);
+            let increment = over(self.h, &slopes, A[stage]);
+            slopes[stage].q = slopes[0].q + increment.v;
+            slopes[stage].complete(system, &origin, &increment.q);
         }
         DENSE.map(|row| over(self.h, &slopes, row))
     }
 }
 
 /// h times the sum of slopes by a row. By a loop: for the interpolant, which few steps need.
-fn over<const N: usize>(h: f64, slopes: &[Slope<N>; ALL], row: Row) -> Slope<N> {
-    let mut sum = Slope::NONE;
+fn over<const N: usize>(h: f64, slopes: &[StageDerivative<N>; ALL], row: Row) -> StageDerivative<N> {
+    let mut sum = StageDerivative::NONE;
     for &(stage, coefficient) in row {
-        let Slope { q, v, power } = &slopes[stage];
+        let StageDerivative { q, v, power } = &slopes[stage];
         sum.q += coefficient * *q;
         sum.v += coefficient * *v;
         sum.power = sum.power.plus(coefficient, *power);
     }
-    Slope { q: h * sum.q, v: h * sum.v, power: Work::default().plus(h, sum.power) }
+    StageDerivative { q: h * sum.q, v: h * sum.v, power: Work::default().plus(h, sum.power) }
 }

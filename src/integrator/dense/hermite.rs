@@ -2,7 +2,7 @@
 //! is the interpolant of the rates, and for the work a polynomial of degree 4 that knows the power at both ends and between them.
 
 use super::interpolant::Interpolant;
-use super::trial::Slope;
+use super::trial::StageDerivative;
 use crate::integrator::{State, System, Work};
 use crate::vector::Vector;
 
@@ -24,7 +24,7 @@ pub(super) fn coefficients<const N: usize, const M: usize>(
     [from, to]: [&State<N, M>; 2],
     h: f64,
     knowing: Knowing<N>,
-) -> [Slope<N>; 4] {
+) -> [StageDerivative<N>; 4] {
     let moved = to.q - from.q;
     let second = h * from.v - moved;
     let third = moved - h * to.v - second;
@@ -42,7 +42,7 @@ pub(super) fn coefficients<const N: usize, const M: usize>(
             (16.0 * (q - cubic) - 0.5 * fifth, fifth)
         }
     };
-    let mut dense = [Slope::NONE; 4];
+    let mut dense = [StageDerivative::NONE; 4];
     (dense[0].q, dense[1].q) = (fourth, fifth);
     dense
 }

@@ -19,11 +19,11 @@ mod tableau;
 use std::marker::PhantomData;
 
 use super::hermite::{self, Knowing};
-use super::landing::with_energy;
-use super::trial::{Allowed, Landing, Origin, Slope, Trial, for_each};
-use super::{Kind, Settings};
+use super::step_end::project_to_energy;
+use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, for_each};
+use super::{Scheme, Settings};
 use crate::integrator::controller::StepSizeController;
-use crate::integrator::state::Arrival;
+use crate::integrator::state::StepEnd;
 use crate::integrator::{
     AccelerationTangents, EnergyBalance, Kkt, Passage, Projection, State, StepError, System, Work, velocity_correction,
 };
@@ -133,29 +133,29 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
 }
 
 /// The way back onto the constraints, which does not depend on the tableau.
-struct WayBack<'a, const N: usize> {
+struct ConstraintReturn<'a, const N: usize> {
     inverse: &'a Inverse<N>,
     h: f64,
 }
 
-impl<const N: usize> WayBack<'_, N> {
+impl<const N: usize> ConstraintReturn<'_, N> {
     /// The end of a step, with its pose, on the constraints, in balance, with the energy that was there so many seconds before, if there is any to keep; and
     /// the iterations spent.
     #[inline(never)]
-    fn land<const M: usize, S: System<N, M> + Passage<N>>(
+    fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
         settings: &Settings,
         ([mut q, mut v], pose): ([Vector<N>; 2], S::Pose),
-        kept: Option<(EnergyBalance, f64)>,
-    ) -> Option<Landing<N, M>> {
+        energy_target: Option<(EnergyBalance, f64)>,
+    ) -> Option<StepResult<N, M>> {
         let (iterations, pose, mass) = if system.can_project(&q) {
             self.project(system, settings, pose, [&mut q, &mut v]).ok()?
         } else {
             settings.project(system, &mut q, &mut v).ok()?
         };
-        v = with_energy(system, [&q, &v], kept).ok()?;
-        Landing::at(iterations, Arrival::in_balance(system, [q, v], &pose, &mass))
+        v = project_to_energy(system, [&q, &v], energy_target).ok()?;
+        StepResult::at(iterations, StepEnd::in_balance(system, [q, v], &pose, &mass))
     }
 
     /// Back onto the constraints, not along the shortest way in the metric of the masses, which asks no force: where forces are stiff it
@@ -168,12 +168,14 @@ impl<const N: usize> WayBack<'_, N> {
         mut pose: S::Pose,
         [q, v]: [&mut Vector<N>; 2],
     ) -> Result<(u32, S::Pose, S::Mass), StepError> {
-        let mut ways = None;
-        let along = |pose: &S::Pose, missing| combination(ways.get_or_insert_with(|| self.ways(system, settings, pose)), &missing);
+        let mut directions = None;
+        let along = |pose: &S::Pose, missing| {
+            combination(directions.get_or_insert_with(|| self.directions(system, settings, pose)), &missing)
+        };
         let projection = Projection::to_round_off(system.length_scale(), settings.regularization, settings.max_iterations);
         let iterations = projection.position_along(system, &mut pose, q, along)?;
-        if let Some(ways) = &ways {
-            *v += combination(ways, &-system.phi_q_times(&pose, v));
+        if let Some(directions) = &directions {
+            *v += combination(directions, &-system.phi_q_times(&pose, v));
         }
         let mass = system.factor_mass(&pose, settings.regularization);
         *v += velocity_correction(system, &pose, &mass, v);
@@ -181,17 +183,17 @@ impl<const N: usize> WayBack<'_, N> {
     }
 
     /// By what q or q̇ is corrected for a unit of each constraint.
-    fn ways<const M: usize, S: System<N, M>>(&self, system: &S, settings: &Settings, pose: &S::Pose) -> [Vector<N>; M] {
+    fn directions<const M: usize, S: System<N, M>>(&self, system: &S, settings: &Settings, pose: &S::Pose) -> [Vector<N>; M] {
         let mass = system.factor_mass(pose, settings.regularization);
-        let ways: [Vector<N>; M] = std::array::from_fn(|i| self.inverse.times(&mass.correction(&Vector::unit(i))));
+        let directions: [Vector<N>; M] = std::array::from_fn(|i| self.inverse.times(&mass.correction(&Vector::unit(i))));
         // A load may turn them: so that each is one constraint's.
-        let shares = Inverse::new(ways.map(|way| system.phi_q_times(pose, &way)), f64::EPSILON * self.h);
-        std::array::from_fn(|i| combination(&ways, &shares.times(&Vector::unit(i))))
+        let shares = Inverse::new(directions.map(|direction| system.phi_q_times(pose, &direction)), f64::EPSILON * self.h);
+        std::array::from_fn(|i| combination(&directions, &shares.times(&Vector::unit(i))))
     }
 }
 
 impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
-    const KIND: Kind = T::KIND;
+    const KIND: Scheme = T::KIND;
     type Shared = Shared<N>;
     /// As in the authors' codes, but for a memory of the error before.
     const CONTROLLER: StepSizeController = StepSizeController {
@@ -205,7 +207,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
     fn prepare<const M: usize, S: System<N, M>>(
         system: &S,
         settings: &Settings,
-        (from, origin): (&State<N, M>, &Origin<S::Place, N>),
+        (from, origin): (&State<N, M>, &Origin<S::TrigBase, N>),
     ) -> Option<Shared<N>> {
         Shared::about(system, settings, (from, &origin.turned(system, &Vector::ZERO)))
     }
@@ -214,7 +216,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
     fn new<const M: usize, S: System<N, M>>(
         system: &S,
         shared: &Shared<N>,
-        (from, origin): (&State<N, M>, &Origin<S::Place, N>),
+        (from, origin): (&State<N, M>, &Origin<S::TrigBase, N>),
         h: f64,
     ) -> Self {
         let Shared { tangents, fastest } = shared;
@@ -235,7 +237,7 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
             ($stage:literal) => {
                 if const { $stage < T::STAGES } {
                     let [q, v] = step.at::<$stage>();
-                    let mut slope = Slope { q: v, ..Slope::NONE };
+                    let mut slope = StageDerivative { q: v, ..StageDerivative::NONE };
                     slope.complete(system, origin, &(q - from.q));
                     let [before_q, before_v] = step.before::<$stage>();
                     step.u[$stage] = step.solve(tangents, [v + per_step * before_q, slope.v + per_step * before_v]);
@@ -247,34 +249,35 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         step
     }
 
-    fn land<const M: usize, S: System<N, M> + Passage<N>>(
+    fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
         &mut self,
         system: &S,
         settings: &Settings,
-        origin: &Origin<S::Place, N>,
-        allowed: &Allowed,
-        kept: Option<(EnergyBalance, f64)>,
-    ) -> (f64, Option<Landing<N, M>>) {
+        origin: &Origin<S::TrigBase, N>,
+        weights: &ErrorWeights,
+        energy_target: Option<(EnergyBalance, f64)>,
+    ) -> (f64, Option<StepResult<N, M>>) {
         let end = self.at::<MOST>();
-        let judged = if allowed.work.is_some() { self.work(system, const { &T::WORK_ERROR }) } else { Work::default() };
-        let error = allowed.mean_square_of(self.u[T::STAGES - 1], [&self.start[1], &end[1]], judged).sqrt();
+        let judged = if weights.work.is_some() { self.work(system, const { &T::WORK_ERROR }) } else { Work::default() };
+        let error = weights.mean_square_of(self.u[T::STAGES - 1], [&self.start[1], &end[1]], judged).sqrt();
         if error.is_nan() || error > 1.0 {
             return (error, None);
         }
-        let work = match allowed.work(settings, system.follows_work(), || self.work(system, const { &T::WORK })) {
+        let work = match weights.work(settings, system.follows_work(), || self.work(system, const { &T::WORK })) {
             Ok(work) => work,
             Err(error) => return (error, None),
         };
         let at_end = origin.turned(system, &(end[0] - self.start[0]));
-        let landed = WayBack { inverse: &self.inverse, h: self.h }.land(system, settings, (end, at_end), kept);
-        (error, landed.map(|landing| Landing { work, ..landing }))
+        let step_result =
+            ConstraintReturn { inverse: &self.inverse, h: self.h }.conclude(system, settings, (end, at_end), energy_target);
+        (error, step_result.map(|step_end| StepResult { work, ..step_end }))
     }
 
     fn fastest_rate<const M: usize>(&self, _: &State<N, M>) -> f64 {
         self.fastest
     }
 
-    fn dense<const M: usize>(&mut self, _: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [Slope<N>; 4] {
+    fn dense<const M: usize>(&mut self, _: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [StageDerivative<N>; 4] {
         let mut middle = [0.5 * (ends[0].q + ends[1].q), 0.5 * (ends[0].v + ends[1].v)];
         for (weight, u) in const { T::MIDDLE }.iter().zip(&self.u) {
             middle = [middle[0] + *weight * u[0], middle[1] + *weight * u[1]];

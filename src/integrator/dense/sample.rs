@@ -3,8 +3,8 @@
 use std::borrow::Borrow;
 
 use super::interpolant::Interpolant;
-use super::{DenseStep, Kind, Settings, hermite};
-use crate::integrator::{Counters, Kinked, Passage, State, System, Work};
+use super::{DenseStep, Scheme, Settings, hermite};
+use crate::integrator::{Counters, Events, Passage, State, System, Work};
 use crate::vector::Vector;
 
 /// What holds at the present time, between the ends of the step.
@@ -18,22 +18,28 @@ pub struct Sample<const N: usize, P> {
     pub pose: P,
     /// Work since the start, J.
     pub work: Work,
-    /// Changed [`System::modes`] since the beginning of the step count.
-    pub(super) modes: u8,
+    /// Changed [`System::configuration_signs`] since the beginning of the step count.
+    pub(super) configuration_signs: u8,
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Coordinates, rates and work at the present time, on the constraints: inside the step the interpolant projected, or as it is where
     /// the projection does not converge.
     #[inline]
-    pub fn sample<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    pub fn sample<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &self,
         system: &S,
         settings: &Settings,
     ) -> Sample<N, S::Pose> {
         let Self { end, .. } = self;
         if self.elapsed == self.length {
-            return Sample { q: end.q, v: end.v, pose: system.pose(&end.q), work: end.work, modes: end.modes };
+            return Sample {
+                q: end.q,
+                v: end.v,
+                pose: system.pose(&end.q),
+                work: end.work,
+                configuration_signs: end.configuration_signs,
+            };
         }
         if !self.is_shown(system, settings) {
             let mut redone = *self;
@@ -41,26 +47,26 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return redone.sample(system, settings);
             }
         }
-        let ([q, v], work) = self.interpolated(system.on(self.sides).borrow(), settings);
+        let ([q, v], work) = self.interpolated(system.on(self.mode).borrow(), settings);
         let (mut on_q, mut on_v) = (q, v);
         let projected =
-            if self.straight { None } else { settings.project(system.on(self.sides).borrow(), &mut on_q, &mut on_v).ok() };
+            if self.is_linear { None } else { settings.project(system.on(self.mode).borrow(), &mut on_q, &mut on_v).ok() };
         let (q, v, pose) = projected.map_or_else(|| (q, v, system.pose(&q)), |(_, pose, _)| (on_q, on_v, pose));
-        let modes = system.modes(&pose);
-        Sample { q, v, pose, work, modes }
+        let configuration_signs = system.configuration_signs(&pose);
+        Sample { q, v, pose, work, configuration_signs }
     }
 
     /// Whether what is shown between the ends is the interpolant.
     #[inline]
-    fn is_shown<S: Kinked<N> + System<N, M>>(&self, system: &S, settings: &Settings) -> bool {
-        !system.is_steep() || self.straight || self.interpolates_well(settings)
+    fn is_shown<S: Events<N> + System<N, M>>(&self, system: &S, settings: &Settings) -> bool {
+        !system.has_stiff_forces() || self.is_linear || self.interpolates_well(settings)
     }
 
     /// What is dissipated until the present time, inside the step, as far as it is shown, J.
-    pub(super) fn dissipated<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(&self, system: &S, settings: &Settings) -> f64 {
+    pub(super) fn dissipated<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&self, system: &S, settings: &Settings) -> f64 {
         let Self { start, end, .. } = self;
         if end.work.dissipated > start.work.dissipated && self.is_shown(system, settings) {
-            self.interpolated(system.on(self.sides).borrow(), settings).1.dissipated
+            self.interpolated(system.on(self.mode).borrow(), settings).1.dissipated
         } else {
             start.work.dissipated
         }
@@ -70,36 +76,36 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     pub fn record<const A: usize, const B: usize, P>(&self, sample: &Sample<N, P>, to: &mut State<A, B>) {
         // What the step has done counts when time has passed its end; that it started from rest in a vertex, at once.
         let passed = if self.elapsed == self.length { &self.end } else { &self.start };
-        to.modes = passed.modes;
+        to.configuration_signs = passed.configuration_signs;
         to.counters = Counters { launches: self.end.counters.launches, ..passed.counters };
-        to.observe_modes(sample.modes);
+        to.count_sign_changes(sample.configuration_signs);
         to.work = sample.work;
         to.substep = self.end.substep;
         to.error_estimate = self.end.error_estimate;
         to.alternatives = self.end.alternatives;
-        to.on_ray = self.straight;
+        to.on_ray = self.is_linear;
     }
 
     /// What the interpolant says at the present time, inside the step.
     #[inline]
-    fn interpolated<S: System<N, M> + Passage<N> + Kinked<N>>(&self, system: &S, settings: &Settings) -> ([Vector<N>; 2], Work) {
+    fn interpolated<S: System<N, M> + Passage<N> + Events<N>>(&self, system: &S, settings: &Settings) -> ([Vector<N>; 2], Work) {
         let Self { start, length, .. } = self;
         let part = self.elapsed / length;
         let [q, v] = self.moved(part);
         let work = if system.follows_work() {
             let (mut end, ends_with) = (self.balanced_end(system, settings), self.end.work.dissipated);
             // What springs that have let go lose is known at any place.
-            let mut released = 0.0;
-            if system.has_kinks() {
-                end.work.dissipated -= self.released(system, [&end.q, &end.v]);
-                released = self.released(system, [&q, &v]);
+            let mut separation_energy = 0.0;
+            if system.has_events() {
+                end.work.dissipated -= self.separation_energy(system, [&end.q, &end.v]);
+                separation_energy = self.separation_energy(system, [&q, &v]);
             }
             let mut higher = self.dense.map(|slope| slope.power.pair());
-            if self.kind != Kind::Eighth && !self.straight {
+            if self.scheme != Scheme::Dop853 && !self.is_linear {
                 higher[0] = hermite::of_work(system, [start, &end], *length, &self.positions()).pair();
             }
             let mut work = worked(&works([start, &end], *length, higher), part);
-            work.dissipated = (work.dissipated.min(end.work.dissipated) + released).min(ends_with);
+            work.dissipated = (work.dissipated.min(end.work.dissipated) + separation_energy).min(ends_with);
             work
         } else {
             start.work
@@ -117,11 +123,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     pub(super) fn moved(&self, part: f64) -> [Vector<N>; 2] {
         let Self { start, end, .. } = self;
         let q = self.positions().at(part);
-        let v = match self.kind {
-            _ if self.straight => start.v + part * (end.v - start.v),
-            Kind::Eighth => self.velocities().at(part),
+        let v = match self.scheme {
+            _ if self.is_linear => start.v + part * (end.v - start.v),
+            Scheme::Dop853 => self.velocities().at(part),
             // One polynomial for both.
-            Kind::Fifth | Kind::StiffFourth | Kind::StiffFifth => (1.0 / self.length) * self.positions().rate_at(part),
+            Scheme::Tsit5 | Scheme::Rodas4 | Scheme::Rodas5p => (1.0 / self.length) * self.positions().rate_at(part),
         };
         [q, v]
     }

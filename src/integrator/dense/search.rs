@@ -5,8 +5,8 @@ use std::cell::Cell;
 
 use super::events::{AT_BORDER, CROSSED, NEAR_ENOUGH};
 use super::interpolant::Interpolant;
-use super::{DenseStep, Kind, Settings};
-use crate::integrator::{Extremes, Kinked};
+use super::{DenseStep, Scheme, Settings};
+use crate::integrator::{Events, Extremes};
 use crate::vector::Vector;
 
 /// Parabolas are trusted for what grips hold on stretches of this part of the step at most.
@@ -27,12 +27,12 @@ const MOST_PLACES: u32 = 200;
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// When the motion of the step first crosses a border. The interpolant's coefficients must be there.
     #[inline(never)]
-    pub(super) fn first_crossing<S: Kinked<N>>(&self, system: &S, settings: &Settings, from: S::Touches) -> Found {
+    pub(super) fn first_crossing<S: Events<N>>(&self, system: &S, settings: &Settings, from: S::GuardValues) -> Found {
         let motion = self.resolved_motion();
         let extremes = self.extremes(&motion);
         let search =
             Search { step: self, system, tolerance: settings.error_tolerance, motion, extremes, left: Cell::new(MOST_PLACES) };
-        let to = system.touches(&self.end.q, &self.end.v);
+        let to = system.guard_values(&self.end.q, &self.end.v);
         match search.first(&search.place(0.0, from), &search.place(1.0, to)) {
             _ if search.left.get() == 0 => Found::TooMuch,
             Some(part) => Found::Crossing(self.length * part),
@@ -54,7 +54,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         const ROUND_OFF: f64 = 4.0 * f64::EPSILON;
         let Self { start, end, length, .. } = self;
         let mut moved = end.q - start.q;
-        if self.kind == Kind::Eighth {
+        if self.scheme == Scheme::Dop853 {
             let velocities = self.velocities();
             let way = GAUSS.iter().fold(Vector::ZERO, |sum, [part, weight]| sum + weight * length * velocities.at(*part));
             let is_round_off = |i: usize| (way[i] - moved[i]).abs() <= ROUND_OFF * (1.0 + end.q[i].abs());
@@ -85,12 +85,12 @@ pub(super) enum Found {
 }
 
 /// A place on the interpolant of a step.
-struct Place<T> {
+struct Probe<T> {
     /// Part of the step.
     part: f64,
-    touches: T,
+    guard_values: T,
     /// How far beyond the borders it is.
-    beyond: f64,
+    guard_residual: f64,
 }
 
 /// A search of the interpolant of a step for the first border that it crosses.
@@ -106,25 +106,25 @@ struct Search<'a, S, const N: usize, const M: usize, K> {
     left: Cell<u32>,
 }
 
-impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'_, S, N, M, K> {
-    fn place(&self, part: f64, touches: S::Touches) -> Place<S::Touches> {
-        let beyond = self.system.beyond(&touches, self.tolerance);
-        Place { part, touches, beyond }
+impl<S: Events<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'_, S, N, M, K> {
+    fn place(&self, part: f64, guard_values: S::GuardValues) -> Probe<S::GuardValues> {
+        let guard_residual = self.system.guard_residual(&guard_values, self.tolerance);
+        Probe { part, guard_values, guard_residual }
     }
 
-    fn at(&self, part: f64) -> Place<S::Touches> {
+    fn at(&self, part: f64) -> Probe<S::GuardValues> {
         self.left.set(self.left.get().saturating_sub(1));
         // One polynomial for both, which the bounds are of.
         let (q, v) = (self.step.start.q + self.motion.at(part), (1.0 / self.step.length) * self.motion.rate_at(part));
-        self.place(part, self.system.touches(&q, &v))
+        self.place(part, self.system.guard_values(&q, &v))
     }
 
     /// The part of the step at which the first border is crossed between two places, of which the first is not beyond any.
-    fn first(&self, from: &Place<S::Touches>, to: &Place<S::Touches>) -> Option<f64> {
-        if to.beyond > CROSSED {
+    fn first(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Option<f64> {
+        if to.guard_residual > CROSSED {
             // Somewhere it is crossed; whether it, or another one, is crossed before, too, the way there says.
             let at = self.border_between(from, to);
-            let before = if at.beyond <= CROSSED { self.first(from, &at) } else { None };
+            let before = if at.guard_residual <= CROSSED { self.first(from, &at) } else { None };
             return before.or(Some(at.part));
         }
         let stretch = to.part - from.part;
@@ -132,18 +132,19 @@ impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
             return None;
         }
         let duration = stretch * self.step.length;
-        let stays = self.system.stays_within([&from.touches, &to.touches], duration, &self.extremes, self.tolerance);
-        if stays && !self.system.holds_in_motion(&from.touches) {
+        let stays = self.system.stays_within([&from.guard_values, &to.guard_values], duration, &self.extremes, self.tolerance);
+        if stays && !self.system.sticks_in_motion(&from.guard_values) {
             return None;
         }
         let middle = self.at(0.5 * (from.part + to.part));
-        if stays && middle.beyond <= CROSSED && stretch <= COARSEST_SUMMIT {
-            let places = [from, &middle, to].map(|place| [place.part, self.system.strain(&place.touches, self.tolerance)]);
-            if holds_on(places) {
+        if stays && middle.guard_residual <= CROSSED && stretch <= COARSEST_SUMMIT {
+            let places =
+                [from, &middle, to].map(|place| [place.part, self.system.holding_margin(&place.guard_values, self.tolerance)]);
+            if maximum_is_below(places) {
                 return None;
             }
             if stretch <= FINEST_SUMMIT {
-                return self.over_summit(from, places);
+                return self.refine_maximum(from, places);
             }
         }
         self.first(from, &middle).or_else(|| self.first(&middle, to))
@@ -151,7 +152,7 @@ impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
 
     /// The same where what grips hold has one summit at most: by parabolas through the highest places.
     #[cold]
-    fn over_summit(&self, from: &Place<S::Touches>, [mut left, mut top, mut right]: [[f64; 2]; 3]) -> Option<f64> {
+    fn refine_maximum(&self, from: &Probe<S::GuardValues>, [mut left, mut top, mut right]: [[f64; 2]; 3]) -> Option<f64> {
         for _ in 0..SUMMIT_ROUNDS {
             let slope = |[x, y]: [f64; 2], [z, w]: [f64; 2]| (w - y) / (z - x);
             let (rise, bend) = (slope(left, top), slope(left, top) - slope(top, right));
@@ -161,10 +162,10 @@ impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
                 return None;
             }
             let place = self.at(part);
-            if place.beyond > CROSSED {
+            if place.guard_residual > CROSSED {
                 return self.first(from, &place);
             }
-            let summit = [part, self.system.strain(&place.touches, self.tolerance)];
+            let summit = [part, self.system.holding_margin(&place.guard_values, self.tolerance)];
             [left, top, right] = match (part < top[0], summit[1] > top[1]) {
                 (true, true) => [left, summit, top],
                 (true, false) => [summit, top, right],
@@ -176,16 +177,16 @@ impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
     }
 
     /// Where the motion is at a border, between a place before it and one beyond: by false position (Anderson and Björck, *BIT* 13, 1973).
-    fn border_between(&self, from: &Place<S::Touches>, to: &Place<S::Touches>) -> Place<S::Touches> {
+    fn border_between(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Probe<S::GuardValues> {
         let [mut before, mut after] = [from.part, to.part];
         // Of the function only the sign and the size near the border matter.
-        let (mut low, mut high) = ((from.beyond - AT_BORDER).max(-1e12), to.beyond - AT_BORDER);
-        let mut last_beyond = None;
+        let (mut low, mut high) = ((from.guard_residual - AT_BORDER).max(-1e12), to.guard_residual - AT_BORDER);
+        let mut last_was_positive = None;
         if low < 0.0 {
             for _ in 0..ROUNDS {
                 let part = after - high * (after - before) / (high - low);
                 let place = self.at(part);
-                let here = place.beyond - AT_BORDER;
+                let here = place.guard_residual - AT_BORDER;
                 if here.abs() <= 0.5 * NEAR_ENOUGH {
                     return place;
                 }
@@ -193,15 +194,15 @@ impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
                     break;
                 }
                 // The value at an end that stays twice in a row counts less.
-                let beyond = here > 0.0;
-                let (value, opposite) = if beyond { (high, &mut low) } else { (low, &mut high) };
-                if last_beyond == Some(beyond) {
+                let guard_residual = here > 0.0;
+                let (value, opposite) = if guard_residual { (high, &mut low) } else { (low, &mut high) };
+                if last_was_positive == Some(guard_residual) {
                     let less = 1.0 - here / value;
                     // Where another border was the farthest so far the values tell nothing of the slope there.
                     *opposite *= if less > 0.0 { less.max(0.1) } else { 0.5 };
                 }
-                last_beyond = Some(beyond);
-                if beyond {
+                last_was_positive = Some(guard_residual);
+                if guard_residual {
                     (after, high) = (part, here);
                 } else {
                     (before, low) = (part, here);
@@ -214,7 +215,7 @@ impl<S: Kinked<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
 
 /// Whether what grips hold has no summit above what they can hold between three places as far from each other: that of the parabola
 /// through all of them, with a margin.
-fn holds_on([[_, from], [_, middle], [_, to]]: [[f64; 2]; 3]) -> bool {
+fn maximum_is_below([[_, from], [_, middle], [_, to]]: [[f64; 2]; 3]) -> bool {
     /// A parabola rises above its chords by an eighth of its second difference.
     const ABOVE: f64 = 0.5;
     from.max(to).max(middle) + ABOVE * (from - 2.0 * middle + to).abs() <= CROSSED

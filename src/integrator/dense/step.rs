@@ -3,15 +3,15 @@
 use std::borrow::Borrow;
 
 use super::dop853::Stages;
-use super::events::Border;
-use super::kind::Seen;
+use super::events::EventCheck;
 use super::plan::{Outcome, Plan, Try};
 use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock, Shared};
-use super::trial::{Allowed, Landing, Origin, RATE, Slope, Trial};
+use super::scheme::AcceptedStep;
+use super::trial::{ErrorWeights, Origin, RATE, StageDerivative, StepResult, Trial};
 use super::tsit5::Tsit5;
-use super::{DenseStep, Horizon, Kind, Kinds, Settings};
+use super::{DenseStep, Horizon, Scheme, Schemes, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
-use crate::integrator::{Approach, EnergyBalance, Kinked, Passage, PassageLimits, State, StepError, System};
+use crate::integrator::{Approach, EnergyBalance, Events, Passage, PassageLimits, State, StepError, System};
 
 /// A step below this, s, that is rejected is not made shorter.
 pub(super) const SHORTEST: f64 = 1e-15;
@@ -35,7 +35,7 @@ const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The next step: its beginning is the end of the one under way, whose pose may be known already.
     #[inline(never)]
-    pub(super) fn step<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    pub(super) fn step<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -52,39 +52,39 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
         };
         self.choose_by_tangents(system, settings, horizon.limit);
-        let longest = if system.has_grips() { longest.min(self.longest_at_rest(system, settings)) } else { longest };
+        let longest = if system.has_stick_slip() { longest.min(self.longest_at_rest(system, settings)) } else { longest };
         // Where friction may hold, steps are explicit ones of order 8, and next to a vertex, where tangents are those of round-off.
-        let kind = if system.has_grips() || near && !system.can_project(&self.start.q) {
-            Kind::Eighth
+        let scheme = if system.has_stick_slip() || near && !system.can_project(&self.start.q) {
+            Scheme::Dop853
         } else {
-            settings.kinds.next(&self.memory.choice, settings.error_tolerance, horizon.limit)
+            settings.schemes.next(&self.memory.stiffness_switch, settings.error_tolerance, horizon.limit)
         };
-        let lasting = self.settle(system, settings);
-        let wanted = match kind {
-            Kind::Fifth if self.memory.choice.fifth.is_finite() => self.memory.choice.fifth,
-            Kind::Fifth => settings.first_step,
+        let lasting = self.reinitialize(system, settings);
+        let wanted = match scheme {
+            Scheme::Tsit5 if self.memory.stiffness_switch.fifth.is_finite() => self.memory.stiffness_switch.fifth,
+            Scheme::Tsit5 => settings.first_step,
             _ if self.start.substep.is_finite() => self.start.substep,
             _ => settings.first_step,
         };
         let h = wanted.min(longest).min(LONGEST).min(lasting);
-        if system.has_grips() && system.on(self.sides).borrow().is_at_rest() {
+        if system.has_stick_slip() && system.on(self.mode).borrow().is_at_rest() {
             self.length = longest.min(LONGEST);
             self.end = self.start;
             self.end.counters.substeps += 1;
             return Ok(());
         }
         let plan = Plan { h, wanted, longest, near, seeks_borders: true, horizon, pose };
-        match kind {
-            Kind::Fifth => self.attempt::<Tsit5<N>, S>(system, settings, &plan),
-            Kind::Eighth => self.attempt::<Stages<N>, S>(system, settings, &plan),
-            Kind::StiffFourth => self.attempt::<Rosenbrock<Rodas4, N>, S>(system, settings, &plan),
-            Kind::StiffFifth => self.attempt::<Rosenbrock<Rodas5p, N>, S>(system, settings, &plan),
+        match scheme {
+            Scheme::Tsit5 => self.attempt::<Tsit5<N>, S>(system, settings, &plan),
+            Scheme::Dop853 => self.attempt::<Stages<N>, S>(system, settings, &plan),
+            Scheme::Rodas4 => self.attempt::<Rosenbrock<Rodas4, N>, S>(system, settings, &plan),
+            Scheme::Rodas5p => self.attempt::<Rosenbrock<Rodas5p, N>, S>(system, settings, &plan),
         }
     }
 
     /// The kind that a run begins with is chosen by its tangents, and after many explicit steps they are asked again.
     #[inline]
-    fn choose_by_tangents<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    fn choose_by_tangents<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -92,23 +92,24 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) {
         let at_start = self.start.counters.substeps == 0;
         // Where friction may hold there is no choice.
-        let asks = settings.kinds == Kinds::Automatic && !system.has_grips() && (at_start || self.memory.choice.is_probing());
+        let asks = settings.schemes == Schemes::Automatic
+            && !system.has_stick_slip()
+            && (at_start || self.memory.stiffness_switch.is_probing());
         if asks
-            && system.is_steep()
-            && let Some(shared) =
-                Shared::about(system.on(self.sides).borrow(), settings, (&self.start, &system.pose(&self.start.q)))
+            && system.has_stiff_forces()
+            && let Some(shared) = Shared::about(system.on(self.mode).borrow(), settings, (&self.start, &system.pose(&self.start.q)))
         {
-            let choice = &mut self.memory.choice;
+            let stiffness_switch = &mut self.memory.stiffness_switch;
             match at_start {
-                true => choice.begin(settings.first_step.min(limit), shared.fastest),
-                false => choice.probe(self.start.substep, shared.fastest),
+                true => stiffness_switch.begin(settings.first_step.min(limit), shared.fastest),
+                false => stiffness_switch.probe(self.start.substep, shared.fastest),
             }
         }
     }
 
     /// A step of one kind, as long as the error allows.
     #[inline(never)]
-    fn attempt<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    fn attempt<T: Trial<N>, S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -119,12 +120,12 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             Some(pose) => Origin::new(system, &self.start.q, pose, settings.regularization),
             None => Origin::new(system, &self.start.q, &system.pose_in_place(&self.start.q), settings.regularization),
         };
-        let mut on_sides = system.on(self.sides);
-        let mut shared = T::prepare(on_sides.borrow(), settings, (&self.start, &origin));
+        let mut in_mode = system.on(self.mode);
+        let mut shared = T::prepare(in_mode.borrow(), settings, (&self.start, &origin));
         let mut this = Try::of(plan.h);
         loop {
             let Some(prepared) = &shared else { return self.attempt::<Stages<N>, S>(system, settings, plan) };
-            match self.try_once::<T, S>(on_sides.borrow(), settings, plan, (prepared, &origin), &this) {
+            match self.try_once::<T, S>(in_mode.borrow(), settings, plan, (prepared, &origin), &this) {
                 Outcome::Accepted => return Ok(()),
                 Outcome::Crosses(when) => {
                     self.retract();
@@ -133,8 +134,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                     if when < SHORTEST {
                         this.shown_by = f64::INFINITY;
                         self.turn(system, settings);
-                        on_sides = system.on(self.sides);
-                        shared = T::prepare(on_sides.borrow(), settings, (&self.start, &origin));
+                        in_mode = system.on(self.mode);
+                        shared = T::prepare(in_mode.borrow(), settings, (&self.start, &origin));
                     } else {
                         this.shown_by = this.h;
                         this.h = when.min(plan.longest);
@@ -157,44 +158,44 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// One try. A function of its own, so that nothing is made ready for another one: most steps take one.
     #[inline(never)]
-    pub(super) fn try_once<T: Trial<N>, S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    pub(super) fn try_once<T: Trial<N>, S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         on: &S,
         settings: &Settings,
         plan: &Plan<'_, S::Pose>,
-        (prepared, origin): (&T::Shared, &Origin<S::Place, N>),
+        (prepared, origin): (&T::Shared, &Origin<S::TrigBase, N>),
         &Try { h, rejected, cuts, shown_by }: &Try,
     ) -> Outcome {
         let &Plan { wanted, near, seeks_borders, horizon, .. } = plan;
-        let kept = if near { self.kept(on, h) } else { None };
+        let energy_target = if near { self.energy_target(on, h) } else { None };
         let mut trial = T::new(on, prepared, (&self.start, origin), h);
-        let (error, landing) = trial.land(on, settings, origin, &settings.allowed_of(on), kept);
-        let Some(landing) = landing else { return Outcome::Rejected(error) };
-        self.accept(&landing, h, T::KIND);
+        let (error, step_result) = trial.conclude(on, settings, origin, &settings.error_weights(on), energy_target);
+        let Some(step_result) = step_result else { return Outcome::Rejected(error) };
+        self.accept(&step_result, h, T::KIND);
         let mut tried = f64::INFINITY;
-        if on.has_kinks() && seeks_borders {
+        if on.has_events() && seeks_borders {
             let start = self.start;
             let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
-            match self.border(on, settings, &mut dense, cuts) {
+            match self.event_check(on, settings, &mut dense, cuts) {
                 // Nothing is where the interpolant of a longer step has shown a border.
-                Border::Clear => tried = shown_by,
-                Border::AtEnd => {
-                    self.sides_behind = on.behind(&self.end.q, &self.end.v, settings.error_tolerance);
+                EventCheck::Clear => tried = shown_by,
+                EventCheck::AtEnd => {
+                    self.next_mode_at_end = on.next_mode(&self.end.q, &self.end.v, settings.error_tolerance);
                     tried = if self.cut_from > 0.0 { self.cut_from } else { shown_by };
                     tried = if self.length < LITTLE * tried { tried } else { f64::INFINITY };
                 }
-                Border::Before(when) => return Outcome::Crosses(when),
-                Border::Off(error) => {
+                EventCheck::Before(when) => return Outcome::Crosses(when),
+                EventCheck::Off(error) => {
                     self.retract();
-                    self.sides_behind = self.sides;
+                    self.next_mode_at_end = self.mode;
                     return Outcome::Rejected(error);
                 }
             }
         }
         let interpolated = horizon.output < WITH_ROUNDING * h;
         // Where a kink was near, the search for it has left the coefficients.
-        let is_cut = on.has_kinks() && self.cut_from > 0.0;
-        if interpolated && !(is_cut || on.has_kinks() && self.dense != [Slope::NONE; 4]) {
+        let is_cut = on.has_events() && self.cut_from > 0.0;
+        if interpolated && !(is_cut || on.has_events() && self.dense != [StageDerivative::NONE; 4]) {
             self.dense = trial.dense(on, settings.regularization, [&self.start, &self.balanced_end(on, settings)]);
         }
         self.end.error_estimate = error * settings.error_tolerance;
@@ -202,16 +203,16 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let next = self.next_by::<T>();
         *next = next.min((TRUSTED * tried).max(SHORTEST));
         // Friction that sticks leaves no choice: nothing is to be learned from its steps. Nor from one that ends where it has no stage.
-        let chooses = settings.kinds == Kinds::Automatic;
-        if chooses && !on.has_grips() && !is_cut {
+        let chooses = settings.schemes == Schemes::Automatic;
+        if chooses && !on.has_stick_slip() && !is_cut {
             let (product, wanted) = (h * trial.fastest_rate(&self.end), *self.next_by::<T>());
-            self.memory.choice.learn(&Seen {
-                kind: T::KIND,
+            self.memory.stiffness_switch.learn(&AcceptedStep {
+                scheme: T::KIND,
                 length: h,
                 product,
                 wanted,
                 limit: horizon.limit,
-                steep: on.is_steep(),
+                stiff_forces: on.has_stiff_forces(),
             });
         } else if !chooses && !is_cut && self.memory.stiffness.is_due(self.end.counters.substeps) {
             self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
@@ -221,14 +222,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// The energy that a step of h seconds keeps: one made once more keeps the same.
     #[inline]
-    pub(super) fn kept<S: Passage<N>>(&self, system: &S, h: f64) -> Option<(EnergyBalance, f64)> {
+    pub(super) fn energy_target<S: Passage<N>>(&self, system: &S, h: f64) -> Option<(EnergyBalance, f64)> {
         system.energy_to_keep(&self.start.q, &self.start.v).map(|energy| (energy, h))
     }
 
     /// Whether the forces at the end of the step have not been asked for: inputs are expected to change there, and those of the next step
     /// to be other ones.
     fn is_open_ended(&self) -> bool {
-        self.kind == Kind::Fifth && self.length > 0.0 && !self.straight
+        self.scheme == Scheme::Tsit5 && self.length > 0.0 && !self.is_linear
     }
 
     /// The end of the step with the accelerations, multipliers and power of its own system, which is on the sides of the step.
@@ -241,7 +242,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Time has passed the end of the step, where this is the pose, if it is known.
-    fn begin<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    fn begin<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -250,22 +251,22 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if self.is_open_ended() {
             let fresh = pose.is_none().then(|| system.pose(&self.end.q));
             if let Some(pose) = pose.or(fresh.as_ref()) {
-                self.end.balance(system.on(self.sides).borrow(), pose, settings.regularization);
+                self.end.balance(system.on(self.mode).borrow(), pose, settings.regularization);
             }
         }
         self.start = self.end;
         self.before = self.memory;
         self.elapsed = 0.0;
-        self.dense = [Slope::NONE; 4];
-        self.straight = false;
+        self.dense = [StageDerivative::NONE; 4];
+        self.is_linear = false;
     }
 
     /// The step has reached its end.
     #[inline]
-    pub(super) fn accept(&mut self, landing: &Landing<N, M>, h: f64, kind: Kind) {
-        let Landing { iterations, arrival, work } = landing;
-        (self.length, self.kind) = (h, kind);
-        self.end.arrive(arrival);
+    pub(super) fn accept(&mut self, step_result: &StepResult<N, M>, h: f64, scheme: Scheme) {
+        let StepResult { iterations, end_state, work } = step_result;
+        (self.length, self.scheme) = (h, scheme);
+        self.end.arrive(end_state);
         self.end.counters.iterations += u64::from(*iterations);
         self.end.work += *work;
     }
@@ -274,7 +275,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// of the interpolant meet. Other kinds have one polynomial for both.
     #[cold]
     pub(super) fn interpolates_well(&self, settings: &Settings) -> bool {
-        if self.kind != Kind::Eighth {
+        if self.scheme != Scheme::Dop853 {
             return true;
         }
         let (positions, velocities) = (self.positions(), self.velocities());
@@ -282,8 +283,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let v = velocities.at(part);
             let defect = positions.rate_at(part) - self.length * v;
             (0..N).all(|i| {
-                let allowed = MOST_TOLERANCES_OFF * settings.error_tolerance * (RATE + v[i].abs()) * self.length;
-                defect[i].abs() <= allowed + ROUND_OFF * (1.0 + self.end.q[i].abs())
+                let weights = MOST_TOLERANCES_OFF * settings.error_tolerance * (RATE + v[i].abs()) * self.length;
+                defect[i].abs() <= weights + ROUND_OFF * (1.0 + self.end.q[i].abs())
             })
         })
     }
@@ -310,7 +311,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// The step that one of a kind wants next, s.
     fn next_by<T: Trial<N>>(&mut self) -> &mut f64 {
-        if T::KIND == Kind::Fifth { &mut self.memory.choice.fifth } else { &mut self.end.substep }
+        if T::KIND == Scheme::Tsit5 { &mut self.memory.stiffness_switch.fifth } else { &mut self.end.substep }
     }
 }
 
@@ -318,13 +319,13 @@ impl Settings {
     /// What a step may be off. The work of forces with kinks is as large as they are, and the motion does not tell how well it is
     /// known.
     #[inline]
-    pub(super) fn allowed_of<const N: usize>(&self, system: &impl Kinked<N>) -> Allowed {
-        let rate = RATE.min(TURN * system.turning_rate() / self.error_tolerance);
-        Allowed {
+    pub(super) fn error_weights<const N: usize>(&self, system: &impl Events<N>) -> ErrorWeights {
+        let rate = RATE.min(TURN * system.regularization_velocity() / self.error_tolerance);
+        ErrorWeights {
             coordinate: self.error_tolerance,
             rate,
-            work: system.has_kinks().then_some(self.error_tolerance * self.energy_scale),
-            bends: system.has_bends(),
+            work: system.has_events().then_some(self.error_tolerance * self.energy_scale),
+            has_sharp_nonlinearity: system.has_sharp_nonlinearity(),
         }
     }
 

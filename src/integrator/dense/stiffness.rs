@@ -6,7 +6,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::rosenbrock::Shared;
 use super::{DenseStep, Settings};
-use crate::integrator::{Kinked, System};
+use crate::integrator::{Events, System};
 
 /// Accepted steps between two checks: a power of two, which counts are told by without a division.
 const INTERVAL: u64 = 1024;
@@ -22,7 +22,7 @@ const NONSTIFF_STEPS: u8 = 6;
 const STILL: f64 = 1e3;
 /// there a step times the fastest rate is at most this, within the border of stability, at which errors say nothing until accelerations are as
 /// large as rates may be off.
-const FADES: f64 = 5.0;
+const STABILITY_LIMIT_AT_REST: f64 = 5.0;
 
 /// What has been seen of the border of stability.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -69,11 +69,11 @@ impl Stiffness {
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// The longest step in which what springs do fades where friction lets nothing else move, s.
     #[cold]
-    pub(super) fn longest_at_rest<S: System<N, M> + Kinked<N, Sides = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
-        let on = system.on(self.sides);
+    pub(super) fn longest_at_rest<S: System<N, M> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
+        let on = system.on(self.mode);
         let rate = &mut self.memory.stiffness.held;
         // Where nothing can move nothing has to fade.
-        if on.borrow().is_at_rest() || system.angle_norm(&self.start.v) > STILL * settings.error_tolerance {
+        if on.borrow().is_at_rest() || system.error_norm(&self.start.v) > STILL * settings.error_tolerance {
             *rate = None;
             return f64::INFINITY;
         }
@@ -81,6 +81,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let shared = Shared::about(on.borrow(), settings, (&self.start, &system.pose(&self.start.q)));
             shared.map(|shared| shared.fastest).filter(|rate| rate.is_finite()).unwrap_or_default()
         };
-        FADES / *rate.get_or_insert_with(by_tangents)
+        STABILITY_LIMIT_AT_REST / *rate.get_or_insert_with(by_tangents)
     }
 }

@@ -2,10 +2,10 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::{Kind, Settings};
+use super::{Scheme, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::equilibrium::acceleration_near;
-use crate::integrator::state::Arrival;
+use crate::integrator::state::StepEnd;
 use crate::integrator::{EnergyBalance, Passage, State, System, Work};
 use crate::vector::Vector;
 use wide::f64x2;
@@ -21,7 +21,7 @@ pub(super) use for_each;
 /// One step of a kind, made but not accepted yet.
 pub(super) trait Trial<const N: usize>: Sized {
     /// Which.
-    const KIND: Kind;
+    const KIND: Scheme;
     /// What all tries from one state share.
     type Shared;
     /// How the next step follows from the error of this one.
@@ -31,60 +31,65 @@ pub(super) trait Trial<const N: usize>: Sized {
     fn prepare<const M: usize, S: System<N, M>>(
         system: &S,
         settings: &Settings,
-        from: (&State<N, M>, &Origin<S::Place, N>),
+        from: (&State<N, M>, &Origin<S::TrigBase, N>),
     ) -> Option<Self::Shared>;
 
-    /// A step of h seconds, to be made by [`land`](Self::land) at the latest.
+    /// A step of h seconds, to be made by [`conclude`](Self::land) at the latest.
     fn new<const M: usize, S: System<N, M>>(
         system: &S,
         shared: &Self::Shared,
-        from: (&State<N, M>, &Origin<S::Place, N>),
+        from: (&State<N, M>, &Origin<S::TrigBase, N>),
         h: f64,
     ) -> Self;
 
     /// Its error in units of what is allowed, and where it leads, on the constraints, if that is 1 at most; near a vertex
     /// with the energy there, so many seconds before.
-    fn land<const M: usize, S: System<N, M> + Passage<N>>(
+    fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
         &mut self,
         system: &S,
         settings: &Settings,
-        origin: &Origin<S::Place, N>,
-        allowed: &Allowed,
-        kept: Option<(EnergyBalance, f64)>,
-    ) -> (f64, Option<Landing<N, M>>);
+        origin: &Origin<S::TrigBase, N>,
+        weights: &ErrorWeights,
+        energy_target: Option<(EnergyBalance, f64)>,
+    ) -> (f64, Option<StepResult<N, M>>);
 
     /// The fastest rate of change, 1/s, that a step to this end shows.
     fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64;
 
     /// The higher coefficients of the interpolant between its ends.
-    fn dense<const M: usize>(&mut self, system: &impl System<N, M>, regularization: f64, ends: [&State<N, M>; 2]) -> [Slope<N>; 4];
+    fn dense<const M: usize>(
+        &mut self,
+        system: &impl System<N, M>,
+        regularization: f64,
+        ends: [&State<N, M>; 2],
+    ) -> [StageDerivative<N>; 4];
 }
 
 /// Where a step leads.
-pub(super) struct Landing<const N: usize, const M: usize> {
+pub(super) struct StepResult<const N: usize, const M: usize> {
     /// Iterations of the projection.
     pub(super) iterations: u32,
-    pub(super) arrival: Arrival<N, M>,
+    pub(super) end_state: StepEnd<N, M>,
     /// Work on the way, J.
     pub(super) work: Work,
 }
 
-impl<const N: usize, const M: usize> Landing<N, M> {
+impl<const N: usize, const M: usize> StepResult<N, M> {
     /// Where it does no work, unless something there is not finite.
     #[inline(always)]
-    pub(super) fn at(iterations: u32, arrival: Arrival<N, M>) -> Option<Self> {
-        Self::after(Work::default(), iterations, arrival)
+    pub(super) fn at(iterations: u32, end_state: StepEnd<N, M>) -> Option<Self> {
+        Self::after(Work::default(), iterations, end_state)
     }
 
     /// The same after some work, J.
     #[inline(always)]
-    pub(super) fn after(work: Work, iterations: u32, arrival: Arrival<N, M>) -> Option<Self> {
-        arrival.is_finite().then_some(Self { iterations, arrival, work })
+    pub(super) fn after(work: Work, iterations: u32, end_state: StepEnd<N, M>) -> Option<Self> {
+        end_state.is_finite().then_some(Self { iterations, end_state, work })
     }
 }
 
 /// What the local error of a step may be.
-pub(super) struct Allowed {
+pub(super) struct ErrorWeights {
     /// Of a coordinate.
     pub(super) coordinate: f64,
     /// Of a rate, in what a coordinate may be off: this and its own magnitude, 1/s.
@@ -92,13 +97,13 @@ pub(super) struct Allowed {
     /// Of the work, J, where it is judged.
     pub(super) work: Option<f64>,
     /// Whether forces bend sharply without a kink.
-    pub(super) bends: bool,
+    pub(super) has_sharp_nonlinearity: bool,
 }
 
 /// A rate may be off by what a coordinate may, times this and its own magnitude, 1/s.
 pub(super) const RATE: f64 = 10.0;
 
-impl Allowed {
+impl ErrorWeights {
     /// The mean square of an error of q, q̇ and the work between rates at both ends of a step, in units of what is allowed.
     #[inline(always)]
     pub(super) fn mean_square<const N: usize>(
@@ -111,9 +116,9 @@ impl Allowed {
         let rates = v.with(&units, |v, unit| v * unit);
         let squares = q.with(&rates, |q, rate| q * q + rate * rate);
         let mean = squares.sum() / (2.0 * N as f64 * self.coordinate * self.coordinate);
-        let Some(allowed) = self.work else { return mean };
+        let Some(weights) = self.work else { return mean };
         let Work { input, dissipated } = work();
-        mean + (input * input + dissipated * dissipated) / (allowed * allowed)
+        mean + (input * input + dissipated * dissipated) / (weights * weights)
     }
 }
 
@@ -127,7 +132,7 @@ impl Settings {
     }
 }
 
-impl Allowed {
+impl ErrorWeights {
     /// The work of a step if it is followed, as [`Settings::credible`] has it; where there are kinks that is asked when it is known where the
     /// step ends.
     #[inline]
@@ -148,20 +153,25 @@ impl Allowed {
 
 /// The derivatives of q, q̇ and the work, or a sum of such.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub(super) struct Slope<const N: usize> {
+pub(super) struct StageDerivative<const N: usize> {
     pub(super) q: Vector<N>,
     pub(super) v: Vector<N>,
     pub(super) power: Work,
 }
 
-impl<const N: usize> Slope<N> {
+impl<const N: usize> StageDerivative<N> {
     pub(super) const NONE: Self = Self { q: Vector::ZERO, v: Vector::ZERO, power: Work { input: 0.0, dissipated: 0.0 } };
 
     /// Completes that of q̇ at a distance from an origin. One piece of code for all stages: written out for each of them it would not fit
     /// into what a processor keeps decoded.
     #[inline(never)]
-    pub(super) fn complete<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::Place, N>, by: &Vector<N>) {
-        match system.acceleration_by_weight(&origin.place, by, &self.q) {
+    pub(super) fn complete<const M: usize, S: System<N, M>>(
+        &mut self,
+        system: &S,
+        origin: &Origin<S::TrigBase, N>,
+        by: &Vector<N>,
+    ) {
+        match system.acceleration_by_weight(&origin.trig_base, by, &self.q) {
             // The power stays what it is before: none.
             Some(a) => self.v = a,
             None => self.complete_under_loads(system, origin, by),
@@ -170,35 +180,40 @@ impl<const N: usize> Slope<N> {
 
     /// The same for any forces. Out of line, so that where only weight acts there is little to save and restore.
     #[inline(never)]
-    fn complete_under_loads<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::Place, N>, by: &Vector<N>) {
-        let Origin { q, place, regularization } = origin;
-        (self.v, self.power) = acceleration_near(system, (q, place), by, &self.q, *regularization);
+    fn complete_under_loads<const M: usize, S: System<N, M>>(
+        &mut self,
+        system: &S,
+        origin: &Origin<S::TrigBase, N>,
+        by: &Vector<N>,
+    ) {
+        let Origin { q, trig_base, regularization } = origin;
+        (self.v, self.power) = acceleration_near(system, (q, trig_base), by, &self.q, *regularization);
     }
 }
 
 /// Where a step begins: its stages are not far away, and their poses are turned from there.
 pub(super) struct Origin<P, const N: usize> {
     q: Vector<N>,
-    place: P,
+    trig_base: P,
     /// e of the saddle-point systems, 1/kg.
     regularization: f64,
 }
 
 impl<P, const N: usize> Origin<P, N> {
     #[inline(always)]
-    pub(super) fn new<const M: usize, S: System<N, M, Place = P>>(
+    pub(super) fn new<const M: usize, S: System<N, M, TrigBase = P>>(
         system: &S,
         q: &Vector<N>,
         pose: &S::Pose,
         regularization: f64,
     ) -> Self {
-        Self { q: *q, place: system.place(pose), regularization }
+        Self { q: *q, trig_base: system.trig_base(pose), regularization }
     }
 
     /// The pose at a distance.
     #[inline(always)]
-    pub(super) fn turned<const M: usize, S: System<N, M, Place = P>>(&self, system: &S, by: &Vector<N>) -> S::Pose {
-        system.pose_near((&self.q, &self.place), by)
+    pub(super) fn turned<const M: usize, S: System<N, M, TrigBase = P>>(&self, system: &S, by: &Vector<N>) -> S::Pose {
+        system.pose_near((&self.q, &self.trig_base), by)
     }
 }
 
@@ -218,13 +233,13 @@ pub(super) fn rate_between<const N: usize>([dq, dv, da]: [Vector<N>; 3]) -> f64 
 
 #[cfg(test)]
 mod tests {
-    use super::super::Kinds;
+    use super::super::Schemes;
     use super::*;
 
     #[test]
     fn a_step_gives_nothing_back() {
         let settings = Settings {
-            kinds: Kinds::Automatic,
+            schemes: Schemes::Automatic,
             error_tolerance: 1e-6,
             energy_scale: 2.0,
             first_step: 1e-3,

@@ -5,8 +5,8 @@
 //! where inputs change; ours is made of the six.
 
 use super::hermite::{self, Knowing};
-use super::trial::{Allowed, Landing, Origin, Slope, Trial, for_each, rate_between};
-use super::{Kind, Settings};
+use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, for_each, rate_between};
+use super::{Scheme, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, System, Work};
 use crate::vector::Vector;
@@ -52,7 +52,7 @@ const WEIGHTS: [[f64; STAGES]; STAGES + 3] = [
 
 /// A step from a state, stage by stage.
 pub(super) struct Tsit5<const N: usize> {
-    slopes: [Slope<N>; STAGES],
+    slopes: [StageDerivative<N>; STAGES],
     start: [Vector<N>; 2],
     /// The step, s.
     h: f64,
@@ -79,16 +79,16 @@ impl<const N: usize> Tsit5<N> {
 
     /// How far q and q̇ at the place of a row are from the beginning.
     #[inline(always)]
-    fn way<const ROW: usize>(&self) -> [Vector<N>; 2] {
+    fn increment<const ROW: usize>(&self) -> [Vector<N>; 2] {
         self.sums::<ROW>().map(|sum| self.h * sum)
     }
 
     /// Evaluates the stages of the step, in place: what a function returns is copied.
     #[inline(never)]
-    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::Place, N>) {
+    fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::TrigBase, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
-                let [q, v] = self.way::<$stage>();
+                let [q, v] = self.increment::<$stage>();
                 self.slopes[$stage].q = self.start[1] + v;
                 self.slopes[$stage].complete(system, origin, &q);
                 if const { $stage >= STAGES - 2 } {
@@ -102,10 +102,10 @@ impl<const N: usize> Tsit5<N> {
     /// Estimated error in units of what is allowed. The estimate of order 3 is damped by that of order 2, as in DOP853 (Hairer, Nørsett,
     /// Wanner, *Solving Ordinary Differential Equations I*, section II.5, eq. 5.17): it falls with the fifth power of the step.
     #[inline(always)]
-    fn error(&self, allowed: &Allowed, v_end: &Vector<N>) -> f64 {
+    fn error(&self, weights: &ErrorWeights, v_end: &Vector<N>) -> f64 {
         let rates = [&self.start[1], v_end];
-        let fine = allowed.mean_square(self.sums::<ERROR>(), rates, || self.power::<ERROR>());
-        let damped = fine + allowed.mean_square(self.sums::<COARSE>(), rates, || self.power::<COARSE>());
+        let fine = weights.mean_square(self.sums::<ERROR>(), rates, || self.power::<ERROR>());
+        let damped = fine + weights.mean_square(self.sums::<COARSE>(), rates, || self.power::<COARSE>());
         // Both are 0 where nothing moves.
         if damped == 0.0 { 0.0 } else { self.h * fine / damped.sqrt() }
     }
@@ -117,7 +117,7 @@ impl<const N: usize> Tsit5<N> {
 }
 
 impl<const N: usize> Trial<N> for Tsit5<N> {
-    const KIND: Kind = Kind::Fifth;
+    const KIND: Scheme = Scheme::Tsit5;
     type Shared = ();
     const CONTROLLER: StepSizeController = StepSizeController {
         exponent: 1.0 / 5.0 - 0.75 * 0.04,
@@ -127,38 +127,38 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         failed: 0.3,
     };
 
-    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::Place, N>)) -> Option<()> {
+    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::TrigBase, N>)) -> Option<()> {
         Some(())
     }
 
     #[inline(always)]
-    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<S::Place, N>), h: f64) -> Self {
-        let mut slopes = [Slope::NONE; STAGES];
-        slopes[0] = Slope { q: from.v, v: from.a, power: from.power };
+    fn new<const M: usize, S: System<N, M>>(_: &S, (): &(), (from, _): (&State<N, M>, &Origin<S::TrigBase, N>), h: f64) -> Self {
+        let mut slopes = [StageDerivative::NONE; STAGES];
+        slopes[0] = StageDerivative { q: from.v, v: from.a, power: from.power };
         Self { slopes, start: [from.q, from.v], h, last: [Vector::ZERO; 2] }
     }
 
-    fn land<const M: usize, S: System<N, M> + Passage<N>>(
+    fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
         &mut self,
         system: &S,
         settings: &Settings,
-        origin: &Origin<S::Place, N>,
-        allowed: &Allowed,
-        kept: Option<(EnergyBalance, f64)>,
-    ) -> (f64, Option<Landing<N, M>>) {
+        origin: &Origin<S::TrigBase, N>,
+        weights: &ErrorWeights,
+        energy_target: Option<(EnergyBalance, f64)>,
+    ) -> (f64, Option<StepResult<N, M>>) {
         self.evaluate_all(system, origin);
-        let way = self.way::<END>();
-        let end = [self.start[0] + way[0], self.start[1] + way[1]];
-        let error = self.error(allowed, &end[1]);
+        let increment = self.increment::<END>();
+        let end = [self.start[0] + increment[0], self.start[1] + increment[1]];
+        let error = self.error(weights, &end[1]);
         if error.is_nan() || error > 1.0 {
             return (error, None);
         }
-        let work = match allowed.work(settings, system.follows_work(), || Work::default().plus(self.h, self.power::<END>())) {
+        let work = match weights.work(settings, system.follows_work(), || Work::default().plus(self.h, self.power::<END>())) {
             Ok(work) => work,
             Err(error) => return (error, None),
         };
-        let landed = settings.project_without_balance(system, (origin, way[0]), end, kept);
-        (error, landed.map(|landing| Landing { work, ..landing }))
+        let step_result = settings.project_without_balance(system, (origin, increment[0]), end, energy_target);
+        (error, step_result.map(|step_result| StepResult { work, ..step_result }))
     }
 
     /// By the difference between the last two stages, which stand at nearly the same time.
@@ -167,7 +167,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         rate_between([self.last[1] - self.last[0], last.q - before.q, last.v - before.v])
     }
 
-    fn dense<const M: usize>(&mut self, _: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [Slope<N>; 4] {
+    fn dense<const M: usize>(&mut self, _: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [StageDerivative<N>; 4] {
         hermite::coefficients(ends, self.h, Knowing::Accelerations)
     }
 }

@@ -11,8 +11,8 @@
 //! where what they did not foretell of q̈ is stiff.
 
 use super::Settings;
-use super::steep::rate_error;
-use crate::integrator::{Arrival, Implicit, State, TangentPoint};
+use super::stiff_forces::rate_error;
+use crate::integrator::{Implicit, State, StepEnd, TangentPoint};
 use crate::vector::Vector;
 
 /// How often 1 − P is applied.
@@ -31,8 +31,8 @@ pub(super) fn damped<const N: usize, const M: usize, S: Implicit<N, M>>(
     from: &State<N, M>,
     h: f64,
     (pose, mass): (&S::Pose, &S::Mass),
-    end: Arrival<N, M>,
-) -> Arrival<N, M> {
+    end: StepEnd<N, M>,
+) -> StepEnd<N, M> {
     let bend = end.a - from.a - h * from.jerk;
     if system.holds() || rate_error(system, h, &bend, &end.v) <= NOTICED * settings.error_tolerance {
         return end;
@@ -45,7 +45,7 @@ pub(super) fn damped<const N: usize, const M: usize, S: Implicit<N, M>>(
             .map(|(x, _)| x)
     };
     // What is not stiff rings within the error.
-    if let_through(&bend).is_none_or(|through| system.angle_norm(&through) > STIFF * system.angle_norm(&bend)) {
+    if let_through(&bend).is_none_or(|through| system.error_norm(&through) > STIFF * system.error_norm(&bend)) {
         return end;
     }
     let mut rest = end.a;
@@ -54,7 +54,7 @@ pub(super) fn damped<const N: usize, const M: usize, S: Implicit<N, M>>(
         rest = rest - through;
     }
     let Some(change) = let_through(&rest) else { return end };
-    let damped = Arrival::in_balance(system, [end.q, end.v + h / 2.0 * change], pose, mass);
+    let damped = StepEnd::in_balance(system, [end.q, end.v + h / 2.0 * change], pose, mass);
     // Beyond the turn of a force its slope says too much.
-    if system.angle_norm(&damped.a) <= system.angle_norm(&end.a) { damped } else { end }
+    if system.error_norm(&damped.a) <= system.error_norm(&end.a) { damped } else { end }
 }

@@ -6,7 +6,7 @@
 use std::borrow::Borrow;
 
 use super::Settings;
-use crate::integrator::{Arrival, Implicit, Kinked, Passage, State};
+use crate::integrator::{Events, Implicit, Passage, State, StepEnd};
 use crate::vector::Vector;
 
 /// A sub-step ends at a border where it is beyond it by half of what may be overlooked.
@@ -42,7 +42,7 @@ pub(super) enum Outcome {
 pub(super) struct Search {
     /// Lengths that end before and beyond the border, s, and how far beyond.
     before: [f64; 2],
-    beyond: Option<[f64; 2]>,
+    guard_residual: Option<[f64; 2]>,
     /// Half of a sub-step in whose middle a border may have been crossed, s.
     half: Option<f64>,
     /// Whether the last try has left more than half of what lies between them.
@@ -53,12 +53,13 @@ pub(super) struct Search {
 
 impl Search {
     /// Nothing is sought.
-    pub(super) const NONE: Self = Self { before: [0.0; 2], beyond: None, half: None, is_slow: false, tries: 0, at_border: false };
+    pub(super) const NONE: Self =
+        Self { before: [0.0; 2], guard_residual: None, half: None, is_slow: false, tries: 0, at_border: false };
 
     /// The length to try next, s.
     #[inline(always)]
     pub(super) fn next(&self) -> Option<f64> {
-        let Some([far, above]) = self.beyond else { return self.half };
+        let Some([far, above]) = self.guard_residual else { return self.half };
         let [near, below] = self.before;
         if self.is_over() {
             return Some(far);
@@ -70,23 +71,23 @@ impl Search {
 
     /// Whether what is left between the lengths is not worth a try: the sub-step then ends beyond the border.
     fn is_over(&self) -> bool {
-        self.tries >= MOST_TRIES || self.beyond.is_some_and(|[far, _]| far - self.before[0] < SHORTEST)
+        self.tries >= MOST_TRIES || self.guard_residual.is_some_and(|[far, _]| far - self.before[0] < SHORTEST)
     }
 
     /// What becomes of a sub-step of h seconds that is accepted otherwise.
     #[cold]
-    pub(super) fn judge<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
+    pub(super) fn judge<const N: usize, const M: usize, S: Implicit<N, M> + Events<N>>(
         &mut self,
         system: &S,
         settings: &Settings,
         from: &State<N, M>,
-        (to, h): (&Arrival<N, M>, f64),
+        (to, h): (&StepEnd<N, M>, f64),
     ) -> Outcome {
-        let end = system.touches(&to.q, &to.v);
-        let beyond = system.beyond(&end, settings.error_tolerance).max(FAR);
-        if self.goes_on(system, settings, from, (to, h), beyond) {
+        let end = system.guard_values(&to.q, &to.v);
+        let guard_residual = system.guard_residual(&end, settings.error_tolerance).max(FAR);
+        if self.goes_on(system, settings, from, (to, h), guard_residual) {
             Outcome::Again
-        } else if self.at_border || !system.knows_grips(&end) {
+        } else if self.at_border || !system.knows_stick_slip(&end) {
             Outcome::Turns
         } else {
             Outcome::Passes
@@ -94,42 +95,42 @@ impl Search {
     }
 
     /// Whether a sub-step of h seconds that ends so far beyond the borders has to be tried once more, shorter or longer.
-    fn goes_on<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
+    fn goes_on<const N: usize, const M: usize, S: Implicit<N, M> + Events<N>>(
         &mut self,
         system: &S,
         settings: &Settings,
         from: &State<N, M>,
-        (to, h): (&Arrival<N, M>, f64),
-        beyond: f64,
+        (to, h): (&StepEnd<N, M>, f64),
+        guard_residual: f64,
     ) -> bool {
         let tolerance = settings.error_tolerance;
-        let beyond_at = |q: &Vector<N>, v: &Vector<N>| system.beyond(&system.touches(q, v), tolerance);
-        let Some([far, above]) = &mut self.beyond else {
-            if beyond > CROSSED {
-                let start = beyond_at(&from.q, &from.v).min(0.0) - AT_BORDER;
-                (self.before, self.beyond) = ([0.0, start.max(FAR)], Some([h, beyond - AT_BORDER]));
+        let guard_residual_at = |q: &Vector<N>, v: &Vector<N>| system.guard_residual(&system.guard_values(q, v), tolerance);
+        let Some([far, above]) = &mut self.guard_residual else {
+            if guard_residual > CROSSED {
+                let start = guard_residual_at(&from.q, &from.v).min(0.0) - AT_BORDER;
+                (self.before, self.guard_residual) = ([0.0, start.max(FAR)], Some([h, guard_residual - AT_BORDER]));
                 return true;
             }
             // A grip may turn twice within the sub-step, or be overstrained for a while: seen in its middle.
             self.tries += 1;
-            let turns = || system.turns_between([[&from.q, &from.v, &from.a], [&to.q, &to.v, &to.a]], h, tolerance);
+            let turns = || system.reverses_between([[&from.q, &from.v, &from.a], [&to.q, &to.v, &to.a]], h, tolerance);
             let overstrained = || {
                 let q = 0.5 * (from.q + to.q) + h / 8.0 * (from.v - to.v);
                 let v = 0.5 * (from.v + to.v) + h / 8.0 * (from.a - to.a);
-                system.holds() && beyond_at(&q, &v) > CROSSED
+                system.holds() && guard_residual_at(&q, &v) > CROSSED
             };
             self.half = (self.tries <= MOST_HALVES && (turns() || overstrained())).then_some(0.5 * h);
             return self.half.is_some();
         };
         // What is beyond a border already turns at once.
-        self.at_border = (beyond - AT_BORDER).abs() <= NEAR_ENOUGH || h >= *far;
+        self.at_border = (guard_residual - AT_BORDER).abs() <= NEAR_ENOUGH || h >= *far;
         let left = *far - self.before[0];
         // Of two ends on the same side in a row the other's weight is halved (Illinois).
-        if beyond > AT_BORDER {
-            (*far, *above) = (h, beyond - AT_BORDER);
+        if guard_residual > AT_BORDER {
+            (*far, *above) = (h, guard_residual - AT_BORDER);
             self.before[1] *= 0.5;
         } else {
-            self.before = [h, beyond - AT_BORDER];
+            self.before = [h, guard_residual - AT_BORDER];
             *above *= 0.5;
         }
         self.is_slow = *far - self.before[0] > 0.5 * left;
@@ -140,13 +141,13 @@ impl Search {
 
 /// From here on the grips do what follows from the state.
 #[cold]
-pub(super) fn turn<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Kinked<N>>(
+pub(super) fn turn<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
     system: &S,
     settings: &Settings,
     state: &mut State<N, M>,
-    sides: &mut S::Sides,
+    mode: &mut S::Mode,
 ) {
-    *sides = system.sides_of(&state.q, &state.v);
-    let on_sides = system.on(*sides);
-    state.settle(on_sides.borrow(), &system.pose(&state.q), settings.regularization);
+    *mode = system.mode_of(&state.q, &state.v);
+    let in_mode = system.on(*mode);
+    state.reinitialize(in_mode.borrow(), &system.pose(&state.q), settings.regularization);
 }

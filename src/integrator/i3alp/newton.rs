@@ -2,7 +2,7 @@
 
 use super::super::projection::ROUND_OFF;
 use super::Settings;
-use super::steep::RATE;
+use super::stiff_forces::RATE;
 use crate::integrator::{Counters, Held, Implicit, State, StepError, TangentPoint};
 use crate::vector::Vector;
 
@@ -121,7 +121,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &step.lambda, h: step.h };
         let (mut correction, mut y) = system.solve_tangent(&at, regularization, (&b, &c))?;
         if system.holds() {
-            let (found, force) = let_hold(system, regularization, &at, (correction, y))?;
+            let (found, force) = project_sticking(system, regularization, &at, (correction, y))?;
             ((correction, y), held) = (found, Some(force));
         }
         step.lambda = y / beta;
@@ -133,7 +133,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
 
 /// A correction after which nothing moves in what friction holds, and the force that sees to it.
 #[cold]
-fn let_hold<const N: usize, const M: usize, S: Implicit<N, M>>(
+fn project_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     regularization: f64,
     at: &TangentPoint<'_, S::Pose, N, M>,
@@ -170,7 +170,7 @@ fn rates_hold<const N: usize, const M: usize, S: Implicit<N, M>>(
         - system.mass_times(pose, &(step.acceleration() / step.beta));
     let inertia = system.mass_times(pose, &Vector::from([1.0; N]));
     let change = Vector::from_fn(|i| step.h / 2.0 * left[i] / inertia[i]);
-    system.angle_norm(&change) <= PART * settings.error_tolerance * (RATE + system.angle_norm(&v))
+    system.error_norm(&change) <= PART * settings.error_tolerance * (RATE + system.error_norm(&v))
 }
 
 /// Newton's bound on max |Φ|, m: scaled with the machine and with h², never below round-off.

@@ -1,6 +1,6 @@
 //! The equations of a conserving step: what its unknowns leave of them.
 
-use crate::integrator::{Chord, Discrete};
+use crate::integrator::{Discrete, StepIncrement};
 use crate::vector::Vector;
 
 /// A step in the making: where it starts from.
@@ -12,7 +12,7 @@ pub(super) struct Step<'a, S: Discrete<N, M>, const N: usize, const M: usize> {
     /// At q₀.
     pub(super) pose: S::Pose,
     pub(super) h: f64,
-    /// See [`Chord::softening`].
+    /// See [`StepIncrement::softening`].
     pub(super) softening: f64,
 }
 
@@ -65,8 +65,13 @@ impl<'a, S: Discrete<N, M>, const N: usize, const M: usize> Step<'a, S, N, M> {
 
     /// The step as the forces see it.
     #[inline(always)]
-    pub(super) fn chord<'b>(&'b self, secant: &'b S::Secant, d: &'b Vector<N>, v: &'b Vector<N>) -> Chord<'b, S::Secant, N> {
-        Chord { q: &self.q, d, v, h: self.h, softening: self.softening, secant }
+    pub(super) fn chord<'b>(
+        &'b self,
+        secant: &'b S::Secant,
+        d: &'b Vector<N>,
+        v: &'b Vector<N>,
+    ) -> StepIncrement<'b, S::Secant, N> {
+        StepIncrement { q: &self.q, d, v, h: self.h, softening: self.softening, secant }
     }
 
     /// z = d − M⁻¹J_cᵀν, the mean of h q̇₀ and h q̇₁.

@@ -77,7 +77,7 @@ impl Allowance<'_> {
 /// Λ and ν in turn, with the loops cut: ν by a linear equation for given d, Newton's method on d and Λ. Contracts by (hω)² per iteration.
 /// What is found there goes to `arrive`; where that is too little: the unknowns it has come to, unless they lead nowhere.
 #[inline(always)]
-pub(super) fn in_turn<const N: usize, const M: usize, C: CutStep<N, M>, T>(
+pub(super) fn staggered_newton<const N: usize, const M: usize, C: CutStep<N, M>, T>(
     cut: &C,
     mut x: C::Unknowns,
     bounds: &Bounds,
@@ -122,7 +122,7 @@ pub(super) enum Until {
 
 /// All unknowns at once, with the whole tangent.
 #[inline(never)]
-pub(super) fn whole<const N: usize, const M: usize, S: Discrete<N, M>>(
+pub(super) fn full_newton<const N: usize, const M: usize, S: Discrete<N, M>>(
     step: &Step<'_, S, N, M>,
     x: &mut Unknowns<N, M>,
     regularization: f64,
@@ -155,9 +155,9 @@ pub(super) fn whole<const N: usize, const M: usize, S: Discrete<N, M>>(
         x.d += d;
         x.lambda += lambda;
         x.nu += nu;
-        (before, correction) = (correction, system.angle_norm(&d));
+        (before, correction) = (correction, system.error_norm(&d));
         let finite = x.d.is_finite() && x.lambda.is_finite() && x.nu.is_finite();
-        if !(finite && system.angle_norm(&x.d) < LARGEST_TURN) {
+        if !(finite && system.error_norm(&x.d) < LARGEST_TURN) {
             return None;
         }
     }

@@ -41,7 +41,7 @@ pub(in crate::simulation) struct Falling {
 
 /// Where links begin to turn: their directions, and p and d seen upright.
 #[derive(Clone, Copy, Debug)]
-pub struct Place {
+pub struct TrigBase {
     pub(super) directions: [Legs2; 2],
     links: [Legs2; 2],
     /// Twice those.
@@ -77,12 +77,12 @@ impl Falling {
 
     /// Where links with these directions begin to turn.
     #[inline(always)]
-    pub(super) fn place(&self, directions: [Legs2; 2]) -> Place {
+    pub(super) fn trig_base(&self, directions: [Legs2; 2]) -> TrigBase {
         let links @ [p, d] = [0, 1].map(|link| {
             let (Legs2 { x, y }, [cos, sin]) = (directions[link], self.lengths[link]);
             Legs2 { x: cos * x + sin * y, y: cos * y - sin * x }
         });
-        Place { directions, links, twice: [p.scaled(both(2.0)), d.scaled(both(2.0))] }
+        TrigBase { directions, links, twice: [p.scaled(both(2.0)), d.scaled(both(2.0))] }
     }
 
     /// The torques of the weight on links with these directions, N·m.
@@ -94,8 +94,8 @@ impl Falling {
 
     /// q̈ at some rates, where the links have turned by small angles.
     #[inline(always)]
-    pub(super) fn acceleration(&self, place: &Place, by: [Legs; 2], [w_p, w_d]: [Legs; 2]) -> Angles {
-        let [p, d] = [0, 1].map(|link| turned_with(place.links[link], place.twice[link], by[link]));
+    pub(super) fn acceleration(&self, trig_base: &TrigBase, by: [Legs; 2], [w_p, w_d]: [Legs; 2]) -> Angles {
+        let [p, d] = [0, 1].map(|link| turned_with(trig_base.links[link], trig_base.twice[link], by[link]));
         let (chi, across) = (self.carried * p.dot(d), self.carried * p.cross(d));
         // Torques with those of the distal centre of mass, which is carried around.
         let (s_p, s_d) = (self.root * (w_p * w_p), w_d * w_d);

@@ -30,7 +30,7 @@ impl ByAngles<'_> {
     #[inline(never)]
     pub(super) fn under_loads(&self, q: Angles, directions: [Legs2; 2], v: Angles) -> (Angles, Work) {
         let pose = self.mechanism.pose_along(directions);
-        let (x, rates) = (self.placed(&q, &pose), self.moving(&v, &pose));
+        let (x, rates) = (self.placed(&q, &pose), self.velocity_map(&v, &pose));
         let (applied, power) = if self.five_bar.follows_work() {
             self.five_bar.acting(&self.five_bar.context(&x, &pose, &rates))
         } else {
@@ -71,7 +71,7 @@ impl ByAngles<'_> {
     /// The twelve coordinates and their rates, each leg built up from its motor axis.
     #[inline]
     pub fn coordinates(&self, pose: &Pose, q: &Angles, v: &Angles) -> (Coordinates, Coordinates) {
-        (self.placed(q, pose), self.moving(v, pose))
+        (self.placed(q, pose), self.velocity_map(v, pose))
     }
 
     #[inline]
@@ -88,11 +88,11 @@ impl ByAngles<'_> {
     /// A generalised force of the twelve coordinates in the angles.
     #[cold]
     pub(in crate::simulation) fn carried_over(&self, pose: &Pose, force: &Coordinates) -> Angles {
-        Angles::from_fn(|i| force.dot(&self.moving(&Angles::unit(i), pose)))
+        Angles::from_fn(|i| force.dot(&self.velocity_map(&Angles::unit(i), pose)))
     }
 
     /// The part of the accelerations of the twelve coordinates that comes from the rates.
-    pub(in crate::simulation) fn turning(&self, pose: &Pose, v: &Angles) -> Coordinates {
+    pub(in crate::simulation) fn velocity_product(&self, pose: &Pose, v: &Angles) -> Coordinates {
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
         let (p, l, d) = (pose.a_p, proximal_arm(pose), pose.a_d);
         let mut x = Coordinates::ZERO;
@@ -104,7 +104,7 @@ impl ByAngles<'_> {
     }
 
     #[inline]
-    pub(super) fn moving(&self, v: &Angles, pose: &Pose) -> Coordinates {
+    pub(super) fn velocity_map(&self, v: &Angles, pose: &Pose) -> Coordinates {
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
         let (n_p, n_l, n_d) = (pose.a_p.turned(), proximal_arm(pose).turned(), pose.a_d.turned());
         let mut x = in_place(v);

@@ -170,7 +170,7 @@ const ERROR_3: Row = &[
 /// The new value minus another one of order 5, for forces that bend. Sums over the same stages that meet the conditions of order 5 make a space of
 /// three dimensions. In it this is the one that tells best, of 7,800 steps under friction with known errors, those that [`ERROR_5`] takes for
 /// good by accident; twice as large, since that took the fewest steps for an error.
-pub(super) const ERROR_AT_BENDS: Row = &[
+pub(super) const SECOND_ERROR: Row = &[
     (0, 0.03594421965334723),
     (5, -0.4741121613850806),
     (6, -1.1021348694695676),
@@ -272,7 +272,7 @@ mod tests {
         }
         for power in 0..5 {
             zero("order 5", moment(ERROR_5, power));
-            zero("order 5 at bends", moment(ERROR_AT_BENDS, power));
+            zero("order 5 at bends", moment(SECOND_ERROR, power));
         }
         for power in 0..3 {
             zero("order 3", moment(ERROR_3, power));

@@ -4,7 +4,7 @@
 //! `rodas.f`; G. Steinebach, *Construction of Rosenbrock–Wanner method Rodas5P*, BIT 63 (2023). Both are stiffly accurate: the last
 //! stages stand at the end of the step, and the last u is what the embedded method differs by.
 
-use crate::integrator::dense::Kind;
+use crate::integrator::dense::Scheme;
 
 /// Most stages.
 pub(super) const MOST: usize = 8;
@@ -12,7 +12,7 @@ pub(super) const MOST: usize = 8;
 /// A method: its stages, and where each is evaluated.
 pub(in super::super) trait Tableau: Sized {
     /// What steps by it are called.
-    const KIND: Kind;
+    const KIND: Scheme;
     /// Stages of a step.
     const STAGES: usize;
     /// γ, of the matrix 1/(hγ) − J.
@@ -67,7 +67,7 @@ const fn weights<T: Tableau>(coefficients: &[f64; MOST]) -> [f64; MOST] {
 pub(in super::super) struct Rodas4;
 
 impl Tableau for Rodas4 {
-    const KIND: Kind = Kind::StiffFourth;
+    const KIND: Scheme = Scheme::Rodas4;
     const STAGES: usize = 6;
     const GAMMA: f64 = 0.25;
     const AT: [[f64; MOST]; MOST + 1] = [
@@ -104,7 +104,7 @@ impl Tableau for Rodas4 {
 pub(in super::super) struct Rodas5p;
 
 impl Tableau for Rodas5p {
-    const KIND: Kind = Kind::StiffFifth;
+    const KIND: Scheme = Scheme::Rodas5p;
     const STAGES: usize = 8;
     const GAMMA: f64 = 0.21193756319429014;
     const AT: [[f64; MOST]; MOST + 1] = [
@@ -193,13 +193,13 @@ mod tests {
         assert!(sum(&T::WORK_ERROR).abs() < 1e-12, "weights of the error: {}", sum(&T::WORK_ERROR));
         // The u of a constant derivative, one after the other: each place is a time, and the end of the step is 1.
         let mut u = [0.0; MOST];
-        let place = |u: &[f64; MOST], row: &[f64; MOST]| row.iter().zip(u).map(|(a, u)| a * u).sum::<f64>();
+        let trig_base = |u: &[f64; MOST], row: &[f64; MOST]| row.iter().zip(u).map(|(a, u)| a * u).sum::<f64>();
         for stage in 0..T::STAGES {
-            u[stage] = T::GAMMA * (1.0 + place(&u, &T::BEFORE[stage]));
+            u[stage] = T::GAMMA * (1.0 + trig_base(&u, &T::BEFORE[stage]));
         }
-        assert!((place(&u, &T::AT[MOST]) - 1.0).abs() < 1e-12, "the end of the step: {}", place(&u, &T::AT[MOST]));
+        assert!((trig_base(&u, &T::AT[MOST]) - 1.0).abs() < 1e-12, "the end of the step: {}", trig_base(&u, &T::AT[MOST]));
         // In the middle of the dense output of a motion at constant rate, half the way: the mean of both ends.
-        assert!(place(&u, &T::MIDDLE).abs() < 1e-12, "the middle: {}", place(&u, &T::MIDDLE));
+        assert!(trig_base(&u, &T::MIDDLE).abs() < 1e-12, "the middle: {}", trig_base(&u, &T::MIDDLE));
     }
 
     #[test]

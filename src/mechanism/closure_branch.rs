@@ -13,7 +13,7 @@ use super::model::Geometry;
 
 /// A branch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
-pub enum Parallels {
+pub enum ClosureBranch {
     /// A parallelogram: each proximal link beside the distal one of the other leg.
     Opposite,
     /// The legs on each other: the proximal links, and the distal ones.
@@ -30,7 +30,7 @@ const ON: f64 = 1e-6;
 /// ... unless another one is not farther than this.
 const APART: f64 = 1e-4;
 
-impl Parallels {
+impl ClosureBranch {
     const ALL: [Self; 3] = [Self::Opposite, Self::OnEachOther, Self::Folded];
 
     /// The branch that a motion is on; none where the motors are not coaxial or the lengths not equal, or where branches meet.

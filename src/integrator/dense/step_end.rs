@@ -2,10 +2,10 @@
 
 use std::borrow::Borrow;
 
-use super::trial::{Landing, Origin};
+use super::trial::{Origin, StepResult};
 use super::{DenseStep, Settings};
-use crate::integrator::state::Arrival;
-use crate::integrator::{EnergyBalance, Kinked, Passage, Projection, State, StepError, System, Transit, Work, velocity_correction};
+use crate::integrator::state::StepEnd;
+use crate::integrator::{EnergyBalance, Events, Passage, Projection, State, StepError, System, Transit, Work, velocity_correction};
 use crate::vector::Vector;
 
 impl Settings {
@@ -15,12 +15,12 @@ impl Settings {
     pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        from: (&Origin<S::Place, N>, Vector<N>),
+        from: (&Origin<S::TrigBase, N>, Vector<N>),
         end: [Vector<N>; 2],
-        kept: Option<(EnergyBalance, f64)>,
+        energy_target: Option<(EnergyBalance, f64)>,
         work: Work,
-    ) -> Option<Landing<N, M>> {
-        self.arrive::<true, N, M, S>(system, from, end, kept, work)
+    ) -> Option<StepResult<N, M>> {
+        self.arrive::<true, N, M, S>(system, from, end, energy_target, work)
     }
 
     /// The same without what holds there.
@@ -28,11 +28,11 @@ impl Settings {
     pub(super) fn project_without_balance<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        from: (&Origin<S::Place, N>, Vector<N>),
+        from: (&Origin<S::TrigBase, N>, Vector<N>),
         end: [Vector<N>; 2],
-        kept: Option<(EnergyBalance, f64)>,
-    ) -> Option<Landing<N, M>> {
-        self.arrive::<false, N, M, S>(system, from, end, kept, Work::default())
+        energy_target: Option<(EnergyBalance, f64)>,
+    ) -> Option<StepResult<N, M>> {
+        self.arrive::<false, N, M, S>(system, from, end, energy_target, Work::default())
     }
 
     /// The end of a step on the constraints, in balance or without.
@@ -40,20 +40,20 @@ impl Settings {
     fn arrive<const BALANCED: bool, const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
-        (origin, by): (&Origin<S::Place, N>, Vector<N>),
+        (origin, by): (&Origin<S::TrigBase, N>, Vector<N>),
         [mut q, mut v]: [Vector<N>; 2],
-        kept: Option<(EnergyBalance, f64)>,
+        energy_target: Option<(EnergyBalance, f64)>,
         work: Work,
-    ) -> Option<Landing<N, M>> {
+    ) -> Option<StepResult<N, M>> {
         let mut pose = origin.turned(system, &by);
         let (iterations, mass) = self.project_in_place(system, &mut pose, &mut q, &mut v).ok()?;
-        v = with_energy(system, [&q, &v], kept).ok()?;
-        let arrival = if BALANCED {
-            Arrival::in_balance(system, [q, v], &pose, &mass)
+        v = project_to_energy(system, [&q, &v], energy_target).ok()?;
+        let end_state = if BALANCED {
+            StepEnd::in_balance(system, [q, v], &pose, &mass)
         } else {
-            Arrival::without_balance(system, [q, v], &pose)
+            StepEnd::without_balance(system, [q, v], &pose)
         };
-        Landing::after(work, iterations, arrival)
+        StepResult::after(work, iterations, end_state)
     }
 
     /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
@@ -87,7 +87,7 @@ impl Settings {
         let mass = system.factor_mass(pose, self.regularization);
         *v += velocity_correction(system, pose, &mass, v);
         if system.holds() {
-            *v = system.let_hold(*q, *v);
+            *v = system.project_sticking(*q, *v);
         }
         Ok((iterations, mass))
     }
@@ -96,21 +96,21 @@ impl Settings {
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// A straight step through a vertex. Its work is by where the state is at both ends: it is on no sides.
     #[cold]
-    pub(super) fn pass_through<S: System<N, M> + Passage<N> + Kinked<N, Sides = K>>(
+    pub(super) fn pass_through<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
         transit: &Transit<N>,
         settings: &Settings,
     ) -> Result<(), StepError> {
         let power = |system: &S, State { q, v, .. }: &State<N, M>| system.power(q, &system.pose(q), v);
-        if system.has_kinks() {
+        if system.has_events() {
             self.end.power = power(system, &self.end);
         }
         self.end.pass_through(system, transit, settings.regularization)?;
-        (self.length, self.straight) = (transit.duration, true);
-        self.sides_behind = system.sides_of(&self.end.q, &self.end.v);
-        if system.has_kinks() {
-            self.end.power = power(system.on(self.sides_behind).borrow(), &self.end);
+        (self.length, self.is_linear) = (transit.duration, true);
+        self.next_mode_at_end = system.mode_of(&self.end.q, &self.end.v);
+        if system.has_events() {
+            self.end.power = power(system.on(self.next_mode_at_end).borrow(), &self.end);
         }
         Ok(())
     }
@@ -118,11 +118,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
 /// q̇ scaled to the energy that was there so many seconds before, where there is any to keep.
 #[inline]
-pub(super) fn with_energy<const N: usize>(
+pub(super) fn project_to_energy<const N: usize>(
     system: &impl Passage<N>,
     [q, v]: [&Vector<N>; 2],
-    kept: Option<(EnergyBalance, f64)>,
+    energy_target: Option<(EnergyBalance, f64)>,
 ) -> Result<Vector<N>, StepError> {
-    let Some((energy, h)) = &kept else { return Ok(*v) };
+    let Some((energy, h)) = &energy_target else { return Ok(*v) };
     Ok(system.energy_scale(energy, q, v, *h)? * *v)
 }

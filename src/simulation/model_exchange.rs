@@ -10,7 +10,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::angles::{Angles, PLACES};
 use super::five_bar::FiveBar;
 use super::model::Stepper;
-use super::run::Progress;
+use super::run::IntegratorState;
 use super::state::Core;
 use super::{Inputs, Model, Simulation};
 use crate::integrator::{Bounds, Inconsistency, Work};
@@ -21,7 +21,7 @@ pub const STATES: usize = 4;
 
 /// Where the master has put the machine.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub(super) struct Driven {
+pub(super) struct ModelExchangeState {
     /// Angles of links 1 to 4, rad.
     theta: [f64; 4],
     /// Their rates, rad/s.
@@ -32,7 +32,7 @@ pub(super) struct Driven {
     work: Work,
 }
 
-impl Driven {
+impl ModelExchangeState {
     /// At these angles and rates of links 1 to 4.
     pub(super) fn start(theta: [f64; 4], omega: [f64; 4]) -> Self {
         Self { theta, omega, completed: [theta[1], theta[2]], work: Work::default() }
@@ -78,25 +78,27 @@ impl Driven {
     }
 }
 
-/// Of a run made by [`Simulation::driven`].
+/// Of a run made by [`Simulation::for_model_exchange`].
 impl Simulation {
     /// Puts the machine to these states: the proximal angles, rad, left and right, and their rates, rad/s. Refused, with everything as
     /// before, where they are no coordinates.
-    pub fn drive(&mut self, states: [f64; STATES]) -> Result<(), SceneError> {
-        let (model, assembly, driven) = self.outside();
-        *driven = driven.moved(model, assembly, states)?;
+    pub fn set_states(&mut self, states: [f64; STATES]) -> Result<(), SceneError> {
+        let (model, assembly, for_model_exchange) = self.model_exchange_parts();
+        *for_model_exchange = for_model_exchange.moved(model, assembly, states)?;
         Ok(())
     }
 
     /// A step that ends at the present states under these inputs has been accepted.
     pub fn complete(&mut self, inputs: &Inputs) {
-        self.outside().2.complete();
+        self.model_exchange_parts().2.complete();
         self.run.inputs = *inputs;
     }
 
-    fn outside(&mut self) -> (&Model, Assembly, &mut Driven) {
-        match (&self.model.stepper, &mut self.run.progress) {
-            (Stepper::Outside(assembly), Progress::Outside(driven)) => (&self.model, *assembly, driven),
+    fn model_exchange_parts(&mut self) -> (&Model, Assembly, &mut ModelExchangeState) {
+        match (&self.model.stepper, &mut self.run.integrator) {
+            (Stepper::ModelExchange(assembly), IntegratorState::ModelExchange(for_model_exchange)) => {
+                (&self.model, *assembly, for_model_exchange)
+            }
             _ => unreachable!("a run is made for its method"),
         }
     }

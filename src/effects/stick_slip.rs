@@ -1,8 +1,8 @@
 //! Dry friction as a set-valued law: where it may hold, what it does there, and how that follows from the forces.
 //!
 //! A grip is a direction in which parts slide on each other: one of the joints, or the tip along the plane. While it slips, friction is
-//! a force against the motion; while it holds, it is whatever keeps its rate 0, up to its bound. Which of them hold ([`Grips`]) is for
-//! the method to remember; how a system finds it out from coordinates and rates is in `simulation/grips.rs`.
+//! a force against the motion; while it holds, it is whatever keeps its rate 0, up to its bound. Which of them hold ([`StickSlips`]) is for
+//! the method to remember; how a system finds it out from coordinates and rates is in `simulation/stick_slip.rs`.
 //!
 //! Where rates vanish, the accelerations are those of Gauss's principle with friction: of all that the bounds allow the least
 //! ½ (q̈ − q̈₀)ᵀ M (q̈ − q̈₀) + Σ b |ẇ|, with q̈₀ those without friction there (Moreau, 1988; Glocker, *Set-Valued Force Laws*, 2001).
@@ -16,10 +16,10 @@ use crate::mechanism::LINKS;
 use crate::vector::Vector;
 
 /// Number of grips: the joints, and the tip on the plane.
-pub const GRIPS: usize = JOINTS + 1;
+pub const FRICTION_PLACES: usize = JOINTS + 1;
 
 /// Place of the tip among them.
-pub(super) const TIP_GRIP: usize = JOINTS;
+pub(super) const TIP_FRICTION: usize = JOINTS;
 
 /// What dry friction does at rest: the `….law` variables.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -33,14 +33,14 @@ pub enum Law {
 
 /// Which way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
-pub enum Way {
+pub enum SlipDirection {
     /// With the rate positive.
     Forward,
     /// With it negative.
     Backward,
 }
 
-impl Way {
+impl SlipDirection {
     /// That of a number.
     pub fn of(x: f64) -> Self {
         if x < 0.0 { Self::Backward } else { Self::Forward }
@@ -57,35 +57,35 @@ impl Way {
 
 /// What a grip does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
-pub enum Grip {
+pub enum StickSlip {
     /// There is none: no friction, a smooth law, or nothing touches.
     Open,
     /// It slips.
-    Slips(Way),
+    Slips(SlipDirection),
     /// It holds. Where several hold the same motion, their shares act this way relative to the first.
-    Holds(Way),
+    Holds(SlipDirection),
 }
 
 /// What all grips do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
-pub struct Grips {
-    places: [Grip; GRIPS],
+pub struct StickSlips {
+    places: [StickSlip; FRICTION_PLACES],
     /// Whether they hold the whole mechanism.
     at_rest: bool,
 }
 
-impl Grips {
+impl StickSlips {
     /// There are none.
-    pub const OPEN: Self = Self { places: [Grip::Open; GRIPS], at_rest: false };
+    pub const OPEN: Self = Self { places: [StickSlip::Open; FRICTION_PLACES], at_rest: false };
 
     /// What one does.
-    pub fn at(&self, place: usize) -> Grip {
+    pub fn at(&self, place: usize) -> StickSlip {
         self.places[place]
     }
 
     /// Changes what one does.
-    pub fn set(&mut self, place: usize, grip: Grip) {
-        self.places[place] = grip;
+    pub fn set(&mut self, place: usize, joint: StickSlip) {
+        self.places[place] = joint;
     }
 
     /// Whether nothing moves.
@@ -96,33 +96,33 @@ impl Grips {
 
     /// All of these hold, and the mechanism with them.
     pub fn resting(places: impl Iterator<Item = usize>) -> Self {
-        let mut grips = Self { at_rest: true, ..Self::OPEN };
-        places.for_each(|place| grips.set(place, Grip::Holds(Way::Forward)));
-        grips
+        let mut stick_slip = Self { at_rest: true, ..Self::OPEN };
+        places.for_each(|place| stick_slip.set(place, StickSlip::Holds(SlipDirection::Forward)));
+        stick_slip
     }
 
     /// Whether any holds.
     #[inline]
-    pub fn hold(&self) -> bool {
-        self.places.iter().any(|grip| matches!(grip, Grip::Holds(_)))
+    pub fn any_sticks(&self) -> bool {
+        self.places.iter().any(|joint| matches!(joint, StickSlip::Holds(_)))
     }
 
     /// The sign of friction's direction in a grip that moves at a rate: of what slips that of its way, of what holds 0; by itself that
     /// of the rate.
     pub(super) fn direction(&self, place: usize, rate: f64) -> f64 {
         match self.places[place] {
-            Grip::Slips(way) => way.sign(),
-            Grip::Holds(_) => 0.0,
-            Grip::Open if rate == 0.0 => 0.0,
-            Grip::Open => Way::of(rate).sign(),
+            StickSlip::Slips(slip_direction) => slip_direction.sign(),
+            StickSlip::Holds(_) => 0.0,
+            StickSlip::Open if rate == 0.0 => 0.0,
+            StickSlip::Open => SlipDirection::of(rate).sign(),
         }
     }
 }
 
 /// A grip as it is now, in N coordinates.
 #[derive(Clone, Copy, Debug)]
-pub struct Grasp<const N: usize> {
-    /// Its place in [`Grips`].
+pub struct FrictionConstraint<const N: usize> {
+    /// Its place in [`StickSlips`].
     pub place: usize,
     /// Its rate is row·q̇; a torque or force T in it acts with T·row.
     pub row: Vector<N>,
@@ -137,19 +137,19 @@ pub struct Grasp<const N: usize> {
 }
 
 /// All grips that there are.
-pub type Grasps<const N: usize> = ArrayVec<Grasp<N>, GRIPS>;
+pub type FrictionConstraints<const N: usize> = ArrayVec<FrictionConstraint<N>, FRICTION_PLACES>;
 
 /// What grips have to hold: those whose rate is 0, as the equations of motion see them.
 #[derive(Clone, Debug, Default)]
-pub struct Balance {
+pub struct FrictionProblem {
     /// Their places.
-    pub places: ArrayVec<usize, GRIPS>,
+    pub places: ArrayVec<usize, FRICTION_PLACES>,
     /// Their accelerations per unit of torque in each.
-    pub mobility: [[f64; GRIPS]; GRIPS],
+    pub mobility: [[f64; FRICTION_PLACES]; FRICTION_PLACES],
     /// Their accelerations without any of these torques.
-    pub change: [f64; GRIPS],
+    pub change: [f64; FRICTION_PLACES],
     /// Their bounds, all positive.
-    pub bounds: [f64; GRIPS],
+    pub bounds: [f64; FRICTION_PLACES],
 }
 
 /// Inequalities are judged to this part of the bounds.
@@ -158,10 +158,10 @@ const SHARP: f64 = 1e-9;
 /// What is held counts in the torques at rest, which it does not determine alone, by this part.
 const RIDGE: f64 = 1e-12;
 
-/// What each of the grips of a [`Balance`] may do.
-type Pattern = [Grip; GRIPS];
+/// What each of the grips of a [`FrictionProblem`] may do.
+type Pattern = [StickSlip; FRICTION_PLACES];
 
-impl Balance {
+impl FrictionProblem {
     fn len(&self) -> usize {
         self.places.len()
     }
@@ -195,22 +195,22 @@ impl Balance {
     /// them, those by which all but two give all they can.
     #[cold]
     #[inline(never)]
-    pub fn resting_torques(&self) -> [f64; GRIPS] {
-        self.shared().unwrap_or_else(|| self.best(2..=2).map_or([0.0; GRIPS], |(_, pattern)| self.torques(&pattern)))
+    pub fn resting_torques(&self) -> [f64; FRICTION_PLACES] {
+        self.shared().unwrap_or_else(|| self.best(2..=2).map_or([0.0; FRICTION_PLACES], |(_, pattern)| self.torques(&pattern)))
     }
 
     /// (D G D + ε tr) x = −D c, T = D x with D the bounds, by Cholesky's method.
     #[cold]
     #[inline(never)]
-    fn shared(&self) -> Option<[f64; GRIPS]> {
+    fn shared(&self) -> Option<[f64; FRICTION_PLACES]> {
         let n = self.len();
         let trace: f64 = (0..n).map(|i| self.bounds[i] * self.scale(i)).sum();
         if trace <= 0.0 {
             return None;
         }
         // Cholesky, row by row.
-        let mut lower = [[0.0; GRIPS]; GRIPS];
-        let mut x = [0.0; GRIPS];
+        let mut lower = [[0.0; FRICTION_PLACES]; FRICTION_PLACES];
+        let mut x = [0.0; FRICTION_PLACES];
         for i in 0..n {
             for j in 0..=i {
                 let entry = self.bounds[i] * self.mobility[i][j] * self.bounds[j] + if i == j { RIDGE * trace } else { 0.0 };
@@ -227,7 +227,7 @@ impl Balance {
             let known: f64 = (i + 1..n).map(|k| lower[k][i] * x[k]).sum();
             x[i] = (x[i] - known) / lower[i][i];
         }
-        let mut torques = [0.0; GRIPS];
+        let mut torques = [0.0; FRICTION_PLACES];
         for i in 0..n {
             torques[i] = self.bounds[i] * x[i];
         }
@@ -239,20 +239,20 @@ impl Balance {
 
     #[cold]
     #[inline(never)]
-    fn accelerations(&self, torques: &[f64; GRIPS]) -> [f64; GRIPS] {
+    fn accelerations(&self, torques: &[f64; FRICTION_PLACES]) -> [f64; FRICTION_PLACES] {
         std::array::from_fn(|i| self.change[i] + (0..self.len()).map(|k| self.mobility[i][k] * torques[k]).sum::<f64>())
     }
 
     /// The torques of a pattern: slipping grips give their bounds, and no more than two hold.
     #[cold]
     #[inline(never)]
-    fn torques(&self, pattern: &Pattern) -> [f64; GRIPS] {
-        let mut torques: [f64; GRIPS] = std::array::from_fn(|i| match pattern[i] {
-            Grip::Slips(way) => -way.sign() * self.bounds[i],
-            Grip::Holds(_) | Grip::Open => 0.0,
+    fn torques(&self, pattern: &Pattern) -> [f64; FRICTION_PLACES] {
+        let mut torques: [f64; FRICTION_PLACES] = std::array::from_fn(|i| match pattern[i] {
+            StickSlip::Slips(slip_direction) => -slip_direction.sign() * self.bounds[i],
+            StickSlip::Holds(_) | StickSlip::Open => 0.0,
         });
         let left = self.accelerations(&torques);
-        let mut held = (0..self.len()).filter(|i| matches!(pattern[*i], Grip::Holds(_)));
+        let mut held = (0..self.len()).filter(|i| matches!(pattern[*i], StickSlip::Holds(_)));
         match (held.next(), held.next()) {
             (Some(i), None) => torques[i] = quotient(-left[i], self.mobility[i][i]),
             (Some(i), Some(j)) => {
@@ -273,12 +273,16 @@ impl Balance {
         let n = self.len();
         let mut best: Option<(f64, Pattern)> = None;
         for mut code in 0..3_usize.pow(n as u32) {
-            let mut pattern = [Grip::Open; GRIPS];
-            for grip in &mut pattern[..n] {
-                *grip = [Grip::Holds(Way::Forward), Grip::Slips(Way::Forward), Grip::Slips(Way::Backward)][code % 3];
+            let mut pattern = [StickSlip::Open; FRICTION_PLACES];
+            for joint in &mut pattern[..n] {
+                *joint = [
+                    StickSlip::Holds(SlipDirection::Forward),
+                    StickSlip::Slips(SlipDirection::Forward),
+                    StickSlip::Slips(SlipDirection::Backward),
+                ][code % 3];
                 code /= 3;
             }
-            let holding: ArrayVec<usize, GRIPS> = (0..n).filter(|i| matches!(pattern[*i], Grip::Holds(_))).collect();
+            let holding: ArrayVec<usize, FRICTION_PLACES> = (0..n).filter(|i| matches!(pattern[*i], StickSlip::Holds(_))).collect();
             // Two that hold the same motion leave the other.
             if !holds.contains(&holding.len()) || matches!(holding[..], [i, j] if self.are_parallel(i, j)) {
                 continue;
@@ -287,9 +291,9 @@ impl Balance {
             let left = self.accelerations(&torques);
             let violation = (0..n).fold(0.0, |most: f64, i| {
                 most.max(match pattern[i] {
-                    Grip::Holds(_) => torques[i].abs() / self.bounds[i] - 1.0,
-                    Grip::Slips(way) => quotient(-way.sign() * left[i], self.scale(i)),
-                    Grip::Open => 0.0,
+                    StickSlip::Holds(_) => torques[i].abs() / self.bounds[i] - 1.0,
+                    StickSlip::Slips(slip_direction) => quotient(-slip_direction.sign() * left[i], self.scale(i)),
+                    StickSlip::Open => 0.0,
                 })
             });
             if best.is_none_or(|(least, _)| violation < least) {
@@ -302,21 +306,21 @@ impl Balance {
     /// What they do where something moves, or will: no more than one of them holds by itself, and with it those that hold the same motion.
     #[cold]
     #[inline(never)]
-    pub fn moving(&self, grips: &mut Grips) {
+    pub fn resolve_motion(&self, stick_slip: &mut StickSlips) {
         let Some((_, mut pattern)) = self.best(0..=1) else { return };
         let left = self.accelerations(&self.torques(&pattern));
-        if let Some(holder) = pattern.iter().position(|grip| matches!(grip, Grip::Holds(_))) {
+        if let Some(holder) = pattern.iter().position(|joint| matches!(joint, StickSlip::Holds(_))) {
             // A weak grip among strong ones is accelerated by what these leave of round-off.
             let greatest = |i: usize| (0..self.len()).map(|k| (self.mobility[i][k] * self.bounds[k]).abs()).sum::<f64>();
             let with = |i: usize| i == holder || self.are_parallel(holder, i) && left[i].abs() <= SHARP * greatest(i);
             // Ways are relative to the first of them, which need not be the one that holds by itself.
             let first = (0..holder).find(|i| with(*i)).unwrap_or(holder);
             for i in (first..self.len()).filter(|i| with(*i)) {
-                pattern[i] = Grip::Holds(Way::of(self.mobility[first][i]));
+                pattern[i] = StickSlip::Holds(SlipDirection::of(self.mobility[first][i]));
             }
         }
-        for (place, grip) in self.places.iter().zip(pattern) {
-            grips.set(*place, grip);
+        for (place, joint) in self.places.iter().zip(pattern) {
+            stick_slip.set(*place, joint);
         }
     }
 }

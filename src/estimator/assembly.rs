@@ -44,7 +44,7 @@ const UNKNOWN: f64 = 0.04;
 
 /// What is known of the side on which a direct singularity is left.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub(super) struct Grazing {
+pub(super) struct AssemblyHypotheses {
     /// The log likelihood of the other side of the singularity that the estimate is passing, at its largest: −1000 far from one, 0 behind a
     /// vertex.
     other_side: f64,
@@ -76,7 +76,7 @@ pub(super) enum Passage {
 }
 
 /// How the estimate has gone on.
-pub(super) struct Way<'a> {
+pub(super) struct Propagation<'a> {
     pub(super) from: &'a Frame,
     pub(super) to: &'a Frame,
     /// Of its errors,
@@ -85,13 +85,13 @@ pub(super) struct Way<'a> {
     pub(super) steps: u32,
 }
 
-impl Default for Grazing {
+impl Default for AssemblyHypotheses {
     fn default() -> Self {
         Self { other_side: FAR, quiet: None, pair: None }
     }
 }
 
-impl Grazing {
+impl AssemblyHypotheses {
     /// Where nothing is known of the side: both are followed, as soon as they are apart.
     pub(super) fn of_unknown_side() -> Self {
         Self { other_side: 0.0, ..Self::default() }
@@ -118,7 +118,7 @@ impl Grazing {
     pub(super) fn step(
         &mut self,
         constants: &Constants,
-        (track, passage, way): (&Track, Passage, &Way<'_>),
+        (track, passage, propagation): (&Track, Passage, &Propagation<'_>),
         scene: &impl Scene,
         (h, switch_time): (f64, f64),
     ) {
@@ -133,14 +133,14 @@ impl Grazing {
             let timing = (h, switch_time, scale);
             let [own, other] = &mut pair.tracks;
             let goes_on = pair.age < LONGEST
-                && accompany(own, constants, scene, way, timing)
+                && propagate_beside(own, constants, scene, propagation, timing)
                 && advance(other, constants, scene, false, timing, &PRIOR);
             if !goes_on {
                 self.pair = None;
             }
         }
         if let Some((quiet, other_side)) = &mut self.quiet {
-            if accompany(quiet, constants, scene, way, (h, switch_time, scale)) {
+            if propagate_beside(quiet, constants, scene, propagation, (h, switch_time, scale)) {
                 *other_side = other_side.max(quiet.other_side(&constants.linkage.frame(&quiet.theta))).clamp(FAR, 0.0);
             } else {
                 self.quiet = None;
@@ -162,7 +162,7 @@ impl Grazing {
                     None => (),
                 }
             }
-            let odds = track.other_side(way.to);
+            let odds = track.other_side(propagation.to);
             self.other_side = self.other_side.max(odds).clamp(FAR, 0.0);
         } else {
             let prior = std::mem::replace(&mut self.other_side, FAR);
@@ -204,7 +204,7 @@ impl Grazing {
         pair.evidence = -pair.evidence;
         let track = pair.tracks[0];
         let mut bank = track.bank.with_priors(bank::PRIOR);
-        bank.unsettle_force(UNKNOWN * scale * scale);
+        bank.inflate_force(UNKNOWN * scale * scale);
         Some(Track { bank, ..track })
     }
 }
@@ -237,18 +237,24 @@ fn side_of(track: &Track) -> f64 {
 
 /// A motion in the assembly of the estimate goes on by a macro step, and its errors as those of the estimate do; false where it cannot.
 #[inline(never)]
-fn accompany(track: &mut Track, constants: &Constants, scene: &impl Scene, way: &Way<'_>, timing: (f64, f64, f64)) -> bool {
+fn propagate_beside(
+    track: &mut Track,
+    constants: &Constants,
+    scene: &impl Scene,
+    propagation: &Propagation<'_>,
+    timing: (f64, f64, f64),
+) -> bool {
     let linkage = &constants.linkage;
     let from = linkage.frame(&track.theta);
-    let onto = from.carried_to(way.from);
+    let onto = from.carried_to(propagation.from);
     let [[a, b], [c, d]] = onto;
     if (a * d - b * c).abs() < ALIKE {
         return advance(track, constants, scene, false, timing, &PRIOR);
     }
     let (h, switch_time, scale) = timing;
-    let (theta, omega) = transition::motion(linkage, scene, (track.theta, track.omega), h, way.steps);
+    let (theta, omega) = transition::motion(linkage, scene, (track.theta, track.omega), h, propagation.steps);
     let Some((theta, omega, to)) = linkage.closed(theta, omega) else { return false };
-    let transition = carry::seen_from(way.transition, &onto, &way.to.carried_to(&to));
+    let transition = carry::seen_from(propagation.transition, &onto, &propagation.to.carried_to(&to));
     track.bank.predict(linkage, (&from, &transition), [scale, 0.0], (h, switch_time), &PRIOR);
     (track.theta, track.omega) = (theta, omega);
     true

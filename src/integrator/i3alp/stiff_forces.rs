@@ -1,7 +1,7 @@
 //! Where forces change steeply with the motion: what the angles of a sub-step do not tell about it, and the work of drives.
 
 use super::Settings;
-use crate::integrator::{Arrival, Extremes, Implicit, Kinked, State, TangentPoint, Work};
+use crate::integrator::{Events, Extremes, Implicit, State, StepEnd, TangentPoint, Work};
 use crate::vector::Vector;
 
 /// A rate may be off by what an angle may, times this and its own magnitude, 1/s.
@@ -16,14 +16,14 @@ const EXACT: f64 = 1e-4;
 /// did not foretell, counts in units of [`RATE`] + |q̇|; what the balance of energy is off in the step, in units of the energy scale: a
 /// step across a kink leaves the motion almost right, and its work not. Infinite where the step may have overlooked a touch.
 #[cold]
-pub(super) fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Kinked<N>>(
+pub(super) fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Events<N>>(
     system: &S,
     settings: &Settings,
     from: &State<N, M>,
     h: f64,
-    (pose, to): (&S::Pose, &Arrival<N, M>),
+    (pose, to): (&S::Pose, &StepEnd<N, M>),
 ) -> f64 {
-    if system.may_touch() && may_overlook(system, settings, [&[from.q, from.v, from.a], &[to.q, to.v, to.a]], h) {
+    if system.may_make_contact() && may_overlook(system, settings, [&[from.q, from.v, from.a], &[to.q, to.v, to.a]], h) {
         return f64::INFINITY;
     }
     let bend = to.a - from.a - h * from.jerk;
@@ -36,11 +36,11 @@ pub(super) fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Ki
             .solve_tangent_out_of_line(&at, settings.regularization, (&inertia, &Vector::ZERO))
             .map_or(rates, |(bend, _)| rate_error(system, h, &bend, &to.v));
     }
-    let put_in = |work: Work| work.input - work.dissipated;
+    let external_work = |work: Work| work.input - work.dissipated;
     let before = system.energy(&from.q, &system.pose(&from.q), &from.v);
-    let done = h / 2.0 * (put_in(from.power) + put_in(to.power)) + drive_work(system, h, from, to);
+    let done = h / 2.0 * (external_work(from.power) + external_work(to.power)) + drive_work(system, h, from, to);
     let balance = system.energy(&to.q, pose, &to.v) - before - done;
-    let off = before - settings.energy_at_start - put_in(from.work);
+    let off = before - settings.energy_at_start - external_work(from.work);
     // A place is known within round-off, and a force does work along it: all that is left where the motion is as good as exact.
     let place = if rates < EXACT * settings.error_tolerance { system.length_scale() } else { 0.0 };
     let noise = f64::EPSILON * (OF_ENERGIES * settings.energy_scale + OF_WORK * place * to.lambda.max_norm());
@@ -55,7 +55,7 @@ pub(super) fn drive_work<const N: usize, const M: usize>(
     system: &impl Implicit<N, M>,
     h: f64,
     from: &State<N, M>,
-    to: &Arrival<N, M>,
+    to: &StepEnd<N, M>,
 ) -> f64 {
     let (Some(before), Some(after)) = (system.drives(&from.q, &from.v), system.drives(&to.q, &to.v)) else { return 0.0 };
     -h / 4.0 * (after - before).dot(&(to.v - from.v))
@@ -80,14 +80,14 @@ pub(super) fn rate_error<const N: usize, const M: usize>(
     bend: &Vector<N>,
     v: &Vector<N>,
 ) -> f64 {
-    h / 12.0 * system.angle_norm(bend) / (RATE + system.angle_norm(v))
+    h / 12.0 * system.error_norm(bend) / (RATE + system.error_norm(v))
 }
 
 /// Whether between two states, given by q, q̇ and q̈, h seconds apart, something may have touched more deeply than they show.
-fn may_overlook<const N: usize>(system: &impl Kinked<N>, settings: &Settings, [from, to]: [&[Vector<N>; 3]; 2], h: f64) -> bool {
+fn may_overlook<const N: usize>(system: &impl Events<N>, settings: &Settings, [from, to]: [&[Vector<N>; 3]; 2], h: f64) -> bool {
     /// By how much rates and accelerations on the way may exceed those at its ends.
     const MARGIN: f64 = 1.5;
-    let [before, after] = [from, to].map(|[q, v, _]| system.touches(q, v));
+    let [before, after] = [from, to].map(|[q, v, _]| system.guard_values(q, v));
     let [rates, accelerations] = [1, 2].map(|order| Vector::from_fn(|i| MARGIN * from[order][i].abs().max(to[order][i].abs())));
     let extremes = Extremes { rates, accelerations, higher: None };
     !system.stays_within([&before, &after], h, &extremes, settings.error_tolerance)

@@ -1,19 +1,19 @@
 //! Kinks of forces: where a formula changes, and on which side of each a motion is.
 //!
 //! A method that follows its error ends a step where its motion crosses a border, and begins the next behind it: within a step every
-//! force is one smooth formula, and an order stays what it is. Which sides hold is for the method to remember ([`Sides`]); by
-//! [`Sides::BY_STATE`], as all other methods have it, every formula is the one of the present state.
+//! force is one smooth formula, and an order stays what it is. Which sides hold is for the method to remember ([`Mode`]); by
+//! [`Mode::OF_STATE`], as all other methods have it, every formula is the one of the present state.
 //!
-//! Kinks are those of the one-sided springs of stops and contact, and the grips of dry friction that sticks (`grips.rs`). Smooth friction
+//! Kinks are those of the one-sided springs of stops and contact, and the grips of dry friction that sticks (`stick_slip.rs`). Smooth friction
 //! and servos have none.
 
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::grips::{GRIPS, Grip, Grips};
-use super::unilateral_spring::{Border, Phase, UnilateralSpring, deepest};
+use super::stick_slip::{FRICTION_PLACES, StickSlip, StickSlips};
+use super::unilateral_spring::{Phase, PhaseBorder, UnilateralSpring, deepest};
 use super::{Active, ForceContext};
-use crate::mechanism::{LINKS, Parallels};
+use crate::mechanism::{ClosureBranch, LINKS};
 
 /// One-sided springs: that of the contact, and two for each motor's stops.
 pub(super) const SPRINGS: usize = 5;
@@ -29,36 +29,36 @@ pub(super) const STOPS: [[usize; 2]; 2] = [[1, 2], [3, 4]];
 
 /// On which side of their kinks forces are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
-pub struct Sides {
+pub struct Mode {
     springs: [Option<Phase>; SPRINGS],
     /// What dry friction does.
-    pub grips: Grips,
+    pub stick_slip: StickSlips,
     /// The branch of the closure, where it has several that meet.
-    pub parallels: Option<Parallels>,
+    pub closure_branch: Option<ClosureBranch>,
 }
 
-impl Sides {
+impl Mode {
     /// Wherever the state is.
-    pub const BY_STATE: Self = Self { springs: [None; SPRINGS], grips: Grips::OPEN, parallels: None };
+    pub const OF_STATE: Self = Self { springs: [None; SPRINGS], stick_slip: StickSlips::OPEN, closure_branch: None };
 
     /// Whether any spring pushes.
-    pub fn any_pushes(&self) -> bool {
+    pub fn has_active_contact(&self) -> bool {
         self.springs.iter().flatten().any(|phase| phase.pushes())
     }
 
     /// The same with other grips.
-    pub fn with_grips(self, grips: Grips) -> Self {
-        Self { grips, ..self }
+    pub fn with_stick_slip(self, stick_slip: StickSlips) -> Self {
+        Self { stick_slip, ..self }
     }
 
     /// The same on another branch of the closure.
-    pub fn with_parallels(self, parallels: Option<Parallels>) -> Self {
-        Self { parallels, ..self }
+    pub fn with_closure_branch(self, closure_branch: Option<ClosureBranch>) -> Self {
+        Self { closure_branch, ..self }
     }
 
     /// With these grips, and springs wherever the state is.
-    pub fn of_grips(grips: Grips) -> Self {
-        Self::BY_STATE.with_grips(grips)
+    pub fn of_stick_slip(stick_slip: StickSlips) -> Self {
+        Self::OF_STATE.with_stick_slip(stick_slip)
     }
 }
 
@@ -75,8 +75,8 @@ pub struct Extremes {
 
 /// A one-sided spring as it is now.
 #[derive(Clone, Copy)]
-pub(super) struct Touch<'a> {
-    /// Its place in [`Sides`].
+pub(super) struct UnilateralGuard<'a> {
+    /// Its place in [`Mode`].
     pub(super) place: usize,
     pub(super) spring: &'a UnilateralSpring,
     /// Penetration, m or rad.
@@ -87,35 +87,35 @@ pub(super) struct Touch<'a> {
     pub(super) arms: &'a [f64; LINKS],
 }
 
-impl Touch<'_> {
+impl UnilateralGuard<'_> {
     /// Whether it neither pushes nor loses anything now.
     pub(super) fn is_idle(&self, at: &ForceContext) -> bool {
-        at.sides.springs[self.place].map_or(self.depth <= 0.0, |phase| !phase.pushes())
+        at.mode.springs[self.place].map_or(self.depth <= 0.0, |phase| !phase.pushes())
     }
 
     /// N, N or N·m.
     pub(super) fn force(&self, at: &ForceContext) -> f64 {
-        self.spring.force(self.phase(&at.sides), self.depth, self.rate)
+        self.spring.force(self.phase(&at.mode), self.depth, self.rate)
     }
 
     /// ∂N/∂d and ∂N/∂ḋ.
     pub(super) fn slopes(&self, at: &ForceContext) -> [f64; 2] {
-        self.spring.slopes(self.phase(&at.sides), self.depth, self.rate)
+        self.spring.slopes(self.phase(&at.mode), self.depth, self.rate)
     }
 
     /// U, J.
     pub(super) fn potential(&self, at: &ForceContext) -> f64 {
-        self.spring.potential(self.phase(&at.sides), self.depth)
+        self.spring.potential(self.phase(&at.mode), self.depth)
     }
 
-    /// Power lost, W; not what a spring that is known to have let go loses ([`Touches::released`]).
+    /// Power lost, W; not what a spring that is known to have let go loses ([`GuardValues::separation_energy`]).
     pub(super) fn dissipation(&self, at: &ForceContext) -> f64 {
-        self.spring.dissipation(self.phase(&at.sides), self.depth, self.rate)
+        self.spring.dissipation(self.phase(&at.mode), self.depth, self.rate)
     }
 
     /// The phase that holds.
-    pub(super) fn phase(&self, sides: &Sides) -> Phase {
-        sides.springs[self.place].unwrap_or_else(|| self.spring.phase(self.depth, self.rate))
+    pub(super) fn phase(&self, mode: &Mode) -> Phase {
+        mode.springs[self.place].unwrap_or_else(|| self.spring.phase(self.depth, self.rate))
     }
 
     /// What a motion may overlook at an angular tolerance, rad: its own error, or a part of the ramp, but no less than round-off.
@@ -130,7 +130,7 @@ impl Touch<'_> {
 
     /// The first two derivatives of the penetration at most.
     #[inline(never)]
-    fn bends(&self, Extremes { rates, accelerations, .. }: &Extremes) -> [f64; 2] {
+    fn derivatives(&self, Extremes { rates, accelerations, .. }: &Extremes) -> [f64; 2] {
         let sum = |change: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| self.arms[link] * change(link)).sum();
         [sum(&|link| rates[link]), sum(&|link| accelerations[link] + rates[link] * rates[link])]
     }
@@ -139,7 +139,7 @@ impl Touch<'_> {
     #[inline(never)]
     fn higher(&self, extremes: &Extremes, [jerks, snaps]: &[[f64; LINKS]; 2]) -> [f64; 3] {
         let Extremes { rates, accelerations, .. } = extremes;
-        let mut derivatives = [self.bends(extremes)[1], 0.0, 0.0];
+        let mut derivatives = [self.derivatives(extremes)[1], 0.0, 0.0];
         for (link, arm) in self.arms.iter().enumerate() {
             let (rate, acceleration) = (rates[link], accelerations[link]);
             let square = rate * rate;
@@ -154,34 +154,34 @@ impl Touch<'_> {
     }
 
     /// The greatest penetration that there can be on the way to another place, some seconds later, m or rad.
-    fn deepest_on_way(&self, to: &Self, duration: f64, extremes: &Extremes) -> f64 {
-        let [_, bend] = self.bends(extremes);
+    fn deepest_over_step(&self, to: &Self, duration: f64, extremes: &Extremes) -> f64 {
+        let [_, bend] = self.derivatives(extremes);
         deepest([self.depth, self.rate], [to.depth, to.rate], duration, bend)
     }
 
     /// Whether its phase certainly holds on the way to another place, some seconds later, but for what may be overlooked.
-    fn stays(&self, to: &Self, sides: &Sides, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        let (phase, unit) = (self.phase(sides), self.unit(tolerance));
-        let ends = [self, to].map(|touch| [touch.depth, touch.rate]);
+    fn stays(&self, to: &Self, mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+        let (phase, unit) = (self.phase(mode), self.unit(tolerance));
+        let ends = [self, to].map(|guard| [guard.depth, guard.rate]);
         // Most are far away, which takes little to see.
-        let by_bends = || self.spring.farthest_by_bends(phase, ends, duration, self.bends(extremes)) <= unit;
+        let by_derivatives = || self.spring.farthest_by_derivatives(phase, ends, duration, self.derivatives(extremes)) <= unit;
         let by_cubic = |higher| self.spring.farthest_by_cubic(phase, ends, duration, self.higher(extremes, higher)) <= unit;
-        by_bends() || extremes.higher.as_ref().is_some_and(by_cubic)
+        by_derivatives() || extremes.higher.as_ref().is_some_and(by_cubic)
     }
 
     /// The border of the phase that holds that it is farthest beyond, in units of what may be overlooked.
-    fn farthest(&self, sides: &Sides, tolerance: f64) -> Option<Border> {
-        let phase = self.phase(sides);
+    fn farthest(&self, mode: &Mode, tolerance: f64) -> Option<PhaseBorder> {
+        let phase = self.phase(mode);
         let borders = self.spring.borders(phase, self.depth, self.rate).into_iter().flatten();
-        let farthest = UnilateralSpring::farthest(phase, borders, |border| border.beyond);
+        let farthest = UnilateralSpring::farthest(phase, borders, |border| border.guard_residual);
         farthest.map(|border| border.per(self.unit(tolerance)))
     }
 }
 
 /// A grip as it is now, and how far it is from doing something else.
 #[derive(Clone, Copy, Debug)]
-pub struct Slide {
-    /// Its place in [`Grips`].
+pub struct FrictionGuard {
+    /// Its place in [`StickSlips`].
     pub place: usize,
     /// Rate, rad/s or m/s.
     pub rate: f64,
@@ -192,22 +192,22 @@ pub struct Slide {
 }
 
 /// All grips that there are.
-pub type Slides = ArrayVec<Slide, GRIPS>;
+pub type FrictionGuards = ArrayVec<FrictionGuard, FRICTION_PLACES>;
 
 /// The rate at which a grip rests, as far as a motion may overlook it at an angular tolerance, rad/s or m/s.
-pub fn slow(tolerance: f64) -> f64 {
+pub fn stick_velocity(tolerance: f64) -> f64 {
     /// A rate counts as the way that it makes in a tenth of a second: as in the error norm of the explicit method.
     const PER_ANGLE: f64 = 10.0;
     (PER_ANGLE * tolerance).clamp(1e-11, 1e-6)
 }
 
-impl Slide {
+impl FrictionGuard {
     /// How far it is beyond what it does, in units of what may be overlooked.
-    fn beyond(&self, grips: &Grips, tolerance: f64) -> f64 {
-        match grips.at(self.place) {
-            Grip::Open => f64::NEG_INFINITY,
-            Grip::Slips(way) => -way.sign() * self.rate / slow(tolerance),
-            Grip::Holds(_) => {
+    fn guard_residual(&self, stick_slip: &StickSlips, tolerance: f64) -> f64 {
+        match stick_slip.at(self.place) {
+            StickSlip::Open => f64::NEG_INFINITY,
+            StickSlip::Slips(direction) => -direction.sign() * self.rate / stick_velocity(tolerance),
+            StickSlip::Holds(_) => {
                 let [load, bound] = self.load;
                 (load.abs() - bound) / (1e-7 * bound.abs() + 1e-12)
             }
@@ -220,121 +220,124 @@ impl Slide {
     fn stays(
         &self,
         to: &Self,
-        grips: &Grips,
+        stick_slip: &StickSlips,
         duration: f64,
         Extremes { rates, accelerations, higher }: &Extremes,
         tolerance: f64,
     ) -> bool {
-        let Grip::Slips(way) = grips.at(self.place) else { return true };
-        let [from, to] = [self.rate, to.rate].map(|rate| way.sign() * rate);
+        let StickSlip::Slips(direction) = stick_slip.at(self.place) else { return true };
+        let [from, to] = [self.rate, to.rate].map(|rate| direction.sign() * rate);
         let along = |of: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| self.arms[link] * of(link)).sum::<f64>();
         let most = along(&|link| accelerations[link] + rates[link] * rates[link]);
-        if from + to - most * duration >= -2.0 * slow(tolerance) {
+        if from + to - most * duration >= -2.0 * stick_velocity(tolerance) {
             return true;
         }
         let Some([jerks, _]) = higher else { return false };
         let bend = along(&|link| jerks[link] + rates[link] * (3.0 * accelerations[link] + rates[link] * rates[link]));
-        from.min(to) - bend * duration * duration / 8.0 >= -slow(tolerance)
+        from.min(to) - bend * duration * duration / 8.0 >= -stick_velocity(tolerance)
     }
 }
 
 /// The kinks of a scene as they are now.
-pub struct Touches<'a> {
-    springs: ArrayVec<Touch<'a>, SPRINGS>,
-    slides: Slides,
+pub struct GuardValues<'a> {
+    springs: ArrayVec<UnilateralGuard<'a>, SPRINGS>,
+    friction_guards: FrictionGuards,
 }
 
-impl<'a> Touches<'a> {
+impl<'a> GuardValues<'a> {
     /// Those of a state, with its grips.
-    pub fn new(effects: &'a Active, at: &ForceContext, slides: Slides) -> Self {
-        Self { springs: effects.iter().flat_map(|effect| effect.touches(at)).collect(), slides }
+    pub fn new(effects: &'a Active, at: &ForceContext, friction_guards: FrictionGuards) -> Self {
+        Self { springs: effects.iter().flat_map(|effect| effect.guard_values(at)).collect(), friction_guards }
     }
 
     /// Whether the grips that there are are those that are remembered.
-    pub fn are_known(&self, grips: &Grips) -> bool {
-        let there = |place: usize| self.slides.iter().any(|slide| slide.place == place);
-        (0..GRIPS).all(|place| there(place) == (grips.at(place) != Grip::Open))
+    pub fn are_known(&self, stick_slip: &StickSlips) -> bool {
+        let there = |place: usize| self.friction_guards.iter().any(|friction_guard| friction_guard.place == place);
+        (0..FRICTION_PLACES).all(|place| there(place) == (stick_slip.at(place) != StickSlip::Open))
     }
 
     /// The sides of the state by itself, without grips.
-    pub fn sides(&self) -> Sides {
-        let mut sides = Sides::BY_STATE;
-        for touch in &self.springs {
-            sides.springs[touch.place] = Some(touch.spring.phase(touch.depth, touch.rate));
+    pub fn mode(&self) -> Mode {
+        let mut mode = Mode::OF_STATE;
+        for guard in &self.springs {
+            mode.springs[guard.place] = Some(guard.spring.phase(guard.depth, guard.rate));
         }
-        sides
+        mode
     }
 
     /// Numbers that change sign where a motion passes a kink; 1 of springs that are absent.
     pub fn indicators(&self) -> [f64; INDICATORS] {
         let mut indicators = [1.0; INDICATORS];
-        for touch in &self.springs {
-            indicators[3 * touch.place..][..3].copy_from_slice(&touch.spring.kinks(touch.depth, touch.rate));
+        for guard in &self.springs {
+            indicators[3 * guard.place..][..3].copy_from_slice(&guard.spring.indicators(guard.depth, guard.rate));
         }
         indicators
     }
 
     /// Whether any grip holds while something moves.
-    pub fn any_holds_in_motion(&self, sides: &Sides) -> bool {
-        !sides.grips.at_rest() && self.held(sides).next().is_some()
+    pub fn any_sticks_in_motion(&self, mode: &Mode) -> bool {
+        !mode.stick_slip.at_rest() && self.held(mode).next().is_some()
     }
 
     /// What grips hold over what they can hold, in units of what may be overlooked: the most of all.
-    pub fn strain(&self, sides: &Sides, tolerance: f64) -> f64 {
-        self.held(sides).map(|slide| slide.beyond(&sides.grips, tolerance)).fold(f64::NEG_INFINITY, f64::max)
+    pub fn holding_margin(&self, mode: &Mode, tolerance: f64) -> f64 {
+        self.held(mode)
+            .map(|friction_guard| friction_guard.guard_residual(&mode.stick_slip, tolerance))
+            .fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// The grips that hold.
-    fn held(&self, sides: &Sides) -> impl Iterator<Item = &Slide> {
-        self.slides.iter().filter(|slide| matches!(sides.grips.at(slide.place), Grip::Holds(_)))
+    fn held(&self, mode: &Mode) -> impl Iterator<Item = &FrictionGuard> {
+        self.friction_guards.iter().filter(|friction_guard| matches!(mode.stick_slip.at(friction_guard.place), StickSlip::Holds(_)))
     }
 
     /// How far the state is beyond the border that it is farthest beyond, in units of what may be overlooked at an angular tolerance, rad;
     /// negative on the near side of all.
-    pub fn beyond(&self, sides: &Sides, tolerance: f64) -> f64 {
-        let borders = self.springs.iter().filter_map(|touch| touch.farthest(sides, tolerance)).map(|border| border.beyond);
-        let slides = self.slides.iter().map(|slide| slide.beyond(&sides.grips, tolerance));
-        borders.chain(slides).fold(f64::NEG_INFINITY, f64::max)
+    pub fn guard_residual(&self, mode: &Mode, tolerance: f64) -> f64 {
+        let borders = self.springs.iter().filter_map(|guard| guard.farthest(mode, tolerance)).map(|border| border.guard_residual);
+        let friction_guards =
+            self.friction_guards.iter().map(|friction_guard| friction_guard.guard_residual(&mode.stick_slip, tolerance));
+        borders.chain(friction_guards).fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// The potential of springs that have let go, J: what it loses is dissipated.
     #[inline(never)]
-    pub fn released(&self, sides: &Sides) -> f64 {
-        let free = self.springs.iter().filter(|touch| touch.depth > 0.0 && touch.phase(sides) == Phase::Free);
-        free.map(|touch| touch.spring.potential(Phase::Free, touch.depth)).sum()
+    pub fn separation_energy(&self, mode: &Mode) -> f64 {
+        let free = self.springs.iter().filter(|guard| guard.depth > 0.0 && guard.phase(mode) == Phase::Free);
+        free.map(|guard| guard.spring.potential(Phase::Free, guard.depth)).sum()
     }
 
     /// About how long the motion stays on the ramps on which it is, s.
-    pub fn last(&self, sides: &Sides) -> f64 {
-        let lasting = self.springs.iter().map(|touch| touch.spring.lasts(touch.phase(sides), touch.depth, touch.rate));
+    pub fn dwell_time(&self, mode: &Mode) -> f64 {
+        let lasting = self.springs.iter().map(|guard| guard.spring.dwell_time(guard.phase(mode), guard.depth, guard.rate));
         lasting.fold(f64::INFINITY, f64::min)
     }
 
     /// The sides behind the borders of springs that the state is beyond, and behind the nearest one.
-    pub fn behind(&self, sides: Sides, tolerance: f64) -> Sides {
-        let nearest = self.beyond(&sides, tolerance).min(0.0);
-        let mut behind = sides;
-        for touch in &self.springs {
-            if let Some(border) = touch.farthest(&sides, tolerance).filter(|border| border.beyond >= nearest) {
-                behind.springs[touch.place] = Some(border.behind);
+    pub fn next_mode(&self, mode: Mode, tolerance: f64) -> Mode {
+        let nearest = self.guard_residual(&mode, tolerance).min(0.0);
+        let mut next_mode = mode;
+        for guard in &self.springs {
+            if let Some(border) = guard.farthest(&mode, tolerance).filter(|border| border.guard_residual >= nearest) {
+                next_mode.springs[guard.place] = Some(border.next_phase);
             }
         }
-        behind
+        next_mode
     }
 
     /// Whether springs stay in their phases, and what slips does not turn, on the way from one place to another some seconds later, but for
     /// what may be overlooked. What grips hold is not bounded.
-    pub fn stay(ends: [&Self; 2], sides: &Sides, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+    pub fn stay_in_phase(ends: [&Self; 2], mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         let [from, to] = ends;
-        let mut slides = from.slides.iter().zip(&to.slides);
+        let mut friction_guards = from.friction_guards.iter().zip(&to.friction_guards);
         let mut springs = from.springs.iter().zip(&to.springs);
-        slides.all(|(from, to)| from.stays(to, &sides.grips, duration, extremes, tolerance))
-            && springs.all(|(from, to)| from.stays(to, sides, duration, extremes, tolerance))
+        friction_guards.all(|(from, to)| from.stays(to, &mode.stick_slip, duration, extremes, tolerance))
+            && springs.all(|(from, to)| from.stays(to, mode, duration, extremes, tolerance))
     }
 
     /// Whether the ends of such a motion show how deep springs are touched on its way, for one who sees nothing else: by no more than half
     /// as much again, or than may be overlooked. Where both ends touch the way between is taken as the cubic through them.
-    pub fn show_their_way(ends: [&Self; 2], duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+    pub fn endpoints_bound_penetration(ends: [&Self; 2], duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         const DEEPER: f64 = 1.5;
         let [from, to] = ends;
         from.springs.iter().zip(&to.springs).all(|(from, to)| {
@@ -342,7 +345,7 @@ impl<'a> Touches<'a> {
             let most = if from.depth > 0.0 && to.depth > 0.0 {
                 (from.depth + to.depth) / 2.0 + duration * (from.rate - to.rate) / 8.0
             } else {
-                from.deepest_on_way(to, duration, extremes)
+                from.deepest_over_step(to, duration, extremes)
             };
             most <= f64::max(DEEPER * seen, from.unit(tolerance))
         })

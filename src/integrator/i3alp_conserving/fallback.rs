@@ -14,7 +14,7 @@
 
 use super::Settings;
 use super::equations::{Evaluation, Step, Unknowns};
-use super::newton::{Allowance, Until, whole};
+use super::newton::{Allowance, Until, full_newton};
 use crate::integrator::{Discrete, Passage, Projection, StepError, velocity_correction};
 use crate::vector::Vector;
 
@@ -42,11 +42,11 @@ const CLOSE_TO_VERTEX: f64 = 1e-4;
 const CLOSED: f64 = 64.0 * f64::EPSILON;
 
 /// What the ladder has found.
-pub(super) enum Rescued<S: Discrete<N, M>, const N: usize, const M: usize> {
+pub(super) enum Recovered<S: Discrete<N, M>, const N: usize, const M: usize> {
     /// A root, and where it leads.
     Root(Unknowns<N, M>, Evaluation<S, N, M>),
     /// None: where the last rung leads.
-    Landed {
+    Scaled {
         /// q₁ − q₀.
         d: Vector<N>,
         /// The rates with which forces have acted.
@@ -71,16 +71,16 @@ pub(super) fn from_equilibrium<const N: usize, const M: usize>(
 /// Up the ladder.
 #[cold]
 #[inline(never)]
-pub(super) fn climb<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
+pub(super) fn recover_by_stages<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     step: &Step<'_, S, N, M>,
     settings: &Settings,
     rest: (&Vector<N>, &Vector<M>),
     allowance: &mut Allowance<'_>,
-) -> Result<Rescued<S, N, M>, StepError> {
+) -> Result<Recovered<S, N, M>, StepError> {
     match root(step, settings, rest, allowance) {
-        Some((x, end)) => Ok(Rescued::Root(x, end)),
+        Some((x, end)) => Ok(Recovered::Root(x, end)),
         None if settings.max_work == 0 => Err(StepError::NoRootWithin { iterations: allowance.spent() }),
-        None => last_resort(step, settings, rest, allowance),
+        None => keep_energy_only(step, settings, rest, allowance),
     }
 }
 
@@ -94,7 +94,7 @@ fn root<const N: usize, const M: usize, S: Discrete<N, M>>(
     let start = from_equilibrium(&step.v, rest, step.h);
     let at_once = |part: f64, allowance: &mut Allowance<'_>| {
         let mut x = start;
-        whole(step, &mut x, with(part), SOLVED, allowance).map(|end| (x, end))
+        full_newton(step, &mut x, with(part), SOLVED, allowance).map(|end| (x, end))
     };
     if let Some(root) = at_once(1.0, allowance) {
         return Some(root);
@@ -129,12 +129,12 @@ fn by_shorter_steps<const N: usize, const M: usize, S: Discrete<N, M>>(
         if part > 0 {
             x.d = h * v;
         }
-        let end = whole(&shorter, &mut x, regularization, SOLVED, allowance)?;
+        let end = full_newton(&shorter, &mut x, regularization, SOLVED, allowance)?;
         (q, v) = (q + x.d, end.v);
         sum.d += x.d;
         sum.lambda += f64::from(parts) * x.lambda;
     }
-    whole(step, &mut sum, regularization, SOLVED, allowance).map(|end| (sum, end))
+    full_newton(step, &mut sum, regularization, SOLVED, allowance).map(|end| (sum, end))
 }
 
 /// Friction that turns at larger rates has a root that is easy to find; from there the law hardens.
@@ -146,13 +146,13 @@ fn hardened<const N: usize, const M: usize, S: Discrete<N, M>>(
 ) -> Option<Root<S, N, M>> {
     let [least, most] = HARDENING;
     let (_, on_the_way) = ON_THE_WAY;
-    whole(&step.softened(SOFTEST), &mut x, regularization, (SOFTENED, on_the_way), allowance)?;
+    full_newton(&step.softened(SOFTEST), &mut x, regularization, (SOFTENED, on_the_way), allowance)?;
     let (mut softening, mut ratio) = (SOFTEST, most);
     while ratio > least {
         let next = (softening / ratio).max(1.0);
         let until = if next > 1.0 { on_the_way } else { Until::Solved };
         let mut there = x;
-        match whole(&step.softened(next), &mut there, regularization, (SOFTENED, until), allowance) {
+        match full_newton(&step.softened(next), &mut there, regularization, (SOFTENED, until), allowance) {
             Some(end) if next == 1.0 => return Some((there, end)),
             Some(_) => (softening, x) = (next, there),
             None => ratio = ratio.sqrt(),
@@ -181,28 +181,28 @@ fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
         };
         (before, x) = (x, next);
         let until = if stage < stages { ON_THE_WAY } else { SOLVED };
-        end = Some(whole(&step.shortened(h), &mut x, regularization, until, allowance)?);
+        end = Some(full_newton(&step.shortened(h), &mut x, regularization, until, allowance)?);
     }
     end.map(|end| (x, end))
 }
 
 /// Where the equations have no root: as far as the rates or equilibrium predict, or a part of it, projected onto the positions; the mean
 /// rate of that way, projected and scaled so that the energy is kept: what the forces have put in on it is known.
-fn last_resort<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
+fn keep_energy_only<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     step: &Step<'_, S, N, M>,
     settings: &Settings,
     rest: (&Vector<N>, &Vector<M>),
     allowance: &mut Allowance<'_>,
-) -> Result<Rescued<S, N, M>, StepError> {
+) -> Result<Recovered<S, N, M>, StepError> {
     // What dampers and drives do at the beginning says nothing about the rest of the step, unless the rates lead nowhere.
     let by_rates = (!step.system.is_conservative() && step.v.max_norm() > 0.0).then(|| step.h * step.v);
-    let ways = [by_rates, Some(from_equilibrium(&step.v, rest, step.h).d)];
-    let landed = ways
+    let starts = [by_rates, Some(from_equilibrium(&step.v, rest, step.h).d)];
+    let landed = starts
         .into_iter()
         .flatten()
         .find_map(|way| (0..MOST_SHORTENINGS).find_map(|times| landing(step, settings, SHORTENED.powi(times) * way, allowance)));
-    allowance.counters.last_resorts += u64::from(landed.is_some());
-    landed.ok_or(StepError::NoWayOn)
+    allowance.counters.fallbacks += u64::from(landed.is_some());
+    landed.ok_or(StepError::FallbackFailed)
 }
 
 /// Where this way leads.
@@ -211,7 +211,7 @@ fn landing<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     settings: &Settings,
     way: Vector<N>,
     allowance: &mut Allowance<'_>,
-) -> Option<Rescued<S, N, M>> {
+) -> Option<Recovered<S, N, M>> {
     let &Step { system, q, v: v0, h, .. } = step;
     let mut end = q + way;
     let projection = Projection::to_round_off(system.length_scale(), settings.equilibrium, MOST_PROJECTIONS);
@@ -230,11 +230,11 @@ fn landing<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     }
     let kinetic = |v: &Vector<N>| 0.5 * system.mass_times(&pose, v).dot(v);
     let secant = step.secant(&d);
-    let put_in = system.mean_forces(&step.chord(&secant, &d, &v)).dot(&d);
-    let (wanted, got) = (kinetic(&v0) + put_in, kinetic(&v));
+    let external_work = system.mean_forces(&step.chord(&secant, &d, &v)).dot(&d);
+    let (wanted, got) = (kinetic(&v0) + external_work, kinetic(&v));
     if !(is_closed(&v) && wanted > 0.0 && got > 0.0) {
         return None;
     }
     let scaled = (wanted / got).sqrt() * v;
-    scaled.is_finite().then_some(Rescued::Landed { d, acting: v, v: scaled })
+    scaled.is_finite().then_some(Recovered::Scaled { d, acting: v, v: scaled })
 }

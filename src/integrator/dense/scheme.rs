@@ -10,29 +10,29 @@ use super::stiffness::STABILITY_LIMIT;
 
 /// A kind of step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
-pub enum Kind {
+pub enum Scheme {
     /// Explicit, of order 8: DOP853.
-    Eighth,
+    Dop853,
     /// Explicit, of order 5: Tsit5.
-    Fifth,
+    Tsit5,
     /// Linearly implicit, of order 4: Rodas4.
-    StiffFourth,
+    Rodas4,
     /// Linearly implicit, of order 5: Rodas5P.
-    StiffFifth,
+    Rodas5p,
 }
 
-impl Kind {
+impl Scheme {
     /// Whether its steps are linearly implicit.
     pub(super) const fn is_implicit(self) -> bool {
-        matches!(self, Self::StiffFourth | Self::StiffFifth)
+        matches!(self, Self::Rodas4 | Self::Rodas5p)
     }
 }
 
 /// Which kinds are made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kinds {
+pub enum Schemes {
     /// One, but explicit steps where an implicit one cannot begin.
-    Only(Kind),
+    Only(Scheme),
     /// Whichever takes least.
     Automatic,
 }
@@ -63,7 +63,7 @@ const WORTH_A_TRY: f64 = 0.5;
 
 /// What a run remembers to choose by.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-pub(super) struct Choice {
+pub(super) struct StiffnessSwitch {
     /// Whether steps are implicit.
     stiff: bool,
     /// Steps in a row, or nearly so, that speak against it.
@@ -78,9 +78,9 @@ pub(super) struct Choice {
     pub(super) fifth: f64,
 }
 
-/// An accepted step, as a [`Choice`] learns from it.
-pub(super) struct Seen {
-    pub(super) kind: Kind,
+/// An accepted step, as a [`StiffnessSwitch`] learns from it.
+pub(super) struct AcceptedStep {
+    pub(super) scheme: Scheme,
     /// Its length, s.
     pub(super) length: f64,
     /// Its product with the fastest rate.
@@ -90,36 +90,36 @@ pub(super) struct Seen {
     /// What limited it otherwise, s.
     pub(super) limit: f64,
     /// Whether the forces are steep.
-    pub(super) steep: bool,
+    pub(super) stiff_forces: bool,
 }
 
-impl Kinds {
+impl Schemes {
     /// The implicit kind for a tolerance.
-    fn stiff(error_tolerance: f64) -> Kind {
-        if error_tolerance >= LOOSE { Kind::StiffFourth } else { Kind::StiffFifth }
+    fn stiff(error_tolerance: f64) -> Scheme {
+        if error_tolerance >= LOOSE { Scheme::Rodas4 } else { Scheme::Rodas5p }
     }
 
     /// Whether a step may be of a kind.
-    pub(super) fn hold(self, kind: Kind, error_tolerance: f64) -> bool {
+    pub(super) fn allow(self, scheme: Scheme, error_tolerance: f64) -> bool {
         match self {
-            Self::Only(only) => kind == only || kind == Kind::Eighth,
-            Self::Automatic => matches!(kind, Kind::Eighth | Kind::Fifth) || kind == Self::stiff(error_tolerance),
+            Self::Only(only) => scheme == only || scheme == Scheme::Dop853,
+            Self::Automatic => matches!(scheme, Scheme::Dop853 | Scheme::Tsit5) || scheme == Self::stiff(error_tolerance),
         }
     }
 
     /// The next step's, which nothing but the error limits to less than so many seconds.
     #[inline]
-    pub(super) fn next(self, choice: &Choice, error_tolerance: f64, limit: f64) -> Kind {
+    pub(super) fn next(self, stiffness_switch: &StiffnessSwitch, error_tolerance: f64, limit: f64) -> Scheme {
         match self {
-            Self::Only(kind) => kind,
-            Self::Automatic if choice.stiff => Self::stiff(error_tolerance),
-            Self::Automatic if limit <= choice.fifth && limit.is_finite() => Kind::Fifth,
-            Self::Automatic => Kind::Eighth,
+            Self::Only(scheme) => scheme,
+            Self::Automatic if stiffness_switch.stiff => Self::stiff(error_tolerance),
+            Self::Automatic if limit <= stiffness_switch.fifth && limit.is_finite() => Scheme::Tsit5,
+            Self::Automatic => Scheme::Dop853,
         }
     }
 }
 
-impl Choice {
+impl StiffnessSwitch {
     /// Before anything is known.
     pub(super) const NEW: Self = Self { stiff: false, against: 0, explicit: 0, returns: 0, border: 0.0, fifth: f64::INFINITY };
 
@@ -145,26 +145,26 @@ impl Choice {
     }
 
     /// What an accepted step says about the next ones.
-    pub(super) fn learn(&mut self, seen: &Seen) {
-        match seen.kind {
-            Kind::Eighth | Kind::Fifth => self.learn_from_explicit(seen),
-            Kind::StiffFourth | Kind::StiffFifth => self.learn_from_implicit(seen),
+    pub(super) fn learn(&mut self, seen: &AcceptedStep) {
+        match seen.scheme {
+            Scheme::Dop853 | Scheme::Tsit5 => self.learn_from_explicit(seen),
+            Scheme::Rodas4 | Scheme::Rodas5p => self.learn_from_implicit(seen),
         }
-        if seen.kind == Kind::Eighth && seen.limit.is_finite() {
+        if seen.scheme == Scheme::Dop853 && seen.limit.is_finite() {
             self.fifth *= RECONSIDERED;
         }
     }
 
-    fn learn_from_explicit(&mut self, seen: &Seen) {
+    fn learn_from_explicit(&mut self, seen: &AcceptedStep) {
         // The product is an estimate: between steps at the border it is below now and then.
         self.against = if seen.product > STABILITY_LIMIT { self.against + 1 } else { self.against.saturating_sub(1) };
-        self.explicit += u16::from(seen.steep && seen.wanted < seen.limit && !self.is_probing());
+        self.explicit += u16::from(seen.stiff_forces && seen.wanted < seen.limit && !self.is_probing());
         if self.against >= AT_BORDER << self.returns {
             (self.stiff, self.against, self.explicit, self.border) = (true, 0, 0, -seen.length);
         }
     }
 
-    fn learn_from_implicit(&mut self, seen: &Seen) {
+    fn learn_from_implicit(&mut self, seen: &AcceptedStep) {
         let rate = seen.product / seen.length;
         if self.border < 0.0 {
             self.border = (-self.border * rate).clamp(BORDERS[0], BORDERS[1]);
@@ -177,8 +177,8 @@ impl Choice {
     }
 
     /// Whether steps by some kinds can leave it behind.
-    pub(super) fn is_possible(&self, kinds: Kinds) -> bool {
-        if kinds != Kinds::Automatic {
+    pub(super) fn is_possible(&self, schemes: Schemes) -> bool {
+        if schemes != Schemes::Automatic {
             return *self == Self::NEW;
         }
         let most = if self.stiff { WITHIN_BORDER } else { AT_BORDER } << self.returns.min(MOST_RETURNS);

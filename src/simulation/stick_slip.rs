@@ -1,0 +1,314 @@
+//! What dry friction that sticks does in a state: which grips hold, and by what force. In the twelve coordinates; what the link angles ask
+//! is carried over.
+
+use arrayvec::ArrayVec;
+
+use super::angles::{Angles, ByAngles};
+use super::five_bar::FiveBar;
+use crate::effects::stick_slip::{
+    FRICTION_PLACES, FrictionConstraint, FrictionConstraints, FrictionProblem, SlipDirection, StickSlip, StickSlips,
+};
+use crate::effects::{FrictionGuard, FrictionGuards, lowest, stick_velocity};
+use crate::integrator::{Held, Kkt, System};
+use crate::mechanism::{COORDINATES, Coordinates, Multipliers, Pose, SceneError};
+use crate::vector::Vector;
+
+impl FiveBar<'_> {
+    /// The grips that there are.
+    fn constraints(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> FrictionConstraints<COORDINATES> {
+        let (at, mut constraints) = (self.context(q, pose, v), FrictionConstraints::new());
+        for effect in &self.model.effects {
+            effect.add_friction_constraints(&at, &mut constraints);
+        }
+        constraints
+    }
+
+    fn stick_velocity(&self) -> f64 {
+        stick_velocity(self.model.error_tolerance)
+    }
+}
+
+/// Up to so many times the rate at which a grip rests a mechanism that friction can hold is at rest: what it still moves is below all
+/// tolerances.
+const AT_REST: f64 = 1e3;
+
+/// Up to so many times that rate a grip may begin to hold: a step ends beyond a border by some part of it.
+const RESTS: f64 = 2.0;
+
+/// What the grips do in a state, by itself.
+#[cold]
+#[inline(never)]
+pub(super) fn resolved(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -> StickSlips {
+    let pose = system.pose(q);
+    let constraints = system.constraints(q, &pose, v);
+    let stick_velocity = system.stick_velocity();
+    if v.max_norm() <= AT_REST * stick_velocity {
+        let at_rest = balance(system, q, &Coordinates::ZERO, &|_| true);
+        if at_rest.can_rest() {
+            return StickSlips::resting(at_rest.places.into_iter());
+        }
+    }
+    let mut stick_slip = resolve_motion(&constraints);
+    let rests = |constraint: &FrictionConstraint<COORDINATES>| constraint.rate.abs() <= RESTS * stick_velocity;
+    if constraints.iter().any(rests) {
+        balance(system, q, v, &rests).resolve_motion(&mut stick_slip);
+    }
+    stick_slip
+}
+
+/// Whether what slips turns and turns back between two states: by the cubic through the rates and accelerations at both.
+#[cold]
+#[inline(never)]
+pub(super) fn reverses_between(system: &FiveBar<'_>, ends: [[&Coordinates; 3]; 2], duration: f64, stick_velocity: f64) -> bool {
+    let constraints = |[q, v, _]: [&Coordinates; 3]| system.constraints(q, &system.pose(q), v);
+    let (from, to) = (constraints(ends[0]), constraints(ends[1]));
+    let pairs = from.iter().zip(&to).filter(|(from, to)| from.place == to.place);
+    pairs.into_iter().any(|(from, to)| {
+        let StickSlip::Slips(way) = system.mode.stick_slip.at(from.place) else { return false };
+        let change = |constraint: &FrictionConstraint<COORDINATES>, [.., a]: [&Coordinates; 3]| {
+            way.sign() * duration * (constraint.row.dot(a) + constraint.drift)
+        };
+        let rates = [from, to].map(|constraint| way.sign() * constraint.rate);
+        let changes = [change(from, ends[0]), change(to, ends[1])];
+        // Between its ends a cubic is lower than both by no more than this part of the slopes that lead there.
+        const DEEPEST: f64 = 4.0 / 27.0;
+        let dip = DEEPEST * ((-changes[0]).max(0.0) + changes[1].max(0.0));
+        rates[0].min(rates[1]) - dip < -stick_velocity && lowest(rates, changes) < -stick_velocity
+    })
+}
+
+/// All slip.
+#[cold]
+#[inline(never)]
+fn resolve_motion(constraints: &FrictionConstraints<COORDINATES>) -> StickSlips {
+    let mut stick_slip = StickSlips::OPEN;
+    for constraint in constraints {
+        stick_slip.set(constraint.place, StickSlip::Slips(SlipDirection::of(constraint.rate)));
+    }
+    stick_slip
+}
+
+/// What some grips, which can hold something, have to hold while the others slip.
+#[cold]
+#[inline(never)]
+fn balance(
+    system: &FiveBar<'_>,
+    q: &Coordinates,
+    v: &Coordinates,
+    rests: &dyn Fn(&FrictionConstraint<COORDINATES>) -> bool,
+) -> FrictionProblem {
+    let pose = system.pose(q);
+    let constraints = system.constraints(q, &pose, v);
+    let resting: ArrayVec<FrictionConstraint<COORDINATES>, FRICTION_PLACES> =
+        constraints.iter().filter(|constraint| constraint.bound > 0.0 && rests(constraint)).copied().collect();
+    let mut stick_slip = resolve_motion(&constraints);
+    for constraint in &resting {
+        stick_slip.set(constraint.place, StickSlip::Holds(SlipDirection::Forward));
+    }
+    let mass = system.factor_mass(&pose, system.model.regularization);
+    let forces = system.on(system.mode.with_stick_slip(stick_slip)).forces(q, &pose, v);
+    let (a, _) = mass.solve(&forces, &-system.phi_q_dot_times(&pose, v));
+    let mut balance = FrictionProblem::default();
+    for (i, constraint) in resting.iter().enumerate() {
+        let (by_torque, _) = mass.solve(&constraint.row, &Vector::ZERO);
+        balance.places.push(constraint.place);
+        balance.bounds[i] = constraint.bound;
+        balance.change[i] = constraint.row.dot(&a) + constraint.drift;
+        for (j, other) in resting.iter().enumerate() {
+            balance.mobility[j][i] = other.row.dot(&by_torque);
+        }
+    }
+    balance
+}
+
+/// What friction holds.
+#[cold]
+#[inline(never)]
+pub(super) fn held(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Held<COORDINATES> {
+    let constraints = system.constraints(q, pose, v);
+    if system.mode.stick_slip.at_rest() {
+        let torques = balance(system, q, v, &|_| true).resting_torques();
+        let able = constraints.iter().filter(|constraint| constraint.bound > 0.0);
+        let force = able.zip(torques).fold(Coordinates::ZERO, |force, (constraint, torque)| force + torque * constraint.row);
+        return Held::All { force };
+    }
+    let Some(first) = first(&system.mode.stick_slip, &constraints) else { return Held::Nothing };
+    let force = shares(&system.mode.stick_slip, &constraints)
+        .fold(Coordinates::ZERO, |force, (constraint, share)| force + share * constraint.row);
+    Held::Direction { row: first.row, drift: first.drift, force }
+}
+
+/// The first grip that holds.
+fn first<'a>(
+    stick_slip: &StickSlips,
+    constraints: &'a FrictionConstraints<COORDINATES>,
+) -> Option<&'a FrictionConstraint<COORDINATES>> {
+    constraints.iter().find(|constraint| matches!(stick_slip.at(constraint.place), StickSlip::Holds(_)))
+}
+
+/// The grips that hold one motion, with what each does per torque of the first: all of them use the same part of their bounds.
+fn shares<'a>(
+    stick_slip: &'a StickSlips,
+    constraints: &'a FrictionConstraints<COORDINATES>,
+) -> impl Iterator<Item = (&'a FrictionConstraint<COORDINATES>, f64)> {
+    let first = first(stick_slip, constraints);
+    constraints.iter().filter_map(move |constraint| {
+        let StickSlip::Holds(way) = stick_slip.at(constraint.place) else { return None };
+        let leader = first?;
+        let share = if constraint.place == leader.place { 1.0 } else { way.sign() * constraint.bound / leader.bound };
+        Some((constraint, share))
+    })
+}
+
+/// By what torques the grips hold, N·m, and the tip's by what force, N, with these accelerations.
+#[cold]
+#[inline(never)]
+pub(super) fn holding(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -> [f64; FRICTION_PLACES] {
+    let pose = system.pose(q);
+    let constraints = system.constraints(q, &pose, v);
+    let mut holding = [0.0; FRICTION_PLACES];
+    if system.mode.stick_slip.at_rest() {
+        let balance = balance(system, q, v, &|_| true);
+        for (place, torque) in balance.places.iter().zip(balance.resting_torques()) {
+            holding[*place] = torque;
+        }
+        return holding;
+    }
+    let Held::Direction { row, drift, force } = held(system, q, &pose, v) else { return holding };
+    let mass = system.factor_mass(&pose, system.model.regularization);
+    let (a, _) = mass.solve(&system.forces(q, &pose, v), &-system.phi_q_dot_times(&pose, v));
+    let mobility = row.dot(&mass.solve(&force, &Vector::ZERO).0);
+    let part = if mobility > 0.0 { -(row.dot(&a) + drift) / mobility } else { 0.0 };
+    for (constraint, share) in shares(&system.mode.stick_slip, &constraints) {
+        holding[constraint.place] = part * share;
+    }
+    holding
+}
+
+/// q̈ and λ with the forces by which friction holds, from those without, in any coordinates; e is that of their saddle-point systems.
+#[cold]
+#[inline(never)]
+pub(super) fn with_friction_reaction<const N: usize, const M: usize>(
+    system: &impl System<N, M>,
+    [q, v]: [Vector<N>; 2],
+    (a, lambda): (Vector<N>, Vector<M>),
+    regularization: f64,
+) -> (Vector<N>, Vector<M>) {
+    let pose = system.pose(&q);
+    let mass = system.factor_mass(&pose, regularization);
+    match system.held(&q, &pose, &v) {
+        Held::Nothing => (a, lambda),
+        Held::Direction { row, drift, force } => {
+            let (by_force, by_force_lambda) = mass.solve(&force, &Vector::ZERO);
+            let mobility = row.dot(&by_force);
+            let part = if mobility > 0.0 { -(row.dot(&a) + drift) / mobility } else { 0.0 };
+            (a + part * by_force, lambda + part * by_force_lambda)
+        }
+        Held::All { force } => {
+            let (_, lambda) = mass.solve(&(system.forces(&q, &pose, &v) + force), &Vector::ZERO);
+            (Vector::ZERO, lambda)
+        }
+    }
+}
+
+impl ByAngles<'_> {
+    /// What friction holds, in the angles.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn friction_reaction_in_angles(&self, q: &Angles, pose: &Pose, v: &Angles) -> Held<{ super::angles::ANGLES }> {
+        let (x, rates) = self.coordinates(pose, q, v);
+        match held(self.five_bar(), &x, pose, &rates) {
+            Held::Nothing => Held::Nothing,
+            Held::Direction { row, drift, force } => Held::Direction {
+                // A row is a force as well: what it misses is how the velocities of the coordinates turn with the links.
+                row: self.carried_over(pose, &row),
+                drift: drift + row.dot(&self.velocity_product(pose, v)),
+                force: self.carried_over(pose, &force),
+            },
+            Held::All { force } => Held::All { force: self.carried_over(pose, &force) },
+        }
+    }
+}
+
+/// q̇ without what friction holds, by the shortest way in the mass metric.
+#[cold]
+#[inline(never)]
+pub(super) fn project_sticking(system: &FiveBar<'_>, q: Coordinates, v: Coordinates) -> Coordinates {
+    if system.mode.stick_slip.at_rest() {
+        return Coordinates::ZERO;
+    }
+    let pose = system.pose(&q);
+    let Held::Direction { row, force, .. } = held(system, &q, &pose, &v) else { return v };
+    let (by_force, _) = system.factor_mass(&pose, system.model.regularization).solve(&force, &Vector::ZERO);
+    let mobility = row.dot(&by_force);
+    if mobility > 0.0 { v - row.dot(&v) / mobility * by_force } else { v }
+}
+
+/// The grips as they are now, for those who watch for what they do next.
+#[cold]
+#[inline(never)]
+pub(super) fn friction_guards(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coordinates) -> FrictionGuards {
+    let constraints = system.constraints(q, pose, v);
+    let watched = system.mode.stick_slip.any_sticks() && !system.mode.stick_slip.at_rest();
+    let holding = if watched { holding(system, q, v) } else { [0.0; FRICTION_PLACES] };
+    let friction_guard = |constraint: &FrictionConstraint<COORDINATES>| FrictionGuard {
+        place: constraint.place,
+        rate: constraint.rate,
+        load: [holding[constraint.place], constraint.bound],
+        arms: constraint.arms,
+    };
+    constraints.iter().map(friction_guard).collect()
+}
+
+/// How q̈ and λ change where joints are held, from how they would without: what holds sees to it that their accelerations stay 0. Refused
+/// where all is held, or the tip.
+pub(super) fn varied(
+    system: &FiveBar<'_>,
+    [q, v]: [&Coordinates; 2],
+    (a, lambda): (Coordinates, Multipliers),
+) -> Result<(Coordinates, Multipliers), SceneError> {
+    let stick_slip = system.mode.stick_slip;
+    if !stick_slip.any_sticks() {
+        return Ok((a, lambda));
+    }
+    if stick_slip.at_rest() || matches!(stick_slip.at(FRICTION_PLACES - 1), StickSlip::Holds(_)) {
+        return Err(SceneError(
+            "friction holds the tip or all that could move, and derivatives are told only where joints alone are held and something moves."
+                .into(),
+        ));
+    }
+    let pose = system.pose(q);
+    let Held::Direction { row, force, .. } = held(system, q, &pose, v) else { return Ok((a, lambda)) };
+    let (by_force, by_force_lambda) = system.factor_mass(&pose, system.model.regularization).solve(&force, &Vector::ZERO);
+    let mobility = row.dot(&by_force);
+    let part = if mobility > 0.0 { -row.dot(&a) / mobility } else { 0.0 };
+    Ok((a + part * by_force, lambda + part * by_force_lambda))
+}
+
+/// Whether a run can have left a state with its grips as they are; where they have only just stopped, it still moves a little.
+#[cold]
+#[inline(never)]
+pub(super) fn are_possible(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates, just_stopped: bool) -> bool {
+    /// A grip does what it does up to some times what may be overlooked.
+    const FAR: f64 = 100.0;
+    let stick_slip = &system.mode.stick_slip;
+    if stick_slip.at_rest() {
+        let all = balance(system, q, &Coordinates::ZERO, &|_| true);
+        let slowest = if just_stopped { AT_REST * system.stick_velocity() } else { 0.0 };
+        return v.max_norm() <= slowest && all.can_rest() && *stick_slip == StickSlips::resting(all.places.into_iter());
+    }
+    let friction_guards = friction_guards(system, q, &system.pose(q), v);
+    let far = FAR * system.stick_velocity();
+    let there = |place: usize| friction_guards.iter().any(|friction_guard| friction_guard.place == place);
+    let held = |constraint: &FrictionConstraint<COORDINATES>| matches!(stick_slip.at(constraint.place), StickSlip::Holds(_));
+    balance(system, q, v, &held).is_one()
+        && (0..FRICTION_PLACES).all(|place| there(place) || stick_slip.at(place) == StickSlip::Open)
+        && friction_guards.iter().all(|friction_guard| match stick_slip.at(friction_guard.place) {
+            StickSlip::Open => false,
+            StickSlip::Slips(way) => way.sign() * friction_guard.rate >= -far,
+            StickSlip::Holds(_) => {
+                friction_guard.rate.abs() <= far
+                    && friction_guard.load[0].abs() <= (1.0 + 1e-3) * friction_guard.load[1].abs() + 1e-9
+            }
+        })
+}
