@@ -16,10 +16,10 @@
 use arrayvec::ArrayVec;
 
 use super::force_context::{ForceContext, Tip};
-use super::stick_slip::{FRICTION_PLACES, FrictionConstraint, FrictionConstraints, Law, TIP_FRICTION};
 use super::guards::{CONTACT, SPRINGS, UnilateralGuard};
-use super::unilateral_spring::{Push, UnilateralSpring};
 use super::step_context::{TipStep, end_weight};
+use super::stick_slip::{FRICTION_PLACES, FrictionConstraint, FrictionConstraints, Law, TIP_FRICTION};
+use super::unilateral_spring::{Push, UnilateralSpring};
 use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::{COORDINATES, Coordinates, LINKS, Mechanism, SceneError, finite, not_negative, positive};
 
@@ -207,7 +207,14 @@ impl Force for Contact {
         tip.add_force(tangent, &mut row);
         let (rate, bound) = (self.slip(&tip), self.mu * guard.force(at));
         let [proximal, distal, ..] = self.arms;
-        grasps.push(FrictionConstraint { place: TIP_FRICTION, row, drift: dot(tangent, tip.centripetal()), rate, bound, arms: [proximal, distal, 0.0, 0.0] });
+        grasps.push(FrictionConstraint {
+            place: TIP_FRICTION,
+            row,
+            drift: dot(tangent, tip.centripetal()),
+            rate,
+            bound,
+            arms: [proximal, distal, 0.0, 0.0],
+        });
     }
 }
 
@@ -226,7 +233,8 @@ impl MeanForce for Contact {
         let (normal, tangent) = (self.normal, self.tangent());
         let matrix = |entry: &dyn Fn(usize, usize) -> f64| [[entry(0, 0), entry(0, 1)], [entry(1, 0), entry(1, 1)]];
         let stiffness = matrix(&|i, j| {
-            push.slope * (normal[i] - by_normal * tangent[i]) * normal[j] + steepness * (1.0 - weight) / over.h * tangent[i] * tangent[j]
+            push.slope * (normal[i] - by_normal * tangent[i]) * normal[j]
+                + steepness * (1.0 - weight) / over.h * tangent[i] * tangent[j]
         });
         let damping = matrix(&|i, j| steepness * weight * tangent[i] * tangent[j]);
         rub.tip.add_tangents(stiffness, damping, tangents);

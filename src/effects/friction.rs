@@ -20,9 +20,9 @@
 //! smoothness. Its rate near w = 0 is T_c/(w_c I), some 1,500/s for the paper's links: stiff for explicit methods. Beyond w_brk the slope
 //! is negative. By the law that sticks no presliding, no ageing at rest.
 
-use super::force_context::{JOINTS, ForceContext, add_joint_damping, add_joint_torque, is_inner};
-use super::stick_slip::{FrictionConstraint, FrictionConstraints, Law};
+use super::force_context::{ForceContext, JOINTS, add_joint_damping, add_joint_torque, is_inner};
 use super::step_context::{add_joint_slopes, end_weight};
+use super::stick_slip::{FrictionConstraint, FrictionConstraints, Law};
 use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::exponential::bell_and_tanh;
@@ -109,8 +109,7 @@ impl Friction {
     fn slope(&self, curve: &Curve, rate: f64) -> f64 {
         let u = rate / self.stribeck_rate;
         let [bell, tanh] = bell_and_tanh(u, rate / self.coulomb_rate);
-        curve.stribeck / self.stribeck_rate * bell * (1.0 - 2.0 * u * u)
-            + curve.coulomb / self.coulomb_rate * (1.0 - tanh * tanh)
+        curve.stribeck / self.stribeck_rate * bell * (1.0 - 2.0 * u * u) + curve.coulomb / self.coulomb_rate * (1.0 - tanh * tanh)
     }
 }
 

@@ -9,7 +9,7 @@
 //! input. θ counts whole turns. Defaults: kp 2 N·m/rad, kd 0.02 N·m·s/rad, a desk-top device's; limit 1 N·m.
 //! Limits: continuous in time (no sampling, no delay, no quantisation), no integral action; motor dynamics are not modelled.
 
-use super::force_context::{MOTORS, ForceContext};
+use super::force_context::{ForceContext, MOTORS};
 use super::step_context::end_weight;
 use super::{Force, Inputs, MeanForce, StepContext, Tangents};
 use crate::mechanism::exponential::tanh;

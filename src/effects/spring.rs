@@ -3,7 +3,7 @@
 //! K = k, C = 0; potential k (θ − θ₀)²/2; conservative. θ counts whole turns. Defaults: 0.05 N·m/rad, about what the links of the
 //! paper's mechanism weigh, relaxed upright (θ₀ = π/2). Limits: linear, massless, without hysteresis.
 
-use super::force_context::{MOTORS, ForceContext};
+use super::force_context::{ForceContext, MOTORS};
 use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::{Coordinates, Mechanism, SceneError, finite, not_negative};
 

@@ -4,7 +4,7 @@
 //! its second. C = b_j over the two links, K = 0; dissipates b_j w_j². Default: 1e-4 N·m·s/rad, a lubricated miniature bearing with
 //! its seal. Limits: linear; no dependence on load or temperature.
 
-use super::force_context::{JOINTS, ForceContext, add_joint_damping, add_joint_torque, is_inner};
+use super::force_context::{ForceContext, JOINTS, add_joint_damping, add_joint_torque, is_inner};
 use super::step_context::{add_joint_slopes, end_weight};
 use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative};

@@ -248,22 +248,23 @@ fn values(parameters: &Parameters) -> Values {
             changed = values.len();
         }
     }
-    let others = values.len() - ESTIMATOR;
+    let others = parameters_before_estimator();
     if changed <= others {
         values.truncate(others);
     }
     values
 }
 
-/// Parameters of the estimator, the last of all: not stored where they are their start values.
-const ESTIMATOR: usize = 13;
+/// Number of parameters before those of the estimator, which are the last of all and are not stored where each has its start value.
+fn parameters_before_estimator() -> usize {
+    bindings::parameters().take_while(|variable| !variable.name.starts_with("estimator.")).count()
+}
 
 /// Parameters with these values, each within its bounds, none left out.
 fn restored(values: &[(u32, Value)]) -> Result<Parameters, CallError> {
     let mut parameters = bindings::default_parameters();
-    let mut all = bindings::parameters().map(|variable| variable.reference);
-    let are_first = values.iter().all(|(reference, _)| all.next() == Some(*reference));
-    if !are_first || ![0, ESTIMATOR].contains(&all.count()) {
+    let are_first = values.iter().zip(bindings::parameters()).all(|((reference, _), variable)| *reference == variable.reference);
+    if !are_first || ![parameters_before_estimator(), bindings::parameters().count()].contains(&values.len()) {
         return Err(wrong("they do not hold every parameter once"));
     }
     for &(reference, value) in values {

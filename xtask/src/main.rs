@@ -3,6 +3,7 @@
 mod bench;
 mod compare;
 mod estimator;
+mod format;
 mod hard_cases;
 mod kinks;
 mod package;
@@ -57,6 +58,12 @@ enum Command {
         #[arg(long, conflicts_with_all = ["full", "platforms"])]
         fmi_sim: bool,
     },
+    /// Format every .rs file, also those that `cargo fmt` does not find because a macro declares their modules
+    Format {
+        /// Change nothing, fail where a file is not formatted
+        #[arg(long)]
+        check: bool,
+    },
     /// Compare the library with that of an earlier revision, every scene by every method: same bits, or by how much they differ
     Compare {
         /// What git calls a revision
@@ -92,7 +99,7 @@ enum Command {
         /// Few repeats, scenes of at most 2 s, a sample of the falls
         #[arg(long)]
         quick: bool,
-        /// Only hold instructions against the ceilings of benches/ceilings.csv; needs valgrind, like the whole command
+        /// Only hold instructions against the ceilings of measure/benches/ceilings.csv; needs valgrind, like the whole command
         #[arg(long, conflicts_with = "quick")]
         check: bool,
     },
@@ -137,6 +144,7 @@ fn command(command: Command) -> Result<()> {
         Command::Test { platforms: true, .. } => test::platforms(),
         Command::Test { fmi_sim: true, .. } => test::fmi_sim(),
         Command::Test { full, .. } => test::test(full),
+        Command::Format { check } => format::format(check),
         Command::Compare { revision } => compare::compare(&revision),
         Command::Walk(options) => walk::walk(&options),
         Command::HardCases { quick } => hard_cases::hard_cases(quick),

@@ -2,7 +2,7 @@
 
 use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
-use crate::{bench, paths, process};
+use crate::{bench, format, paths, process};
 use anyhow::{Context, Result, bail, ensure};
 use cargo_metadata::Message;
 use std::env;
@@ -46,7 +46,7 @@ pub(crate) fn test(full: bool) -> Result<()> {
     // The network has its own pace: what Python needs is fetched meanwhile.
     let environment = thread::spawn(move || venv::python(if full { Packages::Full } else { Packages::Usual }).map(drop));
     let mut steps = Steps::default();
-    steps.run("format", || process::run(process::cargo().args(["fmt", "--all", "--check"])))?;
+    steps.run("format", || format::format(true))?;
     steps.run("lints", || {
         process::run(process::cargo().args(["clippy", "--locked", "--workspace", "--all-targets"]).args(["--", "-D", "warnings"]))
     })?;

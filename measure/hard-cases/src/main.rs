@@ -88,7 +88,7 @@ enum Task {
     /// Work out where the independent programs end in the random scenes with kinks, and add what is missing to a table
     Ends {
         /// The table
-        #[arg(long, default_value = "hard-cases/data/ends.csv")]
+        #[arg(long, default_value = "measure/hard-cases/data/ends.csv")]
         table: PathBuf,
         /// Only cases whose name contains this
         #[arg(long, default_value = "")]

@@ -22,7 +22,7 @@ impl Reference {
     /// The rows of `tests/data/reference/<name>.csv` up to `end` s.
     pub fn read(name: &str, end: f64) -> Result<Self> {
         let file = format!("tests/data/reference/{name}.csv");
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(&file);
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(&file);
         let mut reader = csv::ReaderBuilder::new().comment(Some(b'#')).from_path(path).with_context(|| file.clone())?;
         let mut points = Vec::new();
         for row in reader.records() {
