@@ -20,9 +20,6 @@ DERIVATION = ("method", "vertices", "explicit", "derivatives", "conserving", "au
 ELSEWHERE = {"license.md", "LICENSE-MIT.md"}
 """Papers that other projects have, and the packer looks for."""
 
-NOT_YET = ("ARCHITECTURE.md", "src/")
-"""Being rebuilt: they still point to the sections of the undivided docs/method.md."""
-
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 POINTER = re.compile(
     r"docs/(\w[\w-]*)\.md[`)]*, (?:section (?P<section>[\d.]*\d)|equation \((?P<equation>\d+)\)|\"(?P<title>[^\"]+)\")"
@@ -109,6 +106,13 @@ def test_no_paper_is_named_that_is_not_there() -> None:
         if file != Path(__file__):
             missing = set(re.findall(r"[\w-]+\.md\b", file.read_text(encoding="utf-8"))) - there
             assert not missing, f"{short(file)} names {sorted(missing)}"
+
+
+def test_files_named_in_the_architecture_are_there() -> None:
+    """Paths in backticks; a name without a folder stands beside the path before it, or anywhere in the sources."""
+    names = {path.name for path in SOURCES}
+    for name in re.findall(r"`([\w./-]+(?:\.(?:rs|py|xml)|/))`", (REPOSITORY / "ARCHITECTURE.md").read_text(encoding="utf-8")):
+        assert (REPOSITORY / name).exists() or name in names, f"ARCHITECTURE.md names {name}, which is not there"
 
 
 def test_tests_named_in_papers_are_there() -> None:
