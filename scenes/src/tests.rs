@@ -80,9 +80,9 @@ fn docs_list_every_scene_with_its_effects() {
     assert_eq!(scene.signals.len(), 2);
 }
 
-/// Name and effects of a row such as "| [`swing`](../scenes/swing.json) | a swing | gravity | ...".
+/// Name and effects of a row such as "| [`swing`](../scenes/swing.json) | a swing | gravity |".
 fn row(line: &str) -> Option<(String, String)> {
-    let cells: Vec<&str> = line.strip_prefix("| [`")?.split(" | ").collect();
+    let cells: Vec<&str> = line.strip_prefix("| [`")?.strip_suffix(" |")?.split(" | ").collect();
     Some((cells[0].split('`').next()?.to_owned(), (*cells.get(2)?).to_owned()))
 }
 

@@ -25,7 +25,7 @@ fn balance(simulation: &Simulation) -> f64 {
     observers::energies(simulation.model(), &simulation.state()).error.abs()
 }
 
-/// The errors that `docs/accuracy.md` states for 1 s of fall-90-120; what they cost is measured by the report.
+/// The errors that `docs/scope.md` states for 1 s of fall-90-120; what they cost is measured by the report.
 #[test]
 fn the_goals_of_accuracy_are_met() {
     let reference = Reference::read("fall-90-120").pop().expect("rows");

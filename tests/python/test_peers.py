@@ -183,14 +183,14 @@ def test_the_peers_have_the_loads_of_the_scene() -> None:
 
 def test_docs_show_the_tables_of_all_peers(tmp_path: Path) -> None:
     own = REPOSITORY / peers_in_docs.FILE
-    (tmp_path / "docs").mkdir()
     copy = tmp_path / peers_in_docs.FILE
+    copy.parent.mkdir(parents=True)
     copy.write_text(own.read_text(encoding="utf-8"), encoding="utf-8")
     for _ in range(2):
         peers_in_docs.update(tmp_path, ROWS, "a machine; cargo xtask peers")
     text = copy.read_text(encoding="utf-8")
     ahead_of, energies = (docs.block(text, "", marks) for marks in (peers_in_docs.AHEAD, peers_in_docs.ENERGIES))
-    assert all(f"(../scenes/{scene}.json), after 1 s:" in ahead_of for scene in ahead.SCENES)
+    assert all(f"(../../scenes/{scene}.json), after 1 s:" in ahead_of for scene in ahead.SCENES)
     shown = ahead.markdown(ahead.cells(ahead.table(ROWS, FALL, 1)))
     assert "\n".join(shown) in ahead_of and len(shown) > len(ahead.WANTED)
     assert ahead_of.count("Measured on: a machine") == energies.count("Measured on: a machine") == 1

@@ -209,8 +209,7 @@ def test_what_failed_and_what_is_left_out_is_said(page: Path) -> None:
 @pytest.mark.parametrize("content", ["", "old\n"])
 def test_docs_are_rewritten_between_their_marks(tmp_path: Path, content: str) -> None:
     (tmp_path / "docs").mkdir()
-    for name in docs.FILES:
-        (tmp_path / name).write_text(f"before\n{docs.BEGIN}\n{content}{docs.END}\nafter\n", encoding="utf-8")
+    (tmp_path / docs.FILE).write_text(f"before\n{docs.BEGIN}\n{content}{docs.END}\nafter\n", encoding="utf-8")
     begin, end = docs.RATIOS
     (tmp_path / "docs/automatic.md").write_text(f"before\n{begin}\n{content}{end}\nafter\n", encoding="utf-8")
     table, ratios = ["| a |", "| --- |", "| 1 |"], ["| b |", "| --- |", "| 2 |"]
@@ -218,25 +217,22 @@ def test_docs_are_rewritten_between_their_marks(tmp_path: Path, content: str) ->
         docs.update(tmp_path, table, ratios, ABOUT)
         own = (tmp_path / "docs/automatic.md").read_text(encoding="utf-8")
         assert own == "\n".join(["before", begin, *ratios, "", f"Measured on: {ABOUT}", end, "after", ""])
-        for name, picture in docs.FILES.items():
-            text = (tmp_path / name).read_text(encoding="utf-8")
-            assert text.startswith("before\n") and text.endswith("\nafter\n") and "old" not in text
-            assert text.count(table[0]) == 1
-            assert docs.table_of(text, name) == table and f"]({picture})" in text and ABOUT in text
-    with pytest.raises(ValueError, match="README.md must have the lines"):
-        docs.block("no marks", "README.md")
+        text = (tmp_path / docs.FILE).read_text(encoding="utf-8")
+        assert text.startswith("before\n") and text.endswith("\nafter\n") and "old" not in text
+        assert text.count(table[0]) == 1
+        assert docs.table_of(text, docs.FILE) == table and f"]({docs.PICTURE})" in text and ABOUT in text
+    with pytest.raises(ValueError, match="docs/accuracy.md must have the lines"):
+        docs.block("no marks", docs.FILE)
 
 
-def test_readme_and_docs_show_the_same_table_and_picture() -> None:
-    shown = {name: (REPOSITORY / name).read_text(encoding="utf-8") for name in docs.FILES}
-    readme, own = (docs.table_of(text, name) for name, text in shown.items())
-    assert readme == own
+def test_docs_show_the_table_and_the_picture() -> None:
+    shown = (REPOSITORY / docs.FILE).read_text(encoding="utf-8")
+    own = docs.table_of(shown, docs.FILE)
     assert [line.split("|")[1].strip() for line in own[2:]] == [f"{picks.power(wanted)} m" for wanted in picks.SHORT]
-    for name, picture in docs.FILES.items():
-        assert f"]({picture})" in shown[name]
-        file = (REPOSITORY / name).parent / picture
-        # One panel per kind of scene, each some 50 kB.
-        assert 0 < file.stat().st_size < 60_000 * len(own[0].split("|")[2:-1])
+    assert f"]({docs.PICTURE})" in shown
+    file = (REPOSITORY / docs.FILE).parent / docs.PICTURE
+    # One panel per kind of scene, each some 50 kB.
+    assert 0 < file.stat().st_size < 60_000 * len(own[0].split("|")[2:-1])
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Other ways to follow a measured machine beside the unit's own: a table, and a picture for docs/estimator.md.
+"""Other filters on measured machines beside the unit's own: a table, and a picture for docs/notes/estimator.md.
 
 `cargo xtask estimator --only compare` calls it. An unscented Kalman filter of filterpy is built around the .fmu through FMPy, as its users
 do; the unit's own corrector is called through FMPy as well, and timed. The other ways are computed by the crate `tracking`, whose tables

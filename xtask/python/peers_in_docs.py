@@ -1,4 +1,4 @@
-"""Writes the tables of `cargo xtask peers` into docs/accuracy.md.
+"""Writes the tables of `cargo xtask peers` into docs/notes/peers.md.
 
 python peers_in_docs.py --peers target/peers
 """
@@ -11,7 +11,7 @@ from peers import ahead
 from report import docs, tables
 
 ROOT = Path(__file__).resolve().parents[2]
-FILE = "docs/accuracy.md"
+FILE = "docs/notes/peers.md"
 AHEAD, ENERGIES = (
     (f"<!-- {name}: what follows is written by `cargo xtask peers --update-docs`, not by hand -->", f"<!-- {name}: end -->")
     for name in ("peers", "peers' energies")
@@ -27,7 +27,7 @@ SECOND = 1
 
 def main(arguments: list[str] | None = None) -> int:
     """The exit code: 0 done, 1 there is no table, or not of all peers."""
-    parser = argparse.ArgumentParser(description="Writes the tables of the peers into docs/accuracy.md.")
+    parser = argparse.ArgumentParser(description="Writes the tables of the peers into docs/notes/peers.md.")
     parser.add_argument("--peers", type=Path, required=True, help="the folder of peers.csv")
     options = parser.parse_args(arguments)
     found = tables.read(options.peers / "peers.csv")
@@ -53,7 +53,7 @@ def update(root: Path, rows: list[ahead.Row], about: str) -> None:
     measured, lines = f"Measured on: {about}", []
     for scene in ahead.SCENES:
         shown = ahead.markdown(ahead.cells(ahead.table(rows, scene, SECOND)))
-        lines += [f"[`{scene}`](../scenes/{scene}.json), after {SECOND} s:", ""]
+        lines += [f"[`{scene}`](../../scenes/{scene}.json), after {SECOND} s:", ""]
         lines += [*(line.replace("solver.errorTolerance = ", "") for line in shown), ""]
     docs.write(root, FILE, AHEAD, [*lines, measured])
     docs.write(root, FILE, ENERGIES, [*ahead.markdown(ahead.energies(rows)), "", measured])

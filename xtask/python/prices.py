@@ -66,7 +66,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def table(prices: list[Price]) -> str:
-    """The rows as Markdown, as docs/effects.md has them."""
+    """The rows as Markdown, as docs/notes/effects.md has them."""
     lines = [
         "| scene | effects | sub-steps per step | µs per step | µs per sub-step | the same bare | price of a sub-step |",
         "| --- | --- | ---: | ---: | ---: | ---: | ---: |",

@@ -26,7 +26,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--folder", type=Path, required=True, help="the folder of the report; tables are in its data/")
     for name, text in (("bench", "benchmarks"), ("hard-cases", "hard cases"), ("runs", "runs of scenes"), ("peers", "peers")):
         parser.add_argument(f"--{name}", type=Path, required=True, help=f"the folder of the {text}; what is not there is left out")
-    parser.add_argument("--update-docs", action="store_true", help="also write table and picture into README.md and docs/accuracy.md")
+    parser.add_argument("--update-docs", action="store_true", help="also write table and picture into docs/accuracy.md")
     options = parser.parse_args(arguments)
     data = options.folder / "data"
     m = Measurements.read(data, options.bench, options.hard_cases, options.peers)

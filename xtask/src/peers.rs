@@ -15,7 +15,7 @@ pub(crate) struct Options {
     /// Do not measure; for --update-docs, from the last measurements
     #[arg(long, conflicts_with = "only", requires = "update_docs")]
     reuse: bool,
-    /// Also write the tables into docs/accuracy.md
+    /// Also write the tables into docs/notes/peers.md
     #[arg(long, conflicts_with = "only")]
     update_docs: bool,
 }

@@ -20,7 +20,7 @@ pub(crate) struct Options {
     /// Do not measure; draw the last measurements again
     #[arg(long, conflicts_with = "quick")]
     reuse: bool,
-    /// Also write the main table and picture into README.md and docs/accuracy.md
+    /// Also write the main table and picture into docs/accuracy.md
     #[arg(long, conflicts_with = "quick")]
     update_docs: bool,
 }

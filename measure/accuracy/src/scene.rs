@@ -61,7 +61,7 @@ pub struct Scene {
 /// Name, kind, length (s), file of the reference.
 type Judged = (&'static str, Kind, f64, &'static str);
 
-/// The first of each kind is the one that README.md and docs/accuracy.md show.
+/// The first of each kind is the one that docs/accuracy.md shows.
 const JUDGED: [Judged; 22] = [
     ("swing", Kind::Smooth, 2.0, "swing"),
     ("fall_90_120", Kind::Whipping, 1.0, "fall_90_120"),

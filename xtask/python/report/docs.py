@@ -1,4 +1,4 @@
-"""The main table and picture in README.md and docs/accuracy.md, and the table of ratios in docs/automatic.md, between comments."""
+"""The main table and picture in docs/accuracy.md, and the table of ratios in docs/automatic.md, between comments."""
 
 from pathlib import Path
 
@@ -8,8 +8,8 @@ END = "<!-- accuracy: end -->"
 RATIOS = ("<!-- ratios: what follows is written by `cargo xtask report --update-docs`, not by hand -->", "<!-- ratios: end -->")
 """The same of the table of ratios, in docs/automatic.md."""
 
-FILES = {"README.md": "docs/images/accuracy.svg", "docs/accuracy.md": "images/accuracy.svg"}
-"""The files, and where each sees the picture."""
+FILE, PICTURE = "docs/accuracy.md", "images/accuracy.svg"
+"""The page of the main table, and where it sees the picture."""
 
 CAPTION = "Error of the tip against time on one core, by method, for one scene of each kind"
 
@@ -28,9 +28,8 @@ def table_of(text: str, name: str) -> list[str]:
 
 
 def update(root: Path, table: list[str], ratios: list[str], about: str) -> None:
-    """Writes the table and the link to the picture into both files, and the ratios into theirs."""
-    for name, picture in FILES.items():
-        write(root, name, (BEGIN, END), [f"![{CAPTION}]({picture})", "", *table, "", f"Measured on: {about}"])
+    """Writes the table and the link to the picture into their page, and the ratios into theirs."""
+    write(root, FILE, (BEGIN, END), [f"![{CAPTION}]({PICTURE})", "", *table, "", f"Measured on: {about}"])
     write(root, "docs/automatic.md", RATIOS, [*ratios, "", f"Measured on: {about}"])
 
 

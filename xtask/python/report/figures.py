@@ -102,7 +102,7 @@ def _notes(axes: Axes, markers: list[Marker], taken: list[Bbox]) -> None:
 
 
 def main_picture(markers: list[Marker], references: list[Reference]) -> Figure:
-    """The same for one scene of each kind: the picture of the README."""
+    """The same for one scene of each kind: the picture of docs/accuracy.md."""
     return work_precision(markers, one_of_each_kind(references))
 
 

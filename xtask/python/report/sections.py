@@ -235,7 +235,7 @@ def peers(m: Measurements) -> Section:
         return section
     section.text(
         "<code>cargo xtask peers</code> runs them and the packed unit over the same scenes, one after the other on one core; "
-        "docs/accuracy.md says how. Times are processor times of the process that does the work, without building the model."
+        "docs/notes/peers.md says how. Times are processor times of the process that does the work, without building the model."
     )
     section.parts.append("<h3>Who is ahead</h3>")
     section.text(

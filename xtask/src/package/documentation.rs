@@ -64,7 +64,7 @@ fn own_section(description: &ModelDescription, own: &OwnScene) -> String {
     }
     format!(
         "<h2>{}</h2>\n<p>{}</p>\n\
-         <p>This unit is a FiveBar with start values of its own, which its library has compiled in; all of them can still be set.\n\
+         <p>This unit is a FiveBar with the start values of one's own machine compiled in; all of them can still be set.\n\
          Its default experiment lasts {} s, in steps of {} s.</p>\n\
          <div class=\"table\">\n<table>\n<thead><tr><th>Variable</th><th>Start</th><th>Start in FiveBar.fmu</th><th>Unit</th></tr></thead>\n\
          <tbody>\n{rows}</tbody>\n</table>\n</div>\n",
