@@ -25,12 +25,12 @@ use super::values::{check_value, lookup};
 use super::{CallError, Kind, Snapshot, Stage, bindings};
 use crate::estimator::Measured;
 use crate::mechanism::SceneError;
-use crate::simulation::{Estimate, Following, Inputs, ORDERS, Parameters, Residuals, Run, Signal, Simulation};
+use crate::simulation::{Estimate, Following, Inputs, ORDERS, Parameters, Run, Signal, Simulation};
 use crate::variables::{GUID, VARIABLES, Value};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Must change with every change of what is stored.
-const FORMAT: u32 = 10;
+const FORMAT: u32 = 11;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
 const CHECKSUM: usize = size_of::<u32>();
 
@@ -74,7 +74,7 @@ struct Content {
     clock: Option<Clock>,
     /// Parameters in force.
     values: Values,
-    run: Option<StoredRun>,
+    run: Option<Run>,
     /// [`Next::signal`]: values and derivatives.
     signal: Option<(Inputs, [Inputs; ORDERS])>,
     /// [`Next::parameters`].
@@ -94,23 +94,12 @@ struct Followed {
 /// Values of parameters by their references; those of the estimator only where one is not its start.
 type Values = Vec<(u32, Value)>;
 
-/// A scene made ready.
-#[derive(BorshSerialize, BorshDeserialize)]
-struct StoredRun {
-    run: Run,
-    /// Energies and forces have to add up to them.
-    residuals: Residuals,
-}
-
 impl Snapshot {
     /// The state as bytes.
     pub fn to_bytes(&self) -> Result<Vec<u8>, CallError> {
         let (parameters, run) = match (&self.scene, self.scene.simulation()) {
             (Scene::Draft(parameters), _) => (parameters, None),
-            (_, Some(simulation)) => {
-                let stored = StoredRun { run: simulation.run().clone(), residuals: simulation.residuals() };
-                (simulation.parameters(), Some(stored))
-            }
+            (_, Some(simulation)) => (simulation.parameters(), Some(simulation.run().clone())),
             (_, None) => unreachable!("what is no draft has a simulation"),
         };
         // Fields as those of `Followed`.
@@ -142,8 +131,8 @@ impl Snapshot {
         Ok(bytes)
     }
 
-    /// The state that bytes hold, or one sentence that says what is wrong with them. Whatever in them follows from the parameters has to
-    /// be what these give, and the rest has to be a motion that can go on.
+    /// The state that bytes hold, or one sentence that says what is wrong with them. A forged state is refused, or is some motion that closes
+    /// the loop and can be continued.
     #[cold]
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CallError> {
         let (content, followed) =
@@ -160,13 +149,13 @@ impl Snapshot {
             }
             (
                 Stage::StepComplete | Stage::StepFailed | Stage::EventMode | Stage::ContinuousTimeMode | Stage::Terminated,
-                Some(StoredRun { run, residuals }),
+                Some(run),
             ) if stage.belongs_to(kind) && run.is_model_exchange() == (kind == Kind::ModelExchange) => {
                 let refusal = |error: SceneError| wrong(&error.to_string());
                 match (parameters.estimator.enabled, followed.estimate) {
-                    (false, None) => Scene::Ready(Box::new(Simulation::restored(&parameters, run, &residuals).map_err(refusal)?)),
+                    (false, None) => Scene::Ready(Box::new(Simulation::restored(&parameters, run).map_err(refusal)?)),
                     (true, Some(estimate)) => {
-                        let following = Following::restored(&parameters, run, &residuals, *estimate);
+                        let following = Following::restored(&parameters, run, *estimate);
                         Scene::Following(Box::new(following.map_err(refusal)?))
                     }
                     (false, Some(_)) => return Err(wrong("they hold an estimate, and estimator.enabled is false")),

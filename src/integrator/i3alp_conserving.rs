@@ -341,10 +341,4 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         }
         self.state(system, bounds.regularizations[0]).check(system, &super::Bounds { in_balance: false, ..*bounds })
     }
-
-    /// The sum of all that it remembers of its last steps: a number that a change of any of it changes.
-    pub fn remembered(&self) -> f64 {
-        let Memory { h, x, .. } = &self.memory;
-        h + x.iter().flat_map(|x| x.iter().enumerate()).map(|(i, x)| x.abs() * (i + 1) as f64).sum::<f64>()
-    }
 }

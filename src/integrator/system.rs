@@ -60,10 +60,6 @@ pub trait System<const N: usize, const M: usize> {
     fn configuration_signs(&self, _pose: &Self::Pose) -> u8 {
         0
     }
-    /// Those bits of [`System::configuration_signs`] whose determinants are round-off of 0.
-    fn uncertain_configuration_signs(&self, _pose: &Self::Pose) -> u8 {
-        0
-    }
     /// Whether friction holds anything.
     fn holds(&self) -> bool {
         false

@@ -10,9 +10,6 @@ use crate::scalar::Scalar;
 /// Relative size of a determinant, and absolute size of the smallest singular value of Φ_q, that counts as singular.
 const NEAR_SINGULAR: f64 = 1e-3;
 
-/// A sine below this has a sign by accident: angles of some turns have errors of 1e-15, and so have its products.
-const ROUND_OFF_OF_SINES: f64 = 1e-13;
-
 /// The gravest singularity within reach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SingularityKind {
@@ -68,12 +65,6 @@ impl Pose {
     pub fn configuration_signs(&self) -> u8 {
         let [tip, left, right] = self.sines();
         u8::from(tip < 0.0) | u8::from(left < 0.0) << 1 | u8::from(right < 0.0) << 2
-    }
-
-    /// The bits of those signs that are lost in round-off.
-    pub fn uncertain_configuration_signs(&self) -> u8 {
-        let [tip, left, right] = self.sines().map(|sine| u8::from(sine.abs() < ROUND_OFF_OF_SINES));
-        tip | left << 1 | right << 2
     }
 
     /// What changes sign where a mode changes, or where a direct or inverse singularity comes within reach.

@@ -301,10 +301,6 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
         self.five_bar.configuration_signs(pose)
     }
 
-    fn uncertain_configuration_signs(&self, pose: &Pose) -> u8 {
-        pose.uncertain_configuration_signs()
-    }
-
     #[inline]
     fn holds(&self) -> bool {
         self.five_bar.holds()

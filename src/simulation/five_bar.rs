@@ -226,10 +226,6 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
         pose.configuration_signs()
     }
 
-    fn uncertain_configuration_signs(&self, pose: &Pose) -> u8 {
-        pose.uncertain_configuration_signs()
-    }
-
     #[inline(always)]
     fn holds(&self) -> bool {
         !BARE && self.model.sticks && self.mode.stick_slip.any_sticks()

@@ -6,7 +6,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::five_bar::FiveBar;
 use super::run::MacroSteps;
 use super::settings::sticking_law;
-use super::{Inputs, Parameters, Residuals, Run, Signal, Simulation, State, StepFailure};
+use super::{Inputs, Parameters, Run, Signal, Simulation, State, StepFailure};
 use crate::effects;
 use crate::estimator::{self, Constants, Estimator, Fault, Measured, Status};
 use crate::mechanism::SceneError;
@@ -58,8 +58,8 @@ impl Following {
 
     /// A run that goes on, see [`Simulation::restored`]. Refused unless the estimate is one of its motion.
     #[cold]
-    pub fn restored(parameters: &Parameters, run: Run, residuals: &Residuals, estimate: Estimate) -> Result<Self, SceneError> {
-        let simulation = Simulation::restored(parameters, run, residuals)?;
+    pub fn restored(parameters: &Parameters, run: Run, estimate: Estimate) -> Result<Self, SceneError> {
+        let simulation = Simulation::restored(parameters, run)?;
         let constants = Constants::new(&simulation.model.mechanism.geometry, &parameters.estimator);
         let (theta, omega) = simulation.run.motion(&simulation.model);
         estimate.estimator.check(&constants, &theta, &omega).map_err(|what| SceneError(what.into()))?;

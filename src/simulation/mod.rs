@@ -26,8 +26,6 @@ mod stick_slip;
 mod tangents;
 mod variation;
 
-use borsh::{BorshDeserialize, BorshSerialize};
-
 use crate::effects;
 use crate::estimator;
 use crate::integrator::CONFIGURATION_SIGNS;
@@ -45,23 +43,6 @@ pub use settings::{Method, Settings};
 pub use signal::{ORDERS, Signal};
 pub use state::{Core, State};
 pub use variation::{Direction, Variation};
-
-/// What the balances of energy and of forces and the closure of the rates leave.
-#[derive(Clone, Copy, Debug, BorshSerialize, BorshDeserialize)]
-pub struct Residuals {
-    /// See [`State::energy_error`], J.
-    pub energy: f64,
-    /// Of the equations of motion, N and N·m summed up.
-    pub forces: f64,
-    /// Of the constraints' rates, m/s summed up.
-    pub closure: f64,
-}
-
-impl Residuals {
-    fn bits(&self) -> [u64; 3] {
-        [self.energy, self.forces, self.closure].map(f64::to_bits)
-    }
-}
 
 /// A scene made ready. A clone goes on by itself, to the same bits.
 #[derive(Clone, Debug)]
@@ -119,25 +100,13 @@ impl Simulation {
         Ok(simulation)
     }
 
-    /// A run that goes on, with the parameters in force and the residuals that it had. Refused unless whatever in it follows from the
-    /// parameters is what they give, and the rest is a motion.
+    /// A stored run with the parameters in force. Refused unless the run is finite, closes the loop and is in equilibrium with its loads.
     #[cold]
-    pub fn restored(parameters: &Parameters, run: Run, residuals: &Residuals) -> Result<Self, SceneError> {
+    pub fn restored(parameters: &Parameters, run: Run) -> Result<Self, SceneError> {
         let model = if run.is_model_exchange() { Model::for_model_exchange(parameters)? } else { Model::new(parameters)? };
         let simulation = Self { parameters: parameters.clone(), model, run };
         simulation.run.check(&simulation.model, parameters)?;
-        // Worked out from the same numbers by the same operations: a difference of one bit is a number that has been changed.
-        if simulation.residuals().bits() != residuals.bits() {
-            return Err(SceneError("its energies, forces and rates do not add up".into()));
-        }
         Ok(simulation)
-    }
-
-    /// What balances leave at present: of a motion that is stored and goes on they are part.
-    pub fn residuals(&self) -> Residuals {
-        let h = self.parameters.settings.step_size;
-        let [forces, closure] = self.run.errors(&self.model, h);
-        Residuals { energy: self.state().energy_error(&self.model), forces, closure }
     }
 
     /// `steps` macro steps of `h` seconds with `inputs` held.

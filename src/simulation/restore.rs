@@ -8,7 +8,7 @@ use super::run::{IntegratorState, Run};
 use super::stick_slip;
 use super::{Method, Parameters, Settings};
 use crate::effects::{Mode, StickSlips};
-use crate::integrator::{Bounds, Implicit, Inconsistency, System};
+use crate::integrator::{Bounds, Inconsistency};
 use crate::mechanism::{Coordinates, SceneError};
 
 /// Constraints hold to this part of the machine's size, or to some times what the solver is told to allow.
@@ -60,27 +60,6 @@ pub(super) fn check_stick_slip(
         system.mode.stick_slip == StickSlips::OPEN
     };
     if possible { Ok(()) } else { Err("friction does not hold or slip as it says") }
-}
-
-impl Run {
-    /// What the equations of motion leave, N and N·m summed up, with the acceleration that the predictor expects at the end of a macro step
-    /// of h seconds; and the rates of closure, m/s. Where the step under way can be made once more they are not needed, and 0.
-    pub(super) fn errors(&self, model: &Model, h: f64) -> [f64; 2] {
-        let system = FiveBar::<false>::new(model, &self.inputs, &self.turns);
-        let (core, remembered) = match &self.integrator {
-            IntegratorState::MacroStepped(core, _) => (*core, 0.0),
-            // Its accelerations follow from equilibrium: they tell whether the inputs are those that it has held.
-            IntegratorState::Conserving(run) => {
-                let core = run.state(&system, model.regularization);
-                (core, run.remembered() + core.a.iter().map(|x| x.abs()).sum::<f64>())
-            }
-            IntegratorState::DenseOutput(_) | IntegratorState::ModelExchange(_) => return [0.0; 2],
-        };
-        let pose = system.pose(&core.q);
-        let left = system.mass_times(&pose, &(core.a + h * core.jerk)) + system.phi_q_transposed_times(&pose, &core.lambda);
-        let forces = left - system.forces(&core.q, &pose, &core.v);
-        [forces.iter().map(|x| x.abs()).sum::<f64>() + remembered, system.phi_q_times(&pose, &core.v).iter().map(|x| x.abs()).sum()]
-    }
 }
 
 /// What the method holds its constraints and equilibrium to.

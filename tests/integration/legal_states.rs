@@ -60,8 +60,7 @@ impl Twins {
         let bytes = Self::bytes(stored);
         assert_eq!(bytes, Self::bytes(free), "{name}: the runs have parted");
         let run: Run = borsh::from_slice(&bytes).expect("a run");
-        let residuals = stored.residuals();
-        *stored = Simulation::restored(stored.parameters(), run, &residuals).unwrap_or_else(|refusal| {
+        *stored = Simulation::restored(stored.parameters(), run).unwrap_or_else(|refusal| {
             let (norms, core) = (observers::constraint_norms(stored.model(), &stored.state()), stored.state().core);
             panic!("{name}: {refusal}: {norms:?}, rates of {:e}, {:?}", core.v.max_norm(), core.counters)
         });
