@@ -1,8 +1,8 @@
-//! The strictly fixed step that conserves: index-3 augmented Lagrangian on the energy–momentum rule, with both levels of the constraints
-//! met by discrete derivatives.
+//! Energy-conserving step of fixed length: index-3 augmented Lagrangian on the energy–momentum rule, with position and velocity
+//! constraints met by discrete derivatives (Gonzalez 1996; García Orden and Ortega 2006; Gear, Leimkuhler, Gupta 1985).
 //!
-//! `docs/conserving.md` derives it. Unknowns are the increments d = q₁ − q₀, Λ = h²λ/2 of the joint forces and ν, which holds the
-//! velocities; with z = d − M⁻¹J_cᵀν, the mean of h q̇₀ and h q̇₁:
+//! `docs/conserving.md` derives it. Unknowns are the increment d = q₁ − q₀, Λ = h²λ/2 with the joint forces λ, and the multipliers ν of
+//! the velocity constraints; with z = d − M⁻¹J_cᵀν, the mean of h q̇₀ and h q̇₁:
 //!
 //! ```text
 //! M (z − h q̇₀) + J_bᵀ Λ + ½ K_b(z)ᵀ ν = ½ h² Q̄       momentum
@@ -10,9 +10,9 @@
 //! J₁ w = 0,   w = h q̇₁ = 2z − h q̇₀                    velocities
 //! ```
 //!
-//! J_b d = ΔΦ = 0 and K_b(z) d = (J₁ − J₀) z make the constraints' forces do no work, whatever the step; Q̄ᵀd is what potentials lose.
-//! So energy, Φ and Φ̇ are kept to round-off, and no local error is estimated: the step is h. One that plain Newton's method does not
-//! solve climbs the ladder of `fallback.rs`.
+//! J_b d = ΔΦ = 0 and K_b(z) d = (J₁ − J₀) z, so constraint forces do no work at any h; Q̄ᵀd is the work of the applied forces. So
+//! energy, Φ and Φ̇ are conserved to round-off, and no local error is estimated. Steps that plain Newton iteration does not solve go
+//! through the stages of `fallback.rs`.
 
 mod equations;
 mod fallback;
@@ -29,26 +29,27 @@ use newton::{Allowance, Bounds, Until, full_newton, staggered_newton};
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Most Newton iterations of the first try.
+    /// Largest number of Newton iterations of the first try.
     pub max_iterations: u32,
-    /// Most Newton iterations of one step and its rescue but the last rung; 0: no rescue but a better first guess.
+    /// Largest number of Newton iterations of one step with its fallback stages, the energy-only stage excepted; 0: no fallback but
+    /// a better first guess.
     pub max_work: u32,
-    /// e of the step's systems, 1/kg: it weighs increments, and moves no root.
+    /// Regularisation e of the step's systems, 1/kg: it weighs increments and moves no root.
     pub regularization: f64,
-    /// e of equilibrium and projections, 1/kg.
+    /// Regularisation e of equilibrium and projections, 1/kg.
     pub equilibrium: f64,
 }
 
-/// A step shorter than this, s, moves on by its Taylor series.
+/// Shortest step solved by Newton's method, s; shorter ones take the Taylor series.
 const SHORTEST: f64 = 1e-12;
-/// Accelerations below this, m/s² and rad/s², are round-off.
+/// Accelerations below this bound, m/s² and rad/s², are round-off.
 const BALANCED: f64 = 1e-12;
-/// Steps that the extrapolation of the unknowns looks back on.
+/// Number of past steps that the extrapolation of the unknowns uses.
 const REMEMBERED: usize = 6;
-/// Those that a parabola takes.
+/// Number of past steps that a quadratic extrapolation uses.
 const PARABOLA: usize = 3;
 
-/// A run: accelerations and joint forces are no part of it, they follow from equilibrium when they are asked for.
+/// State of a run. Accelerations and joint forces are not part of it: they follow from equilibrium when they are read.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct ConservingRun<const N: usize, const K: usize> {
     /// Coordinates, m and rad.
@@ -57,28 +58,28 @@ pub struct ConservingRun<const N: usize, const K: usize> {
     pub v: Vector<N>,
     /// Work since the start, J.
     pub work: Work,
-    /// [`super::System::configuration_signs`] of q.
+    /// Signs of the singularity determinants at q, see [`super::System::configuration_signs`].
     pub configuration_signs: u8,
     /// Counters since the start.
     pub counters: Counters,
     memory: Memory<K>,
 }
 
-/// The unknowns of the last steps, with the loops cut, from which those of the next are extrapolated.
+/// Loop-cut unknowns of past steps, from which those of the next step are extrapolated.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Memory<const K: usize> {
-    /// The length of these steps, s.
+    /// Length of these steps, s.
     h: f64,
-    /// How many there are.
+    /// Number of steps stored.
     known: u8,
-    /// The latest first.
+    /// Unknowns, latest step first.
     x: [Vector<K>; REMEMBERED],
 }
 
 impl<const K: usize> Memory<K> {
     const NONE: Self = Self { h: 0.0, known: 0, x: [Vector::ZERO; REMEMBERED] };
 
-    /// By the polynomial of the fifth degree through the last steps of the same length, or by a parabola where fewer are known.
+    /// Extrapolates by the polynomial of degree 5 through the last six steps of length `h`, or by a parabola through three.
     #[inline(always)]
     fn extrapolated(&self, h: f64) -> Option<Vector<K>> {
         let Self { known, x: [last, before, third, fourth, fifth, first], .. } = *self;
@@ -101,26 +102,27 @@ impl<const K: usize> Memory<K> {
 }
 
 impl<const N: usize, const K: usize> ConservingRun<N, K> {
-    /// Begins with q and q̇, which meet the constraints.
+    /// Starts a run at q and q̇, which must meet the constraints.
     pub fn start<const M: usize, S: Discrete<N, M>>(system: &S, q: Vector<N>, v: Vector<N>) -> Self {
         let configuration_signs = system.configuration_signs(&system.pose(&q));
         Self { q, v, work: Work::default(), configuration_signs, counters: Counters::default(), memory: Memory::NONE }
     }
 
-    /// The inputs have changed at once, and with them second differences of the motion: what looks at higher ones would be farther off.
+    /// Notes a discontinuity of the inputs, which makes the higher differences of the history useless: a parabola is used until the
+    /// history is full again.
     pub fn change(&mut self) {
         self.memory.known = self.memory.known.min(PARABOLA as u8);
         self.counters.restarts += 1;
     }
 
-    /// The motion or the machine has changed at once, which did some work: what was extrapolated does not hold any more.
+    /// Notes a discontinuity of the motion or of the machine, which did the given work, J, and clears the history.
     pub fn restart(&mut self, work: Work) {
         self.work += work;
         self.memory = Memory::NONE;
         self.counters.restarts += 1;
     }
 
-    /// The state, with q̈, λ and power from equilibrium. Nothing of it is fed back.
+    /// Full state with q̈, λ and power from equilibrium. None of these values is fed back.
     pub fn state<const M: usize, S: Discrete<N, M> + Passage<N>>(&self, system: &S, regularization: f64) -> State<N, M> {
         let &Self { q, v, work, configuration_signs, counters, .. } = self;
         let mut state = State {
@@ -142,8 +144,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         state
     }
 
-    /// One step of h seconds. On failure the run is undefined: the caller keeps a copy. `general` is the same system, for what is rare:
-    /// a form of its own that `system` may have is compiled for the first try only.
+    /// One step of `h` seconds. On failure the run is undefined, so the caller keeps a copy. `general` is the unspecialised form of
+    /// `system`; a specialised form is compiled for the first try only.
     #[inline(never)]
     pub fn advance<const M: usize, S, G>(
         &mut self,
@@ -163,7 +165,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
                 self.counters.substeps += 1;
                 return Ok(());
             }
-            // Where it was says nothing about its branch.
+            // After rest the history says nothing about the branch.
             self.memory = Memory::NONE;
         }
         let x = match self.memory.extrapolated(h) {
@@ -194,7 +196,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         self.at_once(&Step::new(general, [&q, &v], h), settings, (begun, nearby))
     }
 
-    /// Whether the system, at rest, stays there: what Newton's method makes of round-off would drive it from a vertex.
+    /// Whether the system at rest stays at rest; Newton's method would amplify round-off at a vertex.
     #[cold]
     #[inline(never)]
     fn is_in_balance<const M: usize, S: Discrete<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> bool {
@@ -202,7 +204,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a).max_norm() < BALANCED
     }
 
-    /// What equilibrium predicts: at the start, after a change, and where the step has another length.
+    /// First guess of the unknowns from equilibrium: at the start, after a discontinuity, and where h changes.
     #[cold]
     #[inline(never)]
     fn predicted_by_equilibrium<const M: usize, S>(&mut self, system: &S, settings: &Settings, h: f64) -> Vector<K>
@@ -216,7 +218,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         system.cut_unknowns(&d, [&lambda, &nu])
     }
 
-    /// By the whole tangent from where Λ and ν in turn have come to, or up the ladder.
+    /// Full Newton iteration from the result of the staggered one; on failure, the fallback stages.
     #[inline(never)]
     fn at_once<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
         &mut self,
@@ -237,7 +239,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         }
     }
 
-    /// Up the ladder, with what the step, begun at this number of iterations, may still take.
+    /// Runs the fallback stages within the iterations left to the step, which began at `begun` iterations.
     #[cold]
     #[inline(never)]
     fn recover<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
@@ -262,7 +264,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         }
     }
 
-    /// At a root of all unknowns.
+    /// Accepts a root of the full unknowns.
     fn arrive_at<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
         &mut self,
         step: &Step<'_, S, N, M>,
@@ -273,7 +275,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         self.arrive(step.system, &step.chord(&end.secant, d, &end.v), x)
     }
 
-    /// At a root, whose unknowns are remembered.
+    /// Accepts a root and stores its unknowns in the history.
     #[inline(always)]
     fn arrive<const M: usize, S: Discrete<N, M>>(
         &mut self,
@@ -288,7 +290,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         self.conclude(system, over, over.v)
     }
 
-    /// The run goes on from q₀ + d over the chord, with the rates at which forces have acted, and those at the end.
+    /// Advances the run to q₀ + d with the velocity `v`; work is evaluated with the rates in `over`, at which forces have acted.
     #[inline(always)]
     fn conclude<const M: usize, S: Discrete<N, M>>(
         &mut self,
@@ -313,7 +315,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         Ok(())
     }
 
-    /// A step so short that q̈ stays but for round-off.
+    /// A step so short that q̈ changes by round-off only.
     #[cold]
     fn taylor_step<const M: usize, S: Discrete<N, M> + Passage<N>>(
         &mut self,
@@ -328,7 +330,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if self.q.is_finite() && self.v.is_finite() { Ok(()) } else { Err(StepError::NotFinite) }
     }
 
-    /// Refuses a run that is none of this system.
+    /// Refuses a run that cannot belong to this system.
     #[cold]
     pub fn check<const M: usize, S: Discrete<N, M> + Passage<N>>(
         &self,
@@ -342,7 +344,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         self.state(system, bounds.regularizations[0]).check(system, &super::Bounds { in_balance: false, ..*bounds })
     }
 
-    /// The sum of all that it remembers of its last steps: a number that a change of any of it changes.
+    /// Weighted sum of the history, which changes whenever an element changes.
     pub fn remembered(&self) -> f64 {
         let Memory { h, x, .. } = &self.memory;
         h + x.iter().flat_map(|x| x.iter().enumerate()).map(|(i, x)| x.abs() * (i + 1) as f64).sum::<f64>()

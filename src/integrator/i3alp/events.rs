@@ -1,7 +1,7 @@
-//! Where dry friction stops something, or lets it go, a sub-step ends.
+//! Event location for stick-slip friction: a sub-step ends where a friction element sticks, slips or changes its direction.
 //!
-//! A sub-step is made with every grip doing what it does at its beginning. One that ends beyond the border at which any of them does
-//! something else is tried again, shorter, until it ends at the border: by false position on its length.
+//! Each sub-step is computed in the mode of its beginning. A sub-step that ends past a guard is repeated with another length, found
+//! by false position (Illinois), until it ends at the guard.
 
 use std::borrow::Borrow;
 
@@ -9,54 +9,56 @@ use super::Settings;
 use crate::integrator::{Events, Implicit, Passage, State, StepEnd};
 use crate::vector::Vector;
 
-/// A sub-step ends at a border where it is beyond it by half of what may be overlooked.
+/// Guard residual at which a sub-step is to end, in event tolerances: past the guard, but not by more than admissible.
 const AT_BORDER: f64 = 0.5;
-/// This near.
+/// Half-width of the accepted window around [`AT_BORDER`], in event tolerances.
 const NEAR_ENOUGH: f64 = 0.4;
-/// Farther beyond, a border has been crossed.
+/// Guard residual above which an event has occurred, in event tolerances.
 const CROSSED: f64 = 1.0;
-/// So many tries to end at a border are enough: the sub-step then ends beyond it.
+/// Largest number of trials of one event location; the sub-step then ends past the guard.
 const MOST_TRIES: u32 = 60;
-/// So many times a sub-step is halved because of what its middle seems to be.
+/// Largest number of bisections of a sub-step because of an event suspected in its middle.
 const MOST_HALVES: u32 = 8;
-/// No border is sought between lengths that differ by less, s.
+/// Shortest bracket of an event, s.
 const SHORTEST: f64 = 1e-11;
-/// As far from a border as matters; where there is none it is infinite.
+/// Lower bound of guard residuals, so that false position stays finite where there is no guard, in event tolerances.
 const FAR: f64 = -1e15;
-/// A sub-step is at least this part longer than one that does not come to the border.
+/// Smallest distance of a trial from the ends of the bracket, relative to the bracket.
 const LEAST: f64 = 1e-9;
 
-/// What becomes of a sub-step.
+/// Decision about a sub-step with an admissible local error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Outcome {
-    /// It is tried once more, shorter or longer.
+    /// The sub-step is repeated with another length.
     Again,
-    /// It ends where grips do something else, or are no longer those there were.
+    /// The sub-step ends at an event: the mode changes.
     Turns,
-    /// No grip does anything else.
+    /// The sub-step ends in its mode.
     Passes,
 }
 
-/// The search for the length of a sub-step that ends at a border.
+/// Search for the sub-step length that ends at an event.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Search {
-    /// Lengths that end before and beyond the border, s, and how far beyond.
+    /// Lower end of the bracket: sub-step length, s, and its guard residual relative to the target, in event tolerances.
     before: [f64; 2],
+    /// Upper end of the bracket, once an event is bracketed: sub-step length, s, and its guard residual relative to the target.
     guard_residual: Option<[f64; 2]>,
-    /// Half of a sub-step in whose middle a border may have been crossed, s.
+    /// Half of a sub-step in whose middle an event is suspected, s.
     half: Option<f64>,
-    /// Whether the last try has left more than half of what lies between them.
+    /// Whether the last trial has left more than half of the bracket.
     is_slow: bool,
     tries: u32,
+    /// Whether the last trial ends within the window of the event.
     at_border: bool,
 }
 
 impl Search {
-    /// Nothing is sought.
+    /// No search is under way.
     pub(super) const NONE: Self =
         Self { before: [0.0; 2], guard_residual: None, half: None, is_slow: false, tries: 0, at_border: false };
 
-    /// The length to try next, s.
+    /// Sub-step length of the next trial, s.
     #[inline(always)]
     pub(super) fn next(&self) -> Option<f64> {
         let Some([far, above]) = self.guard_residual else { return self.half };
@@ -64,17 +66,17 @@ impl Search {
         if self.is_over() {
             return Some(far);
         }
-        // Borders of several grips make one function with corners, from one of which false position may hardly move: then in halves.
+        // The maximum over several guards has corners, where false position stalls; bisection follows.
         let part = if self.is_slow { 0.5 } else { (-below / (above - below)).clamp(LEAST, 1.0 - LEAST) };
         Some(near + (far - near) * part)
     }
 
-    /// Whether what is left between the lengths is not worth a try: the sub-step then ends beyond the border.
+    /// Whether the search is exhausted: the sub-step then ends past the guard.
     fn is_over(&self) -> bool {
         self.tries >= MOST_TRIES || self.guard_residual.is_some_and(|[far, _]| far - self.before[0] < SHORTEST)
     }
 
-    /// What becomes of a sub-step of h seconds that is accepted otherwise.
+    /// Decides about a sub-step of `h` seconds whose local error is admissible.
     #[cold]
     pub(super) fn judge<const N: usize, const M: usize, S: Implicit<N, M> + Events<N>>(
         &mut self,
@@ -94,7 +96,7 @@ impl Search {
         }
     }
 
-    /// Whether a sub-step of h seconds that ends so far beyond the borders has to be tried once more, shorter or longer.
+    /// Whether a sub-step of `h` seconds that ends at this guard residual is to be repeated with another length.
     fn goes_on<const N: usize, const M: usize, S: Implicit<N, M> + Events<N>>(
         &mut self,
         system: &S,
@@ -111,7 +113,8 @@ impl Search {
                 (self.before, self.guard_residual) = ([0.0, start.max(FAR)], Some([h, guard_residual - AT_BORDER]));
                 return true;
             }
-            // A grip may turn twice within the sub-step, or be overstrained for a while: seen in its middle.
+            // A friction element may reverse twice within the sub-step, or exceed its breakaway bound for a while: checked at the
+            // middle.
             self.tries += 1;
             let turns = || system.reverses_between([[&from.q, &from.v, &from.a], [&to.q, &to.v, &to.a]], h, tolerance);
             let overstrained = || {
@@ -122,10 +125,10 @@ impl Search {
             self.half = (self.tries <= MOST_HALVES && (turns() || overstrained())).then_some(0.5 * h);
             return self.half.is_some();
         };
-        // What is beyond a border already turns at once.
+        // A guard that is exceeded at the beginning changes the mode at once.
         self.at_border = (guard_residual - AT_BORDER).abs() <= NEAR_ENOUGH || h >= *far;
         let left = *far - self.before[0];
-        // Of two ends on the same side in a row the other's weight is halved (Illinois).
+        // Illinois rule: after two ends on the same side the residual of the other end is halved.
         if guard_residual > AT_BORDER {
             (*far, *above) = (h, guard_residual - AT_BORDER);
             self.before[1] *= 0.5;
@@ -139,7 +142,7 @@ impl Search {
     }
 }
 
-/// From here on the grips do what follows from the state.
+/// Applies the transition: the mode that follows from the state, with accelerations of that mode.
 #[cold]
 pub(super) fn turn<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
     system: &S,

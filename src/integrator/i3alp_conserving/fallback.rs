@@ -1,16 +1,17 @@
-//! What a step does whose equations plain Newton's method does not solve: other ways to the same root, at the full step.
+//! Fallback stages of a conserving step that plain Newton iteration does not solve: homotopies to the same root, at the full step
+//! length.
 //!
-//! | rung | way |
+//! | stage | method |
 //! | --- | --- |
-//! | 1 | the whole tangent, from what equilibrium at the beginning predicts |
-//! | 2 | friction and servos made soft and hardened again, each root the start of the next |
-//! | 3 | continuation: roots at h/8, 2h/8, … h |
-//! | 4 | a smaller e |
-//! | 5 | continuations with a smaller e, and finer ones |
-//! | 6 | from where two to sixteen shorter steps lead |
-//! | last | no root, which happens close to vertices: what the rates or equilibrium predict, projected and scaled to the energy |
+//! | 1 | full tangent, from the first guess by equilibrium at the beginning |
+//! | 2 | homotopy in the law of friction and servos: softened, then hardened again |
+//! | 3 | homotopy in the step length: roots at h/8, 2h/8, … h |
+//! | 4 | smaller regularisation e |
+//! | 5 | homotopies in the step length with smaller e, and with more stages |
+//! | 6 | first guess from the end of two to sixteen shorter steps |
+//! | last | energy only, close to vertices where no root exists: end by rates or equilibrium, projected, its velocity scaled to the energy |
 //!
-//! Without an allowance for a rescue the first rung is the only one.
+//! With `max_work` = 0 the first stage is the only one.
 
 use super::Settings;
 use super::equations::{Evaluation, Step, Unknowns};
@@ -18,48 +19,53 @@ use super::newton::{Allowance, Until, full_newton};
 use crate::integrator::{Discrete, Passage, Projection, StepError, velocity_correction};
 use crate::vector::Vector;
 
-/// Factor on the rates at which friction turns where its law is softest, and by which it hardens at a time: less where that is too much.
+/// Largest factor on the regularisation rates of friction: the root of the softest law is found from the first guess of
+/// equilibrium.
 const SOFTEST: f64 = 1e7;
+/// Smallest and largest factor by which the regularisation rates fall from one root to the next.
 const HARDENING: [f64; 2] = [1.05, 30.0];
-/// Parts of e.
+/// Smaller regularisations to try, relative to e.
 const SMALLER: [f64; 2] = [1e-5, 1e-7];
-/// Stages of the finer continuations and their part of e.
+/// Further homotopies in the step length: number of stages, and regularisation relative to e.
 const FINER: [(u32, f64); 4] = [(8, 1e-5), (32, 1.0), (32, 1e-5), (128, 1e-5)];
-/// Shorter steps whose end is a first guess.
+/// Numbers of shorter steps whose end is tried as a first guess.
 const SHORTER: [u32; 4] = [2, 4, 8, 16];
-/// Most iterations to a root, and at the stages on the way there.
+/// Iteration limit and stopping rule for a root of the step itself.
 const SOLVED: (u32, Until) = (10, Until::Solved);
+/// Iteration limit and stopping rule for the intermediate roots of a homotopy.
 const ON_THE_WAY: (u32, Until) = (10, Until::Corrected(1e-8));
-/// Most iterations of each softening.
+/// Largest number of iterations per softening.
 const SOFTENED: u32 = 15;
-/// Most iterations of a projection by the last rung.
+/// Largest number of iterations of a projection in the energy-only stage.
 const MOST_PROJECTIONS: u32 = 30;
-/// By which its way is shortened where that is not enough, and how often.
+/// Factor by which the increment of the energy-only stage is shortened where projection or energy fail.
 const SHORTENED: f64 = 0.25;
+/// Largest number of such shortenings.
 const MOST_SHORTENINGS: i32 = 20;
-/// Part of e of its projections, and of the rates what they may leave.
+/// Regularisation of projections in the energy-only stage, relative to e: S is nearly singular close to a vertex.
 const CLOSE_TO_VERTEX: f64 = 1e-4;
+/// Admissible velocity violation in the energy-only stage, relative to the velocity times the system's size.
 const CLOSED: f64 = 64.0 * f64::EPSILON;
 
-/// What the ladder has found.
+/// Result of the fallback stages.
 pub(super) enum Recovered<S: Discrete<N, M>, const N: usize, const M: usize> {
-    /// A root, and where it leads.
+    /// A root with its evaluation.
     Root(Unknowns<N, M>, Evaluation<S, N, M>),
-    /// None: where the last rung leads.
+    /// No root: an end that conserves the energy only.
     Scaled {
-        /// q₁ − q₀.
+        /// Increment d = q₁ − q₀, m and rad.
         d: Vector<N>,
-        /// The rates with which forces have acted.
+        /// Velocity at which forces have acted, m/s and rad/s.
         acting: Vector<N>,
-        /// q̇₁.
+        /// Velocity q̇₁ at the end, m/s and rad/s.
         v: Vector<N>,
     },
 }
 
-/// Unknowns that solve the equations, and where they lead.
+/// A root of the equations with its evaluation.
 type Root<S, const N: usize, const M: usize> = (Unknowns<N, M>, Evaluation<S, N, M>);
 
-/// The unknowns that equilibrium at the beginning of a step predicts for one of h seconds, with these q̈ and λ.
+/// First guess of the unknowns for a step of `h` seconds from equilibrium at its beginning, with these q̈ and λ.
 pub(super) fn from_equilibrium<const N: usize, const M: usize>(
     v: &Vector<N>,
     (a, lambda): (&Vector<N>, &Vector<M>),
@@ -68,7 +74,7 @@ pub(super) fn from_equilibrium<const N: usize, const M: usize>(
     Unknowns { d: h * (*v + (0.5 * h) * *a), lambda: (0.5 * h * h) * *lambda, nu: Vector::ZERO }
 }
 
-/// Up the ladder.
+/// Runs the fallback stages in order until one succeeds.
 #[cold]
 #[inline(never)]
 pub(super) fn recover_by_stages<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
@@ -112,7 +118,7 @@ fn root<const N: usize, const M: usize, S: Discrete<N, M>>(
         .or_else(|| SHORTER.into_iter().find_map(|parts| by_shorter_steps(step, with(SMALLER[0]), rest, parts, allowance)))
 }
 
-/// From where this many shorter steps lead: another root than those that a growing step follows, which may have come to a fold.
+/// Stage 6: first guess from `parts` shorter steps, which may lead to another root than a homotopy that ends in a fold.
 fn by_shorter_steps<const N: usize, const M: usize, S: Discrete<N, M>>(
     step: &Step<'_, S, N, M>,
     regularization: f64,
@@ -137,7 +143,7 @@ fn by_shorter_steps<const N: usize, const M: usize, S: Discrete<N, M>>(
     full_newton(step, &mut sum, regularization, SOLVED, allowance).map(|end| (sum, end))
 }
 
-/// Friction that turns at larger rates has a root that is easy to find; from there the law hardens.
+/// Stage 2: softened friction has a root that is easy to find; from there the law is hardened in steps.
 fn hardened<const N: usize, const M: usize, S: Discrete<N, M>>(
     step: &Step<'_, S, N, M>,
     mut x: Unknowns<N, M>,
@@ -161,7 +167,7 @@ fn hardened<const N: usize, const M: usize, S: Discrete<N, M>>(
     None
 }
 
-/// The root is followed from that of a step of h/stages, which is small, to that of h.
+/// Stages 3 and 5: the root is continued from a step of h/stages to one of h.
 fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
     step: &Step<'_, S, N, M>,
     regularization: f64,
@@ -175,7 +181,7 @@ fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
         let h = step.h * f64::from(stage) / f64::from(stages);
         let next = match stage {
             1 => from_equilibrium(&step.v, rest, h),
-            // d grows with h, the multipliers with its square.
+            // The increment d grows with h, the multipliers with its square.
             2 => Unknowns { d: 2.0 * x.d, lambda: 4.0 * x.lambda, nu: 4.0 * x.nu },
             _ => Unknowns { d: 2.0 * x.d - before.d, lambda: 2.0 * x.lambda - before.lambda, nu: 2.0 * x.nu - before.nu },
         };
@@ -186,15 +192,15 @@ fn continued<const N: usize, const M: usize, S: Discrete<N, M>>(
     end.map(|end| (x, end))
 }
 
-/// Where the equations have no root: as far as the rates or equilibrium predict, or a part of it, projected onto the positions; the mean
-/// rate of that way, projected and scaled so that the energy is kept: what the forces have put in on it is known.
+/// Last stage: increment by rates or equilibrium, shortened if needed, projected onto the position constraints; its mean velocity,
+/// projected and scaled so that the kinetic energy changes by the work of the forces.
 fn keep_energy_only<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     step: &Step<'_, S, N, M>,
     settings: &Settings,
     rest: (&Vector<N>, &Vector<M>),
     allowance: &mut Allowance<'_>,
 ) -> Result<Recovered<S, N, M>, StepError> {
-    // What dampers and drives do at the beginning says nothing about the rest of the step, unless the rates lead nowhere.
+    // Dampers and drives at the beginning do not represent the step, so the rates are tried first.
     let by_rates = (!step.system.is_conservative() && step.v.max_norm() > 0.0).then(|| step.h * step.v);
     let starts = [by_rates, Some(from_equilibrium(&step.v, rest, step.h).d)];
     let landed = starts
@@ -205,7 +211,7 @@ fn keep_energy_only<const N: usize, const M: usize, S: Discrete<N, M> + Passage<
     landed.ok_or(StepError::FallbackFailed)
 }
 
-/// Where this way leads.
+/// Projects this increment, m and rad, and scales its velocity to the energy.
 fn landing<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     step: &Step<'_, S, N, M>,
     settings: &Settings,
@@ -221,7 +227,7 @@ fn landing<const N: usize, const M: usize, S: Discrete<N, M> + Passage<N>>(
     let mass = system.factor_mass(&pose, CLOSE_TO_VERTEX * settings.equilibrium);
     let mut v = d / h;
     let is_closed = |v: &Vector<N>| system.phi_q_times(&pose, v).max_norm() <= CLOSED * v.max_norm() * system.length_scale();
-    // Close to a vertex each leaves some of it, and the steps to come take for granted that nothing is left.
+    // Close to a vertex one correction leaves a residual, while later steps assume none.
     for _ in 0..MOST_PROJECTIONS {
         v += velocity_correction(system, &pose, &mass, &v);
         if is_closed(&v) {

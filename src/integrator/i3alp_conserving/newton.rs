@@ -1,30 +1,33 @@
-//! The unknowns of a conserving step, by Newton's method: Λ and ν in turn with the loops cut, or all at once.
+//! Newton's method for a conserving step: staggered, Λ and ν in turn with the loops cut; or full, all unknowns with the whole
+//! tangent.
 
 use super::equations::{Evaluation, Step, Unknowns};
 use crate::integrator::{Counters, CutStep, Discrete};
 
-/// Largest |M⁻¹f| per second of step of one that has converged, m/s and rad/s: what is left does work, in proportion to it.
+/// Admissible |M⁻¹f| per second of step, full iteration, m/s and rad/s: a residual of the momentum does work in proportion to
+/// itself.
 const OFFSET: f64 = 1e-9;
-/// The same with the loops cut, where the rates take up what is left.
+/// Admissible |M⁻¹f| per second of step, staggered iteration, m/s and rad/s: its last increment transfers the residual to the
+/// rates.
 const CUT_OFFSET: f64 = 5e-11;
-/// Largest |Φ| of it, in parts of the system's size.
+/// Admissible |Φ| relative to the system's size.
 const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
-/// Largest |J₁w|/2 per second of step, in parts of the system's size per second.
+/// Admissible |J₁w|/2 per second of step, relative to the system's size, 1/s.
 const RATE: f64 = 5e-12;
-/// Where |M⁻¹f| is larger than this, m and rad, after Λ and ν were looked for in turn, they have led nowhere.
+/// Largest |M⁻¹f|, m and rad, at which a failed staggered iteration is still a first guess for the full one.
 const NEARBY: f64 = 1e-3;
-/// Most |M⁻¹f| after none, one and two iterations: where it is larger, the whole tangent takes less work.
+/// Largest |M⁻¹f|, m and rad, after 0, 1 and 2 staggered iterations; above it the full iteration takes less work.
 const PROMISING: [f64; 3] = [f64::INFINITY, 3e-3, 1e-7];
-/// After these the matrix is factorised anew each time, and |M⁻¹f| has to fall to this part.
+/// Required contraction of |M⁻¹f| per staggered iteration after those of [`PROMISING`], with a new factorisation each time.
 const CONTRACTION: f64 = 0.05;
-/// The whole tangent goes to round-off: to a correction of an angle below the first, or to one below the second that does not fall any
-/// more, rad.
+/// Correction of an angle, rad, below which the full iteration is at round-off.
 const LAST_CORRECTION: f64 = 1e-13;
+/// Correction of an angle, rad, below which the full iteration ends once corrections no longer fall.
 const STAGNATION: f64 = 1e-10;
-/// A link that turns farther in one step, rad, is on its way to no root.
+/// Largest rotation of a link in one step, rad; an iteration that exceeds it has diverged.
 const LARGEST_TURN: f64 = 6.0;
 
-/// What a step that has converged may leave of its equations.
+/// Admissible residuals of a step.
 pub(super) struct Bounds {
     offset: f64,
     phi: f64,
@@ -38,34 +41,34 @@ impl Bounds {
         Self { offset: OFFSET * h, phi: ROUND_OFF * size, rate: size * ROUND_OFF.max(RATE * h) }
     }
 
-    /// With the loops cut.
+    /// Bounds for the staggered iteration.
     #[inline(always)]
     pub(super) fn cut<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64) -> Self {
         Self { offset: CUT_OFFSET * h, ..Self::new(system, h) }
     }
 
-    /// By the largest elements of M⁻¹f, Φ and J₁w/2.
+    /// Whether the largest elements of M⁻¹f, Φ and J₁w/2 are admissible.
     #[inline(always)]
     fn are_met(&self, offset: f64, phi: f64, rate: f64) -> bool {
         offset < self.offset && phi < self.phi && rate < self.rate
     }
 }
 
-/// Iterations that a step may still take.
+/// Budget of Newton iterations of a step.
 pub(super) struct Allowance<'a> {
     pub(super) left: u32,
-    /// Iterations counted when the step began.
+    /// Iteration count when the step began.
     pub(super) begun: u64,
     pub(super) counters: &'a mut Counters,
 }
 
 impl Allowance<'_> {
-    /// Iterations that the step has taken.
+    /// Number of iterations that the step has taken.
     pub(super) fn spent(&self) -> u32 {
         (self.counters.iterations - self.begun) as u32
     }
 
-    /// Takes one, if there is one.
+    /// Takes one iteration from the budget; `None` if it is exhausted.
     #[inline(always)]
     fn take(&mut self) -> Option<()> {
         self.left = self.left.checked_sub(1)?;
@@ -74,8 +77,8 @@ impl Allowance<'_> {
     }
 }
 
-/// Λ and ν in turn, with the loops cut: ν by a linear equation for given d, Newton's method on d and Λ. Contracts by (hω)² per iteration.
-/// What is found there goes to `arrive`; where that is too little: the unknowns it has come to, unless they lead nowhere.
+/// Staggered iteration with cut loops: ν from a linear equation for given d, Newton's method on d and Λ. It contracts by (hω)² per
+/// iteration. The solution is passed to `arrive`; on failure the result is the last iterate, unless it has diverged.
 #[inline(always)]
 pub(super) fn staggered_newton<const N: usize, const M: usize, C: CutStep<N, M>, T>(
     cut: &C,
@@ -111,16 +114,16 @@ pub(super) fn staggered_newton<const N: usize, const M: usize, C: CutStep<N, M>,
     Err((None, most))
 }
 
-/// Until when the whole tangent is used.
+/// Stopping rule of the full iteration.
 #[derive(Clone, Copy)]
 pub(super) enum Until {
-    /// The equations are solved.
+    /// All residuals are admissible.
     Solved,
-    /// A correction of an angle is below this, rad: on the way to another step's root.
+    /// Angle corrections are below this bound, rad; for intermediate roots of a homotopy.
     Corrected(f64),
 }
 
-/// All unknowns at once, with the whole tangent.
+/// Full iteration: all unknowns at once, with the whole tangent.
 #[inline(never)]
 pub(super) fn full_newton<const N: usize, const M: usize, S: Discrete<N, M>>(
     step: &Step<'_, S, N, M>,
