@@ -100,19 +100,19 @@ pub struct Transit<const N: usize> {
 
 /// Knowledge of a system about its vertices; by default there are none.
 pub trait Passage<const N: usize> {
-    /// Decides about a step from `_from`.
+    /// Decides about the step that departs from this state.
     fn approach(&self, _limits: &PassageLimits, _from: &Departure<'_, N>) -> Approach<N> {
         Approach::Clear
     }
 
-    /// Transit over a step of `_h` seconds that a method has failed to take because it ends too close to a bifurcation of the
+    /// Transit over a step of h seconds that a method has failed to take because it ends too close to a bifurcation of the
     /// constraints.
     #[inline(always)]
     fn cross_bifurcation(&self, _q: &Vector<N>, _v: &Vector<N>, _h: f64) -> Option<Transit<N>> {
         None
     }
 
-    /// Factor on q̇ at the end of a step of `_h` seconds that restores the energy.
+    /// Factor on q̇ at the end of a step of h seconds that restores the energy.
     fn energy_scale(&self, _before: &EnergyBalance, _q: &Vector<N>, _v: &Vector<N>, _h: f64) -> Result<f64, StepError> {
         Ok(1.0)
     }

@@ -1,4 +1,4 @@
-//! Whether a step under way that comes from outside is one that the method makes: it is made once more.
+//! Consistency check of a stored current step: the step is made again and compared.
 
 use std::borrow::Borrow;
 
@@ -13,7 +13,7 @@ use crate::integrator::consistency::{Bounds, Inconsistency};
 use crate::integrator::{Approach, Departure, Events, Passage, State, StepError, System};
 use crate::vector::Vector;
 
-/// Part of each value by which a straight motion made once more may differ: it may have been cut short by something else.
+/// Admissible relative deviation of a repeated straight motion, which another limit may have cut short.
 const SAME: f64 = 1e-9;
 
 fn close<const K: usize>(x: &Vector<K>, y: &Vector<K>) -> bool {
@@ -22,7 +22,7 @@ fn close<const K: usize>(x: &Vector<K>, y: &Vector<K>) -> bool {
 
 impl Memory {
     fn is_possible(&self, settings: &Settings) -> bool {
-        // The error of an accepted step is 1 tolerance at most.
+        // The error of an accepted step is at most 1 tolerance.
         (LEAST_LOG_ERROR..=0.0).contains(&self.log_error)
             && self.substep_in_other_mode > 0.0
             && self.stiffness.is_consistent()
@@ -31,12 +31,12 @@ impl Memory {
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// The beginning of the step with the sides on which it is made, and its end with those behind it.
+    /// Beginning of the step with its mode, and end of the step with the mode from there on.
     pub fn ends(&self) -> [(&State<N, M>, K); 2] {
         [(&self.start, self.mode), (&self.end, self.next_mode_at_end)]
     }
 
-    /// Whether both ends are states, and the step leads from one to the other.
+    /// Checks that both ends are possible states and that the step leads from one to the other.
     #[cold]
     pub fn check<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &self,
@@ -46,7 +46,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Result<(), Inconsistency> {
         let in_mode = system.on(self.mode);
         self.start.check(in_mode.borrow(), bounds)?;
-        // A way straight through a vertex knows no sides.
+        // A straight motion through a vertex has no mode.
         self.balanced_end(in_mode.borrow(), settings).check(if self.is_linear { system } else { in_mode.borrow() }, bounds)?;
         if !(self.memory.is_possible(settings) && self.before.is_possible(settings)) {
             return Err("the step-size controller remembers the impossible");
@@ -67,7 +67,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// Makes the step once more: whether it leads to the same end.
+    /// Whether the step, made again, has the stored end.
     #[cold]
     fn again<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &self,
@@ -96,13 +96,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         })
     }
 
-    /// The same for a step of one kind, by the very function that makes steps.
+    /// Whether the step, made again by [`DenseStep::try_once`] in one scheme, has the stored end and coefficients.
     fn again_by<T: Trial<N>, S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&self, system: &S, settings: &Settings) -> bool {
         let origin = Origin::new(system, &self.start.q, &system.pose(&self.start.q), settings.regularization);
         let Some(shared) = T::prepare(system, settings, (&self.start, &origin)) else { return false };
         let is_cut = self.cut_from > 0.0;
         let length = if is_cut { self.cut_from } else { self.length };
-        // Without its coefficients a step is over: nothing is asked for within it.
+        // A step without coefficients is over, so no state inside it can be read.
         let needless = self.dense == [StageDerivative::NONE; 4] && self.elapsed == self.length;
         let horizon = Horizon { output: if needless && !is_cut { f64::INFINITY } else { 0.0 }, limit: f64::INFINITY };
         let plan = Plan { h: length, wanted: length, longest: length, near: true, seeks_borders: false, horizon, pose: None };

@@ -1,7 +1,7 @@
-//! Where a force has a kink, a step ends.
+//! Event handling of a step: its mode, the check for events, and the transition at its end.
 //!
-//! A step is made on the sides on which it begins. Its interpolant tells where its motion first crosses a border (`search.rs`). Then the step
-//! ends at the border, or is made once more up to there.
+//! A step is made in the mode of its beginning. Its interpolant shows the first guard that the motion crosses (`search.rs`); the
+//! step then ends there, by truncation (`truncation.rs`) or made again with a shorter length.
 
 use std::borrow::Borrow;
 
@@ -12,37 +12,38 @@ use super::{DenseStep, Settings};
 use crate::integrator::{Events, Passage, State, System, Work};
 use crate::vector::Vector;
 
-/// A step ends at a border where it is beyond it by half of what may be overlooked: on the sides behind it is then well on the near side of
-/// the same border.
+/// Guard residual at which a step is to end, in event tolerances: past the guard, so that the next mode begins well inside its own
+/// guards.
 pub(super) const AT_BORDER: f64 = 0.5;
-/// This near.
+/// Half-width of the accepted window around [`AT_BORDER`], in event tolerances.
 pub(super) const NEAR_ENOUGH: f64 = 0.4;
-/// Farther beyond, a border has been crossed: less than may be overlooked, so that a bound may lie between.
+/// Guard residual above which an event has occurred, in event tolerances; less than 1, so that bounds on the residual fit between.
 pub(super) const CROSSED: f64 = 0.95;
-/// Most sides that a state passes at once.
+/// Largest number of transitions at one state.
 const MOST_SIDES: u32 = 8;
-/// After so many tries to end at a border the step is halved instead.
+/// Number of trials to end a step at a guard after which the step is halved instead.
 const MOST_TRIES: u32 = 8;
-/// No step is halved to less than this, s: nothing moves in it.
+/// Shortest step that is halved, s: nothing moves in shorter ones.
 const NOTHING_MOVES: f64 = 1e-12;
-/// The motion is straight over this part of a step.
+/// Time over which the motion is linearised for the derivative of the guard residual, relative to the step.
 const NEARBY: f64 = 1e-6;
-/// The end of a step that was to end at a border is not farther from it than this part of the step.
+/// Largest correction of a step's end towards a guard, relative to the step.
 const NEAR: f64 = 0.1;
 
-/// By so much more than a ramp seems to last a step on it is longer, so that the border lies within it.
+/// Factor on the estimated time until a mode ends, so that the guard lies within the step.
 const LONGER: f64 = 1.2;
 
-/// How a state stands to the border at which a step is to end.
+/// Position of a step's end relative to a guard.
 pub(super) enum EventWindow {
-    /// It is as far beyond it as it is to be.
+    /// The guard residual is within the accepted window.
     Within,
-    /// It is not; by how many seconds later it would be, if the motion goes straight there.
+    /// The guard residual is outside the window; the correction of the step length, s, if the linearised motion reaches the guard
+    /// nearby.
     Off(Option<f64>),
 }
 
 impl EventWindow {
-    /// How q, q̇ and q̈ near the end of a step of some seconds do.
+    /// Position of the state q, q̇ and q̈ near the end of a step of `length` seconds.
     pub(super) fn of<const N: usize>(
         system: &impl Events<N>,
         settings: &Settings,
@@ -62,20 +63,21 @@ impl EventWindow {
     }
 }
 
-/// How a step stands to the borders of its sides.
+/// Result of the check for events in a step.
 pub(super) enum EventCheck {
-    /// It crosses none.
+    /// No event occurs.
     Clear,
-    /// It ends at one.
+    /// The step ends at an event.
     AtEnd,
-    /// It has to end before, so many seconds from its beginning.
+    /// An event occurs earlier, this many seconds after the beginning of the step.
     Before(f64),
-    /// It crosses none, but its work is off by so many times what is allowed.
+    /// No event occurs, but the error of the work is this multiple of the admissible one.
     Off(f64),
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// Before a step: the sides on which it begins, behind all borders that its beginning is beyond. How long it is worth to be on them, s.
+    /// Sets the mode at the beginning of a step, after all transitions due there, and returns the longest useful step in that mode,
+    /// s.
     #[inline]
     pub(super) fn reinitialize<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
@@ -106,13 +108,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         longest
     }
 
-    /// The sides behind a border that the step crosses at its very beginning.
+    /// Applies the transition at a guard that the step crosses at its very beginning.
     pub(super) fn turn<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) {
         let mode = system.on(self.mode).borrow().next_mode(&self.start.q, &self.start.v, settings.error_tolerance);
         self.begin_on(system, settings, mode);
     }
 
-    /// The sides of the step: where they are others than before, forces and accelerations are those behind the border.
+    /// Sets the mode of the step; if it changes, forces and accelerations are evaluated again.
     fn begin_on<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings, mode: K) {
         if mode != self.mode {
             let [before, next_mode] = [system.on(self.mode), system.on(mode)];
@@ -126,8 +128,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (self.mode, self.next_mode_at_end) = (mode, mode);
     }
 
-    /// Whether a step that is accepted otherwise has to end before, after so many tries; `system` is on its sides, and the coefficients of the
-    /// interpolant to an end are there where they are asked for.
+    /// Checks a step with an admissible local error for events, after `tries` trials to end it at a guard. `system` is in the mode
+    /// of the step, and `dense` evaluates the interpolant's coefficients.
     #[inline(never)]
     pub(super) fn event_check<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
@@ -153,7 +155,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         event_check
     }
 
-    /// The same, from what touches at its beginning.
+    /// Checks for events from the guard values at the beginning of the step.
     fn event_check_from<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
@@ -166,9 +168,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if (1..MOST_TRIES).contains(&tries) {
             let end = self.balanced_end(system, settings);
             match EventWindow::of(system, settings, [&end.q, &end.v, &end.a], self.length) {
-                // Another border may be crossed before.
+                // Another guard may be crossed earlier.
                 EventWindow::Within => crosses = EventCheck::AtEnd,
-                // The interpolant was not that exact: the end itself says how far to go.
+                // The interpolant was not accurate enough, so the end of the step gives the correction.
                 EventWindow::Off(Some(later)) => return EventCheck::Before(self.length + later),
                 EventWindow::Off(None) => {}
             }
@@ -183,7 +185,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// What is dissipated between the beginning of the step and a place of it, q and q̇, by forces that act no more, J.
+    /// Energy dissipated by separated springs between the beginning of the step and a state q, q̇, J.
     #[cold]
     pub(super) fn separation_energy<S: Events<N>>(&self, system: &S, [q, v]: [&Vector<N>; 2]) -> f64 {
         let shown = system.separation_energy(&system.guard_values(&self.start.q, &self.start.v));

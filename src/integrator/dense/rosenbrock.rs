@@ -1,5 +1,5 @@
-//! Rosenbrock methods: linearly implicit steps, for loads so stiff that stability would limit explicit ones. One matrix serves all stages
-//! of a step; nothing is iterated.
+//! Rosenbrock methods: linearly implicit steps for loads whose stiffness would limit explicit steps by stability. One matrix serves
+//! all stages of a step, without iteration.
 //!
 //! With z = (q, q̇), ż = f(z) and J = ∂f/∂z each stage solves
 //!
@@ -7,11 +7,10 @@
 //! (1/(hγ) − J) uᵢ = f(z₀ + Σ aᵢⱼ uⱼ) + Σ cᵢⱼ/h uⱼ        J = [0 1; K C],  K = ∂q̈/∂q,  C = ∂q̈/∂q̇
 //! ```
 //!
-//! The first row gives u_q = hγ (r_q + u_v), so that what is left has as many rows as there are coordinates:
-//! (1/(hγ) − C − hγ K) u_v = r_v + hγ K r_q.
+//! The first row gives u_q = hγ (r_q + u_v), which leaves one equation per coordinate: (1/(hγ) − C − hγ K) u_v = r_v + hγ K r_q.
 //!
-//! Work is one more component of z, with the power P for its rate. Of its row of J only products with the u are needed, and for the end
-//! of the step only one of them: w = h Σ bᵢ Pᵢ + h P′·Σ bᵢ uᵢ, with bᵢ from the tableau.
+//! Work is a further component of z with the rate P, the power. Of its row of J only products with the u are needed, and for the end of
+//! the step only one of them: w = h Σ bᵢ Pᵢ + h P′·Σ bᵢ uᵢ, with bᵢ from the tableau.
 
 mod inverse;
 mod tableau;
@@ -32,28 +31,28 @@ use inverse::{Inverse, combination};
 use tableau::{MOST, Tableau};
 pub(super) use tableau::{Rodas4, Rodas5p};
 
-/// A step from a state, stage by stage.
+/// Stages of one step.
 pub(super) struct Rosenbrock<T, const N: usize> {
     u: [[Vector<N>; 2]; MOST],
     power: [Work; MOST],
     start: [Vector<N>; 2],
-    /// The step, s.
+    /// Step length, s.
     h: f64,
-    /// (1/(hγ) − C − hγ K)⁻¹.
+    /// Inverse matrix (1/(hγ) − C − hγ K)⁻¹, s.
     inverse: Inverse<N>,
-    /// The fastest rate that the tangents show, 1/s.
+    /// Fastest rate of the tangents, 1/s.
     fastest: f64,
     tableau: PhantomData<T>,
 }
 
-/// The tangents at the beginning of a step, and the fastest rate that they show, 1/s.
+/// Tangents at the beginning of a step, with their fastest rate.
 pub(super) struct Shared<const N: usize> {
     tangents: AccelerationTangents<N>,
     pub(super) fastest: f64,
 }
 
 impl<const N: usize> Shared<N> {
-    /// About a state with its pose; `None` where it has no tangents.
+    /// Tangents at a state with its pose; `None` where they are unknown.
     #[inline(never)]
     pub(super) fn about<const M: usize, S: System<N, M>>(
         system: &S,
@@ -62,18 +61,19 @@ impl<const N: usize> Shared<N> {
     ) -> Option<Self> {
         let tangents = system.acceleration_tangents(from, pose, settings.regularization)?;
         let size = |columns: &[Vector<N>; N]| columns.iter().map(|column| column.dot(column)).sum::<f64>().sqrt();
-        // The larger root of ρ² = ρ |C| + |K|: the decay of a damper, the frequency of a spring.
+        // The larger root of ρ² = ρ |C| + |K|: decay rate of a damper, frequency of a spring.
         let (stiffness, damping) = (size(&tangents.by_q), size(&tangents.by_v));
         let fastest = 0.5 * (damping + (damping * damping + 4.0 * stiffness).sqrt());
         Some(Self { tangents, fastest })
     }
 }
 
-/// By which part of a direction the power is differentiated along it, both ways: truncation and round-off are below 1e-9 of it.
+/// Step of the central difference of the power along a direction, relative to the direction; truncation and round-off are below
+/// 1e-9 of the result.
 const ALONG: f64 = 1e-4;
 
 impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
-    /// Σ coefficient · u over a row of [`Tableau::AT`].
+    /// Coordinates and rates of a stage: z₀ + Σ coefficient · u over a row of [`Tableau::AT`].
     #[inline(always)]
     fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
         let [mut q, mut v] = self.start;
@@ -90,7 +90,7 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         [q, v]
     }
 
-    /// The same over a row of [`Tableau::BEFORE`].
+    /// Contribution Σ coefficient · u of earlier stages to the right-hand side, over a row of [`Tableau::BEFORE`].
     #[inline(always)]
     fn before<const ROW: usize>(&self) -> [Vector<N>; 2] {
         let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
@@ -107,7 +107,7 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         [q, v]
     }
 
-    /// The u of a right-hand side.
+    /// Solution u of a stage for its right-hand side.
     #[inline(never)]
     fn solve(&self, tangents: &AccelerationTangents<N>, [q, v]: [Vector<N>; 2]) -> [Vector<N>; 2] {
         let part = self.h * T::GAMMA;
@@ -115,7 +115,7 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         [part * (q + v), v]
     }
 
-    /// Work by some weights of the stages, J.
+    /// Work of the step by given weights of the stages, J.
     #[inline(never)]
     fn work<const M: usize>(&self, system: &impl System<N, M>, weights: &[f64; MOST]) -> Work {
         let (mut mean, mut direction) = (Work::default(), [Vector::ZERO; 2]);
@@ -132,15 +132,14 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
     }
 }
 
-/// The way back onto the constraints, which does not depend on the tableau.
+/// Projection onto the constraints with stiff forces, independent of the tableau.
 struct ConstraintReturn<'a, const N: usize> {
     inverse: &'a Inverse<N>,
     h: f64,
 }
 
 impl<const N: usize> ConstraintReturn<'_, N> {
-    /// The end of a step, with its pose, on the constraints, in balance, with the energy that was there so many seconds before, if there is any to keep; and
-    /// the iterations spent.
+    /// End of a step with its pose, projected, in equilibrium, and scaled to the energy to be conserved, if any.
     #[inline(never)]
     fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
         &self,
@@ -158,9 +157,8 @@ impl<const N: usize> ConstraintReturn<'_, N> {
         StepResult::at(iterations, StepEnd::in_balance(system, [q, v], &pose, &mass))
     }
 
-    /// Back onto the constraints, not along the shortest way in the metric of the masses, which asks no force: where forces are stiff it
-    /// would leave them out of balance. The way here is the one that the step itself would find, (1 − hγ C − (hγ)² K)⁻¹ times that of the
-    /// masses. The iterations spent, with pose and mass factor.
+    /// Projects q and q̇ onto the constraints in the metric of the implicit step: corrections are (1 − hγ C − (hγ)² K)⁻¹ times
+    /// those of the mass metric, which would leave stiff forces out of balance. Returns iterations, pose and mass factor.
     fn project<const M: usize, S: System<N, M>>(
         &self,
         system: &S,
@@ -182,11 +180,11 @@ impl<const N: usize> ConstraintReturn<'_, N> {
         Ok((iterations, pose, mass))
     }
 
-    /// By what q or q̇ is corrected for a unit of each constraint.
+    /// Corrections of q or q̇ per unit of each constraint residual.
     fn directions<const M: usize, S: System<N, M>>(&self, system: &S, settings: &Settings, pose: &S::Pose) -> [Vector<N>; M] {
         let mass = system.factor_mass(pose, settings.regularization);
         let directions: [Vector<N>; M] = std::array::from_fn(|i| self.inverse.times(&mass.correction(&Vector::unit(i))));
-        // A load may turn them: so that each is one constraint's.
+        // Loads couple the corrections, which are combined again so that each belongs to one constraint.
         let shares = Inverse::new(directions.map(|direction| system.phi_q_times(pose, &direction)), f64::EPSILON * self.h);
         std::array::from_fn(|i| combination(&directions, &shares.times(&Vector::unit(i))))
     }
@@ -195,7 +193,7 @@ impl<const N: usize> ConstraintReturn<'_, N> {
 impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
     const KIND: Scheme = T::KIND;
     type Shared = Shared<N>;
-    /// As in the authors' codes, but for a memory of the error before.
+    /// Controller of the authors' codes, with memory of the error before.
     const CONTROLLER: StepSizeController = StepSizeController {
         exponent: 1.0 / T::ORDER - 0.75 * 0.04,
         memory: 0.04,

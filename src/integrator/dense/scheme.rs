@@ -1,105 +1,106 @@
-//! Of which kinds steps are, and which comes next.
+//! Schemes of a step, and the automatic choice among them.
 //!
-//! By itself a run goes by DOP853, which nothing here beats where the road is free. Two things change that. Inputs that are held for no
-//! longer than a step of order 5 reaches leave nothing for order 8 to gain. And where stability limits the step instead of the
-//! error, a linearly implicit one goes on, until its own error asks for steps that an explicit one could make.
+//! DOP853 is used unless stiffness or short input holds favour another. Inputs held for no longer than a step of order 5 leave no
+//! advantage to order 8: then Tsit5. Where stability limits the step instead of the error, a Rosenbrock method is used until its
+//! own error asks for steps that an explicit method could make. `docs/automatic.md`.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::stiffness::STABILITY_LIMIT;
 
-/// A kind of step.
+/// Scheme of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Scheme {
-    /// Explicit, of order 8: DOP853.
+    /// DOP853: explicit, of order 8.
     Dop853,
-    /// Explicit, of order 5: Tsit5.
+    /// Tsit5: explicit, of order 5.
     Tsit5,
-    /// Linearly implicit, of order 4: Rodas4.
+    /// Rodas4: linearly implicit, of order 4.
     Rodas4,
-    /// Linearly implicit, of order 5: Rodas5P.
+    /// Rodas5P: linearly implicit, of order 5.
     Rodas5p,
 }
 
 impl Scheme {
-    /// Whether its steps are linearly implicit.
+    /// Whether the scheme is linearly implicit.
     pub(super) const fn is_implicit(self) -> bool {
         matches!(self, Self::Rodas4 | Self::Rodas5p)
     }
 }
 
-/// Which kinds are made.
+/// Schemes that a run may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Schemes {
-    /// One, but explicit steps where an implicit one cannot begin.
+    /// One scheme, with DOP853 where an implicit step cannot begin.
     Only(Scheme),
-    /// Whichever takes least.
+    /// Automatic choice of the cheapest scheme.
     Automatic,
 }
 
-/// From this error tolerance on the implicit steps are of order 4: they take less, and ring less on kinks.
+/// Error tolerance, rad, from which on Rodas4 replaces Rodas5P: it is cheaper, and oscillates less at discontinuities.
 const LOOSE: f64 = 1e-5;
 
-/// After each step of order 8 while inputs are held one of order 5 is taken to reach so much farther, so that it is tried again.
+/// Factor on the assumed length of a Tsit5 step after each DOP853 step under short input holds, so that Tsit5 is tried again.
 const RECONSIDERED: f64 = 1.05;
 
-/// So many steps at the border are no accident, after as many changes back and forth as have been counted; doubled by each.
+/// Number of explicit steps at the stability limit that switch to implicit ones; doubled by each return.
 const AT_BORDER: u8 = 3;
-/// The same for implicit steps in a row that explicit ones could have made: friction in saturation has no tangents, and by three steps that
-/// find it there nothing ever comes to rest.
+/// Number of successive implicit steps that could have been explicit after which the switch goes back, doubled by each return.
+/// Saturated friction has zero tangents, so fewer steps would switch back too early.
 const WITHIN_BORDER: u8 = 3;
-/// Most doublings.
+/// Largest number of doublings.
 const MOST_RETURNS: u8 = 5;
-/// Bounds on the product of explicit steps with the fastest rate of the tangents, as it is found when implicit ones begin.
+/// Admissible range of the stability limit: explicit step times fastest rate of the tangents, at the switch to implicit steps.
 const BORDERS: [f64; 2] = [0.1, 12.0];
-/// Their product where none has been seen: that of DOP853 for a damper.
+/// Stability limit where none has been observed: that of DOP853 for a damper.
 const USUAL_BORDER: f64 = 6.4;
-/// Where forces are steep, the tangents are asked after so many explicit steps: round-off, which stiff forces magnify, may keep those
-/// away from the border. Doubled like the counts above.
+/// Number of explicit steps with stiff forces after which the tangents are evaluated, doubled by each return: round-off, amplified
+/// by stiff forces, may keep steps short of the stability limit.
 const PROBED: u16 = 100;
-/// Implicit steps are tried where the product of explicit ones with the fastest rate of the tangents is larger than this: round-off keeps it at
-/// 0.8 or more, and 0.04 to 0.4 is usual where accuracy does.
+/// Product of explicit step and fastest rate of the tangents above which implicit steps are tried: round-off keeps it at 0.8 or
+/// more, accuracy at 0.04 to 0.4.
 const WORTH_A_TRY: f64 = 0.5;
 
-/// What a run remembers to choose by.
+/// Switch between explicit and implicit schemes by detected stiffness, with its memory.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct StiffnessSwitch {
-    /// Whether steps are implicit.
+    /// Whether the steps are implicit.
     stiff: bool,
-    /// Steps in a row, or nearly so, that speak against it.
+    /// Number of recent steps that speak for a change.
     against: u8,
-    /// Explicit steps since implicit ones, up to the next try.
+    /// Number of explicit steps since the last evaluation of tangents.
     explicit: u16,
-    /// How often implicit steps have been given up again.
+    /// Number of returns from implicit to explicit steps.
     returns: u8,
-    /// The explicit step at the border when implicit ones began, s, and then its product with the fastest rate of the tangents.
+    /// Minus the explicit step, s, at the switch to implicit steps; from the first implicit step on its product with the fastest
+    /// rate of the tangents.
     border: f64,
-    /// How long a step of order 5 would be, s.
+    /// Length of the next Tsit5 step, s.
     pub(super) fifth: f64,
 }
 
-/// An accepted step, as a [`StiffnessSwitch`] learns from it.
+/// Accepted step, as data for a [`StiffnessSwitch`].
 pub(super) struct AcceptedStep {
     pub(super) scheme: Scheme,
-    /// Its length, s.
+    /// Step length, s.
     pub(super) length: f64,
-    /// Its product with the fastest rate.
+    /// Product of step length and fastest rate.
     pub(super) product: f64,
-    /// The step that its error would have allowed, s.
+    /// Step length that the error allows next, s.
     pub(super) wanted: f64,
-    /// What limited it otherwise, s.
+    /// Limit of the step length by other reasons, s.
     pub(super) limit: f64,
-    /// Whether the forces are steep.
+    /// Whether any force is stiff.
     pub(super) stiff_forces: bool,
 }
 
 impl Schemes {
-    /// The implicit kind for a tolerance.
+    /// Implicit scheme for an error tolerance, rad.
     fn stiff(error_tolerance: f64) -> Scheme {
         if error_tolerance >= LOOSE { Scheme::Rodas4 } else { Scheme::Rodas5p }
     }
 
-    /// Whether a step may be of a kind.
+    /// Whether a step may belong to a scheme.
     pub(super) fn allow(self, scheme: Scheme, error_tolerance: f64) -> bool {
         match self {
             Self::Only(only) => scheme == only || scheme == Scheme::Dop853,
@@ -107,7 +108,7 @@ impl Schemes {
         }
     }
 
-    /// The next step's, which nothing but the error limits to less than so many seconds.
+    /// Scheme of the next step, which other reasons limit to `limit` seconds.
     #[inline]
     pub(super) fn next(self, stiffness_switch: &StiffnessSwitch, error_tolerance: f64, limit: f64) -> Scheme {
         match self {
@@ -120,23 +121,24 @@ impl Schemes {
 }
 
 impl StiffnessSwitch {
-    /// Before anything is known.
+    /// Initial state, without observations.
     pub(super) const NEW: Self = Self { stiff: false, against: 0, explicit: 0, returns: 0, border: 0.0, fifth: f64::INFINITY };
 
-    /// Before the first step: implicit ones begin at once where tangents have so fast a rate, 1/s, that an explicit step of the length that
-    /// is wanted could not be one.
+    /// Chooses the first scheme: implicit if an explicit step of `wanted` seconds would be unstable at the tangents' fastest rate,
+    /// 1/s.
     pub(super) fn begin(&mut self, wanted: f64, rate: f64) {
         if wanted * rate > BORDERS[1] {
             (self.stiff, self.border) = (true, USUAL_BORDER);
         }
     }
 
-    /// Whether so many explicit steps have been made that the tangents are to be asked.
+    /// Whether enough explicit steps have been made for the tangents to be evaluated again.
     pub(super) fn is_probing(&self) -> bool {
         self.explicit >= PROBED << self.returns
     }
 
-    /// What they say: the step that is wanted, s, and their fastest rate, 1/s. Where it is far from the border there is nothing to gain.
+    /// Takes the tangents' fastest rate, 1/s, at a step of `wanted` seconds: implicit steps are tried unless the product is far
+    /// from the stability limit.
     pub(super) fn probe(&mut self, wanted: f64, rate: f64) {
         self.explicit = 0;
         if wanted.is_finite() && wanted * rate > WORTH_A_TRY {
@@ -144,7 +146,7 @@ impl StiffnessSwitch {
         }
     }
 
-    /// What an accepted step says about the next ones.
+    /// Updates the switch from an accepted step.
     pub(super) fn learn(&mut self, seen: &AcceptedStep) {
         match seen.scheme {
             Scheme::Dop853 | Scheme::Tsit5 => self.learn_from_explicit(seen),
@@ -156,7 +158,7 @@ impl StiffnessSwitch {
     }
 
     fn learn_from_explicit(&mut self, seen: &AcceptedStep) {
-        // The product is an estimate: between steps at the border it is below now and then.
+        // The product is an estimate, which steps at the stability limit undercut now and then.
         self.against = if seen.product > STABILITY_LIMIT { self.against + 1 } else { self.against.saturating_sub(1) };
         self.explicit += u16::from(seen.stiff_forces && seen.wanted < seen.limit && !self.is_probing());
         if self.against >= AT_BORDER << self.returns {
@@ -176,7 +178,7 @@ impl StiffnessSwitch {
         }
     }
 
-    /// Whether steps by some kinds can leave it behind.
+    /// Whether runs with these schemes can leave the switch in this state.
     pub(super) fn is_possible(&self, schemes: Schemes) -> bool {
         if schemes != Schemes::Automatic {
             return *self == Self::NEW;

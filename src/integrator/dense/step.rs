@@ -1,4 +1,4 @@
-//! One accepted step: passage of a vertex, tries, error control.
+//! One accepted step: approach to vertices, choice of scheme, trials, error control.
 
 use std::borrow::Borrow;
 
@@ -13,27 +13,27 @@ use super::{DenseStep, Horizon, Scheme, Schemes, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
 use crate::integrator::{Approach, EnergyBalance, Events, Passage, PassageLimits, State, StepError, System};
 
-/// A step below this, s, that is rejected is not made shorter.
+/// Shortest step that is rejected for another trial, s.
 pub(super) const SHORTEST: f64 = 1e-15;
-/// No step is longer than this, s: where nothing moves the error sets no limit.
+/// Longest step, s, where nothing moves and the error sets no limit.
 pub(super) const LONGEST: f64 = 10.0;
-/// A step is interpolated if the next output is within this part of it, a little more than the whole: sums of macro steps are rounded.
+/// Part of the step within which an output must lie for the step to be interpolated; more than 1 by the round-off of summed macro
+/// steps.
 const WITH_ROUNDING: f64 = 1.000_001;
-/// An interpolant whose rates differ from the derivatives of its coordinates by more than so many tolerances is none; those of good steps
-/// differ by 60 at most.
+/// Admissible inconsistency of an interpolant's rates with its coordinates, in tolerances; good steps differ by at most 60.
 const MOST_TOLERANCES_OFF: f64 = 1e3;
-/// A slow rate may be off by this part of what turns a force round: steps that jump over that never find the rest behind it.
+/// Admissible error of a slow rate, relative to the regularisation velocity: larger errors would step over sticking.
 const TURN: f64 = 0.3;
-/// A step whose interpolant has shown a border that is not there, or one that leaves little of it, was too long to tell: the next one is not
-/// longer than this part of it. So what goes to and fro at a border is resolved in a few steps.
+/// Largest next step, relative to a step whose interpolant has shown a false event, or an event early in the step. Oscillation
+/// about a guard is so resolved within a few steps.
 const TRUSTED: f64 = 0.3;
-/// So much of a step is little.
+/// Part of the original step below which a truncated step counts as ended early.
 const LITTLE: f64 = 0.01;
 /// Round-off of a difference of coordinates, rad.
 const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// The next step: its beginning is the end of the one under way, whose pose may be known already.
+    /// Makes the next step from the end of the current one, whose pose may be known.
     #[inline(never)]
     pub(super) fn step<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
@@ -53,7 +53,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         };
         self.choose_by_tangents(system, settings, horizon.limit);
         let longest = if system.has_stick_slip() { longest.min(self.longest_at_rest(system, settings)) } else { longest };
-        // Where friction may hold, steps are explicit ones of order 8, and next to a vertex, where tangents are those of round-off.
+        // Steps are explicit, of order 8, where friction may stick, and next to a vertex, where tangents are dominated by
+        // round-off.
         let scheme = if system.has_stick_slip() || near && !system.can_project(&self.start.q) {
             Scheme::Dop853
         } else {
@@ -82,7 +83,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// The kind that a run begins with is chosen by its tangents, and after many explicit steps they are asked again.
+    /// Updates the stiffness switch from the tangents: at the start, and again after many explicit steps.
     #[inline]
     fn choose_by_tangents<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
@@ -91,7 +92,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         limit: f64,
     ) {
         let at_start = self.start.counters.substeps == 0;
-        // Where friction may hold there is no choice.
+        // With friction that may stick the scheme is fixed.
         let asks = settings.schemes == Schemes::Automatic
             && !system.has_stick_slip()
             && (at_start || self.memory.stiffness_switch.is_probing());
@@ -107,7 +108,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// A step of one kind, as long as the error allows.
+    /// Makes a step in scheme `T`, shortened until the error is admissible and events are met.
     #[inline(never)]
     fn attempt<T: Trial<N>, S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
@@ -115,7 +116,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         plan: &Plan<'_, S::Pose>,
     ) -> Result<(), StepError> {
-        // Not as one pose that is pointed to: of what a pose has stages ask for little.
+        // Two calls instead of one reference to a pose, because stages need little of a pose and keep it in registers.
         let origin = match plan.pose {
             Some(pose) => Origin::new(system, &self.start.q, pose, settings.regularization),
             None => Origin::new(system, &self.start.q, &system.pose_in_place(&self.start.q), settings.regularization),
@@ -156,7 +157,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// One try. A function of its own, so that nothing is made ready for another one: most steps take one.
+    /// Makes one trial of a step. A separate function, since most steps need one trial and prepare nothing for another.
     #[inline(never)]
     pub(super) fn try_once<T: Trial<N>, S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
@@ -177,7 +178,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let start = self.start;
             let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
             match self.event_check(on, settings, &mut dense, cuts) {
-                // Nothing is where the interpolant of a longer step has shown a border.
+                // The event that the interpolant of a longer trial has shown does not exist.
                 EventCheck::Clear => tried = shown_by,
                 EventCheck::AtEnd => {
                     self.next_mode_at_end = on.next_mode(&self.end.q, &self.end.v, settings.error_tolerance);
@@ -193,7 +194,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
         }
         let interpolated = horizon.output < WITH_ROUNDING * h;
-        // Where a kink was near, the search for it has left the coefficients.
+        // Event location has computed the coefficients already.
         let is_cut = on.has_events() && self.cut_from > 0.0;
         if interpolated && !(is_cut || on.has_events() && self.dense != [StageDerivative::NONE; 4]) {
             self.dense = trial.dense(on, settings.regularization, [&self.start, &self.balanced_end(on, settings)]);
@@ -202,7 +203,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.adapt::<T>(h, error, wanted, rejected.is_some());
         let next = self.next_by::<T>();
         *next = next.min((TRUSTED * tried).max(SHORTEST));
-        // Friction that sticks leaves no choice: nothing is to be learned from its steps. Nor from one that ends where it has no stage.
+        // Steps with friction that may stick, and truncated steps, do not update the switch: the former have no choice, the latter
+        // no stage at their end.
         let chooses = settings.schemes == Schemes::Automatic;
         if chooses && !on.has_stick_slip() && !is_cut {
             let (product, wanted) = (h * trial.fastest_rate(&self.end), *self.next_by::<T>());
@@ -220,19 +222,18 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         Outcome::Accepted
     }
 
-    /// The energy that a step of h seconds keeps: one made once more keeps the same.
+    /// Energy that a step of `h` seconds conserves next to a vertex.
     #[inline]
     pub(super) fn energy_target<S: Passage<N>>(&self, system: &S, h: f64) -> Option<(EnergyBalance, f64)> {
         system.energy_to_keep(&self.start.q, &self.start.v).map(|energy| (energy, h))
     }
 
-    /// Whether the forces at the end of the step have not been asked for: inputs are expected to change there, and those of the next step
-    /// to be other ones.
+    /// Whether forces at the end of the step are not evaluated yet: after Tsit5 the inputs are expected to change there.
     fn is_open_ended(&self) -> bool {
         self.scheme == Scheme::Tsit5 && self.length > 0.0 && !self.is_linear
     }
 
-    /// The end of the step with the accelerations, multipliers and power of its own system, which is on the sides of the step.
+    /// State at the end of the step with q̈, λ and power of `system`, which is in the mode of the step.
     pub(super) fn balanced_end<S: System<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> State<N, M> {
         let mut end = self.end;
         if self.is_open_ended() {
@@ -241,7 +242,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         end
     }
 
-    /// Time has passed the end of the step, where this is the pose, if it is known.
+    /// Begins a step at the end of the current one, whose pose may be known.
     fn begin<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
@@ -261,7 +262,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.is_linear = false;
     }
 
-    /// The step has reached its end.
+    /// Sets the end of the step.
     #[inline]
     pub(super) fn accept(&mut self, step_result: &StepResult<N, M>, h: f64, scheme: Scheme) {
         let StepResult { iterations, end_state, work } = step_result;
@@ -271,8 +272,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.end.work += *work;
     }
 
-    /// Whether the interpolant is of one piece: its rates are the derivatives of its coordinates. Stages may miss what the further ones
-    /// of the interpolant meet. Other kinds have one polynomial for both.
+    /// Whether the interpolant is consistent: its rates are the derivatives of its coordinates within [`MOST_TOLERANCES_OFF`].
+    /// Stages may miss a force that the further stages of the dense output meet. Schemes with one polynomial for both are always
+    /// consistent.
     #[cold]
     pub(super) fn interpolates_well(&self, settings: &Settings) -> bool {
         if self.scheme != Scheme::Dop853 {
@@ -289,14 +291,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         })
     }
 
-    /// The step to come, from the error of one of h seconds.
+    /// Sets the length of the next step from the error of one of `h` seconds.
     #[inline]
     fn adapt<T: Trial<N>>(&mut self, h: f64, error: f64, wanted: f64, rejected: bool) {
-        // A step that was rejected is as long as its error allows, not cut short.
+        // A rejected step is as long as its error allows, not cut short.
         let wanted = if rejected { h } else { wanted };
         let cut_short = is_cut_short(h, wanted);
         let next = if cut_short && T::CONTROLLER.longest_after(h) <= wanted {
-            // Most held inputs end a step so early that its error has nothing to say.
+            // Many held inputs end a step so early that its error carries no information.
             wanted
         } else {
             let log_error = ln(error);
@@ -309,15 +311,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         *self.next_by::<T>() = next;
     }
 
-    /// The step that one of a kind wants next, s.
+    /// Length of the next step of scheme `T`, s.
     fn next_by<T: Trial<N>>(&mut self) -> &mut f64 {
         if T::KIND == Scheme::Tsit5 { &mut self.memory.stiffness_switch.fifth } else { &mut self.end.substep }
     }
 }
 
 impl Settings {
-    /// What a step may be off. The work of forces with kinks is as large as they are, and the motion does not tell how well it is
-    /// known.
+    /// Weights of the local error. With events the work is weighted too: it depends on discontinuous forces, whose error the motion
+    /// does not show.
     #[inline]
     pub(super) fn error_weights<const N: usize>(&self, system: &impl Events<N>) -> ErrorWeights {
         let rate = RATE.min(TURN * system.regularization_velocity() / self.error_tolerance);
@@ -329,7 +331,7 @@ impl Settings {
         }
     }
 
-    /// The error is far below what the impact parameter could hide, at any tolerance.
+    /// Thresholds for passages: the local error is far below the impact parameter at any tolerance.
     pub(super) fn passage(&self) -> PassageLimits {
         PassageLimits { radius: 1e-4, impact_parameter: 1e-7, longest_with_dissipation: self.first_step }
     }

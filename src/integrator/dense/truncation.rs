@@ -1,8 +1,8 @@
-//! A step that ends at a border on its own interpolant: the part before the border is the step, where the interpolant is the motion.
+//! Truncation of a step at an event: the part of its interpolant before the event becomes the step.
 //!
-//! An interpolant is the motion of forces that differ by its defect: the difference between its derivative and what the equations make of
-//! its values (W. H. Enright, *A new error-control for initial value solvers*, Applied Mathematics and Computation 31, 1989). What the
-//! defect adds up to on the way to the border is judged like the error of a step.
+//! An interpolant solves equations with forces that differ by its defect, the difference between its derivative and the right-hand
+//! side at its values (W. H. Enright, *A new error-control for initial value solvers*, Applied Mathematics and Computation 31,
+//! 1989). The defect, integrated up to the event, is judged like the error of a step.
 
 use super::events::EventWindow;
 use super::sample::worked;
@@ -12,17 +12,17 @@ use crate::integrator::state::StepEnd;
 use crate::integrator::{Events, Passage, System, Work};
 use crate::vector::Vector;
 
-/// The defect may add up to so many errors that are allowed.
+/// Largest integrated defect, in units of the admissible error.
 const GREATEST_DEFECT: f64 = 0.1;
-/// So many corrections bring the end to the border, or none.
+/// Largest number of corrections that bring the end into the window of the event.
 const MOST_CORRECTIONS: u32 = 4;
 
-/// A place of the interpolant on the constraints: iterations of the projection, q and q̇, pose and mass factor.
+/// Projected state of the interpolant: iterations of the projection, q and q̇, pose and mass factor.
 type Candidate<const N: usize, P, F> = (u32, [Vector<N>; 2], P, F);
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// Ends the step at a border that its interpolant crosses after so many seconds; false, and nothing has changed, if that is not as good as
-    /// a step up to there.
+    /// Ends the step at an event that its interpolant shows `when` seconds after the beginning; returns false and changes nothing
+    /// if the result would be less accurate than a step up to there.
     #[inline(never)]
     pub(super) fn cut<S>(&mut self, system: &S, settings: &Settings, mut when: f64) -> bool
     where
@@ -31,7 +31,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         for _ in 0..MOST_CORRECTIONS {
             let Some(place) = self.place(system, settings, when) else { return false };
             let [q, v] = place.1;
-            // The acceleration is the interpolant's: it is for the way that is left only.
+            // The interpolant's acceleration suffices, since it is used for the remaining correction only.
             let a = (1.0 / self.length) * self.velocities().rate_at(when / self.length);
             match EventWindow::of(system, settings, [&q, &v, &a], self.length) {
                 EventWindow::Within => return self.cut_at(system, settings, when, place),
@@ -42,7 +42,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         false
     }
 
-    /// The same at exactly this time.
+    /// Ends the step at exactly `when` seconds after the beginning, as [`Self::cut`] did before.
     pub(super) fn cut_again<S>(&mut self, system: &S, settings: &Settings, when: f64) -> bool
     where
         S: System<N, M> + Passage<N> + Events<N, Mode = K>,
@@ -50,7 +50,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.place(system, settings, when).is_some_and(|place| self.cut_at(system, settings, when, place))
     }
 
-    /// What the interpolant says so many seconds from the beginning, on the constraints.
+    /// Projected interpolant `when` seconds after the beginning of the step.
     fn place<S: System<N, M> + Passage<N>>(
         &self,
         system: &S,

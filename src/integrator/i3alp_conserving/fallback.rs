@@ -9,7 +9,7 @@
 //! | 4 | smaller regularisation e |
 //! | 5 | homotopies in the step length with smaller e, and with more stages |
 //! | 6 | first guess from the end of two to sixteen shorter steps |
-//! | last | energy only, close to vertices where no root exists: end by rates or equilibrium, projected, its velocity scaled to the energy |
+//! | last | no root, close to vertices: end by rates or equilibrium, projected, its velocity scaled to the energy |
 //!
 //! With `max_work` = 0 the first stage is the only one.
 

@@ -1,29 +1,30 @@
-//! The coefficients of the Rosenbrock methods, in the form that needs no product with the Jacobian: for u instead of the k of the books.
+//! Coefficients of the Rosenbrock methods Rodas4 and Rodas5P, in the transformed form with u instead of k, which needs no product
+//! with the Jacobian.
 //!
-//! E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, 2nd ed., section IV.7 and VI.4, with the digits of their code
-//! `rodas.f`; G. Steinebach, *Construction of Rosenbrock–Wanner method Rodas5P*, BIT 63 (2023). Both are stiffly accurate: the last
-//! stages stand at the end of the step, and the last u is what the embedded method differs by.
+//! E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, 2nd ed., sections IV.7 and VI.4, with the digits of their
+//! code `rodas.f`; G. Steinebach, *Construction of Rosenbrock–Wanner method Rodas5P*, BIT 63 (2023). Both are stiffly accurate: the
+//! last stages are at the end of the step, and the last u is the difference to the embedded solution.
 
 use crate::integrator::dense::Scheme;
 
-/// Most stages.
+/// Largest number of stages.
 pub(super) const MOST: usize = 8;
 
-/// A method: its stages, and where each is evaluated.
+/// Coefficients of a Rosenbrock method.
 pub(in super::super) trait Tableau: Sized {
-    /// What steps by it are called.
+    /// Scheme of the method.
     const KIND: Scheme;
-    /// Stages of a step.
+    /// Number of stages.
     const STAGES: usize;
-    /// γ, of the matrix 1/(hγ) − J.
+    /// Coefficient γ of the matrix 1/(hγ) − J.
     const GAMMA: f64;
-    /// What is added to the beginning of the step for the place of each stage; the last row is for its end.
+    /// Coefficients aᵢⱼ of the stages; the last row is the end of the step.
     const AT: [[f64; MOST]; MOST + 1];
-    /// What the right-hand side of each stage holds of the u before it, times the step.
+    /// Coefficients cᵢⱼ of earlier u in the right-hand side of each stage, times the step.
     const BEFORE: [[f64; MOST]; MOST];
-    /// The dense output of the authors: y₀ (1−θ) + θ (y₁ + (1−θ) (k₁ + θ (k₂ + θ k₃))), each k a sum of u.
+    /// Coefficients of the authors' dense output y₀ (1−θ) + θ (y₁ + (1−θ) (k₁ + θ (k₂ + θ k₃))), with each k a sum of u.
     const DENSE: [[f64; MOST]; 3];
-    /// In the middle of the step it is the mean of the ends plus this sum of u.
+    /// Coefficients of u in the middle of the step, added to the mean of both ends.
     const MIDDLE: [f64; MOST] = {
         let mut middle = [0.0; MOST];
         let mut i = 0;
@@ -33,11 +34,11 @@ pub(in super::super) trait Tableau: Sized {
         }
         middle
     };
-    /// Order of the step; that of the estimator is lower by 1.
+    /// Order of the method; its error estimate is of one order less.
     const ORDER: f64;
-    /// Weights by which values of a derivative at the stages make a quadrature of the order of the step.
+    /// Quadrature weights of the stages, of the order of the method.
     const WORK: [f64; MOST] = weights::<Self>(&Self::AT[MOST]);
-    /// The same for the estimator.
+    /// Quadrature weights of the error estimate.
     const WORK_ERROR: [f64; MOST] = {
         let mut last = [0.0; MOST];
         last[Self::STAGES - 1] = 1.0;
@@ -45,8 +46,8 @@ pub(in super::super) trait Tableau: Sized {
     };
 }
 
-/// A sum of u with these coefficients m is, of a component that depends on the others only, h Σ bᵢ (derivative at stage i + its change
-/// along uᵢ), b = γ (1 − γ Cᵀ)⁻¹ m: from the last stage back.
+/// Quadrature weights b = γ (1 − γ Cᵀ)⁻¹ m of a sum of u with coefficients m: for a component that depends on the others only, the
+/// sum is h Σ bᵢ (derivative at stage i + its change along uᵢ). Backward from the last stage.
 const fn weights<T: Tableau>(coefficients: &[f64; MOST]) -> [f64; MOST] {
     let mut weights = *coefficients;
     let mut i = MOST;
@@ -62,7 +63,7 @@ const fn weights<T: Tableau>(coefficients: &[f64; MOST]) -> [f64; MOST] {
     weights
 }
 
-/// Rodas4 (Hairer and Wanner): order 4, error estimator of order 3.
+/// Rodas4 (Hairer and Wanner): order 4, error estimate of order 3.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Rodas4;
 
@@ -99,7 +100,7 @@ impl Tableau for Rodas4 {
     const ORDER: f64 = 4.0;
 }
 
-/// Rodas5P (Steinebach): order 5, error estimator of order 4.
+/// Rodas5P (Steinebach): order 5, error estimate of order 4.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Rodas5p;
 
@@ -185,20 +186,20 @@ impl Tableau for Rodas5p {
 mod tests {
     use super::*;
 
-    /// What the order conditions say of quadratures: a wrong digit would show.
+    /// Order conditions of the quadratures, which a wrong digit would violate.
     fn check<T: Tableau>() {
         let sum = |row: &[f64; MOST]| row.iter().sum::<f64>();
         // Coefficients of up to 112 cancel.
         assert!((sum(&T::WORK) - 1.0).abs() < 1e-12, "weights of the step: {}", sum(&T::WORK));
         assert!(sum(&T::WORK_ERROR).abs() < 1e-12, "weights of the error: {}", sum(&T::WORK_ERROR));
-        // The u of a constant derivative, one after the other: each place is a time, and the end of the step is 1.
+        // For a constant derivative each stage is at its time, and the end of the step at 1.
         let mut u = [0.0; MOST];
         let trig_base = |u: &[f64; MOST], row: &[f64; MOST]| row.iter().zip(u).map(|(a, u)| a * u).sum::<f64>();
         for stage in 0..T::STAGES {
             u[stage] = T::GAMMA * (1.0 + trig_base(&u, &T::BEFORE[stage]));
         }
         assert!((trig_base(&u, &T::AT[MOST]) - 1.0).abs() < 1e-12, "the end of the step: {}", trig_base(&u, &T::AT[MOST]));
-        // In the middle of the dense output of a motion at constant rate, half the way: the mean of both ends.
+        // The middle of a motion at constant rate is the mean of both ends.
         assert!(trig_base(&u, &T::MIDDLE).abs() < 1e-12, "the middle: {}", trig_base(&u, &T::MIDDLE));
     }
 
