@@ -36,7 +36,7 @@ use crate::vector::Vector;
 pub use sample::Sample;
 use scheme::StiffnessSwitch;
 pub use scheme::{Scheme, Schemes};
-use stiffness::Stiffness;
+use stiffness::StiffnessDetector;
 use trial::StageDerivative;
 
 /// Settings of the method.
@@ -62,7 +62,7 @@ pub struct Settings {
 const EVALUATIONS: u64 = 12;
 
 /// Round-off of a sum of macro steps, relative to the current step.
-const ROUNDED: f64 = 64.0 * f64::EPSILON;
+const MACRO_STEP_ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
 /// Limits of the steps ahead, s from the beginning of a macro step.
 #[derive(Clone, Copy, Debug)]
@@ -91,7 +91,7 @@ pub struct DenseStep<const N: usize, const M: usize, K> {
     /// Length of the step, s.
     length: f64,
     /// Length of the original step, s, if this step is its part before an event; 0 otherwise.
-    cut_from: f64,
+    truncated_from: f64,
     /// Time elapsed in the step, s, between 0 and its length.
     elapsed: f64,
     /// Scheme of the step.
@@ -123,7 +123,7 @@ struct Memory {
     log_error: f64,
     /// Step length wanted in the other contact mode (with or without a pushing contact), s; infinite where unknown.
     substep_in_other_mode: f64,
-    stiffness: Stiffness,
+    stiffness: StiffnessDetector,
     stiffness_switch: StiffnessSwitch,
 }
 
@@ -140,14 +140,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let memory = Memory {
             log_error: LEAST_LOG_ERROR,
             substep_in_other_mode: f64::INFINITY,
-            stiffness: Stiffness::default(),
+            stiffness: StiffnessDetector::default(),
             stiffness_switch: StiffnessSwitch::NEW,
         };
         Self {
             start: state,
             end: state,
             length: 0.0,
-            cut_from: 0.0,
+            truncated_from: 0.0,
             elapsed: 0.0,
             scheme: Scheme::Dop853,
             dense: [StageDerivative::NONE; 4],
@@ -162,7 +162,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Advances by macro steps of `h` seconds within the current step, `most` at most; returns their number.
     #[inline]
     pub fn advance_within(&mut self, h: f64, most: u64) -> u64 {
-        let (length, rounded) = (self.length, ROUNDED * self.length);
+        let (length, rounded) = (self.length, MACRO_STEP_ROUND_OFF * self.length);
         // A macro step that begins before this time ends before the current step does.
         let last = length - rounded - h;
         let (mut elapsed, mut left) = (self.elapsed, most);
@@ -250,7 +250,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let dissipated = self.dissipated(system, settings);
         self.memory = self.before;
         self.next_mode_at_end = self.mode;
-        self.retract();
+        self.reset_to_start();
         self.end.counters.rejected += 1;
         let done = self.work();
         while rest > 0.0 {
@@ -275,11 +275,11 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Resets the end of the step to its beginning; work counters keep their values.
-    fn retract(&mut self) {
+    fn reset_to_start(&mut self) {
         let Counters { rejected, iterations, .. } = self.end.counters;
         self.end = self.start;
         self.dense = [StageDerivative::NONE; 4];
-        (self.length, self.cut_from) = (0.0, 0.0);
+        (self.length, self.truncated_from) = (0.0, 0.0);
         self.end.counters.rejected = rejected;
         self.end.counters.iterations = iterations;
     }
@@ -318,7 +318,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let work = self.sample(before, settings).work;
         if self.elapsed < self.length {
             self.memory = self.before;
-            self.retract();
+            self.reset_to_start();
             self.end.counters.rejected += 1;
         }
         (self.end.q, self.end.v, self.end.on_ray) = (q, v, false);
@@ -354,6 +354,6 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Whether stability rather than accuracy has limited the steps, so that an implicit method would be faster.
     pub fn is_stiff(&self) -> bool {
-        self.memory.stiffness.found
+        self.memory.stiffness.detected
     }
 }

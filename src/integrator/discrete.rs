@@ -26,7 +26,7 @@ pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
     /// J_cᵀ ν.
     fn mean_transposed_times(&self, secant: &Self::Secant, multipliers: &Vector<M>) -> Vector<N>;
     /// Discrete derivative of νᵀ Φ_q z with respect to q, K_b(z)ᵀν: its product with d is νᵀ (Φ_q(q₁) − Φ_q(q₀)) z.
-    fn turning_transposed_times(&self, secant: &Self::Secant, z: &Vector<N>, multipliers: &Vector<M>) -> Vector<N>;
+    fn discrete_hessian_times(&self, secant: &Self::Secant, z: &Vector<N>, multipliers: &Vector<M>) -> Vector<N>;
     /// M⁻¹ x.
     fn apply_inverse_mass(&self, x: &Vector<N>) -> Vector<N>;
 
@@ -41,7 +41,7 @@ pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
     /// Reduced unknowns of d, Λ and ν.
     fn cut_unknowns(&self, d: &Vector<N>, multipliers: [&Vector<M>; 2]) -> Self::CutUnknowns;
     /// Whether the staggered iteration on Λ and ν is applicable: inertias differ by little enough for it to contract.
-    fn alternates(&self) -> bool;
+    fn allows_staggering(&self) -> bool;
     /// Newton increments of d, Λ and ν with the whole tangent; e weighs increments only.
     fn newton(
         &self,
@@ -90,15 +90,15 @@ pub trait CutStep<const N: usize, const M: usize> {
     /// Momentum balance of a motion.
     fn balance(&self, motion: &Self::Motion) -> Self::Balance;
     /// Residuals: momentum as an angle, rad; Φ, m; h/2 times the rate of Φ, m.
-    fn left(&self, motion: &Self::Motion, balance: &Self::Balance) -> [f64; 3];
+    fn residuals(&self, motion: &Self::Motion, balance: &Self::Balance) -> [f64; 3];
     /// Newton matrix for d and Λ; e weighs increments only.
     fn factor(&self, motion: &Self::Motion, balance: &Self::Balance, regularization: f64) -> Self::Factor;
     /// Unknowns after a Newton increment with the matrix of this or a nearby motion.
-    fn improved(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Unknowns;
+    fn newton_update(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Unknowns;
     /// Motion with rates and Λ after a Newton increment, at unchanged d.
     fn with_rates(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Motion;
     /// Error norm of d, see [`System::error_norm`], rad.
-    fn turn(x: &Self::Unknowns) -> f64;
+    fn rotation_norm(x: &Self::Unknowns) -> f64;
     /// Unknowns of a motion, with its ν.
     fn unknowns(motion: &Self::Motion) -> Self::Unknowns;
     /// Increment d and velocity q̇₁ at the end.

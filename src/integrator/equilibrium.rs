@@ -38,7 +38,7 @@ pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>
     v: &Vector<N>,
     regularization: f64,
 ) -> (Vector<N>, Work) {
-    let pose = system.pose_near(from, by);
+    let pose = system.pose_from_base(from, by);
     let q = *from.0 + *by;
     let (forces, power) = system.forces_and_power(&q, &pose, v);
     let (a, _) = equilibrium_under(system, &forces, (&q, &pose, v), &system.factor_mass(&pose, regularization));
@@ -68,7 +68,7 @@ pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>
     let (a, lambda) = mass.solve_in_place(forces, &-system.phi_q_dot_times(pose, v));
     // Copies are made only where friction sticks: arguments by reference and returned values must be in memory, for all callers.
     // Adding 0 forces a copy, so the other case stays in registers.
-    if system.holds() {
+    if system.has_sticking() {
         let (held, by) = system.with_friction_reaction(*q, *v, (a, lambda));
         return (Vector::ZERO + held, Vector::ZERO + by);
     }

@@ -67,7 +67,7 @@ pub trait Events<const N: usize>: Sized {
     }
 
     /// The system with forces of a fixed mode.
-    fn on(&self, _sides: Self::Mode) -> impl Borrow<Self> {
+    fn on(&self, _mode: Self::Mode) -> impl Borrow<Self> {
         self
     }
 

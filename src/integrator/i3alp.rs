@@ -22,9 +22,9 @@ use super::{
 };
 use crate::vector::Vector;
 use events::{Outcome, Search};
-use newton::{Found, Step, constraint_tolerance};
+use newton::{Solution, Step, constraint_tolerance};
 use std::borrow::Borrow;
-use stiff_forces::{drive_work, steep_error};
+use stiff_forces::{drive_work, stiff_error};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -77,7 +77,7 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
 /// A macro step of `duration` seconds in error-controlled sub-steps; the rest is divided into equal parts again after each.
 #[inline(never)]
 fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
-    without_sides: &S,
+    base_system: &S,
     settings: &Settings,
     (state, mode): (&mut State<N, M>, &mut S::Mode),
     duration: f64,
@@ -88,10 +88,10 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
     let done = state.counters.iterations;
     // Each pass of the loop counts as one unit of work, because a transit through a vertex takes no iteration.
     for rounds in 0.. {
-        if rounds + without_sides.iteration_work() * (state.counters.iterations - done) > u64::from(settings.max_work) {
+        if rounds + base_system.iteration_work() * (state.counters.iterations - done) > u64::from(settings.max_work) {
             break;
         }
-        let in_mode = without_sides.on(*mode);
+        let in_mode = base_system.on(*mode);
         let system: &S = in_mode.borrow();
         if system.is_at_rest() {
             state.counters.substeps += 1;
@@ -101,7 +101,7 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
             Approach::Clear => StepLimits::NONE,
             Approach::Limited(limits) => limits,
             Approach::Passed(transit) => {
-                rest = pass(without_sides, settings, state, (mode, &transit), rest)?;
+                rest = pass(base_system, settings, state, (mode, &transit), rest)?;
                 if rest <= 0.0 {
                     return Ok(());
                 }
@@ -117,20 +117,20 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
                 let outcome = if system.has_stick_slip() {
                     search.judge(system, settings, state, (&attempt.end, h))
                 } else {
-                    Outcome::Passes
+                    Outcome::NoEvent
                 };
-                if outcome == Outcome::Again {
+                if outcome == Outcome::Retry {
                     state.counters.rejected += 1;
                     continue;
                 }
                 let last = h >= rest;
                 state.substep = next_step(h, CONTROLLER.growth(ln(error / tolerance), LEAST_LOG_ERROR), state.substep);
-                if settings.watches_rates(system) {
+                if settings.controls_rates(system) {
                     state.work.input += drive_work(system, h, state, &attempt.end);
                 }
                 attempt.accept(system, state, h);
-                if outcome == Outcome::Turns {
-                    events::turn(system, settings, state, mode);
+                if outcome == Outcome::Event {
+                    events::apply_transition(system, settings, state, mode);
                 }
                 search = Search::NONE;
                 if last {
@@ -142,7 +142,7 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
                 search = Search::NONE;
                 if let Some(transit) = system.cross_bifurcation(&state.q, &state.v, h) {
                     state.counters.rescued += 1;
-                    rest = pass(without_sides, settings, state, (mode, &transit), rest)?;
+                    rest = pass(base_system, settings, state, (mode, &transit), rest)?;
                     if rest <= 0.0 {
                         return Ok(());
                     }
@@ -160,14 +160,14 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
 /// Applies a transit through a vertex or bifurcation, and returns the time left of `rest`, s.
 #[cold]
 fn pass<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
-    without_sides: &S,
+    base_system: &S,
     settings: &Settings,
     state: &mut State<N, M>,
     (mode, transit): (&mut S::Mode, &Transit<N>),
     rest: f64,
 ) -> Result<f64, StepError> {
-    state.pass_through(without_sides.on(*mode).borrow(), transit, settings.regularization)?;
-    *mode = without_sides.mode_of(&state.q, &state.v);
+    state.pass_through(base_system.on(*mode).borrow(), transit, settings.regularization)?;
+    *mode = base_system.mode_of(&state.q, &state.v);
     Ok(rest - transit.duration)
 }
 
@@ -193,24 +193,25 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Even
     }
     let settings = Settings { regularization: limits.regularization * settings.regularization, ..*settings };
     let mut step = Step::predict(state, h, constraint_tolerance(&settings, system.length_scale(), h));
-    let mut again = false;
+    let mut retried = false;
     let found = loop {
         match newton::solve(system, &settings, &mut step, &mut state.counters) {
             Ok(found) => break found,
             // Stiff friction keeps the rates constant where the predicted accelerations would change them.
-            Err(_) if settings.watches_rates(system) && !again => (step, again) = (step.with_rates_of(state), true),
+            Err(_) if settings.controls_rates(system) && !retried => (step, retried) = (step.with_constant_rates(state), true),
             Err(error) => {
-                break line_search::solve(&system.general(), settings, step.anew(state), &mut state.counters).ok_or(error)?;
+                break line_search::solve(&system.general(), settings, step.without_jerk(state), &mut state.counters)
+                    .ok_or(error)?;
             }
         }
     };
 
     // Projection of the velocity (15), then acceleration and multipliers from equilibrium (16): one factorisation serves both.
-    let Found { q, pose, v } = found;
+    let Solution { q, pose, v } = found;
     let mass = system.factor_mass_in_place(&pose, settings.regularization);
     let correction = velocity_correction(system, &pose, &mass, &v);
     let mut v = v + correction;
-    if system.holds() {
+    if system.has_sticking() {
         v = system.project_sticking(q, v);
     }
     if let Some(energy) = &limits.energy {
@@ -218,12 +219,12 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Even
     }
     let mut end = StepEnd::in_balance(system, [q, v], &pose, &mass);
     // Next to a vertex the rates are already scaled to the energy.
-    if settings.watches_rates(system) && limits.energy.is_none() {
+    if settings.controls_rates(system) && limits.energy.is_none() {
         end = damping::damped(system, &settings, state, h, (&pose, &mass), end);
     }
     let mut error = local_error(system, h, &(end.a - state.a), &correction);
-    if settings.watches_rates(system) {
-        error = error.max(steep_error(system, &settings, state, h, (&pose, &end)));
+    if settings.controls_rates(system) {
+        error = error.max(stiff_error(system, &settings, state, h, (&pose, &end)));
     }
     if error.is_finite() && end.a.is_finite() { Ok(Attempt { end, error }) } else { Err(StepError::NotFinite) }
 }
@@ -232,7 +233,7 @@ impl Settings {
     /// Whether the error of the rates is controlled beside that of the angles: with stiff forces, rates oscillate at almost
     /// constant angles.
     #[inline(always)]
-    fn watches_rates<const N: usize, const M: usize>(&self, system: &impl Implicit<N, M>) -> bool {
+    fn controls_rates<const N: usize, const M: usize>(&self, system: &impl Implicit<N, M>) -> bool {
         self.adaptive && system.has_stiff_forces()
     }
 }
@@ -262,7 +263,7 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
             state.work = state.work.plus(h / 2.0, state.power).plus(h / 2.0, end.power);
         }
         state.error_estimate = error;
-        state.arrive(&end);
+        state.take_over(&end);
     }
 }
 

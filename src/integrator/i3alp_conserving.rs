@@ -24,7 +24,7 @@ use super::{Counters, CutStep, Discrete, Inconsistency, Passage, State, StepErro
 use crate::vector::Vector;
 use equations::{Evaluation, Step, Unknowns};
 use fallback::{Recovered, from_equilibrium, recover_by_stages};
-use newton::{Allowance, Bounds, Until, full_newton, staggered_newton};
+use newton::{Bounds, IterationBudget, StopRule, full_newton, staggered_newton};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -45,7 +45,7 @@ const SHORTEST: f64 = 1e-12;
 /// Accelerations below this bound, m/s² and rad/s², are round-off.
 const BALANCED: f64 = 1e-12;
 /// Number of past steps that the extrapolation of the unknowns uses.
-const REMEMBERED: usize = 6;
+const HISTORY_LENGTH: usize = 6;
 /// Number of past steps that a quadratic extrapolation uses.
 const PARABOLA: usize = 3;
 
@@ -62,22 +62,22 @@ pub struct ConservingRun<const N: usize, const K: usize> {
     pub configuration_signs: u8,
     /// Counters since the start.
     pub counters: Counters,
-    memory: Memory<K>,
+    history: History<K>,
 }
 
 /// Loop-cut unknowns of past steps, from which those of the next step are extrapolated.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-struct Memory<const K: usize> {
+struct History<const K: usize> {
     /// Length of these steps, s.
     h: f64,
     /// Number of steps stored.
     known: u8,
     /// Unknowns, latest step first.
-    x: [Vector<K>; REMEMBERED],
+    x: [Vector<K>; HISTORY_LENGTH],
 }
 
-impl<const K: usize> Memory<K> {
-    const NONE: Self = Self { h: 0.0, known: 0, x: [Vector::ZERO; REMEMBERED] };
+impl<const K: usize> History<K> {
+    const NONE: Self = Self { h: 0.0, known: 0, x: [Vector::ZERO; HISTORY_LENGTH] };
 
     /// Extrapolates by the polynomial of degree 5 through the last six steps of length `h`, or by a parabola through three.
     #[inline(always)]
@@ -85,7 +85,7 @@ impl<const K: usize> Memory<K> {
         let Self { known, x: [last, before, third, fourth, fifth, first], .. } = *self;
         match usize::from(known) {
             _ if self.h != h => None,
-            REMEMBERED => Some(6.0 * (last + fifth) - 15.0 * (before + fourth) + 20.0 * third - first),
+            HISTORY_LENGTH => Some(6.0 * (last + fifth) - 15.0 * (before + fourth) + 20.0 * third - first),
             PARABOLA.. => Some(3.0 * (last - before) + third),
             _ => None,
         }
@@ -96,7 +96,7 @@ impl<const K: usize> Memory<K> {
         if self.h != h {
             *self = Self { h, ..Self::NONE };
         }
-        self.known = (self.known + 1).min(REMEMBERED as u8);
+        self.known = (self.known + 1).min(HISTORY_LENGTH as u8);
         self.x = [x, self.x[0], self.x[1], self.x[2], self.x[3], self.x[4]];
     }
 }
@@ -105,20 +105,20 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     /// Starts a run at q and q̇, which must meet the constraints.
     pub fn start<const M: usize, S: Discrete<N, M>>(system: &S, q: Vector<N>, v: Vector<N>) -> Self {
         let configuration_signs = system.configuration_signs(&system.pose(&q));
-        Self { q, v, work: Work::default(), configuration_signs, counters: Counters::default(), memory: Memory::NONE }
+        Self { q, v, work: Work::default(), configuration_signs, counters: Counters::default(), history: History::NONE }
     }
 
     /// Notes a discontinuity of the inputs, which makes the higher differences of the history useless: a parabola is used until the
     /// history is full again.
     pub fn change(&mut self) {
-        self.memory.known = self.memory.known.min(PARABOLA as u8);
+        self.history.known = self.history.known.min(PARABOLA as u8);
         self.counters.restarts += 1;
     }
 
     /// Notes a discontinuity of the motion or of the machine, which did the given work, J, and clears the history.
     pub fn restart(&mut self, work: Work) {
         self.work += work;
-        self.memory = Memory::NONE;
+        self.history = History::NONE;
         self.counters.restarts += 1;
     }
 
@@ -166,34 +166,40 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
                 return Ok(());
             }
             // After rest the history says nothing about the branch.
-            self.memory = Memory::NONE;
+            self.history = History::NONE;
         }
-        let x = match self.memory.extrapolated(h) {
+        let x = match self.history.extrapolated(h) {
             Some(x) => x,
             None => self.predicted_by_equilibrium(general, settings, h),
         };
         let begun = self.counters.iterations;
-        let mut nearby = Some(x);
-        if system.alternates() {
+        let mut guess = Some(x);
+        if system.allows_staggering() {
             let Self { q, v, .. } = *self;
             let pose = system.pose_in_place(&q);
             let cut = system.cut(&pose, [&q, &v], h);
-            let arrive = |end: &_, iterations| {
+            let accept_root = |end: &_, iterations| {
                 self.counters.iterations += u64::from(iterations);
                 let ([d, v], secant) = (cut.end(end), cut.secant(end));
                 let over = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
-                self.arrive(system, &over, S::Cut::unknowns(end))
+                self.accept_root(system, &over, S::Cut::unknowns(end))
             };
-            match staggered_newton(&cut, x, &Bounds::cut(system, h), (settings.regularization, settings.max_iterations), arrive) {
+            match staggered_newton(
+                &cut,
+                x,
+                &Bounds::cut(system, h),
+                (settings.regularization, settings.max_iterations),
+                accept_root,
+            ) {
                 Ok(arrived) => return arrived,
                 Err((left, iterations)) => {
                     self.counters.iterations += u64::from(iterations);
-                    nearby = left;
+                    guess = left;
                 }
             }
         }
         let Self { q, v, .. } = *self;
-        self.at_once(&Step::new(general, [&q, &v], h), settings, (begun, nearby))
+        self.by_full_newton(&Step::new(general, [&q, &v], h), settings, (begun, guess))
     }
 
     /// Whether the system at rest stays at rest; Newton's method would amplify round-off at a vertex.
@@ -220,21 +226,21 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
 
     /// Full Newton iteration from the result of the staggered one; on failure, the fallback stages.
     #[inline(never)]
-    fn at_once<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
+    fn by_full_newton<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
         &mut self,
         step: &Step<'_, S, N, M>,
         settings: &Settings,
-        (begun, nearby): (u64, Option<Vector<K>>),
+        (begun, guess): (u64, Option<Vector<K>>),
     ) -> Result<(), StepError> {
         let &Settings { regularization, max_iterations, .. } = settings;
-        let Some(x) = nearby else { return self.recover(step, settings, begun) };
+        let Some(x) = guess else { return self.recover(step, settings, begun) };
         let cut = step.system.cut(&step.pose, [&step.q, &step.v], step.h);
         let motion = cut.motion(&x, regularization);
         let ([d, _], [lambda, nu]) = (cut.end(&motion), cut.multipliers(&motion));
-        let (mut x, mut allowance) =
-            (Unknowns { d, lambda, nu }, Allowance { left: max_iterations, begun, counters: &mut self.counters });
-        match full_newton(step, &mut x, regularization, (max_iterations, Until::Solved), &mut allowance) {
-            Some(end) => self.arrive_at(step, &x, &end),
+        let (mut x, mut budget) =
+            (Unknowns { d, lambda, nu }, IterationBudget { left: max_iterations, begun, counters: &mut self.counters });
+        match full_newton(step, &mut x, regularization, (max_iterations, StopRule::Solved), &mut budget) {
+            Some(end) => self.accept_full_root(step, &x, &end),
             None => self.recover(step, settings, begun),
         }
     }
@@ -251,33 +257,33 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let &Settings { max_iterations, max_work, equilibrium: e, .. } = settings;
         let (a, lambda) = equilibrium(step.system, &self.q, &self.v, e);
         let a = step.system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
-        let mut allowance = Allowance { left: max_iterations, begun, counters: &mut self.counters };
+        let mut budget = IterationBudget { left: max_iterations, begun, counters: &mut self.counters };
         if max_work > 0 {
-            allowance.left = max_work.saturating_sub(allowance.spent());
+            budget.left = max_work.saturating_sub(budget.spent());
         }
-        match recover_by_stages(step, settings, (&a, &lambda), &mut allowance)? {
-            Recovered::Root(x, end) => self.arrive_at(step, &x, &end),
+        match recover_by_stages(step, settings, (&a, &lambda), &mut budget)? {
+            Recovered::Root(x, end) => self.accept_full_root(step, &x, &end),
             Recovered::Scaled { d, acting, v } => {
-                self.memory = Memory::NONE;
-                self.conclude(step.system, &step.chord(&step.secant(&d), &d, &acting), &v)
+                self.history = History::NONE;
+                self.conclude(step.system, &step.increment(&step.secant(&d), &d, &acting), &v)
             }
         }
     }
 
     /// Accepts a root of the full unknowns.
-    fn arrive_at<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
+    fn accept_full_root<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
         &mut self,
         step: &Step<'_, S, N, M>,
         Unknowns { d, lambda, nu }: &Unknowns<N, M>,
         end: &Evaluation<S, N, M>,
     ) -> Result<(), StepError> {
         let x = step.system.cut_unknowns(d, [lambda, nu]);
-        self.arrive(step.system, &step.chord(&end.secant, d, &end.v), x)
+        self.accept_root(step.system, &step.increment(&end.secant, d, &end.v), x)
     }
 
     /// Accepts a root and stores its unknowns in the history.
     #[inline(always)]
-    fn arrive<const M: usize, S: Discrete<N, M>>(
+    fn accept_root<const M: usize, S: Discrete<N, M>>(
         &mut self,
         system: &S,
         over: &StepIncrement<'_, S::Secant, N>,
@@ -286,7 +292,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if !x.is_finite() {
             return Err(StepError::NotFinite);
         }
-        self.memory.remember(over.h, x);
+        self.history.remember(over.h, x);
         self.conclude(system, over, over.v)
     }
 
@@ -337,8 +343,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         system: &S,
         bounds: &super::Bounds,
     ) -> Result<(), Inconsistency> {
-        let Memory { h, known, x } = &self.memory;
-        if !(x.iter().all(|x| x.is_finite()) && *h >= 0.0 && h.is_finite() && usize::from(*known) <= REMEMBERED) {
+        let History { h, known, x } = &self.history;
+        if !(x.iter().all(|x| x.is_finite()) && *h >= 0.0 && h.is_finite() && usize::from(*known) <= HISTORY_LENGTH) {
             return Err("what it remembers of its last steps is not finite");
         }
         self.state(system, bounds.regularizations[0]).check(system, &super::Bounds { in_balance: false, ..*bounds })
@@ -346,7 +352,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
 
     /// Weighted sum of the history, which changes whenever an element changes.
     pub fn remembered(&self) -> f64 {
-        let Memory { h, x, .. } = &self.memory;
+        let History { h, x, .. } = &self.history;
         h + x.iter().flat_map(|x| x.iter().enumerate()).map(|(i, x)| x.abs() * (i + 1) as f64).sum::<f64>()
     }
 }

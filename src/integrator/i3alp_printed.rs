@@ -82,6 +82,6 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
     let end = StepEnd::new(system, [q, projected, a], &pose, state.lambda).finite()?;
     state.error_estimate = local_error(system, h, &(a - a0), &(projected - v));
     state.work = state.work.plus(h / 2.0, state.power).plus(h / 2.0, end.power);
-    state.arrive(&end);
+    state.take_over(&end);
     Ok(())
 }

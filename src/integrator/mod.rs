@@ -28,7 +28,7 @@ pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, St
 pub use projection::{Projection, velocity_correction};
 use state::StepEnd;
 pub use state::{CONFIGURATION_SIGNS, Counters, State};
-pub use system::{AccelerationTangents, Held, Implicit, Kkt, System, TangentPoint, Work};
+pub use system::{AccelerationTangents, Implicit, Kkt, StickingConstraint, System, TangentPoint, Work};
 
 /// Methods that begin and end a step with each macro step.
 #[derive(Clone, Copy, Debug)]

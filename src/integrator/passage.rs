@@ -162,7 +162,7 @@ impl<const N: usize, const M: usize> State<N, M> {
             self.work = self.work.plus(transit.duration / 2.0, self.power).plus(transit.duration / 2.0, end_state.power);
         }
         self.jerk = Vector::ZERO;
-        self.arrive(&end_state);
+        self.take_over(&end_state);
         self.on_ray = transit.on_ray;
         self.counters.vertex_passes += u64::from(transit.passed);
         if let Some((driven, alternatives)) = transit.from_rest {

@@ -53,7 +53,7 @@ impl Projection {
         }
         let corrected = *q + system.factor_mass(pose, self.regularization).correction(&-phi);
         let correction = corrected - *q;
-        *pose = system.pose_turned((q, pose), &correction);
+        *pose = system.updated_pose((q, pose), &correction);
         *q = corrected;
         if self.max_iterations > 0 && system.phi(q, pose).max_norm() < self.tolerance {
             return Ok(1);
@@ -111,7 +111,7 @@ impl Projection {
             let correction = correction(pose, -phi);
             last = correction.max_norm();
             let corrected = *q + correction;
-            *pose = system.pose_turned((q, pose), &(corrected - *q));
+            *pose = system.updated_pose((q, pose), &(corrected - *q));
             *q = corrected;
         }
         Err(StepError::NotConverged { iterations: self.max_iterations, violation, tolerance: self.tolerance, correction: last })

@@ -60,6 +60,6 @@ pub fn advance<const N: usize, const M: usize>(
         v += velocity_correction(system, &pose, &mass, &v);
     }
     state.work = work;
-    state.arrive(&StepEnd::in_balance(system, [q, v], &pose, &mass).finite()?);
+    state.take_over(&StepEnd::in_balance(system, [q, v], &pose, &mass).finite()?);
     Ok(())
 }

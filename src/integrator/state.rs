@@ -114,7 +114,7 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// Projects q̇ onto the sticking constraints of a new mode, solves q̈ and λ from equilibrium and resets the predictor.
     pub fn reinitialize<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
-        if system.holds() {
+        if system.has_sticking() {
             self.v = system.project_sticking(self.q, self.v);
         }
         self.balance(system, pose, regularization);
@@ -139,7 +139,7 @@ impl<const N: usize, const M: usize> State<N, M> {
 
     /// Takes over the end of an accepted step. Work, predictor and step length are left to the method.
     #[inline(always)]
-    pub(super) fn arrive(&mut self, end_state: &StepEnd<N, M>) {
+    pub(super) fn take_over(&mut self, end_state: &StepEnd<N, M>) {
         let &StepEnd { q, v, a, lambda, power, configuration_signs } = end_state;
         (self.q, self.v, self.a, self.lambda, self.power) = (q, v, a, lambda, power);
         self.on_ray = false;

@@ -25,13 +25,13 @@ pub trait System<const N: usize, const M: usize> {
         self.pose(q)
     }
     /// Pose at q + `by` from the pose at q, cheaper than [`System::pose`] where `by` is small.
-    fn pose_turned(&self, (q, _pose): (&Vector<N>, &Self::Pose), by: &Vector<N>) -> Self::Pose {
+    fn updated_pose(&self, (q, _pose): (&Vector<N>, &Self::Pose), by: &Vector<N>) -> Self::Pose {
         self.pose(&(*q + *by))
     }
     /// Base data for small-angle updates of `pose`.
     fn trig_base(&self, pose: &Self::Pose) -> Self::TrigBase;
     /// Pose at q + `by` from the base data at q.
-    fn pose_near(&self, (q, _trig_base): (&Vector<N>, &Self::TrigBase), by: &Vector<N>) -> Self::Pose {
+    fn pose_from_base(&self, (q, _trig_base): (&Vector<N>, &Self::TrigBase), by: &Vector<N>) -> Self::Pose {
         self.pose(&(*q + *by))
     }
     /// Φ(q).
@@ -65,19 +65,19 @@ pub trait System<const N: usize, const M: usize> {
         0
     }
     /// Whether any friction element sticks.
-    fn holds(&self) -> bool {
+    fn has_sticking(&self) -> bool {
         false
     }
-    /// Sticking constraint with its reaction. Called only if [`System::holds`].
-    fn held(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> Held<N> {
-        Held::Nothing
+    /// Sticking constraint with its reaction. Called only if [`System::has_sticking`].
+    fn sticking_constraint(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> StickingConstraint<N> {
+        StickingConstraint::Nothing
     }
     /// Accelerations q̈ and multipliers λ with the reaction of sticking friction, from those without. Called only if
-    /// [`System::holds`].
+    /// [`System::has_sticking`].
     fn with_friction_reaction(&self, _q: Vector<N>, _v: Vector<N>, free: (Vector<N>, Vector<M>)) -> (Vector<N>, Vector<M>) {
         free
     }
-    /// Velocities q̇ projected onto the sticking constraints. Called only if [`System::holds`].
+    /// Velocities q̇ projected onto the sticking constraints. Called only if [`System::has_sticking`].
     fn project_sticking(&self, _q: Vector<N>, v: Vector<N>) -> Vector<N> {
         v
     }
@@ -101,7 +101,7 @@ pub trait System<const N: usize, const M: usize> {
     }
     /// Acceleration q̈ at rates v, `by` away from the base pose, by a shorter evaluation with the system's own e; `None` unless
     /// gravity is the only load and `by` is small.
-    fn acceleration_by_weight(&self, _trig_base: &Self::TrigBase, _by: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
+    fn acceleration_under_gravity(&self, _trig_base: &Self::TrigBase, _by: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
         None
     }
     /// Kinetic energy plus potential energy of all forces but the inputs, J; [`System::power`] is the rate at which the energy
@@ -163,7 +163,7 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
     }
 
     /// Generalised forces of drives (servos), if there are any. Called only if [`System::has_stiff_forces`].
-    fn drives(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
+    fn drive_forces(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
         None
     }
 
@@ -214,7 +214,7 @@ pub trait Kkt<const N: usize, const M: usize> {
 
 /// Constraint that sticking friction imposes on the motion.
 #[derive(Clone, Copy, Debug)]
-pub enum Held<const N: usize> {
+pub enum StickingConstraint<const N: usize> {
     /// No friction element sticks.
     Nothing,
     /// One direction of motion is blocked.

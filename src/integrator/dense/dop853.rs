@@ -17,7 +17,7 @@ use wide::f64x2;
 const SECOND_ERROR_WEIGHT: f64 = 0.09;
 
 /// Stages of one step.
-pub(super) struct Stages<const N: usize> {
+pub(super) struct Dop853<const N: usize> {
     slopes: [StageDerivative<N>; STAGES],
     q: Vector<N>,
     /// Step length, s.
@@ -28,7 +28,7 @@ pub(super) struct Stages<const N: usize> {
     last: Vector<N>,
 }
 
-impl<const N: usize> Stages<N> {
+impl<const N: usize> Dop853<N> {
     /// Σ coefficient · slope over one component of the stages, in units of the last coefficient, which saves a multiplication.
     #[inline(always)]
     fn sum<const ROW: usize>(&self, part: impl Fn(&StageDerivative<N>) -> Vector<N>) -> Vector<N> {
@@ -53,22 +53,22 @@ impl<const N: usize> Stages<N> {
     /// Three sums at the end of the step: mean slope of order 8, error of order 5 and error of order 3, for q or q̇. Two elements
     /// at a time are loaded once for all sums and stay in registers.
     #[inline(never)]
-    fn at_end(&self, of_rates: bool) -> [Vector<N>; 3] {
+    fn end_sums(&self, of_rates: bool) -> [Vector<N>; 3] {
         let mut sums = [Vector::ZERO; 3];
-        for trig_base in 0..N.div_ceil(2) {
+        for index in 0..N.div_ceil(2) {
             let slopes: [f64x2; STAGES] = std::array::from_fn(|stage| {
                 let StageDerivative { q, v, .. } = &self.slopes[stage];
-                (if of_rates { v } else { q }).pair(trig_base)
+                (if of_rates { v } else { q }).pair(index)
             });
-            let mean = by_row(&slopes, |stage| COEFFICIENTS[END][stage]);
+            let mean = row_sum(&slopes, |stage| COEFFICIENTS[END][stage]);
             let pairs = [
                 mean,
-                by_row(&slopes, |stage| COEFFICIENTS[AT_ERROR_5][stage]),
+                row_sum(&slopes, |stage| COEFFICIENTS[AT_ERROR_5][stage]),
                 // The difference of rows has more zeros.
-                mean + by_row(&slopes, |stage| COEFFICIENTS[AT_ERROR_3][stage] - COEFFICIENTS[END][stage]),
+                mean + row_sum(&slopes, |stage| COEFFICIENTS[AT_ERROR_3][stage] - COEFFICIENTS[END][stage]),
             ];
             for (sum, pair) in sums.iter_mut().zip(pairs) {
-                sum.set_pair(trig_base, pair);
+                sum.set_pair(index, pair);
             }
         }
         sums
@@ -117,7 +117,7 @@ impl<const N: usize> Stages<N> {
     ) -> Vector<N> {
         let [q, v] = self.increment::<ROW>();
         self.slopes[ROW].q = self.slopes[0].q + v;
-        self.slopes[ROW].complete(system, origin, &q);
+        self.slopes[ROW].evaluate_acceleration(system, origin, &q);
         q
     }
 
@@ -156,7 +156,7 @@ impl<const N: usize> Stages<N> {
 
 /// Σ coefficient · slope over the stages; the compiler omits zero coefficients.
 #[inline(always)]
-fn by_row(slopes: &[f64x2; STAGES], coefficient: impl Fn(usize) -> f64) -> f64x2 {
+fn row_sum(slopes: &[f64x2; STAGES], coefficient: impl Fn(usize) -> f64) -> f64x2 {
     let mut sum = f64x2::splat(coefficient(0)) * slopes[0];
     macro_rules! add {
         ($stage:literal) => {
@@ -169,9 +169,9 @@ fn by_row(slopes: &[f64x2; STAGES], coefficient: impl Fn(usize) -> f64) -> f64x2
     sum
 }
 
-impl<const N: usize> Trial<N> for Stages<N> {
-    const KIND: Scheme = Scheme::Dop853;
-    type Shared = ();
+impl<const N: usize> Trial<N> for Dop853<N> {
+    const SCHEME: Scheme = Scheme::Dop853;
+    type Linearization = ();
     /// Memory and a growth limit of 3 leave a quarter of the rejections of the classical controller.
     const CONTROLLER: StepSizeController = StepSizeController {
         exponent: 1.0 / 8.0 - 0.75 * 0.02,
@@ -181,7 +181,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
         failed: 0.3,
     };
 
-    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::TrigBase, N>)) -> Option<()> {
+    fn linearize<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::TrigBase, N>)) -> Option<()> {
         Some(())
     }
 
@@ -205,7 +205,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
         energy_target: Option<(EnergyBalance, f64)>,
     ) -> (f64, Option<StepResult<N, M>>) {
         self.evaluate_all(system, origin);
-        let ([mean_q, q_5, q_3], [mean_v, v_5, v_3]) = (self.at_end(false), self.at_end(true));
+        let ([mean_q, q_5, q_3], [mean_v, v_5, v_3]) = (self.end_sums(false), self.end_sums(true));
         let end = [self.q + self.h * mean_q, self.slopes[0].q + self.h * mean_v];
         let error = self.error(weights, [[q_5, v_5], [q_3, v_3]], &end[1]);
         if error.is_nan() || error > 1.0 {
@@ -237,16 +237,16 @@ impl<const N: usize> Trial<N> for Stages<N> {
         slopes[END] = StageDerivative { q: end.v, v: end.a, power: end.power };
         let origin = Origin::new(system, &self.q, &system.pose(&self.q), regularization);
         for stage in END + 1..ALL {
-            let increment = over(self.h, &slopes, A[stage]);
+            let increment = weighted_sum(self.h, &slopes, A[stage]);
             slopes[stage].q = slopes[0].q + increment.v;
-            slopes[stage].complete(system, &origin, &increment.q);
+            slopes[stage].evaluate_acceleration(system, &origin, &increment.q);
         }
-        DENSE.map(|row| over(self.h, &slopes, row))
+        DENSE.map(|row| weighted_sum(self.h, &slopes, row))
     }
 }
 
 /// h times the weighted sum of slopes, as a loop, since few steps need their interpolant.
-fn over<const N: usize>(h: f64, slopes: &[StageDerivative<N>; ALL], row: Row) -> StageDerivative<N> {
+fn weighted_sum<const N: usize>(h: f64, slopes: &[StageDerivative<N>; ALL], row: Row) -> StageDerivative<N> {
     let mut sum = StageDerivative::NONE;
     for &(stage, coefficient) in row {
         let StageDerivative { q, v, power } = &slopes[stage];

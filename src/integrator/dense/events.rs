@@ -14,24 +14,24 @@ use crate::vector::Vector;
 
 /// Guard residual at which a step is to end, in event tolerances: past the guard, so that the next mode begins well inside its own
 /// guards.
-pub(super) const AT_BORDER: f64 = 0.5;
-/// Half-width of the accepted window around [`AT_BORDER`], in event tolerances.
-pub(super) const NEAR_ENOUGH: f64 = 0.4;
+pub(super) const TARGET_RESIDUAL: f64 = 0.5;
+/// Half-width of the accepted window around [`TARGET_RESIDUAL`], in event tolerances.
+pub(super) const WINDOW_HALF_WIDTH: f64 = 0.4;
 /// Guard residual above which an event has occurred, in event tolerances; less than 1, so that bounds on the residual fit between.
-pub(super) const CROSSED: f64 = 0.95;
+pub(super) const CROSSING_RESIDUAL: f64 = 0.95;
 /// Largest number of transitions at one state.
-const MOST_SIDES: u32 = 8;
+const MOST_TRANSITIONS: u32 = 8;
 /// Number of trials to end a step at a guard after which the step is halved instead.
 const MOST_TRIES: u32 = 8;
 /// Shortest step that is halved, s: nothing moves in shorter ones.
-const NOTHING_MOVES: f64 = 1e-12;
+const SHORTEST_HALVED: f64 = 1e-12;
 /// Time over which the motion is linearised for the derivative of the guard residual, relative to the step.
-const NEARBY: f64 = 1e-6;
+const LINEARIZED_PART: f64 = 1e-6;
 /// Largest correction of a step's end towards a guard, relative to the step.
-const NEAR: f64 = 0.1;
+const LARGEST_CORRECTION: f64 = 0.1;
 
 /// Factor on the estimated time until a mode ends, so that the guard lies within the step.
-const LONGER: f64 = 1.2;
+const DWELL_MARGIN: f64 = 1.2;
 
 /// Position of a step's end relative to a guard.
 pub(super) enum EventWindow {
@@ -39,7 +39,7 @@ pub(super) enum EventWindow {
     Within,
     /// The guard residual is outside the window; the correction of the step length, s, if the linearised motion reaches the guard
     /// nearby.
-    Off(Option<f64>),
+    Outside(Option<f64>),
 }
 
 impl EventWindow {
@@ -54,12 +54,12 @@ impl EventWindow {
             system.guard_residual(&system.guard_values(&(*q + later * *v), &(*v + later * *a)), settings.error_tolerance)
         };
         let guard_residual = guard_residual_at(0.0);
-        if (guard_residual - AT_BORDER).abs() <= NEAR_ENOUGH {
+        if (guard_residual - TARGET_RESIDUAL).abs() <= WINDOW_HALF_WIDTH {
             return Self::Within;
         }
-        let later = NEARBY * length;
-        let (gained, missing) = (guard_residual_at(later) - guard_residual, (guard_residual - AT_BORDER) * later);
-        Self::Off((missing.abs() < NEAR * length * gained.abs()).then(|| -missing / gained))
+        let later = LINEARIZED_PART * length;
+        let (gained, missing) = (guard_residual_at(later) - guard_residual, (guard_residual - TARGET_RESIDUAL) * later);
+        Self::Outside((missing.abs() < LARGEST_CORRECTION * length * gained.abs()).then(|| -missing / gained))
     }
 }
 
@@ -72,7 +72,7 @@ pub(super) enum EventCheck {
     /// An event occurs earlier, this many seconds after the beginning of the step.
     Before(f64),
     /// No event occurs, but the error of the work is this multiple of the admissible one.
-    Off(f64),
+    WorkError(f64),
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
@@ -92,30 +92,30 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let mut mode = system.select_branch(self.next_mode_at_end, &self.start.q, &self.start.v);
         let mut longest = f64::INFINITY;
         if system.has_events() {
-            self.cut_from = 0.0;
+            self.truncated_from = 0.0;
             let guard_values = system.guard_values(&self.start.q, &self.start.v);
-            for _ in 0..MOST_SIDES {
+            for _ in 0..MOST_TRANSITIONS {
                 let in_mode = system.on(mode);
                 let in_mode = in_mode.borrow();
-                if in_mode.guard_residual(&guard_values, settings.error_tolerance) <= CROSSED {
+                if in_mode.guard_residual(&guard_values, settings.error_tolerance) <= CROSSING_RESIDUAL {
                     break;
                 }
                 mode = in_mode.next_mode(&self.start.q, &self.start.v, settings.error_tolerance);
             }
-            longest = LONGER * system.on(mode).borrow().dwell_time(&guard_values);
+            longest = DWELL_MARGIN * system.on(mode).borrow().dwell_time(&guard_values);
         }
-        self.begin_on(system, settings, mode);
+        self.set_mode(system, settings, mode);
         longest
     }
 
     /// Applies the transition at a guard that the step crosses at its very beginning.
-    pub(super) fn turn<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) {
+    pub(super) fn apply_transition<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) {
         let mode = system.on(self.mode).borrow().next_mode(&self.start.q, &self.start.v, settings.error_tolerance);
-        self.begin_on(system, settings, mode);
+        self.set_mode(system, settings, mode);
     }
 
     /// Sets the mode of the step; if it changes, forces and accelerations are evaluated again.
-    fn begin_on<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings, mode: K) {
+    fn set_mode<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings, mode: K) {
         if mode != self.mode {
             let [before, next_mode] = [system.on(self.mode), system.on(mode)];
             self.start.reinitialize(next_mode.borrow(), &system.pose(&self.start.q), settings.regularization);
@@ -145,9 +145,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             return event_check;
         }
         let done = Work::of_pair(self.end.work.pair() - self.start.work.pair());
-        match settings.credible(done) {
+        match settings.checked_work(done) {
             Ok(_) => self.end.work.dissipated = self.end.work.dissipated.max(self.start.work.dissipated),
-            Err(error) => return EventCheck::Off(error),
+            Err(error) => return EventCheck::WorkError(error),
         }
         if shown > 0.0 {
             self.end.work.dissipated += self.separation_energy(system, [&self.end.q, &self.end.v]);
@@ -166,21 +166,21 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> EventCheck {
         let mut crosses = EventCheck::Clear;
         if (1..MOST_TRIES).contains(&tries) {
-            let end = self.balanced_end(system, settings);
+            let end = self.evaluated_end(system, settings);
             match EventWindow::of(system, settings, [&end.q, &end.v, &end.a], self.length) {
                 // Another guard may be crossed earlier.
                 EventWindow::Within => crosses = EventCheck::AtEnd,
                 // The interpolant was not accurate enough, so the end of the step gives the correction.
-                EventWindow::Off(Some(later)) => return EventCheck::Before(self.length + later),
-                EventWindow::Off(None) => {}
+                EventWindow::Outside(Some(later)) => return EventCheck::Before(self.length + later),
+                EventWindow::Outside(None) => {}
             }
         }
-        self.dense = dense(&self.balanced_end(system, settings));
+        self.dense = dense(&self.evaluated_end(system, settings));
         match self.first_crossing(system, settings, from) {
             Found::Nothing => crosses,
-            Found::Crossing(when) if when >= SHORTEST && self.cut(system, settings, when) => EventCheck::AtEnd,
+            Found::Crossing(when) if when >= SHORTEST && self.truncate(system, settings, when) => EventCheck::AtEnd,
             Found::Crossing(when) if tries < MOST_TRIES => EventCheck::Before(when),
-            Found::Crossing(_) | Found::TooMuch if self.length > NOTHING_MOVES => EventCheck::Before(0.5 * self.length),
+            Found::Crossing(_) | Found::TooMuch if self.length > SHORTEST_HALVED => EventCheck::Before(0.5 * self.length),
             Found::Crossing(_) | Found::TooMuch => crosses,
         }
     }

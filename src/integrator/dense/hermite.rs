@@ -11,7 +11,7 @@ use crate::vector::Vector;
 const NODE: f64 = 0.211_324_865_405_187_1;
 
 /// Further data of the quintic.
-pub(super) enum Knowing<const N: usize> {
+pub(super) enum HermiteData<const N: usize> {
     /// Accelerations at both ends.
     Accelerations,
     /// Coordinates and rates in the middle. With stiff forces accelerations would carry the error of the ends, times h².
@@ -23,22 +23,22 @@ pub(super) enum Knowing<const N: usize> {
 pub(super) fn coefficients<const N: usize, const M: usize>(
     [from, to]: [&State<N, M>; 2],
     h: f64,
-    knowing: Knowing<N>,
+    data: HermiteData<N>,
 ) -> [StageDerivative<N>; 4] {
-    let moved = to.q - from.q;
-    let second = h * from.v - moved;
-    let third = moved - h * to.v - second;
+    let displacement = to.q - from.q;
+    let second = h * from.v - displacement;
+    let third = displacement - h * to.v - second;
     // Coefficients of the basis functions θ²(1−θ)² and θ³(1−θ)².
-    let (fourth, fifth) = match knowing {
-        Knowing::Accelerations => {
+    let (fourth, fifth) = match data {
+        HermiteData::Accelerations => {
             // Second derivatives of the basis functions at the ends: 2 and 2, 0 and 2.
             let fourth = 0.5 * h * h * from.a + second - third;
             (fourth, 0.5 * h * h * to.a + second + 2.0 * third - fourth)
         }
-        Knowing::Middle([q, v]) => {
+        HermiteData::Middle([q, v]) => {
             // Values and derivatives of the basis functions in the middle: 1/16 and 0, 1/32 and 1/16.
             let cubic = 0.5 * (from.q + to.q) + 0.25 * second + 0.125 * third;
-            let fifth = 16.0 * (h * v - moved - 0.25 * third);
+            let fifth = 16.0 * (h * v - displacement - 0.25 * third);
             (16.0 * (q - cubic) - 0.5 * fifth, fifth)
         }
     };
@@ -50,7 +50,7 @@ pub(super) fn coefficients<const N: usize, const M: usize>(
 /// First higher coefficient of the work, J, between states `h` seconds apart, from the interpolant of the coordinates. It needs two
 /// evaluations of the power, so it is computed only when the work is read.
 #[cold]
-pub(super) fn of_work<const N: usize, const M: usize>(
+pub(super) fn work_coefficient<const N: usize, const M: usize>(
     system: &impl System<N, M>,
     [from, to]: [&State<N, M>; 2],
     h: f64,

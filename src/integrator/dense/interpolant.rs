@@ -1,7 +1,7 @@
 //! Interpolating polynomial of degree 7 between the ends of a step (Hairer, Nørsett, Wanner I, section II.6), with rigorous bounds
 //! from its Bernstein coefficients.
 
-use super::trial::larger;
+use super::trial::max_magnitude;
 use crate::vector::Vector;
 
 /// Polynomial c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + (1−θ) (c₄ + …)))) in the part θ of the step.
@@ -38,7 +38,7 @@ impl<const K: usize> Interpolant<K> {
     }
 
     /// Higher coefficients of the polynomial restricted to the step before `part`.
-    pub(super) fn cut(&self, part: f64) -> [Vector<K>; 4] {
+    pub(super) fn truncate(&self, part: f64) -> [Vector<K>; 4] {
         // Power coefficients on the shorter step, from the innermost bracket on.
         let mut powers = [Vector::ZERO; 8];
         powers[0] = self.0[7];
@@ -72,34 +72,35 @@ impl<const K: usize> Interpolant<K> {
 
     /// Running maximum of a component up to a part of the step. For a quantity that never falls the interpolant is wrong where it
     /// falls, and the running maximum is at most as wrong as the interpolant.
-    pub(super) fn risen(&self, component: usize, part: f64) -> f64 {
+    pub(super) fn running_maximum(&self, component: usize, part: f64) -> f64 {
         let rates: [f64; 7] = std::array::from_fn(|row| (1..8).fold(0.0, |sum, k| sum + RATES[row][k] * self.0[k][component]));
-        highest(&|part| self.at(part)[component], rates, [0.0, 1.0], part)
+        maximum_until(&|part| self.at(part)[component], rates, [0.0, 1.0], part)
     }
 
     /// Bounds on the magnitudes of the first four derivatives with respect to θ: the largest Bernstein coefficients, which no value
     /// exceeds.
     #[inline(never)]
-    pub(super) fn greatest(&self) -> [Vector<K>; 4] {
+    pub(super) fn derivative_bounds(&self) -> [Vector<K>; 4] {
         let mut coefficients: [Vector<K>; 7] =
             std::array::from_fn(|row| (1..8).fold(Vector::ZERO, |sum, k| sum + RATES[row][k] * self.0[k]));
         std::array::from_fn(|order| {
             let count = 7 - order;
-            let greatest = coefficients[..count].iter().fold(Vector::ZERO, |most, coefficient| larger(&most, coefficient));
+            let derivative_bounds =
+                coefficients[..count].iter().fold(Vector::ZERO, |most, coefficient| max_magnitude(&most, coefficient));
             // Bernstein coefficients of a derivative are differences of those before, times the degree.
             for row in 0..count - 1 {
                 coefficients[row] = (count - 1) as f64 * (coefficients[row + 1] - coefficients[row]);
             }
-            greatest
+            derivative_bounds
         })
     }
 }
 
 /// Maximum on a part of the step, up to `until`, of a function whose derivative has these Bernstein coefficients there.
 /// Coefficients of one sign mean a monotone function; otherwise both halves are examined.
-fn highest(at: &impl Fn(f64) -> f64, rates: [f64; 7], [from, to]: [f64; 2], until: f64) -> f64 {
+fn maximum_until(at: &impl Fn(f64) -> f64, rates: [f64; 7], [from, to]: [f64; 2], until: f64) -> f64 {
     /// Part of the step below which values next to a maximum differ by round-off.
-    const FINEST: f64 = 1e-8;
+    const SHORTEST_STRETCH: f64 = 1e-8;
     let end = to.min(until);
     if rates.iter().all(|rate| *rate >= 0.0) {
         return at(end);
@@ -107,7 +108,7 @@ fn highest(at: &impl Fn(f64) -> f64, rates: [f64; 7], [from, to]: [f64; 2], unti
     if rates.iter().all(|rate| *rate <= 0.0) {
         return at(from);
     }
-    if to - from < FINEST {
+    if to - from < SHORTEST_STRETCH {
         return at(from).max(at(end));
     }
     // Subdivision by the algorithm of de Casteljau.
@@ -120,8 +121,8 @@ fn highest(at: &impl Fn(f64) -> f64, rates: [f64; 7], [from, to]: [f64; 2], unti
         coefficient
     });
     let middle = 0.5 * (from + to);
-    let before = highest(at, first, [from, middle], until);
-    if until <= middle { before } else { before.max(highest(at, second, [middle, to], until)) }
+    let before = maximum_until(at, first, [from, middle], until);
+    if until <= middle { before } else { before.max(maximum_until(at, second, [middle, to], until)) }
 }
 
 /// Bernstein coefficients, degree 6, of the derivatives of 1, θ, θ(1−θ), θ²(1−θ), …
@@ -169,14 +170,14 @@ mod tests {
         let numbers = [0.3, -1.2, 2.5, 0.7, -3.1, 1.9, 0.2, -0.8];
         let [a, b, c, d, e, f, g, h] = numbers.map(|x| Vector::<1>::from([x]));
         let interpolant = Interpolant::new([a, b], [c, d], [e, f, g, h]);
-        let [rate, bend, ..] = interpolant.greatest().map(|greatest| greatest[0]);
+        let [rate, curvature_bound, ..] = interpolant.derivative_bounds().map(|derivative_bounds| derivative_bounds[0]);
         // The bounds are reached at the ends, or are a little above the largest value.
         let mut steepest = 0.0_f64;
         // Restricted to the first 0.3 of the step the polynomial keeps its values.
         let part = 0.3;
         let ends = [interpolant.at(0.0), interpolant.at(part)];
         let rates = [0.0, part].map(|at| part * interpolant.rate_at(at));
-        let first = Interpolant::new(ends, rates, interpolant.cut(part));
+        let first = Interpolant::new(ends, rates, interpolant.truncate(part));
         for i in 0..=10 {
             let at = f64::from(i) / 10.0;
             assert!((first.at(at) - interpolant.at(part * at)).max_norm() < 1e-14, "{at}");
@@ -190,7 +191,7 @@ mod tests {
             // Forward differences are off by the curvature times half the step.
             assert!((interpolant.rate_at(part)[0] - slope).abs() < 1e-4, "{part}: {slope}");
             let curvature = (interpolant.rate_at(part + step)[0] - interpolant.rate_at(part)[0]) / step;
-            assert!(slope.abs() <= rate + 1e-4 && curvature.abs() <= bend + 1e-3, "{part}: {slope} {curvature}");
+            assert!(slope.abs() <= rate + 1e-4 && curvature.abs() <= curvature_bound + 1e-3, "{part}: {slope} {curvature}");
         }
         assert!(rate < 1.5 * steepest, "{rate} of {steepest}");
     }
@@ -211,10 +212,10 @@ mod tests {
                 let part = f64::from(i) / 4000.0;
                 let here = interpolant.at(part)[0];
                 (most, falls) = (most.max(here), falls || here < most);
-                let risen = interpolant.risen(0, part);
+                let running_maximum = interpolant.running_maximum(0, part);
                 // Between two places a maximum is higher by at most an eighth of the square of their distance times the curvature,
                 // 100 at most.
-                assert!((most..most + 1e-6).contains(&risen), "{part}: {risen} instead of {most}");
+                assert!((most..most + 1e-6).contains(&running_maximum), "{part}: {running_maximum} instead of {most}");
             }
             falling += u32::from(falls);
         }

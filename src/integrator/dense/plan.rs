@@ -13,7 +13,7 @@ pub(super) struct Plan<'a, P> {
     /// Whether a vertex is near, where the energy may have to be conserved.
     pub(super) near: bool,
     /// Whether events are located; not so when a step is made again for comparison.
-    pub(super) seeks_borders: bool,
+    pub(super) locates_events: bool,
     /// Time of the next output and limit of the step while inputs are constant.
     pub(super) horizon: Horizon,
     /// Pose at the beginning of the step, if known.
@@ -27,15 +27,15 @@ pub(super) struct Try {
     /// Length, s, and error of the last rejected trial.
     pub(super) rejected: Option<[f64; 2]>,
     /// Number of trials that were to end at a guard.
-    pub(super) cuts: u32,
+    pub(super) event_trials: u32,
     /// Length, s, of the trial whose interpolant has shown the event that this trial is to end at.
-    pub(super) shown_by: f64,
+    pub(super) event_shown_by: f64,
 }
 
 impl Try {
     /// First trial of a step, of `h` seconds.
     pub(super) fn of(h: f64) -> Self {
-        Self { h, rejected: None, cuts: 0, shown_by: f64::INFINITY }
+        Self { h, rejected: None, event_trials: 0, event_shown_by: f64::INFINITY }
     }
 }
 
@@ -46,5 +46,5 @@ pub(super) enum Outcome {
     /// The error, in tolerances, is too large or NaN.
     Rejected(f64),
     /// The step has to end at an event, this many seconds after its beginning.
-    Crosses(f64),
+    EventAt(f64),
 }

@@ -41,7 +41,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 configuration_signs: end.configuration_signs,
             };
         }
-        if !self.is_shown(system, settings) {
+        if !self.shows_interpolant(system, settings) {
             let mut redone = *self;
             if redone.truncate_and_redo(system, settings).is_ok() {
                 return redone.sample(system, settings);
@@ -58,14 +58,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 
     /// Whether the interpolant is accurate enough to be shown.
     #[inline]
-    fn is_shown<S: Events<N> + System<N, M>>(&self, system: &S, settings: &Settings) -> bool {
-        !system.has_stiff_forces() || self.is_linear || self.interpolates_well(settings)
+    fn shows_interpolant<S: Events<N> + System<N, M>>(&self, system: &S, settings: &Settings) -> bool {
+        !system.has_stiff_forces() || self.is_linear || self.interpolant_is_consistent(settings)
     }
 
     /// Dissipated work up to the present time inside the step, as far as it has been shown, J.
     pub(super) fn dissipated<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&self, system: &S, settings: &Settings) -> f64 {
         let Self { start, end, .. } = self;
-        if end.work.dissipated > start.work.dissipated && self.is_shown(system, settings) {
+        if end.work.dissipated > start.work.dissipated && self.shows_interpolant(system, settings) {
             self.interpolated(system.on(self.mode).borrow(), settings).1.dissipated
         } else {
             start.work.dissipated
@@ -91,9 +91,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     fn interpolated<S: System<N, M> + Passage<N> + Events<N>>(&self, system: &S, settings: &Settings) -> ([Vector<N>; 2], Work) {
         let Self { start, length, .. } = self;
         let part = self.elapsed / length;
-        let [q, v] = self.moved(part);
+        let [q, v] = self.interpolated_state(part);
         let work = if system.follows_work() {
-            let (mut end, ends_with) = (self.balanced_end(system, settings), self.end.work.dissipated);
+            let (mut end, ends_with) = (self.evaluated_end(system, settings), self.end.work.dissipated);
             // The loss of separated springs is known at every state.
             let mut separation_energy = 0.0;
             if system.has_events() {
@@ -102,9 +102,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
             let mut higher = self.dense.map(|slope| slope.power.pair());
             if self.scheme != Scheme::Dop853 && !self.is_linear {
-                higher[0] = hermite::of_work(system, [start, &end], *length, &self.positions()).pair();
+                higher[0] = hermite::work_coefficient(system, [start, &end], *length, &self.positions()).pair();
             }
-            let mut work = worked(&works([start, &end], *length, higher), part);
+            let mut work = work_until(&work_interpolant([start, &end], *length, higher), part);
             work.dissipated = (work.dissipated.min(end.work.dissipated) + separation_energy).min(ends_with);
             work
         } else {
@@ -114,13 +114,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 
     /// Interpolant of the work of a DOP853 step, J.
-    pub(super) fn works(&self) -> Interpolant<2> {
-        works([&self.start, &self.end], self.length, self.dense.map(|slope| slope.power.pair()))
+    pub(super) fn work_interpolant(&self) -> Interpolant<2> {
+        work_interpolant([&self.start, &self.end], self.length, self.dense.map(|slope| slope.power.pair()))
     }
 
     /// Interpolated q and q̇ at a part of the step.
     #[inline]
-    pub(super) fn moved(&self, part: f64) -> [Vector<N>; 2] {
+    pub(super) fn interpolated_state(&self, part: f64) -> [Vector<N>; 2] {
         let Self { start, end, .. } = self;
         let q = self.positions().at(part);
         let v = match self.scheme {
@@ -146,12 +146,16 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
 }
 
 /// Work up to a part of a step, J; the dissipated part never falls.
-pub(super) fn worked(works: &Interpolant<2>, part: f64) -> Work {
-    Work { input: works.at(part)[0], dissipated: works.risen(1, part) }
+pub(super) fn work_until(work_interpolant: &Interpolant<2>, part: f64) -> Work {
+    Work { input: work_interpolant.at(part)[0], dissipated: work_interpolant.running_maximum(1, part) }
 }
 
 /// Interpolant of the work between two states `length` seconds apart, J.
-fn works<const N: usize, const M: usize>([start, end]: [&State<N, M>; 2], length: f64, higher: [Vector<2>; 4]) -> Interpolant<2> {
+fn work_interpolant<const N: usize, const M: usize>(
+    [start, end]: [&State<N, M>; 2],
+    length: f64,
+    higher: [Vector<2>; 4],
+) -> Interpolant<2> {
     let rates = [&start.power, &end.power].map(|power| length * power.pair());
     Interpolant::new([start.work.pair(), end.work.pair()], rates, higher)
 }

@@ -38,28 +38,28 @@ pub enum Schemes {
 }
 
 /// Error tolerance, rad, from which on Rodas4 replaces Rodas5P: it is cheaper, and oscillates less at discontinuities.
-const LOOSE: f64 = 1e-5;
+const RODAS4_TOLERANCE: f64 = 1e-5;
 
 /// Factor on the assumed length of a Tsit5 step after each DOP853 step under short input holds, so that Tsit5 is tried again.
-const RECONSIDERED: f64 = 1.05;
+const TSIT5_GROWTH: f64 = 1.05;
 
 /// Number of explicit steps at the stability limit that switch to implicit ones; doubled by each return.
-const AT_BORDER: u8 = 3;
+const STEPS_AT_LIMIT: u8 = 3;
 /// Number of successive implicit steps that could have been explicit after which the switch goes back, doubled by each return.
 /// Saturated friction has zero tangents, so fewer steps would switch back too early.
-const WITHIN_BORDER: u8 = 3;
+const STEPS_BELOW_LIMIT: u8 = 3;
 /// Largest number of doublings.
 const MOST_RETURNS: u8 = 5;
 /// Admissible range of the stability limit: explicit step times fastest rate of the tangents, at the switch to implicit steps.
-const BORDERS: [f64; 2] = [0.1, 12.0];
+const STABILITY_LIMIT_RANGE: [f64; 2] = [0.1, 12.0];
 /// Stability limit where none has been observed: that of DOP853 for a damper.
-const USUAL_BORDER: f64 = 6.4;
+const USUAL_STABILITY_LIMIT: f64 = 6.4;
 /// Number of explicit steps with stiff forces after which the tangents are evaluated, doubled by each return: round-off, amplified
 /// by stiff forces, may keep steps short of the stability limit.
-const PROBED: u16 = 100;
+const PROBE_INTERVAL: u16 = 100;
 /// Product of explicit step and fastest rate of the tangents above which implicit steps are tried: round-off keeps it at 0.8 or
 /// more, accuracy at 0.04 to 0.4.
-const WORTH_A_TRY: f64 = 0.5;
+const LEAST_PROBED_PRODUCT: f64 = 0.5;
 
 /// Switch between explicit and implicit schemes by detected stiffness, with its memory.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -67,16 +67,16 @@ pub(super) struct StiffnessSwitch {
     /// Whether the steps are implicit.
     stiff: bool,
     /// Number of recent steps that speak for a change.
-    against: u8,
+    contrary_steps: u8,
     /// Number of explicit steps since the last evaluation of tangents.
-    explicit: u16,
+    explicit_steps: u16,
     /// Number of returns from implicit to explicit steps.
     returns: u8,
     /// Minus the explicit step, s, at the switch to implicit steps; from the first implicit step on its product with the fastest
     /// rate of the tangents.
-    border: f64,
+    stability_limit: f64,
     /// Length of the next Tsit5 step, s.
-    pub(super) fifth: f64,
+    pub(super) tsit5_step: f64,
 }
 
 /// Accepted step, as data for a [`StiffnessSwitch`].
@@ -97,7 +97,7 @@ pub(super) struct AcceptedStep {
 impl Schemes {
     /// Implicit scheme for an error tolerance, rad.
     fn stiff(error_tolerance: f64) -> Scheme {
-        if error_tolerance >= LOOSE { Scheme::Rodas4 } else { Scheme::Rodas5p }
+        if error_tolerance >= RODAS4_TOLERANCE { Scheme::Rodas4 } else { Scheme::Rodas5p }
     }
 
     /// Whether a step may belong to a scheme.
@@ -114,7 +114,7 @@ impl Schemes {
         match self {
             Self::Only(scheme) => scheme,
             Self::Automatic if stiffness_switch.stiff => Self::stiff(error_tolerance),
-            Self::Automatic if limit <= stiffness_switch.fifth && limit.is_finite() => Scheme::Tsit5,
+            Self::Automatic if limit <= stiffness_switch.tsit5_step && limit.is_finite() => Scheme::Tsit5,
             Self::Automatic => Scheme::Dop853,
         }
     }
@@ -122,27 +122,28 @@ impl Schemes {
 
 impl StiffnessSwitch {
     /// Initial state, without observations.
-    pub(super) const NEW: Self = Self { stiff: false, against: 0, explicit: 0, returns: 0, border: 0.0, fifth: f64::INFINITY };
+    pub(super) const NEW: Self =
+        Self { stiff: false, contrary_steps: 0, explicit_steps: 0, returns: 0, stability_limit: 0.0, tsit5_step: f64::INFINITY };
 
     /// Chooses the first scheme: implicit if an explicit step of `wanted` seconds would be unstable at the tangents' fastest rate,
     /// 1/s.
     pub(super) fn begin(&mut self, wanted: f64, rate: f64) {
-        if wanted * rate > BORDERS[1] {
-            (self.stiff, self.border) = (true, USUAL_BORDER);
+        if wanted * rate > STABILITY_LIMIT_RANGE[1] {
+            (self.stiff, self.stability_limit) = (true, USUAL_STABILITY_LIMIT);
         }
     }
 
     /// Whether enough explicit steps have been made for the tangents to be evaluated again.
     pub(super) fn is_probing(&self) -> bool {
-        self.explicit >= PROBED << self.returns
+        self.explicit_steps >= PROBE_INTERVAL << self.returns
     }
 
     /// Takes the tangents' fastest rate, 1/s, at a step of `wanted` seconds: implicit steps are tried unless the product is far
     /// from the stability limit.
     pub(super) fn probe(&mut self, wanted: f64, rate: f64) {
-        self.explicit = 0;
-        if wanted.is_finite() && wanted * rate > WORTH_A_TRY {
-            (self.stiff, self.against, self.border) = (true, 0, (wanted * rate).min(BORDERS[1]));
+        self.explicit_steps = 0;
+        if wanted.is_finite() && wanted * rate > LEAST_PROBED_PRODUCT {
+            (self.stiff, self.contrary_steps, self.stability_limit) = (true, 0, (wanted * rate).min(STABILITY_LIMIT_RANGE[1]));
         }
     }
 
@@ -153,28 +154,29 @@ impl StiffnessSwitch {
             Scheme::Rodas4 | Scheme::Rodas5p => self.learn_from_implicit(seen),
         }
         if seen.scheme == Scheme::Dop853 && seen.limit.is_finite() {
-            self.fifth *= RECONSIDERED;
+            self.tsit5_step *= TSIT5_GROWTH;
         }
     }
 
     fn learn_from_explicit(&mut self, seen: &AcceptedStep) {
         // The product is an estimate, which steps at the stability limit undercut now and then.
-        self.against = if seen.product > STABILITY_LIMIT { self.against + 1 } else { self.against.saturating_sub(1) };
-        self.explicit += u16::from(seen.stiff_forces && seen.wanted < seen.limit && !self.is_probing());
-        if self.against >= AT_BORDER << self.returns {
-            (self.stiff, self.against, self.explicit, self.border) = (true, 0, 0, -seen.length);
+        self.contrary_steps =
+            if seen.product > STABILITY_LIMIT { self.contrary_steps + 1 } else { self.contrary_steps.saturating_sub(1) };
+        self.explicit_steps += u16::from(seen.stiff_forces && seen.wanted < seen.limit && !self.is_probing());
+        if self.contrary_steps >= STEPS_AT_LIMIT << self.returns {
+            (self.stiff, self.contrary_steps, self.explicit_steps, self.stability_limit) = (true, 0, 0, -seen.length);
         }
     }
 
     fn learn_from_implicit(&mut self, seen: &AcceptedStep) {
         let rate = seen.product / seen.length;
-        if self.border < 0.0 {
-            self.border = (-self.border * rate).clamp(BORDERS[0], BORDERS[1]);
+        if self.stability_limit < 0.0 {
+            self.stability_limit = (-self.stability_limit * rate).clamp(STABILITY_LIMIT_RANGE[0], STABILITY_LIMIT_RANGE[1]);
         }
-        let could_be_explicit = seen.wanted.min(seen.limit) * rate < self.border;
-        self.against = if could_be_explicit { self.against + 1 } else { 0 };
-        if self.against >= WITHIN_BORDER << self.returns {
-            *self = Self { returns: (self.returns + 1).min(MOST_RETURNS), fifth: self.fifth, ..Self::NEW };
+        let could_be_explicit = seen.wanted.min(seen.limit) * rate < self.stability_limit;
+        self.contrary_steps = if could_be_explicit { self.contrary_steps + 1 } else { 0 };
+        if self.contrary_steps >= STEPS_BELOW_LIMIT << self.returns {
+            *self = Self { returns: (self.returns + 1).min(MOST_RETURNS), tsit5_step: self.tsit5_step, ..Self::NEW };
         }
     }
 
@@ -183,13 +185,16 @@ impl StiffnessSwitch {
         if schemes != Schemes::Automatic {
             return *self == Self::NEW;
         }
-        let most = if self.stiff { WITHIN_BORDER } else { AT_BORDER } << self.returns.min(MOST_RETURNS);
-        let [least, largest] = BORDERS;
-        let border = match self.stiff {
-            true => self.border.is_finite() && (self.border < 0.0 || (least..=largest).contains(&self.border)),
-            false => self.border == 0.0,
+        let most = if self.stiff { STEPS_BELOW_LIMIT } else { STEPS_AT_LIMIT } << self.returns.min(MOST_RETURNS);
+        let [least, largest] = STABILITY_LIMIT_RANGE;
+        let stability_limit = match self.stiff {
+            true => {
+                self.stability_limit.is_finite()
+                    && (self.stability_limit < 0.0 || (least..=largest).contains(&self.stability_limit))
+            }
+            false => self.stability_limit == 0.0,
         };
-        let explicit = self.explicit <= if self.stiff { 0 } else { PROBED << self.returns.min(MOST_RETURNS) };
-        self.returns <= MOST_RETURNS && self.against < most && explicit && border && self.fifth > 0.0
+        let explicit_steps = self.explicit_steps <= if self.stiff { 0 } else { PROBE_INTERVAL << self.returns.min(MOST_RETURNS) };
+        self.returns <= MOST_RETURNS && self.contrary_steps < most && explicit_steps && stability_limit && self.tsit5_step > 0.0
     }
 }

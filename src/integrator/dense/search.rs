@@ -3,26 +3,26 @@
 
 use std::cell::Cell;
 
-use super::events::{AT_BORDER, CROSSED, NEAR_ENOUGH};
+use super::events::{CROSSING_RESIDUAL, TARGET_RESIDUAL, WINDOW_HALF_WIDTH};
 use super::interpolant::Interpolant;
 use super::{DenseStep, Scheme, Settings};
 use crate::integrator::{Events, Extremes};
 use crate::vector::Vector;
 
 /// Longest stretch, relative to the step, on which the reaction of sticking friction is interpolated by a parabola.
-const COARSEST_SUMMIT: f64 = 0.25;
+const LONGEST_PARABOLA: f64 = 0.25;
 /// Length of a stretch, relative to the step, on which the reaction is assumed to have one maximum at most.
-const FINEST_SUMMIT: f64 = 1.0 / 16.0;
+const ONE_MAXIMUM: f64 = 1.0 / 16.0;
 /// Largest number of parabolas per maximum.
-const SUMMIT_ROUNDS: u32 = 6;
+const MAXIMUM_ROUNDS: u32 = 6;
 /// Accuracy of the place of a maximum, relative to the bracket; the error of its value is of second order.
-const SEEN: f64 = 1e-3;
+const MAXIMUM_ACCURACY: f64 = 1e-3;
 /// Shortest stretch, relative to the step; below it only round-off lies between the ends.
-const FINEST: f64 = 1e-6;
+const SHORTEST_STRETCH: f64 = 1e-6;
 /// Largest number of rounds of false position.
 const ROUNDS: u32 = 60;
 /// Largest number of evaluations per step; a step that needs more is too long for its interpolant and is halved.
-const MOST_PLACES: u32 = 200;
+const MOST_EVALUATIONS: u32 = 200;
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     /// Time of the first event in the step, s from its beginning; the interpolant's coefficients must be set.
@@ -31,9 +31,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let motion = self.resolved_motion();
         let extremes = self.extremes(&motion);
         let search =
-            Search { step: self, system, tolerance: settings.error_tolerance, motion, extremes, left: Cell::new(MOST_PLACES) };
+            Search { step: self, system, tolerance: settings.error_tolerance, motion, extremes, left: Cell::new(MOST_EVALUATIONS) };
         let to = system.guard_values(&self.end.q, &self.end.v);
-        match search.first(&search.place(0.0, from), &search.place(1.0, to)) {
+        match search.first(&search.probe(0.0, from), &search.probe(1.0, to)) {
             _ if search.left.get() == 0 => Found::TooMuch,
             Some(part) => Found::Crossing(self.length * part),
             None => Found::Nothing,
@@ -53,22 +53,26 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         /// Round-off of a coordinate at both ends and of its projection, relative to 1 rad plus its magnitude.
         const ROUND_OFF: f64 = 4.0 * f64::EPSILON;
         let Self { start, end, length, .. } = self;
-        let mut moved = end.q - start.q;
+        let mut displacement = end.q - start.q;
         if self.scheme == Scheme::Dop853 {
             let velocities = self.velocities();
-            let way = GAUSS.iter().fold(Vector::ZERO, |sum, [part, weight]| sum + weight * length * velocities.at(*part));
-            let is_round_off = |i: usize| (way[i] - moved[i]).abs() <= ROUND_OFF * (1.0 + end.q[i].abs());
-            moved = Vector::from_fn(|i| if is_round_off(i) { way[i] } else { moved[i] });
+            let integrated = GAUSS.iter().fold(Vector::ZERO, |sum, [part, weight]| sum + weight * length * velocities.at(*part));
+            let is_round_off = |i: usize| (integrated[i] - displacement[i]).abs() <= ROUND_OFF * (1.0 + end.q[i].abs());
+            displacement = Vector::from_fn(|i| if is_round_off(i) { integrated[i] } else { displacement[i] });
         }
-        Interpolant::new([Vector::ZERO, moved], [*length * start.v, *length * end.v], std::array::from_fn(|k| self.dense[k].q))
+        Interpolant::new(
+            [Vector::ZERO, displacement],
+            [*length * start.v, *length * end.v],
+            std::array::from_fn(|k| self.dense[k].q),
+        )
     }
 
     /// Bounds on the derivatives of the coordinates over the step.
     fn extremes(&self, motion: &Interpolant<N>) -> Extremes<N> {
         let mut per = 1.0;
-        let [rates, accelerations, jerks, snaps] = motion.greatest().map(|greatest| {
+        let [rates, accelerations, jerks, snaps] = motion.derivative_bounds().map(|derivative_bounds| {
             per /= self.length;
-            per * greatest
+            per * derivative_bounds
         });
         Extremes { rates, accelerations, higher: Some([jerks, snaps]) }
     }
@@ -109,7 +113,7 @@ struct Search<'a, S, const N: usize, const M: usize, K> {
 }
 
 impl<S: Events<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'_, S, N, M, K> {
-    fn place(&self, part: f64, guard_values: S::GuardValues) -> Probe<S::GuardValues> {
+    fn probe(&self, part: f64, guard_values: S::GuardValues) -> Probe<S::GuardValues> {
         let guard_residual = self.system.guard_residual(&guard_values, self.tolerance);
         Probe { part, guard_values, guard_residual }
     }
@@ -118,19 +122,19 @@ impl<S: Events<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
         self.left.set(self.left.get().saturating_sub(1));
         // Coordinates and rates are of one polynomial, the one that is bounded.
         let (q, v) = (self.step.start.q + self.motion.at(part), (1.0 / self.step.length) * self.motion.rate_at(part));
-        self.place(part, self.system.guard_values(&q, &v))
+        self.probe(part, self.system.guard_values(&q, &v))
     }
 
     /// Part of the step at which the first guard is crossed between two places; the first place is within all guards.
     fn first(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Option<f64> {
-        if to.guard_residual > CROSSED {
+        if to.guard_residual > CROSSING_RESIDUAL {
             // A crossing lies in between; the stretch before it is searched for earlier ones.
-            let at = self.border_between(from, to);
-            let before = if at.guard_residual <= CROSSED { self.first(from, &at) } else { None };
+            let at = self.crossing_between(from, to);
+            let before = if at.guard_residual <= CROSSING_RESIDUAL { self.first(from, &at) } else { None };
             return before.or(Some(at.part));
         }
         let stretch = to.part - from.part;
-        if stretch <= FINEST || self.left.get() == 0 {
+        if stretch <= SHORTEST_STRETCH || self.left.get() == 0 {
             return None;
         }
         let duration = stretch * self.step.length;
@@ -139,14 +143,14 @@ impl<S: Events<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
             return None;
         }
         let middle = self.at(0.5 * (from.part + to.part));
-        if stays && middle.guard_residual <= CROSSED && stretch <= COARSEST_SUMMIT {
-            let places =
-                [from, &middle, to].map(|place| [place.part, self.system.holding_margin(&place.guard_values, self.tolerance)]);
-            if maximum_is_below(places) {
+        if stays && middle.guard_residual <= CROSSING_RESIDUAL && stretch <= LONGEST_PARABOLA {
+            let probes =
+                [from, &middle, to].map(|probe| [probe.part, self.system.holding_margin(&probe.guard_values, self.tolerance)]);
+            if maximum_is_below(probes) {
                 return None;
             }
-            if stretch <= FINEST_SUMMIT {
-                return self.refine_maximum(from, places);
+            if stretch <= ONE_MAXIMUM {
+                return self.refine_maximum(from, probes);
             }
         }
         self.first(from, &middle).or_else(|| self.first(&middle, to))
@@ -155,42 +159,42 @@ impl<S: Events<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
     /// First crossing on a stretch where the reaction of sticking friction has one maximum at most, by successive parabolas.
     #[cold]
     fn refine_maximum(&self, from: &Probe<S::GuardValues>, [mut left, mut top, mut right]: [[f64; 2]; 3]) -> Option<f64> {
-        for _ in 0..SUMMIT_ROUNDS {
+        for _ in 0..MAXIMUM_ROUNDS {
             let slope = |[x, y]: [f64; 2], [z, w]: [f64; 2]| (w - y) / (z - x);
-            let (rise, bend) = (slope(left, top), slope(left, top) - slope(top, right));
-            let part = 0.5 * (left[0] + top[0]) + 0.5 * rise / bend * (right[0] - left[0]);
-            let is_seen = (part - top[0]).abs() <= SEEN * (right[0] - left[0]);
-            if bend <= 0.0 || is_seen || !(left[0] < part && part < right[0]) {
+            let (rise, curvature) = (slope(left, top), slope(left, top) - slope(top, right));
+            let part = 0.5 * (left[0] + top[0]) + 0.5 * rise / curvature * (right[0] - left[0]);
+            let is_seen = (part - top[0]).abs() <= MAXIMUM_ACCURACY * (right[0] - left[0]);
+            if curvature <= 0.0 || is_seen || !(left[0] < part && part < right[0]) {
                 return None;
             }
-            let place = self.at(part);
-            if place.guard_residual > CROSSED {
-                return self.first(from, &place);
+            let probe = self.at(part);
+            if probe.guard_residual > CROSSING_RESIDUAL {
+                return self.first(from, &probe);
             }
-            let summit = [part, self.system.holding_margin(&place.guard_values, self.tolerance)];
-            [left, top, right] = match (part < top[0], summit[1] > top[1]) {
-                (true, true) => [left, summit, top],
-                (true, false) => [summit, top, right],
-                (false, true) => [top, summit, right],
-                (false, false) => [left, top, summit],
+            let maximum = [part, self.system.holding_margin(&probe.guard_values, self.tolerance)];
+            [left, top, right] = match (part < top[0], maximum[1] > top[1]) {
+                (true, true) => [left, maximum, top],
+                (true, false) => [maximum, top, right],
+                (false, true) => [top, maximum, right],
+                (false, false) => [left, top, maximum],
             };
         }
         None
     }
 
     /// Crossing of a guard between a place within and a place past it, by false position (Anderson and Björck, *BIT* 13, 1973).
-    fn border_between(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Probe<S::GuardValues> {
+    fn crossing_between(&self, from: &Probe<S::GuardValues>, to: &Probe<S::GuardValues>) -> Probe<S::GuardValues> {
         let [mut before, mut after] = [from.part, to.part];
         // Only sign and size near the guard matter.
-        let (mut low, mut high) = ((from.guard_residual - AT_BORDER).max(-1e12), to.guard_residual - AT_BORDER);
+        let (mut low, mut high) = ((from.guard_residual - TARGET_RESIDUAL).max(-1e12), to.guard_residual - TARGET_RESIDUAL);
         let mut last_was_positive = None;
         if low < 0.0 {
             for _ in 0..ROUNDS {
                 let part = after - high * (after - before) / (high - low);
-                let place = self.at(part);
-                let here = place.guard_residual - AT_BORDER;
-                if here.abs() <= 0.5 * NEAR_ENOUGH {
-                    return place;
+                let probe = self.at(part);
+                let here = probe.guard_residual - TARGET_RESIDUAL;
+                if here.abs() <= 0.5 * WINDOW_HALF_WIDTH {
+                    return probe;
                 }
                 if after - before <= f64::EPSILON {
                     break;
@@ -219,6 +223,6 @@ impl<S: Events<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
 /// with a margin.
 fn maximum_is_below([[_, from], [_, middle], [_, to]]: [[f64; 2]; 3]) -> bool {
     /// Margin in second differences; the parabola itself rises above its chords by 1/8.
-    const ABOVE: f64 = 0.5;
-    from.max(to).max(middle) + ABOVE * (from - 2.0 * middle + to).abs() <= CROSSED
+    const PARABOLA_MARGIN: f64 = 0.5;
+    from.max(to).max(middle) + PARABOLA_MARGIN * (from - 2.0 * middle + to).abs() <= CROSSING_RESIDUAL
 }

@@ -20,7 +20,7 @@ impl Settings {
         energy_target: Option<(EnergyBalance, f64)>,
         work: Work,
     ) -> Option<StepResult<N, M>> {
-        self.arrive::<true, N, M, S>(system, from, end, energy_target, work)
+        self.project_end::<true, N, M, S>(system, from, end, energy_target, work)
     }
 
     /// Projects the end of a step without evaluating forces there.
@@ -32,12 +32,12 @@ impl Settings {
         end: [Vector<N>; 2],
         energy_target: Option<(EnergyBalance, f64)>,
     ) -> Option<StepResult<N, M>> {
-        self.arrive::<false, N, M, S>(system, from, end, energy_target, Work::default())
+        self.project_end::<false, N, M, S>(system, from, end, energy_target, Work::default())
     }
 
     /// Projects the end of a step; evaluates forces there if `BALANCED`.
     #[inline(always)]
-    fn arrive<const BALANCED: bool, const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+    fn project_end<const BALANCED: bool, const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
         (origin, by): (&Origin<S::TrigBase, N>, Vector<N>),
@@ -45,7 +45,7 @@ impl Settings {
         energy_target: Option<(EnergyBalance, f64)>,
         work: Work,
     ) -> Option<StepResult<N, M>> {
-        let mut pose = origin.turned(system, &by);
+        let mut pose = origin.pose_at(system, &by);
         let (iterations, mass) = self.project_in_place(system, &mut pose, &mut q, &mut v).ok()?;
         v = project_to_energy(system, [&q, &v], energy_target).ok()?;
         let end_state = if BALANCED {
@@ -86,7 +86,7 @@ impl Settings {
         let iterations = projection.position_from(system, pose, q)?;
         let mass = system.factor_mass(pose, self.regularization);
         *v += velocity_correction(system, pose, &mass, v);
-        if system.holds() {
+        if system.has_sticking() {
             *v = system.project_sticking(*q, *v);
         }
         Ok((iterations, mass))

@@ -4,7 +4,7 @@ use std::borrow::Borrow;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::rosenbrock::Shared;
+use super::rosenbrock::Linearization;
 use super::{DenseStep, Settings};
 use crate::integrator::{Events, System};
 
@@ -19,51 +19,51 @@ const STIFF_STEPS: u8 = 15;
 const NONSTIFF_STEPS: u8 = 6;
 
 /// Rate, in error tolerances per s, below which the system counts as at rest: less than the tolerance per ms.
-const STILL: f64 = 1e3;
+const REST_RATE: f64 = 1e3;
 /// Product of step and fastest rate at rest. It is below the stability limit, at which errors would stay small until accelerations
 /// reach the admissible error of rates times the fastest rate.
 const STABILITY_LIMIT_AT_REST: f64 = 5.0;
 
 /// Observations of the stability limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
-pub(super) struct Stiffness {
-    at_border: u8,
-    away: u8,
+pub(super) struct StiffnessDetector {
+    at_limit: u8,
+    away_from_limit: u8,
     /// Whether stability rather than accuracy has limited the steps.
-    pub(super) found: bool,
+    pub(super) detected: bool,
     /// Fastest rate of the tangents, 1/s, where sticking friction and springs hold the system at rest; motion does not show it
     /// there.
-    pub(super) held: Option<f64>,
+    pub(super) rate_at_rest: Option<f64>,
 }
 
-impl Stiffness {
+impl StiffnessDetector {
     /// Whether a check is due after `substeps` accepted steps.
     #[inline]
     pub(super) fn is_due(&self, substeps: u64) -> bool {
-        !self.found && (self.at_border > 0 || substeps.is_multiple_of(INTERVAL))
+        !self.detected && (self.at_limit > 0 || substeps.is_multiple_of(INTERVAL))
     }
 
     /// Takes the product of step and fastest rate of one step.
     #[cold]
     pub(super) fn check(&mut self, step_times_rate: f64) {
         if step_times_rate > STABILITY_LIMIT {
-            self.away = 0;
-            self.at_border += 1;
-            self.found = self.at_border == STIFF_STEPS;
-        } else if self.at_border > 0 {
-            self.away += 1;
-            if self.away == NONSTIFF_STEPS {
-                (self.at_border, self.away) = (0, 0);
+            self.away_from_limit = 0;
+            self.at_limit += 1;
+            self.detected = self.at_limit == STIFF_STEPS;
+        } else if self.at_limit > 0 {
+            self.away_from_limit += 1;
+            if self.away_from_limit == NONSTIFF_STEPS {
+                (self.at_limit, self.away_from_limit) = (0, 0);
             }
         }
     }
 
     /// Whether the counts can result from checks.
     pub(super) fn is_consistent(&self) -> bool {
-        self.held.is_none_or(|rate| (0.0..f64::INFINITY).contains(&rate))
-            && self.at_border <= STIFF_STEPS
-            && self.away < NONSTIFF_STEPS
-            && self.found == (self.at_border == STIFF_STEPS)
+        self.rate_at_rest.is_none_or(|rate| (0.0..f64::INFINITY).contains(&rate))
+            && self.at_limit <= STIFF_STEPS
+            && self.away_from_limit < NONSTIFF_STEPS
+            && self.detected == (self.at_limit == STIFF_STEPS)
     }
 }
 
@@ -72,15 +72,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     #[cold]
     pub(super) fn longest_at_rest<S: System<N, M> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
         let on = system.on(self.mode);
-        let rate = &mut self.memory.stiffness.held;
+        let rate = &mut self.memory.stiffness.rate_at_rest;
         // Nothing oscillates where everything sticks.
-        if on.borrow().is_at_rest() || system.error_norm(&self.start.v) > STILL * settings.error_tolerance {
+        if on.borrow().is_at_rest() || system.error_norm(&self.start.v) > REST_RATE * settings.error_tolerance {
             *rate = None;
             return f64::INFINITY;
         }
         let by_tangents = || {
-            let shared = Shared::about(on.borrow(), settings, (&self.start, &system.pose(&self.start.q)));
-            shared.map(|shared| shared.fastest).filter(|rate| rate.is_finite()).unwrap_or_default()
+            let linearization = Linearization::about(on.borrow(), settings, (&self.start, &system.pose(&self.start.q)));
+            linearization.map(|linearization| linearization.fastest_rate).filter(|rate| rate.is_finite()).unwrap_or_default()
         };
         STABILITY_LIMIT_AT_REST / *rate.get_or_insert_with(by_tangents)
     }

@@ -21,23 +21,23 @@ pub(super) use for_each;
 /// One step of a scheme, made and not accepted yet.
 pub(super) trait Trial<const N: usize>: Sized {
     /// Scheme of the step.
-    const KIND: Scheme;
+    const SCHEME: Scheme;
     /// Data shared by all trials from one state.
-    type Shared;
+    type Linearization;
     /// Step-size controller of the scheme.
     const CONTROLLER: StepSizeController;
 
     /// Data shared by all trials from a state; `None` where a step of this scheme cannot begin.
-    fn prepare<const M: usize, S: System<N, M>>(
+    fn linearize<const M: usize, S: System<N, M>>(
         system: &S,
         settings: &Settings,
         from: (&State<N, M>, &Origin<S::TrigBase, N>),
-    ) -> Option<Self::Shared>;
+    ) -> Option<Self::Linearization>;
 
     /// Begins a step of `h` seconds, which [`conclude`](Self::conclude) completes.
     fn new<const M: usize, S: System<N, M>>(
         system: &S,
-        shared: &Self::Shared,
+        linearization: &Self::Linearization,
         from: (&State<N, M>, &Origin<S::TrigBase, N>),
         h: f64,
     ) -> Self;
@@ -127,20 +127,20 @@ impl Settings {
     /// Work of a step with its dissipated part raised to 0 at least: a negative value shows an error of at least its size. If that
     /// exceeds the admissible error, the step is refused with the error in tolerances.
     #[inline]
-    pub(super) fn credible(&self, work: Work) -> Result<Work, f64> {
+    pub(super) fn checked_work(&self, work: Work) -> Result<Work, f64> {
         let error = -work.dissipated / (self.error_tolerance * self.energy_scale);
         if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }
     }
 }
 
 impl ErrorWeights {
-    /// Work of a step, corrected by [`Settings::credible`]; with events that happens after their location.
+    /// Work of a step, corrected by [`Settings::checked_work`]; with events that happens after their location.
     #[inline]
     pub(super) fn work(&self, settings: &Settings, follows: bool, work: impl FnOnce() -> Work) -> Result<Work, f64> {
         match follows {
             false => Ok(Work::default()),
             true if self.work.is_some() => Ok(work()),
-            true => settings.credible(work()),
+            true => settings.checked_work(work()),
         }
     }
 
@@ -165,22 +165,22 @@ impl<const N: usize> StageDerivative<N> {
     /// Evaluates acceleration and power at an increment from the origin. One copy of the code for all stages fits into the
     /// processor's cache of decoded instructions.
     #[inline(never)]
-    pub(super) fn complete<const M: usize, S: System<N, M>>(
+    pub(super) fn evaluate_acceleration<const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
         origin: &Origin<S::TrigBase, N>,
         by: &Vector<N>,
     ) {
-        match system.acceleration_by_weight(&origin.trig_base, by, &self.q) {
+        match system.acceleration_under_gravity(&origin.trig_base, by, &self.q) {
             // The power stays 0.
             Some(a) => self.v = a,
-            None => self.complete_under_loads(system, origin, by),
+            None => self.evaluate_under_loads(system, origin, by),
         }
     }
 
     /// Evaluates acceleration and power under any loads, out of line so that the case of gravity alone saves few registers.
     #[inline(never)]
-    fn complete_under_loads<const M: usize, S: System<N, M>>(
+    fn evaluate_under_loads<const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
         origin: &Origin<S::TrigBase, N>,
@@ -212,14 +212,14 @@ impl<P, const N: usize> Origin<P, N> {
 
     /// Pose at an increment from the origin.
     #[inline(always)]
-    pub(super) fn turned<const M: usize, S: System<N, M, TrigBase = P>>(&self, system: &S, by: &Vector<N>) -> S::Pose {
-        system.pose_near((&self.q, &self.trig_base), by)
+    pub(super) fn pose_at<const M: usize, S: System<N, M, TrigBase = P>>(&self, system: &S, by: &Vector<N>) -> S::Pose {
+        system.pose_from_base((&self.q, &self.trig_base), by)
     }
 }
 
 /// Larger of `most` and |x|, element by element; `most` is not negative.
 #[inline]
-pub(super) fn larger<const N: usize>(most: &Vector<N>, x: &Vector<N>) -> Vector<N> {
+pub(super) fn max_magnitude<const N: usize>(most: &Vector<N>, x: &Vector<N>) -> Vector<N> {
     Vector::from_fn(|i| most[i].max(x[i].abs()))
 }
 
@@ -247,7 +247,7 @@ mod tests {
             max_work: 1000,
             regularization: 1e-20,
         };
-        let lost = |dissipated: f64| settings.credible(Work { input: 1.0, dissipated });
+        let lost = |dissipated: f64| settings.checked_work(Work { input: 1.0, dissipated });
         assert_eq!(lost(3e-6), Ok(Work { input: 1.0, dissipated: 3e-6 }));
         assert_eq!(lost(-1e-6), Ok(Work { input: 1.0, dissipated: 0.0 }));
         // Negative dissipation of 1.5 times the admissible error.

@@ -4,7 +4,7 @@
 //! Mathematics with Applications 62 (2011). The author's error estimate needs the derivative at the end of the step as a seventh
 //! stage, which would be discarded where inputs change; the estimate here uses the six stages.
 
-use super::hermite::{self, Knowing};
+use super::hermite::{self, HermiteData};
 use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, for_each, rate_between};
 use super::{Scheme, Settings};
 use crate::integrator::controller::StepSizeController;
@@ -91,7 +91,7 @@ impl<const N: usize> Tsit5<N> {
             ($stage:literal) => {
                 let [q, v] = self.increment::<$stage>();
                 self.slopes[$stage].q = self.start[1] + v;
-                self.slopes[$stage].complete(system, origin, &q);
+                self.slopes[$stage].evaluate_acceleration(system, origin, &q);
                 if const { $stage >= STAGES - 2 } {
                     self.last[const { $stage % 2 }] = q;
                 }
@@ -119,8 +119,8 @@ impl<const N: usize> Tsit5<N> {
 }
 
 impl<const N: usize> Trial<N> for Tsit5<N> {
-    const KIND: Scheme = Scheme::Tsit5;
-    type Shared = ();
+    const SCHEME: Scheme = Scheme::Tsit5;
+    type Linearization = ();
     const CONTROLLER: StepSizeController = StepSizeController {
         exponent: 1.0 / 5.0 - 0.75 * 0.04,
         memory: 0.04,
@@ -129,7 +129,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         failed: 0.3,
     };
 
-    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::TrigBase, N>)) -> Option<()> {
+    fn linearize<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::TrigBase, N>)) -> Option<()> {
         Some(())
     }
 
@@ -170,7 +170,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
     }
 
     fn dense<const M: usize>(&mut self, _: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [StageDerivative<N>; 4] {
-        hermite::coefficients(ends, self.h, Knowing::Accelerations)
+        hermite::coefficients(ends, self.h, HermiteData::Accelerations)
     }
 }
 

@@ -17,11 +17,11 @@ use crate::integrator::{Implicit, State, StepEnd, TangentPoint};
 use crate::vector::Vector;
 
 /// Exponent of 1 − P.
-const POWER: u32 = 3;
+const DAMPING_EXPONENT: u32 = 3;
 /// Error of the rates from which on stiffness is examined, relative to the tolerance.
-const NOTICED: f64 = 0.01;
+const EXAMINED_ERROR: f64 = 0.01;
 /// Ratio |P x|/|x| below which a change x of q̈ counts as stiff: z > 8.
-const STIFF: f64 = 0.2;
+const STIFF_RATIO: f64 = 0.2;
 
 /// End of a sub-step, damped if the unpredicted change of q̈ is stiff.
 #[cold]
@@ -34,27 +34,27 @@ pub(super) fn damped<const N: usize, const M: usize, S: Implicit<N, M>>(
     (pose, mass): (&S::Pose, &S::Mass),
     end: StepEnd<N, M>,
 ) -> StepEnd<N, M> {
-    let bend = end.a - from.a - h * from.jerk;
-    if system.holds() || rate_error(system, h, &bend, &end.v) <= NOTICED * settings.error_tolerance {
+    let unpredicted = end.a - from.a - h * from.jerk;
+    if system.has_sticking() || rate_error(system, h, &unpredicted, &end.v) <= EXAMINED_ERROR * settings.error_tolerance {
         return end;
     }
     let at = TangentPoint { q: &end.q, pose, v: &end.v, lambda: &end.lambda, h };
-    let let_through = |x: &Vector<N>| {
+    let filter = |x: &Vector<N>| {
         system
             .solve_tangent_out_of_line(&at, settings.regularization, (&system.mass_times(pose, x), &Vector::ZERO))
             .ok()
             .map(|(x, _)| x)
     };
     // Oscillations of non-stiff components are within the error.
-    if let_through(&bend).is_none_or(|through| system.error_norm(&through) > STIFF * system.error_norm(&bend)) {
+    if filter(&unpredicted).is_none_or(|filtered| system.error_norm(&filtered) > STIFF_RATIO * system.error_norm(&unpredicted)) {
         return end;
     }
     let mut rest = end.a;
-    for _ in 0..POWER {
-        let Some(through) = let_through(&rest) else { return end };
-        rest = rest - through;
+    for _ in 0..DAMPING_EXPONENT {
+        let Some(filtered) = filter(&rest) else { return end };
+        rest = rest - filtered;
     }
-    let Some(change) = let_through(&rest) else { return end };
+    let Some(change) = filter(&rest) else { return end };
     let damped = StepEnd::in_balance(system, [end.q, end.v + h / 2.0 * change], pose, mass);
     // Past the saturation of a force its tangent overestimates the correction, which is then discarded.
     if system.error_norm(&damped.a) <= system.error_norm(&end.a) { damped } else { end }

@@ -10,7 +10,7 @@
 //! every full step λ is updated by the penalty term, as in the paper. Where plain Newton iteration converges, both find the same root.
 
 use super::Settings;
-use super::newton::{Found, LAST_CORRECTION, Step};
+use super::newton::{LAST_CORRECTION, Solution, Step};
 use crate::integrator::{Counters, Implicit, TangentPoint};
 use crate::vector::Vector;
 
@@ -24,7 +24,7 @@ const MOST_HALVINGS: u32 = 30;
 /// Required decrease of P relative to the linear prediction (Armijo).
 const SUFFICIENT_DECREASE: f64 = 1e-4;
 /// Slope, relative to P, below which the decrease is lost in the round-off of P.
-const BLIND: f64 = 1e-12;
+const FLAT: f64 = 1e-12;
 
 /// End of the step, if δ and λ are found. Only for systems whose forces have a potential.
 #[cold]
@@ -34,7 +34,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     settings: Settings,
     mut step: Step<N, M>,
     counters: &mut Counters,
-) -> Option<Found<N, S::Pose>> {
+) -> Option<Solution<N, S::Pose>> {
     let mut q = step.q();
     let mut pose = system.pose(&q);
     system.potential(&q, &pose)?;
@@ -60,15 +60,15 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let total = step.lambda + alpha * phi;
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &total, h: step.h };
         let (direction, y) = system.solve_descent(&at, regularization, (&b, &c))?;
-        let pull = system.phi_q_transposed_times(&pose, &total);
-        let slope = (pull - b / beta).dot(&direction);
+        let joint_forces = system.phi_q_transposed_times(&pose, &total);
+        let slope = (joint_forces - b / beta).dot(&direction);
         let start = merit(&step, step.delta)?;
 
         // Near the minimum, where P is flat within round-off, the full step is taken.
-        let blind = slope.abs() < BLIND * start.abs().max(f64::MIN_POSITIVE);
+        let is_flat = slope.abs() < FLAT * start.abs().max(f64::MIN_POSITIVE);
         let decreases = |part: f64| {
             let bound = start + SUFFICIENT_DECREASE * part * slope;
-            blind || merit(&step, step.delta + part * direction).is_some_and(|merit| merit <= bound)
+            is_flat || merit(&step, step.delta + part * direction).is_some_and(|merit| merit <= bound)
         };
         // Each line-search trial counts as an iteration.
         let found = (0..MOST_HALVINGS).find(|halvings| decreases(0.5f64.powi(*halvings as i32)));
@@ -82,7 +82,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         pose = system.pose(&q);
         if system.phi(&q, &pose).max_norm() < step.tolerance && part == 1.0 && direction.max_norm() < LAST_CORRECTION {
             counters.rescued += 1;
-            return Some(Found { q, pose, v: step.velocity() });
+            return Some(Solution { q, pose, v: step.velocity() });
         }
     }
     None

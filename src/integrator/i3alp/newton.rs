@@ -3,7 +3,7 @@
 use super::super::projection::ROUND_OFF;
 use super::Settings;
 use super::stiff_forces::RATE;
-use crate::integrator::{Counters, Held, Implicit, State, StepError, TangentPoint};
+use crate::integrator::{Counters, Implicit, State, StepError, StickingConstraint, TangentPoint};
 use crate::vector::Vector;
 
 /// Step length, s, at which [`Settings::tolerance`] holds: multiplier noise is Φ/β, so the tolerance is proportional to h².
@@ -33,7 +33,7 @@ pub(super) struct Step<const N: usize, const M: usize> {
 }
 
 /// Solution of the step's equations.
-pub(super) struct Found<const N: usize, P> {
+pub(super) struct Solution<const N: usize, P> {
     pub(super) q: Vector<N>,
     pub(super) pose: P,
     /// Velocity q̇ of the trapezoidal rule.
@@ -60,13 +60,13 @@ impl<const N: usize, const M: usize> Step<N, M> {
     }
 
     /// Restarts the iteration from the predictor without jerk.
-    pub(super) fn anew(&self, state: &State<N, M>) -> Self {
+    pub(super) fn without_jerk(&self, state: &State<N, M>) -> Self {
         Self { delta: Vector::ZERO, lambda: state.lambda, ..*self }
     }
 
     /// Restarts the iteration from constant rates.
-    pub(super) fn with_rates_of(&self, state: &State<N, M>) -> Self {
-        Self { delta: -2.0 * self.beta * state.a, ..self.anew(state) }
+    pub(super) fn with_constant_rates(&self, state: &State<N, M>) -> Self {
+        Self { delta: -2.0 * self.beta * state.a, ..self.without_jerk(state) }
     }
 
     pub(super) fn q(&self) -> Vector<N> {
@@ -91,7 +91,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     settings: &Settings,
     step: &mut Step<N, M>,
     counters: &mut Counters,
-) -> Result<Found<N, S::Pose>, StepError> {
+) -> Result<Solution<N, S::Pose>, StepError> {
     let &Settings { regularization, max_iterations, .. } = settings;
     let beta = step.beta;
     let (mut violation, mut last) = (f64::INFINITY, f64::INFINITY);
@@ -107,7 +107,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         if iterations > 0 {
             let at_round_off = violation >= previous && violation < ROUND_OFF * system.length_scale();
             let met = (violation < step.tolerance || at_round_off) && last < LAST_CORRECTION;
-            if met && (!settings.watches_rates(system) || rates_hold(system, settings, step, held, (&q, &pose))) {
+            if met && (!settings.controls_rates(system) || rates_converged(system, settings, step, held, (&q, &pose))) {
                 break;
             }
             if iterations >= max_iterations {
@@ -121,7 +121,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let c = -regularization * beta * step.lambda - phi;
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &step.lambda, h: step.h };
         let (mut correction, mut y) = system.solve_tangent(&at, regularization, (&b, &c))?;
-        if system.holds() {
+        if system.has_sticking() {
             let (found, force) = project_sticking(system, regularization, &at, (correction, y))?;
             ((correction, y), held) = (found, Some(force));
         }
@@ -129,7 +129,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         step.delta += correction;
         last = correction.max_norm();
     }
-    Ok(Found { q, pose, v: step.velocity() })
+    Ok(Solution { q, pose, v: step.velocity() })
 }
 
 /// Correction that keeps the sticking constraint at zero rate, and the friction reaction, N and N·m.
@@ -140,7 +140,9 @@ fn project_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
     at: &TangentPoint<'_, S::Pose, N, M>,
     (correction, y): (Vector<N>, Vector<M>),
 ) -> Result<((Vector<N>, Vector<M>), Vector<N>), StepError> {
-    let Held::Direction { row, force, .. } = system.held(at.q, at.pose, at.v) else { return Ok(((correction, y), Vector::ZERO)) };
+    let StickingConstraint::Direction { row, force, .. } = system.sticking_constraint(at.q, at.pose, at.v) else {
+        return Ok(((correction, y), Vector::ZERO));
+    };
     let beta = at.h * at.h / 4.0;
     let (by_force, y_by_force) = system.solve_tangent_out_of_line(at, regularization, (&(beta * force), &Vector::ZERO))?;
     // By the trapezoidal rule a correction changes the rate by 2/h times itself.
@@ -155,7 +157,7 @@ fn project_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
 /// Whether the residual of the equilibrium changes rates by less than a part of their admissible error. With stiff forces a small
 /// correction of the coordinates does not imply a small residual.
 #[cold]
-fn rates_hold<const N: usize, const M: usize, S: Implicit<N, M>>(
+fn rates_converged<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
     step: &Step<N, M>,
@@ -165,9 +167,9 @@ fn rates_hold<const N: usize, const M: usize, S: Implicit<N, M>>(
     /// Admissible change of the rates, relative to their tolerance.
     const PART: f64 = 0.1;
     let v = step.velocity();
-    let pull = system.phi_q_transposed_times(pose, &step.lambda);
+    let joint_forces = system.phi_q_transposed_times(pose, &step.lambda);
     let left = system.forces(q, pose, &v) + held.unwrap_or(Vector::ZERO)
-        - pull
+        - joint_forces
         - system.mass_times(pose, &(step.acceleration() / step.beta));
     let inertia = system.mass_times(pose, &Vector::from([1.0; N]));
     let change = Vector::from_fn(|i| step.h / 2.0 * left[i] / inertia[i]);

@@ -8,9 +8,9 @@ use crate::vector::Vector;
 /// Rate added to |q̇| in the admissible error of a rate, 1/s: a rate may be off by the sum times the error tolerance of an angle.
 pub(super) const RATE: f64 = 100.0;
 /// Round-off of the energy balance, in machine epsilons of the energy scale.
-const OF_ENERGIES: f64 = 256.0;
+const ENERGY_ROUND_OFF: f64 = 256.0;
 /// Round-off of the energy balance, in machine epsilons of the largest joint force along the machine's length.
-const OF_WORK: f64 = 4.0;
+const WORK_ROUND_OFF: f64 = 4.0;
 /// Ratio of rate error and tolerance below which the balance is limited by round-off of the positions.
 const EXACT: f64 = 1e-4;
 
@@ -18,25 +18,25 @@ const EXACT: f64 = 1e-4;
 /// balance, in units of the energy scale. A step across a discontinuity changes the motion little and the work much. Infinite where
 /// a contact may have been missed.
 #[cold]
-pub(super) fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Events<N>>(
+pub(super) fn stiff_error<const N: usize, const M: usize, S: Implicit<N, M> + Events<N>>(
     system: &S,
     settings: &Settings,
     from: &State<N, M>,
     h: f64,
     (pose, to): (&S::Pose, &StepEnd<N, M>),
 ) -> f64 {
-    if system.may_make_contact() && may_overlook(system, settings, [&[from.q, from.v, from.a], &[to.q, to.v, to.a]], h) {
+    if system.may_make_contact() && may_miss_contact(system, settings, [&[from.q, from.v, from.a], &[to.q, to.v, to.a]], h) {
         return f64::INFINITY;
     }
-    let bend = to.a - from.a - h * from.jerk;
-    let mut rates = rate_error(system, h, &bend, &to.v);
+    let unpredicted = to.a - from.a - h * from.jerk;
+    let mut rates = rate_error(system, h, &unpredicted, &to.v);
     if rates > settings.error_tolerance {
         // Decaying components that oscillate are filtered by the step's own matrix (Hairer and Wanner II, section IV.8).
         let at = TangentPoint { q: &to.q, pose, v: &to.v, lambda: &to.lambda, h };
-        let inertia = system.mass_times(pose, &bend);
+        let inertia = system.mass_times(pose, &unpredicted);
         rates = system
             .solve_tangent_out_of_line(&at, settings.regularization, (&inertia, &Vector::ZERO))
-            .map_or(rates, |(bend, _)| rate_error(system, h, &bend, &to.v));
+            .map_or(rates, |(unpredicted, _)| rate_error(system, h, &unpredicted, &to.v));
     }
     let external_work = |work: Work| work.input - work.dissipated;
     let before = system.energy(&from.q, &system.pose(&from.q), &from.v);
@@ -44,9 +44,9 @@ pub(super) fn steep_error<const N: usize, const M: usize, S: Implicit<N, M> + Ev
     let balance = system.energy(&to.q, pose, &to.v) - before - done;
     let off = before - settings.energy_at_start - external_work(from.work);
     // Positions are known within round-off, along which the joint forces do work: the limit where the motion is otherwise exact.
-    let place = if rates < EXACT * settings.error_tolerance { system.length_scale() } else { 0.0 };
-    let noise = f64::EPSILON * (OF_ENERGIES * settings.energy_scale + OF_WORK * place * to.lambda.max_norm());
-    let allowed = settings.error_tolerance * settings.energy_scale * strictness(settings, off, balance);
+    let position_scale = if rates < EXACT * settings.error_tolerance { system.length_scale() } else { 0.0 };
+    let noise = f64::EPSILON * (ENERGY_ROUND_OFF * settings.energy_scale + WORK_ROUND_OFF * position_scale * to.lambda.max_norm());
+    let allowed = settings.error_tolerance * settings.energy_scale * balance_factor(settings, off, balance);
     rates.max(settings.error_tolerance * balance.abs() / allowed.max(noise))
 }
 
@@ -58,13 +58,15 @@ pub(super) fn drive_work<const N: usize, const M: usize>(
     from: &State<N, M>,
     to: &StepEnd<N, M>,
 ) -> f64 {
-    let (Some(before), Some(after)) = (system.drives(&from.q, &from.v), system.drives(&to.q, &to.v)) else { return 0.0 };
+    let (Some(before), Some(after)) = (system.drive_forces(&from.q, &from.v), system.drive_forces(&to.q, &to.v)) else {
+        return 0.0;
+    };
     -h / 4.0 * (after - before).dot(&(to.v - from.v))
 }
 
 /// Factor on the admissible error of the energy balance of one step; it falls as the accumulated error `off`, J, grows, because
 /// errors of thousands of bounces add up.
-fn strictness(settings: &Settings, off: f64, balance: f64) -> f64 {
+fn balance_factor(settings: &Settings, off: f64, balance: f64) -> f64 {
     /// Admissible accumulated error of the energy, in units of energy scale times error tolerance: the sum of step errors falls
     /// with the power 2/3 of the tolerance only.
     const BUDGET: f64 = 2000.0;
@@ -80,14 +82,19 @@ fn strictness(settings: &Settings, off: f64, balance: f64) -> f64 {
 pub(super) fn rate_error<const N: usize, const M: usize>(
     system: &impl Implicit<N, M>,
     h: f64,
-    bend: &Vector<N>,
+    unpredicted: &Vector<N>,
     v: &Vector<N>,
 ) -> f64 {
-    h / 12.0 * system.error_norm(bend) / (RATE + system.error_norm(v))
+    h / 12.0 * system.error_norm(unpredicted) / (RATE + system.error_norm(v))
 }
 
 /// Whether a contact deeper than the event tolerance may lie between two states, given by q, q̇ and q̈, `h` seconds apart.
-fn may_overlook<const N: usize>(system: &impl Events<N>, settings: &Settings, [from, to]: [&[Vector<N>; 3]; 2], h: f64) -> bool {
+fn may_miss_contact<const N: usize>(
+    system: &impl Events<N>,
+    settings: &Settings,
+    [from, to]: [&[Vector<N>; 3]; 2],
+    h: f64,
+) -> bool {
     /// Factor on the larger rates and accelerations of both ends that bounds them in between.
     const MARGIN: f64 = 1.5;
     let [before, after] = [from, to].map(|[q, v, _]| system.guard_values(q, v));

@@ -65,7 +65,7 @@ impl<'a, S: Discrete<N, M>, const N: usize, const M: usize> Step<'a, S, N, M> {
 
     /// Step increment as forces take it.
     #[inline(always)]
-    pub(super) fn chord<'b>(
+    pub(super) fn increment<'b>(
         &'b self,
         secant: &'b S::Secant,
         d: &'b Vector<N>,
@@ -85,10 +85,10 @@ impl<'a, S: Discrete<N, M>, const N: usize, const M: usize> Step<'a, S, N, M> {
     pub(super) fn evaluate(&self, secant: S::Secant, z: Vector<N>, x: &Unknowns<N, M>) -> Evaluation<S, N, M> {
         let &Self { system, q, v: v0, h, .. } = self;
         let v = (2.0 / h) * z - v0;
-        let pull = system.discrete_transposed_times(&secant, &x.lambda);
-        let turning = system.turning_transposed_times(&secant, &z, &x.nu);
-        let applied = system.mean_forces(&self.chord(&secant, &x.d, &v));
-        let force = system.mass_times(S::end(&secant), &(z - h * v0)) + pull + 0.5 * turning - 0.5 * h * h * applied;
+        let joint_forces = system.discrete_transposed_times(&secant, &x.lambda);
+        let turning = system.discrete_hessian_times(&secant, &z, &x.nu);
+        let applied = system.mean_forces(&self.increment(&secant, &x.d, &v));
+        let force = system.mass_times(S::end(&secant), &(z - h * v0)) + joint_forces + 0.5 * turning - 0.5 * h * h * applied;
         let phi = system.phi(&(q + x.d), S::end(&secant));
         Evaluation { v, offset: system.apply_inverse_mass(&force), force, phi, secant }
     }

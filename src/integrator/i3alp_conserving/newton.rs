@@ -15,17 +15,17 @@ const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
 /// Admissible |J₁w|/2 per second of step, relative to the system's size, 1/s.
 const RATE: f64 = 5e-12;
 /// Largest |M⁻¹f|, m and rad, at which a failed staggered iteration is still a first guess for the full one.
-const NEARBY: f64 = 1e-3;
+const LARGEST_OFFSET_OF_GUESS: f64 = 1e-3;
 /// Largest |M⁻¹f|, m and rad, after 0, 1 and 2 staggered iterations; above it the full iteration takes less work.
-const PROMISING: [f64; 3] = [f64::INFINITY, 3e-3, 1e-7];
-/// Required contraction of |M⁻¹f| per staggered iteration after those of [`PROMISING`], with a new factorisation each time.
+const LARGEST_OFFSETS: [f64; 3] = [f64::INFINITY, 3e-3, 1e-7];
+/// Required contraction of |M⁻¹f| per staggered iteration after those of [`LARGEST_OFFSETS`], with a new factorisation each time.
 const CONTRACTION: f64 = 0.05;
 /// Correction of an angle, rad, below which the full iteration is at round-off.
 const LAST_CORRECTION: f64 = 1e-13;
 /// Correction of an angle, rad, below which the full iteration ends once corrections no longer fall.
 const STAGNATION: f64 = 1e-10;
 /// Largest rotation of a link in one step, rad; an iteration that exceeds it has diverged.
-const LARGEST_TURN: f64 = 6.0;
+const LARGEST_ROTATION: f64 = 6.0;
 
 /// Admissible residuals of a step.
 pub(super) struct Bounds {
@@ -55,14 +55,14 @@ impl Bounds {
 }
 
 /// Budget of Newton iterations of a step.
-pub(super) struct Allowance<'a> {
+pub(super) struct IterationBudget<'a> {
     pub(super) left: u32,
     /// Iteration count when the step began.
     pub(super) begun: u64,
     pub(super) counters: &'a mut Counters,
 }
 
-impl Allowance<'_> {
+impl IterationBudget<'_> {
     /// Number of iterations that the step has taken.
     pub(super) fn spent(&self) -> u32 {
         (self.counters.iterations - self.begun) as u32
@@ -78,36 +78,36 @@ impl Allowance<'_> {
 }
 
 /// Staggered iteration with cut loops: ν from a linear equation for given d, Newton's method on d and Λ. It contracts by (hω)² per
-/// iteration. The solution is passed to `arrive`; on failure the result is the last iterate, unless it has diverged.
+/// iteration. The solution is passed to `accept_root`; on failure the result is the last iterate, unless it has diverged.
 #[inline(always)]
 pub(super) fn staggered_newton<const N: usize, const M: usize, C: CutStep<N, M>, T>(
     cut: &C,
     mut x: C::Unknowns,
     bounds: &Bounds,
     (regularization, most): (f64, u32),
-    arrive: impl FnOnce(&C::Motion, u32) -> T,
+    accept_root: impl FnOnce(&C::Motion, u32) -> T,
 ) -> Result<T, (Option<C::Unknowns>, u32)> {
     let mut before = f64::INFINITY;
     let mut factor: Option<C::Factor> = None;
     for iteration in 0..=most {
         let motion = cut.motion(&x, regularization);
         let balance = cut.balance(&motion);
-        let [offset, gap, rate] = cut.left(&motion, &balance);
+        let [offset, gap, rate] = cut.residuals(&motion, &balance);
         if bounds.are_met(offset, gap, rate) {
             let factor = factor.get_or_insert_with(|| cut.factor(&motion, &balance, regularization));
-            return Ok(arrive(&cut.with_rates(&motion, &balance, factor), iteration));
+            return Ok(accept_root(&cut.with_rates(&motion, &balance, factor), iteration));
         }
-        let promising = PROMISING.get(iteration as usize).copied().unwrap_or(CONTRACTION * before);
+        let promising = LARGEST_OFFSETS.get(iteration as usize).copied().unwrap_or(CONTRACTION * before);
         if offset > promising || iteration == most {
-            return Err(((offset < NEARBY).then(|| C::unknowns(&motion)), iteration));
+            return Err(((offset < LARGEST_OFFSET_OF_GUESS).then(|| C::unknowns(&motion)), iteration));
         }
         before = offset;
-        if iteration as usize >= PROMISING.len() {
+        if iteration as usize >= LARGEST_OFFSETS.len() {
             factor = None;
         }
         let factor = factor.get_or_insert_with(|| cut.factor(&motion, &balance, regularization));
-        x = cut.improved(&motion, &balance, factor);
-        if C::turn(&x) >= LARGEST_TURN {
+        x = cut.newton_update(&motion, &balance, factor);
+        if C::rotation_norm(&x) >= LARGEST_ROTATION {
             return Err((None, iteration + 1));
         }
     }
@@ -116,7 +116,7 @@ pub(super) fn staggered_newton<const N: usize, const M: usize, C: CutStep<N, M>,
 
 /// Stopping rule of the full iteration.
 #[derive(Clone, Copy)]
-pub(super) enum Until {
+pub(super) enum StopRule {
     /// All residuals are admissible.
     Solved,
     /// Angle corrections are below this bound, rad; for intermediate roots of a homotopy.
@@ -129,8 +129,8 @@ pub(super) fn full_newton<const N: usize, const M: usize, S: Discrete<N, M>>(
     step: &Step<'_, S, N, M>,
     x: &mut Unknowns<N, M>,
     regularization: f64,
-    (most, until): (u32, Until),
-    allowance: &mut Allowance<'_>,
+    (most, stop_rule): (u32, StopRule),
+    budget: &mut IterationBudget<'_>,
 ) -> Option<Evaluation<S, N, M>> {
     let system = step.system;
     let bounds = Bounds::new(system, step.h);
@@ -142,9 +142,9 @@ pub(super) fn full_newton<const N: usize, const M: usize, S: Discrete<N, M>>(
         let Evaluation { secant, v, offset, force, phi, .. } = &found;
         let rate = system.phi_q_times(S::end(secant), &(step.h * *v));
         let no_further = correction < LAST_CORRECTION || correction < STAGNATION && correction >= 0.25 * before;
-        let done = match until {
-            Until::Solved => no_further && bounds.are_met(offset.max_norm(), phi.max_norm(), 0.5 * rate.max_norm()),
-            Until::Corrected(bound) => correction < bound || no_further,
+        let done = match stop_rule {
+            StopRule::Solved => no_further && bounds.are_met(offset.max_norm(), phi.max_norm(), 0.5 * rate.max_norm()),
+            StopRule::Corrected(bound) => correction < bound || no_further,
         };
         if iteration > 0 && done {
             return Some(found);
@@ -152,15 +152,15 @@ pub(super) fn full_newton<const N: usize, const M: usize, S: Discrete<N, M>>(
         if iteration == most {
             return None;
         }
-        allowance.take()?;
-        let chord = step.chord(secant, &x.d, v);
-        let (d, [lambda, nu]) = system.newton(&chord, [&x.lambda, &x.nu], (force, phi, &rate), regularization);
+        budget.take()?;
+        let increment = step.increment(secant, &x.d, v);
+        let (d, [lambda, nu]) = system.newton(&increment, [&x.lambda, &x.nu], (force, phi, &rate), regularization);
         x.d += d;
         x.lambda += lambda;
         x.nu += nu;
         (before, correction) = (correction, system.error_norm(&d));
         let finite = x.d.is_finite() && x.lambda.is_finite() && x.nu.is_finite();
-        if !(finite && system.error_norm(&x.d) < LARGEST_TURN) {
+        if !(finite && system.error_norm(&x.d) < LARGEST_ROTATION) {
             return None;
         }
     }
