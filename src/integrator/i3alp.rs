@@ -178,8 +178,8 @@ struct Attempt<const N: usize, const M: usize> {
     error: f64,
 }
 
-/// One step of h: predictor, Newton's method on positions and total multipliers, velocity projection, acceleration from
-/// equilibrium.
+/// One step of `h` seconds (`docs/method.md`, section 5): predictor and Newton's method on δ and λ, (5) to (11); velocity projection
+/// (15); acceleration and multipliers from equilibrium (16); local error (18).
 #[inline(never)] // one shared copy for fixed steps and sub-steps saves 33 kB and costs 1.5 % of the instructions of a bare step
 fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
     system: &S,
@@ -192,6 +192,7 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Even
         return taylor_step(system, state, h, settings.regularization);
     }
     let settings = Settings { regularization: limits.regularization * settings.regularization, ..*settings };
+    // Predictor (19), then Newton's method (9) with its fallbacks.
     let mut step = Step::predict(state, h, constraint_tolerance(&settings, system.length_scale(), h));
     let mut retried = false;
     let found = loop {

@@ -187,14 +187,19 @@ impl StiffnessSwitch {
         }
         let most = if self.stiff { STEPS_BELOW_LIMIT } else { STEPS_AT_LIMIT } << self.returns.min(MOST_RETURNS);
         let [least, largest] = STABILITY_LIMIT_RANGE;
-        let stability_limit = match self.stiff {
+        let limit_is_possible = match self.stiff {
             true => {
                 self.stability_limit.is_finite()
                     && (self.stability_limit < 0.0 || (least..=largest).contains(&self.stability_limit))
             }
             false => self.stability_limit == 0.0,
         };
-        let explicit_steps = self.explicit_steps <= if self.stiff { 0 } else { PROBE_INTERVAL << self.returns.min(MOST_RETURNS) };
-        self.returns <= MOST_RETURNS && self.contrary_steps < most && explicit_steps && stability_limit && self.tsit5_step > 0.0
+        let count_is_possible =
+            self.explicit_steps <= if self.stiff { 0 } else { PROBE_INTERVAL << self.returns.min(MOST_RETURNS) };
+        self.returns <= MOST_RETURNS
+            && self.contrary_steps < most
+            && count_is_possible
+            && limit_is_possible
+            && self.tsit5_step > 0.0
     }
 }

@@ -200,15 +200,15 @@ impl<S: Events<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
                     break;
                 }
                 // The residual at an end that stays twice in a row is reduced.
-                let guard_residual = here > 0.0;
-                let (value, opposite) = if guard_residual { (high, &mut low) } else { (low, &mut high) };
-                if last_was_positive == Some(guard_residual) {
+                let is_past = here > 0.0;
+                let (value, opposite) = if is_past { (high, &mut low) } else { (low, &mut high) };
+                if last_was_positive == Some(is_past) {
                     let less = 1.0 - here / value;
                     // Where another guard was dominant at one end, the residuals give no slope; the factor is at least 0.1.
                     *opposite *= if less > 0.0 { less.max(0.1) } else { 0.5 };
                 }
-                last_was_positive = Some(guard_residual);
-                if guard_residual {
+                last_was_positive = Some(is_past);
+                if is_past {
                     (after, high) = (part, here);
                 } else {
                     (before, low) = (part, here);

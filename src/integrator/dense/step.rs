@@ -281,8 +281,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let v = velocities.at(part);
             let defect = positions.rate_at(part) - self.length * v;
             (0..N).all(|i| {
-                let weights = LARGEST_INCONSISTENCY * settings.error_tolerance * (RATE + v[i].abs()) * self.length;
-                defect[i].abs() <= weights + ROUND_OFF * (1.0 + self.end.q[i].abs())
+                let admissible = LARGEST_INCONSISTENCY * settings.error_tolerance * (RATE + v[i].abs()) * self.length;
+                defect[i].abs() <= admissible + ROUND_OFF * (1.0 + self.end.q[i].abs())
             })
         })
     }

@@ -117,9 +117,9 @@ impl ErrorWeights {
         let rates = v.with(&units, |v, unit| v * unit);
         let squares = q.with(&rates, |q, rate| q * q + rate * rate);
         let mean = squares.sum() / (2.0 * N as f64 * self.coordinate * self.coordinate);
-        let Some(weights) = self.work else { return mean };
+        let Some(admissible) = self.work else { return mean };
         let Work { input, dissipated } = work();
-        mean + (input * input + dissipated * dissipated) / (weights * weights)
+        mean + (input * input + dissipated * dissipated) / (admissible * admissible)
     }
 }
 

@@ -43,7 +43,7 @@ pub(super) struct Search {
     /// Lower end of the bracket: sub-step length, s, and its guard residual relative to the target, in event tolerances.
     before: [f64; 2],
     /// Upper end of the bracket, once an event is bracketed: sub-step length, s, and its guard residual relative to the target.
-    guard_residual: Option<[f64; 2]>,
+    after: Option<[f64; 2]>,
     /// Half of a sub-step in whose middle an event is suspected, s.
     half: Option<f64>,
     /// Whether the last trial has left more than half of the bracket.
@@ -55,13 +55,12 @@ pub(super) struct Search {
 
 impl Search {
     /// No search is under way.
-    pub(super) const NONE: Self =
-        Self { before: [0.0; 2], guard_residual: None, half: None, is_slow: false, tries: 0, at_event: false };
+    pub(super) const NONE: Self = Self { before: [0.0; 2], after: None, half: None, is_slow: false, tries: 0, at_event: false };
 
     /// Sub-step length of the next trial, s.
     #[inline(always)]
     pub(super) fn next(&self) -> Option<f64> {
-        let Some([far, above]) = self.guard_residual else { return self.half };
+        let Some([far, above]) = self.after else { return self.half };
         let [near, below] = self.before;
         if self.is_over() {
             return Some(far);
@@ -73,7 +72,7 @@ impl Search {
 
     /// Whether the search is exhausted: the sub-step then ends past the guard.
     fn is_over(&self) -> bool {
-        self.tries >= MOST_TRIES || self.guard_residual.is_some_and(|[far, _]| far - self.before[0] < SHORTEST)
+        self.tries >= MOST_TRIES || self.after.is_some_and(|[far, _]| far - self.before[0] < SHORTEST)
     }
 
     /// Decides about a sub-step of `h` seconds whose local error is admissible.
@@ -107,11 +106,10 @@ impl Search {
     ) -> bool {
         let tolerance = settings.error_tolerance;
         let guard_residual_at = |q: &Vector<N>, v: &Vector<N>| system.guard_residual(&system.guard_values(q, v), tolerance);
-        let Some([far, above]) = &mut self.guard_residual else {
+        let Some([far, above]) = &mut self.after else {
             if guard_residual > CROSSING_RESIDUAL {
                 let start = guard_residual_at(&from.q, &from.v).min(0.0) - TARGET_RESIDUAL;
-                (self.before, self.guard_residual) =
-                    ([0.0, start.max(LEAST_RESIDUAL)], Some([h, guard_residual - TARGET_RESIDUAL]));
+                (self.before, self.after) = ([0.0, start.max(LEAST_RESIDUAL)], Some([h, guard_residual - TARGET_RESIDUAL]));
                 return true;
             }
             // A friction element may reverse twice within the sub-step, or exceed its breakaway bound for a while: checked at the

@@ -15,6 +15,7 @@ pub(super) const LAST_CORRECTION: f64 = 1e-5;
 
 /// Unknowns of a step with their constant data.
 pub(super) struct Step<const N: usize, const M: usize> {
+    /// Step length, s.
     pub(super) h: f64,
     /// β = h²/4, s².
     pub(super) beta: f64,
@@ -34,6 +35,7 @@ pub(super) struct Step<const N: usize, const M: usize> {
 
 /// Solution of the step's equations.
 pub(super) struct Solution<const N: usize, P> {
+    /// Coordinates at the end of the step, m and rad.
     pub(super) q: Vector<N>,
     pub(super) pose: P,
     /// Velocity q̇ of the trapezoidal rule.
@@ -84,7 +86,7 @@ impl<const N: usize, const M: usize> Step<N, M> {
     }
 }
 
-/// Newton's method on δ and λ.
+/// Newton's method on δ and λ: each iteration solves the saddle-point system (9) at the last iterate, until (17) is met.
 #[inline(always)]
 pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
@@ -117,6 +119,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         iterations += 1;
         counters.iterations += 1;
         let v = step.velocity();
+        // Right-hand side of (9), then its solution: the correction Δq and y = β λ.
         let b = beta * system.forces(&q, &pose, &v) - system.mass_times(&pose, &step.acceleration());
         let c = -regularization * beta * step.lambda - phi;
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &step.lambda, h: step.h };
