@@ -1,35 +1,36 @@
-//! Whether a state that comes from outside is one that a step can have left.
+//! Consistency checks of a stored state: constraints, equilibrium, power, counters.
 
 use super::equilibrium::equilibrium;
 use super::{Counters, Passage, State, System};
 use crate::vector::Vector;
 
-/// What is wrong with a state, as the end of a sentence that begins with it.
+/// Defect of a state, as the end of a sentence whose subject is the state.
 pub type Inconsistency = &'static str;
 
-/// How far a state may be from what its coordinates and rates give.
+/// Admissible deviations of a state.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
-    /// Of max |Φ|, in multiples of the system's size.
+    /// Admissible max |Φ|, relative to the system's size.
     pub position: f64,
-    /// Of max |Φ_q q̇|, in multiples of its largest term.
+    /// Admissible max |Φ_q q̇|, relative to its largest term.
     pub velocity: f64,
-    /// Whether q̈ and λ are those of equilibrium.
+    /// Whether q̈ and λ must be those of equilibrium.
     pub in_balance: bool,
-    /// e of the saddle-point systems, far from every vertex and near one, 1/kg.
+    /// Regularisations e of the saddle-point systems, far from every vertex and near one, 1/kg.
     pub regularizations: [f64; 2],
 }
 
-/// q̈, λ and the power are those of q and q̇ to this part: whole turns of an angle may have been taken off since.
+/// Admissible relative deviation of q̈, λ and power: whole turns of an angle may have been removed since.
 const BALANCED: f64 = 1e-7;
 
-/// Larger counters have not been counted: they would take longer than a lifetime.
+/// Upper limit of counters: a larger count would take longer than a lifetime.
 const MOST_COUNTED: u64 = 1 << 62;
 
-/// Rates below this, 1/s, are those of a system at rest, and may be round-off.
+/// Rates below this limit, 1/s, may be round-off of rest.
 const AT_REST: f64 = 1e-9;
 
-/// On a ray through a vertex nothing is projected: positions and rates are off by this at most, see [`Bounds`].
+/// Admissible violations of position and velocity on a ray through a vertex, where nothing is projected, in the units of
+/// [`Bounds`].
 const ON_RAY: [f64; 2] = [1e-4, 1e-1];
 
 impl Counters {
@@ -42,7 +43,8 @@ impl Counters {
 }
 
 impl<const N: usize, const M: usize> State<N, M> {
-    /// Whether all that follows from coordinates, rates and forces is what these give, and the rest is possible.
+    /// Checks that accelerations, multipliers, power and signs follow from coordinates, rates and forces, and that all values are
+    /// possible.
     #[cold]
     pub fn check<S: System<N, M> + Passage<N>>(&self, system: &S, bounds: &Bounds) -> Result<(), Inconsistency> {
         let vectors = [&self.q, &self.v, &self.a, &self.jerk];

@@ -1,50 +1,49 @@
-//! How long the next step may be: one controller for both adaptive methods.
+//! Step-size control: proportional controller with memory of the last error, for all error-controlled methods.
 //!
-//! E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, 2nd ed., section IV.2: proportional to a power of the last error,
-//! and with some memory of the one before. Errors are in units of the tolerance.
+//! E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, 2nd ed., section IV.2. Errors are in units of the tolerance.
 
-/// Part of the step promised by the error that is taken.
+/// Safety factor on the step that the error allows.
 const SAFETY: f64 = 0.85;
 
-/// ln of the error that is remembered for smaller ones: 1e-4.
+/// Lower limit of the remembered ln of an error: ln 1e-4.
 pub(super) const LEAST_LOG_ERROR: f64 = -9.210_340_371_976_182;
 
-/// The law by which a method changes its step.
+/// Parameters of a step-size controller.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct StepSizeController {
-    /// The exponent of the last error.
+    /// Exponent of the last error.
     pub(super) exponent: f64,
-    /// The exponent of the last but one; 0 for a method that remembers none.
+    /// Exponent of the error before the last; 0 for a method without memory.
     pub(super) memory: f64,
-    /// Bounds on the change after a step that was accepted.
+    /// Bounds on the factor after an accepted step.
     pub(super) accepted: [f64; 2],
-    /// The same after one whose error was too large.
+    /// Bounds on the factor after a rejected step.
     pub(super) rejected: [f64; 2],
-    /// The change after a step that failed altogether.
+    /// Factor after a step without an error estimate.
     pub(super) failed: f64,
 }
 
 impl StepSizeController {
-    /// By how much the step may change after one that was accepted, by ln of its error and of that before it.
+    /// Factor on the step after an accepted one, from ln of its error and of the error before.
     #[inline]
     pub(super) fn growth(&self, log_error: f64, before: f64) -> f64 {
         let change = SAFETY * exp(self.memory * before - self.exponent * log_error);
         change.clamp(self.accepted[0], self.accepted[1])
     }
 
-    /// The longest step that may follow one of h seconds.
+    /// Longest step that may follow one of `h` seconds.
     #[inline]
     pub(super) fn longest_after(&self, h: f64) -> f64 {
         self.accepted[1] * h
     }
 
-    /// The same after one that was rejected; its error is NaN where it failed.
+    /// Factor on the step after a rejected one with this error; NaN where it failed without an estimate.
     pub(super) fn reduction(&self, error: f64) -> f64 {
         self.reduction_after(error, None)
     }
 
-    /// The same if another may have been rejected just before it, so many times longer and worse: with stiff forces errors fall more slowly
-    /// with the step than the order promises, and by the order alone a third and a fourth rejection would follow.
+    /// Factor on the step after a rejected one, which may follow another rejection with the ratios `before` of lengths and errors.
+    /// With stiff forces errors fall more slowly with h than the order promises; the order alone would lead to further rejections.
     pub(super) fn reduction_after(&self, error: f64, before: Option<[f64; 2]>) -> f64 {
         if error.is_nan() {
             return self.failed;
@@ -57,23 +56,24 @@ impl StepSizeController {
     }
 }
 
-/// The step wanted next after one of h seconds, where `wanted` had been wanted: a step cut short by a limit says nothing against longer
-/// ones.
+/// Length of the next step, s, after one of `h` seconds where `wanted` was intended: a step cut short by a limit does not shorten
+/// later ones.
 #[inline]
 pub(super) fn next_step(h: f64, growth: f64, wanted: f64) -> f64 {
     if is_cut_short(h, wanted) { (h * growth).max(wanted) } else { h * growth }
 }
 
-/// Whether a step was cut short by a limit.
+/// Whether a step of `h` seconds was cut short by a limit.
 #[inline]
 pub(super) fn is_cut_short(h: f64, wanted: f64) -> bool {
     wanted.is_finite() && h < 0.5 * wanted
 }
 
-/// The natural logarithm of a positive number within 2e-6: as much as a step's length needs, for a third of what all digits take.
+/// Natural logarithm of a positive number, absolute error below 2e-6, enough for step lengths at a third of the cost of full
+/// precision.
 #[inline(never)]
 pub(super) fn ln(x: f64) -> f64 {
-    // 2^k m with m from √½ to √2; of 0 the k below the least.
+    // The number is 2^k m with m from √½ to √2; for 0, k is below that of the smallest number.
     let k = (x.to_bits() as i64 - std::f64::consts::FRAC_1_SQRT_2.to_bits() as i64) >> (f64::MANTISSA_DIGITS - 1);
     let m = f64::from_bits((x.to_bits() as i64 - (k << (f64::MANTISSA_DIGITS - 1))) as u64);
     let s = (m - 1.0) / (m + 1.0);
@@ -81,7 +81,7 @@ pub(super) fn ln(x: f64) -> f64 {
     k as f64 * std::f64::consts::LN_2 + s * (2.0 + z * (2.0 / 3.0 + z * (2.0 / 5.0)))
 }
 
-/// The exponential function, of numbers up to 4 beside 0, within a part of 2e-7: all changes of a step's length are within.
+/// Exponential function for |x| ≤ 4 (larger arguments are clamped), relative error below 2e-7; covers all factors of a step length.
 #[inline(never)]
 fn exp(x: f64) -> f64 {
     // Adding 1.5·2^52 rounds to an integer and leaves it in the low bits.

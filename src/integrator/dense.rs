@@ -1,14 +1,13 @@
-//! Error-controlled steps that pass communication points, with dense output, on the index-1 form of a [`System`]; projection onto the
-//! constraints after every accepted step.
+//! Error-controlled steps with dense output on the index-1 form of a [`System`], projected onto the constraints after every
+//! accepted step.
 //!
-//! A step is of a [`Scheme`]: explicit of order 8 (`dop853.rs`) or 5 (`tsit5.rs`), or linearly implicit (`rosenbrock.rs`) where loads are stiff.
+//! A step belongs to a [`Scheme`]: explicit of order 8 (`dop853.rs`) or 5 (`tsit5.rs`), or linearly implicit (`rosenbrock.rs`) for stiff
+//! loads. Steps are as long as the local error allows and may pass communication points, where the state is that of the projected
+//! interpolant. Inputs are constant during a step; if they change at a communication point inside it, the step is discarded and redone up
+//! to that point ([`DenseStep::truncate_and_redo`]). So the state of a run is its current step: both ends, the coefficients of the
+//! interpolant and the time elapsed in it. Events of the forces end a step (`events.rs`).
 //!
-//! Steps are as long as the local error allows, wherever communication points are. The step under way may go past one: there the state
-//! is that of the step's interpolant, projected. The step, which has been made with the inputs held, is thrown away if they
-//! change at that point, and redone up to it ([`DenseStep::truncate_and_redo`]). So the state of a run is the step under way: both its
-//! ends, the interpolant's coefficients and the time into it.
-//!
-//! Where a force has a kink, a step ends there (`events.rs`).
+//! `docs/explicit.md` and `docs/automatic.md` derive the methods.
 
 mod consistency;
 mod dop853;
@@ -37,97 +36,99 @@ use crate::vector::Vector;
 pub use sample::Sample;
 use scheme::StiffnessSwitch;
 pub use scheme::{Scheme, Schemes};
-use stiffness::Stiffness;
+use stiffness::StiffnessDetector;
 use trial::StageDerivative;
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Which kinds of step are made.
+    /// Schemes in use.
     pub schemes: Schemes,
-    /// Local error allowed per step: of each coordinate this, of its rate this times (10/s + |q̇|); root of the mean square.
+    /// Admissible local error per step: this value for a coordinate, rad, and (10/s + |q̇|) times it for a rate; root mean square.
     pub error_tolerance: f64,
-    /// The work of forces with kinks may be off by the error tolerance times this, J, per step.
+    /// Energy, J, by which the error tolerance is multiplied to bound the error of a step's work; used with events.
     pub energy_scale: f64,
-    /// The first step tried, s.
+    /// Length of the first step tried, s.
     pub first_step: f64,
-    /// Most Newton iterations of a projection.
+    /// Largest number of Newton iterations of a projection.
     pub max_iterations: u32,
-    /// More evaluations and iterations than this in one macro step end it with a status: a call never hangs.
+    /// Largest number of evaluations and iterations in one macro step, so that every call ends.
     pub max_work: u32,
-    /// e of the saddle-point systems, 1/kg (in the units of Φ_q M⁻¹ Φ_qᵀ): so small that it is seen only where that loses rank.
+    /// Regularisation e of the saddle-point systems, 1/kg (the unit of Φ_q M⁻¹ Φ_qᵀ), noticeable only where that matrix loses rank.
     pub regularization: f64,
 }
 
-/// Evaluations of the equations that a step takes, accepted or not.
+/// Evaluations of the equations of motion counted per step, accepted or not.
 const EVALUATIONS: u64 = 12;
 
-/// Sums of macro steps are rounded by this part of a step, or less.
-const ROUNDED: f64 = 64.0 * f64::EPSILON;
+/// Round-off of a sum of macro steps, relative to the current step.
+const MACRO_STEP_ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
-/// How far ahead steps may go, s from the beginning of a macro step.
+/// Limits of the steps ahead, s from the beginning of a macro step.
 #[derive(Clone, Copy, Debug)]
 pub struct Horizon {
-    /// When the next state is asked for; infinite where none is while a step is under way. A step that goes past it is interpolated.
+    /// Time of the next output, s; infinite where no output is read before the end of the step. A step that passes it is
+    /// interpolated.
     pub output: f64,
-    /// No step goes past this.
+    /// Latest end of a step, s.
     pub limit: f64,
 }
 
 impl Horizon {
-    /// Seen from some seconds later.
+    /// Horizon seen `elapsed` seconds later.
     fn after(self, elapsed: f64) -> Self {
         Self { output: self.output - elapsed, limit: self.limit - elapsed }
     }
 }
 
-/// A run: the step that is under way.
+/// State of a run: its current step.
 #[derive(Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct DenseStep<const N: usize, const M: usize, K> {
-    /// The last accepted state that time has passed: the beginning of the step.
+    /// State at the beginning of the step, the last accepted state that time has passed.
     start: State<N, M>,
-    /// Its end; of a step of order 5 without q̈, λ and power, which are found where they are asked for.
+    /// State at the end of the step; after Tsit5 without q̈, λ and power, which are evaluated when needed.
     end: State<N, M>,
-    /// s.
+    /// Length of the step, s.
     length: f64,
-    /// The step that was made, of which this is the part before a border, s; 0 where it is all of it.
-    cut_from: f64,
-    /// Time into the step, s, never beyond its end.
+    /// Length of the original step, s, if this step is its part before an event; 0 otherwise.
+    truncated_from: f64,
+    /// Time elapsed in the step, s, between 0 and its length.
     elapsed: f64,
-    /// What kind of step it is.
+    /// Scheme of the step.
     scheme: Scheme,
-    /// The higher coefficients of the interpolant; 0 where it was not needed.
+    /// Higher coefficients of the interpolant; 0 where no interpolant was needed.
     dense: [StageDerivative<N>; 4],
-    /// Whether the step is a straight motion close to a vertex, where nothing may be projected.
+    /// Whether the step is a straight motion through a vertex, where nothing is projected.
     is_linear: bool,
-    /// On which sides of their kinks the forces are in the step, and from its end on.
+    /// Mode of the forces within the step.
     mode: K,
+    /// Mode of the forces from the end of the step on.
     next_mode_at_end: K,
     memory: Memory,
-    /// The memory at its beginning, for when the step is redone.
+    /// Memory at the beginning of the step, for redoing it.
     before: Memory,
 }
 
 impl<const N: usize, const M: usize, K: Copy> Clone for DenseStep<N, M, K> {
-    /// In one piece: the derived one would go field by field.
+    /// Copies the whole value at once; a derived implementation would go field by field.
     fn clone(&self) -> Self {
         *self
     }
 }
 
-/// What is remembered from step to step.
+/// Memory of step-size control and scheme selection.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Memory {
-    /// ln of the error of the last accepted step in units of the tolerance.
+    /// Natural logarithm of the error of the last accepted step, in units of the tolerance.
     log_error: f64,
-    /// The step wanted where something that touches pushes, if nothing does, and the other way round, s; infinite where none is known.
+    /// Step length wanted in the other contact mode (with or without a pushing contact), s; infinite where unknown.
     substep_in_other_mode: f64,
-    stiffness: Stiffness,
+    stiffness: StiffnessDetector,
     stiffness_switch: StiffnessSwitch,
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// Begins with q and q̇, which meet the constraints.
+    /// Starts a run at q and q̇, which must meet the constraints.
     pub fn start<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         system: &S,
         q: Vector<N>,
@@ -139,14 +140,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let memory = Memory {
             log_error: LEAST_LOG_ERROR,
             substep_in_other_mode: f64::INFINITY,
-            stiffness: Stiffness::default(),
+            stiffness: StiffnessDetector::default(),
             stiffness_switch: StiffnessSwitch::NEW,
         };
         Self {
             start: state,
             end: state,
             length: 0.0,
-            cut_from: 0.0,
+            truncated_from: 0.0,
             elapsed: 0.0,
             scheme: Scheme::Dop853,
             dense: [StageDerivative::NONE; 4],
@@ -158,18 +159,19 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// Macro steps of h seconds within the step under way, up to so many: how many it has room for.
+    /// Advances by macro steps of `h` seconds within the current step, `most` at most; returns their number.
     #[inline]
     pub fn advance_within(&mut self, h: f64, most: u64) -> u64 {
-        let (length, rounded) = (self.length, ROUNDED * self.length);
-        // A macro step that begins before this ends before the step does.
+        let (length, rounded) = (self.length, MACRO_STEP_ROUND_OFF * self.length);
+        // A macro step that begins before this time ends before the current step does.
         let last = length - rounded - h;
         let (mut elapsed, mut left) = (self.elapsed, most);
         while left > 0 && elapsed < last {
             elapsed += h;
             left -= 1;
         }
-        // One that ends with the step but for round-off ends with it. At its very end even the shortest goes past it.
+        // A macro step that ends with the current step within round-off ends with it. At its very end even the shortest macro step
+        // exceeds it.
         if left > 0 && elapsed < length && h <= length - elapsed + rounded {
             elapsed = length;
             left -= 1;
@@ -181,8 +183,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         count
     }
 
-    /// One macro step of h seconds, from the end of the step under way with the pose there, where it is at hand. On failure the run is
-    /// undefined: the caller keeps a copy.
+    /// Advances by one macro step of `h` seconds; `pose` is the pose at the end of the current step, if known. On failure the run
+    /// is undefined, so the caller keeps a copy.
     pub fn advance<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
@@ -194,7 +196,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         if self.advance_within(h, 1) == 1 { Ok(()) } else { self.advance_past(system, settings, h, horizon, pose) }
     }
 
-    /// The same where the step under way has no room for it, as [`advance_within`](Self::advance_within) has said.
+    /// Advances by a macro step that exceeds the current step, see [`advance_within`](Self::advance_within).
     #[inline(always)]
     pub fn advance_past<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
@@ -218,14 +220,14 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// Evaluations and iterations since the start.
+    /// Number of evaluations and iterations since the start.
     #[inline]
     fn work(&self) -> u64 {
         let Counters { substeps, rejected, iterations, .. } = self.end.counters;
         EVALUATIONS * (substeps + rejected) + iterations
     }
 
-    /// Refuses to go on where too much has been done in one macro step, after so much in those before.
+    /// Checks the work limit of a macro step that began at the count `done`.
     #[inline]
     fn check_work(&self, settings: &Settings, done: u64) -> Result<(), StepError> {
         if self.work() - done <= u64::from(settings.max_work) {
@@ -234,8 +236,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         Err(StepError::TooMuchWork { most: settings.max_work, substep: self.length, error: self.end.error_estimate })
     }
 
-    /// Ends the step at the present time, because what was held from here on will change: the step is redone, up to here and no
-    /// further. `system` is that of the step; [`restart`](Self::restart) follows. On failure the run is undefined.
+    /// Ends the current step at the present time, because inputs or parameters change: the step is redone up to here. `system` is
+    /// the system of the step; [`restart`](Self::restart) follows. On failure the run is undefined.
     pub fn truncate_and_redo<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
@@ -248,7 +250,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let dissipated = self.dissipated(system, settings);
         self.memory = self.before;
         self.next_mode_at_end = self.mode;
-        self.retract();
+        self.reset_to_start();
         self.end.counters.rejected += 1;
         let done = self.work();
         while rest > 0.0 {
@@ -256,13 +258,13 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.step(system, settings, Horizon { output: f64::INFINITY, limit: rest }, None)?;
             rest -= self.length;
         }
-        // What has been shown is not taken back: of two values below the truth the larger one is nearer to it.
+        // Dissipation shown to the caller is not taken back: of two values below the exact one the larger is closer.
         self.end.work.dissipated = self.end.work.dissipated.max(dissipated);
         (self.length, self.elapsed) = (0.0, 0.0);
         Ok(())
     }
 
-    /// Whether the present time is the end of the step, which is over then: it need not be redone.
+    /// Whether the present time is the end of the current step, which then need not be redone.
     #[inline]
     pub fn finish(&mut self) -> bool {
         let is_over = self.elapsed == self.length;
@@ -272,22 +274,24 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         is_over
     }
 
-    /// Takes the end of the step back to its beginning: what has been spent on it stays.
-    fn retract(&mut self) {
+    /// Resets the end of the step to its beginning; work counters keep their values.
+    fn reset_to_start(&mut self) {
         let Counters { rejected, iterations, .. } = self.end.counters;
         self.end = self.start;
         self.dense = [StageDerivative::NONE; 4];
-        (self.length, self.cut_from) = (0.0, 0.0);
+        (self.length, self.truncated_from) = (0.0, 0.0);
         self.end.counters.rejected = rejected;
         self.end.counters.iterations = iterations;
     }
 
-    /// The rates have changed at once, after [`truncate_and_redo`](Self::truncate_and_redo); [`restart`](Self::restart) follows.
+    /// Applies a discontinuity of the rates, after [`truncate_and_redo`](Self::truncate_and_redo) and before
+    /// [`restart`](Self::restart).
     pub fn jump(&mut self, v: &Vector<N>) {
         self.end.v = *v;
     }
 
-    /// The forces have changed at once, after [`truncate_and_redo`](Self::truncate_and_redo), which did some work. From the pose there.
+    /// Restarts after a discontinuity of the forces that did the given work, J; [`truncate_and_redo`](Self::truncate_and_redo)
+    /// comes before. `pose` is the pose at the present state.
     pub fn restart<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
@@ -302,7 +306,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (self.mode, self.next_mode_at_end) = (mode, mode);
     }
 
-    /// Goes on from another state, which puts in some energy, J: the step under way is thrown away. Systems before and after.
+    /// Continues from another state with `external_work`, J, done on the system; the current step is discarded. `before` and
+    /// `after` are the systems before and after the change.
     pub fn resume_from<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         [before, after]: [&S; 2],
@@ -313,7 +318,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let work = self.sample(before, settings).work;
         if self.elapsed < self.length {
             self.memory = self.before;
-            self.retract();
+            self.reset_to_start();
             self.end.counters.rejected += 1;
         }
         (self.end.q, self.end.v, self.end.on_ray) = (q, v, false);
@@ -326,29 +331,29 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.restart(after, settings, &pose, Work { input: external_work, dissipated: 0.0 });
     }
 
-    /// Moves the origin of the coordinates: by `shift`, which the system does not notice (whole turns of angles).
+    /// Shifts the coordinates by whole turns, which leave the system unchanged, rad.
     pub fn shift(&mut self, shift: &Vector<N>) {
         self.start.q += *shift;
         self.end.q += *shift;
     }
 
-    /// Coordinates at the end of the step.
+    /// Coordinates at the end of the step, m and rad.
     pub fn end(&self) -> &Vector<N> {
         &self.end.q
     }
 
-    /// The sides that hold at the present time.
+    /// Mode at the present time.
     pub fn mode(&self) -> K {
         if self.elapsed == self.length { self.next_mode_at_end } else { self.mode }
     }
 
-    /// Macro steps since the start.
+    /// Number of macro steps since the start.
     pub fn steps(&self) -> u64 {
         self.start.counters.steps
     }
 
-    /// Whether steps have been limited by stability instead of accuracy: an implicit method would do better.
+    /// Whether stability rather than accuracy has limited the steps, so that an implicit method would be faster.
     pub fn is_stiff(&self) -> bool {
-        self.memory.stiffness.found
+        self.memory.stiffness.detected
     }
 }

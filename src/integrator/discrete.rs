@@ -1,48 +1,48 @@
-//! What the conserving step asks of a system: derivatives over a finite step instead of those at a point.
+//! Interface of the conserving step to a system: discrete derivatives over a finite step, and the step with its loops cut.
 
 use super::{System, Work};
 use crate::vector::Vector;
 
-/// A system that knows its constraints and forces over a step from q₀ to q₁ = q₀ + d.
+/// A system with discrete derivatives of constraints and forces over a step from q₀ to q₁ = q₀ + d.
 ///
-/// J_b is the discrete Jacobian, J_b d = Φ(q₁) − Φ(q₀), J_c the mean (Φ_q(q₀) + Φ_q(q₁))/2, J₁ = Φ_q(q₁); Q̄ the forces' mean, whose
-/// work Q̄ᵀd is exactly what their potentials lose and what is put in and dissipated.
+/// J_b is the discrete Jacobian, J_b d = Φ(q₁) − Φ(q₀); J_c the mean (Φ_q(q₀) + Φ_q(q₁))/2; J₁ = Φ_q(q₁); Q̄ the mean forces, whose
+/// work Q̄ᵀd is exactly the loss of their potentials plus the work of inputs minus dissipation.
 pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
-    /// What depends on q₀ and d only, and is computed once per d.
+    /// Discrete derivatives of the joints; they depend on q₀ and d only and are computed once per d.
     type Secant;
-    /// What is left of the unknowns where the loops are cut.
+    /// Unknowns that remain with the loops cut.
     type CutUnknowns;
-    /// See [`Discrete::cut`].
+    /// The step with its loops cut, see [`Discrete::cut`].
     type Cut<'a>: CutStep<N, M, Unknowns = Self::CutUnknowns, Secant = Self::Secant>
     where
         Self: 'a;
 
-    /// From the pose at q₀ along d.
+    /// Discrete derivatives along d from the pose at q₀.
     fn secant(&self, begin: &Self::Pose, d: &Vector<N>) -> Self::Secant;
-    /// The pose at q₁.
+    /// Pose at q₁.
     fn end(secant: &Self::Secant) -> &Self::Pose;
     /// J_bᵀ Λ.
     fn discrete_transposed_times(&self, secant: &Self::Secant, multipliers: &Vector<M>) -> Vector<N>;
     /// J_cᵀ ν.
     fn mean_transposed_times(&self, secant: &Self::Secant, multipliers: &Vector<M>) -> Vector<N>;
-    /// The discrete derivative of νᵀ Φ_q z with respect to q: its product with d is νᵀ (Φ_q(q₁) − Φ_q(q₀)) z.
-    fn turning_transposed_times(&self, secant: &Self::Secant, z: &Vector<N>, multipliers: &Vector<M>) -> Vector<N>;
+    /// Discrete derivative of νᵀ Φ_q z with respect to q, K_b(z)ᵀν: its product with d is νᵀ (Φ_q(q₁) − Φ_q(q₀)) z.
+    fn discrete_hessian_times(&self, secant: &Self::Secant, z: &Vector<N>, multipliers: &Vector<M>) -> Vector<N>;
     /// M⁻¹ x.
     fn apply_inverse_mass(&self, x: &Vector<N>) -> Vector<N>;
 
-    /// Q̄.
+    /// Mean forces Q̄, N and N·m.
     fn mean_forces(&self, over: &StepIncrement<'_, Self::Secant, N>) -> Vector<N>;
-    /// What the inputs put in and what is dissipated over the step, J. Asked only if [`System::follows_work`].
+    /// Work of inputs and dissipation over the step, J. Called only if [`System::follows_work`].
     fn work_over(&self, over: &StepIncrement<'_, Self::Secant, N>) -> Work;
 
-    /// The step of h seconds from q₀ and q̇₀ with its loops cut: in coordinates in which all joints but some are met, whose forces follow
-    /// from what the bodies between them take. What is left has the same roots and is small.
+    /// The step of `h` seconds from q₀ and q̇₀ with its loops cut: joint coordinates meet all joints but the cut ones, and forces
+    /// of the other joints follow from the bodies between them. The reduced equations have the same roots.
     fn cut<'a>(&'a self, begin: &'a Self::Pose, at: [&'a Vector<N>; 2], h: f64) -> Self::Cut<'a>;
-    /// Of d, Λ and ν the unknowns of that.
+    /// Reduced unknowns of d, Λ and ν.
     fn cut_unknowns(&self, d: &Vector<N>, multipliers: [&Vector<M>; 2]) -> Self::CutUnknowns;
-    /// Whether Λ and ν may be found in turn, with the loops cut: inertias are not far apart.
-    fn alternates(&self) -> bool;
-    /// Newton's increments of d, Λ and ν with the whole tangent; e weighs increments only.
+    /// Whether the staggered iteration on Λ and ν is applicable: inertias differ by little enough for it to contract.
+    fn allows_staggering(&self) -> bool;
+    /// Newton increments of d, Λ and ν with the whole tangent; e weighs increments only.
     fn newton(
         &self,
         over: &StepIncrement<'_, Self::Secant, N>,
@@ -51,60 +51,60 @@ pub trait Discrete<const N: usize, const M: usize>: System<N, M, Pose: Clone> {
         regularization: f64,
     ) -> (Vector<N>, [Vector<M>; 2]);
 
-    /// Whether no effect dissipates or drives, so that no law can be made softer, see [`StepIncrement::softening`].
+    /// Whether no effect dissipates or drives, so that no law can be softened, see [`StepIncrement::softening`].
     fn is_conservative(&self) -> bool;
 }
 
-/// A step as the forces see it.
+/// Increment of a step, as forces take it.
 #[derive(Clone, Copy, Debug)]
 pub struct StepIncrement<'a, S, const N: usize> {
-    /// q₀.
+    /// Coordinates q₀ at the beginning, m and rad.
     pub q: &'a Vector<N>,
-    /// q₁ − q₀.
+    /// Increment q₁ − q₀, m and rad.
     pub d: &'a Vector<N>,
-    /// q̇₁.
+    /// Velocities q̇₁ at the end, m/s and rad/s.
     pub v: &'a Vector<N>,
-    /// The step, s.
+    /// Step length, s.
     pub h: f64,
-    /// Factor on the rates at which friction and servos turn, 1 but on the way to a root that Newton's method does not find at once.
+    /// Factor on the regularisation rates of friction and servos; 1 except in a homotopy to a root.
     pub softening: f64,
-    /// What belongs to q₀ and d.
+    /// Discrete derivatives at q₀ and d.
     pub secant: &'a S,
 }
 
-/// A step whose loops are cut: ν by a linear equation for a given d, Newton's method on d and Λ.
+/// A step with cut loops: ν from a linear equation for given d, Newton's method on d and Λ.
 pub trait CutStep<const N: usize, const M: usize> {
-    /// What is left of the unknowns d, Λ and ν.
+    /// Reduced unknowns of d, Λ and ν.
     type Unknowns;
-    /// [`Discrete::Secant`].
+    /// Discrete derivatives, [`Discrete::Secant`].
     type Secant;
-    /// How the system moves at some unknowns.
+    /// Motion of the system at given unknowns.
     type Motion;
-    /// What forces make of it.
+    /// Momentum balance of a motion with its residuals.
     type Balance;
-    /// A factorised matrix.
+    /// Factorised Newton matrix.
     type Factor;
 
-    /// Meets the constraints of the rates, by ν. e weighs how ν changes only.
+    /// Motion whose rates meet the velocity constraints, by solving for ν; e weighs the change of ν only.
     fn motion(&self, x: &Self::Unknowns, regularization: f64) -> Self::Motion;
-    /// What that leaves of the momentum.
+    /// Momentum balance of a motion.
     fn balance(&self, motion: &Self::Motion) -> Self::Balance;
-    /// What is left: of the momentum, as an angle, rad; of Φ and of h/2 times its rate, m.
-    fn left(&self, motion: &Self::Motion, balance: &Self::Balance) -> [f64; 3];
-    /// The matrix of Newton's method for d and Λ: e weighs increments only.
+    /// Residuals: momentum as an angle, rad; Φ, m; h/2 times the rate of Φ, m.
+    fn residuals(&self, motion: &Self::Motion, balance: &Self::Balance) -> [f64; 3];
+    /// Newton matrix for d and Λ; e weighs increments only.
     fn factor(&self, motion: &Self::Motion, balance: &Self::Balance, regularization: f64) -> Self::Factor;
-    /// The unknowns with Newton's increments, by the matrix of this motion or one close by.
-    fn improved(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Unknowns;
-    /// The motion with the rates, and Λ, of these increments, but on its own way.
+    /// Unknowns after a Newton increment with the matrix of this or a nearby motion.
+    fn newton_update(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Unknowns;
+    /// Motion with rates and Λ after a Newton increment, at unchanged d.
     fn with_rates(&self, motion: &Self::Motion, balance: &Self::Balance, factor: &Self::Factor) -> Self::Motion;
-    /// [`System::error_norm`] of d.
-    fn turn(x: &Self::Unknowns) -> f64;
-    /// The unknowns, with the ν of this motion.
+    /// Error norm of d, see [`System::error_norm`], rad.
+    fn rotation_norm(x: &Self::Unknowns) -> f64;
+    /// Unknowns of a motion, with its ν.
     fn unknowns(motion: &Self::Motion) -> Self::Unknowns;
-    /// d and q̇₁.
+    /// Increment d and velocity q̇₁ at the end.
     fn end(&self, motion: &Self::Motion) -> [Vector<N>; 2];
-    /// What depends on d.
+    /// Discrete derivatives of a motion.
     fn secant(&self, motion: &Self::Motion) -> Self::Secant;
-    /// Λ and ν of all joints.
+    /// Multipliers Λ and ν of all joints.
     fn multipliers(&self, motion: &Self::Motion) -> [Vector<M>; 2];
 }

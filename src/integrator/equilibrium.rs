@@ -1,11 +1,11 @@
-//! q̈ and λ that belong to q, q̇ and the forces.
+//! Dynamic equilibrium: accelerations q̈ and multipliers λ at given q, q̇ and forces (`docs/method.md`, (16)).
 
 use super::{Kkt, System, Work};
 use crate::vector::Vector;
 
 /// Solves M q̈ + Φ_qᵀ λ = Q, Φ_q q̈ = −Φ̇_q q̇.
 ///
-/// With e = 1/(κ m̄) in the place of 0 the solution is unique also where Φ_q loses rank: the multipliers are then those of minimum norm.
+/// With e = 1/(κ m̄) in the place of 0 the solution is unique also where Φ_q loses rank: λ has minimum norm there.
 #[inline(never)]
 pub fn equilibrium<const N: usize, const M: usize>(
     system: &impl System<N, M>,
@@ -17,7 +17,7 @@ pub fn equilibrium<const N: usize, const M: usize>(
     equilibrium_at(system, q, &pose, v, &system.factor_mass_in_place(&pose, regularization))
 }
 
-/// The same, with the power of the forces, from the pose.
+/// Solves for q̈ and λ at a given pose, and evaluates the power of the forces, W.
 #[inline(never)]
 pub(super) fn equilibrium_with_power<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
@@ -29,7 +29,7 @@ pub(super) fn equilibrium_with_power<const N: usize, const M: usize, S: System<N
     (a, lambda, power)
 }
 
-/// q̈ and the power at rates v, `by` away from a q where turns begin.
+/// Acceleration q̈ and power at rates `v`, `by` away from the base of small-angle updates.
 #[inline(always)]
 pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
@@ -38,14 +38,14 @@ pub(super) fn acceleration_near<const N: usize, const M: usize, S: System<N, M>>
     v: &Vector<N>,
     regularization: f64,
 ) -> (Vector<N>, Work) {
-    let pose = system.pose_near(from, by);
+    let pose = system.pose_from_base(from, by);
     let q = *from.0 + *by;
     let (forces, power) = system.forces_and_power(&q, &pose, v);
     let (a, _) = equilibrium_under(system, &forces, (&q, &pose, v), &system.factor_mass(&pose, regularization));
     (a, power)
 }
 
-/// The same with pose and factor at hand.
+/// Solves for q̈ and λ with given pose and factorised mass matrix.
 #[inline(always)]
 pub fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
@@ -57,7 +57,7 @@ pub fn equilibrium_at<const N: usize, const M: usize, S: System<N, M>>(
     equilibrium_under(system, &system.forces(q, pose, v), (q, pose, v), mass)
 }
 
-/// The same with the forces at hand.
+/// Solves for q̈ and λ with given forces, pose and factorised mass matrix.
 #[inline(always)]
 pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,
@@ -66,9 +66,9 @@ pub(super) fn equilibrium_under<const N: usize, const M: usize, S: System<N, M>>
     mass: &S::Mass,
 ) -> (Vector<N>, Vector<M>) {
     let (a, lambda) = mass.solve_in_place(forces, &-system.phi_q_dot_times(pose, v));
-    // Copies, which are made only where something is held: what is pointed to has to be in memory, and so has what a call returns, for
-    // all who share its place. A sum with 0 has a place of its own.
-    if system.holds() {
+    // Copies are made only where friction sticks: arguments by reference and returned values must be in memory, for all callers.
+    // Adding 0 forces a copy, so the other case stays in registers.
+    if system.has_sticking() {
         let (held, by) = system.with_friction_reaction(*q, *v, (a, lambda));
         return (Vector::ZERO + held, Vector::ZERO + by);
     }

@@ -1,51 +1,51 @@
-//! Why a step could not be done.
+//! Errors of a step, with the sentences that users see.
 
 use std::fmt;
 
-/// Why a step could not be done.
+/// Error of a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum StepError {
-    /// Newton did not meet its tolerance.
+    /// Newton's method did not meet its tolerance.
     NotConverged {
-        /// Iterations spent.
+        /// Number of iterations taken.
         iterations: u32,
         /// Largest constraint violation left, m.
         violation: f64,
-        /// What was asked for, m.
+        /// Admissible constraint violation, m.
         tolerance: f64,
-        /// Largest last correction of a coordinate, m or rad, which is judged as well.
+        /// Largest last correction of a coordinate, m or rad, which is bounded too.
         correction: f64,
     },
-    /// The tangent matrix is not positive: the step is too long for this posture and load.
+    /// The tangent matrix is not positive definite: the step is too long for this posture and load.
     IndefiniteTangent,
-    /// The equations of a conserving step were not solved by plain Newton's method, and no rescue is allowed.
+    /// Plain Newton iteration did not solve a conserving step, and `solver.maxWork` = 0 allows no fallback.
     NoRootWithin {
-        /// Iterations spent.
+        /// Number of iterations taken.
         iterations: u32,
     },
-    /// Nor was there a shorter way that keeps the energy.
+    /// Neither a root nor an energy-conserving end was found by the fallback stages.
     FallbackFailed,
     /// A value became NaN or infinite.
     NotFinite,
-    /// Close to a vertex a sub-step changed the energy.
+    /// Close to a vertex a sub-step changed the kinetic energy.
     EnergyChange {
-        /// By this part of the kinetic energy.
+        /// Relative change of the kinetic energy.
         part: f64,
     },
-    /// The local error is too large however short the sub-step.
+    /// The local error is inadmissible at the shortest sub-step.
     StepTooShort {
-        /// The last sub-step tried, s.
+        /// Length of the last sub-step tried, s.
         substep: f64,
-        /// Its local error, rad; NaN if it failed altogether.
+        /// Local error of that sub-step, rad; NaN if there is no estimate.
         error: f64,
     },
-    /// The local error, or sub-steps that failed, asked for more iterations or evaluations than one macro step may have.
+    /// Rejected and failed sub-steps exceeded the work limit of a macro step.
     TooMuchWork {
-        /// The bound.
+        /// Limit of iterations and evaluations.
         most: u32,
-        /// The last sub-step tried, s.
+        /// Length of the last sub-step tried, s.
         substep: f64,
-        /// Its local error, rad; infinite if it failed altogether.
+        /// Local error of that sub-step, rad; infinite if there is no estimate.
         error: f64,
     },
 }
@@ -88,7 +88,7 @@ impl fmt::Display for StepError {
 
 impl std::error::Error for StepError {}
 
-/// What became of a sub-step by its local error, rad.
+/// Local error of a sub-step, rad, formatted as the end of a sentence.
 struct LocalError(f64);
 
 impl fmt::Display for LocalError {

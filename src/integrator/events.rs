@@ -1,8 +1,8 @@
-//! What a method that follows its error asks of a system whose forces have kinks.
+//! Hybrid systems: guards, modes and transitions of forces with discontinuities (stops, contact, stick-slip friction).
 //!
-//! Between its kinks a force is one smooth formula, which also holds a little beyond them. A step is made by the formulas of the sides on
-//! which it begins, so that all its stages see a smooth force; where its motion crosses a border it ends, and the next step begins
-//! behind it. No order is lost, and no touch between stages is missed.
+//! Within a mode every force is one smooth formula, which also extends a little past its guards. A step uses the formulas of one
+//! mode, so that all stages see smooth forces; where the motion crosses a guard the step ends, and the next one begins in the next
+//! mode. The order of the method is kept, and no contact between stages is missed.
 
 use std::borrow::Borrow;
 use std::fmt::Debug;
@@ -11,125 +11,126 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use crate::vector::Vector;
 
-/// Magnitudes that are not exceeded on a way.
+/// Bounds on rates and accelerations over a step.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extremes<const N: usize> {
-    /// Of q̇.
+    /// Bounds on |q̇|, m/s and rad/s.
     pub rates: Vector<N>,
-    /// Of q̈.
+    /// Bounds on |q̈|, m/s² and rad/s².
     pub accelerations: Vector<N>,
-    /// Of the first two derivatives of q̈, where they are known.
+    /// Bounds on the first two derivatives of q̈, where they are known, per s³ and s⁴.
     pub higher: Option<[Vector<N>; 2]>,
 }
 
-/// A system that knows its kinks. By default it has none.
+/// A hybrid system. By default it has one mode and no events.
 pub trait Events<const N: usize>: Sized {
-    /// On which side of each kink its forces are.
+    /// Mode: the smooth formula in use for every force.
     type Mode: Copy + Debug + PartialEq + BorshSerialize + BorshDeserialize;
-    /// What a state is to its kinks.
+    /// Guard values at a state.
     type GuardValues;
 
-    /// Whether it has any.
+    /// Whether the system has any events.
     fn has_events(&self) -> bool {
         false
     }
 
-    /// Whether its sides are ever others than at the start.
+    /// Whether the mode can ever change.
     fn has_modes(&self) -> bool {
         self.has_events()
     }
 
-    /// Whether any of its kinks is where something begins to touch.
+    /// Whether any event is the beginning of a contact.
     fn may_make_contact(&self) -> bool {
         false
     }
 
-    /// The least change of a rate of a coordinate, 1/s times its unit, that turns a force round: more than a method may overlook.
+    /// Smallest regularisation velocity of a force, in 1/s times the unit of the coordinate; a method must resolve it.
     fn regularization_velocity(&self) -> f64 {
         f64::INFINITY
     }
 
-    /// Whether forces bend sharply without a kink.
+    /// Whether forces have sharp nonlinearities without an event.
     fn has_sharp_nonlinearity(&self) -> bool {
         false
     }
 
-    /// What a state is to its kinks.
+    /// Guard values at q and q̇.
     fn guard_values(&self, q: &Vector<N>, v: &Vector<N>) -> Self::GuardValues;
 
-    /// The sides of a state by itself.
+    /// Mode that q and q̇ alone determine.
     fn mode_of(&self, q: &Vector<N>, v: &Vector<N>) -> Self::Mode;
 
-    /// The same sides where a motion begins to be on one of several branches.
+    /// The mode with the closure branch on which a motion begins.
     #[inline(always)]
     fn select_branch(&self, mode: Self::Mode, _q: &Vector<N>, _v: &Vector<N>) -> Self::Mode {
         mode
     }
 
-    /// The same system with forces that stay on some sides.
-    fn on(&self, _sides: Self::Mode) -> impl Borrow<Self> {
+    /// The system with forces of a fixed mode.
+    fn on(&self, _mode: Self::Mode) -> impl Borrow<Self> {
         self
     }
 
-    /// How far a state is beyond the sides that hold, in units of what a motion may overlook at a tolerance of its coordinates; negative
-    /// within them.
+    /// Guard residual of a state: distance past the guards of the mode in units of the event tolerance that belongs to `tolerance`;
+    /// negative within the mode.
     fn guard_residual(&self, _at: &Self::GuardValues, _tolerance: f64) -> f64 {
         f64::NEG_INFINITY
     }
 
-    /// The sides behind the border that a state is at.
+    /// Mode after the transition at a state that has reached a guard.
     fn next_mode(&self, q: &Vector<N>, v: &Vector<N>, _tolerance: f64) -> Self::Mode {
         self.mode_of(q, v)
     }
 
-    /// Whether any of its kinks is a grip of dry friction: a side that only a method can remember.
+    /// Whether any event is a stick-slip transition, whose state only the run can remember.
     fn has_stick_slip(&self) -> bool {
         false
     }
 
-    /// Whether anything that touches pushes on these sides.
+    /// Whether any contact or stop pushes in this mode.
     fn has_active_contact(&self) -> bool {
         false
     }
 
-    /// Energy that forces which act no more still show, J: what it loses on the way is dissipated, beside what their power says.
+    /// Elastic energy still stored in springs that have separated, J: the spring dissipates it on the way out, beside the integral
+    /// of its power.
     fn separation_energy(&self, _at: &Self::GuardValues) -> f64 {
         0.0
     }
 
-    /// About how long a motion goes on by formulas that hold on a short way only, s.
+    /// Estimated time until the mode ends, s, where its formulas hold over a short path only.
     fn dwell_time(&self, _at: &Self::GuardValues) -> f64 {
         f64::INFINITY
     }
 
-    /// Whether the whole system is held: nothing moves while the forces stay.
+    /// Whether the whole system sticks: nothing moves while the forces stay constant.
     fn is_at_rest(&self) -> bool {
         false
     }
 
-    /// Whether its grips are those of the sides that hold: nothing has begun to touch, or ceased.
+    /// Whether the stick-slip elements at a state are those of the mode: no contact has begun or ended.
     fn knows_stick_slip(&self, _at: &Self::GuardValues) -> bool {
         true
     }
 
-    /// Whether what slips turns and turns back on the way from one state to another, both given by q, q̇ and q̈, some seconds apart. Asked
-    /// only of grips.
+    /// Whether a slip rate reverses twice between two states, given by q, q̇ and q̈, `duration` seconds apart. Called only with
+    /// stick-slip friction.
     fn reverses_between(&self, _ends: [[&Vector<N>; 3]; 2], _duration: f64, _tolerance: f64) -> bool {
         false
     }
 
-    /// Whether a grip holds while something moves: what it has to hold is known where it is asked for, and not bounded in between.
+    /// Whether friction sticks while the system moves: its reaction is known at evaluated states only, without a bound in between.
     fn sticks_in_motion(&self, _at: &Self::GuardValues) -> bool {
         false
     }
 
-    /// How close what grips hold comes to what they can hold, in units of what may be overlooked; negative below.
+    /// Holding margin of sticking friction: reaction beyond the breakaway bound, in event tolerances; negative below.
     fn holding_margin(&self, _at: &Self::GuardValues, _tolerance: f64) -> f64 {
         f64::NEG_INFINITY
     }
 
-    /// Whether a motion from one state to another, within these bounds on its way of some seconds, certainly crosses no border by more than
-    /// it may overlook, but for what grips hold.
+    /// Whether a motion between two states, `duration` seconds apart and within `extremes`, certainly passes no guard by more than
+    /// the event tolerance, reactions of sticking friction excepted.
     fn stays_within(&self, _ends: [&Self::GuardValues; 2], _duration: f64, _extremes: &Extremes<N>, _tolerance: f64) -> bool {
         true
     }

@@ -1,14 +1,14 @@
-//! The default method: index-3 augmented Lagrangian with velocity and acceleration projections, in dual form.
+//! The default method: index-3 augmented Lagrangian with projections (i3-ALP) in dual form, with error-controlled sub-steps.
 //!
-//! `docs/method.md` derives it from the paper's equations. With A₀ the tangent without penalty and e = 1/(αβ), the penalty step
-//! (A₀ + αβ Φ_qᵀΦ_q) Δq = −f, λ* ← λ* + αΦ is the saddle-point system
+//! `docs/method.md` (section 5) derives the step from the paper's equations. With A₀ the tangent without penalty and e = 1/(αβ), the
+//! penalty step (A₀ + αβ Φ_qᵀΦ_q) Δq = −f, λ* ← λ* + αΦ is equivalent to the saddle-point system
 //!
 //! ```text
 //! [ A₀   Φ_qᵀ ] [ Δq ]   [ β Q − M (β q̈ₙ + δ) ]
 //! [ Φ_q   −e  ] [ βλ ] = [ −Φ − e β λ*         ]        β = h²/4
 //! ```
 //!
-//! in which the unknown is the total multiplier: nothing large enters a diagonal, nothing winds up.
+//! in the total multiplier λ: nothing large enters a diagonal, and no multiplier accumulates over the steps.
 
 mod damping;
 mod events;
@@ -22,42 +22,43 @@ use super::{
 };
 use crate::vector::Vector;
 use events::{Outcome, Search};
-use newton::{Found, Step, constraint_tolerance};
+use newton::{Solution, Step, constraint_tolerance};
 use std::borrow::Borrow;
-use stiff_forces::{drive_work, steep_error};
+use stiff_forces::{drive_work, stiff_error};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Whether a macro step is divided into as many sub-steps as the local error asks.
+    /// Whether a macro step is divided into sub-steps by the local error.
     pub adaptive: bool,
-    /// Local error allowed per sub-step, over the link angles, rad.
+    /// Admissible local error per sub-step, over the link angles, rad.
     pub error_tolerance: f64,
-    /// Newton: constraint violation relative to the system's size, at h = 1 ms.
+    /// Admissible constraint violation of Newton's method, relative to the system's size, at h = 1 ms.
     pub tolerance: f64,
-    /// Most Newton iterations per sub-step.
+    /// Largest number of Newton iterations per sub-step.
     pub max_iterations: u32,
-    /// More work than this in one macro step, that of rejected sub-steps included, ends it with a status: a call never hangs. Newton iterations
-    /// by what their linear solve costs, tries of line searches, sub-steps.
+    /// Largest work per macro step, rejected sub-steps included, so that every call ends: Newton iterations weighted by the cost of
+    /// their linear solve, plus line-search trials, plus sub-steps.
     pub max_work: u32,
-    /// The balance of energy of a step may be off by the error tolerance times this, J, where forces change steeply.
+    /// Energy, J, by which the error tolerance is multiplied to bound the error of a step's energy balance; used with stiff forces.
     pub energy_scale: f64,
-    /// Energy at the start, J, of a run where forces change steeply.
+    /// Total energy at the start, J; used with stiff forces.
     pub energy_at_start: f64,
-    /// e = 1/(αβ) = 1/(κ m̄), 1/kg, for a penalty α of κ times m̄/β: the same at every h.
+    /// Regularisation e = 1/(αβ) = 1/(κ m̄), 1/kg, for the penalty α = κ m̄/β, at every h.
     pub regularization: f64,
 }
 
-/// Over a step shorter than this, s, a change of q̈ is round-off and gives no jerk.
+/// Shortest sub-step from which the predictor takes a jerk, s: below it the change of q̈ is round-off.
 const SHORTEST_FOR_JERK: f64 = 1e-10;
-/// A step shorter than this, s, moves on by its Taylor series, which is then exact: Newton would divide round-off by h².
+/// Shortest step solved by Newton's method, s: below it the Taylor series is exact, while Newton's method would divide round-off by
+/// h².
 const SHORTEST_FOR_NEWTON: f64 = 1e-12;
-/// The local error is of third order.
+/// Step-size controller for a local error of third order.
 const CONTROLLER: StepSizeController =
     StepSizeController { exponent: 1.0 / 3.0, memory: 0.0, accepted: [0.5, 2.0], rejected: [0.1, 0.7], failed: 0.35 };
 
-/// One macro step of h seconds, from the sides on which the grips of dry friction are: in one step, or in sub-steps. On failure state and
-/// sides are undefined: the caller keeps a copy.
+/// One macro step of `h` seconds from `mode`, in one step or in sub-steps. On failure `state` and `mode` are undefined, so the
+/// caller keeps a copy.
 #[inline(never)]
 pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
     system: &S,
@@ -73,10 +74,10 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
     Ok(())
 }
 
-/// A macro step in equal parts, as many as the local error asks, asked anew after each.
+/// A macro step of `duration` seconds in error-controlled sub-steps; the rest is divided into equal parts again after each.
 #[inline(never)]
 fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
-    without_sides: &S,
+    base_system: &S,
     settings: &Settings,
     (state, mode): (&mut State<N, M>, &mut S::Mode),
     duration: f64,
@@ -85,12 +86,12 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
     let (mut rest, mut h, mut error) = (duration, duration, f64::INFINITY);
     let mut search = Search::NONE;
     let done = state.counters.iterations;
-    // Every round counts as one more: one through a vertex has no iteration.
+    // Each pass of the loop counts as one unit of work, because a transit through a vertex takes no iteration.
     for rounds in 0.. {
-        if rounds + without_sides.iteration_work() * (state.counters.iterations - done) > u64::from(settings.max_work) {
+        if rounds + base_system.iteration_work() * (state.counters.iterations - done) > u64::from(settings.max_work) {
             break;
         }
-        let in_mode = without_sides.on(*mode);
+        let in_mode = base_system.on(*mode);
         let system: &S = in_mode.borrow();
         if system.is_at_rest() {
             state.counters.substeps += 1;
@@ -100,7 +101,7 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
             Approach::Clear => StepLimits::NONE,
             Approach::Limited(limits) => limits,
             Approach::Passed(transit) => {
-                rest = pass(without_sides, settings, state, (mode, &transit), rest)?;
+                rest = pass(base_system, settings, state, (mode, &transit), rest)?;
                 if rest <= 0.0 {
                     return Ok(());
                 }
@@ -116,20 +117,20 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
                 let outcome = if system.has_stick_slip() {
                     search.judge(system, settings, state, (&attempt.end, h))
                 } else {
-                    Outcome::Passes
+                    Outcome::NoEvent
                 };
-                if outcome == Outcome::Again {
+                if outcome == Outcome::Retry {
                     state.counters.rejected += 1;
                     continue;
                 }
                 let last = h >= rest;
                 state.substep = next_step(h, CONTROLLER.growth(ln(error / tolerance), LEAST_LOG_ERROR), state.substep);
-                if settings.watches_rates(system) {
+                if settings.controls_rates(system) {
                     state.work.input += drive_work(system, h, state, &attempt.end);
                 }
                 attempt.accept(system, state, h);
-                if outcome == Outcome::Turns {
-                    events::turn(system, settings, state, mode);
+                if outcome == Outcome::Event {
+                    events::apply_transition(system, settings, state, mode);
                 }
                 search = Search::NONE;
                 if last {
@@ -141,7 +142,7 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
                 search = Search::NONE;
                 if let Some(transit) = system.cross_bifurcation(&state.q, &state.v, h) {
                     state.counters.rescued += 1;
-                    rest = pass(without_sides, settings, state, (mode, &transit), rest)?;
+                    rest = pass(base_system, settings, state, (mode, &transit), rest)?;
                     if rest <= 0.0 {
                         return Ok(());
                     }
@@ -156,29 +157,30 @@ fn in_substeps<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + 
     Err(StepError::TooMuchWork { most: settings.max_work, substep: h, error })
 }
 
-/// Goes where the system has gone by itself; what is left of so many seconds.
+/// Applies a transit through a vertex or bifurcation, and returns the time left of `rest`, s.
 #[cold]
 fn pass<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
-    without_sides: &S,
+    base_system: &S,
     settings: &Settings,
     state: &mut State<N, M>,
     (mode, transit): (&mut S::Mode, &Transit<N>),
     rest: f64,
 ) -> Result<f64, StepError> {
-    state.pass_through(without_sides.on(*mode).borrow(), transit, settings.regularization)?;
-    *mode = without_sides.mode_of(&state.q, &state.v);
+    state.pass_through(base_system.on(*mode).borrow(), transit, settings.regularization)?;
+    *mode = base_system.mode_of(&state.q, &state.v);
     Ok(rest - transit.duration)
 }
 
-/// A sub-step that converged, not yet accepted.
+/// A sub-step that converged and is not accepted yet.
 struct Attempt<const N: usize, const M: usize> {
     end: StepEnd<N, M>,
     /// Local error, rad.
     error: f64,
 }
 
-/// One step of h: predictor, Newton on positions and total multipliers, velocity projection, acceleration from equilibrium.
-#[inline(never)] // one copy for fixed steps and sub-steps: 33 kB, for 1.5 % more instructions of a bare step
+/// One step of `h` seconds (`docs/method.md`, section 5): predictor and Newton's method on δ and λ, (5) to (11); velocity projection
+/// (15); acceleration and multipliers from equilibrium (16); local error (18).
+#[inline(never)] // one shared copy for fixed steps and sub-steps saves 33 kB and costs 1.5 % of the instructions of a bare step
 fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
     system: &S,
     settings: &Settings,
@@ -190,51 +192,54 @@ fn attempt<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Even
         return taylor_step(system, state, h, settings.regularization);
     }
     let settings = Settings { regularization: limits.regularization * settings.regularization, ..*settings };
+    // Predictor (19), then Newton's method (9) with its fallbacks.
     let mut step = Step::predict(state, h, constraint_tolerance(&settings, system.length_scale(), h));
-    let mut again = false;
+    let mut retried = false;
     let found = loop {
         match newton::solve(system, &settings, &mut step, &mut state.counters) {
             Ok(found) => break found,
-            // Stiff friction lets the rates stay what they are, where the accelerations foretell others.
-            Err(_) if settings.watches_rates(system) && !again => (step, again) = (step.with_rates_of(state), true),
+            // Stiff friction keeps the rates constant where the predicted accelerations would change them.
+            Err(_) if settings.controls_rates(system) && !retried => (step, retried) = (step.with_constant_rates(state), true),
             Err(error) => {
-                break line_search::solve(&system.general(), settings, step.anew(state), &mut state.counters).ok_or(error)?;
+                break line_search::solve(&system.general(), settings, step.without_jerk(state), &mut state.counters)
+                    .ok_or(error)?;
             }
         }
     };
 
-    // Project the velocity, then the acceleration and the multipliers from equilibrium: one factor serves both.
-    let Found { q, pose, v } = found;
+    // Projection of the velocity (15), then acceleration and multipliers from equilibrium (16): one factorisation serves both.
+    let Solution { q, pose, v } = found;
     let mass = system.factor_mass_in_place(&pose, settings.regularization);
     let correction = velocity_correction(system, &pose, &mass, &v);
     let mut v = v + correction;
-    if system.holds() {
+    if system.has_sticking() {
         v = system.project_sticking(q, v);
     }
     if let Some(energy) = &limits.energy {
         v = system.energy_scale(energy, &q, &v, h)? * v;
     }
     let mut end = StepEnd::in_balance(system, [q, v], &pose, &mass);
-    // Next to a vertex the rates have been given their energy.
-    if settings.watches_rates(system) && limits.energy.is_none() {
+    // Next to a vertex the rates are already scaled to the energy.
+    if settings.controls_rates(system) && limits.energy.is_none() {
         end = damping::damped(system, &settings, state, h, (&pose, &mass), end);
     }
     let mut error = local_error(system, h, &(end.a - state.a), &correction);
-    if settings.watches_rates(system) {
-        error = error.max(steep_error(system, &settings, state, h, (&pose, &end)));
+    if settings.controls_rates(system) {
+        error = error.max(stiff_error(system, &settings, state, h, (&pose, &end)));
     }
     if error.is_finite() && end.a.is_finite() { Ok(Attempt { end, error }) } else { Err(StepError::NotFinite) }
 }
 
 impl Settings {
-    /// Whether rates are judged beside the angles: where forces change steeply with them, the angles do not tell that they ring.
+    /// Whether the error of the rates is controlled beside that of the angles: with stiff forces, rates oscillate at almost
+    /// constant angles.
     #[inline(always)]
-    fn watches_rates<const N: usize, const M: usize>(&self, system: &impl Implicit<N, M>) -> bool {
+    fn controls_rates<const N: usize, const M: usize>(&self, system: &impl Implicit<N, M>) -> bool {
         self.adaptive && system.has_stiff_forces()
     }
 }
 
-/// A step so short that q̈ and λ stay but for round-off.
+/// A step so short that q̈ and λ change by round-off only.
 #[cold]
 fn taylor_step<const N: usize, const M: usize>(
     system: &impl Implicit<N, M>,
@@ -259,11 +264,12 @@ impl<const N: usize, const M: usize> Attempt<N, M> {
             state.work = state.work.plus(h / 2.0, state.power).plus(h / 2.0, end.power);
         }
         state.error_estimate = error;
-        state.arrive(&end);
+        state.take_over(&end);
     }
 }
 
-/// Local error of a step of h over the angles: of the trapezoidal rule, from the change of q̈, and of the velocity projection.
+/// Local error of a step of h over the angles, rad (18): of the trapezoidal rule, from the change of q̈, and of the velocity
+/// projection.
 #[inline(always)]
 pub(super) fn local_error<const N: usize, const M: usize>(
     system: &impl Implicit<N, M>,

@@ -1,8 +1,8 @@
-//! The strictly fixed step that conserves: index-3 augmented Lagrangian on the energy–momentum rule, with both levels of the constraints
-//! met by discrete derivatives.
+//! Energy-conserving step of fixed length: index-3 augmented Lagrangian on the energy–momentum rule, with position and velocity
+//! constraints met by discrete derivatives (Gonzalez 1996; García Orden and Ortega 2006; Gear, Leimkuhler, Gupta 1985).
 //!
-//! `docs/conserving.md` derives it. Unknowns are the increments d = q₁ − q₀, Λ = h²λ/2 of the joint forces and ν, which holds the
-//! velocities; with z = d − M⁻¹J_cᵀν, the mean of h q̇₀ and h q̇₁:
+//! `docs/conserving.md` derives it. Unknowns are the increment d = q₁ − q₀, Λ = h²λ/2 with the joint forces λ, and the multipliers ν of
+//! the velocity constraints; with z = d − M⁻¹J_cᵀν, the mean of h q̇₀ and h q̇₁:
 //!
 //! ```text
 //! M (z − h q̇₀) + J_bᵀ Λ + ½ K_b(z)ᵀ ν = ½ h² Q̄       momentum
@@ -10,9 +10,9 @@
 //! J₁ w = 0,   w = h q̇₁ = 2z − h q̇₀                    velocities
 //! ```
 //!
-//! J_b d = ΔΦ = 0 and K_b(z) d = (J₁ − J₀) z make the constraints' forces do no work, whatever the step; Q̄ᵀd is what potentials lose.
-//! So energy, Φ and Φ̇ are kept to round-off, and no local error is estimated: the step is h. One that plain Newton's method does not
-//! solve climbs the ladder of `fallback.rs`.
+//! J_b d = ΔΦ = 0 and K_b(z) d = (J₁ − J₀) z, so constraint forces do no work at any h; Q̄ᵀd is the work of the applied forces. So
+//! energy, Φ and Φ̇ are conserved to round-off, and no local error is estimated. Steps that plain Newton iteration does not solve go
+//! through the stages of `fallback.rs`.
 
 mod equations;
 mod fallback;
@@ -24,31 +24,32 @@ use super::{Counters, CutStep, Discrete, Inconsistency, Passage, State, StepErro
 use crate::vector::Vector;
 use equations::{Evaluation, Step, Unknowns};
 use fallback::{Recovered, from_equilibrium, recover_by_stages};
-use newton::{Allowance, Bounds, Until, full_newton, staggered_newton};
+use newton::{Bounds, IterationBudget, StopRule, full_newton, staggered_newton};
 
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Most Newton iterations of the first try.
+    /// Largest number of Newton iterations of the first try.
     pub max_iterations: u32,
-    /// Most Newton iterations of one step and its rescue but the last rung; 0: no rescue but a better first guess.
+    /// Largest number of Newton iterations of one step with its fallback stages, the energy-only stage excepted; 0: no fallback but
+    /// a better first guess.
     pub max_work: u32,
-    /// e of the step's systems, 1/kg: it weighs increments, and moves no root.
+    /// Regularisation e of the step's systems, 1/kg: it weighs increments and moves no root.
     pub regularization: f64,
-    /// e of equilibrium and projections, 1/kg.
+    /// Regularisation e of equilibrium and projections, 1/kg.
     pub equilibrium: f64,
 }
 
-/// A step shorter than this, s, moves on by its Taylor series.
+/// Shortest step solved by Newton's method, s; shorter ones take the Taylor series.
 const SHORTEST: f64 = 1e-12;
-/// Accelerations below this, m/s² and rad/s², are round-off.
+/// Accelerations below this bound, m/s² and rad/s², are round-off.
 const BALANCED: f64 = 1e-12;
-/// Steps that the extrapolation of the unknowns looks back on.
-const REMEMBERED: usize = 6;
-/// Those that a parabola takes.
+/// Number of past steps that the extrapolation of the unknowns uses.
+const HISTORY_LENGTH: usize = 6;
+/// Number of past steps that a quadratic extrapolation uses.
 const PARABOLA: usize = 3;
 
-/// A run: accelerations and joint forces are no part of it, they follow from equilibrium when they are asked for.
+/// State of a run. Accelerations and joint forces are not part of it: they follow from equilibrium when they are read.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct ConservingRun<const N: usize, const K: usize> {
     /// Coordinates, m and rad.
@@ -57,34 +58,34 @@ pub struct ConservingRun<const N: usize, const K: usize> {
     pub v: Vector<N>,
     /// Work since the start, J.
     pub work: Work,
-    /// [`super::System::configuration_signs`] of q.
+    /// Signs of the singularity determinants at q, see [`super::System::configuration_signs`].
     pub configuration_signs: u8,
     /// Counters since the start.
     pub counters: Counters,
-    memory: Memory<K>,
+    history: History<K>,
 }
 
-/// The unknowns of the last steps, with the loops cut, from which those of the next are extrapolated.
+/// Loop-cut unknowns of past steps, from which those of the next step are extrapolated.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-struct Memory<const K: usize> {
-    /// The length of these steps, s.
+struct History<const K: usize> {
+    /// Length of these steps, s.
     h: f64,
-    /// How many there are.
+    /// Number of steps stored.
     known: u8,
-    /// The latest first.
-    x: [Vector<K>; REMEMBERED],
+    /// Unknowns, latest step first.
+    x: [Vector<K>; HISTORY_LENGTH],
 }
 
-impl<const K: usize> Memory<K> {
-    const NONE: Self = Self { h: 0.0, known: 0, x: [Vector::ZERO; REMEMBERED] };
+impl<const K: usize> History<K> {
+    const NONE: Self = Self { h: 0.0, known: 0, x: [Vector::ZERO; HISTORY_LENGTH] };
 
-    /// By the polynomial of the fifth degree through the last steps of the same length, or by a parabola where fewer are known.
+    /// Extrapolates by the polynomial of degree 5 through the last six steps of length `h`, or by a parabola through three.
     #[inline(always)]
     fn extrapolated(&self, h: f64) -> Option<Vector<K>> {
         let Self { known, x: [last, before, third, fourth, fifth, first], .. } = *self;
         match usize::from(known) {
             _ if self.h != h => None,
-            REMEMBERED => Some(6.0 * (last + fifth) - 15.0 * (before + fourth) + 20.0 * third - first),
+            HISTORY_LENGTH => Some(6.0 * (last + fifth) - 15.0 * (before + fourth) + 20.0 * third - first),
             PARABOLA.. => Some(3.0 * (last - before) + third),
             _ => None,
         }
@@ -95,32 +96,33 @@ impl<const K: usize> Memory<K> {
         if self.h != h {
             *self = Self { h, ..Self::NONE };
         }
-        self.known = (self.known + 1).min(REMEMBERED as u8);
+        self.known = (self.known + 1).min(HISTORY_LENGTH as u8);
         self.x = [x, self.x[0], self.x[1], self.x[2], self.x[3], self.x[4]];
     }
 }
 
 impl<const N: usize, const K: usize> ConservingRun<N, K> {
-    /// Begins with q and q̇, which meet the constraints.
+    /// Starts a run at q and q̇, which must meet the constraints.
     pub fn start<const M: usize, S: Discrete<N, M>>(system: &S, q: Vector<N>, v: Vector<N>) -> Self {
         let configuration_signs = system.configuration_signs(&system.pose(&q));
-        Self { q, v, work: Work::default(), configuration_signs, counters: Counters::default(), memory: Memory::NONE }
+        Self { q, v, work: Work::default(), configuration_signs, counters: Counters::default(), history: History::NONE }
     }
 
-    /// The inputs have changed at once, and with them second differences of the motion: what looks at higher ones would be farther off.
+    /// Notes a discontinuity of the inputs, which makes the higher differences of the history useless: a parabola is used until the
+    /// history is full again.
     pub fn change(&mut self) {
-        self.memory.known = self.memory.known.min(PARABOLA as u8);
+        self.history.known = self.history.known.min(PARABOLA as u8);
         self.counters.restarts += 1;
     }
 
-    /// The motion or the machine has changed at once, which did some work: what was extrapolated does not hold any more.
+    /// Notes a discontinuity of the motion or of the machine, which did the given work, J, and clears the history.
     pub fn restart(&mut self, work: Work) {
         self.work += work;
-        self.memory = Memory::NONE;
+        self.history = History::NONE;
         self.counters.restarts += 1;
     }
 
-    /// The state, with q̈, λ and power from equilibrium. Nothing of it is fed back.
+    /// Full state with q̈, λ and power from equilibrium. None of these values is fed back.
     pub fn state<const M: usize, S: Discrete<N, M> + Passage<N>>(&self, system: &S, regularization: f64) -> State<N, M> {
         let &Self { q, v, work, configuration_signs, counters, .. } = self;
         let mut state = State {
@@ -142,8 +144,8 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         state
     }
 
-    /// One step of h seconds. On failure the run is undefined: the caller keeps a copy. `general` is the same system, for what is rare:
-    /// a form of its own that `system` may have is compiled for the first try only.
+    /// One step of `h` seconds. On failure the run is undefined, so the caller keeps a copy. `general` is the unspecialised form of
+    /// `system`; a specialised form is compiled for the first try only.
     #[inline(never)]
     pub fn advance<const M: usize, S, G>(
         &mut self,
@@ -163,38 +165,44 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
                 self.counters.substeps += 1;
                 return Ok(());
             }
-            // Where it was says nothing about its branch.
-            self.memory = Memory::NONE;
+            // After rest the history says nothing about the branch.
+            self.history = History::NONE;
         }
-        let x = match self.memory.extrapolated(h) {
+        let x = match self.history.extrapolated(h) {
             Some(x) => x,
             None => self.predicted_by_equilibrium(general, settings, h),
         };
         let begun = self.counters.iterations;
-        let mut nearby = Some(x);
-        if system.alternates() {
+        let mut guess = Some(x);
+        if system.allows_staggering() {
             let Self { q, v, .. } = *self;
             let pose = system.pose_in_place(&q);
             let cut = system.cut(&pose, [&q, &v], h);
-            let arrive = |end: &_, iterations| {
+            let accept_root = |end: &_, iterations| {
                 self.counters.iterations += u64::from(iterations);
                 let ([d, v], secant) = (cut.end(end), cut.secant(end));
                 let over = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
-                self.arrive(system, &over, S::Cut::unknowns(end))
+                self.accept_root(system, &over, S::Cut::unknowns(end))
             };
-            match staggered_newton(&cut, x, &Bounds::cut(system, h), (settings.regularization, settings.max_iterations), arrive) {
+            match staggered_newton(
+                &cut,
+                x,
+                &Bounds::cut(system, h),
+                (settings.regularization, settings.max_iterations),
+                accept_root,
+            ) {
                 Ok(arrived) => return arrived,
                 Err((left, iterations)) => {
                     self.counters.iterations += u64::from(iterations);
-                    nearby = left;
+                    guess = left;
                 }
             }
         }
         let Self { q, v, .. } = *self;
-        self.at_once(&Step::new(general, [&q, &v], h), settings, (begun, nearby))
+        self.by_full_newton(&Step::new(general, [&q, &v], h), settings, (begun, guess))
     }
 
-    /// Whether the system, at rest, stays there: what Newton's method makes of round-off would drive it from a vertex.
+    /// Whether the system at rest stays at rest; Newton's method would amplify round-off at a vertex.
     #[cold]
     #[inline(never)]
     fn is_in_balance<const M: usize, S: Discrete<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> bool {
@@ -202,7 +210,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a).max_norm() < BALANCED
     }
 
-    /// What equilibrium predicts: at the start, after a change, and where the step has another length.
+    /// First guess of the unknowns from equilibrium: at the start, after a discontinuity, and where h changes.
     #[cold]
     #[inline(never)]
     fn predicted_by_equilibrium<const M: usize, S>(&mut self, system: &S, settings: &Settings, h: f64) -> Vector<K>
@@ -216,28 +224,28 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         system.cut_unknowns(&d, [&lambda, &nu])
     }
 
-    /// By the whole tangent from where Λ and ν in turn have come to, or up the ladder.
+    /// Full Newton iteration from the result of the staggered one; on failure, the fallback stages.
     #[inline(never)]
-    fn at_once<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
+    fn by_full_newton<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
         &mut self,
         step: &Step<'_, S, N, M>,
         settings: &Settings,
-        (begun, nearby): (u64, Option<Vector<K>>),
+        (begun, guess): (u64, Option<Vector<K>>),
     ) -> Result<(), StepError> {
         let &Settings { regularization, max_iterations, .. } = settings;
-        let Some(x) = nearby else { return self.recover(step, settings, begun) };
+        let Some(x) = guess else { return self.recover(step, settings, begun) };
         let cut = step.system.cut(&step.pose, [&step.q, &step.v], step.h);
         let motion = cut.motion(&x, regularization);
         let ([d, _], [lambda, nu]) = (cut.end(&motion), cut.multipliers(&motion));
-        let (mut x, mut allowance) =
-            (Unknowns { d, lambda, nu }, Allowance { left: max_iterations, begun, counters: &mut self.counters });
-        match full_newton(step, &mut x, regularization, (max_iterations, Until::Solved), &mut allowance) {
-            Some(end) => self.arrive_at(step, &x, &end),
+        let (mut x, mut budget) =
+            (Unknowns { d, lambda, nu }, IterationBudget { left: max_iterations, begun, counters: &mut self.counters });
+        match full_newton(step, &mut x, regularization, (max_iterations, StopRule::Solved), &mut budget) {
+            Some(end) => self.accept_full_root(step, &x, &end),
             None => self.recover(step, settings, begun),
         }
     }
 
-    /// Up the ladder, with what the step, begun at this number of iterations, may still take.
+    /// Runs the fallback stages within the iterations left to the step, which began at `begun` iterations.
     #[cold]
     #[inline(never)]
     fn recover<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>> + Passage<N>>(
@@ -249,33 +257,33 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         let &Settings { max_iterations, max_work, equilibrium: e, .. } = settings;
         let (a, lambda) = equilibrium(step.system, &self.q, &self.v, e);
         let a = step.system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
-        let mut allowance = Allowance { left: max_iterations, begun, counters: &mut self.counters };
+        let mut budget = IterationBudget { left: max_iterations, begun, counters: &mut self.counters };
         if max_work > 0 {
-            allowance.left = max_work.saturating_sub(allowance.spent());
+            budget.left = max_work.saturating_sub(budget.spent());
         }
-        match recover_by_stages(step, settings, (&a, &lambda), &mut allowance)? {
-            Recovered::Root(x, end) => self.arrive_at(step, &x, &end),
+        match recover_by_stages(step, settings, (&a, &lambda), &mut budget)? {
+            Recovered::Root(x, end) => self.accept_full_root(step, &x, &end),
             Recovered::Scaled { d, acting, v } => {
-                self.memory = Memory::NONE;
-                self.conclude(step.system, &step.chord(&step.secant(&d), &d, &acting), &v)
+                self.history = History::NONE;
+                self.conclude(step.system, &step.increment(&step.secant(&d), &d, &acting), &v)
             }
         }
     }
 
-    /// At a root of all unknowns.
-    fn arrive_at<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
+    /// Accepts a root of the full unknowns.
+    fn accept_full_root<const M: usize, S: Discrete<N, M, CutUnknowns = Vector<K>>>(
         &mut self,
         step: &Step<'_, S, N, M>,
         Unknowns { d, lambda, nu }: &Unknowns<N, M>,
         end: &Evaluation<S, N, M>,
     ) -> Result<(), StepError> {
         let x = step.system.cut_unknowns(d, [lambda, nu]);
-        self.arrive(step.system, &step.chord(&end.secant, d, &end.v), x)
+        self.accept_root(step.system, &step.increment(&end.secant, d, &end.v), x)
     }
 
-    /// At a root, whose unknowns are remembered.
+    /// Accepts a root and stores its unknowns in the history.
     #[inline(always)]
-    fn arrive<const M: usize, S: Discrete<N, M>>(
+    fn accept_root<const M: usize, S: Discrete<N, M>>(
         &mut self,
         system: &S,
         over: &StepIncrement<'_, S::Secant, N>,
@@ -284,11 +292,11 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if !x.is_finite() {
             return Err(StepError::NotFinite);
         }
-        self.memory.remember(over.h, x);
+        self.history.remember(over.h, x);
         self.conclude(system, over, over.v)
     }
 
-    /// The run goes on from q₀ + d over the chord, with the rates at which forces have acted, and those at the end.
+    /// Advances the run to q₀ + d with the velocity `v`; work is evaluated with the rates in `over`, at which forces have acted.
     #[inline(always)]
     fn conclude<const M: usize, S: Discrete<N, M>>(
         &mut self,
@@ -313,7 +321,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         Ok(())
     }
 
-    /// A step so short that q̈ stays but for round-off.
+    /// A step so short that q̈ changes by round-off only.
     #[cold]
     fn taylor_step<const M: usize, S: Discrete<N, M> + Passage<N>>(
         &mut self,
@@ -328,15 +336,15 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
         if self.q.is_finite() && self.v.is_finite() { Ok(()) } else { Err(StepError::NotFinite) }
     }
 
-    /// Refuses a run that is none of this system.
+    /// Refuses a run that cannot belong to this system.
     #[cold]
     pub fn check<const M: usize, S: Discrete<N, M> + Passage<N>>(
         &self,
         system: &S,
         bounds: &super::Bounds,
     ) -> Result<(), Inconsistency> {
-        let Memory { h, known, x } = &self.memory;
-        if !(x.iter().all(|x| x.is_finite()) && *h >= 0.0 && h.is_finite() && usize::from(*known) <= REMEMBERED) {
+        let History { h, known, x } = &self.history;
+        if !(x.iter().all(|x| x.is_finite()) && *h >= 0.0 && h.is_finite() && usize::from(*known) <= HISTORY_LENGTH) {
             return Err("what it remembers of its last steps is not finite");
         }
         self.state(system, bounds.regularizations[0]).check(system, &super::Bounds { in_balance: false, ..*bounds })

@@ -1,7 +1,7 @@
-//! i3-ALP as the paper prints it, its misprints corrected (`docs/method.md`, "Errata of the paper"): for comparison.
+//! i3-ALP as the paper prints it, misprints corrected (`docs/method.md`, "Errata of the paper"), for comparison.
 //!
 //! A fixed penalty α, the tangent without the derivative of Φ_qᵀλ, absolute unknowns, one projection, no sub-steps. Every linear
-//! system (A₀ + αβ Φ_qᵀΦ_q) x = r + αβ Φ_qᵀ c is solved as [A₀ Φ_qᵀ; Φ_q −e] [x; y] = [r; c] with e = 1/(αβ): the same x.
+//! system (A₀ + αβ Φ_qᵀΦ_q) x = r + αβ Φ_qᵀ c is solved as [A₀ Φ_qᵀ; Φ_q −e] [x; y] = [r; c] with e = 1/(αβ), which has the same x.
 
 use super::i3alp::local_error;
 use super::{Implicit, State, StepEnd, StepError, TangentPoint};
@@ -10,17 +10,17 @@ use crate::vector::Vector;
 /// Settings of the method.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Penalty factor α, N/m, the same at every h.
+    /// Penalty factor α, N/m, constant at every h.
     pub penalty: f64,
-    /// Most Newton iterations per step.
+    /// Largest number of Newton iterations per step.
     pub max_iterations: u32,
 }
 
-/// Newton stops when |Δq| and |Φ| are below this part of the system's size. With a fixed α both fall by a constant factor per
-/// iteration, slower near singularities: a tighter bound is not met in ten iterations on the paper's own free fall.
+/// Bound on |Δq| and |Φ| at which Newton's method stops, relative to the system's size. With a fixed α both fall linearly, more
+/// slowly near singularities: ten iterations do not meet a tighter bound on the paper's own free fall.
 const STOP: f64 = 1e-8;
 
-/// One step of h seconds. On failure the state is undefined: the caller keeps a copy.
+/// One step of `h` seconds. On failure `state` is undefined, so the caller keeps a copy.
 #[inline(never)]
 pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
@@ -33,13 +33,13 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
     let regularization = 1.0 / (alpha * beta);
     let tolerance = STOP * system.length_scale();
 
-    // Predict; trapezoidal rule.
+    // Predictor; trapezoidal rule (1).
     let State { q: q0, v: v0, a: a0, .. } = *state;
     let mut q = q0 + h * v0 + h * h / 2.0 * a0;
     let velocity = |q: Vector<N>| 2.0 / h * q - (2.0 / h * q0 + v0);
     let acceleration = |q: Vector<N>| 4.0 / (h * h) * q - (4.0 / (h * h) * q0 + 4.0 / h * v0 + a0);
 
-    // Newton: A Δq = −f with f = β [M q̈ + Φ_qᵀ(αΦ + λ*) − Q]; λ* ← λ* + αΦ after every iteration.
+    // Newton (2), (3): A Δq = −f with f = β [M q̈ + Φ_qᵀ(αΦ + λ*) − Q]; λ* ← λ* + αΦ after every iteration.
     let mut pose = system.pose(&q);
     let mut phi = system.phi(&q, &pose);
     let mut iterations = 0;
@@ -50,7 +50,7 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
         let inertia = system.mass_times(&pose, &acceleration(q));
         let constraint = system.phi_q_transposed_times(&pose, &state.lambda);
         let residual = -beta * (inertia + constraint - system.forces(&q, &pose, &v));
-        // The approximate tangent leaves out ∂(Φ_qᵀλ)/∂q: as if λ were 0.
+        // The approximate tangent omits ∂(Φ_qᵀλ)/∂q, as if λ were 0.
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &Vector::ZERO, h };
         let (correction, _) = system.solve_tangent_out_of_line(&at, regularization, (&residual, &-phi))?;
         q += correction;
@@ -67,7 +67,7 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
         }
     }
 
-    // Project: A q̇ = W q̇*, then A q̈ = W q̈* − βα Φ_qᵀ Φ̇_q q̇, with W = M + h/2 C + h²/4 K.
+    // Projection (4): A q̇ = W q̇*, then A q̈ = W q̈* − βα Φ_qᵀ Φ̇_q q̇, with W = M + h/2 C + h²/4 K.
     let v = velocity(q);
     let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &Vector::ZERO, h };
     let (projected, _) =
@@ -82,6 +82,6 @@ pub fn advance<const N: usize, const M: usize, S: Implicit<N, M>>(
     let end = StepEnd::new(system, [q, projected, a], &pose, state.lambda).finite()?;
     state.error_estimate = local_error(system, h, &(a - a0), &(projected - v));
     state.work = state.work.plus(h / 2.0, state.power).plus(h / 2.0, end.power);
-    state.arrive(&end);
+    state.take_over(&end);
     Ok(())
 }

@@ -1,6 +1,7 @@
-//! i3-ALP and its companions, generic over the [`System`] they integrate.
+//! Time integration of constrained mechanical systems: i3-ALP and the methods beside it, generic over the [`System`] they
+//! integrate.
 //!
-//! Invariant: knows neither mechanism nor FMI; does no input or output, allocates nothing, reads no clock.
+//! Invariant: no module here knows the mechanism or FMI; none does input or output, allocates, or reads a clock.
 
 mod consistency;
 mod controller;
@@ -27,21 +28,21 @@ pub use passage::{Approach, Departure, EnergyBalance, Passage, PassageLimits, St
 pub use projection::{Projection, velocity_correction};
 use state::StepEnd;
 pub use state::{CONFIGURATION_SIGNS, Counters, State};
-pub use system::{AccelerationTangents, Held, Implicit, Kkt, System, TangentPoint, Work};
+pub use system::{AccelerationTangents, Implicit, Kkt, StickingConstraint, System, TangentPoint, Work};
 
-/// The methods whose steps end with the macro step.
+/// Methods that begin and end a step with each macro step.
 #[derive(Clone, Copy, Debug)]
 pub enum MacroStepMethod {
-    /// The default.
+    /// Index-3 augmented Lagrangian with projections in dual form, the default.
     I3alp(i3alp::Settings),
-    /// As printed in the paper.
+    /// Index-3 augmented Lagrangian with projections in the penalty form of the paper.
     I3alpPrinted(i3alp_printed::Settings),
-    /// Runge–Kutta with projection.
+    /// Classical Runge–Kutta of order 4 with projection.
     Rk4(rk4::Settings),
 }
 
 impl MacroStepMethod {
-    /// One macro step of h seconds. On failure the state is undefined: the caller keeps a copy.
+    /// Advances `state` and `mode` by one macro step of `h` seconds. On failure both are undefined, so the caller keeps a copy.
     #[inline(always)]
     pub fn advance<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
         &self,

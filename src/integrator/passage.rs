@@ -1,117 +1,118 @@
-//! What a system may know better than an integrator: how its motion goes on close to a vertex of its configuration space, where the
-//! constraints lose rank and branches cross.
+//! Passage through vertices: singular postures where the constraints lose rank and branches of the configuration space cross.
 //!
-//! Each method asks once per step, and gets a decision: nothing is near, the step is limited, or the system has passed the vertex and
-//! says where it is now. `docs/vertices.md` has the reasons.
+//! A method asks its system once per step, and the answer is one of three: no vertex is near, the step is limited, or the system
+//! has passed the vertex and gives the state behind it (`docs/vertices.md`).
 
 use super::{State, StepEnd, StepError, System, Work};
 use crate::vector::Vector;
 
-/// How close to a vertex a motion is taken straight through it.
+/// Thresholds for a straight passage through a vertex.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PassageLimits {
     /// Radius of the ball around a vertex inside which motions on a ray are straight, rad.
     pub radius: f64,
-    /// A motion on a ray misses the vertex by less than this impact parameter, rad.
+    /// Largest distance, rad, at which a motion on a ray misses the vertex (impact parameter).
     pub impact_parameter: f64,
-    /// Where forces dissipate a straight motion is no longer than this, s: they are known at its ends only.
+    /// Longest straight motion with dissipative forces, s, because these are evaluated at its ends only.
     pub longest_with_dissipation: f64,
 }
 
 impl PassageLimits {
-    /// A motion meant to pass through a vertex misses it by what the method's local errors have added up to: thousands of them. So
-    /// the impact parameter follows the error tolerance, rad.
+    /// Thresholds for an error tolerance, rad: a motion through a vertex misses it by the accumulated local errors of thousands of
+    /// steps, so the impact parameter follows the tolerance.
     pub fn for_error_tolerance(tolerance: f64) -> Self {
         let impact_parameter = (1e4 * tolerance).clamp(1e-7, 1e-4);
         Self { radius: impact_parameter.sqrt().min(1e-3), impact_parameter, longest_with_dissipation: f64::INFINITY }
     }
 }
 
-/// From where, and for how long.
+/// State from which a step departs.
 #[derive(Clone, Copy, Debug)]
 pub struct Departure<'a, const N: usize> {
-    /// Coordinates.
+    /// Coordinates q, m and rad.
     pub q: &'a Vector<N>,
-    /// Velocities.
+    /// Velocities q̇, m/s and rad/s.
     pub v: &'a Vector<N>,
     /// Whether the motion is on a ray through a vertex already.
     pub on_ray: bool,
-    /// How far the step may go, s.
+    /// Longest step, s.
     pub rest: f64,
 }
 
-/// What a vertex makes of the next step.
+/// Decision of the system about the next step.
 #[derive(Clone, Copy, Debug)]
 pub enum Approach<const N: usize> {
-    /// Nothing: none is near.
+    /// No vertex is near.
     Clear,
     /// The step is limited.
     Limited(StepLimits),
-    /// The system has gone straight on, along a ray through the vertex or from rest in it.
+    /// The system has moved straight, along a ray through the vertex or from rest in it.
     Passed(Transit<N>),
 }
 
-/// What a step near a vertex has to observe.
+/// Limits on a step near a vertex.
 #[derive(Clone, Copy, Debug)]
 pub struct StepLimits {
-    /// Not farther than this, s.
+    /// Longest step, s.
     pub longest: f64,
-    /// What round-off alone makes of the local error here, rad. Shorter steps would not get below it.
+    /// Round-off of the local error, rad; shorter steps would not reduce it.
     pub round_off: f64,
-    /// Factor on e of the saddle-point systems, which must stay small against the smallest eigenvalue of S: that falls with the square of
-    /// the distance.
+    /// Factor on e of the saddle-point systems, which must stay small against the smallest eigenvalue of S; that falls with the
+    /// square of the distance to the vertex.
     pub regularization: f64,
-    /// The energy before the step, where it is to be kept: close to a vertex round-off in the direction of the velocity changes it.
+    /// Energy before the step, where it has to be conserved: close to a vertex, round-off in the direction of the velocity changes
+    /// it.
     pub energy: Option<EnergyBalance>,
 }
 
 impl StepLimits {
-    /// Far from every vertex.
+    /// No limits, far from every vertex.
     pub const NONE: Self = Self { longest: f64::INFINITY, round_off: 0.0, regularization: 1.0, energy: None };
 }
 
-/// The energy before a step, and how it changes.
+/// Energy before a step, with its rate of change.
 #[derive(Clone, Copy, Debug)]
 pub struct EnergyBalance {
-    /// Kinetic plus potential, J.
+    /// Kinetic plus potential energy, J.
     pub energy: f64,
     /// Power of the forces that have no potential, W.
     pub power: f64,
 }
 
-/// A motion that the system has made.
+/// Motion through a vertex or bifurcation, computed by the system.
 #[derive(Clone, Copy, Debug)]
 pub struct Transit<const N: usize> {
-    /// Coordinates at its end.
+    /// Coordinates q at its end, m and rad.
     pub q: Vector<N>,
-    /// Velocities there.
+    /// Velocities q̇ at its end, m/s and rad/s.
     pub v: Vector<N>,
-    /// How long it took, s.
+    /// Duration, s.
     pub duration: f64,
-    /// Whether it ends inside the ball, where nothing may be projected.
+    /// Whether the motion ends inside the ball, where no projection is made.
     pub on_ray: bool,
-    /// Whether it passed the vertex.
+    /// Whether the motion has passed the vertex.
     pub passed: bool,
-    /// Where it started from rest in the vertex: whether forces drive it, and the number of other branches that they could.
+    /// For a start from rest in the vertex: whether forces drive the motion, and the number of other branches open to it.
     pub from_rest: Option<(bool, u32)>,
-    /// q̈ at its end and the work on the way where the equations of motion do not tell them.
+    /// Acceleration q̈ at the end and work, J, where the equations of motion do not determine them.
     pub known: Option<(Vector<N>, Work)>,
 }
 
-/// A system's own knowledge of its vertices; by default it has none.
+/// Knowledge of a system about its vertices; by default there are none.
 pub trait Passage<const N: usize> {
-    /// What a vertex makes of the next step.
+    /// Decides about the step that departs from this state.
     fn approach(&self, _limits: &PassageLimits, _from: &Departure<'_, N>) -> Approach<N> {
         Approach::Clear
     }
 
-    /// Where a step of h seconds leads that a method has tried in vain, for it ends too near to where branches of the constraints meet.
+    /// Transit over a step of h seconds that a method has failed to take because it ends too close to a bifurcation of the
+    /// constraints.
     #[inline(always)]
     fn cross_bifurcation(&self, _q: &Vector<N>, _v: &Vector<N>, _h: f64) -> Option<Transit<N>> {
         None
     }
 
-    /// The factor by which q̇ at the end of a step of h seconds has to be scaled to keep the energy.
+    /// Factor on q̇ at the end of a step of h seconds that restores the energy.
     fn energy_scale(&self, _before: &EnergyBalance, _q: &Vector<N>, _v: &Vector<N>, _h: f64) -> Result<f64, StepError> {
         Ok(1.0)
     }
@@ -121,7 +122,7 @@ pub trait Passage<const N: usize> {
         true
     }
 
-    /// The energy that a step from q and q̇ has to keep, if they are so close to a vertex that round-off alone would change it.
+    /// Energy that a step from q and q̇ has to conserve, if the state is so close to a vertex that round-off alone would change it.
     fn energy_to_keep(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<EnergyBalance> {
         None
     }
@@ -131,21 +132,21 @@ pub trait Passage<const N: usize> {
         false
     }
 
-    /// q̈ at rest exactly in a vertex, which the equations of motion alone do not single out: that of the branch of least constraint.
-    /// `None` elsewhere.
+    /// Acceleration q̈ at rest exactly in a vertex, where the equations of motion have several solutions: that of the branch of
+    /// least constraint. `None` elsewhere.
     fn acceleration_from_rest(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
         None
     }
 }
 
 impl<const N: usize, const M: usize> State<N, M> {
-    /// What [`Passage::approach`] needs to know.
+    /// State from which the next step of at most `rest` seconds departs.
     #[inline(always)]
     pub(super) fn departure(&self, rest: f64) -> Departure<'_, N> {
         Departure { q: &self.q, v: &self.v, on_ray: self.on_ray, rest }
     }
 
-    /// Goes where a transit has led, with q̈ and λ from equilibrium there.
+    /// Moves the state to the end of a transit, with q̈ and λ from equilibrium there.
     #[cold]
     pub(super) fn pass_through<S: System<N, M>>(
         &mut self,
@@ -161,7 +162,7 @@ impl<const N: usize, const M: usize> State<N, M> {
             self.work = self.work.plus(transit.duration / 2.0, self.power).plus(transit.duration / 2.0, end_state.power);
         }
         self.jerk = Vector::ZERO;
-        self.arrive(&end_state);
+        self.take_over(&end_state);
         self.on_ray = transit.on_ray;
         self.counters.vertex_passes += u64::from(transit.passed);
         if let Some((driven, alternatives)) = transit.from_rest {

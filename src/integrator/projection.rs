@@ -1,32 +1,32 @@
-//! Back onto the constraints, along the shortest way in the mass metric.
+//! Projection onto the position and velocity constraints in the mass metric (`docs/method.md`, (15) and (21)).
 
 use super::{Kkt, StepError, System};
 use crate::vector::Vector;
 
-/// A violation below this part of the system's size that does not fall any more is round-off.
+/// Violation below which stagnation counts as round-off, relative to the system's size.
 pub(super) const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
-/// How far a projection goes.
+/// Settings of a position projection.
 #[derive(Clone, Copy, Debug)]
 pub struct Projection {
-    /// e of the saddle-point systems, 1/kg.
+    /// Regularisation e of the saddle-point systems, 1/kg.
     pub regularization: f64,
-    /// max |Φ| to be met, m.
+    /// Admissible max |Φ|, m.
     pub tolerance: f64,
-    /// Most Newton iterations.
+    /// Largest number of Newton iterations.
     pub max_iterations: u32,
 }
 
-/// Where a projection goes as far as round-off lets it: a violation of this part of the system's size.
+/// Admissible violation of a projection to round-off, relative to the system's size.
 const TO_ROUND_OFF: f64 = 8.0 * f64::EPSILON;
 
 impl Projection {
-    /// As far as round-off lets it, in a system of this [`System::length_scale`].
+    /// Projection to round-off in a system of this [`System::length_scale`], m.
     pub fn to_round_off(length_scale: f64, regularization: f64, max_iterations: u32) -> Self {
         Self { regularization, tolerance: TO_ROUND_OFF * length_scale, max_iterations }
     }
 
-    /// Newton onto Φ = 0; the iterations spent, and the pose there.
+    /// Projects q onto Φ = 0 by Newton's method; returns iterations and pose.
     #[inline(never)]
     pub fn position<const N: usize, const M: usize, S: System<N, M>>(
         &self,
@@ -37,7 +37,8 @@ impl Projection {
         Ok((self.position_from(system, &mut pose, q)?, pose))
     }
 
-    /// The same with the pose at q, compiled into its caller, and without a loop: one correction is what most steps need.
+    /// Projects q onto Φ = 0 from the pose at q, inlined and unrolled for one correction, as most steps need; returns the
+    /// iterations.
     #[inline(always)]
     pub(super) fn position_from<const N: usize, const M: usize, S: System<N, M>>(
         &self,
@@ -52,7 +53,7 @@ impl Projection {
         }
         let corrected = *q + system.factor_mass(pose, self.regularization).correction(&-phi);
         let correction = corrected - *q;
-        *pose = system.pose_turned((q, pose), &correction);
+        *pose = system.updated_pose((q, pose), &correction);
         *q = corrected;
         if self.max_iterations > 0 && system.phi(q, pose).max_norm() < self.tolerance {
             return Ok(1);
@@ -62,7 +63,8 @@ impl Projection {
         Ok(iterations)
     }
 
-    /// The same after a correction, with the violation before it. It takes a copy: what is pointed to has to be in memory.
+    /// Continues [`Self::position_from`] after the first correction, with violation, m, and correction, m and rad, before.
+    /// Arguments by value keep the caller's copies in registers.
     #[inline(never)]
     fn position_after<const N: usize, const M: usize, S: System<N, M>>(
         &self,
@@ -76,7 +78,7 @@ impl Projection {
         Ok((iterations, q, pose))
     }
 
-    /// The same along other ways than the shortest: by what q is corrected for what Φ lacks at a pose.
+    /// Projects q onto Φ = 0 with corrections by a given map from the residual of Φ to a change of q, instead of the mass metric.
     #[inline(always)]
     pub(super) fn position_along<const N: usize, const M: usize, S: System<N, M>>(
         &self,
@@ -88,7 +90,7 @@ impl Projection {
         self.position_on((0, (f64::INFINITY, 0.0)), system, pose, q, correction)
     }
 
-    /// The same after some iterations, with the violation before the last of them and what it corrected.
+    /// Newton loop of the projections from a given iteration count, with the last violation, m, and correction, m and rad.
     #[inline(always)]
     fn position_on<const N: usize, const M: usize, S: System<N, M>>(
         &self,
@@ -109,14 +111,14 @@ impl Projection {
             let correction = correction(pose, -phi);
             last = correction.max_norm();
             let corrected = *q + correction;
-            *pose = system.pose_turned((q, pose), &(corrected - *q));
+            *pose = system.updated_pose((q, pose), &(corrected - *q));
             *q = corrected;
         }
         Err(StepError::NotConverged { iterations: self.max_iterations, violation, tolerance: self.tolerance, correction: last })
     }
 }
 
-/// What q̇ lacks for Φ_q q̇ = 0, with the mass factor at hand.
+/// Correction of q̇ to Φ_q q̇ = 0 in the mass metric, from the factorised mass matrix.
 #[inline]
 pub fn velocity_correction<const N: usize, const M: usize, S: System<N, M>>(
     system: &S,

@@ -1,7 +1,7 @@
 //! Classical Runge–Kutta of order 4 on the index-1 augmented form, the paper's Eq. (4), at fixed step.
 //!
-//! (M + Φ_qᵀαΦ_q) q̈ = Q − Φ_qᵀα Φ̇_q q̇, solved as a saddle-point system with e = 1/α. The stabilising terms 2μωΦ̇ + ω²Φ are left
-//! out (μ = ω = 0): the projection after each step does their work, and exactly.
+//! (M + Φ_qᵀαΦ_q) q̈ = Q − Φ_qᵀα Φ̇_q q̇ is solved as a saddle-point system with e = 1/α. The stabilising terms 2μωΦ̇ + ω²Φ are
+//! omitted (μ = ω = 0): the projection after each step replaces them exactly.
 
 use super::equilibrium::equilibrium;
 use super::{Projection, State, StepEnd, StepError, System, velocity_correction};
@@ -11,15 +11,15 @@ use super::{Projection, State, StepEnd, StepError, System, velocity_correction};
 pub struct Settings {
     /// Whether positions and velocities are projected onto the constraints after each step.
     pub projection: bool,
-    /// e = 1/α of the index-1 form, 1/kg.
+    /// Regularisation e = 1/α of the index-1 form, 1/kg.
     pub regularization: f64,
-    /// Projection: constraint violation relative to the system's size.
+    /// Admissible constraint violation of the projection, relative to the system's size.
     pub tolerance: f64,
-    /// Most iterations of the position projection.
+    /// Largest number of iterations of the position projection.
     pub max_iterations: u32,
 }
 
-/// One step of h seconds. On failure the state is undefined: the caller keeps a copy.
+/// One step of `h` seconds. On failure `state` is undefined, so the caller keeps a copy.
 #[inline(never)]
 pub fn advance<const N: usize, const M: usize>(
     system: &impl System<N, M>,
@@ -28,7 +28,7 @@ pub fn advance<const N: usize, const M: usize>(
     h: f64,
 ) -> Result<(), StepError> {
     let &Settings { regularization, max_iterations, .. } = settings;
-    // The first stage is the state's own q̈. Work has the weights of the stages.
+    // The first stage is the state's own q̈. Work is integrated with the weights of the stages.
     let State { q: q0, v: v0, .. } = *state;
     let (mut q_sum, mut v_sum) = (v0, state.a);
     let (mut q_rate, mut v_rate) = (v0, state.a);
@@ -60,6 +60,6 @@ pub fn advance<const N: usize, const M: usize>(
         v += velocity_correction(system, &pose, &mass, &v);
     }
     state.work = work;
-    state.arrive(&StepEnd::in_balance(system, [q, v], &pose, &mass).finite()?);
+    state.take_over(&StepEnd::in_balance(system, [q, v], &pose, &mass).finite()?);
     Ok(())
 }

@@ -1,4 +1,5 @@
-//! What changes during a run, and how a step ends.
+//! State of a run: coordinates, rates, accelerations and multipliers with work and counters; and the end of a step before it
+//! becomes the state.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -6,7 +7,7 @@ use super::equilibrium::{equilibrium_under, equilibrium_with_power};
 use super::{Passage, StepError, System, Work};
 use crate::vector::Vector;
 
-/// What the integrator has done since the start.
+/// Counts of the integrator's operations since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub struct Counters {
     /// Macro steps.
@@ -17,22 +18,22 @@ pub struct Counters {
     pub iterations: u64,
     /// Rejected sub-steps.
     pub rejected: u64,
-    /// Sub-steps that converged by the line-search fallback only.
+    /// Sub-steps that converged only by the line-search fallback.
     pub rescued: u64,
-    /// Times that q̈ and λ were found anew from equilibrium because the inputs had changed.
+    /// Restarts: q̈ and λ solved again from equilibrium because inputs or parameters had changed.
     pub restarts: u64,
     /// Starts from rest in a vertex.
     pub launches: u64,
     /// Vertices of the configuration space passed straight through.
     pub vertex_passes: u64,
-    /// Changes of each bit of [`System::configuration_signs`].
+    /// Sign changes of each determinant of [`System::configuration_signs`].
     pub sign_changes: [u64; CONFIGURATION_SIGNS],
-    /// Steps of the conserving method by the last rung of its ladder.
+    /// Steps of the conserving method by the energy-only fallback, whose equations were not solved.
     pub fallbacks: u64,
 }
 
 impl Counters {
-    /// Counts the determinants that have changed sign.
+    /// Counts the determinants whose sign differs between two masks.
     #[inline(always)]
     pub(super) fn count_sign_changes(&mut self, before: u8, after: u8) {
         for (bit, changes) in self.sign_changes.iter_mut().enumerate() {
@@ -40,17 +41,17 @@ impl Counters {
         }
     }
 
-    /// Singularities: starts from rest in a vertex, vertices passed, changes of each mode.
+    /// Singular events: starts from rest in a vertex, vertices passed, sign changes of each determinant.
     pub fn singular(&self) -> [u64; CONFIGURATION_SIGNS + 2] {
         let [first, second, third] = self.sign_changes;
         [self.launches, self.vertex_passes, first, second, third]
     }
 }
 
-/// Bits of [`System::configuration_signs`] that are counted.
+/// Number of determinants in [`System::configuration_signs`].
 pub const CONFIGURATION_SIGNS: usize = 3;
 
-/// Everything that changes during a run: a copy of it is a complete snapshot.
+/// State of a run; a copy is a complete snapshot.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct State<const N: usize, const M: usize> {
     /// Coordinates q, m and rad.
@@ -61,28 +62,28 @@ pub struct State<const N: usize, const M: usize> {
     pub a: Vector<N>,
     /// Multipliers λ from equilibrium, N for constraints in m.
     pub lambda: Vector<M>,
-    /// (q̈ₙ − q̈ₙ₋₁)/h of the last sub-step, m/s³ and rad/s³, for the predictor; 0 after a restart.
+    /// Predicted jerk (q̈ₙ − q̈ₙ₋₁)/h of the last sub-step, m/s³ and rad/s³; 0 after a restart.
     pub jerk: Vector<N>,
-    /// The sub-step that the local error last asked for, s; infinite before the first.
+    /// Sub-step that the local error last asked for, s; infinite before the first.
     pub substep: f64,
     /// Local error of the last accepted sub-step, rad; see [`System::error_norm`].
     pub error_estimate: f64,
-    /// Work since the start, J: along the path, by the order of the method.
+    /// Work since the start, J, integrated along the path with the order of the method.
     pub work: Work,
-    /// Its rate, W; 0 unless [`System::follows_work`].
+    /// Power at the state, W; 0 unless [`System::follows_work`].
     pub power: Work,
-    /// [`System::configuration_signs`] of q.
+    /// Signs of the singularity determinants at q, see [`System::configuration_signs`].
     pub configuration_signs: u8,
-    /// Whether it is on a ray through a vertex: not projected until it leaves the ball.
+    /// Whether the motion is on a ray through a vertex, where no projection is made.
     pub on_ray: bool,
-    /// Other branches on which the last start from rest in a vertex could have gone as well.
+    /// Number of further branches on which the last start from rest in a vertex could have left.
     pub alternatives: u32,
     /// Counters since the start.
     pub counters: Counters,
 }
 
 impl<const N: usize, const M: usize> State<N, M> {
-    /// The state at the start, with q̈ and λ from equilibrium (λ of minimum norm where the constraints lose rank).
+    /// State at the start, with q̈ and λ from equilibrium (λ of minimum norm where the constraints lose rank).
     pub fn start<S: System<N, M> + Passage<N>>(system: &S, q: Vector<N>, v: Vector<N>, regularization: f64) -> Self {
         let mut state = Self {
             q,
@@ -103,31 +104,31 @@ impl<const N: usize, const M: usize> State<N, M> {
         state
     }
 
-    /// The forces have changed at once: q̈ and λ follow from equilibrium, the predictor starts anew.
+    /// Solves q̈ and λ again from equilibrium after a discontinuity of the forces, and resets the predictor.
     ///
-    /// Without it a new input would act half a step late and every driven scene would be first order only.
+    /// Otherwise a new input would act half a step late, and every driven scene would be of first order.
     pub fn restart<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
         self.reinitialize(system, pose, regularization);
         self.counters.restarts += 1;
     }
 
-    /// Friction holds something else from here on: q̇ is without it, q̈ and λ follow, the predictor starts anew.
+    /// Projects q̇ onto the sticking constraints of a new mode, solves q̈ and λ from equilibrium and resets the predictor.
     pub fn reinitialize<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
-        if system.holds() {
+        if system.has_sticking() {
             self.v = system.project_sticking(self.q, self.v);
         }
         self.balance(system, pose, regularization);
         self.jerk = Vector::ZERO;
     }
 
-    /// q̈ and λ from equilibrium, and the power; at rest exactly in a vertex q̈ is that of the branch of least constraint.
+    /// Sets q̈, λ and power from equilibrium; at rest exactly in a vertex q̈ is that of the branch of least constraint.
     pub fn balance<S: System<N, M> + Passage<N>>(&mut self, system: &S, pose: &S::Pose, regularization: f64) {
         let (a, lambda, power) = equilibrium_with_power(system, (&self.q, pose, &self.v), regularization);
         self.a = system.acceleration_from_rest(&self.q, &self.v).unwrap_or(a);
         (self.lambda, self.power) = (lambda, power);
     }
 
-    /// Counts the determinants that have changed sign.
+    /// Counts the determinants that have changed sign, and stores the new signs.
     #[inline(always)]
     pub(super) fn count_sign_changes(&mut self, configuration_signs: u8) {
         if configuration_signs != self.configuration_signs {
@@ -136,9 +137,9 @@ impl<const N: usize, const M: usize> State<N, M> {
         }
     }
 
-    /// Becomes what a step has led to. The work, the predictor and the steps to come are the method's.
+    /// Takes over the end of an accepted step. Work, predictor and step length are left to the method.
     #[inline(always)]
-    pub(super) fn arrive(&mut self, end_state: &StepEnd<N, M>) {
+    pub(super) fn take_over(&mut self, end_state: &StepEnd<N, M>) {
         let &StepEnd { q, v, a, lambda, power, configuration_signs } = end_state;
         (self.q, self.v, self.a, self.lambda, self.power) = (q, v, a, lambda, power);
         self.on_ray = false;
@@ -147,7 +148,7 @@ impl<const N: usize, const M: usize> State<N, M> {
     }
 }
 
-/// Where a step leads.
+/// End of a step: state, multipliers and power.
 pub(super) struct StepEnd<const N: usize, const M: usize> {
     pub(super) q: Vector<N>,
     pub(super) v: Vector<N>,
@@ -158,13 +159,13 @@ pub(super) struct StepEnd<const N: usize, const M: usize> {
 }
 
 impl<const N: usize, const M: usize> StepEnd<N, M> {
-    /// At q and q̇ with these q̈ and λ.
+    /// End at q and q̇ with given q̈ and λ.
     #[inline(always)]
     pub(super) fn new<S: System<N, M>>(system: &S, [q, v, a]: [Vector<N>; 3], pose: &S::Pose, lambda: Vector<M>) -> Self {
         Self { q, v, a, lambda, power: power(system, &q, pose, &v), configuration_signs: system.configuration_signs(pose) }
     }
 
-    /// At q and q̇ with q̈ and λ from equilibrium.
+    /// End at q and q̇ with q̈ and λ from equilibrium.
     #[inline(always)]
     pub(super) fn in_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose, mass: &S::Mass) -> Self {
         let (forces, power) = system.forces_and_power(&q, pose, &v);
@@ -172,7 +173,7 @@ impl<const N: usize, const M: usize> StepEnd<N, M> {
         Self { q, v, a, lambda, power, configuration_signs: system.configuration_signs(pose) }
     }
 
-    /// At q and q̇; q̈, λ and the power are left open, 0.
+    /// End at q and q̇ with q̈, λ and power set to 0.
     #[inline(always)]
     pub(super) fn without_balance<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], pose: &S::Pose) -> Self {
         Self {
@@ -185,27 +186,27 @@ impl<const N: usize, const M: usize> StepEnd<N, M> {
         }
     }
 
-    /// The same for what happens rarely, without code of its own.
+    /// End at q and q̇ with q̈ and λ from equilibrium, as one shared copy of the code for rare operations.
     pub(super) fn out_of_line<S: System<N, M>>(system: &S, [q, v]: [Vector<N>; 2], regularization: f64) -> Self {
         let pose = system.pose(&q);
         let (a, lambda, power) = equilibrium_with_power(system, (&q, &pose, &v), regularization);
         Self { q, v, a, lambda, power, configuration_signs: system.configuration_signs(&pose) }
     }
 
-    /// Whether it is, and all sums of it are.
+    /// Whether q, q̇, q̈ and their sum are finite.
     #[inline(always)]
     pub(super) fn is_finite(&self) -> bool {
         (self.q + self.v + self.a).is_finite()
     }
 
-    /// Refuses what is not finite.
+    /// The end itself, or [`StepError::NotFinite`].
     #[inline(always)]
     pub(super) fn finite(self) -> Result<Self, StepError> {
         if self.is_finite() { Ok(self) } else { Err(StepError::NotFinite) }
     }
 }
 
-/// The power that is followed, W.
+/// Power of inputs and dissipation, W; 0 unless [`System::follows_work`].
 #[inline(always)]
 fn power<const N: usize, const M: usize, S: System<N, M>>(system: &S, q: &Vector<N>, pose: &S::Pose, v: &Vector<N>) -> Work {
     if system.follows_work() { system.power(q, pose, v) } else { Work::default() }

@@ -1,4 +1,4 @@
-//! What the integrator asks of a mechanical system, and nothing else.
+//! The interface between integrators and mechanical systems: constraints, masses, forces, their tangents and linear solves.
 
 use std::ops::AddAssign;
 
@@ -9,29 +9,29 @@ use crate::vector::Vector;
 
 /// A constrained mechanical system M q̈ + Φ_qᵀ λ = Q(q, q̇), Φ(q) = 0 with N coordinates and M constraint equations.
 ///
-/// Inputs are part of the system: they are held while it is stepped. Constraints do not depend on time.
+/// Inputs belong to the system and are constant during a step. Constraints do not depend on time.
 pub trait System<const N: usize, const M: usize> {
-    /// What depends on q only and is computed once per q (directions, arms).
+    /// Quantities that depend on q only and are computed once per q (directions, arms).
     type Pose;
-    /// What of a pose turns to poses nearby begin with.
+    /// Base data for small-angle updates of a pose.
     type TrigBase;
-    /// The factorised saddle-point matrix with the mass matrix in its corner.
+    /// Factorised saddle-point matrix [M Φ_qᵀ; Φ_q −e].
     type Mass: Kkt<N, M>;
 
     /// Pose at q.
     fn pose(&self, q: &Vector<N>) -> Self::Pose;
-    /// The same compiled into its caller, for steps that keep it in registers. Elsewhere one piece of code for all callers takes less place.
+    /// Pose at q, inlined into the caller so that steps keep the pose in registers; [`System::pose`] is the shared copy.
     fn pose_in_place(&self, q: &Vector<N>) -> Self::Pose {
         self.pose(q)
     }
-    /// Pose `by` away from a q whose pose is known: for less, where that is little.
-    fn pose_turned(&self, (q, _pose): (&Vector<N>, &Self::Pose), by: &Vector<N>) -> Self::Pose {
+    /// Pose at q + `by` from the pose at q, cheaper than [`System::pose`] where `by` is small.
+    fn updated_pose(&self, (q, _pose): (&Vector<N>, &Self::Pose), by: &Vector<N>) -> Self::Pose {
         self.pose(&(*q + *by))
     }
-    /// What turns that begin at a pose start from.
+    /// Base data for small-angle updates of `pose`.
     fn trig_base(&self, pose: &Self::Pose) -> Self::TrigBase;
-    /// Pose `by` away from a q where turns begin.
-    fn pose_near(&self, (q, _trig_base): (&Vector<N>, &Self::TrigBase), by: &Vector<N>) -> Self::Pose {
+    /// Pose at q + `by` from the base data at q.
+    fn pose_from_base(&self, (q, _trig_base): (&Vector<N>, &Self::TrigBase), by: &Vector<N>) -> Self::Pose {
         self.pose(&(*q + *by))
     }
     /// Φ(q).
@@ -46,38 +46,39 @@ pub trait System<const N: usize, const M: usize> {
     fn forces(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> Vector<N>;
     /// Factorises [M Φ_qᵀ; Φ_q −e].
     fn factor_mass(&self, pose: &Self::Pose, regularization: f64) -> Self::Mass;
-    /// The same compiled into its caller.
+    /// Factorises [M Φ_qᵀ; Φ_q −e], inlined into the caller.
     fn factor_mass_in_place(&self, pose: &Self::Pose, regularization: f64) -> Self::Mass {
         self.factor_mass(pose, regularization)
     }
 
-    /// Whether forces change so steeply in places that a step may miss it, or ring on it.
+    /// Whether any force is stiff, or has discontinuities that a step may miss (friction, servos, stops, contact).
     fn has_stiff_forces(&self) -> bool {
         false
     }
 
-    /// One bit for each determinant whose sign tells modes apart. A changed bit is a singularity passed.
+    /// Signs of the singularity determinants, one bit each. A bit changes where the motion passes a singularity.
     fn configuration_signs(&self, _pose: &Self::Pose) -> u8 {
         0
     }
-    /// Whether friction holds anything.
-    fn holds(&self) -> bool {
+    /// Whether any friction element sticks.
+    fn has_sticking(&self) -> bool {
         false
     }
-    /// What it holds. Asked only if [`System::holds`].
-    fn held(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> Held<N> {
-        Held::Nothing
+    /// Sticking constraint with its reaction. Called only if [`System::has_sticking`].
+    fn sticking_constraint(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> StickingConstraint<N> {
+        StickingConstraint::Nothing
     }
-    /// q̈ and λ with the forces by which friction holds, from those without. Asked only if [`System::holds`].
+    /// Accelerations q̈ and multipliers λ with the reaction of sticking friction, from those without. Called only if
+    /// [`System::has_sticking`].
     fn with_friction_reaction(&self, _q: Vector<N>, _v: Vector<N>, free: (Vector<N>, Vector<M>)) -> (Vector<N>, Vector<M>) {
         free
     }
-    /// q̇ without what friction holds. Asked only if [`System::holds`].
+    /// Velocities q̇ projected onto the sticking constraints. Called only if [`System::has_sticking`].
     fn project_sticking(&self, _q: Vector<N>, v: Vector<N>) -> Vector<N> {
         v
     }
-    /// How q̈ changes with q and q̇ about a state whose q̈ and λ are those of equilibrium; `None` where that is not known: no step that
-    /// begins there is implicit.
+    /// Tangents of q̈ with respect to q and q̇ at a state in dynamic equilibrium; `None` where they are unknown, so that no
+    /// implicit step begins there.
     fn acceleration_tangents(
         &self,
         _at: &State<N, M>,
@@ -86,43 +87,43 @@ pub trait System<const N: usize, const M: usize> {
     ) -> Option<AccelerationTangents<N>> {
         None
     }
-    /// Whether any force does work that must be followed along the path.
+    /// Whether the work of any force must be integrated along the path.
     fn follows_work(&self) -> bool;
-    /// Power of the inputs and of dissipation, W. Asked only if [`System::follows_work`].
+    /// Power of inputs and of dissipative forces, W. Called only if [`System::follows_work`].
     fn power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> Work;
-    /// Forces and power at once, for less than both: [`System::forces`], [`System::power`].
+    /// Generalised forces and power from one pass over the effects: [`System::forces`], [`System::power`].
     fn forces_and_power(&self, q: &Vector<N>, pose: &Self::Pose, v: &Vector<N>) -> (Vector<N>, Work) {
         (self.forces(q, pose, v), if self.follows_work() { self.power(q, pose, v) } else { Work::default() })
     }
-    /// q̈ at rates v, `by` away from where turns begin: for less where nothing acts but weight, which does no work that is followed, and the
-    /// way is short, with the system's own e; `None` elsewhere.
-    fn acceleration_by_weight(&self, _trig_base: &Self::TrigBase, _by: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
+    /// Acceleration q̈ at rates v, `by` away from the base pose, by a shorter evaluation with the system's own e; `None` unless
+    /// gravity is the only load and `by` is small.
+    fn acceleration_under_gravity(&self, _trig_base: &Self::TrigBase, _by: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
         None
     }
-    /// Kinetic energy and that of the forces that have a potential, but for those of the inputs, J: what changes by [`System::power`].
-    /// Asked only of systems that are steep.
+    /// Kinetic energy plus potential energy of all forces but the inputs, J; [`System::power`] is the rate at which the energy
+    /// changes. Called only if [`System::has_stiff_forces`].
     fn energy(&self, _q: &Vector<N>, _pose: &Self::Pose, _v: &Vector<N>) -> f64 {
         0.0
     }
-    /// Largest magnitude among those coordinates of x in which the local error is measured (link angles).
+    /// Maximum norm of x over the coordinates in which the local error is measured (link angles).
     fn error_norm(&self, x: &Vector<N>) -> f64;
-    /// The largest magnitude a coordinate in m can have: what round-off in Φ is proportional to.
+    /// Largest magnitude of a coordinate, m: the scale of round-off in Φ.
     fn length_scale(&self) -> f64;
 }
 
-/// What the implicit methods ask in addition: forces of the constraints and the tangents of all forces.
+/// A system for implicit methods: constraint forces, and tangents of all forces.
 pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
-    /// The same system for what is rare. A form of its own that a system may have for its steps is compiled for these only.
+    /// The unspecialised form of the system, for rare operations; a specialised form is compiled for regular steps only.
     type General: Implicit<N, M, Pose = Self::Pose>;
 
-    /// It.
+    /// The unspecialised form of the system.
     fn general(&self) -> Self::General;
     /// Φ_qᵀ λ.
     fn phi_q_transposed_times(&self, pose: &Self::Pose, lambda: &Vector<M>) -> Vector<N>;
-    /// (M + h/2 C + h²/4 K) x with K = −∂Q/∂q and C = −∂Q/∂q̇: the weight of the printed projections.
+    /// (M + h/2 C + h²/4 K) x with K = −∂Q/∂q and C = −∂Q/∂q̇: the weight of the paper's projections.
     fn effective_mass_times(&self, at: &TangentPoint<'_, Self::Pose, N, M>, x: &Vector<N>) -> Vector<N>;
     /// Solves A₀ x + Φ_qᵀ y = b, Φ_q x − e y = c with the tangent matrix A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q);
-    /// [`StepError::IndefiniteTangent`] where the step is too long for A₀ to be a minimum.
+    /// [`StepError::IndefiniteTangent`] where h is so long that A₀ is not positive definite.
     fn solve_tangent(
         &self,
         at: &TangentPoint<'_, Self::Pose, N, M>,
@@ -130,7 +131,7 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
         right: (&Vector<N>, &Vector<M>),
     ) -> Result<(Vector<N>, Vector<M>), StepError>;
 
-    /// The same for what is no part of every step, without code of its own in each place.
+    /// Solves the system of [`Implicit::solve_tangent`], as one shared copy of the code for rare operations.
     #[inline(never)]
     fn solve_tangent_out_of_line(
         &self,
@@ -141,8 +142,8 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
         self.solve_tangent(at, regularization, right)
     }
 
-    /// The same with A₀ made positive definite where it is not: a direction of descent of the incremental potential, for the
-    /// line-search fallback of a Newton loop that failed. `None`: no fallback.
+    /// Solves the system of [`Implicit::solve_tangent`] with A₀ made positive definite: a descent direction of the incremental
+    /// potential for the line search after a failed Newton iteration. `None`: no fallback.
     fn solve_descent(
         &self,
         _at: &TangentPoint<'_, Self::Pose, N, M>,
@@ -151,38 +152,39 @@ pub trait Implicit<const N: usize, const M: usize>: System<N, M> {
     ) -> Option<(Vector<N>, Vector<M>)> {
         None
     }
-    /// Potential energy of all forces, held loads included, J; `None` where they have none, or it is not known. For the same fallback.
+    /// Potential energy of all forces, constant inputs included, J, for the line search; `None` where a force has no known
+    /// potential.
     fn potential(&self, _q: &Vector<N>, _pose: &Self::Pose) -> Option<f64> {
         None
     }
 
-    /// The forces of drives, whose work is put in, if there are any. Asked only of systems that are steep.
-    fn drives(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
+    /// Generalised forces of drives (servos), if there are any. Called only if [`System::has_stiff_forces`].
+    fn drive_forces(&self, _q: &Vector<N>, _v: &Vector<N>) -> Option<Vector<N>> {
         None
     }
 
-    /// The work of an iteration, in those of the fastest solve.
+    /// Cost of one Newton iteration, in iterations with the fastest linear solve.
     fn iteration_work(&self) -> u64 {
         1
     }
 }
 
-/// Where, and for which step, a tangent is asked for.
+/// State and step length at which a tangent is evaluated.
 #[derive(Debug)]
 pub struct TangentPoint<'a, P, const N: usize, const M: usize> {
-    /// Coordinates.
+    /// Coordinates q, m and rad.
     pub q: &'a Vector<N>,
-    /// [`System::pose`] there.
+    /// Pose at q.
     pub pose: &'a P,
-    /// Velocities.
+    /// Velocities q̇, m/s and rad/s.
     pub v: &'a Vector<N>,
-    /// Multipliers, N for constraints in m.
+    /// Multipliers λ, N for constraints in m.
     pub lambda: &'a Vector<M>,
-    /// The step, s.
+    /// Step length, s.
     pub h: f64,
 }
 
-/// How accelerations change with coordinates and with rates.
+/// Tangents of the accelerations with respect to coordinates and rates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AccelerationTangents<const N: usize> {
     /// ∂q̈/∂q, by columns, 1/s² for angles.
@@ -195,44 +197,44 @@ pub struct AccelerationTangents<const N: usize> {
 pub trait Kkt<const N: usize, const M: usize> {
     /// Solves A x + Φ_qᵀ y = b, Φ_q x − e y = c.
     fn solve(&self, b: &Vector<N>, c: &Vector<M>) -> (Vector<N>, Vector<M>);
-    /// The same compiled into its caller.
+    /// Solves A x + Φ_qᵀ y = b, Φ_q x − e y = c, inlined into the caller.
     fn solve_in_place(&self, b: &Vector<N>, c: &Vector<M>) -> (Vector<N>, Vector<M>) {
         self.solve(b, c)
     }
 
-    /// The x of b = 0: the shortest change, in the metric of A, that moves Φ_q x by c. What projections ask for.
+    /// The x for b = 0: the smallest change in the metric of A that moves Φ_q x by c, as projections need.
     fn correction(&self, c: &Vector<M>) -> Vector<N> {
         self.solve(&Vector::ZERO, c).0
     }
 }
 
-/// What friction holds: a force that is whatever a motion asks for.
+/// Constraint that sticking friction imposes on the motion.
 #[derive(Clone, Copy, Debug)]
-pub enum Held<const N: usize> {
-    /// Nothing.
+pub enum StickingConstraint<const N: usize> {
+    /// No friction element sticks.
     Nothing,
-    /// One direction.
+    /// One direction of motion is blocked.
     Direction {
-        /// Nothing moves along it: row·q̇ = 0.
+        /// Row of the sticking constraint: row·q̇ = 0.
         row: Vector<N>,
-        /// And row·q̈ = −drift.
+        /// Drift of the constraint's rate: row·q̈ = −drift.
         drift: f64,
-        /// A multiple of this force sees to it.
+        /// Generalised force per unit of friction reaction.
         force: Vector<N>,
     },
-    /// The whole system, which is at rest, by this force.
+    /// The whole system is at rest and sticks.
     All {
-        /// The generalised force.
+        /// Generalised friction force that balances the loads, N and N·m.
         force: Vector<N>,
     },
 }
 
-/// Work of the forces that are followed along the path, J, or its rate, W.
+/// Work integrated along the path, J, or power, W.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Work {
-    /// Of the inputs, positive into the system.
+    /// Work of the inputs, positive into the system.
     pub input: f64,
-    /// Of dissipative forces, positive out of the system.
+    /// Dissipated work, positive out of the system.
     pub dissipated: f64,
 }
 
@@ -245,19 +247,19 @@ impl AddAssign for Work {
 }
 
 impl Work {
-    /// Both, of the inputs first.
+    /// The vector (input, dissipated).
     #[inline(always)]
     pub(super) fn pair(&self) -> Vector<2> {
         Vector::from([self.input, self.dissipated])
     }
 
-    /// The same the other way round.
+    /// Work from the vector (input, dissipated).
     #[inline(always)]
     pub(super) fn of_pair(pair: Vector<2>) -> Self {
         Self { input: pair[0], dissipated: pair[1] }
     }
 
-    /// self + duration·rate.
+    /// The sum self + duration·rate, J for a duration in s and a rate in W.
     #[inline(always)]
     pub(super) fn plus(self, duration: f64, rate: Self) -> Self {
         Self { input: self.input + duration * rate.input, dissipated: self.dissipated + duration * rate.dissipated }

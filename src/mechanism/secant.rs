@@ -138,7 +138,7 @@ impl Secant {
 
     /// K_b(z)ᵀ ν, the discrete derivative of νᵀ Φ_q z with respect to q: only in the angles.
     #[inline(always)]
-    pub(crate) fn turning_transposed_times(&self, z: &Coordinates, multipliers: &Multipliers) -> Coordinates {
+    pub(crate) fn discrete_hessian_times(&self, z: &Coordinates, multipliers: &Multipliers) -> Coordinates {
         let (stiffness_p, stiffness_d) = self.middle.geometric_stiffness(multipliers);
         let mut product = Coordinates::ZERO;
         set_legs(&mut product, P_THETA, self.sinc[0] * stiffness_p * legs_of(z, P_THETA));

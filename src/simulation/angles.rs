@@ -20,7 +20,7 @@ use super::five_bar::FiveBar;
 use super::inertia::Inertia;
 use super::model::Model;
 use crate::effects::Mode;
-use crate::integrator::{AccelerationTangents, Held, Kkt, Passage, State, System, Work};
+use crate::integrator::{AccelerationTangents, Kkt, Passage, State, StickingConstraint, System, Work};
 use crate::mechanism::constraints::{directions, directions_corrected, directions_turned};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, are_small, both, sum};
@@ -225,7 +225,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline(always)]
-    fn pose_turned(&self, (q, pose): (&Angles, &Pose), by: &Angles) -> Pose {
+    fn updated_pose(&self, (q, pose): (&Angles, &Pose), by: &Angles) -> Pose {
         self.mechanism.pose_along(directions_corrected((legs(q), [pose.u_p, pose.u_d]), legs(by)))
     }
 
@@ -235,7 +235,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline(always)]
-    fn pose_near(&self, (q, trig_base): (&Angles, &TrigBase), by: &Angles) -> Pose {
+    fn pose_from_base(&self, (q, trig_base): (&Angles, &TrigBase), by: &Angles) -> Pose {
         self.mechanism.pose_along(directions_turned((legs(q), trig_base.directions), legs(by)))
     }
 
@@ -274,7 +274,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline(always)]
-    fn acceleration_by_weight(&self, trig_base: &TrigBase, by: &Angles, v: &Angles) -> Option<Angles> {
+    fn acceleration_under_gravity(&self, trig_base: &TrigBase, by: &Angles, v: &Angles) -> Option<Angles> {
         (self.only_falls && are_small(legs(by))).then(|| self.model().falling.acceleration(trig_base, legs(by), legs(v)))
     }
 
@@ -302,11 +302,11 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
     }
 
     #[inline]
-    fn holds(&self) -> bool {
-        self.five_bar.holds()
+    fn has_sticking(&self) -> bool {
+        self.five_bar.has_sticking()
     }
 
-    fn held(&self, q: &Angles, pose: &Pose, v: &Angles) -> Held<ANGLES> {
+    fn sticking_constraint(&self, q: &Angles, pose: &Pose, v: &Angles) -> StickingConstraint<ANGLES> {
         self.friction_reaction_in_angles(q, pose, v)
     }
 

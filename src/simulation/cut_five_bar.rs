@@ -41,7 +41,7 @@ impl<const BARE: bool> CutStep<COORDINATES, MULTIPLIERS> for CutFiveBar<'_, BARE
     }
 
     #[inline(always)]
-    fn left(&self, motion: &OpenMotion, balance: &OpenBalance) -> [f64; 3] {
+    fn residuals(&self, motion: &OpenMotion, balance: &OpenBalance) -> [f64; 3] {
         self.step.left(motion, balance)
     }
 
@@ -53,7 +53,7 @@ impl<const BARE: bool> CutStep<COORDINATES, MULTIPLIERS> for CutFiveBar<'_, BARE
     }
 
     #[inline(always)]
-    fn improved(&self, motion: &OpenMotion, balance: &OpenBalance, factor: &Closed) -> CutUnknowns {
+    fn newton_update(&self, motion: &OpenMotion, balance: &OpenBalance, factor: &Closed) -> CutUnknowns {
         motion.x + self.step.correction(motion, balance, factor)
     }
 
@@ -63,7 +63,7 @@ impl<const BARE: bool> CutStep<COORDINATES, MULTIPLIERS> for CutFiveBar<'_, BARE
     }
 
     #[inline(always)]
-    fn turn(x: &CutUnknowns) -> f64 {
+    fn rotation_norm(x: &CutUnknowns) -> f64 {
         largest_turn(x)
     }
 
@@ -116,13 +116,13 @@ mod tests {
             let z = 0.5 * h * (v0 + v);
             let chord = StepIncrement { q: &q, d: &d, v: &v, h, softening: 1.0, secant: &secant };
             let inertia = system.mass_times(&secant.end, &(z - h * v0));
-            let joints = secant.discrete_transposed_times(&lambda) + 0.5 * secant.turning_transposed_times(&z, &nu);
+            let joints = secant.discrete_transposed_times(&lambda) + 0.5 * secant.discrete_hessian_times(&z, &nu);
             let f = inertia + joints - 0.5 * h * h * system.mean_forces(&chord);
             let moved = system.mass_times(&secant.end, &(d - z)) - secant.mean_transposed_times(&nu);
             let (phi, rates) = (system.phi(&(q + d), &secant.end), secant.end.phi_q_times(&(0.5 * h * v)));
 
             let balance = cut.balance(&motion);
-            let [offset, gap, rate] = cut.left(&motion, &balance);
+            let [offset, gap, rate] = cut.residuals(&motion, &balance);
             let largest = |x: &[f64]| x.iter().fold(0.0f64, |largest, x| largest.max(x.abs()));
             // Round-off of turns of `size` of links with some 1e-3 kg·m² and some 0.1 kg.
             let round_off = 1e-15 * size;
@@ -172,9 +172,9 @@ mod tests {
             for _ in 0..4 {
                 let motion = cut.motion(&x, 1e-9);
                 let balance = cut.balance(&motion);
-                let [offset, gap, _] = cut.left(&motion, &balance);
+                let [offset, gap, _] = cut.residuals(&motion, &balance);
                 left.push(offset + gap);
-                x = cut.improved(&motion, &balance, &cut.factor(&motion, &balance, 1e-9));
+                x = cut.newton_update(&motion, &balance, &cut.factor(&motion, &balance, 1e-9));
             }
             let turn = h * v0.max_norm();
             // The first finds the joint forces, of which nothing was known. 30: measured 17 and 0.4, by the arms of this pose.

@@ -93,7 +93,7 @@ impl DenseRun {
         } else {
             FiveBar::<false>::resolved(model, inputs, turns, [&core.q, &core.v])
         };
-        if system.holds() {
+        if system.has_sticking() {
             core.balance(&system, &system.pose(&core.q), model.regularization);
         } else {
             let motion = [&sample.q, &sample.v];

@@ -2,7 +2,7 @@
 
 use super::model::Model;
 use crate::effects::{ForceContext, Inputs, Mode, Tangents};
-use crate::integrator::{Events, Held, Implicit, StepError, System, TangentPoint, Work};
+use crate::integrator::{Events, Implicit, StepError, StickingConstraint, System, TangentPoint, Work};
 use crate::linear::{Definite, LinearSolve, MassFactor, TangentOf, TangentSource};
 use crate::mechanism::coordinates::{D_THETA, P_THETA, largest_angle, legs_of};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
@@ -227,11 +227,11 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
     }
 
     #[inline(always)]
-    fn holds(&self) -> bool {
+    fn has_sticking(&self) -> bool {
         !BARE && self.model.sticks && self.mode.stick_slip.any_sticks()
     }
 
-    fn held(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Held<COORDINATES> {
+    fn sticking_constraint(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> StickingConstraint<COORDINATES> {
         super::stick_slip::held(&self.general(), q, pose, v)
     }
 
@@ -327,8 +327,8 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
     }
 
     #[cold]
-    fn drives(&self, q: &Coordinates, v: &Coordinates) -> Option<Coordinates> {
-        self.model.has_servo.then(|| self.model.drives(&self.context(q, &self.pose(q), v)))
+    fn drive_forces(&self, q: &Coordinates, v: &Coordinates) -> Option<Coordinates> {
+        self.model.has_servo.then(|| self.model.drive_forces(&self.context(q, &self.pose(q), v)))
     }
 
     /// That of a full matrix with 22 rows is factorised.

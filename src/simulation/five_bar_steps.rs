@@ -72,8 +72,8 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
     }
 
     #[inline(always)]
-    fn turning_transposed_times(&self, secant: &Secant, z: &Coordinates, multipliers: &Multipliers) -> Coordinates {
-        secant.turning_transposed_times(z, multipliers)
+    fn discrete_hessian_times(&self, secant: &Secant, z: &Coordinates, multipliers: &Multipliers) -> Coordinates {
+        secant.discrete_hessian_times(z, multipliers)
     }
 
     #[inline(always)]
@@ -109,7 +109,7 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
     }
 
     #[inline(always)]
-    fn alternates(&self) -> bool {
+    fn allows_staggering(&self) -> bool {
         BARE || self.model.solver.linear_solve() != LinearSolve::Dense
     }
 
@@ -263,7 +263,7 @@ pub(super) mod tests {
             let v = (2.0 / h) * z - v0;
             let step = StepIncrement { q: &q, d, v: &v, h, softening: 1.0, secant: &secant };
             let inertia = system.mass_times(&secant.end, &(z - h * v0));
-            let joints = secant.discrete_transposed_times(lambda) + 0.5 * secant.turning_transposed_times(&z, nu);
+            let joints = secant.discrete_transposed_times(lambda) + 0.5 * secant.discrete_hessian_times(&z, nu);
             let f = inertia + joints - 0.5 * h * h * system.mean_forces(&step);
             (f, system.phi(&(q + *d), &secant.end), secant.end.phi_q_times(&(h * v)), v)
         };
@@ -302,7 +302,7 @@ pub(super) mod tests {
         for (got, want) in [
             (secant.discrete_transposed_times(&lambda).dot(&d), lambda.dot(&change)),
             (secant.mean_transposed_times(&lambda).dot(&z), lambda.dot(&mean)),
-            (secant.turning_transposed_times(&z, &lambda).dot(&d), lambda.dot(&turned)),
+            (secant.discrete_hessian_times(&z, &lambda).dot(&d), lambda.dot(&turned)),
         ] {
             assert!((got - want).abs() < 1e-15, "{got} {want}");
         }

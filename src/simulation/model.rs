@@ -193,7 +193,7 @@ impl Model {
     }
 
     /// The generalised forces of the effects whose work is put in.
-    pub(super) fn drives(&self, at: &ForceContext) -> Coordinates {
+    pub(super) fn drive_forces(&self, at: &ForceContext) -> Coordinates {
         let mut forces = Coordinates::ZERO;
         self.effects
             .iter()

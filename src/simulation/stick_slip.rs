@@ -9,7 +9,7 @@ use crate::effects::stick_slip::{
     FRICTION_PLACES, FrictionConstraint, FrictionConstraints, FrictionProblem, SlipDirection, StickSlip, StickSlips,
 };
 use crate::effects::{FrictionGuard, FrictionGuards, lowest, stick_velocity};
-use crate::integrator::{Held, Kkt, System};
+use crate::integrator::{Kkt, StickingConstraint, System};
 use crate::mechanism::{COORDINATES, Coordinates, Multipliers, Pose, SceneError};
 use crate::vector::Vector;
 
@@ -124,18 +124,18 @@ fn balance(
 /// What friction holds.
 #[cold]
 #[inline(never)]
-pub(super) fn held(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Held<COORDINATES> {
+pub(super) fn held(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coordinates) -> StickingConstraint<COORDINATES> {
     let constraints = system.constraints(q, pose, v);
     if system.mode.stick_slip.at_rest() {
         let torques = balance(system, q, v, &|_| true).resting_torques();
         let able = constraints.iter().filter(|constraint| constraint.bound > 0.0);
         let force = able.zip(torques).fold(Coordinates::ZERO, |force, (constraint, torque)| force + torque * constraint.row);
-        return Held::All { force };
+        return StickingConstraint::All { force };
     }
-    let Some(first) = first(&system.mode.stick_slip, &constraints) else { return Held::Nothing };
+    let Some(first) = first(&system.mode.stick_slip, &constraints) else { return StickingConstraint::Nothing };
     let force = shares(&system.mode.stick_slip, &constraints)
         .fold(Coordinates::ZERO, |force, (constraint, share)| force + share * constraint.row);
-    Held::Direction { row: first.row, drift: first.drift, force }
+    StickingConstraint::Direction { row: first.row, drift: first.drift, force }
 }
 
 /// The first grip that holds.
@@ -174,7 +174,7 @@ pub(super) fn holding(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) ->
         }
         return holding;
     }
-    let Held::Direction { row, drift, force } = held(system, q, &pose, v) else { return holding };
+    let StickingConstraint::Direction { row, drift, force } = held(system, q, &pose, v) else { return holding };
     let mass = system.factor_mass(&pose, system.model.regularization);
     let (a, _) = mass.solve(&system.forces(q, &pose, v), &-system.phi_q_dot_times(&pose, v));
     let mobility = row.dot(&mass.solve(&force, &Vector::ZERO).0);
@@ -196,15 +196,15 @@ pub(super) fn with_friction_reaction<const N: usize, const M: usize>(
 ) -> (Vector<N>, Vector<M>) {
     let pose = system.pose(&q);
     let mass = system.factor_mass(&pose, regularization);
-    match system.held(&q, &pose, &v) {
-        Held::Nothing => (a, lambda),
-        Held::Direction { row, drift, force } => {
+    match system.sticking_constraint(&q, &pose, &v) {
+        StickingConstraint::Nothing => (a, lambda),
+        StickingConstraint::Direction { row, drift, force } => {
             let (by_force, by_force_lambda) = mass.solve(&force, &Vector::ZERO);
             let mobility = row.dot(&by_force);
             let part = if mobility > 0.0 { -(row.dot(&a) + drift) / mobility } else { 0.0 };
             (a + part * by_force, lambda + part * by_force_lambda)
         }
-        Held::All { force } => {
+        StickingConstraint::All { force } => {
             let (_, lambda) = mass.solve(&(system.forces(&q, &pose, &v) + force), &Vector::ZERO);
             (Vector::ZERO, lambda)
         }
@@ -215,17 +215,22 @@ impl ByAngles<'_> {
     /// What friction holds, in the angles.
     #[cold]
     #[inline(never)]
-    pub(super) fn friction_reaction_in_angles(&self, q: &Angles, pose: &Pose, v: &Angles) -> Held<{ super::angles::ANGLES }> {
+    pub(super) fn friction_reaction_in_angles(
+        &self,
+        q: &Angles,
+        pose: &Pose,
+        v: &Angles,
+    ) -> StickingConstraint<{ super::angles::ANGLES }> {
         let (x, rates) = self.coordinates(pose, q, v);
         match held(self.five_bar(), &x, pose, &rates) {
-            Held::Nothing => Held::Nothing,
-            Held::Direction { row, drift, force } => Held::Direction {
+            StickingConstraint::Nothing => StickingConstraint::Nothing,
+            StickingConstraint::Direction { row, drift, force } => StickingConstraint::Direction {
                 // A row is a force as well: what it misses is how the velocities of the coordinates turn with the links.
                 row: self.carried_over(pose, &row),
                 drift: drift + row.dot(&self.velocity_product(pose, v)),
                 force: self.carried_over(pose, &force),
             },
-            Held::All { force } => Held::All { force: self.carried_over(pose, &force) },
+            StickingConstraint::All { force } => StickingConstraint::All { force: self.carried_over(pose, &force) },
         }
     }
 }
@@ -238,7 +243,7 @@ pub(super) fn project_sticking(system: &FiveBar<'_>, q: Coordinates, v: Coordina
         return Coordinates::ZERO;
     }
     let pose = system.pose(&q);
-    let Held::Direction { row, force, .. } = held(system, &q, &pose, &v) else { return v };
+    let StickingConstraint::Direction { row, force, .. } = held(system, &q, &pose, &v) else { return v };
     let (by_force, _) = system.factor_mass(&pose, system.model.regularization).solve(&force, &Vector::ZERO);
     let mobility = row.dot(&by_force);
     if mobility > 0.0 { v - row.dot(&v) / mobility * by_force } else { v }
@@ -278,7 +283,7 @@ pub(super) fn varied(
         ));
     }
     let pose = system.pose(q);
-    let Held::Direction { row, force, .. } = held(system, q, &pose, v) else { return Ok((a, lambda)) };
+    let StickingConstraint::Direction { row, force, .. } = held(system, q, &pose, v) else { return Ok((a, lambda)) };
     let (by_force, by_force_lambda) = system.factor_mass(&pose, system.model.regularization).solve(&force, &Vector::ZERO);
     let mobility = row.dot(&by_force);
     let part = if mobility > 0.0 { -row.dot(&a) / mobility } else { 0.0 };

@@ -1,8 +1,8 @@
-//! Whether a step under way that comes from outside is one that the method makes: it is made once more.
+//! Consistency check of a stored current step: the step is made again and compared.
 
 use std::borrow::Borrow;
 
-use super::dop853::Stages;
+use super::dop853::Dop853;
 use super::plan::{Outcome, Plan, Try};
 use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock};
 use super::step::LONGEST;
@@ -13,16 +13,16 @@ use crate::integrator::consistency::{Bounds, Inconsistency};
 use crate::integrator::{Approach, Departure, Events, Passage, State, StepError, System};
 use crate::vector::Vector;
 
-/// Part of each value by which a straight motion made once more may differ: it may have been cut short by something else.
-const SAME: f64 = 1e-9;
+/// Admissible relative deviation of a repeated straight motion, which another limit may have cut short.
+const TRANSIT_DEVIATION: f64 = 1e-9;
 
 fn close<const K: usize>(x: &Vector<K>, y: &Vector<K>) -> bool {
-    (*x - *y).max_norm() <= SAME * (1.0 + y.max_norm())
+    (*x - *y).max_norm() <= TRANSIT_DEVIATION * (1.0 + y.max_norm())
 }
 
 impl Memory {
     fn is_possible(&self, settings: &Settings) -> bool {
-        // The error of an accepted step is 1 tolerance at most.
+        // The error of an accepted step is at most 1 tolerance.
         (LEAST_LOG_ERROR..=0.0).contains(&self.log_error)
             && self.substep_in_other_mode > 0.0
             && self.stiffness.is_consistent()
@@ -31,12 +31,12 @@ impl Memory {
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// The beginning of the step with the sides on which it is made, and its end with those behind it.
+    /// Beginning of the step with its mode, and end of the step with the mode from there on.
     pub fn ends(&self) -> [(&State<N, M>, K); 2] {
         [(&self.start, self.mode), (&self.end, self.next_mode_at_end)]
     }
 
-    /// Whether both ends are states, and the step leads from one to the other.
+    /// Checks that both ends are possible states and that the step leads from one to the other.
     #[cold]
     pub fn check<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &self,
@@ -46,30 +46,30 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> Result<(), Inconsistency> {
         let in_mode = system.on(self.mode);
         self.start.check(in_mode.borrow(), bounds)?;
-        // A way straight through a vertex knows no sides.
-        self.balanced_end(in_mode.borrow(), settings).check(if self.is_linear { system } else { in_mode.borrow() }, bounds)?;
+        // A straight motion through a vertex has no mode.
+        self.evaluated_end(in_mode.borrow(), settings).check(if self.is_linear { system } else { in_mode.borrow() }, bounds)?;
         if !(self.memory.is_possible(settings) && self.before.is_possible(settings)) {
             return Err("the step-size controller remembers the impossible");
         }
         if !(0.0..=LONGEST).contains(&self.length) || !(0.0..=self.length).contains(&self.elapsed) {
             return Err("the time is not within the step under way");
         }
-        if !(self.cut_from == 0.0 || (self.cut_from > self.length && self.cut_from <= LONGEST)) {
+        if !(self.truncated_from == 0.0 || (self.truncated_from > self.length && self.truncated_from <= LONGEST)) {
             return Err("a step is cut from a shorter one");
         }
         if self.length == 0.0 {
             let same = self.start == self.end && self.dense == [StageDerivative::NONE; 4] && !self.is_linear;
             return if same { Ok(()) } else { Err("a step of no length leads elsewhere") };
         }
-        match self.again(system, settings) {
+        match self.reproduces_end(system, settings) {
             Ok(true) => Ok(()),
             _ => Err("the step under way does not lead from its beginning to its end"),
         }
     }
 
-    /// Makes the step once more: whether it leads to the same end.
+    /// Whether the step, made again, has the stored end.
     #[cold]
-    fn again<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+    fn reproduces_end<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &self,
         system: &S,
         settings: &Settings,
@@ -79,7 +79,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let from = Departure { q: &self.start.q, v: &self.start.v, on_ray: self.start.on_ray, rest: self.length };
             let Approach::Passed(transit) = system.approach(&settings.passage(), &from) else { return Ok(false) };
             end.pass_through(system, &transit, settings.regularization)?;
-            let same = (transit.duration - self.length).abs() <= SAME * self.length && end.on_ray == self.end.on_ray;
+            let same = (transit.duration - self.length).abs() <= TRANSIT_DEVIATION * self.length && end.on_ray == self.end.on_ray;
             return Ok(same
                 && self.dense == [StageDerivative::NONE; 4]
                 && close(&end.q, &self.end.q)
@@ -89,30 +89,34 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let system = system.borrow();
         Ok(match self.scheme {
             scheme if !settings.schemes.allow(scheme, settings.error_tolerance) => false,
-            Scheme::Tsit5 => self.again_by::<Tsit5<N>, S>(system, settings),
-            Scheme::Dop853 => self.again_by::<Stages<N>, S>(system, settings),
-            Scheme::Rodas4 => self.again_by::<Rosenbrock<Rodas4, N>, S>(system, settings),
-            Scheme::Rodas5p => self.again_by::<Rosenbrock<Rodas5p, N>, S>(system, settings),
+            Scheme::Tsit5 => self.reproduces_end_by::<Tsit5<N>, S>(system, settings),
+            Scheme::Dop853 => self.reproduces_end_by::<Dop853<N>, S>(system, settings),
+            Scheme::Rodas4 => self.reproduces_end_by::<Rosenbrock<Rodas4, N>, S>(system, settings),
+            Scheme::Rodas5p => self.reproduces_end_by::<Rosenbrock<Rodas5p, N>, S>(system, settings),
         })
     }
 
-    /// The same for a step of one kind, by the very function that makes steps.
-    fn again_by<T: Trial<N>, S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&self, system: &S, settings: &Settings) -> bool {
+    /// Whether the step, made again by [`DenseStep::try_once`] in one scheme, has the stored end and coefficients.
+    fn reproduces_end_by<T: Trial<N>, S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
+        &self,
+        system: &S,
+        settings: &Settings,
+    ) -> bool {
         let origin = Origin::new(system, &self.start.q, &system.pose(&self.start.q), settings.regularization);
-        let Some(shared) = T::prepare(system, settings, (&self.start, &origin)) else { return false };
-        let is_cut = self.cut_from > 0.0;
-        let length = if is_cut { self.cut_from } else { self.length };
-        // Without its coefficients a step is over: nothing is asked for within it.
+        let Some(linearization) = T::linearize(system, settings, (&self.start, &origin)) else { return false };
+        let is_truncated = self.truncated_from > 0.0;
+        let length = if is_truncated { self.truncated_from } else { self.length };
+        // A step without coefficients is over, so no state inside it can be read.
         let needless = self.dense == [StageDerivative::NONE; 4] && self.elapsed == self.length;
-        let horizon = Horizon { output: if needless && !is_cut { f64::INFINITY } else { 0.0 }, limit: f64::INFINITY };
-        let plan = Plan { h: length, wanted: length, longest: length, near: true, seeks_borders: false, horizon, pose: None };
+        let horizon = Horizon { output: if needless && !is_truncated { f64::INFINITY } else { 0.0 }, limit: f64::INFINITY };
+        let plan = Plan { h: length, wanted: length, longest: length, near: true, locates_events: false, horizon, pose: None };
         let this = Try::of(length);
         let mut redone = *self;
-        redone.retract();
-        let Outcome::Accepted = redone.try_once::<T, S>(system, settings, &plan, (&shared, &origin), &this) else {
+        redone.reset_to_start();
+        let Outcome::Accepted = redone.try_once::<T, S>(system, settings, &plan, (&linearization, &origin), &this) else {
             return false;
         };
-        if is_cut && !redone.cut_again(system, settings, self.length) {
+        if is_truncated && !redone.truncate_again(system, settings, self.length) {
             return false;
         }
         if system.has_events() {

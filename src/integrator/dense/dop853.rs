@@ -1,4 +1,4 @@
-//! DOP853, the explicit method of order 8 of Dormand and Prince: the stages of one step, and what is summed from them.
+//! DOP853, the explicit Runge–Kutta method of order 8 by Dormand and Prince: stages, error estimate and dense output.
 //!
 //! E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., sections II.5 and II.6.
 
@@ -12,23 +12,24 @@ use crate::vector::Vector;
 use tableau::{A, ALL, AT_ERROR_3, AT_ERROR_5, COEFFICIENTS, DENSE, END, Row, SECOND_ERROR, STAGES, last};
 use wide::f64x2;
 
-/// An estimate at bends counts up to this part of the mean square of that of order 3: round-off is no bend.
+/// Upper limit of the second error estimate in mean square, relative to the estimate of order 3, which keeps round-off of stiff
+/// forces out.
 const SECOND_ERROR_WEIGHT: f64 = 0.09;
 
-/// A step from a state, stage by stage.
-pub(super) struct Stages<const N: usize> {
+/// Stages of one step.
+pub(super) struct Dop853<const N: usize> {
     slopes: [StageDerivative<N>; STAGES],
     q: Vector<N>,
-    /// The step, s.
+    /// Step length, s.
     h: f64,
-    /// The same for pairs of numbers.
+    /// Step length, s, in both lanes of a vector register.
     both_h: f64x2,
-    /// How far from the beginning the last stage is evaluated: at the end of the step as well, but of lower order.
+    /// Distance from the beginning to the q of the last stage, which is at the end of the step but of lower order, rad.
     last: Vector<N>,
 }
 
-impl<const N: usize> Stages<N> {
-    /// Σ coefficient · slope over what is picked of the slopes, in units of the last coefficient: what counts once is not multiplied.
+impl<const N: usize> Dop853<N> {
+    /// Σ coefficient · slope over one component of the stages, in units of the last coefficient, which saves a multiplication.
     #[inline(always)]
     fn sum<const ROW: usize>(&self, part: impl Fn(&StageDerivative<N>) -> Vector<N>) -> Vector<N> {
         let mut sum = const { COEFFICIENTS[ROW][0] / last(ROW) } * part(&self.slopes[0]);
@@ -43,37 +44,37 @@ impl<const N: usize> Stages<N> {
         sum
     }
 
-    /// The same over q and q̇.
+    /// Sums over q and q̇ by a row of coefficients.
     #[inline(always)]
     fn sums<const ROW: usize>(&self) -> [Vector<N>; 2] {
         [self.sum::<ROW>(|slope| slope.q), self.sum::<ROW>(|slope| slope.v)]
     }
 
-    /// Three sums at the end of the step: the mean of order 8, and what is estimated to be wrong by order 5 and by order 3. Pair by pair of
-    /// elements: what all three ask for is loaded once, and stays in registers. One piece of code for q and q̇.
+    /// Three sums at the end of the step: mean slope of order 8, error of order 5 and error of order 3, for q or q̇. Two elements
+    /// at a time are loaded once for all sums and stay in registers.
     #[inline(never)]
-    fn at_end(&self, of_rates: bool) -> [Vector<N>; 3] {
+    fn end_sums(&self, of_rates: bool) -> [Vector<N>; 3] {
         let mut sums = [Vector::ZERO; 3];
-        for trig_base in 0..N.div_ceil(2) {
+        for index in 0..N.div_ceil(2) {
             let slopes: [f64x2; STAGES] = std::array::from_fn(|stage| {
                 let StageDerivative { q, v, .. } = &self.slopes[stage];
-                (if of_rates { v } else { q }).pair(trig_base)
+                (if of_rates { v } else { q }).pair(index)
             });
-            let mean = by_row(&slopes, |stage| COEFFICIENTS[END][stage]);
+            let mean = row_sum(&slopes, |stage| COEFFICIENTS[END][stage]);
             let pairs = [
                 mean,
-                by_row(&slopes, |stage| COEFFICIENTS[AT_ERROR_5][stage]),
-                // Less, where rows have most in common.
-                mean + by_row(&slopes, |stage| COEFFICIENTS[AT_ERROR_3][stage] - COEFFICIENTS[END][stage]),
+                row_sum(&slopes, |stage| COEFFICIENTS[AT_ERROR_5][stage]),
+                // The difference of rows has more zeros.
+                mean + row_sum(&slopes, |stage| COEFFICIENTS[AT_ERROR_3][stage] - COEFFICIENTS[END][stage]),
             ];
             for (sum, pair) in sums.iter_mut().zip(pairs) {
-                sum.set_pair(trig_base, pair);
+                sum.set_pair(index, pair);
             }
         }
         sums
     }
 
-    /// The same over the power.
+    /// Sum over the power by a row of coefficients, W.
     #[inline(always)]
     fn power<const ROW: usize>(&self) -> Work {
         let mut power = Work::default();
@@ -88,14 +89,14 @@ impl<const N: usize> Stages<N> {
         power
     }
 
-    /// How far q and q̇ at the place of a row are from the beginning.
+    /// Increments of q and q̇ from the beginning of the step by a row of coefficients.
     #[inline(always)]
     fn increment<const ROW: usize>(&self) -> [Vector<N>; 2] {
         let unit = self.both_h * f64x2::splat(const { last(ROW) });
         self.sums::<ROW>().map(|sum| unit * sum)
     }
 
-    /// Evaluates the stages of the step, in place: what a function returns is copied.
+    /// Evaluates the stages of the step in place, which avoids copies of returned values.
     #[inline(never)]
     fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::TrigBase, N>) {
         macro_rules! evaluate {
@@ -107,7 +108,7 @@ impl<const N: usize> Stages<N> {
         self.last = self.evaluate::<{ STAGES - 1 }, M, _>(system, origin);
     }
 
-    /// Evaluates the stage of a row: how far its q is from the beginning.
+    /// Evaluates the stage of a row, and returns the increment of its q.
     #[inline(always)]
     fn evaluate<const ROW: usize, const M: usize, S: System<N, M>>(
         &mut self,
@@ -116,17 +117,17 @@ impl<const N: usize> Stages<N> {
     ) -> Vector<N> {
         let [q, v] = self.increment::<ROW>();
         self.slopes[ROW].q = self.slopes[0].q + v;
-        self.slopes[ROW].complete(system, origin, &q);
+        self.slopes[ROW].evaluate_acceleration(system, origin, &q);
         q
     }
 
-    /// Mean power over the step, of order 8.
+    /// Mean power over the step, of order 8, W.
     fn mean_power(&self) -> Work {
         self.power::<END>()
     }
 
-    /// The mean square of another estimate of order 5, where forces bend so sharply that the first may be small by accident: what stages on
-    /// both sides of a bend say may cancel in one of them, hardly in both. By a loop, since few scenes need it.
+    /// Mean square of a second error estimate of order 5, for forces with sharp nonlinearities: contributions from both sides of a
+    /// bend may cancel in one estimate, but hardly in both. A loop suffices, since few scenes need it.
     #[inline(never)]
     fn second_error(&self, weights: &ErrorWeights, rates: [&Vector<N>; 2]) -> f64 {
         let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
@@ -137,8 +138,8 @@ impl<const N: usize> Stages<N> {
         weights.mean_square_of([q, v], rates, Work::default())
     }
 
-    /// Estimated error in units of what is allowed: of the coordinates, of their rates (10/s + |q̇| times that) and of the work; root of
-    /// the mean square. The estimate of order 5 is damped by that of order 3 (Hairer, Nørsett, Wanner, section II.5, eq. 5.17).
+    /// Error estimate in units of the tolerance: root mean square over coordinates, rates (weight 10/s + |q̇|) and work. The
+    /// estimate of order 5 is combined with that of order 3 (Hairer, Nørsett, Wanner, section II.5, eq. 5.17).
     #[inline(always)]
     fn error(&self, weights: &ErrorWeights, [fifth, third]: [[Vector<N>; 2]; 2], v_end: &Vector<N>) -> f64 {
         let rates = [&self.slopes[0].q, v_end];
@@ -148,14 +149,14 @@ impl<const N: usize> Stages<N> {
             fifth = fifth.max(self.second_error(weights, rates).min(SECOND_ERROR_WEIGHT * third));
         }
         let damped = fifth + 0.01 * third;
-        // Both are 0 where nothing moves.
+        // Both estimates are 0 where nothing moves.
         if damped == 0.0 { 0.0 } else { self.h * fifth / damped.sqrt() }
     }
 }
 
-/// Σ coefficient · slope over the stages; the compiler leaves out what is 0.
+/// Σ coefficient · slope over the stages; the compiler omits zero coefficients.
 #[inline(always)]
-fn by_row(slopes: &[f64x2; STAGES], coefficient: impl Fn(usize) -> f64) -> f64x2 {
+fn row_sum(slopes: &[f64x2; STAGES], coefficient: impl Fn(usize) -> f64) -> f64x2 {
     let mut sum = f64x2::splat(coefficient(0)) * slopes[0];
     macro_rules! add {
         ($stage:literal) => {
@@ -168,10 +169,10 @@ fn by_row(slopes: &[f64x2; STAGES], coefficient: impl Fn(usize) -> f64) -> f64x2
     sum
 }
 
-impl<const N: usize> Trial<N> for Stages<N> {
-    const KIND: Scheme = Scheme::Dop853;
-    type Shared = ();
-    /// With the memory and growth by 3 at most a quarter of the rejections of the classical controller remain.
+impl<const N: usize> Trial<N> for Dop853<N> {
+    const SCHEME: Scheme = Scheme::Dop853;
+    type Linearization = ();
+    /// Memory and a growth limit of 3 leave a quarter of the rejections of the classical controller.
     const CONTROLLER: StepSizeController = StepSizeController {
         exponent: 1.0 / 8.0 - 0.75 * 0.02,
         memory: 0.02,
@@ -180,7 +181,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
         failed: 0.3,
     };
 
-    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::TrigBase, N>)) -> Option<()> {
+    fn linearize<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::TrigBase, N>)) -> Option<()> {
         Some(())
     }
 
@@ -204,7 +205,7 @@ impl<const N: usize> Trial<N> for Stages<N> {
         energy_target: Option<(EnergyBalance, f64)>,
     ) -> (f64, Option<StepResult<N, M>>) {
         self.evaluate_all(system, origin);
-        let ([mean_q, q_5, q_3], [mean_v, v_5, v_3]) = (self.at_end(false), self.at_end(true));
+        let ([mean_q, q_5, q_3], [mean_v, v_5, v_3]) = (self.end_sums(false), self.end_sums(true));
         let end = [self.q + self.h * mean_q, self.slopes[0].q + self.h * mean_v];
         let error = self.error(weights, [[q_5, v_5], [q_3, v_3]], &end[1]);
         if error.is_nan() || error > 1.0 {
@@ -217,13 +218,13 @@ impl<const N: usize> Trial<N> for Stages<N> {
         (error, settings.project_and_evaluate(system, (origin, end[0] - self.q), end, energy_target, work))
     }
 
-    /// By the difference between the last stage and the end of the step, which stand at the same time.
+    /// Fastest rate from the difference between the last stage and the end of the step, which are at the same time.
     fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64 {
         let last = &self.slopes[STAGES - 1];
         rate_between([end.q - self.q - self.last, end.v - last.q, end.a - last.v])
     }
 
-    /// Three more stages, after the derivatives at the end of the step.
+    /// Coefficients of the dense output, from three further stages.
     #[cold]
     fn dense<const M: usize>(
         &mut self,
@@ -236,16 +237,16 @@ impl<const N: usize> Trial<N> for Stages<N> {
         slopes[END] = StageDerivative { q: end.v, v: end.a, power: end.power };
         let origin = Origin::new(system, &self.q, &system.pose(&self.q), regularization);
         for stage in END + 1..ALL {
-            let increment = over(self.h, &slopes, A[stage]);
+            let increment = weighted_sum(self.h, &slopes, A[stage]);
             slopes[stage].q = slopes[0].q + increment.v;
-            slopes[stage].complete(system, &origin, &increment.q);
+            slopes[stage].evaluate_acceleration(system, &origin, &increment.q);
         }
-        DENSE.map(|row| over(self.h, &slopes, row))
+        DENSE.map(|row| weighted_sum(self.h, &slopes, row))
     }
 }
 
-/// h times the sum of slopes by a row. By a loop: for the interpolant, which few steps need.
-fn over<const N: usize>(h: f64, slopes: &[StageDerivative<N>; ALL], row: Row) -> StageDerivative<N> {
+/// h times the weighted sum of slopes, as a loop, since few steps need their interpolant.
+fn weighted_sum<const N: usize>(h: f64, slopes: &[StageDerivative<N>; ALL], row: Row) -> StageDerivative<N> {
     let mut sum = StageDerivative::NONE;
     for &(stage, coefficient) in row {
         let StageDerivative { q, v, power } = &slopes[stage];

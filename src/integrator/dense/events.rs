@@ -1,7 +1,7 @@
-//! Where a force has a kink, a step ends.
+//! Event handling of a step: its mode, the check for events, and the transition at its end.
 //!
-//! A step is made on the sides on which it begins. Its interpolant tells where its motion first crosses a border (`search.rs`). Then the step
-//! ends at the border, or is made once more up to there.
+//! A step is made in the mode of its beginning. Its interpolant shows the first guard that the motion crosses (`search.rs`); the
+//! step then ends there, by truncation (`truncation.rs`) or made again with a shorter length.
 
 use std::borrow::Borrow;
 
@@ -12,37 +12,38 @@ use super::{DenseStep, Settings};
 use crate::integrator::{Events, Passage, State, System, Work};
 use crate::vector::Vector;
 
-/// A step ends at a border where it is beyond it by half of what may be overlooked: on the sides behind it is then well on the near side of
-/// the same border.
-pub(super) const AT_BORDER: f64 = 0.5;
-/// This near.
-pub(super) const NEAR_ENOUGH: f64 = 0.4;
-/// Farther beyond, a border has been crossed: less than may be overlooked, so that a bound may lie between.
-pub(super) const CROSSED: f64 = 0.95;
-/// Most sides that a state passes at once.
-const MOST_SIDES: u32 = 8;
-/// After so many tries to end at a border the step is halved instead.
+/// Guard residual at which a step is to end, in event tolerances: past the guard, so that the next mode begins well inside its own
+/// guards.
+pub(super) const TARGET_RESIDUAL: f64 = 0.5;
+/// Half-width of the accepted window around [`TARGET_RESIDUAL`], in event tolerances.
+pub(super) const WINDOW_HALF_WIDTH: f64 = 0.4;
+/// Guard residual above which an event has occurred, in event tolerances; less than 1, so that bounds on the residual fit between.
+pub(super) const CROSSING_RESIDUAL: f64 = 0.95;
+/// Largest number of transitions at one state.
+const MOST_TRANSITIONS: u32 = 8;
+/// Number of trials to end a step at a guard after which the step is halved instead.
 const MOST_TRIES: u32 = 8;
-/// No step is halved to less than this, s: nothing moves in it.
-const NOTHING_MOVES: f64 = 1e-12;
-/// The motion is straight over this part of a step.
-const NEARBY: f64 = 1e-6;
-/// The end of a step that was to end at a border is not farther from it than this part of the step.
-const NEAR: f64 = 0.1;
+/// Shortest step that is halved, s: nothing moves in shorter ones.
+const SHORTEST_HALVED: f64 = 1e-12;
+/// Time over which the motion is linearised for the derivative of the guard residual, relative to the step.
+const LINEARIZED_PART: f64 = 1e-6;
+/// Largest correction of a step's end towards a guard, relative to the step.
+const LARGEST_CORRECTION: f64 = 0.1;
 
-/// By so much more than a ramp seems to last a step on it is longer, so that the border lies within it.
-const LONGER: f64 = 1.2;
+/// Factor on the estimated time until a mode ends, so that the guard lies within the step.
+const DWELL_MARGIN: f64 = 1.2;
 
-/// How a state stands to the border at which a step is to end.
+/// Position of a step's end relative to a guard.
 pub(super) enum EventWindow {
-    /// It is as far beyond it as it is to be.
+    /// The guard residual is within the accepted window.
     Within,
-    /// It is not; by how many seconds later it would be, if the motion goes straight there.
-    Off(Option<f64>),
+    /// The guard residual is outside the window; the correction of the step length, s, if the linearised motion reaches the guard
+    /// nearby.
+    Outside(Option<f64>),
 }
 
 impl EventWindow {
-    /// How q, q̇ and q̈ near the end of a step of some seconds do.
+    /// Position of the state q, q̇ and q̈ near the end of a step of `length` seconds.
     pub(super) fn of<const N: usize>(
         system: &impl Events<N>,
         settings: &Settings,
@@ -53,29 +54,30 @@ impl EventWindow {
             system.guard_residual(&system.guard_values(&(*q + later * *v), &(*v + later * *a)), settings.error_tolerance)
         };
         let guard_residual = guard_residual_at(0.0);
-        if (guard_residual - AT_BORDER).abs() <= NEAR_ENOUGH {
+        if (guard_residual - TARGET_RESIDUAL).abs() <= WINDOW_HALF_WIDTH {
             return Self::Within;
         }
-        let later = NEARBY * length;
-        let (gained, missing) = (guard_residual_at(later) - guard_residual, (guard_residual - AT_BORDER) * later);
-        Self::Off((missing.abs() < NEAR * length * gained.abs()).then(|| -missing / gained))
+        let later = LINEARIZED_PART * length;
+        let (gained, missing) = (guard_residual_at(later) - guard_residual, (guard_residual - TARGET_RESIDUAL) * later);
+        Self::Outside((missing.abs() < LARGEST_CORRECTION * length * gained.abs()).then(|| -missing / gained))
     }
 }
 
-/// How a step stands to the borders of its sides.
+/// Result of the check for events in a step.
 pub(super) enum EventCheck {
-    /// It crosses none.
+    /// No event occurs.
     Clear,
-    /// It ends at one.
+    /// The step ends at an event.
     AtEnd,
-    /// It has to end before, so many seconds from its beginning.
+    /// An event occurs earlier, this many seconds after the beginning of the step.
     Before(f64),
-    /// It crosses none, but its work is off by so many times what is allowed.
-    Off(f64),
+    /// No event occurs, but the error of the work is this multiple of the admissible one.
+    WorkError(f64),
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// Before a step: the sides on which it begins, behind all borders that its beginning is beyond. How long it is worth to be on them, s.
+    /// Sets the mode at the beginning of a step, after all transitions due there, and returns the longest useful step in that mode,
+    /// s.
     #[inline]
     pub(super) fn reinitialize<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
@@ -90,30 +92,30 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         let mut mode = system.select_branch(self.next_mode_at_end, &self.start.q, &self.start.v);
         let mut longest = f64::INFINITY;
         if system.has_events() {
-            self.cut_from = 0.0;
+            self.truncated_from = 0.0;
             let guard_values = system.guard_values(&self.start.q, &self.start.v);
-            for _ in 0..MOST_SIDES {
+            for _ in 0..MOST_TRANSITIONS {
                 let in_mode = system.on(mode);
                 let in_mode = in_mode.borrow();
-                if in_mode.guard_residual(&guard_values, settings.error_tolerance) <= CROSSED {
+                if in_mode.guard_residual(&guard_values, settings.error_tolerance) <= CROSSING_RESIDUAL {
                     break;
                 }
                 mode = in_mode.next_mode(&self.start.q, &self.start.v, settings.error_tolerance);
             }
-            longest = LONGER * system.on(mode).borrow().dwell_time(&guard_values);
+            longest = DWELL_MARGIN * system.on(mode).borrow().dwell_time(&guard_values);
         }
-        self.begin_on(system, settings, mode);
+        self.set_mode(system, settings, mode);
         longest
     }
 
-    /// The sides behind a border that the step crosses at its very beginning.
-    pub(super) fn turn<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) {
+    /// Applies the transition at a guard that the step crosses at its very beginning.
+    pub(super) fn apply_transition<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) {
         let mode = system.on(self.mode).borrow().next_mode(&self.start.q, &self.start.v, settings.error_tolerance);
-        self.begin_on(system, settings, mode);
+        self.set_mode(system, settings, mode);
     }
 
-    /// The sides of the step: where they are others than before, forces and accelerations are those behind the border.
-    fn begin_on<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings, mode: K) {
+    /// Sets the mode of the step; if it changes, forces and accelerations are evaluated again.
+    fn set_mode<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings, mode: K) {
         if mode != self.mode {
             let [before, next_mode] = [system.on(self.mode), system.on(mode)];
             self.start.reinitialize(next_mode.borrow(), &system.pose(&self.start.q), settings.regularization);
@@ -126,8 +128,8 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         (self.mode, self.next_mode_at_end) = (mode, mode);
     }
 
-    /// Whether a step that is accepted otherwise has to end before, after so many tries; `system` is on its sides, and the coefficients of the
-    /// interpolant to an end are there where they are asked for.
+    /// Checks a step with an admissible local error for events, after `tries` trials to end it at a guard. `system` is in the mode
+    /// of the step, and `dense` evaluates the interpolant's coefficients.
     #[inline(never)]
     pub(super) fn event_check<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
@@ -143,9 +145,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             return event_check;
         }
         let done = Work::of_pair(self.end.work.pair() - self.start.work.pair());
-        match settings.credible(done) {
+        match settings.checked_work(done) {
             Ok(_) => self.end.work.dissipated = self.end.work.dissipated.max(self.start.work.dissipated),
-            Err(error) => return EventCheck::Off(error),
+            Err(error) => return EventCheck::WorkError(error),
         }
         if shown > 0.0 {
             self.end.work.dissipated += self.separation_energy(system, [&self.end.q, &self.end.v]);
@@ -153,7 +155,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         event_check
     }
 
-    /// The same, from what touches at its beginning.
+    /// Checks for events from the guard values at the beginning of the step.
     fn event_check_from<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
@@ -164,26 +166,26 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     ) -> EventCheck {
         let mut crosses = EventCheck::Clear;
         if (1..MOST_TRIES).contains(&tries) {
-            let end = self.balanced_end(system, settings);
+            let end = self.evaluated_end(system, settings);
             match EventWindow::of(system, settings, [&end.q, &end.v, &end.a], self.length) {
-                // Another border may be crossed before.
+                // Another guard may be crossed earlier.
                 EventWindow::Within => crosses = EventCheck::AtEnd,
-                // The interpolant was not that exact: the end itself says how far to go.
-                EventWindow::Off(Some(later)) => return EventCheck::Before(self.length + later),
-                EventWindow::Off(None) => {}
+                // The interpolant was not accurate enough, so the end of the step gives the correction.
+                EventWindow::Outside(Some(later)) => return EventCheck::Before(self.length + later),
+                EventWindow::Outside(None) => {}
             }
         }
-        self.dense = dense(&self.balanced_end(system, settings));
+        self.dense = dense(&self.evaluated_end(system, settings));
         match self.first_crossing(system, settings, from) {
             Found::Nothing => crosses,
-            Found::Crossing(when) if when >= SHORTEST && self.cut(system, settings, when) => EventCheck::AtEnd,
+            Found::Crossing(when) if when >= SHORTEST && self.truncate(system, settings, when) => EventCheck::AtEnd,
             Found::Crossing(when) if tries < MOST_TRIES => EventCheck::Before(when),
-            Found::Crossing(_) | Found::TooMuch if self.length > NOTHING_MOVES => EventCheck::Before(0.5 * self.length),
+            Found::Crossing(_) | Found::TooMuch if self.length > SHORTEST_HALVED => EventCheck::Before(0.5 * self.length),
             Found::Crossing(_) | Found::TooMuch => crosses,
         }
     }
 
-    /// What is dissipated between the beginning of the step and a place of it, q and q̇, by forces that act no more, J.
+    /// Energy dissipated by separated springs between the beginning of the step and a state q, q̇, J.
     #[cold]
     pub(super) fn separation_energy<S: Events<N>>(&self, system: &S, [q, v]: [&Vector<N>; 2]) -> f64 {
         let shown = system.separation_energy(&system.guard_values(&self.start.q, &self.start.v));

@@ -1,13 +1,14 @@
-//! The polynomial of degree 7 between the ends of a step (Hairer, Nørsett, Wanner, section II.6).
+//! Interpolating polynomial of degree 7 between the ends of a step (Hairer, Nørsett, Wanner I, section II.6), with rigorous bounds
+//! from its Bernstein coefficients.
 
-use super::trial::larger;
+use super::trial::max_magnitude;
 use crate::vector::Vector;
 
-/// c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + (1−θ) (c₄ + …)))) with θ the part of the step.
+/// Polynomial c₀ + θ (c₁ + (1−θ) (c₂ + θ (c₃ + (1−θ) (c₄ + …)))) in the part θ of the step.
 pub(super) struct Interpolant<const K: usize>([Vector<K>; 8]);
 
 impl<const K: usize> Interpolant<K> {
-    /// From the values and the derivatives (times the step) at both ends, and the higher coefficients.
+    /// Interpolant from values and derivatives (times the step) at both ends, and the higher coefficients.
     #[inline]
     pub(super) fn new([from, to]: [Vector<K>; 2], [rate, rate_to]: [Vector<K>; 2], [d, e, f, g]: [Vector<K>; 4]) -> Self {
         let difference = to - from;
@@ -16,7 +17,7 @@ impl<const K: usize> Interpolant<K> {
         Self([from, difference, second, third, d, e, f, g])
     }
 
-    /// At a part of the step.
+    /// Value at a part θ of the step.
     #[inline]
     pub(super) fn at(&self, part: f64) -> Vector<K> {
         let rest = 1.0 - part;
@@ -24,7 +25,7 @@ impl<const K: usize> Interpolant<K> {
         from + part * (difference + rest * (second + part * (third + rest * (d + part * (e + rest * (f + part * g))))))
     }
 
-    /// Its derivative there, times the step.
+    /// Derivative at a part θ of the step, times the step.
     pub(super) fn rate_at(&self, part: f64) -> Vector<K> {
         let (mut value, mut rate) = (self.0[7], Vector::ZERO);
         for place in (0..7).rev() {
@@ -36,9 +37,9 @@ impl<const K: usize> Interpolant<K> {
         rate
     }
 
-    /// The higher coefficients of the same polynomial on the part of the step before some part.
-    pub(super) fn cut(&self, part: f64) -> [Vector<K>; 4] {
-        // The coefficients of its powers there, from the innermost bracket on.
+    /// Higher coefficients of the polynomial restricted to the step before `part`.
+    pub(super) fn truncate(&self, part: f64) -> [Vector<K>; 4] {
+        // Power coefficients on the shorter step, from the innermost bracket on.
         let mut powers = [Vector::ZERO; 8];
         powers[0] = self.0[7];
         for place in (0..7).rev() {
@@ -50,7 +51,7 @@ impl<const K: usize> Interpolant<K> {
             }
             powers[0] += self.0[place];
         }
-        // The same brackets there: what is left at 0 and 1 in turn, and the rest divided by θ and 1−θ.
+        // Bracket coefficients on the shorter step: the value at 0 and 1 in turn, then division by θ and 1−θ.
         let mut coefficients = [Vector::ZERO; 8];
         for (place, coefficient) in coefficients.iter_mut().enumerate() {
             if place % 2 == 0 {
@@ -69,36 +70,37 @@ impl<const K: usize> Interpolant<K> {
         [d, e, f, g]
     }
 
-    /// Of a component that in truth never falls, the most that it has been until a part of the step. Where the polynomial falls it is wrong, and
-    /// this is not farther off than that is in some place.
-    pub(super) fn risen(&self, component: usize, part: f64) -> f64 {
+    /// Running maximum of a component up to a part of the step. For a quantity that never falls the interpolant is wrong where it
+    /// falls, and the running maximum is at most as wrong as the interpolant.
+    pub(super) fn running_maximum(&self, component: usize, part: f64) -> f64 {
         let rates: [f64; 7] = std::array::from_fn(|row| (1..8).fold(0.0, |sum, k| sum + RATES[row][k] * self.0[k][component]));
-        highest(&|part| self.at(part)[component], rates, [0.0, 1.0], part)
+        maximum_until(&|part| self.at(part)[component], rates, [0.0, 1.0], part)
     }
 
-    /// Bounds on the magnitudes of its first four derivatives by the part of the step: the largest coefficients in Bernstein's polynomials,
-    /// which no value exceeds.
+    /// Bounds on the magnitudes of the first four derivatives with respect to θ: the largest Bernstein coefficients, which no value
+    /// exceeds.
     #[inline(never)]
-    pub(super) fn greatest(&self) -> [Vector<K>; 4] {
+    pub(super) fn derivative_bounds(&self) -> [Vector<K>; 4] {
         let mut coefficients: [Vector<K>; 7] =
             std::array::from_fn(|row| (1..8).fold(Vector::ZERO, |sum, k| sum + RATES[row][k] * self.0[k]));
         std::array::from_fn(|order| {
             let count = 7 - order;
-            let greatest = coefficients[..count].iter().fold(Vector::ZERO, |most, coefficient| larger(&most, coefficient));
-            // Those of the derivative are their differences times its degree.
+            let derivative_bounds =
+                coefficients[..count].iter().fold(Vector::ZERO, |most, coefficient| max_magnitude(&most, coefficient));
+            // Bernstein coefficients of a derivative are differences of those before, times the degree.
             for row in 0..count - 1 {
                 coefficients[row] = (count - 1) as f64 * (coefficients[row + 1] - coefficients[row]);
             }
-            greatest
+            derivative_bounds
         })
     }
 }
 
-/// The highest value on some part of the step, as far as `until`, of a function whose derivative there has these coefficients in Bernstein's
-/// polynomials: where all of them have one sign so has the derivative, and otherwise its halves are looked at.
-fn highest(at: &impl Fn(f64) -> f64, rates: [f64; 7], [from, to]: [f64; 2], until: f64) -> f64 {
-    /// Next to a summit values differ by round-off within this.
-    const FINEST: f64 = 1e-8;
+/// Maximum on a part of the step, up to `until`, of a function whose derivative has these Bernstein coefficients there.
+/// Coefficients of one sign mean a monotone function; otherwise both halves are examined.
+fn maximum_until(at: &impl Fn(f64) -> f64, rates: [f64; 7], [from, to]: [f64; 2], until: f64) -> f64 {
+    /// Part of the step below which values next to a maximum differ by round-off.
+    const SHORTEST_STRETCH: f64 = 1e-8;
     let end = to.min(until);
     if rates.iter().all(|rate| *rate >= 0.0) {
         return at(end);
@@ -106,10 +108,10 @@ fn highest(at: &impl Fn(f64) -> f64, rates: [f64; 7], [from, to]: [f64; 2], unti
     if rates.iter().all(|rate| *rate <= 0.0) {
         return at(from);
     }
-    if to - from < FINEST {
+    if to - from < SHORTEST_STRETCH {
         return at(from).max(at(end));
     }
-    // By the algorithm of de Casteljau.
+    // Subdivision by the algorithm of de Casteljau.
     let mut second = rates;
     let first = std::array::from_fn(|round| {
         let coefficient = second[0];
@@ -119,11 +121,11 @@ fn highest(at: &impl Fn(f64) -> f64, rates: [f64; 7], [from, to]: [f64; 2], unti
         coefficient
     });
     let middle = 0.5 * (from + to);
-    let before = highest(at, first, [from, middle], until);
-    if until <= middle { before } else { before.max(highest(at, second, [middle, to], until)) }
+    let before = maximum_until(at, first, [from, middle], until);
+    if until <= middle { before } else { before.max(maximum_until(at, second, [middle, to], until)) }
 }
 
-/// The coefficients of the derivatives of 1, θ, θ(1−θ), θ²(1−θ), … in Bernstein's polynomials of degree 6: by the polynomial of Bernstein.
+/// Bernstein coefficients, degree 6, of the derivatives of 1, θ, θ(1−θ), θ²(1−θ), …
 const RATES: [[f64; 8]; 7] = rates();
 
 const fn rates() -> [[f64; 8]; 7] {
@@ -134,7 +136,7 @@ const fn rates() -> [[f64; 8]; 7] {
     while bracket < 8 {
         let mut place = 0;
         while place <= DEGREE {
-            // The power k of θ is the sum of Bernstein's polynomials times C(place, k)/C(6, k).
+            // The power θ^k is the sum of Bernstein polynomials times C(place, k)/C(6, k).
             let (mut weight, mut k) = (1.0, 0);
             while k <= place {
                 table[place][bracket] += weight * (k + 1) as f64 * powers[k + 1];
@@ -145,7 +147,7 @@ const fn rates() -> [[f64; 8]; 7] {
             }
             place += 1;
         }
-        // Times θ and 1−θ in turn.
+        // Multiplication by θ and 1−θ in turn.
         let mut k = 7;
         while k > 0 {
             powers[k] = if bracket % 2 == 0 { powers[k - 1] } else { powers[k] - powers[k - 1] };
@@ -168,14 +170,14 @@ mod tests {
         let numbers = [0.3, -1.2, 2.5, 0.7, -3.1, 1.9, 0.2, -0.8];
         let [a, b, c, d, e, f, g, h] = numbers.map(|x| Vector::<1>::from([x]));
         let interpolant = Interpolant::new([a, b], [c, d], [e, f, g, h]);
-        let [rate, bend, ..] = interpolant.greatest().map(|greatest| greatest[0]);
-        // They are at the ends, or not much above what there is.
+        let [rate, curvature_bound, ..] = interpolant.derivative_bounds().map(|derivative_bounds| derivative_bounds[0]);
+        // The bounds are reached at the ends, or are a little above the largest value.
         let mut steepest = 0.0_f64;
-        // Of its first 0.3 it is the same polynomial.
+        // Restricted to the first 0.3 of the step the polynomial keeps its values.
         let part = 0.3;
         let ends = [interpolant.at(0.0), interpolant.at(part)];
         let rates = [0.0, part].map(|at| part * interpolant.rate_at(at));
-        let first = Interpolant::new(ends, rates, interpolant.cut(part));
+        let first = Interpolant::new(ends, rates, interpolant.truncate(part));
         for i in 0..=10 {
             let at = f64::from(i) / 10.0;
             assert!((first.at(at) - interpolant.at(part * at)).max_norm() < 1e-14, "{at}");
@@ -186,15 +188,15 @@ mod tests {
             let here = interpolant.at(part)[0];
             let slope = (interpolant.at(part + step)[0] - here) / step;
             steepest = steepest.max(slope.abs());
-            // Forward differences: the curvature times half the step.
+            // Forward differences are off by the curvature times half the step.
             assert!((interpolant.rate_at(part)[0] - slope).abs() < 1e-4, "{part}: {slope}");
             let curvature = (interpolant.rate_at(part + step)[0] - interpolant.rate_at(part)[0]) / step;
-            assert!(slope.abs() <= rate + 1e-4 && curvature.abs() <= bend + 1e-3, "{part}: {slope} {curvature}");
+            assert!(slope.abs() <= rate + 1e-4 && curvature.abs() <= curvature_bound + 1e-3, "{part}: {slope} {curvature}");
         }
         assert!(rate < 1.5 * steepest, "{rate} of {steepest}");
     }
 
-    /// Held against values at 4000 places, for polynomials that rise and fall in all manners.
+    /// Compared with values at 4000 places, for random polynomials.
     #[test]
     fn what_has_risen_never_falls() {
         let (mut number, mut falling) = (1_u64, 0);
@@ -210,9 +212,10 @@ mod tests {
                 let part = f64::from(i) / 4000.0;
                 let here = interpolant.at(part)[0];
                 (most, falls) = (most.max(here), falls || here < most);
-                let risen = interpolant.risen(0, part);
-                // Between two places a summit is higher by an eighth of the square of their distance times the curvature, 100 at most.
-                assert!((most..most + 1e-6).contains(&risen), "{part}: {risen} instead of {most}");
+                let running_maximum = interpolant.running_maximum(0, part);
+                // Between two places a maximum is higher by at most an eighth of the square of their distance times the curvature,
+                // 100 at most.
+                assert!((most..most + 1e-6).contains(&running_maximum), "{part}: {running_maximum} instead of {most}");
             }
             falling += u32::from(falls);
         }

@@ -1,49 +1,50 @@
-//! What a step is to be, and what comes of trying it.
+//! Plan, trial and outcome of one step.
 
 use super::Horizon;
 
-/// What the next step is to be.
+/// Plan of the next step.
 pub(super) struct Plan<'a, P> {
-    /// Its length, s.
+    /// Step length, s.
     pub(super) h: f64,
-    /// What the error wants it to be.
+    /// Step length that the error control wants, s.
     pub(super) wanted: f64,
-    /// What it may be.
+    /// Longest admissible step, s.
     pub(super) longest: f64,
-    /// Whether a vertex is near, where energy may have to be kept.
+    /// Whether a vertex is near, where the energy may have to be conserved.
     pub(super) near: bool,
-    /// Whether borders are looked for: a step made once more ends where it did.
-    pub(super) seeks_borders: bool,
-    /// When an output is asked for, and what limits it while inputs are held.
+    /// Whether events are located; not so when a step is made again for comparison.
+    pub(super) locates_events: bool,
+    /// Time of the next output and limit of the step while inputs are constant.
     pub(super) horizon: Horizon,
-    /// The pose at its beginning, where it is known.
+    /// Pose at the beginning of the step, if known.
     pub(super) pose: Option<&'a P>,
 }
 
-/// A try of it.
+/// One trial of a step.
 pub(super) struct Try {
-    /// Its length, s.
+    /// Step length, s.
     pub(super) h: f64,
-    /// The last one that was rejected: length and error.
+    /// Length, s, and error of the last rejected trial.
     pub(super) rejected: Option<[f64; 2]>,
-    /// How many were to end at a border.
-    pub(super) cuts: u32,
-    /// The length of the one whose interpolant has shown it, s.
-    pub(super) shown_by: f64,
+    /// Number of trials that were to end at a guard.
+    pub(super) event_trials: u32,
+    /// Length, s, of the trial whose interpolant has shown the event that this trial is to end at.
+    pub(super) event_shown_by: f64,
 }
 
 impl Try {
-    /// The first one.
+    /// First trial of a step, of `h` seconds.
     pub(super) fn of(h: f64) -> Self {
-        Self { h, rejected: None, cuts: 0, shown_by: f64::INFINITY }
+        Self { h, rejected: None, event_trials: 0, event_shown_by: f64::INFINITY }
     }
 }
 
-/// What has come of it.
+/// Outcome of a trial.
 pub(super) enum Outcome {
+    /// The step is accepted.
     Accepted,
-    /// Its error is too large, or NaN.
+    /// The error, in tolerances, is too large or NaN.
     Rejected(f64),
-    /// It has to end at a border, so many seconds from its beginning.
-    Crosses(f64),
+    /// The step has to end at an event, this many seconds after its beginning.
+    EventAt(f64),
 }

@@ -1,5 +1,5 @@
-//! Rosenbrock methods: linearly implicit steps, for loads so stiff that stability would limit explicit ones. One matrix serves all stages
-//! of a step; nothing is iterated.
+//! Rosenbrock methods: linearly implicit steps for loads whose stiffness would limit explicit steps by stability. One matrix serves
+//! all stages of a step, without iteration.
 //!
 //! With z = (q, q̇), ż = f(z) and J = ∂f/∂z each stage solves
 //!
@@ -7,18 +7,17 @@
 //! (1/(hγ) − J) uᵢ = f(z₀ + Σ aᵢⱼ uⱼ) + Σ cᵢⱼ/h uⱼ        J = [0 1; K C],  K = ∂q̈/∂q,  C = ∂q̈/∂q̇
 //! ```
 //!
-//! The first row gives u_q = hγ (r_q + u_v), so that what is left has as many rows as there are coordinates:
-//! (1/(hγ) − C − hγ K) u_v = r_v + hγ K r_q.
+//! The first row gives u_q = hγ (r_q + u_v), which leaves one equation per coordinate: (1/(hγ) − C − hγ K) u_v = r_v + hγ K r_q.
 //!
-//! Work is one more component of z, with the power P for its rate. Of its row of J only products with the u are needed, and for the end
-//! of the step only one of them: w = h Σ bᵢ Pᵢ + h P′·Σ bᵢ uᵢ, with bᵢ from the tableau.
+//! Work is a further component of z with the rate P, the power. Of its row of J only products with the u are needed, and for the end of
+//! the step only one of them: w = h Σ bᵢ Pᵢ + h P′·Σ bᵢ uᵢ, with bᵢ from the tableau.
 
 mod inverse;
 mod tableau;
 
 use std::marker::PhantomData;
 
-use super::hermite::{self, Knowing};
+use super::hermite::{self, HermiteData};
 use super::step_end::project_to_energy;
 use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, for_each};
 use super::{Scheme, Settings};
@@ -29,31 +28,31 @@ use crate::integrator::{
 };
 use crate::vector::Vector;
 use inverse::{Inverse, combination};
-use tableau::{MOST, Tableau};
+use tableau::{MAX_STAGES, Tableau};
 pub(super) use tableau::{Rodas4, Rodas5p};
 
-/// A step from a state, stage by stage.
+/// Stages of one step.
 pub(super) struct Rosenbrock<T, const N: usize> {
-    u: [[Vector<N>; 2]; MOST],
-    power: [Work; MOST],
+    u: [[Vector<N>; 2]; MAX_STAGES],
+    power: [Work; MAX_STAGES],
     start: [Vector<N>; 2],
-    /// The step, s.
+    /// Step length, s.
     h: f64,
-    /// (1/(hγ) − C − hγ K)⁻¹.
+    /// Inverse matrix (1/(hγ) − C − hγ K)⁻¹, s.
     inverse: Inverse<N>,
-    /// The fastest rate that the tangents show, 1/s.
-    fastest: f64,
+    /// Fastest rate of the tangents, 1/s.
+    fastest_rate: f64,
     tableau: PhantomData<T>,
 }
 
-/// The tangents at the beginning of a step, and the fastest rate that they show, 1/s.
-pub(super) struct Shared<const N: usize> {
+/// Tangents at the beginning of a step, with their fastest rate.
+pub(super) struct Linearization<const N: usize> {
     tangents: AccelerationTangents<N>,
-    pub(super) fastest: f64,
+    pub(super) fastest_rate: f64,
 }
 
-impl<const N: usize> Shared<N> {
-    /// About a state with its pose; `None` where it has no tangents.
+impl<const N: usize> Linearization<N> {
+    /// Tangents at a state with its pose; `None` where they are unknown.
     #[inline(never)]
     pub(super) fn about<const M: usize, S: System<N, M>>(
         system: &S,
@@ -62,27 +61,28 @@ impl<const N: usize> Shared<N> {
     ) -> Option<Self> {
         let tangents = system.acceleration_tangents(from, pose, settings.regularization)?;
         let size = |columns: &[Vector<N>; N]| columns.iter().map(|column| column.dot(column)).sum::<f64>().sqrt();
-        // The larger root of ρ² = ρ |C| + |K|: the decay of a damper, the frequency of a spring.
+        // The larger root of ρ² = ρ |C| + |K|: decay rate of a damper, frequency of a spring.
         let (stiffness, damping) = (size(&tangents.by_q), size(&tangents.by_v));
-        let fastest = 0.5 * (damping + (damping * damping + 4.0 * stiffness).sqrt());
-        Some(Self { tangents, fastest })
+        let fastest_rate = 0.5 * (damping + (damping * damping + 4.0 * stiffness).sqrt());
+        Some(Self { tangents, fastest_rate })
     }
 }
 
-/// By which part of a direction the power is differentiated along it, both ways: truncation and round-off are below 1e-9 of it.
-const ALONG: f64 = 1e-4;
+/// Step of the central difference of the power along a direction, relative to the direction; truncation and round-off are below
+/// 1e-9 of the result.
+const DIFFERENCE_STEP: f64 = 1e-4;
 
 impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
-    /// Σ coefficient · u over a row of [`Tableau::AT`].
+    /// Coordinates and rates of a stage: z₀ + Σ coefficient · u over a row of [`Tableau::A`].
     #[inline(always)]
     fn at<const ROW: usize>(&self) -> [Vector<N>; 2] {
         let [mut q, mut v] = self.start;
         macro_rules! add {
             ($stage:literal) => {
-                if const { T::AT[ROW][$stage] != 0.0 } {
+                if const { T::A[ROW][$stage] != 0.0 } {
                     let [u_q, u_v] = &self.u[$stage];
-                    q += const { T::AT[ROW][$stage] } * *u_q;
-                    v += const { T::AT[ROW][$stage] } * *u_v;
+                    q += const { T::A[ROW][$stage] } * *u_q;
+                    v += const { T::A[ROW][$stage] } * *u_v;
                 }
             };
         }
@@ -90,16 +90,16 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         [q, v]
     }
 
-    /// The same over a row of [`Tableau::BEFORE`].
+    /// Contribution Σ coefficient · u of earlier stages to the right-hand side, over a row of [`Tableau::C`].
     #[inline(always)]
-    fn before<const ROW: usize>(&self) -> [Vector<N>; 2] {
+    fn earlier_stages<const ROW: usize>(&self) -> [Vector<N>; 2] {
         let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
         macro_rules! add {
             ($stage:literal) => {
-                if const { T::BEFORE[ROW][$stage] != 0.0 } {
+                if const { T::C[ROW][$stage] != 0.0 } {
                     let [u_q, u_v] = &self.u[$stage];
-                    q += const { T::BEFORE[ROW][$stage] } * *u_q;
-                    v += const { T::BEFORE[ROW][$stage] } * *u_v;
+                    q += const { T::C[ROW][$stage] } * *u_q;
+                    v += const { T::C[ROW][$stage] } * *u_v;
                 }
             };
         }
@@ -107,7 +107,7 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         [q, v]
     }
 
-    /// The u of a right-hand side.
+    /// Solution u of a stage for its right-hand side.
     #[inline(never)]
     fn solve(&self, tangents: &AccelerationTangents<N>, [q, v]: [Vector<N>; 2]) -> [Vector<N>; 2] {
         let part = self.h * T::GAMMA;
@@ -115,9 +115,9 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
         [part * (q + v), v]
     }
 
-    /// Work by some weights of the stages, J.
+    /// Work of the step by given weights of the stages, J.
     #[inline(never)]
-    fn work<const M: usize>(&self, system: &impl System<N, M>, weights: &[f64; MOST]) -> Work {
+    fn work<const M: usize>(&self, system: &impl System<N, M>, weights: &[f64; MAX_STAGES]) -> Work {
         let (mut mean, mut direction) = (Work::default(), [Vector::ZERO; 2]);
         for ((weight, power), u) in weights.iter().zip(&self.power).zip(&self.u) {
             mean = mean.plus(*weight, *power);
@@ -127,20 +127,19 @@ impl<T: Tableau, const N: usize> Rosenbrock<T, N> {
             let [q, v] = [0, 1].map(|i| self.start[i] + part * direction[i]);
             system.power(&q, &system.pose(&q), &v)
         };
-        let along = power_at(ALONG).plus(-1.0, power_at(-ALONG));
-        Work::default().plus(self.h, mean.plus(0.5 / ALONG, along))
+        let along = power_at(DIFFERENCE_STEP).plus(-1.0, power_at(-DIFFERENCE_STEP));
+        Work::default().plus(self.h, mean.plus(0.5 / DIFFERENCE_STEP, along))
     }
 }
 
-/// The way back onto the constraints, which does not depend on the tableau.
-struct ConstraintReturn<'a, const N: usize> {
+/// Projection onto the constraints with stiff forces, independent of the tableau.
+struct StiffProjection<'a, const N: usize> {
     inverse: &'a Inverse<N>,
     h: f64,
 }
 
-impl<const N: usize> ConstraintReturn<'_, N> {
-    /// The end of a step, with its pose, on the constraints, in balance, with the energy that was there so many seconds before, if there is any to keep; and
-    /// the iterations spent.
+impl<const N: usize> StiffProjection<'_, N> {
+    /// End of a step with its pose, projected, in equilibrium, and scaled to the energy to be conserved, if any.
     #[inline(never)]
     fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
         &self,
@@ -158,9 +157,8 @@ impl<const N: usize> ConstraintReturn<'_, N> {
         StepResult::at(iterations, StepEnd::in_balance(system, [q, v], &pose, &mass))
     }
 
-    /// Back onto the constraints, not along the shortest way in the metric of the masses, which asks no force: where forces are stiff it
-    /// would leave them out of balance. The way here is the one that the step itself would find, (1 − hγ C − (hγ)² K)⁻¹ times that of the
-    /// masses. The iterations spent, with pose and mass factor.
+    /// Projects q and q̇ onto the constraints in the metric of the implicit step: corrections are (1 − hγ C − (hγ)² K)⁻¹ times
+    /// those of the mass metric, which would leave stiff forces out of balance. Returns iterations, pose and mass factor.
     fn project<const M: usize, S: System<N, M>>(
         &self,
         system: &S,
@@ -182,20 +180,20 @@ impl<const N: usize> ConstraintReturn<'_, N> {
         Ok((iterations, pose, mass))
     }
 
-    /// By what q or q̇ is corrected for a unit of each constraint.
+    /// Corrections of q or q̇ per unit of each constraint residual.
     fn directions<const M: usize, S: System<N, M>>(&self, system: &S, settings: &Settings, pose: &S::Pose) -> [Vector<N>; M] {
         let mass = system.factor_mass(pose, settings.regularization);
         let directions: [Vector<N>; M] = std::array::from_fn(|i| self.inverse.times(&mass.correction(&Vector::unit(i))));
-        // A load may turn them: so that each is one constraint's.
+        // Loads couple the corrections, which are combined again so that each belongs to one constraint.
         let shares = Inverse::new(directions.map(|direction| system.phi_q_times(pose, &direction)), f64::EPSILON * self.h);
         std::array::from_fn(|i| combination(&directions, &shares.times(&Vector::unit(i))))
     }
 }
 
 impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
-    const KIND: Scheme = T::KIND;
-    type Shared = Shared<N>;
-    /// As in the authors' codes, but for a memory of the error before.
+    const SCHEME: Scheme = T::SCHEME;
+    type Linearization = Linearization<N>;
+    /// Controller of the authors' codes, with memory of the error before.
     const CONTROLLER: StepSizeController = StepSizeController {
         exponent: 1.0 / T::ORDER - 0.75 * 0.04,
         memory: 0.04,
@@ -204,31 +202,31 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         failed: 0.2,
     };
 
-    fn prepare<const M: usize, S: System<N, M>>(
+    fn linearize<const M: usize, S: System<N, M>>(
         system: &S,
         settings: &Settings,
         (from, origin): (&State<N, M>, &Origin<S::TrigBase, N>),
-    ) -> Option<Shared<N>> {
-        Shared::about(system, settings, (from, &origin.turned(system, &Vector::ZERO)))
+    ) -> Option<Linearization<N>> {
+        Linearization::about(system, settings, (from, &origin.pose_at(system, &Vector::ZERO)))
     }
 
     #[inline(never)]
     fn new<const M: usize, S: System<N, M>>(
         system: &S,
-        shared: &Shared<N>,
+        linearization: &Linearization<N>,
         (from, origin): (&State<N, M>, &Origin<S::TrigBase, N>),
         h: f64,
     ) -> Self {
-        let Shared { tangents, fastest } = shared;
+        let Linearization { tangents, fastest_rate } = linearization;
         let part = h * T::GAMMA;
         let columns = std::array::from_fn(|j| (1.0 / part) * Vector::unit(j) - tangents.by_v[j] - part * tangents.by_q[j]);
         let mut step = Self {
-            u: [[Vector::ZERO; 2]; MOST],
-            power: [from.power; MOST],
+            u: [[Vector::ZERO; 2]; MAX_STAGES],
+            power: [from.power; MAX_STAGES],
             start: [from.q, from.v],
             h,
             inverse: Inverse::new(columns, f64::EPSILON / part),
-            fastest: *fastest,
+            fastest_rate: *fastest_rate,
             tableau: PhantomData,
         };
         step.u[0] = step.solve(tangents, [from.v, from.a]);
@@ -238,8 +236,8 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
                 if const { $stage < T::STAGES } {
                     let [q, v] = step.at::<$stage>();
                     let mut slope = StageDerivative { q: v, ..StageDerivative::NONE };
-                    slope.complete(system, origin, &(q - from.q));
-                    let [before_q, before_v] = step.before::<$stage>();
+                    slope.evaluate_acceleration(system, origin, &(q - from.q));
+                    let [before_q, before_v] = step.earlier_stages::<$stage>();
                     step.u[$stage] = step.solve(tangents, [v + per_step * before_q, slope.v + per_step * before_v]);
                     step.power[$stage] = slope.power;
                 }
@@ -257,24 +255,24 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         weights: &ErrorWeights,
         energy_target: Option<(EnergyBalance, f64)>,
     ) -> (f64, Option<StepResult<N, M>>) {
-        let end = self.at::<MOST>();
-        let judged = if weights.work.is_some() { self.work(system, const { &T::WORK_ERROR }) } else { Work::default() };
+        let end = self.at::<MAX_STAGES>();
+        let judged = if weights.work.is_some() { self.work(system, const { &T::QUADRATURE_ERROR }) } else { Work::default() };
         let error = weights.mean_square_of(self.u[T::STAGES - 1], [&self.start[1], &end[1]], judged).sqrt();
         if error.is_nan() || error > 1.0 {
             return (error, None);
         }
-        let work = match weights.work(settings, system.follows_work(), || self.work(system, const { &T::WORK })) {
+        let work = match weights.work(settings, system.follows_work(), || self.work(system, const { &T::QUADRATURE })) {
             Ok(work) => work,
             Err(error) => return (error, None),
         };
-        let at_end = origin.turned(system, &(end[0] - self.start[0]));
+        let at_end = origin.pose_at(system, &(end[0] - self.start[0]));
         let step_result =
-            ConstraintReturn { inverse: &self.inverse, h: self.h }.conclude(system, settings, (end, at_end), energy_target);
+            StiffProjection { inverse: &self.inverse, h: self.h }.conclude(system, settings, (end, at_end), energy_target);
         (error, step_result.map(|step_end| StepResult { work, ..step_end }))
     }
 
     fn fastest_rate<const M: usize>(&self, _: &State<N, M>) -> f64 {
-        self.fastest
+        self.fastest_rate
     }
 
     fn dense<const M: usize>(&mut self, _: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [StageDerivative<N>; 4] {
@@ -282,6 +280,6 @@ impl<T: Tableau, const N: usize> Trial<N> for Rosenbrock<T, N> {
         for (weight, u) in const { T::MIDDLE }.iter().zip(&self.u) {
             middle = [middle[0] + *weight * u[0], middle[1] + *weight * u[1]];
         }
-        hermite::coefficients(ends, self.h, Knowing::Middle(middle))
+        hermite::coefficients(ends, self.h, HermiteData::Middle(middle))
     }
 }

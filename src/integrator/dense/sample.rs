@@ -1,4 +1,4 @@
-//! The state between the ends of the step that is under way.
+//! State at the present time inside the current step: projected interpolant, and work.
 
 use std::borrow::Borrow;
 
@@ -7,24 +7,24 @@ use super::{DenseStep, Scheme, Settings, hermite};
 use crate::integrator::{Counters, Events, Passage, State, System, Work};
 use crate::vector::Vector;
 
-/// What holds at the present time, between the ends of the step.
+/// State at the present time inside the current step.
 #[derive(Clone, Copy, Debug)]
 pub struct Sample<const N: usize, P> {
-    /// Coordinates.
+    /// Coordinates, m and rad.
     pub q: Vector<N>,
-    /// Their rates.
+    /// Velocities, m/s and rad/s.
     pub v: Vector<N>,
-    /// [`System::pose`] there.
+    /// Pose at q.
     pub pose: P,
     /// Work since the start, J.
     pub work: Work,
-    /// Changed [`System::configuration_signs`] since the beginning of the step count.
+    /// Signs of the singularity determinants at q, see [`System::configuration_signs`].
     pub(super) configuration_signs: u8,
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// Coordinates, rates and work at the present time, on the constraints: inside the step the interpolant projected, or as it is where
-    /// the projection does not converge.
+    /// State at the present time on the constraints: inside the step the projected interpolant, or the interpolant itself where the
+    /// projection does not converge.
     #[inline]
     pub fn sample<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &self,
@@ -41,7 +41,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 configuration_signs: end.configuration_signs,
             };
         }
-        if !self.is_shown(system, settings) {
+        if !self.shows_interpolant(system, settings) {
             let mut redone = *self;
             if redone.truncate_and_redo(system, settings).is_ok() {
                 return redone.sample(system, settings);
@@ -56,25 +56,25 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         Sample { q, v, pose, work, configuration_signs }
     }
 
-    /// Whether what is shown between the ends is the interpolant.
+    /// Whether the interpolant is accurate enough to be shown.
     #[inline]
-    fn is_shown<S: Events<N> + System<N, M>>(&self, system: &S, settings: &Settings) -> bool {
-        !system.has_stiff_forces() || self.is_linear || self.interpolates_well(settings)
+    fn shows_interpolant<S: Events<N> + System<N, M>>(&self, system: &S, settings: &Settings) -> bool {
+        !system.has_stiff_forces() || self.is_linear || self.interpolant_is_consistent(settings)
     }
 
-    /// What is dissipated until the present time, inside the step, as far as it is shown, J.
+    /// Dissipated work up to the present time inside the step, as far as it has been shown, J.
     pub(super) fn dissipated<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&self, system: &S, settings: &Settings) -> f64 {
         let Self { start, end, .. } = self;
-        if end.work.dissipated > start.work.dissipated && self.is_shown(system, settings) {
+        if end.work.dissipated > start.work.dissipated && self.shows_interpolant(system, settings) {
             self.interpolated(system.on(self.mode).borrow(), settings).1.dissipated
         } else {
             start.work.dissipated
         }
     }
 
-    /// Writes into a state of the same system in any coordinates what does not depend on the coordinates.
+    /// Writes the parts of a sample that do not depend on the coordinates into a state, whose coordinates may be others.
     pub fn record<const A: usize, const B: usize, P>(&self, sample: &Sample<N, P>, to: &mut State<A, B>) {
-        // What the step has done counts when time has passed its end; that it started from rest in a vertex, at once.
+        // Counters of the step count once time has passed its end; a start from rest in a vertex counts at once.
         let passed = if self.elapsed == self.length { &self.end } else { &self.start };
         to.configuration_signs = passed.configuration_signs;
         to.counters = Counters { launches: self.end.counters.launches, ..passed.counters };
@@ -86,15 +86,15 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         to.on_ray = self.is_linear;
     }
 
-    /// What the interpolant says at the present time, inside the step.
+    /// Interpolant at the present time, not projected, with the work.
     #[inline]
     fn interpolated<S: System<N, M> + Passage<N> + Events<N>>(&self, system: &S, settings: &Settings) -> ([Vector<N>; 2], Work) {
         let Self { start, length, .. } = self;
         let part = self.elapsed / length;
-        let [q, v] = self.moved(part);
+        let [q, v] = self.interpolated_state(part);
         let work = if system.follows_work() {
-            let (mut end, ends_with) = (self.balanced_end(system, settings), self.end.work.dissipated);
-            // What springs that have let go lose is known at any place.
+            let (mut end, ends_with) = (self.evaluated_end(system, settings), self.end.work.dissipated);
+            // The loss of separated springs is known at every state.
             let mut separation_energy = 0.0;
             if system.has_events() {
                 end.work.dissipated -= self.separation_energy(system, [&end.q, &end.v]);
@@ -102,9 +102,9 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
             let mut higher = self.dense.map(|slope| slope.power.pair());
             if self.scheme != Scheme::Dop853 && !self.is_linear {
-                higher[0] = hermite::of_work(system, [start, &end], *length, &self.positions()).pair();
+                higher[0] = hermite::work_coefficient(system, [start, &end], *length, &self.positions()).pair();
             }
-            let mut work = worked(&works([start, &end], *length, higher), part);
+            let mut work = work_until(&work_interpolant([start, &end], *length, higher), part);
             work.dissipated = (work.dissipated.min(end.work.dissipated) + separation_energy).min(ends_with);
             work
         } else {
@@ -113,20 +113,20 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         ([q, v], work)
     }
 
-    /// The interpolant of the work of a step that is of order 8.
-    pub(super) fn works(&self) -> Interpolant<2> {
-        works([&self.start, &self.end], self.length, self.dense.map(|slope| slope.power.pair()))
+    /// Interpolant of the work of a DOP853 step, J.
+    pub(super) fn work_interpolant(&self) -> Interpolant<2> {
+        work_interpolant([&self.start, &self.end], self.length, self.dense.map(|slope| slope.power.pair()))
     }
 
-    /// q and q̇ at a part of the step.
+    /// Interpolated q and q̇ at a part of the step.
     #[inline]
-    pub(super) fn moved(&self, part: f64) -> [Vector<N>; 2] {
+    pub(super) fn interpolated_state(&self, part: f64) -> [Vector<N>; 2] {
         let Self { start, end, .. } = self;
         let q = self.positions().at(part);
         let v = match self.scheme {
             _ if self.is_linear => start.v + part * (end.v - start.v),
             Scheme::Dop853 => self.velocities().at(part),
-            // One polynomial for both.
+            // One polynomial serves for coordinates and rates.
             Scheme::Tsit5 | Scheme::Rodas4 | Scheme::Rodas5p => (1.0 / self.length) * self.positions().rate_at(part),
         };
         [q, v]
@@ -145,13 +145,17 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 }
 
-/// The work until a part of a step: what is dissipated never falls.
-pub(super) fn worked(works: &Interpolant<2>, part: f64) -> Work {
-    Work { input: works.at(part)[0], dissipated: works.risen(1, part) }
+/// Work up to a part of a step, J; the dissipated part never falls.
+pub(super) fn work_until(work_interpolant: &Interpolant<2>, part: f64) -> Work {
+    Work { input: work_interpolant.at(part)[0], dissipated: work_interpolant.running_maximum(1, part) }
 }
 
-/// The interpolant of the work between states some seconds apart.
-fn works<const N: usize, const M: usize>([start, end]: [&State<N, M>; 2], length: f64, higher: [Vector<2>; 4]) -> Interpolant<2> {
+/// Interpolant of the work between two states `length` seconds apart, J.
+fn work_interpolant<const N: usize, const M: usize>(
+    [start, end]: [&State<N, M>; 2],
+    length: f64,
+    higher: [Vector<2>; 4],
+) -> Interpolant<2> {
     let rates = [&start.power, &end.power].map(|power| length * power.pair());
     Interpolant::new([start.work.pair(), end.work.pair()], rates, higher)
 }

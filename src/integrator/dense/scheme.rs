@@ -1,105 +1,106 @@
-//! Of which kinds steps are, and which comes next.
+//! Schemes of a step, and the automatic choice among them.
 //!
-//! By itself a run goes by DOP853, which nothing here beats where the road is free. Two things change that. Inputs that are held for no
-//! longer than a step of order 5 reaches leave nothing for order 8 to gain. And where stability limits the step instead of the
-//! error, a linearly implicit one goes on, until its own error asks for steps that an explicit one could make.
+//! DOP853 is used unless stiffness or short input holds favour another. Inputs held for no longer than a step of order 5 leave no
+//! advantage to order 8: then Tsit5. Where stability limits the step instead of the error, a Rosenbrock method is used until its
+//! own error asks for steps that an explicit method could make. `docs/automatic.md`.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::stiffness::STABILITY_LIMIT;
 
-/// A kind of step.
+/// Scheme of a step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Scheme {
-    /// Explicit, of order 8: DOP853.
+    /// DOP853: explicit, of order 8.
     Dop853,
-    /// Explicit, of order 5: Tsit5.
+    /// Tsit5: explicit, of order 5.
     Tsit5,
-    /// Linearly implicit, of order 4: Rodas4.
+    /// Rodas4: linearly implicit, of order 4.
     Rodas4,
-    /// Linearly implicit, of order 5: Rodas5P.
+    /// Rodas5P: linearly implicit, of order 5.
     Rodas5p,
 }
 
 impl Scheme {
-    /// Whether its steps are linearly implicit.
+    /// Whether the scheme is linearly implicit.
     pub(super) const fn is_implicit(self) -> bool {
         matches!(self, Self::Rodas4 | Self::Rodas5p)
     }
 }
 
-/// Which kinds are made.
+/// Schemes that a run may use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Schemes {
-    /// One, but explicit steps where an implicit one cannot begin.
+    /// One scheme, with DOP853 where an implicit step cannot begin.
     Only(Scheme),
-    /// Whichever takes least.
+    /// Automatic choice of the cheapest scheme.
     Automatic,
 }
 
-/// From this error tolerance on the implicit steps are of order 4: they take less, and ring less on kinks.
-const LOOSE: f64 = 1e-5;
+/// Error tolerance, rad, from which on Rodas4 replaces Rodas5P: it is cheaper, and oscillates less at discontinuities.
+const RODAS4_TOLERANCE: f64 = 1e-5;
 
-/// After each step of order 8 while inputs are held one of order 5 is taken to reach so much farther, so that it is tried again.
-const RECONSIDERED: f64 = 1.05;
+/// Factor on the assumed length of a Tsit5 step after each DOP853 step under short input holds, so that Tsit5 is tried again.
+const TSIT5_GROWTH: f64 = 1.05;
 
-/// So many steps at the border are no accident, after as many changes back and forth as have been counted; doubled by each.
-const AT_BORDER: u8 = 3;
-/// The same for implicit steps in a row that explicit ones could have made: friction in saturation has no tangents, and by three steps that
-/// find it there nothing ever comes to rest.
-const WITHIN_BORDER: u8 = 3;
-/// Most doublings.
+/// Number of explicit steps at the stability limit that switch to implicit ones; doubled by each return.
+const STEPS_AT_LIMIT: u8 = 3;
+/// Number of successive implicit steps that could have been explicit after which the switch goes back, doubled by each return.
+/// Saturated friction has zero tangents, so fewer steps would switch back too early.
+const STEPS_BELOW_LIMIT: u8 = 3;
+/// Largest number of doublings.
 const MOST_RETURNS: u8 = 5;
-/// Bounds on the product of explicit steps with the fastest rate of the tangents, as it is found when implicit ones begin.
-const BORDERS: [f64; 2] = [0.1, 12.0];
-/// Their product where none has been seen: that of DOP853 for a damper.
-const USUAL_BORDER: f64 = 6.4;
-/// Where forces are steep, the tangents are asked after so many explicit steps: round-off, which stiff forces magnify, may keep those
-/// away from the border. Doubled like the counts above.
-const PROBED: u16 = 100;
-/// Implicit steps are tried where the product of explicit ones with the fastest rate of the tangents is larger than this: round-off keeps it at
-/// 0.8 or more, and 0.04 to 0.4 is usual where accuracy does.
-const WORTH_A_TRY: f64 = 0.5;
+/// Admissible range of the stability limit: explicit step times fastest rate of the tangents, at the switch to implicit steps.
+const STABILITY_LIMIT_RANGE: [f64; 2] = [0.1, 12.0];
+/// Stability limit where none has been observed: that of DOP853 for a damper.
+const USUAL_STABILITY_LIMIT: f64 = 6.4;
+/// Number of explicit steps with stiff forces after which the tangents are evaluated, doubled by each return: round-off, amplified
+/// by stiff forces, may keep steps short of the stability limit.
+const PROBE_INTERVAL: u16 = 100;
+/// Product of explicit step and fastest rate of the tangents above which implicit steps are tried: round-off keeps it at 0.8 or
+/// more, accuracy at 0.04 to 0.4.
+const LEAST_PROBED_PRODUCT: f64 = 0.5;
 
-/// What a run remembers to choose by.
+/// Switch between explicit and implicit schemes by detected stiffness, with its memory.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct StiffnessSwitch {
-    /// Whether steps are implicit.
+    /// Whether the steps are implicit.
     stiff: bool,
-    /// Steps in a row, or nearly so, that speak against it.
-    against: u8,
-    /// Explicit steps since implicit ones, up to the next try.
-    explicit: u16,
-    /// How often implicit steps have been given up again.
+    /// Number of recent steps that speak for a change.
+    contrary_steps: u8,
+    /// Number of explicit steps since the last evaluation of tangents.
+    explicit_steps: u16,
+    /// Number of returns from implicit to explicit steps.
     returns: u8,
-    /// The explicit step at the border when implicit ones began, s, and then its product with the fastest rate of the tangents.
-    border: f64,
-    /// How long a step of order 5 would be, s.
-    pub(super) fifth: f64,
+    /// Minus the explicit step, s, at the switch to implicit steps; from the first implicit step on its product with the fastest
+    /// rate of the tangents.
+    stability_limit: f64,
+    /// Length of the next Tsit5 step, s.
+    pub(super) tsit5_step: f64,
 }
 
-/// An accepted step, as a [`StiffnessSwitch`] learns from it.
+/// Accepted step, as data for a [`StiffnessSwitch`].
 pub(super) struct AcceptedStep {
     pub(super) scheme: Scheme,
-    /// Its length, s.
+    /// Step length, s.
     pub(super) length: f64,
-    /// Its product with the fastest rate.
+    /// Product of step length and fastest rate.
     pub(super) product: f64,
-    /// The step that its error would have allowed, s.
+    /// Step length that the error allows next, s.
     pub(super) wanted: f64,
-    /// What limited it otherwise, s.
+    /// Limit of the step length by other reasons, s.
     pub(super) limit: f64,
-    /// Whether the forces are steep.
+    /// Whether any force is stiff.
     pub(super) stiff_forces: bool,
 }
 
 impl Schemes {
-    /// The implicit kind for a tolerance.
+    /// Implicit scheme for an error tolerance, rad.
     fn stiff(error_tolerance: f64) -> Scheme {
-        if error_tolerance >= LOOSE { Scheme::Rodas4 } else { Scheme::Rodas5p }
+        if error_tolerance >= RODAS4_TOLERANCE { Scheme::Rodas4 } else { Scheme::Rodas5p }
     }
 
-    /// Whether a step may be of a kind.
+    /// Whether a step may belong to a scheme.
     pub(super) fn allow(self, scheme: Scheme, error_tolerance: f64) -> bool {
         match self {
             Self::Only(only) => scheme == only || scheme == Scheme::Dop853,
@@ -107,87 +108,98 @@ impl Schemes {
         }
     }
 
-    /// The next step's, which nothing but the error limits to less than so many seconds.
+    /// Scheme of the next step, which other reasons limit to `limit` seconds.
     #[inline]
     pub(super) fn next(self, stiffness_switch: &StiffnessSwitch, error_tolerance: f64, limit: f64) -> Scheme {
         match self {
             Self::Only(scheme) => scheme,
             Self::Automatic if stiffness_switch.stiff => Self::stiff(error_tolerance),
-            Self::Automatic if limit <= stiffness_switch.fifth && limit.is_finite() => Scheme::Tsit5,
+            Self::Automatic if limit <= stiffness_switch.tsit5_step && limit.is_finite() => Scheme::Tsit5,
             Self::Automatic => Scheme::Dop853,
         }
     }
 }
 
 impl StiffnessSwitch {
-    /// Before anything is known.
-    pub(super) const NEW: Self = Self { stiff: false, against: 0, explicit: 0, returns: 0, border: 0.0, fifth: f64::INFINITY };
+    /// Initial state, without observations.
+    pub(super) const NEW: Self =
+        Self { stiff: false, contrary_steps: 0, explicit_steps: 0, returns: 0, stability_limit: 0.0, tsit5_step: f64::INFINITY };
 
-    /// Before the first step: implicit ones begin at once where tangents have so fast a rate, 1/s, that an explicit step of the length that
-    /// is wanted could not be one.
+    /// Chooses the first scheme: implicit if an explicit step of `wanted` seconds would be unstable at the tangents' fastest rate,
+    /// 1/s.
     pub(super) fn begin(&mut self, wanted: f64, rate: f64) {
-        if wanted * rate > BORDERS[1] {
-            (self.stiff, self.border) = (true, USUAL_BORDER);
+        if wanted * rate > STABILITY_LIMIT_RANGE[1] {
+            (self.stiff, self.stability_limit) = (true, USUAL_STABILITY_LIMIT);
         }
     }
 
-    /// Whether so many explicit steps have been made that the tangents are to be asked.
+    /// Whether enough explicit steps have been made for the tangents to be evaluated again.
     pub(super) fn is_probing(&self) -> bool {
-        self.explicit >= PROBED << self.returns
+        self.explicit_steps >= PROBE_INTERVAL << self.returns
     }
 
-    /// What they say: the step that is wanted, s, and their fastest rate, 1/s. Where it is far from the border there is nothing to gain.
+    /// Takes the tangents' fastest rate, 1/s, at a step of `wanted` seconds: implicit steps are tried unless the product is far
+    /// from the stability limit.
     pub(super) fn probe(&mut self, wanted: f64, rate: f64) {
-        self.explicit = 0;
-        if wanted.is_finite() && wanted * rate > WORTH_A_TRY {
-            (self.stiff, self.against, self.border) = (true, 0, (wanted * rate).min(BORDERS[1]));
+        self.explicit_steps = 0;
+        if wanted.is_finite() && wanted * rate > LEAST_PROBED_PRODUCT {
+            (self.stiff, self.contrary_steps, self.stability_limit) = (true, 0, (wanted * rate).min(STABILITY_LIMIT_RANGE[1]));
         }
     }
 
-    /// What an accepted step says about the next ones.
+    /// Updates the switch from an accepted step.
     pub(super) fn learn(&mut self, seen: &AcceptedStep) {
         match seen.scheme {
             Scheme::Dop853 | Scheme::Tsit5 => self.learn_from_explicit(seen),
             Scheme::Rodas4 | Scheme::Rodas5p => self.learn_from_implicit(seen),
         }
         if seen.scheme == Scheme::Dop853 && seen.limit.is_finite() {
-            self.fifth *= RECONSIDERED;
+            self.tsit5_step *= TSIT5_GROWTH;
         }
     }
 
     fn learn_from_explicit(&mut self, seen: &AcceptedStep) {
-        // The product is an estimate: between steps at the border it is below now and then.
-        self.against = if seen.product > STABILITY_LIMIT { self.against + 1 } else { self.against.saturating_sub(1) };
-        self.explicit += u16::from(seen.stiff_forces && seen.wanted < seen.limit && !self.is_probing());
-        if self.against >= AT_BORDER << self.returns {
-            (self.stiff, self.against, self.explicit, self.border) = (true, 0, 0, -seen.length);
+        // The product is an estimate, which steps at the stability limit undercut now and then.
+        self.contrary_steps =
+            if seen.product > STABILITY_LIMIT { self.contrary_steps + 1 } else { self.contrary_steps.saturating_sub(1) };
+        self.explicit_steps += u16::from(seen.stiff_forces && seen.wanted < seen.limit && !self.is_probing());
+        if self.contrary_steps >= STEPS_AT_LIMIT << self.returns {
+            (self.stiff, self.contrary_steps, self.explicit_steps, self.stability_limit) = (true, 0, 0, -seen.length);
         }
     }
 
     fn learn_from_implicit(&mut self, seen: &AcceptedStep) {
         let rate = seen.product / seen.length;
-        if self.border < 0.0 {
-            self.border = (-self.border * rate).clamp(BORDERS[0], BORDERS[1]);
+        if self.stability_limit < 0.0 {
+            self.stability_limit = (-self.stability_limit * rate).clamp(STABILITY_LIMIT_RANGE[0], STABILITY_LIMIT_RANGE[1]);
         }
-        let could_be_explicit = seen.wanted.min(seen.limit) * rate < self.border;
-        self.against = if could_be_explicit { self.against + 1 } else { 0 };
-        if self.against >= WITHIN_BORDER << self.returns {
-            *self = Self { returns: (self.returns + 1).min(MOST_RETURNS), fifth: self.fifth, ..Self::NEW };
+        let could_be_explicit = seen.wanted.min(seen.limit) * rate < self.stability_limit;
+        self.contrary_steps = if could_be_explicit { self.contrary_steps + 1 } else { 0 };
+        if self.contrary_steps >= STEPS_BELOW_LIMIT << self.returns {
+            *self = Self { returns: (self.returns + 1).min(MOST_RETURNS), tsit5_step: self.tsit5_step, ..Self::NEW };
         }
     }
 
-    /// Whether steps by some kinds can leave it behind.
+    /// Whether runs with these schemes can leave the switch in this state.
     pub(super) fn is_possible(&self, schemes: Schemes) -> bool {
         if schemes != Schemes::Automatic {
             return *self == Self::NEW;
         }
-        let most = if self.stiff { WITHIN_BORDER } else { AT_BORDER } << self.returns.min(MOST_RETURNS);
-        let [least, largest] = BORDERS;
-        let border = match self.stiff {
-            true => self.border.is_finite() && (self.border < 0.0 || (least..=largest).contains(&self.border)),
-            false => self.border == 0.0,
+        let most = if self.stiff { STEPS_BELOW_LIMIT } else { STEPS_AT_LIMIT } << self.returns.min(MOST_RETURNS);
+        let [least, largest] = STABILITY_LIMIT_RANGE;
+        let limit_is_possible = match self.stiff {
+            true => {
+                self.stability_limit.is_finite()
+                    && (self.stability_limit < 0.0 || (least..=largest).contains(&self.stability_limit))
+            }
+            false => self.stability_limit == 0.0,
         };
-        let explicit = self.explicit <= if self.stiff { 0 } else { PROBED << self.returns.min(MOST_RETURNS) };
-        self.returns <= MOST_RETURNS && self.against < most && explicit && border && self.fifth > 0.0
+        let count_is_possible =
+            self.explicit_steps <= if self.stiff { 0 } else { PROBE_INTERVAL << self.returns.min(MOST_RETURNS) };
+        self.returns <= MOST_RETURNS
+            && self.contrary_steps < most
+            && count_is_possible
+            && limit_is_possible
+            && self.tsit5_step > 0.0
     }
 }

@@ -1,11 +1,11 @@
-//! One accepted step: passage of a vertex, tries, error control.
+//! One accepted step: approach to vertices, choice of scheme, trials, error control.
 
 use std::borrow::Borrow;
 
-use super::dop853::Stages;
+use super::dop853::Dop853;
 use super::events::EventCheck;
 use super::plan::{Outcome, Plan, Try};
-use super::rosenbrock::{Rodas4, Rodas5p, Rosenbrock, Shared};
+use super::rosenbrock::{Linearization, Rodas4, Rodas5p, Rosenbrock};
 use super::scheme::AcceptedStep;
 use super::trial::{ErrorWeights, Origin, RATE, StageDerivative, StepResult, Trial};
 use super::tsit5::Tsit5;
@@ -13,27 +13,27 @@ use super::{DenseStep, Horizon, Scheme, Schemes, Settings};
 use crate::integrator::controller::{LEAST_LOG_ERROR, is_cut_short, ln, next_step};
 use crate::integrator::{Approach, EnergyBalance, Events, Passage, PassageLimits, State, StepError, System};
 
-/// A step below this, s, that is rejected is not made shorter.
+/// Shortest step that is rejected for another trial, s.
 pub(super) const SHORTEST: f64 = 1e-15;
-/// No step is longer than this, s: where nothing moves the error sets no limit.
+/// Longest step, s, where nothing moves and the error sets no limit.
 pub(super) const LONGEST: f64 = 10.0;
-/// A step is interpolated if the next output is within this part of it, a little more than the whole: sums of macro steps are rounded.
-const WITH_ROUNDING: f64 = 1.000_001;
-/// An interpolant whose rates differ from the derivatives of its coordinates by more than so many tolerances is none; those of good steps
-/// differ by 60 at most.
-const MOST_TOLERANCES_OFF: f64 = 1e3;
-/// A slow rate may be off by this part of what turns a force round: steps that jump over that never find the rest behind it.
-const TURN: f64 = 0.3;
-/// A step whose interpolant has shown a border that is not there, or one that leaves little of it, was too long to tell: the next one is not
-/// longer than this part of it. So what goes to and fro at a border is resolved in a few steps.
-const TRUSTED: f64 = 0.3;
-/// So much of a step is little.
-const LITTLE: f64 = 0.01;
+/// Part of the step within which an output must lie for the step to be interpolated; more than 1 by the round-off of summed macro
+/// steps.
+const OUTPUT_MARGIN: f64 = 1.000_001;
+/// Admissible inconsistency of an interpolant's rates with its coordinates, in tolerances; good steps differ by at most 60.
+const LARGEST_INCONSISTENCY: f64 = 1e3;
+/// Admissible error of a slow rate, relative to the regularisation velocity: larger errors would step over sticking.
+const SLOW_RATE_PART: f64 = 0.3;
+/// Largest next step, relative to a step whose interpolant has shown a false event, or an event early in the step. Oscillation
+/// about a guard is so resolved within a few steps.
+const AFTER_FALSE_EVENT: f64 = 0.3;
+/// Part of the original step below which a truncated step counts as ended early.
+const EARLY: f64 = 0.01;
 /// Round-off of a difference of coordinates, rad.
 const ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// The next step: its beginning is the end of the one under way, whose pose may be known already.
+    /// Makes the next step from the end of the current one, whose pose may be known.
     #[inline(never)]
     pub(super) fn step<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
@@ -51,9 +51,10 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                 return Ok(());
             }
         };
-        self.choose_by_tangents(system, settings, horizon.limit);
+        self.probe_stiffness(system, settings, horizon.limit);
         let longest = if system.has_stick_slip() { longest.min(self.longest_at_rest(system, settings)) } else { longest };
-        // Where friction may hold, steps are explicit ones of order 8, and next to a vertex, where tangents are those of round-off.
+        // Steps are explicit, of order 8, where friction may stick, and next to a vertex, where tangents are dominated by
+        // round-off.
         let scheme = if system.has_stick_slip() || near && !system.can_project(&self.start.q) {
             Scheme::Dop853
         } else {
@@ -61,7 +62,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         };
         let lasting = self.reinitialize(system, settings);
         let wanted = match scheme {
-            Scheme::Tsit5 if self.memory.stiffness_switch.fifth.is_finite() => self.memory.stiffness_switch.fifth,
+            Scheme::Tsit5 if self.memory.stiffness_switch.tsit5_step.is_finite() => self.memory.stiffness_switch.tsit5_step,
             Scheme::Tsit5 => settings.first_step,
             _ if self.start.substep.is_finite() => self.start.substep,
             _ => settings.first_step,
@@ -73,41 +74,37 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             self.end.counters.substeps += 1;
             return Ok(());
         }
-        let plan = Plan { h, wanted, longest, near, seeks_borders: true, horizon, pose };
+        let plan = Plan { h, wanted, longest, near, locates_events: true, horizon, pose };
         match scheme {
             Scheme::Tsit5 => self.attempt::<Tsit5<N>, S>(system, settings, &plan),
-            Scheme::Dop853 => self.attempt::<Stages<N>, S>(system, settings, &plan),
+            Scheme::Dop853 => self.attempt::<Dop853<N>, S>(system, settings, &plan),
             Scheme::Rodas4 => self.attempt::<Rosenbrock<Rodas4, N>, S>(system, settings, &plan),
             Scheme::Rodas5p => self.attempt::<Rosenbrock<Rodas5p, N>, S>(system, settings, &plan),
         }
     }
 
-    /// The kind that a run begins with is chosen by its tangents, and after many explicit steps they are asked again.
+    /// Updates the stiffness switch from the tangents: at the start, and again after many explicit steps.
     #[inline]
-    fn choose_by_tangents<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
-        &mut self,
-        system: &S,
-        settings: &Settings,
-        limit: f64,
-    ) {
+    fn probe_stiffness<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings, limit: f64) {
         let at_start = self.start.counters.substeps == 0;
-        // Where friction may hold there is no choice.
+        // With friction that may stick the scheme is fixed.
         let asks = settings.schemes == Schemes::Automatic
             && !system.has_stick_slip()
             && (at_start || self.memory.stiffness_switch.is_probing());
         if asks
             && system.has_stiff_forces()
-            && let Some(shared) = Shared::about(system.on(self.mode).borrow(), settings, (&self.start, &system.pose(&self.start.q)))
+            && let Some(linearization) =
+                Linearization::about(system.on(self.mode).borrow(), settings, (&self.start, &system.pose(&self.start.q)))
         {
             let stiffness_switch = &mut self.memory.stiffness_switch;
             match at_start {
-                true => stiffness_switch.begin(settings.first_step.min(limit), shared.fastest),
-                false => stiffness_switch.probe(self.start.substep, shared.fastest),
+                true => stiffness_switch.begin(settings.first_step.min(limit), linearization.fastest_rate),
+                false => stiffness_switch.probe(self.start.substep, linearization.fastest_rate),
             }
         }
     }
 
-    /// A step of one kind, as long as the error allows.
+    /// Makes a step in scheme `T`, shortened until the error is admissible and events are met.
     #[inline(never)]
     fn attempt<T: Trial<N>, S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
@@ -115,29 +112,29 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         settings: &Settings,
         plan: &Plan<'_, S::Pose>,
     ) -> Result<(), StepError> {
-        // Not as one pose that is pointed to: of what a pose has stages ask for little.
+        // Two calls instead of one reference to a pose, because stages need little of a pose and keep it in registers.
         let origin = match plan.pose {
             Some(pose) => Origin::new(system, &self.start.q, pose, settings.regularization),
             None => Origin::new(system, &self.start.q, &system.pose_in_place(&self.start.q), settings.regularization),
         };
         let mut in_mode = system.on(self.mode);
-        let mut shared = T::prepare(in_mode.borrow(), settings, (&self.start, &origin));
+        let mut linearization = T::linearize(in_mode.borrow(), settings, (&self.start, &origin));
         let mut this = Try::of(plan.h);
         loop {
-            let Some(prepared) = &shared else { return self.attempt::<Stages<N>, S>(system, settings, plan) };
-            match self.try_once::<T, S>(in_mode.borrow(), settings, plan, (prepared, &origin), &this) {
+            let Some(basis) = &linearization else { return self.attempt::<Dop853<N>, S>(system, settings, plan) };
+            match self.try_once::<T, S>(in_mode.borrow(), settings, plan, (basis, &origin), &this) {
                 Outcome::Accepted => return Ok(()),
-                Outcome::Crosses(when) => {
-                    self.retract();
+                Outcome::EventAt(when) => {
+                    self.reset_to_start();
                     self.end.counters.rejected += 1;
-                    this.cuts += 1;
+                    this.event_trials += 1;
                     if when < SHORTEST {
-                        this.shown_by = f64::INFINITY;
-                        self.turn(system, settings);
+                        this.event_shown_by = f64::INFINITY;
+                        self.apply_transition(system, settings);
                         in_mode = system.on(self.mode);
-                        shared = T::prepare(in_mode.borrow(), settings, (&self.start, &origin));
+                        linearization = T::linearize(in_mode.borrow(), settings, (&self.start, &origin));
                     } else {
-                        this.shown_by = this.h;
+                        this.event_shown_by = this.h;
                         this.h = when.min(plan.longest);
                     }
                 }
@@ -145,7 +142,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
                     self.end.counters.rejected += 1;
                     let h = this.h;
                     let before = this.rejected.replace([h, error]);
-                    let before = before.filter(|[_, worst]| T::KIND.is_implicit() && worst.is_finite() && error > 1.0);
+                    let before = before.filter(|[_, worst]| T::SCHEME.is_implicit() && worst.is_finite() && error > 1.0);
                     let before = before.map(|[length, worst]| [length / h, worst / error]);
                     if h < SHORTEST {
                         return Err(StepError::StepTooShort { substep: h, error: error * settings.error_tolerance });
@@ -156,99 +153,99 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         }
     }
 
-    /// One try. A function of its own, so that nothing is made ready for another one: most steps take one.
+    /// Makes one trial of a step. A separate function, since most steps need one trial and prepare nothing for another.
     #[inline(never)]
     pub(super) fn try_once<T: Trial<N>, S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         on: &S,
         settings: &Settings,
         plan: &Plan<'_, S::Pose>,
-        (prepared, origin): (&T::Shared, &Origin<S::TrigBase, N>),
-        &Try { h, rejected, cuts, shown_by }: &Try,
+        (basis, origin): (&T::Linearization, &Origin<S::TrigBase, N>),
+        &Try { h, rejected, event_trials, event_shown_by }: &Try,
     ) -> Outcome {
-        let &Plan { wanted, near, seeks_borders, horizon, .. } = plan;
+        let &Plan { wanted, near, locates_events, horizon, .. } = plan;
         let energy_target = if near { self.energy_target(on, h) } else { None };
-        let mut trial = T::new(on, prepared, (&self.start, origin), h);
+        let mut trial = T::new(on, basis, (&self.start, origin), h);
         let (error, step_result) = trial.conclude(on, settings, origin, &settings.error_weights(on), energy_target);
         let Some(step_result) = step_result else { return Outcome::Rejected(error) };
-        self.accept(&step_result, h, T::KIND);
+        self.accept(&step_result, h, T::SCHEME);
         let mut tried = f64::INFINITY;
-        if on.has_events() && seeks_borders {
+        if on.has_events() && locates_events {
             let start = self.start;
             let mut dense = |end: &_| trial.dense(on, settings.regularization, [&start, end]);
-            match self.event_check(on, settings, &mut dense, cuts) {
-                // Nothing is where the interpolant of a longer step has shown a border.
-                EventCheck::Clear => tried = shown_by,
+            match self.event_check(on, settings, &mut dense, event_trials) {
+                // The event that the interpolant of a longer trial has shown does not exist.
+                EventCheck::Clear => tried = event_shown_by,
                 EventCheck::AtEnd => {
                     self.next_mode_at_end = on.next_mode(&self.end.q, &self.end.v, settings.error_tolerance);
-                    tried = if self.cut_from > 0.0 { self.cut_from } else { shown_by };
-                    tried = if self.length < LITTLE * tried { tried } else { f64::INFINITY };
+                    tried = if self.truncated_from > 0.0 { self.truncated_from } else { event_shown_by };
+                    tried = if self.length < EARLY * tried { tried } else { f64::INFINITY };
                 }
-                EventCheck::Before(when) => return Outcome::Crosses(when),
-                EventCheck::Off(error) => {
-                    self.retract();
+                EventCheck::Before(when) => return Outcome::EventAt(when),
+                EventCheck::WorkError(error) => {
+                    self.reset_to_start();
                     self.next_mode_at_end = self.mode;
                     return Outcome::Rejected(error);
                 }
             }
         }
-        let interpolated = horizon.output < WITH_ROUNDING * h;
-        // Where a kink was near, the search for it has left the coefficients.
-        let is_cut = on.has_events() && self.cut_from > 0.0;
-        if interpolated && !(is_cut || on.has_events() && self.dense != [StageDerivative::NONE; 4]) {
-            self.dense = trial.dense(on, settings.regularization, [&self.start, &self.balanced_end(on, settings)]);
+        let interpolated = horizon.output < OUTPUT_MARGIN * h;
+        // Event location has computed the coefficients already.
+        let is_truncated = on.has_events() && self.truncated_from > 0.0;
+        if interpolated && !(is_truncated || on.has_events() && self.dense != [StageDerivative::NONE; 4]) {
+            self.dense = trial.dense(on, settings.regularization, [&self.start, &self.evaluated_end(on, settings)]);
         }
         self.end.error_estimate = error * settings.error_tolerance;
         self.adapt::<T>(h, error, wanted, rejected.is_some());
-        let next = self.next_by::<T>();
-        *next = next.min((TRUSTED * tried).max(SHORTEST));
-        // Friction that sticks leaves no choice: nothing is to be learned from its steps. Nor from one that ends where it has no stage.
+        let next = self.next_length::<T>();
+        *next = next.min((AFTER_FALSE_EVENT * tried).max(SHORTEST));
+        // Steps with friction that may stick, and truncated steps, do not update the switch: the former have no choice, the latter
+        // no stage at their end.
         let chooses = settings.schemes == Schemes::Automatic;
-        if chooses && !on.has_stick_slip() && !is_cut {
-            let (product, wanted) = (h * trial.fastest_rate(&self.end), *self.next_by::<T>());
+        if chooses && !on.has_stick_slip() && !is_truncated {
+            let (product, wanted) = (h * trial.fastest_rate(&self.end), *self.next_length::<T>());
             self.memory.stiffness_switch.learn(&AcceptedStep {
-                scheme: T::KIND,
+                scheme: T::SCHEME,
                 length: h,
                 product,
                 wanted,
                 limit: horizon.limit,
                 stiff_forces: on.has_stiff_forces(),
             });
-        } else if !chooses && !is_cut && self.memory.stiffness.is_due(self.end.counters.substeps) {
+        } else if !chooses && !is_truncated && self.memory.stiffness.is_due(self.end.counters.substeps) {
             self.memory.stiffness.check(h * trial.fastest_rate(&self.end));
         }
         Outcome::Accepted
     }
 
-    /// The energy that a step of h seconds keeps: one made once more keeps the same.
+    /// Energy that a step of `h` seconds conserves next to a vertex.
     #[inline]
     pub(super) fn energy_target<S: Passage<N>>(&self, system: &S, h: f64) -> Option<(EnergyBalance, f64)> {
         system.energy_to_keep(&self.start.q, &self.start.v).map(|energy| (energy, h))
     }
 
-    /// Whether the forces at the end of the step have not been asked for: inputs are expected to change there, and those of the next step
-    /// to be other ones.
-    fn is_open_ended(&self) -> bool {
+    /// Whether forces at the end of the step are not evaluated yet: after Tsit5 the inputs are expected to change there.
+    fn end_is_unevaluated(&self) -> bool {
         self.scheme == Scheme::Tsit5 && self.length > 0.0 && !self.is_linear
     }
 
-    /// The end of the step with the accelerations, multipliers and power of its own system, which is on the sides of the step.
-    pub(super) fn balanced_end<S: System<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> State<N, M> {
+    /// State at the end of the step with q̈, λ and power of `system`, which is in the mode of the step.
+    pub(super) fn evaluated_end<S: System<N, M> + Passage<N>>(&self, system: &S, settings: &Settings) -> State<N, M> {
         let mut end = self.end;
-        if self.is_open_ended() {
+        if self.end_is_unevaluated() {
             end.balance(system, &system.pose(&end.q), settings.regularization);
         }
         end
     }
 
-    /// Time has passed the end of the step, where this is the pose, if it is known.
+    /// Begins a step at the end of the current one, whose pose may be known.
     fn begin<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
         system: &S,
         settings: &Settings,
         pose: Option<&S::Pose>,
     ) {
-        if self.is_open_ended() {
+        if self.end_is_unevaluated() {
             let fresh = pose.is_none().then(|| system.pose(&self.end.q));
             if let Some(pose) = pose.or(fresh.as_ref()) {
                 self.end.balance(system.on(self.mode).borrow(), pose, settings.regularization);
@@ -261,20 +258,21 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         self.is_linear = false;
     }
 
-    /// The step has reached its end.
+    /// Sets the end of the step.
     #[inline]
     pub(super) fn accept(&mut self, step_result: &StepResult<N, M>, h: f64, scheme: Scheme) {
         let StepResult { iterations, end_state, work } = step_result;
         (self.length, self.scheme) = (h, scheme);
-        self.end.arrive(end_state);
+        self.end.take_over(end_state);
         self.end.counters.iterations += u64::from(*iterations);
         self.end.work += *work;
     }
 
-    /// Whether the interpolant is of one piece: its rates are the derivatives of its coordinates. Stages may miss what the further ones
-    /// of the interpolant meet. Other kinds have one polynomial for both.
+    /// Whether the interpolant is consistent: its rates are the derivatives of its coordinates within [`LARGEST_INCONSISTENCY`].
+    /// Stages may miss a force that the further stages of the dense output meet. Schemes with one polynomial for both are always
+    /// consistent.
     #[cold]
-    pub(super) fn interpolates_well(&self, settings: &Settings) -> bool {
+    pub(super) fn interpolant_is_consistent(&self, settings: &Settings) -> bool {
         if self.scheme != Scheme::Dop853 {
             return true;
         }
@@ -283,20 +281,20 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             let v = velocities.at(part);
             let defect = positions.rate_at(part) - self.length * v;
             (0..N).all(|i| {
-                let weights = MOST_TOLERANCES_OFF * settings.error_tolerance * (RATE + v[i].abs()) * self.length;
-                defect[i].abs() <= weights + ROUND_OFF * (1.0 + self.end.q[i].abs())
+                let admissible = LARGEST_INCONSISTENCY * settings.error_tolerance * (RATE + v[i].abs()) * self.length;
+                defect[i].abs() <= admissible + ROUND_OFF * (1.0 + self.end.q[i].abs())
             })
         })
     }
 
-    /// The step to come, from the error of one of h seconds.
+    /// Sets the length of the next step from the error of one of `h` seconds.
     #[inline]
     fn adapt<T: Trial<N>>(&mut self, h: f64, error: f64, wanted: f64, rejected: bool) {
-        // A step that was rejected is as long as its error allows, not cut short.
+        // A rejected step is as long as its error allows, not cut short.
         let wanted = if rejected { h } else { wanted };
         let cut_short = is_cut_short(h, wanted);
         let next = if cut_short && T::CONTROLLER.longest_after(h) <= wanted {
-            // Most held inputs end a step so early that its error has nothing to say.
+            // Many held inputs end a step so early that its error carries no information.
             wanted
         } else {
             let log_error = ln(error);
@@ -306,21 +304,21 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
             }
             next_step(h, if rejected { growth.min(1.0) } else { growth }, wanted)
         };
-        *self.next_by::<T>() = next;
+        *self.next_length::<T>() = next;
     }
 
-    /// The step that one of a kind wants next, s.
-    fn next_by<T: Trial<N>>(&mut self) -> &mut f64 {
-        if T::KIND == Scheme::Tsit5 { &mut self.memory.stiffness_switch.fifth } else { &mut self.end.substep }
+    /// Length of the next step of scheme `T`, s.
+    fn next_length<T: Trial<N>>(&mut self) -> &mut f64 {
+        if T::SCHEME == Scheme::Tsit5 { &mut self.memory.stiffness_switch.tsit5_step } else { &mut self.end.substep }
     }
 }
 
 impl Settings {
-    /// What a step may be off. The work of forces with kinks is as large as they are, and the motion does not tell how well it is
-    /// known.
+    /// Weights of the local error. With events the work is weighted too: it depends on discontinuous forces, whose error the motion
+    /// does not show.
     #[inline]
     pub(super) fn error_weights<const N: usize>(&self, system: &impl Events<N>) -> ErrorWeights {
-        let rate = RATE.min(TURN * system.regularization_velocity() / self.error_tolerance);
+        let rate = RATE.min(SLOW_RATE_PART * system.regularization_velocity() / self.error_tolerance);
         ErrorWeights {
             coordinate: self.error_tolerance,
             rate,
@@ -329,7 +327,7 @@ impl Settings {
         }
     }
 
-    /// The error is far below what the impact parameter could hide, at any tolerance.
+    /// Thresholds for passages: the local error is far below the impact parameter at any tolerance.
     pub(super) fn passage(&self) -> PassageLimits {
         PassageLimits { radius: 1e-4, impact_parameter: 1e-7, longest_with_dissipation: self.first_step }
     }

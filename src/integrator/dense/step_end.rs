@@ -1,4 +1,4 @@
-//! Where a step ends: on the constraints, in balance.
+//! End of a step: projection onto the constraints, scaling to the energy, equilibrium; and straight steps through a vertex.
 
 use std::borrow::Borrow;
 
@@ -9,8 +9,8 @@ use crate::integrator::{EnergyBalance, Events, Passage, Projection, State, StepE
 use crate::vector::Vector;
 
 impl Settings {
-    /// Puts the end of a step, so far from where it begins, onto the constraints: the iterations spent, and what holds there. The energy that was at its
-    /// beginning, so many seconds before, is kept where there is any; the work on the way is what it is.
+    /// Projects the end of a step, given with its increment from the origin, and solves for q̈, λ and power there. `energy_target`
+    /// is the energy to be conserved with the time since, s; `work` is the work over the step, J.
     #[inline(always)]
     pub(super) fn project_and_evaluate<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
@@ -20,10 +20,10 @@ impl Settings {
         energy_target: Option<(EnergyBalance, f64)>,
         work: Work,
     ) -> Option<StepResult<N, M>> {
-        self.arrive::<true, N, M, S>(system, from, end, energy_target, work)
+        self.project_end::<true, N, M, S>(system, from, end, energy_target, work)
     }
 
-    /// The same without what holds there.
+    /// Projects the end of a step without evaluating forces there.
     #[inline]
     pub(super) fn project_without_balance<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
@@ -32,12 +32,12 @@ impl Settings {
         end: [Vector<N>; 2],
         energy_target: Option<(EnergyBalance, f64)>,
     ) -> Option<StepResult<N, M>> {
-        self.arrive::<false, N, M, S>(system, from, end, energy_target, Work::default())
+        self.project_end::<false, N, M, S>(system, from, end, energy_target, Work::default())
     }
 
-    /// The end of a step on the constraints, in balance or without.
+    /// Projects the end of a step; evaluates forces there if `BALANCED`.
     #[inline(always)]
-    fn arrive<const BALANCED: bool, const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
+    fn project_end<const BALANCED: bool, const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
         system: &S,
         (origin, by): (&Origin<S::TrigBase, N>, Vector<N>),
@@ -45,7 +45,7 @@ impl Settings {
         energy_target: Option<(EnergyBalance, f64)>,
         work: Work,
     ) -> Option<StepResult<N, M>> {
-        let mut pose = origin.turned(system, &by);
+        let mut pose = origin.pose_at(system, &by);
         let (iterations, mass) = self.project_in_place(system, &mut pose, &mut q, &mut v).ok()?;
         v = project_to_energy(system, [&q, &v], energy_target).ok()?;
         let end_state = if BALANCED {
@@ -56,8 +56,8 @@ impl Settings {
         StepResult::after(work, iterations, end_state)
     }
 
-    /// Puts q and q̇ onto the constraints, but not so close to a vertex that round-off would be divided by nothing: the iterations
-    /// spent, with pose and mass factor.
+    /// Projects q and q̇ onto the constraints, except close to a vertex, where round-off would be amplified; returns iterations,
+    /// pose and mass factor.
     #[inline(never)]
     pub(super) fn project<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
@@ -70,7 +70,7 @@ impl Settings {
         Ok((iterations, pose, mass))
     }
 
-    /// The same with the pose at q, compiled into its caller.
+    /// Projects q and q̇ with the pose at q, inlined into the caller; returns iterations and mass factor.
     #[inline(always)]
     fn project_in_place<const N: usize, const M: usize, S: System<N, M> + Passage<N>>(
         &self,
@@ -86,7 +86,7 @@ impl Settings {
         let iterations = projection.position_from(system, pose, q)?;
         let mass = system.factor_mass(pose, self.regularization);
         *v += velocity_correction(system, pose, &mass, v);
-        if system.holds() {
+        if system.has_sticking() {
             *v = system.project_sticking(*q, *v);
         }
         Ok((iterations, mass))
@@ -94,7 +94,7 @@ impl Settings {
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// A straight step through a vertex. Its work is by where the state is at both ends: it is on no sides.
+    /// Makes a straight step through a vertex. Its power is evaluated in the modes of both ends, because the step has no mode.
     #[cold]
     pub(super) fn pass_through<S: System<N, M> + Passage<N> + Events<N, Mode = K>>(
         &mut self,
@@ -116,7 +116,7 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
     }
 }
 
-/// q̇ scaled to the energy that was there so many seconds before, where there is any to keep.
+/// Velocity q̇ scaled to the energy that was there `h` seconds before, if one is to be conserved.
 #[inline]
 pub(super) fn project_to_energy<const N: usize>(
     system: &impl Passage<N>,

@@ -1,85 +1,86 @@
-//! Whether the scene is too stiff for an explicit method (Hairer, Wanner II, section IV.2, the test of DOP853).
+//! Stiffness detection for explicit methods (Hairer, Wanner II, section IV.2, the test of DOP853), and the step limit at rest.
 
 use std::borrow::Borrow;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::rosenbrock::Shared;
+use super::rosenbrock::Linearization;
 use super::{DenseStep, Settings};
 use crate::integrator::{Events, System};
 
-/// Accepted steps between two checks: a power of two, which counts are told by without a division.
+/// Accepted steps between two checks; a power of two avoids a division.
 const INTERVAL: u64 = 1024;
-/// A step whose product with the fastest rate is larger than this is at the border of stability: there the estimated product is 3.9 for
-/// a damper and in the mean 3.3 for a damped spring (the true ones are 6.4 and 5.5), and below 1.7 where accuracy limits the step.
+/// Estimated product of step and fastest rate above which a step is at the stability limit. There it is 3.9 for a damper and 3.3 in
+/// the mean for a damped spring (exact: 6.4 and 5.5); below 1.7 accuracy limits the step.
 pub(super) const STABILITY_LIMIT: f64 = 2.5;
-/// So many steps there in all, without [`NONSTIFF_STEPS`] others in a row between them, are no accident.
+/// Number of checks at the stability limit, without [`NONSTIFF_STEPS`] others in a row between them, that detect stiffness.
 const STIFF_STEPS: u8 = 15;
-/// So many steps away from the border begin the count anew.
+/// Number of successive checks away from the stability limit that reset the count.
 const NONSTIFF_STEPS: u8 = 6;
 
-/// Where nothing moves by more than the tolerance in a ms, what friction holds comes to rest on its springs:
-const STILL: f64 = 1e3;
-/// there a step times the fastest rate is at most this, within the border of stability, at which errors say nothing until accelerations are as
-/// large as rates may be off.
+/// Rate, in error tolerances per s, below which the system counts as at rest: less than the tolerance per ms.
+const REST_RATE: f64 = 1e3;
+/// Product of step and fastest rate at rest. It is below the stability limit, at which errors would stay small until accelerations
+/// reach the admissible error of rates times the fastest rate.
 const STABILITY_LIMIT_AT_REST: f64 = 5.0;
 
-/// What has been seen of the border of stability.
+/// Observations of the stability limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
-pub(super) struct Stiffness {
-    at_border: u8,
-    away: u8,
-    /// Whether steps have been limited by stability and not by accuracy.
-    pub(super) found: bool,
-    /// By tangents, where what friction holds has come to rest: the fastest rate, 1/s. Nothing that moves tells it there.
-    pub(super) held: Option<f64>,
+pub(super) struct StiffnessDetector {
+    at_limit: u8,
+    away_from_limit: u8,
+    /// Whether stability rather than accuracy has limited the steps.
+    pub(super) detected: bool,
+    /// Fastest rate of the tangents, 1/s, where sticking friction and springs hold the system at rest; motion does not show it
+    /// there.
+    pub(super) rate_at_rest: Option<f64>,
 }
 
-impl Stiffness {
-    /// Whether a check is due after this many accepted steps.
+impl StiffnessDetector {
+    /// Whether a check is due after `substeps` accepted steps.
     #[inline]
     pub(super) fn is_due(&self, substeps: u64) -> bool {
-        !self.found && (self.at_border > 0 || substeps.is_multiple_of(INTERVAL))
+        !self.detected && (self.at_limit > 0 || substeps.is_multiple_of(INTERVAL))
     }
 
-    /// A check by the product of a step with the fastest rate.
+    /// Takes the product of step and fastest rate of one step.
     #[cold]
     pub(super) fn check(&mut self, step_times_rate: f64) {
         if step_times_rate > STABILITY_LIMIT {
-            self.away = 0;
-            self.at_border += 1;
-            self.found = self.at_border == STIFF_STEPS;
-        } else if self.at_border > 0 {
-            self.away += 1;
-            if self.away == NONSTIFF_STEPS {
-                (self.at_border, self.away) = (0, 0);
+            self.away_from_limit = 0;
+            self.at_limit += 1;
+            self.detected = self.at_limit == STIFF_STEPS;
+        } else if self.at_limit > 0 {
+            self.away_from_limit += 1;
+            if self.away_from_limit == NONSTIFF_STEPS {
+                (self.at_limit, self.away_from_limit) = (0, 0);
             }
         }
     }
 
-    /// Whether the counts are such as checks leave behind.
+    /// Whether the counts can result from checks.
     pub(super) fn is_consistent(&self) -> bool {
-        self.held.is_none_or(|rate| (0.0..f64::INFINITY).contains(&rate))
-            && self.at_border <= STIFF_STEPS
-            && self.away < NONSTIFF_STEPS
-            && self.found == (self.at_border == STIFF_STEPS)
+        self.rate_at_rest.is_none_or(|rate| (0.0..f64::INFINITY).contains(&rate))
+            && self.at_limit <= STIFF_STEPS
+            && self.away_from_limit < NONSTIFF_STEPS
+            && self.detected == (self.at_limit == STIFF_STEPS)
     }
 }
 
 impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
-    /// The longest step in which what springs do fades where friction lets nothing else move, s.
+    /// Longest step, s, in which oscillations of springs decay while friction holds everything else.
     #[cold]
     pub(super) fn longest_at_rest<S: System<N, M> + Events<N, Mode = K>>(&mut self, system: &S, settings: &Settings) -> f64 {
         let on = system.on(self.mode);
-        let rate = &mut self.memory.stiffness.held;
-        // Where nothing can move nothing has to fade.
-        if on.borrow().is_at_rest() || system.error_norm(&self.start.v) > STILL * settings.error_tolerance {
+        let rate = &mut self.memory.stiffness.rate_at_rest;
+        // Nothing oscillates where everything sticks.
+        if on.borrow().is_at_rest() || system.error_norm(&self.start.v) > REST_RATE * settings.error_tolerance {
             *rate = None;
             return f64::INFINITY;
         }
         let by_tangents = || {
-            let shared = Shared::about(on.borrow(), settings, (&self.start, &system.pose(&self.start.q)));
-            shared.map(|shared| shared.fastest).filter(|rate| rate.is_finite()).unwrap_or_default()
+            let linearization = Linearization::about(on.borrow(), settings, (&self.start, &system.pose(&self.start.q)));
+            linearization.map(|linearization| linearization.fastest_rate).filter(|rate| rate.is_finite()).unwrap_or_default()
         };
         STABILITY_LIMIT_AT_REST / *rate.get_or_insert_with(by_tangents)
     }

@@ -1,4 +1,4 @@
-//! What steps of every kind have in common: how one is made, judged and completed.
+//! Interface of all schemes: how a step is made, judged and completed; error weights, and evaluation of stages.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -10,7 +10,7 @@ use crate::integrator::{EnergyBalance, Passage, State, System, Work};
 use crate::vector::Vector;
 use wide::f64x2;
 
-/// Does something for each stage, without a loop at run time: stages and their coefficients are constants.
+/// Expands a macro for each stage instead of a loop: stages and their coefficients are constants.
 macro_rules! for_each {
     ($do:ident: $($stage:literal)*) => {
         $($do!($stage);)*
@@ -18,32 +18,32 @@ macro_rules! for_each {
 }
 pub(super) use for_each;
 
-/// One step of a kind, made but not accepted yet.
+/// One step of a scheme, made and not accepted yet.
 pub(super) trait Trial<const N: usize>: Sized {
-    /// Which.
-    const KIND: Scheme;
-    /// What all tries from one state share.
-    type Shared;
-    /// How the next step follows from the error of this one.
+    /// Scheme of the step.
+    const SCHEME: Scheme;
+    /// Data shared by all trials from one state.
+    type Linearization;
+    /// Step-size controller of the scheme.
     const CONTROLLER: StepSizeController;
 
-    /// What tries from a state share; `None` where steps of this kind cannot begin.
-    fn prepare<const M: usize, S: System<N, M>>(
+    /// Data shared by all trials from a state; `None` where a step of this scheme cannot begin.
+    fn linearize<const M: usize, S: System<N, M>>(
         system: &S,
         settings: &Settings,
         from: (&State<N, M>, &Origin<S::TrigBase, N>),
-    ) -> Option<Self::Shared>;
+    ) -> Option<Self::Linearization>;
 
-    /// A step of h seconds, to be made by [`conclude`](Self::land) at the latest.
+    /// Begins a step of `h` seconds, which [`conclude`](Self::conclude) completes.
     fn new<const M: usize, S: System<N, M>>(
         system: &S,
-        shared: &Self::Shared,
+        linearization: &Self::Linearization,
         from: (&State<N, M>, &Origin<S::TrigBase, N>),
         h: f64,
     ) -> Self;
 
-    /// Its error in units of what is allowed, and where it leads, on the constraints, if that is 1 at most; near a vertex
-    /// with the energy there, so many seconds before.
+    /// Completes the step: its error in tolerances and, if that is at most 1, its projected end, scaled to `energy_target` (energy
+    /// and time since, s) near a vertex.
     fn conclude<const M: usize, S: System<N, M> + Passage<N>>(
         &mut self,
         system: &S,
@@ -53,10 +53,10 @@ pub(super) trait Trial<const N: usize>: Sized {
         energy_target: Option<(EnergyBalance, f64)>,
     ) -> (f64, Option<StepResult<N, M>>);
 
-    /// The fastest rate of change, 1/s, that a step to this end shows.
+    /// Fastest rate of the step, 1/s, estimated from its stages.
     fn fastest_rate<const M: usize>(&self, end: &State<N, M>) -> f64;
 
-    /// The higher coefficients of the interpolant between its ends.
+    /// Higher coefficients of the interpolant between `ends`.
     fn dense<const M: usize>(
         &mut self,
         system: &impl System<N, M>,
@@ -65,46 +65,47 @@ pub(super) trait Trial<const N: usize>: Sized {
     ) -> [StageDerivative<N>; 4];
 }
 
-/// Where a step leads.
+/// End of a step with its work.
 pub(super) struct StepResult<const N: usize, const M: usize> {
-    /// Iterations of the projection.
+    /// Number of iterations of the projection.
     pub(super) iterations: u32,
+    /// State at the end.
     pub(super) end_state: StepEnd<N, M>,
-    /// Work on the way, J.
+    /// Work over the step, J.
     pub(super) work: Work,
 }
 
 impl<const N: usize, const M: usize> StepResult<N, M> {
-    /// Where it does no work, unless something there is not finite.
+    /// Result without work; `None` unless the end is finite.
     #[inline(always)]
     pub(super) fn at(iterations: u32, end_state: StepEnd<N, M>) -> Option<Self> {
         Self::after(Work::default(), iterations, end_state)
     }
 
-    /// The same after some work, J.
+    /// Result with the given work, J; `None` unless the end is finite.
     #[inline(always)]
     pub(super) fn after(work: Work, iterations: u32, end_state: StepEnd<N, M>) -> Option<Self> {
         end_state.is_finite().then_some(Self { iterations, end_state, work })
     }
 }
 
-/// What the local error of a step may be.
+/// Weights of the local error.
 pub(super) struct ErrorWeights {
-    /// Of a coordinate.
+    /// Admissible error of a coordinate, m or rad.
     pub(super) coordinate: f64,
-    /// Of a rate, in what a coordinate may be off: this and its own magnitude, 1/s.
+    /// Rate added to |q̇| in the admissible error of a rate, 1/s: the sum times [`Self::coordinate`].
     pub(super) rate: f64,
-    /// Of the work, J, where it is judged.
+    /// Admissible error of the work, J, where the work is judged.
     pub(super) work: Option<f64>,
-    /// Whether forces bend sharply without a kink.
+    /// Whether forces have sharp nonlinearities without an event.
     pub(super) has_sharp_nonlinearity: bool,
 }
 
-/// A rate may be off by what a coordinate may, times this and its own magnitude, 1/s.
+/// Rate added to |q̇| in the admissible error of a rate, 1/s.
 pub(super) const RATE: f64 = 10.0;
 
 impl ErrorWeights {
-    /// The mean square of an error of q, q̇ and the work between rates at both ends of a step, in units of what is allowed.
+    /// Mean square of an error of q, q̇ and the work, in units of the admissible error, with the rates at both ends of the step.
     #[inline(always)]
     pub(super) fn mean_square<const N: usize>(
         &self,
@@ -116,42 +117,41 @@ impl ErrorWeights {
         let rates = v.with(&units, |v, unit| v * unit);
         let squares = q.with(&rates, |q, rate| q * q + rate * rate);
         let mean = squares.sum() / (2.0 * N as f64 * self.coordinate * self.coordinate);
-        let Some(weights) = self.work else { return mean };
+        let Some(admissible) = self.work else { return mean };
         let Work { input, dissipated } = work();
-        mean + (input * input + dissipated * dissipated) / (weights * weights)
+        mean + (input * input + dissipated * dissipated) / (admissible * admissible)
     }
 }
 
 impl Settings {
-    /// The work of a step. What is dissipated in it is less than nothing by an error only, and that is so large at least: 0 is nearer to the
-    /// truth. Where the error is more than the work may be off the step is to be refused with it, in units of that.
+    /// Work of a step with its dissipated part raised to 0 at least: a negative value shows an error of at least its size. If that
+    /// exceeds the admissible error, the step is refused with the error in tolerances.
     #[inline]
-    pub(super) fn credible(&self, work: Work) -> Result<Work, f64> {
+    pub(super) fn checked_work(&self, work: Work) -> Result<Work, f64> {
         let error = -work.dissipated / (self.error_tolerance * self.energy_scale);
         if error > 1.0 { Err(error) } else { Ok(Work { dissipated: work.dissipated.max(0.0), ..work }) }
     }
 }
 
 impl ErrorWeights {
-    /// The work of a step if it is followed, as [`Settings::credible`] has it; where there are kinks that is asked when it is known where the
-    /// step ends.
+    /// Work of a step, corrected by [`Settings::checked_work`]; with events that happens after their location.
     #[inline]
     pub(super) fn work(&self, settings: &Settings, follows: bool, work: impl FnOnce() -> Work) -> Result<Work, f64> {
         match follows {
             false => Ok(Work::default()),
             true if self.work.is_some() => Ok(work()),
-            true => settings.credible(work()),
+            true => settings.checked_work(work()),
         }
     }
 
-    /// The same where it is not asked in every step: one piece of code.
+    /// Mean square as in [`Self::mean_square`], as one shared copy of the code for rare operations.
     #[inline(never)]
     pub(super) fn mean_square_of<const N: usize>(&self, error: [Vector<N>; 2], ends: [&Vector<N>; 2], work: Work) -> f64 {
         self.mean_square(error, ends, || work)
     }
 }
 
-/// The derivatives of q, q̇ and the work, or a sum of such.
+/// Derivatives of q, q̇ and work at a stage, or a weighted sum of them.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct StageDerivative<const N: usize> {
     pub(super) q: Vector<N>,
@@ -162,25 +162,25 @@ pub(super) struct StageDerivative<const N: usize> {
 impl<const N: usize> StageDerivative<N> {
     pub(super) const NONE: Self = Self { q: Vector::ZERO, v: Vector::ZERO, power: Work { input: 0.0, dissipated: 0.0 } };
 
-    /// Completes that of q̇ at a distance from an origin. One piece of code for all stages: written out for each of them it would not fit
-    /// into what a processor keeps decoded.
+    /// Evaluates acceleration and power at an increment from the origin. One copy of the code for all stages fits into the
+    /// processor's cache of decoded instructions.
     #[inline(never)]
-    pub(super) fn complete<const M: usize, S: System<N, M>>(
+    pub(super) fn evaluate_acceleration<const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
         origin: &Origin<S::TrigBase, N>,
         by: &Vector<N>,
     ) {
-        match system.acceleration_by_weight(&origin.trig_base, by, &self.q) {
-            // The power stays what it is before: none.
+        match system.acceleration_under_gravity(&origin.trig_base, by, &self.q) {
+            // The power stays 0.
             Some(a) => self.v = a,
-            None => self.complete_under_loads(system, origin, by),
+            None => self.evaluate_under_loads(system, origin, by),
         }
     }
 
-    /// The same for any forces. Out of line, so that where only weight acts there is little to save and restore.
+    /// Evaluates acceleration and power under any loads, out of line so that the case of gravity alone saves few registers.
     #[inline(never)]
-    fn complete_under_loads<const M: usize, S: System<N, M>>(
+    fn evaluate_under_loads<const M: usize, S: System<N, M>>(
         &mut self,
         system: &S,
         origin: &Origin<S::TrigBase, N>,
@@ -191,11 +191,11 @@ impl<const N: usize> StageDerivative<N> {
     }
 }
 
-/// Where a step begins: its stages are not far away, and their poses are turned from there.
+/// Beginning of a step as base of small-angle updates for the poses of its stages.
 pub(super) struct Origin<P, const N: usize> {
     q: Vector<N>,
     trig_base: P,
-    /// e of the saddle-point systems, 1/kg.
+    /// Regularisation e of the saddle-point systems, 1/kg.
     regularization: f64,
 }
 
@@ -210,21 +210,21 @@ impl<P, const N: usize> Origin<P, N> {
         Self { q: *q, trig_base: system.trig_base(pose), regularization }
     }
 
-    /// The pose at a distance.
+    /// Pose at an increment from the origin.
     #[inline(always)]
-    pub(super) fn turned<const M: usize, S: System<N, M, TrigBase = P>>(&self, system: &S, by: &Vector<N>) -> S::Pose {
-        system.pose_near((&self.q, &self.trig_base), by)
+    pub(super) fn pose_at<const M: usize, S: System<N, M, TrigBase = P>>(&self, system: &S, by: &Vector<N>) -> S::Pose {
+        system.pose_from_base((&self.q, &self.trig_base), by)
     }
 }
 
-/// The larger magnitudes, element by element; the first has none below 0.
+/// Larger of `most` and |x|, element by element; `most` is not negative.
 #[inline]
-pub(super) fn larger<const N: usize>(most: &Vector<N>, x: &Vector<N>) -> Vector<N> {
+pub(super) fn max_magnitude<const N: usize>(most: &Vector<N>, x: &Vector<N>) -> Vector<N> {
     Vector::from_fn(|i| most[i].max(x[i].abs()))
 }
 
-/// The fastest rate, 1/s, that a difference of q, q̇ and q̈ between two states shows: the r of r² |Δq| + r |Δq̇| = |Δq̈|, which is the
-/// frequency of a spring and the decay of a damper.
+/// Fastest rate r, 1/s, from r² |Δq| + r |Δq̇| = |Δq̈| for differences between two states: frequency of a spring, decay rate of a
+/// damper.
 pub(super) fn rate_between<const N: usize>([dq, dv, da]: [Vector<N>; 3]) -> f64 {
     let [q, v, a] = [dq, dv, da].map(|x| x.norm());
     let both = v + (v * v + 4.0 * q * a).sqrt();
@@ -247,10 +247,10 @@ mod tests {
             max_work: 1000,
             regularization: 1e-20,
         };
-        let lost = |dissipated: f64| settings.credible(Work { input: 1.0, dissipated });
+        let lost = |dissipated: f64| settings.checked_work(Work { input: 1.0, dissipated });
         assert_eq!(lost(3e-6), Ok(Work { input: 1.0, dissipated: 3e-6 }));
         assert_eq!(lost(-1e-6), Ok(Work { input: 1.0, dissipated: 0.0 }));
-        // Off by three halves of what it may be.
+        // Negative dissipation of 1.5 times the admissible error.
         assert!(lost(-3e-6).is_err_and(|error| (error - 1.5).abs() < 1e-15));
     }
 }

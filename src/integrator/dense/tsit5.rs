@@ -1,29 +1,30 @@
-//! Tsit5, an explicit method of order 5 with six evaluations: for inputs that are held so shortly that no more is needed.
+//! Tsit5, an explicit Runge–Kutta method of order 5 with six stages, for inputs held so shortly that no higher order pays.
 //!
-//! Ch. Tsitouras, *Runge–Kutta pairs of order 5(4) satisfying only the first column simplifying assumption*, Computers and Mathematics
-//! with Applications 62 (2011). Their error estimate takes the derivative at the end of the step as a seventh stage, which is thrown away
-//! where inputs change; ours is made of the six.
+//! Ch. Tsitouras, *Runge–Kutta pairs of order 5(4) satisfying only the first column simplifying assumption*, Computers and
+//! Mathematics with Applications 62 (2011). The author's error estimate needs the derivative at the end of the step as a seventh
+//! stage, which would be discarded where inputs change; the estimate here uses the six stages.
 
-use super::hermite::{self, Knowing};
+use super::hermite::{self, HermiteData};
 use super::trial::{ErrorWeights, Origin, StageDerivative, StepResult, Trial, for_each, rate_between};
 use super::{Scheme, Settings};
 use crate::integrator::controller::StepSizeController;
 use crate::integrator::{EnergyBalance, Passage, State, System, Work};
 use crate::vector::Vector;
 
-/// Stages of a step.
+/// Number of stages.
 const STAGES: usize = 6;
-/// The row of its end.
+/// Row of the end of the step.
 const END: usize = STAGES;
-/// An embedded value of order 3 minus the new one, by stages. The eight conditions of order 4 leave none but the new value itself. Of those that
-/// meet the four of order 3 this is the direction that meets the others best, to 0.0006 (root of the sum of squares, weighted as in the
-/// expansion of the error); it is so long that its terms of order 5 are as large as those of the authors' estimate, 0.001.
+/// Row of the error estimate of order 3: embedded solution minus solution. The eight conditions of order 4 admit only the solution
+/// itself. Among directions that meet the four conditions of order 3 this one meets the others best, to 0.0006 (root of the sum of
+/// squares, weighted as in the expansion of the error); its length makes its terms of order 5 as large as those of the author's
+/// estimate, 0.001.
 const ERROR: usize = END + 1;
-/// The same of order 2: that which misses the two conditions of order 3 most. It is so long that for short steps the estimate is as large as
-/// the authors'.
+/// Row of the error estimate of order 2: the direction that violates the two conditions of order 3 most, of a length that makes the
+/// estimate for short steps as large as the author's.
 const COARSE: usize = END + 2;
 
-/// Where each stage is evaluated, then the rows named above.
+/// Coefficients of the stages, then rows [`END`], [`ERROR`] and [`COARSE`].
 const WEIGHTS: [[f64; STAGES]; STAGES + 3] = [
     [0.0; STAGES],
     [0.161, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -50,18 +51,18 @@ const WEIGHTS: [[f64; STAGES]; STAGES + 3] = [
     ],
 ];
 
-/// A step from a state, stage by stage.
+/// Stages of one step.
 pub(super) struct Tsit5<const N: usize> {
     slopes: [StageDerivative<N>; STAGES],
     start: [Vector<N>; 2],
-    /// The step, s.
+    /// Step length, s.
     h: f64,
-    /// How far from the beginning the last two stages are evaluated, nearly at the same time.
+    /// Increments of q from the beginning to the last two stages, which are at nearly the same time, rad.
     last: [Vector<N>; 2],
 }
 
 impl<const N: usize> Tsit5<N> {
-    /// Sums of q̇ and q̈ by a row.
+    /// Sums of q̇ and q̈ by a row of coefficients.
     #[inline(always)]
     fn sums<const ROW: usize>(&self) -> [Vector<N>; 2] {
         let (mut q, mut v) = (Vector::ZERO, Vector::ZERO);
@@ -77,20 +78,20 @@ impl<const N: usize> Tsit5<N> {
         [q, v]
     }
 
-    /// How far q and q̇ at the place of a row are from the beginning.
+    /// Increments of q and q̇ from the beginning of the step by a row of coefficients.
     #[inline(always)]
     fn increment<const ROW: usize>(&self) -> [Vector<N>; 2] {
         self.sums::<ROW>().map(|sum| self.h * sum)
     }
 
-    /// Evaluates the stages of the step, in place: what a function returns is copied.
+    /// Evaluates the stages of the step in place, which avoids copies of returned values.
     #[inline(never)]
     fn evaluate_all<const M: usize, S: System<N, M>>(&mut self, system: &S, origin: &Origin<S::TrigBase, N>) {
         macro_rules! evaluate {
             ($stage:literal) => {
                 let [q, v] = self.increment::<$stage>();
                 self.slopes[$stage].q = self.start[1] + v;
-                self.slopes[$stage].complete(system, origin, &q);
+                self.slopes[$stage].evaluate_acceleration(system, origin, &q);
                 if const { $stage >= STAGES - 2 } {
                     self.last[const { $stage % 2 }] = q;
                 }
@@ -99,26 +100,27 @@ impl<const N: usize> Tsit5<N> {
         for_each!(evaluate: 1 2 3 4 5);
     }
 
-    /// Estimated error in units of what is allowed. The estimate of order 3 is damped by that of order 2, as in DOP853 (Hairer, Nørsett,
-    /// Wanner, *Solving Ordinary Differential Equations I*, section II.5, eq. 5.17): it falls with the fifth power of the step.
+    /// Error estimate in units of the tolerance. The estimate of order 3 is combined with that of order 2, as in DOP853 (Hairer,
+    /// Nørsett, Wanner, *Solving Ordinary Differential Equations I*, section II.5, eq. 5.17), so that it falls with the fifth power
+    /// of the step.
     #[inline(always)]
     fn error(&self, weights: &ErrorWeights, v_end: &Vector<N>) -> f64 {
         let rates = [&self.start[1], v_end];
         let fine = weights.mean_square(self.sums::<ERROR>(), rates, || self.power::<ERROR>());
         let damped = fine + weights.mean_square(self.sums::<COARSE>(), rates, || self.power::<COARSE>());
-        // Both are 0 where nothing moves.
+        // Both estimates are 0 where nothing moves.
         if damped == 0.0 { 0.0 } else { self.h * fine / damped.sqrt() }
     }
 
-    /// The power by a row.
+    /// Sum over the power by a row of coefficients, W.
     fn power<const ROW: usize>(&self) -> Work {
         self.slopes.iter().zip(&WEIGHTS[ROW]).fold(Work::default(), |sum, (slope, weight)| sum.plus(*weight, slope.power))
     }
 }
 
 impl<const N: usize> Trial<N> for Tsit5<N> {
-    const KIND: Scheme = Scheme::Tsit5;
-    type Shared = ();
+    const SCHEME: Scheme = Scheme::Tsit5;
+    type Linearization = ();
     const CONTROLLER: StepSizeController = StepSizeController {
         exponent: 1.0 / 5.0 - 0.75 * 0.04,
         memory: 0.04,
@@ -127,7 +129,7 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         failed: 0.3,
     };
 
-    fn prepare<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::TrigBase, N>)) -> Option<()> {
+    fn linearize<const M: usize, S: System<N, M>>(_: &S, _: &Settings, _: (&State<N, M>, &Origin<S::TrigBase, N>)) -> Option<()> {
         Some(())
     }
 
@@ -161,14 +163,14 @@ impl<const N: usize> Trial<N> for Tsit5<N> {
         (error, step_result.map(|step_result| StepResult { work, ..step_result }))
     }
 
-    /// By the difference between the last two stages, which stand at nearly the same time.
+    /// Fastest rate from the difference between the last two stages, which are at nearly the same time.
     fn fastest_rate<const M: usize>(&self, _: &State<N, M>) -> f64 {
         let [before, last] = [&self.slopes[STAGES - 2], &self.slopes[STAGES - 1]];
         rate_between([self.last[1] - self.last[0], last.q - before.q, last.v - before.v])
     }
 
     fn dense<const M: usize>(&mut self, _: &impl System<N, M>, _: f64, ends: [&State<N, M>; 2]) -> [StageDerivative<N>; 4] {
-        hermite::coefficients(ends, self.h, Knowing::Accelerations)
+        hermite::coefficients(ends, self.h, HermiteData::Accelerations)
     }
 }
 
@@ -180,7 +182,7 @@ mod tests {
         x.iter().zip(y).map(|(x, y)| x * y).sum()
     }
 
-    /// What trees of up to three vertices ask of weights: that these sums are 0 for estimates, and 1, 1/2, 1/3, 1/6 for the new value.
+    /// Order conditions of trees with up to three vertices: sums that are 0 for estimates, and 1, 1/2, 1/3, 1/6 for the solution.
     fn conditions(weights: &[f64; STAGES]) -> [f64; 4] {
         let times: [f64; STAGES] = std::array::from_fn(|i| dot(&WEIGHTS[i], &[1.0; STAGES]));
         let squares = times.map(|time| time * time);
@@ -190,7 +192,7 @@ mod tests {
 
     #[test]
     fn estimates_are_of_orders_3_and_2() {
-        // Sums of numbers of up to 13, and of less than 1.
+        // Round-off of sums of numbers up to 13, and of numbers below 1.
         let round_off = [2e-14, 1e-16];
         for (sum, exact) in conditions(&WEIGHTS[END]).into_iter().zip([1.0, 1.0 / 2.0, 1.0 / 3.0, 1.0 / 6.0]) {
             assert!((sum - exact).abs() < round_off[0], "{sum} instead of {exact}");

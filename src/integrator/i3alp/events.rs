@@ -1,7 +1,7 @@
-//! Where dry friction stops something, or lets it go, a sub-step ends.
+//! Event location for stick-slip friction: a sub-step ends where a friction element sticks, slips or changes its direction.
 //!
-//! A sub-step is made with every grip doing what it does at its beginning. One that ends beyond the border at which any of them does
-//! something else is tried again, shorter, until it ends at the border: by false position on its length.
+//! Each sub-step is computed in the mode of its beginning. A sub-step that ends past a guard is repeated with another length, found
+//! by false position (Illinois), until it ends at the guard.
 
 use std::borrow::Borrow;
 
@@ -9,72 +9,73 @@ use super::Settings;
 use crate::integrator::{Events, Implicit, Passage, State, StepEnd};
 use crate::vector::Vector;
 
-/// A sub-step ends at a border where it is beyond it by half of what may be overlooked.
-const AT_BORDER: f64 = 0.5;
-/// This near.
-const NEAR_ENOUGH: f64 = 0.4;
-/// Farther beyond, a border has been crossed.
-const CROSSED: f64 = 1.0;
-/// So many tries to end at a border are enough: the sub-step then ends beyond it.
+/// Guard residual at which a sub-step is to end, in event tolerances: past the guard, but not by more than admissible.
+const TARGET_RESIDUAL: f64 = 0.5;
+/// Half-width of the accepted window around [`TARGET_RESIDUAL`], in event tolerances.
+const WINDOW_HALF_WIDTH: f64 = 0.4;
+/// Guard residual above which an event has occurred, in event tolerances.
+const CROSSING_RESIDUAL: f64 = 1.0;
+/// Largest number of trials of one event location; the sub-step then ends past the guard.
 const MOST_TRIES: u32 = 60;
-/// So many times a sub-step is halved because of what its middle seems to be.
-const MOST_HALVES: u32 = 8;
-/// No border is sought between lengths that differ by less, s.
+/// Largest number of bisections of a sub-step because of an event suspected in its middle.
+const MOST_BISECTIONS: u32 = 8;
+/// Shortest bracket of an event, s.
 const SHORTEST: f64 = 1e-11;
-/// As far from a border as matters; where there is none it is infinite.
-const FAR: f64 = -1e15;
-/// A sub-step is at least this part longer than one that does not come to the border.
-const LEAST: f64 = 1e-9;
+/// Lower bound of guard residuals, so that false position stays finite where there is no guard, in event tolerances.
+const LEAST_RESIDUAL: f64 = -1e15;
+/// Smallest distance of a trial from the ends of the bracket, relative to the bracket.
+const LEAST_FRACTION: f64 = 1e-9;
 
-/// What becomes of a sub-step.
+/// Decision about a sub-step with an admissible local error.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Outcome {
-    /// It is tried once more, shorter or longer.
-    Again,
-    /// It ends where grips do something else, or are no longer those there were.
-    Turns,
-    /// No grip does anything else.
-    Passes,
+    /// The sub-step is repeated with another length.
+    Retry,
+    /// The sub-step ends at an event: the mode changes.
+    Event,
+    /// The sub-step ends in its mode.
+    NoEvent,
 }
 
-/// The search for the length of a sub-step that ends at a border.
+/// Search for the sub-step length that ends at an event.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Search {
-    /// Lengths that end before and beyond the border, s, and how far beyond.
+    /// Lower end of the bracket: sub-step length, s, and its guard residual relative to the target, in event tolerances.
     before: [f64; 2],
-    guard_residual: Option<[f64; 2]>,
-    /// Half of a sub-step in whose middle a border may have been crossed, s.
+    /// Upper end of the bracket, once an event is bracketed: sub-step length, s, and its guard residual relative to the target.
+    after: Option<[f64; 2]>,
+    /// Half of a sub-step in whose middle an event is suspected, s.
     half: Option<f64>,
-    /// Whether the last try has left more than half of what lies between them.
+    /// Whether the last trial has left more than half of the bracket.
     is_slow: bool,
     tries: u32,
-    at_border: bool,
+    /// Whether the last trial ends within the window of the event.
+    at_event: bool,
 }
 
 impl Search {
-    /// Nothing is sought.
-    pub(super) const NONE: Self =
-        Self { before: [0.0; 2], guard_residual: None, half: None, is_slow: false, tries: 0, at_border: false };
+    /// No search is under way.
+    pub(super) const NONE: Self = Self { before: [0.0; 2], after: None, half: None, is_slow: false, tries: 0, at_event: false };
 
-    /// The length to try next, s.
+    /// Sub-step length of the next trial, s.
     #[inline(always)]
     pub(super) fn next(&self) -> Option<f64> {
-        let Some([far, above]) = self.guard_residual else { return self.half };
+        let Some([far, above]) = self.after else { return self.half };
         let [near, below] = self.before;
         if self.is_over() {
             return Some(far);
         }
-        // Borders of several grips make one function with corners, from one of which false position may hardly move: then in halves.
-        let part = if self.is_slow { 0.5 } else { (-below / (above - below)).clamp(LEAST, 1.0 - LEAST) };
+        // The maximum over several guards has corners, where false position stalls; bisection follows.
+        let part = if self.is_slow { 0.5 } else { (-below / (above - below)).clamp(LEAST_FRACTION, 1.0 - LEAST_FRACTION) };
         Some(near + (far - near) * part)
     }
 
-    /// Whether what is left between the lengths is not worth a try: the sub-step then ends beyond the border.
+    /// Whether the search is exhausted: the sub-step then ends past the guard.
     fn is_over(&self) -> bool {
-        self.tries >= MOST_TRIES || self.guard_residual.is_some_and(|[far, _]| far - self.before[0] < SHORTEST)
+        self.tries >= MOST_TRIES || self.after.is_some_and(|[far, _]| far - self.before[0] < SHORTEST)
     }
 
-    /// What becomes of a sub-step of h seconds that is accepted otherwise.
+    /// Decides about a sub-step of `h` seconds whose local error is admissible.
     #[cold]
     pub(super) fn judge<const N: usize, const M: usize, S: Implicit<N, M> + Events<N>>(
         &mut self,
@@ -84,18 +85,18 @@ impl Search {
         (to, h): (&StepEnd<N, M>, f64),
     ) -> Outcome {
         let end = system.guard_values(&to.q, &to.v);
-        let guard_residual = system.guard_residual(&end, settings.error_tolerance).max(FAR);
-        if self.goes_on(system, settings, from, (to, h), guard_residual) {
-            Outcome::Again
-        } else if self.at_border || !system.knows_stick_slip(&end) {
-            Outcome::Turns
+        let guard_residual = system.guard_residual(&end, settings.error_tolerance).max(LEAST_RESIDUAL);
+        if self.must_retry(system, settings, from, (to, h), guard_residual) {
+            Outcome::Retry
+        } else if self.at_event || !system.knows_stick_slip(&end) {
+            Outcome::Event
         } else {
-            Outcome::Passes
+            Outcome::NoEvent
         }
     }
 
-    /// Whether a sub-step of h seconds that ends so far beyond the borders has to be tried once more, shorter or longer.
-    fn goes_on<const N: usize, const M: usize, S: Implicit<N, M> + Events<N>>(
+    /// Whether a sub-step of `h` seconds that ends at this guard residual is to be repeated with another length.
+    fn must_retry<const N: usize, const M: usize, S: Implicit<N, M> + Events<N>>(
         &mut self,
         system: &S,
         settings: &Settings,
@@ -105,43 +106,44 @@ impl Search {
     ) -> bool {
         let tolerance = settings.error_tolerance;
         let guard_residual_at = |q: &Vector<N>, v: &Vector<N>| system.guard_residual(&system.guard_values(q, v), tolerance);
-        let Some([far, above]) = &mut self.guard_residual else {
-            if guard_residual > CROSSED {
-                let start = guard_residual_at(&from.q, &from.v).min(0.0) - AT_BORDER;
-                (self.before, self.guard_residual) = ([0.0, start.max(FAR)], Some([h, guard_residual - AT_BORDER]));
+        let Some([far, above]) = &mut self.after else {
+            if guard_residual > CROSSING_RESIDUAL {
+                let start = guard_residual_at(&from.q, &from.v).min(0.0) - TARGET_RESIDUAL;
+                (self.before, self.after) = ([0.0, start.max(LEAST_RESIDUAL)], Some([h, guard_residual - TARGET_RESIDUAL]));
                 return true;
             }
-            // A grip may turn twice within the sub-step, or be overstrained for a while: seen in its middle.
+            // A friction element may reverse twice within the sub-step, or exceed its breakaway bound for a while: checked at the
+            // middle.
             self.tries += 1;
             let turns = || system.reverses_between([[&from.q, &from.v, &from.a], [&to.q, &to.v, &to.a]], h, tolerance);
             let overstrained = || {
                 let q = 0.5 * (from.q + to.q) + h / 8.0 * (from.v - to.v);
                 let v = 0.5 * (from.v + to.v) + h / 8.0 * (from.a - to.a);
-                system.holds() && guard_residual_at(&q, &v) > CROSSED
+                system.has_sticking() && guard_residual_at(&q, &v) > CROSSING_RESIDUAL
             };
-            self.half = (self.tries <= MOST_HALVES && (turns() || overstrained())).then_some(0.5 * h);
+            self.half = (self.tries <= MOST_BISECTIONS && (turns() || overstrained())).then_some(0.5 * h);
             return self.half.is_some();
         };
-        // What is beyond a border already turns at once.
-        self.at_border = (guard_residual - AT_BORDER).abs() <= NEAR_ENOUGH || h >= *far;
+        // A guard that is exceeded at the beginning changes the mode at once.
+        self.at_event = (guard_residual - TARGET_RESIDUAL).abs() <= WINDOW_HALF_WIDTH || h >= *far;
         let left = *far - self.before[0];
-        // Of two ends on the same side in a row the other's weight is halved (Illinois).
-        if guard_residual > AT_BORDER {
-            (*far, *above) = (h, guard_residual - AT_BORDER);
+        // Illinois rule: after two ends on the same side the residual of the other end is halved.
+        if guard_residual > TARGET_RESIDUAL {
+            (*far, *above) = (h, guard_residual - TARGET_RESIDUAL);
             self.before[1] *= 0.5;
         } else {
-            self.before = [h, guard_residual - AT_BORDER];
+            self.before = [h, guard_residual - TARGET_RESIDUAL];
             *above *= 0.5;
         }
         self.is_slow = *far - self.before[0] > 0.5 * left;
         self.tries += 1;
-        !self.at_border
+        !self.at_event
     }
 }
 
-/// From here on the grips do what follows from the state.
+/// Applies the transition: the mode that follows from the state, with accelerations of that mode.
 #[cold]
-pub(super) fn turn<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
+pub(super) fn apply_transition<const N: usize, const M: usize, S: Implicit<N, M> + Passage<N> + Events<N>>(
     system: &S,
     settings: &Settings,
     state: &mut State<N, M>,

@@ -1,4 +1,4 @@
-//! The fallback of a Newton loop that failed: the step as a minimisation, with a line search.
+//! Fallback of a failed Newton iteration: the step as a minimisation with line search (`docs/vertices.md`).
 //!
 //! For given multipliers λ and a finite penalty α the step is a stationary point of the incremental potential
 //!
@@ -6,26 +6,27 @@
 //! P(δ) = (β q̈ₙ + δ)ᵀ M (β q̈ₙ + δ) / 2β + V(q) + λᵀΦ + α/2 ΦᵀΦ
 //! ```
 //!
-//! A tangent made positive definite gives a direction of descent; the step along it is halved until P falls enough. λ takes the
-//! penalty's share after every full step, as in the paper. Where plain Newton converges too, both find the same root.
+//! A tangent made positive definite gives a descent direction; the step along it is halved until P decreases enough (Armijo). After
+//! every full step λ is updated by the penalty term, as in the paper. Where plain Newton iteration converges, both find the same root.
 
 use super::Settings;
-use super::newton::{Found, LAST_CORRECTION, Step};
+use super::newton::{LAST_CORRECTION, Solution, Step};
 use crate::integrator::{Counters, Implicit, TangentPoint};
 use crate::vector::Vector;
 
-/// αβ in multiples of the largest inertia: enough for the multipliers to converge, little enough for P to be well conditioned.
+/// Penalty αβ in multiples of the largest inertia: large enough for the multipliers to converge, small enough for P to be well
+/// conditioned.
 const PENALTY: f64 = 1e4;
-/// Most iterations; prototypes needed 3 on average and at most 30 at h = 1 ms.
+/// Largest number of iterations; prototypes needed 3 on average and at most 30 at h = 1 ms.
 const MOST_ITERATIONS: u32 = 60;
-/// Most halvings along one direction.
+/// Largest number of halvings along one direction.
 const MOST_HALVINGS: u32 = 30;
-/// Part of the decrease promised by the slope that must come (Armijo).
+/// Required decrease of P relative to the linear prediction (Armijo).
 const SUFFICIENT_DECREASE: f64 = 1e-4;
-/// A slope below this part of P is lost in the round-off of P.
-const BLIND: f64 = 1e-12;
+/// Slope, relative to P, below which the decrease is lost in the round-off of P.
+const FLAT: f64 = 1e-12;
 
-/// Where the step leads, if δ and λ can be found. Only for systems whose forces have a potential.
+/// End of the step, if δ and λ are found. Only for systems whose forces have a potential.
 #[cold]
 #[inline(never)]
 pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
@@ -33,7 +34,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     settings: Settings,
     mut step: Step<N, M>,
     counters: &mut Counters,
-) -> Option<Found<N, S::Pose>> {
+) -> Option<Solution<N, S::Pose>> {
     let mut q = step.q();
     let mut pose = system.pose(&q);
     system.potential(&q, &pose)?;
@@ -59,17 +60,17 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         let total = step.lambda + alpha * phi;
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &total, h: step.h };
         let (direction, y) = system.solve_descent(&at, regularization, (&b, &c))?;
-        let pull = system.phi_q_transposed_times(&pose, &total);
-        let slope = (pull - b / beta).dot(&direction);
+        let joint_forces = system.phi_q_transposed_times(&pose, &total);
+        let slope = (joint_forces - b / beta).dot(&direction);
         let start = merit(&step, step.delta)?;
 
-        // Near the minimum the full step is taken.
-        let blind = slope.abs() < BLIND * start.abs().max(f64::MIN_POSITIVE);
+        // Near the minimum, where P is flat within round-off, the full step is taken.
+        let is_flat = slope.abs() < FLAT * start.abs().max(f64::MIN_POSITIVE);
         let decreases = |part: f64| {
             let bound = start + SUFFICIENT_DECREASE * part * slope;
-            blind || merit(&step, step.delta + part * direction).is_some_and(|merit| merit <= bound)
+            is_flat || merit(&step, step.delta + part * direction).is_some_and(|merit| merit <= bound)
         };
-        // Every try is work as well.
+        // Each line-search trial counts as an iteration.
         let found = (0..MOST_HALVINGS).find(|halvings| decreases(0.5f64.powi(*halvings as i32)));
         counters.iterations += u64::from(found.unwrap_or(MOST_HALVINGS));
         let part = 0.5f64.powi(found? as i32);
@@ -81,7 +82,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         pose = system.pose(&q);
         if system.phi(&q, &pose).max_norm() < step.tolerance && part == 1.0 && direction.max_norm() < LAST_CORRECTION {
             counters.rescued += 1;
-            return Some(Found { q, pose, v: step.velocity() });
+            return Some(Solution { q, pose, v: step.velocity() });
         }
     }
     None

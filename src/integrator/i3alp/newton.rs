@@ -1,47 +1,50 @@
-//! The nonlinear equations of a step, by Newton's method.
+//! Newton's method on the equations of a step: unknown increment δ and total multipliers λ (`docs/method.md`, (5) to (10)).
 
 use super::super::projection::ROUND_OFF;
 use super::Settings;
 use super::stiff_forces::RATE;
-use crate::integrator::{Counters, Held, Implicit, State, StepError, TangentPoint};
+use crate::integrator::{Counters, Implicit, State, StepError, StickingConstraint, TangentPoint};
 use crate::vector::Vector;
 
-/// The step at which [`Settings::tolerance`] holds, s. Multiplier noise is Φ/β, so the tolerance falls with h².
+/// Step length, s, at which [`Settings::tolerance`] holds: multiplier noise is Φ/β, so the tolerance is proportional to h².
 const TOLERANCE_STEP: f64 = 1e-3;
-/// Newton's bound on |Φ| never falls below this part of the system's size.
+/// Lower limit of the bound on |Φ|, relative to the system's size.
 const LEAST_TOLERANCE: f64 = 16.0 * f64::EPSILON;
-/// A last Newton correction below this leaves, by quadratic convergence, an error below round-off.
+/// Bound on the last correction, m and rad: by quadratic convergence the error left is below round-off.
 pub(super) const LAST_CORRECTION: f64 = 1e-5;
 
-/// A step in the making: what it starts from and its two unknowns.
+/// Unknowns of a step with their constant data.
 pub(super) struct Step<const N: usize, const M: usize> {
+    /// Step length, s.
     pub(super) h: f64,
-    /// β = h²/4.
+    /// β = h²/4, s².
     pub(super) beta: f64,
     /// Bound on max |Φ|, m.
     pub(super) tolerance: f64,
-    /// q + h q̇ + h²/2 q̈.
+    /// Predictor q + h q̇ + h²/2 q̈.
     pub(super) predicted: Vector<N>,
-    /// q̇ + h q̈.
+    /// Predicted velocity q̇ + h q̈.
     v: Vector<N>,
-    /// β q̈.
+    /// The product β q̈.
     pub(super) inertia: Vector<N>,
-    /// δ, the increment against the prediction.
+    /// Increment δ against the predictor, m and rad.
     pub(super) delta: Vector<N>,
-    /// λ, the total multipliers.
+    /// Total multipliers λ, N.
     pub(super) lambda: Vector<M>,
 }
 
-/// Where the unknowns of a step lead.
-pub(super) struct Found<const N: usize, P> {
+/// Solution of the step's equations.
+pub(super) struct Solution<const N: usize, P> {
+    /// Coordinates at the end of the step, m and rad.
     pub(super) q: Vector<N>,
     pub(super) pose: P,
-    /// q̇ of the trapezoidal rule.
+    /// Velocity q̇ of the trapezoidal rule.
     pub(super) v: Vector<N>,
 }
 
 impl<const N: usize, const M: usize> Step<N, M> {
-    /// δ is the increment against q + h q̇ + h²/2 q̈: an unknown without the round-off of q̈ = 4/h² (q − …).
+    /// Starts a step of h: δ is the increment against the predictor, which avoids the round-off of q̈ = 4/h² (q − …), and its first
+    /// guess is β h times the jerk (19).
     #[inline(always)]
     pub(super) fn predict(state: &State<N, M>, h: f64, tolerance: f64) -> Self {
         let State { q, v, a, jerk, lambda, .. } = *state;
@@ -58,39 +61,39 @@ impl<const N: usize, const M: usize> Step<N, M> {
         }
     }
 
-    /// The same step from the prediction without the jerk.
-    pub(super) fn anew(&self, state: &State<N, M>) -> Self {
+    /// Restarts the iteration from the predictor without jerk.
+    pub(super) fn without_jerk(&self, state: &State<N, M>) -> Self {
         Self { delta: Vector::ZERO, lambda: state.lambda, ..*self }
     }
 
-    /// The same step from where the rates do not change.
-    pub(super) fn with_rates_of(&self, state: &State<N, M>) -> Self {
-        Self { delta: -2.0 * self.beta * state.a, ..self.anew(state) }
+    /// Restarts the iteration from constant rates.
+    pub(super) fn with_constant_rates(&self, state: &State<N, M>) -> Self {
+        Self { delta: -2.0 * self.beta * state.a, ..self.without_jerk(state) }
     }
 
     pub(super) fn q(&self) -> Vector<N> {
         self.predicted + self.delta
     }
 
-    /// q̇ of the trapezoidal rule.
+    /// Velocity q̇ of the trapezoidal rule.
     pub(super) fn velocity(&self) -> Vector<N> {
         self.v + 2.0 / self.h * self.delta
     }
 
-    /// β q̈ + δ: β times q̈ of the trapezoidal rule.
+    /// β times the acceleration of the trapezoidal rule: β q̈ + δ.
     pub(super) fn acceleration(&self) -> Vector<N> {
         self.inertia + self.delta
     }
 }
 
-/// Newton's method on δ and λ.
+/// Newton's method on δ and λ: each iteration solves the saddle-point system (9) at the last iterate, until (17) is met.
 #[inline(always)]
 pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
     step: &mut Step<N, M>,
     counters: &mut Counters,
-) -> Result<Found<N, S::Pose>, StepError> {
+) -> Result<Solution<N, S::Pose>, StepError> {
     let &Settings { regularization, max_iterations, .. } = settings;
     let beta = step.beta;
     let (mut violation, mut last) = (f64::INFINITY, f64::INFINITY);
@@ -106,7 +109,7 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         if iterations > 0 {
             let at_round_off = violation >= previous && violation < ROUND_OFF * system.length_scale();
             let met = (violation < step.tolerance || at_round_off) && last < LAST_CORRECTION;
-            if met && (!settings.watches_rates(system) || rates_hold(system, settings, step, held, (&q, &pose))) {
+            if met && (!settings.controls_rates(system) || rates_converged(system, settings, step, held, (&q, &pose))) {
                 break;
             }
             if iterations >= max_iterations {
@@ -116,11 +119,12 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         iterations += 1;
         counters.iterations += 1;
         let v = step.velocity();
+        // Right-hand side of (9), then its solution: the correction Δq and y = β λ.
         let b = beta * system.forces(&q, &pose, &v) - system.mass_times(&pose, &step.acceleration());
         let c = -regularization * beta * step.lambda - phi;
         let at = TangentPoint { q: &q, pose: &pose, v: &v, lambda: &step.lambda, h: step.h };
         let (mut correction, mut y) = system.solve_tangent(&at, regularization, (&b, &c))?;
-        if system.holds() {
+        if system.has_sticking() {
             let (found, force) = project_sticking(system, regularization, &at, (correction, y))?;
             ((correction, y), held) = (found, Some(force));
         }
@@ -128,10 +132,10 @@ pub(super) fn solve<const N: usize, const M: usize, S: Implicit<N, M>>(
         step.delta += correction;
         last = correction.max_norm();
     }
-    Ok(Found { q, pose, v: step.velocity() })
+    Ok(Solution { q, pose, v: step.velocity() })
 }
 
-/// A correction after which nothing moves in what friction holds, and the force that sees to it.
+/// Correction that keeps the sticking constraint at zero rate, and the friction reaction, N and N·m.
 #[cold]
 fn project_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
@@ -139,10 +143,12 @@ fn project_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
     at: &TangentPoint<'_, S::Pose, N, M>,
     (correction, y): (Vector<N>, Vector<M>),
 ) -> Result<((Vector<N>, Vector<M>), Vector<N>), StepError> {
-    let Held::Direction { row, force, .. } = system.held(at.q, at.pose, at.v) else { return Ok(((correction, y), Vector::ZERO)) };
+    let StickingConstraint::Direction { row, force, .. } = system.sticking_constraint(at.q, at.pose, at.v) else {
+        return Ok(((correction, y), Vector::ZERO));
+    };
     let beta = at.h * at.h / 4.0;
     let (by_force, y_by_force) = system.solve_tangent_out_of_line(at, regularization, (&(beta * force), &Vector::ZERO))?;
-    // The rate is that of the trapezoidal rule, which a correction changes by 2/h of it.
+    // By the trapezoidal rule a correction changes the rate by 2/h times itself.
     let mobility = row.dot(&by_force);
     if mobility == 0.0 {
         return Ok(((correction, y), Vector::ZERO));
@@ -151,29 +157,29 @@ fn project_sticking<const N: usize, const M: usize, S: Implicit<N, M>>(
     Ok(((correction + part * by_force, y + part * y_by_force), part * force))
 }
 
-/// Whether what the equations of the step still leave changes rates by less than their tolerance: where forces change steeply with them, a
-/// small correction of the coordinates does not say so.
+/// Whether the residual of the equilibrium changes rates by less than a part of their admissible error. With stiff forces a small
+/// correction of the coordinates does not imply a small residual.
 #[cold]
-fn rates_hold<const N: usize, const M: usize, S: Implicit<N, M>>(
+fn rates_converged<const N: usize, const M: usize, S: Implicit<N, M>>(
     system: &S,
     settings: &Settings,
     step: &Step<N, M>,
     held: Option<Vector<N>>,
     (q, pose): (&Vector<N>, &S::Pose),
 ) -> bool {
-    /// Part of the tolerance.
+    /// Admissible change of the rates, relative to their tolerance.
     const PART: f64 = 0.1;
     let v = step.velocity();
-    let pull = system.phi_q_transposed_times(pose, &step.lambda);
+    let joint_forces = system.phi_q_transposed_times(pose, &step.lambda);
     let left = system.forces(q, pose, &v) + held.unwrap_or(Vector::ZERO)
-        - pull
+        - joint_forces
         - system.mass_times(pose, &(step.acceleration() / step.beta));
     let inertia = system.mass_times(pose, &Vector::from([1.0; N]));
     let change = Vector::from_fn(|i| step.h / 2.0 * left[i] / inertia[i]);
     system.error_norm(&change) <= PART * settings.error_tolerance * (RATE + system.error_norm(&v))
 }
 
-/// Newton's bound on max |Φ|, m: scaled with the machine and with h², never below round-off.
+/// Bound on max |Φ|, m (17): proportional to the machine's size and to h², never below round-off.
 #[inline(always)]
 pub(super) fn constraint_tolerance(settings: &Settings, length_scale: f64, h: f64) -> f64 {
     let scaled = settings.tolerance * (h / TOLERANCE_STEP) * (h / TOLERANCE_STEP);

@@ -1,71 +1,71 @@
-//! The equations of a conserving step: what its unknowns leave of them.
+//! Residuals of the conserving step, equations (37) of `docs/conserving.md`.
 
 use crate::integrator::{Discrete, StepIncrement};
 use crate::vector::Vector;
 
-/// A step in the making: where it starts from.
+/// Data of a step that stay constant during its iterations.
 pub(super) struct Step<'a, S: Discrete<N, M>, const N: usize, const M: usize> {
     pub(super) system: &'a S,
     pub(super) q: Vector<N>,
-    /// q̇₀.
+    /// Velocity q̇₀ at the beginning, m/s and rad/s.
     pub(super) v: Vector<N>,
-    /// At q₀.
+    /// Pose at q₀.
     pub(super) pose: S::Pose,
     pub(super) h: f64,
-    /// See [`StepIncrement::softening`].
+    /// Factor on the regularisation rates of friction and servos, see [`StepIncrement::softening`].
     pub(super) softening: f64,
 }
 
-/// The unknowns.
+/// Unknowns of the step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Unknowns<const N: usize, const M: usize> {
-    /// d = q₁ − q₀.
+    /// Increment d = q₁ − q₀, m and rad.
     pub(super) d: Vector<N>,
-    /// Λ = h²λ/2, the joint forces' mean.
+    /// Λ = h²λ/2 with the mean joint forces λ, N·s².
     pub(super) lambda: Vector<M>,
-    /// ν, the multipliers that hold the velocities.
+    /// Multipliers ν of the velocity constraints, kg·m.
     pub(super) nu: Vector<M>,
 }
 
-/// What depends on d, and what is left of the equations.
+/// Discrete derivatives at d, with the residuals of the equations.
 pub(super) struct Evaluation<S: Discrete<N, M>, const N: usize, const M: usize> {
     pub(super) secant: S::Secant,
-    /// q̇₁.
+    /// Velocity q̇₁ at the end, m/s and rad/s.
     pub(super) v: Vector<N>,
-    /// M⁻¹ f, m and rad.
+    /// Momentum residual in the mass metric, M⁻¹ f, m and rad.
     pub(super) offset: Vector<N>,
-    /// f.
+    /// Momentum residual f, kg·m and kg·m².
     pub(super) force: Vector<N>,
-    /// Φ(q₁).
+    /// Position residual Φ(q₁), m.
     pub(super) phi: Vector<M>,
 }
 
 impl<'a, S: Discrete<N, M>, const N: usize, const M: usize> Step<'a, S, N, M> {
-    /// From q₀ and q̇₀ over h seconds.
+    /// Step of `h` seconds from q₀ and q̇₀.
     #[inline(always)]
     pub(super) fn new(system: &'a S, [q, v]: [&Vector<N>; 2], h: f64) -> Self {
         Self { system, q: *q, v: *v, pose: system.pose_in_place(q), h, softening: 1.0 }
     }
 
-    /// The same step of another length.
+    /// The step with another length `h`, s.
     pub(super) fn shortened(&self, h: f64) -> Self {
         Self { pose: self.pose.clone(), h, ..*self }
     }
 
-    /// The same with friction that turns at rates larger by a factor.
+    /// The step with regularisation rates of friction multiplied by `softening`.
     pub(super) fn softened(&self, softening: f64) -> Self {
         Self { pose: self.pose.clone(), softening, ..*self }
     }
 
-    /// What belongs to d.
+    /// Discrete derivatives of the joints at d.
     #[inline(always)]
     pub(super) fn secant(&self, d: &Vector<N>) -> S::Secant {
         self.system.secant(&self.pose, d)
     }
 
-    /// The step as the forces see it.
+    /// Step increment as forces take it.
     #[inline(always)]
-    pub(super) fn chord<'b>(
+    pub(super) fn increment<'b>(
         &'b self,
         secant: &'b S::Secant,
         d: &'b Vector<N>,
@@ -80,15 +80,15 @@ impl<'a, S: Discrete<N, M>, const N: usize, const M: usize> Step<'a, S, N, M> {
         x.d - self.system.apply_inverse_mass(&self.system.mean_transposed_times(secant, &x.nu))
     }
 
-    /// f = M (d − h q̇₀) − J_cᵀν + J_bᵀΛ + ½ K_b(z)ᵀν − ½h² Q̄, written with M (z − h q̇₀), and the rest.
+    /// Momentum residual f = M (z − h q̇₀) + J_bᵀΛ + ½ K_b(z)ᵀν − ½h² Q̄, with position residual and velocity at the end.
     #[inline(always)]
     pub(super) fn evaluate(&self, secant: S::Secant, z: Vector<N>, x: &Unknowns<N, M>) -> Evaluation<S, N, M> {
         let &Self { system, q, v: v0, h, .. } = self;
         let v = (2.0 / h) * z - v0;
-        let pull = system.discrete_transposed_times(&secant, &x.lambda);
-        let turning = system.turning_transposed_times(&secant, &z, &x.nu);
-        let applied = system.mean_forces(&self.chord(&secant, &x.d, &v));
-        let force = system.mass_times(S::end(&secant), &(z - h * v0)) + pull + 0.5 * turning - 0.5 * h * h * applied;
+        let joint_forces = system.discrete_transposed_times(&secant, &x.lambda);
+        let turning = system.discrete_hessian_times(&secant, &z, &x.nu);
+        let applied = system.mean_forces(&self.increment(&secant, &x.d, &v));
+        let force = system.mass_times(S::end(&secant), &(z - h * v0)) + joint_forces + 0.5 * turning - 0.5 * h * h * applied;
         let phi = system.phi(&(q + x.d), S::end(&secant));
         Evaluation { v, offset: system.apply_inverse_mass(&force), force, phi, secant }
     }

@@ -1,30 +1,33 @@
-//! The unknowns of a conserving step, by Newton's method: Λ and ν in turn with the loops cut, or all at once.
+//! Newton's method for a conserving step: staggered, Λ and ν in turn with the loops cut; or full, all unknowns with the whole
+//! tangent.
 
 use super::equations::{Evaluation, Step, Unknowns};
 use crate::integrator::{Counters, CutStep, Discrete};
 
-/// Largest |M⁻¹f| per second of step of one that has converged, m/s and rad/s: what is left does work, in proportion to it.
+/// Admissible |M⁻¹f| per second of step, full iteration, m/s and rad/s: a residual of the momentum does work in proportion to
+/// itself.
 const OFFSET: f64 = 1e-9;
-/// The same with the loops cut, where the rates take up what is left.
+/// Admissible |M⁻¹f| per second of step, staggered iteration, m/s and rad/s: its last increment transfers the residual to the
+/// rates.
 const CUT_OFFSET: f64 = 5e-11;
-/// Largest |Φ| of it, in parts of the system's size.
+/// Admissible |Φ| relative to the system's size.
 const ROUND_OFF: f64 = 8.0 * f64::EPSILON;
-/// Largest |J₁w|/2 per second of step, in parts of the system's size per second.
+/// Admissible |J₁w|/2 per second of step, relative to the system's size, 1/s.
 const RATE: f64 = 5e-12;
-/// Where |M⁻¹f| is larger than this, m and rad, after Λ and ν were looked for in turn, they have led nowhere.
-const NEARBY: f64 = 1e-3;
-/// Most |M⁻¹f| after none, one and two iterations: where it is larger, the whole tangent takes less work.
-const PROMISING: [f64; 3] = [f64::INFINITY, 3e-3, 1e-7];
-/// After these the matrix is factorised anew each time, and |M⁻¹f| has to fall to this part.
+/// Largest |M⁻¹f|, m and rad, at which a failed staggered iteration is still a first guess for the full one.
+const LARGEST_OFFSET_OF_GUESS: f64 = 1e-3;
+/// Largest |M⁻¹f|, m and rad, after 0, 1 and 2 staggered iterations; above it the full iteration takes less work.
+const LARGEST_OFFSETS: [f64; 3] = [f64::INFINITY, 3e-3, 1e-7];
+/// Required contraction of |M⁻¹f| per staggered iteration after those of [`LARGEST_OFFSETS`], with a new factorisation each time.
 const CONTRACTION: f64 = 0.05;
-/// The whole tangent goes to round-off: to a correction of an angle below the first, or to one below the second that does not fall any
-/// more, rad.
+/// Correction of an angle, rad, below which the full iteration is at round-off.
 const LAST_CORRECTION: f64 = 1e-13;
+/// Correction of an angle, rad, below which the full iteration ends once corrections no longer fall.
 const STAGNATION: f64 = 1e-10;
-/// A link that turns farther in one step, rad, is on its way to no root.
-const LARGEST_TURN: f64 = 6.0;
+/// Largest rotation of a link in one step, rad; an iteration that exceeds it has diverged.
+const LARGEST_ROTATION: f64 = 6.0;
 
-/// What a step that has converged may leave of its equations.
+/// Admissible residuals of a step.
 pub(super) struct Bounds {
     offset: f64,
     phi: f64,
@@ -38,34 +41,34 @@ impl Bounds {
         Self { offset: OFFSET * h, phi: ROUND_OFF * size, rate: size * ROUND_OFF.max(RATE * h) }
     }
 
-    /// With the loops cut.
+    /// Bounds for the staggered iteration.
     #[inline(always)]
     pub(super) fn cut<const N: usize, const M: usize>(system: &impl Discrete<N, M>, h: f64) -> Self {
         Self { offset: CUT_OFFSET * h, ..Self::new(system, h) }
     }
 
-    /// By the largest elements of M⁻¹f, Φ and J₁w/2.
+    /// Whether the largest elements of M⁻¹f, Φ and J₁w/2 are admissible.
     #[inline(always)]
     fn are_met(&self, offset: f64, phi: f64, rate: f64) -> bool {
         offset < self.offset && phi < self.phi && rate < self.rate
     }
 }
 
-/// Iterations that a step may still take.
-pub(super) struct Allowance<'a> {
+/// Budget of Newton iterations of a step.
+pub(super) struct IterationBudget<'a> {
     pub(super) left: u32,
-    /// Iterations counted when the step began.
+    /// Iteration count when the step began.
     pub(super) begun: u64,
     pub(super) counters: &'a mut Counters,
 }
 
-impl Allowance<'_> {
-    /// Iterations that the step has taken.
+impl IterationBudget<'_> {
+    /// Number of iterations that the step has taken.
     pub(super) fn spent(&self) -> u32 {
         (self.counters.iterations - self.begun) as u32
     }
 
-    /// Takes one, if there is one.
+    /// Takes one iteration from the budget; `None` if it is exhausted.
     #[inline(always)]
     fn take(&mut self) -> Option<()> {
         self.left = self.left.checked_sub(1)?;
@@ -74,60 +77,60 @@ impl Allowance<'_> {
     }
 }
 
-/// Λ and ν in turn, with the loops cut: ν by a linear equation for given d, Newton's method on d and Λ. Contracts by (hω)² per iteration.
-/// What is found there goes to `arrive`; where that is too little: the unknowns it has come to, unless they lead nowhere.
+/// Staggered iteration with cut loops: ν from a linear equation for given d, Newton's method on d and Λ. It contracts by (hω)² per
+/// iteration. The solution is passed to `accept_root`; on failure the result is the last iterate, unless it has diverged.
 #[inline(always)]
 pub(super) fn staggered_newton<const N: usize, const M: usize, C: CutStep<N, M>, T>(
     cut: &C,
     mut x: C::Unknowns,
     bounds: &Bounds,
     (regularization, most): (f64, u32),
-    arrive: impl FnOnce(&C::Motion, u32) -> T,
+    accept_root: impl FnOnce(&C::Motion, u32) -> T,
 ) -> Result<T, (Option<C::Unknowns>, u32)> {
     let mut before = f64::INFINITY;
     let mut factor: Option<C::Factor> = None;
     for iteration in 0..=most {
         let motion = cut.motion(&x, regularization);
         let balance = cut.balance(&motion);
-        let [offset, gap, rate] = cut.left(&motion, &balance);
+        let [offset, gap, rate] = cut.residuals(&motion, &balance);
         if bounds.are_met(offset, gap, rate) {
             let factor = factor.get_or_insert_with(|| cut.factor(&motion, &balance, regularization));
-            return Ok(arrive(&cut.with_rates(&motion, &balance, factor), iteration));
+            return Ok(accept_root(&cut.with_rates(&motion, &balance, factor), iteration));
         }
-        let promising = PROMISING.get(iteration as usize).copied().unwrap_or(CONTRACTION * before);
+        let promising = LARGEST_OFFSETS.get(iteration as usize).copied().unwrap_or(CONTRACTION * before);
         if offset > promising || iteration == most {
-            return Err(((offset < NEARBY).then(|| C::unknowns(&motion)), iteration));
+            return Err(((offset < LARGEST_OFFSET_OF_GUESS).then(|| C::unknowns(&motion)), iteration));
         }
         before = offset;
-        if iteration as usize >= PROMISING.len() {
+        if iteration as usize >= LARGEST_OFFSETS.len() {
             factor = None;
         }
         let factor = factor.get_or_insert_with(|| cut.factor(&motion, &balance, regularization));
-        x = cut.improved(&motion, &balance, factor);
-        if C::turn(&x) >= LARGEST_TURN {
+        x = cut.newton_update(&motion, &balance, factor);
+        if C::rotation_norm(&x) >= LARGEST_ROTATION {
             return Err((None, iteration + 1));
         }
     }
     Err((None, most))
 }
 
-/// Until when the whole tangent is used.
+/// Stopping rule of the full iteration.
 #[derive(Clone, Copy)]
-pub(super) enum Until {
-    /// The equations are solved.
+pub(super) enum StopRule {
+    /// All residuals are admissible.
     Solved,
-    /// A correction of an angle is below this, rad: on the way to another step's root.
+    /// Angle corrections are below this bound, rad; for intermediate roots of a homotopy.
     Corrected(f64),
 }
 
-/// All unknowns at once, with the whole tangent.
+/// Full iteration: all unknowns at once, with the whole tangent.
 #[inline(never)]
 pub(super) fn full_newton<const N: usize, const M: usize, S: Discrete<N, M>>(
     step: &Step<'_, S, N, M>,
     x: &mut Unknowns<N, M>,
     regularization: f64,
-    (most, until): (u32, Until),
-    allowance: &mut Allowance<'_>,
+    (most, stop_rule): (u32, StopRule),
+    budget: &mut IterationBudget<'_>,
 ) -> Option<Evaluation<S, N, M>> {
     let system = step.system;
     let bounds = Bounds::new(system, step.h);
@@ -139,9 +142,9 @@ pub(super) fn full_newton<const N: usize, const M: usize, S: Discrete<N, M>>(
         let Evaluation { secant, v, offset, force, phi, .. } = &found;
         let rate = system.phi_q_times(S::end(secant), &(step.h * *v));
         let no_further = correction < LAST_CORRECTION || correction < STAGNATION && correction >= 0.25 * before;
-        let done = match until {
-            Until::Solved => no_further && bounds.are_met(offset.max_norm(), phi.max_norm(), 0.5 * rate.max_norm()),
-            Until::Corrected(bound) => correction < bound || no_further,
+        let done = match stop_rule {
+            StopRule::Solved => no_further && bounds.are_met(offset.max_norm(), phi.max_norm(), 0.5 * rate.max_norm()),
+            StopRule::Corrected(bound) => correction < bound || no_further,
         };
         if iteration > 0 && done {
             return Some(found);
@@ -149,15 +152,15 @@ pub(super) fn full_newton<const N: usize, const M: usize, S: Discrete<N, M>>(
         if iteration == most {
             return None;
         }
-        allowance.take()?;
-        let chord = step.chord(secant, &x.d, v);
-        let (d, [lambda, nu]) = system.newton(&chord, [&x.lambda, &x.nu], (force, phi, &rate), regularization);
+        budget.take()?;
+        let increment = step.increment(secant, &x.d, v);
+        let (d, [lambda, nu]) = system.newton(&increment, [&x.lambda, &x.nu], (force, phi, &rate), regularization);
         x.d += d;
         x.lambda += lambda;
         x.nu += nu;
         (before, correction) = (correction, system.error_norm(&d));
         let finite = x.d.is_finite() && x.lambda.is_finite() && x.nu.is_finite();
-        if !(finite && system.error_norm(&x.d) < LARGEST_TURN) {
+        if !(finite && system.error_norm(&x.d) < LARGEST_ROTATION) {
             return None;
         }
     }

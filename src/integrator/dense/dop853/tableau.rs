@@ -1,27 +1,27 @@
-//! The coefficients of DOP853: Dormand and Prince's method of order 8 with error estimators of order 5 and 3, and its dense output of
+//! Coefficients of DOP853: the method of order 8 by Dormand and Prince with error estimates of order 5 and 3, and dense output of
 //! order 7.
 //!
-//! E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., section II.5 and II.6; the digits are
-//! those of the authors' code `dop853.f`, rounded to double precision. The test below checks them by the order conditions.
+//! E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 2nd ed., sections II.5 and II.6, with the
+//! digits of the authors' code `dop853.f`, rounded to double precision. The test below checks the order conditions.
 
-/// The coefficients of a sum over stages: (stage, coefficient), zeros left out.
+/// Coefficients of a sum over stages: (stage, coefficient) without zeros.
 pub(super) type Row = &'static [(usize, f64)];
 
-/// Stages of a step.
+/// Number of stages.
 pub(super) const STAGES: usize = 12;
-/// The end of the step, whose derivative starts the next one and serves the dense output.
+/// Row and stage of the end of the step, whose derivative begins the next step and enters the dense output.
 pub(super) const END: usize = STAGES;
-/// Stages with those that only the dense output needs.
+/// Number of stages with those of the dense output.
 pub(super) const ALL: usize = 16;
 
-/// All sums over the stages: those of [`A`], then these.
+/// Number of rows in [`COEFFICIENTS`]: those of [`A`], then two error estimates.
 const SUMS: usize = ALL + 2;
-/// Place of [`ERROR_5`] among them.
+/// Row of [`ERROR_5`] in [`COEFFICIENTS`].
 pub(super) const AT_ERROR_5: usize = ALL;
-/// Place of [`ERROR_3`].
+/// Row of [`ERROR_3`] in [`COEFFICIENTS`].
 pub(super) const AT_ERROR_3: usize = ALL + 1;
 
-/// The coefficients of every sum for every stage, zeros included: the compiler sees which are 0 and leaves them out.
+/// Coefficients of every row for every stage, with zeros, which the compiler omits.
 pub(super) const COEFFICIENTS: [[f64; ALL]; SUMS] = {
     let mut all = [[0.0; ALL]; SUMS];
     let mut sum = 0;
@@ -41,13 +41,13 @@ pub(super) const COEFFICIENTS: [[f64; ALL]; SUMS] = {
     all
 };
 
-/// The last coefficient of a row that is not 0.
+/// Last coefficient of a row that is not 0.
 pub(super) const fn last(row: usize) -> f64 {
     let coefficients = A[row];
     coefficients[coefficients.len() - 1].1
 }
 
-/// Where each stage is evaluated: the sum over the stages before it. Row [`END`] is the new value, of order 8.
+/// Coefficients of the stages. Row [`END`] is the solution of order 8.
 pub(super) const A: [Row; ALL] = [
     &[],
     &[(0, 0.05260015195876773)],
@@ -143,7 +143,7 @@ pub(super) const A: [Row; ALL] = [
     ],
 ];
 
-/// The new value minus an embedded one of order 5.
+/// Error estimate of order 5: solution minus embedded solution.
 const ERROR_5: Row = &[
     (0, 0.01312004499419488),
     (5, -1.2251564463762044),
@@ -155,7 +155,7 @@ const ERROR_5: Row = &[
     (11, -0.022355307863886294),
 ];
 
-/// The new value minus an embedded one of order 3.
+/// Error estimate of order 3: solution minus embedded solution.
 const ERROR_3: Row = &[
     (0, -0.18980075407240762),
     (5, 4.450312892752409),
@@ -167,9 +167,9 @@ const ERROR_3: Row = &[
     (11, 0.02265179219836082),
 ];
 
-/// The new value minus another one of order 5, for forces that bend. Sums over the same stages that meet the conditions of order 5 make a space of
-/// three dimensions. In it this is the one that tells best, of 7,800 steps under friction with known errors, those that [`ERROR_5`] takes for
-/// good by accident; twice as large, since that took the fewest steps for an error.
+/// Second error estimate of order 5, for sharp nonlinearities. Sums over the stages that meet the conditions of order 5 form a
+/// space of three dimensions. Among 7,800 steps under friction with known errors this direction best detects those that [`ERROR_5`]
+/// underestimates; it is twice as long, which took the fewest steps for a given error.
 pub(super) const SECOND_ERROR: Row = &[
     (0, 0.03594421965334723),
     (5, -0.4741121613850806),
@@ -181,7 +181,7 @@ pub(super) const SECOND_ERROR: Row = &[
     (11, 0.08536938101350793),
 ];
 
-/// The higher coefficients of the dense output.
+/// Higher coefficients of the dense output.
 pub(super) const DENSE: [Row; 4] = [
     &[
         (0, -8.428938276109013),
@@ -245,16 +245,16 @@ pub(super) const DENSE: [Row; 4] = [
 mod tests {
     use super::*;
 
-    /// Σ coefficient · node^power, the nodes being the sums of the rows.
+    /// Moment Σ coefficient · node^power; the nodes are the sums of the rows.
     fn moment(row: Row, power: i32) -> f64 {
         let node = |stage: usize| A[stage].iter().map(|(_, a)| a).sum::<f64>();
         row.iter().map(|&(stage, coefficient)| coefficient * node(stage).powi(power)).sum()
     }
 
-    /// The conditions that quadrature of each order, and the stages' own order, make; the rest is for the measured orders to show.
+    /// Quadrature conditions of each order, and the stage order; measured orders cover the rest.
     #[test]
     fn order_conditions_hold() {
-        // Rows have coefficients of up to 43, and so have the sums that make the nodes: 43² ε.
+        // Rows and nodes have coefficients of up to 43: round-off of 43² ε.
         let zero = |what: &str, value: f64| assert!(value.abs() < 1e-12, "{what}: {value:e}");
         for (stage, node) in
             [(5, 1.0 / 3.0), (6, 0.25), (7, 4.0 / 13.0), (9, 0.6), (11, 1.0), (END, 1.0), (14, 0.2), (15, 7.0 / 9.0)]

@@ -1,15 +1,14 @@
-//! The inverse of a small matrix that is nothing in particular: it is used for all stages of a step, and multiplying by it takes less time
-//! than solving.
+//! Inverse of a small general matrix. It serves all stages of a step, and multiplication is faster than a solve.
 
 use crate::vector::Vector;
 
-/// A⁻¹, by columns.
+/// Inverse A⁻¹, by columns.
 #[derive(Clone, Copy)]
 pub(super) struct Inverse<const N: usize>([Vector<N>; N]);
 
 impl<const N: usize> Inverse<N> {
-    /// Of a matrix given by columns: Gauss and Jordan, with exchanges. A pivot that is 0 becomes `least`: products are then so large that
-    /// no step is accepted.
+    /// Inverts a matrix given by columns, by Gauss–Jordan elimination with pivoting. A zero pivot becomes `least`, whose products
+    /// are so large that no step is accepted.
     #[inline]
     pub(super) fn new(mut columns: [Vector<N>; N], least: f64) -> Self {
         let mut inverse: [Vector<N>; N] = std::array::from_fn(Vector::unit);
@@ -36,14 +35,14 @@ impl<const N: usize> Inverse<N> {
         Self(inverse)
     }
 
-    /// A⁻¹ b.
+    /// The product A⁻¹ b.
     #[inline(always)]
     pub(super) fn times(&self, b: &Vector<N>) -> Vector<N> {
         combination(&self.0, b)
     }
 }
 
-/// Σ bᵢ columnᵢ.
+/// Linear combination Σ bᵢ columnᵢ.
 #[inline(always)]
 pub(super) fn combination<const N: usize, const K: usize>(columns: &[Vector<N>; K], b: &Vector<K>) -> Vector<N> {
     let mut sum = Vector::ZERO;
@@ -66,10 +65,10 @@ mod tests {
         for i in 0..4 {
             let x = Vector::from_fn(|j| (i + 2 * j) as f64 - 3.0);
             let back = inverse.times(&combination(&columns, &x));
-            // Round-off times the condition number, some 1e3.
+            // Round-off times the condition number, about 1e3.
             assert!((back - x).max_norm() < 1e-12, "{back:?}");
         }
-        // A singular matrix gives something large and finite.
+        // A singular matrix gives a large and finite result.
         let flat = Inverse::new([Vector::<2>::from([1.0, 2.0]); 2], 1e-20).times(&[1.0, 1.0].into());
         assert!(flat.is_finite() && flat.max_norm() > 1e15, "{flat:?}");
     }

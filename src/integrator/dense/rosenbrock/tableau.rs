@@ -1,60 +1,61 @@
-//! The coefficients of the Rosenbrock methods, in the form that needs no product with the Jacobian: for u instead of the k of the books.
+//! Coefficients of the Rosenbrock methods Rodas4 and Rodas5P, in the transformed form with u instead of k, which needs no product
+//! with the Jacobian.
 //!
-//! E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, 2nd ed., section IV.7 and VI.4, with the digits of their code
-//! `rodas.f`; G. Steinebach, *Construction of Rosenbrock–Wanner method Rodas5P*, BIT 63 (2023). Both are stiffly accurate: the last
-//! stages stand at the end of the step, and the last u is what the embedded method differs by.
+//! E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, 2nd ed., sections IV.7 and VI.4, with the digits of their
+//! code `rodas.f`; G. Steinebach, *Construction of Rosenbrock–Wanner method Rodas5P*, BIT 63 (2023). Both are stiffly accurate: the
+//! last stages are at the end of the step, and the last u is the difference to the embedded solution.
 
 use crate::integrator::dense::Scheme;
 
-/// Most stages.
-pub(super) const MOST: usize = 8;
+/// Largest number of stages.
+pub(super) const MAX_STAGES: usize = 8;
 
-/// A method: its stages, and where each is evaluated.
+/// Coefficients of a Rosenbrock method.
 pub(in super::super) trait Tableau: Sized {
-    /// What steps by it are called.
-    const KIND: Scheme;
-    /// Stages of a step.
+    /// Scheme of the method.
+    const SCHEME: Scheme;
+    /// Number of stages.
     const STAGES: usize;
-    /// γ, of the matrix 1/(hγ) − J.
+    /// Coefficient γ of the matrix 1/(hγ) − J.
     const GAMMA: f64;
-    /// What is added to the beginning of the step for the place of each stage; the last row is for its end.
-    const AT: [[f64; MOST]; MOST + 1];
-    /// What the right-hand side of each stage holds of the u before it, times the step.
-    const BEFORE: [[f64; MOST]; MOST];
-    /// The dense output of the authors: y₀ (1−θ) + θ (y₁ + (1−θ) (k₁ + θ (k₂ + θ k₃))), each k a sum of u.
-    const DENSE: [[f64; MOST]; 3];
-    /// In the middle of the step it is the mean of the ends plus this sum of u.
-    const MIDDLE: [f64; MOST] = {
-        let mut middle = [0.0; MOST];
+    /// Coefficients aᵢⱼ of the stages; the last row is the end of the step.
+    const A: [[f64; MAX_STAGES]; MAX_STAGES + 1];
+    /// Coefficients cᵢⱼ of earlier u in the right-hand side of each stage, times the step.
+    const C: [[f64; MAX_STAGES]; MAX_STAGES];
+    /// Coefficients of the authors' dense output y₀ (1−θ) + θ (y₁ + (1−θ) (k₁ + θ (k₂ + θ k₃))), with each k a sum of u.
+    const DENSE: [[f64; MAX_STAGES]; 3];
+    /// Coefficients of u in the middle of the step, added to the mean of both ends.
+    const MIDDLE: [f64; MAX_STAGES] = {
+        let mut middle = [0.0; MAX_STAGES];
         let mut i = 0;
-        while i < MOST {
+        while i < MAX_STAGES {
             middle[i] = 0.25 * (Self::DENSE[0][i] + 0.5 * Self::DENSE[1][i] + 0.25 * Self::DENSE[2][i]);
             i += 1;
         }
         middle
     };
-    /// Order of the step; that of the estimator is lower by 1.
+    /// Order of the method; its error estimate is of one order less.
     const ORDER: f64;
-    /// Weights by which values of a derivative at the stages make a quadrature of the order of the step.
-    const WORK: [f64; MOST] = weights::<Self>(&Self::AT[MOST]);
-    /// The same for the estimator.
-    const WORK_ERROR: [f64; MOST] = {
-        let mut last = [0.0; MOST];
+    /// Quadrature weights of the stages, of the order of the method.
+    const QUADRATURE: [f64; MAX_STAGES] = weights::<Self>(&Self::A[MAX_STAGES]);
+    /// Quadrature weights of the error estimate.
+    const QUADRATURE_ERROR: [f64; MAX_STAGES] = {
+        let mut last = [0.0; MAX_STAGES];
         last[Self::STAGES - 1] = 1.0;
         weights::<Self>(&last)
     };
 }
 
-/// A sum of u with these coefficients m is, of a component that depends on the others only, h Σ bᵢ (derivative at stage i + its change
-/// along uᵢ), b = γ (1 − γ Cᵀ)⁻¹ m: from the last stage back.
-const fn weights<T: Tableau>(coefficients: &[f64; MOST]) -> [f64; MOST] {
+/// Quadrature weights b = γ (1 − γ Cᵀ)⁻¹ m of a sum of u with coefficients m: for a component that depends on the others only, the
+/// sum is h Σ bᵢ (derivative at stage i + its change along uᵢ). Backward from the last stage.
+const fn weights<T: Tableau>(coefficients: &[f64; MAX_STAGES]) -> [f64; MAX_STAGES] {
     let mut weights = *coefficients;
-    let mut i = MOST;
+    let mut i = MAX_STAGES;
     while i > 0 {
         i -= 1;
         let mut j = i + 1;
-        while j < MOST {
-            weights[i] += T::BEFORE[j][i] * weights[j];
+        while j < MAX_STAGES {
+            weights[i] += T::C[j][i] * weights[j];
             j += 1;
         }
         weights[i] *= T::GAMMA;
@@ -62,15 +63,15 @@ const fn weights<T: Tableau>(coefficients: &[f64; MOST]) -> [f64; MOST] {
     weights
 }
 
-/// Rodas4 (Hairer and Wanner): order 4, error estimator of order 3.
+/// Rodas4 (Hairer and Wanner): order 4, error estimate of order 3.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Rodas4;
 
 impl Tableau for Rodas4 {
-    const KIND: Scheme = Scheme::Rodas4;
+    const SCHEME: Scheme = Scheme::Rodas4;
     const STAGES: usize = 6;
     const GAMMA: f64 = 0.25;
-    const AT: [[f64; MOST]; MOST + 1] = [
+    const A: [[f64; MAX_STAGES]; MAX_STAGES + 1] = [
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         [1.544, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         [0.9466785280815826, 0.2557011698983284, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -81,7 +82,7 @@ impl Tableau for Rodas4 {
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         [1.221224509226641, 6.019134481288629, 12.53708332932087, -0.687886036105895, 1.0, 1.0, 0.0, 0.0],
     ];
-    const BEFORE: [[f64; MOST]; MOST] = [
+    const C: [[f64; MAX_STAGES]; MAX_STAGES] = [
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         [-5.6688, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         [-2.430093356833875, -0.2063599157091915, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -91,7 +92,7 @@ impl Tableau for Rodas4 {
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
     ];
-    const DENSE: [[f64; MOST]; 3] = [
+    const DENSE: [[f64; MAX_STAGES]; 3] = [
         [10.12623508344586, -7.487995877610167, -34.80091861555747, -7.992771707568823, 1.025137723295662, 0.0, 0.0, 0.0],
         [-0.6762803392801253, 6.087714651680015, 16.43084320892478, 24.76722511418386, -6.594389125716872, 0.0, 0.0, 0.0],
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -99,15 +100,15 @@ impl Tableau for Rodas4 {
     const ORDER: f64 = 4.0;
 }
 
-/// Rodas5P (Steinebach): order 5, error estimator of order 4.
+/// Rodas5P (Steinebach): order 5, error estimate of order 4.
 #[derive(Clone, Copy, Debug)]
 pub(in super::super) struct Rodas5p;
 
 impl Tableau for Rodas5p {
-    const KIND: Scheme = Scheme::Rodas5p;
+    const SCHEME: Scheme = Scheme::Rodas5p;
     const STAGES: usize = 8;
     const GAMMA: f64 = 0.21193756319429014;
-    const AT: [[f64; MOST]; MOST + 1] = [
+    const A: [[f64; MAX_STAGES]; MAX_STAGES + 1] = [
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         [3.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         [2.849394379747939, 0.45842242204463923, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -118,7 +119,7 @@ impl Tableau for Rodas5p {
         [-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256, 0.030198172008377946, 1.0, 1.0, 0.0],
         [-7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256, 0.030198172008377946, 1.0, 1.0, 1.0],
     ];
-    const BEFORE: [[f64; MOST]; MOST] = [
+    const C: [[f64; MAX_STAGES]; MAX_STAGES] = [
         [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         [-14.155112264123755, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         [-17.97296035885952, -2.859693295451294, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
@@ -146,7 +147,7 @@ impl Tableau for Rodas5p {
             0.0,
         ],
     ];
-    const DENSE: [[f64; MOST]; 3] = [
+    const DENSE: [[f64; MAX_STAGES]; 3] = [
         [
             25.948786856663858,
             -2.5579724845846235,
@@ -185,21 +186,21 @@ impl Tableau for Rodas5p {
 mod tests {
     use super::*;
 
-    /// What the order conditions say of quadratures: a wrong digit would show.
+    /// Order conditions of the quadratures, which a wrong digit would violate.
     fn check<T: Tableau>() {
-        let sum = |row: &[f64; MOST]| row.iter().sum::<f64>();
+        let sum = |row: &[f64; MAX_STAGES]| row.iter().sum::<f64>();
         // Coefficients of up to 112 cancel.
-        assert!((sum(&T::WORK) - 1.0).abs() < 1e-12, "weights of the step: {}", sum(&T::WORK));
-        assert!(sum(&T::WORK_ERROR).abs() < 1e-12, "weights of the error: {}", sum(&T::WORK_ERROR));
-        // The u of a constant derivative, one after the other: each place is a time, and the end of the step is 1.
-        let mut u = [0.0; MOST];
-        let trig_base = |u: &[f64; MOST], row: &[f64; MOST]| row.iter().zip(u).map(|(a, u)| a * u).sum::<f64>();
+        assert!((sum(&T::QUADRATURE) - 1.0).abs() < 1e-12, "weights of the step: {}", sum(&T::QUADRATURE));
+        assert!(sum(&T::QUADRATURE_ERROR).abs() < 1e-12, "weights of the error: {}", sum(&T::QUADRATURE_ERROR));
+        // For a constant derivative each stage is at its time, and the end of the step at 1.
+        let mut u = [0.0; MAX_STAGES];
+        let combine = |u: &[f64; MAX_STAGES], row: &[f64; MAX_STAGES]| row.iter().zip(u).map(|(a, u)| a * u).sum::<f64>();
         for stage in 0..T::STAGES {
-            u[stage] = T::GAMMA * (1.0 + trig_base(&u, &T::BEFORE[stage]));
+            u[stage] = T::GAMMA * (1.0 + combine(&u, &T::C[stage]));
         }
-        assert!((trig_base(&u, &T::AT[MOST]) - 1.0).abs() < 1e-12, "the end of the step: {}", trig_base(&u, &T::AT[MOST]));
-        // In the middle of the dense output of a motion at constant rate, half the way: the mean of both ends.
-        assert!(trig_base(&u, &T::MIDDLE).abs() < 1e-12, "the middle: {}", trig_base(&u, &T::MIDDLE));
+        assert!((combine(&u, &T::A[MAX_STAGES]) - 1.0).abs() < 1e-12, "the end of the step: {}", combine(&u, &T::A[MAX_STAGES]));
+        // The middle of a motion at constant rate is the mean of both ends.
+        assert!(combine(&u, &T::MIDDLE).abs() < 1e-12, "the middle: {}", combine(&u, &T::MIDDLE));
     }
 
     #[test]
