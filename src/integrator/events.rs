@@ -92,8 +92,8 @@ pub trait Events<const N: usize>: Sized {
         false
     }
 
-    /// Elastic energy still stored in springs that have separated, J: the spring dissipates it on the way out, beside the integral
-    /// of its power.
+    /// Elastic energy still stored in springs that have separated, J; it is dissipated as they relax, in addition to the integral of
+    /// the power.
     fn separation_energy(&self, _at: &Self::GuardValues) -> f64 {
         0.0
     }
