@@ -1,4 +1,4 @@
-//! Contact: a plane that the tip may touch, n·(x, y) ≥ offset free.
+//! Contact: a plane that the tip may touch; the half-plane n·(x, y) ≥ offset is free.
 //!
 //! With the penetration d = offset − n·p and the tip's velocity v_t along t = (−n_y, n_x):
 //!
@@ -8,10 +8,12 @@
 //!
 //! see `unilateral_spring.rs` for N; the tangential part is Coulomb friction, regularised. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ,
 //! C = −∂F/∂ṗ; both couple the coordinates of link 2 and are not symmetric. Potential: the spring part of N; the damper and the
-//! friction dissipate. That is `law` 1, smooth; by `law` 2, stick, friction is set-valued (`stick_slip.rs`): a tip that slips has mu N against
-//! its motion, and one at rest along the plane holds whatever it has to up to mu N. Defaults: a floor 1 m below the motor axes, which the paper's mechanism does not reach; k 2e3 N/m and 5 N·s/m,
-//! a soft fingertip or a haptic wall; mu 0.3, slip velocity 0.01 m/s, ramp 0.1 mm.
-//! Limits: a point against a plane; by the smooth law it creeps under a tangential load below mu N, at about slipVelocity F_t/(mu N).
+//! friction dissipate. The tanh belongs to `law` 1, smooth. By `law` 2, stick, friction is set-valued (`stick_slip.rs`): a slipping tip
+//! feels mu N against its motion, and a sticking tip feels the force that keeps it at rest along the plane, up to mu N.
+//! Defaults: a floor 1 m below the motor axes, out of reach of the paper's mechanism; k 2e3 N/m and 5 N·s/m, a soft fingertip or a
+//! haptic wall; mu 0.3, slip velocity 0.01 m/s, ramp 0.1 mm.
+//! Limits: a point against a plane; by the smooth law the tip creeps under a tangential load F_t below mu N, at about
+//! slipVelocity F_t/(mu N).
 
 use arrayvec::ArrayVec;
 
@@ -44,11 +46,11 @@ pub struct Parameters {
     pub mu: f64,
     /// Tangential velocity at which 76 % of the friction is reached, m/s.
     pub slip_velocity: f64,
-    /// What its friction does at rest.
+    /// Law of the friction at rest.
     pub law: Law,
 }
 
-/// The plane ready to act.
+/// The plane, made ready from its parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Contact {
     normal: [f64; 2],
@@ -57,7 +59,7 @@ pub struct Contact {
     mu: f64,
     slip_velocity: f64,
     law: Law,
-    /// How far the tip moves with the angle of each link of the leg that carries it, m/rad.
+    /// Lever arms: largest |∂p/∂θ| of the tip's position by the angle of each link of the leg that carries the tip, m/rad.
     arms: [f64; LINKS],
 }
 
@@ -66,23 +68,24 @@ fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
 }
 
 impl Contact {
-    /// The spring with d, m, and ḋ, m/s.
+    /// The unilateral spring at penetration d, m, and its rate ḋ, m/s.
     fn guard(&self, tip: &Tip) -> UnilateralGuard<'_> {
         let depth = self.offset - dot(self.normal, tip.position);
         let rate = -dot(self.normal, tip.velocity);
         UnilateralGuard { place: CONTACT, spring: &self.spring, depth, rate, arms: &self.arms }
     }
 
-    /// v_t, m/s.
+    /// Tangential velocity v_t of the tip, m/s.
     fn slip(&self, tip: &Tip) -> f64 {
         dot(self.tangent(), tip.velocity)
     }
 
+    /// Unit tangent t of the plane.
     fn tangent(&self) -> [f64; 2] {
         [-self.normal[1], self.normal[0]]
     }
 
-    /// Friction per mu N, along −t: tanh(v_t/slipVelocity), or by the law that sticks ±1 and 0.
+    /// Friction along −t divided by mu N: tanh(v_t/slipVelocity) by the smooth law, ±1 (slip) or 0 (stick) by the set-valued law.
     fn turn(&self, at: &ForceContext, slip: f64) -> f64 {
         match self.law {
             Law::Smooth => libm::tanh(slip / self.slip_velocity),
@@ -90,13 +93,13 @@ impl Contact {
         }
     }
 
-    /// F per N: n − mu tanh(v_t/slipVelocity) t.
+    /// Contact force divided by N, F/N = n − mu `turn` t.
     fn direction(&self, turn: f64) -> [f64; 2] {
         let (drag, tangent) = (self.mu * turn, self.tangent());
         [self.normal[0] - drag * tangent[0], self.normal[1] - drag * tangent[1]]
     }
 
-    /// The force on the tip, N, when the grips hold with these torques and force.
+    /// Force on the tip, N, when friction sticks with the given torques of the joints, N·m, and tangential force, N.
     pub fn force(&self, at: &ForceContext, holding: &[f64; FRICTION_PLACES]) -> [f64; 2] {
         let (tip, tangent) = (at.tip(), self.tangent());
         let normal = self.guard(&tip).force(at);
@@ -246,20 +249,22 @@ impl MeanForce for Contact {
     }
 }
 
-/// The tip against the plane over a step.
+/// Mean reaction of the plane on the tip over a finite step.
 struct Rub {
     tip: TipStep,
     push: Push,
-    /// Friction, N, along −t.
+    /// Mean friction along −t, N.
     drag: f64,
-    /// How it changes with the slip, N·s/m, of which this part is that of the end, and with N.
+    /// Derivative of the friction by the slip velocity, N·s/m.
     steepness: f64,
+    /// Weight γ of the step's end in the slip velocity, 0 to 1 (`step_context.rs`).
     weight: f64,
+    /// Derivative of the friction by N.
     by_normal: f64,
 }
 
 impl Contact {
-    /// `None` where the tip is off the plane.
+    /// The reaction over a step; `None` where the tip is off the plane at both ends.
     fn rub(&self, over: &StepContext) -> Option<Rub> {
         let tip = over.tip();
         let (depth, change) = (self.offset - dot(self.normal, tip.begin), -dot(self.normal, tip.change));
@@ -277,6 +282,7 @@ impl Contact {
         Some(Rub { tip, drag: self.mu * push.force * tanh, push, steepness, weight, by_normal })
     }
 
+    /// Mean force on the tip, N.
     fn mean_force(&self, rub: &Rub) -> [f64; 2] {
         let tangent = self.tangent();
         [0, 1].map(|i| rub.push.force * self.normal[i] - rub.drag * tangent[i])

@@ -1,4 +1,7 @@
-//! What forces depend on at an instant, and the places where they act: joints, motor axes, the tip.
+//! State at an instant as force laws see it, and the places where forces act: joints, motor axes, the tip.
+//!
+//! With r the arm from the centre of mass of link 2 to the tip, p = c₂ + r and ṗ = ċ₂ + ω₂ r⊥; a force F on the tip is F at c₂ and the
+//! torque r × F on link 2, and its tangents K, C in p are mapped by ∂p/∂q.
 
 use std::f64::consts::TAU;
 
@@ -12,14 +15,14 @@ pub const JOINTS: usize = 5;
 /// Coordinates of the two motor angles: links 1 and 4.
 pub(super) const MOTORS: [usize; 2] = [THETA[0], THETA[3]];
 
-/// Joint rates are differences of link rates: joint j turns at the rate of its first link minus that of its second, if any. A joint
-/// torque acts with + on the first and with − on the second.
+/// Links of each joint, first and second. The rate of a joint is the rate of its first link minus the rate of its second link, if any; a
+/// joint torque acts with + on the first and with − on the second.
 pub(super) const JOINED: [(usize, Option<usize>); JOINTS] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
 
-/// Index of the link that carries what acts on the tip.
+/// Index of the link on which forces on the tip act.
 pub(super) const TIP_LINK: usize = 1;
 
-/// What forces depend on.
+/// State, inputs and mode at which force laws are evaluated.
 #[derive(Clone, Copy)]
 pub struct ForceContext<'a> {
     /// Coordinates, m and rad.
@@ -28,11 +31,11 @@ pub struct ForceContext<'a> {
     pub v: &'a Coordinates,
     /// Pose at q.
     pub pose: &'a Pose,
-    /// What the master sets.
+    /// Inputs set by the master.
     pub inputs: &'a Inputs,
-    /// Whole turns of links 1 to 4 that q leaves out.
+    /// Whole turns of links 1 to 4 that are not counted in q.
     pub turns: &'a [i64; 4],
-    /// On which sides of their kinks forces are.
+    /// Mode: the smooth branch on which each force law is evaluated.
     pub mode: Mode,
 }
 
@@ -57,7 +60,7 @@ impl ForceContext<'_> {
         self.v[THETA[first]] - second.map_or(0.0, |second| self.v[THETA[second]])
     }
 
-    /// The tip.
+    /// Position and velocity of the tip.
     #[inline]
     pub fn tip(&self) -> Tip {
         let [rx, ry] = tip_arm(self.pose);
@@ -78,7 +81,7 @@ fn tip_arm(pose: &Pose) -> [f64; 2] {
     [pose.sigma_b_d.x.to_array()[0], pose.sigma_b_d.y.to_array()[0]]
 }
 
-/// Adds a torque at a joint, N·m.
+/// Adds a torque at a joint, N·m, to the generalised forces.
 #[inline]
 pub(super) fn add_joint_torque(joint: usize, torque: f64, forces: &mut Coordinates) {
     let (first, second) = JOINED[joint];
@@ -88,7 +91,7 @@ pub(super) fn add_joint_torque(joint: usize, torque: f64, forces: &mut Coordinat
     }
 }
 
-/// Adds the tangent of a joint torque: damping = −∂T/∂w, N·m·s/rad.
+/// Adds the tangent of a joint torque T by the joint's rate w: `damping` = −∂T/∂w, N·m·s/rad.
 #[inline]
 pub(super) fn add_joint_damping(joint: usize, damping: f64, tangents: &mut impl Tangents) {
     let (first, second) = JOINED[joint];
@@ -105,20 +108,20 @@ pub(super) fn is_inner(joint: usize) -> bool {
     JOINED[joint].1.is_some()
 }
 
-/// The tip as the end of link 2.
+/// State of the tip, the end of link 2.
 pub struct Tip {
-    /// From the centre of mass of link 2, m.
+    /// Arm r from the centre of mass of link 2 to the tip, m.
     arm: [f64; 2],
     /// Rate of link 2, rad/s.
     rate: f64,
-    /// m.
+    /// Position, m.
     pub position: [f64; 2],
-    /// m/s.
+    /// Velocity, m/s.
     pub velocity: [f64; 2],
 }
 
 impl Tip {
-    /// Adds a force on the tip, N.
+    /// Adds a force on the tip, N, to the generalised forces.
     #[inline]
     pub fn add_force(&self, [fx, fy]: [f64; 2], forces: &mut Coordinates) {
         let [rx, ry] = self.arm;
@@ -127,19 +130,19 @@ impl Tip {
         forces[THETA[TIP_LINK]] += rx * fy - ry * fx;
     }
 
-    /// The part of the tip's acceleration that comes from the rate, m/s².
+    /// Centripetal acceleration of the tip about the centre of mass of link 2, −ω² r, m/s².
     pub fn centripetal(&self) -> [f64; 2] {
         self.arm.map(|arm| -self.rate * self.rate * arm)
     }
 
-    /// Adds what the turning arm makes of a force: K = r·F in the angle.
+    /// Adds the geometric stiffness of a force F on the tip, N, whose arm rotates with link 2: K = r·F in the angle, N·m/rad.
     #[inline]
     pub fn add_geometric_stiffness(&self, [fx, fy]: [f64; 2], tangents: &mut impl Tangents) {
         let [rx, ry] = self.arm;
         tangents.stiffness(THETA[TIP_LINK], THETA[TIP_LINK], rx * fx + ry * fy);
     }
 
-    /// Adds the tangents of a force whose own are K = −∂F/∂p, N/m, and C = −∂F/∂ṗ, N·s/m, with p the tip's position.
+    /// Adds the tangents of a force F on the tip, given as K = −∂F/∂p, N/m, and C = −∂F/∂ṗ, N·s/m, with p the tip's position.
     pub fn add_tangents(&self, stiffness: [[f64; 2]; 2], damping: [[f64; 2]; 2], tangents: &mut impl Tangents) {
         let ([rx, ry], rate) = (self.arm, self.rate);
         let columns = [X[TIP_LINK], Y[TIP_LINK], THETA[TIP_LINK]];

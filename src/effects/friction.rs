@@ -1,4 +1,4 @@
-//! Friction: Coulomb and Stribeck in the joints. By `law` 1, smooth:
+//! Friction: Coulomb and Stribeck friction in the joints. By `law` 1, smooth:
 //!
 //! ```text
 //! T_j = −[√(2e) (T_brk − T_c) exp(−(w/w_st)²) w/w_st + T_c tanh(w/w_c)]      w_st = √2 w_brk,  w_c = w_brk/10
@@ -6,19 +6,21 @@
 //!
 //! with w the joint's rate, T_c = `coulomb[j]`, T_brk = `breakaway[j]` ≥ T_c, w_brk = `breakawayVelocity`: the Stribeck curve of a widely
 //! used rotational friction block (Simscape's "Rotational Friction", without its viscous term, which is the effect `viscous`;
-//! Armstrong-Hélouvry et al., Automatica 30 (1994) 1083). T_brk is met at w_brk to within 1e-4 of T_c. C = −∂T/∂w, K = 0; dissipates −T w ≥ 0.
+//! Armstrong-Hélouvry et al., Automatica 30 (1994) 1083). T_brk is met at w_brk to within 1e-4 of T_c. C = −∂T/∂w, K = 0; the power
+//! −T w ≥ 0 is dissipated.
 //!
-//! By `law` 2, stick, friction is set-valued (`stick_slip.rs`): a joint at rest holds whatever it has to up to T_brk, and one that slips has
+//! By `law` 2, stick, friction is set-valued (`stick_slip.rs`): a sticking joint transmits the torque that keeps w = 0, up to T_brk, and
+//! a slipping joint has
 //!
 //! ```text
 //! T_j = −[T_c + (T_brk − T_c) exp(−(w/w_st)²)] sign w
 //! ```
 //!
-//! the same curve without its turn through 0, from T_brk at rest.
+//! which falls from T_brk at rest to T_c.
 //! Defaults: 1 mN·m, 1.2 mN·m at 0.1 rad/s, a preloaded miniature bearing.
-//! Limits: by the smooth law no true sticking. Under a load T below breakaway a joint creeps at about w_c T/T_c; that is the price of
-//! smoothness. Its rate near w = 0 is T_c/(w_c I), some 1,500/s for the paper's links: stiff for explicit methods. Beyond w_brk the slope
-//! is negative. By the law that sticks no presliding, no ageing at rest.
+//! Limits: by the smooth law there is no true sticking: under a load T below breakaway a joint creeps at about w_c T/T_c. The eigenvalue
+//! near w = 0 is T_c/(w_c I), some 1,500/s for the paper's links: stiff for explicit methods. Above w_brk the slope is negative. By the
+//! set-valued law there is no presliding displacement and no growth of T_brk with the time at rest.
 
 use super::force_context::{ForceContext, JOINTS, add_joint_damping, add_joint_torque, is_inner};
 use super::step_context::{add_joint_slopes, end_weight};
@@ -39,28 +41,29 @@ pub struct Parameters {
     pub breakaway: [f64; JOINTS],
     /// Rate at which the breakaway torque is reached, rad/s.
     pub breakaway_velocity: f64,
-    /// What it does at rest.
+    /// Law of the friction at rest.
     pub law: Law,
 }
 
-/// The curve of one joint.
+/// The friction curve of one joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Curve {
     joint: usize,
-    /// T_c, N·m.
+    /// Coulomb torque T_c, N·m.
     coulomb: f64,
-    /// T_brk, N·m.
+    /// Breakaway torque T_brk, N·m.
     breakaway: f64,
-    /// √(2e) (T_brk − T_c), N·m.
+    /// Amplitude √(2e) (T_brk − T_c) of the Stribeck term, N·m.
     stribeck: f64,
 }
 
-/// Dry friction ready to act.
+/// Dry friction, made ready from its parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Friction {
     curves: [Option<Curve>; JOINTS],
-    /// w_st and w_c, rad/s.
+    /// Stribeck rate w_st, rad/s.
     stribeck_rate: f64,
+    /// Regularisation rate w_c of the Coulomb term, rad/s.
     coulomb_rate: f64,
     law: Law,
 }
@@ -70,7 +73,7 @@ impl Friction {
         self.curves.iter().flatten()
     }
 
-    /// −T by the law at a joint's rate, N·m.
+    /// Friction torque −T by the chosen law at a joint's rate, rad/s, N·m.
     #[inline]
     fn drag_by_law(&self, curve: &Curve, rate: f64, at: &ForceContext) -> f64 {
         match self.law {
@@ -79,7 +82,7 @@ impl Friction {
         }
     }
 
-    /// −∂T/∂w by the law, N·m·s/rad.
+    /// Derivative −∂T/∂w by the chosen law, N·m·s/rad.
     fn slope_by_law(&self, curve: &Curve, at: &ForceContext) -> f64 {
         let rate = at.joint_rate(curve.joint);
         match self.law {
@@ -92,20 +95,20 @@ impl Friction {
         }
     }
 
-    /// |T| of a joint that slips, N·m.
+    /// Magnitude |T| in a slipping joint by the set-valued law, N·m.
     fn sliding(&self, curve: &Curve, rate: f64) -> f64 {
         let u = rate / self.stribeck_rate;
         curve.coulomb + (curve.breakaway - curve.coulomb) * libm::exp(-u * u)
     }
 
-    /// −T of the smooth law, N·m.
+    /// Friction torque −T by the smooth law, N·m.
     fn drag(&self, curve: &Curve, rate: f64) -> f64 {
         let u = rate / self.stribeck_rate;
         let [bell, tanh] = bell_and_tanh(u, rate / self.coulomb_rate);
         curve.stribeck * bell * u + curve.coulomb * tanh
     }
 
-    /// −∂T/∂w of the smooth law, N·m·s/rad.
+    /// Derivative −∂T/∂w by the smooth law, N·m·s/rad.
     fn slope(&self, curve: &Curve, rate: f64) -> f64 {
         let u = rate / self.stribeck_rate;
         let [bell, tanh] = bell_and_tanh(u, rate / self.coulomb_rate);
@@ -186,7 +189,8 @@ impl Force for Friction {
         self.law == Law::Stick
     }
 
-    // Out of line: compiled into its caller it would read what another effect has not written, and select it away, which valgrind reports.
+    // Out of line: inlined, it would read a field that another variant of `Effect` has not written and discard the value, which valgrind
+    // reports.
     #[cold]
     #[inline(never)]
     fn regularization_velocity(&self) -> f64 {
@@ -239,18 +243,18 @@ impl MeanForce for Friction {
 }
 
 impl Friction {
-    /// The same with its turn at rates that are larger by a factor.
+    /// Friction with the rates w_c and w_st multiplied by a factor.
     fn softened(&self, factor: f64) -> Self {
         Self { coulomb_rate: factor * self.coulomb_rate, stribeck_rate: factor * self.stribeck_rate, ..*self }
     }
 
-    /// Of the end's rate the part by which it rules: more the steeper the turn.
+    /// Weight γ of the rate at the step's end (`step_context.rs`): the larger, the steeper the curve.
     fn end_weight(&self, curve: &Curve, over: &StepContext) -> f64 {
-        // The slope at rest, without functions of 0: a master's traps are not sprung.
+        // The slope at w = 0 in closed form: avoids exp(0), which raises an inexact flag that some masters trap.
         end_weight(over.decay(curve.stribeck / self.stribeck_rate + curve.coulomb / self.coulomb_rate))
     }
 
-    /// The rate at which the torque is taken, rad/s.
+    /// Rate at which the torque of a step is evaluated, rad/s.
     fn rate_over(&self, curve: &Curve, over: &StepContext) -> f64 {
         let [change, end] = over.joint(curve.joint);
         let mean = change / over.h;

@@ -1,6 +1,6 @@
 //! Gravity: a constant acceleration g·sin(tilt) in the plane of the mechanism, in a given direction.
 //!
-//! Q = m g⃗ at each centre of mass, potential −Σ m g⃗·r (0 at the left motor axis). K = C = 0; conservative.
+//! Q = m g⃗ at each centre of mass r, potential −Σ m g⃗·r (0 at the left motor axis). K = C = 0; conservative.
 //! Defaults: standard gravity rounded as in the paper (9.81 m/s²), an upright mechanism, pulling along −y.
 //! Limits: none within Newtonian mechanics; components out of the plane do no work and are carried by the bearings.
 
@@ -22,7 +22,7 @@ pub struct Parameters {
 }
 
 impl Parameters {
-    /// Adds the links' weights.
+    /// Adds the weights of the links, N.
     pub fn add_weight(&self, mechanism: &Mechanism, weight: &mut Coordinates) -> Result<(), SceneError> {
         let Self { g, tilt, direction, .. } = *self;
         for (name, value, unit) in [("g", g, "m/s2"), ("tilt", tilt, "rad"), ("direction", direction, "rad")] {

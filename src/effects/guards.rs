@@ -1,11 +1,10 @@
-//! Kinks of forces: where a formula changes, and on which side of each a motion is.
+//! Guards of force laws and the mode of a hybrid system.
 //!
-//! A method that follows its error ends a step where its motion crosses a border, and begins the next behind it: within a step every
-//! force is one smooth formula, and an order stays what it is. Which sides hold is for the method to remember ([`Mode`]); by
-//! [`Mode::OF_STATE`], as all other methods have it, every formula is the one of the present state.
-//!
-//! Kinks are those of the one-sided springs of stops and contact, and the grips of dry friction that sticks (`stick_slip.rs`). Smooth friction
-//! and servos have none.
+//! A guard is a function of the state whose zero separates two smooth branches of a force law. An error-controlled method ends its step
+//! where the trajectory crosses a guard and begins the next step in the next mode: within a step every force is one smooth formula, so
+//! the method keeps its order. The method stores the [`Mode`]; by [`Mode::OF_STATE`], as for all other methods, every formula is the one
+//! of the present state. Guards belong to the unilateral springs of stops and contact (penetration, ramp, push) and to set-valued dry
+//! friction (`stick_slip.rs`). Smooth friction and servos have none.
 
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
@@ -15,30 +14,30 @@ use super::unilateral_spring::{Phase, PhaseBorder, UnilateralSpring, deepest};
 use super::{Active, ForceContext};
 use crate::mechanism::{ClosureBranch, LINKS};
 
-/// One-sided springs: that of the contact, and two for each motor's stops.
+/// Number of unilateral springs: one of the contact, two stops on each motor axis.
 pub(super) const SPRINGS: usize = 5;
 
-/// Numbers that change sign where a motion passes a kink.
+/// Number of event indicators: three for each unilateral spring.
 pub const INDICATORS: usize = 3 * SPRINGS;
 
-/// Place of the contact among them.
+/// Index of the contact among the unilateral springs.
 pub(super) const CONTACT: usize = 0;
 
-/// Places of the lower and the upper stop of the motors.
+/// Indices of the lower and the upper stop of each motor among the unilateral springs.
 pub(super) const STOPS: [[usize; 2]; 2] = [[1, 2], [3, 4]];
 
-/// On which side of their kinks forces are.
+/// Mode of the hybrid system: phases of the springs, stick-slip states of friction, branch of the closure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub struct Mode {
     springs: [Option<Phase>; SPRINGS],
-    /// What dry friction does.
+    /// Stick-slip state of every friction place.
     pub stick_slip: StickSlips,
-    /// The branch of the closure, where it has several that meet.
+    /// Branch of the closure; `None` away from the branches of a reducible closure (`closure_branch.rs`).
     pub closure_branch: Option<ClosureBranch>,
 }
 
 impl Mode {
-    /// Wherever the state is.
+    /// No stored mode: every force law takes the branch of the present state.
     pub const OF_STATE: Self = Self { springs: [None; SPRINGS], stick_slip: StickSlips::OPEN, closure_branch: None };
 
     /// Whether any spring pushes.
@@ -46,96 +45,97 @@ impl Mode {
         self.springs.iter().flatten().any(|phase| phase.pushes())
     }
 
-    /// The same with other grips.
+    /// This mode with other stick-slip states.
     pub fn with_stick_slip(self, stick_slip: StickSlips) -> Self {
         Self { stick_slip, ..self }
     }
 
-    /// The same on another branch of the closure.
+    /// This mode on another branch of the closure.
     pub fn with_closure_branch(self, closure_branch: Option<ClosureBranch>) -> Self {
         Self { closure_branch, ..self }
     }
 
-    /// With these grips, and springs wherever the state is.
+    /// The mode with these stick-slip states, and springs in the phase of the present state.
     pub fn of_stick_slip(stick_slip: StickSlips) -> Self {
         Self::OF_STATE.with_stick_slip(stick_slip)
     }
 }
 
-/// What the links do not exceed on a way.
+/// Bounds on the derivatives of the link angles over a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Extremes {
-    /// Magnitudes of their rates, rad/s.
+    /// Largest magnitudes of the rates, rad/s.
     pub rates: [f64; LINKS],
-    /// Of their accelerations, rad/s².
+    /// Largest magnitudes of the accelerations, rad/s².
     pub accelerations: [f64; LINKS],
-    /// Of the first two derivatives of these, rad/s³ and rad/s⁴, where they are known.
+    /// Largest magnitudes of the third and the fourth derivative (jerk, snap), rad/s³ and rad/s⁴, where known.
     pub higher: Option<[[f64; LINKS]; 2]>,
 }
 
-/// A one-sided spring as it is now.
+/// A unilateral spring at a state, with the quantities of its guards.
 #[derive(Clone, Copy)]
 pub(super) struct UnilateralGuard<'a> {
-    /// Its place in [`Mode`].
+    /// Index in [`Mode`].
     pub(super) place: usize,
     pub(super) spring: &'a UnilateralSpring,
     /// Penetration, m or rad.
     pub(super) depth: f64,
-    /// Its rate.
+    /// Rate of penetration, m/s or rad/s.
     pub(super) rate: f64,
-    /// By how much the penetration changes with the angle of each link at most, m or rad.
+    /// Lever arms: largest |∂d/∂θ| of the penetration by the angle of each link, m/rad or 1.
     pub(super) arms: &'a [f64; LINKS],
 }
 
 impl UnilateralGuard<'_> {
-    /// Whether it neither pushes nor loses anything now.
+    /// Whether the spring neither pushes nor dissipates.
     pub(super) fn is_idle(&self, at: &ForceContext) -> bool {
         at.mode.springs[self.place].map_or(self.depth <= 0.0, |phase| !phase.pushes())
     }
 
-    /// N, N or N·m.
+    /// Normal force or torque N of the spring, N or N·m.
     pub(super) fn force(&self, at: &ForceContext) -> f64 {
         self.spring.force(self.phase(&at.mode), self.depth, self.rate)
     }
 
-    /// ∂N/∂d and ∂N/∂ḋ.
+    /// Derivatives ∂N/∂d, N/m or N·m/rad, and ∂N/∂ḋ, N·s/m or N·m·s/rad.
     pub(super) fn slopes(&self, at: &ForceContext) -> [f64; 2] {
         self.spring.slopes(self.phase(&at.mode), self.depth, self.rate)
     }
 
-    /// U, J.
+    /// Potential U of the spring, J.
     pub(super) fn potential(&self, at: &ForceContext) -> f64 {
         self.spring.potential(self.phase(&at.mode), self.depth)
     }
 
-    /// Power lost, W; not what a spring that is known to have let go loses ([`GuardValues::separation_energy`]).
+    /// Dissipated power, W; without the loss of a spring whose stored phase is separated ([`GuardValues::separation_energy`]).
     pub(super) fn dissipation(&self, at: &ForceContext) -> f64 {
         self.spring.dissipation(self.phase(&at.mode), self.depth, self.rate)
     }
 
-    /// The phase that holds.
+    /// The phase by the mode, or else of the present state.
     pub(super) fn phase(&self, mode: &Mode) -> Phase {
         mode.springs[self.place].unwrap_or_else(|| self.spring.phase(self.depth, self.rate))
     }
 
-    /// What a motion may overlook at an angular tolerance, rad: its own error, or a part of the ramp, but no less than round-off.
+    /// Event tolerance in penetration, m or rad, at an angular tolerance, rad: the error of the trajectory or a part of the ramp's width,
+    /// the smaller, but no less than round-off.
     fn unit(&self, tolerance: f64) -> f64 {
-        /// Part of a ramp that may be overlooked.
+        /// Largest event tolerance as a part of the ramp's width: 1 % of a ramp is below any effect on the force.
         const PART: f64 = 0.01;
-        /// Round-off of an angle, rad.
+        /// Round-off of an angle, rad: some hundred units in the last place of 1 rad.
         const ROUND_OFF: f64 = 1e-13;
         let scale: f64 = self.arms.iter().sum();
         (tolerance * scale).min(PART * self.spring.width).max(ROUND_OFF * scale)
     }
 
-    /// The first two derivatives of the penetration at most.
+    /// Bounds on the first two derivatives of the penetration, m/s and m/s², or rad/s and rad/s².
     #[inline(never)]
     fn derivatives(&self, Extremes { rates, accelerations, .. }: &Extremes) -> [f64; 2] {
         let sum = |change: &dyn Fn(usize) -> f64| (0..LINKS).map(|link| self.arms[link] * change(link)).sum();
         [sum(&|link| rates[link]), sum(&|link| accelerations[link] + rates[link] * rates[link])]
     }
 
-    /// The derivatives of order 2, 3 and 4.
+    /// Bounds on the derivatives of order 2, 3 and 4 of the penetration, m or rad over the power of s.
     #[inline(never)]
     fn higher(&self, extremes: &Extremes, [jerks, snaps]: &[[f64; LINKS]; 2]) -> [f64; 3] {
         let Extremes { rates, accelerations, .. } = extremes;
@@ -153,23 +153,23 @@ impl UnilateralGuard<'_> {
         derivatives
     }
 
-    /// The greatest penetration that there can be on the way to another place, some seconds later, m or rad.
+    /// Upper bound on the penetration between this state and another state `duration` seconds later, m or rad.
     fn deepest_over_step(&self, to: &Self, duration: f64, extremes: &Extremes) -> f64 {
         let [_, bend] = self.derivatives(extremes);
         deepest([self.depth, self.rate], [to.depth, to.rate], duration, bend)
     }
 
-    /// Whether its phase certainly holds on the way to another place, some seconds later, but for what may be overlooked.
+    /// Whether the phase provably holds between this state and another state `duration` seconds later, to the event tolerance.
     fn stays(&self, to: &Self, mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         let (phase, unit) = (self.phase(mode), self.unit(tolerance));
         let ends = [self, to].map(|guard| [guard.depth, guard.rate]);
-        // Most are far away, which takes little to see.
+        // The cheaper bound decides most cases, in which the spring is far from its guards.
         let by_derivatives = || self.spring.farthest_by_derivatives(phase, ends, duration, self.derivatives(extremes)) <= unit;
         let by_cubic = |higher| self.spring.farthest_by_cubic(phase, ends, duration, self.higher(extremes, higher)) <= unit;
         by_derivatives() || extremes.higher.as_ref().is_some_and(by_cubic)
     }
 
-    /// The border of the phase that holds that it is farthest beyond, in units of what may be overlooked.
+    /// The guard of the current phase that decides on its end, with its residual in units of the event tolerance.
     fn farthest(&self, mode: &Mode, tolerance: f64) -> Option<PhaseBorder> {
         let phase = self.phase(mode);
         let borders = self.spring.borders(phase, self.depth, self.rate).into_iter().flatten();
@@ -178,31 +178,32 @@ impl UnilateralGuard<'_> {
     }
 }
 
-/// A grip as it is now, and how far it is from doing something else.
+/// A friction place at a state, with its distance from the next transition between stick and slip.
 #[derive(Clone, Copy, Debug)]
 pub struct FrictionGuard {
-    /// Its place in [`StickSlips`].
+    /// Index in [`StickSlips`].
     pub place: usize,
     /// Rate, rad/s or m/s.
     pub rate: f64,
-    /// What it holds, and what it can hold, N·m or N; 0 while it does not.
+    /// Friction torque or force while sticking, and its bound, N·m or N; 0 while slipping.
     pub load: [f64; 2],
-    /// By how much its rate changes with that of each link at most.
+    /// Lever arms: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
     pub arms: [f64; LINKS],
 }
 
-/// All grips that there are.
+/// Guards of all friction places that are active at a state.
 pub type FrictionGuards = ArrayVec<FrictionGuard, FRICTION_PLACES>;
 
-/// The rate at which a grip rests, as far as a motion may overlook it at an angular tolerance, rad/s or m/s.
+/// Sliding rate below which a friction place counts as at rest, rad/s or m/s, at an angular tolerance, rad.
 pub fn stick_velocity(tolerance: f64) -> f64 {
-    /// A rate counts as the way that it makes in a tenth of a second: as in the error norm of the explicit method.
+    /// Rate per tolerated angle, 1/s: a rate counts as the displacement in 0.1 s, as in the error norm of the explicit method.
     const PER_ANGLE: f64 = 10.0;
     (PER_ANGLE * tolerance).clamp(1e-11, 1e-6)
 }
 
 impl FrictionGuard {
-    /// How far it is beyond what it does, in units of what may be overlooked.
+    /// Guard value in units of the event tolerance, positive past the guard: reversed rate while slipping, load above its bound while
+    /// sticking.
     fn guard_residual(&self, stick_slip: &StickSlips, tolerance: f64) -> f64 {
         match stick_slip.at(self.place) {
             StickSlip::Open => f64::NEG_INFINITY,
@@ -214,8 +215,8 @@ impl FrictionGuard {
         }
     }
 
-    /// Whether it certainly does not turn on the way from here to another place, some seconds later: by how fast its rate changes, or by how
-    /// far that may be from the chord.
+    /// Whether the sliding rate provably keeps its sign between this state and another state `duration` seconds later: by the bound on the
+    /// derivative of the rate, or on the distance of the rate from its chord.
     #[inline(never)]
     fn stays(
         &self,
@@ -238,25 +239,25 @@ impl FrictionGuard {
     }
 }
 
-/// The kinks of a scene as they are now.
+/// Guard values of a scene at a state.
 pub struct GuardValues<'a> {
     springs: ArrayVec<UnilateralGuard<'a>, SPRINGS>,
     friction_guards: FrictionGuards,
 }
 
 impl<'a> GuardValues<'a> {
-    /// Those of a state, with its grips.
+    /// Guard values of a state, given those of friction.
     pub fn new(effects: &'a Active, at: &ForceContext, friction_guards: FrictionGuards) -> Self {
         Self { springs: effects.iter().flat_map(|effect| effect.guard_values(at)).collect(), friction_guards }
     }
 
-    /// Whether the grips that there are are those that are remembered.
+    /// Whether the active friction places are those of the stored stick-slip states.
     pub fn are_known(&self, stick_slip: &StickSlips) -> bool {
         let there = |place: usize| self.friction_guards.iter().any(|friction_guard| friction_guard.place == place);
         (0..FRICTION_PLACES).all(|place| there(place) == (stick_slip.at(place) != StickSlip::Open))
     }
 
-    /// The sides of the state by itself, without grips.
+    /// The mode of the present state, without friction.
     pub fn mode(&self) -> Mode {
         let mut mode = Mode::OF_STATE;
         for guard in &self.springs {
@@ -265,7 +266,7 @@ impl<'a> GuardValues<'a> {
         mode
     }
 
-    /// Numbers that change sign where a motion passes a kink; 1 of springs that are absent.
+    /// Event indicators, m or rad, which change sign at a discontinuity of a force law; 1 for absent springs.
     pub fn indicators(&self) -> [f64; INDICATORS] {
         let mut indicators = [1.0; INDICATORS];
         for guard in &self.springs {
@@ -274,25 +275,25 @@ impl<'a> GuardValues<'a> {
         indicators
     }
 
-    /// Whether any grip holds while something moves.
+    /// Whether any friction place sticks while the mechanism moves.
     pub fn any_sticks_in_motion(&self, mode: &Mode) -> bool {
         !mode.stick_slip.at_rest() && self.held(mode).next().is_some()
     }
 
-    /// What grips hold over what they can hold, in units of what may be overlooked: the most of all.
+    /// Largest excess of a sticking load over its bound, in units of the event tolerance; −∞ where nothing sticks.
     pub fn holding_margin(&self, mode: &Mode, tolerance: f64) -> f64 {
         self.held(mode)
             .map(|friction_guard| friction_guard.guard_residual(&mode.stick_slip, tolerance))
             .fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// The grips that hold.
+    /// The friction places that stick.
     fn held(&self, mode: &Mode) -> impl Iterator<Item = &FrictionGuard> {
         self.friction_guards.iter().filter(|friction_guard| matches!(mode.stick_slip.at(friction_guard.place), StickSlip::Holds(_)))
     }
 
-    /// How far the state is beyond the border that it is farthest beyond, in units of what may be overlooked at an angular tolerance, rad;
-    /// negative on the near side of all.
+    /// Largest guard value of a state in units of the event tolerance, at an angular tolerance, rad: positive past a guard, negative
+    /// where the mode holds.
     pub fn guard_residual(&self, mode: &Mode, tolerance: f64) -> f64 {
         let borders = self.springs.iter().filter_map(|guard| guard.farthest(mode, tolerance)).map(|border| border.guard_residual);
         let friction_guards =
@@ -300,20 +301,20 @@ impl<'a> GuardValues<'a> {
         borders.chain(friction_guards).fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// The potential of springs that have let go, J: what it loses is dissipated.
+    /// Elastic energy still stored in springs that have separated, J; its decrease is dissipated.
     #[inline(never)]
     pub fn separation_energy(&self, mode: &Mode) -> f64 {
         let free = self.springs.iter().filter(|guard| guard.depth > 0.0 && guard.phase(mode) == Phase::Free);
         free.map(|guard| guard.spring.potential(Phase::Free, guard.depth)).sum()
     }
 
-    /// About how long the motion stays on the ramps on which it is, s.
+    /// Estimated time that springs on their ramps remain there, s.
     pub fn dwell_time(&self, mode: &Mode) -> f64 {
         let lasting = self.springs.iter().map(|guard| guard.spring.dwell_time(guard.phase(mode), guard.depth, guard.rate));
         lasting.fold(f64::INFINITY, f64::min)
     }
 
-    /// The sides behind the borders of springs that the state is beyond, and behind the nearest one.
+    /// The mode after the transitions of all springs whose guards the state has passed, or, where none is passed, of the nearest one.
     pub fn next_mode(&self, mode: Mode, tolerance: f64) -> Mode {
         let nearest = self.guard_residual(&mode, tolerance).min(0.0);
         let mut next_mode = mode;
@@ -325,8 +326,8 @@ impl<'a> GuardValues<'a> {
         next_mode
     }
 
-    /// Whether springs stay in their phases, and what slips does not turn, on the way from one place to another some seconds later, but for
-    /// what may be overlooked. What grips hold is not bounded.
+    /// Whether springs provably stay in their phases and slip keeps its direction between two states `duration` seconds apart, to the
+    /// event tolerance at an angular tolerance, rad. Sticking loads have no such bound.
     pub fn stay_in_phase(ends: [&Self; 2], mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
         let [from, to] = ends;
         let mut friction_guards = from.friction_guards.iter().zip(&to.friction_guards);
@@ -335,9 +336,10 @@ impl<'a> GuardValues<'a> {
             && springs.all(|(from, to)| from.stays(to, mode, duration, extremes, tolerance))
     }
 
-    /// Whether the ends of such a motion show how deep springs are touched on its way, for one who sees nothing else: by no more than half
-    /// as much again, or than may be overlooked. Where both ends touch the way between is taken as the cubic through them.
+    /// Whether the largest penetration over a step, for a method that evaluates its ends only, exceeds that of the ends by no more than
+    /// half of it or by the event tolerance. Between two ends in contact the penetration is taken as the cubic Hermite polynomial.
     pub fn endpoints_bound_penetration(ends: [&Self; 2], duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
+    /// Largest allowed penetration over the penetration at the ends: the half more is within the accuracy of a step of this size.
         const DEEPER: f64 = 1.5;
         let [from, to] = ends;
         from.springs.iter().zip(&to.springs).all(|(from, to)| {

@@ -1,8 +1,8 @@
-//! What a master sets: motor torques on the proximal links (against the ground), a force on the tip, servo references.
+//! Inputs set by an FMI master: motor torques on the proximal links (against the ground), a force on the tip, servo references.
 //!
-//! The tip force acts on the left distal link (link 2), whose joint with link 3 is the tip: reaction 3 is what link 3 adds.
+//! The tip force acts on the left distal link (link 2), whose joint with link 3 is the tip: reaction 3 is the force of link 3 on link 2.
 //! Q = τ in the proximal angles; F at the centre of mass of link 2 and r × F in its angle, r = b û the arm to the tip, so that
-//! K = r·F in that angle. All are held over a macro step. The references are read by the servo alone.
+//! K = r·F in that angle. All inputs are held over a macro step. Only the servo reads the references.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -10,7 +10,7 @@ use super::force_context::{ForceContext, MOTORS};
 use super::{StepContext, Tangents};
 use crate::mechanism::Coordinates;
 
-/// What the master sets: held over a macro step.
+/// Inputs set by the master, held over a macro step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Inputs {
     /// Motor torques on the left and right proximal link, N·m.
@@ -23,37 +23,37 @@ pub struct Inputs {
     pub servo_omega: [f64; 2],
 }
 
-/// Whether any is not 0; asked in every step, and so without a branch for each.
+/// Whether any value is not 0; evaluated in every step, and so without a branch per value.
 #[inline]
 fn any(values: [[f64; 2]; 2]) -> bool {
-    // Without the sign: −0 is 0.
+    // The shift drops the sign bit: −0 counts as 0.
     values.as_flattened().iter().fold(0, |bits, value| bits | value.to_bits()) << 1 != 0
 }
 
-/// Whether all are the same; likewise.
+/// Whether all values are equal pair by pair; without a branch per value.
 #[inline]
 fn same(a: [[f64; 2]; 2], b: [[f64; 2]; 2]) -> bool {
     a.as_flattened().iter().zip(b.as_flattened()).fold(true, |same, (a, b)| same & (a == b))
 }
 
 impl Inputs {
-    /// Whether all are numbers.
+    /// Whether all inputs are finite.
     pub fn are_finite(&self) -> bool {
         [self.tau, self.tip_force, self.servo_theta, self.servo_omega].as_flattened().iter().all(|x| x.is_finite())
     }
 
-    /// Whether any load is there.
+    /// Whether any torque or force is not 0.
     pub fn load(&self) -> bool {
         any([self.tau, self.tip_force])
     }
 
-    /// Whether loads are the same.
+    /// Whether torques and force equal those of other inputs.
     #[inline]
     pub fn same_loads(&self, other: &Self) -> bool {
         same([self.tau, self.tip_force], [other.tau, other.tip_force])
     }
 
-    /// Whether servo references are the same.
+    /// Whether servo references equal those of other inputs.
     #[inline]
     pub fn same_references(&self, other: &Self) -> bool {
         same([self.servo_theta, self.servo_omega], [other.servo_theta, other.servo_omega])
@@ -64,12 +64,12 @@ impl Inputs {
         any([self.servo_theta, self.servo_omega])
     }
 
-    /// The same with servo references 0: what a scene without servos hears of them.
+    /// These inputs with servo references 0, as a scene without servos uses them.
     pub fn without_references(self) -> Self {
         Self { servo_theta: [0.0; 2], servo_omega: [0.0; 2], ..self }
     }
 
-    /// self + factor·other, variable by variable.
+    /// The sum self + factor·other, variable by variable.
     pub fn plus(self, factor: f64, other: &Self) -> Self {
         let sum = |a: [f64; 2], b: [f64; 2]| [a[0] + factor * b[0], a[1] + factor * b[1]];
         Self {
@@ -80,7 +80,7 @@ impl Inputs {
         }
     }
 
-    /// Adds the generalised forces.
+    /// Adds the generalised forces of the loads, N and N·m.
     #[inline]
     pub fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
         for (motor, tau) in MOTORS.into_iter().zip(self.tau) {
@@ -89,13 +89,13 @@ impl Inputs {
         at.tip().add_force(self.tip_force, forces);
     }
 
-    /// Adds their tangents.
+    /// Adds the tangents of the loads.
     #[inline]
     pub fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
         at.tip().add_geometric_stiffness(self.tip_force, tangents);
     }
 
-    /// Adds their mean over a step: their work is force times displacement.
+    /// Adds the mean generalised forces of the loads over a step, N and N·m: their work is force times displacement.
     #[inline]
     pub fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
         for (motor, tau) in MOTORS.into_iter().zip(self.tau) {
@@ -104,7 +104,7 @@ impl Inputs {
         over.tip().add_force(self.tip_force, forces);
     }
 
-    /// Adds their tangents over a step.
+    /// Adds the tangents of the mean generalised forces of the loads over a step.
     #[inline]
     pub fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
         over.tip().add_geometric_stiffness(self.tip_force, tangents);
@@ -118,7 +118,7 @@ impl Inputs {
         forces.dot(over.d)
     }
 
-    /// Potential of the held loads, J: −τ·θ − F·tip. Angles without whole turns, which a step does not change.
+    /// Potential of the held loads, −τ·θ − F·tip, J. Angles leave out whole turns, which a step does not change.
     pub fn potential(&self, at: &ForceContext) -> f64 {
         let ([x, y], [fx, fy]) = (at.tip().position, self.tip_force);
         -(self.tau[0] * at.q[MOTORS[0]] + self.tau[1] * at.q[MOTORS[1]] + fx * x + fy * y)

@@ -1,10 +1,10 @@
 //! Payload: a point mass at the tip.
 //!
-//! It moves with the end of link 2 (left distal), so that link 2 with payload is again a rigid link: its mass grows by m, its centre
-//! of mass moves to (m₂ c₂ + m L₂)/(m₂ + m), its inertia about it grows by m₂ m/(m₂ + m) (L₂ − c₂)² (parallel axes). Constant in M;
-//! energy and gravity include it. Default: 0.05 kg, three times a link of the paper's mechanism.
-//! The mass may change during a run: what is added joins as [`Join`] says, what is taken off goes on with the velocity of the tip.
-//! Limits: a point, without inertia of its own; rigidly held. Reaction 3 is what link 3 adds to link 2 with its payload.
+//! The payload moves with the end of link 2 (left distal), so that link 2 with payload is again a rigid link: its mass grows by m, its
+//! centre of mass moves to (m₂ c₂ + m L₂)/(m₂ + m), its inertia about the centre of mass grows by m₂ m/(m₂ + m) (L₂ − c₂)² (parallel
+//! axes). Constant in M; energy and gravity include the payload. Default: 0.05 kg, three times a link of the paper's mechanism.
+//! The mass may change during a run: added mass joins as [`Join`] says, removed mass leaves with the velocity of the tip.
+//! Limits: a point, without inertia of its own; rigidly held. Reaction 3 is the force of link 3 on link 2 with its payload.
 
 use crate::mechanism::{Geometry, SceneError, not_negative};
 
@@ -15,21 +15,21 @@ pub struct Parameters {
     pub enabled: bool,
     /// Mass, kg.
     pub mass: f64,
-    /// How mass joins that is added during a run.
+    /// Velocity of mass that is added during a run.
     pub join: Join,
 }
 
-/// How mass joins the tip during a run.
+/// Velocity of mass that is added to the tip during a run, just before.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Join {
-    /// At rest until then: an inelastic impact.
+    /// At rest: the addition is an inelastic impact.
     #[default]
     AtRest,
-    /// With the velocity of the tip.
+    /// The velocity of the tip: the addition changes no velocity.
     WithTip,
 }
 
-/// The link that carries it.
+/// Index of the link that carries the payload.
 const CARRIER: usize = 1;
 
 impl Parameters {

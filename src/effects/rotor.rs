@@ -1,8 +1,8 @@
 //! Rotor: the inertia of each motor's rotor behind a gear, turning with the proximal link.
 //!
 //! gearRatio² · inertia is added to the moment of inertia of links 1 and 4 (a rotor that turns gearRatio times as fast as its link
-//! stores ½ inertia (gearRatio ω)²; Siciliano et al., Robotics, 2009, section 7.1.1). Constant in M: no force, no step asks for it;
-//! the kinetic energy counts it. Defaults: 1e-5 kg·m², a small brushless motor's, without gear (ratio 1).
+//! stores ½ inertia (gearRatio ω)²; Siciliano et al., Robotics, 2009, section 7.1.1). Constant in M: there is no force; the kinetic
+//! energy includes the rotor. Defaults: 1e-5 kg·m², a small brushless motor's, without gear (ratio 1).
 //! Limits: no gear friction, play or elasticity; the rotor's axis is fixed to the ground, so no gyroscopic coupling.
 
 use crate::mechanism::{Geometry, SceneError, finite, not_negative};
@@ -18,7 +18,7 @@ pub struct Parameters {
     pub gear_ratio: [f64; 2],
 }
 
-/// Links that the motors drive.
+/// Indices of the links that the motors drive.
 const DRIVEN: [usize; 2] = [0, 3];
 
 impl Parameters {

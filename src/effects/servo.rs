@@ -5,8 +5,8 @@
 //! ```
 //!
 //! with the references `servo.theta`, `servo.omega` as inputs; PD control with the saturation made smooth (Siciliano et al., Robotics,
-//! 2009, section 8.5). K = kp sech², C = kd sech²: inside the implicit step, so that high gains stay stable. Its work counts as
-//! input. θ counts whole turns. Defaults: kp 2 N·m/rad, kd 0.02 N·m·s/rad, a desk-top device's; limit 1 N·m.
+//! 2009, section 8.5). K = kp sech², C = kd sech²: inside the implicit step, so that high gains stay stable. The work of the servo
+//! counts as input. θ counts whole turns. Defaults: kp 2 N·m/rad, kd 0.02 N·m·s/rad, a desk-top device's; limit 1 N·m.
 //! Limits: continuous in time (no sampling, no delay, no quantisation), no integral action; motor dynamics are not modelled.
 
 use super::force_context::{ForceContext, MOTORS};
@@ -15,8 +15,8 @@ use super::{Force, Inputs, MeanForce, StepContext, Tangents};
 use crate::mechanism::exponential::tanh;
 use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative, positive};
 
-/// Saturation that is reached within this, rad, is a sharp bend. A servo that reaches it later is as good as linear; where it is stiff as well,
-/// a search for bends would find round-off.
+/// Largest angle to saturation, limit/kp, rad, of a servo with a sharp nonlinearity. A servo that saturates at a larger angle is nearly
+/// linear over a step; where it is stiff as well, a search for the nonlinearity would find round-off.
 const SHARP: f64 = 0.1;
 
 /// The `servo.*` parameters.
@@ -32,7 +32,7 @@ pub struct Parameters {
     pub limit: [f64; 2],
 }
 
-/// The servos ready to act.
+/// The servos, made ready from their parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Servo {
     kp: [f64; 2],
@@ -41,7 +41,7 @@ pub struct Servo {
 }
 
 impl Servo {
-    /// T/limit of the left and right servo.
+    /// Relative torques T/limit of the left and right servo.
     fn drives(&self, at: &ForceContext) -> [f64; 2] {
         let wanted = [0, 1].map(|i| {
             let angle = self.kp[i] * (at.inputs.servo_theta[i] - at.motor_angle(i));
@@ -51,7 +51,7 @@ impl Servo {
         tanh(wanted.into()).to_array()
     }
 
-    /// Their torques, N·m.
+    /// Torques of the left and right servo, N·m.
     pub fn torques(&self, at: &ForceContext) -> [f64; 2] {
         let drives = self.drives(at);
         [0, 1].map(|i| self.limit[i] * drives[i])
@@ -148,12 +148,12 @@ impl MeanForce for Servo {
 }
 
 impl Servo {
-    /// T/limit of a servo over a step, and the part by which angle and rate are those of its end.
+    /// Mean relative torque T/limit of a servo over a step, and the weight γ of the step's end in its angle and rate.
     fn drive_over(&self, over: &StepContext, i: usize) -> [f64; 2] {
         let ([begin, change], end) = (over.motor_angle(i), over.motor_rate(i));
         let mean = change / over.h;
         let weight = end_weight(over.decay(0.5 * over.h * self.kp[i] + self.kd[i]));
-        // In this order: close to the reference their difference is exact, and finer than the angle's own round-off.
+        // The difference comes first: close to the reference it is exact, and finer than the round-off of the angle.
         let angle = self.kp[i] * ((over.inputs.servo_theta[i] - begin) - 0.5 * (1.0 + weight) * change);
         let rate = self.kd[i] * (over.inputs.servo_omega[i] - (mean + weight * (end - mean)));
         [libm::tanh((angle + rate) / (over.softening * self.limit[i])), weight]

@@ -14,11 +14,11 @@ pub struct Parameters {
     pub enabled: bool,
     /// Stiffness of the left and right spring, N·m/rad.
     pub k: [f64; 2],
-    /// Angle at which they are relaxed, rad.
+    /// Relaxed angles of the left and right spring, rad.
     pub theta0: [f64; 2],
 }
 
-/// The springs ready to act.
+/// The springs, made ready from their parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spring {
     k: [f64; 2],
@@ -58,7 +58,7 @@ impl Force for Spring {
 }
 
 impl MeanForce for Spring {
-    /// At the mean angle: the mean of a linear force.
+    /// Adds the force at the mean angle, which is the mean of a linear force.
     #[inline(never)]
     fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
         for (i, motor) in MOTORS.into_iter().enumerate() {

@@ -1,7 +1,7 @@
-//! Stop: one-sided end stops on the motor axes, at `lower` and `upper`.
+//! Stop: unilateral end stops on the motor axes, at `lower` and `upper`.
 //!
-//! Beyond a limit by d > 0 a torque N = max(0, s(d)(k d + d_coeff ḋ)) drives the axis back: see `unilateral_spring.rs` for the ramp
-//! s, the potential and what is dissipated. K = ∂N/∂d, C = ∂N/∂ḋ. Angles count whole turns. Defaults: lower 0, upper π rad, the
+//! At a penetration d > 0 of a limit a torque N = max(0, s(d)(k d + d_coeff ḋ)) drives the axis back: see `unilateral_spring.rs` for the
+//! ramp s, the potential and the dissipation. K = ∂N/∂d, C = ∂N/∂ḋ. Angles count whole turns. Defaults: lower 0, upper π rad, the
 //! half turn of a table-top pantograph; k 50 N·m/rad and 0.02 N·m·s/rad, a rubber buffer at some centimetres; ramp 1 mrad.
 //! Limits: no friction in the stop; restitution follows from k and d and is not a parameter.
 
@@ -20,7 +20,7 @@ pub struct Parameters {
     pub enabled: bool,
     /// Smallest free angle of the left and right proximal link, rad.
     pub lower: [f64; 2],
-    /// Largest free angle, rad.
+    /// Largest free angle of the left and right proximal link, rad.
     pub upper: [f64; 2],
     /// Stiffness, N·m/rad.
     pub k: f64,
@@ -30,7 +30,7 @@ pub struct Parameters {
     pub width: f64,
 }
 
-/// The stops ready to act.
+/// The stops, made ready from their parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stop {
     lower: [f64; 2],
@@ -38,14 +38,14 @@ pub struct Stop {
     spring: UnilateralSpring,
 }
 
-/// By how much the penetrations of a motor's stops change with the angle of each link.
+/// Lever arms |∂d/∂θ| of the penetrations of a motor's stops by the angle of each link.
 const ARMS: [[f64; LINKS]; 2] = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 
 /// Directions of an axis into its lower and its upper stop.
 const DIRECTIONS: [f64; 2] = [-1.0, 1.0];
 
 impl Stop {
-    /// A motor's lower and upper stop.
+    /// Unilateral springs of a motor's lower and upper stop at a state.
     #[inline(always)]
     fn guards_of(&self, at: &ForceContext, motor: usize) -> [UnilateralGuard<'_>; 2] {
         let (angle, rate) = (at.motor_angle(motor), at.motor_rate(motor));
@@ -56,7 +56,7 @@ impl Stop {
         })
     }
 
-    /// Goes through the stops that act: motor, direction of its axis into the stop, and the spring.
+    /// Visits the active stops: motor, direction of its axis into the stop, and the unilateral spring.
     #[inline(always)]
     fn for_each_guard(&self, at: &ForceContext, mut visit: impl FnMut(usize, f64, &UnilateralGuard<'_>)) {
         for motor in 0..2 {
@@ -150,7 +150,7 @@ impl MeanForce for Stop {
 }
 
 impl Stop {
-    /// Motor, direction into the stop and what each stop pushes with over a step: a fast axis may leave one and reach the other.
+    /// Motor, direction into the stop and mean reaction of each stop over a step: a fast axis may leave one stop and reach the other.
     fn pushes(&self, over: &StepContext) -> impl Iterator<Item = (usize, f64, Push)> {
         (0..2).flat_map(move |motor| {
             let [begin, change] = over.motor_angle(motor);

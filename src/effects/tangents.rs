@@ -1,6 +1,6 @@
-//! Where forces put their tangents.
+//! Interface by which force laws hand over their tangents K = −∂Q/∂q and C = −∂Q/∂q̇.
 
-/// Takes the tangents K = −∂Q/∂q and C = −∂Q/∂q̇ of forces.
+/// Collects the tangents K = −∂Q/∂q and C = −∂Q/∂q̇ of forces.
 pub trait Tangents {
     /// Adds K[row][column], N/m, N or N·m/rad by coordinate.
     fn stiffness(&mut self, row: usize, column: usize, value: f64);
@@ -8,7 +8,7 @@ pub trait Tangents {
     fn damping(&mut self, row: usize, column: usize, value: f64);
 }
 
-/// For places that are not in a step: the tangents of each effect are one piece of code for all of them.
+/// Dynamic dispatch for callers outside a step, which then share one compiled copy of each effect's tangents.
 impl Tangents for &mut dyn Tangents {
     fn stiffness(&mut self, row: usize, column: usize, value: f64) {
         (**self).stiffness(row, column, value);

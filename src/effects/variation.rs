@@ -1,20 +1,20 @@
-//! How forces and potentials change with what they depend on: products with the tangents that the implicit steps use.
+//! Directional derivatives of forces and potentials, δQ = −K δq − C δv + ∂Q/∂u δu, by the tangents of the implicit steps.
 
 use super::{Effect, ForceContext, Inputs, Tangents};
 use crate::mechanism::Coordinates;
 
-/// A small change of what a [`ForceContext`] holds, or a derivative of it.
+/// A variation of the state and inputs of a [`ForceContext`], or their derivative along a parameter.
 #[derive(Clone, Copy, Debug)]
 pub struct Perturbation {
-    /// Of the coordinates.
+    /// Variation δq of the coordinates, m and rad.
     pub q: Coordinates,
-    /// Of the velocities.
+    /// Variation δv of the velocities, m/s and rad/s.
     pub v: Coordinates,
-    /// Of the inputs.
+    /// Variation δu of the inputs.
     pub inputs: Inputs,
 }
 
-/// Takes tangents as their products with a change: −K δq − C δv.
+/// Collects the products −K δq − C δv, N and N·m.
 struct Products<'a> {
     change: &'a Perturbation,
     forces: Coordinates,
@@ -31,7 +31,7 @@ impl Tangents for Products<'_> {
 }
 
 impl Inputs {
-    /// How the generalised force of the loads changes.
+    /// Variation of the generalised force of the loads, N and N·m.
     pub fn force_change(&self, at: &ForceContext, change: &Perturbation) -> Coordinates {
         let mut products = Products { change, forces: Coordinates::ZERO };
         self.add_tangents(at, &mut (&mut products as &mut dyn Tangents));
@@ -42,7 +42,7 @@ impl Inputs {
 }
 
 impl Effect {
-    /// How the generalised force changes.
+    /// Variation of the generalised force, N and N·m.
     pub fn force_change(&self, at: &ForceContext, change: &Perturbation) -> Coordinates {
         let mut products = Products { change, forces: Coordinates::ZERO };
         self.add_tangents(at, &mut (&mut products as &mut dyn Tangents));
@@ -50,9 +50,9 @@ impl Effect {
         products.forces
     }
 
-    /// How the potential energy changes, J.
+    /// Variation of the potential energy, J.
     pub fn potential_change(&self, at: &ForceContext, change: &Perturbation) -> f64 {
-        // A motion along δq passes the potential at the rate that input, dissipation and the force's power leave.
+        // With velocity δq: dU/dt = input − dissipation − power of the force.
         let moving = ForceContext { v: &change.q, ..*at };
         let mut forces = Coordinates::ZERO;
         self.add_forces(&moving, &mut forces);

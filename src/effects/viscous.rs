@@ -1,8 +1,8 @@
 //! Viscous: friction proportional to the joint rate, T_j = −b_j w_j.
 //!
-//! w_j is the rate of joint j (left base, left elbow, tip, right elbow, right base), +T_j acts on its first-named link and −T_j on
-//! its second. C = b_j over the two links, K = 0; dissipates b_j w_j². Default: 1e-4 N·m·s/rad, a lubricated miniature bearing with
-//! its seal. Limits: linear; no dependence on load or temperature.
+//! w_j is the rate of joint j (left base, left elbow, tip, right elbow, right base), +T_j acts on its first link and −T_j on its second.
+//! C = b_j over the two links, K = 0; the power b_j w_j² is dissipated. Default: 1e-4 N·m·s/rad, a lubricated miniature bearing with its
+//! seal. Limits: linear; no dependence on load or temperature.
 
 use super::force_context::{ForceContext, JOINTS, add_joint_damping, add_joint_torque, is_inner};
 use super::step_context::{add_joint_slopes, end_weight};
@@ -18,16 +18,16 @@ pub struct Parameters {
     pub b: [f64; JOINTS],
 }
 
-/// Viscous friction ready to act.
+/// Viscous friction, made ready from its parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Viscous {
     b: [f64; JOINTS],
-    /// Whether any of the joints between two links has a coefficient.
+    /// Whether any joint between two links has a coefficient other than 0.
     inner: bool,
 }
 
 impl Viscous {
-    /// Joints that may have a coefficient.
+    /// Joints whose coefficient may differ from 0, with the coefficient, N·m·s/rad.
     #[inline]
     fn joints(&self) -> impl Iterator<Item = (usize, f64)> {
         let inner = self.inner;
@@ -95,7 +95,7 @@ impl MeanForce for Viscous {
     }
 }
 
-/// −T over a step, N·m.
+/// Mean friction torque −T over a step, N·m.
 fn mean_drag(b: f64, joint: usize, over: &StepContext) -> f64 {
     let [change, end] = over.joint(joint);
     let mean = change / over.h;
