@@ -1,7 +1,7 @@
-//! Variables ↔ parameters and inputs: one line per variable, the same for reading and writing.
+//! Variables ↔ parameters and inputs: one match arm per variable for reading and writing.
 //!
 //! The matches are exhaustive over the enums that `build.rs` makes from the XML, so a variable that is not bound here
-//! does not compile. What is computed is bound in `computed.rs`.
+//! does not compile. Computed variables are bound in `computed.rs`.
 
 use crate::effects::{self, payload};
 use crate::estimator::{self, Measured};
@@ -167,7 +167,7 @@ pub(super) fn read_parameter(parameters: &mut Parameters, variable: &Variable) -
     Some(match variable.id {
         VariableId::RealParameter(v) => Value::Real(*real_parameter(parameters, v)),
         VariableId::IntegerParameter(v) => {
-            // What was written came from an i32, or is the start value, which the table holds as one.
+            // A value was written from an i32 or is the start value, which the table holds as one.
             Value::Integer(i32::try_from(*integer_parameter(parameters, v)).unwrap_or(i32::MAX))
         }
         VariableId::BooleanParameter(v) => Value::Boolean(*boolean_parameter(parameters, v)),

@@ -1,9 +1,9 @@
 //! Derivatives of inputs and outputs with respect to time (FMI 2.0.4, section 4.2.1), and of outputs with respect to inputs and
 //! continuous states (section 2.1.9).
 //!
-//! Input derivatives hold from the beginning of one communication step to its end, where the input stays at the value that it has
-//! reached and its derivatives are 0: a master that goes on with a ramp sets them at each communication point. The standard fixes
-//! the beginning and leaves the end open. After a discarded step they are as before it.
+//! Input derivatives hold from the beginning of a communication step to its end. From there on the input keeps the value reached
+//! and its derivatives are 0, so a master sets the derivatives of a ramp at each communication point. The standard fixes the
+//! beginning and leaves the end open. A discarded step leaves input derivatives unchanged.
 
 use num_dual::Dual64;
 
@@ -74,12 +74,13 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2GetDirectionalDerivative: how unknowns (outputs and derivatives of the continuous states, which share the references of omega
-    /// and alpha) change with knowns (inputs and continuous states: reference, change) at the present communication point. Hands each
-    /// change with its position to `take`; nothing is handed over unless every reference is right and every value finite.
+    /// fmi2GetDirectionalDerivative: changes of unknowns (outputs and derivatives of the continuous states, which share the
+    /// references of omega and alpha) for changes of knowns (inputs and continuous states, as reference and change) at the present
+    /// communication point. Hands each change with its position to `take`; nothing is handed over unless every reference is right
+    /// and every value finite.
     ///
-    /// Beyond the standard, local variables are answered for as well. What is only counted, judged or followed along the path
-    /// (enumerations, counters, work, `solver.*`) does not change.
+    /// Beyond the standard, local variables are answered for as well. Enumerations, counters, work and `solver.*` have derivative
+    /// 0.
     pub fn directional_derivative(
         &mut self,
         unknowns: &[u32],
@@ -139,7 +140,7 @@ fn find(reference: u32) -> Result<&'static Variable, CallError> {
     Variable::find(reference).ok_or_else(|| CallError::error(format!("value reference {reference} belongs to no variable.")))
 }
 
-/// Adds the change of a known.
+/// Adds the change of a known variable to the direction.
 fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Result<(), CallError> {
     if !change.is_finite() {
         return Err(CallError::error(format!("change of {} is {change}, must be finite.", variable.name)));

@@ -1,4 +1,5 @@
-//! A communication step of a machine that is followed: what the encoders have told corrects the motion, then it goes on.
+//! A communication step of a machine that is followed: samples of the encoders correct the state, then the prediction is
+//! integrated.
 
 use super::derivatives::check_reach;
 use super::messages::Status;
@@ -9,7 +10,7 @@ use crate::estimator::Fault;
 use crate::simulation::Signal;
 
 impl Instance {
-    /// fmi2DoStep: from `point`, s, by `size`, s. Discarded if the integrator gives up, with everything as before.
+    /// fmi2DoStep from `point`, s, by `size`, s. If the integrator fails, the step is discarded and the instance unchanged.
     #[cold]
     #[inline(never)]
     pub(super) fn follow(&mut self, point: f64, size: f64) -> Result<(), CallError> {
@@ -22,7 +23,7 @@ impl Instance {
         let signal = now.next.signal.unwrap_or(Signal::held(*following.inputs()));
         check_reach(&signal, size)?;
         let passes = wants_events.then(|| following.simulation().singular());
-        // The estimate, not its box: a step allocates nothing.
+        // Clones the estimate into place instead of its box: a step allocates nothing.
         let before = (**following).clone();
         let advanced = (|| {
             if let Some(parameters) = &now.next.parameters {
@@ -39,7 +40,7 @@ impl Instance {
             return Err(refusal);
         }
         let news = following.take_reports();
-        // Until the next samples it says so.
+        // `has_restarted` stays true until the next samples.
         let restarted = following.estimator().has_restarted() && !before.estimator().has_restarted();
         clock.advance(plan);
         now.next.after_step(size);
@@ -63,7 +64,7 @@ impl Instance {
     }
 }
 
-/// A fault of an encoder in a sentence; without one it has become silent.
+/// The warning about a fault of an encoder: silent, or samples rejected.
 fn told(encoder: usize, fault: Fault, time: f64) -> String {
     let name = format!("measured.theta[{}]", encoder + 1);
     let what = match fault {

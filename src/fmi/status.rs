@@ -27,7 +27,7 @@ impl StatusKind {
         }
     }
 
-    /// Nothing to tell: fmi2Discard is the standard's answer.
+    /// fmi2Discard, the standard's answer where a status is not available.
     fn nothing(self) -> CallError {
         CallError::discard(match self {
             Self::DoStepStatus => "there is no fmi2DoStepStatus: a step is never pending.",
@@ -55,7 +55,7 @@ impl Instance {
         }
     }
 
-    /// fmi2GetStatus, fmi2GetIntegerStatus and fmi2GetStringStatus, which have nothing to tell.
+    /// fmi2GetStatus, fmi2GetIntegerStatus and fmi2GetStringStatus: no status of these types is available.
     pub fn other_status(&self, kind: StatusKind) -> Result<(), CallError> {
         Err(kind.nothing())
     }

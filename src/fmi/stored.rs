@@ -10,9 +10,9 @@
 //! 58 + n      4  Adler-32 of all before it
 //! ```
 //!
-//! Where samples have been set or a machine is followed, `Followed` comes after `Content`; elsewhere there is no byte of it.
+//! `Followed` comes after `Content` where samples have been set or a machine is followed; elsewhere the file ends with `Content`.
 //! Numbers are little-endian, reals IEEE 754 doubles; there are no pointers, and nothing depends on the process or the platform.
-//! The parameters are stored as values of variables, so that what is read back passes the same checks as what a master sets.
+//! Parameters are stored as values of variables, so that restored values pass the same checks as values set by a master.
 
 use std::io::{self, Read, Write};
 
@@ -29,12 +29,12 @@ use crate::simulation::{Estimate, Following, Inputs, ORDERS, Parameters, Residua
 use crate::variables::{GUID, VARIABLES, Value};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
-/// Must change with every change of what is stored.
+/// Version of the layout; changes with every change of the stored data.
 const FORMAT: u32 = 10;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
 const CHECKSUM: usize = size_of::<u32>();
 
-/// Bytes still to be read. In place of a slice, whose reading would be copied to each of some hundred fields.
+/// Bytes still to be read. A type of its own keeps the reader of slices from being inlined into some hundred fields.
 struct Rest<'a>(&'a [u8]);
 
 impl Read for Rest<'_> {
@@ -48,7 +48,7 @@ impl Read for Rest<'_> {
     }
 }
 
-/// Bytes written so far. In place of a vector, whose growing would be copied to each field.
+/// Bytes written so far. A type of its own keeps the growth of a vector from being inlined into every field.
 struct Written(Vec<u8>);
 
 impl Write for Written {
@@ -66,7 +66,7 @@ impl Write for Written {
     }
 }
 
-/// What the bytes hold.
+/// Stored state of an instance, without samples and estimate.
 #[derive(BorshSerialize, BorshDeserialize)]
 struct Content {
     stage: Stage,
@@ -75,35 +75,35 @@ struct Content {
     /// Parameters in force.
     values: Values,
     run: Option<StoredRun>,
-    /// [`Next::signal`]: values and derivatives.
+    /// Values and derivatives of [`Next::signal`].
     signal: Option<(Inputs, [Inputs; ORDERS])>,
-    /// [`Next::parameters`].
+    /// Values of [`Next::parameters`].
     tuned: Option<Values>,
     warned_of_references: bool,
     warned_of_stiffness: bool,
 }
 
-/// What bytes hold beside where a machine is followed.
+/// Samples and estimate, stored after the content where a machine is followed.
 #[derive(BorshDeserialize)]
 struct Followed {
     measured: Measured,
-    /// Apart: where nothing is followed nothing of its size is moved.
+    /// Boxed, so that a state without an estimate does not move its size.
     estimate: Option<Box<Estimate>>,
 }
 
-/// Values of parameters by their references; those of the estimator only where one is not its start.
+/// Values of parameters by value reference; those of the estimator only where one differs from its start value.
 type Values = Vec<(u32, Value)>;
 
-/// A scene made ready.
+/// Run of an initialised scene.
 #[derive(BorshSerialize, BorshDeserialize)]
 struct StoredRun {
     run: Run,
-    /// Energies and forces have to add up to them.
+    /// Residuals of energy and force balances.
     residuals: Residuals,
 }
 
 impl Snapshot {
-    /// The state as bytes.
+    /// Serialises the state.
     pub fn to_bytes(&self) -> Result<Vec<u8>, CallError> {
         let (parameters, run) = match (&self.scene, self.scene.simulation()) {
             (Scene::Draft(parameters), _) => (parameters, None),
@@ -113,7 +113,7 @@ impl Snapshot {
             }
             (_, None) => unreachable!("what is no draft has a simulation"),
         };
-        // Fields as those of `Followed`.
+        // Order of the fields of `Followed`.
         let estimate = match &self.scene {
             Scene::Following(following) => Some(following.estimate()),
             Scene::Draft(_) | Scene::Ready(_) => None,
@@ -142,8 +142,8 @@ impl Snapshot {
         Ok(bytes)
     }
 
-    /// The state that bytes hold, or one sentence that says what is wrong with them. Whatever in them follows from the parameters has to
-    /// be what these give, and the rest has to be a motion that can go on.
+    /// Restores a state, or refuses it in one sentence. Data that follow from the parameters have to equal their recomputed values,
+    /// and the rest has to be a motion that can be continued.
     #[cold]
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CallError> {
         let (content, followed) =
@@ -183,12 +183,12 @@ impl Snapshot {
     }
 }
 
-/// Whether no sample has been set and nothing is estimated: then it is not stored.
+/// Whether no sample has been set and nothing is estimated, so that `Followed` is not stored.
 fn is_nothing(measured: &Measured, estimates: bool) -> bool {
     !estimates && measured.same(&Measured::default())
 }
 
-/// The content and what is followed.
+/// Parses the content and, where there is one, `Followed`.
 fn parts(bytes: &[u8]) -> io::Result<(Content, Followed)> {
     let mut rest = Rest(bytes);
     let content = Content::deserialize_reader(&mut rest)?;
@@ -209,7 +209,7 @@ fn wrong(what: &str) -> CallError {
     CallError::error(format!("the bytes are not a state of this FMU: {what}."))
 }
 
-/// The content, where head, length and checksum are right.
+/// The content, after head, length and checksum have been checked.
 fn content(bytes: &[u8]) -> Result<&[u8], CallError> {
     if bytes.len() < HEAD + CHECKSUM {
         return Err(wrong(&format!("there are {}, and the head alone has {HEAD}", bytes.len())));
@@ -237,7 +237,7 @@ fn content(bytes: &[u8]) -> Result<&[u8], CallError> {
     Ok(&checked[HEAD..])
 }
 
-/// The values of all parameters.
+/// Values of all parameters; those of the estimator, which come last, are left out at their start values.
 fn values(parameters: &Parameters) -> Values {
     let mut parameters = parameters.clone();
     let (mut values, mut changed) = (Values::with_capacity(VARIABLES.len()), 0);
@@ -255,10 +255,10 @@ fn values(parameters: &Parameters) -> Values {
     values
 }
 
-/// Parameters of the estimator, the last of all: not stored where they are their start values.
+/// Number of parameters of the estimator, the last in the XML.
 const ESTIMATOR: usize = 13;
 
-/// Parameters with these values, each within its bounds, none left out.
+/// Parameters with these values: each within its bounds, none left out.
 fn restored(values: &[(u32, Value)]) -> Result<Parameters, CallError> {
     let mut parameters = bindings::default_parameters();
     let mut all = bindings::parameters().map(|variable| variable.reference);
@@ -292,7 +292,7 @@ fn restored_tuned(tuned: Option<Values>, in_force: &Parameters) -> Result<Option
     Ok(Some(tuned))
 }
 
-/// Inputs that stay finite, each within its bounds.
+/// Input signal with finite values within the bounds.
 fn restored_signal((value, derivatives): (Inputs, [Inputs; ORDERS])) -> Result<Signal, CallError> {
     let mut inputs = value;
     for (variable, input) in bindings::inputs() {
