@@ -46,7 +46,11 @@ fn camel(name: &str) -> String {
 }
 
 fn constants(description: &ModelDescription, code: &mut String) -> Written {
-    writeln!(code, "/// GUID of the model description that this library belongs to.\npub const GUID: &str = {:?};", description.guid())?;
+    writeln!(
+        code,
+        "/// GUID of the model description that this library belongs to.\npub const GUID: &str = {:?};",
+        description.guid()
+    )?;
     writeln!(
         code,
         "/// Name of the library file and of the .fmu.\npub const MODEL_IDENTIFIER: &str = {:?};",
