@@ -21,7 +21,7 @@ impl Instance {
             let variable = lookup(reference, FmiType::Real)?;
             let VariableId::RealInput(_) = variable.id else {
                 return Err(CallError::error(format!(
-                    "{} is no continuous input: only those have input derivatives.",
+                    "{} is not a continuous input: only continuous inputs have input derivatives.",
                     variable.name
                 )));
             };
@@ -94,7 +94,7 @@ impl Instance {
         for &unknown in unknowns {
             let variable = find(unknown)?;
             if variable.start.is_some() {
-                return Err(CallError::error(format!("{} is no unknown: only what is computed is.", variable.name)));
+                return Err(CallError::error(format!("{} is not an unknown: unknowns are computed variables.", variable.name)));
             }
         }
         let observed = self.observe()?;
@@ -151,7 +151,7 @@ fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Res
         VariableId::RealComputed(RealComputed::Omega(i)) => &mut direction.proximal.get_or_insert_default()[1][i],
         _ => {
             return Err(CallError::error(format!(
-                "{} is no known: inputs and the continuous states theta[i], omega[i] are.",
+                "{} is not a known: knowns are inputs and the continuous states theta[i], omega[i].",
                 variable.name
             )));
         }
@@ -164,7 +164,7 @@ fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Res
 fn time_derivative(observed: &Observed<'_, f64>, variable: &Variable, order: i32) -> Result<f64, CallError> {
     let output = match variable.id {
         VariableId::RealComputed(output) if variable.output => output,
-        _ => return Err(CallError::error(format!("{} is no output: only outputs have output derivatives.", variable.name))),
+        _ => return Err(CallError::error(format!("{} is not an output: only outputs have output derivatives.", variable.name))),
     };
     let positive = usize::try_from(order).ok().filter(|order| *order > 0);
     positive.and_then(|order| real(observed, output, order)).ok_or_else(|| {

@@ -51,8 +51,8 @@ impl Instance {
         if restarted {
             warn(&mut self.log, || {
                 format!(
-                    "at {point:?} s: measured.theta[1..2] were more than 0.1 rad off the estimate for most of 0.1 s: it has lost the machine \
-                     and begins anew where they are."
+                    "at {point:?} s: measured.theta[1..2] differed from the estimate by more than 0.1 rad for most of 0.1 s: the estimate \
+                     diverged and restarts from the measured angles."
                 )
             });
         }
@@ -68,12 +68,12 @@ impl Instance {
 fn told(encoder: usize, fault: Fault, time: f64) -> String {
     let name = format!("measured.theta[{}]", encoder + 1);
     let what = match fault {
-        Fault::None => "has been silent for longer than between its last samples: the estimate goes on without it",
-        Fault::Rejected => "is too far from what is expected: the sample is not used",
-        Fault::Late => "is older than estimator.maxDelay, or than anything that is remembered: the sample is not used",
-        Fault::Future => "was measured after the communication point: the sample is not used",
-        Fault::Invalid => "or its time is not a number, or the angle is beyond 1e9 rad: the sample is not used",
-        Fault::Stuck => "repeats itself while the machine moves: its samples are not used until it changes",
+        Fault::None => "has been silent for longer than the interval of its last samples: the estimate continues without it",
+        Fault::Rejected => "is too far from the predicted angle: the sample is not used",
+        Fault::Late => "is older than estimator.maxDelay or than the stored history: the sample is not used",
+        Fault::Future => "has a time after the communication point: the sample is not used",
+        Fault::Invalid => "or its time is not finite, or the angle exceeds 1e9 rad: the sample is not used",
+        Fault::Stuck => "repeats its value while the machine moves: its samples are not used until it changes",
     };
-    format!("at {time:?} s: {name} {what}. This is told once for each encoder; see estimated.status.")
+    format!("at {time:?} s: {name} {what}. This warning comes once for each encoder; see estimated.status.")
 }

@@ -47,9 +47,10 @@ impl Instance {
         now.stage = Stage::StepComplete;
         if fallbacks > 0 {
             warn(&mut self.log, || {
+                let steps = if fallbacks == 1 { "step" } else { "steps" };
                 format!(
-                    "between {point:?} s and {:?} s: steps by the last resort: {fallbacks}, whose equations were not solved: the energy is \
-                     kept, the way is not known; see solver.lastResorts and solver.maxWork.",
+                    "between {point:?} s and {:?} s: {fallbacks} {steps} used the last fallback stage, since the equations were not solved: energy is \
+                     conserved, the trajectory is not resolved; see solver.lastResorts and solver.maxWork.",
                     point + size
                 )
             });
@@ -83,7 +84,8 @@ impl Instance {
             self.now.warned_of_stiffness = true;
             warn(&mut self.log, || {
                 format!(
-                    "at {time:?} s: steps of method dop853 are limited by its stability: the scene has stiff loads; automatic would do better."
+                    "at {time:?} s: the steps of solver.method dop853 are limited by stability, not by accuracy: the loads are stiff; \
+                     automatic takes longer steps."
                 )
             });
         }
@@ -122,7 +124,7 @@ impl Instance {
 pub(super) fn step_discarded(point: f64, size: f64, failure: &StepFailure) -> CallError {
     let StepFailure { elapsed, cause } = failure;
     CallError::discard(format!(
-        "the step from {point:?} s by {size:?} s gave up at {:?} s: {cause}; the state is still that of {point:?} s.",
+        "the step from {point:?} s by {size:?} s failed at {:?} s: {cause}; the state is still that of {point:?} s.",
         point + elapsed
     ))
 }

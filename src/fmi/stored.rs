@@ -147,7 +147,7 @@ impl Snapshot {
     #[cold]
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CallError> {
         let (content, followed) =
-            parts(content(bytes)?).map_err(|error| wrong(&format!("their content is not a state: {error}")))?;
+            parts(content(bytes)?).map_err(|error| wrong(&format!("their content cannot be decoded: {error}")))?;
         let Content { stage, kind, clock, values, run, signal, tuned, warned_of_references, warned_of_stiffness } = content;
         let parameters = restored(&values)?;
         let next = Next { signal: signal.map(restored_signal).transpose()?, parameters: restored_tuned(tuned, &parameters)? };
@@ -169,14 +169,14 @@ impl Snapshot {
                         let following = Following::restored(&parameters, run, &residuals, *estimate);
                         Scene::Following(Box::new(following.map_err(refusal)?))
                     }
-                    (false, Some(_)) => return Err(wrong("they hold an estimate, and estimator.enabled is false")),
-                    (true, None) => return Err(wrong("estimator.enabled is true, and the estimate is missing")),
+                    (false, Some(_)) => return Err(wrong("they hold an estimate, but estimator.enabled is false")),
+                    (true, None) => return Err(wrong("estimator.enabled is true, but the estimate is missing")),
                 }
             }
-            _ => return Err(wrong(&format!("they say \"{stage}\", and what belongs to it is missing or too much"))),
+            _ => return Err(wrong(&format!("their state is \"{stage}\", but they hold data of another state"))),
         };
         if clock.is_none() && stage != Stage::Instantiated {
-            return Err(wrong(&format!("they say \"{stage}\", and the clock is missing")));
+            return Err(wrong(&format!("their state is \"{stage}\", but the clock is missing")));
         }
         let measured = followed.measured;
         Ok(Self { kind, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness })
@@ -197,10 +197,10 @@ fn parts(bytes: &[u8]) -> io::Result<(Content, Followed)> {
     }
     let followed = Followed::deserialize_reader(&mut rest)?;
     if !rest.0.is_empty() {
-        return Err(io::Error::other("there is more than a state"));
+        return Err(io::Error::other("bytes follow the last field"));
     }
     if is_nothing(&followed.measured, followed.estimate.is_some()) {
-        return Err(io::Error::other("samples that have not been set"));
+        return Err(io::Error::other("samples at their start values, which are never stored"));
     }
     Ok((content, followed))
 }
@@ -212,23 +212,23 @@ fn wrong(what: &str) -> CallError {
 /// The content, after head, length and checksum have been checked.
 fn content(bytes: &[u8]) -> Result<&[u8], CallError> {
     if bytes.len() < HEAD + CHECKSUM {
-        return Err(wrong(&format!("there are {}, and the head alone has {HEAD}", bytes.len())));
+        return Err(wrong(&format!("there are {}, fewer than the {} of head and checksum", bytes.len(), HEAD + CHECKSUM)));
     }
     let (magic, rest) = bytes.split_at(MAGIC.len());
     let (format, rest) = rest.split_at(size_of::<u32>());
     let (guid, rest) = rest.split_at(GUID.len());
     let (length, _) = rest.split_at(size_of::<u64>());
     if magic != MAGIC {
-        return Err(wrong("they do not begin with its name"));
+        return Err(wrong("they do not begin with FiveBar"));
     }
     if format != FORMAT.to_le_bytes() {
-        return Err(wrong(&format!("their format is not {FORMAT}, another version has written them")));
+        return Err(wrong(&format!("their format is not {FORMAT}: another version has written them")));
     }
     if guid != GUID.as_bytes() {
-        return Err(wrong("they belong to another GUID, another version has written them"));
+        return Err(wrong("they belong to another GUID: another version has written them"));
     }
     if length != ((bytes.len() - HEAD - CHECKSUM) as u64).to_le_bytes() {
-        return Err(wrong(&format!("there are {}, not as many as their head says", bytes.len())));
+        return Err(wrong(&format!("there are {}, which is not the length in their head", bytes.len())));
     }
     let (checked, checksum) = bytes.split_at(bytes.len() - CHECKSUM);
     if checksum != adler2::adler32_slice(checked).to_le_bytes() {
@@ -270,7 +270,7 @@ fn restored(values: &[(u32, Value)]) -> Result<Parameters, CallError> {
         let variable = lookup(reference, value.fmi_type())?;
         check_value(variable, value)?;
         if !bindings::write_parameter(&mut parameters, variable, value) {
-            return Err(wrong(&format!("{} is not {value}", variable.name)));
+            return Err(wrong(&format!("{} = {value} is not allowed", variable.name)));
         }
     }
     Ok(parameters)
@@ -286,7 +286,7 @@ fn restored_tuned(tuned: Option<Values>, in_force: &Parameters) -> Result<Option
         if let (Some(before), Some(after)) = (before, after)
             && before != after
         {
-            return Err(wrong(&format!("{} = {after} is fixed, and is {before}", variable.name)));
+            return Err(wrong(&format!("{} = {after} is not allowed during the run: it is fixed at {before}", variable.name)));
         }
     }
     Ok(Some(tuned))

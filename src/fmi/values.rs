@@ -98,7 +98,7 @@ pub(super) fn check_computed(name: impl FnOnce() -> String, value: f64) -> Resul
         return Ok(());
     }
     Err(CallError::discard(format!(
-        "{} = {value} cannot be told: it must be finite; an input or a parameter is too large or too small for double precision.",
+        "{} = {value} is not available: it must be finite; an input or a parameter is too large or too small for double precision.",
         name()
     )))
 }

@@ -150,7 +150,7 @@ fn a_payload_is_at_most_what_the_linear_solve_takes() {
     let state = simulation.state();
     let heavy = holding(&start, 500.0, Join::AtRest);
     let refusal = simulation.tune(&heavy.effects).expect_err("too heavy").to_string();
-    let begin = "payload.mass = 500.0 kg is not allowed during this run: the linear solve chosen at its start takes at most ";
+    let begin = "payload.mass = 500.0 kg is not allowed during this run: it must be at most ";
     let limit: f64 =
         refusal.strip_prefix(begin).and_then(|rest| rest.split(' ').next()).expect("a limit").parse().expect("a number");
     assert_eq!((simulation.state(), simulation.parameters()), (state, &start));

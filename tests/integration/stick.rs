@@ -372,7 +372,7 @@ fn derivatives_keep_what_is_held() {
     assert!(varied.a[THETA[3]].abs() < 1e-9 && varied.a[THETA[0]] > 100.0, "{:?}", varied.a);
     let resting = start(0.0);
     let refused = resting.state().varied(resting.model(), &by_torque).expect_err("all is held").to_string();
-    assert!(refused.contains("friction holds") && refused.ends_with('.'), "{refused}");
+    assert!(refused.contains("the tip sticks or friction locks") && refused.ends_with('.'), "{refused}");
 }
 
 /// Only methods whose steps can end where something stops take it: the others refuse with one sentence.
