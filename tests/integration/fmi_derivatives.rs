@@ -85,7 +85,7 @@ fn analytic(host: &Host, known: &str) -> Vec<f64> {
     values
 }
 
-/// What each unknown depends on, by the XML: (unknown, known).
+/// Dependencies declared in the XML: (unknown, known).
 fn declared() -> Vec<(String, String)> {
     let structure = ModelDescription::read().expect("the shipped description").structure;
     let pairs = structure.outputs.into_iter().chain(structure.derivatives).flat_map(|unknown| {
@@ -106,8 +106,8 @@ fn inputs() -> Vec<&'static Variable> {
     VARIABLES.iter().filter(|variable| matches!(variable.id, VariableId::RealInput(_))).collect()
 }
 
-/// Every pair of what is computed and a known at the present state of `host`, whose scene and state are given: central differences. Of
-/// outputs and derivatives of states exactly 0, where no dependency is declared; of `solver.*` always.
+/// Every pair of a computed variable and a known at the present state of `host`, whose scene and state are given: central
+/// differences. Derivatives of outputs and states are exactly 0 where no dependency is declared; those of `solver.*` always.
 fn check_pairs(host: &Host, scene: &Scene, state: [f64; 4], label: &str) {
     let declared = declared();
     let check = |known: &str, numeric: Vec<f64>| {
@@ -263,7 +263,7 @@ fn in_a_direct_singularity_only_inputs_are_known() {
         });
         assert_eq!(host.set_real(&[input.reference], &[0.0]), fmi2OK);
         for ((variable, got), expected) in computed().iter().zip(analytic(&host, input.name)).zip(numeric) {
-            // All of them are linear in the inputs here: what is left is round-off of the differences.
+            // All unknowns are linear in the inputs here: the rest is round-off of the differences.
             assert!((got - expected).abs() < 1e-8 * (1.0 + got.abs()), "d {}/d {}: {got} {expected}", variable.name, input.name);
         }
     }
@@ -413,8 +413,8 @@ fn bits(host: &Host) -> [u64; 7] {
     MOTION.map(|name| real(host, name).to_bits())
 }
 
-/// The same motion: bit for bit, but for dop853 (4) and automatic (6), whose steps end at a change that is foreseen and are redone up to one that is not:
-/// the same steps, their lengths rounded differently.
+/// Equal motions: bit for bit, but for dop853 (4) and automatic (6), whose steps end at a change that is foreseen and are redone up
+/// to one that is not: equal steps, their lengths rounded differently.
 fn same_motion(host: &Host, other: &Host, method: i32) {
     if ![4, 6].contains(&method) {
         assert_eq!(bits(host), bits(other), "method {method}");

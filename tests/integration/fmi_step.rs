@@ -124,7 +124,7 @@ fn a_step_that_cannot_be_done_is_discarded_and_leaves_everything_as_it_was() {
     assert_eq!(host.boolean_status(TERMINATED), (fmi2OK, fmi2False));
     assert_eq!((motion(&host), steps(&host)), before);
 
-    // The same step fails again; another input may be set, fixed parameters may not; a shorter step can be done.
+    // The step fails again; another input may be set, fixed parameters may not; a shorter step can be done.
     assert_eq!(host.set_real(&[reference("tau[1]")], &[0.0]), fmi2OK);
     assert_eq!(host.set_real(&[reference("link[1].mass")], &[1.0]), fmi2Error);
     host.take();
@@ -171,7 +171,7 @@ fn a_discarded_step_leaves_no_trace() {
     }
 }
 
-/// What was tuned acts from a step that is done; a discarded one has not begun. The same of the warning about references.
+/// Tuned values act from a step that is done; a discarded one has not begun. So does the warning about references.
 #[test]
 fn a_discarded_step_leaves_tuned_parameters_pending() {
     let host = hopeless();

@@ -12,12 +12,12 @@ use fivebar::variables::{FmiType, VARIABLES, Variable};
 use crate::fmi_host::Host;
 use crate::support::MGL;
 
-/// What comes before the content: name, format, GUID, length. `bytes_that_are_no_state_are_refused` changes it.
+/// Bytes before the content: name, format, GUID, length. `bytes_that_are_no_state_are_refused` changes them.
 const HEAD: usize = 58;
 const CHECKSUM: usize = 4;
 
-/// What a byte may become. In each case each byte becomes one of these, a neighbouring byte another, and in the next case each another:
-/// so all are tried at every field. `FORGERIES=all` tries all of them everywhere, which takes minutes.
+/// Changes of a byte. In each case each byte is changed by one of these, a neighbouring byte by another, and in the next case each
+/// by another: so all are tried at every field. `FORGERIES=all` tries all of them everywhere, which takes minutes.
 const CHANGES: [fn(u8) -> u8; 7] = [
     |byte| byte ^ 0x01,
     |byte| byte ^ 0x80,
@@ -31,11 +31,11 @@ const CHANGES: [fn(u8) -> u8; 7] = [
 /// A step of the master, s.
 const STEP: f64 = 2e-3;
 
-/// A state to be forged, with what is known of it.
+/// A state to be forged, with its properties.
 struct Case {
     name: String,
     bytes: Vec<u8>,
-    /// What follows without a forgery: the outputs now and some steps later.
+    /// Outputs without a forgery, now and some steps later.
     untouched: Option<[Outputs; 2]>,
 }
 
@@ -79,7 +79,7 @@ fn bounds(host: &Host) -> ([f64; 2], [f64; 2]) {
     if method == [2] { ([1e-7 + rounded, 1e-2], [1e-4, 1e-2 * MGL]) } else { ([1e-10 + rounded, 1e-8], [1e-8, 1e-5 * MGL]) }
 }
 
-/// Reads everything; what is told is finite.
+/// Reads everything; each value is finite.
 fn outputs(host: &Host) -> Result<Outputs, String> {
     let mut values = vec![f64::NAN; REALS.len()];
     let mut places = vec![0; 3];
@@ -95,7 +95,7 @@ fn outputs(host: &Host) -> Result<Outputs, String> {
     }
 }
 
-/// What is wrong with a forged state, where anything is. Whether it has been refused.
+/// Violation by a forged state, if any. Whether it has been refused.
 fn judge(case: &Case, forged: &[u8], field: &str) -> Result<bool, String> {
     let host = Host::new();
     let mut state = null_mut();
@@ -136,7 +136,7 @@ fn follow(host: &Host, case: &Case, field: &str) -> Result<(), String> {
     if !running {
         return Ok(());
     }
-    // Where in the step under way the present time is, is told by nothing else: there the motion is the same, at another time.
+    // The present time within the current step follows from no other field: there the motion is unchanged, at another time.
     let in_run = field.starts_with("run.") && field != "run.elapsed";
     let (closed, same) = bounds(host);
     for (moment, name) in ["at once", "later"].into_iter().enumerate() {
@@ -165,7 +165,7 @@ fn follow(host: &Host, case: &Case, field: &str) -> Result<(), String> {
     Ok(())
 }
 
-/// What has come of some steps.
+/// Result of some steps.
 #[derive(Debug, PartialEq)]
 enum Done {
     All,
@@ -351,7 +351,7 @@ fn forge(case: &Case, number: usize, wrong: &mut Vec<String>) -> [usize; 2] {
     [refused, accepted]
 }
 
-/// The state of an instance, and what follows from it without a forgery.
+/// The state of an instance, and its outputs without a forgery.
 fn case(name: &str, host: &Host) -> Case {
     let mut state = host.state();
     let (_, size) = host.serialized_size(state);
@@ -391,7 +391,7 @@ fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
         let mut height = [0.0];
         assert_eq!(host.get_real(&[reference("tip.y")], &mut height), fmi2OK);
         assert_eq!(host.set_integer(&[reference("contact.law")], &[2]), fmi2OK);
-        // It lies on the plane, pressed in so far as to stay there.
+        // The tip lies on the plane, pressed in so far as to stay there.
         values.extend([("contact.offset", height[0] + 2e-4), ("contact.mu", 20.0), ("contact.d", 50.0)]);
     }
     if solve == "dense" {
@@ -459,7 +459,7 @@ fn forged_runs_are_refused_or_go_on() {
     assert!(counts.iter().all(|([refused, accepted], name)| most(name) * refused > *accepted && *accepted > 0), "{counts:?}");
 }
 
-/// Before a run and after it, and with what is pending: inputs with derivatives, a tuned parameter.
+/// Before a run and after it, and with pending values: inputs with derivatives, a tuned parameter.
 #[test]
 fn forged_stages_and_pending_values_are_refused_or_go_on() {
     let pending = running(1, true, "two-leg", false);
