@@ -2,8 +2,8 @@
 //!
 //! Several tests use a single leg: the right leg stretched from its motor to the left motor, the left leg folded. The tip lies on the
 //! left motor axis, and the folded leg whirls about it alone, with inertia I = I₁ + m₁ c₁² + I₂ + m₂ (L₁ − c₂)², between the vertices
-//! at 0 and π. Joint 1 turns at its rate, joint 2 not at all. A torque at joint 3 would make the stretched leg buckle; torques on joints 4 and 5 keep it
-//! straight.
+//! at 0 and π. Joint 1 turns at its rate, joint 2 not at all. A torque at joint 3 would make the stretched leg buckle; torques on
+//! joints 4 and 5 keep it straight.
 
 use std::f64::consts::PI;
 
