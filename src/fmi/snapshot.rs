@@ -84,7 +84,7 @@ impl Next {
         }
     }
 
-    /// Drops the input signal where it equals the inputs that the simulation holds.
+    /// Drops a signal without derivatives, whose values the simulation holds.
     pub(super) fn take_held_inputs(&mut self) {
         self.signal.take_if(|signal| signal.is_held());
     }
