@@ -12,7 +12,7 @@ use crate::variables::{
     Variable, VariableId,
 };
 
-/// The place of a Real parameter.
+/// Field of a Real parameter.
 fn real_parameter(p: &mut Parameters, variable: RealParameter) -> &mut f64 {
     use RealParameter as V;
     let effects = &mut p.effects;
@@ -69,7 +69,7 @@ fn real_parameter(p: &mut Parameters, variable: RealParameter) -> &mut f64 {
     }
 }
 
-/// The place of an Integer parameter.
+/// Field of an Integer parameter.
 fn integer_parameter(p: &mut Parameters, variable: IntegerParameter) -> &mut u32 {
     match variable {
         IntegerParameter::SolverMaxIterations => &mut p.settings.max_iterations,
@@ -77,7 +77,7 @@ fn integer_parameter(p: &mut Parameters, variable: IntegerParameter) -> &mut u32
     }
 }
 
-/// The place of a Boolean parameter.
+/// Field of a Boolean parameter.
 fn boolean_parameter(p: &mut Parameters, variable: BooleanParameter) -> &mut bool {
     match variable {
         BooleanParameter::SolverAdaptive => &mut p.settings.adaptive,
@@ -94,7 +94,7 @@ fn boolean_parameter(p: &mut Parameters, variable: BooleanParameter) -> &mut boo
     }
 }
 
-/// The place of an Enumeration parameter.
+/// Field of an Enumeration parameter.
 fn enumeration_parameter(p: &mut Parameters, variable: EnumerationParameter) -> &mut dyn Choice {
     match variable {
         EnumerationParameter::InitAssembly => &mut p.start.assembly,
@@ -106,7 +106,7 @@ fn enumeration_parameter(p: &mut Parameters, variable: EnumerationParameter) -> 
     }
 }
 
-/// The place of an input.
+/// Field of an input.
 pub(super) fn real_input(inputs: &mut Inputs, variable: RealInput) -> &mut f64 {
     match variable {
         RealInput::Tau(i) => &mut inputs.tau[i],
@@ -117,7 +117,7 @@ pub(super) fn real_input(inputs: &mut Inputs, variable: RealInput) -> &mut f64 {
     }
 }
 
-/// The place of a sample.
+/// Field of a sample.
 pub(super) fn real_sample(measured: &mut Measured, variable: RealSample) -> &mut f64 {
     match variable {
         RealSample::MeasuredTheta(i) => &mut measured.theta[i],
@@ -125,7 +125,7 @@ pub(super) fn real_sample(measured: &mut Measured, variable: RealSample) -> &mut
     }
 }
 
-/// A choice of the library, as the number of an item of the XML.
+/// An enumeration of the library whose items have numbers in the XML.
 trait Choice {
     fn number(&self) -> i32;
     /// False where no item has that number.
