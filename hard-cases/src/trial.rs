@@ -160,10 +160,10 @@ impl Trial {
 
     /// The scene made ready.
     pub fn start(&self, setting: Setting) -> Result<Simulation, SceneError> {
-        self.made_ready(&self.scene(setting))
+        self.initialised(&self.scene(setting))
     }
 
-    fn made_ready(&self, parameters: &Parameters) -> Result<Simulation, SceneError> {
+    fn initialised(&self, parameters: &Parameters) -> Result<Simulation, SceneError> {
         let inputs = self.schedule.first().map_or(NO_LOAD, |span| span.inputs);
         let simulation = match self.beginning {
             Beginning::Proximal => Simulation::new(parameters, &inputs)?,
@@ -202,7 +202,7 @@ impl Trial {
             seconds: 0.0,
         };
         let scene = self.scene(setting);
-        match self.made_ready(&scene) {
+        match self.initialised(&scene) {
             Err(refusal) => outcome.ending = Ending::Refused(refusal.to_string()),
             Ok(mut simulation) => {
                 let mut path = Vec::new();
@@ -225,7 +225,7 @@ impl Trial {
     /// Wall seconds of its communication steps, with nothing observed; the failure where they do not come to their end.
     pub fn time(&self, setting: Setting) -> Result<f64, String> {
         let scene = self.scene(setting);
-        let mut simulation = self.made_ready(&scene).map_err(|refusal| refusal.to_string())?;
+        let mut simulation = self.initialised(&scene).map_err(|refusal| refusal.to_string())?;
         let begin = Instant::now();
         match self.drive(&mut simulation, scene.settings.step_size, |_, _, _| true) {
             Ending::Complete => Ok(begin.elapsed().as_secs_f64()),

@@ -106,7 +106,7 @@ pub unsafe extern "C" fn fmi2CompletedIntegratorStep(
 ///
 /// # Safety
 /// `values` is null or has `length` places.
-unsafe fn hand_over<const N: usize>(
+unsafe fn write_array<const N: usize>(
     (name, values): (&str, *mut fmi2Real),
     (length_name, length): (&str, size_t),
     found: impl FnOnce() -> Result<[f64; N], CallError>,
@@ -132,7 +132,7 @@ macro_rules! arrays {
         pub unsafe extern "C" fn $name(c: fmi2Component, $values: *mut fmi2Real, $length: size_t) -> fmi2Status {
             let body = |instance: &mut Instance| {
                 // SAFETY: the caller vouches for the array.
-                unsafe { hand_over((stringify!($values), $values), (stringify!($length), $length), || $found(instance)) }
+                unsafe { write_array((stringify!($values), $values), (stringify!($length), $length), || $found(instance)) }
             };
             // SAFETY: the caller vouches for the component.
             unsafe { guard(c, Call::$call, body) }

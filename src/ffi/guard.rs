@@ -43,14 +43,14 @@ impl Component {
     #[inline(always)]
     pub(super) fn send_all(&mut self) {
         if !self.instance.log.is_empty() {
-            self.send_gathered();
+            self.send_queue();
         }
     }
 
     /// Logs the refusal of a call and returns its status.
     #[cold]
     #[inline(never)]
-    fn rejected(&mut self, call: Call, rejection: &CallError) -> Status {
+    fn refuse(&mut self, call: Call, rejection: &CallError) -> Status {
         self.instance.log.push(rejection.status, || format!("{call}: {}", rejection.message));
         rejection.status
     }
@@ -58,7 +58,7 @@ impl Component {
     /// Logs a panic, after which the instance may be half-changed.
     #[cold]
     #[inline(never)]
-    fn poisoned_by(&mut self, call: Call, panic: &(dyn Any + Send)) -> Status {
+    fn poison(&mut self, call: Call, panic: &(dyn Any + Send)) -> Status {
         self.poisoned = true;
         self.instance.log.push(Status::Fatal, || {
             format!("{call}: defect of the library, the instance can only be freed: {}", panic_text(panic))
@@ -68,7 +68,7 @@ impl Component {
 
     #[cold]
     #[inline(never)]
-    fn send_gathered(&mut self) {
+    fn send_queue(&mut self) {
         for message in self.instance.log.drain() {
             Self::send(&self.name, &self.callbacks, &message);
         }
@@ -97,8 +97,8 @@ pub(super) unsafe fn guard(
     let status =
         match catch_unwind(AssertUnwindSafe(|| call.require(instance.kind(), instance.stage()).and_then(|()| body(instance)))) {
             Ok(Ok(())) => Status::Ok,
-            Ok(Err(rejection)) => component.rejected(call, &rejection),
-            Err(panic) => component.poisoned_by(call, &*panic),
+            Ok(Err(rejection)) => component.refuse(call, &rejection),
+            Err(panic) => component.poison(call, &*panic),
         };
     component.send_all();
     number(status)

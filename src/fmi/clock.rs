@@ -98,9 +98,9 @@ impl Clock {
         if let Some(stop) = self.stop
             && end > stop + tolerance(stop, size)
         {
-            return Err(past(stop, point, end, size));
+            return Err(past_end(stop, point, end, size));
         }
-        let (h, steps) = if size == h { (h, 1) } else { grid(point, size, h)? };
+        let (h, steps) = if size == h { (h, 1) } else { divide(point, size, h)? };
         Ok(Plan { h, steps, end })
     }
 
@@ -125,7 +125,7 @@ impl Clock {
 /// The refusal of a step past the end. A master that loops while its own sum of step sizes is below stopTime makes one step too
 /// many where the sum is too small by rounding; the message names the difference.
 #[cold]
-fn past(stop: f64, point: f64, end: f64, size: f64) -> CallError {
+fn past_end(stop: f64, point: f64, end: f64, size: f64) -> CallError {
     let left = stop - point;
     let start = if left <= 0.0 {
         "at stopTime".to_owned()
@@ -151,7 +151,7 @@ fn tolerance(point: f64, size: f64) -> f64 {
 }
 
 /// Length, s, and number of the macro steps of a communication step of `size` seconds from `point`.
-fn grid(point: f64, size: f64, h: f64) -> Result<(f64, u64), CallError> {
+fn divide(point: f64, size: f64, h: f64) -> Result<(f64, u64), CallError> {
     let ratio = size / h;
     if ratio > MOST_STEPS {
         return Err(CallError::error(format!("communicationStepSize is {size:?} s, more than 1e9 times solver.stepSize {h:?} s.")));
@@ -192,7 +192,7 @@ mod tests {
             (0.0, 6e-4, H, (6e-4, 1)),
             (0.0, 1.0 / 60.0, 1.0 / 60.0, (1.0 / 60.0, 1)),
         ] {
-            assert_eq!(grid(point, size, h).expect("a grid"), expected, "H = {size:?} at {point:?}");
+            assert_eq!(divide(point, size, h).expect("a grid"), expected, "H = {size:?} at {point:?}");
         }
     }
 

@@ -15,7 +15,7 @@ const PROXIMAL_LINKS: [usize; 2] = [0, 3];
 const DISTAL_LINKS: [usize; 2] = [1, 2];
 
 /// Standard deviation reported for a quantity that is not observable, in the variable's unit.
-const NOT_KNOWN: f64 = 1e30;
+const UNOBSERVABLE: f64 = 1e30;
 
 /// The value of a computed variable; `None` for any other.
 pub(super) fn read(of: &Observed<'_, f64>, variable: &Variable) -> Option<Value> {
@@ -91,7 +91,7 @@ fn estimated(of: &Estimated<'_>, computed: RealComputed) -> f64 {
     let torques = || following.motor_torques();
     match computed {
         V::EstimatedTau(i) => torques().map_or(0.0, |(tau, _)| tau[i]),
-        V::EstimatedTauSigma(i) => torques().map_or(NOT_KNOWN, |(_, sigma)| sigma[i]),
+        V::EstimatedTauSigma(i) => torques().map_or(UNOBSERVABLE, |(_, sigma)| sigma[i]),
         V::EstimatedTauValid => f64::from(u8::from(torques().is_some())),
         V::EstimatedNis => following.estimator().nis(),
         V::EstimatedAlarm => f64::from(u8::from(following.estimator().alarm())),

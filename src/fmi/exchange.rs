@@ -15,7 +15,7 @@ use crate::variables::{EVENT_INDICATORS, RealComputed, Value, Variable, Variable
 const _: () = assert!(INDICATORS == EVENT_INDICATORS, "numberOfEventIndicators of the model description is another one");
 
 /// Indices of the proximal links, whose angles and rates are the continuous states.
-const DRIVEN: [usize; 2] = [0, 3];
+const STATE_LINKS: [usize; 2] = [0, 3];
 
 impl Instance {
     /// fmi2SetTime, s.
@@ -128,7 +128,7 @@ impl Instance {
 
 /// Angles and rates of the proximal links, or their time derivatives of an order.
 fn motion(of: &Observed<'_, f64>, order: usize) -> [f64; STATES] {
-    let [left, right] = DRIVEN;
+    let [left, right] = STATE_LINKS;
     [of.angle(left, order), of.angle(right, order), of.angle(left, order + 1), of.angle(right, order + 1)]
 }
 

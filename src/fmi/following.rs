@@ -46,7 +46,7 @@ impl Instance {
         now.next.after_step(size);
         now.stage = super::Stage::StepComplete;
         for (encoder, fault) in news {
-            warn(&mut self.log, || told(encoder, fault, point));
+            warn(&mut self.log, || fault_message(encoder, fault, point));
         }
         if restarted {
             warn(&mut self.log, || {
@@ -58,14 +58,14 @@ impl Instance {
         }
         self.warn(point + size);
         if let Some(passes) = passes {
-            self.report_passes(passes, point, point + size)?;
+            self.log_singularities(passes, point, point + size)?;
         }
         Ok(())
     }
 }
 
 /// The warning about a fault of an encoder: silent, or samples rejected.
-fn told(encoder: usize, fault: Fault, time: f64) -> String {
+fn fault_message(encoder: usize, fault: Fault, time: f64) -> String {
     let name = format!("measured.theta[{}]", encoder + 1);
     let what = match fault {
         Fault::None => "has been silent for longer than the interval of its last samples: the estimate continues without it",

@@ -118,7 +118,7 @@ impl Instance {
                 .push(Status::Ok, || "solver.adaptive is not used: the steps of i3alpConserving are strictly fixed.".to_owned());
         }
         let now = self.change();
-        now.next.take_held_inputs();
+        now.next.drop_held_signal();
         now.scene = *scene;
         now.stage = match kind {
             Kind::ModelExchange => Stage::EventMode,
@@ -217,7 +217,7 @@ impl Instance {
         let Self { now, observation, preview, .. } = self;
         let scene = match (&now.scene, preview) {
             (Scene::Draft(_), Some(scene)) => &**scene,
-            (Scene::Draft(parameters), none) => none.insert(Box::new(Scene::made_ready(now.kind, parameters, &now.inputs())?)),
+            (Scene::Draft(parameters), none) => none.insert(Box::new(Scene::initialise(now.kind, parameters, &now.inputs())?)),
             (ready, _) => ready,
         };
         match scene {
@@ -229,7 +229,7 @@ impl Instance {
             Scene::Following(following) => {
                 let model = following.simulation().model();
                 let observation = observation.get_or_insert_with(|| Observation::new(model, following.state_for(&now.inputs())));
-                Ok(Observed::new(model, observation).of_estimate(following))
+                Ok(Observed::new(model, observation).with_estimates(following))
             }
             Scene::Draft(_) => unreachable!("a preview is made ready"),
         }

@@ -38,7 +38,7 @@ pub(super) enum Scene {
 
 impl Scene {
     /// Validates the parameters and initialises the simulation, or refuses.
-    pub(super) fn made_ready(kind: Kind, parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
+    pub(super) fn initialise(kind: Kind, parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         match (kind, parameters.estimator.enabled) {
             (Kind::CoSimulation, false) => Ok(Self::Ready(Box::new(Simulation::new(parameters, inputs)?))),
             (Kind::CoSimulation, true) => Ok(Self::Following(Box::new(Following::new(parameters, inputs)?))),
@@ -77,7 +77,7 @@ impl Next {
     pub(super) fn after_step(&mut self, size: f64) {
         self.parameters = None;
         if self.signal.is_some() {
-            self.take_held_inputs();
+            self.drop_held_signal();
             if let Some(signal) = &mut self.signal {
                 signal.end(size);
             }
@@ -85,7 +85,7 @@ impl Next {
     }
 
     /// Drops a signal without derivatives, whose values the simulation holds.
-    pub(super) fn take_held_inputs(&mut self) {
+    pub(super) fn drop_held_signal(&mut self) {
         self.signal.take_if(|signal| signal.is_held());
     }
 }

@@ -57,7 +57,7 @@ impl Instance {
         }
         self.warn(point + size);
         if let Some(before) = before {
-            self.report_passes(before, point, point + size)?;
+            self.log_singularities(before, point, point + size)?;
         }
         Ok(())
     }
@@ -93,7 +93,12 @@ impl Instance {
 
     /// Logs the passages through each kind of singularity during a step, and a start from rest in a vertex.
     #[cold]
-    pub(super) fn report_passes(&mut self, before: [u64; CONFIGURATION_SIGNS + 2], from: f64, to: f64) -> Result<(), CallError> {
+    pub(super) fn log_singularities(
+        &mut self,
+        before: [u64; CONFIGURATION_SIGNS + 2],
+        from: f64,
+        to: f64,
+    ) -> Result<(), CallError> {
         let core = self.observe()?.observation().state().core;
         let counts = core.counters.singular();
         let [launches, passes @ ..]: [u64; CONFIGURATION_SIGNS + 2] = std::array::from_fn(|i| counts[i].saturating_sub(before[i]));

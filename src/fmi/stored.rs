@@ -35,9 +35,9 @@ const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>
 const CHECKSUM: usize = size_of::<u32>();
 
 /// Bytes still to be read. A type of its own keeps the reader of slices from being inlined into some hundred fields.
-struct Rest<'a>(&'a [u8]);
+struct ByteReader<'a>(&'a [u8]);
 
-impl Read for Rest<'_> {
+impl Read for ByteReader<'_> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         self.0.read(into)
     }
@@ -49,9 +49,9 @@ impl Read for Rest<'_> {
 }
 
 /// Bytes written so far. A type of its own keeps the growth of a vector from being inlined into every field.
-struct Written(Vec<u8>);
+struct ByteWriter(Vec<u8>);
 
-impl Write for Written {
+impl Write for ByteWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.0.write(bytes)
     }
@@ -129,13 +129,13 @@ impl Snapshot {
             warned_of_references: self.warned_of_references,
             warned_of_stiffness: self.warned_of_stiffness,
         };
-        let mut written = Written(Vec::new());
-        let all = content.serialize(&mut written).and_then(|()| match is_nothing(&self.measured, estimate.is_some()) {
+        let mut written = ByteWriter(Vec::new());
+        let all = content.serialize(&mut written).and_then(|()| match is_default(&self.measured, estimate.is_some()) {
             true => Ok(()),
             false => (self.measured, estimate).serialize(&mut written),
         });
         all.map_err(|error| CallError::error(format!("the state cannot be serialised: {error}.")))?;
-        let Written(content) = written;
+        let ByteWriter(content) = written;
         let length = content.len() as u64;
         let mut bytes = [&MAGIC[..], &FORMAT.to_le_bytes(), GUID.as_bytes(), &length.to_le_bytes(), &content].concat();
         bytes.extend(adler2::adler32_slice(&bytes).to_le_bytes());
@@ -147,7 +147,7 @@ impl Snapshot {
     #[cold]
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CallError> {
         let (content, followed) =
-            parts(content(bytes)?).map_err(|error| wrong(&format!("their content cannot be decoded: {error}")))?;
+            parse_content(content(bytes)?).map_err(|error| not_a_state(&format!("their content cannot be decoded: {error}")))?;
         let Content { stage, kind, clock, values, run, signal, tuned, warned_of_references, warned_of_stiffness } = content;
         let parameters = restored(&values)?;
         let next = Next { signal: signal.map(restored_signal).transpose()?, parameters: restored_tuned(tuned, &parameters)? };
@@ -162,21 +162,21 @@ impl Snapshot {
                 Stage::StepComplete | Stage::StepFailed | Stage::EventMode | Stage::ContinuousTimeMode | Stage::Terminated,
                 Some(StoredRun { run, residuals }),
             ) if stage.belongs_to(kind) && run.is_model_exchange() == (kind == Kind::ModelExchange) => {
-                let refusal = |error: SceneError| wrong(&error.to_string());
+                let refusal = |error: SceneError| not_a_state(&error.to_string());
                 match (parameters.estimator.enabled, followed.estimate) {
                     (false, None) => Scene::Ready(Box::new(Simulation::restored(&parameters, run, &residuals).map_err(refusal)?)),
                     (true, Some(estimate)) => {
                         let following = Following::restored(&parameters, run, &residuals, *estimate);
                         Scene::Following(Box::new(following.map_err(refusal)?))
                     }
-                    (false, Some(_)) => return Err(wrong("they hold an estimate, but estimator.enabled is false")),
-                    (true, None) => return Err(wrong("estimator.enabled is true, but the estimate is missing")),
+                    (false, Some(_)) => return Err(not_a_state("they hold an estimate, but estimator.enabled is false")),
+                    (true, None) => return Err(not_a_state("estimator.enabled is true, but the estimate is missing")),
                 }
             }
-            _ => return Err(wrong(&format!("their state is \"{stage}\", but they hold data of another state"))),
+            _ => return Err(not_a_state(&format!("their state is \"{stage}\", but they hold data of another state"))),
         };
         if clock.is_none() && stage != Stage::Instantiated {
-            return Err(wrong(&format!("their state is \"{stage}\", but the clock is missing")));
+            return Err(not_a_state(&format!("their state is \"{stage}\", but the clock is missing")));
         }
         let measured = followed.measured;
         Ok(Self { kind, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness })
@@ -184,13 +184,13 @@ impl Snapshot {
 }
 
 /// Whether no sample has been set and nothing is estimated, so that `Followed` is not stored.
-fn is_nothing(measured: &Measured, estimates: bool) -> bool {
+fn is_default(measured: &Measured, estimates: bool) -> bool {
     !estimates && measured.same(&Measured::default())
 }
 
 /// Parses the content and, where there is one, `Followed`.
-fn parts(bytes: &[u8]) -> io::Result<(Content, Followed)> {
-    let mut rest = Rest(bytes);
+fn parse_content(bytes: &[u8]) -> io::Result<(Content, Followed)> {
+    let mut rest = ByteReader(bytes);
     let content = Content::deserialize_reader(&mut rest)?;
     if rest.0.is_empty() {
         return Ok((content, Followed { measured: Measured::default(), estimate: None }));
@@ -199,40 +199,40 @@ fn parts(bytes: &[u8]) -> io::Result<(Content, Followed)> {
     if !rest.0.is_empty() {
         return Err(io::Error::other("bytes follow the last field"));
     }
-    if is_nothing(&followed.measured, followed.estimate.is_some()) {
+    if is_default(&followed.measured, followed.estimate.is_some()) {
         return Err(io::Error::other("samples at their start values, which are never stored"));
     }
     Ok((content, followed))
 }
 
-fn wrong(what: &str) -> CallError {
+fn not_a_state(what: &str) -> CallError {
     CallError::error(format!("the bytes are not a state of this FMU: {what}."))
 }
 
 /// The content, after head, length and checksum have been checked.
 fn content(bytes: &[u8]) -> Result<&[u8], CallError> {
     if bytes.len() < HEAD + CHECKSUM {
-        return Err(wrong(&format!("there are {}, fewer than the {} of head and checksum", bytes.len(), HEAD + CHECKSUM)));
+        return Err(not_a_state(&format!("there are {}, fewer than the {} of head and checksum", bytes.len(), HEAD + CHECKSUM)));
     }
     let (magic, rest) = bytes.split_at(MAGIC.len());
     let (format, rest) = rest.split_at(size_of::<u32>());
     let (guid, rest) = rest.split_at(GUID.len());
     let (length, _) = rest.split_at(size_of::<u64>());
     if magic != MAGIC {
-        return Err(wrong("they do not begin with FiveBar"));
+        return Err(not_a_state("they do not begin with FiveBar"));
     }
     if format != FORMAT.to_le_bytes() {
-        return Err(wrong(&format!("their format is not {FORMAT}: another version has written them")));
+        return Err(not_a_state(&format!("their format is not {FORMAT}: another version has written them")));
     }
     if guid != GUID.as_bytes() {
-        return Err(wrong("they belong to another GUID: another version has written them"));
+        return Err(not_a_state("they belong to another GUID: another version has written them"));
     }
     if length != ((bytes.len() - HEAD - CHECKSUM) as u64).to_le_bytes() {
-        return Err(wrong(&format!("there are {}, which is not the length in their head", bytes.len())));
+        return Err(not_a_state(&format!("there are {}, which is not the length in their head", bytes.len())));
     }
     let (checked, checksum) = bytes.split_at(bytes.len() - CHECKSUM);
     if checksum != adler2::adler32_slice(checked).to_le_bytes() {
-        return Err(wrong("their checksum is wrong"));
+        return Err(not_a_state("their checksum is wrong"));
     }
     Ok(&checked[HEAD..])
 }
@@ -264,13 +264,13 @@ fn restored(values: &[(u32, Value)]) -> Result<Parameters, CallError> {
     let mut all = bindings::parameters().map(|variable| variable.reference);
     let are_first = values.iter().all(|(reference, _)| all.next() == Some(*reference));
     if !are_first || ![0, ESTIMATOR].contains(&all.count()) {
-        return Err(wrong("they do not hold every parameter once"));
+        return Err(not_a_state("they do not hold every parameter once"));
     }
     for &(reference, value) in values {
         let variable = lookup(reference, value.fmi_type())?;
         check_value(variable, value)?;
         if !bindings::write_parameter(&mut parameters, variable, value) {
-            return Err(wrong(&format!("{} = {value} is not allowed", variable.name)));
+            return Err(not_a_state(&format!("{} = {value} is not allowed", variable.name)));
         }
     }
     Ok(parameters)
@@ -286,7 +286,10 @@ fn restored_tuned(tuned: Option<Values>, in_force: &Parameters) -> Result<Option
         if let (Some(before), Some(after)) = (before, after)
             && before != after
         {
-            return Err(wrong(&format!("{} = {after} is not allowed during the run: it is fixed at {before}", variable.name)));
+            return Err(not_a_state(&format!(
+                "{} = {after} is not allowed during the run: it is fixed at {before}",
+                variable.name
+            )));
         }
     }
     Ok(Some(tuned))

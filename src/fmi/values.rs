@@ -26,12 +26,12 @@ pub(super) fn lookup(reference: u32, fmi_type: FmiType) -> Result<&'static Varia
 pub(super) fn check_settable(variable: &Variable, stage: Stage) -> Result<(), CallError> {
     match variable.id {
         VariableId::RealInput(_) | VariableId::RealSample(_) => Ok(()),
-        _ => check_settable_there(variable, stage),
+        _ => check_settable_unless_input(variable, stage),
     }
 }
 
 /// [`check_settable`] for variables that are no inputs.
-fn check_settable_there(variable: &Variable, stage: Stage) -> Result<(), CallError> {
+fn check_settable_unless_input(variable: &Variable, stage: Stage) -> Result<(), CallError> {
     match variable.id {
         VariableId::RealInput(_) | VariableId::RealSample(_) => Ok(()),
         _ if variable.tunable && stage == Stage::ContinuousTimeMode => Err(CallError::error(format!(

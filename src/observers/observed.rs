@@ -41,7 +41,7 @@ impl<'a> Observed<'a, f64> {
     }
 
     /// Adds the estimates of a machine that is followed.
-    pub fn of_estimate(self, following: &'a Following) -> Self {
+    pub fn with_estimates(self, following: &'a Following) -> Self {
         Self { following: Some(following), ..self }
     }
 }
