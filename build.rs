@@ -27,7 +27,7 @@ fn main() {
     fs::write(Path::new(&directory).join("variables.rs"), code).expect("OUT_DIR can be written");
 }
 
-/// Of a unit with start values of its own: the text that `cargo xtask package --scene` has made of the XML.
+/// Model description of a unit with start values of its own, from the text that `cargo xtask package --scene` has made.
 fn own_description() -> ModelDescription {
     const PATH: &str = "FIVEBAR_MODEL_DESCRIPTION";
     println!("cargo::rerun-if-env-changed={PATH}");
@@ -46,24 +46,28 @@ fn camel(name: &str) -> String {
 }
 
 fn constants(description: &ModelDescription, code: &mut String) -> Written {
-    writeln!(code, "/// Ties this library to its model description.\npub const GUID: &str = {:?};", description.guid())?;
+    writeln!(
+        code,
+        "/// GUID of the model description that this library belongs to.\npub const GUID: &str = {:?};",
+        description.guid()
+    )?;
     writeln!(
         code,
         "/// Name of the library file and of the .fmu.\npub const MODEL_IDENTIFIER: &str = {:?};",
         description.model_identifier
     )?;
-    writeln!(code, "/// Event indicators.\npub const EVENT_INDICATORS: usize = {};", description.event_indicators)?;
+    writeln!(code, "/// Number of event indicators.\npub const EVENT_INDICATORS: usize = {};", description.event_indicators)?;
     writeln!(code, "\n/// The declared log categories.\n#[derive(Clone, Copy, Debug, PartialEq, Eq)]\npub enum Category {{")?;
     for category in &description.categories {
         writeln!(code, "    /// {}.\n    {},", category.description, camel(&category.name))?;
     }
-    writeln!(code, "}}\n\nimpl Category {{\n    /// All of them, in the order of the XML.\n    pub const LIST: &[Self] = &[")?;
+    writeln!(code, "}}\n\nimpl Category {{\n    /// All categories, in the order of the XML.\n    pub const LIST: &[Self] = &[")?;
     for category in &description.categories {
         writeln!(code, "        Self::{},", camel(&category.name))?;
     }
     writeln!(
         code,
-        "    ];\n\n    /// The name in calls and log lines.\n    pub fn name(self) -> &'static str {{\n        match self {{"
+        "    ];\n\n    /// Name of the category in calls and log lines.\n    pub fn name(self) -> &'static str {{\n        match self {{"
     )?;
     for category in &description.categories {
         writeln!(code, "            Self::{} => {:?},", camel(&category.name), category.name)?;
@@ -88,7 +92,7 @@ fn types(description: &ModelDescription, code: &mut String) -> Written {
         }
         writeln!(
             code,
-            "    ];\n\n    /// The item of that number.\n    pub fn from_number(number: i32) -> Option<Self> {{\n        match number {{"
+            "    ];\n\n    /// The item with that number.\n    pub fn from_number(number: i32) -> Option<Self> {{\n        match number {{"
         )?;
         for item in &enumeration.items {
             writeln!(code, "            {} => Some(Self::{}),", item.value, camel(&item.name))?;
@@ -98,12 +102,12 @@ fn types(description: &ModelDescription, code: &mut String) -> Written {
     Ok(())
 }
 
-/// The name of the enum that a variable belongs to, e.g. `RealParameter`; aliases belong to none. Whether what is computed is an
-/// output or local matters to masters only: both are one role.
+/// Name of the enum that a variable belongs to, e.g. `RealParameter`; aliases belong to none. Outputs and local variables share the
+/// role `Computed`, since only masters tell them apart.
 fn group(variable: &Variable) -> Option<String> {
     let role = match variable.causality {
         Causality::Parameter => "Parameter",
-        // What is constant between communication points is no input of the equations of motion.
+        // A discrete input, constant between communication points, is a sample and no input of the equations of motion.
         Causality::Input if variable.variability == Variability::Discrete => "Sample",
         Causality::Input => "Input",
         Causality::Output | Causality::Local if variable.is_alias() => return None,
@@ -144,7 +148,7 @@ fn families(description: &ModelDescription, code: &mut String) -> Written {
 fn table(description: &ModelDescription, code: &mut String) -> Written {
     let mut variables: Vec<&Variable> = description.variables.iter().filter(|variable| !variable.is_alias()).collect();
     variables.sort_by_key(|variable| variable.reference);
-    // By their places, for what points to something has to be relocated when the library is loaded.
+    // Units and enumerations are stored as indices: pointers would have to be relocated when the library is loaded.
     let units: BTreeSet<&str> = variables.iter().filter_map(|variable| variable.unit.as_deref()).collect();
     let units: Vec<&str> = units.into_iter().collect();
     let enumerations: BTreeSet<&str> = variables.iter().filter_map(|variable| enumeration(variable)).collect();
@@ -155,7 +159,7 @@ fn table(description: &ModelDescription, code: &mut String) -> Written {
         writeln!(code, "    {name}::ITEMS,")?;
     }
     writeln!(code, "];")?;
-    writeln!(code, "\n/// Every variable once (derivatives share the entry of what they are), by ascending reference.")?;
+    writeln!(code, "\n/// Every variable once (derivatives share the entry of their variable), by ascending reference.")?;
     writeln!(
         code,
         "#[allow(clippy::approx_constant, reason = \"start values are as in the XML\")]\npub const VARIABLES: &[Variable] = &["
@@ -166,7 +170,7 @@ fn table(description: &ModelDescription, code: &mut String) -> Written {
         let (start, min, max) = match &variable.kind {
             Kind::Real { start, bounds } => (start.map(|x| format!("Value::Real({x:?})")), bounds.min, bounds.max),
             Kind::Integer { start, bounds } => {
-                // Integer parameters are counts, u32 in the library: the bounds keep every conversion exact.
+                // Integer parameters are counts, u32 in the library; min ≥ 0 keeps every conversion exact.
                 let count = variable.causality != Causality::Parameter || bounds.min.is_some_and(|min| min >= 0);
                 assert!(count, "variable {}: an Integer parameter needs a min of at least 0", variable.name.full);
                 (start.map(|n| format!("Value::Integer({n})")), bounds.min.map(f64::from), bounds.max.map(f64::from))
@@ -191,7 +195,7 @@ fn table(description: &ModelDescription, code: &mut String) -> Written {
     writeln!(code, "];")
 }
 
-/// The enumeration of a variable that has one.
+/// Name of the enumeration type of a variable.
 fn enumeration(variable: &Variable) -> Option<&str> {
     variable.declared_type.as_deref().filter(|_| matches!(variable.kind, Kind::Enumeration { .. }))
 }

@@ -1,4 +1,4 @@
-//! What must hold between the parts of a model description (FMI 2.0.4, section 2.2, and rules 6 to 19 of this project).
+//! Consistency of a model description (FMI 2.0.4, section 2.2, and rules 6 to 19 of this project).
 
 use std::collections::HashSet;
 use std::fmt::Display;
@@ -8,7 +8,7 @@ use crate::data::{
     Bounds, Causality, Enumeration, Initial, Kind, ModelDescription, SimpleType, TypeKind, Unknown, Variability, Variable,
 };
 
-/// Refuses the first thing that is wrong.
+/// Checks all rules and returns the first violation.
 pub(crate) fn check(description: &ModelDescription) -> Result<(), Error> {
     unique("unit", description.units.iter().map(|unit| &unit.name))?;
     unique("type", description.types.iter().map(|t| &t.name))?;
@@ -113,7 +113,7 @@ fn check_role(variable: &Variable) -> Result<(), Error> {
     if variable.variability == Variability::Continuous && !matches!(variable.kind, Kind::Real { .. }) {
         return Err(Error("only a Real can be continuous".to_owned()));
     }
-    // Beyond the standard: some masters read every output as a Real, and draw what is an output.
+    // Beyond the standard: outputs are Real, since some masters read and plot every output as a Real.
     if variable.causality == Causality::Output && !matches!(variable.kind, Kind::Real { .. }) {
         return Err(Error("an output must be a Real; what else is computed is local".to_owned()));
     }
@@ -162,7 +162,7 @@ fn within<T: PartialOrd + Display + Copy>(start: Option<T>, bounds: Bounds<T>) -
     }
 }
 
-/// A derivative has the reference and the type of another computed variable, and is named after its state.
+/// A derivative has the reference and type of another computed variable, and is named after its state.
 fn check_alias(description: &ModelDescription, variable: &Variable, state: &str) -> Result<(), Error> {
     if variable.name.full != format!("der({state})") {
         return Err(Error(format!("the derivative of {state} must be named der({state})")));

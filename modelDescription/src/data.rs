@@ -1,4 +1,4 @@
-//! What a model description says, as plain data.
+//! A model description as plain data.
 
 /// A model description, checked.
 #[derive(Clone, Debug)]
@@ -7,13 +7,13 @@ pub struct ModelDescription {
     pub xml: String,
     /// Name of the model.
     pub model_name: String,
-    /// What it is, in a sentence.
+    /// Description of the model, one sentence.
     pub description: String,
     /// Name of the library file and of the .fmu.
     pub model_identifier: String,
     /// Number of event indicators.
     pub event_indicators: usize,
-    /// What a master runs that is told nothing else.
+    /// Default experiment.
     pub experiment: Experiment,
     /// Units, in the order of the file.
     pub units: Vec<Unit>,
@@ -23,12 +23,12 @@ pub struct ModelDescription {
     pub categories: Vec<Category>,
     /// Variables, in the order of the file.
     pub variables: Vec<Variable>,
-    /// What depends on what.
+    /// Model structure: unknowns with their dependencies.
     pub structure: Structure,
 }
 
 impl ModelDescription {
-    /// Names of the continuous states: what has a derivative.
+    /// Names of the continuous states: the variables of which another is the derivative.
     pub fn states(&self) -> Vec<&str> {
         self.variables.iter().filter_map(|variable| variable.derivative_of.as_deref()).collect()
     }
@@ -59,11 +59,11 @@ pub struct SimpleType {
     pub name: String,
     /// Description; empty where there is none.
     pub description: String,
-    /// What values of the type are.
+    /// Kind of the type.
     pub kind: TypeKind,
 }
 
-/// What values of a declared type are.
+/// Kind of a declared type.
 #[derive(Clone, Debug)]
 pub enum TypeKind {
     /// Real, with its unit and display unit.
@@ -93,7 +93,7 @@ pub struct Enumeration {
 pub struct Item {
     /// Name.
     pub name: String,
-    /// The number that stands for it in calls.
+    /// Number of the item in calls.
     pub value: i32,
     /// Description; empty where there is none.
     pub description: String,
@@ -119,9 +119,9 @@ pub struct Variable {
     pub description: String,
     /// Role.
     pub causality: Causality,
-    /// When the value may change.
+    /// Variability.
     pub variability: Variability,
-    /// How the value is found at the start; inputs have none.
+    /// How the start value is determined; inputs have none.
     pub initial: Option<Initial>,
     /// Type, start and bounds.
     pub kind: Kind,
@@ -134,12 +134,12 @@ pub struct Variable {
 }
 
 impl Variable {
-    /// A derivative shares the value of another variable and adds nothing but its name.
+    /// Whether the variable is a derivative that shares the value of another variable under a second name.
     pub fn is_alias(&self) -> bool {
         self.derivative_of.is_some()
     }
 
-    /// Whether the library finds the value: outputs and local variables.
+    /// Whether the library computes the value: outputs and local variables.
     pub fn is_computed(&self) -> bool {
         matches!(self.causality, Causality::Output | Causality::Local)
     }
@@ -148,9 +148,9 @@ impl Variable {
 /// A structured name, e.g. `link[2].length`: family `link.length`, index 1 (0-based).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Name {
-    /// As it stands in the XML.
+    /// Name as it stands in the XML.
     pub full: String,
-    /// Without the index.
+    /// Name without the index.
     pub family: String,
     /// 0-based index, where the name has one.
     pub index: Option<usize>,
@@ -159,9 +159,9 @@ pub struct Name {
 /// Smallest and largest value allowed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds<T> {
-    /// Smallest.
+    /// Smallest value.
     pub min: Option<T>,
-    /// Largest.
+    /// Largest value.
     pub max: Option<T>,
 }
 
@@ -215,7 +215,7 @@ impl Kind {
     }
 }
 
-/// Role of a variable (FMI 2.0.4, section 2.2.7); only the roles that this project uses.
+/// Role of a variable (FMI 2.0.4, section 2.2.7), restricted to the roles of this project.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Causality {
     /// Set before the run.
@@ -228,10 +228,10 @@ pub enum Causality {
     Local,
 }
 
-/// When a variable may change (FMI 2.0.4, section 2.2.7); only what this project uses.
+/// Variability of a variable (FMI 2.0.4, section 2.2.7), restricted to the kinds of this project.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Variability {
-    /// Fixed after initialisation.
+    /// Constant after initialisation.
     Fixed,
     /// Constant between changes by the master.
     Tunable,
@@ -241,10 +241,10 @@ pub enum Variability {
     Continuous,
 }
 
-/// How the start value is found (FMI 2.0.4, section 2.2.7); only what this project uses.
+/// How the start value is determined (FMI 2.0.4, section 2.2.7), restricted to the kinds of this project.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Initial {
-    /// The start value is the value.
+    /// The start value is given.
     Exact,
     /// Computed from other variables.
     Calculated,
@@ -253,11 +253,11 @@ pub enum Initial {
 /// `<ModelStructure>`, by names.
 #[derive(Clone, Debug)]
 pub struct Structure {
-    /// What each output depends on.
+    /// Outputs with their dependencies.
     pub outputs: Vec<Unknown>,
-    /// What each derivative of a continuous state depends on.
+    /// Derivatives of the continuous states with their dependencies.
     pub derivatives: Vec<Unknown>,
-    /// What the outputs, continuous states and derivatives depend on at the start.
+    /// Outputs, continuous states and derivatives with their dependencies at initialisation.
     pub initial_unknowns: Vec<Unknown>,
 }
 
@@ -273,11 +273,11 @@ impl Structure {
     }
 }
 
-/// An unknown and the known variables it depends on.
+/// An unknown and the known variables that it depends on.
 #[derive(Clone, Debug)]
 pub struct Unknown {
     /// Name of the unknown.
     pub name: String,
-    /// Names of inputs and continuous states; at the start, of parameters and inputs.
+    /// Names of inputs and continuous states; at initialisation, of parameters and inputs.
     pub dependencies: Vec<String>,
 }

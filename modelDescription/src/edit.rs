@@ -1,4 +1,4 @@
-//! Small changes of the XML text, with every comment and line break kept.
+//! Edits of the XML text that keep every comment and line break.
 
 use quick_xml::Writer;
 use quick_xml::events::{BytesStart, Event};
@@ -13,7 +13,7 @@ pub(crate) fn value(element: &BytesStart<'_>, name: &str) -> Option<String> {
     attribute.map(|attribute| attribute.value.into_owned())
 }
 
-/// The same element with another value of one attribute, escaped, and every line break between the attributes kept.
+/// The element with another value of one attribute, escaped, and every line break between the attributes kept.
 pub(crate) fn replace(element: &BytesStart<'_>, name: &str, new: &str) -> BytesStart<'static> {
     let old = value(element, name).unwrap_or_default();
     let content = format!("{}{}", element.name().0, element.attributes_raw());

@@ -5,7 +5,7 @@ use quick_xml::{Reader, XmlVersion};
 
 use crate::Error;
 
-/// An XML element; text and comments are dropped, for a model description says nothing in them.
+/// An XML element. Text and comments are dropped: a model description has no data in them.
 #[derive(Debug)]
 pub(crate) struct Element {
     /// Tag.
@@ -62,7 +62,7 @@ impl Element {
         self.attributes.iter().find(|(key, _)| key == name).map(|(_, value)| value.as_str())
     }
 
-    /// Value of an attribute that must be given.
+    /// Value of an attribute; refused where the element does not have it.
     pub(crate) fn required(&self, name: &str) -> Result<&str, Error> {
         self.attribute(name).ok_or_else(|| Error(format!("{self} has no attribute {name}")))
     }
@@ -72,7 +72,7 @@ impl Element {
         self.children.iter().find(|child| child.tag == tag).ok_or_else(|| Error(format!("{self} has no element <{tag}>")))
     }
 
-    /// Refuses attributes that are not in `allowed`: a misspelt one would otherwise be silently without effect.
+    /// Refuses attributes that are not in `allowed`, so that a misspelt one does not go unnoticed.
     pub(crate) fn allow(&self, allowed: &[&str]) -> Result<(), Error> {
         match self.attributes.iter().find(|(key, _)| !allowed.contains(&key.as_str())) {
             Some((key, _)) => Err(Error(format!("{self}: attribute {key} is not one of {}", allowed.join(", ")))),

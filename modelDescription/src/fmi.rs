@@ -1,4 +1,4 @@
-//! The file that the .fmu carries.
+//! The modelDescription.xml inside the .fmu.
 
 use quick_xml::events::{BytesStart, BytesText, Event};
 use quick_xml::{Reader, Writer};
@@ -6,12 +6,12 @@ use quick_xml::{Reader, Writer};
 use crate::data::{ModelDescription, Unknown};
 use crate::edit::{replace, value, write};
 
-/// Stands in the output instead of the comment on top of the source, which is about the source.
+/// Comment on top of the output, in place of the source's.
 const HEAD: &str = "\n<!-- Written by `cargo xtask package` from modelDescription/modelDescription.xml: do not edit. -->\n";
 
 impl ModelDescription {
-    /// The FMI 2.0 model description: GUID and version filled in, names replaced by the 1-based indices that FMI wants.
-    /// Everything else, comments and line breaks included, is as in the source.
+    /// The FMI 2.0 model description: GUID and version filled in, names replaced by the 1-based indices that FMI wants, and every
+    /// comment and line break of the source kept.
     pub fn to_fmi(&self, version: &str) -> String {
         const CHECKED: &str = "parse() has read the same text before";
         let mut reader = Reader::from_str(&self.xml);
@@ -131,7 +131,7 @@ mod tests {
         assert_eq!(names(&structure.initial_unknowns), [names(&structure.outputs), names(&structure.derivatives)].concat());
     }
 
-    /// The tip's start is that of the geometry: two units that are coupled through their tips form no loop.
+    /// The tip's start follows from the geometry: two units that are coupled through their tips form no loop.
     #[test]
     fn families_and_beginnings_become_names() {
         let (description, _, _) = written();

@@ -1,9 +1,9 @@
 //! The FMI model description: read, checked, completed.
 //!
-//! `modelDescription.xml` beside this crate is the one place where a variable's name, reference, unit, start and text
-//! stand. [`ModelDescription::read`] turns it into plain data and refuses what FMI 2.0 or this project does not allow;
-//! `build.rs` makes the tables of `src/variables` from the data, and `cargo xtask package` packs the text of
-//! [`ModelDescription::to_fmi`]. [`ModelDescription::own`] makes the description of a unit of one's own of it.
+//! `modelDescription.xml` beside this crate is the one place where a variable's name, reference, unit, start and text stand.
+//! [`ModelDescription::read`] turns it into plain data and refuses violations of FMI 2.0 or of this project's rules; `build.rs`
+//! makes the tables of `src/variables` from the data, and `cargo xtask package` packs the text of [`ModelDescription::to_fmi`].
+//! [`ModelDescription::own`] makes the description of a unit with start values of its own.
 //!
 //! | file | holds |
 //! | --- | --- |
@@ -11,10 +11,10 @@
 //! | `element.rs` | XML text → tree of elements |
 //! | `parse.rs` | tree → data |
 //! | `names.rs` | the structured naming convention |
-//! | `check.rs` | what must hold between the parts |
-//! | `fmi.rs` | data + text → the file that the .fmu carries |
-//! | `own.rs` | data + text → the text of a unit of one's own |
-//! | `edit.rs` | small changes of the text |
+//! | `check.rs` | consistency rules |
+//! | `fmi.rs` | data + text → modelDescription.xml of the .fmu |
+//! | `own.rs` | data + text → description of a unit with start values of its own |
+//! | `edit.rs` | edits of the text |
 
 mod check;
 mod data;
@@ -37,7 +37,7 @@ pub use own::Own;
 /// The text of `modelDescription/modelDescription.xml`.
 pub const XML: &str = include_str!("../modelDescription.xml");
 
-/// What is wrong with a model description: one sentence naming the variable, its value and what is allowed.
+/// The first violation in a model description: one sentence naming the variable, its value and the values allowed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Error(pub String);
 
@@ -65,7 +65,7 @@ impl ModelDescription {
     /// The GUID that ties the .fmu's XML to its binary: a UUID (version 5) of the XML text, in braces. Both sides
     /// derive it from the same text, so neither can be changed without the other.
     pub fn guid(&self) -> String {
-        // Any fixed value serves; this one is itself the version 5 UUID of "FiveBar" in the namespace of URLs.
+        // Any fixed namespace serves; this is the version 5 UUID of "FiveBar" in the namespace of URLs.
         const NAMESPACE: uuid::Uuid = uuid::uuid!("3729f55c-2054-5fb9-9560-16e0a330d502");
         format!("{{{}}}", uuid::Uuid::new_v5(&NAMESPACE, self.xml.as_bytes()))
     }

@@ -1,4 +1,4 @@
-//! The description of a unit of one's own: another name, experiment and start values, and the same of everything else.
+//! The description of a unit with a name, experiment and start values of its own; everything else stays.
 
 use std::collections::BTreeMap;
 
@@ -10,21 +10,21 @@ use crate::Error;
 use crate::data::{Experiment, ModelDescription};
 use crate::edit::{replace, value, write};
 
-/// What makes a unit one's own.
+/// Name, experiment and start values of a unit made from a scene.
 #[derive(Clone, Debug)]
 pub struct Own {
     /// Name of the model, the library and the .fmu: an identifier of C.
     pub name: String,
-    /// What it is, in a sentence.
+    /// Description of the model, one sentence.
     pub description: String,
-    /// What a master runs that is told nothing else.
+    /// Default experiment.
     pub experiment: Experiment,
     /// Start values as the XML writes them, by the names of variables.
     pub starts: BTreeMap<String, String>,
 }
 
 impl ModelDescription {
-    /// The same model with another name, experiment and start values. Checked like the one that it is made of.
+    /// The model with another name, experiment and start values, checked again.
     pub fn own(&self, own: &Own) -> Result<Self, Error> {
         check_name(&own.name)?;
         for name in own.starts.keys() {
@@ -68,7 +68,7 @@ impl ModelDescription {
     }
 }
 
-/// The same element with another value of one attribute.
+/// The element with another value of one attribute.
 fn with(element: &BytesStart<'_>, name: &str, new: &str) -> BytesStart<'static> {
     replace(element, name, &escape(new))
 }
@@ -121,7 +121,7 @@ mod tests {
             assert_eq!(mine.kind, expected, "{}", plain.name.full);
             assert_eq!((&mine.name, mine.reference, mine.causality), (&plain.name, plain.reference, plain.causality));
         }
-        // Lines in which nothing of that stands are as they were.
+        // Lines without name, experiment or start values are unchanged.
         let same = mine.xml.lines().zip(plain.xml.lines()).filter(|(mine, plain)| mine == plain).count();
         assert_eq!(plain.xml.lines().count() - same, 9);
     }

@@ -9,7 +9,7 @@ use crate::data::{
 };
 use crate::element::Element;
 
-/// The whole description, not yet checked for what must hold between its parts.
+/// Parses the whole description; consistency is checked by [`super::check`].
 pub(crate) fn description(xml: &str) -> Result<ModelDescription, Error> {
     let root = Element::parse(xml)?;
     let types = each(root.child("TypeDefinitions")?, simple_type)?;

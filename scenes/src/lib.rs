@@ -1,9 +1,9 @@
-//! The scenes, and their one reader: what a file sets, by the names of variables, checked against `modelDescription.xml`.
+//! The scenes, and their one reader: values of variables by name, checked against `modelDescription.xml`.
 //!
 //! A file is an object: variable name → start value, enumerations by the names of their items, and four keys that are no
-//! variables; `docs/effects.md` says what they hold. Whatever is misspelt, out of bounds or of the wrong type is
-//! refused with one sentence. The library is not needed: programs that link it write the values into its parameters themselves, and
-//! Python is given the file that [`Scene::resolved`] makes.
+//! variables; `docs/effects.md` describes them. A misspelt name, a value out of bounds or of the wrong type is refused in one
+//! sentence. The library is not needed: programs that link it write the values into its parameters themselves, and Python is given
+//! the file that [`Scene::resolved`] makes.
 //!
 //! | file | holds |
 //! | --- | --- |
@@ -12,7 +12,7 @@
 //! | `names.rs` | variables by name, and those that a misspelt name may mean |
 //! | `value.rs` | a value of the type that its variable has |
 //! | `signal.rs` | inputs that change with time |
-//! | `resolved.rs` | what Python is given |
+//! | `resolved.rs` | the form for Python |
 
 mod json;
 mod names;
@@ -32,7 +32,7 @@ pub use model_description::{Causality, Variable};
 pub use signal::Signal;
 pub use value::Value;
 
-/// What a run sets: variables with their values.
+/// Values that a run sets, by variable.
 pub type Values = Vec<(&'static Variable, Value)>;
 
 /// A file of `scenes/`.
@@ -40,13 +40,13 @@ pub type Values = Vec<(&'static Variable, Value)>;
 pub struct Scene {
     /// Its name without the ending.
     pub name: String,
-    /// What it shows.
+    /// Description, one sentence.
     pub description: String,
     /// How long it is to be followed, s.
     pub stop_time: f64,
     /// The communication step, s.
     pub step_size: f64,
-    /// What it sets, in the order of the file.
+    /// Values of the scene, in the order of the file.
     pub values: Values,
     /// Further runs, to compare with.
     pub overlays: Vec<Overlay>,
@@ -59,7 +59,7 @@ pub struct Scene {
 pub struct Overlay {
     /// How pictures name it.
     pub label: String,
-    /// What it sets: the scene's values, but for those that it replaces.
+    /// Values of the run: the scene's values, but for those that it replaces.
     pub values: Values,
 }
 
@@ -93,8 +93,8 @@ impl Scene {
         self.signals.iter().map(move |signal| (signal.variable, Value::Real(signal.at(time))))
     }
 
-    /// The inputs that change, as the reference trajectories hold them over a millisecond, counted from 0: the doubles nearest to
-    /// what they are where it begins.
+    /// The changing inputs, as the reference trajectories hold them over a millisecond, counted from 0: the doubles nearest to
+    /// their values at its beginning.
     pub fn signals_held(&self, millisecond: u32) -> impl Iterator<Item = (&'static Variable, Value)> {
         self.signals.iter().map(move |signal| (signal.variable, Value::Real(signal.nearest(millisecond))))
     }

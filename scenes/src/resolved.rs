@@ -1,4 +1,4 @@
-//! What Python is given: a scene with nothing left to look up.
+//! Scenes for Python, with every name and unit looked up.
 
 use anyhow::Result;
 use serde_json::{Map, Value as Json, json};

@@ -3,8 +3,7 @@
 //! `{"linear": [[t, v], ...]}` joins the knots by straight lines; `{"minimumJerk": [[t, v], ...]}` goes from knot to knot and rests in
 //! each, by 10u³ − 15u⁴ + 6u⁵, the path of least mean square jerk between two rests (Flash and Hogan, J. Neurosci. 5 (1985) 1688,
 //! eq. 3); `{"rateOf": "servo.theta[1]"}` is the derivative of another signal; `{"steps": [[t, v], ...]}` stays in each knot until the
-//! next, and is the one that a tunable parameter may have. Before its first and after its last knot a signal stays
-//! what it is there.
+//! next, and is the one that a tunable parameter may have. Before its first and after its last knot a signal is constant.
 
 use anyhow::{Context, Result, bail};
 use model_description::Variable;
@@ -43,7 +42,7 @@ enum Shape {
     Steps,
 }
 
-/// What a signal is computed in: doubles, or fractions without round-off.
+/// Number type of a signal: doubles, or fractions without round-off.
 trait Number: Num + Clone + PartialOrd + FromPrimitive {}
 impl<T: Num + Clone + PartialOrd + FromPrimitive> Number for T {}
 
@@ -175,7 +174,7 @@ mod tests {
         }
     }
 
-    /// It stays in each knot until the next, which is there also where a time of the master's own is not quite that of the knot.
+    /// A step signal keeps its value until the next knot, also where the master's time differs from the knot's by round-off.
     #[test]
     fn a_step_is_there_at_its_time() {
         let [mass] = signals(json!({ "payload.mass": { STEPS: [[0.1, 1.0], [0.3, 3.0], [0.7, 2.0]] } })).try_into().expect("one");
@@ -200,7 +199,7 @@ mod tests {
         }
     }
 
-    /// To the bit what tests/data/reference/make/make.py holds: values of its `signal_at`, in 80 digits.
+    /// Equal to the bit to tests/data/reference/make/make.py: values of its `signal_at`, in 80 digits.
     #[test]
     fn the_nearest_double_is_what_references_hold() {
         let held = [

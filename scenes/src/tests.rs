@@ -1,4 +1,4 @@
-//! What is read, and the sentence for what is not.
+//! Values that are read, and the sentences for refusals.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -35,7 +35,7 @@ fn shipped_scenes_say_only_what_differs() {
     }
 }
 
-/// The double nearest to what is written, as any other reader finds it: without `float_roundtrip` it is the one beside it.
+/// The double nearest to the decimal number, as any other reader finds it: without `float_roundtrip` it is a neighbour.
 #[test]
 fn numbers_are_read_to_the_last_bit() {
     let scene = Scene::read("singular_crossing").expect("a shipped scene");

@@ -29,7 +29,7 @@ impl Value {
         }
     }
 
-    /// What a file gives a variable.
+    /// Value of a variable from a file.
     pub(crate) fn read(variable: &Variable, given: &Json) -> Result<Self> {
         let (typed, wanted) = match &variable.kind {
             Kind::Real { bounds, .. } => (

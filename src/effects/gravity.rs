@@ -30,7 +30,7 @@ impl Parameters {
         }
         if g < 0.0 {
             return Err(SceneError(format!(
-                "gravity.g = {g} m/s2 is not allowed: it must be 0 or positive; gravity.direction turns it round."
+                "gravity.g = {g} m/s2 is not allowed: it must be 0 or positive; gravity.direction reverses it."
             )));
         }
         let (sin, cos) = libm::sincos(direction);

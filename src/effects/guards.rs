@@ -339,7 +339,7 @@ impl<'a> GuardValues<'a> {
     /// Whether the largest penetration over a step, for a method that evaluates its ends only, exceeds that of the ends by no more than
     /// half of it or by the event tolerance. Between two ends in contact the penetration is taken as the cubic Hermite polynomial.
     pub fn endpoints_bound_penetration(ends: [&Self; 2], duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-    /// Largest allowed penetration over the penetration at the ends: the half more is within the accuracy of a step of this size.
+        /// Largest allowed penetration over the penetration at the ends: the half more is within the accuracy of a step of this size.
         const DEEPER: f64 = 1.5;
         let [from, to] = ends;
         from.springs.iter().zip(&to.springs).all(|(from, to)| {

@@ -132,7 +132,10 @@ impl BorshSerialize for History {
 impl BorshDeserialize for History {
     fn deserialize_reader<R: std::io::Read>(reader: &mut R) -> std::io::Result<Self> {
         let all = Vec::<Past>::deserialize_reader(reader)?;
-        all.as_slice().try_into().map(Self).map_err(|_| std::io::Error::other("more is remembered than there is place for"))
+        all.as_slice()
+            .try_into()
+            .map(Self)
+            .map_err(|_| std::io::Error::other("the history of the estimator is longer than its capacity"))
     }
 }
 

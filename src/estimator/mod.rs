@@ -328,15 +328,15 @@ impl Estimator {
     pub fn check(&self, constants: &Constants, theta: &Links, omega: &Links) -> Result<(), &'static str> {
         let same = |a: &Links, b: &Links| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
         if !same(&self.track.theta, theta) || !same(&self.track.omega, omega) {
-            return Err("its estimate is not the motion");
+            return Err("its estimate differs from the simulated motion");
         }
         let mut tracks = std::iter::once(&self.track).chain(self.branches.tracks()).chain(self.assembly.tracks());
         if !tracks.all(|track| track.is_sound(&constants.linkage)) {
-            return Err("its estimate is none");
+            return Err("its estimate has a state or covariance that is not valid");
         }
         let heard = self.encoders.iter().all(Encoder::is_sound);
         if !heard || !self.history.is_sound() || !self.forecast.is_sound(&constants.linkage) {
-            return Err("what its estimator remembers is none");
+            return Err("a sample, the history or the forecast of its estimator is not valid");
         }
         let numbers = self.innovation.iter().chain([&self.nis, &self.diverged]);
         if !numbers.chain(&self.alarm.numbers()).all(|x| x.is_finite()) || !self.branches.is_sound() || !self.assembly.is_sound() {

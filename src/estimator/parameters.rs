@@ -67,7 +67,7 @@ impl Parameters {
         let most = (REMEMBERED / 2 - 1) as f64 * step_size;
         if self.max_delay > most {
             return Err(SceneError(format!(
-                "estimator.maxDelay = {:?} s is not allowed: at most {} steps of solver.stepSize = {step_size:?} s are remembered.",
+                "estimator.maxDelay = {:?} s is not allowed: it must be at most {} steps of solver.stepSize = {step_size:?} s.",
                 self.max_delay,
                 REMEMBERED / 2 - 1
             )));

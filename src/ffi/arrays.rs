@@ -5,7 +5,7 @@ use std::ffi::CStr;
 use super::fmi2String;
 use crate::fmi::CallError;
 
-/// An array to read; null is as good as empty where the length is 0.
+/// Slice of a C array; null is allowed where the length is 0.
 ///
 /// # Safety
 /// `pointer` is null or points to `length` initialised values that do not change while the slice is in use.
@@ -18,12 +18,12 @@ pub(super) unsafe fn slice<'a, T>(name: &str, pointer: *const T, length: usize) 
     Ok(unsafe { std::slice::from_raw_parts(pointer, length) })
 }
 
-/// Refuses null.
+/// Refuses a null pointer by its name.
 pub(super) fn not_null<T>(name: &str, pointer: *const T) -> Result<(), CallError> {
     if pointer.is_null() { Err(CallError::error(format!("{name} is null."))) } else { Ok(()) }
 }
 
-/// A string to read.
+/// UTF-8 text of a C string.
 ///
 /// # Safety
 /// `pointer` is null or points to a string that ends with a zero byte and does not change while the result is in use.

@@ -99,7 +99,7 @@ pub unsafe extern "C" fn fmi2FreeInstance(c: fmi2Component) {
     }
 }
 
-/// Which log categories are passed on (section 2.1.5).
+/// Selects the log categories that are passed on (section 2.1.5).
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].

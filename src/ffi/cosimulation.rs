@@ -6,7 +6,7 @@ use super::types::{fmi2Boolean, fmi2Component, fmi2Integer, fmi2Real, fmi2Status
 use crate::fmi::status::StatusKind;
 use crate::fmi::{Call, Instance};
 
-/// One communication step (section 4.2.2). Stored states belong to the master, so nothing is done with the last argument.
+/// Takes one communication step (section 4.2.2). Stored states belong to the master, so the last argument is ignored.
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].
@@ -66,10 +66,10 @@ pub unsafe extern "C" fn fmi2GetBooleanStatus(c: fmi2Component, s: fmi2StatusKin
     unsafe { guard(c, Call::GetBooleanStatus, body) }
 }
 
-/// Defines the status functions that have nothing to tell: fmi2Discard (section 4.2.3).
+/// Defines the status functions without a status of their type: fmi2Discard (section 4.2.3).
 macro_rules! unavailable_status {
     ($($name:ident: $call:ident, $kind:ty;)+) => {$(
-        /// fmi2Discard: there is nothing of this type to tell (section 4.2.3).
+        /// fmi2Discard: no status of this type is available (section 4.2.3).
         ///
         /// # Safety
         /// See the contract of [`crate::ffi`].

@@ -8,7 +8,7 @@ use super::guard::guard;
 use super::types::{fmi2Component, fmi2Integer, fmi2Real, fmi2Status, fmi2ValueReference};
 use crate::fmi::{Call, Instance};
 
-/// How unknowns change with knowns that change by `dvKnown` (section 2.1.9).
+/// Changes of the unknowns for changes `dvKnown` of the knowns (section 2.1.9).
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].

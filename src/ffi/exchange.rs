@@ -7,7 +7,7 @@ use super::guard::guard;
 use super::types::{fmi2Boolean, fmi2Component, fmi2EventInfo, fmi2False, fmi2Real, fmi2Status};
 use crate::fmi::{Call, CallError, Instance, STATES};
 
-/// A new time, s (section 3.2.1).
+/// Sets the time, s (section 3.2.1).
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].
@@ -17,7 +17,7 @@ pub unsafe extern "C" fn fmi2SetTime(c: fmi2Component, time: fmi2Real) -> fmi2St
     unsafe { guard(c, Call::SetTime, |instance| instance.set_time(time)) }
 }
 
-/// New states (section 3.2.1); discarded, with everything as before, where theta and omega are no coordinates.
+/// Sets the states (section 3.2.1); discarded, with the instance unchanged, where theta and omega are no coordinates.
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].
@@ -42,7 +42,7 @@ pub unsafe extern "C" fn fmi2EnterEventMode(c: fmi2Component) -> fmi2Status {
     unsafe { guard(c, Call::EnterEventMode, Instance::enter_event_mode) }
 }
 
-/// Parameters that have been set act from now on (section 3.2.2); one call is enough.
+/// Puts parameters that were set into force (section 3.2.2); one call is enough.
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].
@@ -76,7 +76,7 @@ pub unsafe extern "C" fn fmi2EnterContinuousTimeMode(c: fmi2Component) -> fmi2St
     unsafe { guard(c, Call::EnterContinuousTimeMode, Instance::enter_continuous_time_mode) }
 }
 
-/// The master has accepted a step (section 3.2.2); neither an event nor the end follows from it.
+/// Accepts a step of the master's integrator (section 3.2.2); neither an event nor the end follows from it.
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].
@@ -102,11 +102,11 @@ pub unsafe extern "C" fn fmi2CompletedIntegratorStep(
     unsafe { guard(c, Call::CompletedIntegratorStep, body) }
 }
 
-/// Hands over all of some numbers, where the caller has as many places.
+/// Writes `N` numbers to an array of the caller, whose length must be `N`.
 ///
 /// # Safety
 /// `values` is null or has `length` places.
-unsafe fn hand_over<const N: usize>(
+unsafe fn write_array<const N: usize>(
     (name, values): (&str, *mut fmi2Real),
     (length_name, length): (&str, size_t),
     found: impl FnOnce() -> Result<[f64; N], CallError>,
@@ -132,7 +132,7 @@ macro_rules! arrays {
         pub unsafe extern "C" fn $name(c: fmi2Component, $values: *mut fmi2Real, $length: size_t) -> fmi2Status {
             let body = |instance: &mut Instance| {
                 // SAFETY: the caller vouches for the array.
-                unsafe { hand_over((stringify!($values), $values), (stringify!($length), $length), || $found(instance)) }
+                unsafe { write_array((stringify!($values), $values), (stringify!($length), $length), || $found(instance)) }
             };
             // SAFETY: the caller vouches for the component.
             unsafe { guard(c, Call::$call, body) }
@@ -141,12 +141,12 @@ macro_rules! arrays {
 }
 
 arrays! {
-    /// Derivatives of the states (section 3.2.2).
+    /// Derivatives of the states with respect to time (section 3.2.2).
     fmi2GetDerivatives(derivatives, nx): GetDerivatives => Instance::state_derivatives;
-    /// Numbers that change sign at an event (section 3.2.2).
+    /// Event indicators: a sign change is an event (section 3.2.2).
     fmi2GetEventIndicators(eventIndicators, ni): GetEventIndicators => Instance::event_indicators;
     /// The states (section 3.2.2).
     fmi2GetContinuousStates(x, nx): GetContinuousStates => Instance::continuous_states;
-    /// How large the states are, 1 rad and 1 rad/s (section 3.2.2).
+    /// Nominal values of the states, 1 rad and 1 rad/s (section 3.2.2).
     fmi2GetNominalsOfContinuousStates(x_nominal, nx): GetNominalsOfContinuousStates => |_: &mut Instance| Ok([1.0; STATES]);
 }

@@ -1,4 +1,4 @@
-//! The one door: every call with an instance passes [`guard`].
+//! Entry of every call with an instance: null component, order of calls, panics, log.
 
 use std::any::Any;
 use std::ffi::CString;
@@ -7,13 +7,13 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use super::types::{fmi2CallbackFunctions, fmi2Component, fmi2Error, fmi2Fatal, fmi2Status, number};
 use crate::fmi::{Call, CallError, Instance, Kind, Message, Status};
 
-/// What an fmi2Component points to.
+/// Target of an fmi2Component.
 pub(super) struct Component {
     pub(super) instance: Instance,
-    /// Handed back to the logger.
+    /// Name of the instance, handed back to the logger.
     name: CString,
     callbacks: fmi2CallbackFunctions,
-    /// Set by a panic: the instance may be half-changed and can only be freed.
+    /// True after a panic: the instance may be half-changed and can only be freed.
     poisoned: bool,
 }
 
@@ -27,7 +27,7 @@ impl Component {
         let Some(logger) = callbacks.logger else {
             return;
         };
-        // The text takes the place of a printf format, so % is doubled; a zero byte would end it.
+        // The text is passed as a printf format, so % is doubled; a zero byte would end it.
         let text = message.text.replace('%', "%%").replace('\0', " ");
         let (Ok(text), Ok(category)) = (CString::new(text), CString::new(message.status.category().name())) else {
             return;
@@ -39,18 +39,18 @@ impl Component {
         }
     }
 
-    /// Sends what has gathered in the instance's log.
+    /// Sends the messages queued in the instance's log.
     #[inline(always)]
     pub(super) fn send_all(&mut self) {
         if !self.instance.log.is_empty() {
-            self.send_gathered();
+            self.send_queue();
         }
     }
 
-    /// Logs why a call is refused; its status.
+    /// Logs the refusal of a call and returns its status.
     #[cold]
     #[inline(never)]
-    fn rejected(&mut self, call: Call, rejection: &CallError) -> Status {
+    fn refuse(&mut self, call: Call, rejection: &CallError) -> Status {
         self.instance.log.push(rejection.status, || format!("{call}: {}", rejection.message));
         rejection.status
     }
@@ -58,7 +58,7 @@ impl Component {
     /// Logs a panic, after which the instance may be half-changed.
     #[cold]
     #[inline(never)]
-    fn poisoned_by(&mut self, call: Call, panic: &(dyn Any + Send)) -> Status {
+    fn poison(&mut self, call: Call, panic: &(dyn Any + Send)) -> Status {
         self.poisoned = true;
         self.instance.log.push(Status::Fatal, || {
             format!("{call}: defect of the library, the instance can only be freed: {}", panic_text(panic))
@@ -68,7 +68,7 @@ impl Component {
 
     #[cold]
     #[inline(never)]
-    fn send_gathered(&mut self) {
+    fn send_queue(&mut self) {
         for message in self.instance.log.drain() {
             Self::send(&self.name, &self.callbacks, &message);
         }
@@ -93,18 +93,18 @@ pub(super) unsafe fn guard(
         return fmi2Fatal;
     }
     let instance = &mut component.instance;
-    // Unwind safe: after a panic nothing of the instance is used but its log, which only holds whole messages.
+    // Unwind safe: after a panic only the log of the instance is used, which holds whole messages only.
     let status =
         match catch_unwind(AssertUnwindSafe(|| call.require(instance.kind(), instance.stage()).and_then(|()| body(instance)))) {
             Ok(Ok(())) => Status::Ok,
-            Ok(Err(rejection)) => component.rejected(call, &rejection),
-            Err(panic) => component.poisoned_by(call, &*panic),
+            Ok(Err(rejection)) => component.refuse(call, &rejection),
+            Err(panic) => component.poison(call, &*panic),
         };
     component.send_all();
     number(status)
 }
 
-/// What a panic says.
+/// Text of a panic.
 pub(super) fn panic_text(panic: &(dyn Any + Send)) -> &str {
     match (panic.downcast_ref::<&str>(), panic.downcast_ref::<String>()) {
         (Some(text), _) => text,
@@ -142,8 +142,8 @@ mod tests {
     fn component(lines: &mut Vec<String>) -> fmi2Component {
         let record = record as *const c_void;
         let callbacks = fmi2CallbackFunctions {
-            // SAFETY: with the usual calling conventions a function that ignores further arguments can be called as a
-            // variadic one; this is what masters written in C with five parameters do.
+            // SAFETY: with the usual calling conventions a function that ignores further arguments can be called as a variadic one;
+            // masters written in C with five parameters do so.
             logger: Some(unsafe { std::mem::transmute::<*const c_void, super::super::fmi2CallbackLogger>(record) }),
             allocateMemory: None,
             freeMemory: None,

@@ -1,18 +1,19 @@
-//! The C border: FMI 2.0 for co-simulation and model exchange, function by function.
+//! The C interface: FMI 2.0 for co-simulation and model exchange, function by function.
 //!
 //! | file | holds |
 //! | --- | --- |
 //! | `types.rs` | fmi2TypesPlatform.h and the types of fmi2FunctionTypes.h, names unchanged |
-//! | `guard.rs` | the one door: null component, order of calls, panic, log |
+//! | `guard.rs` | entry of every call: null component, order of calls, panic, log |
 //! | `arrays.rs` | C arrays and strings as slices, nulls refused |
 //! | `common.rs` | functions common to all FMUs (FMI 2.0.4, section 2.1) |
 //! | `cosimulation.rs` | functions for co-simulation (section 4.2.1) |
 //! | `exchange.rs` | functions for model exchange (section 3.2) |
-//! | `derivatives.rs` | directional derivatives (section 2.1.9), those of inputs and outputs with respect to time (section 4.2.1) |
+//! | `derivatives.rs` | directional derivatives (section 2.1.9), derivatives of inputs and outputs with respect to time (section
+//! 4.2.1) |
 //!
 //! # Safety
 //!
-//! The contract, the same for every function. What is checked is answered by a status; the rest is up to the caller.
+//! One contract holds for every function. Checked conditions are answered by a status; the others are up to the caller.
 //!
 //! Checked here:
 //! - a null component, null arrays (allowed with length 0), null results, null strings;
@@ -28,13 +29,11 @@
 //! - the callbacks stay valid until the instance is freed; the logger does not call back into the same instance and
 //!   does not unwind.
 //!
-//! The caller owns every pointer it passes: nothing of it is kept but the callbacks and the component environment. The
-//! strings of [`fmi2GetVersion`] and [`fmi2GetTypesPlatform`] are static. The memory callbacks and stepFinished are not
-//! used.
+//! The caller owns every pointer it passes: only the callbacks and the component environment are kept. The strings of
+//! [`fmi2GetVersion`] and [`fmi2GetTypesPlatform`] are static. The memory callbacks and stepFinished are not used.
 //!
-//! This library prints nothing. The one exception is Rust's panic hook, which writes the place of a defect to stderr
-//! before the panic is caught: a hook of our own would be global state that outlives the instances, and the line is
-//! what a bug report needs.
+//! Nothing is printed. The one exception is Rust's panic hook, which writes the place of a defect to stderr before the panic is
+//! caught: a hook of our own would be global state that outlives the instances, and a bug report needs the line.
 
 #![allow(unsafe_code, reason = "raw pointers come in here and go no further")]
 #![allow(non_camel_case_types, non_snake_case, non_upper_case_globals, reason = "the names are those of the standard's headers")]

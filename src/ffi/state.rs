@@ -18,10 +18,10 @@ unsafe fn stored<'a>(state: fmi2FMUstate) -> Result<&'a Snapshot, CallError> {
     unsafe { state.cast::<Snapshot>().as_ref() }.ok_or_else(|| CallError::error("FMUstate is null."))
 }
 
-/// Copies a snapshot into the place that `state` points to: a new one if there is null, otherwise over the old one.
+/// Copies a snapshot to `*state`: into a new one where `*state` is null, otherwise over the old one.
 ///
 /// # Safety
-/// `state` is not null, and what it points to is null or comes from this library and has not been freed.
+/// `state` is not null, and `*state` is null or comes from this library and has not been freed.
 unsafe fn store(state: *mut fmi2FMUstate, snapshot: &Snapshot) {
     // SAFETY: the caller vouches for both pointers.
     unsafe {
@@ -32,7 +32,7 @@ unsafe fn store(state: *mut fmi2FMUstate, snapshot: &Snapshot) {
     }
 }
 
-/// Stores everything that the instance holds but its log; where `*FMUstate` is null a new state is made, otherwise it is overwritten.
+/// Stores the state of the instance without its log; where `*FMUstate` is null a new state is made, otherwise it is overwritten.
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].
@@ -48,7 +48,7 @@ pub unsafe extern "C" fn fmi2GetFMUstate(c: fmi2Component, FMUstate: *mut fmi2FM
     unsafe { guard(c, Call::GetFMUstate, body) }
 }
 
-/// Puts the instance into a stored state, of whichever instance of this FMU.
+/// Restores a stored state, made by any instance of this FMU.
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].
@@ -60,7 +60,7 @@ pub unsafe extern "C" fn fmi2SetFMUstate(c: fmi2Component, FMUstate: fmi2FMUstat
     unsafe { guard(c, Call::SetFMUstate, body) }
 }
 
-/// Frees a stored state and makes the pointer to it null; null is allowed, once or twice.
+/// Frees a stored state and sets the pointer to null; a null state or a null pointer to it is allowed.
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].
@@ -99,7 +99,7 @@ pub unsafe extern "C" fn fmi2SerializedFMUstateSize(c: fmi2Component, FMUstate: 
     unsafe { guard(c, Call::SerializedFMUstateSize, body) }
 }
 
-/// Writes the state as bytes; `size` must be at least what fmi2SerializedFMUstateSize says.
+/// Writes the state as bytes; `size` must be at least the number from fmi2SerializedFMUstateSize.
 ///
 /// # Safety
 /// See the contract of [`crate::ffi`].

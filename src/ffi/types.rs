@@ -8,7 +8,7 @@ use crate::fmi::Status;
 
 /// An instance.
 pub type fmi2Component = *mut c_void;
-/// Whatever the master wants handed back to its logger.
+/// Pointer of the master, handed back to its logger.
 pub type fmi2ComponentEnvironment = *mut c_void;
 /// A stored state.
 pub type fmi2FMUstate = *mut c_void;
@@ -32,11 +32,11 @@ pub const fmi2True: fmi2Boolean = 1;
 /// False.
 pub const fmi2False: fmi2Boolean = 0;
 
-/// What a call returns.
+/// Status of a call.
 pub type fmi2Status = c_int;
 /// Done.
 pub const fmi2OK: fmi2Status = 0;
-/// Done, but probably not what was meant.
+/// Done, with a probable mistake of the master.
 pub const fmi2Warning: fmi2Status = 1;
 /// Could not be done.
 pub const fmi2Discard: fmi2Status = 2;
@@ -52,7 +52,7 @@ pub const fmi2ModelExchange: fmi2Type = 0;
 /// Co-simulation.
 pub const fmi2CoSimulation: fmi2Type = 1;
 
-/// What an event has changed.
+/// Result of fmi2NewDiscreteStates.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct fmi2EventInfo {
@@ -60,17 +60,17 @@ pub struct fmi2EventInfo {
     pub newDiscreteStatesNeeded: fmi2Boolean,
     /// Whether the simulation must end.
     pub terminateSimulation: fmi2Boolean,
-    /// Whether the nominal values of the states are others.
+    /// Whether nominal values of the states have changed.
     pub nominalsOfContinuousStatesChanged: fmi2Boolean,
-    /// Whether the states are others.
+    /// Whether values of the states have changed.
     pub valuesOfContinuousStatesChanged: fmi2Boolean,
-    /// Whether the next event is known.
+    /// Whether the time of the next event is known.
     pub nextEventTimeDefined: fmi2Boolean,
-    /// When it is, s.
+    /// Time of the next event, s.
     pub nextEventTime: fmi2Real,
 }
 
-/// What a status function is asked for; see [`crate::fmi::status::StatusKind`].
+/// Kind of status; see [`crate::fmi::status::StatusKind`].
 pub type fmi2StatusKind = c_int;
 
 /// The master's logger. The message is finished text: no further arguments follow, and `%` is doubled.

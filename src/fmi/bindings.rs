@@ -1,7 +1,7 @@
-//! Variables ↔ parameters and inputs: one line per variable, the same for reading and writing.
+//! Variables ↔ parameters and inputs: one match arm per variable for reading and writing.
 //!
 //! The matches are exhaustive over the enums that `build.rs` makes from the XML, so a variable that is not bound here
-//! does not compile. What is computed is bound in `computed.rs`.
+//! does not compile. Computed variables are bound in `computed.rs`.
 
 use crate::effects::{self, payload};
 use crate::estimator::{self, Measured};
@@ -12,7 +12,7 @@ use crate::variables::{
     Variable, VariableId,
 };
 
-/// The place of a Real parameter.
+/// Field of a Real parameter.
 fn real_parameter(p: &mut Parameters, variable: RealParameter) -> &mut f64 {
     use RealParameter as V;
     let effects = &mut p.effects;
@@ -69,7 +69,7 @@ fn real_parameter(p: &mut Parameters, variable: RealParameter) -> &mut f64 {
     }
 }
 
-/// The place of an Integer parameter.
+/// Field of an Integer parameter.
 fn integer_parameter(p: &mut Parameters, variable: IntegerParameter) -> &mut u32 {
     match variable {
         IntegerParameter::SolverMaxIterations => &mut p.settings.max_iterations,
@@ -77,7 +77,7 @@ fn integer_parameter(p: &mut Parameters, variable: IntegerParameter) -> &mut u32
     }
 }
 
-/// The place of a Boolean parameter.
+/// Field of a Boolean parameter.
 fn boolean_parameter(p: &mut Parameters, variable: BooleanParameter) -> &mut bool {
     match variable {
         BooleanParameter::SolverAdaptive => &mut p.settings.adaptive,
@@ -94,8 +94,8 @@ fn boolean_parameter(p: &mut Parameters, variable: BooleanParameter) -> &mut boo
     }
 }
 
-/// The place of an Enumeration parameter.
-fn enumeration_parameter(p: &mut Parameters, variable: EnumerationParameter) -> &mut dyn Choice {
+/// Field of an Enumeration parameter.
+fn enumeration_parameter(p: &mut Parameters, variable: EnumerationParameter) -> &mut dyn XmlEnumeration {
     match variable {
         EnumerationParameter::InitAssembly => &mut p.start.assembly,
         EnumerationParameter::SolverMethod => &mut p.settings.method,
@@ -106,7 +106,7 @@ fn enumeration_parameter(p: &mut Parameters, variable: EnumerationParameter) -> 
     }
 }
 
-/// The place of an input.
+/// Field of an input.
 pub(super) fn real_input(inputs: &mut Inputs, variable: RealInput) -> &mut f64 {
     match variable {
         RealInput::Tau(i) => &mut inputs.tau[i],
@@ -117,7 +117,7 @@ pub(super) fn real_input(inputs: &mut Inputs, variable: RealInput) -> &mut f64 {
     }
 }
 
-/// The place of a sample.
+/// Field of a sample.
 pub(super) fn real_sample(measured: &mut Measured, variable: RealSample) -> &mut f64 {
     match variable {
         RealSample::MeasuredTheta(i) => &mut measured.theta[i],
@@ -125,21 +125,21 @@ pub(super) fn real_sample(measured: &mut Measured, variable: RealSample) -> &mut
     }
 }
 
-/// A choice of the library, as the number of an item of the XML.
-trait Choice {
+/// An enumeration of the library whose items have numbers in the XML.
+trait XmlEnumeration {
     fn number(&self) -> i32;
     /// False where no item has that number.
-    fn choose(&mut self, number: i32) -> bool;
+    fn set_number(&mut self, number: i32) -> bool;
 }
 
 /// Ties a type of the library to the enumeration of the XML whose items have the same names.
-macro_rules! choice {
+macro_rules! xml_enumeration {
     ($ours:ty = $items:ty { $($name:ident),+ }) => {
-        impl Choice for $ours {
+        impl XmlEnumeration for $ours {
             fn number(&self) -> i32 {
                 match self { $(Self::$name => <$items>::$name as i32),+ }
             }
-            fn choose(&mut self, number: i32) -> bool {
+            fn set_number(&mut self, number: i32) -> bool {
                 match <$items>::from_number(number) {
                     $(Some(<$items>::$name) => *self = Self::$name,)+
                     None => return false,
@@ -150,11 +150,11 @@ macro_rules! choice {
     };
 }
 
-choice!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4, Dop853, I3alpConserving, Automatic });
-choice!(payload::Join = variables::Join { AtRest, WithTip });
-choice!(estimator::Bands = variables::Bands { Linear, SigmaPoints });
-choice!(mechanism::Assembly = variables::Assembly { Plus, Minus });
-choice!(effects::Law = variables::Law { Smooth, Stick });
+xml_enumeration!(simulation::Method = variables::Method { I3alp, I3alpPrinted, Rk4, Dop853, I3alpConserving, Automatic });
+xml_enumeration!(payload::Join = variables::Join { AtRest, WithTip });
+xml_enumeration!(estimator::Bands = variables::Bands { Linear, SigmaPoints });
+xml_enumeration!(mechanism::Assembly = variables::Assembly { Plus, Minus });
+xml_enumeration!(effects::Law = variables::Law { Smooth, Stick });
 
 /// The name of a method as in the XML.
 pub(super) fn method_name(method: simulation::Method) -> &'static str {
@@ -167,7 +167,7 @@ pub(super) fn read_parameter(parameters: &mut Parameters, variable: &Variable) -
     Some(match variable.id {
         VariableId::RealParameter(v) => Value::Real(*real_parameter(parameters, v)),
         VariableId::IntegerParameter(v) => {
-            // What was written came from an i32, or is the start value, which the table holds as one.
+            // A value was written from an i32 or is the start value, which the table holds as one.
             Value::Integer(i32::try_from(*integer_parameter(parameters, v)).unwrap_or(i32::MAX))
         }
         VariableId::BooleanParameter(v) => Value::Boolean(*boolean_parameter(parameters, v)),
@@ -191,7 +191,7 @@ pub(super) fn write_parameter(parameters: &mut Parameters, variable: &Variable, 
             Err(_) => return false,
         },
         (VariableId::BooleanParameter(v), Value::Boolean(b)) => *boolean_parameter(parameters, v) = b,
-        (VariableId::EnumerationParameter(v), Value::Integer(n)) => return enumeration_parameter(parameters, v).choose(n),
+        (VariableId::EnumerationParameter(v), Value::Integer(n)) => return enumeration_parameter(parameters, v).set_number(n),
         _ => return false,
     }
     true
@@ -222,15 +222,15 @@ pub(super) fn inputs() -> impl Iterator<Item = (&'static Variable, RealInput)> {
 
 /// The scene that a fresh instance has: the start values of the XML.
 pub fn default_parameters() -> Parameters {
-    starts().0
+    start_values().0
 }
 
 /// The inputs that a fresh instance has: the start values of the XML.
 pub fn default_inputs() -> Inputs {
-    starts().1
+    start_values().1
 }
 
-fn starts() -> (Parameters, Inputs) {
+fn start_values() -> (Parameters, Inputs) {
     let (mut parameters, mut inputs) = Default::default();
     for variable in VARIABLES {
         // Nothing has been measured: `Measured::default`.
@@ -260,7 +260,7 @@ mod tests {
 
     #[test]
     fn starts_are_those_of_the_xml() {
-        let (mut parameters, mut inputs) = starts();
+        let (mut parameters, mut inputs) = start_values();
         for variable in VARIABLES {
             assert_eq!(read(&mut parameters, &mut inputs, variable), variable.start, "{}", variable.name);
         }
@@ -270,7 +270,7 @@ mod tests {
 
     #[test]
     fn what_is_written_is_read_and_nothing_else_changes() {
-        let (mut parameters, mut inputs) = starts();
+        let (mut parameters, mut inputs) = start_values();
         let set_one_by_one = |v: &&Variable| v.start.is_some() && !matches!(v.id, VariableId::RealSample(_));
         for variable in VARIABLES.iter().filter(set_one_by_one) {
             let value = match (variable.fmi_type(), variable.items()) {

@@ -1,4 +1,4 @@
-//! Communication points and the step grid (FMI 2.0.4, section 4.2.2; the grid is this project's own).
+//! Communication points and macro steps (FMI 2.0.4, section 4.2.2; macro steps are this project's own).
 //!
 //! The simulated system does not depend on time, so the clock only checks the master's points and turns a
 //! communication step H into macro steps: if H is k times the macro step h, k steps of exactly h, counted as integers;
@@ -9,16 +9,16 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::{CallError, Kind};
 
-/// Relative tolerance to which a master's points and steps are taken as what was meant.
+/// Relative tolerance within which a master's points and step sizes count as the planned ones.
 const RELATIVE: f64 = 1e-9;
 
 /// Rounding of H when the master computes it as a difference of two points, in ulps of the larger point.
 const ULPS: f64 = 4.0;
 
-/// More macro steps than this in one call would take minutes at least.
+/// Largest number of macro steps in one call, which would take minutes at least.
 const MOST_STEPS: f64 = 1e9;
 
-/// The master's clock.
+/// Clock of an instance: start, end and last communication point, s.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Clock {
     point: f64,
@@ -32,12 +32,12 @@ pub struct Plan {
     pub h: f64,
     /// Number of macro steps.
     pub steps: u64,
-    /// The communication point reached by them, s.
+    /// Communication point at the end of the last macro step, s.
     end: f64,
 }
 
 impl Clock {
-    /// fmi2SetupExperiment: a clock at `start`, s, with an end that must not be passed, where one is given.
+    /// fmi2SetupExperiment: a clock at `start`, s; the end `stop`, s, must not be passed.
     pub fn new(start: f64, stop: Option<f64>) -> Result<Self, CallError> {
         if !start.is_finite() {
             return Err(CallError::error(format!("startTime is {start} s, must be finite.")));
@@ -53,18 +53,18 @@ impl Clock {
         }
     }
 
-    /// Refuses a clock that no run can have.
+    /// Refuses a stored clock that no run can have reached.
     pub(super) fn check(&self, kind: Kind) -> Result<(), CallError> {
         let stop = match kind {
-            // Whoever integrates may try any time.
+            // An integrator of the master may try any time.
             Kind::ModelExchange => None,
-            // The last point may be past the end by rounding.
+            // Rounding may put the last point past the end.
             Kind::CoSimulation => self.stop.map(|stop| stop + slack(stop)),
         };
         Self::new(self.point, stop).map(drop)
     }
 
-    /// fmi2SetTime: forward or back, s.
+    /// fmi2SetTime: sets the time, s, forward or backward.
     pub(super) fn set(&mut self, time: f64) -> Result<(), CallError> {
         if !time.is_finite() {
             return Err(CallError::error(format!("time is {time} s, must be finite.")));
@@ -73,7 +73,7 @@ impl Clock {
         Ok(())
     }
 
-    /// Refuses to have come past the end, but by rounding.
+    /// Refuses a time past the end by more than rounding.
     pub(super) fn check_end(&self) -> Result<(), CallError> {
         match self.stop {
             Some(stop) if self.point > stop + slack(stop) => {
@@ -83,7 +83,7 @@ impl Clock {
         }
     }
 
-    /// The communication point reached, s.
+    /// Last communication point, s.
     pub fn point(&self) -> f64 {
         self.point
     }
@@ -98,13 +98,13 @@ impl Clock {
         if let Some(stop) = self.stop
             && end > stop + tolerance(stop, size)
         {
-            return Err(past(stop, point, end, size));
+            return Err(past_end(stop, point, end, size));
         }
-        let (h, steps) = if size == h { (h, 1) } else { grid(point, size, h)? };
+        let (h, steps) = if size == h { (h, 1) } else { divide(point, size, h)? };
         Ok(Plan { h, steps, end })
     }
 
-    /// What is wrong with a communication step, whose point is the `expected` one or not.
+    /// The refusal of a communication step: wrong point, size that is not positive, or end passed.
     #[cold]
     fn refusal(&self, point: f64, size: f64, expected: bool) -> CallError {
         CallError::error(if !(size > 0.0 && size.is_finite()) {
@@ -116,16 +116,16 @@ impl Clock {
         })
     }
 
-    /// The planned step has been taken.
+    /// Moves the clock to the end of the planned step.
     pub fn advance(&mut self, plan: Plan) {
         self.point = plan.end;
     }
 }
 
-/// The refusal of a step past the end. A master that loops while its own sum of step sizes is below stopTime makes one step too many
-/// where the sum has come out too small: it is told by how much.
+/// The refusal of a step past the end. A master that loops while its own sum of step sizes is below stopTime makes one step too
+/// many where the sum is too small by rounding; the message names the difference.
 #[cold]
-fn past(stop: f64, point: f64, end: f64, size: f64) -> CallError {
+fn past_end(stop: f64, point: f64, end: f64, size: f64) -> CallError {
     let left = stop - point;
     let start = if left <= 0.0 {
         "at stopTime".to_owned()
@@ -139,19 +139,19 @@ fn past(stop: f64, point: f64, end: f64, size: f64) -> CallError {
     ))
 }
 
-/// Rounding at the end, s.
+/// Rounding allowed at the end, s.
 fn slack(stop: f64) -> f64 {
     RELATIVE * stop.abs().max(1.0)
 }
 
-/// How far a point may be off and still be meant: relative to the magnitude of the clock, which may have accumulated
-/// the rounding of millions of steps, but always less than would hide half a step.
+/// Tolerance of a communication point, s: relative to the magnitude of the clock, since a master's sum may have accumulated the
+/// rounding of millions of steps, but less than half a step.
 fn tolerance(point: f64, size: f64) -> f64 {
     (RELATIVE * point.abs().max(size)).min(0.5 * size)
 }
 
-/// A communication step of `size` seconds from `point` as macro steps: their length and number.
-fn grid(point: f64, size: f64, h: f64) -> Result<(f64, u64), CallError> {
+/// Length, s, and number of the macro steps of a communication step of `size` seconds from `point`.
+fn divide(point: f64, size: f64, h: f64) -> Result<(f64, u64), CallError> {
     let ratio = size / h;
     if ratio > MOST_STEPS {
         return Err(CallError::error(format!("communicationStepSize is {size:?} s, more than 1e9 times solver.stepSize {h:?} s.")));
@@ -174,29 +174,29 @@ mod tests {
     #[test]
     fn the_step_grid() {
         for (point, size, h, expected) in [
-            // Multiples: exactly h, as often as it fits.
+            // Multiples of h give steps of exactly h.
             (0.0, 1e-3, H, (H, 1)),
             (0.0, 0.01, H, (H, 10)),
             (0.0, 50.0, H, (H, 50_000)),
             (0.3, 0.1 + 0.2 - 0.3 + 1e-3, H, (H, 1)),
-            // A difference of two points carries the rounding of the points.
+            // A difference of two points carries their rounding.
             (1e4, 10_000.001 - 10_000.0, H, (H, 1)),
             (1e7, 10_000_000.001 - 10_000_000.0, H, (H, 1)),
-            // Within 1e-9 of a multiple, and just outside.
+            // Sizes within 1e-9 of a multiple, and just outside.
             (0.0, 1e-3 * (1.0 + 0.9e-9), H, (H, 1)),
             (0.0, 1e-3 * (1.0 + 1.2e-9), H, (1e-3 * (1.0 + 1.2e-9) / 2.0, 2)),
-            // Not a multiple: equal steps, at most h.
+            // Sizes that are no multiple give equal steps of at most h.
             (0.0, 1.0 / 60.0, H, (1.0 / 60.0 / 17.0, 17)),
             (0.0, 2.5e-3, H, (2.5e-3 / 3.0, 3)),
             (0.0, 4e-4, H, (4e-4, 1)),
             (0.0, 6e-4, H, (6e-4, 1)),
             (0.0, 1.0 / 60.0, 1.0 / 60.0, (1.0 / 60.0, 1)),
         ] {
-            assert_eq!(grid(point, size, h).expect("a grid"), expected, "H = {size:?} at {point:?}");
+            assert_eq!(divide(point, size, h).expect("a grid"), expected, "H = {size:?} at {point:?}");
         }
     }
 
-    /// Steps until `steps` are done; the point of each is given by the master's own arithmetic.
+    /// Takes communication steps until `steps` are done; `next` computes each point as the master does.
     fn run(start: f64, size: f64, steps: u64, mut next: impl FnMut(u64, f64) -> f64) {
         let mut clock = Clock::new(start, Some(start + size * steps as f64)).expect("a clock");
         let mut point = start;

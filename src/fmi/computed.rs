@@ -1,5 +1,5 @@
-//! Variables ← observers: what each output and local variable is, once for its value, its changes and its derivatives with respect
-//! to time.
+//! Observers → computed variables: each output and local variable is defined once, generic over its value, its directional
+//! derivative and its time derivatives.
 
 use crate::estimator;
 use crate::mechanism;
@@ -14,8 +14,8 @@ use crate::variables::{
 const PROXIMAL_LINKS: [usize; 2] = [0, 3];
 const DISTAL_LINKS: [usize; 2] = [1, 2];
 
-/// The standard deviation of what is not known.
-const NOT_KNOWN: f64 = 1e30;
+/// Standard deviation reported for a quantity that is not observable, in the variable's unit.
+const UNOBSERVABLE: f64 = 1e30;
 
 /// The value of a computed variable; `None` for any other.
 pub(super) fn read(of: &Observed<'_, f64>, variable: &Variable) -> Option<Value> {
@@ -32,11 +32,11 @@ pub(super) fn read(of: &Observed<'_, f64>, variable: &Variable) -> Option<Value>
     }
 }
 
-/// A value, or its derivative of an order with respect to time; `None` where that is not known. The value, order 0, always is. Only
-/// outputs have derivatives with respect to time.
+/// Value of a variable (order 0) or its derivative of an order with respect to time; `None` where the derivative is not available.
+/// Only outputs have derivatives with respect to time.
 pub(super) fn real<T: Scalar>(of: &Observed<'_, T>, computed: RealComputed, order: usize) -> Option<T> {
     use RealComputed as V;
-    // Positions, velocities and accelerations are known: orders 0, 1 and 2 of a motion.
+    // Positions, velocities and accelerations are orders 0, 1 and 2 of a motion; higher orders are not available.
     let order_of = |own: usize| Some(own + order).filter(|order| *order <= 2);
     Some(match computed {
         V::TipX => of.point(Point::Tip, order_of(0)?)[0],
@@ -84,14 +84,14 @@ pub(super) fn real<T: Scalar>(of: &Observed<'_, T>, computed: RealComputed, orde
     })
 }
 
-/// The value of what is estimated, which does not change with anything but samples and time.
+/// Value of an estimated variable, which changes with samples and time only.
 fn estimated(of: &Estimated<'_>, computed: RealComputed) -> f64 {
     use RealComputed as V;
     let following = of.following;
     let torques = || following.motor_torques();
     match computed {
         V::EstimatedTau(i) => torques().map_or(0.0, |(tau, _)| tau[i]),
-        V::EstimatedTauSigma(i) => torques().map_or(NOT_KNOWN, |(_, sigma)| sigma[i]),
+        V::EstimatedTauSigma(i) => torques().map_or(UNOBSERVABLE, |(_, sigma)| sigma[i]),
         V::EstimatedTauValid => f64::from(u8::from(torques().is_some())),
         V::EstimatedNis => following.estimator().nis(),
         V::EstimatedAlarm => f64::from(u8::from(following.estimator().alarm())),
@@ -136,7 +136,7 @@ fn integer(of: &Observed<'_, f64>, computed: IntegerComputed) -> i32 {
         IntegerComputed::SingularPassesDirect => counters.sign_changes[0],
         IntegerComputed::SingularPassesInverse(i) => counters.sign_changes[1 + i],
     };
-    // fmi2Integer has 32 bits: a counter that has grown past them stays at the largest value.
+    // fmi2Integer has 32 bits: a larger count saturates.
     i32::try_from(count).unwrap_or(i32::MAX)
 }
 

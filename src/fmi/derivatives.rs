@@ -1,9 +1,9 @@
 //! Derivatives of inputs and outputs with respect to time (FMI 2.0.4, section 4.2.1), and of outputs with respect to inputs and
 //! continuous states (section 2.1.9).
 //!
-//! Input derivatives hold from the beginning of one communication step to its end, where the input stays at the value that it has
-//! reached and its derivatives are 0: a master that goes on with a ramp sets them at each communication point. The standard fixes
-//! the beginning and leaves the end open. After a discarded step they are as before it.
+//! Input derivatives hold from the beginning of a communication step to its end. From there on the input keeps the value reached
+//! and its derivatives are 0, so a master sets the derivatives of a ramp at each communication point. The standard fixes the
+//! beginning and leaves the end open. A discarded step leaves input derivatives unchanged.
 
 use num_dual::Dual64;
 
@@ -21,7 +21,7 @@ impl Instance {
             let variable = lookup(reference, FmiType::Real)?;
             let VariableId::RealInput(_) = variable.id else {
                 return Err(CallError::error(format!(
-                    "{} is no continuous input: only those have input derivatives.",
+                    "{} is not a continuous input: only continuous inputs have input derivatives.",
                     variable.name
                 )));
             };
@@ -74,12 +74,13 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2GetDirectionalDerivative: how unknowns (outputs and derivatives of the continuous states, which share the references of omega
-    /// and alpha) change with knowns (inputs and continuous states: reference, change) at the present communication point. Hands each
-    /// change with its position to `take`; nothing is handed over unless every reference is right and every value finite.
+    /// fmi2GetDirectionalDerivative: changes of unknowns (outputs and derivatives of the continuous states, which share the
+    /// references of omega and alpha) for changes of knowns (inputs and continuous states, as reference and change) at the present
+    /// communication point. Hands each change with its position to `take`; nothing is handed over unless every reference is right
+    /// and every value finite.
     ///
-    /// Beyond the standard, local variables are answered for as well. What is only counted, judged or followed along the path
-    /// (enumerations, counters, work, `solver.*`) does not change.
+    /// Beyond the standard, local variables are answered for as well. Enumerations, counters, work and `solver.*` have derivative
+    /// 0.
     pub fn directional_derivative(
         &mut self,
         unknowns: &[u32],
@@ -93,7 +94,7 @@ impl Instance {
         for &unknown in unknowns {
             let variable = find(unknown)?;
             if variable.start.is_some() {
-                return Err(CallError::error(format!("{} is no unknown: only what is computed is.", variable.name)));
+                return Err(CallError::error(format!("{} is not an unknown: unknowns are computed variables.", variable.name)));
             }
         }
         let observed = self.observe()?;
@@ -139,7 +140,7 @@ fn find(reference: u32) -> Result<&'static Variable, CallError> {
     Variable::find(reference).ok_or_else(|| CallError::error(format!("value reference {reference} belongs to no variable.")))
 }
 
-/// Adds the change of a known.
+/// Adds the change of a known variable to the direction.
 fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Result<(), CallError> {
     if !change.is_finite() {
         return Err(CallError::error(format!("change of {} is {change}, must be finite.", variable.name)));
@@ -150,7 +151,7 @@ fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Res
         VariableId::RealComputed(RealComputed::Omega(i)) => &mut direction.proximal.get_or_insert_default()[1][i],
         _ => {
             return Err(CallError::error(format!(
-                "{} is no known: inputs and the continuous states theta[i], omega[i] are.",
+                "{} is not a known: knowns are inputs and the continuous states theta[i], omega[i].",
                 variable.name
             )));
         }
@@ -163,7 +164,7 @@ fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Res
 fn time_derivative(observed: &Observed<'_, f64>, variable: &Variable, order: i32) -> Result<f64, CallError> {
     let output = match variable.id {
         VariableId::RealComputed(output) if variable.output => output,
-        _ => return Err(CallError::error(format!("{} is no output: only outputs have output derivatives.", variable.name))),
+        _ => return Err(CallError::error(format!("{} is not an output: only outputs have output derivatives.", variable.name))),
     };
     let positive = usize::try_from(order).ok().filter(|order| *order > 0);
     positive.and_then(|order| real(observed, output, order)).ok_or_else(|| {

@@ -1,8 +1,8 @@
 //! Functions for model exchange (FMI 2.0.4, section 3.2): the master integrates the states theta and omega.
 //!
-//! The system does not depend on time and has no events of its own: a master ends steps where an indicator changes sign, so that each
-//! step sees smooth forces, and sets tunable parameters at events, which act from fmi2NewDiscreteStates on. Where the distal links are in
-//! line theta and omega are no coordinates: states there are discarded.
+//! The system is autonomous and has no events of its own: a master ends steps where an event indicator changes sign, so that forces
+//! are smooth within a step. Tunable parameters are set at events and act from fmi2NewDiscreteStates on. At a direct singularity
+//! (distal links in line) theta and omega are no coordinates: such states are discarded.
 
 use super::snapshot::Scene;
 use super::values::check_computed;
@@ -14,8 +14,8 @@ use crate::variables::{EVENT_INDICATORS, RealComputed, Value, Variable, Variable
 
 const _: () = assert!(INDICATORS == EVENT_INDICATORS, "numberOfEventIndicators of the model description is another one");
 
-/// The links whose angles and rates are states.
-const DRIVEN: [usize; 2] = [0, 3];
+/// Indices of the proximal links, whose angles and rates are the continuous states.
+const STATE_LINKS: [usize; 2] = [0, 3];
 
 impl Instance {
     /// fmi2SetTime, s.
@@ -30,7 +30,7 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2NewDiscreteStates: parameters that have been set act from now on. Whether that changed continuous states.
+    /// fmi2NewDiscreteStates: parameters that were set take effect. Whether continuous states have changed.
     pub fn new_discrete_states(&mut self) -> Result<bool, CallError> {
         let Some(parameters) = self.now.next.parameters.clone() else { return Ok(false) };
         let before = self.continuous_states()?;
@@ -48,7 +48,7 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2CompletedIntegratorStep: refused past stopTime.
+    /// fmi2CompletedIntegratorStep: refused at a time past stopTime.
     pub fn completed_integrator_step(&mut self) -> Result<(), CallError> {
         let Some(clock) = &self.now.clock else { unreachable!("initialisation has made it") };
         clock.check_end()?;
@@ -58,7 +58,7 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2SetContinuousStates: discarded, with everything as before, where they are no coordinates.
+    /// fmi2SetContinuousStates: discarded, with the instance unchanged, at a direct singularity.
     pub fn set_continuous_states(&mut self, states: &[f64]) -> Result<(), CallError> {
         match states.try_into() {
             Ok(states) => self.drive(states),
@@ -66,7 +66,7 @@ impl Instance {
         }
     }
 
-    /// fmi2SetReal of continuous states, beyond the standard; other variables are left out.
+    /// fmi2SetReal of continuous states, beyond the standard; pairs of other variables are skipped.
     pub(super) fn set_states(&mut self, pairs: &mut dyn Iterator<Item = (u32, Value)>) -> Result<(), CallError> {
         let mut states = None;
         for (reference, value) in pairs {
@@ -90,7 +90,7 @@ impl Instance {
         Ok(motion(&self.observe()?, 0))
     }
 
-    /// fmi2GetDerivatives: their derivatives; discarded where they are no coordinates.
+    /// fmi2GetDerivatives: rates of the proximal links, rad/s, and their accelerations, rad/s²; discarded at a direct singularity.
     pub fn state_derivatives(&mut self) -> Result<[f64; STATES], CallError> {
         let observed = self.observe()?;
         observed.are_coordinates().map_err(no_coordinates)?;
@@ -117,7 +117,7 @@ impl Instance {
         self.simulation().set_states(states).map_err(no_coordinates)
     }
 
-    /// The simulation, about to change.
+    /// Mutable access to the simulation; clears cached observations.
     fn simulation(&mut self) -> &mut Simulation {
         match &mut self.change().scene {
             Scene::Ready(simulation) => simulation,
@@ -126,9 +126,9 @@ impl Instance {
     }
 }
 
-/// Angles and rates, or their derivatives of an order.
+/// Angles and rates of the proximal links, or their time derivatives of an order.
 fn motion(of: &Observed<'_, f64>, order: usize) -> [f64; STATES] {
-    let [left, right] = DRIVEN;
+    let [left, right] = STATE_LINKS;
     [of.angle(left, order), of.angle(right, order), of.angle(left, order + 1), of.angle(right, order + 1)]
 }
 

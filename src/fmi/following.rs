@@ -1,4 +1,5 @@
-//! A communication step of a machine that is followed: what the encoders have told corrects the motion, then it goes on.
+//! A communication step of a machine that is followed: samples of the encoders correct the state, then the prediction is
+//! integrated.
 
 use super::derivatives::check_reach;
 use super::messages::Status;
@@ -9,7 +10,7 @@ use crate::estimator::Fault;
 use crate::simulation::Signal;
 
 impl Instance {
-    /// fmi2DoStep: from `point`, s, by `size`, s. Discarded if the integrator gives up, with everything as before.
+    /// fmi2DoStep from `point`, s, by `size`, s. If the integrator fails, the step is discarded and the instance unchanged.
     #[cold]
     #[inline(never)]
     pub(super) fn follow(&mut self, point: f64, size: f64) -> Result<(), CallError> {
@@ -22,7 +23,7 @@ impl Instance {
         let signal = now.next.signal.unwrap_or(Signal::held(*following.inputs()));
         check_reach(&signal, size)?;
         let passes = wants_events.then(|| following.simulation().singular());
-        // The estimate, not its box: a step allocates nothing.
+        // Clones the estimate into place instead of its box: a step allocates nothing.
         let before = (**following).clone();
         let advanced = (|| {
             if let Some(parameters) = &now.next.parameters {
@@ -39,40 +40,40 @@ impl Instance {
             return Err(refusal);
         }
         let news = following.take_reports();
-        // Until the next samples it says so.
+        // `has_restarted` stays true until the next samples.
         let restarted = following.estimator().has_restarted() && !before.estimator().has_restarted();
         clock.advance(plan);
         now.next.after_step(size);
         now.stage = super::Stage::StepComplete;
         for (encoder, fault) in news {
-            warn(&mut self.log, || told(encoder, fault, point));
+            warn(&mut self.log, || fault_message(encoder, fault, point));
         }
         if restarted {
             warn(&mut self.log, || {
                 format!(
-                    "at {point:?} s: measured.theta[1..2] were more than 0.1 rad off the estimate for most of 0.1 s: it has lost the machine \
-                     and begins anew where they are."
+                    "at {point:?} s: measured.theta[1..2] differed from the estimate by more than 0.1 rad for most of 0.1 s: the estimate \
+                     diverged and restarts from the measured angles."
                 )
             });
         }
         self.warn(point + size);
         if let Some(passes) = passes {
-            self.report_passes(passes, point, point + size)?;
+            self.log_singularities(passes, point, point + size)?;
         }
         Ok(())
     }
 }
 
-/// A fault of an encoder in a sentence; without one it has become silent.
-fn told(encoder: usize, fault: Fault, time: f64) -> String {
+/// The warning about a fault of an encoder: silent, or samples rejected.
+fn fault_message(encoder: usize, fault: Fault, time: f64) -> String {
     let name = format!("measured.theta[{}]", encoder + 1);
     let what = match fault {
-        Fault::None => "has been silent for longer than between its last samples: the estimate goes on without it",
-        Fault::Rejected => "is too far from what is expected: the sample is not used",
-        Fault::Late => "is older than estimator.maxDelay, or than anything that is remembered: the sample is not used",
-        Fault::Future => "was measured after the communication point: the sample is not used",
-        Fault::Invalid => "or its time is not a number, or the angle is beyond 1e9 rad: the sample is not used",
-        Fault::Stuck => "repeats itself while the machine moves: its samples are not used until it changes",
+        Fault::None => "has been silent for longer than the interval of its last samples: the estimate continues without it",
+        Fault::Rejected => "is too far from the predicted angle: the sample is not used",
+        Fault::Late => "is older than estimator.maxDelay or than the stored history: the sample is not used",
+        Fault::Future => "has a time after the communication point: the sample is not used",
+        Fault::Invalid => "or its time is not finite, or the angle exceeds 1e9 rad: the sample is not used",
+        Fault::Stuck => "repeats its value while the machine moves: its samples are not used until it changes",
     };
-    format!("at {time:?} s: {name} {what}. This is told once for each encoder; see estimated.status.")
+    format!("at {time:?} s: {name} {what}. This warning comes once for each encoder; see estimated.status.")
 }

@@ -1,7 +1,7 @@
 //! An instance: parameters, inputs, a simulation once there is one, a clock and a log.
 //!
-//! Every call either does what it says or changes nothing; the C border asks [`Call::require`](super::Call::require) first
-//! and turns a [`CallError`] into a log line and a status.
+//! A call has its effect or leaves the instance unchanged; the C interface asks [`Call::require`](super::Call::require) first and
+//! turns a [`CallError`] into a log line and a status.
 
 use super::clock::Clock;
 use super::messages::{Log, Status};
@@ -15,16 +15,16 @@ use crate::variables::{FmiType, VARIABLES, Value, Variable, VariableId};
 /// An instance of the FMU.
 #[derive(Debug)]
 pub struct Instance {
-    /// What a stored state is a copy of; changed through [`Instance::change`] only.
+    /// State of the instance without its log; changed through [`Instance::change`] only.
     pub(super) now: Snapshot,
-    /// What has been observed since the last change.
+    /// Observations cached since the last change.
     observation: Option<Observation>,
-    /// Before the end of initialisation: the scene made ready with the present values, where an output has been read.
+    /// Scene initialised with the present values, made when an output is read before the end of initialisation.
     preview: Option<Box<Scene>>,
-    /// What a call has read so far: values are handed over together. Kept for its room, which is there from the
-    /// beginning: calls allocate nothing, unless they ask for more values than there are variables.
+    /// Values read so far by the present call, which hands them over together. The buffer is allocated once: a call allocates
+    /// nothing unless it asks for more values than there are variables.
     read: Vec<Value>,
-    /// Lines for the master.
+    /// Lines for the master's logger.
     pub log: Log,
 }
 
@@ -40,7 +40,7 @@ impl Instance {
         }
     }
 
-    /// What is about to change: whatever has been observed of it does not hold any more.
+    /// Mutable access to the state; drops cached observations and the preview.
     #[inline(always)]
     pub(super) fn change(&mut self) -> &mut Snapshot {
         self.observation = None;
@@ -48,12 +48,12 @@ impl Instance {
         &mut self.now
     }
 
-    /// What the instance is for.
+    /// Kind of FMU that the instance is: co-simulation or model exchange.
     pub fn kind(&self) -> Kind {
         self.now.kind
     }
 
-    /// Where the instance is in its life.
+    /// State of the life cycle.
     pub fn stage(&self) -> Stage {
         self.now.stage
     }
@@ -68,8 +68,8 @@ impl Instance {
         self.log.choose(on, categories)
     }
 
-    /// fmi2SetupExperiment; `tolerance` and `stop` where they are defined. The tolerance is not used:
-    /// `solver.errorTolerance` rules, in units that a relative tolerance does not have.
+    /// fmi2SetupExperiment; `tolerance` and `stop`, s, where they are defined. The tolerance is not used: `solver.errorTolerance`
+    /// has units, a relative tolerance has none.
     pub fn setup_experiment(&mut self, tolerance: Option<f64>, start: f64, stop: Option<f64>) -> Result<(), CallError> {
         let clock = Clock::new(start, stop)?;
         self.change().clock = Some(clock);
@@ -90,7 +90,7 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2ExitInitializationMode: validates the scene and closes the loop, or refuses and stays.
+    /// fmi2ExitInitializationMode: validates the scene and closes the loop; a refusal leaves the instance in initialisation mode.
     pub fn exit_initialization_mode(&mut self) -> Result<(), CallError> {
         self.observe()?;
         let Some(scene) = self.preview.take() else { unreachable!("an observation before the run makes it") };
@@ -118,7 +118,7 @@ impl Instance {
                 .push(Status::Ok, || "solver.adaptive is not used: the steps of i3alpConserving are strictly fixed.".to_owned());
         }
         let now = self.change();
-        now.next.take_held_inputs();
+        now.next.drop_held_signal();
         now.scene = *scene;
         now.stage = match kind {
             Kind::ModelExchange => Stage::EventMode,
@@ -127,12 +127,12 @@ impl Instance {
         Ok(())
     }
 
-    /// What fmi2GetFMUstate makes a copy of.
+    /// The state that fmi2GetFMUstate copies.
     pub fn snapshot(&self) -> &Snapshot {
         &self.now
     }
 
-    /// fmi2SetFMUstate: everything as it was, but the log and what the master wants to hear of it.
+    /// fmi2SetFMUstate: restores the state; the log and the master's choice of categories stay.
     pub fn restore(&mut self, snapshot: &Snapshot) -> Result<(), CallError> {
         let (own, other) = (self.now.kind, snapshot.kind);
         if own != other {
@@ -149,8 +149,7 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2Reset: as fresh as after fmi2Instantiate. Only the master's choice of log categories stays, which is about
-    /// the log and not about the simulation.
+    /// fmi2Reset: the state after fmi2Instantiate. Only the master's choice of log categories stays.
     pub fn reset(&mut self) -> Result<(), CallError> {
         let fresh = Self::new(self.now.kind, false);
         let log = std::mem::replace(self, fresh).log;
@@ -179,8 +178,8 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2GetReal, fmi2GetInteger, fmi2GetBoolean: hands each value with its position to `take`; nothing is handed
-    /// over unless every reference is right and every value that is computed finite.
+    /// fmi2GetReal, fmi2GetInteger, fmi2GetBoolean: hands each value with its position to `take`; nothing is handed over unless
+    /// every reference is right and every computed value finite.
     pub fn get(&mut self, fmi_type: FmiType, references: &[u32], mut take: impl FnMut(usize, Value)) -> Result<(), CallError> {
         let mut values = std::mem::take(&mut self.read);
         values.clear();
@@ -195,10 +194,10 @@ impl Instance {
         complete
     }
 
-    /// A value, unless it is computed and not finite.
+    /// Value of a variable; refused where a computed value is not finite.
     fn read_checked(&mut self, variable: &Variable) -> Result<Value, CallError> {
         let value = self.read(variable)?;
-        // A sample is told as it was set, whatever the encoder said.
+        // A sample is read back as it was set, finite or not.
         if let (Value::Real(value), false) = (value, matches!(variable.id, VariableId::RealSample(_))) {
             check_computed(|| variable.name.to_owned(), value)?;
         }
@@ -212,13 +211,13 @@ impl Instance {
         Ok(computed::read(&self.observe()?, variable).unwrap_or_else(|| unreachable!("{} is bound", variable.name)))
     }
 
-    /// What is to be seen at the present communication point, with the accelerations and multipliers that belong to the present inputs,
-    /// which the master may have changed since the last step.
+    /// Observation at the present communication point, with accelerations and multipliers for the present inputs, which the master
+    /// may have changed since the last step.
     pub(super) fn observe(&mut self) -> Result<Observed<'_, f64>, CallError> {
         let Self { now, observation, preview, .. } = self;
         let scene = match (&now.scene, preview) {
             (Scene::Draft(_), Some(scene)) => &**scene,
-            (Scene::Draft(parameters), none) => none.insert(Box::new(Scene::made_ready(now.kind, parameters, &now.inputs())?)),
+            (Scene::Draft(parameters), none) => none.insert(Box::new(Scene::initialise(now.kind, parameters, &now.inputs())?)),
             (ready, _) => ready,
         };
         match scene {
@@ -230,7 +229,7 @@ impl Instance {
             Scene::Following(following) => {
                 let model = following.simulation().model();
                 let observation = observation.get_or_insert_with(|| Observation::new(model, following.state_for(&now.inputs())));
-                Ok(Observed::new(model, observation).of_estimate(following))
+                Ok(Observed::new(model, observation).with_estimates(following))
             }
             Scene::Draft(_) => unreachable!("a preview is made ready"),
         }

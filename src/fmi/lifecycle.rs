@@ -1,4 +1,4 @@
-//! Which call is allowed in which state: FMI 2.0.4, sections 3.2.3 and 4.2.4, figures and tables.
+//! The table of calls allowed in each state: FMI 2.0.4, sections 3.2.3 and 4.2.4, figures and tables.
 //!
 //! Co-simulation:
 //!
@@ -30,8 +30,8 @@
 //!                                      ContinuousTimeMode ---------------------------'
 //! ```
 //!
-//! The standard's states stepInProgress and stepCanceled do not exist here: a step is never pending. Its state error
-//! does not either: a call that is refused changes nothing, so the instance stays where it was.
+//! The standard's states stepInProgress and stepCanceled do not exist here: a step is never pending. The state error does not exist
+//! either: a call that is refused changes nothing, so the instance stays in its state.
 
 use std::fmt;
 
@@ -39,12 +39,12 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::CallError;
 
-/// What an instance is for: fmi2Type.
+/// Kind of FMU (fmi2Type).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Kind {
-    /// The master integrates the states.
+    /// Model exchange: the master integrates the states.
     ModelExchange,
-    /// The instance makes its own steps.
+    /// Co-simulation: the instance takes its own steps.
     CoSimulation,
 }
 
@@ -57,7 +57,7 @@ impl fmt::Display for Kind {
     }
 }
 
-/// Where an instance is in its life.
+/// State of the life cycle of an instance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum Stage {
     /// After fmi2Instantiate or fmi2Reset.
@@ -70,14 +70,14 @@ pub enum Stage {
     StepFailed,
     /// After fmi2Terminate.
     Terminated,
-    /// Of model exchange: at an event, and after initialisation.
+    /// Model exchange: at an event, and after initialisation.
     EventMode,
-    /// Of model exchange: between events.
+    /// Model exchange: between events.
     ContinuousTimeMode,
 }
 
 impl Stage {
-    /// Whether an instance of that kind can be there.
+    /// Whether instances of that kind have the state.
     pub(super) fn belongs_to(self, kind: Kind) -> bool {
         match self {
             Self::Instantiated | Self::InitializationMode | Self::Terminated => true,
@@ -101,7 +101,7 @@ impl fmt::Display for Stage {
     }
 }
 
-/// Every function that takes an instance.
+/// The FMI functions that take an instance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[expect(missing_docs, reason = "each is the standard's function of that name")]
 pub enum Call {
@@ -178,14 +178,15 @@ impl Call {
                 &[InitializationMode, StepComplete, StepFailed, EventMode, ContinuousTimeMode, Terminated]
             }
             Self::GetRealOutputDerivatives => &[StepComplete, StepFailed, Terminated],
-            // After a discard as well, beyond the standard: the step has been rolled back, and another input may be what it needs.
+            // Inputs may also be set after a discarded step, beyond the standard: the step has been rolled back, and other inputs
+            // may let it succeed.
             Self::SetReal => &[Instantiated, InitializationMode, StepComplete, StepFailed, EventMode, ContinuousTimeMode],
             Self::SetInteger | Self::SetBoolean | Self::SetString => {
                 &[Instantiated, InitializationMode, StepComplete, StepFailed, EventMode]
             }
             Self::SetRealInputDerivatives => &[Instantiated, InitializationMode, StepComplete, StepFailed],
-            // The standard wants fmi2SetFMUstate before a step is tried again; here a discarded step has already been
-            // rolled back, so it may be tried again at once.
+            // The standard asks for fmi2SetFMUstate before a step is tried again; a discarded step has already been rolled back
+            // here.
             Self::DoStep => &[StepComplete, StepFailed],
             Self::GetStatus | Self::GetRealStatus | Self::GetIntegerStatus | Self::GetBooleanStatus | Self::GetStringStatus => {
                 &[StepComplete, StepFailed, Terminated]
@@ -196,7 +197,7 @@ impl Call {
             | Self::SerializedFMUstateSize
             | Self::SerializeFMUstate
             | Self::DeSerializeFMUstate => ANYWHERE,
-            // Answered with an error of its own: a step is never pending.
+            // fmi2CancelStep is allowed everywhere and answered with an error of its own: a step is never pending.
             Self::CancelStep => ANYWHERE,
             Self::EnterEventMode | Self::SetTime => &[EventMode, ContinuousTimeMode],
             Self::NewDiscreteStates | Self::EnterContinuousTimeMode => &[EventMode],
@@ -209,7 +210,7 @@ impl Call {
         }
     }
 
-    /// What the instance has to be for; `None` of functions common to both.
+    /// Kind of FMU that a function belongs to; `None` for functions common to both.
     #[inline(always)]
     fn kind(self) -> Option<Kind> {
         match self {

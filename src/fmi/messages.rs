@@ -1,4 +1,4 @@
-//! The log queue: calls put messages in, the C border hands them to the master's logger.
+//! The log queue: calls put messages in, the C interface hands them to the master's logger.
 //!
 //! Until fmi2SetDebugLogging is called, warnings, discards, errors and fatal errors are always passed on, and
 //! loggingOn of fmi2Instantiate adds the events. From then on the master's choice holds: nothing, everything, or the
@@ -12,7 +12,7 @@ use crate::variables::Category;
 pub enum Status {
     /// Done.
     Ok,
-    /// Done, but probably not what was meant.
+    /// Done, with a probable mistake of the master.
     Warning,
     /// Could not be done; nothing was changed.
     Discard,
@@ -44,7 +44,7 @@ pub struct Message {
     pub text: String,
 }
 
-/// Which messages are passed on.
+/// Choice of the messages that are passed on.
 #[derive(Clone, Debug, PartialEq)]
 enum Choice {
     /// fmi2SetDebugLogging was not called.
@@ -104,7 +104,7 @@ impl Log {
         self.queue.is_empty()
     }
 
-    /// Takes what has gathered.
+    /// Takes the queued messages.
     pub fn drain(&mut self) -> impl Iterator<Item = Message> {
         self.queue.drain(..)
     }

@@ -1,4 +1,4 @@
-//! What an FMU answers, without C types: life cycle, variables, clock and messages.
+//! The semantics of FMI 2.0 without C types: life cycle, variables, communication points, stored states and log of an instance.
 //!
 //! | file | holds |
 //! | --- | --- |
@@ -13,7 +13,7 @@
 //! | `instance.rs` | an instance: all of these together |
 //! | `stepping.rs` | a communication step of a simulation |
 //! | `following.rs` | the same of a machine that is followed |
-//! | `snapshot.rs`, `stored.rs` | stored states, in memory and as bytes |
+//! | `following.rs` | a communication step of a machine that is followed |
 //! | `status.rs` | the status functions of co-simulation |
 
 pub mod bindings;
@@ -38,12 +38,12 @@ pub use snapshot::Snapshot;
 
 pub use crate::simulation::STATES;
 
-/// A call that was not carried out; nothing was changed.
+/// A call that was refused or discarded; the instance is unchanged.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CallError {
-    /// What the call returns: [`Status::Discard`] or [`Status::Error`].
+    /// Status of the call: [`Status::Discard`] or [`Status::Error`].
     pub status: Status,
-    /// One sentence naming the variable, its value and what is allowed.
+    /// One sentence naming the variable, its value and the values allowed.
     pub message: String,
 }
 

@@ -1,4 +1,4 @@
-//! Stored states: everything that an instance holds but its log (FMI 2.0.4, section 2.1.8); as bytes: `stored.rs`.
+//! Stored states (FMI 2.0.4, section 2.1.8): the state of an instance without its log. `stored.rs` turns them into bytes.
 
 use super::clock::Clock;
 use super::{Kind, Stage, bindings};
@@ -7,38 +7,38 @@ use crate::mechanism::SceneError;
 use crate::simulation::{Following, Inputs, Parameters, Signal, Simulation};
 use crate::variables::{Value, Variable, VariableId};
 
-/// Everything that an instance holds but its log: a stored state.
+/// State of an instance without its log.
 #[derive(Clone, Debug)]
 pub struct Snapshot {
     pub(super) kind: Kind,
     pub(super) stage: Stage,
-    /// Set by fmi2SetupExperiment.
+    /// Clock, once fmi2SetupExperiment has been called.
     pub(super) clock: Option<Clock>,
     pub(super) scene: Scene,
     pub(super) next: Next,
-    /// What the encoders have told.
+    /// Last samples of the encoders.
     pub(super) measured: Measured,
     /// Whether the master has been told that no active effect reads the servo references.
     pub(super) warned_of_references: bool,
-    /// Whether it has been told that the loads are stiff.
+    /// Whether the master has been told that the loads are stiff.
     pub(super) warned_of_stiffness: bool,
 }
 
-/// The scene, before and after the end of initialisation.
+/// The scene before and after the end of initialisation.
 #[derive(Clone, Debug)]
 #[expect(clippy::large_enum_variant, reason = "to set a parameter allocates nothing")]
 pub(super) enum Scene {
-    /// Its parameters as the master sets them.
+    /// Parameters before the end of initialisation.
     Draft(Parameters),
-    /// Made ready, with parameters and inputs in force.
+    /// Simulation with its parameters and inputs in force.
     Ready(Box<Simulation>),
-    /// The same with an estimator.
+    /// Simulation with an estimator.
     Following(Box<Following>),
 }
 
 impl Scene {
-    /// Made ready from its parameters.
-    pub(super) fn made_ready(kind: Kind, parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
+    /// Validates the parameters and initialises the simulation, or refuses.
+    pub(super) fn initialise(kind: Kind, parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         match (kind, parameters.estimator.enabled) {
             (Kind::CoSimulation, false) => Ok(Self::Ready(Box::new(Simulation::new(parameters, inputs)?))),
             (Kind::CoSimulation, true) => Ok(Self::Following(Box::new(Following::new(parameters, inputs)?))),
@@ -51,7 +51,7 @@ impl Scene {
         }
     }
 
-    /// Its simulation, once it has been made ready.
+    /// Simulation of the scene, after the end of initialisation.
     pub(super) fn simulation(&self) -> Option<&Simulation> {
         match self {
             Self::Draft(_) => None,
@@ -61,36 +61,37 @@ impl Scene {
     }
 }
 
-/// What the master has set and what acts from the present communication point on.
+/// Inputs and parameters that the master has set and that act from the present communication point on.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Next {
-    /// Inputs, where they are not those that are held.
+    /// Input signal, where it differs from the held inputs.
     pub(super) signal: Option<Signal>,
     /// Parameters, where a tunable one has been set.
     pub(super) parameters: Option<Parameters>,
 }
 
 impl Next {
-    /// A step of `size` seconds has been made: parameters act, and inputs that have changed are where they have led to.
+    /// Ends a communication step of `size` seconds: parameters are in force, and inputs with derivatives keep their values at its
+    /// end.
     #[inline(always)]
     pub(super) fn after_step(&mut self, size: f64) {
         self.parameters = None;
         if self.signal.is_some() {
-            self.take_held_inputs();
+            self.drop_held_signal();
             if let Some(signal) = &mut self.signal {
                 signal.end(size);
             }
         }
     }
 
-    /// The simulation holds these inputs now, unless they change.
-    pub(super) fn take_held_inputs(&mut self) {
+    /// Drops a signal without derivatives, whose values the simulation holds.
+    pub(super) fn drop_held_signal(&mut self) {
         self.signal.take_if(|signal| signal.is_held());
     }
 }
 
 impl Snapshot {
-    /// That of an instance just made.
+    /// State after fmi2Instantiate.
     pub(super) fn fresh(kind: Kind) -> Self {
         Self {
             kind,
@@ -104,7 +105,7 @@ impl Snapshot {
         }
     }
 
-    /// Becomes what `other` is. Where both hold a simulation it allocates nothing.
+    /// Copies `other`. Allocates nothing where both hold a simulation.
     pub fn copy(&mut self, other: &Self) {
         let Self { kind, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness } = other;
         self.kind = *kind;
@@ -121,12 +122,12 @@ impl Snapshot {
         self.warned_of_stiffness = *warned_of_stiffness;
     }
 
-    /// The inputs from the present communication point on.
+    /// Input signal from the present communication point on.
     pub(super) fn signal(&self) -> Signal {
         self.next.signal.unwrap_or_else(|| Signal::held(self.inputs()))
     }
 
-    /// Their values there.
+    /// Values of the inputs at the present communication point.
     pub(super) fn inputs(&self) -> Inputs {
         match (&self.next.signal, &self.scene) {
             (Some(signal), _) => signal.value,
@@ -136,7 +137,7 @@ impl Snapshot {
         }
     }
 
-    /// The parameters as the master has set them.
+    /// Parameters as the master has set them.
     fn parameters(&self) -> &Parameters {
         match (&self.next.parameters, &self.scene) {
             (Some(parameters), _) | (None, Scene::Draft(parameters)) => parameters,

@@ -27,8 +27,8 @@ impl StatusKind {
         }
     }
 
-    /// Nothing to tell: fmi2Discard is the standard's answer.
-    fn nothing(self) -> CallError {
+    /// fmi2Discard, the standard's answer where a status is not available.
+    fn unavailable(self) -> CallError {
         CallError::discard(match self {
             Self::DoStepStatus => "there is no fmi2DoStepStatus: a step is never pending.",
             Self::PendingStatus => "there is no fmi2PendingStatus: a step is never pending.",
@@ -43,7 +43,7 @@ impl Instance {
     pub fn real_status(&self, kind: StatusKind) -> Result<f64, CallError> {
         match (kind, self.clock()) {
             (StatusKind::LastSuccessfulTime, Some(clock)) => Ok(clock.point()),
-            _ => Err(kind.nothing()),
+            _ => Err(kind.unavailable()),
         }
     }
 
@@ -51,12 +51,12 @@ impl Instance {
     pub fn boolean_status(&self, kind: StatusKind) -> Result<bool, CallError> {
         match kind {
             StatusKind::Terminated => Ok(false),
-            _ => Err(kind.nothing()),
+            _ => Err(kind.unavailable()),
         }
     }
 
-    /// fmi2GetStatus, fmi2GetIntegerStatus and fmi2GetStringStatus, which have nothing to tell.
+    /// fmi2GetStatus, fmi2GetIntegerStatus and fmi2GetStringStatus: no status of these types is available.
     pub fn other_status(&self, kind: StatusKind) -> Result<(), CallError> {
-        Err(kind.nothing())
+        Err(kind.unavailable())
     }
 }

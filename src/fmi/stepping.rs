@@ -1,4 +1,4 @@
-//! A communication step of a simulation, and what the log has to say of it.
+//! A communication step of a simulation and its log lines.
 
 use super::derivatives::check_reach;
 use super::messages::{Log, Status};
@@ -8,7 +8,7 @@ use crate::integrator::CONFIGURATION_SIGNS;
 use crate::simulation::{Signal, Simulation, StepFailure};
 
 impl Instance {
-    /// fmi2DoStep: from `point`, s, by `size`, s. Discarded if the integrator gives up, with everything as before.
+    /// fmi2DoStep from `point`, s, by `size`, s. If the integrator fails, the step is discarded and the instance unchanged.
     pub fn do_step(&mut self, point: f64, size: f64) -> Result<(), CallError> {
         let wants_events = self.log.wants(Status::Ok);
         let now = self.change();
@@ -16,7 +16,7 @@ impl Instance {
             return self.follow(point, size);
         };
         let plan = clock.plan(point, size, simulation.parameters().settings.step_size)?;
-        // To look has its price: it is paid only where the log wants the events.
+        // Counters of singularities are copied only where the log passes events on.
         let before = wants_events.then(|| simulation.singular());
         let fallbacks = simulation.fallbacks();
         let advanced = match (&now.next.parameters, &now.next.signal) {
@@ -31,7 +31,7 @@ impl Instance {
             (Some(parameters), signal) => {
                 let signal = signal.unwrap_or(Signal::held(*simulation.inputs()));
                 check_reach(&signal, size)?;
-                // The simulation, not its box: a step allocates nothing.
+                // Clones the simulation into place instead of its box: a step allocates nothing.
                 let untuned = Simulation::clone(simulation);
                 simulation.tune(&parameters.effects)?;
                 simulation.advance_along(&signal, plan.h, plan.steps).inspect_err(|_| **simulation = untuned)
@@ -47,21 +47,22 @@ impl Instance {
         now.stage = Stage::StepComplete;
         if fallbacks > 0 {
             warn(&mut self.log, || {
+                let steps = if fallbacks == 1 { "step" } else { "steps" };
                 format!(
-                    "between {point:?} s and {:?} s: steps by the last resort: {fallbacks}, whose equations were not solved: the energy is \
-                     kept, the way is not known; see solver.lastResorts and solver.maxWork.",
+                    "between {point:?} s and {:?} s: {fallbacks} {steps} used the last fallback stage, since the equations were not solved: energy is \
+                     conserved, the trajectory is not resolved; see solver.lastResorts and solver.maxWork.",
                     point + size
                 )
             });
         }
         self.warn(point + size);
         if let Some(before) = before {
-            self.report_passes(before, point, point + size)?;
+            self.log_singularities(before, point, point + size)?;
         }
         Ok(())
     }
 
-    /// fmi2CancelStep: a step is never pending. In a test build with `--cfg forced_panic` a panic, to see what becomes of one.
+    /// fmi2CancelStep: refused, since a step is never pending. A test build with `--cfg forced_panic` panics here.
     pub fn cancel_step(&self) -> Result<(), CallError> {
         if cfg!(forced_panic) {
             panic!("forced by the test build");
@@ -69,7 +70,7 @@ impl Instance {
         Err(CallError::error("no step is pending: fmi2DoStep never returns fmi2Pending."))
     }
 
-    /// Tells once that servo references are not read, and once that loads are stiff.
+    /// Warns once that servo references are not read, and once that the loads are stiff.
     #[inline(always)]
     pub(super) fn warn(&mut self, time: f64) {
         let Some(simulation) = self.now.scene.simulation() else { return };
@@ -83,15 +84,21 @@ impl Instance {
             self.now.warned_of_stiffness = true;
             warn(&mut self.log, || {
                 format!(
-                    "at {time:?} s: steps of method dop853 are limited by its stability: the scene has stiff loads; automatic would do better."
+                    "at {time:?} s: the steps of solver.method dop853 are limited by stability, not by accuracy: the loads are stiff; \
+                     automatic takes longer steps."
                 )
             });
         }
     }
 
-    /// One line for each kind of singularity that a step has passed, and for a start from rest in a vertex.
+    /// Logs the passages through each kind of singularity during a step, and a start from rest in a vertex.
     #[cold]
-    pub(super) fn report_passes(&mut self, before: [u64; CONFIGURATION_SIGNS + 2], from: f64, to: f64) -> Result<(), CallError> {
+    pub(super) fn log_singularities(
+        &mut self,
+        before: [u64; CONFIGURATION_SIGNS + 2],
+        from: f64,
+        to: f64,
+    ) -> Result<(), CallError> {
         let core = self.observe()?.observation().state().core;
         let counts = core.counters.singular();
         let [launches, passes @ ..]: [u64; CONFIGURATION_SIGNS + 2] = std::array::from_fn(|i| counts[i].saturating_sub(before[i]));
@@ -122,7 +129,7 @@ impl Instance {
 pub(super) fn step_discarded(point: f64, size: f64, failure: &StepFailure) -> CallError {
     let StepFailure { elapsed, cause } = failure;
     CallError::discard(format!(
-        "the step from {point:?} s by {size:?} s gave up at {:?} s: {cause}; the state is still that of {point:?} s.",
+        "the step from {point:?} s by {size:?} s failed at {:?} s: {cause}; the state is still that of {point:?} s.",
         point + elapsed
     ))
 }

@@ -10,9 +10,9 @@
 //! 58 + n      4  Adler-32 of all before it
 //! ```
 //!
-//! Where samples have been set or a machine is followed, `Followed` comes after `Content`; elsewhere there is no byte of it.
+//! `Followed` comes after `Content` where samples have been set or a machine is followed; elsewhere the file ends with `Content`.
 //! Numbers are little-endian, reals IEEE 754 doubles; there are no pointers, and nothing depends on the process or the platform.
-//! The parameters are stored as values of variables, so that what is read back passes the same checks as what a master sets.
+//! Parameters are stored as values of variables, so that restored values pass the same checks as values set by a master.
 
 use std::io::{self, Read, Write};
 
@@ -29,15 +29,15 @@ use crate::simulation::{Estimate, Following, Inputs, ORDERS, Parameters, Run, Si
 use crate::variables::{GUID, VARIABLES, Value};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
-/// Must change with every change of what is stored.
+/// Version of the layout; changes with every change of the stored data.
 const FORMAT: u32 = 11;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
 const CHECKSUM: usize = size_of::<u32>();
 
-/// Bytes still to be read. In place of a slice, whose reading would be copied to each of some hundred fields.
-struct Rest<'a>(&'a [u8]);
+/// Bytes still to be read. A type of its own keeps the reader of slices from being inlined into some hundred fields.
+struct ByteReader<'a>(&'a [u8]);
 
-impl Read for Rest<'_> {
+impl Read for ByteReader<'_> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         self.0.read(into)
     }
@@ -48,10 +48,10 @@ impl Read for Rest<'_> {
     }
 }
 
-/// Bytes written so far. In place of a vector, whose growing would be copied to each field.
-struct Written(Vec<u8>);
+/// Bytes written so far. A type of its own keeps the growth of a vector from being inlined into every field.
+struct ByteWriter(Vec<u8>);
 
-impl Write for Written {
+impl Write for ByteWriter {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         self.0.write(bytes)
     }
@@ -66,7 +66,7 @@ impl Write for Written {
     }
 }
 
-/// What the bytes hold.
+/// Stored state of an instance, without samples and estimate.
 #[derive(BorshSerialize, BorshDeserialize)]
 struct Content {
     stage: Stage,
@@ -75,34 +75,34 @@ struct Content {
     /// Parameters in force.
     values: Values,
     run: Option<Run>,
-    /// [`Next::signal`]: values and derivatives.
+    /// Values and derivatives of [`Next::signal`].
     signal: Option<(Inputs, [Inputs; ORDERS])>,
-    /// [`Next::parameters`].
+    /// Values of [`Next::parameters`].
     tuned: Option<Values>,
     warned_of_references: bool,
     warned_of_stiffness: bool,
 }
 
-/// What bytes hold beside where a machine is followed.
+/// Samples and estimate, stored after the content where a machine is followed.
 #[derive(BorshDeserialize)]
 struct Followed {
     measured: Measured,
-    /// Apart: where nothing is followed nothing of its size is moved.
+    /// Boxed, so that a state without an estimate does not move its size.
     estimate: Option<Box<Estimate>>,
 }
 
-/// Values of parameters by their references; those of the estimator only where one is not its start.
+/// Values of parameters by value reference; those of the estimator only where one differs from its start value.
 type Values = Vec<(u32, Value)>;
 
 impl Snapshot {
-    /// The state as bytes.
+    /// Serialises the state.
     pub fn to_bytes(&self) -> Result<Vec<u8>, CallError> {
         let (parameters, run) = match (&self.scene, self.scene.simulation()) {
             (Scene::Draft(parameters), _) => (parameters, None),
             (_, Some(simulation)) => (simulation.parameters(), Some(simulation.run().clone())),
             (_, None) => unreachable!("what is no draft has a simulation"),
         };
-        // Fields as those of `Followed`.
+        // Order of the fields of `Followed`.
         let estimate = match &self.scene {
             Scene::Following(following) => Some(following.estimate()),
             Scene::Draft(_) | Scene::Ready(_) => None,
@@ -118,25 +118,25 @@ impl Snapshot {
             warned_of_references: self.warned_of_references,
             warned_of_stiffness: self.warned_of_stiffness,
         };
-        let mut written = Written(Vec::new());
-        let all = content.serialize(&mut written).and_then(|()| match is_nothing(&self.measured, estimate.is_some()) {
+        let mut written = ByteWriter(Vec::new());
+        let all = content.serialize(&mut written).and_then(|()| match is_default(&self.measured, estimate.is_some()) {
             true => Ok(()),
             false => (self.measured, estimate).serialize(&mut written),
         });
         all.map_err(|error| CallError::error(format!("the state cannot be serialised: {error}.")))?;
-        let Written(content) = written;
+        let ByteWriter(content) = written;
         let length = content.len() as u64;
         let mut bytes = [&MAGIC[..], &FORMAT.to_le_bytes(), GUID.as_bytes(), &length.to_le_bytes(), &content].concat();
         bytes.extend(adler2::adler32_slice(&bytes).to_le_bytes());
         Ok(bytes)
     }
 
-    /// The state that bytes hold, or one sentence that says what is wrong with them. A forged state is refused, or is some motion that closes
+    /// Restores a state, or refuses it in one sentence. A forged state is refused, or is some motion that closes
     /// the loop and can be continued.
     #[cold]
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CallError> {
         let (content, followed) =
-            parts(content(bytes)?).map_err(|error| wrong(&format!("their content is not a state: {error}")))?;
+            parse_content(content(bytes)?).map_err(|error| not_a_state(&format!("their content cannot be decoded: {error}")))?;
         let Content { stage, kind, clock, values, run, signal, tuned, warned_of_references, warned_of_stiffness } = content;
         let parameters = restored(&values)?;
         let next = Next { signal: signal.map(restored_signal).transpose()?, parameters: restored_tuned(tuned, &parameters)? };
@@ -151,82 +151,82 @@ impl Snapshot {
                 Stage::StepComplete | Stage::StepFailed | Stage::EventMode | Stage::ContinuousTimeMode | Stage::Terminated,
                 Some(run),
             ) if stage.belongs_to(kind) && run.is_model_exchange() == (kind == Kind::ModelExchange) => {
-                let refusal = |error: SceneError| wrong(&error.to_string());
+                let refusal = |error: SceneError| not_a_state(&error.to_string());
                 match (parameters.estimator.enabled, followed.estimate) {
                     (false, None) => Scene::Ready(Box::new(Simulation::restored(&parameters, run).map_err(refusal)?)),
                     (true, Some(estimate)) => {
                         let following = Following::restored(&parameters, run, *estimate);
                         Scene::Following(Box::new(following.map_err(refusal)?))
                     }
-                    (false, Some(_)) => return Err(wrong("they hold an estimate, and estimator.enabled is false")),
-                    (true, None) => return Err(wrong("estimator.enabled is true, and the estimate is missing")),
+                    (false, Some(_)) => return Err(not_a_state("they hold an estimate, but estimator.enabled is false")),
+                    (true, None) => return Err(not_a_state("estimator.enabled is true, but the estimate is missing")),
                 }
             }
-            _ => return Err(wrong(&format!("they say \"{stage}\", and what belongs to it is missing or too much"))),
+            _ => return Err(not_a_state(&format!("their state is \"{stage}\", but they hold data of another state"))),
         };
         if clock.is_none() && stage != Stage::Instantiated {
-            return Err(wrong(&format!("they say \"{stage}\", and the clock is missing")));
+            return Err(not_a_state(&format!("their state is \"{stage}\", but the clock is missing")));
         }
         let measured = followed.measured;
         Ok(Self { kind, stage, clock, scene, next, measured, warned_of_references, warned_of_stiffness })
     }
 }
 
-/// Whether no sample has been set and nothing is estimated: then it is not stored.
-fn is_nothing(measured: &Measured, estimates: bool) -> bool {
+/// Whether no sample has been set and nothing is estimated, so that `Followed` is not stored.
+fn is_default(measured: &Measured, estimates: bool) -> bool {
     !estimates && measured.same(&Measured::default())
 }
 
-/// The content and what is followed.
-fn parts(bytes: &[u8]) -> io::Result<(Content, Followed)> {
-    let mut rest = Rest(bytes);
+/// Parses the content and, where there is one, `Followed`.
+fn parse_content(bytes: &[u8]) -> io::Result<(Content, Followed)> {
+    let mut rest = ByteReader(bytes);
     let content = Content::deserialize_reader(&mut rest)?;
     if rest.0.is_empty() {
         return Ok((content, Followed { measured: Measured::default(), estimate: None }));
     }
     let followed = Followed::deserialize_reader(&mut rest)?;
     if !rest.0.is_empty() {
-        return Err(io::Error::other("there is more than a state"));
+        return Err(io::Error::other("bytes follow the last field"));
     }
-    if is_nothing(&followed.measured, followed.estimate.is_some()) {
-        return Err(io::Error::other("samples that have not been set"));
+    if is_default(&followed.measured, followed.estimate.is_some()) {
+        return Err(io::Error::other("samples at their start values, which are never stored"));
     }
     Ok((content, followed))
 }
 
-fn wrong(what: &str) -> CallError {
+fn not_a_state(what: &str) -> CallError {
     CallError::error(format!("the bytes are not a state of this FMU: {what}."))
 }
 
-/// The content, where head, length and checksum are right.
+/// The content, after head, length and checksum have been checked.
 fn content(bytes: &[u8]) -> Result<&[u8], CallError> {
     if bytes.len() < HEAD + CHECKSUM {
-        return Err(wrong(&format!("there are {}, and the head alone has {HEAD}", bytes.len())));
+        return Err(not_a_state(&format!("there are {}, fewer than the {} of head and checksum", bytes.len(), HEAD + CHECKSUM)));
     }
     let (magic, rest) = bytes.split_at(MAGIC.len());
     let (format, rest) = rest.split_at(size_of::<u32>());
     let (guid, rest) = rest.split_at(GUID.len());
     let (length, _) = rest.split_at(size_of::<u64>());
     if magic != MAGIC {
-        return Err(wrong("they do not begin with its name"));
+        return Err(not_a_state("they do not begin with FiveBar"));
     }
     if format != FORMAT.to_le_bytes() {
-        return Err(wrong(&format!("their format is not {FORMAT}, another version has written them")));
+        return Err(not_a_state(&format!("their format is not {FORMAT}: another version has written them")));
     }
     if guid != GUID.as_bytes() {
-        return Err(wrong("they belong to another GUID, another version has written them"));
+        return Err(not_a_state("they belong to another GUID: another version has written them"));
     }
     if length != ((bytes.len() - HEAD - CHECKSUM) as u64).to_le_bytes() {
-        return Err(wrong(&format!("there are {}, not as many as their head says", bytes.len())));
+        return Err(not_a_state(&format!("there are {}, which is not the length in their head", bytes.len())));
     }
     let (checked, checksum) = bytes.split_at(bytes.len() - CHECKSUM);
     if checksum != adler2::adler32_slice(checked).to_le_bytes() {
-        return Err(wrong("their checksum is wrong"));
+        return Err(not_a_state("their checksum is wrong"));
     }
     Ok(&checked[HEAD..])
 }
 
-/// The values of all parameters.
+/// Values of all parameters; those of the estimator, which come last, are left out at their start values.
 fn values(parameters: &Parameters) -> Values {
     let mut parameters = parameters.clone();
     let (mut values, mut changed) = (Values::with_capacity(VARIABLES.len()), 0);
@@ -249,18 +249,18 @@ fn parameters_before_estimator() -> usize {
     bindings::parameters().take_while(|variable| !variable.name.starts_with("estimator.")).count()
 }
 
-/// Parameters with these values, each within its bounds, none left out.
+/// Parameters with these values: each within its bounds, none left out.
 fn restored(values: &[(u32, Value)]) -> Result<Parameters, CallError> {
     let mut parameters = bindings::default_parameters();
     let are_first = values.iter().zip(bindings::parameters()).all(|((reference, _), variable)| *reference == variable.reference);
     if !are_first || ![parameters_before_estimator(), bindings::parameters().count()].contains(&values.len()) {
-        return Err(wrong("they do not hold every parameter once"));
+        return Err(not_a_state("they do not hold every parameter once"));
     }
     for &(reference, value) in values {
         let variable = lookup(reference, value.fmi_type())?;
         check_value(variable, value)?;
         if !bindings::write_parameter(&mut parameters, variable, value) {
-            return Err(wrong(&format!("{} is not {value}", variable.name)));
+            return Err(not_a_state(&format!("{} = {value} is not allowed", variable.name)));
         }
     }
     Ok(parameters)
@@ -276,13 +276,16 @@ fn restored_tuned(tuned: Option<Values>, in_force: &Parameters) -> Result<Option
         if let (Some(before), Some(after)) = (before, after)
             && before != after
         {
-            return Err(wrong(&format!("{} = {after} is fixed, and is {before}", variable.name)));
+            return Err(not_a_state(&format!(
+                "{} = {after} is not allowed during the run: it is fixed at {before}",
+                variable.name
+            )));
         }
     }
     Ok(Some(tuned))
 }
 
-/// Inputs that stay finite, each within its bounds.
+/// Input signal with finite values within the bounds.
 fn restored_signal((value, derivatives): (Inputs, [Inputs; ORDERS])) -> Result<Signal, CallError> {
     let mut inputs = value;
     for (variable, input) in bindings::inputs() {

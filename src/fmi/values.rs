@@ -1,9 +1,9 @@
-//! The checks that come before a value is read or written (rules 29 and 30 of this project).
+//! Checks before a value is read or written (rules 29 and 30 of this project).
 
 use super::{CallError, Stage};
 use crate::variables::{FmiType, RealComputed, Value, Variable, VariableId};
 
-/// The variable of a reference, where it is one of the function's type.
+/// The variable of a value reference, whose type must be that of the function.
 pub(super) fn lookup(reference: u32, fmi_type: FmiType) -> Result<&'static Variable, CallError> {
     let variable = Variable::find(reference)
         .ok_or_else(|| CallError::error(format!("value reference {reference} belongs to no variable.")))?;
@@ -17,21 +17,21 @@ pub(super) fn lookup(reference: u32, fmi_type: FmiType) -> Result<&'static Varia
     Ok(variable)
 }
 
-/// Whether a variable may be set in a stage that allows setting: inputs and tunable parameters always, other parameters before
-/// the run, what is computed never (FMI 2.0.4, section 2.2.7 and footnotes of the table in 4.2.4).
+/// Whether a variable may be set in a stage that allows setting: inputs and tunable parameters always, other parameters before the
+/// run, computed variables never (FMI 2.0.4, section 2.2.7 and footnotes of the table in 4.2.4).
 ///
-/// In model exchange: tunable parameters at events only. Beyond the standard, continuous states may be set as by
-/// fmi2SetContinuousStates, for there are masters that know no other way.
+/// In model exchange tunable parameters may be set at events only. Beyond the standard, fmi2SetReal sets continuous states as
+/// fmi2SetContinuousStates does, since some masters have no other way.
 #[inline(always)]
 pub(super) fn check_settable(variable: &Variable, stage: Stage) -> Result<(), CallError> {
     match variable.id {
         VariableId::RealInput(_) | VariableId::RealSample(_) => Ok(()),
-        _ => check_settable_there(variable, stage),
+        _ => check_settable_unless_input(variable, stage),
     }
 }
 
-/// The same of anything but an input.
-fn check_settable_there(variable: &Variable, stage: Stage) -> Result<(), CallError> {
+/// [`check_settable`] for variables that are no inputs.
+fn check_settable_unless_input(variable: &Variable, stage: Stage) -> Result<(), CallError> {
     match variable.id {
         VariableId::RealInput(_) | VariableId::RealSample(_) => Ok(()),
         _ if variable.tunable && stage == Stage::ContinuousTimeMode => Err(CallError::error(format!(
@@ -64,7 +64,7 @@ fn check_settable_there(variable: &Variable, stage: Stage) -> Result<(), CallErr
 
 /// A variable's own bounds; relations between variables are checked when the scene is made ready.
 pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), CallError> {
-    // What an encoder says is judged by the estimator, which goes on without it.
+    // Samples may have any value: the estimator judges them and continues without a rejected one.
     if matches!(variable.id, VariableId::RealSample(_)) {
         return Ok(());
     }
@@ -73,7 +73,7 @@ pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), CallE
         Value::Integer(n) => f64::from(n),
         Value::Boolean(_) => return Ok(()),
     };
-    // Only a refusal makes text: setting an input allocates nothing.
+    // Text is made for a refusal only: setting an input allocates nothing.
     let unit = || variable.unit().filter(|unit| *unit != "1").map(|unit| format!(" {unit}")).unwrap_or_default();
     let refuse = |allowed: String| {
         Err(CallError::error(format!("{} = {value}{} is not allowed: it must be {allowed}.", variable.name, unit())))
@@ -92,13 +92,13 @@ pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), CallE
     }
 }
 
-/// What has been computed is told where it is a number: inputs and parameters that are allowed one by one may be too large together.
+/// Discards a computed value that is not finite: inputs and parameters that are allowed one by one may be too large together.
 pub(super) fn check_computed(name: impl FnOnce() -> String, value: f64) -> Result<(), CallError> {
     if value.is_finite() {
         return Ok(());
     }
     Err(CallError::discard(format!(
-        "{} = {value} cannot be told: it must be finite; an input or a parameter is too large or too small for double precision.",
+        "{} = {value} is not available: it must be finite; an input or a parameter is too large or too small for double precision.",
         name()
     )))
 }

@@ -53,10 +53,10 @@ impl<const N: usize, const M: usize> State<N, M> {
             return Err("a coordinate, rate, acceleration, force or energy is not finite");
         }
         if !(self.substep > 0.0 && self.error_estimate >= 0.0 && self.error_estimate.is_finite()) {
-            return Err("a step or a local error is no positive number");
+            return Err("a sub-step length is not positive, or a local error is negative or not finite");
         }
         if !self.counters.are_countable() {
-            return Err("a counter is larger than anything that can be counted");
+            return Err("a counter is larger than any run can make it");
         }
         self.check_constraints(system, bounds)?;
         if bounds.in_balance {
@@ -68,18 +68,18 @@ impl<const N: usize, const M: usize> State<N, M> {
     #[cold]
     fn check_constraints<S: System<N, M> + Passage<N>>(&self, system: &S, bounds: &Bounds) -> Result<(), Inconsistency> {
         if self.on_ray && !system.is_near_vertex(&self.q) {
-            return Err("it is on a ray through a vertex, and none is near");
+            return Err("it passes a constraint singularity, but none is near");
         }
         let [position, velocity] = if self.on_ray { ON_RAY } else { [bounds.position, bounds.velocity] };
         let pose = system.pose(&self.q);
         if system.phi(&self.q, &pose).max_norm() > position * system.length_scale() {
-            return Err("the loop is open");
+            return Err("the loop is not closed");
         }
         // The largest term of Φ_q q̇: each coordinate alone.
         let terms = (0..N).map(|i| system.phi_q_times(&pose, &(self.v[i] * Vector::unit(i))).max_norm());
         let allowed = velocity * terms.fold(0.0, f64::max) + AT_REST * system.length_scale();
         if system.phi_q_times(&pose, &self.v).max_norm() > allowed {
-            return Err("the rates tear the loop apart");
+            return Err("the rates do not keep the loop closed");
         }
         Ok(())
     }

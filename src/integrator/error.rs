@@ -61,17 +61,17 @@ impl fmt::Display for StepError {
             Self::NoRootWithin { iterations } => {
                 write!(
                     f,
-                    "the step's equations were not solved in {iterations} iterations, and solver.maxWork = 0 allows no rescue"
+                    "the step's equations were not solved in {iterations} iterations, and solver.maxWork = 0 allows no fallback"
                 )
             }
             Self::FallbackFailed => f.write_str(
-                "neither the step's equations were solved within solver.maxWork, nor was a shorter way found that keeps the energy",
+                "the step's equations were not solved within solver.maxWork, and the last fallback stage found no shorter step that conserves energy",
             ),
             Self::IndefiniteTangent => {
                 f.write_str("the tangent matrix is not positive definite: the step is too long for this posture and load")
             }
             Self::EnergyChange { part } => {
-                write!(f, "next to a constraint singularity a sub-step changed the kinetic energy by {part:.3e} of itself")
+                write!(f, "near a constraint singularity a sub-step changed the kinetic energy by {part:.3e} (relative)")
             }
             Self::NotFinite => f.write_str("a coordinate, velocity or acceleration is not finite"),
             Self::StepTooShort { substep, error } => {
@@ -94,7 +94,7 @@ struct LocalError(f64);
 impl fmt::Display for LocalError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self(error) = self;
-        if error.is_finite() { write!(f, "had a local error of {error:.3e} rad") } else { f.write_str("failed altogether") }
+        if error.is_finite() { write!(f, "had a local error of {error:.3e} rad") } else { f.write_str("failed") }
     }
 }
 
@@ -107,7 +107,7 @@ mod tests {
         let said = |error| StepError::TooMuchWork { most: 9, substep: 1e-6, error }.to_string();
         assert!(said(1e-7).ends_with("the last sub-step, of 1.000e-6 s, had a local error of 1.000e-7 rad"), "{}", said(1e-7));
         for error in [f64::INFINITY, f64::NAN] {
-            assert!(said(error).ends_with("the last sub-step, of 1.000e-6 s, failed altogether"), "{}", said(error));
+            assert!(said(error).ends_with("the last sub-step, of 1.000e-6 s, failed"), "{}", said(error));
         }
     }
 }

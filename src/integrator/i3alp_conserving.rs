@@ -345,7 +345,7 @@ impl<const N: usize, const K: usize> ConservingRun<N, K> {
     ) -> Result<(), Inconsistency> {
         let History { h, known, x } = &self.history;
         if !(x.iter().all(|x| x.is_finite()) && *h >= 0.0 && h.is_finite() && usize::from(*known) <= HISTORY_LENGTH) {
-            return Err("what it remembers of its last steps is not finite");
+            return Err("the stored values of its last steps are not finite");
         }
         self.state(system, bounds.regularizations[0]).check(system, &super::Bounds { in_balance: false, ..*bounds })
     }

@@ -1,7 +1,7 @@
-//! Outputs that are not state, as pure functions of model and state. Never called by a step.
+//! Outputs that are not state, as pure functions of model and state. Steps never call them.
 //!
-//! [`Observed`] is one set of formulas for values and for their changes along a direction; [`Observation`] is what an instance keeps of
-//! a state until something changes.
+//! [`Observed`] has one formula for the value of an output and for its directional derivative; [`Observation`] caches expensive
+//! results for a state until the instance changes.
 
 mod observed;
 
@@ -16,20 +16,20 @@ use crate::simulation::{Following, Model, State};
 pub use crate::mechanism::singularity::{Jacobians, Singularity, SingularityKind};
 pub use observed::{INDICATORS, Observed, Point};
 
-/// A state for some inputs, and what has been worked out of it.
+/// A state with accelerations for the present inputs, and a cache of expensive results.
 #[derive(Debug)]
 pub struct Observation {
     state: State,
     pose: Pose,
     /// Kinetic and potential energy, J.
     energies: OnceCell<[f64; 2]>,
-    /// The smallest singular value of Φ_q, which costs more than all else.
+    /// Smallest singular value of Φ_q, the most expensive output.
     sigma_phi: OnceCell<f64>,
-    /// What costs some thousand steps.
+    /// Probability of a direct singularity within the horizon, whose forecast takes some thousand steps.
     singularity_probability: OnceCell<f64>,
 }
 
-/// What has been estimated of a machine that is followed.
+/// Access to the estimates of a machine that is followed.
 #[derive(Clone, Copy, Debug)]
 pub struct Estimated<'a> {
     /// The simulation with its estimator.
@@ -48,13 +48,13 @@ impl Estimated<'_> {
 }
 
 impl Observation {
-    /// Of a state, nothing worked out yet.
+    /// Observation of a state with an empty cache.
     pub fn new(model: &Model, state: State) -> Self {
         let pose = model.mechanism.pose(&state.core.q);
         Self { state, pose, energies: OnceCell::new(), sigma_phi: OnceCell::new(), singularity_probability: OnceCell::new() }
     }
 
-    /// The state.
+    /// The observed state.
     pub fn state(&self) -> &State {
         &self.state
     }
@@ -70,14 +70,14 @@ impl Observation {
     }
 }
 
-/// Angles, rates and accelerations of the links, and the points that a user sees.
+/// Angles, rates and accelerations of the links; positions, velocities and accelerations of tip and elbows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
     /// Absolute angles of links 1 to 4 (left proximal, left distal, right distal, right proximal), rad, not wrapped.
     pub theta: [f64; 4],
-    /// Their rates, rad/s.
+    /// Rates of the links, rad/s.
     pub omega: [f64; 4],
-    /// Their accelerations, rad/s².
+    /// Accelerations of the links, rad/s².
     pub alpha: [f64; 4],
     /// Position of the tip, m.
     pub tip: Vector2<f64>,
@@ -92,15 +92,15 @@ pub struct Motion {
 /// Energies, J.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Energies {
-    /// Kinetic energy.
+    /// Kinetic energy, J.
     pub kinetic: f64,
-    /// Potential energy.
+    /// Potential energy, J.
     pub potential: f64,
-    /// Work of the inputs since the start.
+    /// Work of the inputs since the start, J.
     pub input: f64,
-    /// Energy dissipated since the start.
+    /// Energy dissipated since the start, J.
     pub dissipated: f64,
-    /// Balance residual: kinetic + potential + dissipated − input, minus its value at the start.
+    /// Balance residual, J: kinetic + potential + dissipated − input, minus its value at the start.
     pub error: f64,
 }
 
@@ -115,12 +115,12 @@ pub struct ConstraintNorms {
     pub acceleration: f64,
 }
 
-/// What is observed of a state by itself.
+/// Evaluates an observer at a state without a cache.
 fn at<T>(model: &Model, state: &State, observe: impl FnOnce(Observed<'_, f64>) -> T) -> T {
     observe(Observed::new(model, &Observation::new(model, *state)))
 }
 
-/// Motion of the links.
+/// Angles, points and their time derivatives.
 pub fn motion(model: &Model, state: &State) -> Motion {
     at(model, state, |of| {
         let point = |point, order| Vector2::from(of.point(point, order));
@@ -158,7 +158,7 @@ pub fn contact_force(model: &Model, state: &State) -> Vector2<f64> {
     at(model, state, |of| of.contact_force().into())
 }
 
-/// Distance to the singularities, and the modes.
+/// Determinants, smallest singular values and signs of the configuration.
 pub fn singularity(model: &Model, state: &State) -> Singularity {
     at(model, state, |of| {
         let (jacobians, sigma_phi) = (of.jacobians(), of.sigma_phi());

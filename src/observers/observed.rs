@@ -1,4 +1,4 @@
-//! The formulas of the outputs, once for their values and for their changes along a direction.
+//! Formulas of the outputs, generic over plain numbers (values) and dual numbers (directional derivatives).
 
 use std::marker::PhantomData;
 
@@ -12,7 +12,7 @@ use crate::mechanism::{Coordinates, SceneError, SingularValue, closure};
 use crate::scalar::Scalar;
 use crate::simulation::{Following, Model, Variation};
 
-/// An observation seen in numbers, or in dual numbers that carry the changes along a direction.
+/// An observation in numbers, or in dual numbers with the derivatives along a direction.
 #[derive(Clone, Copy, Debug)]
 pub struct Observed<'a, T> {
     model: &'a Model,
@@ -25,39 +25,39 @@ pub struct Observed<'a, T> {
 /// Number of [`Observed::indicators`].
 pub const INDICATORS: usize = 6 + effects::INDICATORS;
 
-/// A point that a user sees.
+/// A point of the mechanism with outputs of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Point {
-    /// Where the distal links meet.
+    /// Joint of the distal links.
     Tip,
-    /// That of the left (0) or right (1) leg.
+    /// Elbow of the left (0) or right (1) leg.
     Elbow(usize),
 }
 
 impl<'a> Observed<'a, f64> {
-    /// The values.
+    /// Observer of values.
     pub fn new(model: &'a Model, observation: &'a Observation) -> Self {
         Self { model, observation, along: None, following: None, scalar: PhantomData }
     }
 
-    /// The same of a machine that is followed.
-    pub fn of_estimate(self, following: &'a Following) -> Self {
+    /// Adds the estimates of a machine that is followed.
+    pub fn with_estimates(self, following: &'a Following) -> Self {
         Self { following: Some(following), ..self }
     }
 }
 
 impl Observed<'_, f64> {
-    /// Refuses a direct singularity, where the proximal angles and rates are no coordinates.
+    /// Refuses a direct singularity, where the proximal angles and rates are no coordinates of the state.
     pub fn are_coordinates(&self) -> Result<(), SceneError> {
         let [tip, ..] = self.observation.pose.margins();
         closure::are_coordinates(tip)
     }
 
-    /// Numbers that change sign where a mode, the kind of singularity or the side of a kink changes: modes, nearness of direct, inverse
-    /// and constraint singularities, kinks.
+    /// Event indicators: they change sign where a configuration sign, the kind of singularity or the mode of a force law changes.
+    /// Six of the mechanism (signs; nearness of direct, inverse and constraint singularities), the rest of the effects.
     pub fn indicators(&self) -> [f64; INDICATORS] {
         let [.., direct, inverse] = self.observation.pose.margins();
-        // The constraints lose rank only where both are near, and to know it costs more than all else.
+        // The constraints lose rank only where a direct and an inverse singularity are both near; σ_Φ is the most expensive output.
         let rank = if direct < 0.0 && inverse < 0.0 { rank_margin(self.observation.sigma_phi()) } else { 1.0 };
         let kinks = self.at(|at| GuardValues::new(&self.model.effects, at, FrictionGuards::new()).indicators());
         let mut indicators = [rank; INDICATORS];
@@ -68,7 +68,7 @@ impl Observed<'_, f64> {
 }
 
 impl<'a> Observed<'a, Dual64> {
-    /// The values with their changes along a direction.
+    /// Observer of values and their derivatives along a direction.
     pub fn along(model: &'a Model, observation: &'a Observation, along: &'a Variation) -> Self {
         Self { model, observation, along: Some(along), following: None, scalar: PhantomData }
     }
@@ -85,22 +85,22 @@ impl<T: Scalar> Observed<'_, T> {
         self.observation
     }
 
-    /// What has been estimated, where a machine is followed.
+    /// Estimates, where a machine is followed.
     pub fn estimated(&self) -> Option<Estimated<'_>> {
         self.following.map(|following| Estimated { following, observation: self.observation })
     }
 
-    /// A value with its change.
+    /// A value with its derivative along the direction.
     fn varying(&self, value: f64, change: impl FnOnce(&Variation) -> f64) -> T {
         T::with(value, || self.along.map_or(0.0, change))
     }
 
-    /// A value that does not change: what is only counted, judged or followed along the path.
+    /// A value with derivative 0: counters, enumerations and integrals along the trajectory.
     pub fn constant(&self, value: f64) -> T {
         T::with(value, || 0.0)
     }
 
-    /// Derivative of an order up to 2 of a coordinate with respect to time.
+    /// Coordinate or its derivative of an order up to 2 with respect to time.
     fn coordinate(&self, place: usize, order: usize) -> T {
         let core = &self.observation.state.core;
         match order {
@@ -193,26 +193,26 @@ impl<T: Scalar> Observed<'_, T> {
     /// Force of the contact plane on the tip, N; 0 without contact.
     pub fn contact_force(&self) -> [T; 2] {
         let holding = self.observation.state.holding(self.model);
-        // What acts on the tip acts on link 2, with its force in the rows of the centre of mass.
+        // A force on the tip acts on link 2: its components stand in the rows of the centre of mass.
         self.force_of([X[1], Y[1]], |effect, at| match effect {
             Effect::Contact(contact) => Some(contact.force(at, &holding)),
             _ => None,
         })
     }
 
-    /// What the one effect that answers says of its force, whose rows these are; 0 where none does.
+    /// Force of the one effect that answers, with its derivative in these rows; 0 where none answers.
     fn force_of(&self, rows: [usize; 2], answer: impl Fn(&Effect, &ForceContext) -> Option<[f64; 2]>) -> [T; 2] {
         let found = self.model.effects.iter().find_map(|effect| Some((effect, self.at(|at| answer(effect, at))?)));
         let Some((effect, force)) = found else { return [self.constant(0.0); 2] };
         [0, 1].map(|i| self.varying(force[i], |along| self.force_change(effect, along)[rows[i]]))
     }
 
-    /// How the generalised force of an effect changes.
+    /// Derivative of the generalised force of an effect along the direction.
     fn force_change(&self, effect: &Effect, along: &Variation) -> Coordinates {
         self.at(|at| effect.force_change(at, &along.change))
     }
 
-    /// What effects answer.
+    /// Evaluates an effect in the force context of the observed state.
     fn at<R>(&self, answer: impl FnOnce(&ForceContext) -> R) -> R {
         self.observation.state.at(self.model, answer)
     }
@@ -222,7 +222,8 @@ impl<T: Scalar> Observed<'_, T> {
         self.model.mechanism.geometry.jacobians([0, 1, 2, 3].map(|link| self.direction(link)))
     }
 
-    /// Smallest singular value σ of Φ_q (rows in m, columns in m and rad). Its change is uᵀ δΦ_q v with its singular vectors.
+    /// Smallest singular value σ of Φ_q (rows in m, columns in m and rad). Its derivative is uᵀ δΦ_q v with its singular vectors u,
+    /// v.
     pub fn sigma_phi(&self) -> T {
         self.varying(self.observation.sigma_phi(), |along| {
             let pose = &self.observation.pose;

@@ -105,12 +105,12 @@ impl DenseRun {
     /// Refuses a run that is none of this system.
     pub(super) fn check(&self, system: &ByAngles<'_>, settings: &Settings, bounds: &Bounds) -> Result<(), Inconsistency> {
         if self.held.iter().any(|steps| *steps > self.step.steps()) {
-            return Err("inputs were held for longer than the run is");
+            return Err("inputs are held for more steps than the run has");
         }
         for ((state, mode), ends) in self.step.ends().into_iter().zip([false, true]) {
             let (x, rates) = system.coordinates(&system.pose(&state.q), &state.q, &state.v);
             if mode.closure_branch.is_some_and(|closure_branch| !closure_branch.is_of(&system.model().mechanism.geometry)) {
-                return Err("it is on a branch of the closure that there is none of");
+                return Err("its branch of the closure does not exist");
             }
             check_stick_slip(system.model(), &system.five_bar().on(mode), [&x, &rates], ends)?;
         }

@@ -46,7 +46,8 @@ impl Following {
         parameters.estimator.check(parameters.settings.step_size)?;
         if let Some(name) = sticking_law(&parameters.effects) {
             return Err(SceneError(format!(
-                "{name} = stick is not allowed with estimator.enabled = true, whose errors move by smooth laws: it must be smooth."
+                "{name} = stick is not allowed with estimator.enabled = true, which propagates its covariance through \
+                 smooth laws: it must be smooth."
             )));
         }
         let simulation = Simulation::new(parameters, inputs)?;

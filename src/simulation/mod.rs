@@ -81,7 +81,9 @@ impl Simulation {
             return Err(SceneError(format!("link angles {theta:?} rad do not close the loop: the legs end {gap:e} m apart.")));
         }
         if tear > closure::IN_LINE * speed {
-            return Err(SceneError(format!("link rates {omega:?} rad/s tear the loop apart at {tear:e} m/s.")));
+            return Err(SceneError(format!(
+                "link rates {omega:?} rad/s do not keep the loop closed: the legs part at {tear:e} m/s."
+            )));
         }
         Ok(simulation)
     }
@@ -198,9 +200,9 @@ impl Simulation {
         let mut model = self.model.clone();
         let tuned = Parameters { effects: parameters.clone(), ..self.parameters.clone() };
         if model.tune(&self.parameters.effects, &tuned)? {
-            self.run.tune(&self.model, &model, parameters.payload.join).map_err(|cause| {
-                SceneError(format!("the step that is under way could not be redone up to the present time: {cause}."))
-            })?;
+            self.run
+                .tune(&self.model, &model, parameters.payload.join)
+                .map_err(|cause| SceneError(format!("the current step could not be repeated up to the present time: {cause}.")))?;
             self.model = model;
         }
         self.parameters = tuned;

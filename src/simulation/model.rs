@@ -133,8 +133,8 @@ impl Model {
     pub fn for_model_exchange(parameters: &Parameters) -> Result<Self, SceneError> {
         if let Some(name) = sticking_law(&parameters.effects) {
             return Err(SceneError(format!(
-                "{name} = stick is not allowed in model exchange, whose master does not know what holds: it must be smooth, or the unit \
-                 instantiated for co-simulation."
+                "{name} = stick is not allowed in model exchange, whose master does not know which joints stick: it must be smooth, or the \
+                 unit instantiated for co-simulation."
             )));
         }
         Ok(Self { stepper: Stepper::ModelExchange(parameters.start.assembly), ..Self::new(parameters)? })
@@ -228,8 +228,8 @@ fn too_far_apart(in_force: &effects::Parameters, tuned: &Parameters) -> SceneErr
     }
     let side = if wanted > taken { "at most" } else { "at least" };
     SceneError(format!(
-        "payload.mass = {wanted:?} kg is not allowed during this run: the linear solve chosen at its start takes {side} {taken:.6} kg, with \
-         which the links' inertias are no further apart."
+        "payload.mass = {wanted:?} kg is not allowed during this run: it must be {side} {taken:.6} kg, the limit of the linear solver \
+         chosen at its start for the ratio of the links' inertias."
     ))
 }
 

@@ -41,7 +41,7 @@ impl Run {
             (Stepper::ModelExchange(_), IntegratorState::ModelExchange(run)) => {
                 run.check(model, inputs, &bounds(model, &parameters.settings))
             }
-            _ => Err("it belongs to another solver.method than the one that is set in it"),
+            _ => Err("its run was made by another solver.method"),
         }
         .map_err(|what| SceneError(what.into()))
     }
@@ -59,7 +59,7 @@ pub(super) fn check_stick_slip(
     } else {
         system.mode.stick_slip == StickSlips::OPEN
     };
-    if possible { Ok(()) } else { Err("friction does not hold or slip as it says") }
+    if possible { Ok(()) } else { Err("its stick-slip states do not fit its rates and loads") }
 }
 
 /// What the method holds its constraints and equilibrium to.

@@ -122,7 +122,7 @@ impl Settings {
             Method::I3alpConserving => "solver.method = i3alpConserving",
         };
         Err(SceneError(format!(
-            "{name} = stick is not allowed with {steps}, whose steps cannot end where something stops or lets go: it must be smooth, or \
+            "{name} = stick is not allowed with {steps}, whose steps cannot end at stick-slip transitions: it must be smooth, or \
              solver.method i3alp with solver.adaptive = true, dop853 or automatic."
         )))
     }

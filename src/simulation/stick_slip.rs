@@ -278,7 +278,8 @@ pub(super) fn varied(
     }
     if stick_slip.at_rest() || matches!(stick_slip.at(FRICTION_PLACES - 1), StickSlip::Holds(_)) {
         return Err(SceneError(
-            "friction holds the tip or all that could move, and derivatives are told only where joints alone are held and something moves."
+            "the tip sticks or friction locks the machine: derivatives are available only where joints alone stick and the machine \
+             can move."
                 .into(),
         ));
     }

@@ -1,6 +1,6 @@
 //! The variables, generated from `modelDescription/modelDescription.xml`: data only.
 //!
-//! `build.rs` writes the constants, the enums and the table [`VARIABLES`]; this file says what they are made of.
+//! `build.rs` writes the constants, the enums and the table [`VARIABLES`]; this file has their types.
 
 use std::fmt;
 
@@ -15,21 +15,21 @@ pub struct Variable {
     pub name: &'static str,
     /// Value reference.
     pub reference: u32,
-    /// Type, role and family: what the bindings match over.
+    /// Type, role and family, matched by the bindings.
     pub id: VariableId,
-    /// The place of its unit.
+    /// Index of its unit.
     unit: Option<u8>,
-    /// Start value, in its unit; what is computed has none.
+    /// Start value, in its unit; computed variables have none.
     pub start: Option<Value>,
     /// Smallest value allowed, in its unit.
     pub min: Option<f64>,
     /// Largest value allowed, in its unit.
     pub max: Option<f64>,
-    /// The place of its enumeration.
+    /// Index of its enumeration.
     enumeration: Option<u8>,
     /// For parameters: whether the value may be changed during a run.
     pub tunable: bool,
-    /// Whether it is an output, and not only to be read.
+    /// Whether the causality is output, not local.
     pub output: bool,
 }
 
@@ -39,7 +39,7 @@ impl Variable {
         self.unit.map(|place| UNITS[usize::from(place)])
     }
 
-    /// The values allowed, for enumerations.
+    /// Items of an enumeration.
     pub fn items(&self) -> &'static [Item] {
         self.enumeration.map_or(&[], |place| ENUMERATIONS[usize::from(place)])
     }
@@ -50,11 +50,11 @@ impl Variable {
 pub struct Item {
     /// Name.
     pub name: &'static str,
-    /// The number that stands for it in calls.
+    /// Number of the item in calls.
     pub value: i32,
 }
 
-/// A value as calls carry it; enumerations travel as integers (FMI 2.0.4, section 2.2.7).
+/// A value in a call; enumerations are passed as integers (FMI 2.0.4, section 2.2.7).
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub enum Value {
     /// fmi2Real.
@@ -108,18 +108,18 @@ impl fmt::Display for FmiType {
 }
 
 impl Variable {
-    /// The variable of that reference.
+    /// The variable with that value reference.
     pub fn find(reference: u32) -> Option<&'static Self> {
         let position = VARIABLES.binary_search_by_key(&reference, |variable| variable.reference).ok()?;
         Some(&VARIABLES[position])
     }
 
-    /// The variable of that name.
+    /// The variable with that name.
     pub fn named(name: &str) -> Option<&'static Self> {
         VARIABLES.iter().find(|variable| variable.name == name)
     }
 
-    /// The name of its type in the XML.
+    /// Name of the variable's type in the XML.
     pub fn type_name(&self) -> &'static str {
         match self.id {
             VariableId::RealParameter(_) | VariableId::RealInput(_) | VariableId::RealSample(_) | VariableId::RealComputed(_) => {
@@ -131,7 +131,7 @@ impl Variable {
         }
     }
 
-    /// The functions that read and write it.
+    /// The pair of functions that reads and writes the variable.
     pub fn fmi_type(&self) -> FmiType {
         match self.id {
             VariableId::RealParameter(_) | VariableId::RealInput(_) | VariableId::RealSample(_) | VariableId::RealComputed(_) => {

@@ -1,5 +1,5 @@
-//! The method that chooses the kind of its steps, on the five-bar: the derivatives that implicit steps take, which kinds are chosen and
-//! what that saves, communication points, stored states.
+//! The method that chooses the scheme of its steps, on the five-bar: derivatives for implicit steps, chosen schemes and their cost,
+//! communication points, stored states.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -13,7 +13,7 @@ use fivebar::vector::Vector;
 
 use crate::support::{MGL, Reference, angle_error, enable, fall_90_120, run, tip_error, unequal};
 
-/// e of the explicit method, in the link angles: what round-off leaves of a regular matrix does not see it.
+/// e of the explicit method, in the link angles: smaller than the round-off of a regular matrix.
 const REGULARIZATION: f64 = 1e-18;
 
 fn automatic(mut parameters: Parameters, tolerance: f64) -> Parameters {
@@ -21,7 +21,7 @@ fn automatic(mut parameters: Parameters, tolerance: f64) -> Parameters {
     parameters
 }
 
-/// Both motors clamped by servos so strong that explicit steps are bound to 0.1 ms.
+/// Both motors clamped by servos so stiff that stability bounds explicit steps to 0.1 ms.
 fn clamped() -> (Parameters, Inputs) {
     let mut parameters = fall_90_120(Method::Automatic);
     enable(&mut parameters, "servo");
@@ -79,7 +79,7 @@ fn tangents_of_accelerations_are_derivatives() {
     }
 }
 
-/// Where nothing is stiff and nothing changes, it is dop853 to the bit.
+/// Without stiff loads and changing inputs the method equals dop853 to the bit.
 #[test]
 fn on_a_free_road_it_is_dop853() {
     let end = |method: Method| {
@@ -243,7 +243,7 @@ fn switching_loses_no_digit() {
         let [(own, [few, free]), (explicit, [many, as_many])] =
             [Method::Automatic, Method::Dop853].map(|method| end(method, tolerance));
         let errors = [own, explicit].map(|q| angle_error(&q, &exact));
-        // Both are below 0.2 tolerances: the clamp forgets what was before it.
+        // Both errors are below 0.2 tolerances: the clamp damps earlier errors.
         assert!(errors[0] < tolerance, "{tolerance:e}: {errors:?} rad");
         assert!(few < many, "{tolerance:e}: {few} steps in the clamp, {many} by dop853");
         assert!(free < 3 * as_many, "{tolerance:e}: {free} free steps, {as_many} by dop853");
@@ -267,7 +267,7 @@ fn rest_under_steep_friction_takes_no_steps() {
         let come = counters(&simulation);
         run(&mut simulation, &default_inputs(), 1e-3, 2.0);
         let rest = counters(&simulation);
-        // It creeps at a part of the breakaway velocity.
+        // The joint creeps at a part of the breakaway velocity.
         assert!(simulation.state().core.v.max_norm() < breakaway_velocity, "{breakaway_velocity:e}, {tolerance:e}");
         assert!(come.substeps < 150, "{breakaway_velocity:e}, {tolerance:e}: {come:?}");
         assert!(rest.substeps - come.substeps < 5, "{breakaway_velocity:e}, {tolerance:e}: {come:?}, {rest:?}");

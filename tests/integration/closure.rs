@@ -82,7 +82,7 @@ fn singular_postures_are_told_apart() {
     assert!(kinds.contains(&SingularityKind::Inverse), "{kinds:?}");
 }
 
-/// The determinant's sign and σ_min agree with what the posture says.
+/// The determinant's sign and σ_min agree with the posture.
 #[test]
 fn singular_values_vanish_with_their_determinants() {
     let simulation = started(&unequal());
@@ -211,7 +211,7 @@ fn rates_just_off_a_direct_singularity_close_the_loop() {
             parameters.start = Start { theta, omega: [1.0, 1.0], assembly: Assembly::Plus };
             let Ok(simulation) = Simulation::new(&parameters, &default_inputs()) else { continue };
             let norms = observers::constraint_norms(simulation.model(), &simulation.state());
-            // Where the closing has no rank any more, rates that miss it by 1e-9 are accepted.
+            // Rates that miss the closure by 1e-9 are accepted where it has lost its rank.
             assert!(norms.position < 1e-14 && norms.velocity < 1e-9, "{theta:?}: {norms:?}");
         }
     }

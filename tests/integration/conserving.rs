@@ -14,8 +14,8 @@ fn conserving(mut parameters: Parameters, h: f64) -> Parameters {
     parameters
 }
 
-/// The largest balance residual in parts of the largest energy or in those of mgL, what the constraints leave (m, m/s, and m/s² in parts of
-/// the largest acceleration), and the most iterations of a step.
+/// Largest balance residual in parts of the largest energy or in those of mgL, largest constraint violations (m, m/s, and m/s² in
+/// parts of the largest acceleration), and most iterations of a step.
 struct Worst {
     balance: f64,
     in_mgl: f64,
@@ -98,7 +98,7 @@ fn any_machine_keeps_its_energy() {
     for (name, parameters) in [("unequal", unequal()), ("loaded", loaded), ("light", light), ("coaxial", coaxial)] {
         let mut simulation = Simulation::new(&conserving(parameters, 1e-3), &default_inputs()).expect("scene");
         let worst = followed(&mut simulation, &default_inputs(), 1e-3, 2.0);
-        // As the battery demands of any machine: 1e-9 m/s; what 2 s leave of the energy next to links without inertia.
+        // The battery's demand on any machine, 1e-9 m/s; energy error after 2 s with links almost without inertia.
         assert!(worst.balance <= 1e-9 && worst.velocity <= 1e-9, "{name}: {:e} {:e}", worst.balance, worst.velocity);
     }
 }
@@ -226,7 +226,7 @@ fn friction_holds_and_brakes() {
     }
 }
 
-/// Torques that change: each step holds what they are in its middle, and the whole stays of second order. So does the work.
+/// Each step holds the values that changing torques have in its middle, and the whole stays of second order. So does the work.
 #[test]
 fn inputs_that_change_are_of_second_order() {
     let run = |h: f64| {
@@ -256,7 +256,8 @@ fn the_work_of_a_step_is_bounded() {
     // Falls that come as close to vertices as they will: which of them meet a step without a root, round-off decides.
     let starts = (0..20).map(|i| 1.36 + 1e-3 * f64::from(i));
     let mut outcomes = Vec::new();
-    // Beyond the bound: two tries of ten and, without a rescue, a better first guess; what the last resort projects.
+    // Iterations past the bound: two attempts of ten and, without a fallback, a better first guess; the projection of the last
+    // stage.
     for (most, iterations) in [(0, 30), (25, 55), (1000, 1030)] {
         parameters.settings.max_work = most;
         let (mut failures, mut fallbacks) = (Vec::new(), 0);
@@ -287,8 +288,9 @@ fn the_work_of_a_step_is_bounded() {
     assert!(free.0.is_empty(), "{free:?}");
 }
 
-/// However little a step may work, loads end no run and bend no balance: friction that holds from rest, and servos far stiffer than the
-/// step, of which most steps are then made by the last resort. Beyond its bound and the first two tries a step takes what that projects.
+/// Loads end no run and bend no balance, however little a step may work: friction that sticks from rest, and servos far stiffer
+/// than the step, of which most steps then use the last fallback stage. Past its bound and the first two attempts a step adds the
+/// iterations of that projection.
 #[test]
 fn bounded_steps_go_on_under_stiff_loads() {
     let inputs = Inputs { servo_theta: [std::f64::consts::FRAC_PI_2 + 0.2, 2.0], ..default_inputs() };

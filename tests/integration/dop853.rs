@@ -25,7 +25,7 @@ fn balance(simulation: &Simulation) -> f64 {
     observers::energies(simulation.model(), &simulation.state()).error.abs()
 }
 
-/// The errors that `docs/scope.md` states for 1 s of fall-90-120; what they cost is measured by the report.
+/// The errors that `docs/scope.md` states for 1 s of fall-90-120; the report measures their cost.
 #[test]
 fn the_goals_of_accuracy_are_met() {
     let reference = Reference::read("fall-90-120").pop().expect("rows");
@@ -76,7 +76,7 @@ fn it_agrees_with_i3alp() {
             run(simulation, &inputs, 1e-3, duration);
         }
         let (a, b) = (implicit.state(), explicit.state());
-        // What i3-ALP leaves at a local error of 1e-13 rad (`accuracy.rs`).
+        // Bound: the error of i3-ALP at a local error of 1e-13 rad (`accuracy.rs`).
         let error = (0..4).map(|i| (a.angles()[i] - b.angles()[i]).abs()).fold(0.0, f64::max);
         assert!(error < 1e-5, "{name}: {error:e} rad");
         // Reactions belong to accelerations, which whips of some 1e3 /s² make of the error in the angles.
@@ -86,7 +86,8 @@ fn it_agrees_with_i3alp() {
     }
 }
 
-/// Communication points leave no trace: whoever looks every millisecond sees, to the bit, what one looks at who comes every 50.
+/// Communication points leave no trace: a master that looks every millisecond sees, to the bit, the states of one that looks every
+/// 50.
 #[test]
 fn communication_points_on_the_grid_leave_no_trace() {
     let inputs = Inputs { tau: [0.05, 0.0], ..default_inputs() };
@@ -134,8 +135,8 @@ fn interpolated_outputs_are_on_the_constraints() {
     }
 }
 
-/// Where one iteration does not bring the interpolant of a long step onto the constraints, what is seen is the interpolant itself, no
-/// farther off than the method's error, and the norms say so; the run goes on undisturbed.
+/// If one iteration does not bring the interpolant of a long step onto the constraints, outputs show the interpolant itself,
+/// whose error is the method's, and the norms say so; the run continues undisturbed.
 #[test]
 fn an_interpolant_that_cannot_be_projected_is_seen_as_it_is() {
     let seen = |iterations: u32| {
@@ -250,7 +251,7 @@ fn work_is_of_the_methods_order() {
     assert!(simulation.state().core.work.input > MGL);
 }
 
-/// A parameter that is tuned inside a step acts from there on, and what it puts in counts.
+/// A parameter that is tuned inside a step acts from there on, and the energy that it adds counts.
 #[test]
 fn tuning_is_met_exactly() {
     let end = |tolerance: f64| {
@@ -302,7 +303,7 @@ fn many_turns_lose_no_digits() {
     assert!(norms.position < 1e-14 && simulation.state().turns[0] >= 12, "{norms:?}");
 }
 
-/// What cannot be met is a status, soon, and changes nothing.
+/// A tolerance that cannot be met is a status, soon, and changes nothing.
 #[test]
 fn an_impossible_tolerance_is_a_status() {
     let mut simulation = fall(1e-40);

@@ -104,8 +104,8 @@ fn penalty_and_dual_steps_agree() {
             };
             let system = FiveBar::<true>::new(model, &inputs, &[0; 4]);
             i3alp::advance(&system, &settings, &mut dual, &mut { Mode::OF_STATE }, h).expect("step");
-            // The penalty form's own round-off is κ ε = 2e-10 of the velocities and accelerations; one projection at κ = 1e6
-            // leaves 1e-6 of what it removes, itself below 1e-6 of the velocity.
+            // The penalty form's own round-off is κ ε = 2e-10 of the velocities and accelerations; one projection at κ = 1e6 leaves
+            // 1e-6 of the violation, itself below 1e-6 of the velocity.
             for ((what, bound), (dual, penalty)) in
                 [("q", 1e-12), ("q̇", 1e-8), ("q̈", 1e-4)].into_iter().zip([dual.q, dual.v, dual.a].into_iter().zip(penalty))
             {

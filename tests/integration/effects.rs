@@ -106,8 +106,8 @@ fn tangents_are_derivatives_of_forces() {
     }
 }
 
-/// The power of all forces, Q·q̇, is the power put in minus what is dissipated minus the growth of the potential; and what is
-/// dissipated is never negative.
+/// The power of all forces, Q·q̇, is the input power minus the dissipated power minus the growth of the potential; and the
+/// dissipated power is never negative.
 #[test]
 fn powers_and_potentials_account_for_every_force() {
     for (name, parameters) in each_and_all() {
@@ -216,7 +216,7 @@ fn the_linear_solves_agree() {
 #[test]
 fn mirrored_effects_give_the_mirrored_motion() {
     let (_, mut parameters) = each_and_all().pop().expect("all");
-    // What carries sides: the payload is on the tip of both.
+    // Link angles with the side that carries the effect: the payload is on the tip of both.
     let angles = |parameters: &Parameters, inputs: &Inputs| {
         let mut simulation = Simulation::new(parameters, inputs).expect("scene");
         run(&mut simulation, inputs, 1e-3, 0.3);

@@ -1,9 +1,9 @@
-//! Effects against what is known without our code.
+//! Effects against results known without our code.
 //!
 //! Several tests use a single leg: the right leg stretched from its motor to the left motor, the left leg folded. The tip lies on the
 //! left motor axis, and the folded leg whirls about it alone, with inertia I = I₁ + m₁ c₁² + I₂ + m₂ (L₁ − c₂)², between the vertices
-//! at 0 and π. Joint 1 turns at its rate, joint 2 not at all. A torque at joint 3 would make the stretched leg buckle; what acts on joints 4
-//! and 5 keeps it straight.
+//! at 0 and π. Joint 1 turns at its rate, joint 2 not at all. A torque at joint 3 would make the stretched leg buckle; torques on
+//! joints 4 and 5 keep it straight.
 
 use std::f64::consts::PI;
 
@@ -110,7 +110,7 @@ fn a_spring_swings_a_single_leg_at_its_frequency() {
         assert!((angle - PI / 2.0 - 0.8 * phase.cos()).abs() < 3e-5, "{i}: {angle} rad");
         assert!((rate + 0.8 * frequency * phase.sin()).abs() < 3e-4, "{i}: {rate} rad/s");
     }
-    // It is stretched by 2π more after a whole turn.
+    // The spring is stretched by 2π more after a whole turn.
     let turned = whirling(&parameters, &default_inputs(), PI / 2.0 + 2.0 * PI + 0.8, 0.0);
     let potential = 0.05 / 2.0 * (2.0 * PI + 0.8f64).powi(2);
     assert!((energies(&turned).potential - potential).abs() < 1e-12 * potential, "{:?}", energies(&turned));
@@ -138,7 +138,7 @@ fn a_servo_answers_a_step_like_a_second_order_system() {
         let (angle, rate) = leg(&simulation);
         assert!((torque - (0.2 * (1.2 - angle) - 4e-3 * rate)).abs() < 1e-9, "{torque} N.m");
     }
-    // Its work is in the balance: what is left in the leg is next to nothing, the rest the servo has taken back.
+    // The spring's work is in the balance: the leg keeps next to no energy, the servo has taken back the rest.
     assert!(energies(&simulation).error.abs() < 1e-5 * 0.1 * 0.25, "{:?}", energies(&simulation));
     // A saturated servo gives its limit.
     parameters.effects.servo.limit = [0.01, 1.0];
@@ -194,7 +194,7 @@ fn contact_at_rest_balances_the_weight() {
     assert!(motion.omega.iter().all(|rate| rate.abs() < 1e-2) && force.y > 0.1, "{motion:?} {force}");
     let reactions = observers::reactions(model, state);
     let weight = (4.0 * 0.017 + 0.05) * 9.81;
-    // What is left of the motion is the creep that the regularised friction allows.
+    // The remaining motion is the creep that the regularised friction allows.
     assert!((reactions[0].y + reactions[4].y + force.y - weight).abs() < 1e-3 * weight, "{reactions:?} {force}");
     assert!((reactions[0].x + reactions[4].x + force.x).abs() < 1e-3 * weight, "{reactions:?} {force}");
     let depth = 0.2 - motion.tip.y;
@@ -257,7 +257,7 @@ fn a_rotor_is_a_proximal_link_with_more_inertia() {
         run(&mut simulation, &default_inputs(), 1e-3, 1.0);
         observers::motion(simulation.model(), &simulation.state()).tip
     };
-    // The same arithmetic but for one rounding of the sum.
+    // Both use one arithmetic but for one rounding of the sum.
     assert!((tip(&geared) - tip(&heavier)).norm() < 1e-9);
 }
 

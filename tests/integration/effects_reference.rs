@@ -14,13 +14,13 @@ fn errors(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 2] {
     [motion, rates]
 }
 
-/// The same, with the largest |energy.error|, J.
+/// Largest errors of motion and rates, as [`errors`], and the largest |energy.error|, J.
 fn errors_and_energy(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 3] {
     let [tip, angles, rates, energy] = each_error(scene, method, settings);
     [tip.max(angles), rates, energy]
 }
 
-/// The same, with tip and angles apart.
+/// Largest errors of tip, angles and rates, each apart, and the largest |energy.error|, J.
 fn each_error(scene: &str, method: Method, settings: &[(&str, f64)]) -> [f64; 4] {
     let scene = Scene::read(scene).expect("a shipped scene");
     let name = &scene.name;
@@ -84,7 +84,7 @@ fn work_adds_up_where_forces_have_kinks() {
     }
 }
 
-/// The same at 1e-12 rad: within 1 nJ. Steps of i3-ALP by themselves would add up to 1.6 to 3.1 nJ in these scenes.
+/// Energy balance at 1e-12 rad: within 1 nJ. Steps of i3-ALP by themselves would add up to 1.6 to 3.1 nJ in these scenes.
 #[test]
 fn work_adds_up_at_a_tight_tolerance() {
     for scene in ["bounce", "haptic", "servo_step", "pick_up"] {
@@ -95,8 +95,8 @@ fn work_adds_up_at_a_tight_tolerance() {
     }
 }
 
-/// Both methods reach the reference: `bounds` are errors of tip and angles (m, rad) for i3-ALP at a local error of 1e-11 rad and RK4
-/// at 20 µs. Rates are off by up to 200 times as much: what moves within a few ms has errors per ms.
+/// Both methods reach the reference: `bounds` are errors of tip and angles (m, rad) for i3-ALP at a local error of 1e-11 rad and
+/// RK4 at 20 µs. Rates are off by up to 200 times as much: motions of a few ms have errors per ms.
 fn is_met(scene: &str, bounds: [f64; 2]) {
     let runs = [(Method::I3alp, ("solver.errorTolerance", 1e-11)), (Method::Rk4, ("solver.stepSize", 2e-5))];
     for ((method, setting), bound) in runs.into_iter().zip(bounds) {
@@ -105,10 +105,10 @@ fn is_met(scene: &str, bounds: [f64; 2]) {
     }
 }
 
-/// `dop853` at tolerances from 1e-6 to 1e-12 rad: half the runs are within `typical` tolerances of the reference, which is what the
-/// motion makes of errors of single steps; all of them within `worst` tolerance^(3/4). For a sharp bend of a law (a servo that leaves its
-/// saturation) inside a step may hide from the estimated error, e5²/(0.1 e3), where a smooth step at its tolerance has an e5 of some
-/// tolerance^(3/4) already (docs/explicit.md, "The step"). At the kinks of stops and contact steps end.
+/// `dop853` at tolerances from 1e-6 to 1e-12 rad: half the runs are within `typical` tolerances of the reference, the growth of
+/// single steps' errors by the motion; all of them within `worst` tolerance^(3/4). For a sharp bend of a law (a servo that leaves
+/// its saturation) inside a step may hide from the estimated error, e5²/(0.1 e3), where a smooth step at its tolerance has an e5 of
+/// some tolerance^(3/4) already (docs/explicit.md, "The step"). At the events of stops and contact steps end.
 fn is_met_by_dop853(scene: &str, typical: f64, worst: f64) {
     let mut parts: Vec<f64> = (6..=12)
         .map(|digits| {
@@ -122,7 +122,7 @@ fn is_met_by_dop853(scene: &str, typical: f64, worst: f64) {
     assert!(parts[parts.len() / 2] < typical, "{scene}: errors of {parts:?} tolerances");
 }
 
-/// `automatic` at the same tolerances, where kinds of step change: it loses no digit, being within some times what `dop853` is held to.
+/// `automatic` at these tolerances, where schemes change: errors are within some times the bounds of `dop853`, so no digit is lost.
 /// Implicit steps leave more at a tolerance than those of order 8, which damp their estimate.
 #[test]
 fn automatic_loses_no_digit() {
@@ -134,7 +134,8 @@ fn automatic_loses_no_digit() {
         ("pick_and_place", 0.45),
         ("haptic", 10.0),
     ] {
-        // Of neighbouring tolerances one may lead to a thousand times the error of the other, by where a step meets a kink: the median of many.
+        // The median of many tolerances: of neighbouring ones one may lead to a thousand times the error of the other, by where a
+        // step meets an event.
         let mut parts: Vec<f64> = (0..=25)
             .map(|fifth| {
                 let tolerance = 10f64.powf(-6.0 - 0.2 * f64::from(fifth));
@@ -175,7 +176,7 @@ fn a_clamp_of_a_servo() {
     is_met("stiff_servo", [2.5e-7, 2e-13]);
 }
 
-/// The same clamp at strictly fixed steps of 1 ms: it turns by 45 rad in each of them. Seen: 1.3e-4 rad, of the free links' second order.
+/// A clamp at strictly fixed steps of 1 ms: it turns by 45 rad in each of them. Seen: 1.3e-4 rad, of the free links' second order.
 #[test]
 fn a_clamp_at_strictly_fixed_steps() {
     let [motion, _] = errors("stiff_servo", Method::I3alpConserving, &[("solver.stepSize", 1e-3)]);
@@ -203,7 +204,7 @@ fn a_flat_table() {
     is_met("flat_table", [3e-5, 1.6e-11]);
 }
 
-/// Its symmetry is not stable: what is left of Runge-Kutta's error after 2 s is round-off.
+/// The symmetry of the fall is not stable: after 2 s the error of Runge-Kutta is grown round-off.
 #[test]
 fn the_fall_of_the_paper() {
     is_met("paper_free_fall", [1.4e-6, 1.5e-7]);
@@ -234,8 +235,8 @@ fn a_tip_that_bounces() {
     is_met("bounce", [2.5e-7, 6e-6]);
 }
 
-/// Where forces bend or have kinks the explicit method reaches a nanometre as well, by these tolerances and by each that is a tenth of the
-/// one before: the order is what it is.
+/// The explicit method reaches a nanometre where forces have sharp curvature or events as well, by these tolerances and by each
+/// that is a tenth of the one before: the order holds.
 #[test]
 fn dop853_reaches_a_nanometre() {
     for (scene, coarsest) in [
@@ -255,8 +256,8 @@ fn dop853_reaches_a_nanometre() {
     }
 }
 
-/// Steps across friction's bends and out of a servo's saturation are judged for what they are: no tolerance is an unlucky one. By one estimate
-/// errors of the tip on `run_down` at 1e-8 rad were 2,660 tolerances in a second.
+/// Steps across friction's sharp curvature and out of a servo's saturation are judged rightly: no tolerance is an unlucky one. By
+/// one estimate errors of the tip on `run_down` at 1e-8 rad were 2,660 tolerances in a second.
 #[test]
 fn bends_are_seen() {
     for scene in ["run_down", "friction_fall", "servo_friction", "servo_step"] {
@@ -299,8 +300,8 @@ fn dop853_follows_inputs() {
     is_met_by_dop853("haptic", 2.5, 0.1);
 }
 
-/// Dry friction that sticks, by both methods that take it: at their default tolerance and at 1e-12 rad, errors of tip and angles, m and
-/// rad. i3-ALP is of second order; what the explicit one leaves is what a fall makes of rates that stop at 1e-11 rad/s.
+/// Dry friction that sticks, by both methods that take it: at their default tolerance and at 1e-12 rad, errors of tip and angles, m
+/// and rad. i3-ALP is of second order; the explicit method's error is that of a fall whose rates stop at 1e-11 rad/s.
 fn sticks(scene: &str, bounds: [[f64; 2]; 2]) {
     for (method, bounds) in [Method::I3alp, Method::Dop853].into_iter().zip(bounds) {
         for (tolerance, bound) in [3e-9, 1e-12].into_iter().zip(bounds) {

@@ -112,7 +112,7 @@ fn a_servo_with_a_high_gain_is_stable() {
         let counters = simulation.state().core.counters;
         assert!(counters.substeps > counters.steps, "{counters:?}");
         let energies = observers::energies(simulation.model(), &simulation.state());
-        // It moves and brakes the links with up to 1 N·m over 0.2 rad.
+        // The servo moves and brakes the links with up to 1 N·m over 0.2 rad.
         assert!(energies.error.abs() < 1e-3 * 0.2, "{energies:?}");
     }
 }
@@ -146,7 +146,7 @@ fn a_tuned_parameter_acts_and_its_energy_is_counted() {
     let energies = observers::energies(simulation.model(), &simulation.state());
     assert!(energies.error.abs() < 1e-4 * MGL, "{energies:?}");
 
-    // What is nonsense is refused and changes nothing.
+    // Values out of bounds are refused and change nothing.
     let state = simulation.state();
     tuned.viscous.b = [-1.0, 0.0, 0.0, 0.0, 0.0];
     let refusal = simulation.tune(&tuned).expect_err("negative").to_string();
@@ -181,7 +181,7 @@ fn a_tuned_value_may_couple_links() {
             for simulation in [&mut tuned, &mut same] {
                 run(simulation, &inputs, 1e-3, 0.3);
             }
-            // Of what a restart begins anew, only the counter is left.
+            // Of a restart's new data only the counter is left.
             let (mut after, expected) = (tuned.state(), same.state());
             assert_eq!(after.core.counters.restarts, 1);
             after.core.counters.restarts = 0;

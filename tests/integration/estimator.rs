@@ -16,7 +16,7 @@ fn uniform(random: &mut ChaCha8Rng) -> f64 {
     random.next_u64() as f64 / 2f64.powi(64)
 }
 
-/// Of a normal distribution (Box and Muller).
+/// A normal random number (Box and Muller).
 fn normal(random: &mut ChaCha8Rng) -> f64 {
     (-2.0 * (1.0 - uniform(random)).ln()).sqrt() * (std::f64::consts::TAU * uniform(random)).cos()
 }
@@ -197,8 +197,8 @@ fn nees(following: &Following, machine: &Machine) -> f64 {
     following.nees(&theta, &omega)
 }
 
-/// Lengths that may be off: the tip's covariance is the sum of what each does where the motors are held, by differences of machines of
-/// other lengths.
+/// Lengths with errors: the tip's covariance is the sum of the effects of each length with the motors held, by differences of
+/// machines of other lengths.
 #[test]
 fn lengths_move_the_tip() {
     let sigma = 1e-3;
@@ -370,7 +370,7 @@ fn forecasts_end_where_encoders_speak() {
     assert!(left < 1.5e-3, "{left}");
 }
 
-/// Samples that come late are worth almost what they are worth at once.
+/// Late samples correct the estimate almost as well as immediate ones.
 #[test]
 fn delay_is_accounted_for() {
     let error = |delay: u32, told: f64| {

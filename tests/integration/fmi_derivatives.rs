@@ -85,7 +85,7 @@ fn analytic(host: &Host, known: &str) -> Vec<f64> {
     values
 }
 
-/// What each unknown depends on, by the XML: (unknown, known).
+/// Dependencies declared in the XML: (unknown, known).
 fn declared() -> Vec<(String, String)> {
     let structure = ModelDescription::read().expect("the shipped description").structure;
     let pairs = structure.outputs.into_iter().chain(structure.derivatives).flat_map(|unknown| {
@@ -106,8 +106,8 @@ fn inputs() -> Vec<&'static Variable> {
     VARIABLES.iter().filter(|variable| matches!(variable.id, VariableId::RealInput(_))).collect()
 }
 
-/// Every pair of what is computed and a known at the present state of `host`, whose scene and state are given: central differences. Of
-/// outputs and derivatives of states exactly 0, where no dependency is declared; of `solver.*` always.
+/// Every pair of a computed variable and a known at the present state of `host`, whose scene and state are given: central
+/// differences. Derivatives of outputs and states are exactly 0 where no dependency is declared; those of `solver.*` always.
 fn check_pairs(host: &Host, scene: &Scene, state: [f64; 4], label: &str) {
     let declared = declared();
     let check = |known: &str, numeric: Vec<f64>| {
@@ -263,7 +263,7 @@ fn in_a_direct_singularity_only_inputs_are_known() {
         });
         assert_eq!(host.set_real(&[input.reference], &[0.0]), fmi2OK);
         for ((variable, got), expected) in computed().iter().zip(analytic(&host, input.name)).zip(numeric) {
-            // All of them are linear in the inputs here: what is left is round-off of the differences.
+            // All unknowns are linear in the inputs here: the rest is round-off of the differences.
             assert!((got - expected).abs() < 1e-8 * (1.0 + got.abs()), "d {}/d {}: {got} {expected}", variable.name, input.name);
         }
     }
@@ -290,10 +290,10 @@ fn what_has_no_derivative_is_refused_by_name() {
     let [tip, tau, length] = ["tip.x", "tau[1]", "link[1].length"].map(reference);
     assert!(
         directional(tip, length, 1.0)
-            .ends_with("link[1].length is no known: inputs and the continuous states theta[i], omega[i] are.")
+            .ends_with("link[1].length is not a known: knowns are inputs and the continuous states theta[i], omega[i].")
     );
-    assert!(directional(tip, tip, 1.0).contains("tip.x is no known"));
-    assert!(directional(tau, tau, 1.0).contains("tau[1] is no unknown"));
+    assert!(directional(tip, tip, 1.0).contains("tip.x is not a known"));
+    assert!(directional(tau, tau, 1.0).contains("tau[1] is not an unknown"));
     assert!(directional(tip, tau, f64::NAN).ends_with("change of tau[1] is NaN, must be finite."));
     assert!(directional(99_999, tau, 1.0).contains("99999 belongs to no variable"));
     // Local variables may be asked for, enumerations and counters among them.
@@ -307,9 +307,9 @@ fn what_has_no_derivative_is_refused_by_name() {
         ("tip.x", 3, "order of the derivative of tip.x is 3, must be 1 to 2."),
         ("omega[1]", 2, "order of the derivative of omega[1] is 2, must be 1."),
         ("contact.fx", 1, "contact.fx has no derivatives with respect to time here: positions, angles and their rates do."),
-        ("passive.theta[1]", 1, "passive.theta[1] is no output: only outputs have output derivatives."),
+        ("passive.theta[1]", 1, "passive.theta[1] is not an output: only outputs have output derivatives."),
         ("solver.steps", 1, "solver.steps (value reference 900) is of type Integer, not Real."),
-        ("tau[1]", 1, "tau[1] is no output: only outputs have output derivatives."),
+        ("tau[1]", 1, "tau[1] is not an output: only outputs have output derivatives."),
     ] {
         assert_eq!(host.output_derivative(reference(name), order).0, fmi2Error);
         assert_eq!(host.line(), format!("fmi2GetRealOutputDerivatives: {expected}"));
@@ -318,8 +318,8 @@ fn what_has_no_derivative_is_refused_by_name() {
         ("tau[1]", 0, 1.0, "order of a derivative of tau[1] is 0, must be 1 to 2; its value is set by fmi2SetReal."),
         ("tau[1]", 3, 1.0, "order of a derivative of tau[1] is 3, must be 1 to 2; its value is set by fmi2SetReal."),
         ("tau[1]", 1, f64::NAN, "derivative 1 of tau[1] is NaN N.m/s^1, must be finite."),
-        ("tip.x", 1, 1.0, "tip.x is no continuous input: only those have input derivatives."),
-        ("contact.k", 1, 1.0, "contact.k is no continuous input: only those have input derivatives."),
+        ("tip.x", 1, 1.0, "tip.x is not a continuous input: only continuous inputs have input derivatives."),
+        ("contact.k", 1, 1.0, "contact.k is not a continuous input: only continuous inputs have input derivatives."),
     ] {
         // All or none: the first, which is right, is not set either.
         let pair = [(reference("tau[2]"), 1, 1e3), (reference(name), order, value)];
@@ -413,8 +413,8 @@ fn bits(host: &Host) -> [u64; 7] {
     MOTION.map(|name| real(host, name).to_bits())
 }
 
-/// The same motion: bit for bit, but for dop853 (4) and automatic (6), whose steps end at a change that is foreseen and are redone up to one that is not:
-/// the same steps, their lengths rounded differently.
+/// Equal motions: bit for bit, but for dop853 (4) and automatic (6), whose steps end at a change that is foreseen and are redone up
+/// to one that is not: equal steps, their lengths rounded differently.
 fn same_motion(host: &Host, other: &Host, method: i32) {
     if ![4, 6].contains(&method) {
         assert_eq!(bits(host), bits(other), "method {method}");

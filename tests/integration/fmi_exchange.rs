@@ -42,7 +42,7 @@ fn derivatives_are_those_of_co_simulation() {
     assert_eq!(host.array::<4>(fmi2GetNominalsOfContinuousStates), Ok([1.0; 4]));
 }
 
-/// States are what the master sets, outputs follow, also over whole turns, and back.
+/// States are those that the master sets, and outputs follow, also over whole turns, and back.
 #[test]
 fn states_are_where_the_master_puts_them() {
     let host = integrated(&[("base.distance", 0.0), BENT]);
@@ -69,7 +69,8 @@ fn states_are_where_the_master_puts_them() {
     assert_eq!((states[1], states[2]), (start[1] + 12.0, 3.0));
 }
 
-/// Where the distal links are in line the states are no coordinates, nor where they cannot meet: fmi2Discard, one sentence, nothing changed.
+/// States are no coordinates where the distal links are in line, nor where they cannot meet: fmi2Discard, one sentence, nothing
+/// changed.
 #[test]
 fn in_a_direct_singularity_derivatives_are_discarded() {
     let host = integrated(&[]);
@@ -136,7 +137,7 @@ fn indicators_change_sign_where_modes_and_kinks_are() {
     assert!(changes > 10, "{changes} changes");
 }
 
-/// What is tuned at an event acts from fmi2NewDiscreteStates on, and a payload picked up there changes the rates, which is told.
+/// A tuned parameter acts from fmi2NewDiscreteStates on, and a payload picked up there changes the rates, which is reported.
 #[test]
 fn an_event_brings_what_was_tuned() {
     let host = Host::instantiate(Instantiation { kind: fmi2ModelExchange, ..Default::default() }).expect("an instance");
@@ -166,7 +167,7 @@ fn an_event_brings_what_was_tuned() {
     // Without a change of mass the states stay.
     assert_eq!(host.set_real(&[reference("gravity.g")], &[1.6]), fmi2OK);
     assert_eq!(host.new_discrete_states(), (fmi2OK, false));
-    // What a run cannot take is refused, and stays to be mended.
+    // A value that the run cannot take is refused, and stays to be mended.
     assert_eq!(host.set_real(&[mass], &[1e4]), fmi2OK);
     assert_eq!(host.new_discrete_states().0, fmi2Error);
     assert!(host.line().starts_with("fmi2NewDiscreteStates: payload.mass = 10000.0 kg is not allowed during this run"));

@@ -1,4 +1,4 @@
-//! A machine that is followed, through the C functions: its variables, what encoders do wrong, stored states.
+//! A machine that is followed, through the C functions: its variables, faults of encoders, stored states.
 
 use fivebar::ffi::*;
 use fivebar::variables::VARIABLES;
@@ -30,7 +30,7 @@ fn following(method: i32, values: &[(&str, f64)]) -> Host {
     foreseeing(method, LINEAR, values)
 }
 
-/// The same with its forecast.
+/// An instance as by [`following`] with a method of forecasts.
 fn foreseeing(method: i32, forecast: i32, values: &[(&str, f64)]) -> Host {
     let host = Host::initializing(0.0, None);
     assert_eq!(host.set_integer(&[reference("estimator.forecast")], &[forecast]), fmi2OK);
@@ -79,7 +79,7 @@ fn angles(host: &Host) -> [f64; 2] {
     [real(host, "theta[1]"), real(host, "theta[2]")]
 }
 
-/// Both go from one step to another; the samples as `seen` changes them (angles, times).
+/// Takes `steps` with both; `seen` changes the samples (angles, times).
 fn follow(host: &Host, machine: &Host, steps: std::ops::Range<u32>, seen: impl Fn([f64; 2], f64) -> ([f64; 2], [f64; 2])) {
     for step in steps {
         let time = f64::from(step) * H;
@@ -111,7 +111,7 @@ fn state_of(host: &Host, bytes: &[u8]) -> fmi2FMUstate {
     state
 }
 
-/// Every Real but what was measured, as bits.
+/// Every Real but the samples, as bits.
 fn reals(host: &Host) -> Vec<u64> {
     let computed = VARIABLES.iter().filter(|v| v.start.is_none() && v.fmi_type() == fivebar::variables::FmiType::Real);
     let references: Vec<u32> = computed.map(|v| v.reference).collect();
@@ -171,14 +171,14 @@ fn following_allocates_nothing() {
             assert_eq!(host.get_real(&read, &mut [0.0; 3]), fmi2OK);
         };
         let followed = allocations(|| (20..40).zip(&samples).for_each(|(step, sample)| go(step, Some(sample))));
-        // That the encoders are silent is a line in the log, which does.
+        // The log has a line for silent encoders.
         (40..60).for_each(|step| go(step, None));
         let coasted = allocations(|| (60..80).for_each(|step| go(step, None)));
         assert_eq!((followed, coasted), (0, 0), "method {method}: {:?}", host.take());
     }
 }
 
-/// Outputs change in fmi2DoStep only: what is measured is no input of them.
+/// Outputs change in fmi2DoStep only: samples are no input of them.
 #[test]
 fn samples_change_no_output() {
     let (host, machine) = (following(1, &[]), machine());
@@ -195,17 +195,17 @@ fn samples_change_no_output() {
     assert_eq!(host.free_state(&mut state), fmi2OK);
 }
 
-/// What encoders do wrong: a status, one line in the log, and an estimate that goes on.
+/// Faults of encoders: a status, one line in the log, and an estimate that continues.
 #[test]
 fn faults_are_told_once_and_survived() {
     type Seen = fn([f64; 2], f64) -> ([f64; 2], [f64; 2]);
     let cases: [(&str, &str, Seen); 6] = [
         ("late", "is older than estimator.maxDelay", |theta, time| (theta, [time - 0.02, time])),
         ("future", "after the communication point", |theta, time| (theta, [time + 0.02, time])),
-        ("invalid", "is not a number", |theta, time| ([f64::NAN, theta[1]], [time; 2])),
+        ("invalid", "is not finite", |theta, time| ([f64::NAN, theta[1]], [time; 2])),
         ("oneEncoder", "has been silent", |theta, time| (theta, [0.049, time])),
-        ("stuck", "repeats itself", |theta, time| ([2.2, theta[1]], [time; 2])),
-        ("rejected", "too far from what is expected", |theta, time| {
+        ("stuck", "repeats its value", |theta, time| ([2.2, theta[1]], [time; 2])),
+        ("rejected", "too far from the predicted angle", |theta, time| {
             // A wild sample now and then.
             let wild = if (time / H).round() as i64 % 10 == 9 { 0.2 } else { 0.0 };
             ([theta[0] + wild, theta[1]], [time; 2])
@@ -256,7 +256,7 @@ fn a_lost_machine_is_found_again() {
         let mut begun = 0;
         for step in 2050..3000 {
             follow(host, &other, step..step + 1, at_once);
-            begun += usize::from(host.take().iter().any(|line| line.text.contains("it has lost the machine")));
+            begun += usize::from(host.take().iter().any(|line| line.text.contains("the estimate diverged and restarts")));
             if begun == 1 && status(host) == "inconsistent" {
                 assert!(step < 2250, "late: {step}");
                 // Without samples it coasts, and tells nothing twice.
@@ -266,7 +266,7 @@ fn a_lost_machine_is_found_again() {
                 }
                 assert_eq!(status(host), "coasting");
                 let told = host.take();
-                assert!(!told.iter().any(|line| line.text.contains("it has lost the machine")), "{told:?}");
+                assert!(!told.iter().any(|line| line.text.contains("the estimate diverged and restarts")), "{told:?}");
                 assert_eq!((host.set_state(here), host.free_state(&mut here)), (fmi2OK, fmi2OK));
             }
         }
@@ -326,8 +326,8 @@ fn stored_states_are_everything() {
     }
 }
 
-/// A forecast by sigma points that is stored at its beginning or on its way, as bytes, goes on to the same bits, and so does what follows when
-/// samples come again.
+/// A forecast by sigma points that is stored at its beginning or during it, as bytes, continues with equal bits, and so does the
+/// estimate when samples come again.
 #[test]
 fn forecasts_are_stored() {
     let (host, machine) = (foreseeing(1, SIGMA_POINTS, &[]), machine());
@@ -360,7 +360,7 @@ fn forecasts_are_stored() {
 /// Off there is no byte of it in a stored state, and a sample that has been set is kept.
 #[test]
 fn off_there_is_no_byte_of_state() {
-    // What is left out where it is as at the start comes last.
+    // Parameters that are left out at their start values come last.
     let parameters: Vec<&str> =
         VARIABLES.iter().filter(|v| v.start.is_some() && !v.name.contains("easured")).map(|v| v.name).collect();
     assert!(parameters.iter().rev().take(13).all(|name| name.starts_with("estimator.")), "{parameters:?}");
@@ -388,5 +388,5 @@ fn a_refused_scene_says_why() {
     assert_eq!(host.set_real(&[reference("estimator.maxDelay")], &[0.5]), fmi2OK);
     assert_eq!(host.call(fmi2ExitInitializationMode), fmi2Error);
     let line = host.line();
-    assert!(line.contains("estimator.maxDelay = 0.5 s is not allowed: at most 31 steps of solver.stepSize"), "{line}");
+    assert!(line.contains("estimator.maxDelay = 0.5 s is not allowed: it must be at most 31 steps of solver.stepSize"), "{line}");
 }

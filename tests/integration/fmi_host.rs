@@ -17,7 +17,7 @@ pub(super) struct Line {
     pub(super) text: String,
 }
 
-/// What to pass to fmi2Instantiate.
+/// Arguments of fmi2Instantiate.
 pub(super) struct Instantiation<'a> {
     pub(super) name: Option<&'a str>,
     pub(super) kind: fmi2Type,
@@ -34,7 +34,7 @@ impl Default for Instantiation<'_> {
 /// An instance with its log; freed when dropped.
 pub(super) struct Host {
     pub(super) component: fmi2Component,
-    /// Where the logger writes: its address is the component environment.
+    /// Lines of the logger: their address is the component environment.
     lines: *mut Vec<Line>,
 }
 
@@ -295,7 +295,7 @@ impl Host {
     /// The state functions with null instead of a place or a state.
     pub(super) fn null_states(&self) -> Vec<fmi2Status> {
         let (c, mut size) = (self.component, 0);
-        // SAFETY: the component is live; null is what is tested.
+        // SAFETY: the component is live; the test is about null.
         unsafe {
             vec![
                 fmi2GetFMUstate(c, null_mut()),
@@ -310,7 +310,7 @@ impl Host {
     /// Every type with null arrays of that length: getters and setters.
     pub(super) fn null_arrays(&self, length: usize) -> Vec<fmi2Status> {
         let c = self.component;
-        // SAFETY: the component is live; null is what is tested.
+        // SAFETY: the component is live; the test is about null.
         unsafe {
             vec![
                 fmi2GetReal(c, null(), length, null_mut()),
@@ -328,7 +328,7 @@ impl Host {
     /// fmi2GetReal and fmi2SetReal with references but no values, and status functions without a place.
     pub(super) fn null_values(&self) -> Vec<fmi2Status> {
         let (c, reference) = (self.component, 100);
-        // SAFETY: the component is live; null is what is tested.
+        // SAFETY: the component is live; the test is about null.
         unsafe {
             vec![
                 fmi2GetReal(c, &reference, 1, null_mut()),
@@ -343,7 +343,7 @@ impl Host {
     /// The functions of derivatives with null arrays of that length.
     pub(super) fn null_derivatives(&self, length: usize) -> [fmi2Status; 3] {
         let c = self.component;
-        // SAFETY: the component is live; null is what is tested.
+        // SAFETY: the component is live; the test is about null.
         unsafe {
             [
                 fmi2SetRealInputDerivatives(c, null(), length, null(), null()),
@@ -418,7 +418,7 @@ impl Drop for Host {
     }
 }
 
-/// fmi2Instantiate with null callbacks, and with callbacks that are all null: what the second one does is freed.
+/// fmi2Instantiate with null callbacks, and with callbacks that are all null: the second component is freed.
 pub(super) fn instantiate_without_callbacks() -> (bool, bool) {
     let guid = CString::new(GUID).expect("no zero byte");
     let nothing = fmi2CallbackFunctions {
@@ -428,7 +428,7 @@ pub(super) fn instantiate_without_callbacks() -> (bool, bool) {
         stepFinished: None,
         componentEnvironment: null_mut(),
     };
-    // SAFETY: null is what is tested; the component is freed once.
+    // SAFETY: the test is about null; the component is freed once.
     unsafe {
         let make = |functions| {
             fmi2Instantiate(c"machine".as_ptr(), fmi2CoSimulation, guid.as_ptr(), null(), functions, fmi2False, fmi2True)

@@ -1,5 +1,5 @@
-//! What each unknown depends on at the start: InitialUnknowns against what changes when a parameter or input is set otherwise (rule 20 of
-//! this project).
+//! Dependencies of each unknown at the start: InitialUnknowns against the changes that other values of parameters and inputs make
+//! (rule 20 of this project).
 
 use std::collections::BTreeSet;
 use std::f64::consts::{FRAC_PI_2, PI};
@@ -113,14 +113,15 @@ fn vary(host: &Host, known: &Variable, mut look: impl FnMut(&Host)) {
     host.take();
 }
 
-/// What changes is declared, in every scene; what is declared changes, in one of them.
+/// Every change is declared, in every scene; every declared dependency changes its unknown, in one of them.
 #[test]
 fn initial_unknowns_depend_on_what_is_declared_and_on_nothing_else() {
     let description = ModelDescription::read().expect("the shipped description");
     let unknowns = &description.structure.initial_unknowns;
     let is_known = |variable: &&Variable| matches!(variable.causality, Causality::Parameter | Causality::Input);
-    // The tip's position is found past the centre of mass of a link, and by each method in its own coordinates: what depends on it has
-    // round-off of 1e-16 m, of the contact's stiffness of 2e3 N/m and its damping in forces. The least change that counts is some 1e-6.
+    // The tip's position is found past the centre of mass of a link, and by each method in its own coordinates: quantities that
+    // depend on it have round-off of 1e-16 m, of the contact's stiffness of 2e3 N/m and its damping in forces. The least change
+    // that counts is some 1e-6.
     let differ = |before: f64, after: f64| (after - before).abs() > 1e-10 * (1.0 + before.abs());
     let mut seen = BTreeSet::new();
     for start in starts() {

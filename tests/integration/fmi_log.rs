@@ -4,7 +4,7 @@ use fivebar::ffi::*;
 
 use super::fmi_host::{Host, Instantiation, Line, reference};
 
-/// Start, a refused call, end: what passes to the logger.
+/// Categories passed to the logger at the start, a refused call and the end.
 fn categories_of_a_run(host: &Host) -> Vec<String> {
     assert_eq!(host.setup(Some(1e-6), 0.0, None), fmi2OK);
     assert_eq!(host.call(fmi2EnterInitializationMode), fmi2OK);
@@ -74,7 +74,7 @@ fn the_line_of_a_scene_made_ready() {
     );
 }
 
-/// It is no problem of the master's that accuracy is set otherwise here.
+/// A tolerance of the master is answered with an event, no warning: accuracy is set otherwise here.
 #[test]
 fn a_tolerance_is_answered_with_an_event() {
     let host = logging(true);

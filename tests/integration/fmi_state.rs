@@ -82,7 +82,8 @@ fn a_restored_run_is_the_uninterrupted_one_bit_for_bit() {
     }
 }
 
-/// What was set and has not acted yet is in the state: an input, a tunable parameter; so are parameters and the stage of life.
+/// Values that were set and have not acted yet are in the state: an input, a tunable parameter; so are parameters and the stage of
+/// life.
 #[test]
 fn a_state_holds_what_is_pending() {
     let host = machine(1);
@@ -138,15 +139,15 @@ fn bytes_bring_a_state_back_bit_for_bit() {
         assert_eq!(other.set_state(restored), fmi2OK);
         steps(&other, 20, 40);
         assert_eq!(seen(&other), seen(&host), "method {method}");
-        // The bytes of what came back are the same bytes.
+        // The restored state has the bytes that it was restored from.
         assert_eq!(host.deserialize(&bytes, &mut state), fmi2OK);
         assert_eq!(host.serialize(state, size), (fmi2OK, bytes));
         assert_eq!((host.free_state(&mut state), other.free_state(&mut restored)), (fmi2OK, fmi2OK));
     }
 }
 
-/// Where forces have kinks a step may be a part of a longer one: stored within each step of such a run, at loose tolerances and tight ones,
-/// it is made once more to the same bits, and goes on as if nobody had stored it. Of 400 ms in which links meet their stops.
+/// A step that ends at an event is a part of a longer one: stored within each step of such a run, at loose tolerances and tight ones,
+/// it is repeated with equal bits, and continues as if it had not been stored. Links meet their stops during the 400 ms.
 #[test]
 fn steps_that_end_at_kinks_come_back() {
     let start = |tolerance: f64| {

@@ -117,14 +117,14 @@ fn a_step_that_cannot_be_done_is_discarded_and_leaves_everything_as_it_was() {
     assert_eq!(lines.len(), 1, "{lines:?}");
     assert_eq!((lines[0].status, lines[0].category.as_str()), (fmi2Discard, "logStatusDiscard"));
     let text = &lines[0].text;
-    assert!(text.starts_with("fmi2DoStep: the step from 0.0 s by 0.2 s gave up at 0.0 s: "), "{text}");
+    assert!(text.starts_with("fmi2DoStep: the step from 0.0 s by 0.2 s failed at 0.0 s: "), "{text}");
     assert!(text.ends_with("; the state is still that of 0.0 s."), "{text}");
 
     assert_eq!(host.real_status(LAST_SUCCESSFUL_TIME), (fmi2OK, 0.0));
     assert_eq!(host.boolean_status(TERMINATED), (fmi2OK, fmi2False));
     assert_eq!((motion(&host), steps(&host)), before);
 
-    // The same step fails again; another input may be set, fixed parameters may not; a shorter step can be done.
+    // The step fails again; another input may be set, fixed parameters may not; a shorter step can be done.
     assert_eq!(host.set_real(&[reference("tau[1]")], &[0.0]), fmi2OK);
     assert_eq!(host.set_real(&[reference("link[1].mass")], &[1.0]), fmi2Error);
     host.take();
@@ -171,7 +171,7 @@ fn a_discarded_step_leaves_no_trace() {
     }
 }
 
-/// What was tuned acts from a step that is done; a discarded one has not begun. The same of the warning about references.
+/// Tuned values act from a step that is done; a discarded one has not begun. So does the warning about references.
 #[test]
 fn a_discarded_step_leaves_tuned_parameters_pending() {
     let host = hopeless();

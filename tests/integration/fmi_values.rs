@@ -199,7 +199,8 @@ fn reading_changes_nothing_and_gives_the_same_bits_in_any_order() {
     assert_eq!(bits(&values), first);
 }
 
-/// Inputs that are finite and too large: what cannot be told is discarded by name and nothing is handed over; the rest can be read.
+/// Inputs that are finite and too large: a value that is not finite is discarded by name and nothing is handed over; the rest can
+/// be read.
 #[test]
 fn what_is_not_finite_is_never_told() {
     let host = Host::ready(&[("init.theta[2]", 2.0)]);

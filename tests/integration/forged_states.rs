@@ -13,12 +13,12 @@ use fivebar::variables::{FmiType, VARIABLES};
 
 use crate::fmi_host::Host;
 
-/// What comes before the content: name, format, GUID, length. `bytes_that_are_no_state_are_refused` changes it.
+/// Bytes before the content: name, format, GUID, length. `bytes_that_are_no_state_are_refused` changes them.
 const HEAD: usize = 58;
 const CHECKSUM: usize = 4;
 
-/// What a byte may become. In each case each byte becomes one of these, a neighbouring byte another, and in the next case each another:
-/// so all are tried at every field. `FORGERIES=all` tries all of them everywhere, which takes minutes.
+/// Changes of a byte. In each case each byte is changed by one of these, a neighbouring byte by another, and in the next case each
+/// by another: so all are tried at every field. `FORGERIES=all` tries all of them everywhere, which takes minutes.
 const CHANGES: [fn(u8) -> u8; 7] = [
     |byte| byte ^ 0x01,
     |byte| byte ^ 0x80,
@@ -76,7 +76,7 @@ fn bounds(host: &Host) -> [f64; 2] {
     if method == [2] { [1e-7 + rounded, 5.0] } else { [1e-10 + rounded, 1e-4] }
 }
 
-/// Reads everything; what is told is finite.
+/// Reads everything; each value is finite.
 fn outputs(host: &Host) -> Result<Outputs, String> {
     let mut values = vec![f64::NAN; REALS.len()];
     let mut places = vec![0; 3];
@@ -148,7 +148,7 @@ fn follow(host: &Host) -> Result<(), String> {
     Ok(())
 }
 
-/// What has come of some steps.
+/// Result of some steps.
 #[derive(Debug, PartialEq)]
 enum Done {
     All,
@@ -245,7 +245,7 @@ fn running(method: i32, adaptive: bool, solve: &str, changing: bool) -> Host {
         let mut height = [0.0];
         assert_eq!(host.get_real(&[reference("tip.y")], &mut height), fmi2OK);
         assert_eq!(host.set_integer(&[reference("contact.law")], &[2]), fmi2OK);
-        // It lies on the plane, pressed in so far as to stay there.
+        // The tip lies on the plane, pressed in so far as to stay there.
         values.extend([("contact.offset", height[0] + 2e-4), ("contact.mu", 20.0), ("contact.d", 50.0)]);
     }
     if solve == "dense" {
@@ -306,7 +306,7 @@ fn forged_runs_are_refused_or_go_on() {
     assert!(counts.iter().all(|([refused, accepted], _)| *refused > 0 && *accepted > 0), "{counts:?}");
 }
 
-/// Before a run and after it, and with what is pending: inputs with derivatives, a tuned parameter.
+/// Before a run and after it, and with pending values: inputs with derivatives, a tuned parameter.
 #[test]
 fn forged_stages_and_pending_values_are_refused_or_go_on() {
     let pending = running(1, true, "two-leg", false);

@@ -1,5 +1,5 @@
-//! Loads with kinks by the error-controlled methods: no touch is missed, nothing false is shown, work is what it is, and friction that
-//! holds, holds.
+//! Loads with events by the error-controlled methods: no contact is missed, outputs between steps are right, work balances, and
+//! friction that sticks stays.
 
 use fivebar::effects::Mode;
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
@@ -31,9 +31,9 @@ fn plane(parameters: &mut Parameters, [nx, ny]: [f64; 2], offset: f64, [k, d, wi
     (contact.k, contact.d, contact.width) = (k, d, width);
 }
 
-/// A slow motion that touches a plane of 100 kN/m with a ramp of 1 µm, reported with what an independent program in 80-bit arithmetic
-/// makes of it: before, the stages of a step missed a short touch, the further evaluations for the interpolant met it, and 291 of 600
-/// points were shown up to 0.3 m off.
+/// A slow motion that touches a plane of 100 kN/m with a ramp of 1 µm, reported with the solution of an independent program in
+/// 80-bit arithmetic: before, the stages of a step missed a short contact, the further evaluations for the interpolant met it, and
+/// 291 of 600 points were shown up to 0.3 m off.
 #[test]
 fn what_is_shown_between_steps_is_the_motion() {
     let mut parameters = close_motors([2.305042384925536, 0.6405545940084515], [0.01947391254988405, 0.03608366856835523]);
@@ -45,7 +45,7 @@ fn what_is_shown_between_steps_is_the_motion() {
         simulation.advance(&default_inputs(), 8.08 / 600.0, 1).expect("a step");
         let state = simulation.state();
         let energy = state.kinetic_energy(simulation.model()) + state.core.work.dissipated;
-        // The energy at the start is 9.308e-7 J; what a touch takes counts as dissipated.
+        // The energy at the start is 9.308e-7 J; energy taken by a contact counts as dissipated.
         assert!((energy - 9.308e-7).abs() < 1e-10, "call {call}: {energy:e} J");
         if call == 513 {
             // Given to four digits.
@@ -89,7 +89,7 @@ fn no_slow_touch_is_missed() {
             for _ in 0..calls {
                 simulation.advance(&default_inputs(), duration / calls as f64, 1).expect("a step");
                 let error = simulation.state().energy_error(simulation.model());
-                // By dop853 what the interpolant leaves on a plane of up to 1e7 N/m.
+                // Bound for dop853: the error of the interpolant on a plane of up to 1e7 N/m.
                 let allowed = if method == Method::Dop853 { 1e-9 } else { 1e-6 };
                 assert!(error.abs() < allowed, "seed {seed}, {method:?}: {error:e} J");
             }
@@ -100,8 +100,8 @@ fn no_slow_touch_is_missed() {
         // A touch multiplies errors by the stiffness: bounces in a row have made 1e-6 m of 1e-9.
         let error = tip_error(&usual, tip(&exact));
         assert!(error < 1e-5, "seed {seed}: {error:e} m");
-        // The default method, of second order, follows as well, as far as bounces do not multiply its errors: they do what they do to a
-        // start that is nudged.
+        // The default method, of second order, follows as well, as far as bounces do not multiply its errors: they grow like a
+        // perturbation of the start.
         let default = tip_error(&end(Method::I3alp, 3e-9, 600), tip(&exact));
         if default > 2e-4 {
             let nudged = tip_error(&nudged_end(1e-7, Method::Dop853, 1e-13, 1), tip(&exact));
@@ -132,7 +132,7 @@ fn a_touch_in_either_half_of_a_sub_step_is_met() {
         free.start.theta = [theta[0], theta[3]];
         free.start.omega = [-rates[0], -rates[3]];
         let turning = tip(&Simulation::new(&close_motors([2.1, 0.9], [0.0; 2]), &inputs).expect("a scene"));
-        // It rises until it turns, and falls again: a ceiling 2 µm below the highest place is met 0.6 ms before.
+        // The tip rises until it turns, and falls again: a ceiling 2 µm below the highest place is met 0.6 ms before.
         let mut scene = free.clone();
         plane(&mut scene, [0.0, -1.0], -turning[1] + 2e-6, [k, 0.0, 1e-6]);
         let end = |method: Method, tolerance: f64, parameters: &Parameters| {
@@ -153,8 +153,8 @@ fn a_touch_in_either_half_of_a_sub_step_is_met() {
     }
 }
 
-/// A start inside a stop that lets go: what its spring still has is dissipated, 2.4546e-2 J in all by that program. Before, 2.437e-2 J
-/// were booked at every tolerance, and a part was taken back.
+/// A start inside a stop that separates: the energy left in its spring is dissipated, 2.4546e-2 J in all by that program. Before,
+/// 2.437e-2 J were booked at every tolerance, and a part was taken back.
 #[test]
 fn what_a_stop_takes_when_it_lets_go_is_dissipated() {
     let mut parameters = close_motors([2.2, 0.9], [3.0, 0.0]);
@@ -175,7 +175,7 @@ fn what_a_stop_takes_when_it_lets_go_is_dissipated() {
     assert!((dissipated - 2.4546e-2).abs() < 1e-6, "{dissipated:e} J");
 }
 
-/// The same next to a vertex, where steps keep the energy there is: what a stop that has let go still has is lost there, too.
+/// Separation next to a vertex, where steps conserve energy: the energy left in a stop is dissipated there, too.
 #[test]
 fn what_has_let_go_is_lost_next_to_a_vertex() {
     // Through the vertex on its tangent cone: rates a, b, c of three links with a + b + c = 1 = a² + b² + c², and 1 of the fourth.
@@ -241,13 +241,13 @@ fn friction_that_holds_creeps_as_its_law_says() {
     assert!((moved - 3.58122e-5).abs() < 1e-9, "moved by {moved:e} rad");
     assert!((state.core.work.dissipated - 4.86991e-6).abs() < 1e-10, "{:e} J", state.core.work.dissipated);
     assert!(state.energy_error(simulation.model()).abs() < 1e-10);
-    // What is not foretold of the accelerations rings below 1e-2 of the rates' tolerance, 3e-7 rad/s in 1 ms.
+    // Errors of predicted accelerations ring below 1e-2 of the rates' tolerance, 3e-7 rad/s in 1 ms.
     assert!(state.core.a.max_norm() < 1e-4, "{:e} rad/s² at rest", state.core.a.max_norm());
     assert!(state.core.counters.substeps < 1100, "{} sub-steps", state.core.counters.substeps);
 }
 
-/// The same where friction turns at 1e-6 rad/s: the creep is proportional to the breakaway velocity, 3.5814e-3 of it per second at 1e-3 and
-/// 1e-4 rad/s by this method. Before, the same scene did not get through 30 ms of it in 160,000 sub-steps.
+/// Creep where friction turns at 1e-6 rad/s: it is proportional to the breakaway velocity, 3.5814e-3 of it per second at 1e-3 and
+/// 1e-4 rad/s by this method. Before, the scene did not get through 30 ms of it in 160,000 sub-steps.
 #[test]
 fn stiff_friction_creeps_as_well() {
     let mut parameters = close_motors([2.2, 0.9], [0.0; 2]);
@@ -279,8 +279,8 @@ fn absurd(method: Method) -> Parameters {
     parameters
 }
 
-/// A call of 18.5 s, which took 147 s before it said so, ends by what `solver.maxWork` allows at its default: the sentence says how far it
-/// came, and nothing has changed. The explicit method comes to its end.
+/// A call of 18.5 s, which took 147 s before it failed, ends at the default bound of `solver.maxWork`: the sentence has the time
+/// reached, and nothing has changed. The explicit method comes to its end.
 #[test]
 fn absurd_machines_take_bounded_work() {
     let inputs = default_inputs();
@@ -297,8 +297,8 @@ fn absurd_machines_take_bounded_work() {
     assert!(failure.contains("solver.maxWork = 400000") && failure.contains("s into the call, "), "{failure}");
     assert_eq!(simulation.state(), before);
 
-    // What was done until then: no attempt begins beyond the bound, and each takes a Newton loop, once more, and a line search of 60 rounds
-    // with 30 tries. An iteration counts by its linear solve.
+    // Work done until then: no attempt begins beyond the bound, and each takes a Newton loop, once more, and a line search of 60
+    // rounds with 30 tries. An iteration counts by its linear solve.
     let most = 50_000;
     let settings = i3alp::Settings {
         adaptive: true,
@@ -347,8 +347,8 @@ fn no_touch_makes_energy_at_a_loose_tolerance() {
     }
 }
 
-/// Touches that begin and end within one step, most between its stages: none is missed that the free motion would pass through the plane by
-/// twice what a position may be off. Slow and fast, judged against the same method at 1e-12 rad.
+/// Contacts that begin and end within one step, most between its stages: none is missed that the free motion would pass through the
+/// plane by twice the position tolerance. Slow and fast, judged against a run of the method at 1e-12 rad.
 #[test]
 fn no_touch_within_a_step_is_missed() {
     let inputs = default_inputs();
@@ -389,7 +389,7 @@ fn no_touch_within_a_step_is_missed() {
             // Half of the time that the free motion would be behind the plane.
             let half = (2.0 * depth / bend).sqrt();
             let end = (turn + 1) as f64 * step + 5.0 * half;
-            // It has to be the first place where the plane is met, and well within the motion.
+            // The first place where the plane is met, well within the motion.
             let until = ((end / step) as usize).min(LOOKS);
             if half > 0.1 * end || reached[..until].iter().any(|other| *other < reached[turn] - 0.1 * depth) {
                 continue;
@@ -401,7 +401,7 @@ fn no_touch_within_a_step_is_missed() {
             let without = tip_error(&exact_free, tip(&exact));
             for method in [Method::Dop853, Method::Automatic] {
                 let unaware = run(&free, method, tolerance, end);
-                // What a loose tolerance makes of the way there is another matter.
+                // Errors of the motion before the contact at a loose tolerance are another matter.
                 if tip_error(&unaware, tip(&exact_free)) > 0.1 * depth || without < depth {
                     continue;
                 }
@@ -450,7 +450,7 @@ fn stiff_drives_work_as_they_do() {
             simulation.advance(&inputs, 1e-3, 1).expect("a step");
             let state = simulation.state();
             let error = state.energy_error(simulation.model());
-            // A thousandth of what it loses.
+            // Bound: a thousandth of the energy lost.
             assert!(error.abs() < 5e-8, "{method:?}: {error:e} J");
             works.push(state.core.work.input);
         }
@@ -462,9 +462,10 @@ fn stiff_drives_work_as_they_do() {
     }
 }
 
-/// Damped stops and planes with ramps of 1 µm at loose tolerances: their dampers are stiffer than steps are short, and what the interpolant of such
-/// a step says of a push that is about to let go is not known to a border's width. Such borders were found again and again: one of twelve
-/// such scenes came to its end by `solver.maxWork`, in sub-steps of 1e-8 s and less that could have been 1e-5 s long.
+/// Damped stops and planes with ramps of 1 µm at loose tolerances: their dampers are stiffer than steps are short, and the
+/// interpolant of such a step does not resolve a push that is about to separate to a guard's width. Such guards were found again
+/// and again: one of twelve such scenes came to its end by `solver.maxWork`, in sub-steps of 1e-8 s and less that could have been
+/// 1e-5 s long.
 #[test]
 fn a_push_that_is_about_to_let_go_is_no_million_events() {
     let mut random = ChaCha8Rng::seed_from_u64(14);
@@ -503,8 +504,9 @@ fn a_push_that_is_about_to_let_go_is_no_million_events() {
     }
 }
 
-/// Next to vertices damped stops take what they get, whichever way the motion goes on: straight ways know forces at their ends only, kept energies
-/// the power there, and tangents are those of round-off. Balances were off by up to 1e-4 of the energy by `dop853`, 6e-4 by `i3alp`.
+/// Next to vertices damped stops dissipate their energy, whichever branch the motion takes: straight passages use forces at their
+/// ends only, conserved energies the power there, and tangents are those of round-off. Balances were off by up to 1e-4 of the
+/// energy by `dop853`, 6e-4 by `i3alp`.
 #[test]
 fn what_stops_take_next_to_a_vertex_is_lost() {
     use std::f64::consts::{PI, TAU};
@@ -539,7 +541,7 @@ fn what_stops_take_next_to_a_vertex_is_lost() {
                     break;
                 }
                 let error = simulation.state().energy_error(simulation.model()).abs();
-                // 1 µJ, as for all scenes with kinks, and as much of what there is.
+                // Bound: 1 µJ, as for all scenes with events, and 1e-6 of the energy at the start.
                 assert!(error < 1e-6 * (1.0 + start), "scene {scene} by {method:?}, call {call}: {error:e} of {start} J");
             }
         }
@@ -550,12 +552,12 @@ fn what_stops_take_next_to_a_vertex_is_lost() {
 /// microjoule at default settings, where it was 1.15e-6 J after 20 ms by i3alp. Some saturate, some are damped.
 #[test]
 fn stiff_drives_keep_their_books() {
-    // kp, kd, limit; how far away they begin, rad; seconds; and what the energy may be off, J.
+    // kp, kd, limit; initial distance, rad; seconds; and allowed energy error, J.
     let scenes = [
         // Without weight the rule for the motion keeps the energy of a linear drive, and the books are those of that rule: round-off.
         (1e8, 0.0, 1e8, 1e-6, 0.02, 1e-12),
         (1e6, 0.0, 1e8, 1e-5, 0.1, 1e-12),
-        // What swings beyond the linear part of its drive is of the order of the method.
+        // Swings past the linear part of the drive have errors of the method's order.
         (1e6, 0.0, 1.0, 1e-5, 0.3, 1e-6),
         (1e6, 1.0, 1.0, 1e-5, 0.3, 1e-6),
         (1e7, 0.0, 10.0, 3e-6, 0.1, 1e-6),

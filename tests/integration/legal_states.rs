@@ -1,5 +1,5 @@
-//! A stored state of any motion is read back, however strange the motion, and goes on to the same bits. What must not be read back is in
-//! `forged_states.rs`.
+//! A stored state of any motion is read back, however strange the motion, and continues with equal bits. States that must be
+//! refused are in `forged_states.rs`.
 
 use std::f64::consts::{PI, TAU};
 
@@ -16,7 +16,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::support::{enable, unequal};
 
-/// Masters store in one thread what they go on with in another.
+/// Masters store in one thread the states that they continue in another.
 #[test]
 fn simulations_and_stored_states_may_change_threads() {
     const fn may_change_threads<T: Send + Sync>() {}
@@ -66,7 +66,7 @@ impl Twins {
         });
     }
 
-    /// The same call of both; false where they cannot do it.
+    /// One call of both simulations; false where they cannot do it.
     fn both<E: PartialEq + std::fmt::Debug>(&mut self, call: impl Fn(&mut Simulation) -> Result<(), E>) -> bool {
         let outcomes = [&mut self.free, &mut self.stored].map(call);
         assert_eq!(outcomes[0], outcomes[1], "{}", self.name);
@@ -78,7 +78,7 @@ impl Twins {
         self.both(|simulation| simulation.advance(inputs, h, steps))
     }
 
-    /// A step under new parameters, as the master's calls make it: what cannot be done changes nothing.
+    /// A step under new parameters, as the master's calls make it: a refusal changes nothing.
     fn tune(&mut self, effects: &effects::Parameters, inputs: &Inputs, h: f64) -> bool {
         self.both(|simulation| {
             let before = simulation.clone();
@@ -132,7 +132,7 @@ impl Random {
         parameters
     }
 
-    /// Other values of what may be tuned.
+    /// Other values of the tunable parameters.
     fn tuned(&mut self, effects: &effects::Parameters) -> effects::Parameters {
         let mut effects = effects.clone();
         match self.one_of(6) {
@@ -191,7 +191,7 @@ fn states_of_random_motions_are_read_back() {
     assert!(calls > 60 * scenes / 2, "{calls} calls");
 }
 
-/// The same of runs whose states come from outside.
+/// States of runs in model exchange are read back.
 #[test]
 fn states_of_driven_runs_are_read_back() {
     let mut random = Random(ChaCha8Rng::seed_from_u64(12));
@@ -237,7 +237,7 @@ fn vertices() -> impl Iterator<Item = [[f64; 4]; 2]> {
     })
 }
 
-/// Through vertices, from rest in them, and near them; with and without what drives or dissipates.
+/// Through vertices, from rest in them, and near them; with and without driving or dissipating loads.
 #[test]
 fn states_in_and_near_vertices_are_read_back() {
     for (method, adaptive) in METHODS {

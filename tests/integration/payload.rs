@@ -1,4 +1,4 @@
-//! Mass that joins the tip during a run, or leaves it: momentum, energy, what a run can take.
+//! Mass that joins the tip during a run, or leaves it: momentum, energy, limits of a run.
 
 use fivebar::effects::payload::Join;
 use fivebar::fmi::bindings::default_inputs;
@@ -20,7 +20,7 @@ fn empty(method: Method) -> Parameters {
     parameters
 }
 
-/// The same with a mass in the hand.
+/// The scene with a mass in the hand.
 fn holding(from: &Parameters, mass: f64, join: Join) -> Parameters {
     let mut parameters = from.clone();
     (parameters.effects.payload.mass, parameters.effects.payload.join) = (mass, join);
@@ -71,13 +71,13 @@ fn an_impact_keeps_the_momentum() {
         let joined = energies(&simulation);
         let (lost, lifted) = (energy.kinetic - joined.kinetic, joined.potential - energy.potential);
         assert!(lost > 1e-4 && (joined.dissipated - lost).abs() < 1e-17, "{method:?}: {energy:?} {joined:?}");
-        // What is lifted is m g y.
+        // The lifting work is m g y.
         assert!((lifted - 0.08 * 9.81 * motion.tip.y).abs() < 1e-15 && (joined.input - lifted).abs() < 1e-15, "{joined:?}");
         assert!(joined.error.abs() < 1e-16, "{joined:?}");
     }
 }
 
-/// What moves with the tip joins without an impact, and so does what leaves; its energy comes from outside and goes there.
+/// A payload at the velocity of the tip joins without an impact, and leaves so; its energy comes from outside and goes there.
 #[test]
 fn what_moves_with_the_tip_changes_no_rate() {
     for method in METHODS {
@@ -108,7 +108,7 @@ fn what_moves_with_the_tip_changes_no_rate() {
     }
 }
 
-/// Picked up, handed on and put down on the way, by every method: the balance stays what it is without, and all come to the same place.
+/// Picked up, handed on and put down during the motion, by every method: the balance stays as without, and all come to one place.
 #[test]
 fn the_balance_stays_closed() {
     let ends = METHODS.map(|method| {
@@ -134,7 +134,7 @@ fn the_balance_stays_closed() {
         observers::motion(simulation.model(), &simulation.state()).tip
     });
     for (method, end) in METHODS.into_iter().zip(ends) {
-        // Errors of fixed steps of 1 ms, and what the printed method's velocities miss.
+        // Bounds: errors of fixed steps of 1 ms, and the velocity errors of the printed method.
         let bound = if method == Method::I3alpPrinted { 5e-5 } else { 1e-5 };
         assert!((end - ends[3]).norm() < bound, "{method:?}: {ends:?}");
     }
@@ -150,7 +150,7 @@ fn a_payload_is_at_most_what_the_linear_solve_takes() {
     let state = simulation.state();
     let heavy = holding(&start, 500.0, Join::AtRest);
     let refusal = simulation.tune(&heavy.effects).expect_err("too heavy").to_string();
-    let begin = "payload.mass = 500.0 kg is not allowed during this run: the linear solve chosen at its start takes at most ";
+    let begin = "payload.mass = 500.0 kg is not allowed during this run: it must be at most ";
     let limit: f64 =
         refusal.strip_prefix(begin).and_then(|rest| rest.split(' ').next()).expect("a limit").parse().expect("a number");
     assert_eq!((simulation.state(), simulation.parameters()), (state, &start));

@@ -1,4 +1,4 @@
-//! What physics says without a reference: energy, symmetry, reversal, equivalent formulations, determinism.
+//! Physics without a reference: energy, symmetry, reversal, equivalent formulations, determinism.
 
 use fivebar::effects::Mode;
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
@@ -212,7 +212,8 @@ fn a_tolerance_below_round_off_ends_with_a_status() {
     assert_eq!(simulation.state(), before);
 }
 
-/// The bound is a parameter, in iterations and evaluations: what needs more ends with a status that names it, and what needs less goes on.
+/// The bound is a parameter, in iterations and evaluations: a step that needs more ends with a status that names it, and one that
+/// needs less is taken.
 #[test]
 fn the_work_of_a_macro_step_is_bounded_by_a_parameter() {
     for method in [Method::I3alp, Method::Dop853] {

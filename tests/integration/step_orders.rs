@@ -58,7 +58,7 @@ impl System<2, 0> for Point {
     fn follows_work(&self) -> bool {
         true
     }
-    /// The work of everything that accelerates: what the kinetic energy gains.
+    /// The power of all accelerating forces: the rate of the kinetic energy.
     fn power(&self, q: &Vector<2>, (): &(), v: &Vector<2>) -> Work {
         Work { input: (self.power)(q, v, &(self.acceleration)(q, v)), dissipated: 0.0 }
     }
@@ -87,7 +87,7 @@ impl Events<2> for Point {
 /// Kepler's problem with unit constants: q̈ = −q/|q|³.
 const KEPLER: Point = Point::cartesian(|q, _| -1.0 / q.dot(q).powf(1.5) * *q);
 
-/// The same in polar coordinates, distance and angle: accelerations depend on the rates, and not linearly.
+/// Kepler's problem in polar coordinates, distance and angle: accelerations depend on the rates, and not linearly.
 const POLAR: Point = Point {
     acceleration: |q, v| [q[0] * v[1] * v[1] - 1.0 / (q[0] * q[0]), -2.0 * v[0] * v[1] / q[0]].into(),
     tangents: Some(|q, v| AccelerationTangents {
@@ -109,7 +109,7 @@ fn ellipse(mean: f64) -> [[f64; 2]; 2] {
     [[cos - eccentricity, minor * sin], [-sin * rate, minor * cos * rate]]
 }
 
-/// The same in polar coordinates.
+/// Position and velocity in polar coordinates.
 fn polar([[x, y], [u, v]]: [[f64; 2]; 2]) -> [[f64; 2]; 2] {
     let r = x.hypot(y);
     [[r, y.atan2(x)], [(x * u + y * v) / r, (x * v - y * u) / (r * r)]]
@@ -219,7 +219,7 @@ fn the_estimate_of_order_5_is_on_the_safe_side() {
         let mut state = State::start(&POLAR, sample.q, sample.v, 0.0);
         running.record(&sample, &mut state);
         let (to, rate) = (polar(ellipse(0.7 + h))[0], polar(ellipse(0.7 + h))[1]);
-        // Weighted as the step does: rates may be off by 10/s and their own magnitude times what coordinates may.
+        // Distance weighted as in the step: tolerances of rates are 10/s and their own magnitude times those of coordinates.
         let off = |i: usize| (sample.q[i] - to[i]).powi(2) + ((sample.v[i] - rate[i]) / (10.0 + rate[i].abs())).powi(2);
         let error = ((off(0) + off(1)) / 4.0).sqrt();
         assert!(state.error_estimate > 3.0 * error, "{h} s: estimated {:e}, {error:e}", state.error_estimate);

@@ -1,4 +1,4 @@
-//! Dry friction that sticks: what is held stays, lets go at breakaway, and slips as its closed form says. Against solutions in quadruple
+//! Dry friction that sticks: joints stay, slip at breakaway, and slide as the closed form says. Against solutions in quadruple
 //! precision: `effects_reference.rs`.
 
 use std::f64::consts::PI;
@@ -81,8 +81,8 @@ fn below_breakaway_it_stays() {
     }
 }
 
-/// The tip for 60 s under half of what the plane can hold: along the plane it stays. What the plane's spring does across it fades, though
-/// explicit steps could be as long as the border of stability allows.
+/// The tip for 60 s under half of the plane's breakaway force: along the plane it stays. Across the plane its vibration fades,
+/// though explicit steps could be as long as the border of stability allows.
 #[test]
 fn below_its_bound_the_tip_stays_on_the_plane() {
     for method in METHODS {
@@ -111,7 +111,7 @@ fn below_its_bound_the_tip_stays_on_the_plane() {
     }
 }
 
-/// Just below breakaway it holds, just above it goes, and at once with what is left of the torque above Coulomb's.
+/// Just below breakaway the joint sticks, just above it slips, and at once with the excess of the torque over Coulomb's.
 #[test]
 fn it_lets_go_at_breakaway() {
     for method in METHODS {
@@ -164,7 +164,7 @@ fn pulling(parameters: &Parameters, time: f64) -> Inputs {
     Inputs { servo_theta: [parameters.start.theta[0] + PULL * time, parameters.start.theta[1]], ..default_inputs() }
 }
 
-/// Inertia that the left motor feels while friction holds the right one, kg·m²: from what a torque does.
+/// Inertia that the left motor feels while friction holds the right one, kg·m²: from the acceleration by a torque.
 fn inertia(parameters: &Parameters) -> f64 {
     let accelerated = |torque: f64| {
         let inputs = Inputs { tau: [torque, 0.0], ..pulling(parameters, 0.0) };
@@ -261,10 +261,11 @@ fn coaxial_links_stop_and_go_on_together() {
                 simulation.advance(&inputs, 1e-3, 10).expect("steps");
                 let state = simulation.state();
                 let [left, right] = [0, 3].map(|link| state.core.v[THETA[link]]);
-                // By dop853 what is held drifts with the error of its steps.
+                // By dop853 sticking joints drift with the error of its steps.
                 assert!((left - right).abs() < 1e-10 && left > 0.5, "{method:?}, {strong}: {left} {right}");
                 assert!((apart(&simulation) - stopped).abs() < 1e-10, "{method:?}, {strong}");
-                // Each uses the same part of what it can: a third of 2 mN·m goes to the other leg, of those 5.25 to 5.35.
+                // Each joint uses an equal part of its breakaway torque: a third of 2 mN·m goes to the other leg, of those 5.25 to
+                // 5.35.
                 let holding = state.holding(simulation.model());
                 let parts = [1, 2, 3].map(|joint| (holding[joint] / friction[joint]).abs());
                 assert!(parts.iter().all(|part| (part - parts[0]).abs() < 1e-6 && *part > 0.05 && *part < 0.5), "{parts:?}");
@@ -292,7 +293,7 @@ fn motions(method: Method) -> [Motion; 2] {
     enable(&mut wall, "contact");
     wall.effects.contact.offset = 0.2;
     wall.effects.contact.law = Law::Stick;
-    // It presses, rests, is pushed along, rests again, and lifts off.
+    // The hand presses, rests, pushes along, rests again, and lifts off.
     let hand = |time: f64| Inputs {
         tip_force: match time {
             t if t < 0.6 => [0.0, -3.0],
@@ -305,7 +306,7 @@ fn motions(method: Method) -> [Motion; 2] {
     [(fall, |_| default_inputs()), (wall, hand)]
 }
 
-/// Work is what it is, and never given back.
+/// Dissipated energy never falls.
 #[test]
 fn what_is_dissipated_never_falls() {
     for method in METHODS {
@@ -337,10 +338,10 @@ fn calls_and_copies_change_nothing() {
             let run = |size: u64| {
                 let mut simulation = Simulation::new(&parameters, &inputs(0.0)).expect("a scene");
                 for call in 0..1200 / size {
-                    // Where the inputs change both have a communication point.
+                    // Both runs have a communication point where the inputs change.
                     simulation.advance(&inputs(1e-3 * (call * size) as f64), 1e-3, size).expect("steps");
                     if size == 1 {
-                        // What is stored can be read back, after many steps too.
+                        // Stored states can be read back, after many steps too.
                         let run = simulation.run().clone();
                         simulation = Simulation::restored(simulation.parameters(), run).expect("a stored state");
                     }
@@ -353,7 +354,7 @@ fn calls_and_copies_change_nothing() {
     }
 }
 
-/// Derivatives keep what is held where it is; where friction holds everything, they are refused.
+/// Derivatives keep sticking joints where they are; where friction locks everything, they are refused.
 #[test]
 fn derivatives_keep_what_is_held() {
     let parameters = pulled(Method::I3alp);
@@ -372,7 +373,7 @@ fn derivatives_keep_what_is_held() {
     assert!(varied.a[THETA[3]].abs() < 1e-9 && varied.a[THETA[0]] > 100.0, "{:?}", varied.a);
     let resting = start(0.0);
     let refused = resting.state().varied(resting.model(), &by_torque).expect_err("all is held").to_string();
-    assert!(refused.contains("friction holds") && refused.ends_with('.'), "{refused}");
+    assert!(refused.contains("the tip sticks or friction locks") && refused.ends_with('.'), "{refused}");
 }
 
 /// Only methods whose steps can end where something stops take it: the others refuse with one sentence.
@@ -420,7 +421,7 @@ fn a_load_that_passes_the_bound_for_a_moment_lets_go() {
         enable(&mut parameters, "servo");
         parameters.effects.servo.kp = [uniform(0.1, 20.0); 2];
         let inputs = Inputs { servo_theta: parameters.start.theta.map(|angle| angle + uniform(-0.5, 0.5)), ..default_inputs() };
-        // What the joint would have to hold.
+        // Torque that the joint would have to hold.
         let Ok(mut simulation) = Simulation::new(&parameters, &inputs) else { continue };
         let load = |simulation: &Simulation| simulation.state().holding(simulation.model())[joint].abs();
         let mut loads = vec![load(&simulation)];
@@ -440,7 +441,7 @@ fn a_load_that_passes_the_bound_for_a_moment_lets_go() {
         for _ in 0..CALLS {
             simulation.advance(&inputs, STEP, 1).expect("a step");
             let load = load(&simulation);
-            // What it holds is known to some tolerances, of some 1e2 rad/s² on 1e-3 kg·m².
+            // The holding torque is known to some tolerances, of some 1e2 rad/s² on 1e-3 kg·m².
             assert!(load <= bound * (1.0 + 1e-6) + 1e-7, "scene {scene} holds {load} N·m of {bound}");
         }
     }

@@ -1,4 +1,4 @@
-//! What several tests need: scenes, reference solutions, errors and slopes.
+//! Support of several tests: scenes, reference solutions, errors and slopes.
 
 use std::path::{Path, PathBuf};
 

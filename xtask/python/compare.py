@@ -27,7 +27,7 @@ LONGEST = 2.0
 """Seconds of a scene that are compared."""
 
 COARSEST = 0.01
-"""Communication step, s, of scenes whose own is shorter. Reading outputs more often would tell little more: what differs stays."""
+"""Communication step, s, of scenes whose own is shorter. Reading outputs more often would show little more: differences stay."""
 
 EARLY = 0.5
 """Seconds in which round-off may not grow."""
@@ -40,7 +40,7 @@ NUDGES = (1e-14, -1e-14)
 
 
 class Verdict(StrEnum):
-    """What a difference amounts to."""
+    """Kind of a difference."""
 
     SAME = "same bits"
     ROUND_OFF = "round-off"
@@ -124,7 +124,7 @@ def difference(before: Run, after: Run) -> Difference:
 
 
 def verdict(found: Difference, nudged: list[Difference]) -> Verdict:
-    """What `found` between two builds amounts to; `nudged` are those between the old build and itself with other starts."""
+    """Kind of the differences `found` between two builds; `nudged` are those between the old build and itself with other starts."""
     if found.since is None and found.ends is None:
         return Verdict.SAME
     if found.small:

@@ -1,4 +1,4 @@
-"""What the pictures of a scene have in common: colours, style, axes, and the surroundings of the mechanism."""
+"""Common parts of the pictures of a scene: colours, style, axes, and the surroundings of the mechanism."""
 
 from itertools import pairwise
 
@@ -104,7 +104,7 @@ def extent(run: Run, axis: str) -> tuple[float, float]:
 
 
 def surroundings(axes: Axes, run: Run) -> None:
-    """The motors, and what their links and the tip may run against: end stops and a plane."""
+    """The motors, and the obstacles of their links and the tip: end stops and a plane."""
     p = run.parameters
     base = p["base.distance"]
     if p["contact.enabled"]:

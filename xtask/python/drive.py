@@ -19,7 +19,7 @@ from slave import Log, computed, get_values, instantiate, set_values
 
 @dataclass
 class Run:
-    """What one run left: one row per communication point, the first at the start; all that is computed, then the scene's signals.
+    """Results of one run: one row per communication point, the first at the start; computed variables, then the scene's signals.
 
     `items` has the names of the values of each variable that is an enumeration.
     """

@@ -1,4 +1,4 @@
-"""Pictures of what drives a scene and what it runs against: changing loads, servos, end stops, a plane."""
+"""Pictures of loads and obstacles of a scene: changing loads, servos, end stops, a plane."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -31,7 +31,7 @@ def inputs(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
 
 
 def servo(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
-    """Angles with their references, what is between them, and the torques."""
+    """Angles with their references, their differences, and the torques."""
     figure, (angles, errors, torques) = plt.subplots(3, 1, sharex=True, figsize=(10, 7), height_ratios=(3, 2, 2))
     run = runs[0]
     for i, side, colour in SIDES:

@@ -33,7 +33,7 @@ STEP = 1e-3
 """Between samples, s."""
 
 SETTLED = 0.1
-"""What is left out at the beginning, s."""
+"""Time left out at the beginning, s."""
 
 LOST = 0.01
 """A tip that is further off at the end, m, is lost."""
@@ -50,7 +50,7 @@ COLOURS = ("#868e96", "#e8590c", "#a67c00", "#862e9c", "#2b8a3e", "#1864ab")
 
 @dataclass(frozen=True)
 class Machine:
-    """A run: what its twin is told at the start, and by sample its time, what was measured, the inputs, the true tip."""
+    """A run: start values of its twin; for each sample its time, the measured angles, the inputs, the true tip."""
 
     scene: str
     encoder: str
@@ -87,7 +87,7 @@ class Unit:
         return self.slave.getReal([self.references[name] for name in names])
 
     def assembly(self) -> int:
-        """That of now."""
+        """The present assembly: an item of `mode.assembly`."""
         (value,) = self.slave.getInteger([self.references["mode.assembly"]])
         return value
 
@@ -135,7 +135,7 @@ class Around:
         self.filter.P = self.first.copy()
 
     def tip(self) -> list[float]:
-        """Where the mean has it; out of reach it is nowhere."""
+        """Position of the tip at the mean, m; NaN where the mean is out of reach."""
         try:
             self.place(self.filter.x)
         except FMICallException:
@@ -160,7 +160,7 @@ class Around:
 
 
 def difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Of angles, without whole turns."""
+    """Difference of angles, rad, without whole turns."""
     return (a - b + pi) % (2 * pi) - pi
 
 
@@ -179,7 +179,7 @@ def by_filterpy(unit: Unit, machine: Machine) -> tuple[np.ndarray, float]:
 
 
 def by_the_unit(unit: Unit, machine: Machine) -> tuple[float, float]:
-    """The median times of a sample, s: of setting what was measured and the inputs and of the step, and with what is read of it then."""
+    """The median times of a sample, s: of setting samples and inputs and of the step, and with the reading of the estimate."""
     unit.initialise(machine.start | {"estimator.enabled": 1.0}, machine.inputs[0])
     names = ("measured.theta[1]", "measured.theta[2]", "measured.time[1]", "measured.time[2]", *INPUTS)
     references = [unit.references[name] for name in names]
@@ -210,7 +210,7 @@ def machines(folder: Path) -> dict[int, Machine]:
 
 
 def rms(errors: np.ndarray) -> float:
-    """Root of the mean square without the beginning, and without what has no tip."""
+    """Root of the mean square without the beginning, and without samples that have no tip."""
     return float(np.sqrt(np.nanmean(errors[round(SETTLED / STEP) :] ** 2)))
 
 

@@ -1,4 +1,4 @@
-"""Draws what the battery of hard cases wrote: the matrix case x method, and the predictability horizon.
+"""Draws the tables of the battery of hard cases: the matrix case x method, and the predictability horizon.
 
 python hard_cases.py --folder target/hard-cases
 """

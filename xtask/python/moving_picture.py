@@ -41,7 +41,7 @@ CURVES = (486, 78, 370, 90, 124)
 CAPTIONS = tuple(f"{pair} in line: {kind} singularity" for pair, kind in zip(PAIRS, ("direct", "inverse", "inverse")))
 ANGLES = ("theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]")
 JOINTS = ("tip", "elbow[1]", "elbow[2]")
-"""Where each of `PAIRS` has its joint."""
+"""The joint of each of `PAIRS`."""
 
 
 def wanted(run: Run) -> bool:
@@ -105,7 +105,7 @@ class Clock:
         )
 
     def fade(self) -> str:
-        """What grows during a repetition vanishes at its end."""
+        """Lets a drawing that grows during a repetition vanish at its end."""
         end, fade = 1.0, FADE / self.seconds
         return self.animate("opacity", [0.0, fade, end - fade, end], ["0", "1", "1", "0"])
 
@@ -154,7 +154,7 @@ def _path(run: Run, view: View, clock: Clock, frames: np.ndarray) -> str:
 
 
 def _legs(run: Run, view: View, clock: Clock, frames: np.ndarray) -> str:
-    """Both legs, from the motor over the elbow to the tip; the joints are markers and move along."""
+    """The two legs, from the motor over the elbow to the tip; the joints are markers and move along."""
     tip = view.points(run["tip.x"], run["tip.y"])[frames]
     moments = [clock.share(t) for t in run.time[frames]]
     legs = []
@@ -197,7 +197,7 @@ def _pulses(run: Run, view: View, clock: Clock, event: Event) -> str:
 
 
 def _surroundings(run: Run, view: View) -> str:
-    """Panel, grid, motors, a scale of lengths, and what links and tip may run against."""
+    """Panel, grid, motors, a scale of lengths, and the obstacles of links and tip."""
     p, (left, top, width, height) = run.parameters, MACHINE
     base, first = p["base.distance"], p["link[1].length"]
     parts = [f'<clipPath id="machine"><rect x="{left}" y="{top}" width="{width}" height="{height}"/></clipPath>']

@@ -16,10 +16,10 @@ AHEAD, ENERGIES = (
     (f"<!-- {name}: what follows is written by `cargo xtask peers --update-docs`, not by hand -->", f"<!-- {name}: end -->")
     for name in ("peers", "peers' energies")
 )
-"""The comments around what is written."""
+"""The comments around the written text."""
 
 COMMAND = "cargo xtask peers"
-"""What the head of the table ends with if all peers were asked for; names of some follow."""
+"""End of the table's head if all peers were asked for; names of some follow."""
 
 SECOND = 1
 """After which errors are compared, s."""

@@ -237,7 +237,7 @@ def _path_over_time(figure: Figure, axes: Axes, run: Run) -> None:
 
 @dataclass(frozen=True)
 class Picture:
-    """How a picture is drawn, and whether a scene has what it shows."""
+    """How a picture is drawn, and whether a scene has its subject."""
 
     draw: Callable[[Scene, list[Run], list[Event]], Figure]
     wanted: Callable[[Scene, list[Run]], bool] = lambda _scene, _runs: True
@@ -260,7 +260,7 @@ PICTURES = {
     "substeps": Picture(_substeps),
     "difference": Picture(_difference, lambda _scene, runs: len(runs) > 1),
 }
-"""All pictures; a scene gets those that show what it has."""
+"""All pictures; a scene gets those whose subject it has."""
 
 FILES = (*(f"{name}.png" for name in PICTURES), "path.svg")
 """Names of all files that `draw_all` may write."""

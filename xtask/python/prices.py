@@ -1,4 +1,4 @@
-"""What the effects of each scene cost against the bare mechanism: seconds in fmi2DoStep and sub-steps, as a table and as CSV.
+"""Cost of the effects of each scene against the bare mechanism: seconds in fmi2DoStep and sub-steps, as a table and as CSV.
 
 python prices.py --fmu target/fmu/FiveBar.fmu --scenes target/scenes --out target/run/prices.csv
 """
@@ -21,7 +21,7 @@ STEP = 0.02
 """Communication step, s: 20 macro steps share one call, so that the call itself, some microseconds in Python, does not count."""
 
 REPEATS = 15
-"""Of every call the fastest of so many equal runs counts: whatever else the machine does only adds."""
+"""Number of equal runs, of which the fastest counts for every call: other load on the machine only adds."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def table(prices: list[Price]) -> str:
 
 
 def _number(model: ModelDescription, method: str) -> int:
-    """Of an item of solver.method."""
+    """Number of an item of solver.method."""
     [variable] = [v for v in model.modelVariables if v.name == "solver.method"]
     items = {item.name: int(item.value) for item in variable.declaredType.items}
     if method not in items:

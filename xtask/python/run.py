@@ -1,4 +1,4 @@
-"""Runs a scene through FMPy and shows what happened: CSV, pictures, an animation and a summary.
+"""Runs a scene through FMPy and shows the results: CSV, pictures, an animation and a summary.
 
 python run.py --fmu target/fmu/FiveBar.fmu --scene target/scenes/paper_free_fall.json --out target/run/paper_free_fall
 """
@@ -115,7 +115,7 @@ def report(scene: Scene, runs: list[Run], refused: list[str], out: Path) -> None
 
 
 def remove_earlier(out: Path, name: str) -> None:
-    """Removes what an earlier run of the scene `name` wrote to `out`, and nothing else."""
+    """Removes the files that an earlier run of the scene `name` wrote to `out`, and nothing else."""
     own_table = re.compile(re.escape(name) + r"(\.[a-z0-9-]*)?\.csv")
     fixed = {"singularities.csv", f"{name}.html", ANIMATION, *pictures.FILES}
     for file in out.iterdir():

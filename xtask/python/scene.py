@@ -1,5 +1,5 @@
 """Scenes as `cargo xtask package` writes them to target/scenes/: checked by the workspace's crate `scenes`, values as calls carry
-them, signals as they are at each communication point. What a file of scenes/ may hold is said in docs/effects.md.
+them, signals as they are at each communication point. docs/effects.md describes the files of scenes/.
 """
 
 import json
@@ -33,7 +33,7 @@ class Scene:
     signals: dict[str, np.ndarray] = field(default_factory=dict)
 
     def coarser(self, step_size: float, stop_time: float = math.inf) -> "Scene":
-        """The same up to `stop_time`, with as few of its own steps in one as last `step_size`."""
+        """The scene up to `stop_time`, with as few of its own steps in one as last `step_size`."""
         stride = max(1, math.ceil(step_size / self.step_size - 1e-9))
         short = replace(self, stop_time=min(self.stop_time, stop_time), step_size=stride * self.step_size)
         rows = stride * np.arange(len(communication_points(short.stop_time, short.step_size)))

@@ -92,14 +92,14 @@ class _Signals:
         return np.array([np.interp(time, self.time, signal) for signal in self.signal])
 
     def postures(self, time: float, pairs: set[int]) -> tuple[str, str, str]:
-        """Of `pairs`, at the sample nearest to `time`."""
+        """Whether links of `pairs` are stretched or folded at the sample nearest to `time`."""
         sample = int(np.argmin(np.abs(self.time - time)))
         names = ["stretched" if alignment > 0 else "folded" for alignment in self.alignment[:, sample]]
         distal, left, right = (name if pair in pairs else "" for pair, name in enumerate(names))
         return distal, left, right
 
     def passage(self, pairs: set[int], window: "_Window") -> str:
-        """What a stay does to the signs of `pairs`."""
+        """Change of the signs of `pairs` by a stay."""
         before, after = (self.signal[sorted(pairs), sample] for sample in (window.before, window.after))
         if np.any((before * after < 0) & (np.abs(before) >= NEAR) & (np.abs(after) >= NEAR)):
             return "crossed"
@@ -121,14 +121,14 @@ class _Window:
     time: float
 
     def joined(self, later: "_Window") -> "_Window":
-        """Both as one window, named by the graver kind."""
+        """Union of the two windows, named by the graver kind."""
         graver = max(self, later, key=lambda window: KINDS.index(window.kind))
         first, last = min(self.first, later.first), max(self.last, later.last)
         return _Window(first, last, self.before, max(self.after, later.after), graver.kind, graver.time)
 
 
 def _signals(run: Run) -> _Signals:
-    # Both distal angles are measured towards the tip: opposite directions mean a stretched pair.
+    # The distal angles are measured towards the tip: opposite directions mean a stretched pair.
     between = run["passive.theta[2]"] - run["passive.theta[1]"]
     bends = [run[f"passive.theta[{leg}]"] - run[f"theta[{leg}]"] for leg in (1, 2)]
     largest = run.parameters["link[2].length"] * run.parameters["link[3].length"]
@@ -157,7 +157,7 @@ def _single(signals: _Signals, pair: int) -> list[Event]:
 
 
 def _windows(run: Run, signals: _Signals, single: list[Event]) -> list[_Window]:
-    """Where combined and constraint singularities are, in the order of time, none touching another."""
+    """Windows of combined and constraint singularities, in the order of time, none touching another."""
     kinds = np.array([run.items["singular.type"][int(value)] for value in run["singular.type"]])
     grave = np.isin(kinds, GRAVE)
     end = len(kinds) - 1

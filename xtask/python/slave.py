@@ -65,7 +65,7 @@ def instantiate(
 
 
 def computed(model: ModelDescription) -> list[ScalarVariable]:
-    """What the FMU computes: its outputs, then its local variables. Derivatives are other names of some of them."""
+    """Computed variables of the FMU: outputs, then local variables. Derivatives are other names of some of them."""
     return [v for v in model.modelVariables if v.causality in ("output", "local") and v.derivative is None]
 
 

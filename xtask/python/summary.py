@@ -23,12 +23,12 @@ def energy_scale(run: Run) -> float:
 
 
 def energy_note(run: Run) -> str:
-    """What to add to a value in mgL: which g it takes where there is no gravity, "" elsewhere."""
+    """Note on a value in mgL: the g it takes where there is no gravity, "" elsewhere."""
     return "" if _has_gravity(run) else f"g = {STANDARD_GRAVITY:g} m/s2"
 
 
 def sampling(run: Run) -> str:
-    """What every count and every largest or smallest value of a run rests on."""
+    """Sampling on which counts and extreme values of a run rest."""
     return f"seen at communication points, every {1e3 * run.step_size:g} ms"
 
 
@@ -70,7 +70,7 @@ def tip_distance(run: Run, other: Run) -> np.ndarray:
 
 
 def _seen(run: Run, events: list[Event]) -> list[tuple[str, str]]:
-    """What was seen at the communication points."""
+    """Observations at the communication points."""
     energy = float(np.max(np.abs(run["energy.error"])))
     note = f" ({energy_note(run)})" if energy_note(run) else ""
     weakest = int(np.argmin(run["singular.sigmaPhi"]))

@@ -89,7 +89,7 @@ def save_in_docs(figure: Figure, name: str) -> None:
 
 
 def write_in_docs(drawing: str, name: str) -> None:
-    """The same as text."""
+    """Writes a drawing given as text to docs/images."""
     (ROOT / f"docs/images/{name}.svg").write_text(page.compact(drawing), encoding="utf-8", newline="\n")
 
 

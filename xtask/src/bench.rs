@@ -28,7 +28,7 @@ pub(crate) fn bench(quick: bool) -> Result<()> {
     process::run(&mut look_ahead)
 }
 
-/// Instructions against their ceilings, and that what is off costs nothing.
+/// Checks instructions against their ceilings, and that effects that are off cost nothing.
 pub(crate) fn check() -> Result<()> {
     process::run(benches().arg("check"))
 }

@@ -1,4 +1,4 @@
-//! `cargo xtask compare`: two builds of the library over every scene by every method; what differs, and whether it is round-off.
+//! `cargo xtask compare`: two builds of the library over every scene by every method; differences, and whether they are round-off.
 
 use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
@@ -8,7 +8,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use zip::ZipArchive;
 
-/// Where older revisions are built; each is kept.
+/// Folder in which older revisions are built; each is kept.
 const FOLDER: &str = "target/compare";
 
 /// Compares the working tree with a revision.

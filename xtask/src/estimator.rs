@@ -17,7 +17,7 @@ pub(crate) fn estimator(only: &str, part: f64, seeds: u64) -> Result<()> {
         cargo.args(["--seeds", &seeds.to_string()]);
         cargo
     };
-    // All but the comparison, which follows with what is written in Python.
+    // All parts but the comparison, which follows with the filters written in Python.
     let own = if COMPARE.contains(only) && !only.is_empty() { Ok(()) } else { process::run(tracking().args(["--only", only])) };
     if COMPARE.contains(only) {
         let folder = paths::in_root("target/estimator");

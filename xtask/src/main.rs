@@ -48,7 +48,8 @@ enum Command {
     Twin(twin::Options),
     /// Check everything: format, lints, Rust tests, documentation, packaging, Python tests
     Test {
-        /// Also run what needs Debian packages (installed by .ci/setup): the page in a browser, memory and threads under valgrind
+        /// Also run the tests that need Debian packages (installed by .ci/setup): the page in a browser, memory and threads under
+        /// valgrind
         #[arg(long)]
         full: bool,
         /// Pack for all platforms and test that unit, its libraries under wine and qemu (installed by .ci/setup-platforms)
@@ -66,7 +67,7 @@ enum Command {
     },
     /// Compare the library with that of an earlier revision, every scene by every method: same bits, or by how much they differ
     Compare {
-        /// What git calls a revision
+        /// A revision that git knows
         #[arg(default_value = "HEAD")]
         revision: String,
     },
@@ -78,7 +79,7 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
-    /// Measure how well machines are followed, print tables of figures beside what they have to be; some minutes
+    /// Measure how well machines are followed, print tables of figures beside their targets; some minutes
     Estimator {
         /// Only tables whose name contains this: benchmark, quality, compare, singular, forecast, detection, foreign
         #[arg(long, default_value = "")]
@@ -90,7 +91,7 @@ enum Command {
         #[arg(long, default_value_t = 0)]
         seeds: u64,
     },
-    /// Measure what accuracy costs in time, write the page target/report/index.html
+    /// Measure accuracy against wall time, write the page target/report/index.html
     Report(report::Options),
     /// Run other programs on the same scenes beside ours, write target/peers/peers.csv; needs packages of some 2 GB
     Peers(peers::Options),
@@ -103,9 +104,9 @@ enum Command {
         #[arg(long, conflicts_with = "quick")]
         check: bool,
     },
-    /// Measure what the effects of each scene cost against the bare mechanism, write target/run/prices.csv
+    /// Measure the cost of the effects of each scene against the bare mechanism, write target/run/prices.csv
     Prices {
-        /// An item of solver.method, for all scenes [default: what each says]
+        /// An item of solver.method, for all scenes [default: the method of each]
         #[arg(long, value_name = "NAME")]
         method: Option<String>,
     },
@@ -117,7 +118,7 @@ enum Command {
         /// those of scenes/
         #[arg(long, value_name = "FILE")]
         scene: Option<PathBuf>,
-        /// What that unit is called [default: the file's name in CamelCase]
+        /// Name of that unit [default: the file's name in CamelCase]
         #[arg(long, requires = "scene")]
         name: Option<String>,
         /// With a library for every machine that is shipped, in target/fmu/all-platforms/: takes minutes
@@ -130,7 +131,7 @@ fn main() -> ExitCode {
     match command(Arguments::parse().command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // What failed and why, on one line; where in this program it was noticed would not help.
+            // The failure and its causes, on one line; the place in this program would not help.
             eprintln!("error: {error:#}");
             ExitCode::FAILURE
         }

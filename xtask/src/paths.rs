@@ -1,4 +1,4 @@
-//! Where things are, relative to the workspace root.
+//! Paths relative to the workspace root.
 
 use std::path::{Path, PathBuf};
 
@@ -27,7 +27,7 @@ pub(crate) fn fmu_for_all_platforms(name: &str) -> PathBuf {
     in_root("target/fmu/all-platforms").join(name).with_extension("fmu")
 }
 
-/// Where the master fmi-sim is installed.
+/// Folder in which the master fmi-sim is installed.
 pub(crate) fn fmi_sim() -> PathBuf {
     in_root("target/fmi-sim")
 }

@@ -1,4 +1,4 @@
-//! `cargo xtask peers`: other programs and the packed unit over the same scenes; no part of CI. What has to be compiled for it is in
+//! `cargo xtask peers`: other programs and the packed unit over the same scenes; no part of CI. Sources of compiled peers are in
 //! `xtask/peers/`, outside the workspace.
 
 use crate::package::{self, Scope};
@@ -7,7 +7,7 @@ use crate::{paths, process, report};
 use anyhow::Result;
 use clap::Args;
 
-/// What is run, and what becomes of it.
+/// Programs to run, and where their tables go.
 #[derive(Args)]
 pub(crate) struct Options {
     /// Names of the programs to run [default: all]
@@ -20,7 +20,7 @@ pub(crate) struct Options {
     update_docs: bool,
 }
 
-/// Runs programs and writes what was measured.
+/// Runs programs and writes their measurements.
 pub(crate) fn peers(options: &Options) -> Result<()> {
     if !options.reuse {
         measure(&options.only)?;

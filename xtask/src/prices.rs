@@ -1,4 +1,4 @@
-//! `cargo xtask prices`: what the effects of each scene cost against the bare mechanism.
+//! `cargo xtask prices`: the cost of the effects of each scene against the bare mechanism.
 
 use crate::package::{self, Scope};
 use crate::venv::{self, Packages};

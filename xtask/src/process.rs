@@ -44,7 +44,7 @@ pub(crate) struct Beside {
     log: PathBuf,
 }
 
-/// Shows the command and starts it; what it writes is shown when it has ended. Until then it lies in a file of that name.
+/// Shows the command and starts it; its output is shown when it has ended. Until then the output lies in a file of that name.
 pub(crate) fn start(name: &str, command: &mut Command) -> Result<Beside> {
     let (text, log) = (short_form(command), paths::in_root("target").join(name).with_extension("log"));
     println!("$ {text} &");
@@ -55,7 +55,7 @@ pub(crate) fn start(name: &str, command: &mut Command) -> Result<Beside> {
 }
 
 impl Beside {
-    /// Waits for its end, shows what it wrote, and fails if it failed.
+    /// Waits for its end, shows its output, and fails if it failed.
     pub(crate) fn finish(mut self) -> Result<()> {
         let status = self.child.wait()?;
         print!("{}", fs::read_to_string(&self.log)?);
@@ -65,19 +65,19 @@ impl Beside {
 
 impl Drop for Beside {
     fn drop(&mut self) {
-        // Of a command that has ended already there is nothing to end.
+        // A command that has ended already cannot be killed, which is no error.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
-/// Shows the command and gives back what it wrote to its standard output.
+/// Shows the command and returns its standard output.
 pub(crate) fn run_for_output(command: &mut Command) -> Result<String> {
     println!("$ {}", short_form(command));
     output(command)
 }
 
-/// Runs the command unseen and gives back what it wrote to its standard output; its errors stay visible.
+/// Runs the command unseen and returns its standard output; its errors stay visible.
 pub(crate) fn output(command: &mut Command) -> Result<String> {
     let output =
         command.stderr(Stdio::inherit()).output().with_context(|| format!("`{}` could not be started", short_form(command)))?;

@@ -1,4 +1,4 @@
-//! `cargo xtask report`: what accuracy costs in time, measured and drawn; the page under `target/report/`.
+//! `cargo xtask report`: accuracy against wall time, measured and drawn; the page under `target/report/`.
 
 use crate::venv::{self, Packages};
 use crate::{bench, hard_cases, paths, process, run};

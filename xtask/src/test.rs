@@ -11,7 +11,7 @@ use std::process::Command;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// What `--full` adds, for the last line of the short form.
+/// Parts that `--full` adds, for the last line of the short form.
 const LEFT_OUT: &str = "the pages in a real browser, the twin on mosquitto and its processes killed, masters other than FMPy, a forced \
      panic, a foreign locale, and with valgrind memory errors, leaks, races and instructions per step";
 
@@ -26,7 +26,7 @@ const FULL_NEEDS: [(&str, &str); 7] = [
     ("/usr/share/i18n/locales/de_DE", "locales"),
 ];
 
-/// The master fmi-sim: its version, and what its build needs.
+/// Version of the master fmi-sim, and the packages that its build needs.
 const FMI_SIM: (&str, [(&str, &str); 1]) = ("0.7.0", [("/usr/lib/llvm-14/lib/libclang.so", "libclang-14-dev")]);
 
 /// Programs that `--platforms` needs on top of those that build.
@@ -38,12 +38,12 @@ const OWN: (&str, &str) = ("tests/data/own_machine.json", "OwnMachine");
 /// The Rust tests that go through the C functions; the same names are run once more under valgrind.
 const C_TESTS: (&str, &str) = ("integration", "fmi_");
 
-/// Checks everything that needs Rust and Python only; with `full` also what needs Debian packages.
+/// Runs the checks that need Rust and Python only; with `full` also those that need Debian packages.
 pub(crate) fn test(full: bool) -> Result<()> {
     if full {
         process::need("cargo xtask test --full", ".ci/setup", &FULL_NEEDS)?;
     }
-    // The network has its own pace: what Python needs is fetched meanwhile.
+    // Python packages are fetched meanwhile: the network has its own pace.
     let environment = thread::spawn(move || venv::python(if full { Packages::Full } else { Packages::Usual }).map(drop));
     let mut steps = Steps::default();
     steps.run("format", || format::format(true))?;
@@ -148,7 +148,7 @@ fn valgrind() -> Result<Command> {
     let mut command = process::program("valgrind");
     command
         .args(["--quiet", "--error-exitcode=1", "--leak-check=full"])
-        // What is still reachable at the end belongs to Rust's test harness and its threads.
+        // Memory still reachable at the end belongs to Rust's test harness and its threads.
         .args(["--show-leak-kinds=definite,indirect", "--errors-for-leak-kinds=definite,indirect"])
         .arg(executable)
         .args([filter, "--test-threads=1"]);
@@ -189,15 +189,15 @@ fn panicking() -> Result<PathBuf> {
     bail!("cargo built no library that panics")
 }
 
-/// Which of the Python tests.
+/// Selection of the Python tests.
 enum Tests {
-    /// Those that need Python packages only.
+    /// Tests that need Python packages only.
     Usual,
-    /// And those that need a browser, valgrind or a locale, and a library whose fmi2CancelStep panics.
+    /// Also tests that need a browser, valgrind or a locale, and a library whose fmi2CancelStep panics.
     Full { panicking: PathBuf },
     /// The usual ones, on a unit for all platforms, and those that compare its libraries.
     Platforms,
-    /// That of fmi-sim alone.
+    /// The test of fmi-sim alone.
     FmiSim,
 }
 

@@ -5,13 +5,13 @@ use crate::venv::{self, Packages};
 use crate::{paths, process, scenes};
 use anyhow::Result;
 
-/// How long, what moves, and on which broker.
+/// Duration, scene and broker of a run of the twin.
 #[derive(clap::Args)]
 pub(crate) struct Options {
     /// Seconds of real time
     #[arg(long, default_value_t = 60.0)]
     seconds: f64,
-    /// A file of scenes/, without `.json`: what the machine is and does
+    /// A file of scenes/, without `.json`: the machine and its motion
     #[arg(long, default_value = "pick_and_place")]
     scene: String,
     /// An MQTT broker in the place of the one that comes along

@@ -16,18 +16,18 @@ const APART: &str = "xtask/python/requirements-cofmupy.txt";
 /// Our own package, the twin's pipeline: installed where it lies, so that a change of it needs no new installation.
 const OWN: &str = "twin/pyproject.toml";
 
-/// What the environment must hold; each file is a pinned closure, but that of our own package.
+/// Sets of packages in the environment; each file is a pinned closure, but that of our own package.
 #[derive(Clone, Copy)]
 pub(crate) enum Packages {
-    /// What a run, the twin's pipeline and the Python tests need.
+    /// Packages of a run, the twin's pipeline and the Python tests.
     Usual,
-    /// And what the tests in a browser and with other masters need.
+    /// Also packages of the tests in a browser and with other masters.
     Full,
-    /// And what builds libraries for other machines.
+    /// Also packages that build libraries for other machines.
     Platforms,
-    /// And the filters that the estimator is compared with.
+    /// Also the filters that the estimator is compared with.
     Filters,
-    /// What the comparison with peers needs: large, and in an environment of its own.
+    /// Packages of the comparison with peers: large, and in an environment of its own.
     Peers,
 }
 
@@ -81,7 +81,7 @@ pub(crate) fn apart() -> PathBuf {
     Packages::Full.folder().join("cofmupy")
 }
 
-/// A file of requirements and the copy of it that tells what is installed.
+/// A file of requirements and its copy as installed.
 struct Requirements {
     file: &'static str,
     text: String,
@@ -115,11 +115,11 @@ impl Requirements {
         println!("installing the Python packages of {} (first run, or the file changed)", self.file);
         let mut pip = process::program(python);
         pip.args(["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input"])
-            // Nothing but what stands in the file, for each is a closure; what is never imported is not compiled.
+            // Only packages of the file, for each is a closure; modules that are never imported are not compiled.
             .args(["--no-deps", "--no-compile"]);
         let file = paths::in_root(self.file);
         match self.file {
-            // What builds it is among the packages of the twin.
+            // The build backend is among the packages of the twin.
             OWN => pip.args(["--no-build-isolation", "--editable"]).arg(file.parent().context("a package lies in a folder")?),
             APART => pip.arg("--requirement").arg(file).arg("--target").arg(apart()),
             _ => pip.arg("--requirement").arg(file),

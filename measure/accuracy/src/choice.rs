@@ -15,11 +15,11 @@ pub struct Choice {
     pub unit: &'static str,
     /// Step or tolerance, in `unit`.
     pub value: f64,
-    /// What the simulation is told.
+    /// Method and settings of the simulation.
     pub setting: Setting,
 }
 
-/// A line: name, what is turned, its unit, its values, and how the simulation is told.
+/// A line of a diagram: method, name of the varied setting, its unit, its values, and the setting for each.
 struct Line {
     method: &'static str,
     knob: &'static str,

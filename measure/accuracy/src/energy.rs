@@ -1,4 +1,4 @@
-//! Energy over 50 s of free fall: what stays meaningful beyond the horizon.
+//! Energy over 50 s of free fall, which stays meaningful beyond the predictability horizon.
 
 use std::time::Instant;
 

@@ -12,7 +12,7 @@ const SCENE: &str = "fall_90_120";
 const APART: f64 = 1e-3;
 /// The best that there is, rad.
 const BEST: Setting = Setting::Dop853(1e-14);
-/// The same run with other rounding and error control, rad: parts from the best where double precision ends.
+/// A run with other rounding and error control, rad: it parts from [`BEST`] where double precision ends.
 const SECOND: Setting = Setting::Dop853(2e-14);
 /// All communication steps divide this, s.
 const STRIDE: f64 = 4e-3;

@@ -1,8 +1,8 @@
-//! What accuracy costs in time: every scene with a reference solution, by every method at many steps or tolerances.
+//! Accuracy against wall time: every scene with a reference solution, by every method at many steps or tolerances.
 //!
-//! A [`Scene`] is a file of `scenes/` with a [`Reference`]; a [`Choice`] is a method with its step or tolerance. What is measured goes
-//! to one CSV file each: [`precision`] (error against wall time), [`energy`] (50 s), [`horizon`] (how long a run can be trusted) and
-//! [`steps`] (what single milliseconds cost). `cargo xtask report` draws them.
+//! A [`Scene`] is a file of `scenes/` with a [`Reference`]; a [`Choice`] is a method with its step or tolerance. Results go to one
+//! CSV file each: [`precision`] (error against wall time), [`energy`] (50 s), [`horizon`] (how long a run can be trusted) and
+//! [`steps`] (wall time of single milliseconds). `cargo xtask report` draws them.
 
 pub mod choice;
 pub mod energy;

@@ -1,4 +1,4 @@
-//! Measures what accuracy costs and writes the tables; `cargo xtask report` builds it, calls it and draws them.
+//! Measures accuracy against wall time and writes the tables; `cargo xtask report` builds it, calls it and draws them.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -7,7 +7,7 @@ use accuracy::{Extent, Folder, Scene, energy, horizon, precision, steps};
 use anyhow::Result;
 use clap::Parser;
 
-/// Measures what accuracy costs in time
+/// Measures accuracy against wall time
 #[derive(Parser)]
 struct Arguments {
     /// The folder of the tables

@@ -35,7 +35,7 @@ struct Measured<'a> {
     laps: Vec<Vec<f64>>,
 }
 
-/// Writes `precision.csv` and `references.csv`; tells what it does on standard error.
+/// Writes `precision.csv` and `references.csv`; progress goes to standard error.
 pub fn write(folder: &Folder, scenes: &[Scene], extent: Extent) -> Result<()> {
     let cells = |scene: &Scene| {
         let reference = &scene.reference;
@@ -49,7 +49,7 @@ pub fn write(folder: &Folder, scenes: &[Scene], extent: Extent) -> Result<()> {
     let rounds = rounds(extent);
     for round in 1..rounds {
         eprintln!("precision: round {} of {rounds}, {} runs", round + 1, measured.len());
-        // Methods take turns, so that what else the machine does meets all of them.
+        // Methods take turns, so that other load on the machine meets all of them.
         for row in measured.iter_mut().filter(|row| row.error.is_finite()) {
             row.again()?;
         }
@@ -96,7 +96,7 @@ impl<'a> Measured<'a> {
         let whole = |round: usize| self.laps.iter().map(|lap| lap[round]).sum::<f64>();
         let worst = (0..rounds).map(whole).fold(0.0, f64::max);
         self.laps.iter_mut().for_each(|lap| lap.sort_by(f64::total_cmp));
-        // Of a run that ended early, or was left out, there is no whole time.
+        // A run that ended early, or was left out, has no total time.
         let sum = |of: fn(&[f64]) -> f64| if rounds == 0 { f64::NAN } else { self.laps.iter().map(|lap| of(lap)).sum() };
         let (median, best) = (sum(|lap| lap[lap.len() / 2]), sum(|lap| lap[0]));
         let Counters { substeps, rejected, iterations, .. } = self.counters;

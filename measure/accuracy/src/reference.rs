@@ -1,4 +1,4 @@
-//! What scenes are judged against.
+//! Reference solutions: positions of the tip at given times, with their own error.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use anyhow::{Context, Result, ensure};
 pub struct Reference {
     /// Time, s, and position, m.
     pub points: Vec<(f64, [f64; 2])>,
-    /// Where it comes from.
+    /// Source of the reference, in words.
     pub source: String,
     /// How far it may be off, m.
     pub own_error: f64,

@@ -15,7 +15,7 @@ pub const COMMUNICATION: f64 = 1e-3;
 pub struct Run {
     /// The simulation.
     pub simulation: Simulation,
-    /// What is held over each communication step; the last one over all that follow.
+    /// Inputs held over each communication step; the last entry holds for all that follow.
     inputs: Rc<[Inputs]>,
     /// Macro step, s.
     step: f64,

@@ -10,7 +10,7 @@ use scenes::Scene as File;
 
 use crate::{COMMUNICATION, Choice, Extent, Reference};
 
-/// What makes a scene hard or easy.
+/// Kind of difficulty of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// No singularity near, no fast motion.
@@ -46,15 +46,15 @@ impl Kind {
 pub struct Scene {
     /// Name of the file of `scenes/`, without its ending.
     pub name: &'static str,
-    /// What makes it hard or easy.
+    /// Kind of difficulty.
     pub kind: Kind,
     /// How long it is followed, s.
     pub end: f64,
     /// The machine, its start and its effects.
     pub parameters: Parameters,
-    /// What is held over each communication step; the last one over all that follow.
+    /// Inputs held over each communication step; the last entry holds for all that follow.
     pub inputs: Rc<[Inputs]>,
-    /// What it is judged against.
+    /// Reference solution that the scene is judged against.
     pub reference: Reference,
 }
 
@@ -88,7 +88,7 @@ const JUDGED: [Judged; 22] = [
     ("stick_slip", Kind::Driven, 4.0, "stick_slip"),
 ];
 
-/// Those of them that a quick run judges: one of each kind, but the smooth one, which is the longest.
+/// Scenes of a quick run: one of each kind, but the smooth one, which is the longest.
 const QUICK: [&str; 5] = ["fall_90_120", "spring_payload", "bounce", "stiff_servo", "pick_and_place"];
 
 impl Scene {
@@ -118,7 +118,7 @@ impl Scene {
         })
     }
 
-    /// Name and length: what tells the scenes apart.
+    /// Name and length, which identify the scene.
     pub fn title(&self) -> String {
         format!("{}, {} s", self.name, self.end)
     }
@@ -141,7 +141,7 @@ pub(crate) fn load(name: &str, end: f64) -> Result<(Parameters, Rc<[Inputs]>)> {
     Ok((now.0, held))
 }
 
-/// What a scene sets, in the library's own form.
+/// Writes a value of a scene into the library's parameters or inputs.
 fn write((parameters, inputs): &mut (Parameters, Inputs), (variable, value): (&scenes::Variable, scenes::Value)) -> Result<()> {
     let (name, value) = (&variable.name.full, value.fold(Value::Real, Value::Integer, Value::Boolean));
     let variable = Variable::named(name).with_context(|| format!("the library has no variable {name}"))?;
@@ -161,7 +161,7 @@ mod tests {
         assert_eq!(parameters.geometry, default_parameters().geometry);
     }
 
-    /// 0.2 and 0.7 as doubles are round-off away from what is written: so is the middle of the first way.
+    /// 0.2 and 0.7 as doubles are round-off away from the decimal numbers, and so is the middle of the first path.
     #[test]
     fn signals_are_held() {
         let (_, inputs) = load("pick_and_place", 0.5).expect("a shipped scene");

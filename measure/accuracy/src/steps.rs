@@ -1,4 +1,4 @@
-//! What single milliseconds cost: wall time, sub-steps and iterations of every call, beside the distance from singularities.
+//! Cost of single milliseconds: wall time, sub-steps and iterations of every call, beside the distance from singularities.
 
 use std::hint::black_box;
 use std::time::Instant;
@@ -20,8 +20,8 @@ const SETTINGS: [(&str, Setting); 5] = [
     ("rk4, 1 ms", Setting::Rk4(1e-3)),
 ];
 
-/// Writes `steps.csv`: one row per call of 1 ms, after which the tip is read. The run is repeated, and the least of the times of a call is
-/// what the method costs; the first one is what a master would have seen on this machine.
+/// Writes `steps.csv`: one row per call of 1 ms, after which the tip is read. The run is repeated: the least time of a call is the
+/// cost of the method, the first one is the time that a master would have seen on this machine.
 pub fn write(folder: &Folder, extent: Extent) -> Result<()> {
     let (calls, repeats) = if extent == Extent::Full { (5_000, 9) } else { (500, 2) };
     let (parameters, inputs) = scene::load(SCENE, calls as f64 * COMMUNICATION)?;

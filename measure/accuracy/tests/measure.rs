@@ -1,4 +1,4 @@
-//! The measurements measure what they say.
+//! The measurements have complete tables and plausible errors.
 
 use std::collections::HashMap;
 use std::fs;
@@ -34,7 +34,7 @@ fn number(row: &Row, name: &str) -> f64 {
 #[test]
 fn every_scene_is_judged() {
     let judged = Scene::judged(Extent::Full).expect("scenes with references");
-    // What is tuned on the way has a reference, which tests meet; the report is about steps.
+    // Scenes with tuned parameters have references, which tests meet; the report is about steps.
     let is_tuned = |scene: &File| scene.signals.iter().any(|signal| signal.variable.causality != Causality::Input);
     for scene in File::all().expect("shipped scenes").into_iter().filter(|scene| !is_tuned(scene)) {
         assert!(judged.iter().any(|judged| judged.name == scene.name), "{} is not in the table", scene.name);
@@ -68,7 +68,7 @@ fn tables_are_complete() {
     assert!((order - 2.0).abs() < 0.1, "order {order}");
 }
 
-/// Inputs that change are those of the reference: else no tolerance would help. Steps longer than what they are held for are named.
+/// Inputs that change are those of the reference: else no tolerance would help. Steps longer than the hold of the inputs are named.
 #[test]
 fn a_driven_scene_follows_its_reference() {
     let scene = judged("pick_and_place, 1.6 s");
@@ -83,6 +83,6 @@ fn a_driven_scene_follows_its_reference() {
     }
     assert_eq!(longer.len(), 4, "4 ms by four methods");
     let [.., finest] = *others.iter().filter(|row| row["method"] == "dop853").collect::<Vec<_>>() else { panic!("dop853") };
-    // Three times what was seen, at 1e-12 rad.
+    // Three times the error seen, at 1e-12 rad.
     assert!(number(finest, "error [m]") < 2e-13, "{finest:?}");
 }

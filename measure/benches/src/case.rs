@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 
-/// What is measured: prepared anew for every repeat, so that each starts from the same state.
+/// Work to be measured: prepared again for every repeat, so that each starts from one state.
 pub(crate) type Work = Box<dyn FnMut()>;
 
 /// Something to measure.
@@ -13,7 +13,7 @@ pub(crate) struct Case {
     pub(crate) table: &'static str,
     /// Its name, unique within the table.
     pub(crate) name: String,
-    /// How often the work does what is counted, such as a step.
+    /// Number of counted operations in the work, such as steps.
     pub(crate) times: u64,
     prepare: Box<dyn Fn() -> Result<Work>>,
 }
@@ -44,7 +44,7 @@ fn measured(work: &mut dyn FnMut()) {
     work();
 }
 
-/// Medians of ns each of the cases takes, `repeats` times, side by side: what disturbs the machine disturbs all of them alike.
+/// Median times of the cases, ns, over `repeats` runs side by side: disturbances of the machine meet all cases alike.
 pub(crate) fn times(cases: &[Case], repeats: usize) -> Result<Vec<f64>> {
     let mut samples = vec![Vec::with_capacity(repeats); cases.len()];
     for _ in 0..repeats {

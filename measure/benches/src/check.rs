@@ -1,4 +1,4 @@
-//! What CI checks: instructions against their ceilings, and that what is off costs nothing. No times.
+//! Checks of CI: instructions against their ceilings, and effects that are off cost nothing. No times.
 
 use anyhow::{Context, Result, ensure};
 use serde::Deserialize;

@@ -11,15 +11,15 @@ use crate::cases;
 /// The function that callgrind counts in, as it names it.
 const REGION: &str = "benches::case::measured";
 
-/// Every case once, in order: what runs under callgrind.
+/// Runs every case once, in order, under callgrind.
 pub(crate) fn each_once() -> Result<()> {
     cases::all()?.iter().try_for_each(|case| case.once().map(drop))
 }
 
-/// What callgrind has seen of a case.
+/// Counts of callgrind for a case.
 #[derive(Clone, Debug)]
 pub(crate) struct Count {
-    /// Instructions, per time that it does what it counts.
+    /// Instructions per counted operation.
     pub(crate) instructions: f64,
     /// Whether a function of the estimator has run.
     pub(crate) estimates: bool,
@@ -30,7 +30,7 @@ pub(crate) fn instructions() -> Result<Vec<f64>> {
     Ok(counts()?.into_iter().map(|count| count.instructions).collect())
 }
 
-/// The same with what ran.
+/// Counts of all cases with the line of the program that ran.
 pub(crate) fn counts() -> Result<Vec<Count>> {
     let cases = cases::all()?;
     let folder = tempfile::tempdir().context("a folder for callgrind's dumps")?;

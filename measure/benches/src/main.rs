@@ -9,8 +9,8 @@
 //! | `host.rs` | a master: the C functions through pointers |
 //! | `count.rs` | instructions, by callgrind |
 //! | `scenes.rs` | the time of each call along the scenes |
-//! | `check.rs` | ceilings, and that what is off costs nothing |
-//! | `report.rs` | tables and what they were made on |
+//! | `check.rs` | ceilings, and effects that are off cost nothing |
+//! | `report.rs` | tables and the machine they were made on |
 
 mod case;
 mod cases;
@@ -43,9 +43,9 @@ enum Command {
         #[arg(long)]
         quick: bool,
     },
-    /// Instructions against their ceilings, and that what is off costs nothing; no times
+    /// Instructions against their ceilings, and effects that are off cost nothing; no times
     Check,
-    /// What `run` and `check` start under callgrind: every case once
+    /// Every case once, for `run` and `check` under callgrind
     Count,
 }
 

@@ -1,4 +1,4 @@
-//! Tables as CSV and on the screen, with what they were made on.
+//! Tables as CSV and on the screen, with the machine they were made on.
 
 use std::fs;
 use std::path::Path;
@@ -11,7 +11,7 @@ use serde_json::json;
 use crate::case::{self, Case};
 use crate::{cases, count, scenes};
 
-/// A case's cost, per time that it does what it counts.
+/// Cost of a case per counted operation.
 #[derive(Serialize)]
 struct Row<'a> {
     case: &'a str,
@@ -76,7 +76,7 @@ fn cpu() -> String {
     name.map_or_else(|| "unknown".into(), |(_, name)| name.trim().to_owned())
 }
 
-/// What a program says, or nothing.
+/// Standard output of a program, or nothing.
 fn said(program: &str, arguments: &[&str]) -> String {
     let output = Command::new(program).args(arguments).current_dir(env!("CARGO_MANIFEST_DIR")).output();
     output.map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned()).unwrap_or_default()

@@ -21,14 +21,14 @@ impl Scene {
         Self { parameters, inputs: default_inputs() }
     }
 
-    /// The same with a variable set.
+    /// The scene with a variable set.
     pub(crate) fn with(mut self, name: &str, value: Value) -> Result<Self> {
         let variable = Variable::named(name).with_context(|| format!("there is no variable {name}"))?;
         ensure!(write(&mut self.parameters, &mut self.inputs, variable, value), "{name} cannot be set to {value}");
         Ok(self)
     }
 
-    /// The same with an effect on or off, and where it is on, so that it acts on the fall.
+    /// The scene with an effect on or off; an effect that is on gets values at which it acts on the fall.
     pub(crate) fn effect(self, name: &str, on: bool) -> Result<Self> {
         let mut scene = self.with(&format!("{name}.enabled"), Value::Boolean(on))?;
         let reached: &[(&str, f64)] = match name {
@@ -52,7 +52,7 @@ impl Scene {
     }
 }
 
-/// What has a variable `….enabled` and acts on nothing.
+/// Name of the estimator, which has a variable `….enabled` and is no effect.
 pub(crate) const ESTIMATOR: &str = "estimator";
 
 /// The effects: whatever has a variable `….enabled`, but for the estimator, which acts on nothing.

@@ -1,4 +1,4 @@
-//! What a real-time user asks: how long each call takes along the scenes, and how many sub-steps the worst one needs.
+//! Times for real-time users: duration of each call along the scenes, and the largest number of sub-steps of a call.
 
 use std::time::Instant;
 

@@ -1,5 +1,5 @@
-//! The books of energy in the random scenes with kinks, at tolerances from loose to tight: how far they are off, and whether what is
-//! dissipated is ever taken back.
+//! Energy balance in the random scenes with discontinuous loads, at tolerances from loose to tight: largest residual, and whether
+//! dissipated energy ever falls.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -20,7 +20,7 @@ const PUSHES: u64 = 7;
 pub struct Books {
     case: &'static str,
     setting: Setting,
-    /// rad.
+    /// Error tolerance, rad.
     tolerance: f64,
     runs: usize,
     /// Runs that ended before their time, and why the first did.
@@ -38,7 +38,7 @@ fn settings(tolerance: f64) -> [Setting; 3] {
     [Setting::Tolerance(tolerance), Setting::Dop853(tolerance), Setting::Automatic(tolerance)]
 }
 
-/// What is sampled.
+/// Sample of scenes, methods and tolerances.
 #[derive(Clone, Debug)]
 pub struct Sample {
     /// Scenes of each kind, by their numbers.
@@ -51,7 +51,7 @@ pub struct Sample {
     pub tolerances: Vec<f64>,
     /// Communication points to one of the battery.
     pub points: u64,
-    /// What the torques that are held differ by, N·m.
+    /// Amplitude of the changes of the held torques, N·m.
     pub push: f64,
 }
 
@@ -88,7 +88,7 @@ pub fn measure(sample: &Sample, mut done: impl FnMut(&Books)) -> Vec<Books> {
     rows
 }
 
-/// The same scene with more communication points, torques that change now and then, and nothing else to watch.
+/// The scene with more communication points and torques that change now and then; only energy is watched.
 fn looked_at_often(mut trial: Trial, points: u64, by: f64) -> Trial {
     trial.watch = Watch::Nothing;
     let [span] = trial.schedule[..] else { return trial };
@@ -103,7 +103,7 @@ fn looked_at_often(mut trial: Trial, points: u64, by: f64) -> Trial {
     trial
 }
 
-/// What |energy.error| may be at the default tolerance or a tighter one, and at the tightest, by tolerances, rad, J.
+/// Largest |energy.error| allowed, J, for error tolerances up to each bound, rad.
 const ALLOWED: [(f64, f64); 2] = [(1e-12, 1e-9), (3e-9, 1e-6)];
 
 const HEADER: [&str; 11] = [
@@ -128,7 +128,7 @@ impl Books {
         self.ended_early == 0 && self.taken_back.0 <= TAKEN_BACK && self.error.0 <= allowed
     }
 
-    /// As a row of a table.
+    /// Row of a table.
     fn cells(&self) -> [String; 11] {
         [
             self.case.to_owned(),

@@ -1,5 +1,5 @@
-//! Where the independent programs end in random scenes. That takes far longer than the runs that are judged, so ends are kept, in
-//! `data/ends.csv`; a scene that is not among them is worked out when it is asked for.
+//! Ends of the independent programs in random scenes. They take far longer than the judged runs, so ends are kept in
+//! `data/ends.csv`; a scene that is not among them is computed when it is asked for.
 
 use std::collections::HashMap;
 use std::f64::consts::TAU;
@@ -33,14 +33,14 @@ pub struct Goal {
     pub parameters: Parameters,
     /// Inputs that are held.
     pub inputs: Inputs,
-    /// s.
+    /// Length of the run, s.
     pub duration: f64,
 }
 
 /// An end.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct End {
-    /// Of the links, rad.
+    /// Angles of the links, rad.
     pub angles: [f64; 4],
     /// How far off a run may be, rad.
     pub allowed: f64,
@@ -49,7 +49,7 @@ pub struct End {
 /// Ends by the name of their scene; `None` where the program gave up.
 type Ends = HashMap<String, Option<End>>;
 
-/// What is kept.
+/// Ends read from `data/ends.csv`.
 static KEPT: LazyLock<Ends> = LazyLock::new(|| read(include_str!("../data/ends.csv")));
 
 impl Goal {
@@ -70,7 +70,7 @@ impl Goal {
         format!("{hash:016x}")
     }
 
-    /// Where the independent program ends.
+    /// End computed by the independent program.
     fn end(&self) -> Option<End> {
         let Self { inputs, duration, .. } = self;
         let parameters = &merged(&self.parameters);
@@ -106,7 +106,8 @@ pub(crate) fn apart(x: &[f64; 4], y: &[f64; 4]) -> f64 {
     (0..4).map(|i| ((x[i] - y[i] + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0).abs()).fold(0.0, f64::max)
 }
 
-/// The ends in a table: scene, case, number, four angles, what is allowed, and the seconds that it took; no angles where the program gave up.
+/// The ends in a table: scene, case, number, four angles, allowed distance, and the seconds that it took; no angles where the
+/// program gave up.
 fn read(table: &str) -> Ends {
     let numbers = |row: &str| {
         let columns: Vec<f64> = row.split(',').skip(3).filter_map(|column| column.parse().ok()).collect();

@@ -65,7 +65,7 @@ pub fn branches(parameters: &Parameters, inputs: &Inputs, vertex: Vertex) -> Res
     Ok(found)
 }
 
-/// Where `f` is largest between two places with one maximum between them.
+/// Place of the largest `f` between two places with one maximum between them.
 fn maximum(f: impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
     for _ in 0..60 {
         let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);

@@ -78,7 +78,8 @@ impl<'a> Independent<'a> {
                 state = self.closed(end);
                 time += h;
             }
-            // Of the error of a small step round-off is the most, which does not fall with it: steps may grow faster than the order says.
+            // The error of a small step is mostly round-off, which does not fall with the step: steps may grow faster than the
+            // order says.
             wanted = h * (0.7 * error.max(1e-12).powf(-0.2)).clamp(0.2, 4.0);
         }
         Some(state)
@@ -194,7 +195,7 @@ impl<'a> Independent<'a> {
             if effects.viscous.enabled {
                 torque -= effects.viscous.b[joint] * w;
             }
-            // What sticks is `sticking.rs`'s.
+            // `sticking.rs` has the friction that sticks.
             if effects.friction.enabled && effects.friction.law == Law::Smooth {
                 let friction = &effects.friction;
                 let (coulomb, breakaway, velocity) =
@@ -230,7 +231,7 @@ impl<'a> Independent<'a> {
             let arms = self.arms(state);
             let v = arms.iter().fold([0.0; 2], |v, (link, [x, y])| [v[0] - rate[*link] * y, v[1] + rate[*link] * x]);
             let [_, normal] = self.pressed(state);
-            // What sticks is `sticking.rs`'s.
+            // `sticking.rs` has the friction that sticks.
             let drag = match contact.law {
                 Law::Smooth => contact.mu * normal * ((n[0] * v[1] - n[1] * v[0]) / contact.slip_velocity).tanh(),
                 Law::Stick => 0.0,
@@ -249,7 +250,7 @@ impl<'a> Independent<'a> {
         [(0, along(state[0], links[0].length)), (1, along(state[1], links[1].length))]
     }
 
-    /// How deep the tip is in the plane, m, and with what it is pushed back, N.
+    /// Penetration of the tip into the plane, m, and normal force, N.
     pub(crate) fn pressed(&self, state: &Motion) -> [f64; 2] {
         let contact = &self.scene.effects.contact;
         let length = contact.nx.hypot(contact.ny);

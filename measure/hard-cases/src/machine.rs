@@ -16,7 +16,7 @@ pub fn mgl(geometry: &Geometry) -> f64 {
     largest(|link| link.mass) * G * largest(|link| link.length)
 }
 
-/// The machine's size in sizes of the paper's machine: what bounds in m and m/s scale with.
+/// The machine's size in sizes of the paper's machine, by which bounds in m and m/s are scaled.
 pub(crate) fn relative_size(geometry: &Geometry) -> f64 {
     geometry.length_scale() / default_parameters().geometry.length_scale()
 }

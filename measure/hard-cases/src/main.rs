@@ -85,7 +85,7 @@ enum Task {
         #[arg(long, value_delimiter = ',', default_value = "1e-4,1e-6,3e-9,1e-12")]
         tolerances: Vec<f64>,
     },
-    /// Work out where the independent programs end in the random scenes with kinks, and add what is missing to a table
+    /// Compute the ends of the independent programs in the random scenes with kinks, and add missing ones to a table
     Ends {
         /// The table
         #[arg(long, default_value = "measure/hard-cases/data/ends.csv")]

@@ -46,21 +46,21 @@ pub struct Row {
     pub statuses: String,
     /// Largest |balance residual of the energy|, mgL or the trial's larger unit.
     pub energy: f64,
-    /// Most of what was dissipated that was taken back, in parts of the largest energy.
+    /// Largest fall of the dissipated energy, in parts of the largest energy.
     pub taken_back: f64,
     /// Largest constraint violation, m for a machine of the paper's size.
     pub position: f64,
-    /// The same at velocity level, m/s.
+    /// Largest constraint violation at velocity level, m/s for a machine of the paper's size.
     pub velocity: f64,
     /// Most sub-steps in a macro step.
     pub most: u64,
     /// Mean sub-steps per macro step.
     pub mean: f64,
-    /// What is demanded.
+    /// Criterion in words.
     pub criterion: String,
     /// The judgement.
     pub verdict: Verdict,
-    /// Exact inputs of every run that does not meet the criterion, and what is wrong.
+    /// Exact inputs of every run that does not meet the criterion, and its violation.
     pub objections: Vec<String>,
     /// Wall seconds.
     pub seconds: f64,
@@ -154,7 +154,7 @@ pub(crate) fn markdown_table<const N: usize>(
     rows.map(line).try_for_each(|line| writeln!(to, "{line}"))
 }
 
-/// The rows as a table in Markdown, and below it what was not met by the judged ones.
+/// The rows as a table in Markdown, and below it the violations by the judged ones.
 pub fn write_markdown(rows: &[Row], mut to: impl Write) -> io::Result<()> {
     // Criteria and exact inputs are too long for a table.
     let columns = [0, 1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 12, 13, 15, 16];

@@ -7,7 +7,7 @@ use fivebar::simulation::{Method, Parameters};
 pub enum Setting {
     /// i3-ALP with error-controlled sub-steps at the default tolerance.
     Default,
-    /// The same with this local error, rad.
+    /// i3-ALP with error-controlled sub-steps at this local error, rad.
     Tolerance(f64),
     /// i3-ALP at strictly fixed steps of this many seconds.
     Fixed(f64),
@@ -30,7 +30,7 @@ impl Setting {
     pub const REFERENCE: Self = Self::Tolerance(1e-11);
     /// The explicit method at the tolerance at which the battery judges it, rad.
     pub const EXPLICIT: Self = Self::Dop853(1e-10);
-    /// The same of the method that chooses by itself.
+    /// The method that chooses its scheme, at the tolerance at which the battery judges it, rad.
     pub const AUTOMATIC: Self = Self::Automatic(1e-10);
     /// The conserving step at which every case is judged, s; falls are judged at all of its columns.
     pub const CONSERVING: Self = Self::Conserving(1e-3);

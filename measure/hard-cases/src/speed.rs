@@ -1,5 +1,5 @@
-//! A goal: the battery's first 200 perturbed falls by the explicit method, in communication steps of several lengths; what they lose
-//! in energy, and how long a simulated second takes. Part of `cargo xtask bench`.
+//! A goal: the battery's first 200 perturbed falls by the explicit method, in communication steps of several lengths; energy error,
+//! and wall time per simulated second. Part of `cargo xtask bench`.
 
 use std::io::{self, Write};
 
@@ -48,8 +48,8 @@ pub fn falls(extent: Extent, step: f64) -> Case {
     case
 }
 
-/// Times the falls one after the other, each in all communication steps in turn, so that what disturbs the machine disturbs all of them
-/// alike; then judges them. Says what went wrong where a fall does not come to its end.
+/// Times the falls one after the other, each in all communication steps in turn, so that disturbances of the machine meet all of
+/// them alike; then judges them. Returns the failure where a fall does not come to its end.
 pub fn rows(extent: Extent) -> Result<Vec<Row>, String> {
     let cases = STEPS.map(|step| falls(extent, step));
     let mut costs = [const { Vec::new() }; STEPS.len()];
@@ -92,7 +92,7 @@ pub fn write_csv(rows: &[Row], to: impl Write) -> csv::Result<()> {
     report::csv_table(HEADER, rows.iter().map(Row::cells), to)
 }
 
-/// The rows as a table in Markdown, and below it what was not met.
+/// The rows as a table in Markdown, and below it the goals that were not met.
 pub fn write_markdown(rows: &[Row], mut to: impl Write) -> io::Result<()> {
     report::markdown_table(HEADER, rows.iter().map(Row::cells), &mut to)?;
     let objections = rows.iter().flat_map(|row| &row.falls.objections);

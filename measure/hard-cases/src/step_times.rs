@@ -1,5 +1,5 @@
-//! What a real-time user looks for: how long a single strictly fixed step takes, typically and at worst. Each step of the battery's first
-//! falls is timed alone, by the conserving method. Part of `cargo xtask bench`.
+//! Wall time of a single strictly fixed step, typically and at worst, for real-time users. Each step of the battery's first falls
+//! is timed alone, by the conserving method. Part of `cargo xtask bench`.
 
 use std::io::{self, Write};
 use std::time::Instant;
@@ -28,7 +28,7 @@ const MOST: usize = 2000;
 /// The steps of one setting.
 #[derive(Clone, Debug)]
 pub struct StepTimes {
-    /// s.
+    /// Macro step, s.
     pub step: f64,
     /// `solver.maxWork`.
     pub max_work: u32,

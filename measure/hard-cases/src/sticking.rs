@@ -1,12 +1,12 @@
-//! The same second program where friction sticks, in the joints or of the tip on the plane: between events what is held is one more
-//! constraint with a multiplier; at an event every pattern of grips that hold and slip is tried against the law.
+//! The second program for friction that sticks, in the joints or of the tip on the plane: between events each sticking joint is one
+//! more constraint with a multiplier; at an event every pattern of sticking and slipping is tried against the law.
 
 use fivebar::effects::Law;
 use fivebar::simulation::{Inputs, Parameters};
 
 use crate::independent::{Independent, JOINTS, Motion, eliminate, extrapolate};
 
-/// What a grip does.
+/// Stick-slip state of a joint or of the tip.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum StickSlip {
     Free,
@@ -23,7 +23,7 @@ type StickSlips = [StickSlip; FRICTION_PLACES];
 
 /// Rates below this, rad/s, are those of rest.
 const SLOW: f64 = 1e-8;
-/// The longest step, s: shorter than what lets a rate pass 0 twice.
+/// Longest step, s: too short for a rate to pass 0 twice.
 const LONGEST: f64 = 1e-3;
 
 /// A scene whose friction sticks.
@@ -86,7 +86,7 @@ impl<'a> Sticking<'a> {
         Some(state)
     }
 
-    /// Back onto the closure, and what holds to rest.
+    /// Projects onto the closure, and sets sticking rates to 0.
     fn held(&self, state: Motion, stick_slip: &StickSlips) -> Motion {
         let mut state = self.program.closed(state);
         for grip in (0..FRICTION_PLACES).filter(|grip| stick_slip[*grip] == StickSlip::Holds) {
@@ -135,7 +135,7 @@ impl<'a> Sticking<'a> {
         (end, beyond)
     }
 
-    /// The least of what must not fall below 0: slip rates in their direction, what grips that hold have left, and the gap to the plane.
+    /// Smallest guard value: slip rates in their direction, friction left in sticking joints, and the gap to the plane.
     fn margin(&self, state: &Motion, stick_slip: &StickSlips) -> f64 {
         let (_, torques) = self.accelerations(state, stick_slip);
         let margins = (0..FRICTION_PLACES).map(|grip| match stick_slip[grip] {
@@ -173,7 +173,7 @@ impl<'a> Sticking<'a> {
         Row { row, drift }
     }
 
-    /// What a grip gives while it slips at a rate, N·m or N; what it can hold, at 0.
+    /// Friction while it slips at a rate, N·m or N; the breakaway value at rate 0.
     fn bound(&self, grip: usize, state: &Motion, rate: f64) -> f64 {
         if grip == TIP {
             return self.scene.effects.contact.mu * self.program.pressed(state)[1];
@@ -234,7 +234,7 @@ impl<'a> Sticking<'a> {
         }
     }
 
-    /// What the grips do from here on.
+    /// Decides the stick-slip states from here on.
     fn decided(&self, state: &mut Motion) -> StickSlips {
         let all: Vec<usize> = (0..FRICTION_PLACES).filter(|grip| self.rubs(*grip, state)).collect();
         let able =
@@ -256,7 +256,7 @@ impl<'a> Sticking<'a> {
         self.best(state, &stick_slip, &zero, false).1
     }
 
-    /// Of all that some grips may do, with two of them holding or with one at most, what violates the law least.
+    /// The stick-slip pattern that violates the law least, with two joints sticking or with one at most.
     fn best(&self, state: &Motion, others: &StickSlips, zero: &[usize], rests: bool) -> (f64, StickSlips) {
         let mut best = (f64::INFINITY, *others);
         for code in 0..3_usize.pow(zero.len() as u32) {

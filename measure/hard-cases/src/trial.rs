@@ -1,4 +1,4 @@
-//! One run: a scene, a start, a schedule, and what came of it.
+//! One run: a scene, a start, a schedule, and its outcome.
 
 use std::time::Instant;
 
@@ -11,7 +11,7 @@ use crate::machine::{NO_LOAD, closed, mgl, relative_size};
 use crate::setting::Setting;
 use crate::watch::{Sample, Watch};
 
-/// Where a run starts.
+/// Start of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Beginning {
     /// From the proximal angles and rates of the scene.
@@ -32,7 +32,7 @@ pub struct Span {
 }
 
 impl Span {
-    /// The same in communication steps that are not shorter than the macro step.
+    /// The span in communication steps that are not shorter than the macro step.
     pub(crate) fn in_steps_of(self, step: f64) -> Self {
         if step <= self.size { self } else { Self { size: step, count: (self.duration() / step).round() as u64, ..self } }
     }
@@ -46,15 +46,15 @@ impl Span {
 /// A run to be made.
 #[derive(Clone, Debug)]
 pub struct Trial {
-    /// What makes it different from the other trials of its case: exact values.
+    /// Exact values that distinguish the trial from the others of its case.
     pub label: String,
     /// The scene.
     pub parameters: Parameters,
-    /// Where it starts.
+    /// Start of the run.
     pub beginning: Beginning,
-    /// What the master does.
+    /// Schedule of communication steps and loads.
     pub schedule: Vec<Span>,
-    /// What is watched besides energy and constraints.
+    /// Watch on the path, besides energy and constraints.
     pub watch: Watch,
     /// The energy error is judged against the larger of mgL and this part of the largest kinetic energy met.
     pub kinetic_part: f64,
@@ -82,22 +82,22 @@ pub enum Ending {
     NotFinite(f64),
 }
 
-/// What came of a run.
+/// Outcome of a run.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// How it ended.
     pub ending: Ending,
     /// Largest |balance residual of the energy|, in the trial's unit.
     pub energy: f64,
-    /// The same, J.
+    /// Largest |balance residual of the energy|, J.
     pub joules: f64,
-    /// The most that what is dissipated has ever fallen below what it was, as part of the largest energy until then.
+    /// Largest fall of the dissipated energy, as part of the largest energy until then.
     pub taken_back: f64,
     /// Largest constraint violation at the outputs, m, divided by the machine's size in sizes of the paper's machine.
     pub position: f64,
-    /// The same at velocity level, m/s.
+    /// Largest constraint violation at velocity level, m/s, divided by the machine's size likewise.
     pub velocity: f64,
-    /// Both without the outputs that are not judged.
+    /// Position and velocity violation without the outputs that are not judged.
     pub judged: [f64; 2],
     /// Most sub-steps in one macro step (mean over a communication step, where that holds several).
     pub most: u64,
@@ -105,7 +105,7 @@ pub struct Outcome {
     pub substeps: u64,
     /// Macro steps.
     pub steps: u64,
-    /// What the watch objects to.
+    /// Objection of the watch.
     pub objection: Option<String>,
     /// The path of the link angles, where something is watched on it.
     pub path: Vec<Sample>,
@@ -121,7 +121,7 @@ impl Trial {
         Self::driven(label, parameters, NO_LOAD, duration)
     }
 
-    /// The same with held loads.
+    /// A motion of `duration` seconds under held loads, with outputs every millisecond.
     pub fn driven(label: impl Into<String>, parameters: Parameters, inputs: Inputs, duration: f64) -> Self {
         Self {
             label: label.into(),
@@ -137,7 +137,7 @@ impl Trial {
         }
     }
 
-    /// The same trial from angles and rates of all links.
+    /// The trial from angles and rates of all links.
     pub fn from_links(self, theta: [f64; 4], omega: [f64; 4]) -> Self {
         Self { beginning: Beginning::Links(theta, omega), ..self }
     }
@@ -160,10 +160,10 @@ impl Trial {
 
     /// The scene made ready.
     pub fn start(&self, setting: Setting) -> Result<Simulation, SceneError> {
-        self.made_ready(&self.scene(setting))
+        self.initialised(&self.scene(setting))
     }
 
-    fn made_ready(&self, parameters: &Parameters) -> Result<Simulation, SceneError> {
+    fn initialised(&self, parameters: &Parameters) -> Result<Simulation, SceneError> {
         let inputs = self.schedule.first().map_or(NO_LOAD, |span| span.inputs);
         let simulation = match self.beginning {
             Beginning::Proximal => Simulation::new(parameters, &inputs)?,
@@ -202,7 +202,7 @@ impl Trial {
             seconds: 0.0,
         };
         let scene = self.scene(setting);
-        match self.made_ready(&scene) {
+        match self.initialised(&scene) {
             Err(refusal) => outcome.ending = Ending::Refused(refusal.to_string()),
             Ok(mut simulation) => {
                 let mut path = Vec::new();
@@ -222,10 +222,10 @@ impl Trial {
         outcome
     }
 
-    /// Wall seconds of its communication steps, with nothing observed; what went wrong where they do not come to their end.
+    /// Wall seconds of its communication steps, with nothing observed; the failure where they do not come to their end.
     pub fn time(&self, setting: Setting) -> Result<f64, String> {
         let scene = self.scene(setting);
-        let mut simulation = self.made_ready(&scene).map_err(|refusal| refusal.to_string())?;
+        let mut simulation = self.initialised(&scene).map_err(|refusal| refusal.to_string())?;
         let begin = Instant::now();
         match self.drive(&mut simulation, scene.settings.step_size, |_, _, _| true) {
             Ending::Complete => Ok(begin.elapsed().as_secs_f64()),

@@ -5,7 +5,7 @@
 
 use std::f64::consts::PI;
 
-/// Where the elbows and the tip lie on the x axis, in link lengths: left elbow, right elbow, tip.
+/// Positions of elbows and tip on the x axis, in link lengths: left elbow, right elbow, tip.
 pub const POSTURES: [Vertex; 4] = [
     Vertex { name: "(1, 3, 2)", theta: [0.0, 0.0, PI, 0.0] },
     Vertex { name: "(1, 1, 2)", theta: [0.0, 0.0, 0.0, PI] },

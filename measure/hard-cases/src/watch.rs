@@ -1,4 +1,4 @@
-//! What a trial asks beyond energy and constraints: of the path of the link angles.
+//! Demands of a trial on the path of the link angles, beyond energy and constraints.
 
 use std::sync::OnceLock;
 
@@ -8,16 +8,16 @@ use crate::vertex::{Vertex, cosine};
 /// A sample of the path: time (s) and link angles (rad).
 pub type Sample = (f64, [f64; 4]);
 
-/// What is watched.
+/// Watch on the path.
 #[derive(Clone, Debug)]
 pub enum Watch {
     /// Nothing.
     Nothing,
     /// These links stay where they are.
     Stays {
-        /// Which links.
+        /// Links that must stay.
         links: [bool; 4],
-        /// Within this, rad.
+        /// Allowed distance, rad.
         within: f64,
     },
     /// Passes straight through the vertex.
@@ -46,7 +46,7 @@ pub enum Watch {
     Follows {
         /// The scene.
         goal: Box<Goal>,
-        /// Where that program ends: worked out once.
+        /// End of that program, computed once.
         end: OnceLock<Option<End>>,
     },
     /// Leaves rest in the vertex with one of these accelerations, the first where it can be told.
@@ -64,7 +64,7 @@ const LEAVING: f64 = 5e-3;
 const SAME: f64 = 0.999;
 
 impl Watch {
-    /// What is wrong with a path; `failed` if the run ended early.
+    /// Objection to a path; `failed` if the run ended early.
     pub(crate) fn objection(&self, path: &[Sample], failed: bool) -> Option<String> {
         let (begin, last) = (path.first()?.1, path.last()?.1);
         match self {

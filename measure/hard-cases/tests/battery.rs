@@ -1,4 +1,4 @@
-//! A sample of the battery, one test per item of its list: what `cargo xtask hard-cases` runs in full.
+//! A sample of the battery, one test per item of its list; `cargo xtask hard-cases` runs it in full.
 
 use std::process::Command;
 
@@ -136,8 +136,8 @@ fn loads_with_kinks_are_followed() {
     hold(9);
 }
 
-/// What is dissipated was taken back by up to 6e-4 of the energies in these scenes, at loose tolerances: between the ends of steps, where work is
-/// a polynomial. With torques that change while a step is under way, and communication points 0.1 ms apart.
+/// Up to 6e-4 of the energies was taken back from the dissipated energy in these scenes, at loose tolerances: between the ends of
+/// steps, where work is a polynomial. With torques that change within steps, and communication points 0.1 ms apart.
 #[test]
 fn what_is_dissipated_is_never_taken_back() {
     let sample = |scenes: Vec<u64>, by: &str, tolerances: &[f64], points: u64| Sample {

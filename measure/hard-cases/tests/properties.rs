@@ -1,7 +1,7 @@
-//! What the list of cases forgot: random machines, states and loads. Every run must be finite, closed and balanced in its energy,
-//! or end with a status that leaves the state as it was; and it must end.
+//! Properties of random machines, states and loads, beyond the list of cases. Every run must be finite, closed and balanced in its
+//! energy, or end with a status that leaves the state unchanged; and it must end.
 //!
-//! The same machines in every run of the tests; `PROPTEST_RNG_SEED` and `PROPTEST_CASES` look for others.
+//! The seed is fixed; `PROPTEST_RNG_SEED` and `PROPTEST_CASES` look for other machines.
 
 use fivebar::fmi::bindings::default_parameters;
 use fivebar::mechanism::{Assembly, Link};

@@ -41,7 +41,7 @@ fn show<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usi
     }
 }
 
-/// What the runs gave.
+/// Results of several runs.
 struct Row {
     failed: usize,
     errors: Vec<f64>,

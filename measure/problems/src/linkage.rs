@@ -43,9 +43,9 @@ pub enum End {
 pub struct Spring {
     /// The body.
     pub body: usize,
-    /// Where it holds the body, from the centre of mass in the body's axes.
+    /// Attachment to the body, from the centre of mass in the body's axes, m.
     pub at: Planar,
-    /// Where it holds the ground.
+    /// Attachment to the ground, m.
     pub ground: Planar,
     /// Stiffness, N/m.
     pub stiffness: f64,

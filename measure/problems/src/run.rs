@@ -1,4 +1,4 @@
-//! A benchmark as something to run, and what a run gives.
+//! A benchmark and the results of a run.
 
 use std::time::Instant;
 
@@ -6,7 +6,7 @@ use fivebar::integrator::dense::{DenseStep, Horizon};
 use fivebar::integrator::{Events, Implicit, Passage, State, StepError, dense, i3alp, rk4};
 use fivebar::vector::Vector;
 
-/// A benchmark: a system, its start, its end and what is published about it.
+/// A benchmark: a system, its start, its end and the published result.
 pub struct Problem<S, const N: usize, const M: usize> {
     /// The system.
     pub system: S,
@@ -20,7 +20,7 @@ pub struct Problem<S, const N: usize, const M: usize> {
     pub regularization: f64,
     /// How far coordinates at the end are from the published values; each benchmark says in which unit.
     pub error: fn(&Vector<N>) -> f64,
-    /// What the motion keeps, J: kinetic and potential energy, that of constant torques included.
+    /// Conserved energy, J: kinetic and potential energy, that of constant torques included.
     pub energy: fn(&S, &Vector<N>, &Vector<N>) -> f64,
 }
 
@@ -35,7 +35,7 @@ pub enum Method {
     Dop853(dense::Settings),
 }
 
-/// What a run gives.
+/// Results of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Outcome {
     /// Distance from the published values; see [`Problem::error`].
@@ -115,7 +115,7 @@ impl<S: Implicit<N, M> + Passage<N> + Events<N> + Events<N>, const N: usize, con
         self.watch(method, h, |_, _| {})
     }
 
-    /// The same; `look` sees time and state after each macro step.
+    /// Runs to the published time; `look` sees time and state after each macro step.
     pub fn watch(&self, method: Method, h: f64, mut look: impl FnMut(f64, &State<N, M>)) -> Result<Outcome, StepError> {
         let system = &self.system;
         let start = Instant::now();

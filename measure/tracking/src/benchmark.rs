@@ -76,7 +76,7 @@ fn run(scenario: &Scenario, encoder: &Encoder, random: &mut Random) -> [f64; 5] 
             sums[1] += (omega[link] - rates[link]).powi(2) / 2.0;
             sums[2] += (acceleration(at.truth, link) - acceleration(at.estimate, link)).powi(2) / 2.0;
         }
-        // The torques that would do what gravity does beside the model.
+        // The motor torques equivalent to the gravity that the model lacks.
         let frame = linkage.frame(&theta);
         let [with, without] = scenes.each_ref().map(|scene| scene.torque(&theta, &omega));
         let force = frame.coordinates(&std::array::from_fn(|i| with[i] - without[i]));

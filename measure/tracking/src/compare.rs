@@ -17,9 +17,9 @@ const H: f64 = 1e-3;
 /// Angles and rates of the motors, unknown motor torques.
 type Error = [f64; 6];
 type Matrix = [Error; 6];
-/// White acceleration of motors, rad²/s³, and walk of the unknown torques, N²m²/s: what follows most of these scenes.
+/// White acceleration of motors, rad²/s³, and walk of the unknown torques, N²m²/s: the pair that follows most of these scenes.
 const NOISE: [f64; 2] = [0.1, 1e-4];
-/// Of the start: angles, rates, torques.
+/// Standard deviations at the start: angles, rad, rates, rad/s, torques, N·m.
 const START: [f64; 3] = [0.02, 0.2, 0.02];
 
 /// A way to follow from outside.
@@ -232,7 +232,7 @@ const SCENES: [(&str, Scene); 4] = [
     ("push of 0.5 N", push),
 ];
 
-/// Ways from outside and what tables call them.
+/// Methods from outside and their names in tables.
 const WAYS: [(&str, Way); 4] =
     [("open loop", Way::OpenLoop), ("start anew", Way::Anew), ("EKF, motors", Way::Extended), ("UKF, motors", Way::Unscented)];
 
@@ -274,8 +274,8 @@ pub fn table(seeds: u64, first: u64) -> Table {
     table
 }
 
-/// The same as tables for other programs: in a folder `runs.csv`, a row for each run with the twin's variables; `samples.csv`, what both
-/// encoders said, the inputs, and the true tip; `errors.csv`, the tip's error in m by each way.
+/// The comparison as tables for other programs: in a folder `runs.csv`, a row for each run with the twin's variables;
+/// `samples.csv`, the samples of both encoders, the inputs, and the true tip; `errors.csv`, the tip's error in m by each method.
 pub fn write(seeds: u64, first: u64, folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)?;
     // Names of scenes have commas.
@@ -317,7 +317,7 @@ pub fn write(seeds: u64, first: u64, folder: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What of a twin is not a start value of the unit, by name.
+/// Variables of a twin that differ from the start values of the unit, by name.
 fn variables(model: &Parameters, encoder: &Encoder) -> Vec<(&'static str, f64)> {
     let servo = &model.effects.servo;
     let bit = |value: bool| f64::from(u8::from(value));

@@ -17,7 +17,7 @@ const H: f64 = 1e-3;
 /// Members of the ensemble that is compared with.
 const MEMBERS: usize = 100;
 
-/// What a forecast came to.
+/// Outcome of a forecast.
 struct Outcome {
     inside: [bool; 3],
     meets: bool,
@@ -40,7 +40,7 @@ fn forecast(scenario: &Scenario, encoder: &Encoder, bands: Bands, random: &mut R
         twin.advance_along(&Signal::held(inputs(step)), H, 1).ok()?;
         machine.advance(&inputs(step), H, 1).ok()?;
     }
-    // What drives the machine is known for the time ahead only where it is held: from here on it is.
+    // The inputs ahead are known only where they are held, as from here on.
     let held = inputs(steps);
     let probability = twin.singularity_probability(&twin.state_for(&held).inputs);
     let start = side(&motion(&machine.state()).0);

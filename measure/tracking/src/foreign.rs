@@ -9,13 +9,13 @@ use fivebar::simulation::Signal;
 use crate::machine::{COARSE, Encoder, FINE, Random, Scenario, desk, no_inputs, start_off, tip};
 use crate::report::{Figure, Table};
 
-/// Play of the joint at the tip, m, and what holds its parts together beyond, N/m and N·s/m.
+/// Play of the joint at the tip, m, stiffness, N/m, and damping, N·s/m, past the play.
 const JOINT: [f64; 3] = [2e-5, 2e5, 20.0];
-/// Of the encoders, rad: angle + e sin(angle + phase).
+/// Eccentricity e of the encoders, rad: angle + e sin(angle + phase).
 const ECCENTRICITY: f64 = 3e-4;
-/// Of lengths.
+/// Largest relative error of link lengths.
 const TOLERANCE: f64 = 5e-3;
-/// s.
+/// Delay of the samples, s.
 const DELAY: f64 = 2e-3;
 const STEP: f64 = 1e-5;
 const G: f64 = 9.81;
@@ -143,7 +143,7 @@ fn honesty(encoder: &Encoder, random: &mut Random) -> Option<[f64; 4]> {
     model.start.theta = [random.between(1.7, 2.4), random.between(0.7, 1.4)];
     let truth = model.clone();
     start_off(&mut model, random, [0.02, 0.0]);
-    // What a user knows of such a machine: its encoders are as good as their eccentricity, its links as their tolerance.
+    // Model of a user: encoder noise is the eccentricity, length errors are the tolerance.
     model.estimator.sigma0_length = TOLERANCE * model.geometry.links[0].length / 3f64.sqrt();
     let scenario = Scenario { model, truth, course: no_inputs, plan: Default::default(), duration: 1.5, from: None };
     let mut foreign = machine(&scenario, random)?;

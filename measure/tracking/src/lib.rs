@@ -1,6 +1,7 @@
-//! How well the unit follows measured machines: the figures of its estimator, beside what they have to be.
+//! Accuracy of the unit in following measured machines: the figures of its estimator, beside their targets.
 //!
-//! Machines are simulations with other parameters, pushes and encoders; all that is random comes from seeds that no setting was chosen on.
+//! Machines are simulations with other parameters, pushes and encoders; all that is random comes from seeds that no setting was
+//! chosen on.
 
 #![expect(clippy::needless_range_loop, reason = "matrices are indexed as formulas index them")]
 

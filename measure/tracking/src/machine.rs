@@ -14,7 +14,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 pub struct Random(ChaCha8Rng);
 
 impl Random {
-    /// From a seed.
+    /// Generator with a seed.
     pub fn new(seed: u64) -> Self {
         Self(ChaCha8Rng::seed_from_u64(seed))
     }
@@ -24,12 +24,12 @@ impl Random {
         (self.0.next_u64() >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// Between two values.
+    /// Uniform number between two values.
     pub fn between(&mut self, low: f64, high: f64) -> f64 {
         low + (high - low) * self.uniform()
     }
 
-    /// Of a normal distribution (Box and Muller).
+    /// Normal number (Box and Muller).
     pub fn normal(&mut self) -> f64 {
         (-2.0 * (1.0 - self.uniform()).ln()).sqrt() * (std::f64::consts::TAU * self.uniform()).cos()
     }
@@ -38,7 +38,7 @@ impl Random {
 /// An encoder.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Encoder {
-    /// What tables call it.
+    /// Name in tables.
     pub name: &'static str,
     /// White noise, rad.
     pub sigma: f64,
@@ -52,13 +52,13 @@ pub const COARSE: Encoder = Encoder { name: "0.1 deg", sigma: 0.0, quantum: 0.1 
 pub const FINE: Encoder = Encoder { name: "16 bit", sigma: 0.0, quantum: std::f64::consts::TAU / 65536.0 };
 
 impl Encoder {
-    /// What it says of an angle.
+    /// Reading of an angle, rad.
     pub fn read(&self, angle: f64, random: &mut Random) -> f64 {
         let noisy = if self.sigma > 0.0 { angle + self.sigma * random.normal() } else { angle };
         if self.quantum > 0.0 { (noisy / self.quantum).round() * self.quantum } else { noisy }
     }
 
-    /// Tells a twin of it.
+    /// Sets the encoder in a twin's parameters.
     pub fn tell(&self, parameters: &mut Parameters) {
         parameters.estimator.enabled = true;
         parameters.estimator.sigma = [self.sigma; 2];
@@ -69,14 +69,14 @@ impl Encoder {
 /// Inputs as functions of time, s.
 pub type Course = fn(f64, &Plan) -> Inputs;
 
-/// What is random in a course.
+/// Random parts of a course.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Plan {
     /// Phases, rad.
     pub phase: [f64; 4],
     /// A push on the tip, N.
     pub push: [f64; 2],
-    /// From this time on, s.
+    /// Time from which the push acts, s.
     pub from: f64,
     /// Both encoders are silent between these times, s.
     pub silent: [f64; 2],
@@ -85,15 +85,15 @@ pub struct Plan {
 /// A scene to follow.
 #[derive(Clone, Debug)]
 pub struct Scenario {
-    /// What the twin believes.
+    /// Model of the twin.
     pub model: Parameters,
-    /// What the machine is.
+    /// Parameters of the machine.
     pub truth: Parameters,
-    /// What both are told.
+    /// Inputs of both.
     pub course: Course,
-    /// What is random in it.
+    /// Random parts of the course.
     pub plan: Plan,
-    /// s.
+    /// Length, s.
     pub duration: f64,
     /// Angles and rates of all links from which the machine starts, where they are not those of its parameters.
     pub from: Option<(Links, Links)>,
@@ -105,7 +105,7 @@ impl Scenario {
         (self.course)(time, &self.plan)
     }
 
-    /// What acts on the machine.
+    /// Inputs and push that act on the machine.
     pub fn acting(&self, time: f64) -> Inputs {
         let inputs = self.inputs(time);
         let [x, y] = if time >= self.plan.from { self.plan.push } else { [0.0; 2] };
@@ -176,13 +176,13 @@ pub fn side(theta: &Links) -> f64 {
     (theta[2] - theta[1]).sin()
 }
 
-/// What a run was like at an instant.
+/// State of a run at an instant.
 pub struct Instant<'a> {
-    /// s.
+    /// Time, s.
     pub time: f64,
     /// The machine's state.
     pub truth: &'a State,
-    /// What is estimated, after the correction.
+    /// The estimate, after the correction.
     pub estimate: &'a State,
     /// The twin.
     pub twin: &'a Following,
@@ -214,7 +214,7 @@ pub fn follow(
         let ([x, y], [v, w]) = (tip(&machine, &truth), tip(twin.simulation(), &estimate));
         let tip_error = (x - v).hypot(y - w);
         look(&Instant { time, truth: &truth, estimate: &estimate, twin: &twin, tip_error });
-        // Both hold the inputs of the middle of the step.
+        // Machine and twin hold the inputs of the middle of the step.
         let macro_steps = (h / 1e-3).round().max(1.0);
         let middle = time + h / 2.0;
         twin.advance_along(&Signal::held(scenario.inputs(middle)), h / macro_steps, macro_steps as u64)?;

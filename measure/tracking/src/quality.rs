@@ -10,7 +10,7 @@ use crate::report::{Figure, Table, median};
 
 /// Errors of the twin's start, rad and rad/s.
 const START: [f64; 2] = [0.02, 0.2];
-/// What is left out at the beginning, s.
+/// Time left out at the beginning, s.
 pub const SETTLED: f64 = 0.1;
 
 /// Minimum jerk from 0 to 1.
@@ -70,7 +70,7 @@ pub fn pick(random: &mut Random) -> Scenario {
 /// A free fall from any posture, with masses 5 % off or not.
 pub fn fall(random: &mut Random, percent: bool) -> Scenario {
     let mut model = desk();
-    // Elbows that the distal links reach, with what the start may be off.
+    // Start angles whose elbows the distal links reach, errors of the start included.
     model.start.theta = loop {
         let theta = [random.between(1.6, 2.6), random.between(0.5, 1.5)];
         let apart = [0.1 + 0.21 * (theta[1].cos() - theta[0].cos()), 0.21 * (theta[1].sin() - theta[0].sin())];
@@ -84,7 +84,7 @@ pub fn fall(random: &mut Random, percent: bool) -> Scenario {
     Scenario { model, truth, course: no_inputs, plan: plan(random), duration: 2.0, from: None }
 }
 
-/// The same driven by torques.
+/// A fall driven by torques.
 pub fn driven(random: &mut Random) -> Scenario {
     Scenario { course: driven_course, ..fall(random, true) }
 }
@@ -118,7 +118,7 @@ pub fn push(random: &mut Random) -> Scenario {
     scenario
 }
 
-/// What following came to.
+/// Outcome of following a machine.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Outcome {
     /// Root of the mean square of the tip's error, m.

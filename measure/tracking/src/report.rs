@@ -1,4 +1,4 @@
-//! Tables of figures, each with what it has to reach.
+//! Tables of figures, each with its target.
 
 use std::fmt::Write;
 
@@ -12,22 +12,22 @@ pub struct Figure {
 }
 
 impl Figure {
-    /// That must not be larger.
+    /// A figure with an upper bound.
     pub fn at_most(name: String, value: f64, most: f64, remark: String) -> Self {
         Self { name, value, allowed: Some([f64::NEG_INFINITY, most]), remark }
     }
 
-    /// That must lie between two values.
+    /// A figure that must lie between two values.
     pub fn between(name: String, value: f64, allowed: [f64; 2], remark: String) -> Self {
         Self { name, value, allowed: Some(allowed), remark }
     }
 
-    /// That is only told.
+    /// A figure without a target.
     pub fn told(name: String, value: f64, remark: String) -> Self {
         Self { name, value, allowed: None, remark }
     }
 
-    /// Whether it is what it has to be.
+    /// Whether the figure meets its target.
     pub fn is_reached(&self) -> bool {
         self.allowed.is_none_or(|[least, most]| (least..=most).contains(&self.value))
     }
@@ -52,7 +52,7 @@ impl Table {
         self.figures.push(figure);
     }
 
-    /// As Markdown.
+    /// The table in Markdown.
     pub fn markdown(&self) -> String {
         let mut text =
             format!("\n{}\n\n| figure | measured | allowed | reached | |\n| --- | --- | --- | --- | --- |\n", self.title);

@@ -21,11 +21,11 @@ const AROUND: [f64; 2] = [0.15, 0.25];
 /// At most this many times as long before, until |sin(θ₃ − θ₂)| is larger than this.
 const LONGEST: u32 = 20;
 const CLEAR: f64 = 0.25;
-/// The same for a vertex.
+/// Time before and after a vertex, s.
 const AROUND_VERTEX: [f64; 2] = [0.2, 0.4];
-/// Both encoders are silent between these times, s,
+/// Interval in which both encoders are silent, s.
 const SILENT: [f64; 2] = [0.5, 2.0];
-/// and the machine is to be found again within this, s.
+/// Time within which the machine must be found again, s.
 const FOUND: f64 = 1.0;
 /// Errors of the twin's start: small, so that it is the crossing that is judged.
 const START: [f64; 2] = [0.003, 0.03];
@@ -61,7 +61,7 @@ fn from_state(
     model.start.theta = [theta[0], theta[3]];
     model.start.omega = [omega[0], omega[3]];
     model.start.assembly = if side(&theta) > 0.0 { Assembly::Plus } else { Assembly::Minus };
-    // Of errors with which the twin cannot be assembled others are taken.
+    // Start errors with which the twin cannot be assembled are drawn again.
     let exact = model.start;
     loop {
         start_off(&mut model, random, START);
@@ -128,8 +128,8 @@ pub fn crossing(random: &mut Random, [slow, fast]: [f64; 2]) -> Scenario {
     }
 }
 
-/// A slow crossing on which a push of up to 0.05 N sets in that the twin does not know of: which side the machine is on, and what acts on it,
-/// look alike.
+/// A slow crossing during which a push of up to 0.05 N sets in that the twin does not know of: the side of the machine and the push
+/// explain the samples equally well.
 pub fn pushed_crossing(random: &mut Random) -> Scenario {
     let mut scenario = crossing(random, SLOW);
     let (angle, force) = (random.between(0.0, std::f64::consts::TAU), random.between(0.0, 0.05));

@@ -1,4 +1,4 @@
-//! A sample of the figures, on seeds of its own: what `cargo xtask estimator` measures in full.
+//! A sample of the figures, on seeds of its own; `cargo xtask estimator` measures them in full.
 
 use fivebar::estimator::{Constants, Status};
 use tracking::machine::{COARSE, FINE, Random, follow};
@@ -12,7 +12,7 @@ fn the_benchmark_is_met() {
     assert!(table.figures.iter().all(tracking::report::Figure::is_reached), "{}", table.markdown());
 }
 
-/// Machines whose masses are 5 % off, that carry what the twin does not know of, or are pushed, are not lost.
+/// Machines whose masses are 5 % off, that carry an unknown payload or are pushed, are not lost.
 #[test]
 fn machines_are_not_lost() {
     for (encoder, most) in [(COARSE, 6e-4), (FINE, 1e-4)] {

@@ -1,4 +1,4 @@
-//! Every check, provoked by a broken copy of the shipped description.
+//! A test for every check, with a broken copy of the shipped description.
 
 use crate::{ModelDescription, XML};
 

@@ -49,21 +49,21 @@ impl<const N: usize, const M: usize, K: Copy + PartialEq> DenseStep<N, M, K> {
         // A straight motion through a vertex has no mode.
         self.evaluated_end(in_mode.borrow(), settings).check(if self.is_linear { system } else { in_mode.borrow() }, bounds)?;
         if !(self.memory.is_possible(settings) && self.before.is_possible(settings)) {
-            return Err("the step-size controller remembers the impossible");
+            return Err("a value of the step-size controller is out of bounds");
         }
         if !(0.0..=LONGEST).contains(&self.length) || !(0.0..=self.length).contains(&self.elapsed) {
-            return Err("the time is not within the step under way");
+            return Err("the time is outside the current step");
         }
         if !(self.truncated_from == 0.0 || (self.truncated_from > self.length && self.truncated_from <= LONGEST)) {
-            return Err("a step is cut from a shorter one");
+            return Err("a truncated step is longer than its original");
         }
         if self.length == 0.0 {
             let same = self.start == self.end && self.dense == [StageDerivative::NONE; 4] && !self.is_linear;
-            return if same { Ok(()) } else { Err("a step of no length leads elsewhere") };
+            return if same { Ok(()) } else { Err("a step of length 0 changes the state") };
         }
         match self.reproduces_end(system, settings) {
             Ok(true) => Ok(()),
-            _ => Err("the step under way does not lead from its beginning to its end"),
+            _ => Err("the current step does not lead from its start to its end"),
         }
     }
 

@@ -1,13 +1,13 @@
-"""Which of our methods is ahead of which peer, by how much, for every wanted accuracy; from the rows of peers.csv."""
+"""Comparison of our methods with each peer, for every wanted accuracy; from the rows of peers.csv."""
 
 import re
 from dataclasses import dataclass
 
 OURS = "FiveBar "
-"""What the names of our methods begin with."""
+"""Beginning of the names of our methods."""
 
 SCENES = ("fall_90_120", "swing", "servo_friction")
-"""Those whose errors are compared: a whipping one, a smooth one, and one with servos and friction."""
+"""Scenes whose errors are compared: one with fast passages, a smooth one, and one with servos and friction."""
 
 WANTED = tuple(10.0**-n for n in range(2, 11))
 """Errors of the tip, m."""
@@ -41,7 +41,7 @@ def table(rows: list[Row], scene: str, second: int) -> list[Answer]:
     done = [r for r in rows if r["scene"] == scene and r[column] and r["ms_per_simulated_second"]]
     points = [(r["peer"], r["settings"], float(r[column]), float(r["ms_per_simulated_second"])) for r in done]
     ours = [p for p in points if p[0].startswith(OURS)]
-    # Also those that never gave a result, so that they are seen; not those that were left out, or do not know what acts in the scene.
+    # Also those that never gave a result, so that they are seen; not those that were left out, or do not have the loads of the scene.
     peers = list(dict.fromkeys(r["peer"] for r in rows if r["scene"] == scene and not r["peer"].startswith(OURS)))
     answers = []
     for wanted in WANTED:
@@ -70,7 +70,7 @@ def cells(answers: list[Answer]) -> list[list[str]]:
 
 
 def energies(rows: list[Row]) -> list[list[str]]:
-    """Head and lines: of every program at strictly fixed steps of 1 ms, what becomes of the energy over 50 s, the least change first."""
+    """Head and lines: of every program at strictly fixed steps of 1 ms, the energy error over 50 s, the least first."""
     fixed = [row for row in rows if row["scene"] == ENERGY_SCENE and FIXED_STEP.search(row["settings"])]
     fixed.sort(key=lambda row: (bool(row["note"]), float(row["energy_error_mgL"] or "inf")))
     lines = [

@@ -90,7 +90,7 @@ def _load(system, nodes: list, start: np.ndarray) -> None:
         return system.AddMarker(item.MarkerNodeCoordinate(nodeNumber=node, coordinate=coordinate))
 
     def between(first: int, second: int | None, force) -> None:
-        # Exudyn's force pulls the second marker back by what it returns, and its rate is that of the second one.
+        # Exudyn's force pulls the second marker back by the returned value, and its rate is that of the second one.
         markers = [angle(second), angle(first)]
         system.AddObject(item.ObjectConnectorCoordinateSpringDamper(markerNumbers=markers, springForceUserFunction=force))
 

@@ -36,7 +36,7 @@ def peer() -> Peer:
 
 
 def _loads(theta: list, omega: list) -> list:
-    """What servos and friction apply to the links."""
+    """Torques of servos and friction on the links."""
     out = [hy.expression(0.0)] * 4
     for first, second in JOINTS:
         w = omega[first] - (omega[second] if second is not None else 0.0)
@@ -51,7 +51,7 @@ def _loads(theta: list, omega: list) -> list:
 
 
 def _equations(loaded: bool) -> list:
-    """Those of machine.py, as expressions."""
+    """Equations of motion of machine.py, as expressions."""
     theta, omega = hy.make_vars("a", "b", "c", "d"), hy.make_vars("u", "v", "w", "x")
     sin, cos = [hy.sin(x) for x in theta], [hy.cos(x) for x in theta]
     force = _loads(theta, omega) if loaded else [hy.expression(0.0)] * 4

@@ -30,7 +30,7 @@ JOINTS = ((0, None), (1, 0), (1, 2), (2, 3), (3, None))
 
 @dataclass(frozen=True)
 class Setting:
-    """One way to run a peer: what is set, and what makes a run from angles and rates at rest.
+    """One way to run a peer: a text on its settings, and a function that begins a run from angles at rest.
 
     The run is advanced to a time and gives back the state there; a peer that gives up raises.
     """
@@ -40,7 +40,7 @@ class Setting:
     clock: Callable[[], float] = time.process_time
     """Processor time so far, in s: of this process, or of the last run if the peer is a program by itself."""
     begin_loaded: Callable[[np.ndarray], Callable[[float], np.ndarray]] | None = None
-    """The same with servos and friction; None for a peer that is given gravity only."""
+    """`begin` with servos and friction; None for a peer that is given gravity only."""
 
 
 @dataclass(frozen=True)
@@ -79,20 +79,20 @@ def energy(y: np.ndarray) -> float:
 
 @njit(cache=False)
 def servo_torque(motor, angle, rate):
-    """Of the left (0) or right (1) servo."""
+    """Torque of the left (0) or right (1) servo, N·m."""
     return LIMIT * np.tanh((KP * (REFERENCES[motor] - angle) - KD * rate) / LIMIT)
 
 
 @njit(cache=False)
 def friction_torque(w):
-    """Of a joint that turns at a rate: Coulomb, Stribeck, viscous."""
+    """Friction torque of a joint at a rate, N·m: Coulomb, Stribeck, viscous."""
     u = w / STRIBECK_RATE
     return -(STRIBECK * u * np.exp(-u * u) + COULOMB * np.tanh(w / COULOMB_RATE) + VISCOUS * w)
 
 
 @njit(cache=False)
 def torques(y):
-    """What servos and friction apply to the links."""
+    """Torques of servos and friction on the links, N·m."""
     out = np.zeros(4)
     out[0] = servo_torque(0, y[0], y[4]) + friction_torque(y[4])
     out[3] = servo_torque(1, y[3], y[7]) + friction_torque(y[7])
@@ -105,7 +105,7 @@ def torques(y):
 
 @njit(cache=False)
 def joint_torques(y):
-    """The same in the angles of two legs of two hinges: left motor, left elbow, right motor, right elbow."""
+    """Torques of servos and friction in the angles of two legs of two hinges: left motor, left elbow, right motor, right elbow."""
     t = torques(y)
     return np.array([t[0] + t[1], t[1], t[3] + t[2], t[2]])
 
@@ -148,7 +148,7 @@ def derivative(_t, y):
 
 @njit(cache=False)
 def loaded_derivative(_t, y):
-    """The same with servos and friction."""
+    """Derivative of the state with servos and friction."""
     return moved(y, torques(y))
 
 

@@ -12,7 +12,7 @@ RUNS = tuple(("RK4", h) for h in (4e-3, 2e-3, 1e-3, 4e-4, 1e-4, 2e-5)) + tuple((
 
 
 def peer() -> Peer:
-    # Otherwise it appends to MUJOCO_LOG.TXT in the folder where it is called; what goes wrong is asked for below.
+    # Otherwise it appends to MUJOCO_LOG.TXT in the folder where it is called; failures are asked for below.
     mujoco.set_mju_user_warning(lambda _text: None)
     return Peer("MuJoCo", mujoco.__version__, (_setting(*run) for run in RUNS))
 

@@ -23,7 +23,7 @@ TOO_LONG = f"takes longer than {BUDGET} s"
 
 
 class CannotBuild(Exception):
-    """A compiler or a library is not there; the message says what was said."""
+    """A compiler or a library is not there; the message is its own."""
 
 
 def compiled(source: str, compiler: str, flags: list[str], libraries: list[str]) -> Path:
@@ -55,7 +55,7 @@ def _build(command: list[str]) -> None:
 
 
 class Program:
-    """A program with its arguments; what it is asked for the start's angles comes after them."""
+    """A program with its arguments; the angles of the start come after them."""
 
     def __init__(self, *command: object) -> None:
         self.command = [str(word) for word in command]

@@ -1,4 +1,4 @@
-"""This repository's methods, through the packed .fmu: what the peers are compared with."""
+"""This repository's methods, through the packed .fmu, with which the peers are compared."""
 
 import math
 import sys
@@ -46,7 +46,7 @@ def peers(fmu: Path) -> list[Peer]:
     ]
 
 
-# What the scene servo_friction sets beside its start; the friction is that by default.
+# Values that the scene servo_friction sets beside its start; friction has its start values.
 LOADED = {"servo.enabled": True, "viscous.enabled": True, "friction.enabled": True} | {
     f"servo.{name}[{motor}]": value
     for name, pair in {

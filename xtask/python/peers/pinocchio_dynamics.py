@@ -7,7 +7,7 @@ from pathlib import Path
 import native
 from machine import Peer, Setting
 
-# Those that Pinocchio's own CMake files set. Its functions come compiled from its library: compiled here for this very processor they
+# Definitions that Pinocchio's own CMake files set. Its functions come compiled from its library: compiled here for this very processor they
 # are no faster.
 DEFINITIONS = (
     "BOOST_FUSION_INVOKE_MAX_ARITY=12",
@@ -34,7 +34,7 @@ def peer() -> Peer:
 
 
 def _prefix() -> Path:
-    """Where the package has its headers and libraries."""
+    """Folder of the package's headers and libraries."""
     cmeel = find_spec("cmeel")
     if cmeel is None:
         raise ImportError("No module named 'cmeel'")

@@ -49,7 +49,7 @@ END = {"fall_90_120": 2, "swing": 2, "servo_friction": 2, "paper_free_fall": 50}
 LOADED = "servo_friction"
 # Of the scenes with a reference, the tip at whole seconds.
 Tips = dict[str, dict[int, np.ndarray]]
-# What a peer that gives up may raise.
+# Exceptions of a peer that gives up.
 FAILURES = (RuntimeError, ValueError, ArithmeticError)
 
 
@@ -145,7 +145,7 @@ def measure(scene: str, peer: machine.Peer, setting: machine.Setting, tips: Tips
 
 
 def once(row: Row, run: tuple, start: np.ndarray, tips: Tips) -> tuple[int, float, str]:
-    """One run, by what begins it and its clock: whole seconds done, the time of them, and why it ended early. Errors go to the row."""
+    """One run, from its beginning and its clock: whole seconds done, the time of them, and why it ended early. Errors go to the row."""
     begin, clock = run
     before, spent, done = machine.energy(start), 0.0, 0
     row.energy_error_mgL = None
@@ -170,7 +170,7 @@ def once(row: Row, run: tuple, start: np.ndarray, tips: Tips) -> tuple[int, floa
 
 
 def words(error: Exception) -> str:
-    """What an error says, on one line."""
+    """Text of an error, on one line."""
     return " ".join(str(error).split())
 
 

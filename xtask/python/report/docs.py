@@ -6,7 +6,7 @@ BEGIN = "<!-- accuracy: what follows is written by `cargo xtask report --update-
 END = "<!-- accuracy: end -->"
 
 RATIOS = ("<!-- ratios: what follows is written by `cargo xtask report --update-docs`, not by hand -->", "<!-- ratios: end -->")
-"""The same of the table of ratios, in docs/automatic.md."""
+"""Marks of the table of ratios in docs/automatic.md."""
 
 FILE, PICTURE = "docs/accuracy.md", "images/accuracy.svg"
 """The page of the main table, and where it sees the picture."""
@@ -15,7 +15,7 @@ CAPTION = "Error of the tip against time on one core, by method, for one scene o
 
 
 def block(text: str, name: str, marks: tuple[str, str] = (BEGIN, END)) -> str:
-    """What is between the comments of `text`."""
+    """The text between the comments of `text`."""
     begin, end = marks
     if text.count(begin) != 1 or text.count(end) != 1:
         raise ValueError(f"{name} must have the lines `{begin}` and `{end}` once each")

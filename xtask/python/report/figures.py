@@ -60,7 +60,7 @@ def work_precision(markers: list[Marker], references: list[Reference]) -> Figure
     for row in panels:
         row[0].set_ylabel("largest error of the tip  (m)")
     _legend(figure, panels[0][0])
-    # Where panels and markers are on the page is known when all else has its place.
+    # Positions of panels and markers on the page are known when all else has its place.
     figure.draw_without_rendering()
     for axes, reference in zip(panels.flat, references):
         own = [m for m in markers if m.scene == reference.scene and m.complete and m.error < USELESS]
@@ -69,7 +69,7 @@ def work_precision(markers: list[Marker], references: list[Reference]) -> Figure
 
 
 NOTE_SIZE = 7
-"""Of the settings beside markers, points."""
+"""Size of the settings beside markers, points."""
 
 SIDES = tuple(
     ((distance * x, distance * y), ha, va)
@@ -77,14 +77,14 @@ SIDES = tuple(
     for (x, ha) in ((1, "left"), (-1, "right"))
     for (y, va) in ((1, "bottom"), (-1, "top"), (0, "center"))
 )
-"""Where a note may stand: how far from its marker, points, and what of it is there."""
+"""Places for a note: offset from its marker, points, and alignment of the text."""
 
 
 def _notes(axes: Axes, markers: list[Marker], taken: list[Bbox]) -> None:
     """The setting beside the ends of each line and every third marker, where it covers no line and no other note; where it would on every
     side, it is left out."""
     lines = [line.get_transform().transform_path(line.get_path()) for line in axes.get_lines() if len(line.get_xdata()) > 1]
-    # Both ends of all lines come first, for they tell most.
+    # The ends of all lines come first, for they show most.
     of_method = [[m for m in markers if m.method == method] for method in COLOURS]
     for m in [*(m for line in of_method for m in dict.fromkeys([*line[:1], *line[-1:]])), *(m for line in of_method for m in line[3:-2:3])]:
         for offset, ha, va in SIDES:
@@ -102,7 +102,7 @@ def _notes(axes: Axes, markers: list[Marker], taken: list[Bbox]) -> None:
 
 
 def main_picture(markers: list[Marker], references: list[Reference]) -> Figure:
-    """The same for one scene of each kind: the picture of docs/accuracy.md."""
+    """Work-precision diagram for one scene of each kind: the picture of docs/accuracy.md."""
     return work_precision(markers, one_of_each_kind(references))
 
 

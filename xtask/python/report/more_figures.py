@@ -1,4 +1,4 @@
-"""The figures of what single steps cost, of the price of effects, of the paper, and of peers."""
+"""The figures of the cost of single steps, of the price of effects, of the paper, and of peers."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -22,11 +22,11 @@ SETTING_COLOURS = {
 
 
 BINS = 10 ** (np.arange(81) / 10) / 1e3
-"""Those of step-times.csv: ten a decade from 1 ns on, µs."""
+"""Bins of step-times.csv: ten a decade from 1 ns on, µs."""
 
 
 def step_times(rows: list[Row]) -> Figure:
-    """What share of the calls takes longer than a time."""
+    """Share of the calls that take longer than a time."""
     figure, panels = plt.subplots(1, 2, figsize=(10.6, 4.2), sharey=True)
     columns = (("best [us]", "the method: best of the repeats"), ("first [us]", "the machine: one run, whatever else it did"))
     for axes, (column, title) in zip(panels, columns):
@@ -79,7 +79,7 @@ def near_singularities(rows: list[Row]) -> Figure:
 
 
 def prices(rows: list[Row]) -> Figure:
-    """What each effect adds to a step: instructions, with ns as text."""
+    """Cost of each effect in a step: instructions, with ns as text."""
     base = next(row for row in rows if row["case"] == "gravity only")
     others = [row for row in rows if row is not base]
     figure, axes = plt.subplots(figsize=(9.4, 0.9 + 0.36 * len(others)))

@@ -13,7 +13,7 @@ TEMPLATE = Path(__file__).with_name("page.html")
 
 
 def compact(drawing: str) -> str:
-    """An SVG with two decimals where matplotlib writes six: a hundredth of a point is below what anybody sees. Numbers below 1 are
+    """An SVG with two decimals where matplotlib writes six: nobody sees a hundredth of a point. Numbers below 1 are
     scales and stay."""
     return re.sub(r"(?<![\d.])([1-9]\d*\.\d\d)\d+", r"\1", drawing)
 
@@ -31,11 +31,11 @@ def svg(figure: Figure, name: str, alt: str) -> str:
     # Fonts give the same ids in every figure, and clips may.
     drawing = re.sub(r'(\bid="|xlink:href="#|url\(#)', rf"\g<1>{name}-", drawing)
     label = html.escape(alt, quote=True)
-    # Width and height follow the page, up to what was drawn; the viewBox keeps the proportions.
+    # Width and height follow the page, up to the drawn size; the viewBox keeps the proportions.
     return re.sub(r'<svg ([^>]*?)width="([^"]*)"', rf'<svg role="img" aria-label="{label}" style="max-width: \2" \1', re.sub(r'(<svg [^>]*?)height="[^"]*" ', r"\1", drawing, count=1), count=1)  # fmt: skip
 
 
-# Characters: what is longer is not kept on one line of a table.
+# Characters: longer texts are not kept on one line of a table.
 SENTENCE = 48
 
 
@@ -75,7 +75,7 @@ class Section:
         self.parts.append("<ul>" + "\n".join(f"<li>{line}</li>" for line in lines) + "</ul>")
 
     def folded(self, summary: str, content: str) -> None:
-        """What most readers skip."""
+        """A folded part, which most readers skip."""
         self.parts.append(f"<details><summary>{summary}</summary>{content}</details>")
 
 
@@ -99,6 +99,6 @@ def write(path: Path, sentences: list[tuple[str, str]], main: str, sections: lis
         "sections": body,
     }
     page = TEMPLATE.read_text(encoding="utf-8")
-    # One pass: what is filled in is not searched again.
+    # One pass: filled-in text is not searched again.
     page = re.sub(r"\{\{(\w+)\}\}", lambda match: fill[match[1]], page)
     path.write_text(page, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Which method to pick: for each wanted accuracy the cheapest setting that was measured to reach it."""
+"""Choice of method: for each wanted accuracy the cheapest setting that was measured to reach it."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ WANTED = tuple(10.0**-n for n in range(2, 13))
 """Wanted errors, m."""
 
 SHORT = (1e-3, 1e-6, 1e-9, 1e-11)
-"""Those of the short table."""
+"""Wanted errors of the short table, m."""
 
 RESOLVED = 3.0
 """A reference tells errors apart that are at least so many times its own."""
@@ -42,11 +42,11 @@ AUTOMATIC = "automatic"
 """The method that chooses the kind of its steps."""
 
 FAIR = 1.3
-"""It is to take no more than this many times what the best fixed method takes."""
+"""Largest time that `automatic` is to take, in times of the best fixed method."""
 
 
 def by_itself(markers: list[Marker], reference: Reference, wanted: float) -> float | None:
-    """What `automatic` takes for a scene and a wanted error, over what the best of the other methods takes; None where one of them does
+    """Time of `automatic` for a scene and a wanted error, over the time of the best other method; None where one of them does
     not get there, or the reference cannot tell."""
     own = pick([m for m in markers if m.method == AUTOMATIC], reference, wanted)
     fixed = pick([m for m in markers if m.method != AUTOMATIC], reference, wanted)
@@ -54,7 +54,7 @@ def by_itself(markers: list[Marker], reference: Reference, wanted: float) -> flo
 
 
 def ratio_table(markers: list[Marker], references: list[Reference]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows: scenes by wanted errors, what is dearer than fair in bold (of Markdown)."""
+    """Head and rows: scenes by wanted errors, ratios above `FAIR` in bold (of Markdown)."""
     judged = [r for r in references if any(m.scene == r.scene and m.method == AUTOMATIC for m in markers)]
     rows = []
     for reference in judged:
@@ -112,7 +112,7 @@ def short_table(markers: list[Marker], references: list[Reference]) -> list[str]
 
 
 def sentences(markers: list[Marker], references: list[Reference]) -> list[tuple[str, str]]:
-    """For people with five minutes: per kind of motion, what to take from coarse to fine, and what it costs."""
+    """For people with five minutes: per kind of motion, the methods from coarse to fine, and their cost."""
     result = []
     for kind, scenes in by_kind(references).items():
         found = [p for r in scenes for p in picks(markers, r) if p.resolved and p.best]
@@ -130,7 +130,7 @@ def sentences(markers: list[Marker], references: list[Reference]) -> list[tuple[
 
 
 def _stretch(winners: str, found: list[Pick]) -> str:
-    """The accuracies for which the same methods are the cheapest, and the span of what they cost."""
+    """The accuracies for which the same methods are the cheapest, and the span of their cost."""
     wanted, costs = [p.wanted for p in found], [p.best.cost for p in found]
     coarse, fine = power(max(wanted)), power(min(wanted))
     errors = f"of {fine} m" if coarse == fine else f"of {coarse} to {fine} m"

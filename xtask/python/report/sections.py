@@ -1,4 +1,4 @@
-"""What the page says: one function per section."""
+"""Text of the page: one function per section."""
 
 import html
 import itertools
@@ -13,7 +13,7 @@ from report.page import Section, table
 from report.tables import Marker, Measurements, Reference, by_kind, setting
 
 def run(m: Measurements, about: str) -> Section:
-    """1: what was run, where, how to repeat it."""
+    """1: the runs, the machine, how to repeat them."""
     section = Section("run", "What was run, where, how to repeat it")
     section.text(
         "<code>cargo xtask report</code> builds the measuring programs with the release profile, runs them on this machine and writes "
@@ -67,7 +67,7 @@ def answer(choice: picks.Pick) -> str:
 
 
 def decades(markers: list[Marker], reference: Reference) -> str:
-    """The table of a scene: what to take for each wanted error."""
+    """The table of a scene: the method for each wanted error."""
     rows = []
     for choice in picks.picks(markers, reference):
         wanted = f"{picks.power(choice.wanted)} m"
@@ -147,7 +147,7 @@ def horizon(m: Measurements) -> Section:
 
 
 def steps(m: Measurements) -> Section:
-    """6: what single milliseconds cost."""
+    """6: the cost of single milliseconds."""
     section = Section("steps", "What single milliseconds cost")
     section.text(
         "In real time the slowest call counts, not the mean. Left: the least time of each call over some repeats of the "
@@ -275,7 +275,7 @@ def failed(m: Measurements, markers: list[Marker]) -> dict[tuple[str, str, str],
     found: dict[tuple[str, str, str], list[str]] = {}
 
     def add(scene: str, method: str, chosen: str, ending: str, off: str) -> None:
-        # What an ending says beyond time and reason are the numbers of one run.
+        # An ending has time, reason, and numbers of one run.
         why = re.sub(r" at [\d.]+ s", "", re.split(r"[:;,] (?:after|\d)", ending)[0]) if ending != "complete" else off
         found.setdefault((scene, method, html.escape(why)), []).append(chosen)
 
@@ -295,7 +295,7 @@ def listed(settings: list[str]) -> str:
 
 
 def failures(m: Measurements, markers: list[Marker]) -> Section:
-    """11: what failed, was left out, or could bias the comparison."""
+    """11: failures, omissions, and possible bias of the comparison."""
     section = Section("failures", "What failed, was left out, or could bias the comparison")
     section.parts.append("<h3>Failed</h3>")
     rows = [[html.escape(scene), method, listed(settings), why] for (scene, method, why), settings in failed(m, markers).items()]

@@ -13,7 +13,7 @@ LEFT_OUT = "left out: "
 
 @dataclass
 class Table:
-    """A table and what its head line says about it."""
+    """A table and the text of its head line."""
 
     file: Path
     about: str = ""
@@ -24,7 +24,7 @@ class Table:
 
 
 def read(file: Path) -> Table:
-    """The table; empty if there is no such file: the page then says what is left out."""
+    """The table; empty if there is no such file: the page then names the omission."""
     if not file.is_file():
         return Table(file)
     lines = file.read_text(encoding="utf-8").splitlines()
@@ -33,7 +33,7 @@ def read(file: Path) -> Table:
 
 
 def read_bench(folder: Path, name: str) -> Table:
-    """A table of the benchmarks, which say in bench.json what they were made on."""
+    """A table of the benchmarks, whose machine and compiler are in bench.json."""
     table, made_on = read(folder / f"{name}.csv"), folder / "bench.json"
     if table and made_on.is_file():
         facts = json.loads(made_on.read_text(encoding="utf-8"))
@@ -110,7 +110,7 @@ def markers(table: Table) -> list[Marker]:
 
 @dataclass(frozen=True)
 class Reference:
-    """What a scene is judged against."""
+    """Reference of a scene."""
 
     scene: str
     kind: str
@@ -147,7 +147,7 @@ class Measurements:
 
     @classmethod
     def read(cls, data: Path, bench: Path, hard_cases: Path, peers: Path) -> "Measurements":
-        """Reads what there is."""
+        """Reads the tables that exist."""
         own = {name: read(data / f"{name}.csv") for name in ("precision", "references", "energy", "horizon", "growth", "steps")}
         return cls(
             **own,

@@ -14,7 +14,7 @@ const SOURCE: &str = "modelDescription/documentation/index.html";
 
 const CHANGES: &str = "CHANGELOG.md";
 
-/// Where the page takes what is put in.
+/// Marks in the page that are replaced by generated text.
 const PLACES: [&str; 7] = [
     "<!-- name -->",
     "<!-- own -->",
@@ -46,7 +46,7 @@ pub(super) fn page(unit: &Unit, scenes: &[Scene], picture: &str) -> Result<Strin
     Ok(page)
 }
 
-/// What a unit of one's own is, and what it has instead of the plain unit's start values.
+/// Section on a unit of one's own: its scene, and its values in place of the plain unit's start values.
 fn own_section(description: &ModelDescription, own: &OwnScene) -> String {
     let mut rows = String::new();
     for start in own.starts().filter(|start| !is_plain(start)) {
@@ -94,7 +94,7 @@ fn variables(description: &ModelDescription) -> String {
     rows
 }
 
-/// What a user does with a variable.
+/// Use of a variable by the master.
 fn role(variable: &Variable) -> &'static str {
     match variable.causality {
         Causality::Parameter if variable.variability == Variability::Tunable => "tunable parameter",

@@ -51,7 +51,7 @@ fn flags(platform: &Platform, linked: &Linked) -> Result<Vec<String>> {
         Err(_) => std::env::var("RUSTFLAGS").unwrap_or_default().split_whitespace().map(String::from).collect(),
     };
     flags.extend(platform.flags.iter().map(|&flag| flag.to_owned()));
-    // Where several fit, rustc takes the last one: the particular after the general.
+    // The order matters where several prefixes fit: rustc takes the last one, the particular after the general.
     let mut remap = |from: &Path, to: &str| {
         flags.push(format!("--remap-path-prefix={}={to}", from.display()));
     };

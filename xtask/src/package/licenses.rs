@@ -14,7 +14,7 @@ const FOLDER: &str = "documentation/licenses";
 /// The project's own licence files, in the workspace root.
 const OWN: [&str; 2] = ["LICENSE-APACHE", "LICENSE-MIT"];
 
-/// All licence files, and `license.txt`, which lists what is under which.
+/// All licence files, and `license.txt`, which lists the parts under each licence.
 pub(super) fn collect(linked: &Linked, scope: Scope) -> Result<Files> {
     let mut files = Files::new();
     for name in OWN {

@@ -1,4 +1,4 @@
-//! The crates that are linked into the library, and what is installed to build it.
+//! The crates that are linked into the library, and the toolchain that builds it.
 
 use super::platform::Scope;
 use crate::{paths, process};
@@ -10,12 +10,12 @@ use std::path::PathBuf;
 /// The crate that becomes the library.
 pub(super) const LIBRARY_CRATE: &str = "fivebar";
 
-/// What the library is made of.
+/// Parts of the library.
 pub(super) struct Linked {
-    /// The crates that may be linked into the library, but not the library's own: sorted by name and version. Optional
-    /// ones that no enabled feature asks for are among them; what cargo builds tells those apart.
+    /// The crates that may be linked into the library, but not the library's own: sorted by name and version. Optional ones that no
+    /// enabled feature asks for are among them; the build of cargo tells those apart.
     pub(super) crates: Vec<LinkedCrate>,
-    /// Cargo's folder for what it builds.
+    /// Cargo's target folder.
     pub(super) target: PathBuf,
     /// First line of `rustc --version`: whose standard library is linked.
     pub(super) rustc: String,

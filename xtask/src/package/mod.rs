@@ -26,7 +26,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use unit::{OwnScene, Unit};
 
-/// What goes into the archive: name in the archive (`/` separators) to content, sorted by name.
+/// Content of the archive: name in the archive (`/` separators) to bytes, sorted by name.
 type Files = BTreeMap<String, Vec<u8>>;
 
 /// The plain unit: builds, packs, verifies; gives back the packed file.

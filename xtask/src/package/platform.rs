@@ -11,7 +11,7 @@ use std::process::Command;
 /// The newest glibc that a library for other machines may ask for: that of 2012, older than any Linux in support.
 const GLIBC_FLOOR: [u32; 2] = [2, 17];
 
-/// What `--all-platforms` packs: folder under `binaries/`, Rust's target triple, ending, flags for rustc.
+/// Platforms of `--all-platforms`: folder under `binaries/`, Rust's target triple, ending, flags for rustc.
 const SHIPPED: [(&str, &str, &str, &[&str]); 3] = [
     ("linux64", "x86_64-unknown-linux-gnu", "so", &[]),
     ("win64", "x86_64-pc-windows-gnu", "dll", &[WINDOWS_THREAD_LOCALS, NO_TIME]),
@@ -23,10 +23,10 @@ const SHIPPED: [(&str, &str, &str, &[&str]); 3] = [
 /// one would abort the host.
 const WINDOWS_THREAD_LOCALS: &str = "-Zhas-thread-local=yes";
 
-/// Where Debian's cargo and rustc are, of the packages cargo-web and rustc-web.
+/// Folder of Debian's cargo and rustc, of the packages cargo-web and rustc-web.
 const DEBIAN: &str = "/usr/bin";
 
-/// What tells that the sources of the standard library are there.
+/// A file that exists where the sources of the standard library are installed.
 const STANDARD_LIBRARY: &str = "/usr/lib/rustlib/src/rust/library/Cargo.lock";
 
 /// The linker for Windows.
@@ -69,8 +69,8 @@ impl Scope {
         }
     }
 
-    /// What is linked beside the crates and is not covered by the words of the compiler's own project alone: a name in
-    /// the folder of licences and the file, for each.
+    /// Licences of parts linked beside the crates that the licence of the compiler's own project does not cover: a name in the
+    /// folder of licences and the file, for each.
     pub(super) fn runtime_licenses(self) -> Result<Vec<(&'static str, PathBuf)>> {
         match self {
             Self::Here => Ok(Vec::new()),
@@ -106,7 +106,7 @@ pub(super) struct Platform {
     /// Rust's target triple where it is built with Debian's Rust and zig; none: with the cargo that runs this, for this
     /// machine.
     pub(super) cross: Option<&'static str>,
-    /// What rustc is told beside.
+    /// Further flags for rustc.
     pub(super) flags: &'static [&'static str],
 }
 
@@ -136,7 +136,7 @@ impl Platform {
         SHIPPED.map(platform).into()
     }
 
-    /// `cargo rustc --release` for this machine; what is to be built is for the caller to say.
+    /// `cargo rustc --release` for this machine; the caller adds the target to be built.
     pub(super) fn cargo_rustc(&self) -> Result<Command> {
         match self.cross {
             None => {
@@ -154,8 +154,8 @@ impl Platform {
 /// Windows is Debian's, because Debian's Rust links a library there that zig does not have.
 ///
 /// The sources must be those of the compiler, hence not the Rust in use; `RUSTC_BOOTSTRAP` lets a stable one build them.
-/// Backtraces are left out of the standard library: a stripped library has none to show. What it formats and sorts is made for size: no step
-/// does either.
+/// Backtraces are left out of the standard library: a stripped library has none to show. Formatting and sorting are optimised for
+/// size: no step does either.
 fn cross(command: &str, triple: &str) -> Result<Command> {
     let needs = [
         ("/usr/bin/rustc", "rustc-web"),
@@ -183,7 +183,7 @@ fn cross(command: &str, triple: &str) -> Result<Command> {
         .env("RUSTC", Path::new(DEBIAN).join("rustc"))
         .env("RUSTC_BOOTSTRAP", "1")
         .env("CARGO_TARGET_X86_64_PC_WINDOWS_GNU_LINKER", WINDOWS_LINKER)
-        // What zig and its helper keep beside the output stays in this folder as well.
+        // Files that zig and its helper keep beside the output stay in this folder as well.
         .env("CARGO_ZIGBUILD_CACHE_DIR", folder.join("cargo-zigbuild"))
         .env("ZIG_GLOBAL_CACHE_DIR", folder.join("zig"));
     Ok(cargo)

@@ -1,4 +1,5 @@
-//! What is packed: the plain unit, or one of one's own, whose start values, experiment and description come from a scene file.
+//! The unit to be packed: the plain one, or one of one's own, whose start values, experiment and description come from a scene
+//! file.
 
 use crate::paths;
 use anyhow::{Context, Result, bail, ensure};
@@ -7,14 +8,14 @@ use scenes::{Scene, Value};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Where the texts of descriptions of one's own lie while their libraries are built.
+/// Folder of the descriptions of units of one's own while their libraries are built.
 const FOLDER: &str = "target/own";
 
 /// A unit, before it is built.
 pub(super) struct Unit {
     /// Its model description.
     pub(super) description: ModelDescription,
-    /// What makes it one's own; none: the plain unit.
+    /// Scene of a unit of one's own; `None` for the plain unit.
     pub(super) own: Option<OwnScene>,
 }
 
@@ -30,7 +31,7 @@ impl Unit {
         Ok(Self { description: plain_description()?, own: None })
     }
 
-    /// Of the scene in `file`; called `name`, or after the file.
+    /// Unit of the scene in `file`; called `name`, or after the file.
     pub(super) fn own(file: &Path, name: Option<&str>) -> Result<Self> {
         let scene = read(file)?;
         let plain = plain_description()?;
@@ -46,7 +47,7 @@ impl Unit {
             starts: starts(&scene).map(|(variable, value)| (variable.name.full.clone(), text(value))).collect(),
             name,
         };
-        // Values have been checked with the scene: what is left to refuse is the name.
+        // Values have been checked with the scene: only the name may still be refused.
         let description = plain.own(&own).context("--name gives the unit a name")?;
         Ok(Self { description, own: Some(OwnScene(scene)) })
     }
@@ -73,7 +74,7 @@ impl OwnScene {
         starts(&self.0)
     }
 
-    /// What of the scene a unit cannot have, in sentences.
+    /// Parts of the scene that a unit cannot have, in sentences.
     pub(super) fn left_out(&self) -> Vec<String> {
         let mut sentences = Vec::new();
         if !self.0.signals.is_empty() {

@@ -49,7 +49,7 @@ const SYSTEM: [&str; 8] = [
 /// Files that every .fmu of this project has.
 const REQUIRED: [&str; 4] = ["modelDescription.xml", "model.png", "documentation/index.html", "documentation/licenses/license.txt"];
 
-/// What was found, for people.
+/// Findings, for people.
 pub(super) struct Report {
     archive: u64,
     guid: String,
@@ -62,7 +62,7 @@ struct Library {
     needs: Needs,
 }
 
-/// What a library asks of the system.
+/// Demands of a library on the system.
 #[derive(Default)]
 struct Needs {
     /// Names of the libraries that its symbols come from, in small letters.
@@ -93,7 +93,7 @@ fn limit(scope: Scope) -> usize {
     }
 }
 
-/// Opens the archive and checks what a host relies on; no library may ask for a glibc newer than the scope allows.
+/// Opens the archive and checks the properties that a host relies on; no library may ask for a glibc newer than the scope allows.
 pub(super) fn verify(fmu: &Path, scope: Scope) -> Result<Report> {
     let file = File::open(fmu)?;
     let size = file.metadata()?.len();
@@ -200,7 +200,7 @@ fn check_exports(found: BTreeSet<String>) -> Result<()> {
     Ok(())
 }
 
-/// What a library for Windows or macOS imports.
+/// Imports of a library for Windows or macOS.
 fn imports(bytes: &[u8]) -> Result<Needs> {
     let mut needs = Needs::default();
     for import in object::File::parse(bytes)?.imports()? {
@@ -209,7 +209,7 @@ fn imports(bytes: &[u8]) -> Result<Needs> {
     Ok(needs)
 }
 
-/// What an ELF library asks for, by the versions of its symbols.
+/// Libraries and symbol versions that an ELF library needs.
 fn elf_needs(bytes: &[u8]) -> Result<Needs> {
     let header = FileHeader64::<Endianness>::parse(bytes)?;
     let endian = header.endian()?;

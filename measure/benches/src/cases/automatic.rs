@@ -1,4 +1,4 @@
-//! The method that chooses the kind of its steps: inputs held for one step each, a stiff clamp, and what each effect costs by it.
+//! The method that chooses the scheme of its steps: inputs held for one step each, a stiff clamp, and the cost of each effect.
 
 use anyhow::Result;
 use fivebar::variables::{Method, Value};

@@ -1,4 +1,4 @@
-//! The strictly fixed step that conserves: inputs that change before every step, and what each effect costs by it.
+//! The strictly fixed step that conserves: inputs that change before every step, and the cost of each effect.
 
 use anyhow::Result;
 use fivebar::variables::{Method, Value};

@@ -1,4 +1,4 @@
-//! The price of effects: the fall with one effect changed, with all of them, and with other values of what is off.
+//! The price of effects: the fall with one effect changed, with all of them, and with other parameters of effects that are off.
 
 use anyhow::Result;
 use fivebar::variables::Value;

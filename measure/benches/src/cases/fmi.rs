@@ -1,4 +1,4 @@
-//! Through the C functions: a communication step against the bare step, what reading costs, and a life from instantiation on.
+//! Through the C functions: a communication step against the bare step, the cost of reading, and a life from instantiation on.
 
 use std::hint::black_box;
 
@@ -38,7 +38,7 @@ fn calls(table: &'static str, name: impl Into<String>, also: impl FnMut(&mut Hos
     calls_along(table, name, fall, also)
 }
 
-/// The same along another scene.
+/// [`calls`] along another scene.
 fn calls_along(
     table: &'static str,
     name: impl Into<String>,

@@ -21,7 +21,7 @@ pub(crate) const FOLLOWING: &str = "following";
 /// Steps of the encoders, rad: 16 bits.
 const QUANTUM: f64 = std::f64::consts::TAU / 65536.0;
 
-/// What the encoders of a machine say at some steps, as it goes on.
+/// Samples of the encoders of a machine at a range of steps.
 fn samples(machine: &mut Simulation, inputs: &Inputs, steps: std::ops::Range<u64>) -> Result<Vec<(Measured, f64)>> {
     let mut samples = Vec::new();
     for step in steps {
@@ -80,7 +80,7 @@ fn doubtful() -> Case {
         let pi = std::f64::consts::PI;
         let crossing = [pi - reach.acos(), 0.0, pi, reach.acos()];
         let omega = Linkage::new(&parameters.geometry).frame(&crossing).tangent([SLOW, 0.0]);
-        // Where it came from: time runs backwards.
+        // Start of the crossing, found by a run with reversed rates.
         let mut back = Simulation::at(&parameters, &inputs, crossing, omega.map(|rate| -rate))?;
         back.advance(&inputs, H, CROSSING)?;
         let state = back.state();

@@ -1,4 +1,4 @@
-//! What a twin's pipeline does between steps: stored states, derivatives, a new start from measured values.
+//! Calls of a twin's pipeline between steps: stored states, derivatives, a new start from measured values.
 
 use std::hint::black_box;
 
@@ -56,7 +56,7 @@ fn calls(name: &'static str, call: impl FnMut(&mut Host) + Clone + 'static) -> C
     })
 }
 
-/// The same with a state stored there, and its bytes.
+/// A case with a state stored there, and its bytes.
 fn with_stored(name: &'static str, call: fn(&Host, &mut Stored, &mut [u8])) -> Case {
     Case::new("state", name, CALLS, move || {
         let (host, mut stored) = (falling()?, Stored::NONE);

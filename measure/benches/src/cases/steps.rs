@@ -16,7 +16,8 @@ const STAGES: u64 = 11;
 const AT_END: u64 = 1;
 const FURTHER: u64 = 3;
 
-/// What an evaluation costs in steps of `dop853`, everything included: 1 s of the fall at 1e-9 rad in one call, bare and with loads.
+/// Cost of an evaluation within steps of `dop853`, everything included: 1 s of the fall at 1e-9 rad in one call, bare and with
+/// loads.
 pub(super) fn evaluations() -> Result<Vec<Case>> {
     let effects: [(&str, &[&str]); 3] = [("bare", &[]), ("with servos", &["servo"]), ("with friction", &["friction"])];
     let case = |(name, effects): (&str, &[&str])| {

@@ -42,7 +42,7 @@ fn sample() -> Vec<(Trial, Setting)> {
     sample
 }
 
-/// One line per run of a sample of the battery: its bits, and what it was.
+/// One line per run of a sample of the battery: its bits and its name.
 pub fn fingerprint() -> String {
     let lines: Vec<String> = sample()
         .par_iter()

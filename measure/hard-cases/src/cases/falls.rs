@@ -17,7 +17,7 @@ const COMPARED: usize = 100;
 /// A communication step that shows the energy without costing more than the fall, s.
 const SELDOM: f64 = 50e-3;
 
-/// What the explicit method may lose at its tolerance of 1e-10 rad, mgL: 50 s of some thousand whips.
+/// Energy error allowed to the explicit method at its tolerance of 1e-10 rad, mgL: 50 s with some thousand fast passages.
 const EXPLICIT_ENERGY: f64 = 1e-7;
 
 /// Falls of 50 s from about 90°/90° at rest: both proximal angles off by 1e-3 to 0.3 rad, uniform in the logarithm and of either

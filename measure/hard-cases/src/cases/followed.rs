@@ -15,13 +15,13 @@ use crate::report::{Row, Verdict};
 use crate::setting::Setting;
 use crate::trial::Trial;
 
-/// Between samples, s.
+/// Sampling interval, s.
 const SAMPLE: f64 = 1e-3;
 /// Steps of the encoders, rad.
 const QUANTUM: f64 = TAU / 65536.0;
 /// A tip that ends further off, m, is lost.
 const LOST: f64 = 0.01;
-/// By what machines are followed; the last two for comparison.
+/// Methods that integrate the followed machines; the last two for comparison.
 const SETTINGS: [Setting; 6] =
     [Setting::Default, Setting::EXPLICIT, Setting::AUTOMATIC, Setting::CONSERVING, Setting::Printed(1e-3), Setting::Rk4(1e-3)];
 const JUDGED: usize = 4;
@@ -37,7 +37,7 @@ struct Machines {
 fn machines(extent: Extent) -> Vec<Machines> {
     let duration = extent.pick(5.0, 0.5);
     let mut direct = postures::direct(duration);
-    // Where the elbows are on each other the motors do not say where the distal links are.
+    // Folded starts are left out: with coincident elbows the motor angles do not determine the distal links.
     direct.retain(|trial| trial.label.contains("stretched"));
     direct.push(Trial::free("fall from 90/120 deg", fall_90_120(), duration));
     let mut coaxial = postures::coaxial(duration);
@@ -114,7 +114,7 @@ fn measure(case: &'static str, trials: &[Trial], kept: bool, setting: Setting, j
     row
 }
 
-/// What a machine that was followed came to: the largest violations for a machine of the paper's size, and how far off the tip ends, m.
+/// Result for a followed machine: largest violations for a machine of the paper's size, and error of the tip at the end, m.
 struct Followed {
     position: f64,
     velocity: f64,

@@ -197,7 +197,7 @@ fn stick_and_slip(random: &mut Random) -> (Parameters, Inputs, f64) {
     (parameters, inputs, random.uniform(0.2, 0.6))
 }
 
-/// Motors whose friction holds the machine, or nearly: what moves comes to rest, or slides down.
+/// Motors whose friction holds the machine, or nearly: links come to rest or slide down.
 fn holding(random: &mut Random) -> (Parameters, Inputs, f64) {
     let mut parameters = machine(random, 1.0);
     coaxial(random, &mut parameters);

@@ -44,7 +44,7 @@ impl Extent {
     }
 }
 
-/// What a case demands of every run.
+/// Demand of a case on every run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Demand {
     /// Largest |balance residual of the energy|, in the trial's unit.
@@ -60,15 +60,15 @@ pub struct Demand {
 /// Largest constraint violation at position level for a machine of the paper's size, m, and at velocity level, m/s.
 const CONSTRAINTS: [f64; 2] = [1e-12, 1e-9];
 
-/// So much of what was dissipated may be taken back, in parts of the largest energy: round-off.
+/// Largest fall of the dissipated energy, in parts of the largest energy: round-off.
 pub const TAKEN_BACK: f64 = 1e-12;
 
-/// What a case demands of the conserving step at 1 ms.
+/// Demand of a case on the conserving step at 1 ms.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conserving {
     /// Largest |balance residual of the energy|, in the trial's unit.
     pub energy: f64,
-    /// As in [`Demand`].
+    /// Largest constraint violations, as in [`Demand`].
     pub constraints: [f64; 2],
     /// Whether the way that the motion takes is judged.
     pub path: bool,
@@ -77,7 +77,7 @@ pub struct Conserving {
 }
 
 impl Conserving {
-    /// Of most cases.
+    /// Demand of most cases.
     const USUAL: Self = Self { energy: 1e-7, constraints: CONSTRAINTS, path: true, all_steps: false };
 }
 
@@ -88,17 +88,17 @@ pub struct Case {
     pub item: u8,
     /// Its name.
     pub name: &'static str,
-    /// What is demanded beyond energy and constraints, in words.
+    /// Demand beyond energy and constraints, in words.
     pub also: &'static str,
     /// Energy demanded at the default tolerance and at the tighter one.
     pub energy: [f64; 2],
     /// Energy demanded of the explicit method.
     pub explicit_energy: f64,
-    /// What is demanded of the conserving step.
+    /// Demand on the conserving step.
     pub conserving: Conserving,
     /// Whether a run may end with a status.
     pub status_allowed: bool,
-    /// By what it is run.
+    /// Methods and settings of the runs.
     pub settings: Vec<Setting>,
     /// The runs.
     pub trials: Vec<Trial>,
@@ -142,7 +142,7 @@ impl Case {
         }
     }
 
-    /// What is demanded at a setting. Those shown for comparison are held against the demand at the default tolerance.
+    /// Demand on a setting. Settings shown for comparison are held against the demand at the default tolerance.
     pub fn demand(&self, setting: Setting) -> Demand {
         let [default, tight] = self.energy;
         let energy = match setting {
@@ -262,7 +262,7 @@ impl Case {
 }
 
 impl Demand {
-    /// What is wrong with an outcome.
+    /// Violation of the demand by an outcome.
     pub fn objection(&self, outcome: &Outcome) -> Option<String> {
         let mut objections = Vec::new();
         match &outcome.ending {

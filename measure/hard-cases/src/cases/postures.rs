@@ -26,7 +26,7 @@ pub(super) fn cases(extent: Extent) -> Vec<Case> {
     ]
 }
 
-/// The same trials, which must pass through singularities of these modes.
+/// The trials, which must pass through singularities of these configuration signs.
 fn passing(passes: &'static [usize], mut trials: Vec<Trial>) -> Vec<Trial> {
     for trial in &mut trials {
         trial.passes = passes;
@@ -119,7 +119,7 @@ pub(super) fn coaxial(duration: f64) -> Vec<Trial> {
     trials
 }
 
-/// The same machine with all links on one line, at rest under gravity: a vertex at every angle of the line.
+/// The coaxial machine with all links on one line, at rest under gravity: a vertex at every angle of the line.
 fn rest_in_line(duration: f64) -> Vec<Trial> {
     let mut parameters = default_parameters();
     parameters.geometry.base_distance = 0.0;

@@ -15,7 +15,7 @@ use crate::watch::Watch;
 /// Time from the start to the vertex, s.
 const APPROACH: f64 = 0.05;
 
-/// What near misses are held against: another method, without error control, without a gate.
+/// Witness for near misses: another method, without error control, without a gate.
 const INDEPENDENT: Setting = Setting::Rk4(1e-6);
 
 pub(super) fn cases(extent: Extent) -> Vec<Case> {
@@ -31,8 +31,8 @@ fn approach(vertex: Vertex, rates: [f64; 4]) -> ([f64; 4], [f64; 4]) {
     (THETA.map(|i| core.q[i]), THETA.map(|i| -core.v[i]))
 }
 
-/// 4 vertices, 20 directions on the cone, 3 rates of the odd link: from the vertex 50 ms back, turned round, 100 ms forward, all by
-/// the same setting. So the vertex is met exactly, but for round-off and what the method is not reversible.
+/// 4 vertices, 20 directions on the cone, 3 rates of the odd link: from the vertex 50 ms back, velocity reversed, 100 ms forward,
+/// all by one setting. So the vertex is met exactly, but for round-off and irreversibility of the method.
 pub(super) fn crossings(extent: Extent) -> Case {
     let directions = extent.pick(20_u32, 2);
     let mut trials = Vec::new();
@@ -59,8 +59,8 @@ pub(super) fn crossings(extent: Extent) -> Case {
     }
 }
 
-/// The same, but aside by 1e-2 or 1e-3 rad: the motion is turned before the vertex, and goes as the same method at 1e-11 rad says, all
-/// the way; at 2 and 10 rad/s Runge-Kutta steps of 1 us bear witness at the end (at 40 their own energy is not good enough).
+/// Near misses, aside by 1e-2 or 1e-3 rad: the motion turns before the vertex and follows the solution of the same method at 1e-11
+/// rad; at 2 and 10 rad/s Runge-Kutta steps of 1 us are the witness at the end (at 40 rad/s their own energy is not good enough).
 fn near_misses(extent: Extent) -> Case {
     let directions = extent.pick(5_u32, 1);
     let mut places = Vec::new();

@@ -3,8 +3,8 @@
 use super::{End, Planar};
 use fivebar::vector::Vector;
 
-/// What one of the two ends of a joint adds to a row of Φ_q, if it is a body's: ±1 at x or y of the body, ±`turn` at its θ. The sign
-/// is + for the first end, − for the second.
+/// Part of a row of Φ_q that one of the two ends of a joint contributes, if it is a body's: ±1 at x or y of the body, ±`turn` at
+/// its θ. The sign is + for the first end, − for the second.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Side {
     pub(super) body: usize,

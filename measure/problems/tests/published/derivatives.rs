@@ -1,13 +1,13 @@
-//! What a problem tells the integrator, against finite differences along its own motion.
+//! Derivatives that a problem gives the integrator, against finite differences along its own motion.
 //!
-//! A wrong tangent converges all the same, only slower, and a wrong velocity term is an error of the method's order: neither would
-//! be seen in the results for sure.
+//! A wrong tangent still converges, only slower, and a wrong velocity term is an error of the method's order: results need not show
+//! either.
 
 use fivebar::integrator::{Events, Implicit, Kkt, Passage, TangentPoint};
 use fivebar::vector::Vector;
 use problems::{Problem, four_bars, pendulum, squeezer};
 
-/// Step of central differences: truncation 1e-12, round-off 1e-10, relative to what is differentiated.
+/// Step of central differences: truncation 1e-12, round-off 1e-10, relative to the differentiated function.
 const STEP: f64 = 1e-6;
 
 /// Derivative of f at x along a direction of any length.
@@ -60,7 +60,7 @@ fn check<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: us
         let weight = system.effective_mass_times(&at, &some);
         assert!((weight - weighed(&some)).max_norm() < 1e-8 * weight.max_norm());
 
-        // Both linear solves, put into their own equations.
+        // Results of both linear solves, put into their own equations.
         let (b, c) = (any::<N>(0.9), any::<M>(1.4));
         let residual = |(x, y): (Vector<N>, Vector<M>), geometric: f64, weight: &dyn Fn(&Vector<N>) -> Vector<N>| {
             let transposed = system.phi_q_transposed_times(&pose, &y);

@@ -20,7 +20,7 @@ fn two_loops_keep_their_energy_at_fixed_steps() {
     assert!(fine.energy_drift <= 1e-3 && fine.error <= 1e-4, "{fine:?}");
 }
 
-/// Largest distance of any link's angle from that of the pendulum, in each second; and what the run gave.
+/// Largest distance of any link's angle from that of the pendulum, in each second; and the outcome of the run.
 fn against_the_pendulum<S: Implicit<N, M> + Passage<N> + Events<N>, const N: usize, const M: usize>(
     problem: &Problem<S, N, M>,
     error_tolerance: f64,

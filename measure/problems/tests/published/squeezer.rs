@@ -48,6 +48,6 @@ fn fixed_steps_are_second_order() {
 fn dop853_is_as_exact_as_the_values() {
     let problem = squeezer::problem();
     let outcome = problem.run(problem.dop853(1e-12), 1e-4).expect("steps");
-    // 2.7e-10 is how far the published values are off (docs/problems.md); the energy holds what the method leaves.
+    // The published values have errors of 2.7e-10 (docs/problems.md); the energy error is the method's.
     assert!(outcome.error < 3e-10 && outcome.energy_drift < 3e-12 && outcome.substeps < 300, "{outcome:?}");
 }
