@@ -1,4 +1,4 @@
-//! What precision costs on the published problems: the table of `docs/problems.md`.
+//! What precision costs on the published problems: the table of `docs/notes/problems.md`.
 //!
 //! `cargo run --release -p problems --example cost`
 
