@@ -1,4 +1,4 @@
-//! How reliably the singular postures of A02 are passed: the second table of `docs/problems.md`.
+//! How reliably the singular postures of A02 are passed: the last table of `docs/notes/problems.md`.
 //!
 //! The runs pass 10 and 20 of them. With each of many step sizes the steps end at other distances from them.
 //!
