@@ -1,5 +1,5 @@
-//! The five-bar in its four absolute link angles, with the closure of the tip as the two constraint equations: the coordinates of the
-//! explicit method.
+//! The five-bar in its four absolute link angles with the two closure equations of the tip: the coordinates of the error-controlled
+//! methods.
 //!
 //! Per leg (σ = +1 left, −1 right), with l_P the arm from motor axis to elbow, a the arms to the centres of mass, b_D that from the
 //! distal centre of mass to the tip, n̂ the direction turned by +90°:
@@ -9,8 +9,8 @@
 //!     [ m_D l_P·a_D                 I_D + m_D a_D²  ]      Φ_q = σ [ n̂(l_P)   n̂(a_D + b_D) ]
 //! ```
 //!
-//! Forces, power and potential are those of the twelve coordinates, carried over by their derivatives with respect to the angles: an
-//! effect is written once.
+//! Forces, power and potential energy are those of the twelve coordinates, mapped by the derivatives of the coordinates with respect to the
+//! angles.
 
 mod factor;
 mod falling;
@@ -31,22 +31,22 @@ use factor::{Factor, at_tip};
 pub(super) use falling::Falling;
 use falling::TrigBase;
 
-/// Number of angles.
+/// Number of link angles.
 pub const ANGLES: usize = 4;
 /// Number of closure equations.
 pub const CLOSURES: usize = 2;
-/// Link angles or what belongs to them, by legs: proximal left and right, distal left and right.
+/// Link angles, or quantities per link, in the order proximal left and right, distal left and right.
 pub type Angles = Vector<ANGLES>;
 
-/// The angles of the proximal links among the pairs of [`Angles`].
+/// Index of the pair of proximal links in [`Angles`].
 pub(super) const PROXIMAL: usize = 0;
-/// Those of the distal links.
+/// Index of the pair of distal links in [`Angles`].
 pub(super) const DISTAL: usize = 1;
 
-/// Places of links 1 to 4 (left proximal, left distal, right distal, right proximal).
+/// Indices in [`Angles`] of links 1 to 4 (left proximal, left distal, right distal, right proximal).
 pub const PLACES: [usize; 4] = [2 * PROXIMAL, 2 * DISTAL, 2 * DISTAL + 1, 2 * PROXIMAL + 1];
 
-/// The link angles among the twelve coordinates.
+/// Link angles out of the twelve coordinates.
 #[inline]
 pub fn angles_of(x: &Coordinates) -> Angles {
     let mut angles = Angles::ZERO;
@@ -55,32 +55,32 @@ pub fn angles_of(x: &Coordinates) -> Angles {
     angles
 }
 
-/// Angles or what belongs to them of the proximal and of the distal links.
+/// Pairs of the proximal and of the distal links.
 #[inline(always)]
 fn legs(x: &Angles) -> [Legs; 2] {
     [legs_of(x, PROXIMAL), legs_of(x, DISTAL)]
 }
 
-/// A five-bar seen in its link angles.
+/// A five-bar in its link angles.
 #[derive(Clone, Copy, Debug)]
 pub struct ByAngles<'a> {
     five_bar: FiveBar<'a>,
     mechanism: &'a Mechanism,
     inertia: &'a Inertia,
-    /// Whether nothing acts but the weight, which asks for no coordinates.
+    /// Whether the weight is the only load, so that the twelve coordinates are not needed.
     only_weight: bool,
-    /// The same where the tip closes the loop.
+    /// Whether the weight is the only load and the closure is that of the tip, not of a branch.
     only_falls: bool,
-    /// The branch of the closure that the motion stays on, where there are several.
+    /// Closure branch on which the motion stays, where there are several.
     closure_branch: Option<ClosureBranch>,
-    /// The lengths of the links in Φ_q, with the signs of the legs, m; 0 on a branch.
+    /// Signed link lengths in Φ_q, m; 0 on a closure branch.
     sigma_length: [Legs; 2],
-    /// What the branch adds to Φ_q; 0 on none.
+    /// Constant part of Φ_q on a closure branch, m; 0 otherwise.
     constant: &'a [Legs2; 2],
 }
 
 impl<'a> ByAngles<'a> {
-    /// The same model under the same inputs.
+    /// Five-bar in its link angles, of a model under given inputs.
     #[inline]
     pub fn new(five_bar: FiveBar<'a>) -> Self {
         let FiveBar { model, inputs, mode, .. } = five_bar;
@@ -100,7 +100,7 @@ impl<'a> ByAngles<'a> {
         free.in_mode(mode)
     }
 
-    /// The same with forces on some sides of their kinks, and on the branch of the closure that is among them.
+    /// System in a given mode, on the mode's closure branch.
     #[inline]
     pub(super) fn in_mode(self, mode: Mode) -> Self {
         let Terms { open, constant } = mode.closure_branch.map_or(Terms::OPEN, ClosureBranch::terms);
@@ -116,49 +116,49 @@ impl<'a> ByAngles<'a> {
         }
     }
 
-    /// The same in its twelve coordinates.
+    /// System in its twelve coordinates.
     pub(super) fn five_bar(&self) -> &FiveBar<'a> {
         &self.five_bar
     }
 
-    /// The model.
+    /// Model of the system.
     pub(super) fn model(&self) -> &'a Model {
         self.five_bar.model
     }
 
-    /// e of the saddle-point systems, 1/kg.
+    /// e of the saddle-point systems in the link angles, in units of Φ_q M⁻¹ Φ_qᵀ.
     pub(super) fn regularization_by_angles(&self) -> f64 {
         self.five_bar.model.regularization_by_angles
     }
 
-    /// Φ_q of the closure, or of the branch of it that the motion stays on.
+    /// Φ_q of the closure, or of the closure branch on which the motion stays.
     #[inline(always)]
     pub(super) fn phi_q(&self, pose: &Pose) -> [Legs2; 2] {
         let ([p, d], [on_p, on_d]) = (self.links(pose), self.constant);
         [Legs2 { x: on_p.x - p.y, y: on_p.y + p.x }, Legs2 { x: on_d.x - d.y, y: on_d.y + d.x }]
     }
 
-    /// The links from end to end with the signs of the legs in the closure, unless the motion stays on a branch of it: 0 then.
+    /// Vectors along the links with the signs of the legs in the closure, m; 0 on a closure branch.
     #[inline(always)]
     fn links(&self, pose: &Pose) -> [Legs2; 2] {
         let [p, d] = self.sigma_length;
         [pose.u_p.scaled(p), pose.u_d.scaled(d)]
     }
 
-    /// How far angles are off it, m.
+    /// Deviation of angles from a closure branch, m.
     #[cold]
     #[inline(never)]
     fn off_branch(&self, closure_branch: ClosureBranch, q: Angles) -> Vector<CLOSURES> {
         closure_branch.apart([legs_of(&q, PROXIMAL), legs_of(&q, DISTAL)]).map(|angle| ARM * angle).into()
     }
 
-    /// Whether the motion stays on a branch of the closure whose derivatives are constant.
+    /// Whether the motion stays on a closure branch, whose derivatives are constant.
     pub(super) fn is_on_branch(&self) -> bool {
         self.closure_branch.is_some()
     }
 
-    /// Displacement from the nearest vertex, if one is near. With coaxial motors all links in line are no isolated posture: there they
-    /// turn together.
+    /// Displacement from the nearest vertex, rad, if one is near. None with coaxial motors, where all links in line are no isolated
+    /// configuration: they turn together.
     #[inline]
     pub(super) fn offset(&self, q: &Angles) -> Option<Angles> {
         if self.mechanism.geometry.base_distance == 0.0 {
@@ -171,7 +171,7 @@ impl<'a> ByAngles<'a> {
         Some(offset)
     }
 
-    /// At rest in a vertex: the branch on which the forces start the motion.
+    /// Closure branch along which the forces start the motion from rest in a vertex (Gauss's principle of least constraint).
     pub(super) fn branch_of_least_constraint(&self, q: &Angles) -> Option<Branch<Angles>> {
         let pose = self.pose(q);
         let in_order = |x: &Angles| PLACES.map(|i| x[i]);
@@ -185,7 +185,8 @@ impl<'a> ByAngles<'a> {
         Some(Branch { direction, alternatives: branch.alternatives })
     }
 
-    /// q̈ and λ of the twelve coordinates, and the power, where nothing is held: from the angles and the force at the tip, link by link.
+    /// q̈ and λ of the twelve coordinates and the power, W, without sticking contacts: link by link from the angles and the force at the
+    /// tip.
     pub(super) fn balance(
         &self,
         [q, v]: [&Angles; 2],
@@ -196,7 +197,7 @@ impl<'a> ByAngles<'a> {
         let mass = self.factor_mass(pose, self.regularization_by_angles());
         let (a, tip) = mass.solve(&self.in_angles(&applied, pose, v), &-self.phi_q_dot_times(pose, v));
         let accelerations = self.velocity_map(&a, pose) + self.velocity_product(pose, v);
-        // What of the force on a link its acceleration leaves for the joints.
+        // Force on each link minus mass times acceleration: the force that its joints carry.
         let left = applied - self.mechanism.mass_times(&accelerations);
         let mut lambda = Multipliers::ZERO;
         (lambda[TIP_X], lambda[TIP_Y]) = (tip[0], tip[1]);
@@ -255,7 +256,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline]
     fn phi_q_dot_times(&self, pose: &Pose, v: &Angles) -> Vector<CLOSURES> {
-        // n̂ turned on: −l ω².
+        // Derivative of n̂: centripetal acceleration −l ω².
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
         let mut squares = Angles::ZERO;
         set_legs(&mut squares, PROXIMAL, w_p * w_p);

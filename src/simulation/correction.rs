@@ -1,4 +1,4 @@
-//! A run that goes on from another state of motion: what an estimator makes of measured angles.
+//! Replacement of a run's motion by the corrected one of the estimator.
 
 use super::Inputs;
 use super::angles::{PLACES, angles_of};
@@ -11,7 +11,7 @@ use crate::mechanism::closure;
 use crate::mechanism::coordinates::THETA;
 
 impl Run {
-    /// Angles of links 1 to 4, rad, without the whole turns that are left out, and their rates, rad/s.
+    /// Angles of links 1 to 4, rad, without the whole turns that are counted separately, and their rates, rad/s.
     #[inline(never)]
     pub(super) fn motion(&self, model: &Model) -> ([f64; 4], [f64; 4]) {
         let of = |q: &Coordinates, v: &Coordinates| (THETA.map(|i| q[i]), THETA.map(|i| v[i]));
@@ -26,8 +26,8 @@ impl Run {
         }
     }
 
-    /// Goes on from other angles, rad, and rates, rad/s, which close the loop, with other inputs. The energy that this puts in counts as
-    /// input; signs of the modes that change are no passes.
+    /// Continues from other angles, rad, and rates, rad/s, which close the loop, with other inputs. The energy difference counts as input
+    /// work; sign changes of the configuration do not count as passages.
     #[inline(never)]
     pub(super) fn resume_from(&mut self, model: &Model, (theta, omega): ([f64; 4], [f64; 4]), inputs: &Inputs) {
         let geometry = &model.mechanism.geometry;

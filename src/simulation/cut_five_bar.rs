@@ -1,4 +1,4 @@
-//! The five-bar over a finite step with its loop cut at the tip (`src/linear/cut_loop.rs`), under its effects.
+//! The five-bar over a finite step of the conserving method, with its loop cut at the tip (`src/linear/cut_loop.rs`).
 
 use super::five_bar::FiveBar;
 use super::five_bar_steps::Step;
@@ -7,14 +7,14 @@ use crate::linear::cut_loop::{Closed, CutUnknowns, OpenBalance, OpenMotion, Open
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
 
-/// A step of the system.
+/// A step of a system with its loop cut.
 pub struct CutFiveBar<'a, const BARE: bool> {
     pub(super) system: &'a FiveBar<'a, BARE>,
     pub(super) step: OpenStep<'a>,
 }
 
 impl<const BARE: bool> CutFiveBar<'_, BARE> {
-    /// Of the step as the forces see it what `of` makes.
+    /// Evaluates `of` on the finite step that belongs to a motion of the cut loop.
     #[inline(always)]
     fn over<T>(&self, motion: &OpenMotion, of: impl FnOnce(&Step<'_>) -> T) -> T {
         let &OpenStep { q, h, .. } = &self.step;
@@ -98,8 +98,8 @@ mod tests {
     use crate::simulation::Simulation;
     use crate::simulation::five_bar_steps::tests::step;
 
-    /// With the loop cut, whatever the unknowns: the joints but the tip's are met, all rows of z and the positions' rows of momentum
-    /// vanish, and what is said to be left is what (37), written down here for all coordinates, leaves.
+    /// For any unknowns of the cut loop all joints but the tip's are closed, and all rows of z and the position rows of momentum vanish;
+    /// the reported residuals are those of (37), which is written down here in all coordinates.
     #[test]
     fn the_cut_loop_has_the_equations_of_all_coordinates() {
         let (model, q, _) = step();
@@ -124,7 +124,7 @@ mod tests {
             let balance = cut.balance(&motion);
             let [offset, gap, rate] = cut.residuals(&motion, &balance);
             let largest = |x: &[f64]| x.iter().fold(0.0f64, |largest, x| largest.max(x.abs()));
-            // Round-off of turns of `size` of links with some 1e-3 kg·m² and some 0.1 kg.
+            // Round-off of increments of `size` rad of links with some 1e-3 kg·m² and some 0.1 kg.
             let round_off = 1e-15 * size;
             let angles: Vec<f64> = THETA.iter().map(|i| f[*i]).collect();
             assert!(f.norm() - angles.iter().map(|x| x * x).sum::<f64>().sqrt() < round_off, "{f:?}");
@@ -147,7 +147,7 @@ mod tests {
         }
     }
 
-    /// Rates that meet the constraints of a pose.
+    /// Rates that satisfy the constraints of a pose, and their residual, m/s.
     fn closure_rates(system: &FiveBar<'_>, begin: &Pose) -> (Coordinates, f64) {
         let v = Coordinates::from_fn(|i| 3.0 * (0.3 + i as f64).cos());
         let mass = system.factor_mass(begin, 0.0);
@@ -155,7 +155,7 @@ mod tests {
         (v, begin.phi_q_times(&v).max_norm())
     }
 
-    /// In turn Newton's method contracts as `docs/conserving.md` says, by (hω)².
+    /// The staggered Newton iteration contracts by (hω)², as `docs/conserving.md` says.
     #[test]
     fn in_turn_it_contracts_by_the_square_of_the_turn() {
         let (inputs, turns) = (default_inputs(), [0; 4]);
@@ -177,7 +177,7 @@ mod tests {
                 x = cut.newton_update(&motion, &balance, &cut.factor(&motion, &balance, 1e-9));
             }
             let turn = h * v0.max_norm();
-            // The first finds the joint forces, of which nothing was known. 30: measured 17 and 0.4, by the arms of this pose.
+            // The first iteration finds the joint forces from nothing. Factor 30: measured are 17 and 0.4, by the arms of this pose.
             let allowed = |before: f64| (30.0 * turn * turn * before).max(1e-16);
             assert!(left[2] < allowed(left[1]) && left[3] < allowed(left[2]), "{left:?} {turn}");
         }

@@ -1,4 +1,4 @@
-//! A run by the explicit method, whose steps go past the communication points: the step under way in the link angles.
+//! A run by an error-controlled method with dense output: the step under way, in the link angles, runs past the communication point.
 
 use std::f64::consts::TAU;
 
@@ -15,24 +15,23 @@ use crate::integrator::dense::{DenseStep, Horizon, Settings};
 use crate::integrator::{Bounds, Counters, Inconsistency, StepError, System, Work};
 use crate::mechanism::{Coordinates, Multipliers};
 
-/// The step under way, and for how long inputs are held.
+/// Step under way, and durations for which inputs were held.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct DenseRun {
     pub(super) step: DenseStep<ANGLES, CLOSURES, Mode>,
-    /// For how many macro steps the inputs before the present ones were held, 0 at first, and these so far.
+    /// Numbers of macro steps for which the previous inputs were held (0 at first) and the present ones have been.
     held: [u64; 2],
 }
 
 impl DenseRun {
-    /// The run that begins with a state.
+    /// Run that starts from a state.
     pub(super) fn start(model: &Model, settings: &Settings, state: &State) -> Self {
         let system = ByAngles::new(FiveBar::<false>::new(model, &state.inputs, &state.turns));
         let step = DenseStep::start(&system, angles_of(&state.core.q), angles_of(&state.core.v), settings);
         Self { step, held: [0; 2] }
     }
 
-    /// Before model or inputs change: what runs past the present time is thrown away, and the present state is the end of a step. On
-    /// failure the run is undefined.
+    /// Before model or inputs change: truncates the step under way at the present time. A failure leaves the run undefined.
     pub(super) fn stop(&mut self, model: &Model, settings: &Settings, inputs: &Inputs, turns: &[i64; 4]) -> Result<(), StepError> {
         if self.step.finish() {
             return Ok(());
@@ -40,19 +39,19 @@ impl DenseRun {
         self.step.truncate_and_redo(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings)
     }
 
-    /// After they have changed, which did some work.
+    /// After model or inputs have changed: restarts the step; `work` is the work of the change.
     pub(super) fn resume(&mut self, model: &Model, settings: &Settings, (inputs, turns): (&Inputs, &[i64; 4]), work: Work) {
         let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
         self.step.restart(&system, settings, &system.pose(self.step.end()), work);
     }
 
-    /// Angles and rates at the present time.
+    /// Angles, rad, and rates, rad/s, at the present time.
     pub(super) fn motion(&self, model: &Model, held: &Inputs, turns: &[i64; 4]) -> (Angles, Angles) {
         let sample = self.step.sample(&ByAngles::new(FiveBar::<false>::new(model, held, turns)), model.dense_settings());
         (sample.q, sample.v)
     }
 
-    /// Goes on from other angles and rates with other inputs, which puts in some energy, J.
+    /// Continues from other angles and rates with other inputs; the change adds `external_work`, J.
     pub(super) fn resume_from(
         &mut self,
         model: &Model,
@@ -66,8 +65,8 @@ impl DenseRun {
         self.held = [self.held[1], 0];
     }
 
-    /// The present state in the twelve coordinates, made with the inputs held, and with the q̈ and λ that belong to others. Interpolated
-    /// states are for output only; integration never starts from them.
+    /// Present state in the twelve coordinates, by the held inputs, with the q̈ and λ of other `inputs`. Interpolated states are for output
+    /// only; integration never starts from them.
     pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> (Core, StickSlips) {
         let system = ByAngles::new(FiveBar::<false>::new(model, held, turns));
         let sample = self.step.sample(&system, model.dense_settings());
@@ -102,7 +101,7 @@ impl DenseRun {
         (core, system.mode.stick_slip)
     }
 
-    /// Refuses a run that is none of this system.
+    /// Refuses a run that is inconsistent with this system.
     pub(super) fn check(&self, system: &ByAngles<'_>, settings: &Settings, bounds: &Bounds) -> Result<(), Inconsistency> {
         if self.held.iter().any(|steps| *steps > self.step.steps()) {
             return Err("inputs are held for more steps than the run has");
@@ -117,31 +116,31 @@ impl DenseRun {
         self.step.check(system, settings, bounds)
     }
 
-    /// How long steps may be while the inputs stay, with `left` macro steps of the call to come.
+    /// Limits of the next step while the inputs stay, with `left` macro steps of the call to come.
     fn horizon(&self, steps: MacroSteps, left: u64) -> Horizon {
-        // By way of a signed number, which processors know.
+        // Conversion by way of a signed integer, for which processors have an instruction.
         let rest = left as i64 as f64 * steps.h;
-        // Inputs that have changed may change again after as many macro steps as before: to step past that would be in vain.
+        // Inputs that have changed may change again after as many macro steps as before: a longer step would be thrown away.
         let limit = match self.held[0].saturating_sub(self.held[1]) {
             _ if !steps.open_ended => rest,
             0 => f64::INFINITY,
             same => same as f64 * steps.h,
         };
-        // A step that ends with the call is never interpolated.
+        // A step that ends with the call is not interpolated.
         Horizon { output: if limit > rest { rest } else { f64::INFINITY }, limit }
     }
 }
 
-/// A run with what its steps hold.
+/// A run with mutable access to its held inputs and whole turns.
 pub(super) struct Held<'a> {
     pub(super) run: &'a mut DenseRun,
     pub(super) inputs: &'a mut Inputs,
-    /// Whole turns of links 1 to 4 that the angles under way leave out.
+    /// Whole turns of links 1 to 4 that the angles of the integrator leave out.
     pub(super) turns: &'a mut [i64; 4],
 }
 
 impl Held<'_> {
-    /// Macro steps with inputs held. On failure everything is as before.
+    /// Macro steps with `inputs` held. A failure changes nothing.
     pub(super) fn advance(
         mut self,
         model: &Model,
@@ -149,7 +148,7 @@ impl Held<'_> {
         inputs: &Inputs,
         steps: MacroSteps,
     ) -> Result<(), StepFailure> {
-        // A call that ends inside the step under way, as most do, costs no copy.
+        // A call that ends inside the step under way, as most do, makes no copy.
         if steps.count == 1 && self.inputs == inputs && self.run.step.advance_within(steps.h, 1) == 1 {
             self.run.held[1] += 1;
             return Ok(());
@@ -175,7 +174,7 @@ impl Held<'_> {
             if step == steps.count {
                 return Ok(());
             }
-            // Before a new step begins, so that each is made from the angles that it has.
+            // Whole turns are removed before a new step begins, so that no step mixes both counts.
             remove_whole_turns(&mut run.step, turns);
             let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
             let pose = changed.then(|| system.pose(run.step.end()));
@@ -200,13 +199,13 @@ impl Held<'_> {
     }
 }
 
-/// Whether angles are more than two turns.
+/// Whether an angle exceeds two turns.
 #[inline(always)]
 fn has_whole_turns(step: &DenseStep<ANGLES, CLOSURES, Mode>) -> bool {
     step.end().max_norm() > 2.0 * TAU
 }
 
-/// Moves whole turns of the angles into `turns`, where they are more than two: as [`super::state::remove_whole_turns`] does with q.
+/// Moves whole turns from angles that exceed two turns into `turns`, as [`super::state::remove_whole_turns`] does with q.
 #[inline(always)]
 fn remove_whole_turns(step: &mut DenseStep<ANGLES, CLOSURES, Mode>, turns: &mut [i64; 4]) {
     if !has_whole_turns(step) {

@@ -1,4 +1,4 @@
-//! The kinks of the effects' forces, as the methods that follow their error see them: in the link angles, or in the twelve coordinates.
+//! Event interface ([`Events`]) of the five-bar, in the link angles and in the twelve coordinates: guards, modes and transitions.
 
 use std::borrow::Borrow;
 
@@ -11,7 +11,7 @@ use crate::mechanism::coordinates::{THETA, legs_of};
 use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, LINKS, Pose};
 use crate::vector::Vector;
 
-/// A system on some sides: itself where there are no others, which saves a copy in each step.
+/// A system in a mode: borrowed where modes do not matter, which saves a copy per step.
 enum InMode<'b, S> {
     Same(&'b S),
     Others(S),
@@ -126,7 +126,7 @@ impl<'a> Events<ANGLES> for ByAngles<'a> {
     }
 }
 
-/// Extremes of coordinates, of which these are the angles of the links.
+/// Bounds of the link rates and accelerations out of bounds of all coordinates.
 fn of_links<const N: usize>(Extremes { rates, accelerations, higher }: &Extremes<N>, links: [usize; LINKS]) -> effects::Extremes {
     let of = |x: &Vector<N>| links.map(|i| x[i]);
     effects::Extremes {
@@ -137,7 +137,7 @@ fn of_links<const N: usize>(Extremes { rates, accelerations, higher }: &Extremes
 }
 
 impl ByAngles<'_> {
-    /// Sides with the grips of a state.
+    /// Mode with the stick-slip states that follow from the state.
     fn with_resolved_stick_slip(&self, mode: Mode, q: &Angles, v: &Angles) -> Mode {
         if !self.model().sticks {
             return mode;
@@ -148,7 +148,7 @@ impl ByAngles<'_> {
 }
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
-    /// The grips as they are, where there are any.
+    /// Friction guards, none without stick-slip friction.
     fn friction_guards(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> FrictionGuards {
         if self.model.sticks { friction_guards(&self.general(), q, pose, v) } else { FrictionGuards::new() }
     }
@@ -174,7 +174,7 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
         GuardValues::new(&self.model.effects, &self.context(q, &pose, v), friction_guards)
     }
 
-    /// Springs are wherever the state is, and so are grips that nobody remembers.
+    /// Initial mode: phases of unilateral springs follow from the state; stick-slip states are resolved from it.
     #[inline]
     fn mode_of(&self, q: &Coordinates, v: &Coordinates) -> Mode {
         if BARE || !self.model.sticks { Mode::OF_STATE } else { Mode::of_stick_slip(resolved(&self.general(), q, v)) }
@@ -207,7 +207,7 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
         reverses_between(&self.general(), ends, duration, stick_velocity(tolerance))
     }
 
-    /// What slips is told by [`Events::reverses_between`], which knows accelerations.
+    /// Springs alone: reversals of slipping contacts are found by [`Events::reverses_between`], which knows the accelerations.
     fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes<COORDINATES>, tolerance: f64) -> bool {
         GuardValues::endpoints_bound_penetration(ends, duration, &of_links(extremes, THETA), tolerance)
     }

@@ -1,4 +1,4 @@
-//! The five-bar with its active effects and held inputs, as the integrator sees it in its twelve coordinates.
+//! The five-bar in its twelve coordinates, with active effects and held inputs: implements [`System`], the interface of the integrators.
 
 use super::model::Model;
 use crate::effects::{ForceContext, Inputs, Mode, Tangents};
@@ -7,10 +7,10 @@ use crate::linear::{Definite, LinearSolve, MassFactor, TangentOf, TangentSource}
 use crate::mechanism::coordinates::{D_THETA, P_THETA, largest_angle, legs_of};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
-/// A model with the inputs and whole turns that stay while it is stepped.
+/// A model with the inputs and whole turns that are constant during a step.
 ///
-/// `BARE`: without effects whose force depends on the motion, and solved leg by leg. A form of its own, for it keeps the whole step in
-/// registers: it saves 580 of 2,970 instructions of a fixed step (`cargo xtask bench`, table steps).
+/// `BARE` selects the form without motion-dependent effects, solved leg by leg, which keeps the whole step in registers and saves 580 of
+/// 2,970 instructions of a fixed step (`cargo xtask bench`, table steps).
 #[derive(Clone, Copy, Debug)]
 pub struct FiveBar<'a, const BARE: bool = false> {
     pub(super) model: &'a Model,
@@ -20,22 +20,22 @@ pub struct FiveBar<'a, const BARE: bool = false> {
     pub(super) mode: Mode,
 }
 
-/// A tangent is asked for at these coordinates and multipliers.
+/// Point at which a tangent is evaluated.
 type At<'a> = TangentPoint<'a, Pose, COORDINATES, MULTIPLIERS>;
 
 impl<'a, const BARE: bool> FiveBar<'a, BARE> {
-    /// `model` under `inputs`, with the whole turns of links 1 to 4 that q leaves out.
+    /// System of `model` under `inputs`; `turns` holds the whole turns of links 1 to 4 that q leaves out.
     pub fn new(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4]) -> Self {
         Self { model, inputs, turns, follows_work: inputs.load() || !model.conservative, mode: Mode::OF_STATE }
     }
 
-    /// The same with its grips as they are in a state by itself.
+    /// System with the stick-slip states that follow from `q` and `v`.
     pub(super) fn resolved(model: &'a Model, inputs: &'a Inputs, turns: &'a [i64; 4], [q, v]: [&Coordinates; 2]) -> Self {
         let system = Self::new(model, inputs, turns);
         system.on(Events::mode_of(&system, q, v))
     }
 
-    /// The same after whole turns have changed.
+    /// System with other whole turns.
     #[inline(always)]
     pub(super) fn with_turns<'b>(&self, turns: &'b [i64; 4]) -> FiveBar<'b, BARE>
     where
@@ -44,19 +44,19 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
         FiveBar { turns, ..*self }
     }
 
-    /// The same in the form for any scene.
+    /// The form that is not specialised for the bare mechanism.
     pub(super) fn general(self) -> FiveBar<'a> {
         let Self { model, inputs, turns, follows_work, mode } = self;
         FiveBar { model, inputs, turns, follows_work, mode }
     }
 
-    /// The same with forces that stay on some sides of their kinks.
+    /// System in a given mode.
     #[inline(always)]
     pub(super) fn on(&self, mode: Mode) -> Self {
         Self { mode, ..*self }
     }
 
-    /// Those sides.
+    /// Mode of the system.
     pub(super) fn mode(&self) -> Mode {
         self.mode
     }
@@ -66,15 +66,15 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
         ForceContext { q, v, pose, inputs: self.inputs, turns: self.turns, mode: self.mode }
     }
 
-    /// Potential energy of all forces that have one, held loads included, J.
+    /// Potential energy of all conservative forces, held loads included, J.
     pub(super) fn potential_energy(&self, q: &Coordinates, pose: &Pose) -> f64 {
         let at = self.context(q, pose, &Coordinates::ZERO);
         self.model.potential(&at) + self.inputs.potential(&at)
     }
 
-    /// Power of the forces that have no potential, W.
+    /// Power of the non-conservative forces, W.
     pub(super) fn power_without_potential(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
-        // By where the state is: what a spring that has let go loses is power here, for its potential is counted.
+        // Evaluated in the mode of the state: the loss at a separating spring is power here, because its potential energy is counted.
         let at = ForceContext { mode: Mode::of_stick_slip(self.mode.stick_slip), ..self.context(q, pose, v) };
         self.model.effects.iter().map(|effect| effect.input_power(&at) - effect.dissipation(&at)).sum()
     }
@@ -94,8 +94,8 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
 }
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
-    /// The forces with those of the effects. It takes copies, which are made only where there are effects: what is pointed to has to be in
-    /// memory, and without effects it stays in registers (8 % of an evaluation by dop853).
+    /// Forces of the effects, added to `forces`. The arguments are copies, made only if there are effects: data behind pointers must be in
+    /// memory, and without effects they stay in registers (8 % of an evaluation by dop853).
     #[inline(never)]
     fn with_effects(&self, mut forces: Coordinates, q: Coordinates, pose: Pose, v: Coordinates) -> Coordinates {
         let at = self.context(&q, &pose, &v);
@@ -107,7 +107,7 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
 }
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
-    /// The forces of inputs and effects with their power, of what is in memory already.
+    /// Forces of inputs and effects, N and N·m, with their power, W.
     #[inline(always)]
     pub(super) fn acting(&self, at: &ForceContext) -> (Coordinates, Work) {
         let mut forces = self.model.weight;
@@ -116,7 +116,7 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
         (forces, power)
     }
 
-    /// Adds the forces of the effects: the power of all. Out of line, as above.
+    /// Adds the forces of the effects; returns the power of inputs and effects, W. Out of line, as `with_effects` is.
     #[inline(never)]
     fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> Work {
         let mut power = Work { input: self.inputs.power(at), dissipated: 0.0 };
@@ -130,7 +130,7 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
 }
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
-    /// The power with that of the effects.
+    /// Adds the power of the effects to `power`, W.
     #[inline(never)]
     fn with_effect_power(&self, mut power: Work, at: &ForceContext) -> Work {
         for effect in &self.model.effects {
@@ -141,7 +141,7 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
     }
 }
 
-/// The forces of a model, for their tangents.
+/// Forces of a model at a state, as a source of tangents.
 struct Tangible<'a, const BARE: bool> {
     model: &'a Model,
     at: ForceContext<'a>,
@@ -159,7 +159,7 @@ impl<const BARE: bool> TangentSource for Tangible<'_, BARE> {
     }
 }
 
-/// So many iterations of the fastest solve take the instructions of one of the solve for anything, with its search for a direction of descent.
+/// Work of an iteration with the dense solve (22 × 22, with its search for a descent direction) in iterations of the fastest solve.
 const DENSE_WORK: u64 = 16;
 
 impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE> {
@@ -331,7 +331,7 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
         self.model.has_servo.then(|| self.model.drive_forces(&self.context(q, &self.pose(q), v)))
     }
 
-    /// That of a full matrix with 22 rows is factorised.
+    /// An iteration of the dense solve counts as several: its matrix has 22 rows.
     #[inline(always)]
     fn iteration_work(&self) -> u64 {
         if !BARE && self.model.solver.linear_solve() == LinearSolve::Dense { DENSE_WORK } else { 1 }

@@ -1,4 +1,4 @@
-//! The five-bar over a finite step, as the conserving method sees it: discrete derivatives of the joints' constraints
+//! The five-bar over a finite step, as the conserving method needs it: discrete derivatives of the joint constraints
 //! (`src/mechanism/secant.rs`) and mean forces of the effects.
 
 use super::cut_five_bar::CutFiveBar;
@@ -21,7 +21,7 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
         StepContext { q, d, v, h, softening, secant, inputs: self.inputs, turns: self.turns, inertia }
     }
 
-    /// Adds the tangents of all mean forces.
+    /// Adds the tangents of all mean forces to `tangents`.
     #[inline(always)]
     pub(super) fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
         self.inputs.add_mean_tangents(over, tangents);
@@ -142,7 +142,7 @@ pub(super) mod tests {
     use crate::mechanism::closure;
     use crate::simulation::Model;
 
-    /// A machine in which nothing is equal, a pose of it and increments that turn its links by up to 0.4 rad.
+    /// A mechanism without symmetries, a pose, and increments that turn its links by up to 0.4 rad.
     pub(in crate::simulation) fn step() -> (Model, Coordinates, Coordinates) {
         let mut parameters = default_parameters();
         for (i, link) in parameters.geometry.links.iter_mut().enumerate() {
@@ -159,7 +159,7 @@ pub(super) mod tests {
         Multipliers::from_fn(|i| (seed + 3.0 * i as f64).cos())
     }
 
-    /// All effects on, the tip in the plane, the left axis in its stop, a step of 1 ms at some rad/s.
+    /// All effects active, the tip in the plane, the left axis in its stop, and a step of 1 ms at some rad/s.
     fn loaded() -> (Model, Inputs, [Coordinates; 3]) {
         let mut parameters = default_parameters();
         let effects = &mut parameters.effects;
@@ -182,7 +182,7 @@ pub(super) mod tests {
         (model, inputs, [q, d, v])
     }
 
-    /// Collects tangents as they are.
+    /// Collects tangents in dense matrices: stiffness and damping.
     struct Tangible([[[f64; COORDINATES]; COORDINATES]; 2]);
 
     impl Tangents for Tangible {
@@ -195,7 +195,7 @@ pub(super) mod tests {
         }
     }
 
-    /// Force times displacement is what potentials lose, inputs put in and dissipation takes.
+    /// Mean force times displacement equals input work minus dissipation minus the gain of potential energy.
     #[test]
     fn mean_forces_do_the_work_of_energies() {
         let (model, inputs, [q, d, v]) = loaded();
@@ -210,11 +210,11 @@ pub(super) mod tests {
         let gained = potential(&(q + d)) - potential(&q);
         let total = system.mean_forces(&step).dot(&d);
         assert!(work.input.abs() > 1e-5 && work.dissipated.abs() > 1e-5 && gained.abs() > 1e-5);
-        // Round-off of the energy of a plane pressed in by half a metre, some 100 J.
+        // Tolerance: round-off of the energy of a plane pressed in by half a metre, some 100 J.
         assert!((total + gained + work.dissipated - work.input).abs() < 1e-12, "{total} {gained} {work:?}");
     }
 
-    /// Against central differences, of the increments and of the rates at the end.
+    /// Mean tangents equal central differences with respect to the increments and to the rates at the end of the step.
     #[test]
     fn mean_tangents_are_derivatives() {
         let (model, inputs, [q, d, v]) = loaded();
@@ -242,15 +242,15 @@ pub(super) mod tests {
             for (kind, numeric) in numeric.iter().enumerate() {
                 for row in 0..COORDINATES {
                     let (got, want) = (tangents.0[kind][row][column], numeric[row]);
-                    // Round-off of forces of up to 1e3 N over 1e-8 m; the arm's third order.
+                    // Tolerance: round-off of forces of up to 1e3 N over 1e-8 m, and the third order of the tip's arm.
                     assert!((got - want).abs() < 1e-4 * (1.0 + want.abs()), "{kind} {row} {column}: {got} {want}");
                 }
             }
         }
     }
 
-    /// Along Newton's increments the step's equations change by the negative of what they leave: the tangent is the whole one, by central
-    /// differences of equations that are written down here once more.
+    /// Along Newton's increment the step's residuals change by their negative: the tangent is exact, by central differences of the
+    /// equations, which are written down here independently.
     #[test]
     fn the_whole_tangent_is_the_derivative_of_the_equations() {
         let (model, inputs, [q, d, v0]) = loaded();
@@ -279,7 +279,7 @@ pub(super) mod tests {
             change.iter().zip(left).fold(0.0f64, |worst, (change, left)| worst.max((change / (2.0 * part) + left).abs()))
                 / left.iter().fold(0.0f64, |largest, left| largest.max(left.abs()))
         };
-        // Round-off over 1e-5, and friction's and the plane's slopes, which change along the way.
+        // Tolerance: round-off over 1e-5, and the slopes of friction and plane, which change along the increment.
         for (change, left) in
             [(&(more.0 - less.0)[..], &f[..]), (&(more.1 - less.1)[..], &phi[..]), (&(more.2 - less.2)[..], &rate[..])]
         {
@@ -287,7 +287,7 @@ pub(super) mod tests {
         }
     }
 
-    /// Along d the discrete derivatives give exactly what the constraints and their Jacobian change by.
+    /// Along d the discrete derivatives equal the differences of the constraints and of their Jacobian.
     #[test]
     fn discrete_derivatives_are_differences() {
         let (model, q, d) = step();
@@ -306,7 +306,7 @@ pub(super) mod tests {
         ] {
             assert!((got - want).abs() < 1e-15, "{got} {want}");
         }
-        // Directions turned twice by half the step, against those of the angles at its end.
+        // Directions turned twice by half the increment equal those of the angles at the end of the step.
         assert!((system.phi(&(q + d), &secant.end) - system.phi(&(q + d), &end)).max_norm() < 1e-15);
     }
 }

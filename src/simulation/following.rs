@@ -11,7 +11,7 @@ use crate::effects;
 use crate::estimator::{self, Constants, Estimator, Fault, Measured, Status};
 use crate::mechanism::SceneError;
 
-/// A simulation with an estimator. A clone goes on by itself, to the same bits.
+/// A simulation with an estimator. A clone continues independently, equal to the bit.
 #[derive(Clone, Debug)]
 pub struct Following {
     simulation: Simulation,
@@ -19,17 +19,17 @@ pub struct Following {
     estimate: Estimate,
 }
 
-/// What of it changes beside the run.
+/// Changing part of the estimation.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Estimate {
     estimator: Estimator,
-    /// What the master has set: the run holds the unknown force beside.
+    /// Inputs set by the master; the run holds them plus the estimated unknown force.
     inputs: Inputs,
-    /// Of each encoder the faults that have been told, a bit for each.
+    /// Faults reported so far, for each encoder a bit per kind.
     reported: [u8; 2],
 }
 
-/// The inputs with the unknown force beside.
+/// Inputs plus the estimated unknown force: torques, N·m, and tip forces, N.
 fn acting(inputs: &Inputs, force: &[f64; 4]) -> Inputs {
     let [left, right, x, y] = *force;
     Inputs {
@@ -40,7 +40,7 @@ fn acting(inputs: &Inputs, force: &[f64; 4]) -> Inputs {
 }
 
 impl Following {
-    /// A scene at its start, of which no sample has been taken.
+    /// Simulation at its start, before the first sample.
     #[cold]
     pub fn new(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         parameters.estimator.check(parameters.settings.step_size)?;
@@ -57,7 +57,7 @@ impl Following {
         Ok(Self { simulation, constants, estimate: Estimate { estimator, inputs: *inputs, reported: [0; 2] } })
     }
 
-    /// A run that goes on, see [`Simulation::restored`]. Refused unless the estimate is one of its motion.
+    /// Continues a stored run, see [`Simulation::restored`]. Refused unless the estimate is consistent with the motion.
     #[cold]
     pub fn restored(parameters: &Parameters, run: Run, estimate: Estimate) -> Result<Self, SceneError> {
         let simulation = Simulation::restored(parameters, run)?;
@@ -71,7 +71,7 @@ impl Following {
         Ok(Self { simulation, constants, estimate })
     }
 
-    /// Corrects by what is new of the encoders at a time `now`, s on their clock.
+    /// Measurement update by the samples that are new at time `now`, s on the encoders' clock.
     pub fn correct(&mut self, measured: &Measured, now: f64) {
         let Self { simulation, constants, estimate: Estimate { estimator, inputs, .. } } = self;
         if estimator.correct(constants, measured, now) {
@@ -81,7 +81,7 @@ impl Following {
         }
     }
 
-    /// `steps` macro steps of h seconds with inputs that change. On failure it is undefined: the caller keeps a copy.
+    /// `steps` macro steps of h seconds with inputs that change. A failure leaves the value undefined: the caller keeps a copy.
     pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
         let one = MacroSteps { h, count: 1, open_ended: signal.is_held() };
         for step in 0..steps {
@@ -92,7 +92,7 @@ impl Following {
         Ok(())
     }
 
-    /// One macro step: the motion, then the errors about it.
+    /// Time update by one macro step: motion, then covariance.
     fn step(&mut self, inputs: &Inputs, one: MacroSteps) -> Result<(), StepFailure> {
         let Self { simulation: Simulation { model, run, .. }, constants, estimate } = self;
         estimate.inputs = *inputs;
@@ -105,38 +105,38 @@ impl Following {
         Ok(())
     }
 
-    /// The simulation, with the unknown force among its inputs.
+    /// Simulation whose inputs include the unknown force.
     pub fn simulation(&self) -> &Simulation {
         &self.simulation
     }
 
-    /// What has been estimated, for a stored state.
+    /// Changing part of the estimation, for a stored state.
     pub fn estimate(&self) -> &Estimate {
         &self.estimate
     }
 
-    /// What the estimator has been told.
+    /// Parameters in force.
     pub fn parameters(&self) -> &Parameters {
         self.simulation.parameters()
     }
 
-    /// The inputs of the master that the last step held, or the start.
+    /// Inputs of the master that the last step held; before the first step those of the start.
     pub fn inputs(&self) -> &Inputs {
         &self.estimate.inputs
     }
 
-    /// What holds now, with the q̈ and λ that belong to some inputs of the master and to the unknown force.
+    /// Present state, with the q̈ and λ that belong to `inputs` plus the unknown force.
     pub fn state_for(&self, inputs: &Inputs) -> State {
         self.simulation.state_for(&acting(inputs, &self.estimate.estimator.track().force))
     }
 
-    /// Other parameters of effects and estimator, as far as they are tunable; see [`Simulation::tune`].
+    /// Sets other tunable parameters of effects and estimator; see [`Simulation::tune`].
     #[cold]
     pub fn tune(&mut self, effects: &effects::Parameters, estimator: &estimator::Parameters) -> Result<(), SceneError> {
         estimator.check(self.parameters().settings.step_size)?;
         self.simulation.tune(effects)?;
         self.simulation.tune_estimator(estimator);
-        // A payload that has joined has changed the masses, and the rates at once.
+        // A payload that joins changes the masses, and the rates by an impact.
         let Simulation { model, run, .. } = &self.simulation;
         self.constants = Constants::new(&model.mechanism.geometry, estimator);
         let (theta, omega) = run.motion(model);
@@ -144,28 +144,28 @@ impl Following {
         Ok(())
     }
 
-    /// Motor torques that would do what the unknown force does, N·m, and their standard deviations; `None` where motors cannot.
+    /// Motor torques equivalent to the unknown force, N·m, and their standard deviations; `None` where no motor torques are.
     pub fn motor_torques(&self) -> Option<([f64; 2], [f64; 2])> {
         self.estimate.estimator.motor_torques(&self.constants)
     }
 
-    /// Squared error against the true angles, rad, and rates, rad/s, of links 1 to 4 in units of the covariance: 4 on average where the
-    /// bands are honest.
+    /// Normalised estimation error squared against the true angles, rad, and rates, rad/s, of links 1 to 4: 4 on average for a consistent
+    /// covariance.
     pub fn nees(&self, theta: &[f64; 4], omega: &[f64; 4]) -> f64 {
         self.estimate.estimator.nees(&self.constants, theta, omega)
     }
 
-    /// Standard deviations of the angles of links 1 to 4, rad, and of their rates, rad/s.
+    /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4.
     pub fn sigmas(&self) -> [[f64; 4]; 2] {
         self.estimate.estimator.sigmas(&self.constants)
     }
 
-    /// Covariance of the tip, m²: xx, xy, yy.
+    /// Covariance of the tip position, m²: xx, xy, yy.
     pub fn tip_covariance(&self) -> [f64; 3] {
         self.estimate.estimator.tip_covariance(&self.constants)
     }
 
-    /// Probability of a direct singularity within the horizon while some inputs are held, the unknown force among them: see
+    /// Probability of a direct singularity within the horizon under held `held` inputs, the unknown force included: see
     /// [`state_for`](Self::state_for).
     pub fn singularity_probability(&self, held: &Inputs) -> f64 {
         let Simulation { model, run, parameters } = &self.simulation;
@@ -178,12 +178,12 @@ impl Following {
         &self.estimate.estimator
     }
 
-    /// What the estimate is worth.
+    /// Quality of the estimate.
     pub fn status(&self) -> Status {
         self.estimate.estimator.status()
     }
 
-    /// What is wrong with an encoder and has not been told yet: its index and fault, [`Fault::None`] where it has become silent.
+    /// Faults of encoders that have not been reported yet: encoder index and fault, [`Fault::None`] for an encoder that has become silent.
     #[inline(never)]
     pub fn take_reports(&mut self) -> ArrayVec<(usize, Fault), 2> {
         let Estimate { estimator, reported, .. } = &mut self.estimate;
@@ -191,7 +191,7 @@ impl Following {
         for (i, reported) in reported.iter_mut().enumerate() {
             let (silent, fault) = estimator.encoder(i);
             let bit = 1 << fault as u8;
-            // One that has never spoken is not silent, but not connected.
+            // An encoder that has never sent a sample is not connected, hence not silent.
             if *reported & bit == 0 && (fault != Fault::None || silent && estimator.has_received(i)) {
                 *reported |= bit;
                 news.push((i, fault));

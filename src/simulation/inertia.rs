@@ -5,13 +5,13 @@ use crate::mechanism::coordinates::{legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, both};
 use crate::mechanism::{Mechanism, Pose};
 
-/// Motor axis to elbow.
+/// Vector from motor axis to elbow, m.
 #[inline]
 pub(super) fn proximal_arm(pose: &Pose) -> Legs2 {
     Legs2 { x: pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y }
 }
 
-/// The mass matrix of each leg, or its inverse.
+/// Mass matrix of each leg, kg·m², or its inverse.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mass {
     pub(super) proximal: Legs,
@@ -30,21 +30,21 @@ impl Mass {
     }
 }
 
-/// What of the mass matrix in the angles is constant.
+/// Constant part of the mass matrix in the link angles.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Inertia {
-    /// I_P + m_P a_P² + m_D l_P².
+    /// I_P + m_P a_P² + m_D l_P², kg·m².
     pub(super) proximal: Legs,
-    /// I_D + m_D a_D².
+    /// I_D + m_D a_D², kg·m².
     distal: Legs,
-    /// m_D l_P a_D: times the cosine and the sine of the angle between the links.
+    /// m_D l_P a_D, kg·m²: the coupling is its product with the cosine of the angle between the links.
     carried: Legs,
-    /// The determinant of M where the leg is stretched, a sum of positive terms; l_P × a_D adds its square times m_D².
+    /// Determinant of M of a stretched leg, kg²·m⁴, a sum of positive terms; (m_D l_P × a_D)² adds to it.
     pub(super) stretched: Legs,
 }
 
 impl Inertia {
-    /// Of a mechanism.
+    /// Constant part for a mechanism.
     pub(super) fn new(mechanism: &Mechanism) -> Self {
         let &Mechanism { mass_p, mass_d, inertia_p, inertia_d, a_p, b_p, a_d, .. } = mechanism;
         let (own, swung) = (inertia_p + mass_p * a_p * a_p, mass_d * (a_p + b_p) * (a_p + b_p));
@@ -57,13 +57,13 @@ impl Inertia {
         Mass { proximal: self.proximal, distal: self.distal, coupling: self.carried * pose.u_p.dot(pose.u_d) }
     }
 
-    /// m_D l_P × a_D: by what the square of one rate drives the other link.
+    /// m_D l_P × a_D, kg·m²: torque on the other link per square of a rate.
     #[inline]
     pub(super) fn centripetal(&self, pose: &Pose) -> Legs {
         self.carried * pose.u_p.cross(pose.u_d)
     }
 
-    /// M⁻¹: its adjugate over its determinant, in which nothing cancels with links of little inertia.
+    /// Inverse M⁻¹ as adjugate over determinant, without cancellation for links of little inertia.
     #[inline]
     pub(super) fn inverse(&self, pose: &Pose) -> Mass {
         let across = self.centripetal(pose);

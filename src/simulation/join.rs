@@ -1,14 +1,13 @@
-//! Mass that joins the tip, or leaves it, during a run.
+//! Impact of mass that joins the tip, or leaves it, during a run.
 //!
-//! In the link angles, with the tip at J_t ω: mass m that rests until it joins brings no momentum, and the impulses in the joints ι keep
-//! the loop closed,
+//! In the link angles, with tip velocity J_t ω: a mass m at rest brings no momentum, and the joint impulses ι keep the loop closed,
 //!
 //! ```text
 //! M₁ ω₁ + Φ_qᵀ ι = M₀ ω₀,   Φ_q ω₁ = 0,   M₁ = M₀ + m J_tᵀ J_t
 //! ```
 //!
-//! which is the perfectly inelastic impact: the kinetic energy that it takes is dissipated. Mass that moves with the tip brings
-//! m J_tᵀ J_t ω₀, and the motion goes on; so it does where mass leaves. Its energy is put in from outside, or taken out.
+//! which is the perfectly inelastic impact: the lost kinetic energy is dissipated. Mass that moves with the tip brings m J_tᵀ J_t ω₀, and
+//! mass that leaves takes that: rates do not change, and the energy counts as input work.
 
 use super::angles::{Angles, ByAngles, DISTAL, PLACES, PROXIMAL, angles_of};
 use super::five_bar::FiveBar;
@@ -19,15 +18,15 @@ use crate::mechanism::coordinates::{THETA, legs_of};
 use crate::mechanism::{Coordinates, closure};
 use crate::vector::Vector;
 
-/// What a change of parameters does at once.
+/// Discontinuity of the state by a change of parameters.
 pub(super) struct Jump {
-    /// Energy that it puts in and dissipates.
+    /// Input work and dissipated energy, J.
     pub(super) work: Work,
-    /// Coordinates, whose centre of mass is another one, and rates, where masses have changed.
+    /// Motion after a change of masses: the coordinates change with the centre of mass.
     pub(super) motion: Option<Motion>,
 }
 
-/// A motion in both coordinates.
+/// Coordinates, velocities, and rates of the links.
 pub(super) struct Motion {
     pub(super) q: Coordinates,
     pub(super) v: Coordinates,
@@ -35,7 +34,7 @@ pub(super) struct Motion {
 }
 
 impl Jump {
-    /// From one model to another in a present state.
+    /// Discontinuity between two models at the present state.
     #[cold]
     pub(super) fn new(present: &State, before: &Model, after: &Model, join: Join) -> Self {
         let potential = present.potential_energy(before);
@@ -58,7 +57,7 @@ impl Jump {
     }
 }
 
-/// Rates of the links after mass at rest has joined.
+/// Rates of the links after mass at rest has joined, rad/s.
 fn after_impact(present: &State, before: &Model, after: &Model) -> Angles {
     let State { core, inputs, turns, .. } = present;
     let (q, v) = (angles_of(&core.q), angles_of(&core.v));
@@ -67,7 +66,7 @@ fn after_impact(present: &State, before: &Model, after: &Model) -> Angles {
     let after_pose = pose(after);
     let factor = system.factor_mass(&after_pose, after.regularization);
     let (rates, _) = factor.solve(&before.inertia.mass(&pose(before)).times(&v), &Vector::ZERO);
-    // Once more for what the regularisation leaves of the closure.
+    // A second solve removes the closure rate that the regularisation leaves.
     let (correction, _) = factor.solve(&Angles::ZERO, &(Vector::ZERO - system.phi_q_times(&after_pose, &rates)));
     rates + correction
 }

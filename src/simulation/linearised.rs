@@ -1,11 +1,11 @@
-//! A scene as the estimator sees it: loads in the link angles, with their tangents.
+//! Generalised loads in the link angles with their tangents, for the estimator.
 //!
 //! ```text
 //! x = x(θ), T = ∂x/∂θ, ẋ = T ω           Q  = Tᵀ F
 //! K' = Tᵀ(K T + C ∂(Tω)/∂θ) − ∂Tᵀ/∂θ F   C' = Tᵀ C T
 //! ```
 //!
-//! F, K and C are the effects' own in the twelve coordinates: an effect is written once.
+//! F, K and C are the forces and tangents of the effects in the twelve coordinates; K' and C' are in the link angles.
 
 use super::five_bar::FiveBar;
 use super::inertia::proximal_arm;
@@ -17,7 +17,7 @@ use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_o
 use crate::mechanism::legs::Legs2;
 use crate::mechanism::{COORDINATES, Coordinates, Pose};
 
-/// The pose, and the twelve coordinates with their rates.
+/// Pose, and the twelve coordinates with their rates, of given link angles, rad, and rates, rad/s.
 #[inline(never)]
 fn placed(five_bar: &FiveBar<'_>, theta: &Links, omega: &Links) -> (Pose, [Coordinates; 2]) {
     let mechanism = &five_bar.model.mechanism;
@@ -43,7 +43,7 @@ fn placed(five_bar: &FiveBar<'_>, theta: &Links, omega: &Links) -> (Pose, [Coord
     (pose, [q, v])
 }
 
-/// Tᵀ F.
+/// Generalised force Tᵀ F, N·m.
 #[inline(never)]
 fn on_links(pose: &Pose, forces: &Coordinates) -> Links {
     let on_p = Legs2 { x: legs_of(forces, P_X), y: legs_of(forces, P_Y) };
@@ -54,11 +54,11 @@ fn on_links(pose: &Pose, forces: &Coordinates) -> Links {
     [p_left, d_left, d_right, p_right]
 }
 
-/// Takes tangents in the twelve coordinates into the link angles.
+/// Accumulates tangents of the twelve coordinates in the link angles.
 pub(super) struct ByLinks {
-    /// Rows of T: by its leg's proximal and distal angle.
+    /// Rows of T = ∂x/∂θ, with respect to the proximal and distal angle of the row's leg.
     rows: [[f64; 2]; COORDINATES],
-    /// Rows of ∂(Tω)/∂θ.
+    /// Rows of ∂(Tω)/∂θ, with respect to the proximal and distal angle of the row's leg.
     rates: [[f64; 2]; COORDINATES],
     pub(super) stiffness: [Links; 4],
     pub(super) damping: [Links; 4],
@@ -87,7 +87,7 @@ impl ByLinks {
     }
 }
 
-/// Adds value · left rightᵀ at the links of two coordinates.
+/// Adds value · left rightᵀ to the entries of the links that two coordinates depend on.
 fn add(to: &mut [Links; 4], (row, left): (usize, [f64; 2]), (column, right): (usize, [f64; 2]), value: f64) {
     // Coordinates of the left and the right leg alternate.
     for (i, left) in LEGS[row % 2].into_iter().zip(left) {
@@ -109,7 +109,7 @@ impl Tangents for ByLinks {
 }
 
 impl FiveBar<'_> {
-    /// The applied forces in the twelve coordinates, and their tangents in the link angles.
+    /// Applied forces in the twelve coordinates, N and N·m, and their tangents in the link angles.
     #[inline(never)]
     pub(super) fn tangents_by_links(&self, [q, v]: [&Coordinates; 2], pose: &Pose, omega: &Links) -> (Coordinates, ByLinks) {
         let forces = self.forces(q, pose, v);
@@ -119,7 +119,7 @@ impl FiveBar<'_> {
         for effect in &self.model.effects {
             effect.add_tangents(&at, &mut (&mut by_links as &mut dyn Tangents));
         }
-        // The arms turn with their links: −∂Tᵀ/∂θ F = a·F.
+        // Derivative of the arms: −∂Tᵀ/∂θ F = a·F.
         let on_p = Legs2 { x: legs_of(&forces, P_X), y: legs_of(&forces, P_Y) };
         let on_d = Legs2 { x: legs_of(&forces, D_X), y: legs_of(&forces, D_Y) };
         let proximal = (pose.a_p.dot(on_p) + proximal_arm(pose).dot(on_d)).to_array();

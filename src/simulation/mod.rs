@@ -1,7 +1,7 @@
-//! A scene made ready: constant [`Model`] and a [`Run`] under way; advances by internal steps.
+//! A simulation: the constant [`Model`] of a scene, and a [`Run`] that advances it by macro steps.
 //!
-//! Knows nothing of time, communication points and variables: a run is autonomous but for its inputs, which are held over each macro
-//! step.
+//! The module knows neither absolute time nor communication points nor FMI variables: a run is autonomous but for its inputs, which are
+//! held over each macro step.
 
 pub mod angles;
 mod correction;
@@ -44,7 +44,7 @@ pub use signal::{ORDERS, Signal};
 pub use state::{Core, State};
 pub use variation::{Direction, Variation};
 
-/// A scene made ready. A clone goes on by itself, to the same bits.
+/// A simulation of one scene. A clone continues independently, equal to the bit.
 #[derive(Clone, Debug)]
 pub struct Simulation {
     parameters: Parameters,
@@ -60,15 +60,15 @@ impl Simulation {
         Self::started(parameters, model, [q, v], inputs)
     }
 
-    /// The same for a run whose states, proximal angles and rates, come from outside ([`Simulation::drive`]).
+    /// Simulation for model exchange: proximal angles and rates are states that come from outside ([`Simulation::set_states`]).
     pub fn for_model_exchange(parameters: &Parameters, inputs: &Inputs) -> Result<Self, SceneError> {
         let model = Model::for_model_exchange(parameters)?;
         let (q, v) = mechanism::close(&model.mechanism.geometry, &parameters.start)?;
         Self::started(parameters, model, [q, v], inputs)
     }
 
-    /// The same from the angles (rad) and rates (rad/s) of all four links instead of `parameters.start`: also where the proximal
-    /// links alone leave the posture open (coinciding elbows). Refused unless they close the loop.
+    /// Simulation that starts from the angles (rad) and rates (rad/s) of all four links instead of `parameters.start`: also where the
+    /// proximal links alone leave the posture undetermined (coinciding elbows). Refused unless they close the loop.
     pub fn at(parameters: &Parameters, inputs: &Inputs, theta: [f64; 4], omega: [f64; 4]) -> Result<Self, SceneError> {
         let model = Model::new(parameters)?;
         let (q, v) = closure::assemble(&model.mechanism.geometry, theta, omega);
@@ -119,8 +119,8 @@ impl Simulation {
         self.run.advance(&self.model, inputs, MacroSteps { h, count: steps, open_ended: true })
     }
 
-    /// The same with inputs that change: each macro step holds what they are in its middle, so that the impulse of a ramp is exact and
-    /// the whole of second order in h.
+    /// `steps` macro steps of `h` seconds with inputs that change: each macro step holds their value at its middle, which makes the impulse
+    /// of a ramp exact and the motion of second order in h.
     #[inline(always)]
     pub fn advance_along(&mut self, signal: &Signal, h: f64, steps: u64) -> Result<(), StepFailure> {
         if signal.is_held() { self.advance(&signal.value, h, steps) } else { self.advance_changing(signal, h, steps) }
@@ -140,37 +140,37 @@ impl Simulation {
         Ok(())
     }
 
-    /// What it was made ready from, with the effects' parameters in force.
+    /// Parameters of the scene, with the tunable effects' parameters in force.
     pub fn parameters(&self) -> &Parameters {
         &self.parameters
     }
 
-    /// The constant part.
+    /// Constant part of the simulation.
     pub fn model(&self) -> &Model {
         &self.model
     }
 
-    /// The part that changes.
+    /// Part of the simulation that changes.
     pub fn run(&self) -> &Run {
         &self.run
     }
 
-    /// The inputs that the last step held, or the start.
+    /// Inputs that the last step held; before the first step those of the start.
     pub fn inputs(&self) -> &Inputs {
         &self.run.inputs
     }
 
-    /// What holds now; q̈ and λ belong to the inputs of the last step.
+    /// Present state; q̈ and λ belong to the inputs of the last step.
     pub fn state(&self) -> State {
         self.state_for(&self.run.inputs)
     }
 
-    /// What holds now, with the q̈ and λ that belong to some inputs.
+    /// Present state, with the q̈ and λ that belong to `inputs`.
     pub fn state_for(&self, inputs: &Inputs) -> State {
         self.run.state(&self.model, inputs)
     }
 
-    /// What the integrator has done since the start.
+    /// Counters of the integrator since the start.
     pub fn counters(&self) -> Counters {
         match &self.run.integrator {
             IntegratorState::MacroStepped(core, _) => core.counters,
@@ -180,7 +180,7 @@ impl Simulation {
         }
     }
 
-    /// Steps of the conserving method by the last rung of its ladder.
+    /// Number of steps that the conserving method took by its last fallback stage.
     #[inline(always)]
     pub fn fallbacks(&self) -> u64 {
         match &self.run.integrator {
@@ -189,13 +189,13 @@ impl Simulation {
         }
     }
 
-    /// Singularities met since the start; see [`Counters::singular`].
+    /// Number of singularities met since the start; see [`Counters::singular`].
     pub fn singular(&self) -> [u64; CONFIGURATION_SIGNS + 2] {
         self.counters().singular()
     }
 
-    /// Gives the active effects new parameters from now on; what that adds to the potential energy counts as input. Which effects
-    /// are active stays. A payload of another mass joins as its parameters say. On refusal nothing has changed.
+    /// Gives the active effects new parameters from now on; the resulting change of potential energy counts as input work. The set of
+    /// active effects stays. A payload of another mass joins according to its parameters. A refusal changes nothing.
     pub fn tune(&mut self, parameters: &effects::Parameters) -> Result<(), SceneError> {
         let mut model = self.model.clone();
         let tuned = Parameters { effects: parameters.clone(), ..self.parameters.clone() };
@@ -209,7 +209,7 @@ impl Simulation {
         Ok(())
     }
 
-    /// Keeps parameters of the estimator, which its motion does not depend on.
+    /// Stores parameters of the estimator, on which the motion of this simulation does not depend.
     pub fn tune_estimator(&mut self, parameters: &estimator::Parameters) {
         self.parameters.estimator = parameters.clone();
     }

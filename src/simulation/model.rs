@@ -1,4 +1,4 @@
-//! The constant part of a scene made ready, and what it is made from.
+//! Parameters of a scene, and the constant [`Model`] made from them: mechanism, active effects, linear solver, settings of the method.
 
 use arrayvec::ArrayVec;
 
@@ -11,80 +11,80 @@ use crate::integrator::{MacroStepMethod, dense, i3alp_conserving};
 use crate::linear::{LinearSolve, LinearSolver};
 use crate::mechanism::{Assembly, Coordinates, Geometry, Mechanism, SceneError, Start};
 
-/// Everything that defines a scene, before it is made ready.
+/// Parameters that define a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
-    /// The mechanism.
+    /// Geometry and masses of the mechanism.
     pub geometry: Geometry,
-    /// Where it starts.
+    /// Initial angles and rates.
     pub start: Start,
-    /// How it is integrated.
+    /// Settings of the solver.
     pub settings: Settings,
-    /// What acts on it.
+    /// Parameters of the effects.
     pub effects: effects::Parameters,
-    /// How it follows measurements.
+    /// Parameters of the estimator.
     pub estimator: estimator::Parameters,
 }
 
-/// The integrator with the settings it reads.
+/// Integration scheme with its settings.
 #[derive(Clone, Copy, Debug)]
 pub enum Stepper {
-    /// Steps end with the macro step.
+    /// Fixed or divided steps that end with the macro step.
     MacroStep(MacroStepMethod),
-    /// Error control in the link angles: steps run past it.
+    /// Error control in the link angles: steps run past the macro step, whose end is interpolated.
     Dense(dense::Settings),
-    /// Strictly fixed steps that conserve.
+    /// Strictly fixed steps that conserve energy.
     Conserving(i3alp_conserving::Settings),
-    /// None: the proximal angles and rates come from outside, the others follow in this assembly.
+    /// No integrator: proximal angles and rates come from outside; the distal ones follow in this assembly.
     ModelExchange(Assembly),
 }
 
-/// The constant part of a scene made ready.
+/// Constant part of a simulation.
 #[derive(Clone, Debug)]
 pub struct Model {
-    /// The mechanism by legs.
+    /// Mechanism, stored by legs.
     pub mechanism: Mechanism,
     /// Constant generalised force of the active effects, N and N·m.
     pub weight: Coordinates,
-    /// The active effects whose forces depend on the motion, and no others; those with masses are in the mechanism.
+    /// Active effects whose force depends on the motion; constant forces are in `weight`, added masses in `mechanism`.
     pub effects: Active,
     /// Names of all active effects.
     pub effect_names: ArrayVec<&'static str, { effects::NAMES.len() }>,
     /// Whether all forces have a potential.
     pub conservative: bool,
-    /// Whether any has kinks that a method may follow.
+    /// Whether any effect has events that a method may locate.
     pub has_events: bool,
-    /// The least change of a joint's rate that turns a force round, rad/s.
+    /// Smallest change of a joint's rate over which the force of any effect reverses, rad/s.
     pub(super) regularization_velocity: f64,
-    /// Whether any has one-sided springs.
+    /// Whether any effect has unilateral springs.
     pub(super) may_make_contact: bool,
-    /// Whether any has dry friction that sticks.
+    /// Whether any effect has set-valued dry friction (stick-slip).
     pub(super) sticks: bool,
     /// Local error allowed per sub-step, rad.
     pub(super) error_tolerance: f64,
-    /// Whether the force of any changes steeply in places.
+    /// Whether any effect has a force that changes steeply somewhere.
     pub has_stiff_forces: bool,
-    /// Whether any bends sharply without a kink, and none has dry friction that sticks.
+    /// Whether any effect has a sharp nonlinearity without an event, while none has stick-slip friction.
     pub(super) has_sharp_nonlinearity: bool,
-    /// The inertias by which the conserving method judges how stiff a force is.
+    /// Inertias by which the conserving method judges the stiffness of a force.
     pub(super) typical_inertia: TypicalInertia,
     /// Whether an active effect reads the servo references.
     pub has_servo: bool,
-    /// The linear solve that the scene needs.
+    /// Linear solver that the scene needs.
     pub solver: LinearSolver,
-    /// The mass matrix in the link angles.
+    /// Constant part of the mass matrix in the link angles.
     pub(super) inertia: Inertia,
-    /// How its weight acts in them.
+    /// Acceleration under the weight alone, in the link angles.
     pub(super) falling: Falling,
-    /// What round-off in Φ is proportional to, m.
+    /// Length to which round-off in Φ is proportional, m.
     pub length_scale: f64,
     /// e of the saddle-point systems outside the printed method, 1/kg.
     pub regularization: f64,
-    /// The same in the link angles.
+    /// e of the saddle-point systems in the link angles, in units of Φ_q M⁻¹ Φ_qᵀ.
     pub(super) regularization_by_angles: f64,
-    /// Most Newton iterations.
+    /// Largest number of Newton iterations.
     pub(super) max_iterations: u32,
-    /// The integrator.
+    /// Integration scheme.
     pub stepper: Stepper,
 }
 
@@ -129,7 +129,7 @@ impl Model {
         })
     }
 
-    /// The same for a run whose angles and rates come from outside: `solver.method` is not used.
+    /// Model of a simulation for model exchange: `solver.method` is not used.
     pub fn for_model_exchange(parameters: &Parameters) -> Result<Self, SceneError> {
         if let Some(name) = sticking_law(&parameters.effects) {
             return Err(SceneError(format!(
@@ -146,7 +146,7 @@ impl Model {
         self.effects.is_empty() && self.solver.linear_solve() == LinearSolve::TwoLeg
     }
 
-    /// Settings of the steps in the link angles.
+    /// Settings of the error-controlled methods in the link angles.
     pub(super) fn dense_settings(&self) -> &dense::Settings {
         match &self.stepper {
             Stepper::Dense(settings) => settings,
@@ -156,7 +156,7 @@ impl Model {
         }
     }
 
-    /// Gives the active effects new parameters; the list of effects stays. Whether that changed anything; on refusal nothing has.
+    /// Gives the active effects new parameters; the set of effects stays. Returns whether anything has changed; a refusal changes nothing.
     pub fn tune(&mut self, in_force: &effects::Parameters, tuned: &Parameters) -> Result<bool, SceneError> {
         let parameters = &tuned.effects;
         let geometry = parameters.with_added_masses(&tuned.geometry)?;
@@ -187,12 +187,12 @@ impl Model {
         Ok(changed)
     }
 
-    /// Potential energy of the active effects, J; 0 of their constant force at the left motor axis.
+    /// Potential energy of the active effects, J; that of their constant force is 0 at the left motor axis.
     pub fn potential(&self, at: &ForceContext) -> f64 {
         self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - at.q.dot(&self.weight)
     }
 
-    /// The generalised forces of the effects whose work is put in.
+    /// Generalised force of the servos, whose work counts as input, N and N·m.
     pub(super) fn drive_forces(&self, at: &ForceContext) -> Coordinates {
         let mut forces = Coordinates::ZERO;
         self.effects
@@ -202,19 +202,19 @@ impl Model {
         forces
     }
 
-    /// How it changes, J.
+    /// First-order change of the potential energy, J.
     pub fn potential_change(&self, at: &ForceContext, change: &Perturbation) -> f64 {
         self.effects.iter().map(|effect| effect.potential_change(at, change)).sum::<f64>() - change.q.dot(&self.weight)
     }
 
-    /// Whether two inputs are the same as far as they act: without servos their references do not.
+    /// Whether two inputs act equally; servo references are ignored in the absence of servos.
     #[inline(always)]
     pub fn same_active_inputs(&self, a: &Inputs, b: &Inputs) -> bool {
         a.same_loads(b) && (!self.has_servo || a.same_references(b))
     }
 }
 
-/// The refusal of a payload with which inertias are further apart than the linear solve of a run takes, with how far it may go.
+/// Refusal of a payload whose inertia ratio exceeds the range of the linear solve of this run; names the mass that is still allowed.
 #[cold]
 fn too_far_apart(in_force: &effects::Parameters, tuned: &Parameters) -> SceneError {
     let wanted = tuned.effects.payload.mass;
@@ -233,22 +233,22 @@ fn too_far_apart(in_force: &effects::Parameters, tuned: &Parameters) -> SceneErr
     ))
 }
 
-/// Halvings of an interval of masses: to six digits, from a million times as much.
+/// Bisections of the mass interval: 40 give six digits over a range of a million to one.
 const BISECTIONS: usize = 40;
 
-/// e of the explicit method in the link angles, in multiples of 1 over the mean mass: no more than round-off makes of a singular
-/// Φ_q M⁻¹ Φ_qᵀ. A larger one, say 1e-14, falsifies passes close to a vertex.
+/// e of the error-controlled methods in the link angles, relative to 1 over the mean mass: no more than the round-off of a singular Φ_q M⁻¹
+/// Φ_qᵀ, because 1e-14 already falsifies passages close to a vertex.
 const RANK_LOSS: f64 = 1e-20;
-/// The same with coaxial motors, where rank is lost along any line and no gate helps: what is on none of the branches that `ClosureBranch` knows
-/// must pass softly.
+/// e in the link angles for coaxial motors, relative to 1 over the mean mass: larger, because rank is lost along whole lines of
+/// configurations and a motion on none of the known closure branches needs bounded joint forces there.
 const COAXIAL: f64 = 1e-10;
 
-/// The least change of a joint's rate by which a force of any effect turns round, rad/s.
+/// Smallest change of a joint's rate over which the force of any effect reverses, rad/s.
 fn regularization_velocity(effects: &Active) -> f64 {
     effects.iter().map(Effect::regularization_velocity).fold(f64::INFINITY, f64::min)
 }
 
-/// Whether any effect bends sharply, and none has dry friction that sticks.
+/// Whether any effect has a sharp nonlinearity, while none has stick-slip friction.
 fn has_sharp_nonlinearity(effects: &Active) -> bool {
     effects.iter().any(Effect::has_sharp_nonlinearity) && !effects.iter().any(Effect::sticks)
 }

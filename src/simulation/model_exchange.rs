@@ -1,7 +1,8 @@
-//! A run whose angles and rates come from outside: the proximal ones are the states of a model that a master integrates.
+//! Model exchange: proximal angles and rates are continuous states that a master integrates.
 //!
-//! The rest of the motion follows from them, in the assembly of the start. They are coordinates but in direct singularities, where such a
-//! run ends. Where the distal links have turned by more than half a turn between two completed steps, whole turns of their angles are lost.
+//! Distal angles and rates follow from the closure in the assembly of the start. The states are coordinates except in direct singularities,
+//! where such a run ends. Whole turns of the distal angles are counted from the last completed step, as long as they turn by less than half
+//! a turn between two completed steps.
 
 use std::f64::consts::TAU;
 
@@ -19,26 +20,26 @@ use crate::mechanism::{Assembly, SceneError, Start, closure};
 /// Number of states: the proximal angles, rad, left and right, and their rates, rad/s.
 pub const STATES: usize = 4;
 
-/// Where the master has put the machine.
+/// States set by the master, with the motion that follows from them.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct ModelExchangeState {
     /// Angles of links 1 to 4, rad.
     theta: [f64; 4],
-    /// Their rates, rad/s.
+    /// Rates of links 1 to 4, rad/s.
     omega: [f64; 4],
-    /// Angles of the distal links at the last completed step, rad: whole turns are counted from there.
+    /// Angles of the distal links at the last completed step, rad: the reference for counting whole turns.
     completed: [f64; 2],
-    /// What changes of the payload have put in and lost.
+    /// Work put in and dissipated by changes of the payload, J.
     work: Work,
 }
 
 impl ModelExchangeState {
-    /// At these angles and rates of links 1 to 4.
+    /// Starts at these angles, rad, and rates, rad/s, of links 1 to 4.
     pub(super) fn start(theta: [f64; 4], omega: [f64; 4]) -> Self {
         Self { theta, omega, completed: [theta[1], theta[2]], work: Work::default() }
     }
 
-    /// The run with other states; refused where they are no coordinates.
+    /// Run with other states; refused in a direct singularity.
     pub(super) fn moved(&self, model: &Model, assembly: Assembly, states: [f64; STATES]) -> Result<Self, SceneError> {
         let [left, right, left_rate, right_rate] = states;
         let start = Start { theta: [left, right], omega: [left_rate, right_rate], assembly };
@@ -49,12 +50,12 @@ impl ModelExchangeState {
         Ok(Self { theta, omega, ..self.clone() })
     }
 
-    /// The master has accepted a step that ends here.
+    /// Completes an integrator step: the master has accepted the present states.
     pub(super) fn complete(&mut self) {
         self.completed = [self.theta[1], self.theta[2]];
     }
 
-    /// Rates change at once, where they are given, and some work is done.
+    /// Changes the rates, where given, and adds work, J.
     pub(super) fn jump(&mut self, work: Work, rates: Option<Angles>) {
         self.work += work;
         if let Some(rates) = rates {
@@ -62,14 +63,14 @@ impl ModelExchangeState {
         }
     }
 
-    /// What holds, with the q̈ and λ that belong to some inputs.
+    /// Present state, with the q̈ and λ that belong to `inputs`.
     pub(super) fn core(&self, model: &Model, inputs: &Inputs) -> Core {
         let (q, v) = closure::assemble(&model.mechanism.geometry, self.theta, self.omega);
         let core = Core::start(&FiveBar::<false>::new(model, inputs, &[0; 4]), q, v, model.regularization);
         Core { work: self.work, ..core }
     }
 
-    /// Refuses a run that is none of this model.
+    /// Refuses a run that is inconsistent with this model.
     pub(super) fn check(&self, model: &Model, inputs: &Inputs, bounds: &Bounds) -> Result<(), Inconsistency> {
         if !self.completed.iter().all(|angle| angle.is_finite()) {
             return Err("an angle is not finite");
@@ -78,17 +79,17 @@ impl ModelExchangeState {
     }
 }
 
-/// Of a run made by [`Simulation::for_model_exchange`].
+/// Calls for a simulation made by [`Simulation::for_model_exchange`].
 impl Simulation {
-    /// Puts the machine to these states: the proximal angles, rad, left and right, and their rates, rad/s. Refused, with everything as
-    /// before, where they are no coordinates.
+    /// Sets the states: proximal angles, rad, left and right, and their rates, rad/s. Refused, with everything unchanged, in a direct
+    /// singularity.
     pub fn set_states(&mut self, states: [f64; STATES]) -> Result<(), SceneError> {
         let (model, assembly, for_model_exchange) = self.model_exchange_parts();
         *for_model_exchange = for_model_exchange.moved(model, assembly, states)?;
         Ok(())
     }
 
-    /// A step that ends at the present states under these inputs has been accepted.
+    /// Completes an integrator step at the present states under these inputs.
     pub fn complete(&mut self, inputs: &Inputs) {
         self.model_exchange_parts().2.complete();
         self.run.inputs = *inputs;

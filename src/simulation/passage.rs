@@ -1,13 +1,13 @@
-//! Through a vertex of the configuration space, where the constraints lose rank and branches cross (`docs/vertices.md`).
+//! Passage through a vertex of the configuration space, where the constraints lose rank and branches cross (`docs/vertices.md`).
 //!
-//! A motion that comes within [`PassageLimits::radius`] of a vertex on a ray through it (missing it by less than the impact parameter)
-//! goes straight on along the ray, a line on the tangent cone, to the other side of the ball: there and only there the equations of
-//! motion do not say where it goes, and continuing straight is its physical continuation. A motion that misses the vertex by more is
-//! resolved and turns. On the way in, steps become a geometric sequence, so that no step jumps over a vertex unseen. From rest exactly
-//! in a vertex the motion starts along the branch of least constraint (Gauss).
+//! A motion within [`PassageLimits::radius`] of a vertex whose impact parameter is below the limit continues straight along the ray, a line
+//! on the tangent cone, to the other side of the ball: only there the equations of motion do not determine the acceleration, and the
+//! straight line is the physical continuation. A motion with a larger impact parameter is integrated and turns. Before the ball, steps form
+//! a geometric sequence, so that no step jumps over a vertex. From rest exactly in a vertex the motion starts along the branch of least
+//! constraint (Gauss).
 //!
-//! All of it is in the four link angles. Nothing here changes a state: [`ByAngles::approach`] decides, and says where a straight motion
-//! ends.
+//! All quantities are in the four link angles. No function here changes a state: [`ByAngles::approach`] decides, and returns the end of a
+//! straight motion.
 
 use std::borrow::Borrow;
 
@@ -20,55 +20,56 @@ use crate::integrator::{
 };
 use crate::mechanism::{COORDINATES, Coordinates};
 
-/// Below these offsets (rad) and rates (rad/s) a state is exactly in a vertex, or on a ray, and at rest.
+/// Offset from a vertex, rad, and rate, rad/s, below which a state is exactly in the vertex and at rest.
 const AT_REST: f64 = 1e-9;
 
-/// Closer than this, rad, energy is kept by scaling the velocity.
+/// Distance from a vertex below which the velocity is scaled to conserve energy, rad.
 const CLOSE: f64 = 1e-2;
 
-/// By how much e is smaller near a vertex.
+/// Factor of e near a vertex.
 pub(super) const REGULARIZATION: f64 = 1e-4;
 
-/// A motion on a ray is caught when it enters the ball: the steps on the way in leave at least this part of its radius. Deeper
-/// inside, a motion that points at the vertex is one that is turning around it.
+/// Smallest distance, relative to the radius, at which a ray is caught on its way in: the geometric sequence of steps leaves that much.
+/// Further inside, a motion towards the vertex is one that turns around it.
 const ENTRY: f64 = 0.2;
 
-/// Nearer than this, rad, round-off is not taken to be larger still (no error passes unseen), and nothing is projected.
+/// Distance from a vertex, rad, below which round-off is not assumed to grow further (so that errors stay visible) and no projection is
+/// done.
 const NEAREST: f64 = 1e-5;
 
-/// Largest part of the kinetic energy by which a step close to a vertex may be off before it is put right.
+/// Largest relative energy error of a step close to a vertex that scaling of the velocity may correct; a larger one fails the step.
 const ENERGY_CHANGE: f64 = 0.01;
 
-/// Largest part of it by which the power over a step of high order may vary for that.
+/// Largest variation of the power over a step of high order, relative to the kinetic energy, for which the energy is corrected.
+/// Distance from all links in line, rad, below which the twelve coordinates may fail with coaxial motors.
 const VARIED: f64 = 1e-6;
-/// With coaxial motors, nearer than this to a posture with all links in line, rad, the twelve coordinates may fail.
 const NEAR_BIFURCATION: f64 = 1e-2;
 
-/// Most evaluations of the way past it.
+/// Largest number of evaluations of a step past a bifurcation of the closure.
 const MOST_WORK: u32 = 20_000;
 
-/// A kinetic energy below this part of the others is lost in their round-off.
+/// Kinetic energy, relative to the other energies, below which it is lost in their round-off.
 const LOST: f64 = 1e-9;
 
-/// Round-off of an angle at distance 1 from a vertex, rad (errors of up to some 10 ε / distance are seen): ε divided by the smallest
-/// singular value of Φ_q relative to its largest, which is proportional to the distance.
+/// Round-off of an angle at distance 1 from a vertex, rad: ε over the smallest singular value of Φ_q relative to its largest, which is
+/// proportional to the distance; observed are up to some 10 ε / distance.
 const ANGULAR_ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
-/// Most rounds in which the time along a ray and the acceleration on the way settle.
+/// Largest number of iterations for the duration of a ray and its mean acceleration: they converge in a few.
 const ROUNDS: u32 = 20;
 
-/// A straight motion through the ball: one-dimensional, with the acceleration that the forces have along it.
+/// A straight motion through the ball: one-dimensional, with the acceleration of the forces along it.
 struct Ray {
-    /// The vertex.
+    /// Angles of the vertex, rad.
     vertex: Angles,
-    /// Displacement from the vertex that the motion misses it by, kept on the way.
+    /// Offset of the ray from the vertex, rad, kept during the passage.
     aside: Angles,
     direction: Angles,
-    /// Place along the direction, 0 next to the vertex, rad.
+    /// Position along the direction, rad; 0 next to the vertex.
     position: f64,
     speed: f64,
     acceleration: f64,
-    /// How long it takes to leave the ball, s; infinite if forces that fall with the speed stop it before.
+    /// Time until the motion leaves the ball, s; infinite if dissipative forces stop it before.
     duration: f64,
 }
 
@@ -76,7 +77,7 @@ impl Passage<ANGLES> for ByAngles<'_> {
     #[inline]
     fn approach(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>) -> Approach<ANGLES> {
         match self.offset(from.q) {
-            // What friction holds there stays.
+            // At rest by friction there is no passage.
             Some(_) if self.is_at_rest() => Approach::Clear,
             Some(offset) => self.near(limits, from, offset),
             None => Approach::Clear,
@@ -113,8 +114,8 @@ impl Passage<ANGLES> for ByAngles<'_> {
 }
 
 impl ByAngles<'_> {
-    /// What scales rates to the energy: by little, or the step has failed. 1 where so little energy is involved that it is lost in
-    /// round-off, or so much is lost or put in, by a power that varies by more, that the trapezoidal rule says less than the step itself.
+    /// Factor of the rates that restores the energy balance; an error where it differs too much from 1. It is 1 where the kinetic energy is
+    /// lost in round-off, and where the work is too large or its power varies too much for the trapezoidal rule to be better than the step.
     fn energy_scale_unless(&self, varied: f64, before: &EnergyBalance, [q, v]: [&Angles; 2], h: f64) -> Result<f64, StepError> {
         let [kinetic, potential, power] = self.energies(q, v);
         let (work, varies) = (h / 2.0 * (before.power + power), h * (power - before.power).abs() > varied * kinetic);
@@ -125,8 +126,8 @@ impl ByAngles<'_> {
         if part.abs() > ENERGY_CHANGE { Err(StepError::EnergyChange { part }) } else { Ok((1.0 + part).sqrt()) }
     }
 
-    /// Where a motion on a branch of the closure is h seconds later, if that is near to where branches meet: by steps in the angles, for
-    /// which it is a place like any other. In the twelve coordinates.
+    /// Step of h seconds along a closure branch near a bifurcation, integrated in the angles, where it is no special configuration.
+    /// Returned in the twelve coordinates.
     #[cold]
     #[inline(never)]
     fn along_branch(&self, [q, v]: [Angles; 2], h: f64) -> Option<Transit<COORDINATES>> {
@@ -154,7 +155,7 @@ impl ByAngles<'_> {
         Some(Transit { q: x, v: rates, duration: h, on_ray: false, passed: false, from_rest: None, known: Some((a, sample.work)) })
     }
 
-    /// What a vertex at this offset makes of the next step.
+    /// Passage, or step limits, near a vertex at this offset.
     #[cold]
     #[inline(never)]
     fn near(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>, offset: Angles) -> Approach<ANGLES> {
@@ -181,7 +182,7 @@ impl ByAngles<'_> {
             let ahead = -position / speed;
             return limited(if ahead > 0.0 && impact_parameter < 0.1 * distance { 0.75 * ahead } else { f64::INFINITY });
         }
-        // Inside the ball: on a ray from outside, from the vertex itself, or interrupted by the end of a macro step.
+        // Inside the ball: on a ray from outside, from the vertex itself, or continued after the end of a macro step.
         let reach = (limits.radius * limits.radius - impact_parameter * impact_parameter).max(0.0).sqrt();
         let entering = position < -ENTRY * limits.radius;
         let starting = position > -AT_REST && position < 0.5 * reach && impact_parameter < AT_REST;
@@ -192,7 +193,7 @@ impl ByAngles<'_> {
         let Some((acceleration, duration)) = self.along(from.q, &direction, [position, reach, speed], rest) else {
             return limited(f64::INFINITY);
         };
-        // What forces across the ray could do meanwhile must stay below the impact parameter. A start from rest is on its branch already.
+        // The displacement by forces across the ray must stay below the impact parameter. A start from rest is on its branch already.
         let (pull, _) = equilibrium(self, from.q, &Angles::ZERO, self.regularization_by_angles());
         if !from.on_ray && 0.5 * self.error_norm(&pull) * duration * duration > limits.impact_parameter {
             return limited(f64::INFINITY);
@@ -201,7 +202,7 @@ impl ByAngles<'_> {
         self.transit(from, &ray, rest).map_or(Approach::Limited(StepLimits::NONE), Approach::Passed)
     }
 
-    /// From rest in a vertex: along the branch of least constraint, or not at all.
+    /// Departure from rest in a vertex: along the branch of least constraint, or none.
     fn leave_from_rest(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>, offset: Angles) -> Approach<ANGLES> {
         let rest = self.rest(limits, from);
         let branch = self.branch_of_least_constraint(from.q);
@@ -218,15 +219,16 @@ impl ByAngles<'_> {
         })
     }
 
-    /// How long a straight motion may be, s.
+    /// Longest duration of a straight motion, s.
     fn rest(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>) -> f64 {
         if self.model().conservative { from.rest } else { from.rest.min(limits.longest_with_dissipation) }
     }
 
-    /// Along a ray, out of the ball or as far as `rest` seconds go. Inside the ball nothing is projected: Φ is met to the order of impact
-    /// parameter × radius, and near the rank loss a projection would divide round-off by the smallest singular value.
+    /// Motion along a ray to the boundary of the ball, or for `rest` seconds. Inside the ball nothing is projected: Φ holds to the order of
+    /// impact parameter × radius, and near the rank loss a projection would divide round-off by the smallest singular value.
     ///
-    /// `None` where leaving the ball would change the energy, or stops and planes take much of it: then the motion is on no ray.
+    /// `None` where leaving the ball would change the energy, or where unilateral springs take a large part of it: such a motion is on no
+    /// ray.
     fn transit(&self, from: &Departure<'_, ANGLES>, ray: &Ray, rest: f64) -> Option<Transit<ANGLES>> {
         let &Ray { vertex, aside, direction, position, speed, acceleration, .. } = ray;
         let (duration, leaves) = (ray.duration.min(rest), ray.duration <= rest);
@@ -237,7 +239,7 @@ impl ByAngles<'_> {
             let (_, pose) = self.projection().position(self, &mut q).ok()?;
             v += velocity_correction(self, &pose, &self.factor_mass(&pose, self.regularization_by_angles()), &v);
         }
-        // The rate along the ray is known from the energy better than from the acceleration, which was taken as constant.
+        // The energy determines the rate along the ray better than the acceleration, which was taken as constant.
         let before = self.energy_balance(from.q, from.v);
         let scale = self.energy_scale_unless(f64::INFINITY, &before, [&q, &v], duration).ok()?;
         let [kinetic, _, power] = self.energies(&q, &v);
@@ -248,15 +250,15 @@ impl ByAngles<'_> {
         Some(Transit { q, v: scale * v, duration, on_ray: !leaves, passed, from_rest: None, known: None })
     }
 
-    /// Mean acceleration along a ray from a position to where it leaves the ball, at a speed, and the time that takes, s; infinite if
-    /// forces that fall with the speed stop the motion on the way, `None` if others turn it round.
+    /// Mean acceleration along a ray until it leaves the ball, rad/s², and the time that takes, s; infinite if dissipative forces stop the
+    /// motion inside, `None` if other forces reverse it.
     fn along(&self, q: &Angles, direction: &Angles, [position, reach, speed]: [f64; 3], rest: f64) -> Option<(f64, f64)> {
         let acceleration_at = |speed: f64| self.acceleration_along(q, direction, speed);
         let mut acceleration = acceleration_at(speed);
         if self.model().conservative {
             return Some((acceleration, time_to_bifurcation(reach, position, speed, acceleration)?));
         }
-        // Friction may be stiff: the implicit Euler rule a = f(v + a t), by bisection between 0 and f(v), for the time that follows from a.
+        // Friction may be stiff: implicit Euler rule a = f(v + a t), by bisection between 0 and f(v), over the time that follows from a.
         let at_start = acceleration;
         let (mut duration, mut last) = (f64::INFINITY, f64::NAN);
         for _ in 0..ROUNDS {
@@ -276,7 +278,7 @@ impl ByAngles<'_> {
         Some((acceleration, duration))
     }
 
-    /// Acceleration that the forces have along a direction on the cone, at a speed along it.
+    /// Acceleration of the forces along a direction on the tangent cone, rad/s², at a speed along it, rad/s.
     fn acceleration_along(&self, q: &Angles, direction: &Angles, speed: f64) -> f64 {
         let pose = self.pose(q);
         self.forces(q, &pose, &(speed * *direction)).dot(direction) / self.mass_times(&pose, direction).dot(direction)
@@ -287,26 +289,26 @@ impl ByAngles<'_> {
         EnergyBalance { energy: kinetic + potential, power }
     }
 
-    /// Onto the closure, as far as round-off lets it.
+    /// Projection onto the closure down to round-off.
     fn projection(&self) -> Projection {
         let model = self.model();
         Projection::to_round_off(model.length_scale, self.regularization_by_angles(), model.max_iterations)
     }
 }
 
-/// How far the links are from being in line, along any line: the left leg straight, and the right one along it.
+/// Distance from all links in line: sines of the left elbow's angle and of the angle between the proximal links, the larger one.
 fn angle_to_bifurcation(q: &Angles) -> f64 {
     let [left, elbow, _, right] = PLACES;
     f64::max(libm::sin(q[elbow] - q[left]).abs(), libm::sin(q[right] - q[left]).abs())
 }
 
-/// First time at which position + speed t + acceleration t²/2 reaches `reach`, if ever.
+/// First time at which position + speed t + acceleration t²/2 equals `reach`, s, if any.
 fn time_to_bifurcation(reach: f64, position: f64, speed: f64, acceleration: f64) -> Option<f64> {
     let discriminant = speed * speed + 2.0 * acceleration * (reach - position);
     (discriminant > 0.0).then(|| 2.0 * (reach - position) / (speed + discriminant.sqrt())).filter(|time| *time > 0.0)
 }
 
-/// The same in the twelve coordinates: each leg is built up from its motor axis.
+/// Passage in the twelve coordinates: mapped to the link angles and back.
 impl<const BARE: bool> Passage<COORDINATES> for FiveBar<'_, BARE> {
     #[inline]
     fn approach(&self, limits: &PassageLimits, from: &Departure<'_, COORDINATES>) -> Approach<COORDINATES> {

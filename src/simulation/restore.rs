@@ -1,4 +1,4 @@
-//! Whether a run that comes from outside is one of a scene with these parameters.
+//! Consistency checks of a stored run with the model and parameters that it is restored under.
 
 use super::angles::ByAngles;
 use super::five_bar::FiveBar;
@@ -11,15 +11,15 @@ use crate::effects::{Mode, StickSlips};
 use crate::integrator::{Bounds, Inconsistency};
 use crate::mechanism::{Coordinates, SceneError};
 
-/// Constraints hold to this part of the machine's size, or to some times what the solver is told to allow.
+/// Tolerance of the constraints, relative to the machine's size, unless the solver's tolerance allows more.
 const CLOSED: f64 = 1e-10;
-/// The same for the printed method, whose Newton loop stops at 1e-8.
+/// Tolerance of the constraints for the printed method, relative: its Newton iteration stops at 1e-8.
 const PRINTED: f64 = 1e-7;
-/// Rates meet the constraints to this part of their largest term, also next to a vertex; those of the printed method are projected once,
-/// by a finite penalty, which leaves a sixth of them where steps are short.
+/// Tolerances of the constraint rates, relative to their largest term: of all methods but one, also next to a vertex; and of the printed
+/// method, whose finite penalty leaves a sixth of them in short steps.
 const CLOSED_RATES: [f64; 2] = [1e-5, 0.5];
 impl Run {
-    /// Refuses a run that is none of this model.
+    /// Refuses a run that is inconsistent with this model.
     pub(super) fn check(&self, model: &Model, parameters: &Parameters) -> Result<(), SceneError> {
         let Self { turns, inputs, energy_at_start, integrator } = self;
         if !inputs.are_finite() || !energy_at_start.is_finite() {
@@ -47,7 +47,7 @@ impl Run {
     }
 }
 
-/// Refuses grips that do what those of a state cannot.
+/// Refuses stick-slip states that are impossible in a state.
 pub(super) fn check_stick_slip(
     model: &Model,
     system: &FiveBar<'_>,
@@ -62,7 +62,7 @@ pub(super) fn check_stick_slip(
     if possible { Ok(()) } else { Err("its stick-slip states do not fit its rates and loads") }
 }
 
-/// What the method holds its constraints and equilibrium to.
+/// Tolerances to which the method keeps constraints and equilibrium.
 fn bounds(model: &Model, settings: &Settings) -> Bounds {
     let e = model.regularization;
     let regularizations = [e, REGULARIZATION * e];

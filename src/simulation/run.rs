@@ -1,4 +1,4 @@
-//! A run under way, by either kind of method: steps end with the call, or a step runs past it.
+//! A run under way: inputs, whole turns and integrator state, by macro steps, with dense output, conserving, or for model exchange.
 
 use std::fmt;
 
@@ -18,38 +18,38 @@ use crate::linear::cut_loop::CUT_UNKNOWNS;
 use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{COORDINATES, Coordinates};
 
-/// Everything that changes during a run. A copy is a complete snapshot.
+/// Changing part of a simulation. A copy is a complete snapshot.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Run {
-    /// Whole turns of links 1 to 4 that the angles under way leave out.
+    /// Whole turns of links 1 to 4 that the angles of the integrator leave out.
     pub(super) turns: [i64; 4],
-    /// The inputs that are held.
+    /// Held inputs.
     pub(super) inputs: Inputs,
     /// Kinetic plus potential energy at the start, J.
     pub(super) energy_at_start: f64,
     pub(super) integrator: IntegratorState,
 }
 
-/// Where steps end.
+/// State of the integrator, by the kind of its steps.
 #[expect(clippy::large_enum_variant, reason = "a copy is a snapshot, and a step allocates nothing")]
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) enum IntegratorState {
-    /// With the call: the state there, and what dry friction does.
+    /// Steps end with the macro step: state and stick-slip states.
     MacroStepped(Core, StickSlips),
-    /// Wherever the error lets them: the step that runs past the call.
+    /// Steps run past the macro step: the step under way.
     DenseOutput(DenseRun),
-    /// With the call, by the method that conserves: accelerations and joint forces are no part of the state.
+    /// Steps of the conserving method: accelerations and joint forces are not part of the state.
     Conserving(ConservingRun<COORDINATES, CUT_UNKNOWNS>),
-    /// Wherever a master puts the machine.
+    /// States set by a master.
     ModelExchange(ModelExchangeState),
 }
 
-/// Why a simulation could not advance. It is as it was before the call.
+/// Failure of an advance. The simulation is as it was before the call.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct StepFailure {
-    /// How far the call had come, s after its beginning.
+    /// Time reached, s after the beginning of the call.
     pub elapsed: f64,
-    /// Why it went no further.
+    /// Cause of the failure.
     pub cause: StepError,
 }
 
@@ -64,29 +64,29 @@ impl std::error::Error for StepFailure {}
 /// Equal macro steps with inputs held.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MacroSteps {
-    /// Their length, s.
+    /// Length of each, s.
     pub(super) h: f64,
-    /// Their number.
+    /// Number.
     pub(super) count: u64,
-    /// Whether the inputs may stay after them, so that a step may run past their end.
+    /// Whether the inputs may stay the same after them, so that a step may run past their end.
     pub(super) open_ended: bool,
 }
 
 impl MacroSteps {
-    /// Why the one of this index failed.
+    /// Failure of the macro step with index `step`.
     pub(super) fn failure(&self, step: u64, cause: StepError) -> StepFailure {
         StepFailure { elapsed: step as f64 * self.h, cause }
     }
 }
 
 impl Run {
-    /// Begins with q and q̇, which meet the constraints.
+    /// Starts from q and q̇, which satisfy the constraints.
     #[cold]
     pub(super) fn start(model: &Model, q: Coordinates, v: Coordinates, inputs: &Inputs) -> Self {
         let mut turns = [0; 4];
         let system = FiveBar::<false>::resolved(model, inputs, &turns, [&q, &v]);
         let (stick_slip, mut core) = (system.mode.stick_slip, Core::start(&system, q, v, model.regularization));
-        // Angles from outside keep their turns.
+        // States set from outside keep their whole turns.
         if !matches!(model.stepper, Stepper::ModelExchange(_)) {
             remove_whole_turns(&mut core.q, &mut turns);
         }
@@ -106,12 +106,12 @@ impl Run {
         Self { turns, inputs: *inputs, energy_at_start: state.energy_at_start, integrator }
     }
 
-    /// Whether its angles and rates come from outside.
+    /// Whether proximal angles and rates are set by a master (model exchange).
     pub fn is_model_exchange(&self) -> bool {
         matches!(self.integrator, IntegratorState::ModelExchange(_))
     }
 
-    /// On failure everything is as before.
+    /// Advances by macro steps with `inputs` held. A failure changes nothing.
     #[inline(never)] // called from five places
     pub(super) fn advance(&mut self, model: &Model, inputs: &Inputs, steps: MacroSteps) -> Result<(), StepFailure> {
         match (&model.stepper, &mut self.integrator) {
@@ -126,7 +126,8 @@ impl Run {
                 let held = (&self.inputs, &mut self.turns);
                 let mut mode = Mode::of_stick_slip(*stick_slip);
                 let advanced = match method {
-                    // The default method has a compiled form for the bare mechanism; of the others it would only take place.
+                    // The default method has a form compiled for the bare mechanism; of the other methods the saving is not worth the code
+                    // size.
                     MacroStepMethod::I3alp(settings) if model.is_bare() => {
                         macro_steps::<true, _>(model, core, held, steps, |system, core, h| {
                             i3alp::advance(system, settings, core, &mut mode, h)
@@ -170,7 +171,7 @@ impl Run {
         }
     }
 
-    /// What holds now, with the q̈ and λ that belong to some inputs.
+    /// Present state, with the q̈ and λ that belong to `inputs`.
     pub(super) fn state(&self, model: &Model, inputs: &Inputs) -> State {
         let &Self { turns, energy_at_start, ref integrator, .. } = self;
         let same = model.same_active_inputs(&self.inputs, inputs);
@@ -191,8 +192,8 @@ impl Run {
         State { core, turns, inputs: *inputs, energy_at_start, stick_slip }
     }
 
-    /// The model has other effects from now on; what that adds to the potential energy counts as input, and mass joins. On failure nothing
-    /// has changed.
+    /// Replaces the model: the change of potential energy counts as input work, and added mass joins as `join` says. A failure changes
+    /// nothing.
     pub(super) fn tune(&mut self, before: &Model, after: &Model, join: Join) -> Result<(), StepError> {
         let mut tuned = self.clone();
         if let (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) = (&before.stepper, &mut tuned.integrator) {
@@ -230,9 +231,9 @@ impl Run {
     }
 }
 
-/// What is common to runs whose steps end with the call.
+/// Runs whose steps end with the macro step.
 trait MacroStepped {
-    /// Coordinates, whose whole turns are counted apart, and counters.
+    /// Coordinates, whose whole turns are counted separately, and counters.
     fn counted(&mut self) -> (&mut Coordinates, &mut Counters);
 }
 
@@ -250,7 +251,7 @@ impl MacroStepped for ConservingRun<COORDINATES, CUT_UNKNOWNS> {
     }
 }
 
-/// By a method whose steps end with the macro steps. On failure the state is undefined.
+/// Macro steps by a method whose steps end with them. A failure leaves the state undefined.
 #[inline(always)]
 fn macro_steps<const BARE: bool, R: MacroStepped>(
     model: &Model,

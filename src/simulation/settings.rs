@@ -1,4 +1,4 @@
-//! How a scene is integrated: the `solver.*` variables, and what each method reads of them.
+//! Settings of the solver: the `solver.*` variables, and the settings that each method takes from them.
 
 use super::model::Stepper;
 use crate::effects::{self, Law};
@@ -6,13 +6,13 @@ use crate::integrator::dense::{Scheme, Schemes};
 use crate::integrator::{MacroStepMethod, dense, i3alp, i3alp_conserving, i3alp_printed, rk4};
 use crate::mechanism::{Geometry, SceneError};
 
-/// How the equations of motion are integrated.
+/// Integration method.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Method {
     /// Index-3 augmented Lagrangian with projections in dual form.
     #[default]
     I3alp,
-    /// The same with the paper's parameters and approximate tangent.
+    /// Index-3 augmented Lagrangian with the parameters and the approximate tangent of the paper.
     I3alpPrinted,
     /// Runge–Kutta of order 4 on the index-1 form with projection.
     Rk4,
@@ -20,14 +20,14 @@ pub enum Method {
     Dop853,
     /// Index-3 augmented Lagrangian by discrete derivatives: strictly fixed steps that keep energy and constraints.
     I3alpConserving,
-    /// By the error tolerance alone: as [`Method::Dop853`], of lower order while inputs are held for short, implicit while loads are stiff.
+    /// Error control alone: Dop853, a pair of lower order while inputs are held briefly, a Rosenbrock method while loads are stiff.
     Automatic,
 }
 
 /// The solver's settings: the `solver.*` variables of the same names.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Settings {
-    /// Method.
+    /// Integration method.
     pub method: Method,
     /// Macro step h, s; of [`Method::Dop853`] and [`Method::Automatic`] also the first step tried.
     pub step_size: f64,
@@ -35,29 +35,30 @@ pub struct Settings {
     pub adaptive: bool,
     /// Local error allowed per sub-step, rad.
     pub error_tolerance: f64,
-    /// Constraint violation allowed, relative to the machine's size, at h = 1 ms.
+    /// Constraint violation allowed at h = 1 ms, relative to the machine's size.
     pub tolerance: f64,
-    /// Most Newton iterations per sub-step.
+    /// Largest number of Newton iterations per sub-step.
     pub max_iterations: u32,
-    /// Most iterations and evaluations of a macro step; of [`Method::I3alpConserving`] with those of its rescue, 0: no rescue.
+    /// Largest number of iterations and evaluations per macro step; for [`Method::I3alpConserving`] including its fallback stages, 0: none.
     pub max_work: u32,
-    /// α of the printed method, N/m.
+    /// Penalty α of the printed method, N/m.
     pub penalty: f64,
-    /// κ of the default method.
+    /// Penalty scale κ of the default method, dimensionless.
     pub penalty_scale: f64,
 }
 
-/// The part of it that the balance may be off in a step of i3-ALP, whose work is known at its ends only: a kink leaves several such steps.
+/// Energy tolerance of an i3-ALP step relative to that of an error-controlled one: 0.2, because an event leaves several steps whose work is
+/// known at their ends only.
 const KNOWN_AT_ENDS: f64 = 0.2;
 
-/// The rate, 1/s, at which the machine's motion has the energy whose part the work of forces with kinks may be off: that of the error norm.
+/// Rate of the reference motion whose kinetic energy scales the energy tolerance of forces with events, 1/s: the rate of the error norm.
 const RATE: f64 = 10.0;
 
-/// e of the conserving step in multiples of 1 over the mean mass. It weighs increments only: smaller, Newton's method finds fewer roots
-/// next to vertices; larger, it takes more iterations.
+/// e of the conserving step relative to 1 over the mean mass. It weighs increments only: with smaller values Newton's method finds fewer
+/// roots next to vertices; with larger ones it takes more iterations.
 const CONSERVING: f64 = 1e-7;
 
-/// The variable of a law of friction that sticks, of an effect that is on.
+/// Name of the variable that selects stick-slip friction in an active effect, if any does.
 pub(super) fn sticking_law(effects: &effects::Parameters) -> Option<&'static str> {
     let (friction, contact) = (&effects.friction, &effects.contact);
     let laws = [
@@ -68,7 +69,7 @@ pub(super) fn sticking_law(effects: &effects::Parameters) -> Option<&'static str
 }
 
 impl Settings {
-    /// The integrator with what of them it reads.
+    /// Integration scheme with the settings that it reads.
     pub(super) fn stepper(&self, geometry: &Geometry, regularization: f64, regularization_by_angles: f64) -> Stepper {
         let &Self { tolerance, max_iterations, .. } = self;
         let energy_scale = geometry.mean_mass() * (geometry.length_scale() * RATE).powi(2);
@@ -110,7 +111,7 @@ impl Settings {
         })
     }
 
-    /// Friction that sticks needs steps that end where something stops or lets go.
+    /// Refuses stick-slip friction with a method whose steps cannot end at an event.
     pub(super) fn check_laws(&self, effects: &effects::Parameters) -> Result<(), SceneError> {
         let Some(name) = sticking_law(effects) else { return Ok(()) };
         let steps = match self.method {
@@ -127,7 +128,7 @@ impl Settings {
         )))
     }
 
-    /// Refuses what no method takes.
+    /// Refuses settings that no method takes.
     pub(super) fn check(&self) -> Result<(), SceneError> {
         for (name, value, unit) in [
             ("stepSize", self.step_size, "s"),

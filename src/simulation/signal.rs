@@ -1,21 +1,21 @@
-//! Inputs that change while the simulation advances.
+//! Inputs that change within an advance, as quadratic polynomials of time.
 
 use crate::effects::Inputs;
 
-/// Inputs as polynomials of the time s since the beginning of an advance: u + u′ s + u″ s²/2.
+/// Inputs as polynomials u + u′ s + u″ s²/2 of the time s since the beginning of an advance, s.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Signal {
-    /// u, in the units of [`Inputs`].
+    /// Value u at the beginning, in the units of [`Inputs`].
     pub value: Inputs,
-    /// u′ and u″, unless all of them are 0.
+    /// Derivatives u′ and u″, unless all of them are 0.
     derivatives: Option<[Inputs; ORDERS]>,
 }
 
-/// Orders of derivatives that a [`Signal`] has.
+/// Number of derivatives of a [`Signal`].
 pub const ORDERS: usize = 2;
 
 impl Signal {
-    /// Inputs that stay.
+    /// Constant inputs.
     pub fn held(value: Inputs) -> Self {
         Self { value, derivatives: None }
     }
@@ -25,23 +25,23 @@ impl Signal {
         Self { value, derivatives: (derivatives != [Inputs::default(); ORDERS]).then_some(derivatives) }
     }
 
-    /// u′ and u″.
+    /// Derivatives u′ and u″, 0 for constant inputs.
     pub fn derivatives(&self) -> [Inputs; ORDERS] {
         self.derivatives.unwrap_or_default()
     }
 
-    /// The inputs `elapsed` seconds after the beginning.
+    /// Inputs `elapsed` seconds after the beginning.
     pub fn at(&self, elapsed: f64) -> Inputs {
         self.derivatives
             .map_or(self.value, |[rate, curvature]| self.value.plus(elapsed, &rate).plus(elapsed * elapsed / 2.0, &curvature))
     }
 
-    /// Whether the inputs are held.
+    /// Whether the inputs are constant.
     pub fn is_held(&self) -> bool {
         self.derivatives.is_none()
     }
 
-    /// Holds from now on what it is after an advance of `elapsed` seconds: what follows unless the master says otherwise.
+    /// Replaces the polynomial by its value after `elapsed` seconds, which is held until the master sets other inputs.
     pub fn end(&mut self, elapsed: f64) {
         if !self.is_held() {
             *self = Self::held(self.at(elapsed));

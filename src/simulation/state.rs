@@ -1,4 +1,4 @@
-//! What holds at an instant, in the twelve coordinates: what observers answer for.
+//! State of the simulation at an instant, in the twelve coordinates: the data that observers read.
 
 use std::f64::consts::TAU;
 
@@ -9,22 +9,22 @@ use crate::integrator;
 use crate::mechanism::coordinates::{THETA, largest_angle};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
-/// Coordinates, velocities, accelerations, multipliers and what the integrator remembers.
+/// State of the integrator: coordinates, velocities, accelerations, multipliers and step memory.
 pub type Core = integrator::State<COORDINATES, MULTIPLIERS>;
 
-/// What holds at an instant.
+/// State at an instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct State {
     /// Coordinates, velocities, accelerations, multipliers, predictor, sub-step memory, work, counters.
     pub core: Core,
-    /// Whole turns by which the angles of links 1 to 4 are larger than those in q: there they stay within some turns, so that their
-    /// round-off does not grow while a link spins.
+    /// Whole turns by which the angles of links 1 to 4 exceed those in q: angles in q stay within a few turns, so that their round-off does
+    /// not grow while a link spins.
     pub turns: [i64; 4],
-    /// The inputs to which q̈ and λ belong.
+    /// Inputs to which q̈ and λ belong.
     pub inputs: Inputs,
     /// Kinetic plus potential energy at the start, J.
     pub energy_at_start: f64,
-    /// What dry friction does.
+    /// Stick-slip states of dry friction.
     pub stick_slip: StickSlips,
 }
 
@@ -46,14 +46,14 @@ impl State {
         energy + work.dissipated - work.input - self.energy_at_start
     }
 
-    /// What effects answer for the present state.
+    /// Evaluates `answer` on the force context of the present state.
     pub fn at<T>(&self, model: &Model, answer: impl FnOnce(&ForceContext) -> T) -> T {
         let State { core, inputs, turns, stick_slip, .. } = self;
         let pose = model.mechanism.pose(&core.q);
         answer(&ForceContext { q: &core.q, v: &core.v, pose: &pose, inputs, turns, mode: Mode::of_stick_slip(*stick_slip) })
     }
 
-    /// By what torques friction holds joints, N·m, and by what force the tip, N; 0 where it does not.
+    /// Friction reactions of sticking contacts: torques in the joints, N·m, and force on the tip, N; 0 where nothing sticks.
     pub fn holding(&self, model: &Model) -> [f64; FRICTION_PLACES] {
         if self.stick_slip.any_sticks() {
             stick_slip::holding(&self.system(model), &self.core.q, &self.core.v)
@@ -62,7 +62,7 @@ impl State {
         }
     }
 
-    /// The model under the inputs, with the grips as they are.
+    /// System under the present inputs, with the present stick-slip states.
     pub(super) fn system<'a>(&'a self, model: &'a Model) -> FiveBar<'a> {
         FiveBar::new(model, &self.inputs, &self.turns).on(Mode::of_stick_slip(self.stick_slip))
     }
@@ -80,7 +80,7 @@ impl State {
     }
 }
 
-/// Moves whole turns of the angles from q into `turns`, where they are more than two.
+/// Moves whole turns from angles of q that exceed two turns into `turns`.
 #[inline(always)]
 pub(super) fn remove_whole_turns(q: &mut Coordinates, turns: &mut [i64; 4]) {
     if largest_angle(q) <= 2.0 * TAU {
@@ -97,7 +97,7 @@ fn remove_whole_turns_of_each(q: &mut Coordinates, turns: &mut [i64; 4]) {
     }
 }
 
-/// The whole turns of an angle that is more than two, after adding them to those counted; otherwise 0.
+/// Whole turns of an angle that exceeds two turns, which are added to `turns`; otherwise 0.
 #[inline(never)]
 pub(super) fn whole_turns(angle: f64, turns: &mut i64) -> f64 {
     if angle.abs() <= 2.0 * TAU {

@@ -1,5 +1,5 @@
-//! What dry friction that sticks does in a state: which grips hold, and by what force. In the twelve coordinates; what the link angles ask
-//! is carried over.
+//! Set-valued dry friction in a state: which contacts stick, and their reactions. Evaluated in the twelve coordinates and mapped to the
+//! link angles. The friction problem itself is solved in `effects/stick_slip.rs`.
 
 use arrayvec::ArrayVec;
 
@@ -14,7 +14,7 @@ use crate::mechanism::{COORDINATES, Coordinates, Multipliers, Pose, SceneError};
 use crate::vector::Vector;
 
 impl FiveBar<'_> {
-    /// The grips that there are.
+    /// Friction constraints of all active contacts.
     fn constraints(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> FrictionConstraints<COORDINATES> {
         let (at, mut constraints) = (self.context(q, pose, v), FrictionConstraints::new());
         for effect in &self.model.effects {
@@ -28,14 +28,13 @@ impl FiveBar<'_> {
     }
 }
 
-/// Up to so many times the rate at which a grip rests a mechanism that friction can hold is at rest: what it still moves is below all
-/// tolerances.
+/// Largest rate of a mechanism that friction can bring to rest, in stick velocities: residual motion below that is within tolerances.
 const AT_REST: f64 = 1e3;
 
-/// Up to so many times that rate a grip may begin to hold: a step ends beyond a border by some part of it.
+/// Largest rate at which a contact may start to stick, in stick velocities: a step ends past the guard by a fraction of one.
 const RESTS: f64 = 2.0;
 
-/// What the grips do in a state, by itself.
+/// Stick-slip states that follow from a state without history.
 #[cold]
 #[inline(never)]
 pub(super) fn resolved(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -> StickSlips {
@@ -56,7 +55,7 @@ pub(super) fn resolved(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -
     stick_slip
 }
 
-/// Whether what slips turns and turns back between two states: by the cubic through the rates and accelerations at both.
+/// Whether a slipping contact reverses twice between two states, by the cubic through the rates and accelerations at both.
 #[cold]
 #[inline(never)]
 pub(super) fn reverses_between(system: &FiveBar<'_>, ends: [[&Coordinates; 3]; 2], duration: f64, stick_velocity: f64) -> bool {
@@ -70,14 +69,14 @@ pub(super) fn reverses_between(system: &FiveBar<'_>, ends: [[&Coordinates; 3]; 2
         };
         let rates = [from, to].map(|constraint| way.sign() * constraint.rate);
         let changes = [change(from, ends[0]), change(to, ends[1])];
-        // Between its ends a cubic is lower than both by no more than this part of the slopes that lead there.
+        // Upper bound of the dip of a cubic below both its ends, relative to the descending slopes: max of s(1 − s)² is 4/27.
         const DEEPEST: f64 = 4.0 / 27.0;
         let dip = DEEPEST * ((-changes[0]).max(0.0) + changes[1].max(0.0));
         rates[0].min(rates[1]) - dip < -stick_velocity && lowest(rates, changes) < -stick_velocity
     })
 }
 
-/// All slip.
+/// All contacts slip.
 #[cold]
 #[inline(never)]
 fn resolve_motion(constraints: &FrictionConstraints<COORDINATES>) -> StickSlips {
@@ -88,7 +87,7 @@ fn resolve_motion(constraints: &FrictionConstraints<COORDINATES>) -> StickSlips 
     stick_slip
 }
 
-/// What some grips, which can hold something, have to hold while the others slip.
+/// Friction problem of the contacts that may stick, while the others slip.
 #[cold]
 #[inline(never)]
 fn balance(
@@ -121,7 +120,7 @@ fn balance(
     balance
 }
 
-/// What friction holds.
+/// Constraint or reaction by which friction holds the system.
 #[cold]
 #[inline(never)]
 pub(super) fn held(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coordinates) -> StickingConstraint<COORDINATES> {
@@ -138,7 +137,7 @@ pub(super) fn held(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coord
     StickingConstraint::Direction { row: first.row, drift: first.drift, force }
 }
 
-/// The first grip that holds.
+/// First sticking contact.
 fn first<'a>(
     stick_slip: &StickSlips,
     constraints: &'a FrictionConstraints<COORDINATES>,
@@ -146,7 +145,7 @@ fn first<'a>(
     constraints.iter().find(|constraint| matches!(stick_slip.at(constraint.place), StickSlip::Holds(_)))
 }
 
-/// The grips that hold one motion, with what each does per torque of the first: all of them use the same part of their bounds.
+/// Sticking contacts of one motion with their torque per unit of the first: all use an equal fraction of their bounds.
 fn shares<'a>(
     stick_slip: &'a StickSlips,
     constraints: &'a FrictionConstraints<COORDINATES>,
@@ -160,7 +159,7 @@ fn shares<'a>(
     })
 }
 
-/// By what torques the grips hold, N·m, and the tip's by what force, N, with these accelerations.
+/// Friction reactions of sticking contacts: torques in the joints, N·m, and force on the tip, N.
 #[cold]
 #[inline(never)]
 pub(super) fn holding(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -> [f64; FRICTION_PLACES] {
@@ -185,7 +184,7 @@ pub(super) fn holding(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) ->
     holding
 }
 
-/// q̈ and λ with the forces by which friction holds, from those without, in any coordinates; e is that of their saddle-point systems.
+/// q̈ and λ with the friction reactions, from those without, in any coordinates; `regularization` is e of the saddle-point systems.
 #[cold]
 #[inline(never)]
 pub(super) fn with_friction_reaction<const N: usize, const M: usize>(
@@ -212,7 +211,7 @@ pub(super) fn with_friction_reaction<const N: usize, const M: usize>(
 }
 
 impl ByAngles<'_> {
-    /// What friction holds, in the angles.
+    /// Friction constraint or reaction in the link angles.
     #[cold]
     #[inline(never)]
     pub(super) fn friction_reaction_in_angles(
@@ -225,7 +224,7 @@ impl ByAngles<'_> {
         match held(self.five_bar(), &x, pose, &rates) {
             StickingConstraint::Nothing => StickingConstraint::Nothing,
             StickingConstraint::Direction { row, drift, force } => StickingConstraint::Direction {
-                // A row is a force as well: what it misses is how the velocities of the coordinates turn with the links.
+                // A row maps like a force; its drift gains the velocity product of the coordinates.
                 row: self.carried_over(pose, &row),
                 drift: drift + row.dot(&self.velocity_product(pose, v)),
                 force: self.carried_over(pose, &force),
@@ -235,7 +234,7 @@ impl ByAngles<'_> {
     }
 }
 
-/// q̇ without what friction holds, by the shortest way in the mass metric.
+/// Velocity without its component along the sticking direction: the projection that is smallest in the mass metric.
 #[cold]
 #[inline(never)]
 pub(super) fn project_sticking(system: &FiveBar<'_>, q: Coordinates, v: Coordinates) -> Coordinates {
@@ -249,7 +248,7 @@ pub(super) fn project_sticking(system: &FiveBar<'_>, q: Coordinates, v: Coordina
     if mobility > 0.0 { v - row.dot(&v) / mobility * by_force } else { v }
 }
 
-/// The grips as they are now, for those who watch for what they do next.
+/// Friction guards at a state, for event detection.
 #[cold]
 #[inline(never)]
 pub(super) fn friction_guards(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coordinates) -> FrictionGuards {
@@ -265,8 +264,8 @@ pub(super) fn friction_guards(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose
     constraints.iter().map(friction_guard).collect()
 }
 
-/// How q̈ and λ change where joints are held, from how they would without: what holds sees to it that their accelerations stay 0. Refused
-/// where all is held, or the tip.
+/// Directional derivative of q̈ and λ with sticking joints, from those without friction: accelerations of sticking contacts stay 0. Refused
+/// where friction holds the whole mechanism or the tip.
 pub(super) fn varied(
     system: &FiveBar<'_>,
     [q, v]: [&Coordinates; 2],
@@ -291,11 +290,11 @@ pub(super) fn varied(
     Ok((a + part * by_force, lambda + part * by_force_lambda))
 }
 
-/// Whether a run can have left a state with its grips as they are; where they have only just stopped, it still moves a little.
+/// Whether a run can have reached a state with its stick-slip states; `just_stopped` allows the residual rates of a stop.
 #[cold]
 #[inline(never)]
 pub(super) fn are_possible(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates, just_stopped: bool) -> bool {
-    /// A grip does what it does up to some times what may be overlooked.
+    /// Largest rate by which a stick-slip state may contradict the motion, in stick velocities: a hundredfold of the event tolerance.
     const FAR: f64 = 100.0;
     let stick_slip = &system.mode.stick_slip;
     if stick_slip.at_rest() {

@@ -1,4 +1,4 @@
-//! How the accelerations in the link angles change with angles and rates: the Jacobian of the linearly implicit steps.
+//! Jacobian of the accelerations in the link angles with respect to angles and rates, for the Rosenbrock methods.
 //!
 //! With r the arm of each link along the closure (its sign included), m and s the coupling m_D l_P·a_D of a leg and its derivative, the
 //! equations of motion and their variation are
@@ -8,7 +8,7 @@
 //! M δα + Jᵀδλ = −K δθ − C δω + δc − δM α − δJᵀ λ      J δα − e δλ = Σ (r α + n̂(r) ω²) δθ + 2 r ω δω
 //! ```
 //!
-//! with the same matrix for both. K and C are the effects' own, carried over by `linearised.rs`.
+//! with equal matrices on both left sides. K and C are the tangents of the effects, mapped by `linearised.rs`.
 
 use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, DISTAL, PLACES, PROXIMAL};
 use super::inertia::proximal_arm;
@@ -19,8 +19,8 @@ use crate::mechanism::legs::{Legs2, both};
 use crate::vector::Vector;
 
 impl ByAngles<'_> {
-    /// About a state with its pose, whose q̈ and λ are those of equilibrium, with what the equilibrium is regularised by, as if friction
-    /// that may hold did not: what holds has a multiplier of its own.
+    /// Jacobian at a state in equilibrium; `regularization` is e of that equilibrium. Sticking contacts are ignored: their reactions have
+    /// multipliers of their own.
     #[inline(never)]
     pub(super) fn tangents_of_acceleration(
         &self,
@@ -33,7 +33,7 @@ impl ByAngles<'_> {
         let (x, rates) = self.coordinates(pose, q, v);
         let (_, loads) = self.five_bar().tangents_by_links([&x, &rates], pose, &PLACES.map(|place| v[place]));
 
-        // Columns of the right-hand sides: of the loads,
+        // Right-hand sides by columns: tangents of the loads.
         let (mut by_q, mut by_v) = ([Angles::ZERO; ANGLES], [Angles::ZERO; ANGLES]);
         for (i, row) in PLACES.into_iter().enumerate() {
             for (j, column) in PLACES.into_iter().enumerate() {
@@ -41,7 +41,7 @@ impl ByAngles<'_> {
                 by_v[column][row] = -loads.damping[i][j];
             }
         }
-        // of the masses and of what they pull when they turn, leg by leg,
+        // Right-hand sides: derivatives of mass matrix and centripetal torques, leg by leg.
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
         let (a_p, a_d) = (legs_of(a, PROXIMAL), legs_of(a, DISTAL));
         let (carried, l) = (self.model().mechanism.mass_d, proximal_arm(pose));
@@ -49,8 +49,7 @@ impl ByAngles<'_> {
         let on_p = (coupling * w_d * w_d + slope * a_d).to_array();
         let on_d = (slope * a_p - coupling * w_p * w_p).to_array();
         let (turn_p, turn_d) = ((both(2.0) * slope * w_d).to_array(), (both(2.0) * slope * w_p).to_array());
-        // and of the arms along the closure, which turn as well.
-        // Those of a branch do not turn.
+        // Right-hand sides: derivatives of the closure's arms, which are constant on a closure branch.
         let turning = if self.is_on_branch() { 0.0 } else { 1.0 };
         let [n_p, n_d] = self.phi_q(pose).map(|n| n.scaled(both(turning)));
         let [r_p, r_d] = [n_p, n_d].map(|n| n.turned().scaled(both(-1.0)));

@@ -1,20 +1,20 @@
-//! The linearised equations of motion: how accelerations and multipliers change with inputs, and with the proximal angles and rates as
-//! the minimal coordinates.
+//! Linearised equations of motion: derivatives of accelerations and multipliers with respect to the inputs and to the proximal angles and
+//! rates, the minimal coordinates.
 //!
 //! ```text
 //! M δq̈ + Φ_qᵀ δλ = δQ − ∂(Φ_qᵀλ)/∂q δq           δQ = −K δq − C δq̇ + ∂Q/∂u δu
 //! Φ_q δq̈ − e δλ  = −δ(Φ_q) q̈ − δ(Φ̇_q q̇)
 //! ```
 //!
-//! The matrix is the one of the equations of motion themselves, K and C are those of the implicit steps; δq and δq̇ follow from the
-//! proximal ones by J_x ([`closure::varied`]).
+//! The matrix is that of the equations of motion; K and C are those of the implicit steps; δq and δq̇ follow from the proximal variations
+//! by J_x ([`closure::varied`]).
 
 use super::{Model, State, stick_slip};
 use crate::effects::{Inputs, Perturbation};
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of, set_legs};
 use crate::mechanism::{Coordinates, Multipliers, SceneError, closure};
 
-/// What is varied.
+/// Direction of a directional derivative.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Direction {
     /// Changes of the inputs.
@@ -23,20 +23,20 @@ pub struct Direction {
     pub proximal: Option<[[f64; 2]; 2]>,
 }
 
-/// How a state changes, to first order.
+/// First-order change of a state.
 #[derive(Clone, Copy, Debug)]
 pub struct Variation {
-    /// Coordinates, velocities, inputs.
+    /// Changes of coordinates, velocities and inputs.
     pub change: Perturbation,
-    /// Accelerations.
+    /// Changes of the accelerations.
     pub a: Coordinates,
-    /// Multipliers.
+    /// Changes of the multipliers.
     pub lambda: Multipliers,
 }
 
 impl State {
-    /// How the state changes in a direction. With proximal angles or rates: refused where |det J_x| is below 1e-8 of its largest possible
-    /// value. Inputs can be varied everywhere.
+    /// Directional derivative of the state. Variations of proximal angles or rates are refused where |det J_x| is below 1e-8 of its largest
+    /// possible value; inputs can be varied everywhere.
     pub fn varied(&self, model: &Model, direction: &Direction) -> Result<Variation, SceneError> {
         let core = &self.core;
         let pose = model.mechanism.pose(&core.q);
@@ -59,7 +59,7 @@ impl State {
             set_legs(&mut force, angles, left);
         }
 
-        // Φ̇_q q̇ changes with its arms and with both rates.
+        // The convective term Φ̇_q q̇ changes with the arms and with both factors of the rates.
         let turning = pose.phi_q_varied_times(&q, &core.a);
         let arms = pose.varied(&q).phi_q_dot_times(&core.v);
         let rates = pose.phi_q_varied_times(&core.v, &v);

@@ -1,4 +1,4 @@
-//! The saddle-point systems of the link angles, 2×2 in each leg.
+//! Factorised saddle-point systems in the link angles: 2×2 blocks M⁻¹ per leg, and the 2×2 Schur complement of the closure.
 
 use super::{ANGLES, Angles, CLOSURES, DISTAL, PROXIMAL};
 use crate::integrator::Kkt;
@@ -8,13 +8,13 @@ use crate::mechanism::legs::{Legs, Legs2, both, sum};
 use crate::simulation::inertia::{Inertia, Mass};
 use crate::vector::Vector;
 
-/// The factorised saddle-point matrix: M⁻¹ of each leg, and the inverse of S = Φ_q M⁻¹ Φ_qᵀ + e, 2×2 for both.
+/// Factorised saddle-point matrix: M⁻¹ of each leg, and the inverse of the Schur complement S = Φ_q M⁻¹ Φ_qᵀ + e.
 #[derive(Clone, Copy)]
 pub struct Factor {
     mobility: Mass,
-    /// M⁻¹ Φ_qᵀ, of the proximal and the distal links: what a force at the tip does.
+    /// M⁻¹ Φ_qᵀ of the proximal and the distal links: accelerations per unit force at the tip.
     by_tip: [Legs2; 2],
-    /// Inverse of S: xx, xy, yy.
+    /// Components xx, xy, yy of S⁻¹.
     dual: [f64; 3],
 }
 
@@ -32,14 +32,14 @@ impl Factor {
         Self { mobility, by_tip: [on_p, on_d], dual: [yy * reciprocal, xy * reciprocal, xx * reciprocal] }
     }
 
-    /// S⁻¹ x.
+    /// Product S⁻¹ x.
     #[inline(always)]
     fn dual_times(&self, [x, y]: [f64; 2]) -> Vector<CLOSURES> {
         let [xx, xy, yy] = self.dual;
         [xx * x - xy * y, yy * y - xy * x].into()
     }
 
-    /// M⁻¹ Φ_qᵀ λ.
+    /// Product M⁻¹ Φ_qᵀ λ.
     #[inline(always)]
     fn by_tip_times(&self, &[x, y]: &[f64; 2]) -> Angles {
         let [p, d] = self.by_tip;
@@ -50,14 +50,14 @@ impl Factor {
     }
 }
 
-/// The sums over both legs of two numbers of each.
+/// Sums over both legs of two quantities per leg.
 #[inline(always)]
 pub(super) fn sums([x, y]: [Legs; 2]) -> Legs {
     let ([x_left, x_right], [y_left, y_right]) = (x.to_array(), y.to_array());
     Legs::new([x_left, y_left]) + Legs::new([x_right, y_right])
 }
 
-/// What pairs of both links make of two numbers each: Φ_q v, or (M⁻¹ Φ_qᵀ)ᵀ of a force.
+/// Product of a 2 × 4 matrix, stored by links, with the link quantities `x`: Φ_q v, or (M⁻¹ Φ_qᵀ)ᵀ b.
 #[inline]
 pub(super) fn at_tip([p, d]: &[Legs2; 2], x: &Angles) -> Vector<CLOSURES> {
     let (on_p, on_d) = (legs_of(x, PROXIMAL), legs_of(x, DISTAL));

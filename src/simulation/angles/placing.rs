@@ -1,4 +1,4 @@
-//! The twelve coordinates of a machine in its link angles: each leg is built up from its motor axis.
+//! Map from link angles to the twelve coordinates (each leg is built up from its motor axis), and its transpose for forces.
 
 use super::{Angles, ByAngles, DISTAL, PROXIMAL};
 use crate::integrator::{System, Work};
@@ -7,7 +7,7 @@ use crate::mechanism::legs::{Legs, Legs2};
 use crate::mechanism::{Coordinates, Pose};
 use crate::simulation::inertia::proximal_arm;
 
-/// The twelve coordinates with these angles and 0 elsewhere.
+/// Twelve coordinates with these angles and zero positions.
 #[inline]
 fn in_place(angles: &Angles) -> Coordinates {
     let mut x = Coordinates::ZERO;
@@ -25,8 +25,8 @@ impl ByAngles<'_> {
         [kinetic, self.five_bar.potential_energy(&x, &pose), self.five_bar.power_without_potential(&x, &pose, &rates)]
     }
 
-    /// Forces in the angles, and their power, where anything acts but the weight. Out of line, and it takes copies: what is pointed to has
-    /// to be in memory, and where nothing acts but the weight it stays in registers. Of a pose the directions are enough.
+    /// Forces in the angles, N·m, and their power, W, under loads other than the weight. The function is out of line and takes copies: data
+    /// behind pointers must be in memory, and without such loads they stay in registers. Directions suffice to rebuild the pose.
     #[inline(never)]
     pub(super) fn under_loads(&self, q: Angles, directions: [Legs2; 2], v: Angles) -> (Angles, Work) {
         let pose = self.mechanism.pose_along(directions);
@@ -39,7 +39,7 @@ impl ByAngles<'_> {
         (self.in_angles(&applied, &pose, &v), power)
     }
 
-    /// Applied forces of the twelve coordinates carried over to the angles, and the centripetal ones of the distal centre of mass.
+    /// Applied forces of the twelve coordinates mapped to the angles, N·m, plus the centripetal torques of the distal centre of mass.
     #[inline(always)]
     pub(super) fn in_angles(&self, applied: &Coordinates, pose: &Pose, v: &Angles) -> Angles {
         let (l, a_d) = (proximal_arm(pose), pose.a_d);
@@ -50,14 +50,14 @@ impl ByAngles<'_> {
         self.with_centripetal([proximal, distal], pose, v)
     }
 
-    /// The weight alone in the angles, with the centripetal forces.
+    /// Torques of the weight alone, N·m, plus the centripetal torques.
     #[inline(always)]
     pub(super) fn weight_in_angles(&self, pose: &Pose, v: &Angles) -> Angles {
         let falling = &self.model().falling;
         self.with_centripetal(falling.torques([pose.u_p, pose.u_d]), pose, v)
     }
 
-    /// Torques on the links with those of the distal centre of mass, which is carried around.
+    /// Torques on the links plus the centripetal ones of the distal centre of mass, N·m.
     #[inline(always)]
     fn with_centripetal(&self, [on_p, on_d]: [Legs; 2], pose: &Pose, v: &Angles) -> Angles {
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
@@ -68,7 +68,7 @@ impl ByAngles<'_> {
         forces
     }
 
-    /// The twelve coordinates and their rates, each leg built up from its motor axis.
+    /// Twelve coordinates and their rates.
     #[inline]
     pub fn coordinates(&self, pose: &Pose, q: &Angles, v: &Angles) -> (Coordinates, Coordinates) {
         (self.placed(q, pose), self.velocity_map(v, pose))
@@ -85,13 +85,13 @@ impl ByAngles<'_> {
         x
     }
 
-    /// A generalised force of the twelve coordinates in the angles.
+    /// Generalised force of the twelve coordinates mapped to the angles, N·m.
     #[cold]
     pub(in crate::simulation) fn carried_over(&self, pose: &Pose, force: &Coordinates) -> Angles {
         Angles::from_fn(|i| force.dot(&self.velocity_map(&Angles::unit(i), pose)))
     }
 
-    /// The part of the accelerations of the twelve coordinates that comes from the rates.
+    /// Velocity-product part of the accelerations of the twelve coordinates, m/s².
     pub(in crate::simulation) fn velocity_product(&self, pose: &Pose, v: &Angles) -> Coordinates {
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));
         let (p, l, d) = (pose.a_p, proximal_arm(pose), pose.a_d);
