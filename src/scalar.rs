@@ -6,7 +6,7 @@
 use num_dual::{Dual64, DualNum};
 
 /// Values closer together than this part of the largest have no derivative of their own: see [`Scalar::smallest`].
-const MULTIPLE: f64 = 1e-8;
+const TIE_TOLERANCE: f64 = 1e-8;
 
 /// A number, with or without its derivative.
 pub trait Scalar: DualNum<Primitive = f64> + Copy {
@@ -17,7 +17,7 @@ pub trait Scalar: DualNum<Primitive = f64> + Copy {
     fn value(self) -> f64;
 
     /// The same number with derivative 0 where it has a kink.
-    fn flat_if(self, kink: bool) -> Self;
+    fn with_flat_kink(self, kink: bool) -> Self;
 
     /// The smallest of some values. One that is multiple has a kink; its derivative is then the mean of both sides, which is what central
     /// differences give and is linear in the direction: the mean of the derivatives of those that coincide.
@@ -25,13 +25,13 @@ pub trait Scalar: DualNum<Primitive = f64> + Copy {
 
     /// |x|, of a value that can be as large as `largest`: flat where it is round-off of that.
     fn magnitude(self, largest: f64) -> Self {
-        self.abs().flat_if(self.value().abs() <= MULTIPLE * largest)
+        self.abs().with_flat_kink(self.value().abs() <= TIE_TOLERANCE * largest)
     }
 
     /// √x of a value that can be as large as `largest`, not below 0: flat where the root is round-off of that of `largest`.
     fn root(self, largest: f64) -> Self {
         let positive = if self.value() > 0.0 { self } else { Self::with(0.0, || 0.0) };
-        positive.sqrt().flat_if(positive.value().sqrt() <= MULTIPLE * largest.sqrt())
+        positive.sqrt().with_flat_kink(positive.value().sqrt() <= TIE_TOLERANCE * largest.sqrt())
     }
 }
 
@@ -44,7 +44,7 @@ impl Scalar for f64 {
         self
     }
 
-    fn flat_if(self, _: bool) -> Self {
+    fn with_flat_kink(self, _: bool) -> Self {
         self
     }
 
@@ -62,13 +62,13 @@ impl Scalar for Dual64 {
         self.re
     }
 
-    fn flat_if(self, kink: bool) -> Self {
+    fn with_flat_kink(self, kink: bool) -> Self {
         if kink { Self::new(self.re, 0.0) } else { self }
     }
 
     fn smallest<const K: usize>(values: [Self; K]) -> Self {
         let (smallest, largest) = values.iter().fold((f64::INFINITY, 0.0_f64), |(low, high), x| (low.min(x.re), high.max(x.re)));
-        let coinciding = || values.iter().filter(|x| x.re - smallest <= MULTIPLE * largest);
+        let coinciding = || values.iter().filter(|x| x.re - smallest <= TIE_TOLERANCE * largest);
         Self::new(smallest, coinciding().map(|x| x.eps).sum::<f64>() / coinciding().count() as f64)
     }
 }

@@ -113,13 +113,13 @@ impl<const N: usize> BorshDeserialize for Vector<N> {
 }
 
 /// Elements that are stored at a time.
-const AT_A_TIME: usize = 12;
+const CHUNK: usize = 12;
 
 /// One piece of code for vectors of every length.
 #[inline(never)]
 fn write(elements: &[f64], writer: &mut dyn Write) -> io::Result<()> {
-    for elements in elements.chunks(AT_A_TIME) {
-        let mut bytes = [0; AT_A_TIME * size_of::<f64>()];
+    for elements in elements.chunks(CHUNK) {
+        let mut bytes = [0; CHUNK * size_of::<f64>()];
         let mut rest = &mut bytes[..];
         for element in elements {
             element.serialize(&mut rest)?;
@@ -131,8 +131,8 @@ fn write(elements: &[f64], writer: &mut dyn Write) -> io::Result<()> {
 
 #[inline(never)]
 fn read(elements: &mut [f64], reader: &mut dyn Read) -> io::Result<()> {
-    for elements in elements.chunks_mut(AT_A_TIME) {
-        let mut bytes = [0; AT_A_TIME * size_of::<f64>()];
+    for elements in elements.chunks_mut(CHUNK) {
+        let mut bytes = [0; CHUNK * size_of::<f64>()];
         reader.read_exact(&mut bytes[..size_of_val(elements)])?;
         let mut rest = &bytes[..];
         for element in elements {

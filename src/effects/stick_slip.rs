@@ -59,11 +59,11 @@ impl SlipDirection {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum StickSlip {
     /// There is none: no friction, a smooth law, or nothing touches.
-    Open,
+    Inactive,
     /// It slips.
     Slips(SlipDirection),
     /// It holds. Where several hold the same motion, their shares act this way relative to the first.
-    Holds(SlipDirection),
+    Sticks(SlipDirection),
 }
 
 /// What all grips do.
@@ -76,7 +76,7 @@ pub struct StickSlips {
 
 impl StickSlips {
     /// There are none.
-    pub const OPEN: Self = Self { places: [StickSlip::Open; FRICTION_PLACES], at_rest: false };
+    pub const OPEN: Self = Self { places: [StickSlip::Inactive; FRICTION_PLACES], at_rest: false };
 
     /// What one does.
     pub fn at(&self, place: usize) -> StickSlip {
@@ -97,14 +97,14 @@ impl StickSlips {
     /// All of these hold, and the mechanism with them.
     pub fn resting(places: impl Iterator<Item = usize>) -> Self {
         let mut stick_slip = Self { at_rest: true, ..Self::OPEN };
-        places.for_each(|place| stick_slip.set(place, StickSlip::Holds(SlipDirection::Forward)));
+        places.for_each(|place| stick_slip.set(place, StickSlip::Sticks(SlipDirection::Forward)));
         stick_slip
     }
 
     /// Whether any holds.
     #[inline]
     pub fn any_sticks(&self) -> bool {
-        self.places.iter().any(|joint| matches!(joint, StickSlip::Holds(_)))
+        self.places.iter().any(|joint| matches!(joint, StickSlip::Sticks(_)))
     }
 
     /// The sign of friction's direction in a grip that moves at a rate: of what slips that of its way, of what holds 0; by itself that
@@ -112,9 +112,9 @@ impl StickSlips {
     pub(super) fn direction(&self, place: usize, rate: f64) -> f64 {
         match self.places[place] {
             StickSlip::Slips(slip_direction) => slip_direction.sign(),
-            StickSlip::Holds(_) => 0.0,
-            StickSlip::Open if rate == 0.0 => 0.0,
-            StickSlip::Open => SlipDirection::of(rate).sign(),
+            StickSlip::Sticks(_) => 0.0,
+            StickSlip::Inactive if rate == 0.0 => 0.0,
+            StickSlip::Inactive => SlipDirection::of(rate).sign(),
         }
     }
 }
@@ -153,13 +153,13 @@ pub struct FrictionProblem {
 }
 
 /// Inequalities are judged to this part of the bounds.
-const SHARP: f64 = 1e-9;
+const TOLERANCE: f64 = 1e-9;
 
 /// What is held counts in the torques at rest, which it does not determine alone, by this part.
 const RIDGE: f64 = 1e-12;
 
 /// What each of the grips of a [`FrictionProblem`] may do.
-type Pattern = [StickSlip; FRICTION_PLACES];
+type Candidate = [StickSlip; FRICTION_PLACES];
 
 impl FrictionProblem {
     fn len(&self) -> usize {
@@ -177,18 +177,19 @@ impl FrictionProblem {
     pub fn can_rest(&self) -> bool {
         let n = self.len();
         let all = (0..n).any(|i| (0..i).any(|j| !self.are_parallel(i, j)));
-        all && (self.shared().is_some() || self.best(2..=2).is_some_and(|(violation, _)| violation <= SHARP))
+        all && (self.least_squares_torques().is_some()
+            || self.least_violating(2..=2).is_some_and(|(violation, _)| violation <= TOLERANCE))
     }
 
     /// Whether all of them hold the same motion.
-    pub fn is_one(&self) -> bool {
+    pub fn is_single_motion(&self) -> bool {
         (1..self.len()).all(|i| self.are_parallel(0, i))
     }
 
     /// Whether two of them hold the same motion.
     fn are_parallel(&self, i: usize, j: usize) -> bool {
         let g = &self.mobility;
-        g[i][j] * g[i][j] >= (1.0 - SHARP) * g[i][i] * g[j][j]
+        g[i][j] * g[i][j] >= (1.0 - TOLERANCE) * g[i][i] * g[j][j]
     }
 
     /// The torques by which all hold: of those possible the ones that use the smallest parts of their bounds, or where these are not within
@@ -196,13 +197,15 @@ impl FrictionProblem {
     #[cold]
     #[inline(never)]
     pub fn resting_torques(&self) -> [f64; FRICTION_PLACES] {
-        self.shared().unwrap_or_else(|| self.best(2..=2).map_or([0.0; FRICTION_PLACES], |(_, pattern)| self.torques(&pattern)))
+        self.least_squares_torques().unwrap_or_else(|| {
+            self.least_violating(2..=2).map_or([0.0; FRICTION_PLACES], |(_, candidate)| self.torques(&candidate))
+        })
     }
 
     /// (D G D + ε tr) x = −D c, T = D x with D the bounds, by Cholesky's method.
     #[cold]
     #[inline(never)]
-    fn shared(&self) -> Option<[f64; FRICTION_PLACES]> {
+    fn least_squares_torques(&self) -> Option<[f64; FRICTION_PLACES]> {
         let n = self.len();
         let trace: f64 = (0..n).map(|i| self.bounds[i] * self.scale(i)).sum();
         if trace <= 0.0 {
@@ -233,7 +236,7 @@ impl FrictionProblem {
         }
         // Where no torques hold all of them, those of least squares leave accelerations.
         let left = self.accelerations(&torques);
-        let holds = (0..n).all(|i| x[i].abs() <= 1.0 && left[i].abs() <= 1e3 * SHARP * self.scale(i));
+        let holds = (0..n).all(|i| x[i].abs() <= 1.0 && left[i].abs() <= 1e3 * TOLERANCE * self.scale(i));
         holds.then_some(torques)
     }
 
@@ -246,13 +249,13 @@ impl FrictionProblem {
     /// The torques of a pattern: slipping grips give their bounds, and no more than two hold.
     #[cold]
     #[inline(never)]
-    fn torques(&self, pattern: &Pattern) -> [f64; FRICTION_PLACES] {
-        let mut torques: [f64; FRICTION_PLACES] = std::array::from_fn(|i| match pattern[i] {
+    fn torques(&self, candidate: &Candidate) -> [f64; FRICTION_PLACES] {
+        let mut torques: [f64; FRICTION_PLACES] = std::array::from_fn(|i| match candidate[i] {
             StickSlip::Slips(slip_direction) => -slip_direction.sign() * self.bounds[i],
-            StickSlip::Holds(_) | StickSlip::Open => 0.0,
+            StickSlip::Sticks(_) | StickSlip::Inactive => 0.0,
         });
         let left = self.accelerations(&torques);
-        let mut held = (0..self.len()).filter(|i| matches!(pattern[*i], StickSlip::Holds(_)));
+        let mut held = (0..self.len()).filter(|i| matches!(candidate[*i], StickSlip::Sticks(_)));
         match (held.next(), held.next()) {
             (Some(i), None) => torques[i] = quotient(-left[i], self.mobility[i][i]),
             (Some(i), Some(j)) => {
@@ -269,57 +272,59 @@ impl FrictionProblem {
     /// The pattern that violates the law least, of those in which so many hold; by how much, as a part of the bounds.
     #[cold]
     #[inline(never)]
-    fn best(&self, holds: std::ops::RangeInclusive<usize>) -> Option<(f64, Pattern)> {
+    fn least_violating(&self, holds: std::ops::RangeInclusive<usize>) -> Option<(f64, Candidate)> {
         let n = self.len();
-        let mut best: Option<(f64, Pattern)> = None;
+        let mut least_violating: Option<(f64, Candidate)> = None;
         for mut code in 0..3_usize.pow(n as u32) {
-            let mut pattern = [StickSlip::Open; FRICTION_PLACES];
-            for joint in &mut pattern[..n] {
+            let mut candidate = [StickSlip::Inactive; FRICTION_PLACES];
+            for joint in &mut candidate[..n] {
                 *joint = [
-                    StickSlip::Holds(SlipDirection::Forward),
+                    StickSlip::Sticks(SlipDirection::Forward),
                     StickSlip::Slips(SlipDirection::Forward),
                     StickSlip::Slips(SlipDirection::Backward),
                 ][code % 3];
                 code /= 3;
             }
-            let holding: ArrayVec<usize, FRICTION_PLACES> = (0..n).filter(|i| matches!(pattern[*i], StickSlip::Holds(_))).collect();
+            let sticking: ArrayVec<usize, FRICTION_PLACES> =
+                (0..n).filter(|i| matches!(candidate[*i], StickSlip::Sticks(_))).collect();
             // Two that hold the same motion leave the other.
-            if !holds.contains(&holding.len()) || matches!(holding[..], [i, j] if self.are_parallel(i, j)) {
+            if !holds.contains(&sticking.len()) || matches!(sticking[..], [i, j] if self.are_parallel(i, j)) {
                 continue;
             }
-            let torques = self.torques(&pattern);
+            let torques = self.torques(&candidate);
             let left = self.accelerations(&torques);
             let violation = (0..n).fold(0.0, |most: f64, i| {
-                most.max(match pattern[i] {
-                    StickSlip::Holds(_) => torques[i].abs() / self.bounds[i] - 1.0,
+                most.max(match candidate[i] {
+                    StickSlip::Sticks(_) => torques[i].abs() / self.bounds[i] - 1.0,
                     StickSlip::Slips(slip_direction) => quotient(-slip_direction.sign() * left[i], self.scale(i)),
-                    StickSlip::Open => 0.0,
+                    StickSlip::Inactive => 0.0,
                 })
             });
-            if best.is_none_or(|(least, _)| violation < least) {
-                best = Some((violation, pattern));
+            if least_violating.is_none_or(|(least, _)| violation < least) {
+                least_violating = Some((violation, candidate));
             }
         }
-        best
+        least_violating
     }
 
     /// What they do where something moves, or will: no more than one of them holds by itself, and with it those that hold the same motion.
     #[cold]
     #[inline(never)]
     pub fn resolve_motion(&self, stick_slip: &mut StickSlips) {
-        let Some((_, mut pattern)) = self.best(0..=1) else { return };
-        let left = self.accelerations(&self.torques(&pattern));
-        if let Some(holder) = pattern.iter().position(|joint| matches!(joint, StickSlip::Holds(_))) {
+        let Some((_, mut candidate)) = self.least_violating(0..=1) else { return };
+        let left = self.accelerations(&self.torques(&candidate));
+        if let Some(sticking_place) = candidate.iter().position(|joint| matches!(joint, StickSlip::Sticks(_))) {
             // A weak grip among strong ones is accelerated by what these leave of round-off.
             let greatest = |i: usize| (0..self.len()).map(|k| (self.mobility[i][k] * self.bounds[k]).abs()).sum::<f64>();
-            let with = |i: usize| i == holder || self.are_parallel(holder, i) && left[i].abs() <= SHARP * greatest(i);
+            let with =
+                |i: usize| i == sticking_place || self.are_parallel(sticking_place, i) && left[i].abs() <= TOLERANCE * greatest(i);
             // Ways are relative to the first of them, which need not be the one that holds by itself.
-            let first = (0..holder).find(|i| with(*i)).unwrap_or(holder);
+            let first = (0..sticking_place).find(|i| with(*i)).unwrap_or(sticking_place);
             for i in (first..self.len()).filter(|i| with(*i)) {
-                pattern[i] = StickSlip::Holds(SlipDirection::of(self.mobility[first][i]));
+                candidate[i] = StickSlip::Sticks(SlipDirection::of(self.mobility[first][i]));
             }
         }
-        for (place, joint) in self.places.iter().zip(pattern) {
+        for (place, joint) in self.places.iter().zip(candidate) {
             stick_slip.set(*place, joint);
         }
     }
@@ -328,12 +333,12 @@ impl FrictionProblem {
 /// x/y, and what violates any bound where y is no number to divide by.
 fn quotient(x: f64, y: f64) -> f64 {
     /// As good as infinite.
-    const HUGE: f64 = 1e100;
+    const LARGEST_QUOTIENT: f64 = 1e100;
     if x == 0.0 {
         0.0
-    } else if x.abs() < HUGE * y.abs() {
+    } else if x.abs() < LARGEST_QUOTIENT * y.abs() {
         x / y
     } else {
-        HUGE * x.signum()
+        LARGEST_QUOTIENT * x.signum()
     }
 }

@@ -12,8 +12,8 @@ mod bounds;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-pub(super) use bounds::deepest;
-pub use bounds::lowest;
+pub use bounds::cubic_minimum;
+pub(super) use bounds::parabola_bound;
 
 /// A one-sided spring and damper.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,7 +39,7 @@ pub(super) enum Phase {
 
 /// A border of a phase.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct PhaseBorder {
+pub(super) struct PhaseGuard {
     /// How far beyond it, m or rad; negative on the near side.
     pub(super) guard_residual: f64,
     /// How that changes with penetration and rate.
@@ -52,9 +52,9 @@ pub(super) struct PhaseBorder {
 /// explicit method.
 const RATE_TIME: f64 = 0.1;
 
-impl PhaseBorder {
+impl PhaseGuard {
     /// The same in other units.
-    pub(super) fn per(self, unit: f64) -> Self {
+    pub(super) fn in_units_of(self, unit: f64) -> Self {
         Self { guard_residual: self.guard_residual / unit, ..self }
     }
 }
@@ -76,13 +76,13 @@ impl UnilateralSpring {
     }
 
     /// Where a motion leaves a phase: where it is beyond any of these borders, or, if the spring is free, beyond all of them.
-    pub(super) fn borders(&self, phase: Phase, depth: f64, rate: f64) -> [Option<PhaseBorder>; 3] {
-        let deeper = |than: f64, next_phase| Some(PhaseBorder { guard_residual: depth - than, by: [1.0, 0.0], next_phase });
-        let shallower = |than: f64, next_phase| Some(PhaseBorder { guard_residual: than - depth, by: [-1.0, 0.0], next_phase });
+    pub(super) fn phase_guards(&self, phase: Phase, depth: f64, rate: f64) -> [Option<PhaseGuard>; 3] {
+        let deeper = |than: f64, next_phase| Some(PhaseGuard { guard_residual: depth - than, by: [1.0, 0.0], next_phase });
+        let shallower = |than: f64, next_phase| Some(PhaseGuard { guard_residual: than - depth, by: [-1.0, 0.0], next_phase });
         let push = |sign: f64, next_phase| {
             let by = [self.stiffness, self.damping].map(|by| sign * by / self.push_scale());
             // Without damping what touches pushes.
-            (self.damping > 0.0).then(|| PhaseBorder { guard_residual: sign * self.scaled_push(depth, rate), by, next_phase })
+            (self.damping > 0.0).then(|| PhaseGuard { guard_residual: sign * self.push_as_distance(depth, rate), by, next_phase })
         };
         match phase {
             Phase::Free => {
@@ -95,9 +95,13 @@ impl UnilateralSpring {
     }
 
     /// What is farthest beyond the borders of a phase, by what each of them says.
-    pub(super) fn farthest<T>(phase: Phase, borders: impl Iterator<Item = T>, guard_residual: impl Fn(&T) -> f64) -> Option<T> {
+    pub(super) fn deciding<T>(
+        phase: Phase,
+        phase_guards: impl Iterator<Item = T>,
+        guard_residual: impl Fn(&T) -> f64,
+    ) -> Option<T> {
         let all = phase == Phase::Free;
-        borders.reduce(|one, other| if (guard_residual(&other) >= guard_residual(&one)) != all { other } else { one })
+        phase_guards.reduce(|one, other| if (guard_residual(&other) >= guard_residual(&one)) != all { other } else { one })
     }
 
     /// How long a motion at this rate takes to the end of a ramp, on it or towards it, s. The formulas of a ramp are polynomials, of which
@@ -115,11 +119,11 @@ impl UnilateralSpring {
 
     /// What changes sign where a motion that touches passes a kink: penetration, that beyond the ramp, and the push, m or rad.
     pub(super) fn indicators(&self, depth: f64, rate: f64) -> [f64; 3] {
-        [depth, depth - self.width, self.scaled_push(depth, rate)]
+        [depth, depth - self.width, self.push_as_distance(depth, rate)]
     }
 
     /// (k d + c ḋ) as a distance, m or rad.
-    fn scaled_push(&self, depth: f64, rate: f64) -> f64 {
+    fn push_as_distance(&self, depth: f64, rate: f64) -> f64 {
         self.push(depth, rate) / self.push_scale()
     }
 
@@ -135,7 +139,7 @@ impl UnilateralSpring {
 
     /// s and ds/dd.
     fn ramp(&self, phase: Phase, depth: f64) -> [f64; 2] {
-        match self.formula(phase, depth) {
+        match self.strain_phase(phase, depth) {
             Phase::Free => [0.0, 0.0],
             Phase::Full => [1.0, 0.0],
             Phase::Ramp => {
@@ -146,7 +150,7 @@ impl UnilateralSpring {
     }
 
     /// By which formula a spring is strained: one that has let go still is, where it is.
-    fn formula(&self, phase: Phase, depth: f64) -> Phase {
+    fn strain_phase(&self, phase: Phase, depth: f64) -> Phase {
         match phase {
             Phase::Free if depth >= self.width => Phase::Full,
             Phase::Free if depth > 0.0 => Phase::Ramp,
@@ -173,7 +177,7 @@ impl UnilateralSpring {
         /// ∫ s u du over the ramp: 6/7 − 15/6 + 10/5.
         const RAMP: f64 = 5.0 / 14.0;
         let Self { stiffness: k, width, .. } = *self;
-        match self.formula(phase, depth) {
+        match self.strain_phase(phase, depth) {
             Phase::Free => 0.0,
             Phase::Full => k * (width * width * RAMP + (depth * depth - width * width) / 2.0),
             Phase::Ramp => {
@@ -190,7 +194,7 @@ impl UnilateralSpring {
 }
 
 /// What a one-sided spring and damper push with over a step.
-pub(super) struct Push {
+pub(super) struct MeanReaction {
     /// Mean of N, so that N times the change of the penetration is what the potential gains and what is dissipated.
     pub(super) force: f64,
     /// How it changes with the penetration at the end.
@@ -201,10 +205,10 @@ pub(super) struct Push {
 
 impl UnilateralSpring {
     /// From a penetration, m or rad, that changes by so much in h seconds. The damper follows the mean rate and the mean of the ramp.
-    pub(super) fn push_over(&self, depth: f64, change: f64, h: f64) -> Push {
+    pub(super) fn mean_reaction(&self, depth: f64, change: f64, h: f64) -> MeanReaction {
         let end = depth + change;
         if depth <= 0.0 && end <= 0.0 {
-            return Push { force: 0.0, slope: 0.0, dissipated: 0.0 };
+            return MeanReaction { force: 0.0, slope: 0.0, dissipated: 0.0 };
         }
         let [elastic, stiffness] = self.mean_elastic(depth, change);
         let ramp = |depth: f64| self.ramp(self.phase(depth, 0.0), depth);
@@ -212,10 +216,10 @@ impl UnilateralSpring {
         let damping = self.damping / h;
         let drag = 0.5 * (from + to) * damping * change;
         if elastic + drag <= 0.0 {
-            return Push { force: 0.0, slope: 0.0, dissipated: -elastic * change };
+            return MeanReaction { force: 0.0, slope: 0.0, dissipated: -elastic * change };
         }
         let slope = stiffness + 0.5 * damping * (from + to + slope * change);
-        Push { force: elastic + drag, slope, dissipated: drag * change }
+        MeanReaction { force: elastic + drag, slope, dissipated: drag * change }
     }
 
     /// The mean of s k d, which is (U(d₁) − U(d₀))/(d₁ − d₀) without its cancellation, and its derivative with respect to d₁. Between the
@@ -280,7 +284,7 @@ mod tests {
         let spring = UnilateralSpring { damping: 0.0, ..SPRING };
         for depth in [-1.0, -1e-4, 1e-5, 3e-4, 9.9e-4, 1.5e-3, 0.1] {
             for end in [-1e-3, 2e-5, 4e-4, 1.1e-3, 0.05, 0.2] {
-                let push = spring.push_over(depth, end - depth, 1e-3);
+                let push = spring.mean_reaction(depth, end - depth, 1e-3);
                 let potential = |depth: f64| spring.potential(spring.phase(depth, 0.0), depth);
                 let gained = potential(end) - potential(depth);
                 let scale = potential(end).max(potential(depth));
@@ -290,14 +294,14 @@ mod tests {
                 assert!((push.force * (end - depth) - gained).abs() <= round_off, "{depth} {end}");
                 assert_eq!(push.dissipated, 0.0);
                 let step = 1e-7;
-                let [more, less] = [step, -step].map(|x| SPRING.push_over(depth, end - depth + x, 1e-3).force);
-                let slope = SPRING.push_over(depth, end - depth, 1e-3).slope;
+                let [more, less] = [step, -step].map(|x| SPRING.mean_reaction(depth, end - depth + x, 1e-3).force);
+                let slope = SPRING.mean_reaction(depth, end - depth, 1e-3).slope;
                 // Second differences of a ramp of 1 mrad: (step/width)² of the largest slope, some 100 N·m/rad.
                 assert!(((more - less) / (2.0 * step) - slope).abs() <= 1e-4 * (1.0 + slope.abs()), "{depth} {end}: {slope}");
             }
         }
         for (depth, change) in [(0.1, -0.2), (-0.1, 0.2), (2e-3, 1e-3), (5e-4, -1e-5)] {
-            let push = SPRING.push_over(depth, change, 1e-4);
+            let push = SPRING.mean_reaction(depth, change, 1e-4);
             assert!(push.force >= 0.0 && push.dissipated >= 0.0, "{depth} {change}");
         }
     }

@@ -125,7 +125,7 @@ pub trait Events<const N: usize>: Sized {
     }
 
     /// Holding margin of sticking friction: reaction beyond the breakaway bound, in event tolerances; negative below.
-    fn holding_margin(&self, _at: &Self::GuardValues, _tolerance: f64) -> f64 {
+    fn breakaway_residual(&self, _at: &Self::GuardValues, _tolerance: f64) -> f64 {
         f64::NEG_INFINITY
     }
 

@@ -5,17 +5,17 @@
 //! outer coordinates add 1/m between neighbouring joints, inner ones Φ_I A_I⁻¹ Φ_Iᵀ.
 
 use super::lu::{Lu, inverse};
-use super::tangents::{INNER, INNERS};
+use super::tangents::{INNER, INNER_COUNT};
 use crate::integrator::Kkt;
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 use crate::vector::Vector;
 
 /// Coordinates whose rows of A₀ hold nothing but a mass.
-const OUTER: [usize; COORDINATES - INNERS] = [X[0], X[2], X[3], Y[0], Y[2], Y[3]];
+const OUTER: [usize; COORDINATES - INNER_COUNT] = [X[0], X[2], X[3], Y[0], Y[2], Y[3]];
 
 /// The two constraint equations that each of them is in, and its signs there: x of links 1, 3, 4, then y.
-const NEIGHBOURS: [[(usize, f64); 2]; COORDINATES - INNERS] = [
+const NEIGHBOURS: [[(usize, f64); 2]; COORDINATES - INNER_COUNT] = [
     [(2 * G_X, 1.0), (2 * E_X, -1.0)],
     [(2 * E_X + 1, 1.0), (TIP_X, -1.0)],
     [(2 * G_X + 1, 1.0), (2 * E_X + 1, -1.0)],
@@ -29,15 +29,15 @@ const NEIGHBOURS: [[(usize, f64); 2]; COORDINATES - INNERS] = [
 pub struct Coupled {
     pose: Pose,
     /// 1/m of the outer coordinates.
-    mobility: [f64; COORDINATES - INNERS],
+    mobility: [f64; COORDINATES - INNER_COUNT],
     /// A_I⁻¹ by rows.
-    compliance: [Vector<INNERS>; INNERS],
+    compliance: [Vector<INNER_COUNT>; INNER_COUNT],
     dual: Lu<MULTIPLIERS>,
 }
 
 /// Φ_I X, the columns of Φ_q of the inner coordinates times a matrix, both by rows.
 #[inline]
-fn phi_inner_times<const K: usize>(pose: &Pose, x: &[Vector<K>; INNERS]) -> [Vector<K>; MULTIPLIERS] {
+fn phi_inner_times<const K: usize>(pose: &Pose, x: &[Vector<K>; INNER_COUNT]) -> [Vector<K>; MULTIPLIERS] {
     /// Places of the angles of the proximal and the distal links, left and right; those of the position of link 2 are the axes.
     const INNER_PROXIMAL: [usize; 2] = [2, 5];
     const INNER_DISTAL: [usize; 2] = [3, 4];
@@ -66,7 +66,7 @@ impl Coupled {
     /// Factorises for the masses of the outer coordinates and the block of A₀ of the inner ones by rows, whose symmetric part is
     /// positive: so is that of the dual matrix. Where values are not finite, the caller's check of the results ends the step.
     #[inline]
-    pub fn factor(pose: &Pose, masses: &Coordinates, inner: [Vector<INNERS>; INNERS], regularization: f64) -> Self {
+    pub fn factor(pose: &Pose, masses: &Coordinates, inner: [Vector<INNER_COUNT>; INNER_COUNT], regularization: f64) -> Self {
         let compliance = inverse(inner);
         // Φ_I A_I⁻¹ Φ_Iᵀ from Φ_I A_I⁻ᵀ.
         let mut dual = phi_inner_times(pose, &transposed(&phi_inner_times(pose, &transposed(&compliance))));

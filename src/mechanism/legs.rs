@@ -59,28 +59,28 @@ impl Legs2 {
     }
 }
 
-/// The largest angle of [`turned_by`], rad.
-const SMALL: f64 = 0.45;
+/// The largest angle of [`rotated_by`], rad.
+const LARGEST_SMALL_ANGLE: f64 = 0.45;
 
-/// Whether both angles of both legs are small enough for [`turned_by`]: by their squares, which it needs as well. What is not a number comes
+/// Whether both angles of both legs are small enough for [`rotated_by`]: by their squares, which it needs as well. What is not a number comes
 /// out as it is.
 #[inline(always)]
 pub fn are_small([one, other]: [Legs; 2]) -> bool {
-    (one * one).fast_max(other * other).simd_gt(both(SMALL * SMALL)).to_bitmask() == 0
+    (one * one).fast_max(other * other).simd_gt(both(LARGEST_SMALL_ANGLE * LARGEST_SMALL_ANGLE)).to_bitmask() == 0
 }
 
-/// The largest angle of [`barely_turned_by`], rad: half of its square is below half an ulp.
-const TINY: f64 = 1e-8;
+/// The largest angle of [`rotated_by_tiny`], rad: half of its square is below half an ulp.
+const LARGEST_TINY_ANGLE: f64 = 1e-8;
 
-/// The same for [`barely_turned_by`].
+/// The same for [`rotated_by_tiny`].
 #[inline(always)]
 pub fn are_tiny([one, other]: [Legs; 2]) -> bool {
-    (one * one).fast_max(other * other).simd_gt(both(TINY * TINY)).to_bitmask() == 0
+    (one * one).fast_max(other * other).simd_gt(both(LARGEST_TINY_ANGLE * LARGEST_TINY_ANGLE)).to_bitmask() == 0
 }
 
 /// A direction of each leg turned by an angle of at most 1e-8 rad, whose sine is itself and whose cosine is 1.
 #[inline(always)]
-pub fn barely_turned_by(direction: Legs2, angle: Legs) -> Legs2 {
+pub fn rotated_by_tiny(direction: Legs2, angle: Legs) -> Legs2 {
     let Legs2 { x, y } = direction;
     Legs2 { x: x - angle * y, y: y + angle * x }
 }
@@ -92,16 +92,16 @@ pub fn barely_turned_by(direction: Legs2, angle: Legs) -> Legs2 {
 /// sin δ = 2ab/(a² + b²) and 1 − cos δ = 2b²/(a² + b²) keep the length of a direction whatever the quotient is. Both are small, so that
 /// round-off is that of the direction itself.
 #[inline(always)]
-pub fn turned_by(direction: Legs2, angle: Legs) -> Legs2 {
+pub fn rotated_by(direction: Legs2, angle: Legs) -> Legs2 {
     let [a, b] = half_tangent(angle);
-    moved_by(direction, direction, [a, b], (b + b) / (a * a + b * b))
+    rotated_by_quotient(direction, direction, [a, b], (b + b) / (a * a + b * b))
 }
 
 /// The same where twice the direction is at hand, for less and to the same bits.
 #[inline(always)]
-pub fn turned_with(direction: Legs2, twice: Legs2, angle: Legs) -> Legs2 {
+pub fn rotated_with_double(direction: Legs2, twice: Legs2, angle: Legs) -> Legs2 {
     let [a, b] = half_tangent(angle);
-    moved_by(direction, twice, [a, b], b / (a * a + b * b))
+    rotated_by_quotient(direction, twice, [a, b], b / (a * a + b * b))
 }
 
 /// a and b with b/a the tangent of half an angle.
@@ -117,7 +117,7 @@ fn half_tangent(angle: Legs) -> [Legs; 2] {
 
 /// A direction, and what sin δ and 1 − cos δ, multiples of a and b, make of it or of its double. The quotient comes last: it takes longest.
 #[inline(always)]
-fn moved_by(Legs2 { x, y }: Legs2, by: Legs2, [a, b]: [Legs; 2], quotient: Legs) -> Legs2 {
+fn rotated_by_quotient(Legs2 { x, y }: Legs2, by: Legs2, [a, b]: [Legs; 2], quotient: Legs) -> Legs2 {
     Legs2 { x: x - (b * by.x + a * by.y) * quotient, y: y + (a * by.x - b * by.y) * quotient }
 }
 
@@ -202,8 +202,8 @@ mod tests {
         for i in 0..100 {
             let (sin, cos) = libm::sincos(f64::from(i) * 0.063);
             for j in -1000..=1000 {
-                let angle = f64::from(j) * SMALL / 1000.0;
-                let turned = turned_by(Legs2 { x: both(cos), y: both(sin) }, Legs::new([angle, -angle]));
+                let angle = f64::from(j) * LARGEST_SMALL_ANGLE / 1000.0;
+                let turned = rotated_by(Legs2 { x: both(cos), y: both(sin) }, Legs::new([angle, -angle]));
                 let (s, c) = libm::sincos(angle);
                 for (leg, s) in [s, -s].into_iter().enumerate() {
                     let (x, y) = (turned.x.to_array()[leg], turned.y.to_array()[leg]);

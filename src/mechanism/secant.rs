@@ -61,7 +61,7 @@ fn turn(angle: Legs) -> [Legs; 3] {
 impl Legs2 {
     /// Turned by an angle with this cosine and sine.
     #[inline(always)]
-    fn turned_by(self, cos: Legs, sin: Legs) -> Self {
+    fn rotated_by(self, cos: Legs, sin: Legs) -> Self {
         Self { x: self.x * cos - self.y * sin, y: self.x * sin + self.y * cos }
     }
 }
@@ -76,19 +76,19 @@ impl Mechanism {
     /// The same compiled into its caller.
     #[inline(always)]
     pub(crate) fn secant_in_place(&self, begin: &Pose, d: &Coordinates) -> Secant {
-        self.secant_along(&Turned::new(begin, [legs_of(d, P_THETA), legs_of(d, D_THETA)]))
+        self.secant_along(&StepDirections::new(begin, [legs_of(d, P_THETA), legs_of(d, D_THETA)]))
     }
 
     /// The same from directions.
     #[inline(always)]
-    pub(crate) fn secant_along(&self, &Turned { middle, end, sinc, cos }: &Turned) -> Secant {
+    pub(crate) fn secant_along(&self, &StepDirections { middle, end, sinc, cos }: &StepDirections) -> Secant {
         Secant { middle: self.pose_along(middle), end: self.pose_along(end), sinc, cos }
     }
 }
 
 /// The directions of a step: of the proximal and the distal links.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Turned {
+pub(crate) struct StepDirections {
     /// û_m.
     pub(crate) middle: [Legs2; 2],
     /// û₁.
@@ -98,16 +98,16 @@ pub(crate) struct Turned {
     pub(crate) cos: [Legs; 2],
 }
 
-impl Turned {
+impl StepDirections {
     /// From a pose by the turns of the proximal and the distal links.
     #[inline(always)]
     pub(crate) fn new(begin: &Pose, turns: [Legs; 2]) -> Self {
         let [cos_p, sin_p, sinc_p] = turn(both(0.5) * turns[0]);
         let [cos_d, sin_d, sinc_d] = turn(both(0.5) * turns[1]);
-        let (p, d) = (begin.u_p.turned_by(cos_p, sin_p), begin.u_d.turned_by(cos_d, sin_d));
+        let (p, d) = (begin.u_p.rotated_by(cos_p, sin_p), begin.u_d.rotated_by(cos_d, sin_d));
         Self {
             middle: [p, d],
-            end: [p.turned_by(cos_p, sin_p), d.turned_by(cos_d, sin_d)],
+            end: [p.rotated_by(cos_p, sin_p), d.rotated_by(cos_d, sin_d)],
             sinc: [sinc_p, sinc_d],
             cos: [cos_p, cos_d],
         }
@@ -116,7 +116,7 @@ impl Turned {
 
 /// The angles' rows of a vector times a factor.
 #[inline(always)]
-fn shortened(mut x: Coordinates, [proximal, distal]: [Legs; 2]) -> Coordinates {
+fn with_scaled_angles(mut x: Coordinates, [proximal, distal]: [Legs; 2]) -> Coordinates {
     let (p, d) = (legs_of(&x, P_THETA), legs_of(&x, D_THETA));
     set_legs(&mut x, P_THETA, proximal * p);
     set_legs(&mut x, D_THETA, distal * d);
@@ -127,13 +127,13 @@ impl Secant {
     /// J_bᵀ Λ.
     #[inline(always)]
     pub(crate) fn discrete_transposed_times(&self, multipliers: &Multipliers) -> Coordinates {
-        shortened(self.middle.phi_q_transposed_times(multipliers), self.sinc)
+        with_scaled_angles(self.middle.phi_q_transposed_times(multipliers), self.sinc)
     }
 
     /// J_cᵀ ν.
     #[inline(always)]
     pub(crate) fn mean_transposed_times(&self, multipliers: &Multipliers) -> Coordinates {
-        shortened(self.middle.phi_q_transposed_times(multipliers), self.cos)
+        with_scaled_angles(self.middle.phi_q_transposed_times(multipliers), self.cos)
     }
 
     /// K_b(z)ᵀ ν, the discrete derivative of νᵀ Φ_q z with respect to q: only in the angles.

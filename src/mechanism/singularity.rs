@@ -8,7 +8,7 @@ use super::{Assembly, Geometry, Pose};
 use crate::scalar::Scalar;
 
 /// Relative size of a determinant, and absolute size of the smallest singular value of Φ_q, that counts as singular.
-const NEAR_SINGULAR: f64 = 1e-3;
+const SINGULARITY_THRESHOLD: f64 = 1e-3;
 
 /// The gravest singularity within reach.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,9 +68,9 @@ impl Pose {
     }
 
     /// What changes sign where a mode changes, or where a direct or inverse singularity comes within reach.
-    pub fn margins(&self) -> [f64; 5] {
+    pub fn configuration_indicators(&self) -> [f64; 5] {
         let [tip, left, right] = self.sines();
-        [tip, left, right, tip.abs() - NEAR_SINGULAR, (left * right).abs() - NEAR_SINGULAR]
+        [tip, left, right, tip.abs() - SINGULARITY_THRESHOLD, (left * right).abs() - SINGULARITY_THRESHOLD]
     }
 
     /// Sines of the angles between the distal links and in the left and right elbow.
@@ -91,8 +91,8 @@ impl Pose {
 }
 
 /// What changes sign where the constraints come to lose rank.
-pub fn rank_margin(sigma_phi: f64) -> f64 {
-    sigma_phi - NEAR_SINGULAR
+pub fn rank_indicator(sigma_phi: f64) -> f64 {
+    sigma_phi - SINGULARITY_THRESHOLD
 }
 
 impl Geometry {
@@ -125,10 +125,10 @@ impl Geometry {
     /// The gravest singularity within reach.
     pub fn singularity_kind(&self, jacobians: &Jacobians, sigma_phi: f64) -> SingularityKind {
         let [p1, l2, l3, p4] = self.links.map(|link| link.length);
-        let direct = jacobians.det_jx.abs() < NEAR_SINGULAR * l2 * l3;
-        let inverse = jacobians.det_jq.abs() < NEAR_SINGULAR * p1 * l2 * p4 * l3;
+        let direct = jacobians.det_jx.abs() < SINGULARITY_THRESHOLD * l2 * l3;
+        let inverse = jacobians.det_jq.abs() < SINGULARITY_THRESHOLD * p1 * l2 * p4 * l3;
         match (direct, inverse) {
-            _ if sigma_phi < NEAR_SINGULAR => SingularityKind::Constraint,
+            _ if sigma_phi < SINGULARITY_THRESHOLD => SingularityKind::Constraint,
             (true, true) => SingularityKind::Combined,
             (true, false) => SingularityKind::Direct,
             (false, true) => SingularityKind::Inverse,

@@ -145,7 +145,7 @@ impl<S: Events<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
         let middle = self.at(0.5 * (from.part + to.part));
         if stays && middle.guard_residual <= CROSSING_RESIDUAL && stretch <= LONGEST_PARABOLA {
             let probes =
-                [from, &middle, to].map(|probe| [probe.part, self.system.holding_margin(&probe.guard_values, self.tolerance)]);
+                [from, &middle, to].map(|probe| [probe.part, self.system.breakaway_residual(&probe.guard_values, self.tolerance)]);
             if maximum_is_below(probes) {
                 return None;
             }
@@ -171,7 +171,7 @@ impl<S: Events<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
             if probe.guard_residual > CROSSING_RESIDUAL {
                 return self.first(from, &probe);
             }
-            let maximum = [part, self.system.holding_margin(&probe.guard_values, self.tolerance)];
+            let maximum = [part, self.system.breakaway_residual(&probe.guard_values, self.tolerance)];
             [left, top, right] = match (part < top[0], maximum[1] > top[1]) {
                 (true, true) => [left, maximum, top],
                 (true, false) => [maximum, top, right],

@@ -4,12 +4,12 @@ use super::{normals, scaled};
 use crate::effects::Tangents;
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X};
 use crate::mechanism::legs::{Legs, Legs2};
-use crate::mechanism::secant::Turned;
+use crate::mechanism::secant::StepDirections;
 
 /// Tangents of loads over a step as moments of inertia of each leg: by rows (proximal, distal) of momentum and columns of Δθ and ω̂, which
 /// change together. What couples the legs is left out: Newton's method converges a little more slowly.
-pub struct LegLoads<'a> {
-    pub(super) directions: &'a Turned,
+pub struct LegTangents<'a> {
+    pub(super) directions: &'a StepDirections,
     /// Of the proximal and of the distal links, from the joints of either link to the centre of mass.
     pub(super) arms: [[Legs; 2]; 2],
     /// ½h² of K and h of C.
@@ -17,7 +17,7 @@ pub struct LegLoads<'a> {
     pub(super) inertias: [[[f64; 2]; 2]; 2],
 }
 
-impl LegLoads<'_> {
+impl LegTangents<'_> {
     /// How far a coordinate moves by turns of its leg's links, with their normals at the end, or in the middle, shortened.
     #[inline(always)]
     fn levers(&self, coordinate: usize, normals: [Legs2; 2]) -> [f64; 2] {
@@ -53,7 +53,7 @@ impl LegLoads<'_> {
     }
 }
 
-impl Tangents for LegLoads<'_> {
+impl Tangents for LegTangents<'_> {
     #[inline(always)]
     fn stiffness(&mut self, row: usize, column: usize, value: f64) {
         self.add([row, column], self.weights[0] * value);

@@ -6,7 +6,7 @@ use crate::mechanism::legs::{Legs, Legs2, both, sum};
 /// A matrix of each leg over its two links by rows, closed by the tip: [A b; c −e] with the columns b of the tip's forces and the rows c
 /// of its closure.
 #[derive(Clone, Copy, Debug)]
-pub struct Closed {
+pub struct BorderedMatrix {
     /// A⁻¹ by rows.
     inverse: [[Legs; 2]; 2],
     /// A⁻¹ b by links.
@@ -15,15 +15,15 @@ pub struct Closed {
     tip_inverse: [f64; 4],
 }
 
-impl Closed {
+impl BorderedMatrix {
     /// `pulls`: the rows of b by links; `ends`: the columns of c.
     #[inline(always)]
     pub(super) fn new([[pp, pd], [dp, dd]]: [[Legs; 2]; 2], [p, d]: [Legs2; 2], ends: &[Legs2; 2], e: f64) -> Self {
         let reciprocal = both(1.0) / (pp * dd - pd * dp);
         let inverse @ [[ipp, ipd], [idp, idd]] = [[dd * reciprocal, -pd * reciprocal], [-dp * reciprocal, pp * reciprocal]];
         let columns = [p.scaled(ipp).plus(d.scaled(ipd)), p.scaled(idp).plus(d.scaled(idd))];
-        let [xx, yx] = apart(ends, columns.map(|column| column.x));
-        let [xy, yy] = apart(ends, columns.map(|column| column.y));
+        let [xx, yx] = tip_separation(ends, columns.map(|column| column.x));
+        let [xy, yy] = tip_separation(ends, columns.map(|column| column.y));
         let (xx, yy) = (xx + e, yy + e);
         let reciprocal = 1.0 / (xx * yy - xy * yx);
         Self { inverse, columns, tip_inverse: [yy * reciprocal, -xy * reciprocal, -yx * reciprocal, xx * reciprocal] }
@@ -41,7 +41,7 @@ impl Closed {
     pub(super) fn solve(&self, [p, d]: [Legs; 2], ends: &[Legs2; 2], gap: [f64; 2]) -> ([Legs; 2], [f64; 2]) {
         let [[pp, pd], [dp, dd]] = self.inverse;
         let free = [pp * p + pd * d, dp * p + dd * d];
-        let open @ [x, y] = apart(ends, free);
+        let open @ [x, y] = tip_separation(ends, free);
         let closing = at_tip(self.at_tip([x + gap[0], y + gap[1]]));
         ([free[0] - self.columns[0].dot(closing), free[1] - self.columns[1].dot(closing)], self.at_tip(open))
     }
@@ -49,6 +49,6 @@ impl Closed {
 
 /// By how much the legs' tips come apart where their links turn so far.
 #[inline(always)]
-fn apart([p, d]: &[Legs2; 2], [turn_p, turn_d]: [Legs; 2]) -> [f64; 2] {
+fn tip_separation([p, d]: &[Legs2; 2], [turn_p, turn_d]: [Legs; 2]) -> [f64; 2] {
     [sum(p.x * turn_p + d.x * turn_d), sum(p.y * turn_p + d.y * turn_d)]
 }
