@@ -8,7 +8,7 @@ use num_dual::{Dual64, DualNum};
 
 /// Relative distance, to the largest, below which values count as equal and their kink has a derivative by convention
 /// ([`Scalar::smallest`]): half of the digits.
-const MULTIPLE: f64 = 1e-8;
+const TIE_TOLERANCE: f64 = 1e-8;
 
 /// A number, with or without its derivative.
 pub trait Scalar: DualNum<Primitive = f64> + Copy {
@@ -19,7 +19,7 @@ pub trait Scalar: DualNum<Primitive = f64> + Copy {
     fn value(self) -> f64;
 
     /// The number, with derivative 0 where `kink` is true.
-    fn flat_if(self, kink: bool) -> Self;
+    fn with_flat_kink(self, kink: bool) -> Self;
 
     /// The smallest of some values. Where several coincide, the minimum has a kink; its derivative is then the mean of their derivatives,
     /// as by central differences, which is linear in the direction.
@@ -27,13 +27,13 @@ pub trait Scalar: DualNum<Primitive = f64> + Copy {
 
     /// Magnitude |x| of a value bounded by `largest`: derivative 0 where the value is round-off of the bound.
     fn magnitude(self, largest: f64) -> Self {
-        self.abs().flat_if(self.value().abs() <= MULTIPLE * largest)
+        self.abs().with_flat_kink(self.value().abs() <= TIE_TOLERANCE * largest)
     }
 
     /// Root √x of a value bounded by `largest`, 0 for x < 0: derivative 0 where the root is round-off of √`largest`.
     fn root(self, largest: f64) -> Self {
         let positive = if self.value() > 0.0 { self } else { Self::with(0.0, || 0.0) };
-        positive.sqrt().flat_if(positive.value().sqrt() <= MULTIPLE * largest.sqrt())
+        positive.sqrt().with_flat_kink(positive.value().sqrt() <= TIE_TOLERANCE * largest.sqrt())
     }
 }
 
@@ -46,7 +46,7 @@ impl Scalar for f64 {
         self
     }
 
-    fn flat_if(self, _: bool) -> Self {
+    fn with_flat_kink(self, _: bool) -> Self {
         self
     }
 
@@ -64,13 +64,13 @@ impl Scalar for Dual64 {
         self.re
     }
 
-    fn flat_if(self, kink: bool) -> Self {
+    fn with_flat_kink(self, kink: bool) -> Self {
         if kink { Self::new(self.re, 0.0) } else { self }
     }
 
     fn smallest<const K: usize>(values: [Self; K]) -> Self {
         let (smallest, largest) = values.iter().fold((f64::INFINITY, 0.0_f64), |(low, high), x| (low.min(x.re), high.max(x.re)));
-        let coinciding = || values.iter().filter(|x| x.re - smallest <= MULTIPLE * largest);
+        let coinciding = || values.iter().filter(|x| x.re - smallest <= TIE_TOLERANCE * largest);
         Self::new(smallest, coinciding().map(|x| x.eps).sum::<f64>() / coinciding().count() as f64)
     }
 }

@@ -113,13 +113,13 @@ impl<const N: usize> BorshDeserialize for Vector<N> {
 }
 
 /// Number of elements in one call of a writer or reader: all coordinates of a state.
-const AT_A_TIME: usize = 12;
+const CHUNK: usize = 12;
 
 /// Writes elements; one compiled copy for vectors of every length.
 #[inline(never)]
 fn write(elements: &[f64], writer: &mut dyn Write) -> io::Result<()> {
-    for elements in elements.chunks(AT_A_TIME) {
-        let mut bytes = [0; AT_A_TIME * size_of::<f64>()];
+    for elements in elements.chunks(CHUNK) {
+        let mut bytes = [0; CHUNK * size_of::<f64>()];
         let mut rest = &mut bytes[..];
         for element in elements {
             element.serialize(&mut rest)?;
@@ -132,8 +132,8 @@ fn write(elements: &[f64], writer: &mut dyn Write) -> io::Result<()> {
 /// Reads elements; one compiled copy for vectors of every length.
 #[inline(never)]
 fn read(elements: &mut [f64], reader: &mut dyn Read) -> io::Result<()> {
-    for elements in elements.chunks_mut(AT_A_TIME) {
-        let mut bytes = [0; AT_A_TIME * size_of::<f64>()];
+    for elements in elements.chunks_mut(CHUNK) {
+        let mut bytes = [0; CHUNK * size_of::<f64>()];
         reader.read_exact(&mut bytes[..size_of_val(elements)])?;
         let mut rest = &bytes[..];
         for element in elements {

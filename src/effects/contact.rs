@@ -20,7 +20,7 @@ use arrayvec::ArrayVec;
 use super::force_context::{ForceContext, Tip};
 use super::stick_slip::{FRICTION_PLACES, FrictionConstraint, FrictionConstraints, Law, TIP_FRICTION};
 use super::guards::{CONTACT, SPRINGS, UnilateralGuard};
-use super::unilateral_spring::{Push, UnilateralSpring};
+use super::unilateral_spring::{MeanReaction, UnilateralSpring};
 use super::step_context::{TipStep, end_weight};
 use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::{COORDINATES, Coordinates, LINKS, Mechanism, SceneError, finite, not_negative, positive};
@@ -86,25 +86,25 @@ impl Contact {
     }
 
     /// Friction along −t divided by mu N: tanh(v_t/slipVelocity) by the smooth law, ±1 (slip) or 0 (stick) by the set-valued law.
-    fn turn(&self, at: &ForceContext, slip: f64) -> f64 {
+    fn friction_ratio(&self, at: &ForceContext, slip: f64) -> f64 {
         match self.law {
             Law::Smooth => libm::tanh(slip / self.slip_velocity),
             Law::Stick => at.mode.stick_slip.direction(TIP_FRICTION, slip),
         }
     }
 
-    /// Contact force divided by N, F/N = n − mu `turn` t.
-    fn direction(&self, turn: f64) -> [f64; 2] {
-        let (drag, tangent) = (self.mu * turn, self.tangent());
+    /// Contact force divided by N, F/N = n − mu `friction_ratio` t.
+    fn direction(&self, friction_ratio: f64) -> [f64; 2] {
+        let (drag, tangent) = (self.mu * friction_ratio, self.tangent());
         [self.normal[0] - drag * tangent[0], self.normal[1] - drag * tangent[1]]
     }
 
     /// Force on the tip, N, when friction sticks with the given torques of the joints, N·m, and tangential force, N.
-    pub fn force(&self, at: &ForceContext, holding: &[f64; FRICTION_PLACES]) -> [f64; 2] {
+    pub fn force(&self, at: &ForceContext, sticking_loads: &[f64; FRICTION_PLACES]) -> [f64; 2] {
         let (tip, tangent) = (at.tip(), self.tangent());
         let normal = self.guard(&tip).force(at);
-        let slipping = self.direction(self.turn(at, self.slip(&tip))).map(|x| normal * x);
-        [0, 1].map(|i| slipping[i] + holding[TIP_FRICTION] * tangent[i])
+        let slipping = self.direction(self.friction_ratio(at, self.slip(&tip))).map(|x| normal * x);
+        [0, 1].map(|i| slipping[i] + sticking_loads[TIP_FRICTION] * tangent[i])
     }
 }
 
@@ -155,9 +155,9 @@ impl Force for Contact {
             return [0.0; 2];
         }
         let (normal, slip) = (guard.force(at), self.slip(&tip));
-        let turn = self.turn(at, slip);
-        tip.add_force(self.direction(turn).map(|x| normal * x), forces);
-        [0.0, guard.dissipation(at) + normal * self.mu * turn * slip]
+        let friction_ratio = self.friction_ratio(at, slip);
+        tip.add_force(self.direction(friction_ratio).map(|x| normal * x), forces);
+        [0.0, guard.dissipation(at) + normal * self.mu * friction_ratio * slip]
     }
 
     #[inline(never)]
@@ -169,12 +169,12 @@ impl Force for Contact {
         }
         let (normal_force, slip) = (guard.force(at), self.slip(&tip));
         let [by_depth, by_rate] = guard.slopes(at);
-        let turn = self.turn(at, slip);
+        let friction_ratio = self.friction_ratio(at, slip);
         let by_slip = match self.law {
-            Law::Smooth => self.mu * normal_force * (1.0 - turn * turn) / self.slip_velocity,
+            Law::Smooth => self.mu * normal_force * (1.0 - friction_ratio * friction_ratio) / self.slip_velocity,
             Law::Stick => 0.0,
         };
-        let (normal, tangent, direction) = (self.normal, self.tangent(), self.direction(turn));
+        let (normal, tangent, direction) = (self.normal, self.tangent(), self.direction(friction_ratio));
         let matrix = |entry: &dyn Fn(usize, usize) -> f64| [[entry(0, 0), entry(0, 1)], [entry(1, 0), entry(1, 1)]];
         let stiffness = matrix(&|i, j| by_depth * direction[i] * normal[j]);
         let damping = matrix(&|i, j| by_rate * direction[i] * normal[j] + by_slip * tangent[i] * tangent[j]);
@@ -200,7 +200,7 @@ impl Force for Contact {
     }
 
     #[cold]
-    fn add_friction_constraints(&self, at: &ForceContext, grasps: &mut FrictionConstraints<COORDINATES>) {
+    fn add_friction_constraints(&self, at: &ForceContext, friction_constraints: &mut FrictionConstraints<COORDINATES>) {
         let tip = at.tip();
         let guard = self.guard(&tip);
         if !self.sticks() || !guard.phase(&at.mode).pushes() {
@@ -210,45 +210,45 @@ impl Force for Contact {
         tip.add_force(tangent, &mut row);
         let (rate, bound) = (self.slip(&tip), self.mu * guard.force(at));
         let [proximal, distal, ..] = self.arms;
-        grasps.push(FrictionConstraint { place: TIP_FRICTION, row, drift: dot(tangent, tip.centripetal()), rate, bound, arms: [proximal, distal, 0.0, 0.0] });
+        friction_constraints.push(FrictionConstraint { place: TIP_FRICTION, row, drift: dot(tangent, tip.centripetal()), rate, bound, arms: [proximal, distal, 0.0, 0.0] });
     }
 }
 
 impl MeanForce for Contact {
     #[inline(never)]
     fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
-        if let Some(rub) = self.rub(over) {
-            rub.tip.add_force(self.mean_force(&rub), forces);
+        if let Some(sliding_contact) = self.sliding_contact(over) {
+            sliding_contact.tip.add_force(self.mean_force(&sliding_contact), forces);
         }
     }
 
     #[inline(never)]
     fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
-        let Some(rub) = self.rub(over) else { return };
-        let Rub { push, steepness, weight, by_normal, .. } = &rub;
+        let Some(sliding_contact) = self.sliding_contact(over) else { return };
+        let SlidingContact { push, slip_slope, weight, by_normal, .. } = &sliding_contact;
         let (normal, tangent) = (self.normal, self.tangent());
         let matrix = |entry: &dyn Fn(usize, usize) -> f64| [[entry(0, 0), entry(0, 1)], [entry(1, 0), entry(1, 1)]];
         let stiffness = matrix(&|i, j| {
-            push.slope * (normal[i] - by_normal * tangent[i]) * normal[j] + steepness * (1.0 - weight) / over.h * tangent[i] * tangent[j]
+            push.slope * (normal[i] - by_normal * tangent[i]) * normal[j] + slip_slope * (1.0 - weight) / over.h * tangent[i] * tangent[j]
         });
-        let damping = matrix(&|i, j| steepness * weight * tangent[i] * tangent[j]);
-        rub.tip.add_tangents(stiffness, damping, tangents);
-        rub.tip.add_geometric_stiffness(self.mean_force(&rub), tangents);
+        let damping = matrix(&|i, j| slip_slope * weight * tangent[i] * tangent[j]);
+        sliding_contact.tip.add_tangents(stiffness, damping, tangents);
+        sliding_contact.tip.add_geometric_stiffness(self.mean_force(&sliding_contact), tangents);
     }
 
     fn dissipated_over(&self, over: &StepContext) -> f64 {
-        self.rub(over).map_or(0.0, |rub| rub.push.dissipated + rub.drag * dot(self.tangent(), rub.tip.change))
+        self.sliding_contact(over).map_or(0.0, |sliding_contact| sliding_contact.push.dissipated + sliding_contact.drag * dot(self.tangent(), sliding_contact.tip.change))
     }
 }
 
 /// Mean reaction of the plane on the tip over a finite step.
-struct Rub {
+struct SlidingContact {
     tip: TipStep,
-    push: Push,
+    push: MeanReaction,
     /// Mean friction along −t, N.
     drag: f64,
     /// Derivative of the friction by the slip velocity, N·s/m.
-    steepness: f64,
+    slip_slope: f64,
     /// Weight γ of the step's end in the slip velocity, 0 to 1 (`step_context.rs`).
     weight: f64,
     /// Derivative of the friction by N.
@@ -257,26 +257,26 @@ struct Rub {
 
 impl Contact {
     /// The reaction over a step; `None` where the tip is off the plane at both ends.
-    fn rub(&self, over: &StepContext) -> Option<Rub> {
+    fn sliding_contact(&self, over: &StepContext) -> Option<SlidingContact> {
         let tip = over.tip();
         let (depth, change) = (self.offset - dot(self.normal, tip.begin), -dot(self.normal, tip.change));
         if depth <= 0.0 && depth + change <= 0.0 {
             return None;
         }
-        let push = self.spring.push_over(depth, change, over.h);
+        let push = self.spring.mean_reaction(depth, change, over.h);
         let slip_velocity = over.softening * self.slip_velocity;
         let (mean, end) = (dot(self.tangent(), tip.change) / over.h, dot(self.tangent(), tip.velocity));
         let decay = 0.5 * over.h * self.mu / (slip_velocity * over.inertia.tip);
         let weight = end_weight(decay * push.force);
         let tanh = libm::tanh((mean + weight * (end - mean)) / slip_velocity);
-        let steepness = self.mu * push.force * (1.0 - tanh * tanh) / slip_velocity;
-        let by_normal = self.mu * tanh + steepness * (end - mean) * decay * (1.0 - weight) * (1.0 - weight);
-        Some(Rub { tip, drag: self.mu * push.force * tanh, push, steepness, weight, by_normal })
+        let slip_slope = self.mu * push.force * (1.0 - tanh * tanh) / slip_velocity;
+        let by_normal = self.mu * tanh + slip_slope * (end - mean) * decay * (1.0 - weight) * (1.0 - weight);
+        Some(SlidingContact { tip, drag: self.mu * push.force * tanh, push, slip_slope, weight, by_normal })
     }
 
     /// Mean force on the tip, N.
-    fn mean_force(&self, rub: &Rub) -> [f64; 2] {
+    fn mean_force(&self, sliding_contact: &SlidingContact) -> [f64; 2] {
         let tangent = self.tangent();
-        [0, 1].map(|i| rub.push.force * self.normal[i] - rub.drag * tangent[i])
+        [0, 1].map(|i| sliding_contact.push.force * self.normal[i] - sliding_contact.drag * tangent[i])
     }
 }

@@ -13,11 +13,11 @@ use crate::mechanism::{Coordinates, Pose};
 pub const JOINTS: usize = 5;
 
 /// Coordinates of the two motor angles: links 1 and 4.
-pub(super) const MOTORS: [usize; 2] = [THETA[0], THETA[3]];
+pub(super) const MOTOR_ANGLES: [usize; 2] = [THETA[0], THETA[3]];
 
 /// Links of each joint, first and second. The rate of a joint is the rate of its first link minus the rate of its second link, if any; a
 /// joint torque acts with + on the first and with − on the second.
-pub(super) const JOINED: [(usize, Option<usize>); JOINTS] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
+pub(super) const JOINT_LINKS: [(usize, Option<usize>); JOINTS] = [(0, None), (1, Some(0)), (1, Some(2)), (2, Some(3)), (3, None)];
 
 /// Index of the link on which forces on the tip act.
 pub(super) const TIP_LINK: usize = 1;
@@ -44,19 +44,19 @@ impl ForceContext<'_> {
     #[inline]
     pub fn motor_angle(&self, motor: usize) -> f64 {
         const TURNS: [usize; 2] = [0, 3];
-        self.q[MOTORS[motor]] + self.turns[TURNS[motor]] as f64 * TAU
+        self.q[MOTOR_ANGLES[motor]] + self.turns[TURNS[motor]] as f64 * TAU
     }
 
     /// Rate of a motor axis, rad/s.
     #[inline]
     pub fn motor_rate(&self, motor: usize) -> f64 {
-        self.v[MOTORS[motor]]
+        self.v[MOTOR_ANGLES[motor]]
     }
 
     /// Rate of a joint, rad/s.
     #[inline]
     pub fn joint_rate(&self, joint: usize) -> f64 {
-        let (first, second) = JOINED[joint];
+        let (first, second) = JOINT_LINKS[joint];
         self.v[THETA[first]] - second.map_or(0.0, |second| self.v[THETA[second]])
     }
 
@@ -84,7 +84,7 @@ fn tip_arm(pose: &Pose) -> [f64; 2] {
 /// Adds a torque at a joint, N·m, to the generalised forces.
 #[inline]
 pub(super) fn add_joint_torque(joint: usize, torque: f64, forces: &mut Coordinates) {
-    let (first, second) = JOINED[joint];
+    let (first, second) = JOINT_LINKS[joint];
     forces[THETA[first]] += torque;
     if let Some(second) = second {
         forces[THETA[second]] -= torque;
@@ -94,7 +94,7 @@ pub(super) fn add_joint_torque(joint: usize, torque: f64, forces: &mut Coordinat
 /// Adds the tangent of a joint torque T by the joint's rate w: `damping` = −∂T/∂w, N·m·s/rad.
 #[inline]
 pub(super) fn add_joint_damping(joint: usize, damping: f64, tangents: &mut impl Tangents) {
-    let (first, second) = JOINED[joint];
+    let (first, second) = JOINT_LINKS[joint];
     tangents.damping(THETA[first], THETA[first], damping);
     if let Some(second) = second {
         tangents.damping(THETA[second], THETA[second], damping);
@@ -105,7 +105,7 @@ pub(super) fn add_joint_damping(joint: usize, damping: f64, tangents: &mut impl 
 
 /// Whether a torque at the joint couples two links.
 pub(super) fn is_inner(joint: usize) -> bool {
-    JOINED[joint].1.is_some()
+    JOINT_LINKS[joint].1.is_some()
 }
 
 /// State of the tip, the end of link 2.
@@ -147,15 +147,15 @@ impl Tip {
         let ([rx, ry], rate) = (self.arm, self.rate);
         let columns = [X[TIP_LINK], Y[TIP_LINK], THETA[TIP_LINK]];
         // ∂p/∂q, and ∂ṗ/∂θ = −ω r, by columns.
-        let motions = [[1.0, 0.0], [0.0, 1.0], [-ry, rx]];
-        let turning = [[0.0, 0.0], [0.0, 0.0], [-rate * rx, -rate * ry]];
+        let position_columns = [[1.0, 0.0], [0.0, 1.0], [-ry, rx]];
+        let velocity_columns = [[0.0, 0.0], [0.0, 0.0], [-rate * rx, -rate * ry]];
         let product = |row: [f64; 2], matrix: [[f64; 2]; 2], column: [f64; 2]| {
             let times = matrix.map(|line| line[0] * column[0] + line[1] * column[1]);
             row[0] * times[0] + row[1] * times[1]
         };
-        for (i, row) in motions.into_iter().enumerate() {
-            for (j, column) in motions.into_iter().enumerate() {
-                let from_motion = product(row, stiffness, column) + product(row, damping, turning[j]);
+        for (i, row) in position_columns.into_iter().enumerate() {
+            for (j, column) in position_columns.into_iter().enumerate() {
+                let from_motion = product(row, stiffness, column) + product(row, damping, velocity_columns[j]);
                 tangents.stiffness(columns[i], columns[j], from_motion);
                 tangents.damping(columns[i], columns[j], product(row, damping, column));
             }

@@ -27,7 +27,7 @@ use super::stick_slip::{FrictionConstraint, FrictionConstraints, Law};
 use super::step_context::{add_joint_slopes, end_weight};
 use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::coordinates::THETA;
-use crate::mechanism::exponential::bell_and_tanh;
+use crate::mechanism::exponential::gaussian_and_tanh;
 use crate::mechanism::{COORDINATES, Coordinates, LINKS, Mechanism, SceneError, not_negative, positive};
 
 /// The `friction.*` variables.
@@ -104,14 +104,14 @@ impl Friction {
     /// Friction torque −T by the smooth law, N·m.
     fn drag(&self, curve: &Curve, rate: f64) -> f64 {
         let u = rate / self.stribeck_rate;
-        let [bell, tanh] = bell_and_tanh(u, rate / self.coulomb_rate);
+        let [bell, tanh] = gaussian_and_tanh(u, rate / self.coulomb_rate);
         curve.stribeck * bell * u + curve.coulomb * tanh
     }
 
     /// Derivative −∂T/∂w by the smooth law, N·m·s/rad.
     fn slope(&self, curve: &Curve, rate: f64) -> f64 {
         let u = rate / self.stribeck_rate;
-        let [bell, tanh] = bell_and_tanh(u, rate / self.coulomb_rate);
+        let [bell, tanh] = gaussian_and_tanh(u, rate / self.coulomb_rate);
         curve.stribeck / self.stribeck_rate * bell * (1.0 - 2.0 * u * u)
             + curve.coulomb / self.coulomb_rate * (1.0 - tanh * tanh)
     }
@@ -204,7 +204,7 @@ impl Force for Friction {
     }
 
     #[cold]
-    fn add_friction_constraints(&self, at: &ForceContext, grasps: &mut FrictionConstraints<COORDINATES>) {
+    fn add_friction_constraints(&self, at: &ForceContext, friction_constraints: &mut FrictionConstraints<COORDINATES>) {
         if self.law == Law::Smooth {
             return;
         }
@@ -213,7 +213,7 @@ impl Force for Friction {
             add_joint_torque(curve.joint, 1.0, &mut row);
             let arms = std::array::from_fn::<_, LINKS, _>(|link| row[THETA[link]].abs());
             let rate = at.joint_rate(curve.joint);
-            grasps.push(FrictionConstraint { place: curve.joint, row, drift: 0.0, rate, bound: curve.breakaway, arms });
+            friction_constraints.push(FrictionConstraint { place: curve.joint, row, drift: 0.0, rate, bound: curve.breakaway, arms });
         }
     }
 }

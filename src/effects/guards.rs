@@ -10,7 +10,7 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::stick_slip::{FRICTION_PLACES, StickSlip, StickSlips};
-use super::unilateral_spring::{Phase, PhaseBorder, UnilateralSpring, deepest};
+use super::unilateral_spring::{Phase, PhaseGuard, UnilateralSpring, parabola_bound};
 use super::{Active, ForceContext};
 use crate::mechanism::{ClosureBranch, LINKS};
 
@@ -119,13 +119,13 @@ impl UnilateralGuard<'_> {
 
     /// Event tolerance in penetration, m or rad, at an angular tolerance, rad: the error of the trajectory or a part of the ramp's width,
     /// the smaller, but no less than round-off.
-    fn unit(&self, tolerance: f64) -> f64 {
+    fn event_tolerance(&self, tolerance: f64) -> f64 {
         /// Largest event tolerance as a part of the ramp's width: 1 % of a ramp is below any effect on the force.
-        const PART: f64 = 0.01;
+        const RAMP_PART: f64 = 0.01;
         /// Round-off of an angle, rad: some hundred units in the last place of 1 rad.
-        const ROUND_OFF: f64 = 1e-13;
+        const ANGLE_ROUND_OFF: f64 = 1e-13;
         let scale: f64 = self.arms.iter().sum();
-        (tolerance * scale).min(PART * self.spring.width).max(ROUND_OFF * scale)
+        (tolerance * scale).min(RAMP_PART * self.spring.width).max(ANGLE_ROUND_OFF * scale)
     }
 
     /// Bounds on the first two derivatives of the penetration, m/s and m/s², or rad/s and rad/s².
@@ -154,27 +154,29 @@ impl UnilateralGuard<'_> {
     }
 
     /// Upper bound on the penetration between this state and another state `duration` seconds later, m or rad.
-    fn deepest_over_step(&self, to: &Self, duration: f64, extremes: &Extremes) -> f64 {
-        let [_, bend] = self.derivatives(extremes);
-        deepest([self.depth, self.rate], [to.depth, to.rate], duration, bend)
+    fn largest_penetration(&self, to: &Self, duration: f64, extremes: &Extremes) -> f64 {
+        let [_, curvature] = self.derivatives(extremes);
+        parabola_bound([self.depth, self.rate], [to.depth, to.rate], duration, curvature)
     }
 
     /// Whether the phase provably holds between this state and another state `duration` seconds later, to the event tolerance.
     fn stays(&self, to: &Self, mode: &Mode, duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-        let (phase, unit) = (self.phase(mode), self.unit(tolerance));
+        let (phase, event_tolerance) = (self.phase(mode), self.event_tolerance(tolerance));
         let ends = [self, to].map(|guard| [guard.depth, guard.rate]);
         // The cheaper bound decides most cases, in which the spring is far from its guards.
-        let by_derivatives = || self.spring.farthest_by_derivatives(phase, ends, duration, self.derivatives(extremes)) <= unit;
-        let by_cubic = |higher| self.spring.farthest_by_cubic(phase, ends, duration, self.higher(extremes, higher)) <= unit;
+        let by_derivatives =
+            || self.spring.residual_bound_by_derivatives(phase, ends, duration, self.derivatives(extremes)) <= event_tolerance;
+        let by_cubic =
+            |higher| self.spring.residual_bound_by_cubic(phase, ends, duration, self.higher(extremes, higher)) <= event_tolerance;
         by_derivatives() || extremes.higher.as_ref().is_some_and(by_cubic)
     }
 
     /// The guard of the current phase that decides on its end, with its residual in units of the event tolerance.
-    fn farthest(&self, mode: &Mode, tolerance: f64) -> Option<PhaseBorder> {
+    fn deciding(&self, mode: &Mode, tolerance: f64) -> Option<PhaseGuard> {
         let phase = self.phase(mode);
-        let borders = self.spring.borders(phase, self.depth, self.rate).into_iter().flatten();
-        let farthest = UnilateralSpring::farthest(phase, borders, |border| border.guard_residual);
-        farthest.map(|border| border.per(self.unit(tolerance)))
+        let phase_guards = self.spring.phase_guards(phase, self.depth, self.rate).into_iter().flatten();
+        let deciding = UnilateralSpring::deciding(phase, phase_guards, |phase_guard| phase_guard.guard_residual);
+        deciding.map(|phase_guard| phase_guard.in_units_of(self.event_tolerance(tolerance)))
     }
 }
 
@@ -206,9 +208,9 @@ impl FrictionGuard {
     /// sticking.
     fn guard_residual(&self, stick_slip: &StickSlips, tolerance: f64) -> f64 {
         match stick_slip.at(self.place) {
-            StickSlip::Open => f64::NEG_INFINITY,
+            StickSlip::Inactive => f64::NEG_INFINITY,
             StickSlip::Slips(direction) => -direction.sign() * self.rate / stick_velocity(tolerance),
-            StickSlip::Holds(_) => {
+            StickSlip::Sticks(_) => {
                 let [load, bound] = self.load;
                 (load.abs() - bound) / (1e-7 * bound.abs() + 1e-12)
             }
@@ -234,8 +236,8 @@ impl FrictionGuard {
             return true;
         }
         let Some([jerks, _]) = higher else { return false };
-        let bend = along(&|link| jerks[link] + rates[link] * (3.0 * accelerations[link] + rates[link] * rates[link]));
-        from.min(to) - bend * duration * duration / 8.0 >= -stick_velocity(tolerance)
+        let curvature = along(&|link| jerks[link] + rates[link] * (3.0 * accelerations[link] + rates[link] * rates[link]));
+        from.min(to) - curvature * duration * duration / 8.0 >= -stick_velocity(tolerance)
     }
 }
 
@@ -254,7 +256,7 @@ impl<'a> GuardValues<'a> {
     /// Whether the active friction places are those of the stored stick-slip states.
     pub fn are_known(&self, stick_slip: &StickSlips) -> bool {
         let there = |place: usize| self.friction_guards.iter().any(|friction_guard| friction_guard.place == place);
-        (0..FRICTION_PLACES).all(|place| there(place) == (stick_slip.at(place) != StickSlip::Open))
+        (0..FRICTION_PLACES).all(|place| there(place) == (stick_slip.at(place) != StickSlip::Inactive))
     }
 
     /// The mode of the present state, without friction.
@@ -276,29 +278,32 @@ impl<'a> GuardValues<'a> {
     }
 
     /// Whether any friction place sticks while the mechanism moves.
-    pub fn any_sticks_in_motion(&self, mode: &Mode) -> bool {
-        !mode.stick_slip.at_rest() && self.held(mode).next().is_some()
+    pub fn any_sticks_while_moving(&self, mode: &Mode) -> bool {
+        !mode.stick_slip.at_rest() && self.sticking(mode).next().is_some()
     }
 
     /// Largest excess of a sticking load over its bound, in units of the event tolerance; −∞ where nothing sticks.
-    pub fn holding_margin(&self, mode: &Mode, tolerance: f64) -> f64 {
-        self.held(mode)
+    pub fn breakaway_residual(&self, mode: &Mode, tolerance: f64) -> f64 {
+        self.sticking(mode)
             .map(|friction_guard| friction_guard.guard_residual(&mode.stick_slip, tolerance))
             .fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// The friction places that stick.
-    fn held(&self, mode: &Mode) -> impl Iterator<Item = &FrictionGuard> {
-        self.friction_guards.iter().filter(|friction_guard| matches!(mode.stick_slip.at(friction_guard.place), StickSlip::Holds(_)))
+    fn sticking(&self, mode: &Mode) -> impl Iterator<Item = &FrictionGuard> {
+        self.friction_guards
+            .iter()
+            .filter(|friction_guard| matches!(mode.stick_slip.at(friction_guard.place), StickSlip::Sticks(_)))
     }
 
     /// Largest guard value of a state in units of the event tolerance, at an angular tolerance, rad: positive past a guard, negative
     /// where the mode holds.
     pub fn guard_residual(&self, mode: &Mode, tolerance: f64) -> f64 {
-        let borders = self.springs.iter().filter_map(|guard| guard.farthest(mode, tolerance)).map(|border| border.guard_residual);
+        let phase_guards =
+            self.springs.iter().filter_map(|guard| guard.deciding(mode, tolerance)).map(|phase_guard| phase_guard.guard_residual);
         let friction_guards =
             self.friction_guards.iter().map(|friction_guard| friction_guard.guard_residual(&mode.stick_slip, tolerance));
-        borders.chain(friction_guards).fold(f64::NEG_INFINITY, f64::max)
+        phase_guards.chain(friction_guards).fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// Elastic energy still stored in springs that have separated, J; its decrease is dissipated.
@@ -319,8 +324,9 @@ impl<'a> GuardValues<'a> {
         let nearest = self.guard_residual(&mode, tolerance).min(0.0);
         let mut next_mode = mode;
         for guard in &self.springs {
-            if let Some(border) = guard.farthest(&mode, tolerance).filter(|border| border.guard_residual >= nearest) {
-                next_mode.springs[guard.place] = Some(border.next_phase);
+            if let Some(phase_guard) = guard.deciding(&mode, tolerance).filter(|phase_guard| phase_guard.guard_residual >= nearest)
+            {
+                next_mode.springs[guard.place] = Some(phase_guard.next_phase);
             }
         }
         next_mode
@@ -339,17 +345,17 @@ impl<'a> GuardValues<'a> {
     /// Whether the largest penetration over a step, for a method that evaluates its ends only, exceeds that of the ends by no more than
     /// half of it or by the event tolerance. Between two ends in contact the penetration is taken as the cubic Hermite polynomial.
     pub fn endpoints_bound_penetration(ends: [&Self; 2], duration: f64, extremes: &Extremes, tolerance: f64) -> bool {
-    /// Largest allowed penetration over the penetration at the ends: the half more is within the accuracy of a step of this size.
-        const DEEPER: f64 = 1.5;
+        /// Largest allowed penetration over the penetration at the ends: the half more is within the accuracy of a step of this size.
+        const LARGEST_EXCESS: f64 = 1.5;
         let [from, to] = ends;
         from.springs.iter().zip(&to.springs).all(|(from, to)| {
             let seen = from.depth.max(to.depth);
             let most = if from.depth > 0.0 && to.depth > 0.0 {
                 (from.depth + to.depth) / 2.0 + duration * (from.rate - to.rate) / 8.0
             } else {
-                from.deepest_over_step(to, duration, extremes)
+                from.largest_penetration(to, duration, extremes)
             };
-            most <= f64::max(DEEPER * seen, from.unit(tolerance))
+            most <= f64::max(LARGEST_EXCESS * seen, from.event_tolerance(tolerance))
         })
     }
 }

@@ -6,7 +6,7 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::force_context::{ForceContext, MOTORS};
+use super::force_context::{ForceContext, MOTOR_ANGLES};
 use super::{StepContext, Tangents};
 use crate::mechanism::Coordinates;
 
@@ -32,8 +32,8 @@ fn any(values: [[f64; 2]; 2]) -> bool {
 
 /// Whether all values are equal pair by pair; without a branch per value.
 #[inline]
-fn same(a: [[f64; 2]; 2], b: [[f64; 2]; 2]) -> bool {
-    a.as_flattened().iter().zip(b.as_flattened()).fold(true, |same, (a, b)| same & (a == b))
+fn all_equal(a: [[f64; 2]; 2], b: [[f64; 2]; 2]) -> bool {
+    a.as_flattened().iter().zip(b.as_flattened()).fold(true, |all_equal, (a, b)| all_equal & (a == b))
 }
 
 impl Inputs {
@@ -50,13 +50,13 @@ impl Inputs {
     /// Whether torques and force equal those of other inputs.
     #[inline]
     pub fn same_loads(&self, other: &Self) -> bool {
-        same([self.tau, self.tip_force], [other.tau, other.tip_force])
+        all_equal([self.tau, self.tip_force], [other.tau, other.tip_force])
     }
 
     /// Whether servo references equal those of other inputs.
     #[inline]
     pub fn same_references(&self, other: &Self) -> bool {
-        same([self.servo_theta, self.servo_omega], [other.servo_theta, other.servo_omega])
+        all_equal([self.servo_theta, self.servo_omega], [other.servo_theta, other.servo_omega])
     }
 
     /// Whether any servo reference is not 0.
@@ -83,7 +83,7 @@ impl Inputs {
     /// Adds the generalised forces of the loads, N and N·m.
     #[inline]
     pub fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        for (motor, tau) in MOTORS.into_iter().zip(self.tau) {
+        for (motor, tau) in MOTOR_ANGLES.into_iter().zip(self.tau) {
             forces[motor] += tau;
         }
         at.tip().add_force(self.tip_force, forces);
@@ -98,7 +98,7 @@ impl Inputs {
     /// Adds the mean generalised forces of the loads over a step, N and N·m: their work is force times displacement.
     #[inline]
     pub fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
-        for (motor, tau) in MOTORS.into_iter().zip(self.tau) {
+        for (motor, tau) in MOTOR_ANGLES.into_iter().zip(self.tau) {
             forces[motor] += tau;
         }
         over.tip().add_force(self.tip_force, forces);
@@ -121,7 +121,7 @@ impl Inputs {
     /// Potential of the held loads, −τ·θ − F·tip, J. Angles leave out whole turns, which a step does not change.
     pub fn potential(&self, at: &ForceContext) -> f64 {
         let ([x, y], [fx, fy]) = (at.tip().position, self.tip_force);
-        -(self.tau[0] * at.q[MOTORS[0]] + self.tau[1] * at.q[MOTORS[1]] + fx * x + fy * y)
+        -(self.tau[0] * at.q[MOTOR_ANGLES[0]] + self.tau[1] * at.q[MOTOR_ANGLES[1]] + fx * x + fy * y)
     }
 
     /// Power of the loads, W.

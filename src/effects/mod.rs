@@ -23,7 +23,7 @@ pub use loads::Inputs;
 pub use step_context::{StepContext, TypicalInertia};
 pub use stick_slip::{FRICTION_PLACES, FrictionConstraint, FrictionConstraints, Law, StickSlips};
 pub use tangents::Tangents;
-pub use unilateral_spring::lowest;
+pub use unilateral_spring::cubic_minimum;
 pub use variation::Perturbation;
 
 use arrayvec::ArrayVec;

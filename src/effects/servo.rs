@@ -9,7 +9,7 @@
 //! counts as input. θ counts whole turns. Defaults: kp 2 N·m/rad, kd 0.02 N·m·s/rad, a desk-top device's; limit 1 N·m.
 //! Limits: continuous in time (no sampling, no delay, no quantisation), no integral action; motor dynamics are not modelled.
 
-use super::force_context::{MOTORS, ForceContext};
+use super::force_context::{MOTOR_ANGLES, ForceContext};
 use super::step_context::end_weight;
 use super::{Force, Inputs, MeanForce, StepContext, Tangents};
 use crate::mechanism::exponential::tanh;
@@ -17,7 +17,7 @@ use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative, positiv
 
 /// Largest angle to saturation, limit/kp, rad, of a servo with a sharp nonlinearity. A servo that saturates at a larger angle is nearly
 /// linear over a step; where it is stiff as well, a search for the nonlinearity would find round-off.
-const SHARP: f64 = 0.1;
+const SHARP_SATURATION: f64 = 0.1;
 
 /// The `servo.*` parameters.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -42,19 +42,19 @@ pub struct Servo {
 
 impl Servo {
     /// Relative torques T/limit of the left and right servo.
-    fn drives(&self, at: &ForceContext) -> [f64; 2] {
-        let wanted = [0, 1].map(|i| {
+    fn relative_torques(&self, at: &ForceContext) -> [f64; 2] {
+        let requested = [0, 1].map(|i| {
             let angle = self.kp[i] * (at.inputs.servo_theta[i] - at.motor_angle(i));
             let rate = self.kd[i] * (at.inputs.servo_omega[i] - at.motor_rate(i));
             (angle + rate) / self.limit[i]
         });
-        tanh(wanted.into()).to_array()
+        tanh(requested.into()).to_array()
     }
 
     /// Torques of the left and right servo, N·m.
     pub fn torques(&self, at: &ForceContext) -> [f64; 2] {
-        let drives = self.drives(at);
-        [0, 1].map(|i| self.limit[i] * drives[i])
+        let relative_torques = self.relative_torques(at);
+        [0, 1].map(|i| self.limit[i] * relative_torques[i])
     }
 }
 
@@ -79,31 +79,31 @@ impl Force for Servo {
 
     #[cold]
     fn has_sharp_nonlinearity(&self) -> bool {
-        (0..2).any(|i| self.limit[i] < SHARP * self.kp[i])
+        (0..2).any(|i| self.limit[i] < SHARP_SATURATION * self.kp[i])
     }
 
     #[inline(never)]
     fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        for (motor, torque) in MOTORS.into_iter().zip(self.torques(at)) {
+        for (motor, torque) in MOTOR_ANGLES.into_iter().zip(self.torques(at)) {
             forces[motor] += torque;
         }
     }
 
     #[inline(never)]
     fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
-        let drives = self.drives(at);
-        for (i, motor) in MOTORS.into_iter().enumerate() {
-            let open = 1.0 - drives[i] * drives[i];
-            tangents.stiffness(motor, motor, self.kp[i] * open);
-            tangents.damping(motor, motor, self.kd[i] * open);
+        let relative_torques = self.relative_torques(at);
+        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
+            let saturation_slope = 1.0 - relative_torques[i] * relative_torques[i];
+            tangents.stiffness(motor, motor, self.kp[i] * saturation_slope);
+            tangents.damping(motor, motor, self.kd[i] * saturation_slope);
         }
     }
 
     fn add_input_change(&self, at: &ForceContext, change: &Inputs, forces: &mut Coordinates) {
-        let drives = self.drives(at);
-        for (i, motor) in MOTORS.into_iter().enumerate() {
+        let relative_torques = self.relative_torques(at);
+        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
             let pull = self.kp[i] * change.servo_theta[i] + self.kd[i] * change.servo_omega[i];
-            forces[motor] += (1.0 - drives[i] * drives[i]) * pull;
+            forces[motor] += (1.0 - relative_torques[i] * relative_torques[i]) * pull;
         }
     }
 
@@ -111,7 +111,7 @@ impl Force for Servo {
     fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
         let mut external_work = 0.0;
         for (i, torque) in self.torques(at).into_iter().enumerate() {
-            forces[MOTORS[i]] += torque;
+            forces[MOTOR_ANGLES[i]] += torque;
             external_work += torque * at.motor_rate(i);
         }
         [external_work, 0.0]
@@ -126,30 +126,30 @@ impl Force for Servo {
 impl MeanForce for Servo {
     #[inline(never)]
     fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
-        for (i, motor) in MOTORS.into_iter().enumerate() {
-            forces[motor] += self.limit[i] * self.drive_over(over, i)[0];
+        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
+            forces[motor] += self.limit[i] * self.mean_relative_torque(over, i)[0];
         }
     }
 
     #[inline(never)]
     fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
-        for (i, motor) in MOTORS.into_iter().enumerate() {
-            let [drive, weight] = self.drive_over(over, i);
-            let open = (1.0 - drive * drive) / over.softening;
+        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
+            let [relative_torque, weight] = self.mean_relative_torque(over, i);
+            let saturation_slope = (1.0 - relative_torque * relative_torque) / over.softening;
             let by_change = 0.5 * (1.0 + weight) * self.kp[i] + (1.0 - weight) * self.kd[i] / over.h;
-            tangents.stiffness(motor, motor, by_change * open);
-            tangents.damping(motor, motor, weight * self.kd[i] * open);
+            tangents.stiffness(motor, motor, by_change * saturation_slope);
+            tangents.damping(motor, motor, weight * self.kd[i] * saturation_slope);
         }
     }
 
     fn input_over(&self, over: &StepContext) -> f64 {
-        (0..2).map(|i| self.limit[i] * self.drive_over(over, i)[0] * over.motor_angle(i)[1]).sum()
+        (0..2).map(|i| self.limit[i] * self.mean_relative_torque(over, i)[0] * over.motor_angle(i)[1]).sum()
     }
 }
 
 impl Servo {
     /// Mean relative torque T/limit of a servo over a step, and the weight γ of the step's end in its angle and rate.
-    fn drive_over(&self, over: &StepContext, i: usize) -> [f64; 2] {
+    fn mean_relative_torque(&self, over: &StepContext, i: usize) -> [f64; 2] {
         let ([begin, change], end) = (over.motor_angle(i), over.motor_rate(i));
         let mean = change / over.h;
         let weight = end_weight(over.decay(0.5 * over.h * self.kp[i] + self.kd[i]));

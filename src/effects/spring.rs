@@ -3,7 +3,7 @@
 //! K = k, C = 0; potential k (θ − θ₀)²/2; conservative. θ counts whole turns. Defaults: 0.05 N·m/rad, about the weight torque of the
 //! paper's links, relaxed upright (θ₀ = π/2). Limits: linear, massless, without hysteresis.
 
-use super::force_context::{MOTORS, ForceContext};
+use super::force_context::{MOTOR_ANGLES, ForceContext};
 use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::{Coordinates, Mechanism, SceneError, finite, not_negative};
 
@@ -39,14 +39,14 @@ impl Force for Spring {
 
     #[inline(never)]
     fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        for (i, motor) in MOTORS.into_iter().enumerate() {
+        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
             forces[motor] -= self.k[i] * (at.motor_angle(i) - self.theta0[i]);
         }
     }
 
     #[inline(never)]
     fn add_tangents(&self, _at: &ForceContext, tangents: &mut impl Tangents) {
-        for (i, motor) in MOTORS.into_iter().enumerate() {
+        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
             tangents.stiffness(motor, motor, self.k[i]);
         }
     }
@@ -61,7 +61,7 @@ impl MeanForce for Spring {
     /// Adds the force at the mean angle, which is the mean of a linear force.
     #[inline(never)]
     fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
-        for (i, motor) in MOTORS.into_iter().enumerate() {
+        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
             let [angle, change] = over.motor_angle(i);
             forces[motor] -= self.k[i] * ((angle - self.theta0[i]) + 0.5 * change);
         }
@@ -69,7 +69,7 @@ impl MeanForce for Spring {
 
     #[inline(never)]
     fn add_mean_tangents(&self, _over: &StepContext, tangents: &mut impl Tangents) {
-        for (i, motor) in MOTORS.into_iter().enumerate() {
+        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
             tangents.stiffness(motor, motor, 0.5 * self.k[i]);
         }
     }

@@ -7,7 +7,7 @@
 
 use std::f64::consts::TAU;
 
-use super::force_context::{JOINED, MOTORS, TIP_LINK};
+use super::force_context::{JOINT_LINKS, MOTOR_ANGLES, TIP_LINK};
 use super::{Inputs, Tangents};
 use crate::mechanism::coordinates::{THETA, X, Y};
 use crate::mechanism::secant::Secant;
@@ -62,7 +62,7 @@ pub(super) fn end_weight(x: f64) -> f64 {
 /// Adds the tangents of a joint torque T: −∂T/∂Δφ by the increment of the joint's angle, N·m/rad, and −∂T/∂w₁ by its rate at the step's
 /// end, N·m·s/rad.
 pub(super) fn add_joint_slopes(joint: usize, [stiffness, damping]: [f64; 2], tangents: &mut impl Tangents) {
-    let (first, second) = JOINED[joint];
+    let (first, second) = JOINT_LINKS[joint];
     let mut add = |row: usize, column: usize, sign: f64| {
         tangents.stiffness(THETA[row], THETA[column], sign * stiffness);
         tangents.damping(THETA[row], THETA[column], sign * damping);
@@ -79,18 +79,18 @@ impl StepContext<'_> {
     /// Absolute angle of a motor axis at the step's beginning, whole turns included, and its increment, rad.
     pub fn motor_angle(&self, motor: usize) -> [f64; 2] {
         const TURNS: [usize; 2] = [0, 3];
-        let i = MOTORS[motor];
+        let i = MOTOR_ANGLES[motor];
         [self.q[i] + self.turns[TURNS[motor]] as f64 * TAU, self.d[i]]
     }
 
     /// Rate of a motor axis at the step's end, rad/s.
     pub fn motor_rate(&self, motor: usize) -> f64 {
-        self.v[MOTORS[motor]]
+        self.v[MOTOR_ANGLES[motor]]
     }
 
     /// Increment of the angle of a joint, rad, and its rate at the step's end, rad/s.
     pub fn joint(&self, joint: usize) -> [f64; 2] {
-        let (first, second) = JOINED[joint];
+        let (first, second) = JOINT_LINKS[joint];
         [self.d, self.v].map(|x| x[THETA[first]] - second.map_or(0.0, |second| x[THETA[second]]))
     }
 
@@ -159,16 +159,16 @@ impl TipStep {
     /// Adds the tangents of a mean force F on the tip, given as K = −∂F/∂Δp, N/m, and C = −∂F/∂ṗ₁, N·s/m, with p the tip's position.
     pub fn add_tangents(&self, stiffness: [[f64; 2]; 2], damping: [[f64; 2]; 2], tangents: &mut impl Tangents) {
         let columns = [X[TIP_LINK], Y[TIP_LINK], THETA[TIP_LINK]];
-        let motions = |[rx, ry]: [f64; 2]| [[1.0, 0.0], [0.0, 1.0], [-ry, rx]];
+        let position_columns = |[rx, ry]: [f64; 2]| [[1.0, 0.0], [0.0, 1.0], [-ry, rx]];
         let [ex, ey] = self.end;
-        let turning = [[0.0, 0.0], [0.0, 0.0], [-self.rate * ex, -self.rate * ey]];
+        let velocity_columns = [[0.0, 0.0], [0.0, 0.0], [-self.rate * ex, -self.rate * ey]];
         let product = |row: [f64; 2], matrix: [[f64; 2]; 2], column: [f64; 2]| {
             let times = matrix.map(|line| line[0] * column[0] + line[1] * column[1]);
             row[0] * times[0] + row[1] * times[1]
         };
-        for (i, row) in motions(self.mean).into_iter().enumerate() {
-            for (j, column) in motions(self.end).into_iter().enumerate() {
-                let from_motion = product(row, stiffness, column) + product(row, damping, turning[j]);
+        for (i, row) in position_columns(self.mean).into_iter().enumerate() {
+            for (j, column) in position_columns(self.end).into_iter().enumerate() {
+                let from_motion = product(row, stiffness, column) + product(row, damping, velocity_columns[j]);
                 tangents.stiffness(columns[i], columns[j], from_motion);
                 tangents.damping(columns[i], columns[j], product(row, damping, column));
             }

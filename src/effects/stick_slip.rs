@@ -60,11 +60,11 @@ impl SlipDirection {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum StickSlip {
     /// Inactive: no friction, the smooth law, or no contact.
-    Open,
+    Inactive,
     /// Slips in a direction.
     Slips(SlipDirection),
     /// Sticks. Where several places hold the same motion, the direction is that of this place's share relative to the first.
-    Holds(SlipDirection),
+    Sticks(SlipDirection),
 }
 
 /// Stick-slip states of all friction places.
@@ -77,7 +77,7 @@ pub struct StickSlips {
 
 impl StickSlips {
     /// No friction place is active.
-    pub const OPEN: Self = Self { places: [StickSlip::Open; FRICTION_PLACES], at_rest: false };
+    pub const OPEN: Self = Self { places: [StickSlip::Inactive; FRICTION_PLACES], at_rest: false };
 
     /// State of one friction place.
     pub fn at(&self, place: usize) -> StickSlip {
@@ -98,14 +98,14 @@ impl StickSlips {
     /// The mechanism at rest with these places sticking.
     pub fn resting(places: impl Iterator<Item = usize>) -> Self {
         let mut stick_slip = Self { at_rest: true, ..Self::OPEN };
-        places.for_each(|place| stick_slip.set(place, StickSlip::Holds(SlipDirection::Forward)));
+        places.for_each(|place| stick_slip.set(place, StickSlip::Sticks(SlipDirection::Forward)));
         stick_slip
     }
 
     /// Whether any friction place sticks.
     #[inline]
     pub fn any_sticks(&self) -> bool {
-        self.places.iter().any(|joint| matches!(joint, StickSlip::Holds(_)))
+        self.places.iter().any(|joint| matches!(joint, StickSlip::Sticks(_)))
     }
 
     /// Sign of the sliding direction of a place with a rate, rad/s or m/s: that of the stored slip, 0 while sticking, and without a stored
@@ -113,9 +113,9 @@ impl StickSlips {
     pub(super) fn direction(&self, place: usize, rate: f64) -> f64 {
         match self.places[place] {
             StickSlip::Slips(slip_direction) => slip_direction.sign(),
-            StickSlip::Holds(_) => 0.0,
-            StickSlip::Open if rate == 0.0 => 0.0,
-            StickSlip::Open => SlipDirection::of(rate).sign(),
+            StickSlip::Sticks(_) => 0.0,
+            StickSlip::Inactive if rate == 0.0 => 0.0,
+            StickSlip::Inactive => SlipDirection::of(rate).sign(),
         }
     }
 }
@@ -154,13 +154,13 @@ pub struct FrictionProblem {
 }
 
 /// Relative tolerance of the inequalities, as a part of the bounds: far above round-off, far below any physical load.
-const SHARP: f64 = 1e-9;
+const TOLERANCE: f64 = 1e-9;
 
 /// Ridge (Tikhonov) parameter of the torques at rest, relative to the trace: makes torques unique that equilibrium leaves open.
 const RIDGE: f64 = 1e-12;
 
 /// A candidate solution of a [`FrictionProblem`]: the stick-slip state of each of its places.
-type Pattern = [StickSlip; FRICTION_PLACES];
+type Candidate = [StickSlip; FRICTION_PLACES];
 
 impl FrictionProblem {
     fn len(&self) -> usize {
@@ -178,18 +178,19 @@ impl FrictionProblem {
     pub fn can_rest(&self) -> bool {
         let n = self.len();
         let all = (0..n).any(|i| (0..i).any(|j| !self.are_parallel(i, j)));
-        all && (self.shared().is_some() || self.best(2..=2).is_some_and(|(violation, _)| violation <= SHARP))
+        all && (self.least_squares_torques().is_some()
+            || self.least_violating(2..=2).is_some_and(|(violation, _)| violation <= TOLERANCE))
     }
 
     /// Whether all places constrain the same motion.
-    pub fn is_one(&self) -> bool {
+    pub fn is_single_motion(&self) -> bool {
         (1..self.len()).all(|i| self.are_parallel(0, i))
     }
 
     /// Whether two places constrain the same motion: their rows are parallel.
     fn are_parallel(&self, i: usize, j: usize) -> bool {
         let g = &self.mobility;
-        g[i][j] * g[i][j] >= (1.0 - SHARP) * g[i][i] * g[j][j]
+        g[i][j] * g[i][j] >= (1.0 - TOLERANCE) * g[i][i] * g[j][j]
     }
 
     /// Torques or forces, N·m or N, by which all places stick: those of least sum of squares relative to the bounds, or, where these
@@ -197,14 +198,16 @@ impl FrictionProblem {
     #[cold]
     #[inline(never)]
     pub fn resting_torques(&self) -> [f64; FRICTION_PLACES] {
-        self.shared().unwrap_or_else(|| self.best(2..=2).map_or([0.0; FRICTION_PLACES], |(_, pattern)| self.torques(&pattern)))
+        self.least_squares_torques().unwrap_or_else(|| {
+            self.least_violating(2..=2).map_or([0.0; FRICTION_PLACES], |(_, candidate)| self.torques(&candidate))
+        })
     }
 
     /// Torques of least squares: (D G D + ε tr) x = −D c, T = D x with D the bounds, by Cholesky's method; `None` where a bound is exceeded
     /// or an acceleration remains.
     #[cold]
     #[inline(never)]
-    fn shared(&self) -> Option<[f64; FRICTION_PLACES]> {
+    fn least_squares_torques(&self) -> Option<[f64; FRICTION_PLACES]> {
         let n = self.len();
         let trace: f64 = (0..n).map(|i| self.bounds[i] * self.scale(i)).sum();
         if trace <= 0.0 {
@@ -235,7 +238,7 @@ impl FrictionProblem {
         }
         // Where no torques keep all places at rest, those of least squares leave accelerations.
         let left = self.accelerations(&torques);
-        let holds = (0..n).all(|i| x[i].abs() <= 1.0 && left[i].abs() <= 1e3 * SHARP * self.scale(i));
+        let holds = (0..n).all(|i| x[i].abs() <= 1.0 && left[i].abs() <= 1e3 * TOLERANCE * self.scale(i));
         holds.then_some(torques)
     }
 
@@ -249,13 +252,13 @@ impl FrictionProblem {
     /// Torques or forces of a candidate, N·m or N: the bounds at slipping places, the solution of ẇ = 0 at up to two sticking places.
     #[cold]
     #[inline(never)]
-    fn torques(&self, pattern: &Pattern) -> [f64; FRICTION_PLACES] {
-        let mut torques: [f64; FRICTION_PLACES] = std::array::from_fn(|i| match pattern[i] {
+    fn torques(&self, candidate: &Candidate) -> [f64; FRICTION_PLACES] {
+        let mut torques: [f64; FRICTION_PLACES] = std::array::from_fn(|i| match candidate[i] {
             StickSlip::Slips(slip_direction) => -slip_direction.sign() * self.bounds[i],
-            StickSlip::Holds(_) | StickSlip::Open => 0.0,
+            StickSlip::Sticks(_) | StickSlip::Inactive => 0.0,
         });
         let left = self.accelerations(&torques);
-        let mut held = (0..self.len()).filter(|i| matches!(pattern[*i], StickSlip::Holds(_)));
+        let mut held = (0..self.len()).filter(|i| matches!(candidate[*i], StickSlip::Sticks(_)));
         match (held.next(), held.next()) {
             (Some(i), None) => torques[i] = quotient(-left[i], self.mobility[i][i]),
             (Some(i), Some(j)) => {
@@ -272,57 +275,59 @@ impl FrictionProblem {
     /// The candidate of least violation, as a part of the bounds, among those whose number of sticking places is in a range.
     #[cold]
     #[inline(never)]
-    fn best(&self, holds: std::ops::RangeInclusive<usize>) -> Option<(f64, Pattern)> {
+    fn least_violating(&self, holds: std::ops::RangeInclusive<usize>) -> Option<(f64, Candidate)> {
         let n = self.len();
-        let mut best: Option<(f64, Pattern)> = None;
+        let mut least_violating: Option<(f64, Candidate)> = None;
         for mut code in 0..3_usize.pow(n as u32) {
-            let mut pattern = [StickSlip::Open; FRICTION_PLACES];
-            for joint in &mut pattern[..n] {
+            let mut candidate = [StickSlip::Inactive; FRICTION_PLACES];
+            for joint in &mut candidate[..n] {
                 *joint = [
-                    StickSlip::Holds(SlipDirection::Forward),
+                    StickSlip::Sticks(SlipDirection::Forward),
                     StickSlip::Slips(SlipDirection::Forward),
                     StickSlip::Slips(SlipDirection::Backward),
                 ][code % 3];
                 code /= 3;
             }
-            let holding: ArrayVec<usize, FRICTION_PLACES> = (0..n).filter(|i| matches!(pattern[*i], StickSlip::Holds(_))).collect();
+            let sticking: ArrayVec<usize, FRICTION_PLACES> =
+                (0..n).filter(|i| matches!(candidate[*i], StickSlip::Sticks(_))).collect();
             // Two places that constrain the same motion leave the other motion free.
-            if !holds.contains(&holding.len()) || matches!(holding[..], [i, j] if self.are_parallel(i, j)) {
+            if !holds.contains(&sticking.len()) || matches!(sticking[..], [i, j] if self.are_parallel(i, j)) {
                 continue;
             }
-            let torques = self.torques(&pattern);
+            let torques = self.torques(&candidate);
             let left = self.accelerations(&torques);
             let violation = (0..n).fold(0.0, |most: f64, i| {
-                most.max(match pattern[i] {
-                    StickSlip::Holds(_) => torques[i].abs() / self.bounds[i] - 1.0,
+                most.max(match candidate[i] {
+                    StickSlip::Sticks(_) => torques[i].abs() / self.bounds[i] - 1.0,
                     StickSlip::Slips(slip_direction) => quotient(-slip_direction.sign() * left[i], self.scale(i)),
-                    StickSlip::Open => 0.0,
+                    StickSlip::Inactive => 0.0,
                 })
             });
-            if best.is_none_or(|(least, _)| violation < least) {
-                best = Some((violation, pattern));
+            if least_violating.is_none_or(|(least, _)| violation < least) {
+                least_violating = Some((violation, candidate));
             }
         }
-        best
+        least_violating
     }
 
     /// Sets the states where the mechanism moves or begins to: at most one place sticks, and with it those that constrain the same motion.
     #[cold]
     #[inline(never)]
     pub fn resolve_motion(&self, stick_slip: &mut StickSlips) {
-        let Some((_, mut pattern)) = self.best(0..=1) else { return };
-        let left = self.accelerations(&self.torques(&pattern));
-        if let Some(holder) = pattern.iter().position(|joint| matches!(joint, StickSlip::Holds(_))) {
+        let Some((_, mut candidate)) = self.least_violating(0..=1) else { return };
+        let left = self.accelerations(&self.torques(&candidate));
+        if let Some(sticking_place) = candidate.iter().position(|joint| matches!(joint, StickSlip::Sticks(_))) {
             // The round-off of strong places accelerates a weak one.
             let greatest = |i: usize| (0..self.len()).map(|k| (self.mobility[i][k] * self.bounds[k]).abs()).sum::<f64>();
-            let with = |i: usize| i == holder || self.are_parallel(holder, i) && left[i].abs() <= SHARP * greatest(i);
-            // Directions are relative to the first of these places, which need not be `holder`.
-            let first = (0..holder).find(|i| with(*i)).unwrap_or(holder);
+            let with =
+                |i: usize| i == sticking_place || self.are_parallel(sticking_place, i) && left[i].abs() <= TOLERANCE * greatest(i);
+            // Directions are relative to the first of these places, which need not be `sticking_place`.
+            let first = (0..sticking_place).find(|i| with(*i)).unwrap_or(sticking_place);
             for i in (first..self.len()).filter(|i| with(*i)) {
-                pattern[i] = StickSlip::Holds(SlipDirection::of(self.mobility[first][i]));
+                candidate[i] = StickSlip::Sticks(SlipDirection::of(self.mobility[first][i]));
             }
         }
-        for (place, joint) in self.places.iter().zip(pattern) {
+        for (place, joint) in self.places.iter().zip(candidate) {
             stick_slip.set(*place, joint);
         }
     }
@@ -331,12 +336,12 @@ impl FrictionProblem {
 /// The quotient x/y; where y is (nearly) 0, a value so large that it violates any bound.
 fn quotient(x: f64, y: f64) -> f64 {
     /// Largest magnitude of the quotient: above any bound, and its square is still finite.
-    const HUGE: f64 = 1e100;
+    const LARGEST_QUOTIENT: f64 = 1e100;
     if x == 0.0 {
         0.0
-    } else if x.abs() < HUGE * y.abs() {
+    } else if x.abs() < LARGEST_QUOTIENT * y.abs() {
         x / y
     } else {
-        HUGE * x.signum()
+        LARGEST_QUOTIENT * x.signum()
     }
 }

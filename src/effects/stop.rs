@@ -7,9 +7,9 @@
 
 use arrayvec::ArrayVec;
 
-use super::force_context::{ForceContext, MOTORS};
+use super::force_context::{ForceContext, MOTOR_ANGLES};
 use super::guards::{SPRINGS, STOPS, UnilateralGuard};
-use super::unilateral_spring::{Push, UnilateralSpring};
+use super::unilateral_spring::{MeanReaction, UnilateralSpring};
 use super::{Force, MeanForce, StepContext, Tangents};
 use crate::mechanism::{Coordinates, LINKS, Mechanism, SceneError, finite, not_negative, positive};
 
@@ -102,15 +102,15 @@ impl Force for Stop {
 
     #[inline(never)]
     fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        self.for_each_guard(at, |motor, direction, guard| forces[MOTORS[motor]] -= direction * guard.force(at));
+        self.for_each_guard(at, |motor, direction, guard| forces[MOTOR_ANGLES[motor]] -= direction * guard.force(at));
     }
 
     #[inline(never)]
     fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
         self.for_each_guard(at, |motor, _, guard| {
             let [stiffness, damping] = guard.slopes(at);
-            tangents.stiffness(MOTORS[motor], MOTORS[motor], stiffness);
-            tangents.damping(MOTORS[motor], MOTORS[motor], damping);
+            tangents.stiffness(MOTOR_ANGLES[motor], MOTOR_ANGLES[motor], stiffness);
+            tangents.damping(MOTOR_ANGLES[motor], MOTOR_ANGLES[motor], damping);
         });
     }
 
@@ -132,29 +132,29 @@ impl Force for Stop {
 impl MeanForce for Stop {
     #[inline(never)]
     fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
-        for (motor, direction, push) in self.pushes(over) {
-            forces[MOTORS[motor]] -= direction * push.force;
+        for (motor, direction, push) in self.mean_reactions(over) {
+            forces[MOTOR_ANGLES[motor]] -= direction * push.force;
         }
     }
 
     #[inline(never)]
     fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
-        for (motor, _, push) in self.pushes(over) {
-            tangents.stiffness(MOTORS[motor], MOTORS[motor], push.slope);
+        for (motor, _, push) in self.mean_reactions(over) {
+            tangents.stiffness(MOTOR_ANGLES[motor], MOTOR_ANGLES[motor], push.slope);
         }
     }
 
     fn dissipated_over(&self, over: &StepContext) -> f64 {
-        self.pushes(over).map(|(_, _, push)| push.dissipated).sum()
+        self.mean_reactions(over).map(|(_, _, push)| push.dissipated).sum()
     }
 }
 
 impl Stop {
     /// Motor, direction into the stop and mean reaction of each stop over a step: a fast axis may leave one stop and reach the other.
-    fn pushes(&self, over: &StepContext) -> impl Iterator<Item = (usize, f64, Push)> {
+    fn mean_reactions(&self, over: &StepContext) -> impl Iterator<Item = (usize, f64, MeanReaction)> {
         (0..2).flat_map(move |motor| {
             let [begin, change] = over.motor_angle(motor);
-            let push = |direction: f64, depth: f64| (motor, direction, self.spring.push_over(depth, direction * change, over.h));
+            let push = |direction: f64, depth: f64| (motor, direction, self.spring.mean_reaction(depth, direction * change, over.h));
             [push(1.0, begin - self.upper[motor]), push(-1.0, self.lower[motor] - begin)]
         })
     }

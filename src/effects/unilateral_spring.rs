@@ -13,8 +13,8 @@ mod bounds;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-pub(super) use bounds::deepest;
-pub use bounds::lowest;
+pub use bounds::cubic_minimum;
+pub(super) use bounds::parabola_bound;
 
 /// A unilateral spring and damper.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,7 +40,7 @@ pub(super) enum Phase {
 
 /// A guard of a phase.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct PhaseBorder {
+pub(super) struct PhaseGuard {
     /// Guard value, m or rad: positive past the guard, negative where the phase holds.
     pub(super) guard_residual: f64,
     /// Derivatives of the guard value by penetration, 1, and by its rate, s.
@@ -52,9 +52,9 @@ pub(super) struct PhaseBorder {
 /// Time by which a rate counts as a displacement in the separation guard, s: the same as in the error norm of the explicit method.
 const RATE_TIME: f64 = 0.1;
 
-impl PhaseBorder {
+impl PhaseGuard {
     /// A copy of the guard with its value in another unit.
-    pub(super) fn per(self, unit: f64) -> Self {
+    pub(super) fn in_units_of(self, unit: f64) -> Self {
         Self { guard_residual: self.guard_residual / unit, ..self }
     }
 }
@@ -77,13 +77,13 @@ impl UnilateralSpring {
     }
 
     /// Guards of a phase: the phase ends where any of them is passed, or, for a free spring, where all of them are.
-    pub(super) fn borders(&self, phase: Phase, depth: f64, rate: f64) -> [Option<PhaseBorder>; 3] {
-        let deeper = |than: f64, next_phase| Some(PhaseBorder { guard_residual: depth - than, by: [1.0, 0.0], next_phase });
-        let shallower = |than: f64, next_phase| Some(PhaseBorder { guard_residual: than - depth, by: [-1.0, 0.0], next_phase });
+    pub(super) fn phase_guards(&self, phase: Phase, depth: f64, rate: f64) -> [Option<PhaseGuard>; 3] {
+        let deeper = |than: f64, next_phase| Some(PhaseGuard { guard_residual: depth - than, by: [1.0, 0.0], next_phase });
+        let shallower = |than: f64, next_phase| Some(PhaseGuard { guard_residual: than - depth, by: [-1.0, 0.0], next_phase });
         let push = |sign: f64, next_phase| {
             let by = [self.stiffness, self.damping].map(|by| sign * by / self.push_scale());
             // Without damping every contact pushes.
-            (self.damping > 0.0).then(|| PhaseBorder { guard_residual: sign * self.scaled_push(depth, rate), by, next_phase })
+            (self.damping > 0.0).then(|| PhaseGuard { guard_residual: sign * self.push_as_distance(depth, rate), by, next_phase })
         };
         match phase {
             Phase::Free => {
@@ -96,9 +96,13 @@ impl UnilateralSpring {
     }
 
     /// The element that decides on the end of a phase: the largest guard value, or the smallest for a free spring.
-    pub(super) fn farthest<T>(phase: Phase, borders: impl Iterator<Item = T>, guard_residual: impl Fn(&T) -> f64) -> Option<T> {
+    pub(super) fn deciding<T>(
+        phase: Phase,
+        phase_guards: impl Iterator<Item = T>,
+        guard_residual: impl Fn(&T) -> f64,
+    ) -> Option<T> {
         let all = phase == Phase::Free;
-        borders.reduce(|one, other| if (guard_residual(&other) >= guard_residual(&one)) != all { other } else { one })
+        phase_guards.reduce(|one, other| if (guard_residual(&other) >= guard_residual(&one)) != all { other } else { one })
     }
 
     /// Time to the end of a ramp at the present rate, s; infinite off the ramp. A step of that length does not evaluate the polynomial of
@@ -116,11 +120,11 @@ impl UnilateralSpring {
 
     /// Event indicators of a spring, m or rad: penetration, penetration less the ramp's width, and the scaled push.
     pub(super) fn indicators(&self, depth: f64, rate: f64) -> [f64; 3] {
-        [depth, depth - self.width, self.scaled_push(depth, rate)]
+        [depth, depth - self.width, self.push_as_distance(depth, rate)]
     }
 
     /// Unramped push k d + c ḋ as a distance, m or rad.
-    fn scaled_push(&self, depth: f64, rate: f64) -> f64 {
+    fn push_as_distance(&self, depth: f64, rate: f64) -> f64 {
         self.push(depth, rate) / self.push_scale()
     }
 
@@ -136,7 +140,7 @@ impl UnilateralSpring {
 
     /// Ramp s and its derivative ds/dd, 1/m or 1/rad.
     fn ramp(&self, phase: Phase, depth: f64) -> [f64; 2] {
-        match self.formula(phase, depth) {
+        match self.strain_phase(phase, depth) {
             Phase::Free => [0.0, 0.0],
             Phase::Full => [1.0, 0.0],
             Phase::Ramp => {
@@ -147,7 +151,7 @@ impl UnilateralSpring {
     }
 
     /// Phase whose formula gives the elastic strain: a separated spring stays strained at a positive penetration.
-    fn formula(&self, phase: Phase, depth: f64) -> Phase {
+    fn strain_phase(&self, phase: Phase, depth: f64) -> Phase {
         match phase {
             Phase::Free if depth >= self.width => Phase::Full,
             Phase::Free if depth > 0.0 => Phase::Ramp,
@@ -174,7 +178,7 @@ impl UnilateralSpring {
         /// Integral ∫ s u du over the ramp: 6/7 − 15/6 + 10/5.
         const RAMP: f64 = 5.0 / 14.0;
         let Self { stiffness: k, width, .. } = *self;
-        match self.formula(phase, depth) {
+        match self.strain_phase(phase, depth) {
             Phase::Free => 0.0,
             Phase::Full => k * (width * width * RAMP + (depth * depth - width * width) / 2.0),
             Phase::Ramp => {
@@ -191,7 +195,7 @@ impl UnilateralSpring {
 }
 
 /// Mean reaction of a unilateral spring and damper over a step.
-pub(super) struct Push {
+pub(super) struct MeanReaction {
     /// Mean of N, N or N·m: times the increment of the penetration, it equals the gain of potential plus the dissipation, J.
     pub(super) force: f64,
     /// Derivative of the mean by the penetration at the step's end, N/m or N·m/rad.
@@ -203,10 +207,10 @@ pub(super) struct Push {
 impl UnilateralSpring {
     /// Mean reaction over a step of h seconds from a penetration `depth` with the increment `change`, m or rad. The damper takes the mean
     /// rate and the mean of the ramp.
-    pub(super) fn push_over(&self, depth: f64, change: f64, h: f64) -> Push {
+    pub(super) fn mean_reaction(&self, depth: f64, change: f64, h: f64) -> MeanReaction {
         let end = depth + change;
         if depth <= 0.0 && end <= 0.0 {
-            return Push { force: 0.0, slope: 0.0, dissipated: 0.0 };
+            return MeanReaction { force: 0.0, slope: 0.0, dissipated: 0.0 };
         }
         let [elastic, stiffness] = self.mean_elastic(depth, change);
         let ramp = |depth: f64| self.ramp(self.phase(depth, 0.0), depth);
@@ -214,10 +218,10 @@ impl UnilateralSpring {
         let damping = self.damping / h;
         let drag = 0.5 * (from + to) * damping * change;
         if elastic + drag <= 0.0 {
-            return Push { force: 0.0, slope: 0.0, dissipated: -elastic * change };
+            return MeanReaction { force: 0.0, slope: 0.0, dissipated: -elastic * change };
         }
         let slope = stiffness + 0.5 * damping * (from + to + slope * change);
-        Push { force: elastic + drag, slope, dissipated: drag * change }
+        MeanReaction { force: elastic + drag, slope, dissipated: drag * change }
     }
 
     /// Mean of s k d over a step, (U(d₁) − U(d₀))/(d₁ − d₀) without cancellation, N or N·m, and its derivative by d₁, N/m or N·m/rad.
@@ -282,7 +286,7 @@ mod tests {
         let spring = UnilateralSpring { damping: 0.0, ..SPRING };
         for depth in [-1.0, -1e-4, 1e-5, 3e-4, 9.9e-4, 1.5e-3, 0.1] {
             for end in [-1e-3, 2e-5, 4e-4, 1.1e-3, 0.05, 0.2] {
-                let push = spring.push_over(depth, end - depth, 1e-3);
+                let push = spring.mean_reaction(depth, end - depth, 1e-3);
                 let potential = |depth: f64| spring.potential(spring.phase(depth, 0.0), depth);
                 let gained = potential(end) - potential(depth);
                 let scale = potential(end).max(potential(depth));
@@ -292,14 +296,14 @@ mod tests {
                 assert!((push.force * (end - depth) - gained).abs() <= round_off, "{depth} {end}");
                 assert_eq!(push.dissipated, 0.0);
                 let step = 1e-7;
-                let [more, less] = [step, -step].map(|x| SPRING.push_over(depth, end - depth + x, 1e-3).force);
-                let slope = SPRING.push_over(depth, end - depth, 1e-3).slope;
+                let [more, less] = [step, -step].map(|x| SPRING.mean_reaction(depth, end - depth + x, 1e-3).force);
+                let slope = SPRING.mean_reaction(depth, end - depth, 1e-3).slope;
                 // Second differences of a ramp of 1 mrad: (step/width)² of the largest slope, some 100 N·m/rad.
                 assert!(((more - less) / (2.0 * step) - slope).abs() <= 1e-4 * (1.0 + slope.abs()), "{depth} {end}: {slope}");
             }
         }
         for (depth, change) in [(0.1, -0.2), (-0.1, 0.2), (2e-3, 1e-3), (5e-4, -1e-5)] {
-            let push = SPRING.push_over(depth, change, 1e-4);
+            let push = SPRING.mean_reaction(depth, change, 1e-4);
             assert!(push.force >= 0.0 && push.dissipated >= 0.0, "{depth} {change}");
         }
     }

@@ -15,12 +15,12 @@ pub struct Perturbation {
 }
 
 /// Collects the products −K δq − C δv, N and N·m.
-struct Products<'a> {
+struct TangentProducts<'a> {
     change: &'a Perturbation,
     forces: Coordinates,
 }
 
-impl Tangents for Products<'_> {
+impl Tangents for TangentProducts<'_> {
     fn stiffness(&mut self, row: usize, column: usize, value: f64) {
         self.forces[row] -= value * self.change.q[column];
     }
@@ -33,7 +33,7 @@ impl Tangents for Products<'_> {
 impl Inputs {
     /// Variation of the generalised force of the loads, N and N·m.
     pub fn force_change(&self, at: &ForceContext, change: &Perturbation) -> Coordinates {
-        let mut products = Products { change, forces: Coordinates::ZERO };
+        let mut products = TangentProducts { change, forces: Coordinates::ZERO };
         self.add_tangents(at, &mut (&mut products as &mut dyn Tangents));
         // The force is linear in the loads.
         change.inputs.add_forces(at, &mut products.forces);
@@ -44,7 +44,7 @@ impl Inputs {
 impl Effect {
     /// Variation of the generalised force, N and N·m.
     pub fn force_change(&self, at: &ForceContext, change: &Perturbation) -> Coordinates {
-        let mut products = Products { change, forces: Coordinates::ZERO };
+        let mut products = TangentProducts { change, forces: Coordinates::ZERO };
         self.add_tangents(at, &mut (&mut products as &mut dyn Tangents));
         self.add_input_change(at, &change.inputs, &mut products.forces);
         products.forces

@@ -93,7 +93,7 @@ impl Instance {
     /// fmi2GetDerivatives: their derivatives; discarded where they are no coordinates.
     pub fn state_derivatives(&mut self) -> Result<[f64; STATES], CallError> {
         let observed = self.observe()?;
-        observed.are_coordinates().map_err(no_coordinates)?;
+        observed.check_direct_singularity().map_err(no_coordinates)?;
         let derivatives = motion(&observed, 1);
         for (name, value) in ["der(theta[1])", "der(theta[2])", "der(omega[1])", "der(omega[2])"].into_iter().zip(derivatives) {
             check_computed(|| name.to_owned(), value)?;

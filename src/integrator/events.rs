@@ -124,7 +124,7 @@ pub trait Events<const N: usize>: Sized {
     }
 
     /// How close what grips hold comes to what they can hold, in units of what may be overlooked; negative below.
-    fn holding_margin(&self, _at: &Self::GuardValues, _tolerance: f64) -> f64 {
+    fn breakaway_residual(&self, _at: &Self::GuardValues, _tolerance: f64) -> f64 {
         f64::NEG_INFINITY
     }
 

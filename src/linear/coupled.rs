@@ -5,17 +5,17 @@
 //! outer coordinates add 1/m between neighbouring joints, inner ones Φ_I A_I⁻¹ Φ_Iᵀ.
 
 use super::lu::{Lu, inverse};
-use super::tangents::{INNER, INNERS};
+use super::tangents::{INNER, INNER_COUNT};
 use crate::integrator::Kkt;
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 use crate::vector::Vector;
 
 /// Outer coordinates: their rows of A₀ contain only a mass.
-const OUTER: [usize; COORDINATES - INNERS] = [X[0], X[2], X[3], Y[0], Y[2], Y[3]];
+const OUTER: [usize; COORDINATES - INNER_COUNT] = [X[0], X[2], X[3], Y[0], Y[2], Y[3]];
 
 /// The two constraint equations of each outer coordinate and its signs there: x of links 1, 3, 4, then y.
-const NEIGHBOURS: [[(usize, f64); 2]; COORDINATES - INNERS] = [
+const NEIGHBOURS: [[(usize, f64); 2]; COORDINATES - INNER_COUNT] = [
     [(2 * G_X, 1.0), (2 * E_X, -1.0)],
     [(2 * E_X + 1, 1.0), (TIP_X, -1.0)],
     [(2 * G_X + 1, 1.0), (2 * E_X + 1, -1.0)],
@@ -29,16 +29,16 @@ const NEIGHBOURS: [[(usize, f64); 2]; COORDINATES - INNERS] = [
 pub struct Coupled {
     pose: Pose,
     /// Mobilities 1/m of the outer coordinates, 1/kg.
-    mobility: [f64; COORDINATES - INNERS],
+    mobility: [f64; COORDINATES - INNER_COUNT],
     /// Inverse A_I⁻¹ of the inner block by rows.
-    compliance: [Vector<INNERS>; INNERS],
+    compliance: [Vector<INNER_COUNT>; INNER_COUNT],
     /// Factorised dual matrix S.
     dual: Lu<MULTIPLIERS>,
 }
 
 /// The product Φ_I X of the columns of Φ_q of the inner coordinates and a matrix X, by rows.
 #[inline]
-fn phi_inner_times<const K: usize>(pose: &Pose, x: &[Vector<K>; INNERS]) -> [Vector<K>; MULTIPLIERS] {
+fn phi_inner_times<const K: usize>(pose: &Pose, x: &[Vector<K>; INNER_COUNT]) -> [Vector<K>; MULTIPLIERS] {
     /// Indices of the angles of the proximal links, left and right, among the inner coordinates; the first two are x and y of link 2.
     const INNER_PROXIMAL: [usize; 2] = [2, 5];
     /// Indices of the angles of the distal links, left and right, among the inner coordinates.
@@ -68,7 +68,7 @@ impl Coupled {
     /// Factorises for the masses of the outer coordinates, kg, and the inner block of A₀ by rows, whose symmetric part must be positive
     /// definite: then so is that of the dual matrix. Where values are not finite, the caller's check of the results ends the step.
     #[inline]
-    pub fn factor(pose: &Pose, masses: &Coordinates, inner: [Vector<INNERS>; INNERS], regularization: f64) -> Self {
+    pub fn factor(pose: &Pose, masses: &Coordinates, inner: [Vector<INNER_COUNT>; INNER_COUNT], regularization: f64) -> Self {
         let compliance = inverse(inner);
         // The product Φ_I A_I⁻¹ Φ_Iᵀ is computed from Φ_I A_I⁻ᵀ.
         let mut dual = phi_inner_times(pose, &transposed(&phi_inner_times(pose, &transposed(&compliance))));

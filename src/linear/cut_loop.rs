@@ -23,9 +23,9 @@
 //! ```
 //!
 //! The equations (ν) are linear in ω̂ and ν. Newton's method for Δθ and Λ in (f) has a matrix of the same form, with s for c and the
-//! geometric stiffness of the joint forces: 2×2 in each leg, bordered by 2×2 of the tip ([`Closed`]).
+//! geometric stiffness of the joint forces: 2×2 in each leg, bordered by 2×2 of the tip ([`BorderedMatrix`]).
 
-mod closed;
+mod bordered;
 mod loads;
 mod open_legs;
 
@@ -33,11 +33,11 @@ use crate::mechanism::coordinates::{
     D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, add_legs, legs_of, set_legs,
 };
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
-use crate::mechanism::secant::{Secant, Turned};
+use crate::mechanism::secant::{Secant, StepDirections};
 use crate::mechanism::{Coordinates, Mechanism, Multipliers, Pose};
 use crate::vector::Vector;
-pub use closed::Closed;
-pub use loads::LegLoads;
+pub use bordered::BorderedMatrix;
+pub use loads::LegTangents;
 pub use open_legs::OpenLegs;
 use open_legs::{Moments, angles, centres};
 
@@ -96,24 +96,24 @@ pub struct OpenStep<'a> {
     /// Length of the step, s.
     pub h: f64,
     /// First moment k₀ of ½h q̇₀, kg·m².
-    begun: Moments,
+    initial_moment: Moments,
     /// Initial half-step rotations ½h ω₀, rad.
-    begun_rates: [Legs; 2],
+    initial_rotations: [Legs; 2],
 }
 
 /// Motion of the open legs over a step for given unknowns: all joints but the tip satisfy their constraints.
 #[derive(Clone, Copy, Debug)]
 pub struct OpenMotion {
     /// Directions of the links in the middle and at the end of the step.
-    directions: Turned,
+    directions: StepDirections,
     /// The unknowns; ν belongs to the rates of this motion.
     pub x: CutUnknowns,
     /// Final half-step rotations ω̂ = ½h ω₁, rad.
     half: [Legs; 2],
     /// Velocity defect y, kg·m².
-    moved: Moments,
+    velocity_defect: Moments,
     /// Difference k₀ − w of first moments, kg·m².
-    slowed: Moments,
+    moment_change: Moments,
     /// Columns of the tip's closure, σ(ℓ, L) n̂₁, m.
     ends: [Legs2; 2],
     /// Residual of the tip's closure, m.
@@ -124,9 +124,9 @@ pub struct OpenMotion {
 
 /// Residual of the equations (f) under given forces.
 #[derive(Clone, Copy, Debug)]
-pub struct OpenBalance {
+pub struct OpenResidual {
     /// Joint load g by links.
-    pull: Moments,
+    joint_load: Moments,
     /// Residual f of the angle rows, kg·m².
     left: [Legs; 2],
 }
@@ -154,13 +154,19 @@ impl<'a> OpenStep<'a> {
     #[inline(always)]
     pub fn new(legs: &'a OpenLegs, pose: &'a Pose, [q, v]: [&'a Coordinates; 2], h: f64) -> Self {
         let half = both(0.5 * h);
-        let begun = legs.moment_of_centres(centres(v)).map(|moment| moment.scaled(half));
-        Self { legs, pose, q, v, h, begun, begun_rates: angles(v).map(|rate| half * rate) }
+        let initial_moment = legs.moment_of_centres(centres(v)).map(|moment| moment.scaled(half));
+        Self { legs, pose, q, v, h, initial_moment, initial_rotations: angles(v).map(|rate| half * rate) }
     }
 
     /// The bordered matrix for ω̂ or Δθ: inertias of the angle rows, in which joint forces act along `factors` n̂_m.
     #[inline(always)]
-    fn closed(&self, (turned, ends): (&Turned, &[Legs2; 2]), inertias: [[Legs; 2]; 2], factors: [Legs; 2], e: f64) -> Closed {
+    fn bordered(
+        &self,
+        (turned, ends): (&StepDirections, &[Legs2; 2]),
+        inertias: [[Legs; 2]; 2],
+        factors: [Legs; 2],
+        e: f64,
+    ) -> BorderedMatrix {
         let [own, shared, last] = self.legs.moment;
         let ([by_p, by_d], [cos_p, cos_d]) = (factors, turned.cos);
         let ([middle_p, middle_d], [end_p, end_d]) = (turned.middle, turned.end);
@@ -170,40 +176,40 @@ impl<'a> OpenStep<'a> {
             [inertias[1][0] + by_d * shared * middle_d.dot(end_p), inertias[1][1] + by_d * cos_d * last],
         ];
         let [length_p, length_d] = self.legs.sigma_length;
-        Closed::new(matrix, scaled(normals(turned.middle), [by_p * length_p, by_d * length_d]), ends, e)
+        BorderedMatrix::new(matrix, scaled(normals(turned.middle), [by_p * length_p, by_d * length_d]), ends, e)
     }
 
     /// The motion with the Δθ of `x`, which does not depend on Λ. The ν of `x` is an initial guess: the rate equation is satisfied up to e
     /// times the correction of ν.
     #[inline(always)]
     pub fn motion(&self, mut x: CutUnknowns, e: f64) -> OpenMotion {
-        let &Self { legs, begun_rates: [begun_p, begun_d], .. } = self;
+        let &Self { legs, initial_rotations: [begun_p, begun_d], .. } = self;
         let mechanism = &legs.mechanism;
         let turns @ [turn_p, turn_d] = [legs_of(&x, PROXIMAL), legs_of(&x, DISTAL)];
-        let directions = Turned::new(self.pose, turns);
+        let directions = StepDirections::new(self.pose, turns);
         let (across, end) = (normals(directions.middle), normals(directions.end));
         let ends = scaled(end, legs.sigma_length);
         let ([sinc_p, sinc_d], [cos_p, cos_d]) = (directions.sinc, directions.cos);
 
-        let way = minus(legs.moment(scaled(across, [sinc_p * turn_p, sinc_d * turn_d])), self.begun);
+        let way = minus(legs.moment(scaled(across, [sinc_p * turn_p, sinc_d * turn_d])), self.initial_moment);
         let nu = legs_of(&x, NU);
-        let [moved_p, moved_d] = minus(way, legs.levers(at_tip(nu.to_array())));
+        let [velocity_defect_p, velocity_defect_d] = minus(way, legs.levers(at_tip(nu.to_array())));
         let right = [
-            mechanism.inertia_p * (turn_p - begun_p) + cos_p * across[0].dot(moved_p),
-            mechanism.inertia_d * (turn_d - begun_d) + cos_d * across[1].dot(moved_d),
+            mechanism.inertia_p * (turn_p - begun_p) + cos_p * across[0].dot(velocity_defect_p),
+            mechanism.inertia_d * (turn_d - begun_d) + cos_d * across[1].dot(velocity_defect_d),
         ];
         let none = both(0.0);
         let inertias = [[mechanism.inertia_p, none], [none, mechanism.inertia_d]];
-        let closed = self.closed((&directions, &ends), inertias, directions.cos, e);
-        let (half, change) = closed.solve(right, &ends, [0.0; 2]);
+        let bordered = self.bordered((&directions, &ends), inertias, directions.cos, e);
+        let (half, change) = bordered.solve(right, &ends, [0.0; 2]);
         set_legs(&mut x, NU, nu + Legs::new(change));
         let turning = legs.moment(scaled(end, half));
-        let moved = minus(minus([moved_p, moved_d], turning), legs.levers(at_tip(change)));
+        let velocity_defect = minus(minus([velocity_defect_p, velocity_defect_d], turning), legs.levers(at_tip(change)));
 
         let [p, d] = scaled(directions.end, legs.sigma_length);
         let gap = [sum(p.x + d.x + SIGMA * mechanism.ground_x), sum(p.y + d.y)];
         let rate = change.map(|change| e * change);
-        OpenMotion { directions, x, half, moved, slowed: minus(self.begun, turning), ends, gap, rate }
+        OpenMotion { directions, x, half, velocity_defect, moment_change: minus(self.initial_moment, turning), ends, gap, rate }
     }
 
     /// Directions and factors of the step d of a motion.
@@ -216,7 +222,7 @@ impl<'a> OpenStep<'a> {
     #[inline(always)]
     pub fn way(&self, motion: &OpenMotion) -> Coordinates {
         let Mechanism { ground_x, a_p, b_p, a_d, .. } = self.legs.mechanism;
-        let OpenMotion { directions: Turned { end: [p, d], .. }, x, .. } = motion;
+        let OpenMotion { directions: StepDirections { end: [p, d], .. }, x, .. } = motion;
         let (proximal, distal) = (p.scaled(a_p), p.scaled(a_p + b_p).plus(d.scaled(a_d)));
         let mut q = Coordinates::ZERO;
         set_legs(&mut q, P_X, ground_x + proximal.x);
@@ -250,30 +256,37 @@ impl<'a> OpenStep<'a> {
 
     /// Residual of a motion under mean forces Q̄, N and N·m.
     #[inline(always)]
-    pub fn balance(&self, motion: &OpenMotion, forces: &Coordinates) -> OpenBalance {
-        let &Self { legs, begun_rates: [begun_p, begun_d], h, .. } = self;
+    pub fn balance(&self, motion: &OpenMotion, forces: &Coordinates) -> OpenResidual {
+        let &Self { legs, initial_rotations: [begun_p, begun_d], h, .. } = self;
         let mechanism = &legs.mechanism;
         let applied = 0.5 * h * h * *forces;
-        let OpenMotion { directions, x, half: [half_p, half_d], moved: [moved_p, moved_d], slowed: [slowed_p, slowed_d], .. } =
-            motion;
+        let OpenMotion {
+            directions,
+            x,
+            half: [half_p, half_d],
+            velocity_defect: [velocity_defect_p, velocity_defect_d],
+            moment_change: [moment_change_p, moment_change_d],
+            ..
+        } = motion;
         let [load_p, load_d] = legs.moment_of_forces(centres(&applied));
         let [lever_p, lever_d] = legs.levers(at_tip(legs_of(x, LAMBDA).to_array()));
-        let pull @ [pull_p, pull_d] = [load_p.plus(*slowed_p).minus(lever_p), load_d.plus(*slowed_d).minus(lever_d)];
+        let joint_load @ [joint_load_p, joint_load_d] =
+            [load_p.plus(*moment_change_p).minus(lever_p), load_d.plus(*moment_change_d).minus(lever_d)];
         let ([along_p, along_d], [sinc_p, sinc_d]) = (directions.middle, directions.sinc);
         let [torque_p, torque_d] = angles(&applied);
         let half = both(0.5);
-        let turning_p = half * (*half_p + begun_p) * along_p.dot(*moved_p) - along_p.turned().dot(pull_p);
-        let turning_d = half * (*half_d + begun_d) * along_d.dot(*moved_d) - along_d.turned().dot(pull_d);
+        let turning_p = half * (*half_p + begun_p) * along_p.dot(*velocity_defect_p) - along_p.turned().dot(joint_load_p);
+        let turning_d = half * (*half_d + begun_d) * along_d.dot(*velocity_defect_d) - along_d.turned().dot(joint_load_d);
         let left = [
             mechanism.inertia_p * (*half_p - begun_p) - torque_p + sinc_p * turning_p,
             mechanism.inertia_d * (*half_d - begun_d) - torque_d + sinc_d * turning_d,
         ];
-        OpenBalance { pull, left }
+        OpenResidual { joint_load, left }
     }
 
     /// Norms of the residuals: of f as an angle, rad; of the tip's closure and of ½h times its rate, m.
     #[inline(always)]
-    pub fn left(&self, OpenMotion { gap, rate, .. }: &OpenMotion, OpenBalance { left: [p, d], .. }: &OpenBalance) -> [f64; 3] {
+    pub fn left(&self, OpenMotion { gap, rate, .. }: &OpenMotion, OpenResidual { left: [p, d], .. }: &OpenResidual) -> [f64; 3] {
         let [mobility_p, mobility_d] = self.legs.turn_mobility;
         let offset = (mobility_p * *p).abs().fast_max((mobility_d * *d).abs()).to_array();
         [larger(offset), larger(*gap), larger(*rate)]
@@ -281,33 +294,38 @@ impl<'a> OpenStep<'a> {
 
     /// Collects the tangents of loads for [`OpenStep::factor`].
     #[inline(always)]
-    pub fn loads<'b>(&'b self, motion: &'b OpenMotion) -> LegLoads<'b> {
+    pub fn loads<'b>(&'b self, motion: &'b OpenMotion) -> LegTangents<'b> {
         let Mechanism { a_p, b_p, a_d, .. } = self.legs.mechanism;
         let arms = [[a_p, both(0.0)], [a_p + b_p, a_d]];
-        LegLoads { arms, directions: &motion.directions, weights: [0.5 * self.h * self.h, self.h], inertias: [[[0.0; 2]; 2]; 2] }
+        LegTangents { arms, directions: &motion.directions, weights: [0.5 * self.h * self.h, self.h], inertias: [[[0.0; 2]; 2]; 2] }
     }
 
     /// The matrix of Newton's increments with these loads.
     #[inline(always)]
-    pub fn factor(&self, motion: &OpenMotion, balance: &OpenBalance, loads: &LegLoads, e: f64) -> Closed {
-        let (OpenMotion { directions, x, ends, .. }, [pull_p, pull_d]) = (motion, balance.pull);
+    pub fn factor(&self, motion: &OpenMotion, balance: &OpenResidual, loads: &LegTangents, e: f64) -> BorderedMatrix {
+        let (OpenMotion { directions, x, ends, .. }, [joint_load_p, joint_load_d]) = (motion, balance.joint_load);
         let mechanism = &self.legs.mechanism;
         let ([along_p, along_d], [sinc_p, sinc_d]) = (directions.middle, directions.sinc);
         let [[pp, pd], [dp, dd]] = loads.inertias;
         // The direction n̂_m rotates by half of Δθ, and ds/dΔθ = −Δθ/12 to third order.
-        let stiffness = |along: Legs2, pull: Legs2, turn: Legs| {
-            both(0.5) * along.dot(pull) + both(1.0 / 12.0) * turn * along.turned().dot(pull)
+        let stiffness = |along: Legs2, joint_load: Legs2, turn: Legs| {
+            both(0.5) * along.dot(joint_load) + both(1.0 / 12.0) * turn * along.turned().dot(joint_load)
         };
         let inertias = [
-            [mechanism.inertia_p + Legs::new(pp) + sinc_p * stiffness(along_p, pull_p, legs_of(x, PROXIMAL)), Legs::new(pd)],
-            [Legs::new(dp), mechanism.inertia_d + Legs::new(dd) + sinc_d * stiffness(along_d, pull_d, legs_of(x, DISTAL))],
+            [mechanism.inertia_p + Legs::new(pp) + sinc_p * stiffness(along_p, joint_load_p, legs_of(x, PROXIMAL)), Legs::new(pd)],
+            [Legs::new(dp), mechanism.inertia_d + Legs::new(dd) + sinc_d * stiffness(along_d, joint_load_d, legs_of(x, DISTAL))],
         ];
-        self.closed((directions, ends), inertias, directions.sinc, e)
+        self.bordered((directions, ends), inertias, directions.sinc, e)
     }
 
     /// Newton's increments of Δθ and Λ. Λ is solved with the gap left out, since closing the gap changes no rates.
     #[inline(always)]
-    pub fn correction(&self, OpenMotion { gap, ends, .. }: &OpenMotion, balance: &OpenBalance, matrix: &Closed) -> CutUnknowns {
+    pub fn correction(
+        &self,
+        OpenMotion { gap, ends, .. }: &OpenMotion,
+        balance: &OpenResidual,
+        matrix: &BorderedMatrix,
+    ) -> CutUnknowns {
         let [left_p, left_d] = balance.left;
         let ([p, d], lambda) = matrix.solve([-left_p, -left_d], ends, *gap);
         let mut change = CutUnknowns::ZERO;
@@ -319,7 +337,7 @@ impl<'a> OpenStep<'a> {
 
     /// The motion with rates and Λ that satisfy (f) at its Δθ: the last linear correction.
     #[inline(always)]
-    pub fn with_rates(&self, motion: &OpenMotion, balance: &OpenBalance, matrix: &Closed) -> OpenMotion {
+    pub fn with_rates(&self, motion: &OpenMotion, balance: &OpenResidual, matrix: &BorderedMatrix) -> OpenMotion {
         let [left_p, left_d] = balance.left;
         let ([p, d], lambda) = matrix.solve([-left_p, -left_d], &motion.ends, [0.0; 2]);
         let mut x = motion.x;
@@ -346,7 +364,7 @@ impl<'a> OpenStep<'a> {
             joints
         };
         let taken = 0.5 * self.h * self.h * *forces - mechanism.mass_times(&(z - self.h * *self.v));
-        let moved = mechanism.mass_times(&(self.way(motion) - z));
-        [along(&taken, legs_of(x, LAMBDA)), along(&moved, legs_of(x, NU))]
+        let velocity_defect = mechanism.mass_times(&(self.way(motion) - z));
+        [along(&taken, legs_of(x, LAMBDA)), along(&velocity_defect, legs_of(x, NU))]
     }
 }

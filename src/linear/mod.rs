@@ -28,7 +28,7 @@ use crate::vector::Vector;
 use coupled::Coupled;
 use cut_loop::OpenLegs;
 use dense::Dense;
-use tangents::{CoupledTangents, DiagonalTangents, FullTangents, INNER, INNERS};
+use tangents::{CoupledTangents, DiagonalTangents, FullTangents, INNER, INNER_COUNT};
 use two_leg::{Elimination, TwoLeg};
 
 /// The linear solves of the saddle-point system.
@@ -77,9 +77,9 @@ const DESCENT_INERTIA: f64 = 0.3;
 
 /// Treatment of a tangent A₀ that is not sufficiently positive definite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Definite {
+pub enum Definiteness {
     /// Refused with an error: the step is too long.
-    Demanded,
+    Required,
     /// Raised by multiples of M until it is, which gives a descent direction.
     Enforced,
 }
@@ -91,7 +91,7 @@ pub trait TangentSource {
 }
 
 /// The linearised step whose tangent A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q) is factorised.
-pub struct TangentOf<'a, F> {
+pub struct TangentSystem<'a, F> {
     /// Forces at the step's end.
     pub forces: &'a F,
     /// Pose at the step's end.
@@ -103,7 +103,7 @@ pub struct TangentOf<'a, F> {
     /// Regularisation e of the saddle-point matrix, 1/kg.
     pub regularization: f64,
     /// Treatment of a tangent A₀ that is not sufficiently positive definite.
-    pub definite: Definite,
+    pub definite: Definiteness,
 }
 
 /// A mechanism with its linear solve.
@@ -187,7 +187,7 @@ impl LinearSolver {
     #[inline(always)]
     pub fn solve_tangent<const BARE: bool>(
         &self,
-        of: &TangentOf<'_, impl TangentSource>,
+        of: &TangentSystem<'_, impl TangentSource>,
         right: (&Coordinates, &Multipliers),
     ) -> Result<Solution, StepError> {
         match self.solve {
@@ -205,8 +205,8 @@ impl LinearSolver {
     }
 
     #[inline(always)]
-    fn factor_two_leg(&self, of: &TangentOf<'_, impl TangentSource>) -> Result<TwoLeg, StepError> {
-        let &TangentOf { forces, pose, lambda, h, regularization, definite } = of;
+    fn factor_two_leg(&self, of: &TangentSystem<'_, impl TangentSource>) -> Result<TwoLeg, StepError> {
+        let &TangentSystem { forces, pose, lambda, h, regularization, definite } = of;
         let mut tangents = DiagonalTangents::new(h);
         forces.add_tangents(&mut tangents);
         let beta = h * h / 4.0;
@@ -215,11 +215,11 @@ impl LinearSolver {
         let mut inertia_p = mass_p + beta * stiffness_p + legs_of(&tangents.weighted, P_THETA);
         let mut inertia_d = mass_d + beta * stiffness_d + legs_of(&tangents.weighted, D_THETA);
         match definite {
-            Definite::Enforced => {
+            Definiteness::Enforced => {
                 inertia_p = inertia_p.max(DESCENT_INERTIA * mass_p);
                 inertia_d = inertia_d.max(DESCENT_INERTIA * mass_d);
             }
-            Definite::Demanded => {
+            Definiteness::Required => {
                 let margin = (inertia_p - LEAST_INERTIA * mass_p).fast_min(inertia_d - LEAST_INERTIA * mass_d);
                 let [left, right] = margin.to_array();
                 if !(left > 0.0 && right > 0.0) {
@@ -233,20 +233,20 @@ impl LinearSolver {
     #[inline(never)]
     fn solve_coupled(
         &self,
-        of: &TangentOf<'_, impl TangentSource>,
+        of: &TangentSystem<'_, impl TangentSource>,
         (b, c): (&Coordinates, &Multipliers),
     ) -> Result<Solution, StepError> {
-        let &TangentOf { forces, pose, lambda, h, regularization, definite } = of;
+        let &TangentSystem { forces, pose, lambda, h, regularization, definite } = of;
         let masses = self.masses();
         let inner_masses = SMatrix::from_diagonal(&SVector::from(INNER.map(|i| masses[i])));
         let mut tangents = CoupledTangents::new(h);
         forces.add_tangents(&mut tangents);
         let mut a0 = inner_masses + tangents.weighted;
         for (i, stiffness) in geometric_stiffness(pose, lambda).into_iter().enumerate() {
-            let place = INNERS - 4 + i;
+            let place = INNER_COUNT - 4 + i;
             a0[(place, place)] += h * h / 4.0 * stiffness;
         }
-        let a0 = made_definite(a0, &inner_masses, definite)?;
+        let a0 = ensure_definite(a0, &inner_masses, definite)?;
         let rows = std::array::from_fn(|i| Vector::from_fn(|j| a0[(i, j)]));
         Ok(Coupled::factor(pose, &masses, rows, regularization).solve(b, c))
     }
@@ -254,16 +254,16 @@ impl LinearSolver {
     #[inline(never)]
     fn solve_dense(
         &self,
-        of: &TangentOf<'_, impl TangentSource>,
+        of: &TangentSystem<'_, impl TangentSource>,
         (b, c): (&Coordinates, &Multipliers),
     ) -> Result<Solution, StepError> {
-        let &TangentOf { forces, pose, lambda, h, regularization, definite } = of;
+        let &TangentSystem { forces, pose, lambda, h, regularization, definite } = of;
         let mass = self.mass_matrix();
         let mut a0 = mass + full_tangents(forces, h);
         for (i, stiffness) in THETA.into_iter().zip(geometric_stiffness(pose, lambda)) {
             a0[(i, i)] += h * h / 4.0 * stiffness;
         }
-        Ok(Dense::factor(pose, &made_definite(a0, &mass, definite)?, regularization).solve(b, c))
+        Ok(Dense::factor(pose, &ensure_definite(a0, &mass, definite)?, regularization).solve(b, c))
     }
 
     /// Diagonal of M, kg and kg·m².
@@ -290,19 +290,19 @@ fn geometric_stiffness(pose: &Pose, lambda: &Multipliers) -> [f64; 4] {
 }
 
 /// The tangent A₀, checked or raised to be sufficiently positive definite.
-fn made_definite<const K: usize>(
+fn ensure_definite<const K: usize>(
     mut a0: SMatrix<f64, K, K>,
     mass: &SMatrix<f64, K, K>,
-    definite: Definite,
+    definite: Definiteness,
 ) -> Result<SMatrix<f64, K, K>, StepError> {
-    let keeps = |a0: &SMatrix<f64, K, K>, part: f64| ((a0 + a0.transpose()) / 2.0 - mass * part).cholesky().is_some();
+    let is_definite = |a0: &SMatrix<f64, K, K>, part: f64| ((a0 + a0.transpose()) / 2.0 - mass * part).cholesky().is_some();
     match definite {
-        Definite::Demanded if !keeps(&a0, LEAST_INERTIA) => return Err(StepError::IndefiniteTangent),
-        Definite::Demanded => {}
+        Definiteness::Required if !is_definite(&a0, LEAST_INERTIA) => return Err(StepError::IndefiniteTangent),
+        Definiteness::Required => {}
         // Doubling ends: some multiple of M outweighs any tangent that is finite.
-        Definite::Enforced => {
+        Definiteness::Enforced => {
             let mut more = DESCENT_INERTIA;
-            while !keeps(&a0, DESCENT_INERTIA) {
+            while !is_definite(&a0, DESCENT_INERTIA) {
                 a0 += mass * more;
                 more *= 2.0;
                 if !more.is_finite() {

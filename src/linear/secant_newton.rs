@@ -16,7 +16,7 @@
 //! closure loses rank.
 
 use crate::effects::Tangents;
-use crate::linear::tangents::{INNERS, PLACE};
+use crate::linear::tangents::{INNER_COUNT, INNER_INDEX};
 use crate::mechanism::coordinates::{D_THETA, E_X, G_X, P_THETA, THETA, TIP_X, TIP_Y, X, Y, legs_of};
 use crate::mechanism::legs::{Legs, Legs2};
 use crate::mechanism::secant::Secant;
@@ -58,25 +58,25 @@ const TIP_LEG: usize = 0;
 pub struct StepTangents {
     h: f64,
     /// Weighted stiffness ½h² K by rows.
-    stiffness: [[f64; INNERS]; INNERS],
+    stiffness: [[f64; INNER_COUNT]; INNER_COUNT],
     /// Weighted damping h C by rows.
-    damping: [[f64; INNERS]; INNERS],
+    damping: [[f64; INNER_COUNT]; INNER_COUNT],
 }
 
 impl StepTangents {
     /// Zero tangents for a step of h seconds.
     pub fn new(h: f64) -> Self {
-        Self { h, stiffness: [[0.0; INNERS]; INNERS], damping: [[0.0; INNERS]; INNERS] }
+        Self { h, stiffness: [[0.0; INNER_COUNT]; INNER_COUNT], damping: [[0.0; INNER_COUNT]; INNER_COUNT] }
     }
 }
 
 impl Tangents for StepTangents {
     fn stiffness(&mut self, row: usize, column: usize, value: f64) {
-        self.stiffness[PLACE[row]][PLACE[column]] += 0.5 * self.h * self.h * value;
+        self.stiffness[INNER_INDEX[row]][INNER_INDEX[column]] += 0.5 * self.h * self.h * value;
     }
 
     fn damping(&mut self, row: usize, column: usize, value: f64) {
-        self.damping[PLACE[row]][PLACE[column]] += self.h * value;
+        self.damping[INNER_INDEX[row]][INNER_INDEX[column]] += self.h * value;
     }
 }
 

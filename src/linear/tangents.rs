@@ -16,16 +16,16 @@ pub struct DiagonalTangents {
 }
 
 /// Number of coordinates that effects may couple.
-pub const INNERS: usize = 6;
+pub const INNER_COUNT: usize = 6;
 
 /// Inner coordinates, those that effects may couple: the position of link 2, on which forces on the tip act, and all link angles.
-pub const INNER: [usize; INNERS] = [X[1], Y[1], THETA[0], THETA[1], THETA[2], THETA[3]];
+pub const INNER: [usize; INNER_COUNT] = [X[1], Y[1], THETA[0], THETA[1], THETA[2], THETA[3]];
 
-/// Index of each coordinate in [`INNER`]; [`INNERS`] for coordinates that are not inner.
-pub(super) const PLACE: [usize; COORDINATES] = {
-    let mut place = [INNERS; COORDINATES];
+/// Index of each coordinate in [`INNER`]; [`INNER_COUNT`] for coordinates that are not inner.
+pub(super) const INNER_INDEX: [usize; COORDINATES] = {
+    let mut place = [INNER_COUNT; COORDINATES];
     let mut i = 0;
-    while i < INNERS {
+    while i < INNER_COUNT {
         place[INNER[i]] = i;
         i += 1;
     }
@@ -37,7 +37,7 @@ pub(super) const PLACE: [usize; COORDINATES] = {
 pub struct CoupledTangents {
     half_step: f64,
     /// Weighted tangents h/2 C + h²/4 K of the coordinates [`INNER`].
-    pub weighted: SMatrix<f64, INNERS, INNERS>,
+    pub weighted: SMatrix<f64, INNER_COUNT, INNER_COUNT>,
 }
 
 impl CoupledTangents {
@@ -49,11 +49,11 @@ impl CoupledTangents {
 
 impl Tangents for CoupledTangents {
     fn stiffness(&mut self, row: usize, column: usize, value: f64) {
-        self.weighted[(PLACE[row], PLACE[column])] += self.half_step * self.half_step * value;
+        self.weighted[(INNER_INDEX[row], INNER_INDEX[column])] += self.half_step * self.half_step * value;
     }
 
     fn damping(&mut self, row: usize, column: usize, value: f64) {
-        self.weighted[(PLACE[row], PLACE[column])] += self.half_step * value;
+        self.weighted[(INNER_INDEX[row], INNER_INDEX[column])] += self.half_step * value;
     }
 }
 

@@ -41,13 +41,13 @@ pub struct Start {
 
 /// Relative tolerance within which the distal links count as in line, coinciding or parallel: far above round-off, far below any
 /// tolerance of manufacture.
-pub(crate) const IN_LINE: f64 = 1e-9;
+pub(crate) const COLLINEARITY_TOLERANCE: f64 = 1e-9;
 
 /// Round-off of the distance of the elbows, relative to the mechanism's size: some sums and products.
 const DISTANCE_ROUND_OFF: f64 = 16.0 * f64::EPSILON;
 
 /// Rank tolerance of the closure of the distal links, relative to their lengths: smaller singular values are round-off.
-const RANK: f64 = 1e-12;
+const RANK_TOLERANCE: f64 = 1e-12;
 
 /// Least sine of the angle between the distal links at which the proximal angles are valid coordinates: rates keep half of their digits.
 const LEAST_SINE: f64 = 1e-8;
@@ -59,18 +59,18 @@ fn direction(theta: f64) -> (Vector2<f64>, Vector2<f64>) {
 }
 
 /// Elbows of an initial posture, and their distance relative to the distal links.
-struct Span {
+struct ElbowSpan {
     /// Vector from the left to the right elbow, m.
     arrow: Vector2<f64>,
     /// Distance of the elbows, m.
     distance: f64,
-    /// Whether the distal links are in line (direct singularity), within [`IN_LINE`].
+    /// Whether the distal links are in line (direct singularity), within [`COLLINEARITY_TOLERANCE`].
     in_line: bool,
     /// Whether the distal links are in line to round-off.
-    exact: bool,
+    collinear_exactly: bool,
 }
 
-impl Span {
+impl ElbowSpan {
     /// Elbows at the proximal angles `theta`, rad, which an error calls `name`.
     fn new(geometry: &Geometry, name: &str, theta: [f64; 2]) -> Result<Self, SceneError> {
         let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
@@ -89,7 +89,7 @@ impl Span {
                 rounded(longest)
             )));
         }
-        if distance < IN_LINE * longest {
+        if distance < COLLINEARITY_TOLERANCE * longest {
             return Err(SceneError(format!(
                 "{} puts both elbows on the same point, {:?} m apart: the direction to the tip is undetermined, the elbows must be apart.",
                 start(),
@@ -97,7 +97,7 @@ impl Span {
             )));
         }
         let slack = (longest - distance).min(distance - shortest);
-        Ok(Self { arrow, distance, in_line: slack < IN_LINE * longest, exact: slack < round_off })
+        Ok(Self { arrow, distance, in_line: slack < COLLINEARITY_TOLERANCE * longest, collinear_exactly: slack < round_off })
     }
 }
 
@@ -122,7 +122,7 @@ pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordin
         finite(format_args!("init.theta[{}]", i + 1), start.theta[i], "rad")?;
         finite(format_args!("init.omega[{}]", i + 1), start.omega[i], "rad/s")?;
     }
-    let span = Span::new(geometry, "init.theta", start.theta)?;
+    let span = ElbowSpan::new(geometry, "init.theta", start.theta)?;
     let theta = angles(geometry, &span, start);
     let omega = rates(geometry, &span, theta, start)?;
     Ok(assemble(geometry, theta, omega))
@@ -130,14 +130,14 @@ pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordin
 
 /// Angles of the four links, rad, from the proximal angles.
 #[inline(never)]
-fn angles(geometry: &Geometry, span: &Span, start: &Start) -> [f64; 4] {
+fn angles(geometry: &Geometry, span: &ElbowSpan, start: &Start) -> [f64; 4] {
     let [_, l2, l3, _] = geometry.links.map(|link| link.length);
     // The tip at distance `along` on the arrow and `across` it, without cancellation where it comes close to the line.
-    let &Span { arrow, distance, .. } = span;
+    let &ElbowSpan { arrow, distance, .. } = span;
     let along = ((l2 - l3) * (l2 + l3) + distance * distance) / (2.0 * distance);
     let across_squared = (l2 + l3 - distance) * (l3 + distance - l2) * (l2 + along) / (2.0 * distance);
     // An error of ε in the distance would tilt distal links in line by √ε.
-    let across = if span.exact { 0.0 } else { start.assembly.sign() * across_squared.max(0.0).sqrt() };
+    let across = if span.collinear_exactly { 0.0 } else { start.assembly.sign() * across_squared.max(0.0).sqrt() };
     let unit = arrow / distance;
     let from_left = unit * along + Vector2::new(-unit.y, unit.x) * across;
     let from_right = from_left - arrow;
@@ -146,11 +146,11 @@ fn angles(geometry: &Geometry, span: &Span, start: &Start) -> [f64; 4] {
 
 /// Angles, rad, and rates, rad/s, of all links from the proximal ones; refused where |det J_x| is below 1e-8 of its largest possible value
 /// (direct singularity), or the distal links cannot meet.
-pub fn by_coordinates(geometry: &Geometry, start: &Start) -> Result<[[f64; 4]; 2], SceneError> {
-    let span = Span::new(geometry, "theta", start.theta)?;
+pub fn links_from_proximal(geometry: &Geometry, start: &Start) -> Result<[[f64; 4]; 2], SceneError> {
+    let span = ElbowSpan::new(geometry, "theta", start.theta)?;
     let theta = angles(geometry, &span, start);
     let [(_, n1), (u2, _), (u3, _), (_, n4)] = theta.map(direction);
-    are_coordinates(u2.x * u3.y - u2.y * u3.x)?;
+    check_direct_singularity(u2.x * u3.y - u2.y * u3.x)?;
     let [w1, w4] = start.omega;
     let [l1, _, _, l4] = geometry.links.map(|link| link.length);
     let [w2, w3] = distal_rates(geometry, [u2, u3], n4 * (l4 * w4) - n1 * (l1 * w1));
@@ -158,7 +158,7 @@ pub fn by_coordinates(geometry: &Geometry, start: &Start) -> Result<[[f64; 4]; 2
 }
 
 /// Refuses a direct singularity, given the sine of the angle between the distal links.
-pub fn are_coordinates(sine: f64) -> Result<(), SceneError> {
+pub fn check_direct_singularity(sine: f64) -> Result<(), SceneError> {
     if sine.abs() < LEAST_SINE {
         return Err(SceneError(format!(
             "|singular.detJx|/(link[2].length link[3].length) = {:e} is not allowed here: it must be at least {LEAST_SINE:e}, the distal links \
@@ -178,7 +178,7 @@ fn distal_rates(geometry: &Geometry, [u2, u3]: [Vector2<f64>; 2], parting: Vecto
 }
 
 /// Rates of the four links, rad/s, from the proximal rates.
-fn rates(geometry: &Geometry, span: &Span, theta: [f64; 4], start: &Start) -> Result<[f64; 4], SceneError> {
+fn rates(geometry: &Geometry, span: &ElbowSpan, theta: [f64; 4], start: &Start) -> Result<[f64; 4], SceneError> {
     let [w1, w4] = start.omega;
     let [(_, n1), (u2, n2), (u3, n3), (_, n4)] = theta.map(direction);
     let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
@@ -190,12 +190,12 @@ fn rates(geometry: &Geometry, span: &Span, theta: [f64; 4], start: &Start) -> Re
     }
     // All links on one line: the x axis, or with coaxial motors any line through them.
     let line = span.arrow / span.distance;
-    if span.exact && [n1, n4].iter().all(|n| n.dot(&line).abs() <= IN_LINE) {
+    if span.collinear_exactly && [n1, n4].iter().all(|n| n.dot(&line).abs() <= COLLINEARITY_TOLERANCE) {
         return vertex_rates(geometry, line, theta, start);
     }
     let speed = (l1 * w1).abs() + (l4 * w4).abs();
     let opening = parting.dot(&line);
-    if opening.abs() > IN_LINE * speed {
+    if opening.abs() > COLLINEARITY_TOLERANCE * speed {
         return Err(SceneError(format!(
             "init.omega = ({w1:?}, {w4:?}) rad/s cannot be met: the distal links are in line (direct singularity) and the elbows would part at {:?} m/s, allowed is 0.",
             rounded(opening)
@@ -204,7 +204,7 @@ fn rates(geometry: &Geometry, span: &Span, theta: [f64; 4], start: &Start) -> Re
     // The tip is at rest across the line; the least-norm correction closes the residual of links that are not exactly in line.
     let rates = Vector2::new(-left_elbow.dot(&n2) / l2, -right_elbow.dot(&n3) / l3);
     let closing = Matrix2::from_columns(&[n2 * l2, -n3 * l3]);
-    let change = closing.svd(true, true).solve(&(parting - closing * rates), RANK * (l2 + l3)).unwrap_or_default();
+    let change = closing.svd(true, true).solve(&(parting - closing * rates), RANK_TOLERANCE * (l2 + l3)).unwrap_or_default();
     Ok([w1, rates.x + change.x, rates.y + change.y, w4])
 }
 
@@ -222,7 +222,7 @@ fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start:
     let second = c4 * w4 * w4 - c1 * w1 * w1;
     let discriminant = c2 * c3 * (first * first + second * (c3 - c2));
     let scale = c2.abs().max(c3.abs()).powi(2) * (c1 * w1).abs().max((c4 * w4).abs()).powi(2);
-    if discriminant < -IN_LINE * scale {
+    if discriminant < -COLLINEARITY_TOLERANCE * scale {
         return Err(SceneError(format!(
             "init.omega = ({w1:?}, {w4:?}) rad/s cannot be met: with all links on one line no rates of the distal links keep the loop closed to second order."
         )));
@@ -247,16 +247,16 @@ pub fn varied(
     omega: [f64; 4],
     [proximal_theta, proximal_omega]: [[f64; 2]; 2],
 ) -> (Coordinates, Coordinates) {
-    let turned = carried(geometry, theta, proximal_theta, [0.0; 4]);
+    let turned = closed_displacements(geometry, theta, proximal_theta, [0.0; 4]);
     // A rotation by δθ changes the velocity n̂ ω by −û ω δθ.
     let inward = std::array::from_fn(|i| -omega[i] * turned[i]);
-    let quickened = carried(geometry, theta, proximal_omega, inward);
-    (along_legs(geometry, theta, turned, [0.0; 4]), along_legs(geometry, theta, quickened, inward))
+    let quickened = closed_displacements(geometry, theta, proximal_omega, inward);
+    (coordinates_along_legs(geometry, theta, turned, [0.0; 4]), coordinates_along_legs(geometry, theta, quickened, inward))
 }
 
 /// Displacements across the four links, per length, that keep the loop closed, given those of the proximal links and all displacements
 /// along the links.
-fn carried(geometry: &Geometry, theta: [f64; 4], [first, fourth]: [f64; 2], along: [f64; 4]) -> [f64; 4] {
+fn closed_displacements(geometry: &Geometry, theta: [f64; 4], [first, fourth]: [f64; 2], along: [f64; 4]) -> [f64; 4] {
     let [(u1, n1), (u2, _), (u3, _), (u4, n4)] = theta.map(direction);
     let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
     let left = n1 * (l1 * first) + u1 * (l1 * along[0]) + u2 * (l2 * along[1]);
@@ -266,7 +266,7 @@ fn carried(geometry: &Geometry, theta: [f64; 4], [first, fourth]: [f64; 2], alon
 }
 
 /// Variation of the coordinates by displacements across and along the links, per length; positions add up along each leg.
-fn along_legs(geometry: &Geometry, theta: [f64; 4], across: [f64; 4], along: [f64; 4]) -> Coordinates {
+fn coordinates_along_legs(geometry: &Geometry, theta: [f64; 4], across: [f64; 4], along: [f64; 4]) -> Coordinates {
     let mut x = Coordinates::ZERO;
     for [proximal, distal] in [[0, 1], [3, 2]] {
         let mut joint = Vector2::zeros();

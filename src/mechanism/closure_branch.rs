@@ -15,9 +15,9 @@ use super::model::Geometry;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum ClosureBranch {
     /// A parallelogram: each proximal link is parallel to the distal link of the other leg.
-    Opposite,
+    Parallelogram,
     /// Coincident legs: the proximal links are parallel, and so are the distal links.
-    OnEachOther,
+    Coincident,
     /// Folded legs: each distal link lies back along its proximal link, and the tip is on the motor axes.
     Folded,
 }
@@ -26,12 +26,12 @@ pub enum ClosureBranch {
 type Pairs = [Legs; 2];
 
 /// Largest deviation from a branch of a motion that is on it, rad or rad/s: above the drift of a coarse step, below any motion to be seen.
-const ON: f64 = 1e-6;
+const LARGEST_DEVIATION: f64 = 1e-6;
 /// Least deviation from every other branch of a motion that is on one, rad or rad/s: nearer to an intersection the choice is open.
-const APART: f64 = 1e-4;
+const LEAST_SEPARATION: f64 = 1e-4;
 
 impl ClosureBranch {
-    const ALL: [Self; 3] = [Self::Opposite, Self::OnEachOther, Self::Folded];
+    const ALL: [Self; 3] = [Self::Parallelogram, Self::Coincident, Self::Folded];
 
     /// The branch of a motion; `None` where the motors are not coaxial or the lengths not equal, or where branches intersect.
     #[cold]
@@ -39,9 +39,9 @@ impl ClosureBranch {
         let mut on = None;
         for branch in Self::ALL.into_iter().filter(|branch| branch.is_of(geometry)) {
             let off = branch.apart(q).into_iter().chain(branch.rates(v)).fold(0.0, |most: f64, x| most.max(x.abs()));
-            if off <= ON && on.is_none() {
+            if off <= LARGEST_DEVIATION && on.is_none() {
                 on = Some(branch);
-            } else if off <= APART {
+            } else if off <= LEAST_SEPARATION {
                 return None;
             }
         }
@@ -52,8 +52,8 @@ impl ClosureBranch {
     pub fn is_of(self, geometry: &Geometry) -> bool {
         let [left, distal_left, distal_right, right] = geometry.links.map(|link| link.length);
         let pairs = match self {
-            Self::Opposite => [[left, distal_right], [right, distal_left]],
-            Self::OnEachOther => [[left, right], [distal_left, distal_right]],
+            Self::Parallelogram => [[left, distal_right], [right, distal_left]],
+            Self::Coincident => [[left, right], [distal_left, distal_right]],
             Self::Folded => [[left, distal_left], [right, distal_right]],
         };
         geometry.base_distance == 0.0 && pairs.iter().all(|[x, y]| x == y)
@@ -72,50 +72,50 @@ impl ClosureBranch {
     pub fn rates(self, [proximal, distal]: Pairs) -> [f64; 2] {
         let ([pl, pr], [dl, dr]) = (proximal.to_array(), distal.to_array());
         match self {
-            Self::Opposite => [pl - dr, dl - pr],
-            Self::OnEachOther => [pl - pr, dl - dr],
+            Self::Parallelogram => [pl - dr, dl - pr],
+            Self::Coincident => [pl - pr, dl - dr],
             Self::Folded => [dl - pl, dr - pr],
         }
     }
 
     /// Terms of Φ_q on the branch.
-    pub fn terms(self) -> &'static Terms {
+    pub fn terms(self) -> &'static ClosureTerms {
         match self {
-            Self::Opposite => &OPPOSITE,
-            Self::OnEachOther => &ON_EACH_OTHER,
+            Self::Parallelogram => &PARALLELOGRAM,
+            Self::Coincident => &COINCIDENT,
             Self::Folded => &FOLDED,
         }
     }
 }
 
 /// Factor that scales the angle equations of branches to lengths, m/rad: about the length of a link; it affects round-off only.
-pub const ARM: f64 = 0.25;
+pub const BRANCH_ARM: f64 = 0.25;
 
 /// Rows of Φ_q for the tip's closure or a branch, as a weighted sum: code without a conditional keeps the factorisation in registers.
 #[derive(Debug)]
-pub struct Terms {
+pub struct ClosureTerms {
     /// Weight of the closure of the tip: 1, or 0 on a branch.
     pub open: Legs,
     /// Derivatives of both branch equations by the proximal and by the distal angles, m/rad; 0 without a branch.
     pub constant: [Legs2; 2],
 }
 
-impl Terms {
+impl ClosureTerms {
     /// Terms of the tip's closure, without a branch.
     pub const OPEN: &'static Self = &Self { open: Legs::new([1.0; 2]), constant: [NOTHING; 2] };
 }
 
 const NOTHING: Legs2 = Legs2 { x: Legs::new([0.0; 2]), y: Legs::new([0.0; 2]) };
 
-/// Derivatives of the first (x) and the second (y) branch equation, left and right, in multiples of [`ARM`].
+/// Derivatives of the first (x) and the second (y) branch equation, left and right, in multiples of [`BRANCH_ARM`].
 const fn arms(x: [f64; 2], y: [f64; 2]) -> Legs2 {
-    Legs2 { x: Legs::new([x[0] * ARM, x[1] * ARM]), y: Legs::new([y[0] * ARM, y[1] * ARM]) }
+    Legs2 { x: Legs::new([x[0] * BRANCH_ARM, x[1] * BRANCH_ARM]), y: Legs::new([y[0] * BRANCH_ARM, y[1] * BRANCH_ARM]) }
 }
 
-static OPPOSITE: Terms = branch(arms([1.0, 0.0], [0.0, -1.0]), arms([0.0, -1.0], [1.0, 0.0]));
-static ON_EACH_OTHER: Terms = branch(arms([1.0, -1.0], [0.0, 0.0]), arms([0.0, 0.0], [1.0, -1.0]));
-static FOLDED: Terms = branch(arms([-1.0, 0.0], [0.0, -1.0]), arms([1.0, 0.0], [0.0, 1.0]));
+static PARALLELOGRAM: ClosureTerms = branch(arms([1.0, 0.0], [0.0, -1.0]), arms([0.0, -1.0], [1.0, 0.0]));
+static COINCIDENT: ClosureTerms = branch(arms([1.0, -1.0], [0.0, 0.0]), arms([0.0, 0.0], [1.0, -1.0]));
+static FOLDED: ClosureTerms = branch(arms([-1.0, 0.0], [0.0, -1.0]), arms([1.0, 0.0], [0.0, 1.0]));
 
-const fn branch(proximal: Legs2, distal: Legs2) -> Terms {
-    Terms { open: Legs::new([0.0; 2]), constant: [proximal, distal] }
+const fn branch(proximal: Legs2, distal: Legs2) -> ClosureTerms {
+    ClosureTerms { open: Legs::new([0.0; 2]), constant: [proximal, distal] }
 }

@@ -14,7 +14,7 @@
 use nalgebra::SMatrix;
 
 use super::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, THETA, TIP_X, TIP_Y, legs_of, set_legs};
-use super::legs::{Legs, Legs2, SIGMA, are_small, are_tiny, barely_turned_by, both, sin_cos, sin_cos_of_both, sum, turned_by};
+use super::legs::{Legs, Legs2, SIGMA, are_small, are_tiny, both, rotated_by, rotated_by_tiny, sin_cos, sin_cos_of_both, sum};
 use super::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers};
 
 /// The directions of the links at one q, and the arms from the centres of mass to the joints.
@@ -62,7 +62,7 @@ pub(crate) fn directions_corrected((angles, [p, d]): ([Legs; 2], [Legs2; 2]), by
     if !are_tiny(by) {
         return directions_corrected_by_more(angles, [p, d], by);
     }
-    [barely_turned_by(p, by[0]), barely_turned_by(d, by[1])]
+    [rotated_by_tiny(p, by[0]), rotated_by_tiny(d, by[1])]
 }
 
 #[inline(never)]
@@ -74,7 +74,7 @@ fn directions_corrected_by_more(angles: [Legs; 2], directions_there: [Legs2; 2],
 #[inline(always)]
 pub(crate) fn directions_turned((angles, directions_there): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
     if are_small(by) {
-        [turned_by(directions_there[0], by[0]), turned_by(directions_there[1], by[1])]
+        [rotated_by(directions_there[0], by[0]), rotated_by(directions_there[1], by[1])]
     } else {
         directions([angles[0] + by[0], angles[1] + by[1]])
     }

@@ -10,13 +10,13 @@ use wide::i64x2;
 use super::legs::{Legs, both};
 
 /// Least exponent of e: e^−700 is about 1e-304, still a normal number, and 0 for every use.
-const LEAST: f64 = -700.0;
+const LEAST_EXPONENT: f64 = -700.0;
 /// Largest argument 2|x| of tanh: from |x| = 22 on, tanh is 1 to the last bit.
-const GREATEST: f64 = 44.0;
+const TANH_SATURATION: f64 = 44.0;
 
 /// Factors 2^k and e^r − 1 of e^x with x = k ln 2 + r, for |x| up to 708.
 #[inline]
-fn split(x: Legs) -> (Legs, Legs) {
+fn exp_factors(x: Legs) -> (Legs, Legs) {
     // ln 2 in two parts; the first has 33 bits, so that k times it is exact.
     const LN_2_HIGH: f64 = 6.931_471_803_691_238e-1;
     const LN_2_LOW: f64 = 1.908_214_929_270_587_7e-10;
@@ -40,11 +40,11 @@ fn split(x: Legs) -> (Legs, Legs) {
     (power, r + r2 * sum)
 }
 
-/// Magnitude tanh |x| from the result of [`split`] for 2|x|.
+/// Magnitude tanh |x| from the result of [`exp_factors`] for 2|x|.
 #[inline]
-fn tanh_of(power: Legs, less_one: Legs) -> Legs {
+fn tanh_of(power: Legs, exp_minus_one: Legs) -> Legs {
     // The value m = e^(2|x|) − 1 is computed without cancellation.
-    let m = power * less_one + (power - both(1.0));
+    let m = power * exp_minus_one + (power - both(1.0));
     m / (m + both(2.0))
 }
 
@@ -52,20 +52,21 @@ fn tanh_of(power: Legs, less_one: Legs) -> Legs {
 #[inline]
 pub fn tanh(x: Legs) -> Legs {
     let sign = x & both(-0.0);
-    let (power, less_one) = split(((x ^ sign) * both(2.0)).fast_min(both(GREATEST)));
-    tanh_of(power, less_one) ^ sign
+    let (power, exp_minus_one) = exp_factors(((x ^ sign) * both(2.0)).fast_min(both(TANH_SATURATION)));
+    tanh_of(power, exp_minus_one) ^ sign
 }
 
 /// Values exp(−bell²), within 3 ulp and the rounding of its argument, and tanh(turn), within 4 ulp. Where both are saturated, as for a
 /// fast joint, nothing is computed.
 #[inline]
-pub fn bell_and_tanh(bell: f64, turn: f64) -> [f64; 2] {
-    if -bell * bell < LEAST && 2.0 * turn.abs() > GREATEST {
+pub fn gaussian_and_tanh(bell: f64, turn: f64) -> [f64; 2] {
+    if -bell * bell < LEAST_EXPONENT && 2.0 * turn.abs() > TANH_SATURATION {
         return [0.0, 1.0_f64.copysign(turn)];
     }
-    let (power, less_one) = split(Legs::new([(-bell * bell).max(LEAST), (2.0 * turn.abs()).min(GREATEST)]));
-    let exponential = (power + power * less_one).to_array()[0];
-    [exponential, tanh_of(power, less_one).to_array()[1].copysign(turn)]
+    let (power, exp_minus_one) =
+        exp_factors(Legs::new([(-bell * bell).max(LEAST_EXPONENT), (2.0 * turn.abs()).min(TANH_SATURATION)]));
+    let exponential = (power + power * exp_minus_one).to_array()[0];
+    [exponential, tanh_of(power, exp_minus_one).to_array()[1].copysign(turn)]
 }
 
 #[cfg(test)]
@@ -86,7 +87,7 @@ mod tests {
             let [got, opposite] = tanh(Legs::new([x, -x])).to_array();
             let want = libm::tanh(x);
             assert_eq!(got, -opposite, "{x}");
-            assert_eq!(bell_and_tanh(0.3, x)[1], got, "{x}");
+            assert_eq!(gaussian_and_tanh(0.3, x)[1], got, "{x}");
             worst = worst.max((got - want).abs() / want.abs().max(f64::MIN_POSITIVE));
         }
         // The tanh of libm is within 1 ulp, 2.2e-16 at most.
@@ -99,12 +100,12 @@ mod tests {
     fn the_bell_agrees_with_libm() {
         let mut worst: f64 = 0.0;
         for x in arguments().filter(|x| x.abs() < 26.0) {
-            let (got, want) = (bell_and_tanh(x, 0.7)[0], libm::exp(-x * x));
+            let (got, want) = (gaussian_and_tanh(x, 0.7)[0], libm::exp(-x * x));
             worst = worst.max((got - want).abs() / want);
         }
         // The bound is 3 ulp, and one of libm.
         assert!(worst < 8e-16, "worst relative difference {worst:e}");
-        assert!(bell_and_tanh(1e200, 0.0)[0] < 1e-300);
-        assert_eq!(bell_and_tanh(0.0, 0.0), [1.0, 0.0]);
+        assert!(gaussian_and_tanh(1e200, 0.0)[0] < 1e-300);
+        assert_eq!(gaussian_and_tanh(0.0, 0.0), [1.0, 0.0]);
     }
 }

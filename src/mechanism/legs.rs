@@ -59,28 +59,28 @@ impl Legs2 {
     }
 }
 
-/// Largest angle of [`turned_by`], rad: the limit of the polynomials' accuracy.
-const SMALL: f64 = 0.45;
+/// Largest angle of [`rotated_by`], rad: the limit of the polynomials' accuracy.
+const LARGEST_SMALL_ANGLE: f64 = 0.45;
 
-/// Whether both angles of both legs, rad, are small enough for [`turned_by`], judged by their squares, which [`turned_by`] needs as well.
+/// Whether both angles of both legs, rad, are small enough for [`rotated_by`], judged by their squares, which [`rotated_by`] needs as well.
 /// NaN counts as small and propagates.
 #[inline(always)]
 pub fn are_small([one, other]: [Legs; 2]) -> bool {
-    (one * one).fast_max(other * other).simd_gt(both(SMALL * SMALL)).to_bitmask() == 0
+    (one * one).fast_max(other * other).simd_gt(both(LARGEST_SMALL_ANGLE * LARGEST_SMALL_ANGLE)).to_bitmask() == 0
 }
 
-/// Largest angle of [`barely_turned_by`], rad: half of its square is below half an ulp of 1.
-const TINY: f64 = 1e-8;
+/// Largest angle of [`rotated_by_tiny`], rad: half of its square is below half an ulp of 1.
+const LARGEST_TINY_ANGLE: f64 = 1e-8;
 
-/// Whether both angles of both legs, rad, are small enough for [`barely_turned_by`].
+/// Whether both angles of both legs, rad, are small enough for [`rotated_by_tiny`].
 #[inline(always)]
 pub fn are_tiny([one, other]: [Legs; 2]) -> bool {
-    (one * one).fast_max(other * other).simd_gt(both(TINY * TINY)).to_bitmask() == 0
+    (one * one).fast_max(other * other).simd_gt(both(LARGEST_TINY_ANGLE * LARGEST_TINY_ANGLE)).to_bitmask() == 0
 }
 
 /// A direction of each leg rotated by an angle of at most 1e-8 rad, with sin δ = δ and cos δ = 1.
 #[inline(always)]
-pub fn barely_turned_by(direction: Legs2, angle: Legs) -> Legs2 {
+pub fn rotated_by_tiny(direction: Legs2, angle: Legs) -> Legs2 {
     let Legs2 { x, y } = direction;
     Legs2 { x: x - angle * y, y: y + angle * x }
 }
@@ -92,16 +92,16 @@ pub fn barely_turned_by(direction: Legs2, angle: Legs) -> Legs2 {
 /// digits), sin δ = 2ab/(a² + b²) and 1 − cos δ = 2b²/(a² + b²) keep the length of a direction for any quotient. Both are small, so that
 /// the round-off is that of the direction itself.
 #[inline(always)]
-pub fn turned_by(direction: Legs2, angle: Legs) -> Legs2 {
+pub fn rotated_by(direction: Legs2, angle: Legs) -> Legs2 {
     let [a, b] = half_tangent(angle);
-    moved_by(direction, direction, [a, b], (b + b) / (a * a + b * b))
+    rotated_by_quotient(direction, direction, [a, b], (b + b) / (a * a + b * b))
 }
 
-/// A direction of each leg rotated by an angle of at most 0.45 rad, given twice the direction: cheaper than [`turned_by`], equal bits.
+/// A direction of each leg rotated by an angle of at most 0.45 rad, given twice the direction: cheaper than [`rotated_by`], equal bits.
 #[inline(always)]
-pub fn turned_with(direction: Legs2, twice: Legs2, angle: Legs) -> Legs2 {
+pub fn rotated_with_double(direction: Legs2, twice: Legs2, angle: Legs) -> Legs2 {
     let [a, b] = half_tangent(angle);
-    moved_by(direction, twice, [a, b], b / (a * a + b * b))
+    rotated_by_quotient(direction, twice, [a, b], b / (a * a + b * b))
 }
 
 /// Polynomials a and b with b/a the tangent of half an angle, rad.
@@ -118,7 +118,7 @@ fn half_tangent(angle: Legs) -> [Legs; 2] {
 /// A direction rotated by sin δ and 1 − cos δ, given as multiples of a and b times `by`, the direction or its double. The quotient is the
 /// last factor because it takes longest.
 #[inline(always)]
-fn moved_by(Legs2 { x, y }: Legs2, by: Legs2, [a, b]: [Legs; 2], quotient: Legs) -> Legs2 {
+fn rotated_by_quotient(Legs2 { x, y }: Legs2, by: Legs2, [a, b]: [Legs; 2], quotient: Legs) -> Legs2 {
     Legs2 { x: x - (b * by.x + a * by.y) * quotient, y: y + (a * by.x - b * by.y) * quotient }
 }
 
@@ -203,8 +203,8 @@ mod tests {
         for i in 0..100 {
             let (sin, cos) = libm::sincos(f64::from(i) * 0.063);
             for j in -1000..=1000 {
-                let angle = f64::from(j) * SMALL / 1000.0;
-                let turned = turned_by(Legs2 { x: both(cos), y: both(sin) }, Legs::new([angle, -angle]));
+                let angle = f64::from(j) * LARGEST_SMALL_ANGLE / 1000.0;
+                let turned = rotated_by(Legs2 { x: both(cos), y: both(sin) }, Legs::new([angle, -angle]));
                 let (s, c) = libm::sincos(angle);
                 for (leg, s) in [s, -s].into_iter().enumerate() {
                     let (x, y) = (turned.x.to_array()[leg], turned.y.to_array()[leg]);

@@ -28,7 +28,7 @@ pub mod singularity;
 pub mod vertex;
 
 pub use closure::{Assembly, Start, close};
-pub use closure_branch::{ARM, ClosureBranch, Terms};
+pub use closure_branch::{BRANCH_ARM, ClosureBranch, ClosureTerms};
 pub use constraints::Pose;
 pub use coordinates::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
 pub use model::{Geometry, LINKS, Link, Mechanism, SceneError};

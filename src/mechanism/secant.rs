@@ -62,7 +62,7 @@ fn turn(angle: Legs) -> [Legs; 3] {
 impl Legs2 {
     /// The vector rotated by an angle, given its cosine and sine.
     #[inline(always)]
-    fn turned_by(self, cos: Legs, sin: Legs) -> Self {
+    fn rotated_by(self, cos: Legs, sin: Legs) -> Self {
         Self { x: self.x * cos - self.y * sin, y: self.x * sin + self.y * cos }
     }
 }
@@ -77,19 +77,19 @@ impl Mechanism {
     /// The step from a pose by increments d of the coordinates, inlined.
     #[inline(always)]
     pub(crate) fn secant_in_place(&self, begin: &Pose, d: &Coordinates) -> Secant {
-        self.secant_along(&Turned::new(begin, [legs_of(d, P_THETA), legs_of(d, D_THETA)]))
+        self.secant_along(&StepDirections::new(begin, [legs_of(d, P_THETA), legs_of(d, D_THETA)]))
     }
 
     /// The step from its directions.
     #[inline(always)]
-    pub(crate) fn secant_along(&self, &Turned { middle, end, sinc, cos }: &Turned) -> Secant {
+    pub(crate) fn secant_along(&self, &StepDirections { middle, end, sinc, cos }: &StepDirections) -> Secant {
         Secant { middle: self.pose_along(middle), end: self.pose_along(end), sinc, cos }
     }
 }
 
 /// Directions and factors of a step for the proximal and the distal links.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Turned {
+pub(crate) struct StepDirections {
     /// Directions û_m in the middle.
     pub(crate) middle: [Legs2; 2],
     /// Directions û₁ at the end.
@@ -100,16 +100,16 @@ pub(crate) struct Turned {
     pub(crate) cos: [Legs; 2],
 }
 
-impl Turned {
+impl StepDirections {
     /// Directions from a pose by increments of the angles of the proximal and the distal links, rad.
     #[inline(always)]
     pub(crate) fn new(begin: &Pose, turns: [Legs; 2]) -> Self {
         let [cos_p, sin_p, sinc_p] = turn(both(0.5) * turns[0]);
         let [cos_d, sin_d, sinc_d] = turn(both(0.5) * turns[1]);
-        let (p, d) = (begin.u_p.turned_by(cos_p, sin_p), begin.u_d.turned_by(cos_d, sin_d));
+        let (p, d) = (begin.u_p.rotated_by(cos_p, sin_p), begin.u_d.rotated_by(cos_d, sin_d));
         Self {
             middle: [p, d],
-            end: [p.turned_by(cos_p, sin_p), d.turned_by(cos_d, sin_d)],
+            end: [p.rotated_by(cos_p, sin_p), d.rotated_by(cos_d, sin_d)],
             sinc: [sinc_p, sinc_d],
             cos: [cos_p, cos_d],
         }
@@ -118,7 +118,7 @@ impl Turned {
 
 /// Coordinates whose angle entries are multiplied by factors.
 #[inline(always)]
-fn shortened(mut x: Coordinates, [proximal, distal]: [Legs; 2]) -> Coordinates {
+fn with_scaled_angles(mut x: Coordinates, [proximal, distal]: [Legs; 2]) -> Coordinates {
     let (p, d) = (legs_of(&x, P_THETA), legs_of(&x, D_THETA));
     set_legs(&mut x, P_THETA, proximal * p);
     set_legs(&mut x, D_THETA, distal * d);
@@ -129,13 +129,13 @@ impl Secant {
     /// The product J_bᵀ Λ.
     #[inline(always)]
     pub(crate) fn discrete_transposed_times(&self, multipliers: &Multipliers) -> Coordinates {
-        shortened(self.middle.phi_q_transposed_times(multipliers), self.sinc)
+        with_scaled_angles(self.middle.phi_q_transposed_times(multipliers), self.sinc)
     }
 
     /// The product J_cᵀ ν.
     #[inline(always)]
     pub(crate) fn mean_transposed_times(&self, multipliers: &Multipliers) -> Coordinates {
-        shortened(self.middle.phi_q_transposed_times(multipliers), self.cos)
+        with_scaled_angles(self.middle.phi_q_transposed_times(multipliers), self.cos)
     }
 
     /// The product K_b(z)ᵀ ν, the discrete derivative of νᵀ Φ_q z with respect to q: nonzero only in the angles.

@@ -5,10 +5,10 @@ use super::{Coordinates, MULTIPLIERS, Multipliers, Pose};
 use crate::vector::Vector;
 
 /// Largest |cosine| of the angle between two orthogonal rows: round-off of a scalar product.
-const ORTHOGONAL: f64 = 4.0 * f64::EPSILON;
+const ORTHOGONALITY_TOLERANCE: f64 = 4.0 * f64::EPSILON;
 
 /// Largest number of Jacobi sweeps; convergence is quadratic, and six are usual.
-const MOST_SWEEPS: usize = 30;
+const LARGEST_SWEEP_COUNT: usize = 30;
 
 /// A singular value σ of a matrix A with its singular vectors u and v: Aᵀ u = σ v.
 #[derive(Clone, Copy, Debug)]
@@ -44,13 +44,13 @@ impl Pose {
 #[inline(never)]
 fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; MULTIPLIERS] {
     let mut left: [Multipliers; MULTIPLIERS] = std::array::from_fn(Multipliers::unit);
-    for _ in 0..MOST_SWEEPS {
+    for _ in 0..LARGEST_SWEEP_COUNT {
         let mut are_orthogonal = true;
         for i in 0..MULTIPLIERS {
             for j in i + 1..MULTIPLIERS {
                 let [x, y] = [rows[i], rows[j]];
                 let (xx, xy, yy) = (x.dot(&x), x.dot(&y), y.dot(&y));
-                if xy.abs() <= ORTHOGONAL * (xx * yy).sqrt() {
+                if xy.abs() <= ORTHOGONALITY_TOLERANCE * (xx * yy).sqrt() {
                     continue;
                 }
                 are_orthogonal = false;

@@ -9,10 +9,10 @@ use crate::scalar::Scalar;
 
 /// Threshold of a singularity, for a determinant relative to its largest value, and for the smallest singular value of Φ_q in its own unit:
 /// conditions worse than 1000.
-const NEAR_SINGULAR: f64 = 1e-3;
+const SINGULARITY_THRESHOLD: f64 = 1e-3;
 
 /// Magnitude of a sine below which its sign is lost in round-off: angles of some turns, and products of sines, have errors of 1e-15.
-const ROUND_OFF_OF_SINES: f64 = 1e-13;
+const SINE_ROUND_OFF: f64 = 1e-13;
 
 /// Kind of the gravest singularity near a posture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,14 +74,14 @@ impl Pose {
 
     /// Bits of the configuration signs that are lost in round-off.
     pub fn uncertain_configuration_signs(&self) -> u8 {
-        let [tip, left, right] = self.sines().map(|sine| u8::from(sine.abs() < ROUND_OFF_OF_SINES));
+        let [tip, left, right] = self.sines().map(|sine| u8::from(sine.abs() < SINE_ROUND_OFF));
         tip | left << 1 | right << 2
     }
 
     /// Event indicators, relative: each changes sign where a mode changes or the threshold of a direct or inverse singularity is crossed.
-    pub fn margins(&self) -> [f64; 5] {
+    pub fn configuration_indicators(&self) -> [f64; 5] {
         let [tip, left, right] = self.sines();
-        [tip, left, right, tip.abs() - NEAR_SINGULAR, (left * right).abs() - NEAR_SINGULAR]
+        [tip, left, right, tip.abs() - SINGULARITY_THRESHOLD, (left * right).abs() - SINGULARITY_THRESHOLD]
     }
 
     /// Sines of the angle between the distal links and of the angles in the left and right elbow.
@@ -102,8 +102,8 @@ impl Pose {
 }
 
 /// Event indicator that changes sign at the threshold of a constraint singularity, in the unit of σ.
-pub fn rank_margin(sigma_phi: f64) -> f64 {
-    sigma_phi - NEAR_SINGULAR
+pub fn rank_indicator(sigma_phi: f64) -> f64 {
+    sigma_phi - SINGULARITY_THRESHOLD
 }
 
 impl Geometry {
@@ -136,10 +136,10 @@ impl Geometry {
     /// Kind of the gravest singularity, given the Jacobians and the smallest singular value of Φ_q.
     pub fn singularity_kind(&self, jacobians: &Jacobians, sigma_phi: f64) -> SingularityKind {
         let [p1, l2, l3, p4] = self.links.map(|link| link.length);
-        let direct = jacobians.det_jx.abs() < NEAR_SINGULAR * l2 * l3;
-        let inverse = jacobians.det_jq.abs() < NEAR_SINGULAR * p1 * l2 * p4 * l3;
+        let direct = jacobians.det_jx.abs() < SINGULARITY_THRESHOLD * l2 * l3;
+        let inverse = jacobians.det_jq.abs() < SINGULARITY_THRESHOLD * p1 * l2 * p4 * l3;
         match (direct, inverse) {
-            _ if sigma_phi < NEAR_SINGULAR => SingularityKind::Constraint,
+            _ if sigma_phi < SINGULARITY_THRESHOLD => SingularityKind::Constraint,
             (true, true) => SingularityKind::Combined,
             (true, false) => SingularityKind::Direct,
             (false, true) => SingularityKind::Inverse,

@@ -9,7 +9,7 @@ use super::Geometry;
 use super::legs::{Legs, both};
 
 /// Largest distance from a vertex, rad, at which its tangent cone is used: terms of third order are a few percent there.
-const NEIGHBOURHOOD: f64 = 0.3;
+const LARGEST_OFFSET: f64 = 0.3;
 
 /// Displacements of the link angles (proximal, distal) from the nearest vertex; `None` if any is larger than 0.3 rad.
 #[inline]
@@ -19,7 +19,7 @@ pub fn offset(angles: [Legs; 2]) -> Option<[Legs; 2]> {
     let near = |angle: Legs| {
         let turns = (angle * both(std::f64::consts::FRAC_1_PI) + both(ROUND)) - both(ROUND);
         let offset = angle - turns * both(std::f64::consts::PI);
-        (offset.abs().simd_lt(both(NEIGHBOURHOOD)).to_bitmask() == 0b11).then_some(offset)
+        (offset.abs().simd_lt(both(LARGEST_OFFSET)).to_bitmask() == 0b11).then_some(offset)
     };
     // The proximal links alone exclude most postures.
     near(angles[0]).and_then(|proximal| near(angles[1]).map(|distal| [proximal, distal]))

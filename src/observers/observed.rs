@@ -7,7 +7,7 @@ use num_dual::Dual64;
 use super::{Estimated, Observation};
 use crate::effects::{self, Effect, ForceContext, FrictionGuards, GuardValues};
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
-use crate::mechanism::singularity::{Jacobians, rank_margin};
+use crate::mechanism::singularity::{Jacobians, rank_indicator};
 use crate::mechanism::{Coordinates, SceneError, SingularValue, closure};
 use crate::scalar::Scalar;
 use crate::simulation::{Following, Model, Variation};
@@ -48,20 +48,20 @@ impl<'a> Observed<'a, f64> {
 
 impl Observed<'_, f64> {
     /// Refuses a direct singularity, where the proximal angles and rates are no coordinates.
-    pub fn are_coordinates(&self) -> Result<(), SceneError> {
-        let [tip, ..] = self.observation.pose.margins();
-        closure::are_coordinates(tip)
+    pub fn check_direct_singularity(&self) -> Result<(), SceneError> {
+        let [tip, ..] = self.observation.pose.configuration_indicators();
+        closure::check_direct_singularity(tip)
     }
 
     /// Numbers that change sign where a mode, the kind of singularity or the side of a kink changes: modes, nearness of direct, inverse
     /// and constraint singularities, kinks.
     pub fn indicators(&self) -> [f64; INDICATORS] {
-        let [.., direct, inverse] = self.observation.pose.margins();
+        let [.., direct, inverse] = self.observation.pose.configuration_indicators();
         // The constraints lose rank only where both are near, and to know it costs more than all else.
-        let rank = if direct < 0.0 && inverse < 0.0 { rank_margin(self.observation.sigma_phi()) } else { 1.0 };
+        let rank = if direct < 0.0 && inverse < 0.0 { rank_indicator(self.observation.sigma_phi()) } else { 1.0 };
         let kinks = self.at(|at| GuardValues::new(&self.model.effects, at, FrictionGuards::new()).indicators());
         let mut indicators = [rank; INDICATORS];
-        indicators[..5].copy_from_slice(&self.observation.pose.margins());
+        indicators[..5].copy_from_slice(&self.observation.pose.configuration_indicators());
         indicators[6..].copy_from_slice(&kinks);
         indicators
     }

@@ -25,7 +25,7 @@ use crate::mechanism::constraints::{directions, directions_corrected, directions
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, are_small, both, sum};
 use crate::mechanism::vertex::{self, Branch};
-use crate::mechanism::{ARM, ClosureBranch, Coordinates, Mechanism, Multipliers, Pose, Terms};
+use crate::mechanism::{BRANCH_ARM, ClosureBranch, ClosureTerms, Coordinates, Mechanism, Multipliers, Pose};
 use crate::vector::Vector;
 use factor::{Factor, at_tip};
 pub(super) use falling::Falling;
@@ -95,7 +95,7 @@ impl<'a> ByAngles<'a> {
             only_falls: only_weight,
             closure_branch: None,
             sigma_length: [Legs::ZERO; 2],
-            constant: &Terms::OPEN.constant,
+            constant: &ClosureTerms::OPEN.constant,
         };
         free.in_mode(mode)
     }
@@ -103,7 +103,7 @@ impl<'a> ByAngles<'a> {
     /// The same with forces on some sides of their kinks, and on the branch of the closure that is among them.
     #[inline]
     pub(super) fn in_mode(self, mode: Mode) -> Self {
-        let Terms { open, constant } = mode.closure_branch.map_or(Terms::OPEN, ClosureBranch::terms);
+        let ClosureTerms { open, constant } = mode.closure_branch.map_or(ClosureTerms::OPEN, ClosureBranch::terms);
         let Mechanism { a_p, b_p, a_d, sigma_b_d, .. } = *self.mechanism;
         let sigma_length = [*open * (SIGMA * (a_p + b_p)), *open * (SIGMA * a_d + sigma_b_d)];
         Self {
@@ -149,7 +149,7 @@ impl<'a> ByAngles<'a> {
     #[cold]
     #[inline(never)]
     fn off_branch(&self, closure_branch: ClosureBranch, q: Angles) -> Vector<CLOSURES> {
-        closure_branch.apart([legs_of(&q, PROXIMAL), legs_of(&q, DISTAL)]).map(|angle| ARM * angle).into()
+        closure_branch.apart([legs_of(&q, PROXIMAL), legs_of(&q, DISTAL)]).map(|angle| BRANCH_ARM * angle).into()
     }
 
     /// Whether the motion stays on a branch of the closure whose derivatives are constant.

@@ -3,7 +3,7 @@
 use super::five_bar::FiveBar;
 use super::five_bar_steps::Step;
 use crate::integrator::{CutStep, Discrete, StepIncrement};
-use crate::linear::cut_loop::{Closed, CutUnknowns, OpenBalance, OpenMotion, OpenStep, largest_turn};
+use crate::linear::cut_loop::{BorderedMatrix, CutUnknowns, OpenMotion, OpenResidual, OpenStep, largest_turn};
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers};
 
@@ -27,8 +27,8 @@ impl<const BARE: bool> CutStep<COORDINATES, MULTIPLIERS> for CutFiveBar<'_, BARE
     type Unknowns = CutUnknowns;
     type Secant = Secant;
     type Motion = OpenMotion;
-    type Balance = OpenBalance;
-    type Factor = Closed;
+    type Balance = OpenResidual;
+    type Factor = BorderedMatrix;
 
     #[inline(always)]
     fn motion(&self, x: &CutUnknowns, regularization: f64) -> OpenMotion {
@@ -36,29 +36,29 @@ impl<const BARE: bool> CutStep<COORDINATES, MULTIPLIERS> for CutFiveBar<'_, BARE
     }
 
     #[inline(always)]
-    fn balance(&self, motion: &OpenMotion) -> OpenBalance {
+    fn balance(&self, motion: &OpenMotion) -> OpenResidual {
         self.step.balance(motion, &self.over(motion, |step| self.system.mean_forces(step)))
     }
 
     #[inline(always)]
-    fn left(&self, motion: &OpenMotion, balance: &OpenBalance) -> [f64; 3] {
+    fn left(&self, motion: &OpenMotion, balance: &OpenResidual) -> [f64; 3] {
         self.step.left(motion, balance)
     }
 
     #[inline(always)]
-    fn factor(&self, motion: &OpenMotion, balance: &OpenBalance, regularization: f64) -> Closed {
+    fn factor(&self, motion: &OpenMotion, balance: &OpenResidual, regularization: f64) -> BorderedMatrix {
         let mut loads = self.step.loads(motion);
         self.over(motion, |step| self.system.add_mean_tangents(&self.system.over(step), &mut loads));
         self.step.factor(motion, balance, &loads, regularization)
     }
 
     #[inline(always)]
-    fn improved(&self, motion: &OpenMotion, balance: &OpenBalance, factor: &Closed) -> CutUnknowns {
+    fn improved(&self, motion: &OpenMotion, balance: &OpenResidual, factor: &BorderedMatrix) -> CutUnknowns {
         motion.x + self.step.correction(motion, balance, factor)
     }
 
     #[inline(always)]
-    fn with_rates(&self, motion: &OpenMotion, balance: &OpenBalance, factor: &Closed) -> OpenMotion {
+    fn with_rates(&self, motion: &OpenMotion, balance: &OpenResidual, factor: &BorderedMatrix) -> OpenMotion {
         self.step.with_rates(motion, balance, factor)
     }
 

@@ -114,11 +114,11 @@ impl<'a> Events<ANGLES> for ByAngles<'a> {
     }
 
     fn sticks_in_motion(&self, at: &GuardValues<'a>) -> bool {
-        at.any_sticks_in_motion(&self.five_bar().mode())
+        at.any_sticks_while_moving(&self.five_bar().mode())
     }
 
-    fn holding_margin(&self, at: &GuardValues<'a>, tolerance: f64) -> f64 {
-        at.holding_margin(&self.five_bar().mode(), tolerance)
+    fn breakaway_residual(&self, at: &GuardValues<'a>, tolerance: f64) -> f64 {
+        at.breakaway_residual(&self.five_bar().mode(), tolerance)
     }
 
     fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes<ANGLES>, tolerance: f64) -> bool {

@@ -3,7 +3,7 @@
 use super::model::Model;
 use crate::effects::{ForceContext, Inputs, Mode, Tangents};
 use crate::integrator::{Events, Held, Implicit, StepError, System, TangentPoint, Work};
-use crate::linear::{Definite, LinearSolve, MassFactor, TangentOf, TangentSource};
+use crate::linear::{Definiteness, LinearSolve, MassFactor, TangentSource, TangentSystem};
 use crate::mechanism::coordinates::{D_THETA, P_THETA, largest_angle, legs_of};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
@@ -82,14 +82,14 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
     #[inline(always)]
     fn solve_tangent_as(
         &self,
-        definite: Definite,
+        definite: Definiteness,
         at: &At<'_>,
         regularization: f64,
         right: (&Coordinates, &Multipliers),
     ) -> Result<(Coordinates, Multipliers), StepError> {
         let &TangentPoint { q, pose, v, lambda, h } = at;
         let forces = &Tangible::<BARE> { model: self.model, at: self.context(q, pose, v) };
-        self.model.solver.solve_tangent::<BARE>(&TangentOf { forces, pose, lambda, h, regularization, definite }, right)
+        self.model.solver.solve_tangent::<BARE>(&TangentSystem { forces, pose, lambda, h, regularization, definite }, right)
     }
 }
 
@@ -314,7 +314,7 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
         regularization: f64,
         right: (&Coordinates, &Multipliers),
     ) -> Result<(Coordinates, Multipliers), StepError> {
-        self.solve_tangent_as(Definite::Demanded, at, regularization, right)
+        self.solve_tangent_as(Definiteness::Required, at, regularization, right)
     }
 
     fn solve_descent(
@@ -323,7 +323,7 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
         regularization: f64,
         right: (&Coordinates, &Multipliers),
     ) -> Option<(Coordinates, Multipliers)> {
-        self.solve_tangent_as(Definite::Enforced, at, regularization, right).ok()
+        self.solve_tangent_as(Definiteness::Enforced, at, regularization, right).ok()
     }
 
     fn potential(&self, q: &Coordinates, pose: &Pose) -> Option<f64> {

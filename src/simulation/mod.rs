@@ -96,10 +96,10 @@ impl Simulation {
         let pose = mechanism.pose(&core.q);
         let (gap, tear) = (largest(&mechanism.phi(&core.q, &pose)), largest(&pose.phi_q_times(&core.v)));
         let speed = parameters.geometry.links.iter().zip(omega).map(|(link, omega)| (link.length * omega).abs()).sum::<f64>();
-        if gap > closure::IN_LINE * simulation.model.length_scale {
+        if gap > closure::COLLINEARITY_TOLERANCE * simulation.model.length_scale {
             return Err(SceneError(format!("link angles {theta:?} rad do not close the loop: the legs end {gap:e} m apart.")));
         }
-        if tear > closure::IN_LINE * speed {
+        if tear > closure::COLLINEARITY_TOLERANCE * speed {
             return Err(SceneError(format!("link rates {omega:?} rad/s tear the loop apart at {tear:e} m/s.")));
         }
         Ok(simulation)

@@ -42,7 +42,7 @@ impl ModelExchangeState {
     pub(super) fn moved(&self, model: &Model, assembly: Assembly, states: [f64; STATES]) -> Result<Self, SceneError> {
         let [left, right, left_rate, right_rate] = states;
         let start = Start { theta: [left, right], omega: [left_rate, right_rate], assembly };
-        let [mut theta, omega] = closure::by_coordinates(&model.mechanism.geometry, &start)?;
+        let [mut theta, omega] = closure::links_from_proximal(&model.mechanism.geometry, &start)?;
         for (angle, completed) in theta[1..3].iter_mut().zip(self.completed) {
             *angle += TAU * ((completed - *angle) / TAU).round();
         }

@@ -8,7 +8,7 @@ use super::five_bar::FiveBar;
 use crate::effects::stick_slip::{
     FRICTION_PLACES, FrictionConstraint, FrictionConstraints, FrictionProblem, SlipDirection, StickSlip, StickSlips,
 };
-use crate::effects::{FrictionGuard, FrictionGuards, lowest, stick_velocity};
+use crate::effects::{FrictionGuard, FrictionGuards, cubic_minimum, stick_velocity};
 use crate::integrator::{Held, Kkt, System};
 use crate::mechanism::{COORDINATES, Coordinates, Multipliers, Pose, SceneError};
 use crate::vector::Vector;
@@ -73,7 +73,7 @@ pub(super) fn reverses_between(system: &FiveBar<'_>, ends: [[&Coordinates; 3]; 2
         // Between its ends a cubic is lower than both by no more than this part of the slopes that lead there.
         const DEEPEST: f64 = 4.0 / 27.0;
         let dip = DEEPEST * ((-changes[0]).max(0.0) + changes[1].max(0.0));
-        rates[0].min(rates[1]) - dip < -stick_velocity && lowest(rates, changes) < -stick_velocity
+        rates[0].min(rates[1]) - dip < -stick_velocity && cubic_minimum(rates, changes) < -stick_velocity
     })
 }
 
@@ -103,7 +103,7 @@ fn balance(
         constraints.iter().filter(|constraint| constraint.bound > 0.0 && rests(constraint)).copied().collect();
     let mut stick_slip = resolve_motion(&constraints);
     for constraint in &resting {
-        stick_slip.set(constraint.place, StickSlip::Holds(SlipDirection::Forward));
+        stick_slip.set(constraint.place, StickSlip::Sticks(SlipDirection::Forward));
     }
     let mass = system.factor_mass(&pose, system.model.regularization);
     let forces = system.on(system.mode.with_stick_slip(stick_slip)).forces(q, &pose, v);
@@ -143,7 +143,7 @@ fn first<'a>(
     stick_slip: &StickSlips,
     constraints: &'a FrictionConstraints<COORDINATES>,
 ) -> Option<&'a FrictionConstraint<COORDINATES>> {
-    constraints.iter().find(|constraint| matches!(stick_slip.at(constraint.place), StickSlip::Holds(_)))
+    constraints.iter().find(|constraint| matches!(stick_slip.at(constraint.place), StickSlip::Sticks(_)))
 }
 
 /// The grips that hold one motion, with what each does per torque of the first: all of them use the same part of their bounds.
@@ -153,7 +153,7 @@ fn shares<'a>(
 ) -> impl Iterator<Item = (&'a FrictionConstraint<COORDINATES>, f64)> {
     let first = first(stick_slip, constraints);
     constraints.iter().filter_map(move |constraint| {
-        let StickSlip::Holds(way) = stick_slip.at(constraint.place) else { return None };
+        let StickSlip::Sticks(way) = stick_slip.at(constraint.place) else { return None };
         let leader = first?;
         let share = if constraint.place == leader.place { 1.0 } else { way.sign() * constraint.bound / leader.bound };
         Some((constraint, share))
@@ -271,7 +271,7 @@ pub(super) fn varied(
     if !stick_slip.any_sticks() {
         return Ok((a, lambda));
     }
-    if stick_slip.at_rest() || matches!(stick_slip.at(FRICTION_PLACES - 1), StickSlip::Holds(_)) {
+    if stick_slip.at_rest() || matches!(stick_slip.at(FRICTION_PLACES - 1), StickSlip::Sticks(_)) {
         return Err(SceneError(
             "friction holds the tip or all that could move, and derivatives are told only where joints alone are held and something moves."
                 .into(),
@@ -300,13 +300,13 @@ pub(super) fn are_possible(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinate
     let friction_guards = friction_guards(system, q, &system.pose(q), v);
     let far = FAR * system.stick_velocity();
     let there = |place: usize| friction_guards.iter().any(|friction_guard| friction_guard.place == place);
-    let held = |constraint: &FrictionConstraint<COORDINATES>| matches!(stick_slip.at(constraint.place), StickSlip::Holds(_));
-    balance(system, q, v, &held).is_one()
-        && (0..FRICTION_PLACES).all(|place| there(place) || stick_slip.at(place) == StickSlip::Open)
+    let held = |constraint: &FrictionConstraint<COORDINATES>| matches!(stick_slip.at(constraint.place), StickSlip::Sticks(_));
+    balance(system, q, v, &held).is_single_motion()
+        && (0..FRICTION_PLACES).all(|place| there(place) || stick_slip.at(place) == StickSlip::Inactive)
         && friction_guards.iter().all(|friction_guard| match stick_slip.at(friction_guard.place) {
-            StickSlip::Open => false,
+            StickSlip::Inactive => false,
             StickSlip::Slips(way) => way.sign() * friction_guard.rate >= -far,
-            StickSlip::Holds(_) => {
+            StickSlip::Sticks(_) => {
                 friction_guard.rate.abs() <= far
                     && friction_guard.load[0].abs() <= (1.0 + 1e-3) * friction_guard.load[1].abs() + 1e-9
             }

@@ -44,7 +44,7 @@ impl State {
         if let Some(proximal) = direction.proximal {
             let geometry = &model.mechanism.geometry;
             let [_, left, right, _] = pose.directions();
-            closure::are_coordinates(left[0] * right[1] - left[1] * right[0])?;
+            closure::check_direct_singularity(left[0] * right[1] - left[1] * right[0])?;
             (q, v) = closure::varied(geometry, THETA.map(|i| core.q[i]), THETA.map(|i| core.v[i]), proximal);
         }
         let change = Perturbation { q, v, inputs: direction.inputs };

@@ -231,8 +231,8 @@ fn grips_of_one_motion_hold_one_motion() {
     balance.resolve_motion(&mut stick_slip);
     let expected = [
         StickSlip::Slips(SlipDirection::Forward),
-        StickSlip::Holds(SlipDirection::Forward),
-        StickSlip::Holds(SlipDirection::Backward),
+        StickSlip::Sticks(SlipDirection::Forward),
+        StickSlip::Sticks(SlipDirection::Backward),
     ];
     assert_eq!([0, 1, 2].map(|place| stick_slip.at(place)), expected);
     balance.change[0] = 0.5;

@@ -139,7 +139,7 @@ impl<S: Events<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
         let middle = self.at(0.5 * (from.part + to.part));
         if stays && middle.guard_residual <= CROSSED && stretch <= COARSEST_SUMMIT {
             let places =
-                [from, &middle, to].map(|place| [place.part, self.system.holding_margin(&place.guard_values, self.tolerance)]);
+                [from, &middle, to].map(|place| [place.part, self.system.breakaway_residual(&place.guard_values, self.tolerance)]);
             if maximum_is_below(places) {
                 return None;
             }
@@ -165,7 +165,7 @@ impl<S: Events<N>, const N: usize, const M: usize, K: Copy + PartialEq> Search<'
             if place.guard_residual > CROSSED {
                 return self.first(from, &place);
             }
-            let summit = [part, self.system.holding_margin(&place.guard_values, self.tolerance)];
+            let summit = [part, self.system.breakaway_residual(&place.guard_values, self.tolerance)];
             [left, top, right] = match (part < top[0], summit[1] > top[1]) {
                 (true, true) => [left, summit, top],
                 (true, false) => [summit, top, right],

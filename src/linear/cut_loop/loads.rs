@@ -4,13 +4,13 @@ use super::{normals, scaled};
 use crate::effects::Tangents;
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X};
 use crate::mechanism::legs::{Legs, Legs2};
-use crate::mechanism::secant::Turned;
+use crate::mechanism::secant::StepDirections;
 
 /// Tangents of mean forces over a step as moments of inertia of each leg, kg·m²: rows (proximal, distal) of (f), columns of Δθ and ω̂,
 /// whose increments are equal. Entries that couple the legs are left out, so that Newton's method converges a little more slowly.
-pub struct LegLoads<'a> {
+pub struct LegTangents<'a> {
     /// Directions of the links over the step.
-    pub(super) directions: &'a Turned,
+    pub(super) directions: &'a StepDirections,
     /// Arms to the centre of mass of the proximal and of the distal links, along each link of the leg, m.
     pub(super) arms: [[Legs; 2]; 2],
     /// Weights ½h² of K, s², and h of C, s.
@@ -19,7 +19,7 @@ pub struct LegLoads<'a> {
     pub(super) inertias: [[[f64; 2]; 2]; 2],
 }
 
-impl LegLoads<'_> {
+impl LegTangents<'_> {
     /// Derivatives of a coordinate by the angles of its leg's links, given the normals of the links, m or 1.
     #[inline(always)]
     fn levers(&self, coordinate: usize, normals: [Legs2; 2]) -> [f64; 2] {
@@ -55,7 +55,7 @@ impl LegLoads<'_> {
     }
 }
 
-impl Tangents for LegLoads<'_> {
+impl Tangents for LegTangents<'_> {
     #[inline(always)]
     fn stiffness(&mut self, row: usize, column: usize, value: f64) {
         self.add([row, column], self.weights[0] * value);

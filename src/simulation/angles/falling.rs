@@ -15,7 +15,7 @@
 use super::factor::sums;
 use super::{Angles, DISTAL, PROXIMAL};
 use crate::mechanism::coordinates::{D_X, D_Y, P_X, P_Y, legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum, turned_with};
+use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, rotated_with_double, sum};
 use crate::mechanism::{Coordinates, Mechanism};
 use crate::simulation::inertia::Inertia;
 
@@ -95,7 +95,7 @@ impl Falling {
     /// q̈ at some rates, where the links have turned by small angles.
     #[inline(always)]
     pub(super) fn acceleration(&self, trig_base: &TrigBase, by: [Legs; 2], [w_p, w_d]: [Legs; 2]) -> Angles {
-        let [p, d] = [0, 1].map(|link| turned_with(trig_base.links[link], trig_base.twice[link], by[link]));
+        let [p, d] = [0, 1].map(|link| rotated_with_double(trig_base.links[link], trig_base.twice[link], by[link]));
         let (chi, across) = (self.carried * p.dot(d), self.carried * p.cross(d));
         // Torques with those of the distal centre of mass, which is carried around.
         let (s_p, s_d) = (self.root * (w_p * w_p), w_d * w_d);

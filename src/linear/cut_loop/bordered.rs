@@ -5,7 +5,7 @@ use crate::mechanism::legs::{Legs, Legs2, both, sum};
 
 /// The factorised bordered matrix [A b; c −e]: A by legs over two links, columns b of the tip's forces, rows c of the tip's closure.
 #[derive(Clone, Copy, Debug)]
-pub struct Closed {
+pub struct BorderedMatrix {
     /// Inverse A⁻¹ by rows.
     inverse: [[Legs; 2]; 2],
     /// Product A⁻¹ b by links.
@@ -14,15 +14,15 @@ pub struct Closed {
     tip_inverse: [f64; 4],
 }
 
-impl Closed {
+impl BorderedMatrix {
     /// Factorises A by rows, the rows [p, d] of b by links, and the columns `ends` of c.
     #[inline(always)]
     pub(super) fn new([[pp, pd], [dp, dd]]: [[Legs; 2]; 2], [p, d]: [Legs2; 2], ends: &[Legs2; 2], e: f64) -> Self {
         let reciprocal = both(1.0) / (pp * dd - pd * dp);
         let inverse @ [[ipp, ipd], [idp, idd]] = [[dd * reciprocal, -pd * reciprocal], [-dp * reciprocal, pp * reciprocal]];
         let columns = [p.scaled(ipp).plus(d.scaled(ipd)), p.scaled(idp).plus(d.scaled(idd))];
-        let [xx, yx] = apart(ends, columns.map(|column| column.x));
-        let [xy, yy] = apart(ends, columns.map(|column| column.y));
+        let [xx, yx] = tip_separation(ends, columns.map(|column| column.x));
+        let [xy, yy] = tip_separation(ends, columns.map(|column| column.y));
         let (xx, yy) = (xx + e, yy + e);
         let reciprocal = 1.0 / (xx * yy - xy * yx);
         Self { inverse, columns, tip_inverse: [yy * reciprocal, -xy * reciprocal, -yx * reciprocal, xx * reciprocal] }
@@ -40,7 +40,7 @@ impl Closed {
     pub(super) fn solve(&self, [p, d]: [Legs; 2], ends: &[Legs2; 2], gap: [f64; 2]) -> ([Legs; 2], [f64; 2]) {
         let [[pp, pd], [dp, dd]] = self.inverse;
         let free = [pp * p + pd * d, dp * p + dd * d];
-        let open @ [x, y] = apart(ends, free);
+        let open @ [x, y] = tip_separation(ends, free);
         let closing = at_tip(self.at_tip([x + gap[0], y + gap[1]]));
         ([free[0] - self.columns[0].dot(closing), free[1] - self.columns[1].dot(closing)], self.at_tip(open))
     }
@@ -48,6 +48,6 @@ impl Closed {
 
 /// Separation of the legs' tips by given rotations of their links, c x, m.
 #[inline(always)]
-fn apart([p, d]: &[Legs2; 2], [turn_p, turn_d]: [Legs; 2]) -> [f64; 2] {
+fn tip_separation([p, d]: &[Legs2; 2], [turn_p, turn_d]: [Legs; 2]) -> [f64; 2] {
     [sum(p.x * turn_p + d.x * turn_d), sum(p.y * turn_p + d.y * turn_d)]
 }
