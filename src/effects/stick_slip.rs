@@ -4,7 +4,7 @@
 //! place has a friction force against its sliding rate w; a sticking place has the force that keeps w = 0, up to the bound b. The method
 //! stores the states ([`StickSlips`]); `simulation/stick_slip.rs` determines them from coordinates and rates.
 //!
-//! Where rates vanish, the accelerations follow from Gauss's principle with friction: they minimise
+//! At vanishing sliding rates the accelerations follow from Gauss's principle with friction: they minimise
 //! ½ (q̈ − q̈₀)ᵀ M (q̈ − q̈₀) + Σ b |ẇ|, with q̈₀ the accelerations without friction at these places (Moreau, 1988; Glocker, *Set-Valued
 //! Force Laws*, 2001). The minimiser is unique. The mechanism has two degrees of freedom, so that at most two independent places stick,
 //! and then nothing moves.
