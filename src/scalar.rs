@@ -1,34 +1,36 @@
-//! What observers compute with: a number, or a number with its derivative along a direction. One formula gives an output and its change.
+//! Scalars of the observers: a number, or a dual number with its derivative along a direction (forward automatic differentiation), so that
+//! one formula gives an output and its derivative.
 //!
-//! Only arithmetic and square roots of the crate num-dual are used, which give the same bits on every platform; elementary functions are
-//! given with their derivative, by [`Scalar::with`].
+//! Only arithmetic and square roots of the crate num-dual are used, which have equal bits on every platform; elementary functions are given
+//! with their derivative by [`Scalar::with`].
 
 use num_dual::{Dual64, DualNum};
 
-/// Values closer together than this part of the largest have no derivative of their own: see [`Scalar::smallest`].
+/// Relative distance, to the largest, below which values count as equal and their kink has a derivative by convention
+/// ([`Scalar::smallest`]): half of the digits.
 const TIE_TOLERANCE: f64 = 1e-8;
 
 /// A number, with or without its derivative.
 pub trait Scalar: DualNum<Primitive = f64> + Copy {
-    /// A value and, where it is asked for, its derivative.
+    /// A scalar from its value and its derivative, which is evaluated for dual numbers only.
     fn with(value: f64, derivative: impl FnOnce() -> f64) -> Self;
 
-    /// The value.
+    /// The value without the derivative.
     fn value(self) -> f64;
 
-    /// The same number with derivative 0 where it has a kink.
+    /// The number, with derivative 0 where `kink` is true.
     fn with_flat_kink(self, kink: bool) -> Self;
 
-    /// The smallest of some values. One that is multiple has a kink; its derivative is then the mean of both sides, which is what central
-    /// differences give and is linear in the direction: the mean of the derivatives of those that coincide.
+    /// The smallest of some values. Where several coincide, the minimum has a kink; its derivative is then the mean of their derivatives,
+    /// as by central differences, which is linear in the direction.
     fn smallest<const K: usize>(values: [Self; K]) -> Self;
 
-    /// |x|, of a value that can be as large as `largest`: flat where it is round-off of that.
+    /// Magnitude |x| of a value bounded by `largest`: derivative 0 where the value is round-off of the bound.
     fn magnitude(self, largest: f64) -> Self {
         self.abs().with_flat_kink(self.value().abs() <= TIE_TOLERANCE * largest)
     }
 
-    /// √x of a value that can be as large as `largest`, not below 0: flat where the root is round-off of that of `largest`.
+    /// Root √x of a value bounded by `largest`, 0 for x < 0: derivative 0 where the root is round-off of √`largest`.
     fn root(self, largest: f64) -> Self {
         let positive = if self.value() > 0.0 { self } else { Self::with(0.0, || 0.0) };
         positive.sqrt().with_flat_kink(positive.value().sqrt() <= TIE_TOLERANCE * largest.sqrt())

@@ -1,7 +1,7 @@
-//! Vectors of coordinates and of multipliers, with the operators of algebra.
+//! Vectors of coordinates and of multipliers, with the operators of linear algebra.
 //!
-//! They work on two elements at a time, from the first on: the five-bar has its two legs side by side, and pairs that stay together need
-//! no shuffling. Left to itself the compiler pairs the second with the third. As part of a stored state they have a specified layout.
+//! Operators work on pairs of elements from the first on: pairs are the two legs, and stay in one register without shuffling (the compiler
+//! by itself would pair the second element with the third). As part of a stored state a vector is a sequence of little-endian doubles.
 
 use std::io::{self, Read, Write};
 use std::ops::{Add, AddAssign, Deref, DerefMut, Div, Mul, Neg, Sub};
@@ -9,7 +9,7 @@ use std::ops::{Add, AddAssign, Deref, DerefMut, Div, Mul, Neg, Sub};
 use borsh::{BorshDeserialize, BorshSerialize};
 use wide::f64x2;
 
-/// A vector with N elements: an array that can be added and scaled.
+/// A vector with N elements.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C, align(16))] // pairs of elements are read from memory by the instruction that uses them
 pub struct Vector<const N: usize>([f64; N]);
@@ -18,13 +18,13 @@ impl<const N: usize> Vector<N> {
     /// All elements 0.
     pub const ZERO: Self = Self([0.0; N]);
 
-    /// The element at each place from its index.
+    /// A vector whose elements are a function of their index.
     #[inline]
     pub fn from_fn(element: impl FnMut(usize) -> f64) -> Self {
         Self(std::array::from_fn(element))
     }
 
-    /// 1 in one place, 0 elsewhere.
+    /// The unit vector along axis `place`.
     pub fn unit(place: usize) -> Self {
         let mut unit = Self::ZERO;
         unit[place] = 1.0;
@@ -37,12 +37,12 @@ impl<const N: usize> Vector<N> {
         self.iter().zip(other.iter()).map(|(x, y)| x * y).sum()
     }
 
-    /// The Euclidean length.
+    /// The Euclidean norm.
     pub fn norm(&self) -> f64 {
         self.dot(self).sqrt()
     }
 
-    /// The largest magnitude of those elements that are numbers, by one instruction for each pair. NaN is caught where a step ends.
+    /// The largest magnitude among elements, by one instruction for each pair. NaN is ignored; the end of a step checks for NaN.
     #[inline]
     pub fn max_norm(&self) -> f64 {
         let larger = |largest: f64, value: f64| if value.abs() > largest { value.abs() } else { largest };
@@ -51,7 +51,7 @@ impl<const N: usize> Vector<N> {
         single.iter().copied().fold(larger(left, right), larger)
     }
 
-    /// Whether all elements are finite, and not so large that their sum is infinite.
+    /// Whether the sum of all elements is finite: false for NaN, for infinite elements and for finite ones whose sum overflows.
     #[inline]
     pub fn is_finite(&self) -> bool {
         self.sum().is_finite()
@@ -61,26 +61,26 @@ impl<const N: usize> Vector<N> {
     #[inline]
     pub fn sum(&self) -> f64 {
         let (pairs, single) = self.as_chunks::<2>();
-        // −0 is what leaves every number as it is: there is nothing to add first.
+        // The neutral element of addition is −0, which the compiler removes.
         let [left, right] = pairs.iter().fold([-0.0; 2], |[left, right], pair| [left + pair[0], right + pair[1]]);
         single.iter().fold(left + right, |sum, x| sum + x)
     }
 
-    /// Two neighbours, by their place among pairs; the last of an odd number of elements beside 0.
+    /// The pair of elements with index `place` among pairs; the last element of an odd number is paired with 0.
     #[inline(always)]
     pub fn pair(&self, place: usize) -> f64x2 {
         let (pairs, single) = self.as_chunks::<2>();
         if let Some(pair) = pairs.get(place) { f64x2::new(*pair) } else { f64x2::new([single[0], 0.0]) }
     }
 
-    /// Writes them.
+    /// Sets the pair of elements with index `place` among pairs.
     #[inline(always)]
     pub fn set_pair(&mut self, place: usize, value: f64x2) {
         let (pairs, single) = self.as_chunks_mut::<2>();
         if let Some(pair) = pairs.get_mut(place) { *pair = value.to_array() } else { single[0] = value.to_array()[0] }
     }
 
-    /// Element by element a function of this and another vector, pair by pair.
+    /// A function of two vectors element by element, evaluated pair by pair.
     #[inline]
     pub fn with(&self, other: &Self, function: impl Fn(f64x2, f64x2) -> f64x2) -> Self {
         let mut result = Self::ZERO;
@@ -96,7 +96,7 @@ impl<const N: usize> Vector<N> {
     }
 }
 
-/// As an array is stored.
+/// The stored form of a vector is that of an array.
 impl<const N: usize> BorshSerialize for Vector<N> {
     fn serialize<W: Write>(&self, writer: &mut W) -> io::Result<()> {
         write(&self.0, writer)
@@ -112,10 +112,10 @@ impl<const N: usize> BorshDeserialize for Vector<N> {
     }
 }
 
-/// Elements that are stored at a time.
+/// Number of elements in one call of a writer or reader: all coordinates of a state.
 const CHUNK: usize = 12;
 
-/// One piece of code for vectors of every length.
+/// Writes elements; one compiled copy for vectors of every length.
 #[inline(never)]
 fn write(elements: &[f64], writer: &mut dyn Write) -> io::Result<()> {
     for elements in elements.chunks(CHUNK) {
@@ -129,6 +129,7 @@ fn write(elements: &[f64], writer: &mut dyn Write) -> io::Result<()> {
     Ok(())
 }
 
+/// Reads elements; one compiled copy for vectors of every length.
 #[inline(never)]
 fn read(elements: &mut [f64], reader: &mut dyn Read) -> io::Result<()> {
     for elements in elements.chunks_mut(CHUNK) {
@@ -223,7 +224,7 @@ impl<const N: usize> Mul<Vector<N>> for f64 {
     }
 }
 
-/// By the first of the two for every first of a pair: the same number twice, as a rule.
+/// Multiplies every first element of a pair by the first lane and every second element by the second lane.
 impl<const N: usize> Mul<Vector<N>> for f64x2 {
     type Output = Vector<N>;
 
@@ -246,7 +247,7 @@ impl<const N: usize> Div<f64> for Vector<N> {
 mod tests {
     use super::*;
 
-    /// Odd and even lengths: the last element has a way of its own.
+    /// Lengths are odd and even, because the last element of an odd length is treated separately.
     #[test]
     fn operators_are_those_of_algebra() {
         let (x, y) = (Vector::from([1.0, -2.0, 3.0]), Vector::from([4.0, 5.0, -6.0]));

@@ -45,12 +45,12 @@ impl Mode {
         self.springs.iter().flatten().any(|phase| phase.pushes())
     }
 
-    /// This mode with other stick-slip states.
+    /// A copy of the mode with other stick-slip states.
     pub fn with_stick_slip(self, stick_slip: StickSlips) -> Self {
         Self { stick_slip, ..self }
     }
 
-    /// This mode on another branch of the closure.
+    /// A copy of the mode on another branch of the closure.
     pub fn with_closure_branch(self, closure_branch: Option<ClosureBranch>) -> Self {
         Self { closure_branch, ..self }
     }

@@ -1,7 +1,7 @@
 //! Spring: a linear torsion spring on each motor axis, T = −k (θ − θ₀).
 //!
-//! K = k, C = 0; potential k (θ − θ₀)²/2; conservative. θ counts whole turns. Defaults: 0.05 N·m/rad, about what the links of the
-//! paper's mechanism weigh, relaxed upright (θ₀ = π/2). Limits: linear, massless, without hysteresis.
+//! K = k, C = 0; potential k (θ − θ₀)²/2; conservative. θ counts whole turns. Defaults: 0.05 N·m/rad, about the weight torque of the
+//! paper's links, relaxed upright (θ₀ = π/2). Limits: linear, massless, without hysteresis.
 
 use super::force_context::{ForceContext, MOTOR_ANGLES};
 use super::{Force, MeanForce, StepContext, Tangents};

@@ -1,12 +1,13 @@
-//! Dry friction as a set-valued law: where it may hold, what it does there, and how that follows from the forces.
+//! Dry friction as a set-valued law: friction places, their stick-slip states, and the choice of state where sliding rates vanish.
 //!
-//! A grip is a direction in which parts slide on each other: one of the joints, or the tip along the plane. While it slips, friction is
-//! a force against the motion; while it holds, it is whatever keeps its rate 0, up to its bound. Which of them hold ([`StickSlips`]) is for
-//! the method to remember; how a system finds it out from coordinates and rates is in `simulation/stick_slip.rs`.
+//! A friction place is a direction in which bodies slide on each other: the rotation of a joint, or the tip along the plane. A slipping
+//! place has a friction force against its sliding rate w; a sticking place has the force that keeps w = 0, up to the bound b. The method
+//! stores the states ([`StickSlips`]); `simulation/stick_slip.rs` determines them from coordinates and rates.
 //!
-//! Where rates vanish, the accelerations are those of Gauss's principle with friction: of all that the bounds allow the least
-//! ½ (q̈ − q̈₀)ᵀ M (q̈ − q̈₀) + Σ b |ẇ|, with q̈₀ those without friction there (Moreau, 1988; Glocker, *Set-Valued Force Laws*, 2001).
-//! They are unique. The mechanism has two degrees of freedom, so that no more than two independent grips hold, and then nothing moves.
+//! At vanishing sliding rates the accelerations follow from Gauss's principle with friction: they minimise
+//! ½ (q̈ − q̈₀)ᵀ M (q̈ − q̈₀) + Σ b |ẇ|, with q̈₀ the accelerations without friction at these places (Moreau, 1988; Glocker, *Set-Valued
+//! Force Laws*, 2001). The minimiser is unique. The mechanism has two degrees of freedom, so that at most two independent places stick,
+//! and then nothing moves.
 
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
@@ -15,38 +16,38 @@ use super::force_context::JOINTS;
 use crate::mechanism::LINKS;
 use crate::vector::Vector;
 
-/// Number of grips: the joints, and the tip on the plane.
+/// Number of friction places: the joints, and the tip on the plane.
 pub const FRICTION_PLACES: usize = JOINTS + 1;
 
-/// Place of the tip among them.
+/// Index of the tip among the friction places.
 pub(super) const TIP_FRICTION: usize = JOINTS;
 
-/// What dry friction does at rest: the `….law` variables.
+/// Law of dry friction: the `….law` variables.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Law {
-    /// A smooth function of the rate, which creeps under load.
+    /// Regularised: a smooth function of the sliding rate, which creeps under load.
     #[default]
     Smooth,
-    /// Set-valued: it holds up to its bound.
+    /// Set-valued: sticks up to its bound.
     Stick,
 }
 
-/// Which way.
+/// Direction of slip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum SlipDirection {
-    /// With the rate positive.
+    /// Positive sliding rate.
     Forward,
-    /// With it negative.
+    /// Negative sliding rate.
     Backward,
 }
 
 impl SlipDirection {
-    /// That of a number.
+    /// Direction of a sliding rate by its sign; forward at 0.
     pub fn of(x: f64) -> Self {
         if x < 0.0 { Self::Backward } else { Self::Forward }
     }
 
-    /// ±1.
+    /// Sign of the direction, ±1.
     pub fn sign(self) -> f64 {
         match self {
             Self::Forward => 1.0,
@@ -55,60 +56,60 @@ impl SlipDirection {
     }
 }
 
-/// What a grip does.
+/// Stick-slip state of a friction place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum StickSlip {
-    /// There is none: no friction, a smooth law, or nothing touches.
+    /// Inactive: no friction, the smooth law, or no contact.
     Inactive,
-    /// It slips.
+    /// Slips in a direction.
     Slips(SlipDirection),
-    /// It holds. Where several hold the same motion, their shares act this way relative to the first.
+    /// Sticks. Where several places hold the same motion, the direction is that of this place's share relative to the first.
     Sticks(SlipDirection),
 }
 
-/// What all grips do.
+/// Stick-slip states of all friction places.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub struct StickSlips {
     places: [StickSlip; FRICTION_PLACES],
-    /// Whether they hold the whole mechanism.
+    /// Whether friction keeps the whole mechanism at rest.
     at_rest: bool,
 }
 
 impl StickSlips {
-    /// There are none.
+    /// No friction place is active.
     pub const OPEN: Self = Self { places: [StickSlip::Inactive; FRICTION_PLACES], at_rest: false };
 
-    /// What one does.
+    /// State of one friction place.
     pub fn at(&self, place: usize) -> StickSlip {
         self.places[place]
     }
 
-    /// Changes what one does.
+    /// Sets the state of one friction place.
     pub fn set(&mut self, place: usize, joint: StickSlip) {
         self.places[place] = joint;
     }
 
-    /// Whether nothing moves.
+    /// Whether friction keeps the whole mechanism at rest.
     #[inline]
     pub fn at_rest(&self) -> bool {
         self.at_rest
     }
 
-    /// All of these hold, and the mechanism with them.
+    /// The mechanism at rest with these places sticking.
     pub fn resting(places: impl Iterator<Item = usize>) -> Self {
         let mut stick_slip = Self { at_rest: true, ..Self::OPEN };
         places.for_each(|place| stick_slip.set(place, StickSlip::Sticks(SlipDirection::Forward)));
         stick_slip
     }
 
-    /// Whether any holds.
+    /// Whether any friction place sticks.
     #[inline]
     pub fn any_sticks(&self) -> bool {
         self.places.iter().any(|joint| matches!(joint, StickSlip::Sticks(_)))
     }
 
-    /// The sign of friction's direction in a grip that moves at a rate: of what slips that of its way, of what holds 0; by itself that
-    /// of the rate.
+    /// Sign of the sliding direction of a place with a rate, rad/s or m/s: that of the stored slip, 0 while sticking, and without a stored
+    /// state that of the rate.
     pub(super) fn direction(&self, place: usize, rate: f64) -> f64 {
         match self.places[place] {
             StickSlip::Slips(slip_direction) => slip_direction.sign(),
@@ -119,46 +120,46 @@ impl StickSlips {
     }
 }
 
-/// A grip as it is now, in N coordinates.
+/// A friction place at a state, in N coordinates: the sliding rate is w = row·q̇.
 #[derive(Clone, Copy, Debug)]
 pub struct FrictionConstraint<const N: usize> {
-    /// Its place in [`StickSlips`].
+    /// Index in [`StickSlips`].
     pub place: usize,
-    /// Its rate is row·q̇; a torque or force T in it acts with T·row.
+    /// Row ∂w/∂q̇ of the sliding rate; a friction torque or force T adds the generalised force T·row.
     pub row: Vector<N>,
-    /// Its acceleration is row·q̈ + drift.
+    /// Part of the sliding acceleration ẇ = row·q̈ + drift that comes from velocities, rad/s² or m/s².
     pub drift: f64,
-    /// Rate, rad/s or m/s.
+    /// Sliding rate w, rad/s or m/s.
     pub rate: f64,
-    /// What it holds at most, N·m or N.
+    /// Breakaway bound on the sticking torque or force, N·m or N.
     pub bound: f64,
-    /// By how much its rate changes with that of each link at most.
+    /// Lever arms: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
     pub arms: [f64; LINKS],
 }
 
-/// All grips that there are.
+/// All active friction places at a state.
 pub type FrictionConstraints<const N: usize> = ArrayVec<FrictionConstraint<N>, FRICTION_PLACES>;
 
-/// What grips have to hold: those whose rate is 0, as the equations of motion see them.
+/// Complementarity problem of the friction places whose sliding rate is 0: ẇ = G T + c with |T| ≤ b, T = −b sign ẇ where ẇ ≠ 0.
 #[derive(Clone, Debug, Default)]
 pub struct FrictionProblem {
-    /// Their places.
+    /// Indices of the places in [`StickSlips`].
     pub places: ArrayVec<usize, FRICTION_PLACES>,
-    /// Their accelerations per unit of torque in each.
+    /// Matrix G: sliding accelerations per unit of friction torque or force at each place.
     pub mobility: [[f64; FRICTION_PLACES]; FRICTION_PLACES],
-    /// Their accelerations without any of these torques.
+    /// Vector c: sliding accelerations without friction at these places, rad/s² or m/s².
     pub change: [f64; FRICTION_PLACES],
-    /// Their bounds, all positive.
+    /// Bounds b, N·m or N, all positive.
     pub bounds: [f64; FRICTION_PLACES],
 }
 
-/// Inequalities are judged to this part of the bounds.
+/// Relative tolerance of the inequalities, as a part of the bounds: far above round-off, far below any physical load.
 const TOLERANCE: f64 = 1e-9;
 
-/// What is held counts in the torques at rest, which it does not determine alone, by this part.
+/// Ridge (Tikhonov) parameter of the torques at rest, relative to the trace: makes torques unique that equilibrium leaves open.
 const RIDGE: f64 = 1e-12;
 
-/// What each of the grips of a [`FrictionProblem`] may do.
+/// A candidate solution of a [`FrictionProblem`]: the stick-slip state of each of its places.
 type Candidate = [StickSlip; FRICTION_PLACES];
 
 impl FrictionProblem {
@@ -166,12 +167,12 @@ impl FrictionProblem {
         self.places.len()
     }
 
-    /// The greatest acceleration that friction in a grip alone may make.
+    /// Largest acceleration that friction at place `i` alone can cause, rad/s² or m/s².
     fn scale(&self, i: usize) -> f64 {
         self.mobility[i][i] * self.bounds[i]
     }
 
-    /// Whether friction can hold all of them, and that leaves no motion.
+    /// Whether friction can keep all places at rest, and that stops the whole mechanism.
     #[cold]
     #[inline(never)]
     pub fn can_rest(&self) -> bool {
@@ -181,19 +182,19 @@ impl FrictionProblem {
             || self.least_violating(2..=2).is_some_and(|(violation, _)| violation <= TOLERANCE))
     }
 
-    /// Whether all of them hold the same motion.
+    /// Whether all places constrain the same motion.
     pub fn is_single_motion(&self) -> bool {
         (1..self.len()).all(|i| self.are_parallel(0, i))
     }
 
-    /// Whether two of them hold the same motion.
+    /// Whether two places constrain the same motion: their rows are parallel.
     fn are_parallel(&self, i: usize, j: usize) -> bool {
         let g = &self.mobility;
         g[i][j] * g[i][j] >= (1.0 - TOLERANCE) * g[i][i] * g[j][j]
     }
 
-    /// The torques by which all hold: of those possible the ones that use the smallest parts of their bounds, or where these are not within
-    /// them, those by which all but two give all they can.
+    /// Torques or forces, N·m or N, by which all places stick: those of least sum of squares relative to the bounds, or, where these
+    /// exceed the bounds, those with all but two places at their bounds.
     #[cold]
     #[inline(never)]
     pub fn resting_torques(&self) -> [f64; FRICTION_PLACES] {
@@ -202,7 +203,8 @@ impl FrictionProblem {
         })
     }
 
-    /// (D G D + ε tr) x = −D c, T = D x with D the bounds, by Cholesky's method.
+    /// Torques of least squares: (D G D + ε tr) x = −D c, T = D x with D the bounds, by Cholesky's method; `None` where a bound is exceeded
+    /// or an acceleration remains.
     #[cold]
     #[inline(never)]
     fn least_squares_torques(&self) -> Option<[f64; FRICTION_PLACES]> {
@@ -234,19 +236,20 @@ impl FrictionProblem {
         for i in 0..n {
             torques[i] = self.bounds[i] * x[i];
         }
-        // Where no torques hold all of them, those of least squares leave accelerations.
+        // Where no torques keep all places at rest, those of least squares leave accelerations.
         let left = self.accelerations(&torques);
         let holds = (0..n).all(|i| x[i].abs() <= 1.0 && left[i].abs() <= 1e3 * TOLERANCE * self.scale(i));
         holds.then_some(torques)
     }
 
+    /// Sliding accelerations ẇ = G T + c, rad/s² or m/s².
     #[cold]
     #[inline(never)]
     fn accelerations(&self, torques: &[f64; FRICTION_PLACES]) -> [f64; FRICTION_PLACES] {
         std::array::from_fn(|i| self.change[i] + (0..self.len()).map(|k| self.mobility[i][k] * torques[k]).sum::<f64>())
     }
 
-    /// The torques of a pattern: slipping grips give their bounds, and no more than two hold.
+    /// Torques or forces of a candidate, N·m or N: the bounds at slipping places, the solution of ẇ = 0 at up to two sticking places.
     #[cold]
     #[inline(never)]
     fn torques(&self, candidate: &Candidate) -> [f64; FRICTION_PLACES] {
@@ -269,7 +272,7 @@ impl FrictionProblem {
         torques
     }
 
-    /// The pattern that violates the law least, of those in which so many hold; by how much, as a part of the bounds.
+    /// The candidate of least violation, as a part of the bounds, among those whose number of sticking places is in a range.
     #[cold]
     #[inline(never)]
     fn least_violating(&self, holds: std::ops::RangeInclusive<usize>) -> Option<(f64, Candidate)> {
@@ -287,7 +290,7 @@ impl FrictionProblem {
             }
             let sticking: ArrayVec<usize, FRICTION_PLACES> =
                 (0..n).filter(|i| matches!(candidate[*i], StickSlip::Sticks(_))).collect();
-            // Two that hold the same motion leave the other.
+            // Two places that constrain the same motion leave the other motion free.
             if !holds.contains(&sticking.len()) || matches!(sticking[..], [i, j] if self.are_parallel(i, j)) {
                 continue;
             }
@@ -307,18 +310,18 @@ impl FrictionProblem {
         least_violating
     }
 
-    /// What they do where something moves, or will: no more than one of them holds by itself, and with it those that hold the same motion.
+    /// Sets the states where the mechanism moves or begins to: at most one place sticks, and with it those that constrain the same motion.
     #[cold]
     #[inline(never)]
     pub fn resolve_motion(&self, stick_slip: &mut StickSlips) {
         let Some((_, mut candidate)) = self.least_violating(0..=1) else { return };
         let left = self.accelerations(&self.torques(&candidate));
         if let Some(sticking_place) = candidate.iter().position(|joint| matches!(joint, StickSlip::Sticks(_))) {
-            // A weak grip among strong ones is accelerated by what these leave of round-off.
+            // The round-off of strong places accelerates a weak one.
             let greatest = |i: usize| (0..self.len()).map(|k| (self.mobility[i][k] * self.bounds[k]).abs()).sum::<f64>();
             let with =
                 |i: usize| i == sticking_place || self.are_parallel(sticking_place, i) && left[i].abs() <= TOLERANCE * greatest(i);
-            // Ways are relative to the first of them, which need not be the one that holds by itself.
+            // Directions are relative to the first of these places, which need not be `sticking_place`.
             let first = (0..sticking_place).find(|i| with(*i)).unwrap_or(sticking_place);
             for i in (first..self.len()).filter(|i| with(*i)) {
                 candidate[i] = StickSlip::Sticks(SlipDirection::of(self.mobility[first][i]));
@@ -330,9 +333,9 @@ impl FrictionProblem {
     }
 }
 
-/// x/y, and what violates any bound where y is no number to divide by.
+/// The quotient x/y; where y is (nearly) 0, a value so large that it violates any bound.
 fn quotient(x: f64, y: f64) -> f64 {
-    /// As good as infinite.
+    /// Largest magnitude of the quotient: above any bound, and its square is still finite.
     const LARGEST_QUOTIENT: f64 = 1e100;
     if x == 0.0 {
         0.0

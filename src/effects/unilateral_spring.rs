@@ -1,12 +1,13 @@
-//! A one-sided spring and damper: what a stop and a contact push with.
+//! Unilateral spring and damper: the reaction of a stop or a contact plane.
 //!
 //! ```text
 //! N = max(0, s(d) (k d + c ḋ))      d the penetration, s = 6u⁵ − 15u⁴ + 10u³, u = min(d/width, 1)
 //! ```
 //!
-//! It never pulls. The ramp s (the "smootherstep" of Perlin, Improving Noise, 2002, and STEP5 of multibody packages) makes N twice
-//! differentiable at d = 0; where max(0, ·) begins to act, on fast separation, N has a kink. The potential is that of the spring
+//! The reaction never pulls. The ramp s (the "smootherstep" of Perlin, Improving Noise, 2002, and STEP5 of multibody packages) makes N
+//! twice differentiable at d = 0; where max(0, ·) becomes 0, on fast separation, N has a kink. The potential is that of the spring
 //! part, U = ∫ s k d dd; the rest of the power, (N − s k d) ḋ ≥ 0, is dissipated.
+//! Phases are free, ramp and full; their guards are d = 0, d = width and k d + c ḋ = 0 (`bounds.rs` bounds them over a step).
 
 mod bounds;
 
@@ -15,7 +16,7 @@ use borsh::{BorshDeserialize, BorshSerialize};
 pub use bounds::cubic_minimum;
 pub(super) use bounds::parabola_bound;
 
-/// A one-sided spring and damper.
+/// A unilateral spring and damper.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct UnilateralSpring {
     /// Stiffness k, N/m or N·m/rad.
@@ -26,47 +27,47 @@ pub(super) struct UnilateralSpring {
     pub(super) width: f64,
 }
 
-/// Between which of its kinks a spring is. In each phase N is one smooth formula, which goes on smoothly beyond the phase's borders.
+/// Phase of a unilateral spring. In each phase N is one smooth formula, which extends smoothly past the guards of the phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub(super) enum Phase {
-    /// Not pushing: it does not touch, or separates so fast that it would have to pull. N = 0.
+    /// No reaction, N = 0: no contact, or a separation so fast that the damper would have to pull.
     Free,
-    /// On the ramp, pushing.
+    /// Reaction on the ramp, 0 < d < width.
     Ramp,
-    /// Beyond the ramp, pushing.
+    /// Reaction past the ramp, d ≥ width.
     Full,
 }
 
-/// A border of a phase.
+/// A guard of a phase.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PhaseGuard {
-    /// How far beyond it, m or rad; negative on the near side.
+    /// Guard value, m or rad: positive past the guard, negative where the phase holds.
     pub(super) guard_residual: f64,
-    /// How that changes with penetration and rate.
+    /// Derivatives of the guard value by penetration, 1, and by its rate, s.
     by: [f64; 2],
-    /// The phase behind it.
+    /// The phase past the guard.
     pub(super) next_phase: Phase,
 }
 
-/// For the border at which a spring lets go, a rate counts as the distance that it makes in this time, s: as in the error norm of the
-/// explicit method.
+/// Time by which a rate counts as a displacement in the separation guard, s: the same as in the error norm of the explicit method.
 const RATE_TIME: f64 = 0.1;
 
 impl PhaseGuard {
-    /// The same in other units.
+    /// A copy of the guard with its value in another unit.
     pub(super) fn in_units_of(self, unit: f64) -> Self {
         Self { guard_residual: self.guard_residual / unit, ..self }
     }
 }
 
 impl Phase {
+    /// Whether the spring pushes.
     pub(super) fn pushes(self) -> bool {
         matches!(self, Self::Ramp | Self::Full)
     }
 }
 
 impl UnilateralSpring {
-    /// The phase of a penetration, m or rad, and its rate by themselves.
+    /// The phase of a state: penetration, m or rad, and its rate, m/s or rad/s.
     pub(super) fn phase(&self, depth: f64, rate: f64) -> Phase {
         match (depth > 0.0 && self.push(depth, rate) > 0.0, depth < self.width) {
             (false, _) => Phase::Free,
@@ -75,13 +76,13 @@ impl UnilateralSpring {
         }
     }
 
-    /// Where a motion leaves a phase: where it is beyond any of these borders, or, if the spring is free, beyond all of them.
+    /// Guards of a phase: the phase ends where any of them is passed, or, for a free spring, where all of them are.
     pub(super) fn phase_guards(&self, phase: Phase, depth: f64, rate: f64) -> [Option<PhaseGuard>; 3] {
         let deeper = |than: f64, next_phase| Some(PhaseGuard { guard_residual: depth - than, by: [1.0, 0.0], next_phase });
         let shallower = |than: f64, next_phase| Some(PhaseGuard { guard_residual: than - depth, by: [-1.0, 0.0], next_phase });
         let push = |sign: f64, next_phase| {
             let by = [self.stiffness, self.damping].map(|by| sign * by / self.push_scale());
-            // Without damping what touches pushes.
+            // Without damping every contact pushes.
             (self.damping > 0.0).then(|| PhaseGuard { guard_residual: sign * self.push_as_distance(depth, rate), by, next_phase })
         };
         match phase {
@@ -94,7 +95,7 @@ impl UnilateralSpring {
         }
     }
 
-    /// What is farthest beyond the borders of a phase, by what each of them says.
+    /// The element that decides on the end of a phase: the largest guard value, or the smallest for a free spring.
     pub(super) fn deciding<T>(
         phase: Phase,
         phase_guards: impl Iterator<Item = T>,
@@ -104,10 +105,10 @@ impl UnilateralSpring {
         phase_guards.reduce(|one, other| if (guard_residual(&other) >= guard_residual(&one)) != all { other } else { one })
     }
 
-    /// How long a motion at this rate takes to the end of a ramp, on it or towards it, s. The formulas of a ramp are polynomials, of which
-    /// nothing is asked far beyond its ends.
+    /// Time to the end of a ramp at the present rate, s; infinite off the ramp. A step of that length does not evaluate the polynomial of
+    /// the ramp far past its ends.
     pub(super) fn dwell_time(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
-        /// Least part of a ramp that lies ahead.
+        /// Least remaining part of the ramp, relative to its width: keeps the time from vanishing at the end of the ramp.
         const LEAST: f64 = 0.1;
         let ahead = match phase {
             Phase::Ramp if rate > 0.0 => self.width - depth,
@@ -117,27 +118,27 @@ impl UnilateralSpring {
         if rate == 0.0 { f64::INFINITY } else { ahead.max(LEAST * self.width) / rate.abs() }
     }
 
-    /// What changes sign where a motion that touches passes a kink: penetration, that beyond the ramp, and the push, m or rad.
+    /// Event indicators of a spring, m or rad: penetration, penetration less the ramp's width, and the scaled push.
     pub(super) fn indicators(&self, depth: f64, rate: f64) -> [f64; 3] {
         [depth, depth - self.width, self.push_as_distance(depth, rate)]
     }
 
-    /// (k d + c ḋ) as a distance, m or rad.
+    /// Unramped push k d + c ḋ as a distance, m or rad.
     fn push_as_distance(&self, depth: f64, rate: f64) -> f64 {
         self.push(depth, rate) / self.push_scale()
     }
 
-    /// What makes a distance of a push, N/m or N·m/rad.
+    /// Divisor that turns the unramped push into a distance, N/m or N·m/rad.
     fn push_scale(&self) -> f64 {
         (self.stiffness + self.damping / RATE_TIME).max(f64::MIN_POSITIVE)
     }
 
-    /// k d + c ḋ.
+    /// Unramped push k d + c ḋ, N or N·m.
     fn push(&self, depth: f64, rate: f64) -> f64 {
         self.stiffness * depth + self.damping * rate
     }
 
-    /// s and ds/dd.
+    /// Ramp s and its derivative ds/dd, 1/m or 1/rad.
     fn ramp(&self, phase: Phase, depth: f64) -> [f64; 2] {
         match self.strain_phase(phase, depth) {
             Phase::Free => [0.0, 0.0],
@@ -149,7 +150,7 @@ impl UnilateralSpring {
         }
     }
 
-    /// By which formula a spring is strained: one that has let go still is, where it is.
+    /// Phase whose formula gives the elastic strain: a separated spring stays strained at a positive penetration.
     fn strain_phase(&self, phase: Phase, depth: f64) -> Phase {
         match phase {
             Phase::Free if depth >= self.width => Phase::Full,
@@ -158,12 +159,12 @@ impl UnilateralSpring {
         }
     }
 
-    /// N.
+    /// Reaction N, N or N·m.
     pub(super) fn force(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
         if phase.pushes() { self.ramp(phase, depth)[0] * self.push(depth, rate) } else { 0.0 }
     }
 
-    /// ∂N/∂d and ∂N/∂ḋ.
+    /// Derivatives ∂N/∂d, N/m or N·m/rad, and ∂N/∂ḋ, N·s/m or N·m·s/rad.
     pub(super) fn slopes(&self, phase: Phase, depth: f64, rate: f64) -> [f64; 2] {
         if !phase.pushes() {
             return [0.0; 2];
@@ -172,9 +173,9 @@ impl UnilateralSpring {
         [slope * self.push(depth, rate) + ramp * self.stiffness, ramp * self.damping]
     }
 
-    /// U, J.
+    /// Potential U, J.
     pub(super) fn potential(&self, phase: Phase, depth: f64) -> f64 {
-        /// ∫ s u du over the ramp: 6/7 − 15/6 + 10/5.
+        /// Integral ∫ s u du over the ramp: 6/7 − 15/6 + 10/5.
         const RAMP: f64 = 5.0 / 14.0;
         let Self { stiffness: k, width, .. } = *self;
         match self.strain_phase(phase, depth) {
@@ -187,24 +188,25 @@ impl UnilateralSpring {
         }
     }
 
-    /// Power lost, W; of a spring that has let go what it has left.
+    /// Dissipated power, W; of a separated spring the loss of its elastic energy.
     pub(super) fn dissipation(&self, phase: Phase, depth: f64, rate: f64) -> f64 {
         (self.force(phase, depth, rate) - self.ramp(phase, depth)[0] * self.stiffness * depth) * rate
     }
 }
 
-/// What a one-sided spring and damper push with over a step.
+/// Mean reaction of a unilateral spring and damper over a step.
 pub(super) struct MeanReaction {
-    /// Mean of N, so that N times the change of the penetration is what the potential gains and what is dissipated.
+    /// Mean of N, N or N·m: times the increment of the penetration, it equals the gain of potential plus the dissipation, J.
     pub(super) force: f64,
-    /// How it changes with the penetration at the end.
+    /// Derivative of the mean by the penetration at the step's end, N/m or N·m/rad.
     pub(super) slope: f64,
     /// Energy dissipated, J.
     pub(super) dissipated: f64,
 }
 
 impl UnilateralSpring {
-    /// From a penetration, m or rad, that changes by so much in h seconds. The damper follows the mean rate and the mean of the ramp.
+    /// Mean reaction over a step of h seconds from a penetration `depth` with the increment `change`, m or rad. The damper takes the mean
+    /// rate and the mean of the ramp.
     pub(super) fn mean_reaction(&self, depth: f64, change: f64, h: f64) -> MeanReaction {
         let end = depth + change;
         if depth <= 0.0 && end <= 0.0 {
@@ -222,10 +224,10 @@ impl UnilateralSpring {
         MeanReaction { force: elastic + drag, slope, dissipated: drag * change }
     }
 
-    /// The mean of s k d, which is (U(d₁) − U(d₀))/(d₁ − d₀) without its cancellation, and its derivative with respect to d₁. Between the
-    /// ends of the ramp both are polynomials that Gauss's rule with four points integrates exactly.
+    /// Mean of s k d over a step, (U(d₁) − U(d₀))/(d₁ − d₀) without cancellation, N or N·m, and its derivative by d₁, N/m or N·m/rad.
+    /// Between the ends of the ramp both are polynomials that Gauss's rule with four points integrates exactly.
     fn mean_elastic(&self, depth: f64, change: f64) -> [f64; 2] {
-        /// Places and weights on the interval from −1 to 1.
+        /// Abscissas and weights of Gauss's rule with four points on the interval from −1 to 1.
         const GAUSS: [[f64; 2]; 4] = [
             [-0.861_136_311_594_052_6, 0.347_854_845_137_453_85],
             [-0.339_981_043_584_856_26, 0.652_145_154_862_546_2],
@@ -257,7 +259,7 @@ mod tests {
 
     const SPRING: UnilateralSpring = UnilateralSpring { stiffness: 50.0, damping: 0.02, width: 1e-3 };
 
-    /// Central differences; their error here is (step/width)² of the value, their round-off ε·value/step.
+    /// Central differences have an error of (step/width)² of the value and a round-off of ε·value/step.
     #[test]
     fn slopes_and_potential_are_derivatives() {
         let step = 1e-8;
@@ -288,7 +290,7 @@ mod tests {
                 let potential = |depth: f64| spring.potential(spring.phase(depth, 0.0), depth);
                 let gained = potential(end) - potential(depth);
                 let scale = potential(end).max(potential(depth));
-                // Round-off of the energies, and of the penetration on a long way.
+                // Round-off of the energies, and of the penetration over a long displacement.
                 let force = |depth: f64| spring.force(spring.phase(depth, 0.0), depth, 0.0);
                 let round_off = 1e-14 * scale + 1e-15 * (depth.abs() + end.abs()) * force(depth).max(force(end));
                 assert!((push.force * (end - depth) - gained).abs() <= round_off, "{depth} {end}");
@@ -316,7 +318,7 @@ mod tests {
         }
         assert_eq!(SPRING.phase(0.1, -1e4), Phase::Free);
         assert_eq!(SPRING.force(Phase::Free, 0.1, -1e4), 0.0);
-        // What it is strained by then is lost on the way back.
+        // The strain energy of a separated spring is dissipated while the penetration decreases.
         assert_eq!(SPRING.dissipation(Phase::Free, 0.1, -2.0), 2.0 * SPRING.stiffness * 0.1);
     }
 }

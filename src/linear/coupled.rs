@@ -1,7 +1,7 @@
 //! The linear solve for scenes whose effects couple links through K and C: friction at elbows and tip, contact.
 //!
-//! What they couple are the four link angles and the position of link 2: six inner coordinates with a full block of A₀, which need
-//! not be symmetric. The six outer ones keep their masses. The dual (Schur) matrix S = Φ_q A₀⁻¹ Φ_qᵀ + e is then full, 10×10:
+//! Such effects couple the four link angles and the position of link 2: six inner coordinates with a full block A_I of A₀, which need not
+//! be symmetric. The six outer coordinates keep their masses. The dual (Schur) matrix S = Φ_q A₀⁻¹ Φ_qᵀ + e is then full, 10×10:
 //! outer coordinates add 1/m between neighbouring joints, inner ones Φ_I A_I⁻¹ Φ_Iᵀ.
 
 use super::lu::{Lu, inverse};
@@ -11,10 +11,10 @@ use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 use crate::vector::Vector;
 
-/// Coordinates whose rows of A₀ hold nothing but a mass.
+/// Outer coordinates: their rows of A₀ contain only a mass.
 const OUTER: [usize; COORDINATES - INNER_COUNT] = [X[0], X[2], X[3], Y[0], Y[2], Y[3]];
 
-/// The two constraint equations that each of them is in, and its signs there: x of links 1, 3, 4, then y.
+/// The two constraint equations of each outer coordinate and its signs there: x of links 1, 3, 4, then y.
 const NEIGHBOURS: [[(usize, f64); 2]; COORDINATES - INNER_COUNT] = [
     [(2 * G_X, 1.0), (2 * E_X, -1.0)],
     [(2 * E_X + 1, 1.0), (TIP_X, -1.0)],
@@ -28,18 +28,20 @@ const NEIGHBOURS: [[(usize, f64); 2]; COORDINATES - INNER_COUNT] = [
 #[derive(Clone, Debug)]
 pub struct Coupled {
     pose: Pose,
-    /// 1/m of the outer coordinates.
+    /// Mobilities 1/m of the outer coordinates, 1/kg.
     mobility: [f64; COORDINATES - INNER_COUNT],
-    /// A_I⁻¹ by rows.
+    /// Inverse A_I⁻¹ of the inner block by rows.
     compliance: [Vector<INNER_COUNT>; INNER_COUNT],
+    /// Factorised dual matrix S.
     dual: Lu<MULTIPLIERS>,
 }
 
-/// Φ_I X, the columns of Φ_q of the inner coordinates times a matrix, both by rows.
+/// The product Φ_I X of the columns of Φ_q of the inner coordinates and a matrix X, by rows.
 #[inline]
 fn phi_inner_times<const K: usize>(pose: &Pose, x: &[Vector<K>; INNER_COUNT]) -> [Vector<K>; MULTIPLIERS] {
-    /// Places of the angles of the proximal and the distal links, left and right; those of the position of link 2 are the axes.
+    /// Indices of the angles of the proximal links, left and right, among the inner coordinates; the first two are x and y of link 2.
     const INNER_PROXIMAL: [usize; 2] = [2, 5];
+    /// Indices of the angles of the distal links, left and right, among the inner coordinates.
     const INNER_DISTAL: [usize; 2] = [3, 4];
     let [a_p, b_p, a_d, sigma_b_d] =
         [pose.a_p, pose.b_p, pose.a_d, pose.sigma_b_d].map(|arm| arm.turned()).map(|arm| [arm.x.to_array(), arm.y.to_array()]);
@@ -63,12 +65,12 @@ fn transposed<const K: usize, const L: usize>(rows: &[Vector<K>; L]) -> [Vector<
 }
 
 impl Coupled {
-    /// Factorises for the masses of the outer coordinates and the block of A₀ of the inner ones by rows, whose symmetric part is
-    /// positive: so is that of the dual matrix. Where values are not finite, the caller's check of the results ends the step.
+    /// Factorises for the masses of the outer coordinates, kg, and the inner block of A₀ by rows, whose symmetric part must be positive
+    /// definite: then so is that of the dual matrix. Where values are not finite, the caller's check of the results ends the step.
     #[inline]
     pub fn factor(pose: &Pose, masses: &Coordinates, inner: [Vector<INNER_COUNT>; INNER_COUNT], regularization: f64) -> Self {
         let compliance = inverse(inner);
-        // Φ_I A_I⁻¹ Φ_Iᵀ from Φ_I A_I⁻ᵀ.
+        // The product Φ_I A_I⁻¹ Φ_Iᵀ is computed from Φ_I A_I⁻ᵀ.
         let mut dual = phi_inner_times(pose, &transposed(&phi_inner_times(pose, &transposed(&compliance))));
         let mobility = OUTER.map(|i| 1.0 / masses[i]);
         for (mobility, neighbours) in mobility.into_iter().zip(NEIGHBOURS) {
@@ -84,7 +86,7 @@ impl Coupled {
         Self { pose: *pose, mobility, compliance, dual: Lu::new(dual) }
     }
 
-    /// A₀⁻¹ x.
+    /// The product A₀⁻¹ x.
     fn apply_inverse_mass(&self, x: &Coordinates) -> Coordinates {
         let mut result = Coordinates::ZERO;
         for (i, mobility) in OUTER.into_iter().zip(self.mobility) {

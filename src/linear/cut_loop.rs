@@ -1,28 +1,29 @@
-//! The conserving step with its loop cut at the tip: its equations in the turns of the links.
+//! The energy-conserving step with its loop cut at the tip: its equations in the rotations of the links.
 //!
-//! Two open legs, each ground – elbow – tip, meet the joints of the ground and the elbows whatever their links' turns Δθ and rates are, and
-//! the positions' rows of (37) give the forces of these joints. What is left of ten multipliers are Λ and ν of the tip, and of (37) the
-//! angles' rows and the tip's closure. With ℓ = a + b of the proximal and L of the distal link, the moments of inertia
+//! Two open legs, each ground – elbow – tip, satisfy the joints of the ground and the elbows for any increments Δθ of the link angles and
+//! any rates, and the position rows of (37) in `docs/conserving.md` give the forces of these joints. There remain Λ and ν of the tip among
+//! ten multipliers, and of (37) the angle rows and the tip's closure. With ℓ = a + b of the proximal and L of the distal link, the moments
+//! of inertia
 //!
 //! ```text
 //! A = m_P a² + m_D ℓ²,   B = m_D ℓ a_D,   D = m_D a_D²        moment(p, d) = (A p + B d, B p + D d)
 //! ```
 //!
-//! ω̂ = ½h ω₁ of the rates at the end and moments of the motion (m_P a times that of a proximal plus m_D ℓ times that of a distal centre of
-//! mass, and m_D a_D times the latter), these are
+//! ω̂ = ½h ω₁ of the rates at the step's end and first moments of displacements (m_P a times that of a proximal plus m_D ℓ times that of a
+//! distal centre of mass, and m_D a_D times the latter), these equations are
 //!
 //! ```text
-//! k = moment(s Δθ n̂_m) − k₀,     k₀ of ½h q̇₀          of the way d − ½h q̇₀
-//! w = moment(ω̂ n̂₁)                                     of ½h q̇₁
-//! y = k − w − σ(ℓ, L) ν                                 what ν moves
-//! g = ½h² Q̄ + k₀ − w − σ(ℓ, L) Λ                        what Λ pulls
+//! k = moment(s Δθ n̂_m) − k₀,     k₀ of ½h q̇₀          first moment of d − ½h q̇₀
+//! w = moment(ω̂ n̂₁)                                     first moment of ½h q̇₁
+//! y = k − w − σ(ℓ, L) ν                                 velocity defect with ν
+//! g = ½h² Q̄ + k₀ − w − σ(ℓ, L) Λ                        joint load with Λ
 //!
 //! ν:  I ω̂ + c n̂_m·w + c n̂_m·σ(ℓ, L) ν = I (Δθ − ½h ω₀) + c n̂_m·k,     Σ σ (ℓ n̂₁ ω̂)_P + σ (L n̂₁ ω̂)_D = 0
 //! f:  I (ω̂ − ½h ω₀) − s n̂_m·g + ½ s (ω̂ + ½h ω₀) û_m·y − ½h² Q̄_θ = 0
 //! ```
 //!
-//! The first are linear in ω̂ and ν. Newton's method for Δθ and Λ has the same matrix, with s for c and the joint forces' stiffness: 2×2 in
-//! each leg, which leaves 2×2 for the tip ([`BorderedMatrix`]).
+//! The equations (ν) are linear in ω̂ and ν. Newton's method for Δθ and Λ in (f) has a matrix of the same form, with s for c and the
+//! geometric stiffness of the joint forces: 2×2 in each leg, bordered by 2×2 of the tip ([`BorderedMatrix`]).
 
 mod bordered;
 mod loads;
@@ -40,17 +41,20 @@ pub use loads::LegTangents;
 pub use open_legs::OpenLegs;
 use open_legs::{Moments, angles, centres};
 
-/// Number of unknowns.
+/// Number of unknowns of the cut loop.
 pub const CUT_UNKNOWNS: usize = 8;
-/// Δθ of the proximal and of the distal links, Λ and ν of the tip.
+/// Unknowns of the cut loop: Δθ of the proximal and of the distal links, rad, Λ and ν of the tip.
 pub type CutUnknowns = Vector<CUT_UNKNOWNS>;
-/// Places in it, by pairs.
+/// Index of Δθ of the proximal links among the pairs of [`CutUnknowns`].
 const PROXIMAL: usize = 0;
+/// Index of Δθ of the distal links among the pairs of [`CutUnknowns`].
 const DISTAL: usize = 1;
+/// Index of Λ of the tip among the pairs of [`CutUnknowns`].
 const LAMBDA: usize = 2;
+/// Index of ν of the tip among the pairs of [`CutUnknowns`].
 const NU: usize = 3;
 
-/// Of d, Λ and ν.
+/// The unknowns of the cut loop from the increments d and all Λ and ν.
 #[inline(always)]
 pub fn cut_unknowns(d: &Coordinates, [lambda, nu]: [&Multipliers; 2]) -> CutUnknowns {
     let mut x = CutUnknowns::ZERO;
@@ -68,59 +72,62 @@ pub fn largest_turn(x: &CutUnknowns) -> f64 {
     if left > right { left } else { right }
 }
 
-/// Of both links the first minus the second.
+/// Difference of two moments, link by link.
 #[inline(always)]
 fn minus([p, d]: Moments, [other_p, other_d]: Moments) -> Moments {
     [p.minus(other_p), d.minus(other_d)]
 }
 
-/// Something of the tip for both legs.
+/// A vector of the tip copied to both legs.
 #[inline(always)]
 fn at_tip([x, y]: [f64; 2]) -> Legs2 {
     Legs2 { x: both(x), y: both(y) }
 }
 
-/// A step as it begins.
+/// A step of the cut loop: its initial state and length.
 #[derive(Clone, Copy)]
 pub struct OpenStep<'a> {
     legs: &'a OpenLegs,
     pose: &'a Pose,
-    /// q₀.
+    /// Coordinates q₀, m and rad.
     pub q: &'a Coordinates,
-    /// q̇₀.
+    /// Velocities q̇₀, m/s and rad/s.
     v: &'a Coordinates,
-    /// The step, s.
+    /// Length of the step, s.
     pub h: f64,
-    /// k₀.
+    /// First moment k₀ of ½h q̇₀, kg·m².
     initial_moment: Moments,
-    /// ½h ω₀.
+    /// Initial half-step rotations ½h ω₀, rad.
     initial_rotations: [Legs; 2],
 }
 
-/// How the legs move at some unknowns: the joints but the tip's are met, and the rates at the end.
+/// Motion of the open legs over a step for given unknowns: all joints but the tip satisfy their constraints.
 #[derive(Clone, Copy, Debug)]
 pub struct OpenMotion {
+    /// Directions of the links in the middle and at the end of the step.
     directions: StepDirections,
-    /// The unknowns, with ν of these rates.
+    /// The unknowns; ν belongs to the rates of this motion.
     pub x: CutUnknowns,
-    /// ω̂.
+    /// Final half-step rotations ω̂ = ½h ω₁, rad.
     half: [Legs; 2],
-    /// y and k₀ − w.
+    /// Velocity defect y, kg·m².
     velocity_defect: Moments,
+    /// Difference k₀ − w of first moments, kg·m².
     moment_change: Moments,
-    /// σ(ℓ, L) n̂₁.
+    /// Columns of the tip's closure, σ(ℓ, L) n̂₁, m.
     ends: [Legs2; 2],
-    /// What is left of the tip's closure, m, and of ½h times its rate.
+    /// Residual of the tip's closure, m.
     gap: [f64; 2],
+    /// Residual of ½h times the rate of the tip's closure, m.
     rate: [f64; 2],
 }
 
-/// What forces make of a motion.
+/// Residual of the equations (f) under given forces.
 #[derive(Clone, Copy, Debug)]
 pub struct OpenResidual {
-    /// g.
+    /// Joint load g by links.
     joint_load: Moments,
-    /// f of the angles.
+    /// Residual f of the angle rows, kg·m².
     left: [Legs; 2],
 }
 
@@ -130,13 +137,13 @@ fn larger([x, y]: [f64; 2]) -> f64 {
     if x.abs() > y.abs() { x.abs() } else { y.abs() }
 }
 
-/// The normals n̂ of directions.
+/// Normals n̂ of directions û.
 #[inline(always)]
 fn normals([p, d]: [Legs2; 2]) -> [Legs2; 2] {
     [p.turned(), d.turned()]
 }
 
-/// Link by link the vectors times the numbers.
+/// Vectors times scalars, link by link.
 #[inline(always)]
 fn scaled([p, d]: [Legs2; 2], [by_p, by_d]: [Legs; 2]) -> [Legs2; 2] {
     [p.scaled(by_p), d.scaled(by_d)]
@@ -151,7 +158,7 @@ impl<'a> OpenStep<'a> {
         Self { legs, pose, q, v, h, initial_moment, initial_rotations: angles(v).map(|rate| half * rate) }
     }
 
-    /// The matrix with ω̂ or Δθ: the inertias of the angles' rows, in which joint forces act along `factors` n̂_m.
+    /// The bordered matrix for ω̂ or Δθ: inertias of the angle rows, in which joint forces act along `factors` n̂_m.
     #[inline(always)]
     fn bordered(
         &self,
@@ -164,7 +171,7 @@ impl<'a> OpenStep<'a> {
         let ([by_p, by_d], [cos_p, cos_d]) = (factors, turned.cos);
         let ([middle_p, middle_d], [end_p, end_d]) = (turned.middle, turned.end);
         let matrix = [
-            // n̂_m·n̂₁ of a link is its c.
+            // The product n̂_m·n̂₁ of one link is its c.
             [inertias[0][0] + by_p * cos_p * own, inertias[0][1] + by_p * shared * middle_p.dot(end_d)],
             [inertias[1][0] + by_d * shared * middle_d.dot(end_p), inertias[1][1] + by_d * cos_d * last],
         ];
@@ -172,7 +179,8 @@ impl<'a> OpenStep<'a> {
         BorderedMatrix::new(matrix, scaled(normals(turned.middle), [by_p * length_p, by_d * length_d]), ends, e)
     }
 
-    /// The motion at these Δθ, which does not depend on Λ; ν is a guess, as exact as its change times e.
+    /// The motion with the Δθ of `x`, which does not depend on Λ. The ν of `x` is an initial guess: the rate equation is satisfied up to e
+    /// times the correction of ν.
     #[inline(always)]
     pub fn motion(&self, mut x: CutUnknowns, e: f64) -> OpenMotion {
         let &Self { legs, initial_rotations: [begun_p, begun_d], .. } = self;
@@ -204,13 +212,13 @@ impl<'a> OpenStep<'a> {
         OpenMotion { directions, x, half, velocity_defect, moment_change: minus(self.initial_moment, turning), ends, gap, rate }
     }
 
-    /// What depends on d.
+    /// Directions and factors of the step d of a motion.
     #[inline(always)]
     pub fn secant(&self, motion: &OpenMotion) -> Secant {
         self.legs.mechanism.secant_along(&motion.directions)
     }
 
-    /// d = q₁ − q₀ along the legs.
+    /// Increments d = q₁ − q₀ of a motion, m and rad.
     #[inline(always)]
     pub fn way(&self, motion: &OpenMotion) -> Coordinates {
         let Mechanism { ground_x, a_p, b_p, a_d, .. } = self.legs.mechanism;
@@ -227,7 +235,7 @@ impl<'a> OpenStep<'a> {
         d
     }
 
-    /// q̇₁ along the legs.
+    /// Final velocities q̇₁ of a motion, m/s and rad/s.
     #[inline(always)]
     pub fn rates(&self, motion: &OpenMotion) -> Coordinates {
         let Mechanism { a_p, b_p, a_d, .. } = self.legs.mechanism;
@@ -246,7 +254,7 @@ impl<'a> OpenStep<'a> {
         v
     }
 
-    /// What is left under mean forces Q̄.
+    /// Residual of a motion under mean forces Q̄, N and N·m.
     #[inline(always)]
     pub fn balance(&self, motion: &OpenMotion, forces: &Coordinates) -> OpenResidual {
         let &Self { legs, initial_rotations: [begun_p, begun_d], h, .. } = self;
@@ -276,7 +284,7 @@ impl<'a> OpenStep<'a> {
         OpenResidual { joint_load, left }
     }
 
-    /// What is left: of f as an angle, rad; of the tip's closure and of ½h times its rate, m.
+    /// Norms of the residuals: of f as an angle, rad; of the tip's closure and of ½h times its rate, m.
     #[inline(always)]
     pub fn left(&self, OpenMotion { gap, rate, .. }: &OpenMotion, OpenResidual { left: [p, d], .. }: &OpenResidual) -> [f64; 3] {
         let [mobility_p, mobility_d] = self.legs.turn_mobility;
@@ -299,7 +307,7 @@ impl<'a> OpenStep<'a> {
         let mechanism = &self.legs.mechanism;
         let ([along_p, along_d], [sinc_p, sinc_d]) = (directions.middle, directions.sinc);
         let [[pp, pd], [dp, dd]] = loads.inertias;
-        // s n̂_m turns by half of Δθ, and s falls: its derivative is −Δθ/12 but for the third order.
+        // The direction n̂_m rotates by half of Δθ, and ds/dΔθ = −Δθ/12 to third order.
         let stiffness = |along: Legs2, joint_load: Legs2, turn: Legs| {
             both(0.5) * along.dot(joint_load) + both(1.0 / 12.0) * turn * along.turned().dot(joint_load)
         };
@@ -310,7 +318,7 @@ impl<'a> OpenStep<'a> {
         self.bordered((directions, ends), inertias, directions.sinc, e)
     }
 
-    /// Newton's increments of Δθ and Λ. What closes the tip moves no rates, so that Λ takes no part in it.
+    /// Newton's increments of Δθ and Λ. Λ is solved with the gap left out, since closing the gap changes no rates.
     #[inline(always)]
     pub fn correction(
         &self,
@@ -327,7 +335,7 @@ impl<'a> OpenStep<'a> {
         change
     }
 
-    /// The motion with rates, and Λ, to which forces leave nothing: the last increment, without that of Δθ.
+    /// The motion with rates and Λ that satisfy (f) at its Δθ: the last linear correction.
     #[inline(always)]
     pub fn with_rates(&self, motion: &OpenMotion, balance: &OpenResidual, matrix: &BorderedMatrix) -> OpenMotion {
         let [left_p, left_d] = balance.left;
@@ -337,11 +345,11 @@ impl<'a> OpenStep<'a> {
         OpenMotion { x, half: [motion.half[0] + p, motion.half[1] + d], ..*motion }
     }
 
-    /// Λ and ν of all joints under mean forces Q̄.
+    /// Multipliers Λ and ν of all joints under mean forces Q̄, N and N·m.
     pub fn multipliers(&self, motion: &OpenMotion, forces: &Coordinates) -> [Multipliers; 2] {
         let (x, mechanism) = (&motion.x, &self.legs.mechanism);
         let z = 0.5 * self.h * (*self.v + self.rates(motion));
-        // From the tip to the ground each link passes on what it takes itself.
+        // From the tip to the ground: the force at each joint is that of the next joint plus the load of the link between.
         let along = |taken: &Coordinates, tip: Legs| {
             let [proximal, distal] = centres(taken);
             let tip = tip.to_array();

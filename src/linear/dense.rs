@@ -1,4 +1,4 @@
-//! The linear solve for anything: also for links with so little inertia that eliminations lose digits.
+//! The general linear solve, by LU with row exchanges: for links with so little inertia that the structured eliminations lose digits.
 
 use nalgebra::{Const, LU, SMatrix, SVector};
 
@@ -7,14 +7,14 @@ use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose}
 
 const SIZE: usize = COORDINATES + MULTIPLIERS;
 
-/// The saddle-point matrix as a whole, factorised with row exchanges: A₀ may be full and unsymmetric.
+/// The factorised saddle-point matrix [A₀ Φ_qᵀ; Φ_q −e], 22×22; A₀ may be full and unsymmetric.
 #[derive(Clone, Debug)]
 pub struct Dense {
     lu: LU<f64, Const<SIZE>, Const<SIZE>>,
 }
 
 impl Dense {
-    /// Factorises for any A₀ whose symmetric part is positive: with e > 0 the matrix is then regular.
+    /// Factorises for any A₀ whose symmetric part is positive definite: with e > 0 the matrix is then regular.
     #[inline(never)]
     pub fn factor(pose: &Pose, a0: &SMatrix<f64, COORDINATES, COORDINATES>, regularization: f64) -> Self {
         let phi_q = pose.phi_q();
@@ -34,7 +34,7 @@ impl Kkt<COORDINATES, MULTIPLIERS> for Dense {
         let mut xy = SVector::<f64, SIZE>::zeros();
         xy.fixed_rows_mut::<COORDINATES>(0).copy_from_slice(&b[..]);
         xy.fixed_rows_mut::<MULTIPLIERS>(COORDINATES).copy_from_slice(&c[..]);
-        // Where extreme values have made it singular all the same, the caller's check for finite results ends the step.
+        // Where extreme values have made the matrix singular, the caller's check for finite results ends the step.
         if !self.lu.solve_mut(&mut xy) {
             xy.fill(f64::NAN);
         }

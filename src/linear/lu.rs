@@ -1,5 +1,5 @@
-//! Gauss's elimination for small matrices whose symmetric part T is positive and outweighs the other part S. They need no row exchanges
-//! (Golub and Van Loan, Matrix Computations, third edition, section 4.2.2: growth is bounded by that of T and S T⁻¹ Sᵀ), and without them
+//! LU factorisation without row exchanges for small matrices whose symmetric part T is positive definite and outweighs the skew part S:
+//! growth is bounded by that of T and S T⁻¹ Sᵀ (Golub and Van Loan, Matrix Computations, third edition, section 4.2.2). Without exchanges
 //! every loop has a length that is known to the compiler.
 
 use crate::vector::Vector;
@@ -11,18 +11,18 @@ pub(super) struct Lu<const N: usize> {
     lower: [Vector<N>; N],
     /// Rows of U above the diagonal, 0 elsewhere.
     upper: [Vector<N>; N],
-    /// 1 over the diagonal of U.
+    /// Reciprocals of the diagonal of U.
     pivots: Vector<N>,
 }
 
 impl<const N: usize> Lu<N> {
-    /// Factorises a matrix given by rows. Where it is singular all the same, the solutions are not finite.
+    /// Factorises a matrix given by rows. Solutions with a singular matrix are not finite.
     #[inline]
     pub(super) fn new(mut rows: [Vector<N>; N]) -> Self {
         let (mut lower, mut pivots) = ([Vector::ZERO; N], Vector::ZERO);
         for k in 0..N {
             pivots[k] = 1.0 / rows[k][k];
-            // Whole rows: what is left of the diagonal is 0 by now.
+            // Whole rows are subtracted: their entries left of the diagonal are 0 by now.
             rows[k][k] = 0.0;
             let row = rows[k];
             for i in k + 1..N {
@@ -35,7 +35,7 @@ impl<const N: usize> Lu<N> {
         Self { lower, upper: rows, pivots }
     }
 
-    /// A⁻¹ b.
+    /// The solution A⁻¹ b.
     #[inline]
     pub(super) fn solve(&self, mut b: Vector<N>) -> Vector<N> {
         for k in 0..N {
@@ -50,7 +50,7 @@ impl<const N: usize> Lu<N> {
     }
 }
 
-/// A⁻¹, both by rows: where it is asked for so often that solving would cost more, and the matrix is well-conditioned.
+/// The inverse of a well-conditioned matrix, both by rows: cheaper than a factorisation where many right-hand sides follow.
 #[inline]
 pub(super) fn inverse<const N: usize>(mut rows: [Vector<N>; N]) -> [Vector<N>; N] {
     for k in 0..N {
@@ -71,7 +71,7 @@ pub(super) fn inverse<const N: usize>(mut rows: [Vector<N>; N]) -> [Vector<N>; N
 mod tests {
     use super::*;
 
-    /// Far from symmetric, and badly scaled.
+    /// The matrix is far from symmetric and badly scaled.
     #[test]
     fn solves_what_nalgebra_solves() {
         let rows: [Vector<5>; 5] = std::array::from_fn(|i| {

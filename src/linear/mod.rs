@@ -2,13 +2,13 @@
 //!
 //! | file | solves |
 //! | --- | --- |
-//! | `two_leg.rs` | joint by joint along both legs at once: A is diagonal |
-//! | `coupled.rs` | effects couple links: A is full in six inner coordinates |
-//! | `dense.rs` | anything: inertias are far apart |
-//! | `lu.rs` | Gauss's elimination for `coupled.rs` |
-//! | `tangents.rs` | A₀ as each of them needs it |
-//! | `cut_loop.rs` | the conserving step's equations and systems in the turns of the links, the loop cut at the tip |
-//! | `secant_newton.rs` | the whole tangent of that step |
+//! | `two_leg.rs` | A diagonal: elimination joint by joint along both legs at once |
+//! | `coupled.rs` | A full in six inner coordinates, where effects couple links |
+//! | `dense.rs` | any A: for inertias of very different size |
+//! | `lu.rs` | LU factorisation for `coupled.rs` |
+//! | `tangents.rs` | assembly of A₀ for each solve |
+//! | `cut_loop.rs` | the energy-conserving step in the rotations of the links, the loop cut at the tip |
+//! | `secant_newton.rs` | the full Newton system of the energy-conserving step |
 
 pub mod coupled;
 pub mod cut_loop;
@@ -31,19 +31,19 @@ use dense::Dense;
 use tangents::{CoupledTangents, DiagonalTangents, FullTangents, INNER, INNER_COUNT};
 use two_leg::{Elimination, TwoLeg};
 
-/// The linear solves.
+/// The linear solves of the saddle-point system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinearSolve {
-    /// Leg by leg: no active effect couples links. See [`two_leg`].
+    /// Elimination leg by leg; no active effect couples links. See [`two_leg`].
     TwoLeg,
     /// Active effects couple links. See [`coupled`].
     Coupled,
-    /// Anything: inertias are far apart. See [`dense`].
+    /// General LU, for inertias of very different size. See [`dense`].
     Dense,
 }
 
 impl LinearSolve {
-    /// The fastest that a machine with these effects allows.
+    /// The fastest solve that a mechanism with these effects allows.
     pub fn choose(geometry: &Geometry, effects: &[Effect]) -> Self {
         if compliance_spread(geometry) > LARGEST_SPREAD {
             Self::Dense
@@ -55,11 +55,11 @@ impl LinearSolve {
     }
 }
 
-/// Beyond this spread of compliances the differences of the two-leg elimination lose too many digits: its error is the square of the
-/// spread times ε. The paper's links have 3.
+/// Largest ratio of compliances for the structured eliminations, whose relative error is the square of the ratio times ε: 1e-8 here. The
+/// paper's links have 3.
 const LARGEST_SPREAD: f64 = 1e4;
 
-/// Largest over smallest compliance of the links' ends, 1/m and arm²/I.
+/// Ratio of the largest to the smallest compliance of the links' ends, 1/m and arm²/I, 1/kg.
 fn compliance_spread(geometry: &Geometry) -> f64 {
     let compliances = geometry.links.iter().flat_map(|link| {
         let arm = link.com.abs().max((link.length - link.com).abs());
@@ -69,40 +69,40 @@ fn compliance_spread(geometry: &Geometry) -> f64 {
     most / least
 }
 
-/// The tangent must keep at least this part of the mass matrix; below it the step is too long for a Newton step to be a descent.
+/// Least tangent A₀ as a part of the mass matrix M where it is only checked: below, the step is too long for Newton's method.
 const LEAST_INERTIA: f64 = 0.1;
 
-/// What a descent direction needs: at least this part of the mass matrix.
+/// Least tangent A₀ as a part of the mass matrix M where it is modified: keeps Newton's increment a descent direction.
 const DESCENT_INERTIA: f64 = 0.3;
 
-/// What to do where A₀ is not sufficiently positive.
+/// Treatment of a tangent A₀ that is not sufficiently positive definite.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Definiteness {
-    /// Refuse it: the step is too long.
+    /// Refused with an error: the step is too long.
     Required,
-    /// Raise it until it is: a descent direction.
+    /// Raised by multiples of M until it is, which gives a descent direction.
     Enforced,
 }
 
-/// The forces whose tangents are in A₀.
+/// Forces whose tangents enter A₀.
 pub trait TangentSource {
-    /// Adds K and C.
+    /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.
     fn add_tangents(&self, tangents: &mut impl Tangents);
 }
 
-/// Of which step the tangent A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q) is factorised.
+/// The linearised step whose tangent A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q) is factorised.
 pub struct TangentSystem<'a, F> {
-    /// The forces at its end.
+    /// Forces at the step's end.
     pub forces: &'a F,
-    /// The pose there.
+    /// Pose at the step's end.
     pub pose: &'a Pose,
     /// Multipliers, N for constraints in m.
     pub lambda: &'a Multipliers,
-    /// The step, s.
+    /// Length of the step, s.
     pub h: f64,
-    /// e of the saddle-point matrix, 1/kg.
+    /// Regularisation e of the saddle-point matrix, 1/kg.
     pub regularization: f64,
-    /// What to do where A₀ is not sufficiently positive.
+    /// Treatment of a tangent A₀ that is not sufficiently positive definite.
     pub definite: Definiteness,
 }
 
@@ -114,8 +114,8 @@ pub struct LinearSolver {
     legs: OpenLegs,
 }
 
-/// The factorised saddle-point matrix with M, which is always diagonal, in the corner. Where the inertias are far apart, it is factorised
-/// densely at each solve instead: those machines are rare.
+/// The factorised saddle-point matrix with the diagonal M as its upper left block. By [`LinearSolve::Dense`] each solve factorises the
+/// whole matrix instead: such mechanisms are rare.
 #[derive(Clone, Debug)]
 pub struct MassFactor<'a, const BARE: bool> {
     solver: &'a LinearSolver,
@@ -146,32 +146,32 @@ impl<const BARE: bool> Kkt<COORDINATES, MULTIPLIERS> for MassFactor<'_, BARE> {
     }
 }
 
-/// x and y of a saddle-point system.
+/// Solution x and y of a saddle-point system.
 type Solution = (Coordinates, Multipliers);
 
 impl LinearSolver {
-    /// For a mechanism whose saddle-point systems have this e, 1/kg, most of the time.
+    /// Solver for a mechanism; systems with the given e, 1/kg, need no recomputation of constants.
     pub fn new(solve: LinearSolve, mechanism: &Mechanism, regularization: f64) -> Self {
         Self { solve, elimination: Elimination::new(mechanism, regularization), legs: OpenLegs::new(mechanism) }
     }
 
-    /// The same mechanism with another solve.
+    /// Sets the solve for the same mechanism.
     pub fn choose(&mut self, solve: LinearSolve) {
         self.solve = solve;
     }
 
-    /// What the conserving step's solve knows of the machine.
+    /// Constants of the mechanism for the cut loop of the energy-conserving step.
     #[inline(always)]
     pub fn legs(&self) -> &OpenLegs {
         &self.legs
     }
 
-    /// Which solve it is.
+    /// The chosen solve.
     pub fn linear_solve(&self) -> LinearSolve {
         self.solve
     }
 
-    /// Factorises with M in the corner. `BARE`: the solve is known to be leg by leg.
+    /// Factorises the saddle-point matrix with M. `BARE`: the solve is known at compile time to be leg by leg.
     #[inline(always)]
     pub fn factor_mass<const BARE: bool>(&self, pose: &Pose, regularization: f64) -> MassFactor<'_, BARE> {
         MassFactor { solver: self, two_leg: TwoLeg::factor_mass(&self.elimination, pose, regularization), regularization }
@@ -183,7 +183,7 @@ impl LinearSolver {
         Dense::factor(pose, &self.mass_matrix(), regularization).solve(b, c)
     }
 
-    /// Solves with A₀ in the corner. `BARE`: as above.
+    /// Solves the saddle-point system with A₀. `BARE`: the solve is known at compile time to be leg by leg.
     #[inline(always)]
     pub fn solve_tangent<const BARE: bool>(
         &self,
@@ -198,7 +198,7 @@ impl LinearSolver {
         }
     }
 
-    /// (M + h/2 C + h²/4 K) x.
+    /// The product (M + h/2 C + h²/4 K) x.
     pub fn effective_mass_times(&self, forces: &impl TangentSource, h: f64, x: &Coordinates) -> Coordinates {
         let weight = self.mass_matrix() + full_tangents(forces, h);
         <[f64; COORDINATES]>::from(weight * SVector::from(**x)).into()
@@ -266,7 +266,7 @@ impl LinearSolver {
         Ok(Dense::factor(pose, &ensure_definite(a0, &mass, definite)?, regularization).solve(b, c))
     }
 
-    /// The diagonal of M.
+    /// Diagonal of M, kg and kg·m².
     fn masses(&self) -> Coordinates {
         self.elimination.mechanism.mass_times(&[1.0; COORDINATES].into())
     }
@@ -282,14 +282,14 @@ fn full_tangents(forces: &impl TangentSource, h: f64) -> SMatrix<f64, COORDINATE
     tangents.weighted
 }
 
-/// The geometric stiffness of links 1 to 4, N·m/rad.
+/// Geometric stiffness of links 1 to 4, N·m/rad.
 fn geometric_stiffness(pose: &Pose, lambda: &Multipliers) -> [f64; 4] {
     let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
     let ([p_left, p_right], [d_left, d_right]) = (stiffness_p.to_array(), stiffness_d.to_array());
     [p_left, d_left, d_right, p_right]
 }
 
-/// A₀ if it is sufficiently positive, or made so.
+/// The tangent A₀, checked or raised to be sufficiently positive definite.
 fn ensure_definite<const K: usize>(
     mut a0: SMatrix<f64, K, K>,
     mass: &SMatrix<f64, K, K>,

@@ -1,5 +1,5 @@
-//! The whole tangent of the conserving step: where Λ and ν in turn contract slowly, where inertias are far apart, and for the ladder of
-//! rescues.
+//! Full Newton system of the energy-conserving step: used where the staggered iteration for Λ and ν contracts slowly, where inertias are
+//! of very different size, and in the fallback stages.
 //!
 //! Newton's increments of the unknowns d, Λ, ν and of z = d − M⁻¹J_cᵀν satisfy, by links (`docs/conserving.md`, (37)),
 //!
@@ -9,10 +9,10 @@
 //! joints     J₁ Δd = −Φ,      2 J₁ Δz + (∂J₁/∂d w) Δd = −J₁w
 //! ```
 //!
-//! with K and C the tangents of the forces as the step weights them. Written down from the ground to the tip, joints give the positions of
-//! Δd and Δz by the turns of the links, and the positions' rows of the rest the joints' multipliers by those of the tip: without a
-//! division. What is left are twelve equations, the angles' rows of momentum and of z and the tip's closure, for the turns Δθ, those of z,
-//! and the two multipliers of the tip. There e weighs increments, so that it moves no root; with it the matrix is regular also where the
+//! with K and C the tangents of the forces as the step weights them. From the ground to the tip, the joint rows give the positions of Δd
+//! and Δz by the rotations of the links; from the tip to the ground, the position rows give the joints' multipliers by those of the tip:
+//! without a division. Twelve equations remain, the angle rows of momentum and of z and the tip's closure, for the rotations Δθ, those of
+//! z, and ΔΛ and Δν of the tip. The regularisation e weighs increments and so moves no root; with it the matrix is regular also where the
 //! closure loses rank.
 
 use crate::effects::Tangents;
@@ -23,28 +23,33 @@ use crate::mechanism::secant::Secant;
 use crate::mechanism::{Coordinates, Mechanism, Multipliers, Pose};
 use crate::vector::Vector;
 
-/// Number of equations that are left.
+/// Number of equations after the elimination of positions.
 const UNKNOWNS: usize = 12;
-/// An equation of them: their coefficients, and the value where they are 0. The unknowns are the turns Δθ of links 1 to 4, those of z,
-/// ΔΛ and Δν of the tip.
+/// One equation: coefficients of the unknowns (Δθ of links 1 to 4, rotations of z, ΔΛ and Δν of the tip), and the constant.
 type Row = Vector<{ UNKNOWNS + 1 }>;
-/// Places in it.
+/// Index of Δθ of link 1 in a row.
 const TURN: usize = 0;
+/// Index of the rotation of z of link 1 in a row.
 const MEAN_TURN: usize = 4;
+/// Index of ΔΛ of the tip, x, in a row.
 const TIP_LAMBDA: usize = 8;
+/// Index of Δν of the tip, x, in a row.
 const TIP_NU: usize = 10;
+/// Index of the constant in a row.
 const CONSTANT: usize = UNKNOWNS;
 
-/// A quantity of one leg as an affine function of the turns of its links, proximal first, those of z, and 1.
+/// A quantity of one leg as an affine function of Δθ of its links, proximal first, of the rotations of z, and 1.
 type Affine = Vector<5>;
-/// Places in it: the first two of a pair belong to the proximal link.
+/// Index of Δθ of the proximal link in an affine function; the distal link follows.
 const OWN_TURN: usize = 0;
+/// Index of the rotation of z of the proximal link in an affine function; the distal link follows.
 const OWN_MEAN_TURN: usize = 2;
+/// Index of the constant in an affine function.
 const ONE: usize = 4;
 
-/// Links by legs, proximal first, and the leg's sign in the tip's closure.
+/// Links of each leg, proximal first, and the leg's sign in the tip's closure.
 const LEGS: [([usize; 2], f64); 2] = [([0, 1], 1.0), ([3, 2], -1.0)];
-/// The leg whose distal link carries what acts on the tip.
+/// Index of the leg on whose distal link forces on the tip act.
 const TIP_LEG: usize = 0;
 
 /// Tangents of the mean forces over a step of h, K = −∂Q̄/∂d and C = −∂Q̄/∂q̇₁, weighted as the step's equations need them, of the
@@ -52,14 +57,14 @@ const TIP_LEG: usize = 0;
 #[derive(Clone, Copy, Debug)]
 pub struct StepTangents {
     h: f64,
-    /// ½h² K by rows.
+    /// Weighted stiffness ½h² K by rows.
     stiffness: [[f64; INNER_COUNT]; INNER_COUNT],
-    /// h C by rows.
+    /// Weighted damping h C by rows.
     damping: [[f64; INNER_COUNT]; INNER_COUNT],
 }
 
 impl StepTangents {
-    /// None yet, for a step of h seconds.
+    /// Zero tangents for a step of h seconds.
     pub fn new(h: f64) -> Self {
         Self { h, stiffness: [[0.0; INNER_COUNT]; INNER_COUNT], damping: [[0.0; INNER_COUNT]; INNER_COUNT] }
     }
@@ -75,38 +80,38 @@ impl Tangents for StepTangents {
     }
 }
 
-/// Where the tangent is asked for.
+/// The point of linearisation.
 pub struct StepPoint<'a> {
-    /// The step.
+    /// Directions of the links over the step.
     pub secant: &'a Secant,
-    /// Its increments d.
+    /// Increments d of the coordinates, m and rad.
     pub d: &'a Coordinates,
-    /// h q̇₁.
+    /// Final velocities times the step, h q̇₁, m and rad.
     pub w: &'a Coordinates,
-    /// Λ and ν.
+    /// Multipliers Λ and ν.
     pub multipliers: [&'a Multipliers; 2],
-    /// Of the mean forces.
+    /// Tangents of the mean forces.
     pub forces: &'a StepTangents,
-    /// e, 1/kg.
+    /// Regularisation e, 1/kg.
     pub regularization: f64,
 }
 
-/// What the equations leave: f, Φ and J₁w.
+/// Residuals f, Φ and J₁w of the equations.
 pub type Residuals<'a> = (&'a Coordinates, &'a Multipliers, &'a Multipliers);
 
 /// A vector in the plane.
 type Planar = [f64; 2];
-/// The same, affine.
+/// A vector in the plane whose components are affine functions.
 type PlanarAffine = [Affine; 2];
 
-/// The arms of both links of a leg, proximal first: from its first joint to its centre of mass, and from there to its second.
+/// Arms of both links of a leg, proximal first, m: from the first joint to the centre of mass, and from there to the second joint.
 fn arms(pose: &Pose, leg: usize) -> [[Planar; 2]; 2] {
     let sign = LEGS[leg].1;
     let of = |arm: Legs2, sign: f64| [sign * arm.x.to_array()[leg], sign * arm.y.to_array()[leg]];
     [[of(pose.a_p, 1.0), of(pose.b_p, 1.0)], [of(pose.a_d, 1.0), of(pose.sigma_b_d, sign)]]
 }
 
-/// Turned by +90°.
+/// A vector rotated by +90°.
 fn turned([x, y]: Planar) -> Planar {
     [-y, x]
 }
@@ -115,21 +120,21 @@ fn dot(a: Planar, b: &PlanarAffine) -> Affine {
     a[0] * b[0] + a[1] * b[1]
 }
 
-/// A leg's part of the elimination.
+/// Elimination within one leg.
 struct Leg {
     /// Increments of the positions of its links, proximal first, along x and y.
     d: [PlanarAffine; 2],
-    /// Those of z.
+    /// Increments of z at the positions of the links.
     z: [PlanarAffine; 2],
-    /// Those of the leg's end, in d and in z.
+    /// Increments of the leg's end, in d and in z.
     end: [PlanarAffine; 2],
-    /// ΔΛ and Δν of ground and elbow, without −σ times those of the tip.
+    /// Increments ΔΛ and Δν of ground and elbow, without −σ times those of the tip.
     multipliers: [[PlanarAffine; 2]; 2],
 }
 
 impl Leg {
-    /// The increments of positions that the joints leave, J₁ Δd = −Φ and 2 J₁ Δz + … = −J₁w, from the ground to the tip; then those of the
-    /// multipliers that the rows of the positions leave, from the tip to the ground.
+    /// Eliminates positions by the joint rows J₁ Δd = −Φ and 2 J₁ Δz + … = −J₁w from the ground to the tip, then multipliers by the
+    /// position rows from the tip to the ground.
     #[inline(always)]
     fn new(masses: &Coordinates, at: &StepPoint<'_>, leg: usize, (f, phi, rate): Residuals<'_>) -> Self {
         let (links, _) = LEGS[leg];
@@ -172,14 +177,14 @@ impl Leg {
         Self { d, z, end, multipliers }
     }
 
-    /// The rows of momentum and of z for the angles of its links.
+    /// Adds the angle rows of momentum and of z of the leg's links.
     #[inline(always)]
     fn turning(&self, rows: &mut [Row; UNKNOWNS], masses: &Coordinates, at: &StepPoint<'_>, f: &Coordinates, leg: usize) {
         let &StepPoint { secant, d, multipliers: [lambda_now, nu_now], .. } = at;
         let (links, sign) = LEGS[leg];
         let of_leg = |[proximal, distal]: [Legs; 2]| [proximal.to_array()[leg], distal.to_array()[leg]];
         let angles = |x: &Coordinates| of_leg([legs_of(x, P_THETA), legs_of(x, D_THETA)]);
-        // What Λ and ν do now: the middle's columns of the angles times them, and how these turn.
+        // Angle entries of Φ_qᵀΛ and Φ_qᵀν in the middle of the step, and their derivatives by the angles.
         let [pull, pull_nu] = [lambda_now, nu_now].map(|y| angles(&secant.middle.phi_q_transposed_times(y)));
         let [turn, turn_nu] = [lambda_now, nu_now].map(|y| of_leg(secant.middle.geometric_stiffness(y).into()));
         let (sinc, cos) = (of_leg(secant.sinc), of_leg(secant.cos));
@@ -189,7 +194,7 @@ impl Leg {
             let (s, c, inertia, angle) = (sinc[i], cos[i], masses[THETA[link]], d[THETA[link]]);
             let [slope_s, slope_c] = slopes(angle, s, c);
             let z = angle - c * pull_nu[i] / inertia;
-            // Columns of Φ_q are −across at both joints of a link, and turn by +along. The tip adds its own multipliers below.
+            // Columns of Φ_q are −across at both joints of a link, with derivatives +along. The tip's own multipliers follow below.
             let both = [0, 1].map(|axis| arms[0][axis] + arms[1][axis]);
             let across = |y: &[PlanarAffine; 2]| match i {
                 0 => dot(turned(arms[0]), &y[0]) + dot(turned(arms[1]), &y[1]),
@@ -219,7 +224,7 @@ impl Leg {
                 rows[momentum_row][TIP_NU + axis] -= sign * turning * both[axis];
                 rows[mean_row][TIP_NU + axis] -= c * across;
             }
-            // Loads: between angles, and of the tip on its link.
+            // Tangents of forces: between angles, and of the tip on its link.
             let (stiffness, damping) = (&at.forces.stiffness[2 + link], &at.forces.damping[2 + link]);
             for other in 0..4 {
                 rows[momentum_row][TURN + other] += stiffness[2 + other];
@@ -245,7 +250,7 @@ fn add(row: &mut Row, leg: usize, affine: &Affine) {
     row[CONSTANT] += affine[ONE];
 }
 
-/// K Δd + C Δz on the position of the tip's link: what acts there depends on the tip's motion alone.
+/// The products K Δd + C Δz in the position rows of the tip's link, where forces depend on the tip's motion alone.
 fn tip_loads(forces: &StepTangents, d: &PlanarAffine, z: &PlanarAffine) -> PlanarAffine {
     [0, 1].map(|row| {
         let (stiffness, damping) = (&forces.stiffness[row], &forces.damping[row]);
@@ -257,7 +262,7 @@ fn tip_loads(forces: &StepTangents, d: &PlanarAffine, z: &PlanarAffine) -> Plana
     })
 }
 
-/// Δd, ΔΛ and Δν of Newton's method. Not finite where the matrix is singular all the same.
+/// Newton's increments Δd, m and rad, ΔΛ and Δν; not finite where the matrix is singular.
 #[inline(never)]
 pub fn newton(mechanism: &Mechanism, at: &StepPoint<'_>, residuals: Residuals<'_>) -> (Coordinates, [Multipliers; 2]) {
     let (f, phi, rate) = residuals;
@@ -301,7 +306,7 @@ pub fn newton(mechanism: &Mechanism, at: &StepPoint<'_>, residuals: Residuals<'_
     (d, multipliers)
 }
 
-/// Gauss's elimination with row exchanges: the unknowns, and 1 behind them.
+/// Solution by Gaussian elimination with row exchanges: the unknowns, followed by 1.
 fn eliminated(rows: &mut [Row; UNKNOWNS]) -> Row {
     for k in 0..UNKNOWNS {
         let largest = (k + 1..UNKNOWNS).fold(k, |largest, i| if rows[i][k].abs() > rows[largest][k].abs() { i } else { largest });
@@ -322,7 +327,7 @@ fn eliminated(rows: &mut [Row; UNKNOWNS]) -> Row {
 
 /// Derivatives of s = sin(d/2)/(d/2) and of c = cos(d/2) with respect to d.
 fn slopes(d: f64, s: f64, c: f64) -> [f64; 2] {
-    // The series of the first where the difference would be round-off.
+    // For small d the difference c − s cancels, and the series is used.
     let of_s = if d.abs() < 1e-2 { d * (d * d / 480.0 - 1.0 / 12.0) } else { (c - s) / d };
     [of_s, -0.25 * d * s]
 }

@@ -1,4 +1,5 @@
-//! What forces put their tangents K = −∂Q/∂q and C = −∂Q/∂q̇ into, weighted as a step of h needs them: h/2 C + h²/4 K.
+//! Collectors of the tangents K = −∂Q/∂q and C = −∂Q/∂q̇ of forces, weighted for a step of h seconds: h/2 C + h²/4 K. There is one
+//! collector for each linear solve.
 
 use nalgebra::SMatrix;
 
@@ -6,21 +7,21 @@ use crate::effects::Tangents;
 use crate::mechanism::coordinates::{THETA, X, Y};
 use crate::mechanism::{COORDINATES, Coordinates};
 
-/// Tangents of scenes without coupled links: only the diagonal, and only of the link angles.
+/// Tangents of scenes without coupled links: diagonal entries of the link angles only.
 #[derive(Clone, Copy, Debug)]
 pub struct DiagonalTangents {
     half_step: f64,
-    /// h/2 C + h²/4 K, kg·m².
+    /// Weighted tangents h/2 C + h²/4 K, kg·m².
     pub weighted: Coordinates,
 }
 
 /// Number of coordinates that effects may couple.
 pub const INNER_COUNT: usize = 6;
 
-/// The coordinates that effects may couple: the position of link 2, which carries what acts on the tip, and all link angles.
+/// Inner coordinates, those that effects may couple: the position of link 2, on which forces on the tip act, and all link angles.
 pub const INNER: [usize; INNER_COUNT] = [X[1], Y[1], THETA[0], THETA[1], THETA[2], THETA[3]];
 
-/// Place of each coordinate in [`INNER`]; beyond its end where it is not there.
+/// Index of each coordinate in [`INNER`]; [`INNER_COUNT`] for coordinates that are not inner.
 pub(super) const INNER_INDEX: [usize; COORDINATES] = {
     let mut place = [INNER_COUNT; COORDINATES];
     let mut i = 0;
@@ -35,7 +36,7 @@ pub(super) const INNER_INDEX: [usize; COORDINATES] = {
 #[derive(Clone, Copy, Debug)]
 pub struct CoupledTangents {
     half_step: f64,
-    /// h/2 C + h²/4 K of the coordinates [`INNER`].
+    /// Weighted tangents h/2 C + h²/4 K of the coordinates [`INNER`].
     pub weighted: SMatrix<f64, INNER_COUNT, INNER_COUNT>,
 }
 
@@ -56,11 +57,11 @@ impl Tangents for CoupledTangents {
     }
 }
 
-/// Tangents of any kind.
+/// Tangents without a structure.
 #[derive(Clone, Copy, Debug)]
 pub struct FullTangents {
     half_step: f64,
-    /// h/2 C + h²/4 K.
+    /// Weighted tangents h/2 C + h²/4 K.
     pub weighted: SMatrix<f64, COORDINATES, COORDINATES>,
 }
 
@@ -73,7 +74,7 @@ impl DiagonalTangents {
 
     #[inline]
     fn add(&mut self, row: usize, column: usize, value: f64) {
-        // Costs nothing where row and column are constants.
+        // The assertion costs nothing where row and column are constants.
         assert!(row == column && THETA.contains(&row), "an effect that couples links must say so");
         self.weighted[row] += value;
     }

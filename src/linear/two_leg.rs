@@ -18,7 +18,7 @@ use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THE
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers, Pose};
 
-/// A symmetric 2×2 matrix of each leg.
+/// Symmetric 2×2 matrices, one of each leg.
 #[derive(Clone, Copy, Debug)]
 struct Symmetric {
     xx: Legs,
@@ -27,13 +27,13 @@ struct Symmetric {
 }
 
 impl Symmetric {
-    /// diagonal·1 + factor·v vᵀ.
+    /// The matrix diagonal·1 + factor·v vᵀ.
     #[inline(always)]
     fn new(diagonal: Legs, factor: Legs, v: Legs2) -> Self {
         Self { xx: diagonal, xy: both(0.0), yy: diagonal }.plus(factor, v)
     }
 
-    /// self + factor·v vᵀ.
+    /// The sum self + factor·v vᵀ.
     #[inline(always)]
     fn plus(self, factor: Legs, v: Legs2) -> Self {
         let w = v.scaled(factor);
@@ -52,46 +52,56 @@ impl Symmetric {
     }
 }
 
-/// What of the elimination depends on the machine and on e only: computed once, when the scene is made ready.
+/// Constants of the elimination, which depend on the mechanism and e only; computed once, when the scene is made ready.
 #[derive(Clone, Copy, Debug)]
 pub struct Elimination {
     pub(super) mechanism: Mechanism,
     regularization: f64,
     ground: Ground,
-    /// For A₀ = M.
+    /// Compliances with A₀ = M.
     mass: Compliance,
 }
 
-/// Of the proximal links and their ground joints.
+/// Constants of the proximal links and their ground joints.
 #[derive(Clone, Copy, Debug)]
 struct Ground {
+    /// Mobility μ = 1/m_P, 1/kg.
     mu: Legs,
-    /// 1/(μ+e), c_r and a_r.
+    /// Coefficient 1/(μ+e) of S_GG⁻¹ along the link, kg.
     along: Legs,
+    /// Coefficient c_r.
     couple_along: Legs,
+    /// Coefficient a_r, 1/kg.
     elbow_along: Legs,
-    /// What z, c_n and a_n are made of: μ + e, a², ab, eμ and μ(a+b)² + eb².
+    /// Term μ + e of z, 1/kg.
     mu_e: Legs,
+    /// Term a² of z, m².
     aa: Legs,
+    /// Term ab of c_n, m².
     ab: Legs,
+    /// Term eμ of a_n, 1/kg².
     e_mu: Legs,
+    /// Term μ(a+b)² + eb² of a_n, m²/kg.
     lever: Legs,
 }
 
-/// What depends on the inertias I′ of A₀ as well, but not on the pose.
+/// Coefficients of the elimination that depend on the inertias I′ of A₀ but not on the pose.
 #[derive(Clone, Copy, Debug)]
 struct Compliance {
-    /// 1/I′ of the proximal and distal links.
+    /// Mobility 1/I′ of the proximal links, 1/(kg·m²).
     proximal: Legs,
+    /// Mobility 1/I′ of the distal links, 1/(kg·m²).
     distal: Legs,
-    /// S_GG⁻¹ across the proximal link minus along it, c_n − c_r and a_n − a_r.
+    /// Coefficient of S_GG⁻¹ across the proximal link minus that along it, kg.
     excess: Legs,
+    /// Difference c_n − c_r.
     couple_excess: Legs,
+    /// Difference a_n − a_r, 1/kg.
     elbow_excess: Legs,
 }
 
 impl Elimination {
-    /// For a mechanism and e, 1/kg.
+    /// Constants of a mechanism for e, 1/kg.
     #[cold]
     #[inline(never)]
     pub fn new(mechanism: &Mechanism, regularization: f64) -> Self {
@@ -112,7 +122,7 @@ impl Elimination {
         Self { mechanism: *mechanism, regularization, ground, mass }
     }
 
-    /// The same for another e, where it is another: close to a vertex, in the printed method.
+    /// These constants, or, for another e, new ones in `other`: the printed method changes e close to a vertex.
     #[inline(always)]
     fn with<'a>(&'a self, regularization: f64, other: &'a mut Option<Self>) -> &'a Self {
         if regularization == self.regularization { self } else { other.insert(Self::new(&self.mechanism, regularization)) }
@@ -137,18 +147,21 @@ impl Ground {
 #[derive(Clone, Copy, Debug)]
 pub struct TwoLeg {
     pose: Pose,
-    /// 1/m and 1/I′ of the proximal and distal links.
+    /// Mobilities 1/m, 1/kg, and 1/I′, 1/(kg·m²), of the proximal and distal links.
     mobility: [Legs; 6],
-    /// S_GG⁻¹ along the proximal link, and across minus along.
+    /// Coefficient of S_GG⁻¹ along the proximal link, kg.
     ground_along: Legs,
+    /// Coefficient of S_GG⁻¹ across the proximal link minus that along it, kg.
     ground_excess: Legs,
-    /// c_r and c_n − c_r.
+    /// Coefficient c_r.
     couple_along: Legs,
+    /// Difference c_n − c_r.
     couple_excess: Legs,
+    /// Inverse E⁻¹ of the elbow's block.
     elbow_inverse: Symmetric,
-    /// E⁻¹ T by columns: what a force at the tip makes of the elbow's.
+    /// Product E⁻¹ T by columns: transfer of a force at the tip to the elbow.
     gain: [Legs2; 2],
-    /// Inverse of the tip's block: xx, xy, yy.
+    /// Inverse Q⁻¹ of the tip's block: xx, xy, yy.
     tip_inverse: [f64; 3],
 }
 
@@ -161,7 +174,7 @@ impl TwoLeg {
         Self::eliminate(elimination, &elimination.ground.compliance(inertias), pose)
     }
 
-    /// Factorises with the mass matrix in the corner.
+    /// Factorises with A₀ = M.
     #[inline(always)]
     pub fn factor_mass(elimination: &Elimination, pose: &Pose, regularization: f64) -> Self {
         let mut other = None;
@@ -179,7 +192,7 @@ impl TwoLeg {
         let elbow_inverse = Symmetric::new(mu_d + both(regularization) + elbow_along, compliance.elbow_excess, n_p)
             .plus(compliance.distal, n_a)
             .inverse();
-        // n_a and n_b are parallel, so that their product is symmetric.
+        // The vectors n_a and n_b are parallel, so that their product is symmetric.
         let w = n_a.scaled(-compliance.distal);
         let signed = SIGMA * mu_d;
         let elbow_tip = Symmetric { xx: signed + w.x * n_b.x, xy: w.x * n_b.y, yy: signed + w.y * n_b.y };
@@ -206,12 +219,12 @@ impl TwoLeg {
         }
     }
 
-    /// The pose for which it is.
+    /// The pose of the factorisation.
     pub fn pose(&self) -> &Pose {
         &self.pose
     }
 
-    /// A₀⁻¹ x.
+    /// The product A₀⁻¹ x.
     #[inline(always)]
     fn apply_inverse_mass(&self, x: &Coordinates) -> Coordinates {
         let mut result = Coordinates::ZERO;
@@ -221,11 +234,11 @@ impl TwoLeg {
         result
     }
 
-    /// S⁻¹ r.
+    /// The solution S⁻¹ r of the dual system.
     #[inline(always)]
     fn dual(&self, r: &Multipliers) -> Multipliers {
         let across = self.pose.u_p.turned();
-        // along·v + excess·n̂n̂ᵀv: a matrix that is diagonal in the proximal link's frame.
+        // The product (along·1 + excess·n̂n̂ᵀ) v with a matrix that is diagonal in the proximal link's frame.
         let framed = |along: Legs, excess: Legs, v: Legs2| {
             let normal = excess * across.dot(v);
             Legs2 { x: along * v.x + normal * across.x, y: along * v.y + normal * across.y }
@@ -270,5 +283,5 @@ impl Kkt<COORDINATES, MULTIPLIERS> for TwoLeg {
     }
 }
 
-// The coordinates' order is part of the elimination above.
+// The elimination relies on the order of the coordinates.
 const _: () = assert!(P_X == 0 && P_Y == 1 && P_THETA == 2 && D_X == 3 && D_Y == 4 && D_THETA == 5);

@@ -1,4 +1,7 @@
-//! Closing the loop: q and q̇ from the proximal angles and rates and the choice of assembly.
+//! Closure of the loop: q and q̇ from the proximal angles and rates and the assembly mode.
+//!
+//! The tip is the intersection of two circles about the elbows with the radii l₂ and l₃; the distal rates solve
+//! l₂ ω₂ n̂₂ − l₃ ω₃ n̂₃ = velocity of the right elbow relative to the left one. Singular postures are closed separately (see [`close`]).
 
 use nalgebra::{Matrix2, Vector2};
 
@@ -25,27 +28,28 @@ impl Assembly {
     }
 }
 
-/// What a run starts from: the proximal links (left, right) and the choice of closure.
+/// Initial state of a run: proximal links (left, right) and assembly mode.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Start {
     /// Proximal angles, rad.
     pub theta: [f64; 2],
     /// Proximal rates, rad/s.
     pub omega: [f64; 2],
-    /// The way to close the loop.
+    /// Assembly mode of the closure.
     pub assembly: Assembly,
 }
 
-/// Within this part of a length, the distal links count as in line, coinciding or parallel.
+/// Relative tolerance within which the distal links count as in line, coinciding or parallel: far above round-off, far below any
+/// tolerance of manufacture.
 pub(crate) const COLLINEARITY_TOLERANCE: f64 = 1e-9;
 
-/// Round-off of the elbows' distance in multiples of the mechanism's size.
+/// Round-off of the distance of the elbows, relative to the mechanism's size: some sums and products.
 const DISTANCE_ROUND_OFF: f64 = 16.0 * f64::EPSILON;
 
-/// Below this part of their lengths the closing of the distal links across each other is round-off.
+/// Rank tolerance of the closure of the distal links, relative to their lengths: smaller singular values are round-off.
 const RANK_TOLERANCE: f64 = 1e-12;
 
-/// A sine between the distal links below this makes the proximal angles no coordinates.
+/// Least sine of the angle between the distal links at which the proximal angles are valid coordinates: rates keep half of their digits.
 const LEAST_SINE: f64 = 1e-8;
 
 /// A unit vector û(θ) and its derivative n̂(θ).
@@ -54,20 +58,20 @@ fn direction(theta: f64) -> (Vector2<f64>, Vector2<f64>) {
     (Vector2::new(cos, sin), Vector2::new(-sin, cos))
 }
 
-/// The elbows of a start posture, and how the distal links span them.
+/// Elbows of an initial posture, and their distance relative to the distal links.
 struct ElbowSpan {
-    /// From the left to the right elbow, m.
+    /// Vector from the left to the right elbow, m.
     arrow: Vector2<f64>,
-    /// Its length, m.
+    /// Distance of the elbows, m.
     distance: f64,
     /// Whether the distal links are in line (direct singularity), within [`COLLINEARITY_TOLERANCE`].
     in_line: bool,
-    /// Whether they are so exactly, but for round-off.
+    /// Whether the distal links are in line to round-off.
     collinear_exactly: bool,
 }
 
 impl ElbowSpan {
-    /// `name`: of the angles, in a refusal.
+    /// Elbows at the proximal angles `theta`, rad, which an error calls `name`.
     fn new(geometry: &Geometry, name: &str, theta: [f64; 2]) -> Result<Self, SceneError> {
         let [l1, l2, l3, l4] = geometry.links.map(|link| link.length);
         let arrow = Vector2::new(geometry.base_distance, 0.0) + direction(theta[1]).0 * l4 - direction(theta[0]).0 * l1;
@@ -97,8 +101,8 @@ impl ElbowSpan {
     }
 }
 
-/// A number as a sentence shows it: ten significant digits, the shortest form; none beyond 1e-22. By products, which are exact: a
-/// function for powers would bring a table of 4 kB.
+/// A number rounded to ten significant digits for an error message, and to 0 below 1e-22. Powers of ten are products, which are exact:
+/// a power function would add a table of 4 kB.
 fn rounded(value: f64) -> f64 {
     let mut scale = 1.0;
     while value.abs() * scale < 1e9 && scale < 1e22 {
@@ -107,12 +111,12 @@ fn rounded(value: f64) -> f64 {
     (value * scale).round() / scale
 }
 
-/// q and q̇ (with all constraints met) of a start, or a sentence why it is not possible.
+/// Coordinates q and velocities q̇ of an initial state that satisfy all constraints.
 ///
-/// Regular postures and their rates are unique. At a direct singularity (distal links in line) rates that closure cannot meet
-/// are refused and the tip's rate across the line, which they leave open, is 0. With all links on one line (a vertex of the
+/// Regular postures and their rates are unique. At a direct singularity (distal links in line) rates that violate the closure
+/// are refused, and the velocity of the tip across the line, which is undetermined, is 0. With all links on one line (a vertex of the
 /// configuration space) the passive rates are a root of the tangent cone's quadratic, the one that moves the tip to the side of
-/// the assembly.
+/// the assembly mode.
 pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordinates), SceneError> {
     for i in 0..2 {
         finite(format_args!("init.theta[{}]", i + 1), start.theta[i], "rad")?;
@@ -124,7 +128,7 @@ pub fn close(geometry: &Geometry, start: &Start) -> Result<(Coordinates, Coordin
     Ok(assemble(geometry, theta, omega))
 }
 
-/// Angles of the four links from those of the proximal ones.
+/// Angles of the four links, rad, from the proximal angles.
 #[inline(never)]
 fn angles(geometry: &Geometry, span: &ElbowSpan, start: &Start) -> [f64; 4] {
     let [_, l2, l3, _] = geometry.links.map(|link| link.length);
@@ -132,7 +136,7 @@ fn angles(geometry: &Geometry, span: &ElbowSpan, start: &Start) -> [f64; 4] {
     let &ElbowSpan { arrow, distance, .. } = span;
     let along = ((l2 - l3) * (l2 + l3) + distance * distance) / (2.0 * distance);
     let across_squared = (l2 + l3 - distance) * (l3 + distance - l2) * (l2 + along) / (2.0 * distance);
-    // One ulp of the distance would tilt distal links that are in line by its square root.
+    // An error of ε in the distance would tilt distal links in line by √ε.
     let across = if span.collinear_exactly { 0.0 } else { start.assembly.sign() * across_squared.max(0.0).sqrt() };
     let unit = arrow / distance;
     let from_left = unit * along + Vector2::new(-unit.y, unit.x) * across;
@@ -140,8 +144,8 @@ fn angles(geometry: &Geometry, span: &ElbowSpan, start: &Start) -> [f64; 4] {
     [start.theta[0], libm::atan2(from_left.y, from_left.x), libm::atan2(from_right.y, from_right.x), start.theta[1]]
 }
 
-/// The same angles and rates of all links where the proximal ones are coordinates: refused where |det J_x| is below 1e-8 of its largest
-/// possible value (direct singularity), or the distal links cannot meet.
+/// Angles, rad, and rates, rad/s, of all links from the proximal ones; refused where |det J_x| is below 1e-8 of its largest possible value
+/// (direct singularity), or the distal links cannot meet.
 pub fn links_from_proximal(geometry: &Geometry, start: &Start) -> Result<[[f64; 4]; 2], SceneError> {
     let span = ElbowSpan::new(geometry, "theta", start.theta)?;
     let theta = angles(geometry, &span, start);
@@ -153,7 +157,7 @@ pub fn links_from_proximal(geometry: &Geometry, start: &Start) -> Result<[[f64; 
     Ok([theta, [w1, w2, w3, w4]])
 }
 
-/// Refuses a direct singularity, by the sine between the distal links.
+/// Refuses a direct singularity, given the sine of the angle between the distal links.
 pub fn check_direct_singularity(sine: f64) -> Result<(), SceneError> {
     if sine.abs() < LEAST_SINE {
         return Err(SceneError(format!(
@@ -165,15 +169,15 @@ pub fn check_direct_singularity(sine: f64) -> Result<(), SceneError> {
     Ok(())
 }
 
-/// Rates of the distal links, with directions û, from the velocity of the right elbow against the left one: from
-/// l2 ω2 n̂2 − l3 ω3 n̂3 = parting, by products with û3 and û2.
+/// Rates of the distal links, rad/s, with directions û, from the velocity `parting` of the right elbow relative to the left one, m/s:
+/// l₂ ω₂ n̂₂ − l₃ ω₃ n̂₃ = parting is solved by products with û₃ and û₂.
 fn distal_rates(geometry: &Geometry, [u2, u3]: [Vector2<f64>; 2], parting: Vector2<f64>) -> [f64; 2] {
     let [_, l2, l3, _] = geometry.links.map(|link| link.length);
     let sine = u2.x * u3.y - u2.y * u3.x;
     [parting.dot(&u3) / (l2 * sine), parting.dot(&u2) / (l3 * sine)]
 }
 
-/// Rates of the four links from those of the proximal ones.
+/// Rates of the four links, rad/s, from the proximal rates.
 fn rates(geometry: &Geometry, span: &ElbowSpan, theta: [f64; 4], start: &Start) -> Result<[f64; 4], SceneError> {
     let [w1, w4] = start.omega;
     let [(_, n1), (u2, n2), (u3, n3), (_, n4)] = theta.map(direction);
@@ -197,15 +201,15 @@ fn rates(geometry: &Geometry, span: &ElbowSpan, theta: [f64; 4], start: &Start) 
             rounded(opening)
         )));
     }
-    // The tip at rest across the line, and the smallest change that closes what is left where the links are not exactly in line.
+    // The tip is at rest across the line; the least-norm correction closes the residual of links that are not exactly in line.
     let rates = Vector2::new(-left_elbow.dot(&n2) / l2, -right_elbow.dot(&n3) / l3);
     let closing = Matrix2::from_columns(&[n2 * l2, -n3 * l3]);
     let change = closing.svd(true, true).solve(&(parting - closing * rates), RANK_TOLERANCE * (l2 + l3)).unwrap_or_default();
     Ok([w1, rates.x + change.x, rates.y + change.y, w4])
 }
 
-/// Passive rates with all links on one line: with the signed lengths s along it, s ω summed around the loop is 0, and so is s ω²
-/// (closure to second order).
+/// Rates of the four links, rad/s, with all links on one line: with the signed lengths s along the line, Σ s ω = 0 and Σ s ω² = 0 around
+/// the loop (closure to second order).
 fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start: &Start) -> Result<[f64; 4], SceneError> {
     let [w1, w4] = start.omega;
     let mut arm = [0.0; 4];
@@ -213,7 +217,7 @@ fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start:
         *arm = direction(theta[i]).0.dot(&line).signum() * geometry.links[i].length;
     }
     let [c1, c2, c3, c4] = arm;
-    // c2 ω2 − c3 ω3 = first, c2 ω2² − c3 ω3² = second.
+    // The equations are c2 ω2 − c3 ω3 = first and c2 ω2² − c3 ω3² = second.
     let first = c4 * w4 - c1 * w1;
     let second = c4 * w4 * w4 - c1 * w1 * w1;
     let discriminant = c2 * c3 * (first * first + second * (c3 - c2));
@@ -229,14 +233,14 @@ fn vertex_rates(geometry: &Geometry, line: Vector2<f64>, theta: [f64; 4], start:
         let w2 = (first + c3 * w3) / c2;
         (w2, w3)
     });
-    // Rate with which the tip leaves the line through the elbows, times the arrow: its sign is the side.
+    // Velocity of the tip across the line through the elbows, times the arrow: the sign is the side of the assembly mode.
     let side = |(w2, _): (f64, f64)| start.assembly.sign() * c2 * ((c2 - c3) * w2 - first);
     let (w2, w3) = if side(roots[0]) >= side(roots[1]) { roots[0] } else { roots[1] };
     Ok([w1, w2, w3, w4])
 }
 
-/// How q and q̇ change with the proximal angles and rates (left, right) while the loop stays closed, at link angles `theta` and rates
-/// `omega`. Not at a direct singularity, where the proximal angles are no coordinates.
+/// Variations of q and q̇ by variations of the proximal angles and rates (left, right) on the closed loop, at link angles `theta`, rad, and
+/// rates `omega`, rad/s. Undefined at a direct singularity, where the proximal angles are no coordinates.
 pub fn varied(
     geometry: &Geometry,
     theta: [f64; 4],
@@ -244,13 +248,13 @@ pub fn varied(
     [proximal_theta, proximal_omega]: [[f64; 2]; 2],
 ) -> (Coordinates, Coordinates) {
     let turned = closed_displacements(geometry, theta, proximal_theta, [0.0; 4]);
-    // A link that has turned by δθ has its velocity n̂ ω turned on, by −û ω δθ.
+    // A rotation by δθ changes the velocity n̂ ω by −û ω δθ.
     let inward = std::array::from_fn(|i| -omega[i] * turned[i]);
     let quickened = closed_displacements(geometry, theta, proximal_omega, inward);
     (coordinates_along_legs(geometry, theta, turned, [0.0; 4]), coordinates_along_legs(geometry, theta, quickened, inward))
 }
 
-/// Components across all four links, per length, that keep the legs together: given those of the proximal links, and all components
+/// Displacements across the four links, per length, that keep the loop closed, given those of the proximal links and all displacements
 /// along the links.
 fn closed_displacements(geometry: &Geometry, theta: [f64; 4], [first, fourth]: [f64; 2], along: [f64; 4]) -> [f64; 4] {
     let [(u1, n1), (u2, _), (u3, _), (u4, n4)] = theta.map(direction);
@@ -261,7 +265,7 @@ fn closed_displacements(geometry: &Geometry, theta: [f64; 4], [first, fourth]: [
     [first, second, third, fourth]
 }
 
-/// The coordinates whose angles are the components across the links, per length; positions add up along each leg.
+/// Variation of the coordinates by displacements across and along the links, per length; positions add up along each leg.
 fn coordinates_along_legs(geometry: &Geometry, theta: [f64; 4], across: [f64; 4], along: [f64; 4]) -> Coordinates {
     let mut x = Coordinates::ZERO;
     for [proximal, distal] in [[0, 1], [3, 2]] {
@@ -278,7 +282,7 @@ fn coordinates_along_legs(geometry: &Geometry, theta: [f64; 4], across: [f64; 4]
     x
 }
 
-/// q and q̇ of all links from their angles and rates, each leg built up from its motor axis.
+/// Coordinates q and velocities q̇ of all links from their angles and rates, each leg built up from its motor axis.
 pub fn assemble(geometry: &Geometry, theta: [f64; 4], omega: [f64; 4]) -> (Coordinates, Coordinates) {
     let (mut q, mut v) = (Coordinates::ZERO, Coordinates::ZERO);
     for (base, [proximal, distal]) in [(0.0, [0, 1]), (geometry.base_distance, [3, 2])] {

@@ -1,8 +1,8 @@
-//! Coaxial motors with links of equal lengths: the closure falls apart into branches on which pairs of links stay parallel, and which
-//! meet where all links are in line.
+//! Branches of a reducible closure: with coaxial motors and links of equal lengths, the configuration space is a union of branches on which
+//! pairs of links stay parallel; the branches intersect where all links are in line.
 //!
-//! There the closure of the tip loses rank, and the force that keeps a motion on its branch grows beyond all bounds. On a branch by itself
-//! nothing is singular: it is two linear equations in the angles, of constant derivatives. So a motion that is on one stays on it.
+//! At an intersection the closure of the tip loses rank, and the force that keeps a motion on its branch is unbounded. A single branch is
+//! regular: two linear equations in the angles with constant derivatives. So a motion on a branch keeps to these equations instead.
 
 use std::f64::consts::{PI, TAU};
 
@@ -11,29 +11,29 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::legs::{Legs, Legs2};
 use super::model::Geometry;
 
-/// A branch.
+/// A branch of the closure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, BorshSerialize, BorshDeserialize)]
 pub enum ClosureBranch {
-    /// A parallelogram: each proximal link beside the distal one of the other leg.
+    /// A parallelogram: each proximal link is parallel to the distal link of the other leg.
     Parallelogram,
-    /// The legs on each other: the proximal links, and the distal ones.
+    /// Coincident legs: the proximal links are parallel, and so are the distal links.
     Coincident,
-    /// Both legs folded: each distal link back along its proximal one, the tip on the motors.
+    /// Folded legs: each distal link lies back along its proximal link, and the tip is on the motor axes.
     Folded,
 }
 
-/// Angles of both proximal and both distal links, rad, or their rates.
+/// Angles of both proximal and both distal links, rad, or their rates, rad/s.
 type Pairs = [Legs; 2];
 
-/// This near a branch, rad or rad/s, a motion is on it...
+/// Largest deviation from a branch of a motion that is on it, rad or rad/s: above the drift of a coarse step, below any motion to be seen.
 const LARGEST_DEVIATION: f64 = 1e-6;
-/// ... unless another one is not farther than this.
+/// Least deviation from every other branch of a motion that is on one, rad or rad/s: nearer to an intersection the choice is open.
 const LEAST_SEPARATION: f64 = 1e-4;
 
 impl ClosureBranch {
     const ALL: [Self; 3] = [Self::Parallelogram, Self::Coincident, Self::Folded];
 
-    /// The branch that a motion is on; none where the motors are not coaxial or the lengths not equal, or where branches meet.
+    /// The branch of a motion; `None` where the motors are not coaxial or the lengths not equal, or where branches intersect.
     #[cold]
     pub fn of(geometry: &Geometry, q: Pairs, v: Pairs) -> Option<Self> {
         let mut on = None;
@@ -48,7 +48,7 @@ impl ClosureBranch {
         on
     }
 
-    /// Whether a machine has it.
+    /// Whether a mechanism has the branch.
     pub fn is_of(self, geometry: &Geometry) -> bool {
         let [left, distal_left, distal_right, right] = geometry.links.map(|link| link.length);
         let pairs = match self {
@@ -59,7 +59,7 @@ impl ClosureBranch {
         geometry.base_distance == 0.0 && pairs.iter().all(|[x, y]| x == y)
     }
 
-    /// How far its pairs are from being parallel, rad.
+    /// Deviations of the branch's two pairs from parallel, rad.
     pub fn apart(self, q: Pairs) -> [f64; 2] {
         let straight = if self == Self::Folded { PI } else { 0.0 };
         self.rates(q).map(|angle| {
@@ -68,7 +68,7 @@ impl ClosureBranch {
         })
     }
 
-    /// How fast they turn against each other, rad/s.
+    /// Relative rates of the branch's two pairs, rad/s.
     pub fn rates(self, [proximal, distal]: Pairs) -> [f64; 2] {
         let ([pl, pr], [dl, dr]) = (proximal.to_array(), distal.to_array());
         match self {
@@ -78,7 +78,7 @@ impl ClosureBranch {
         }
     }
 
-    /// Φ_q of the branch.
+    /// Terms of Φ_q on the branch.
     pub fn terms(self) -> &'static ClosureTerms {
         match self {
             Self::Parallelogram => &PARALLELOGRAM,
@@ -88,26 +88,26 @@ impl ClosureBranch {
     }
 }
 
-/// What turns the angles of branches into lengths, m: about that of a link, it matters to round-off alone.
+/// Factor that scales the angle equations of branches to lengths, m/rad: about the length of a link; it affects round-off only.
 pub const BRANCH_ARM: f64 = 0.25;
 
-/// Φ_q of a branch, or of none, as a sum: without a branch in the code, which would have all of a factor in memory.
+/// Rows of Φ_q for the tip's closure or a branch, as a weighted sum: code without a conditional keeps the factorisation in registers.
 #[derive(Debug)]
 pub struct ClosureTerms {
-    /// How much of the closure of the tip holds: 1, or 0 on a branch.
+    /// Weight of the closure of the tip: 1, or 0 on a branch.
     pub open: Legs,
-    /// The derivatives of both equations by the proximal and by the distal angles, m; 0 without a branch.
+    /// Derivatives of both branch equations by the proximal and by the distal angles, m/rad; 0 without a branch.
     pub constant: [Legs2; 2],
 }
 
 impl ClosureTerms {
-    /// On no branch.
+    /// Terms of the tip's closure, without a branch.
     pub const OPEN: &'static Self = &Self { open: Legs::new([1.0; 2]), constant: [NOTHING; 2] };
 }
 
 const NOTHING: Legs2 = Legs2 { x: Legs::new([0.0; 2]), y: Legs::new([0.0; 2]) };
 
-/// Parts of the arm: of the first and the second equation, left and right.
+/// Derivatives of the first (x) and the second (y) branch equation, left and right, in multiples of [`BRANCH_ARM`].
 const fn arms(x: [f64; 2], y: [f64; 2]) -> Legs2 {
     Legs2 { x: Legs::new([x[0] * BRANCH_ARM, x[1] * BRANCH_ARM]), y: Legs::new([y[0] * BRANCH_ARM, y[1] * BRANCH_ARM]) }
 }

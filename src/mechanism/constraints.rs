@@ -8,7 +8,7 @@
 //! Q:  Σ σ (c_D + b_D û_D)                  = 0     both distal links meet in the tip
 //! ```
 //!
-//! Φ_q follows with dû/dθ = n̂, Φ̇_q q̇ with n̂ω turned on to −û ω², the geometric stiffness with d²û/dθ² = −û.
+//! Φ_q follows with dû/dθ = n̂, Φ̇_q q̇ with d(n̂ω)/dt = −û ω², the geometric stiffness with d²û/dθ² = −û.
 //! The constraints do not depend on time: Φ_t = 0.
 
 use nalgebra::SMatrix;
@@ -20,21 +20,21 @@ use super::{COORDINATES, Coordinates, MULTIPLIERS, Mechanism, Multipliers};
 /// The directions of the links at one q, and the arms from the centres of mass to the joints.
 #[derive(Clone, Copy, Debug)]
 pub struct Pose {
-    /// û of the proximal links.
+    /// Directions û of the proximal links.
     pub(crate) u_p: Legs2,
-    /// û of the distal links.
+    /// Directions û of the distal links.
     pub(crate) u_d: Legs2,
-    /// Motor axis to centre of mass, a_P û_P.
+    /// Arm from motor axis to centre of mass, a_P û_P, m.
     pub(crate) a_p: Legs2,
-    /// Centre of mass to elbow, b_P û_P.
+    /// Arm from centre of mass to elbow, b_P û_P, m.
     pub(crate) b_p: Legs2,
-    /// Elbow to centre of mass, a_D û_D.
+    /// Arm from elbow to centre of mass, a_D û_D, m.
     pub(crate) a_d: Legs2,
-    /// Centre of mass to tip, with the leg's sign, σ b_D û_D.
+    /// Arm from centre of mass to tip, with the leg's sign, σ b_D û_D, m.
     pub(crate) sigma_b_d: Legs2,
 }
 
-/// λ by joints: ground and elbow per leg, tip with the leg's sign, as the legs feel it.
+/// Multipliers λ by joints, N: ground and elbow of each leg, and the tip for both legs.
 #[derive(Clone, Copy)]
 struct ByJoint {
     ground: Legs2,
@@ -51,12 +51,12 @@ fn by_joint(lambda: &Multipliers) -> ByJoint {
     }
 }
 
-/// Largest magnitude of a constraint equation's value: a violation as one number.
+/// Largest magnitude of the constraint equations' values, the max norm of a violation.
 pub fn largest(values: &Multipliers) -> f64 {
     values.iter().fold(0.0, |largest: f64, value| largest.max(value.abs()))
 }
 
-/// The directions of links that a projection turns: hardly at all, unless steps are coarse.
+/// Directions of links after the rotations of a projection, rad, which are tiny unless steps are coarse.
 #[inline(always)]
 pub(crate) fn directions_corrected((angles, [p, d]): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
     if !are_tiny(by) {
@@ -70,7 +70,7 @@ fn directions_corrected_by_more(angles: [Legs; 2], directions_there: [Legs2; 2],
     directions_turned((angles, directions_there), by)
 }
 
-/// The directions of links that turn from known ones at known angles: small turns cost half as much as angles.
+/// Directions of links after rotations, rad, from known directions at known angles: a small rotation costs half of a sine and cosine.
 #[inline(always)]
 pub(crate) fn directions_turned((angles, directions_there): ([Legs; 2], [Legs2; 2]), by: [Legs; 2]) -> [Legs2; 2] {
     if are_small(by) {
@@ -80,7 +80,7 @@ pub(crate) fn directions_turned((angles, directions_there): ([Legs; 2], [Legs2; 
     }
 }
 
-/// The directions of the proximal and the distal links.
+/// Directions û of the proximal and the distal links at their angles, rad.
 #[inline(never)]
 pub(crate) fn directions(angles: [Legs; 2]) -> [Legs2; 2] {
     let [(sin_p, cos_p), (sin_d, cos_d)] = sin_cos_of_both(angles);
@@ -88,18 +88,18 @@ pub(crate) fn directions(angles: [Legs; 2]) -> [Legs2; 2] {
 }
 
 impl Mechanism {
-    /// Directions and arms at q.
+    /// Pose at q.
     pub fn pose(&self, q: &Coordinates) -> Pose {
         self.pose_at([legs_of(q, P_THETA), legs_of(q, D_THETA)])
     }
 
-    /// The same from the angles of the proximal and the distal links. One piece of code for all callers, of which there are many.
+    /// Pose from the angles of the proximal and the distal links, rad; one compiled copy for its many callers.
     #[inline(never)]
     pub(crate) fn pose_at(&self, angles: [Legs; 2]) -> Pose {
         self.pose_in_place(angles)
     }
 
-    /// The same compiled into its caller: for steps that keep it in registers.
+    /// Pose from the angles of the proximal and the distal links, rad, inlined: for steps that keep the pose in registers.
     #[inline(always)]
     pub(crate) fn pose_in_place(&self, [proximal, distal]: [Legs; 2]) -> Pose {
         let (sin_p, cos_p) = sin_cos(proximal);
@@ -107,7 +107,7 @@ impl Mechanism {
         self.pose_along([Legs2 { x: cos_p, y: sin_p }, Legs2 { x: cos_d, y: sin_d }])
     }
 
-    /// The same from the directions of the proximal and the distal links.
+    /// Pose from the directions of the proximal and the distal links.
     #[inline(always)]
     pub(crate) fn pose_along(&self, [u_p, u_d]: [Legs2; 2]) -> Pose {
         Pose {
@@ -120,7 +120,7 @@ impl Mechanism {
         }
     }
 
-    /// Φ(q), m.
+    /// Constraint values Φ(q), m.
     #[inline]
     pub fn phi(&self, q: &Coordinates, pose: &Pose) -> Multipliers {
         let mut phi = Multipliers::ZERO;
@@ -135,7 +135,7 @@ impl Mechanism {
 }
 
 impl Pose {
-    /// Φ_q v.
+    /// The product Φ_q v, m/s for velocities.
     #[inline]
     pub fn phi_q_times(&self, v: &Coordinates) -> Multipliers {
         let (w_p, w_d) = (legs_of(v, P_THETA), legs_of(v, D_THETA));
@@ -151,7 +151,7 @@ impl Pose {
         product
     }
 
-    /// Φ_qᵀ λ.
+    /// The product Φ_qᵀ λ, N and N·m.
     #[inline]
     pub fn phi_q_transposed_times(&self, lambda: &Multipliers) -> Coordinates {
         let at = by_joint(lambda);
@@ -165,7 +165,7 @@ impl Pose {
         product
     }
 
-    /// Φ̇_q q̇, m/s²: the centripetal accelerations of the arms.
+    /// The product Φ̇_q q̇, m/s²: the centripetal accelerations of the arms.
     #[inline]
     pub fn phi_q_dot_times(&self, v: &Coordinates) -> Multipliers {
         let (w_p, w_d) = (legs_of(v, P_THETA), legs_of(v, D_THETA));
@@ -180,15 +180,15 @@ impl Pose {
         product
     }
 
-    /// The geometric stiffness ∂(Φ_qᵀλ)/∂q, N·m/rad: diagonal, and only in the angles (proximal, distal).
+    /// Geometric stiffness ∂(Φ_qᵀλ)/∂q, N·m/rad: diagonal, and only in the angles (proximal, distal).
     #[inline]
     pub fn geometric_stiffness(&self, lambda: &Multipliers) -> (Legs, Legs) {
         let at = by_joint(lambda);
         (self.a_p.dot(at.ground) + self.b_p.dot(at.elbow), self.a_d.dot(at.elbow) - self.sigma_b_d.dot(at.tip))
     }
 
-    /// How directions and arms change with q: products with it are derivatives of products with the pose, but for those of its unit
-    /// entries, which are constant.
+    /// Variation of directions and arms by a variation of q. Products with the result are derivatives of products with the pose, except for
+    /// the unit entries of Φ_q, which are constant.
     pub fn varied(&self, q: &Coordinates) -> Self {
         let (proximal, distal) = (legs_of(q, P_THETA), legs_of(q, D_THETA));
         Self {
@@ -201,7 +201,7 @@ impl Pose {
         }
     }
 
-    /// (∂Φ_q/∂q w) v, of which Φ̇_q q̇ is the case v = w = q̇; symmetric in v and w.
+    /// The product (∂Φ_q/∂q w) v, symmetric in v and w; with v = w = q̇ it is Φ̇_q q̇.
     pub fn phi_q_varied_times(&self, w: &Coordinates, v: &Coordinates) -> Multipliers {
         let mut turning = Coordinates::ZERO;
         for i in THETA {
@@ -210,7 +210,7 @@ impl Pose {
         self.varied(w).phi_q_times(&turning)
     }
 
-    /// Φ_q as a matrix, for tests and the solve for anything; a step uses the products above.
+    /// Constraint Jacobian Φ_q as a matrix, for tests and the dense linear solve; a step uses products.
     pub fn phi_q(&self) -> SMatrix<f64, MULTIPLIERS, COORDINATES> {
         let mut matrix = SMatrix::<f64, MULTIPLIERS, COORDINATES>::zeros();
         for j in 0..COORDINATES {

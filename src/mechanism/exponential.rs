@@ -1,20 +1,20 @@
-//! Exponential functions of two numbers at once: what friction and servos ask for in every evaluation.
+//! Exponential functions of two numbers at once, for friction and servos: tanh, and exp(−x²) beside tanh.
 //!
-//! The same bits on every platform: no fused multiply-add, no platform libm. With x = k ln 2 + r, |r| ≤ ln 2/2, the core is
-//! e^r − 1 by its Taylor polynomial of degree 13, whose remainder is below 1.3e-17 r, summed in halves of halves (Estrin), so that no
-//! step waits long for another.
+//! Results have equal bits on every platform: no fused multiply-add, no platform libm. With x = k ln 2 + r, |r| ≤ ln 2/2, the core is
+//! e^r − 1 by its Taylor polynomial of degree 13, whose remainder is below 1.3e-17 r, in Estrin's scheme, which shortens the chain of
+//! dependent operations.
 
 use wide::bytemuck::cast;
 use wide::i64x2;
 
 use super::legs::{Legs, both};
 
-/// Exponents below this give 0 but for 1e-304, without leaving the normal numbers.
+/// Least exponent of e: e^−700 is about 1e-304, still a normal number, and 0 for every use.
 const LEAST_EXPONENT: f64 = -700.0;
-/// Beyond this half of it tanh is 1 to the last bit.
+/// Largest argument 2|x| of tanh: from |x| = 22 on, tanh is 1 to the last bit.
 const TANH_SATURATION: f64 = 44.0;
 
-/// 2^k and e^r − 1 with x = k ln 2 + r; |x| up to 708.
+/// Factors 2^k and e^r − 1 of e^x with x = k ln 2 + r, for |x| up to 708.
 #[inline]
 fn exp_factors(x: Legs) -> (Legs, Legs) {
     // ln 2 in two parts; the first has 33 bits, so that k times it is exact.
@@ -40,10 +40,10 @@ fn exp_factors(x: Legs) -> (Legs, Legs) {
     (power, r + r2 * sum)
 }
 
-/// tanh x from what [`exp_factors`] gives for 2|x|.
+/// Magnitude tanh |x| from the result of [`exp_factors`] for 2|x|.
 #[inline]
 fn tanh_of(power: Legs, exp_minus_one: Legs) -> Legs {
-    // e^(2|x|) − 1 without cancellation.
+    // The value m = e^(2|x|) − 1 is computed without cancellation.
     let m = power * exp_minus_one + (power - both(1.0));
     m / (m + both(2.0))
 }
@@ -56,8 +56,8 @@ pub fn tanh(x: Legs) -> Legs {
     tanh_of(power, exp_minus_one) ^ sign
 }
 
-/// exp(−bell²) within 3 ulp and its argument's rounding, and tanh(turn) within 4 ulp, side by side. Where both are at their ends, as where
-/// a joint turns fast, nothing is computed.
+/// Values exp(−bell²), within 3 ulp and the rounding of its argument, and tanh(turn), within 4 ulp. Where both are saturated, as for a
+/// fast joint, nothing is computed.
 #[inline]
 pub fn gaussian_and_tanh(bell: f64, turn: f64) -> [f64; 2] {
     if -bell * bell < LEAST_EXPONENT && 2.0 * turn.abs() > TANH_SATURATION {
@@ -73,7 +73,7 @@ pub fn gaussian_and_tanh(bell: f64, turn: f64) -> [f64; 2] {
 mod tests {
     use super::*;
 
-    /// Arguments of every size that matters, and beyond the ends.
+    /// Arguments of every size up to saturation and more.
     fn arguments() -> impl Iterator<Item = f64> {
         let fine = (0..200_000).map(|i| f64::from(i) * 1.5e-4);
         let small = (0..3000).map(|i| 1e-300 * 10f64.powf(f64::from(i) / 10.0));
@@ -90,7 +90,7 @@ mod tests {
             assert_eq!(gaussian_and_tanh(0.3, x)[1], got, "{x}");
             worst = worst.max((got - want).abs() / want.abs().max(f64::MIN_POSITIVE));
         }
-        // That of libm is within 1 ulp, of 2.2e-16 at most.
+        // The tanh of libm is within 1 ulp, 2.2e-16 at most.
         assert!(worst < 8e-16, "worst relative difference {worst:e}");
         assert_eq!(tanh(Legs::new([0.0, -0.0])).to_array().map(f64::to_bits), [0.0, -0.0].map(f64::to_bits));
         assert_eq!(tanh(Legs::new([1e308, -22.1])).to_array(), [1.0, -1.0]);
@@ -103,7 +103,7 @@ mod tests {
             let (got, want) = (gaussian_and_tanh(x, 0.7)[0], libm::exp(-x * x));
             worst = worst.max((got - want).abs() / want);
         }
-        // 3 ulp, and one of libm.
+        // The bound is 3 ulp, and one of libm.
         assert!(worst < 8e-16, "worst relative difference {worst:e}");
         assert!(gaussian_and_tanh(1e200, 0.0)[0] < 1e-300);
         assert_eq!(gaussian_and_tanh(0.0, 0.0), [1.0, 0.0]);

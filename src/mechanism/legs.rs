@@ -11,7 +11,7 @@ pub type Legs = f64x2;
 /// The sign with which each leg enters the tip's closure: + left, − right.
 pub const SIGMA: Legs = Legs::new([1.0, -1.0]);
 
-/// The same value for both legs.
+/// One value for both legs.
 #[inline]
 pub fn both(value: f64) -> Legs {
     Legs::splat(value)
@@ -34,7 +34,7 @@ pub struct Legs2 {
 }
 
 impl Legs2 {
-    /// Times a scalar of each leg.
+    /// The vector times a scalar of each leg.
     #[inline]
     pub fn scaled(self, factor: Legs) -> Self {
         Self { x: self.x * factor, y: self.y * factor }
@@ -52,59 +52,59 @@ impl Legs2 {
         self.x * other.y - self.y * other.x
     }
 
-    /// Turned by +90°: the derivative of an arm with respect to its angle.
+    /// The vector rotated by +90°: the derivative of an arm with respect to its angle.
     #[inline]
     pub fn turned(self) -> Self {
         Self { x: -self.y, y: self.x }
     }
 }
 
-/// The largest angle of [`rotated_by`], rad.
+/// Largest angle of [`rotated_by`], rad: the limit of the polynomials' accuracy.
 const LARGEST_SMALL_ANGLE: f64 = 0.45;
 
-/// Whether both angles of both legs are small enough for [`rotated_by`]: by their squares, which it needs as well. What is not a number comes
-/// out as it is.
+/// Whether both angles of both legs, rad, are small enough for [`rotated_by`], judged by their squares, which [`rotated_by`] needs as well.
+/// NaN counts as small and propagates.
 #[inline(always)]
 pub fn are_small([one, other]: [Legs; 2]) -> bool {
     (one * one).fast_max(other * other).simd_gt(both(LARGEST_SMALL_ANGLE * LARGEST_SMALL_ANGLE)).to_bitmask() == 0
 }
 
-/// The largest angle of [`rotated_by_tiny`], rad: half of its square is below half an ulp.
+/// Largest angle of [`rotated_by_tiny`], rad: half of its square is below half an ulp of 1.
 const LARGEST_TINY_ANGLE: f64 = 1e-8;
 
-/// The same for [`rotated_by_tiny`].
+/// Whether both angles of both legs, rad, are small enough for [`rotated_by_tiny`].
 #[inline(always)]
 pub fn are_tiny([one, other]: [Legs; 2]) -> bool {
     (one * one).fast_max(other * other).simd_gt(both(LARGEST_TINY_ANGLE * LARGEST_TINY_ANGLE)).to_bitmask() == 0
 }
 
-/// A direction of each leg turned by an angle of at most 1e-8 rad, whose sine is itself and whose cosine is 1.
+/// A direction of each leg rotated by an angle of at most 1e-8 rad, with sin δ = δ and cos δ = 1.
 #[inline(always)]
 pub fn rotated_by_tiny(direction: Legs2, angle: Legs) -> Legs2 {
     let Legs2 { x, y } = direction;
     Legs2 { x: x - angle * y, y: y + angle * x }
 }
 
-/// A direction of each leg turned by an angle of at most 0.45 rad, for less than half of what sine and cosine take: no reduction, no
+/// A direction of each leg rotated by an angle of at most 0.45 rad, at less than half the cost of sine and cosine: no range reduction, no
 /// quadrants.
 ///
-/// By the tangent of half the angle, b/a, a quotient of polynomials of degree 5 and 4 within 2.1e-17 rad of the angle (Remez, in 60 digits):
-/// sin δ = 2ab/(a² + b²) and 1 − cos δ = 2b²/(a² + b²) keep the length of a direction whatever the quotient is. Both are small, so that
-/// round-off is that of the direction itself.
+/// With the tangent of half the angle b/a, a quotient of polynomials of degree 5 and 4 within 2.1e-17 rad of the angle (Remez, in 60
+/// digits), sin δ = 2ab/(a² + b²) and 1 − cos δ = 2b²/(a² + b²) keep the length of a direction for any quotient. Both are small, so that
+/// the round-off is that of the direction itself.
 #[inline(always)]
 pub fn rotated_by(direction: Legs2, angle: Legs) -> Legs2 {
     let [a, b] = half_tangent(angle);
     rotated_by_quotient(direction, direction, [a, b], (b + b) / (a * a + b * b))
 }
 
-/// The same where twice the direction is at hand, for less and to the same bits.
+/// A direction of each leg rotated by an angle of at most 0.45 rad, given twice the direction: cheaper than [`rotated_by`], equal bits.
 #[inline(always)]
 pub fn rotated_with_double(direction: Legs2, twice: Legs2, angle: Legs) -> Legs2 {
     let [a, b] = half_tangent(angle);
     rotated_by_quotient(direction, twice, [a, b], b / (a * a + b * b))
 }
 
-/// a and b with b/a the tangent of half an angle.
+/// Polynomials a and b with b/a the tangent of half an angle, rad.
 #[inline(always)]
 fn half_tangent(angle: Legs) -> [Legs; 2] {
     const A: [f64; 2] = [1_007.466_882_411_849_2, -111.946_052_422_894_71];
@@ -115,23 +115,24 @@ fn half_tangent(angle: Legs) -> [Legs; 2] {
     [a, b]
 }
 
-/// A direction, and what sin δ and 1 − cos δ, multiples of a and b, make of it or of its double. The quotient comes last: it takes longest.
+/// A direction rotated by sin δ and 1 − cos δ, given as multiples of a and b times `by`, the direction or its double. The quotient is the
+/// last factor because it takes longest.
 #[inline(always)]
 fn rotated_by_quotient(Legs2 { x, y }: Legs2, by: Legs2, [a, b]: [Legs; 2], quotient: Legs) -> Legs2 {
     Legs2 { x: x - (b * by.x + a * by.y) * quotient, y: y + (a * by.x - b * by.y) * quotient }
 }
 
-/// sin and cos of an angle of each leg, within 1 ulp of the angle's own rounding.
+/// Sine and cosine of an angle of each leg, rad, within 1 ulp and the rounding of the angle.
 ///
-/// The same bits on every platform (no FMA, no platform libm): three-part Cody–Waite reduction by π/2 and the minimax
-/// polynomials of FreeBSD's msun `k_sin.c`, `k_cos.c`, two lanes at a time. Beyond 2²⁰·π/2 rad, where that reduction ends, and
-/// for non-finite angles: the libm crate.
+/// Results have equal bits on every platform (no FMA, no platform libm): three-part Cody–Waite reduction by π/2 and the minimax
+/// polynomials of FreeBSD's msun `k_sin.c`, `k_cos.c`, two lanes at a time. Above 2²⁰·π/2 rad, the limit of the reduction, and for
+/// non-finite angles the libm crate is used.
 #[inline]
 pub fn sin_cos(angle: Legs) -> (Legs, Legs) {
     if is_reducible(angle) { sin_cos_reduced(angle) } else { sin_cos_far(angle) }
 }
 
-/// The same of two angles, which share what is asked.
+/// Sine and cosine of two angles of each leg, rad, with one test of their size.
 #[inline(always)]
 pub fn sin_cos_of_both([one, other]: [Legs; 2]) -> [(Legs, Legs); 2] {
     if is_reducible(one.abs().fast_max(other.abs())) {
@@ -141,7 +142,7 @@ pub fn sin_cos_of_both([one, other]: [Legs; 2]) -> [(Legs, Legs); 2] {
     }
 }
 
-/// Whether the reduction is good for an angle of each leg; it is not for what is not a number.
+/// Whether the range reduction is accurate for an angle of each leg, rad; false for NaN.
 #[inline(always)]
 fn is_reducible(angle: Legs) -> bool {
     const LIMIT: f64 = 1_647_099.0; // 2^20 · π/2
@@ -195,7 +196,7 @@ fn sin_cos_reduced(angle: Legs) -> (Legs, Legs) {
 mod tests {
     use super::*;
 
-    /// From directions all around, by angles up to the largest and beyond 0: in both components, and in length.
+    /// Rotations of directions all around by angles of both signs up to the largest agree in both components.
     #[test]
     fn small_turns_agree_with_libm() {
         let mut worst: f64 = 0.0;
@@ -215,7 +216,7 @@ mod tests {
         assert!(worst <= 4.5e-16, "worst difference {worst:e}");
     }
 
-    /// Angles over all quadrants, near multiples of π/2, and out to the end of the reduction and beyond.
+    /// Angles lie in all quadrants, near multiples of π/2, and up to and above the limit of the reduction.
     #[test]
     fn sin_cos_agrees_with_libm() {
         let mut worst: f64 = 0.0;

@@ -1,4 +1,4 @@
-//! The constant mechanism: what a user gives, checked, and the same arranged by legs.
+//! Constants of the mechanism: geometry and masses as a user gives them, checked, and arranged by legs.
 
 use std::fmt;
 
@@ -22,7 +22,7 @@ pub struct Link {
 /// Number of links.
 pub const LINKS: usize = 4;
 
-/// What defines the mechanism: links in the order left proximal, left distal, right distal, right proximal.
+/// Geometry and masses of the mechanism: links in the order left proximal, left distal, right distal, right proximal.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Geometry {
     /// Distance between the motor axes, both on the x axis, the left one at the origin, m. 0 = coaxial motors.
@@ -31,7 +31,7 @@ pub struct Geometry {
     pub links: [Link; LINKS],
 }
 
-/// A value that cannot be simulated: one sentence naming the variable, its value and what is allowed.
+/// A value that cannot be simulated: one sentence naming the variable, its value and the allowed values.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneError(pub String);
 
@@ -43,26 +43,25 @@ impl fmt::Display for SceneError {
 
 impl std::error::Error for SceneError {}
 
-/// Refuses a value that is not finite and positive; text is made by a refusal only, here and below: a step that finds a parameter tuned
-/// allocates nothing.
+/// Refuses a value that is not finite and positive. Only a refusal makes text, so that a step with a changed parameter allocates nothing.
 #[inline(never)] // asked for in dozens of places, none of them in a step
 pub(crate) fn positive(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
     if value.is_finite() && value > 0.0 { Ok(()) } else { Err(refusal(&name, value, unit, "positive")) }
 }
 
-/// Refuses a value that is not finite or is negative.
+/// Refuses a value that is not finite or is negative. Only a refusal makes text.
 #[inline(never)] // asked for in dozens of places, none of them in a step
 pub(crate) fn not_negative(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
     if value.is_finite() && value >= 0.0 { Ok(()) } else { Err(refusal(&name, value, unit, "0 or positive")) }
 }
 
-/// Refuses NaN and infinities.
+/// Refuses NaN and infinities. Only a refusal makes text.
 #[inline(never)] // asked for in dozens of places, none of them in a step
 pub(crate) fn finite(name: impl fmt::Display, value: f64, unit: &str) -> Result<(), SceneError> {
     if value.is_finite() { Ok(()) } else { Err(refusal(&name, value, unit, "finite")) }
 }
 
-/// Says what a value must be: finite before anything else. One piece of code for all names.
+/// The error of a refused value: `allowed`, or, for a value that is not finite, "finite".
 #[cold]
 #[inline(never)]
 fn refusal(name: &dyn fmt::Display, value: f64, unit: &str, allowed: &str) -> SceneError {
@@ -84,7 +83,7 @@ impl Geometry {
         Ok(())
     }
 
-    /// The largest coordinate magnitude that the machine can have, m: what round-off in Φ is proportional to.
+    /// Largest possible coordinate magnitude, m, to which round-off in Φ is proportional.
     pub fn length_scale(&self) -> f64 {
         let [left_proximal, left_distal, right_distal, right_proximal] = self.links;
         let arm = |link: Link| link.length.max(link.com.abs()).max((link.length - link.com).abs());
@@ -102,7 +101,7 @@ impl Geometry {
 /// Along each link, a is the arm from its first joint (motor axis, elbow) to the centre of mass and b the rest of its length.
 #[derive(Clone, Copy, Debug)]
 pub struct Mechanism {
-    /// What it was made from.
+    /// Geometry and masses by links.
     pub geometry: Geometry,
     /// x of the motor axes, m.
     pub(crate) ground_x: Legs,
@@ -114,10 +113,13 @@ pub struct Mechanism {
     pub(crate) a_d: Legs,
     /// Centre of mass of the distal link to the tip, with the sign of the leg in the tip's closure, m.
     pub(crate) sigma_b_d: Legs,
-    /// Masses, kg, and inertias about the centres of mass, kg·m²: the diagonal of M.
+    /// Masses of the proximal links, kg.
     pub(crate) mass_p: Legs,
+    /// Masses of the distal links, kg.
     pub(crate) mass_d: Legs,
+    /// Moments of inertia of the proximal links about their centres of mass, kg·m².
     pub(crate) inertia_p: Legs,
+    /// Moments of inertia of the distal links about their centres of mass, kg·m².
     pub(crate) inertia_d: Legs,
 }
 
@@ -142,7 +144,7 @@ impl Mechanism {
         })
     }
 
-    /// M x, with the diagonal and constant mass matrix of centre-of-mass coordinates.
+    /// The product M x with the diagonal and constant mass matrix of centre-of-mass coordinates.
     #[inline]
     pub fn mass_times(&self, x: &Coordinates) -> Coordinates {
         let mut product = Coordinates::ZERO;
@@ -152,7 +154,7 @@ impl Mechanism {
         product
     }
 
-    /// The diagonal of M by legs, in the order of the coordinates.
+    /// Diagonal of M by legs, kg and kg·m², in the order of the coordinates.
     #[inline]
     pub fn mass_diagonal(&self) -> [Legs; 6] {
         let mut diagonal = [both(0.0); 6];

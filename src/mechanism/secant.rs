@@ -8,28 +8,29 @@
 //! n̂₁ − n̂₀ = −s û_m Δθ         (Φ_q(q₁) − Φ_q(q₀)) z = K_b(z) d
 //! ```
 //!
-//! without an error, however long the step: each is Φ_q in the middle with its angles' columns shortened. So a step with J_b and J_c
-//! keeps energy and both levels of the constraints (O. Gonzalez, *Time integration and discrete Hamiltonian systems*, J. Nonlinear Sci. 6
-//! (1996) 449; J. C. García Orden and R. Ortega, *A conservative augmented Lagrangian algorithm for the dynamics of constrained
+//! exactly, for a step of any length: each matrix is Φ_q in the middle with scaled angle columns. So a step with J_b and J_c
+//! conserves energy and both levels of the constraints (O. Gonzalez, *Time integration and discrete Hamiltonian systems*, J. Nonlinear
+//! Sci. 6 (1996) 449; J. C. García Orden and R. Ortega, *A conservative augmented Lagrangian algorithm for the dynamics of constrained
 //! mechanical systems*, 2006). `docs/conserving.md` derives the step.
 
 use super::coordinates::{D_THETA, P_THETA, legs_of, set_legs};
 use super::legs::{Legs, Legs2, both, sin_cos};
 use super::{Coordinates, Mechanism, Multipliers, Pose};
 
-/// A step between two poses.
+/// Poses and factors of a finite step.
 #[derive(Clone, Copy, Debug)]
 pub struct Secant {
-    /// Half way of each angle.
+    /// Pose with each angle in the middle of its increment.
     pub(crate) middle: Pose,
-    /// At the end.
+    /// Pose at the step's end.
     pub(crate) end: Pose,
-    /// s and c of the proximal and the distal links.
+    /// Factors s of the proximal and the distal links.
     pub(crate) sinc: [Legs; 2],
+    /// Factors c of the proximal and the distal links.
     pub(crate) cos: [Legs; 2],
 }
 
-/// Cosine, sine and sine over the angle of an angle below 1/4, by their series to round-off.
+/// Cosine, sine and sin x/x of an angle x below 1/4 rad, by their series to round-off.
 #[inline(always)]
 fn small(angle: Legs) -> [Legs; 3] {
     let z = angle * angle;
@@ -39,27 +40,27 @@ fn small(angle: Legs) -> [Legs; 3] {
     [cos, angle * sinc, sinc]
 }
 
-/// The same of any angle.
+/// Cosine, sine and sin x/x of any angle x, rad.
 #[cold]
 #[inline(never)]
 fn large(angle: Legs) -> [Legs; 3] {
     let (sin, cos) = sin_cos(angle);
     let exact = Legs::new([0, 1].map(|leg| {
         let (sin, angle) = (sin.to_array()[leg], angle.to_array()[leg]);
-        // Where the series is used for the other leg only, it holds here too.
+        // A small angle beside a large one takes the series, as [`small`] does.
         if angle.abs() < 0.25 { small(both(angle))[2].to_array()[0] } else { sin / angle }
     }));
     [cos, sin, exact]
 }
 
-/// Cosine, sine and sine over the angle.
+/// Cosine, sine and sin x/x of an angle x, rad.
 #[inline(always)]
 fn turn(angle: Legs) -> [Legs; 3] {
     if angle.abs().simd_lt(both(0.25)).all() { small(angle) } else { large(angle) }
 }
 
 impl Legs2 {
-    /// Turned by an angle with this cosine and sine.
+    /// The vector rotated by an angle, given its cosine and sine.
     #[inline(always)]
     fn rotated_by(self, cos: Legs, sin: Legs) -> Self {
         Self { x: self.x * cos - self.y * sin, y: self.x * sin + self.y * cos }
@@ -67,39 +68,40 @@ impl Legs2 {
 }
 
 impl Mechanism {
-    /// From a pose along increments of the coordinates. One piece of code for all callers.
+    /// The step from a pose by increments d of the coordinates; one compiled copy for all callers.
     #[inline(never)]
     pub(crate) fn secant(&self, begin: &Pose, d: &Coordinates) -> Secant {
         self.secant_in_place(begin, d)
     }
 
-    /// The same compiled into its caller.
+    /// The step from a pose by increments d of the coordinates, inlined.
     #[inline(always)]
     pub(crate) fn secant_in_place(&self, begin: &Pose, d: &Coordinates) -> Secant {
         self.secant_along(&StepDirections::new(begin, [legs_of(d, P_THETA), legs_of(d, D_THETA)]))
     }
 
-    /// The same from directions.
+    /// The step from its directions.
     #[inline(always)]
     pub(crate) fn secant_along(&self, &StepDirections { middle, end, sinc, cos }: &StepDirections) -> Secant {
         Secant { middle: self.pose_along(middle), end: self.pose_along(end), sinc, cos }
     }
 }
 
-/// The directions of a step: of the proximal and the distal links.
+/// Directions and factors of a step for the proximal and the distal links.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct StepDirections {
-    /// û_m.
+    /// Directions û_m in the middle.
     pub(crate) middle: [Legs2; 2],
-    /// û₁.
+    /// Directions û₁ at the end.
     pub(crate) end: [Legs2; 2],
-    /// s and c.
+    /// Factors s.
     pub(crate) sinc: [Legs; 2],
+    /// Factors c.
     pub(crate) cos: [Legs; 2],
 }
 
 impl StepDirections {
-    /// From a pose by the turns of the proximal and the distal links.
+    /// Directions from a pose by increments of the angles of the proximal and the distal links, rad.
     #[inline(always)]
     pub(crate) fn new(begin: &Pose, turns: [Legs; 2]) -> Self {
         let [cos_p, sin_p, sinc_p] = turn(both(0.5) * turns[0]);
@@ -114,7 +116,7 @@ impl StepDirections {
     }
 }
 
-/// The angles' rows of a vector times a factor.
+/// Coordinates whose angle entries are multiplied by factors.
 #[inline(always)]
 fn with_scaled_angles(mut x: Coordinates, [proximal, distal]: [Legs; 2]) -> Coordinates {
     let (p, d) = (legs_of(&x, P_THETA), legs_of(&x, D_THETA));
@@ -124,19 +126,19 @@ fn with_scaled_angles(mut x: Coordinates, [proximal, distal]: [Legs; 2]) -> Coor
 }
 
 impl Secant {
-    /// J_bᵀ Λ.
+    /// The product J_bᵀ Λ.
     #[inline(always)]
     pub(crate) fn discrete_transposed_times(&self, multipliers: &Multipliers) -> Coordinates {
         with_scaled_angles(self.middle.phi_q_transposed_times(multipliers), self.sinc)
     }
 
-    /// J_cᵀ ν.
+    /// The product J_cᵀ ν.
     #[inline(always)]
     pub(crate) fn mean_transposed_times(&self, multipliers: &Multipliers) -> Coordinates {
         with_scaled_angles(self.middle.phi_q_transposed_times(multipliers), self.cos)
     }
 
-    /// K_b(z)ᵀ ν, the discrete derivative of νᵀ Φ_q z with respect to q: only in the angles.
+    /// The product K_b(z)ᵀ ν, the discrete derivative of νᵀ Φ_q z with respect to q: nonzero only in the angles.
     #[inline(always)]
     pub(crate) fn discrete_hessian_times(&self, z: &Coordinates, multipliers: &Multipliers) -> Coordinates {
         let (stiffness_p, stiffness_d) = self.middle.geometric_stiffness(multipliers);

@@ -1,45 +1,46 @@
-//! Singular values of a matrix of the size of Φ_q: the smallest one alone, which an output asks for, or all with their vectors, of which
-//! derivatives are made. nalgebra's decomposition does both and takes 30 kB.
+//! Singular values of a matrix of the size of Φ_q, 10×12: the smallest alone, for an output, or all with their vectors, for derivatives.
+//! The former by bisection of a tridiagonal matrix, the latter by one-sided Jacobi rotations; nalgebra's decomposition would add 30 kB.
 
 use super::{Coordinates, MULTIPLIERS, Multipliers, Pose};
 use crate::vector::Vector;
 
-/// Cosine of the angle between two rows that counts as a right one: round-off of a scalar product.
+/// Largest |cosine| of the angle between two orthogonal rows: round-off of a scalar product.
 const ORTHOGONALITY_TOLERANCE: f64 = 4.0 * f64::EPSILON;
 
-/// Convergence is quadratic, and six sweeps are usual: a bound, so that there is one.
+/// Largest number of Jacobi sweeps; convergence is quadratic, and six are usual.
 const LARGEST_SWEEP_COUNT: usize = 30;
 
-/// A singular value σ of a matrix A, with its vectors: Aᵀ u = σ v.
+/// A singular value σ of a matrix A with its singular vectors u and v: Aᵀ u = σ v.
 #[derive(Clone, Copy, Debug)]
 pub struct SingularValue {
-    /// σ.
+    /// Singular value σ.
     pub value: f64,
-    /// u, of length 1.
+    /// Left singular vector u, of length 1.
     pub left: Multipliers,
-    /// v, of length 1; 0 where σ is.
+    /// Right singular vector v, of length 1, or 0 where σ = 0.
     pub right: Coordinates,
 }
 
 impl Pose {
-    /// The singular values of Φ_q (rows in m, columns in m and rad).
+    /// All singular values of Φ_q (rows in m, columns in m and rad).
     pub fn singular_values(&self) -> [SingularValue; MULTIPLIERS] {
         singular_values(self.rows_of_phi_q())
     }
 
-    /// The smallest of them.
+    /// Smallest singular value of Φ_q (rows in m, columns in m and rad).
     pub fn smallest_singular_value(&self) -> f64 {
         smallest_singular_value(self.rows_of_phi_q())
     }
 
+    /// Rows of Φ_q.
     #[inline(never)]
     fn rows_of_phi_q(&self) -> [Coordinates; MULTIPLIERS] {
         std::array::from_fn(|i| self.phi_q_transposed_times(&Multipliers::unit(i)))
     }
 }
 
-/// All singular values of the matrix with these rows, in no order, by one-sided Jacobi rotations: rows are turned in pairs until all are
-/// orthogonal to each other; then they are σ v (Golub and Van Loan, Matrix Computations, third edition, section 8.6.3).
+/// All singular values of the matrix with these rows, unordered, by one-sided Jacobi rotations of pairs of rows until all rows are
+/// orthogonal; the rows are then σ v (Golub and Van Loan, Matrix Computations, third edition, section 8.6.3).
 #[inline(never)]
 fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; MULTIPLIERS] {
     let mut left: [Multipliers; MULTIPLIERS] = std::array::from_fn(Multipliers::unit);
@@ -53,7 +54,7 @@ fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; MULT
                     continue;
                 }
                 are_orthogonal = false;
-                // The smaller of the two angles that make them orthogonal.
+                // Of the two angles that make the rows orthogonal, the smaller is taken.
                 let cotangent_of_twice = (yy - xx) / (2.0 * xy);
                 let tangent = 1.0_f64.copysign(cotangent_of_twice)
                     / (cotangent_of_twice.abs() + (1.0 + cotangent_of_twice * cotangent_of_twice).sqrt());
@@ -75,14 +76,15 @@ fn singular_values(mut rows: [Coordinates; MULTIPLIERS]) -> [SingularValue; MULT
     })
 }
 
-/// The smallest singular value of the matrix with these rows, to round-off of the largest, for some 50,000 instructions less than all with
-/// their vectors. Householder's reflections from both sides leave a bidiagonal matrix (section 5.4.3 there); between zeros, its elements
-/// make the tridiagonal one whose eigenvalues are ±σ, and Sturm's sequence counts how many are below a bound (sections 8.5.2 and 8.6.1).
+/// Smallest singular value of the matrix with these rows, to round-off of the largest, at some 50,000 instructions less than all with
+/// their vectors. Householder reflections from both sides give a bidiagonal matrix (Golub and Van Loan, Matrix Computations, third edition,
+/// section 5.4.3); its elements, with a zero diagonal, form a tridiagonal matrix whose eigenvalues are ±σ, and bisection by Sturm's
+/// sequence counts the eigenvalues below a bound (sections 8.5.2 and 8.6.1).
 #[inline(never)]
 fn smallest_singular_value(mut rows: [Coordinates; MULTIPLIERS]) -> f64 {
     let mut high = rows.iter().map(Coordinates::norm).fold(f64::INFINITY, f64::min);
     let precision = f64::EPSILON * high;
-    // Squares of the diagonal and, after each, of the element below.
+    // Squares of the bidiagonal matrix: each diagonal element, then its off-diagonal neighbour.
     let mut squares = [0.0; 2 * MULTIPLIERS];
     for k in 0..MULTIPLIERS {
         let (done, below) = rows.split_at_mut(k + 1);
@@ -113,7 +115,7 @@ fn smallest_singular_value(mut rows: [Coordinates; MULTIPLIERS]) -> f64 {
         let mut pivot = -middle;
         for square in &squares[..2 * MULTIPLIERS - 1] {
             below += u32::from(pivot < 0.0);
-            // A pivot of 0 counts as one that is small.
+            // A pivot of 0 is replaced by the least positive number.
             pivot = -middle - square / if pivot.abs() < f64::MIN_POSITIVE { f64::MIN_POSITIVE } else { pivot };
         }
         below += u32::from(pivot < 0.0);
@@ -121,8 +123,8 @@ fn smallest_singular_value(mut rows: [Coordinates; MULTIPLIERS]) -> f64 {
     }
 }
 
-/// The vector u and the factor s of the reflection 1 − s u uᵀ that leaves of a vector its element at a place, given the square of its
-/// length; `None` of nothing.
+/// Vector u and factor s of the Householder reflection 1 − s u uᵀ that maps a vector onto its axis `place`, given the square of the
+/// vector's length; `None` for a vector of length 0 or a place outside the vector.
 fn reflection<const N: usize>(mut vector: Vector<N>, place: usize, square: f64) -> Option<(Vector<N>, f64)> {
     let element = *vector.get(place)?;
     let length = square.sqrt().copysign(element);
@@ -134,7 +136,7 @@ fn reflection<const N: usize>(mut vector: Vector<N>, place: usize, square: f64) 
 mod tests {
     use super::*;
 
-    /// Rows that are no one's: of size 1, the last one almost a sum of others.
+    /// Arbitrary rows of size 1, the last nearly a sum of others.
     fn rows(rest: f64) -> [Coordinates; MULTIPLIERS] {
         let mut rows: [Coordinates; MULTIPLIERS] = std::array::from_fn(|i| {
             Coordinates::from_fn(|j| f64::from((7 * i * i + 3 * j * (i + 2) + j * j) as u32 % 23) / 11.0 - 1.0)
@@ -151,7 +153,7 @@ mod tests {
             let matrix = nalgebra::SMatrix::<f64, MULTIPLIERS, { super::super::COORDINATES }>::from_fn(|i, j| rows[i][j]);
             let mut values = found.map(|of| of.value);
             values.sort_by(|a, b| b.total_cmp(a));
-            // nalgebra's are sorted. Round-off of the largest, some 6.
+            // The values of nalgebra are sorted; the tolerance is round-off of the largest, some 6.
             for (value, expected) in values.iter().zip(matrix.singular_values().iter()) {
                 assert!((value - expected).abs() < 1e-14, "{value} {expected}");
             }
@@ -165,13 +167,13 @@ mod tests {
         }
     }
 
-    /// Scaled rows scale a small value by as much as the row: nothing of it is lost in the size of the others.
+    /// A small row has a small singular value with full relative accuracy beside large rows.
     #[test]
     fn small_values_keep_their_digits() {
         let mut rows: [Coordinates; MULTIPLIERS] = std::array::from_fn(Coordinates::unit);
         rows[1] = 1e-12 * Coordinates::from_fn(|j| if j < 2 { 1.0 } else { 0.0 });
         let smallest = singular_values(rows).map(|of| of.value).into_iter().fold(f64::INFINITY, f64::min);
-        // Gram's determinant of the first two rows is 1e-24, and the larger of their values 1 + 5e-25.
+        // Gram's determinant of the first two rows is 1e-24, and the larger of their singular values 1 + 5e-25.
         assert!((smallest / 1e-12 - 1.0).abs() < 1e-15, "{smallest:e}");
         assert!((smallest_singular_value(rows) - smallest).abs() < 1e-16);
         rows[0] = Coordinates::ZERO;

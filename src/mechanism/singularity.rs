@@ -1,4 +1,4 @@
-//! Distance to the singularities, and their kinds (`docs/vertices.md`, "Singularities").
+//! Distance to the direct, inverse and constraint singularities, and assembly and working modes (`docs/vertices.md`, "Singularities").
 //!
 //! From |Q − A_i|² = const, with A_i the elbows: J_x ẋ = J_q θ̇, rows (Q − A_i) of J_x. In link directions
 //! det J_x = l₂ l₃ û₂ × û₃ and det J_q = Π l_P l_D û_P × û_D.
@@ -7,10 +7,11 @@ use super::legs::{Legs, Legs2};
 use super::{Assembly, Geometry, Pose};
 use crate::scalar::Scalar;
 
-/// Relative size of a determinant, and absolute size of the smallest singular value of Φ_q, that counts as singular.
+/// Threshold of a singularity, for a determinant relative to its largest value, and for the smallest singular value of Φ_q in its own unit:
+/// conditions worse than 1000.
 const SINGULARITY_THRESHOLD: f64 = 1e-3;
 
-/// The gravest singularity within reach.
+/// Kind of the gravest singularity near a posture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SingularityKind {
     /// Regular posture.
@@ -25,7 +26,7 @@ pub enum SingularityKind {
     Constraint,
 }
 
-/// The Jacobians of the closed loop, and the modes that their signs are.
+/// Determinants and singular values of the Jacobians J_x and J_q, and the assembly and working modes by their signs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Jacobians<T = f64> {
     /// det J_x, m².
@@ -36,44 +37,45 @@ pub struct Jacobians<T = f64> {
     pub sigma_jx: T,
     /// Smallest singular value of J_q, m².
     pub sigma_jq: T,
-    /// Side on which the tip lies now: the sign of det J_x.
+    /// Assembly mode of the posture: the sign of det J_x.
     pub assembly: Assembly,
-    /// Whether the left and the right leg bend counter-clockwise.
+    /// Working mode: whether the left and the right elbow bend counter-clockwise.
     pub working: [bool; 2],
 }
 
-/// Distance to the singularities, and the modes.
+/// Distance to the singularities, with assembly and working modes.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Singularity {
     /// Determinants and modes.
     pub jacobians: Jacobians,
     /// Smallest singular value of Φ_q (rows in m, columns in m and rad).
     pub sigma_phi: f64,
-    /// The gravest singularity within reach.
+    /// Kind of the gravest singularity near the posture.
     pub kind: SingularityKind,
 }
 
+/// Third component of the vector product of two vectors, leg by leg.
 #[inline]
 fn cross(a: Legs2, b: Legs2) -> Legs {
     a.x * b.y - a.y * b.x
 }
 
 impl Pose {
-    /// The signs that tell modes apart, a bit for each that is negative: det J_x (assembly), bend of the left and right leg (working
-    /// mode). A bit that changes is a direct or inverse singularity passed.
+    /// Signs of the configuration, one bit for each negative value: det J_x (assembly mode), bend of the left and right elbow (working
+    /// mode). A bit that changes shows that the trajectory has passed a direct or inverse singularity.
     #[inline]
     pub fn configuration_signs(&self) -> u8 {
         let [tip, left, right] = self.sines();
         u8::from(tip < 0.0) | u8::from(left < 0.0) << 1 | u8::from(right < 0.0) << 2
     }
 
-    /// What changes sign where a mode changes, or where a direct or inverse singularity comes within reach.
+    /// Event indicators, relative: each changes sign where a mode changes or the threshold of a direct or inverse singularity is crossed.
     pub fn configuration_indicators(&self) -> [f64; 5] {
         let [tip, left, right] = self.sines();
         [tip, left, right, tip.abs() - SINGULARITY_THRESHOLD, (left * right).abs() - SINGULARITY_THRESHOLD]
     }
 
-    /// Sines of the angles between the distal links and in the left and right elbow.
+    /// Sines of the angle between the distal links and of the angles in the left and right elbow.
     #[inline]
     fn sines(&self) -> [f64; 3] {
         let ([x2, x3], [y2, y3]) = (self.u_d.x.to_array(), self.u_d.y.to_array());
@@ -90,13 +92,13 @@ impl Pose {
     }
 }
 
-/// What changes sign where the constraints come to lose rank.
+/// Event indicator that changes sign at the threshold of a constraint singularity, in the unit of σ.
 pub fn rank_indicator(sigma_phi: f64) -> f64 {
     sigma_phi - SINGULARITY_THRESHOLD
 }
 
 impl Geometry {
-    /// Determinants, smallest singular values and modes from the directions of links 1 to 4.
+    /// Determinants, smallest singular values and modes from the directions û of links 1 to 4.
     pub fn jacobians<T: Scalar>(&self, directions: [[T; 2]; 4]) -> Jacobians<T> {
         let [p1, l2, l3, p4] = self.links.map(|link| link.length);
         let sine = |from: usize, to: usize| {
@@ -105,7 +107,7 @@ impl Geometry {
         };
 
         let det_jx = sine(1, 2) * (l2 * l3);
-        // σ_max σ_min = |det|, σ_max² + σ_min² = l₂² + l₃²: no cancellation in σ_min near a singularity.
+        // With σ_max σ_min = |det| and σ_max² + σ_min² = l₂² + l₃², σ_min has no cancellation near a singularity.
         let trace = l2 * l2 + l3 * l3;
         let det = det_jx.magnitude(l2 * l3);
         let spread = ((-det * 2.0 + trace) * (det * 2.0 + trace)).root(trace * trace);
@@ -122,7 +124,7 @@ impl Geometry {
         }
     }
 
-    /// The gravest singularity within reach.
+    /// Kind of the gravest singularity, given the Jacobians and the smallest singular value of Φ_q.
     pub fn singularity_kind(&self, jacobians: &Jacobians, sigma_phi: f64) -> SingularityKind {
         let [p1, l2, l3, p4] = self.links.map(|link| link.length);
         let direct = jacobians.det_jx.abs() < SINGULARITY_THRESHOLD * l2 * l3;

@@ -1,4 +1,4 @@
-//! The vertices of the configuration space: all links on the x axis, where the constraints lose rank and branches cross.
+//! The vertices of the configuration space: all links on the x axis, where the constraints lose rank and branches intersect.
 //!
 //! With the signed lengths s = (c₁l₁, c₂l₂, −c₃l₃, −c₄l₄), c = cos θ = ±1, closure to second order around a vertex is
 //! Σ s w = 0 and Σ s w² = 0 for displacements or rates w of the link angles: a quadratic cone in a space of three dimensions.
@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Matrix4, SymmetricEigen, Vector3, Vector4};
 use super::Geometry;
 use super::legs::{Legs, both};
 
-/// Farther than this from every vertex, rad, nothing about vertices is asked.
+/// Largest distance from a vertex, rad, at which its tangent cone is used: terms of third order are a few percent there.
 const LARGEST_OFFSET: f64 = 0.3;
 
 /// Displacements of the link angles (proximal, distal) from the nearest vertex; `None` if any is larger than 0.3 rad.
@@ -21,24 +21,24 @@ pub fn offset(angles: [Legs; 2]) -> Option<[Legs; 2]> {
         let offset = angle - turns * both(std::f64::consts::PI);
         (offset.abs().simd_lt(both(LARGEST_OFFSET)).to_bitmask() == 0b11).then_some(offset)
     };
-    // Most postures are told by their proximal links.
+    // The proximal links alone exclude most postures.
     near(angles[0]).and_then(|proximal| near(angles[1]).map(|distal| [proximal, distal]))
 }
 
-/// The branch of least constraint at rest in a vertex.
+/// The branch of least constraint of a motion that starts from rest in a vertex.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Branch<A = [f64; 4]> {
-    /// Unit direction of the link angles, along which the mechanism starts.
+    /// Unit direction of the initial accelerations of the link angles.
     pub direction: A,
-    /// Local maxima of the gain other than this one: branches on which it could start as well.
+    /// Number of other local maxima of the gain, each a possible branch.
     pub alternatives: u32,
 }
 
-/// Gauss's principle on the tangent cone at the angles of links 1 to 4: of all directions d of the cone, the motion from rest takes the one with the largest
-/// (g·d)²/(d·M d), with g the generalised forces and M the mass matrix in the link angles.
+/// Gauss's principle on the tangent cone at the angles of links 1 to 4: the motion from rest takes the direction d of the cone with the
+/// largest gain (g·d)²/(d·M d), with g the generalised forces, N·m, and M the mass matrix in the link angles, kg·m².
 ///
-/// Where several local maxima exist each is a branch that theory allows; the largest is taken, the first found around the cone if
-/// two are equal. `None` where no direction is driven, or where the cone is a single point (the links lock).
+/// Each local maximum is a branch that the theory allows; the largest is taken, or the first around the cone of two equal ones. `None`
+/// where forces drive no direction, or where the cone is a single point (the links lock).
 pub fn least_constraint(geometry: &Geometry, theta: [f64; 4], force: [f64; 4], mass: [[f64; 4]; 4]) -> Option<Branch> {
     let cone = Cone::new(geometry, theta)?;
     let (force, mass) = (Vector4::from(force), Matrix4::from_fn(|i, j| mass[i][j]));
@@ -61,7 +61,7 @@ pub fn least_constraint(geometry: &Geometry, theta: [f64; 4], force: [f64; 4], m
     for peak in peaks {
         let angle = golden_maximum(&gain, at(peak) - step, at(peak) + step);
         count += 1;
-        // Equal maxima of symmetric cases differ in rounding only: the first stays.
+        // Equal maxima of symmetric cases differ in rounding only; the first is kept.
         if gain(angle) > best.0 * (1.0 + 1e-12) || count == 1 {
             best = (gain(angle), angle);
         }
@@ -71,7 +71,7 @@ pub fn least_constraint(geometry: &Geometry, theta: [f64; 4], force: [f64; 4], m
     Some(Branch { direction: direction.into(), alternatives: (count as u32).saturating_sub(1) })
 }
 
-/// Directions of unit length on the tangent cone, around it once; the opposite ones are its other half.
+/// Unit directions on one half of the tangent cone, by an angle around its axis; the other half are the opposite directions.
 struct Cone {
     axis: Vector4<f64>,
     across: [Vector4<f64>; 2],
@@ -83,7 +83,7 @@ impl Cone {
             let side = if i < 2 { 1.0 } else { -1.0 };
             side * libm::cos(theta[i]).signum() * geometry.links[i].length
         });
-        // An orthonormal basis of Σ s w = 0: the images of three axes under the reflection that takes the fourth to s.
+        // An orthonormal basis of Σ s w = 0: the images of three axes under the reflection that maps the fourth to s.
         let last = s.iamax();
         let mut normal = s;
         normal[last] += s[last].signum() * s.norm();
@@ -96,7 +96,7 @@ impl Cone {
         for (basis, i) in free.iter_mut().zip((0..4).filter(|&i| i != last)) {
             *basis = reflected(i);
         }
-        // Σ s w² in that basis; a cone if one eigenvalue differs in sign from the other two.
+        // The quadratic form Σ s w² in that basis is a cone if one eigenvalue differs in sign from the other two.
         let form = Matrix3::from_fn(|i, j| free[i].component_mul(&s).dot(&free[j]));
         let SymmetricEigen { eigenvectors, eigenvalues } = SymmetricEigen::new(form);
         let sign = -eigenvalues.product().signum();
@@ -107,7 +107,7 @@ impl Cone {
             1 => [0, 2],
             _ => [0, 1],
         };
-        // Now the odd one must be negative and the other two positive.
+        // After the change of sign, the odd eigenvalue must be negative and the other two positive.
         if !(signed[odd] < 0.0 && rest.iter().all(|&i| signed[i] > 0.0)) {
             return None;
         }
@@ -123,7 +123,7 @@ impl Cone {
         (self.axis + self.across[0] * cos + self.across[1] * sin).normalize()
     }
 
-    /// What a force gains by accelerating masses along a direction, twice that. One piece of code for all places that ask.
+    /// Gain (g·d)²/(d·M d) of a direction, N·m/(kg·m²) times N·m; one compiled copy for all callers.
     #[inline(never)]
     fn gain(&self, angle: f64, force: &Vector4<f64>, mass: &Matrix4<f64>) -> f64 {
         let direction = self.direction(angle);
@@ -133,7 +133,7 @@ impl Cone {
 
 fn golden_maximum(f: &impl Fn(f64) -> f64, mut low: f64, mut high: f64) -> f64 {
     let ratio = (5f64.sqrt() - 1.0) / 2.0;
-    // Flat at the maximum: half the digits of f are all that a search can find.
+    // At a maximum f is flat, so that a search finds half of the digits of the angle.
     while high - low > 1e-9 {
         let (a, b) = (high - ratio * (high - low), low + ratio * (high - low));
         if f(a) < f(b) { low = a } else { high = b }
@@ -152,7 +152,7 @@ mod tests {
         Geometry { base_distance: 0.42, links: [link; 4] }
     }
 
-    /// Directions lie on the cone, for equal and for unequal lengths.
+    /// Directions satisfy both equations of the cone, for equal and for unequal lengths.
     #[test]
     fn directions_lie_on_the_cone() {
         let mut unequal = paper();

@@ -1,10 +1,13 @@
-//! How far beyond a border a motion may be between two places: bounds, so that nothing is missed that happens where nobody looks.
+//! Upper bounds on the guard values of a unilateral spring between two states of a trajectory, so that no crossing between them is missed.
+//!
+//! Given values and slopes at both ends and bounds on higher derivatives, a function lies below two parabolas, below the parabola over its
+//! chord, and within a remainder of the cubic Hermite polynomial.
 
 use super::{Phase, PhaseGuard, UnilateralSpring};
 
 impl UnilateralSpring {
-    /// How far a motion can be beyond any border of a phase, m or rad, between two places some seconds apart, each given by penetration and
-    /// rate, whose first two derivatives are no greater than these.
+    /// Upper bound on the guard value that ends a phase, m or rad, between two states `duration` seconds apart, each given by penetration
+    /// and rate, from bounds on the first two derivatives of the penetration.
     #[inline(never)]
     pub(in crate::effects) fn residual_bound_by_derivatives(
         &self,
@@ -19,7 +22,7 @@ impl UnilateralSpring {
                 let [u, w] = ends.map(|[_, rate]| by_depth * rate);
                 parabola_bound([from.guard_residual, u], [to.guard_residual, w], duration, curvature)
             } else {
-                // Below straight lines.
+                // The value lies below both straight lines of the steepest slope.
                 let steepest = by_depth.abs() * slope + by_rate.abs() * curvature;
                 f64::max(from.guard_residual, to.guard_residual)
                     .max(0.5 * (from.guard_residual + to.guard_residual + steepest * duration))
@@ -28,9 +31,9 @@ impl UnilateralSpring {
         Self::deciding(phase, deciding, |guard_residual| *guard_residual).unwrap_or(f64::NEG_INFINITY)
     }
 
-    /// The same where its derivatives of order 2, 3 and 4 are no greater than these: by the parabola over the chord, or by the cubic through
-    /// both places, from which penetration and rate are off by 1/384 and √3/216 of the fourth derivative at most, times the fourth and the
-    /// third power of the time.
+    /// Upper bound on the guard value that ends a phase, m or rad, from bounds on the derivatives of order 2, 3 and 4 of the penetration:
+    /// the smaller of the bounds by the parabola over the chord and by the cubic Hermite polynomial. The remainders of the cubic are
+    /// 1/384 (penetration) and √3/216 (rate) of the fourth derivative times the fourth and the third power of the duration.
     #[inline(never)]
     pub(in crate::effects) fn residual_bound_by_cubic(
         &self,
@@ -39,6 +42,7 @@ impl UnilateralSpring {
         duration: f64,
         [largest_curvature, third, fourth]: [f64; 3],
     ) -> f64 {
+        /// Remainder constants of cubic Hermite interpolation, for the value and for the slope: 1/384 and √3/216.
         const OFF: [f64; 2] = [1.0 / 384.0, 0.008_018_753_738_744_79];
         let [[x, u], [y, w]] = ends;
         let mean = 3.0 * (y - x) / duration;
@@ -54,19 +58,19 @@ impl UnilateralSpring {
         Self::deciding(phase, deciding, |guard_residual| *guard_residual).unwrap_or(f64::NEG_INFINITY)
     }
 
-    /// Each border of a phase, as it is at two places.
+    /// Each guard of a phase at both ends.
     fn phase_guards_at(&self, phase: Phase, ends: [[f64; 2]; 2]) -> impl Iterator<Item = [PhaseGuard; 2]> {
         let [from, to] = ends.map(|[depth, rate]| self.phase_guards(phase, depth, rate));
         from.into_iter().flatten().zip(to.into_iter().flatten()).map(|(from, to)| [from, to])
     }
 }
 
-/// The greatest value that a function can have between two places, from values and slopes there and the bound on its second derivative:
-/// below both parabolas.
+/// Upper bound on a function between the ends of an interval, from values and slopes at the ends and the bound `curvature` on its second
+/// derivative: the largest value below both parabolas.
 #[inline(never)]
 pub(in crate::effects) fn parabola_bound([x, u]: [f64; 2], [y, w]: [f64; 2], duration: f64, curvature: f64) -> f64 {
     let at = |start: f64, slope: f64, time: f64| start + time * (slope + curvature / 2.0 * time);
-    // Where they meet: they differ by a linear function of time, which only round-off keeps from rising.
+    // The parabolas differ by a linear function of time, which rises but for round-off; `meet` is its root.
     let rising = u - w + curvature * duration;
     let meet = if rising > 0.0 {
         ((y - x - w * duration + curvature / 2.0 * duration * duration) / rising).clamp(0.0, duration)
@@ -76,8 +80,8 @@ pub(in crate::effects) fn parabola_bound([x, u]: [f64; 2], [y, w]: [f64; 2], dur
     x.max(y).max(at(x, u, meet).max(at(y, -w, duration - meet)))
 }
 
-/// The greatest value between these, where the second derivative times the square of the way is no greater than this: below the parabola over
-/// the chord.
+/// Upper bound on a function between the end values x and y, where `curvature_term` bounds its second derivative times the square of the interval:
+/// the largest value of the parabola over the chord.
 fn chord_bound([x, y]: [f64; 2], curvature_term: f64) -> f64 {
     let rise = y - x;
     if curvature_term <= 2.0 * rise.abs() {
@@ -87,18 +91,18 @@ fn chord_bound([x, y]: [f64; 2], curvature_term: f64) -> f64 {
     x + part * (rise + 0.5 * curvature_term * (1.0 - part))
 }
 
-/// The least value between the ends of the cubic with these values and slopes there, 1 apart.
+/// Minimum of the cubic Hermite polynomial on the interval from 0 to 1 with these values and slopes at the ends.
 #[inline(never)]
 pub fn cubic_minimum([x, y]: [f64; 2], [u, w]: [f64; 2]) -> f64 {
     let rise = y - x;
-    // x + τ (u + τ (b + c τ)), and where it is level: 3c τ² + 2b τ + u = 0.
+    // The cubic is x + τ (u + τ (b + c τ)); its extrema satisfy 3c τ² + 2b τ + u = 0.
     let (b, c) = (3.0 * rise - 2.0 * u - w, u + w - 2.0 * rise);
     let root = (b * b - 3.0 * c * u).max(0.0).sqrt();
     let at = |place: f64, scale: f64| {
         let part = if scale == 0.0 { 0.0 } else { (place / scale).clamp(0.0, 1.0) };
         x + part * (u + part * (b + c * part))
     };
-    // Both roots, each without cancellation.
+    // Both roots are computed without cancellation.
     let sum = -b - root.copysign(b);
     x.min(y).min(at(sum, 3.0 * c)).min(at(u, sum))
 }
@@ -112,8 +116,8 @@ mod tests {
 
     const SPRING: UnilateralSpring = UnilateralSpring { stiffness: 50.0, damping: 0.02, width: 1e-3 };
 
-    /// No bound is exceeded by a dense sampling of motions whose derivatives are known, and by the cubic most are hardly above it: a sum of
-    /// swings of random frequencies, of which many come near a border, pass it and come back between places that do not show it.
+    /// A dense sampling of motions with known derivatives exceeds no bound, and most bounds by the cubic are tight: sums of oscillations of
+    /// random frequencies, many of which pass a guard and return between two ends that do not show the crossing.
     #[test]
     fn no_border_is_passed_beyond_the_bounds() {
         let mut random = ChaCha8Rng::seed_from_u64(14);
@@ -126,7 +130,7 @@ mod tests {
                 let angle = |rate: f64, start: f64| rate * time + start + f64::from(order) * std::f64::consts::FRAC_PI_2;
                 swings.iter().map(|&[size, rate, start]| size * rate.powi(order as i32) * angle(rate, start).sin()).sum()
             };
-            // Every other one goes 5 µm beyond the first border where it turns.
+            // Every other motion passes the first guard by 5 µm at its maximum.
             let places = (0..=500).map(|i| f64::from(i) / 500.0 * duration);
             let top = places.clone().map(|time| sum(0, time)).fold(f64::NEG_INFINITY, f64::max);
             let middle = if case % 2 == 0 { uniform(-1e-3, 2e-3) } else { 5e-6 - top };

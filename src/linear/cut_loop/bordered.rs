@@ -1,22 +1,21 @@
-//! A matrix over the turns of the links whose two legs the tip closes.
+//! Bordered matrix of the cut loop: 2×2 in the rotations of each leg's links, bordered by the closure of the tip.
 
 use super::at_tip;
 use crate::mechanism::legs::{Legs, Legs2, both, sum};
 
-/// A matrix of each leg over its two links by rows, closed by the tip: [A b; c −e] with the columns b of the tip's forces and the rows c
-/// of its closure.
+/// The factorised bordered matrix [A b; c −e]: A by legs over two links, columns b of the tip's forces, rows c of the tip's closure.
 #[derive(Clone, Copy, Debug)]
 pub struct BorderedMatrix {
-    /// A⁻¹ by rows.
+    /// Inverse A⁻¹ by rows.
     inverse: [[Legs; 2]; 2],
-    /// A⁻¹ b by links.
+    /// Product A⁻¹ b by links.
     columns: [Legs2; 2],
-    /// (c A⁻¹ b + e)⁻¹ by rows.
+    /// Inverse Schur complement (c A⁻¹ b + e)⁻¹ by rows.
     tip_inverse: [f64; 4],
 }
 
 impl BorderedMatrix {
-    /// `pulls`: the rows of b by links; `ends`: the columns of c.
+    /// Factorises A by rows, the rows [p, d] of b by links, and the columns `ends` of c.
     #[inline(always)]
     pub(super) fn new([[pp, pd], [dp, dd]]: [[Legs; 2]; 2], [p, d]: [Legs2; 2], ends: &[Legs2; 2], e: f64) -> Self {
         let reciprocal = both(1.0) / (pp * dd - pd * dp);
@@ -29,14 +28,14 @@ impl BorderedMatrix {
         Self { inverse, columns, tip_inverse: [yy * reciprocal, -xy * reciprocal, -yx * reciprocal, xx * reciprocal] }
     }
 
-    /// (c A⁻¹ b + e)⁻¹ x.
+    /// The product (c A⁻¹ b + e)⁻¹ x.
     #[inline(always)]
     fn at_tip(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         let [xx, xy, yx, yy] = self.tip_inverse;
         [xx * x + xy * y, yx * x + yy * y]
     }
 
-    /// y of A x + b y = r, c x − e y = 0, and x of the same with c x − e y = −gap.
+    /// Solves A x + b y = r twice: returns x with c x − e y = −gap, and y with c x − e y = 0.
     #[inline(always)]
     pub(super) fn solve(&self, [p, d]: [Legs; 2], ends: &[Legs2; 2], gap: [f64; 2]) -> ([Legs; 2], [f64; 2]) {
         let [[pp, pd], [dp, dd]] = self.inverse;
@@ -47,7 +46,7 @@ impl BorderedMatrix {
     }
 }
 
-/// By how much the legs' tips come apart where their links turn so far.
+/// Separation of the legs' tips by given rotations of their links, c x, m.
 #[inline(always)]
 fn tip_separation([p, d]: &[Legs2; 2], [turn_p, turn_d]: [Legs; 2]) -> [f64; 2] {
     [sum(p.x * turn_p + d.x * turn_d), sum(p.y * turn_p + d.y * turn_d)]

@@ -1,4 +1,4 @@
-//! Tangents of loads in the turns of the links.
+//! Tangents of forces in the rotations of the links, for the cut loop.
 
 use super::{normals, scaled};
 use crate::effects::Tangents;
@@ -6,19 +6,21 @@ use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X};
 use crate::mechanism::legs::{Legs, Legs2};
 use crate::mechanism::secant::StepDirections;
 
-/// Tangents of loads over a step as moments of inertia of each leg: by rows (proximal, distal) of momentum and columns of Δθ and ω̂, which
-/// change together. What couples the legs is left out: Newton's method converges a little more slowly.
+/// Tangents of mean forces over a step as moments of inertia of each leg, kg·m²: rows (proximal, distal) of (f), columns of Δθ and ω̂,
+/// whose increments are equal. Entries that couple the legs are left out, so that Newton's method converges a little more slowly.
 pub struct LegTangents<'a> {
+    /// Directions of the links over the step.
     pub(super) directions: &'a StepDirections,
-    /// Of the proximal and of the distal links, from the joints of either link to the centre of mass.
+    /// Arms to the centre of mass of the proximal and of the distal links, along each link of the leg, m.
     pub(super) arms: [[Legs; 2]; 2],
-    /// ½h² of K and h of C.
+    /// Weights ½h² of K, s², and h of C, s.
     pub(super) weights: [f64; 2],
+    /// Sum of the tangents by rows and columns (proximal, distal) and by legs, kg·m².
     pub(super) inertias: [[[f64; 2]; 2]; 2],
 }
 
 impl LegTangents<'_> {
-    /// How far a coordinate moves by turns of its leg's links, with their normals at the end, or in the middle, shortened.
+    /// Derivatives of a coordinate by the angles of its leg's links, given the normals of the links, m or 1.
     #[inline(always)]
     fn levers(&self, coordinate: usize, normals: [Legs2; 2]) -> [f64; 2] {
         let (kind, leg) = (coordinate / 2, coordinate % 2);

@@ -1,26 +1,26 @@
-//! Two legs that are open at the tip: what of the equations depends on the machine only.
+//! Constants of the two legs, open at the tip: moments and mobilities of the cut loop's equations.
 
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both};
 use crate::mechanism::{Coordinates, Mechanism};
 
-/// A mechanism whose legs are open.
+/// Constants of a mechanism whose legs are open at the tip.
 #[derive(Clone, Copy, Debug)]
 pub struct OpenLegs {
     pub(super) mechanism: Mechanism,
-    /// 1/m and 1/I in the order of the coordinates.
+    /// Mobilities 1/m, 1/kg, and 1/I, 1/(kg·m²), in the order of the coordinates.
     mobility: [Legs; 6],
-    /// ℓ and L with the leg's sign in the tip's closure, m.
+    /// Lengths ℓ and L with the leg's sign in the tip's closure, m.
     pub(super) sigma_length: [Legs; 2],
-    /// m_P a, m_D ℓ and m_D a_D, kg·m.
+    /// First moments m_P a, m_D ℓ and m_D a_D, kg·m.
     mass_moment: [Legs; 3],
-    /// A, B and D, kg·m².
+    /// Moments of inertia A, B and D, kg·m².
     pub(super) moment: [Legs; 3],
-    /// 1/(I + A) and 1/(I + D): of a link that its joint alone holds, 1/(kg·m²).
+    /// Mobilities 1/(I + A) and 1/(I + D) of a single link about its first joint, 1/(kg·m²).
     pub(super) turn_mobility: [Legs; 2],
 }
 
-/// The motion's moments of the proximal and the distal links.
+/// First moments of a displacement of the proximal and the distal links, kg·m².
 pub(super) type Moments = [Legs2; 2];
 
 impl Legs2 {
@@ -35,20 +35,20 @@ impl Legs2 {
     }
 }
 
-/// What the links' centres of mass do.
+/// The position entries of coordinates: vectors of the proximal and the distal centres of mass.
 #[inline(always)]
 pub(super) fn centres(x: &Coordinates) -> [Legs2; 2] {
     [Legs2 { x: legs_of(x, P_X), y: legs_of(x, P_Y) }, Legs2 { x: legs_of(x, D_X), y: legs_of(x, D_Y) }]
 }
 
-/// And their angles.
+/// The angle entries of coordinates: proximal and distal links.
 #[inline(always)]
 pub(super) fn angles(x: &Coordinates) -> [Legs; 2] {
     [legs_of(x, P_THETA), legs_of(x, D_THETA)]
 }
 
 impl OpenLegs {
-    /// Of a mechanism.
+    /// The constants of a mechanism.
     pub fn new(mechanism: &Mechanism) -> Self {
         let &Mechanism { a_p, b_p, a_d, sigma_b_d, mass_p, mass_d, inertia_p, inertia_d, .. } = mechanism;
         let length = a_p + b_p;
@@ -64,7 +64,7 @@ impl OpenLegs {
         }
     }
 
-    /// M⁻¹ x.
+    /// The product M⁻¹ x.
     #[inline(always)]
     pub fn apply_inverse_mass(&self, x: &Coordinates) -> Coordinates {
         let mut result = Coordinates::ZERO;
@@ -74,28 +74,28 @@ impl OpenLegs {
         result
     }
 
-    /// Moments of links that turn by p and d about their joints.
+    /// First moments of rotations of the links, with p and d the displacements per length, kg·m².
     #[inline(always)]
     pub(super) fn moment(&self, [p, d]: [Legs2; 2]) -> Moments {
         let [own, shared, distal] = self.moment;
         [p.scaled(own).plus(d.scaled(shared)), p.scaled(shared).plus(d.scaled(distal))]
     }
 
-    /// Moments of motions of the centres of mass.
+    /// First moments of displacements of the centres of mass, m.
     #[inline(always)]
     pub(super) fn moment_of_centres(&self, [p, d]: [Legs2; 2]) -> Moments {
         let [proximal, elbow, distal] = self.mass_moment;
         [p.scaled(proximal).plus(d.scaled(elbow)), d.scaled(distal)]
     }
 
-    /// Moments of forces on the centres of mass.
+    /// Moments of forces on the centres of mass, N.
     #[inline(always)]
     pub(super) fn moment_of_forces(&self, [p, d]: [Legs2; 2]) -> Moments {
         let Mechanism { a_p, b_p, a_d, .. } = self.mechanism;
         [p.scaled(a_p).plus(d.scaled(a_p + b_p)), d.scaled(a_d)]
     }
 
-    /// σ(ℓ, L) times something of the tip.
+    /// Products of σ(ℓ, L) and a vector of the tip.
     #[inline(always)]
     pub(super) fn levers(&self, tip: Legs2) -> Moments {
         self.sigma_length.map(|length| tip.scaled(length))
