@@ -6,10 +6,10 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::carry::{FORCE, apply, sandwich, turned};
-use super::innovation::{Expected, log_likelihood};
+use super::innovation::{PredictedSample, log_likelihood};
 use super::linkage::{Frame, Linkage, Pair};
 use super::process_noise::ProcessNoise;
+use super::propagate::{FORCE, apply, propagate_covariance, turned};
 use super::transition::ERRORS;
 
 /// Number of models.
@@ -36,7 +36,7 @@ pub(super) const BY_INTERVALS: [f64; MODELS] = [0.3, 0.3, 0.1, 0.3];
 /// A model never becomes less likely than this in one sample.
 const LEAST_LIKELIHOOD: f64 = 1e-12;
 /// Variances that say that nothing is known, rad² and rad²/s².
-const UNKNOWN: [f64; 2] = [0.3, 1e4];
+const LARGEST_VARIANCES: [f64; 2] = [0.3, 1e4];
 /// Models less likely than this do not take part in a mixture.
 const NEGLIGIBLE: f64 = 1e-12;
 
@@ -70,17 +70,17 @@ impl Bank {
 
     /// Moves all errors by a transition.
     #[inline(never)]
-    pub fn carry(&mut self, f: &Matrix) {
-        for member in self.taking_part() {
+    pub fn propagate(&mut self, f: &Matrix) {
+        for member in self.active_members() {
             member.error = apply(f, &member.error);
-            member.covariance = sandwich(f, &member.covariance);
+            member.covariance = propagate_covariance(f, &member.covariance);
         }
     }
 
     /// The same errors on another tangent basis: angles, rates and force turn alike.
     #[inline(never)]
-    pub fn turn(&mut self, turn: &[Pair; 2]) {
-        for member in self.taking_part() {
+    pub fn change_basis(&mut self, turn: &[Pair; 2]) {
+        for member in self.active_members() {
             member.error = turned(turn, &member.error);
             // By the second index, then by the first.
             let half = member.covariance.map(|row| turned(turn, &row));
@@ -97,7 +97,7 @@ impl Bank {
     }
 
     /// Those that are believed at all.
-    fn taking_part(&mut self) -> impl Iterator<Item = &mut Member> {
+    fn active_members(&mut self) -> impl Iterator<Item = &mut Member> {
         self.members.iter_mut().filter(|member| member.weight > 0.0)
     }
 
@@ -133,7 +133,7 @@ impl Bank {
                     member.covariance[i][k] = own * (member.covariance[i][k] + any * apart) + any * all[i][k];
                 }
             }
-            (member.error, member.covariance) = (apply(f, &error), sandwich(f, &member.covariance));
+            (member.error, member.covariance) = (apply(f, &error), propagate_covariance(f, &member.covariance));
             for i in 0..ERRORS {
                 for k in 0..ERRORS {
                     member.covariance[i][k] += white * noise.white[i][k] + walk * noise.walk[i][k];
@@ -239,7 +239,7 @@ impl Bank {
 
     /// Corrects all models by a sample of which they have expected that, and their weights by how likely each had made it.
     #[inline(never)]
-    pub fn update(&mut self, expected: &Expected) {
+    pub fn update(&mut self, expected: &PredictedSample) {
         let mut likelihood = [f64::NEG_INFINITY; MODELS];
         for ((member, (residual, variance, column)), likelihood) in self.members.iter_mut().zip(&expected.each).zip(&mut likelihood)
         {
@@ -285,7 +285,7 @@ impl Bank {
     }
 
     /// The mean takes over some error.
-    pub fn recentre(&mut self, by: &Error) {
+    pub fn subtract_mean(&mut self, by: &Error) {
         for member in &mut self.members {
             for (error, by) in member.error.iter_mut().zip(by) {
                 *error -= by;
@@ -298,7 +298,7 @@ impl Bank {
 #[inline(never)]
 fn bound(covariance: &mut Matrix) {
     for i in 0..4 {
-        let most = UNKNOWN[i / 2];
+        let most = LARGEST_VARIANCES[i / 2];
         if covariance[i][i] > most {
             let factor = (most / covariance[i][i]).sqrt();
             for k in 0..ERRORS {

@@ -3,38 +3,38 @@
 use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::innovation::Expected;
+use super::innovation::PredictedSample;
 use super::track::wrapped;
 
 /// The time of a sample that has not been taken, s.
 pub const NEVER: f64 = -1e30;
 /// An angle of this size, rad, is none: its whole turns are round-off.
-const LARGEST: f64 = 1e9;
+const LARGEST_ANGLE: f64 = 1e9;
 /// Round-off of the times of a master, relative to them, or to 1 s.
-const ROUND_OFF: f64 = 1e-9;
+const TIME_ROUND_OFF: f64 = 1e-9;
 /// Squared standard deviations by which a sample is off that is left out once,
-const WILD: f64 = 30.0;
+const GATE: f64 = 30.0;
 /// by which no force that is thought of explains it,
-const IMPOSSIBLE: f64 = 400.0;
+const GATE_OF_LOUDEST_MODEL: f64 = 400.0;
 /// and how many of these are left out in a row before the encoder is believed again.
-const PATIENCE: u32 = 10;
+const MOST_REJECTED_IN_A_ROW: u32 = 10;
 /// A quantiser's error repeats for as long as the axis stays within one step of it, but not for longer than this, s.
-const REPEATING: f64 = 0.3;
+const CORRELATION_TIME: f64 = 0.3;
 /// White noise of this many steps of the quantiser makes its error white.
 const DITHER: f64 = 0.4;
 /// A reading that changes by no more steps than this has passed one edge between them,
-const ONE: f64 = 1.5;
+const SINGLE_EDGE: f64 = 1.5;
 /// which is known to this part of a step.
-const SHARP: f64 = 0.5;
+const EDGE_SIGMA: f64 = 0.5;
 /// An encoder is silent where this many of its intervals have passed since its last sample,
-const LATE: f64 = 1.5;
+const SILENT_AFTER_INTERVALS: f64 = 1.5;
 /// which before there are two samples are taken to be of this length, s.
 const UNKNOWN_INTERVAL: f64 = 0.1;
 /// Least variance of the white noise that stands for an interval, in Δ²/12, of an axis that goes through a step from sample to sample; of a
 /// slower one as many times more as its error repeats.
-const LEAST: f64 = 0.003;
+const LEAST_VARIANCE: f64 = 0.003;
 /// The least standard deviation of a sample, rad.
-const FINEST: f64 = 1e-9;
+const LEAST_SIGMA: f64 = 1e-9;
 
 /// What a master has connected: an angle and when it was measured.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -106,7 +106,7 @@ pub(super) struct Reading {
     /// s.
     pub(super) age: f64,
     /// So far from the angle, rad, nothing is told.
-    pub(super) slack: f64,
+    pub(super) dead_zone: f64,
 }
 
 /// An encoder.
@@ -116,17 +116,17 @@ pub struct Encoder {
     time: f64,
     /// Angle and time of the last one that could be used.
     angle: f64,
-    used: f64,
+    valid_time: f64,
     /// Whether its angle was that of the one before.
     repeated: bool,
     /// From the one before, rad.
     change: f64,
     /// Samples left out in a row.
-    left_out: u32,
+    rejected_in_a_row: u32,
     /// Between the last two that could be used, s; 0 before there are two.
     interval: f64,
     /// Macro steps since then, s; infinite before the first.
-    pub(super) silent: f64,
+    pub(super) time_since_sample: f64,
     pub(super) fault: Fault,
 }
 
@@ -134,12 +134,12 @@ impl Encoder {
     pub(super) const NEW: Self = Self {
         time: NEVER,
         angle: 0.0,
-        used: NEVER,
+        valid_time: NEVER,
         repeated: false,
         change: 0.0,
-        left_out: 0,
+        rejected_in_a_row: 0,
         interval: 0.0,
-        silent: f64::INFINITY,
+        time_since_sample: f64::INFINITY,
         fault: Fault::None,
     };
 
@@ -148,12 +148,12 @@ impl Encoder {
         if time.to_bits() == self.time.to_bits() {
             return None;
         }
-        let spoke = self.used > NEVER;
+        let has_sample = self.valid_time > NEVER;
         if time.is_finite() {
             self.time = time;
         }
-        let (age, rounded) = (now - time, ROUND_OFF * now.abs().max(1.0));
-        self.fault = if angle.is_nan() || angle.abs() >= LARGEST || !time.is_finite() {
+        let (age, rounded) = (now - time, TIME_ROUND_OFF * now.abs().max(1.0));
+        self.fault = if angle.is_nan() || angle.abs() >= LARGEST_ANGLE || !time.is_finite() {
             Fault::Invalid
         } else if age < -rounded {
             Fault::Future
@@ -165,26 +165,26 @@ impl Encoder {
         if self.fault != Fault::None {
             return None;
         }
-        self.repeated = spoke && self.angle.to_bits() == angle.to_bits();
-        self.change = if spoke { angle - self.angle } else { 0.0 };
-        if spoke {
-            self.interval = (time - self.used).abs();
+        self.repeated = has_sample && self.angle.to_bits() == angle.to_bits();
+        self.change = if has_sample { angle - self.angle } else { 0.0 };
+        if has_sample {
+            self.interval = (time - self.valid_time).abs();
         }
-        (self.angle, self.used) = (angle, time);
-        self.silent = 0.0;
+        (self.angle, self.valid_time) = (angle, time);
+        self.time_since_sample = 0.0;
         Some(Sample { angle, age: if age <= rounded { 0.0 } else { age } })
     }
 
     /// Whether it has been silent for longer than between its last samples.
     pub(super) fn is_silent(&self) -> bool {
-        self.silent > LATE * if self.interval > 0.0 { self.interval } else { UNKNOWN_INTERVAL }
+        self.time_since_sample > SILENT_AFTER_INTERVALS * if self.interval > 0.0 { self.interval } else { UNKNOWN_INTERVAL }
     }
 
     /// Whether it can be one.
     #[cold]
     pub(super) fn is_sound(&self) -> bool {
-        let numbers = [self.time, self.angle, self.used, self.change, self.interval];
-        numbers.iter().all(|x| x.is_finite()) && self.interval >= 0.0 && self.silent >= 0.0
+        let numbers = [self.time, self.angle, self.valid_time, self.change, self.interval];
+        numbers.iter().all(|x| x.is_finite()) && self.interval >= 0.0 && self.time_since_sample >= 0.0
     }
 
     /// Between its last two samples, s; 0 before there are two.
@@ -209,51 +209,55 @@ impl Encoder {
 
     /// Whether a sample is to be used that is off by so many squared standard deviations: of all models, and of the one that allows for
     /// most. `suspicious`: it repeats itself, and the other does not; `patient`: the estimate is to be believed rather than the sample.
-    pub(super) fn accepts(&mut self, nis: f64, least: f64, (suspicious, patient): (bool, bool)) -> bool {
+    pub(super) fn passes_gate(&mut self, nis: f64, least: f64, (suspicious, patient): (bool, bool)) -> bool {
         self.fault = match self.fault {
             Fault::Stuck if self.repeated => Fault::Stuck,
             // NaN is wild.
-            _ if nis <= WILD => Fault::None,
+            _ if nis <= GATE => Fault::None,
             _ if suspicious => Fault::Stuck,
-            _ if self.left_out < 1 || (patient && (least.is_nan() || least > IMPOSSIBLE) && self.left_out < PATIENCE) => {
+            _ if self.rejected_in_a_row < 1
+                || (patient
+                    && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL)
+                    && self.rejected_in_a_row < MOST_REJECTED_IN_A_ROW) =>
+            {
                 Fault::Rejected
             }
             _ => Fault::None,
         };
-        self.left_out = if self.fault == Fault::None { 0 } else { self.left_out.saturating_add(1) };
+        self.rejected_in_a_row = if self.fault == Fault::None { 0 } else { self.rejected_in_a_row.saturating_add(1) };
         self.fault == Fault::None
     }
 
     /// What a reading tells beside where the axis is slow: while it stays the same, that the axis is within the encoder's step; where it
     /// changes, that it has just passed the edge between two steps.
-    pub(super) fn sharpened(&self, reading: Reading, (sigma, quantum): (f64, f64), rate: f64) -> Reading {
+    pub(super) fn confined_to_interval(&self, reading: Reading, (sigma, quantum): (f64, f64), rate: f64) -> Reading {
         let Reading { angle, age, .. } = reading;
-        if self.is_dithered(sigma, quantum) || self.change.abs() > ONE * quantum {
+        if self.is_dithered(sigma, quantum) || self.change.abs() > SINGLE_EDGE * quantum {
             return reading;
         }
         let passed = rate * self.interval;
-        let noise = (SHARP * quantum).powi(2) + passed * passed / 3.0 + sigma * sigma;
+        let noise = (EDGE_SIGMA * quantum).powi(2) + passed * passed / 3.0 + sigma * sigma;
         if self.repeated {
-            Reading { angle, noise, age, slack: quantum / 2.0 }
+            Reading { angle, noise, age, dead_zone: quantum / 2.0 }
         } else {
-            Reading { angle: angle - self.change / 2.0, noise, age, slack: 0.0 }
+            Reading { angle: angle - self.change / 2.0, noise, age, dead_zone: 0.0 }
         }
     }
 
     /// How many samples an error that lasts counts as, at the most.
-    fn longest(&self) -> f64 {
-        if self.interval > 0.0 { (REPEATING / self.interval).max(1.0) } else { 1.0 }
+    fn most_correlated_samples(&self) -> f64 {
+        if self.interval > 0.0 { (CORRELATION_TIME / self.interval).max(1.0) } else { 1.0 }
     }
 
-    /// Variance of a sample, rad², without what a quantiser does: that of the white noise, and one of an error that stays, `lasting`, rad².
-    fn white(&self, sigma: f64, lasting: f64) -> f64 {
-        (sigma * sigma).max(FINEST * FINEST) + lasting * self.longest()
+    /// Variance of a sample, rad², without what a quantiser does: that of the white noise, and one of an error that stays, `persistent`, rad².
+    fn unquantised_variance(&self, sigma: f64, persistent: f64) -> f64 {
+        (sigma * sigma).max(LEAST_SIGMA * LEAST_SIGMA) + persistent * self.most_correlated_samples()
     }
 
     /// Of how many samples of an axis that turns at a rate, rad/s, a quantiser's error is the same.
-    fn dwell(&self, quantum: f64, rate: f64) -> f64 {
-        let turns = quantum / (rate.abs() * self.interval).max(FINEST * quantum);
-        turns.min(self.longest()).max(1.0)
+    fn correlated_samples(&self, quantum: f64, rate: f64) -> f64 {
+        let turns = quantum / (rate.abs() * self.interval).max(LEAST_SIGMA * quantum);
+        turns.min(self.most_correlated_samples()).max(1.0)
     }
 
     /// Whether a quantiser's error is white: the noise that it rounds moves it about, or there has been no sample before.
@@ -263,19 +267,19 @@ impl Encoder {
 
     /// Variance of a sample, rad², of an axis that turns at a rate, rad/s, in itself: white noise, and a quantiser's error, which does not
     /// average out while the axis rests.
-    pub(super) fn noise(&self, sigma: f64, quantum: f64, rate: f64, lasting: f64) -> f64 {
-        let repeated = if self.is_dithered(sigma, quantum) { 1.0 } else { self.dwell(quantum, rate) };
-        self.white(sigma, lasting) + quantum * quantum / 12.0 * repeated
+    pub(super) fn noise(&self, sigma: f64, quantum: f64, rate: f64, persistent: f64) -> f64 {
+        let repeated = if self.is_dithered(sigma, quantum) { 1.0 } else { self.correlated_samples(quantum, rate) };
+        self.unquantised_variance(sigma, persistent) + quantum * quantum / 12.0 * repeated
     }
 
     /// What is expected of a sample, as the models have been told it with this noise, rad², where it is used as what it is: an interval.
-    pub(super) fn within_step(
+    pub(super) fn with_quantisation_interval(
         &self,
-        expected: &Expected,
+        expected: &PredictedSample,
         (sigma, quantum): (f64, f64),
         rate: f64,
-        [noise, lasting]: [f64; 2],
-    ) -> Expected {
+        [noise, persistent]: [f64; 2],
+    ) -> PredictedSample {
         if self.is_dithered(sigma, quantum) {
             return *expected;
         }
@@ -283,10 +287,14 @@ impl Encoder {
         // many repeats its error. One that changes by one more or less has just passed an edge, and where that is matters.
         let turned = rate * self.interval;
         let whole = (turned / quantum).round() * quantum;
-        let dwell = self.dwell(quantum, (turned - whole) / self.interval);
+        let correlated_samples = self.correlated_samples(quantum, (turned - whole) / self.interval);
         let repeats = (wrapped(self.change) - whole).abs() < quantum / 2.0;
-        let repeated = if repeats { dwell } else { 1.0 };
-        expected.within(quantum, [noise, self.white(sigma, lasting)], [repeated, LEAST * dwell])
+        let repeated = if repeats { correlated_samples } else { 1.0 };
+        expected.with_interval(
+            quantum,
+            [noise, self.unquantised_variance(sigma, persistent)],
+            [repeated, LEAST_VARIANCE * correlated_samples],
+        )
     }
 }
 
@@ -311,8 +319,8 @@ mod tests {
             }
             let rate = steps * quantum / h;
             let noise = encoder.noise(0.0, quantum, rate, 0.0);
-            let expected = Bank::new([known, 1.0, 1.0]).expect(&Innovation { residual: 0.4 * quantum, row, noise });
-            encoder.within_step(&expected, (0.0, quantum), rate, [noise, 0.0]).each[0].1 - known
+            let expected = Bank::new([known, 1.0, 1.0]).predict_sample(&Innovation { residual: 0.4 * quantum, row, noise });
+            encoder.with_quantisation_interval(&expected, (0.0, quantum), rate, [noise, 0.0]).each[0].1 - known
         };
         let rest = variance(0.0);
         for steps in [1.0, -1.0, 3.0] {
@@ -331,7 +339,7 @@ mod tests {
         let mut encoder = Encoder::NEW;
         let unused = |encoder: &mut Encoder, angle: f64, time: f64, fault: Fault| {
             assert!(encoder.receive(angle, time, 1.0, 0.0).is_none());
-            assert_eq!((encoder.fault, encoder.interval), (fault, if encoder.silent == 0.0 { 0.25 } else { 0.0 }));
+            assert_eq!((encoder.fault, encoder.interval), (fault, if encoder.time_since_sample == 0.0 { 0.25 } else { 0.0 }));
         };
         unused(&mut encoder, 5.0, 1e9, Fault::Future);
         unused(&mut encoder, 5.0, -1.0, Fault::Late);

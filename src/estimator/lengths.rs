@@ -1,6 +1,6 @@
 //! What lengths that are not known exactly do to the angles of the motors and to the tip: an error that stays.
 
-use super::linkage::{Frame, Links, MEASURED, Pair, SIDE, VERTEX};
+use super::linkage::{CLOSURE_SIGNS, Frame, Links, MEASURED, NEAR_VERTEX, Pair};
 
 impl Frame {
     /// Variances of the angles of the motors, rad², where lengths have a standard deviation, m: the loop closes by J⁺.
@@ -21,12 +21,12 @@ impl Frame {
     /// Covariance of the tip, m²: xx, xy, yy, where lengths have a standard deviation, m, and encoders hold the motors as far as they can.
     pub(super) fn tip_by_lengths(&self, sigma: f64) -> [f64; 3] {
         /// In the squares of how motors turn with N: where they hardly do, the tip moves by J⁺ alone.
-        const HELD: f64 = 0.01;
+        const MOTOR_REGULARIZATION: f64 = 0.01;
         if sigma == 0.0 {
             return [0.0; 3];
         }
         let [[a, b], [c, d]] = self.basis.map(|direction| MEASURED.map(|link| direction[link]));
-        let (xx, xy, yy) = (a * a + b * b + HELD, a * c + b * d, c * c + d * d + HELD);
+        let (xx, xy, yy) = (a * a + b * b + MOTOR_REGULARIZATION, a * c + b * d, c * c + d * d + MOTOR_REGULARIZATION);
         let determinant = xx * yy - xy * xy;
         let mut sum = [0.0; 3];
         for (link, gap) in self.gaps_by_length().into_iter().enumerate() {
@@ -47,13 +47,14 @@ impl Frame {
 
     /// J⁺ r; next to a vertex, where J⁺ grows without bound and says nothing of finite lengths, less of it.
     fn closing(&self, gap: Pair) -> Links {
-        let part = (self.smallest / VERTEX).min(1.0);
+        let part = (self.smallest / NEAR_VERTEX).min(1.0);
         self.least_squares(gap).map(|angle| part * part * angle)
     }
 
     /// By how much the loop opens with the length of each link and with the base's.
     fn gaps_by_length(&self) -> [Pair; 5] {
-        let [first, second, third, fourth] = std::array::from_fn(|i| self.directions[i].map(|component| SIDE[i] * component));
+        let [first, second, third, fourth] =
+            std::array::from_fn(|i| self.directions[i].map(|component| CLOSURE_SIGNS[i] * component));
         [first, second, third, fourth, [-1.0, 0.0]]
     }
 }

@@ -3,23 +3,23 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::{Bank, Error, Matrix};
-use super::carry;
 use super::innovation::Innovation;
-use super::linkage::{Frame, Linkage, Links, MEASURED, Pair, VERTEX};
+use super::linkage::{Frame, Linkage, Links, MEASURED, NEAR_VERTEX, Pair};
+use super::propagate;
 use super::transition::{self, ERRORS, Flow, Scene};
 
 /// Where that is smaller than this, two ways to compute a motion have to agree,
-const DOUBTFUL: f64 = 0.2;
+const COMPARED_BELOW: f64 = 0.2;
 /// to this, rad and rad/s.
 const AGREEMENT: [f64; 2] = [1e-3, 0.1];
 /// The part of the fastest rate by which rates change at once where a motion turns.
-const TURNED: f64 = 0.3;
+const LEAST_RATE_CHANGE: f64 = 0.3;
 /// Rates beyond this are none of a machine, rad/s.
-const FASTEST: f64 = 2e3;
+const LARGEST_RATE: f64 = 2e3;
 /// Below this rate, rad/s, a machine next to a vertex passes nothing.
-const SLOWEST: f64 = 0.05;
+const REST_RATE: f64 = 0.05;
 /// In the squares of the inputs' effects: no input is asked for a force that it does not have.
-const LEAST_EFFECT: f64 = 1e-6;
+const EFFECT_REGULARIZATION: f64 = 1e-6;
 
 /// An estimate.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -54,7 +54,7 @@ pub fn wrapped(angle: f64) -> f64 {
 pub(super) fn by_inputs(linkage: &Linkage, at: &Frame) -> [Pair; 4] {
     let scale = [1.0, 1.0, 1.0 / linkage.length, 1.0 / linkage.length];
     let effects = effects(at);
-    let (mut xx, mut xy, mut yy) = (LEAST_EFFECT, 0.0, LEAST_EFFECT);
+    let (mut xx, mut xy, mut yy) = (EFFECT_REGULARIZATION, 0.0, EFFECT_REGULARIZATION);
     for (input, scale) in scale.into_iter().enumerate() {
         let [x, y] = effects.map(|row| row[input] * scale);
         xx += x * x;
@@ -94,24 +94,26 @@ impl Track {
             })
         };
         // NaN counts as near.
-        let held = !(smallest > VERTEX && (smallest > DOUBTFUL || agrees()));
-        let transition = if held { carry::straight(from, to, h) } else { carry::transition(from, to, flow) };
+        let held = !(smallest > NEAR_VERTEX && (smallest > COMPARED_BELOW || agrees()));
+        let transition = if held { propagate::straight(from, to, h) } else { propagate::transition(from, to, flow) };
         let finite = transition.iter().flatten().all(|x| x.is_finite());
-        if finite { Step { transition, held } } else { Step { transition: carry::straight(from, to, h), held: true } }
+        if finite { Step { transition, held } } else { Step { transition: propagate::straight(from, to, h), held: true } }
     }
 
     /// Whether a motion to these rates, whose smallest singular value comes to `smallest`, has turned next to a vertex: forces change no rate
     /// by as much in a step.
     pub(super) fn has_turned(&self, omega: &Links, smallest: f64) -> bool {
         let fastest = self.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
-        fastest > SLOWEST && smallest < VERTEX && (0..4).any(|i| (omega[i] - self.omega[i]).abs() > TURNED * fastest)
+        fastest > REST_RATE
+            && smallest < NEAR_VERTEX
+            && (0..4).any(|i| (omega[i] - self.omega[i]).abs() > LEAST_RATE_CHANGE * fastest)
     }
 
     /// h seconds on by its rates.
-    pub(super) fn gone_straight(&self, linkage: &Linkage, h: f64) -> Self {
+    pub(super) fn extrapolated(&self, linkage: &Linkage, h: f64) -> Self {
         // Not closed: the straight line meets the loop to third order, and J would take from the rates what it does not know of.
         let along: Links = std::array::from_fn(|i| self.theta[i] + h * self.omega[i]);
-        let away = linkage.frame(&along).smallest >= VERTEX;
+        let away = linkage.frame(&along).smallest >= NEAR_VERTEX;
         let (theta, omega) = match linkage.closed(along, self.omega) {
             Some((theta, omega, _)) if away => (theta, omega),
             _ => (along, self.omega),
@@ -123,7 +125,7 @@ impl Track {
     /// `None` where it cannot be computed.
     #[cold]
     #[inline(never)]
-    pub(super) fn passed_aside(
+    pub(super) fn with_lateral_offset(
         &self,
         linkage: &Linkage,
         scene: &impl Scene,
@@ -131,7 +133,7 @@ impl Track {
     ) -> Option<Self> {
         let fastest = self.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
         // At rest in a vertex it has come from nowhere.
-        if fastest < SLOWEST {
+        if fastest < REST_RATE {
             return None;
         }
         let time = before / fastest;
@@ -139,17 +141,17 @@ impl Track {
         let (theta, omega, frame) = linkage.closed(theta, omega)?;
         let [x, y] = frame.coordinates(&omega);
         let speed = (x * x + y * y).sqrt();
-        if speed < SLOWEST {
+        if speed < REST_RATE {
             return None;
         }
         let across = frame.tangent([-aside * y / speed, aside * x / speed]);
         let (theta, omega, _) = linkage.closed(std::array::from_fn(|i| theta[i] + across[i]), omega)?;
         let (theta, omega) = transition::motion(linkage, scene, (theta, omega), time, steps);
-        if !theta.iter().chain(&omega).all(|x| x.abs() < FASTEST) || !linkage.is_closed(&theta, &omega) {
+        if !theta.iter().chain(&omega).all(|x| x.abs() < LARGEST_RATE) || !linkage.is_closed(&theta, &omega) {
             return None;
         }
         let mut bank = self.bank;
-        bank.turn(&linkage.frame(&self.theta).carried_to(&linkage.frame(&theta)));
+        bank.change_basis(&linkage.frame(&self.theta).basis_map_to(&linkage.frame(&theta)));
         bank.inflate([aside * aside, (aside / before * fastest).powi(2)]);
         Some(Self { theta, omega, bank, ..*self })
     }
@@ -175,16 +177,16 @@ impl Track {
         let (turned, quickened) = (from.tangent([error[0], error[1]]), from.tangent([error[2], error[3]]));
         let (theta, omega, to) = linkage
             .closed(std::array::from_fn(|i| self.theta[i] + turned[i]), std::array::from_fn(|i| self.omega[i] + quickened[i]))?;
-        if !omega.iter().all(|rate| rate.abs() < FASTEST) {
+        if !omega.iter().all(|rate| rate.abs() < LARGEST_RATE) {
             return None;
         }
         let force = on_basis(from, &self.force);
         let force = [force[0] + error[4], force[1] + error[5]];
         self.force = by_inputs(linkage, from).map(|row| row[0] * force[0] + row[1] * force[1]);
         (self.theta, self.omega) = (theta, omega);
-        let turn = from.carried_to(&to);
-        self.bank.recentre(&error);
-        self.bank.turn(&turn);
+        let turn = from.basis_map_to(&to);
+        self.bank.subtract_mean(&error);
+        self.bank.change_basis(&turn);
         Some((error, turn, to))
     }
 
@@ -203,7 +205,7 @@ impl Track {
     /// The log likelihood, next to a direct singularity, of being as far on its other side and going the other way, which the motors do not
     /// tell: by the distance s = sin(θ₃ − θ₂) and its rate, with their covariance.
     #[inline(never)]
-    pub(super) fn other_side(&self, at: &Frame) -> f64 {
+    pub(super) fn mirror_log_likelihood(&self, at: &Frame) -> f64 {
         let slope = libm::cos(self.theta[2] - self.theta[1]);
         let row = at.basis.map(|direction| slope * (direction[2] - direction[1]));
         let (s, rate) = (at.side(), slope * (self.omega[2] - self.omega[1]));
@@ -232,10 +234,10 @@ impl Track {
     /// where motors cannot.
     pub fn motor_torques(&self, at: &Frame) -> Option<(Pair, Pair)> {
         /// Least |det| of what motors do on the tangent basis.
-        const LEAST: f64 = 0.15;
+        const LEAST_DETERMINANT: f64 = 0.15;
         let [[a, b], [c, d]] = at.basis.map(|direction| MEASURED.map(|link| direction[link]));
         let determinant = a * d - b * c;
-        if determinant.abs() < LEAST {
+        if determinant.abs() < LEAST_DETERMINANT {
             return None;
         }
         let inverse = [[d / determinant, -b / determinant], [-c / determinant, a / determinant]];
