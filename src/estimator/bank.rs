@@ -6,10 +6,10 @@
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::carry::{FORCE, apply, sandwich, turned};
-use super::innovation::{Expected, log_likelihood};
+use super::innovation::{PredictedSample, log_likelihood};
 use super::linkage::{Frame, Linkage, Pair};
 use super::process_noise::ProcessNoise;
+use super::propagate::{FORCE, apply, propagate_covariance, turned};
 use super::transition::ERRORS;
 
 /// Number of models.
@@ -40,7 +40,7 @@ pub(super) const BY_INTERVALS: [f64; MODELS] = [0.3, 0.3, 0.1, 0.3];
 /// Smallest likelihood ratio of a model in one sample: keeps a model recoverable after an outlier.
 const LEAST_LIKELIHOOD: f64 = 1e-12;
 /// Largest variances of angles, rad², and rates, rad²/s²: beyond these nothing is known.
-const UNKNOWN: [f64; 2] = [0.3, 1e4];
+const LARGEST_VARIANCES: [f64; 2] = [0.3, 1e4];
 /// Probability below which a model is left out of the moments of the mixture, whose digits it does not reach.
 const NEGLIGIBLE: f64 = 1e-12;
 
@@ -74,17 +74,17 @@ impl Bank {
 
     /// Propagates all errors by a transition matrix.
     #[inline(never)]
-    pub fn carry(&mut self, f: &Matrix) {
-        for member in self.taking_part() {
+    pub fn propagate(&mut self, f: &Matrix) {
+        for member in self.active_members() {
             member.error = apply(f, &member.error);
-            member.covariance = sandwich(f, &member.covariance);
+            member.covariance = propagate_covariance(f, &member.covariance);
         }
     }
 
     /// Transforms all errors to another tangent basis: angles, rates and force turn alike.
     #[inline(never)]
-    pub fn turn(&mut self, turn: &[Pair; 2]) {
-        for member in self.taking_part() {
+    pub fn change_basis(&mut self, turn: &[Pair; 2]) {
+        for member in self.active_members() {
             member.error = turned(turn, &member.error);
             // Transform of the second index, then of the first.
             let half = member.covariance.map(|row| turned(turn, &row));
@@ -101,7 +101,7 @@ impl Bank {
     }
 
     /// Models of non-zero probability.
-    fn taking_part(&mut self) -> impl Iterator<Item = &mut Member> {
+    fn active_members(&mut self) -> impl Iterator<Item = &mut Member> {
         self.members.iter_mut().filter(|member| member.weight > 0.0)
     }
 
@@ -137,7 +137,7 @@ impl Bank {
                     member.covariance[i][k] = own * (member.covariance[i][k] + any * apart) + any * all[i][k];
                 }
             }
-            (member.error, member.covariance) = (apply(f, &error), sandwich(f, &member.covariance));
+            (member.error, member.covariance) = (apply(f, &error), propagate_covariance(f, &member.covariance));
             for i in 0..ERRORS {
                 for k in 0..ERRORS {
                     member.covariance[i][k] += white * noise.white[i][k] + walk * noise.walk[i][k];
@@ -243,7 +243,7 @@ impl Bank {
 
     /// Measurement update of all models by a sample; their probabilities change by the likelihoods.
     #[inline(never)]
-    pub fn update(&mut self, expected: &Expected) {
+    pub fn update(&mut self, expected: &PredictedSample) {
         let mut likelihood = [f64::NEG_INFINITY; MODELS];
         for ((member, (residual, variance, column)), likelihood) in self.members.iter_mut().zip(&expected.each).zip(&mut likelihood)
         {
@@ -289,7 +289,7 @@ impl Bank {
     }
 
     /// Moves the common estimate by `by`: the mean errors become smaller by as much.
-    pub fn recentre(&mut self, by: &Error) {
+    pub fn subtract_mean(&mut self, by: &Error) {
         for member in &mut self.members {
             for (error, by) in member.error.iter_mut().zip(by) {
                 *error -= by;
@@ -302,7 +302,7 @@ impl Bank {
 #[inline(never)]
 fn bound(covariance: &mut Matrix) {
     for i in 0..4 {
-        let most = UNKNOWN[i / 2];
+        let most = LARGEST_VARIANCES[i / 2];
         if covariance[i][i] > most {
             let factor = (most / covariance[i][i]).sqrt();
             for k in 0..ERRORS {

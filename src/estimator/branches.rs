@@ -5,33 +5,33 @@ use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::{MODELS, PRIOR};
 use super::encoder::Reading;
-use super::innovation::{Expected, Innovation, log_likelihood};
-use super::linkage::{Linkage, MEASURED, VERTEX};
+use super::innovation::{Innovation, PredictedSample, log_likelihood};
+use super::linkage::{Linkage, MEASURED, NEAR_VERTEX};
 use super::track::{Track, wrapped};
 use super::{Constants, Scene, transition};
 use crate::mechanism::{Assembly, Geometry, Start, close};
 
 /// Life of a hypothesis, s: by then samples have decided.
-const LONGEST: f64 = 0.5;
+const LIFETIME: f64 = 0.5;
 /// Log-likelihood ratios relative to the estimate below which a hypothesis is dropped and above which it replaces the estimate.
-const DECIDED: [f64; 2] = [-12.0, 6.0];
+const EVIDENCE_BOUNDS: [f64; 2] = [-12.0, 6.0];
 /// Log-likelihood ratio of the first samples after a vertex that replaces the estimate at once.
-const IMMEDIATE: f64 = 15.0;
+const IMMEDIATE_EVIDENCE: f64 = 15.0;
 /// Angle of the fastest link before the vertex at which turning hypotheses start, rad.
-const BEFORE: f64 = 0.05;
+const START_DISTANCE: f64 = 0.05;
 /// Lateral offset at which turning hypotheses start, rad: the way they turn hardly depends on it.
-const ASIDE: f64 = 5e-3;
+const LATERAL_OFFSET: f64 = 5e-3;
 /// Runge–Kutta steps of a turning hypothesis, there and back.
-const FINE: u32 = 128;
+const TURNING_STEPS: u32 = 128;
 /// Largest turn of a link per Runge–Kutta step relative to the smallest singular value of J over the mean length.
-const PART: f64 = 0.125;
+const LARGEST_TURN: f64 = 0.125;
 /// Floor of the smallest singular value in a division, dimensionless.
-const LEAST: f64 = 1e-6;
+const LEAST_SINGULAR_VALUE: f64 = 1e-6;
 /// Largest number of Runge–Kutta steps in a macro step.
-const MOST: f64 = 256.0;
+const MOST_STEPS: f64 = 256.0;
 
 /// Largest number of hypotheses.
-const MOTIONS: usize = 3;
+const MOST_HYPOTHESES: usize = 3;
 
 /// Hypotheses after a vertex.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -39,12 +39,12 @@ pub(super) struct Branches {
     /// Time since the last vertex, s.
     since_vertex: f64,
     /// Whether the estimate approaches a vertex.
-    nearing: bool,
-    others: [Option<Other>; MOTIONS],
+    approaches_vertex: bool,
+    hypotheses: [Option<Hypothesis>; MOST_HYPOTHESES],
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
-struct Other {
+struct Hypothesis {
     track: Track,
     /// Whether the hypothesis continues straight through a vertex.
     straight: bool,
@@ -56,39 +56,39 @@ struct Other {
 
 impl Default for Branches {
     fn default() -> Self {
-        Self { since_vertex: f64::MAX, nearing: false, others: [None; MOTIONS] }
+        Self { since_vertex: f64::MAX, approaches_vertex: false, hypotheses: [None; MOST_HYPOTHESES] }
     }
 }
 
 impl Branches {
     /// Whether the branch is known: the last vertex is long ago.
-    pub(super) fn are_known(&self) -> bool {
-        self.since_vertex > LONGEST
+    pub(super) fn is_branch_known(&self) -> bool {
+        self.since_vertex > LIFETIME
     }
 
     /// Whether any hypothesis is open.
     pub(super) fn are_open(&self) -> bool {
-        self.others.iter().any(Option::is_some)
+        self.hypotheses.iter().any(Option::is_some)
     }
 
     pub(super) fn tracks(&self) -> impl Iterator<Item = &Track> {
-        self.others.iter().flatten().map(|other| &other.track)
+        self.hypotheses.iter().flatten().map(|other| &other.track)
     }
 
     pub(super) fn is_sound(&self) -> bool {
         self.since_vertex >= 0.0
-            && self.others.iter().flatten().all(|other| other.evidence.is_finite() && (0.0..=LONGEST).contains(&other.age))
+            && self.hypotheses.iter().flatten().all(|other| other.evidence.is_finite() && (0.0..=LIFETIME).contains(&other.age))
     }
 
     /// Time update of the hypotheses by a macro step.
     pub(super) fn step(&mut self, constants: &Constants, held: bool, scene: &impl Scene, (h, switch_time): (f64, f64)) {
         self.since_vertex = (if held { 0.0 } else { self.since_vertex } + h).min(f64::MAX);
-        for other in &mut self.others {
+        for other in &mut self.hypotheses {
             if let Some(motion) = other {
                 motion.age += h;
                 let scale = constants.torque_scale();
-                let goes_on = motion.age < LONGEST
-                    && advance(&mut motion.track, constants, scene, motion.straight, (h, switch_time, scale), &PRIOR);
+                let goes_on = motion.age < LIFETIME
+                    && propagate_hypothesis(&mut motion.track, constants, scene, motion.straight, (h, switch_time, scale), &PRIOR);
                 if !goes_on {
                     *other = None;
                 }
@@ -98,39 +98,52 @@ impl Branches {
 
     /// Opens hypotheses where the estimate leaves a vertex, since no sample has told on which side it was passed. The smallest singular
     /// value of J was `from` at `track`, before the macro step, and is `to` after it.
-    pub(super) fn pass(&mut self, linkage: &Linkage, track: &Track, scene: &impl Scene, [from, to]: [f64; 2], turned: bool) {
-        let near = from.min(to) < VERTEX;
-        let leaves = near && (turned || self.nearing && to > from);
-        self.nearing = near && !leaves && to < from;
+    pub(super) fn open_after_vertex(
+        &mut self,
+        linkage: &Linkage,
+        track: &Track,
+        scene: &impl Scene,
+        [from, to]: [f64; 2],
+        turned: bool,
+    ) {
+        let near = from.min(to) < NEAR_VERTEX;
+        let leaves = near && (turned || self.approaches_vertex && to > from);
+        self.approaches_vertex = near && !leaves && to < from;
         if leaves && !self.are_open() {
-            let straight = turned.then(|| Other::new(*track, true));
-            let aside =
-                |side: f64| track.passed_aside(linkage, scene, (BEFORE, side * ASIDE, FINE)).map(|track| Other::new(track, false));
-            self.others = [straight, aside(1.0), aside(-1.0)];
+            let straight = turned.then(|| Hypothesis::new(*track, true));
+            let aside = |side: f64| {
+                track
+                    .with_lateral_offset(linkage, scene, (START_DISTANCE, side * LATERAL_OFFSET, TURNING_STEPS))
+                    .map(|track| Hypothesis::new(track, false))
+            };
+            self.hypotheses = [straight, aside(1.0), aside(-1.0)];
         }
     }
 
     /// Hypothesis that the first samples (innovation, angle) after a vertex favour by far.
     pub(super) fn preferred(&self, linkage: &Linkage, track: &Track, samples: &[Option<(Innovation, f64)>; 2]) -> Option<usize> {
-        let evidence = |other: &Other| {
+        let evidence = |other: &Hypothesis| {
             let mut evidence = 0.0;
             for (encoder, sample) in samples.iter().enumerate() {
                 let Some((innovation, angle)) = sample else { continue };
-                let (nis, variance) = track.bank.expect(innovation).surprise();
+                let (nis, variance) = track.bank.predict_sample(innovation).nis_and_variance();
                 let frame = linkage.frame(&other.track.theta);
-                let (other_nis, other_variance) =
-                    other.track.bank.expect(&other.track.innovation(&frame, encoder, *angle, innovation.noise)).surprise();
+                let (other_nis, other_variance) = other
+                    .track
+                    .bank
+                    .predict_sample(&other.track.innovation(&frame, encoder, *angle, innovation.noise))
+                    .nis_and_variance();
                 evidence += log_likelihood(other_nis, other_variance) - log_likelihood(nis, variance);
             }
             evidence
         };
-        self.best(evidence, IMMEDIATE)
+        self.best(evidence, IMMEDIATE_EVIDENCE)
     }
 
     /// Hypothesis of most evidence, if that exceeds `least`.
-    fn best(&self, evidence: impl Fn(&Other) -> f64, least: f64) -> Option<usize> {
+    fn best(&self, evidence: impl Fn(&Hypothesis) -> f64, least: f64) -> Option<usize> {
         let mut best = (None, least);
-        for (k, other) in self.others.iter().enumerate() {
+        for (k, other) in self.hypotheses.iter().enumerate() {
             if let Some(evidence) = other.as_ref().map(&evidence).filter(|evidence| *evidence > best.1) {
                 best = (Some(k), evidence);
             }
@@ -139,10 +152,10 @@ impl Branches {
     }
 
     /// Subtracts the estimate's log-likelihood of a sample from the evidence.
-    pub(super) fn weigh(&mut self, expected: &Expected) {
+    pub(super) fn subtract_likelihood(&mut self, expected: &PredictedSample) {
         if self.are_open() {
-            let (nis, variance) = expected.surprise();
-            for other in self.others.iter_mut().flatten() {
+            let (nis, variance) = expected.nis_and_variance();
+            for other in self.hypotheses.iter_mut().flatten() {
                 other.evidence -= log_likelihood(nis, variance);
             }
         }
@@ -150,19 +163,19 @@ impl Branches {
 
     /// Measurement update of the hypotheses. Returns the one that replaces the estimate, if any.
     pub(super) fn correct(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> Option<usize> {
-        for other in &mut self.others {
+        for other in &mut self.hypotheses {
             if other.as_mut().is_some_and(|other| !other.correct(linkage, readings)) {
                 *other = None;
             }
         }
-        self.best(|other| other.evidence, DECIDED[1])
+        self.best(|other| other.evidence, EVIDENCE_BOUNDS[1])
     }
 
     /// Exchanges a hypothesis with the estimate.
     #[cold]
     pub(super) fn swap(&mut self, track: &mut Track, with: usize) {
-        let Some(ahead) = self.others[with].as_ref().map(|other| other.evidence) else { return };
-        for (k, other) in self.others.iter_mut().enumerate() {
+        let Some(ahead) = self.hypotheses[with].as_ref().map(|other| other.evidence) else { return };
+        for (k, other) in self.hypotheses.iter_mut().enumerate() {
             if let Some(other) = other {
                 other.evidence -= ahead;
                 if k == with {
@@ -175,24 +188,24 @@ impl Branches {
     }
 }
 
-impl Other {
+impl Hypothesis {
     fn new(track: Track, straight: bool) -> Self {
         Self { track, straight, evidence: 0.0, age: 0.0 }
     }
 
     /// Measurement update; false where the evidence refutes the hypothesis.
     fn correct(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> bool {
-        let Some(likelihood) = tell(&mut self.track, linkage, readings) else { return false };
+        let Some(likelihood) = update_hypothesis(&mut self.track, linkage, readings) else { return false };
         self.evidence += likelihood;
         // NaN refutes the hypothesis.
-        self.evidence > DECIDED[0]
+        self.evidence > EVIDENCE_BOUNDS[0]
     }
 }
 
 /// Time update of a hypothesis by a macro step with Runge–Kutta, under an unknown force of scale `scale`, N·m, and models of these priors;
 /// false where it fails. `straight`: the motion continues straight through a vertex.
 #[inline(never)]
-pub(super) fn advance(
+pub(super) fn propagate_hypothesis(
     track: &mut Track,
     constants: &Constants,
     scene: &impl Scene,
@@ -203,15 +216,15 @@ pub(super) fn advance(
     let linkage = &constants.linkage;
     let from = linkage.frame(&track.theta);
     let fastest = track.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
-    let fine = (h * fastest / (PART * from.smallest.max(LEAST))).ceil().clamp(1.0, MOST) as u32;
+    let fine = (h * fastest / (LARGEST_TURN * from.smallest.max(LEAST_SINGULAR_VALUE))).ceil().clamp(1.0, MOST_STEPS) as u32;
     let flow = track.flow(linkage, &from, scene, (h, fine));
-    let (theta, omega, to) = if straight && from.smallest < VERTEX {
-        let Track { theta, omega, .. } = track.gone_straight(linkage, h);
+    let (theta, omega, to) = if straight && from.smallest < NEAR_VERTEX {
+        let Track { theta, omega, .. } = track.extrapolated(linkage, h);
         (theta, omega, linkage.frame(&theta))
     } else {
         // Next to a vertex J cannot close the loop.
         let at = linkage.posture(&flow.theta);
-        if at.gram(linkage.length).1 < VERTEX {
+        if at.gram(linkage.length).1 < NEAR_VERTEX {
             (flow.theta, flow.omega, linkage.frame(&flow.theta))
         } else {
             let Some(closed) = linkage.closed(flow.theta, flow.omega) else { return false };
@@ -226,22 +239,22 @@ pub(super) fn advance(
 
 /// Measurement update of a hypothesis; returns its log-likelihood, `None` where the loop cannot be closed.
 #[inline(never)]
-pub(super) fn tell(track: &mut Track, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> Option<f64> {
+pub(super) fn update_hypothesis(track: &mut Track, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> Option<f64> {
     let mut likelihood = 0.0;
     let frame = linkage.frame(&track.theta);
     for (encoder, reading) in readings.iter().enumerate() {
-        let Some(Reading { angle, noise, age, slack }) = *reading else { continue };
+        let Some(Reading { angle, noise, age, dead_zone }) = *reading else { continue };
         let mut innovation = track.innovation(&frame, encoder, angle, noise);
         // Hypotheses keep no history: a past angle is extrapolated by the rate.
         let residual = wrapped(innovation.residual + age * track.omega[MEASURED[encoder]]);
-        if residual.abs() < slack {
+        if residual.abs() < dead_zone {
             continue;
         }
-        innovation.residual = residual - slack.copysign(residual);
-        let expected = track.bank.expect(&innovation);
-        let (nis, variance) = expected.surprise();
+        innovation.residual = residual - dead_zone.copysign(residual);
+        let expected = track.bank.predict_sample(&innovation);
+        let (nis, variance) = expected.nis_and_variance();
         // Within the slack all motions are equally likely: the normalisation by the variance is left out.
-        likelihood += if slack > 0.0 { -0.5 * nis } else { log_likelihood(nis, variance) };
+        likelihood += if dead_zone > 0.0 { -0.5 * nis } else { log_likelihood(nis, variance) };
         track.bank.update(&expected);
     }
     track.inject_error(linkage, &frame).map(|_| likelihood)
@@ -275,7 +288,7 @@ pub(super) fn mirrored(constants: &Constants, track: &Track) -> Option<Track> {
         turn[4 + i][4 + i] = 1.0;
     }
     let mut bank = track.bank;
-    bank.carry(&turn);
+    bank.propagate(&turn);
     Some(Track { theta, omega, force: [0.0; 4], bank })
 }
 

@@ -3,38 +3,38 @@
 use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::innovation::Expected;
+use super::innovation::PredictedSample;
 use super::track::wrapped;
 
 /// Time of an encoder that has no sample, s.
 pub const NEVER: f64 = -1e30;
 /// Smallest size of an invalid angle, rad: its fraction of a turn is round-off.
-const LARGEST: f64 = 1e9;
+const LARGEST_ANGLE: f64 = 1e9;
 /// Round-off of the master's times, relative to them or to 1 s.
-const ROUND_OFF: f64 = 1e-9;
+const TIME_ROUND_OFF: f64 = 1e-9;
 /// Gate: normalised innovation squared above which a sample is rejected once.
-const WILD: f64 = 30.0;
+const GATE: f64 = 30.0;
 /// Gate of the loudest model: normalised innovation squared above which no assumed force explains a sample.
-const IMPOSSIBLE: f64 = 400.0;
+const GATE_OF_LOUDEST_MODEL: f64 = 400.0;
 /// Largest number of samples rejected in a row before the encoder is trusted again.
-const PATIENCE: u32 = 10;
+const MOST_REJECTED_IN_A_ROW: u32 = 10;
 /// Largest correlation time of the quantisation error, s: an axis at rest repeats its error, but not for ever.
-const REPEATING: f64 = 0.3;
+const CORRELATION_TIME: f64 = 0.3;
 /// Ratio of white noise to the quantisation interval above which the quantisation error is white (dither).
 const DITHER: f64 = 0.4;
 /// Largest change of a reading, in quantisation intervals, that means that one edge between intervals was passed.
-const ONE: f64 = 1.5;
+const SINGLE_EDGE: f64 = 1.5;
 /// Standard deviation of the angle at an edge passage, in quantisation intervals.
-const SHARP: f64 = 0.5;
+const EDGE_SIGMA: f64 = 0.5;
 /// Silence, in sampling intervals since the last sample, after which an encoder counts as silent.
-const LATE: f64 = 1.5;
+const SILENT_AFTER_INTERVALS: f64 = 1.5;
 /// Sampling interval assumed before two samples are known, s.
 const UNKNOWN_INTERVAL: f64 = 0.1;
 /// Least variance of the white noise that replaces an interval, in Δ²/12, for an axis that crosses an interval per sample; a slower axis
 /// has a multiple, by the number of samples that share an error.
-const LEAST: f64 = 0.003;
+const LEAST_VARIANCE: f64 = 0.003;
 /// Least standard deviation of a sample, rad, so that no variance is 0.
-const FINEST: f64 = 1e-9;
+const LEAST_SIGMA: f64 = 1e-9;
 
 /// Samples connected by a master: angles and their times.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -106,7 +106,7 @@ pub(super) struct Reading {
     /// Age, s.
     pub(super) age: f64,
     /// Half-width of the interval about the angle that carries no information, rad.
-    pub(super) slack: f64,
+    pub(super) dead_zone: f64,
 }
 
 /// State of an encoder.
@@ -117,17 +117,17 @@ pub struct Encoder {
     /// Angle of the last valid sample, rad.
     angle: f64,
     /// Time of the last valid sample, s.
-    used: f64,
+    valid_time: f64,
     /// Whether the last two valid samples have equal angles.
     repeated: bool,
     /// Difference of the last two valid samples, rad.
     change: f64,
     /// Number of samples rejected in a row.
-    left_out: u32,
+    rejected_in_a_row: u32,
     /// Time between the last two valid samples, s; 0 before there are two.
     interval: f64,
     /// Macro steps' time since the last valid sample, s; infinite before the first.
-    pub(super) silent: f64,
+    pub(super) time_since_sample: f64,
     pub(super) fault: Fault,
 }
 
@@ -135,12 +135,12 @@ impl Encoder {
     pub(super) const NEW: Self = Self {
         time: NEVER,
         angle: 0.0,
-        used: NEVER,
+        valid_time: NEVER,
         repeated: false,
         change: 0.0,
-        left_out: 0,
+        rejected_in_a_row: 0,
         interval: 0.0,
-        silent: f64::INFINITY,
+        time_since_sample: f64::INFINITY,
         fault: Fault::None,
     };
 
@@ -149,12 +149,12 @@ impl Encoder {
         if time.to_bits() == self.time.to_bits() {
             return None;
         }
-        let spoke = self.used > NEVER;
+        let has_sample = self.valid_time > NEVER;
         if time.is_finite() {
             self.time = time;
         }
-        let (age, rounded) = (now - time, ROUND_OFF * now.abs().max(1.0));
-        self.fault = if angle.is_nan() || angle.abs() >= LARGEST || !time.is_finite() {
+        let (age, rounded) = (now - time, TIME_ROUND_OFF * now.abs().max(1.0));
+        self.fault = if angle.is_nan() || angle.abs() >= LARGEST_ANGLE || !time.is_finite() {
             Fault::Invalid
         } else if age < -rounded {
             Fault::Future
@@ -166,26 +166,26 @@ impl Encoder {
         if self.fault != Fault::None {
             return None;
         }
-        self.repeated = spoke && self.angle.to_bits() == angle.to_bits();
-        self.change = if spoke { angle - self.angle } else { 0.0 };
-        if spoke {
-            self.interval = (time - self.used).abs();
+        self.repeated = has_sample && self.angle.to_bits() == angle.to_bits();
+        self.change = if has_sample { angle - self.angle } else { 0.0 };
+        if has_sample {
+            self.interval = (time - self.valid_time).abs();
         }
-        (self.angle, self.used) = (angle, time);
-        self.silent = 0.0;
+        (self.angle, self.valid_time) = (angle, time);
+        self.time_since_sample = 0.0;
         Some(Sample { angle, age: if age <= rounded { 0.0 } else { age } })
     }
 
     /// Whether the encoder is silent: no sample for longer than its sampling interval allows.
     pub(super) fn is_silent(&self) -> bool {
-        self.silent > LATE * if self.interval > 0.0 { self.interval } else { UNKNOWN_INTERVAL }
+        self.time_since_sample > SILENT_AFTER_INTERVALS * if self.interval > 0.0 { self.interval } else { UNKNOWN_INTERVAL }
     }
 
     /// Whether stored values are possible.
     #[cold]
     pub(super) fn is_sound(&self) -> bool {
-        let numbers = [self.time, self.angle, self.used, self.change, self.interval];
-        numbers.iter().all(|x| x.is_finite()) && self.interval >= 0.0 && self.silent >= 0.0
+        let numbers = [self.time, self.angle, self.valid_time, self.change, self.interval];
+        numbers.iter().all(|x| x.is_finite()) && self.interval >= 0.0 && self.time_since_sample >= 0.0
     }
 
     /// Time between the last two valid samples, s; 0 before there are two.
@@ -210,51 +210,55 @@ impl Encoder {
 
     /// Gating: whether a sample is used whose normalised innovation squared is `nis` in the mixture and `least` in the loudest model.
     /// `suspicious`: the encoder repeats its angle while the other does not; `patient`: the estimate is trusted rather than the sample.
-    pub(super) fn accepts(&mut self, nis: f64, least: f64, (suspicious, patient): (bool, bool)) -> bool {
+    pub(super) fn passes_gate(&mut self, nis: f64, least: f64, (suspicious, patient): (bool, bool)) -> bool {
         self.fault = match self.fault {
             Fault::Stuck if self.repeated => Fault::Stuck,
             // NaN exceeds the gate.
-            _ if nis <= WILD => Fault::None,
+            _ if nis <= GATE => Fault::None,
             _ if suspicious => Fault::Stuck,
-            _ if self.left_out < 1 || (patient && (least.is_nan() || least > IMPOSSIBLE) && self.left_out < PATIENCE) => {
+            _ if self.rejected_in_a_row < 1
+                || (patient
+                    && (least.is_nan() || least > GATE_OF_LOUDEST_MODEL)
+                    && self.rejected_in_a_row < MOST_REJECTED_IN_A_ROW) =>
+            {
                 Fault::Rejected
             }
             _ => Fault::None,
         };
-        self.left_out = if self.fault == Fault::None { 0 } else { self.left_out.saturating_add(1) };
+        self.rejected_in_a_row = if self.fault == Fault::None { 0 } else { self.rejected_in_a_row.saturating_add(1) };
         self.fault == Fault::None
     }
 
     /// Information for hypotheses of slow motions: an unchanged reading confines the axis to the quantisation interval; a changed one
     /// locates it at the edge between two intervals.
-    pub(super) fn sharpened(&self, reading: Reading, (sigma, quantum): (f64, f64), rate: f64) -> Reading {
+    pub(super) fn confined_to_interval(&self, reading: Reading, (sigma, quantum): (f64, f64), rate: f64) -> Reading {
         let Reading { angle, age, .. } = reading;
-        if self.is_dithered(sigma, quantum) || self.change.abs() > ONE * quantum {
+        if self.is_dithered(sigma, quantum) || self.change.abs() > SINGLE_EDGE * quantum {
             return reading;
         }
         let passed = rate * self.interval;
-        let noise = (SHARP * quantum).powi(2) + passed * passed / 3.0 + sigma * sigma;
+        let noise = (EDGE_SIGMA * quantum).powi(2) + passed * passed / 3.0 + sigma * sigma;
         if self.repeated {
-            Reading { angle, noise, age, slack: quantum / 2.0 }
+            Reading { angle, noise, age, dead_zone: quantum / 2.0 }
         } else {
-            Reading { angle: angle - self.change / 2.0, noise, age, slack: 0.0 }
+            Reading { angle: angle - self.change / 2.0, noise, age, dead_zone: 0.0 }
         }
     }
 
     /// Largest number of samples that share a persistent error.
-    fn longest(&self) -> f64 {
-        if self.interval > 0.0 { (REPEATING / self.interval).max(1.0) } else { 1.0 }
+    fn most_correlated_samples(&self) -> f64 {
+        if self.interval > 0.0 { (CORRELATION_TIME / self.interval).max(1.0) } else { 1.0 }
     }
 
-    /// Variance of a sample without quantisation, rad²: white noise plus a persistent error of variance `lasting`, rad².
-    fn white(&self, sigma: f64, lasting: f64) -> f64 {
-        (sigma * sigma).max(FINEST * FINEST) + lasting * self.longest()
+    /// Variance of a sample without quantisation, rad²: white noise plus a persistent error of variance `persistent`, rad².
+    fn unquantised_variance(&self, sigma: f64, persistent: f64) -> f64 {
+        (sigma * sigma).max(LEAST_SIGMA * LEAST_SIGMA) + persistent * self.most_correlated_samples()
     }
 
     /// Number of samples that share a quantisation error while the axis turns at `rate`, rad/s.
-    fn dwell(&self, quantum: f64, rate: f64) -> f64 {
-        let turns = quantum / (rate.abs() * self.interval).max(FINEST * quantum);
-        turns.min(self.longest()).max(1.0)
+    fn correlated_samples(&self, quantum: f64, rate: f64) -> f64 {
+        let turns = quantum / (rate.abs() * self.interval).max(LEAST_SIGMA * quantum);
+        turns.min(self.most_correlated_samples()).max(1.0)
     }
 
     /// Whether the quantisation error is white: dithered by noise, or of the first sample.
@@ -264,19 +268,19 @@ impl Encoder {
 
     /// Variance of a single sample, rad², while the axis turns at `rate`, rad/s: white noise plus the quantisation error, which does not
     /// average out while the axis rests.
-    pub(super) fn noise(&self, sigma: f64, quantum: f64, rate: f64, lasting: f64) -> f64 {
-        let repeated = if self.is_dithered(sigma, quantum) { 1.0 } else { self.dwell(quantum, rate) };
-        self.white(sigma, lasting) + quantum * quantum / 12.0 * repeated
+    pub(super) fn noise(&self, sigma: f64, quantum: f64, rate: f64, persistent: f64) -> f64 {
+        let repeated = if self.is_dithered(sigma, quantum) { 1.0 } else { self.correlated_samples(quantum, rate) };
+        self.unquantised_variance(sigma, persistent) + quantum * quantum / 12.0 * repeated
     }
 
     /// Expected sample with the quantisation interval in place of the white noise of variance `noise`, rad², that it was computed with.
-    pub(super) fn within_step(
+    pub(super) fn with_quantisation_interval(
         &self,
-        expected: &Expected,
+        expected: &PredictedSample,
         (sigma, quantum): (f64, f64),
         rate: f64,
-        [noise, lasting]: [f64; 2],
-    ) -> Expected {
+        [noise, persistent]: [f64; 2],
+    ) -> PredictedSample {
         if self.is_dithered(sigma, quantum) {
             return *expected;
         }
@@ -284,10 +288,14 @@ impl Encoder {
         // number; any other change locates an edge.
         let turned = rate * self.interval;
         let whole = (turned / quantum).round() * quantum;
-        let dwell = self.dwell(quantum, (turned - whole) / self.interval);
+        let correlated_samples = self.correlated_samples(quantum, (turned - whole) / self.interval);
         let repeats = (wrapped(self.change) - whole).abs() < quantum / 2.0;
-        let repeated = if repeats { dwell } else { 1.0 };
-        expected.within(quantum, [noise, self.white(sigma, lasting)], [repeated, LEAST * dwell])
+        let repeated = if repeats { correlated_samples } else { 1.0 };
+        expected.with_interval(
+            quantum,
+            [noise, self.unquantised_variance(sigma, persistent)],
+            [repeated, LEAST_VARIANCE * correlated_samples],
+        )
     }
 }
 
@@ -311,8 +319,8 @@ mod tests {
             }
             let rate = steps * quantum / h;
             let noise = encoder.noise(0.0, quantum, rate, 0.0);
-            let expected = Bank::new([known, 1.0, 1.0]).expect(&Innovation { residual: 0.4 * quantum, row, noise });
-            encoder.within_step(&expected, (0.0, quantum), rate, [noise, 0.0]).each[0].1 - known
+            let expected = Bank::new([known, 1.0, 1.0]).predict_sample(&Innovation { residual: 0.4 * quantum, row, noise });
+            encoder.with_quantisation_interval(&expected, (0.0, quantum), rate, [noise, 0.0]).each[0].1 - known
         };
         let rest = variance(0.0);
         for steps in [1.0, -1.0, 3.0] {
@@ -331,7 +339,7 @@ mod tests {
         let mut encoder = Encoder::NEW;
         let unused = |encoder: &mut Encoder, angle: f64, time: f64, fault: Fault| {
             assert!(encoder.receive(angle, time, 1.0, 0.0).is_none());
-            assert_eq!((encoder.fault, encoder.interval), (fault, if encoder.silent == 0.0 { 0.25 } else { 0.0 }));
+            assert_eq!((encoder.fault, encoder.interval), (fault, if encoder.time_since_sample == 0.0 { 0.25 } else { 0.0 }));
         };
         unused(&mut encoder, 5.0, 1e9, Fault::Future);
         unused(&mut encoder, 5.0, -1.0, Fault::Late);

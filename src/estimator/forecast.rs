@@ -43,13 +43,13 @@ pub(super) struct Forecast {
 }
 
 /// A scene with an additional force.
-struct Pushed<'a, S> {
+struct WithForce<'a, S> {
     scene: &'a S,
     linkage: &'a Linkage,
     force: [f64; 4],
 }
 
-impl<S: Scene> Scene for Pushed<'_, S> {
+impl<S: Scene> Scene for WithForce<'_, S> {
     fn loads(&self, theta: &Links, omega: &Links) -> Loads {
         let mut loads = self.scene.loads(theta, omega);
         loads.torque = self.torque(theta, omega);
@@ -70,7 +70,7 @@ impl<S: Scene> Scene for Pushed<'_, S> {
 impl Point {
     /// Integrates by h seconds; keeps the state where that fails.
     fn step(&mut self, linkage: &Linkage, scene: &impl Scene, h: f64) {
-        let scene = Pushed { scene, linkage, force: self.force };
+        let scene = WithForce { scene, linkage, force: self.force };
         let steps = transition::steps(linkage, &linkage.frame(&self.theta), &scene, (&self.theta, &self.omega), h);
         let (theta, omega) = transition::motion(linkage, &scene, (self.theta, self.omega), h, steps);
         if let Some((theta, omega, _)) = linkage.closed(theta, omega) {
@@ -92,7 +92,7 @@ impl SigmaPoints {
         let inputs = track::by_inputs(linkage, &frame);
         let root = cholesky(&track.covariance());
         let points = std::array::from_fn(|k| {
-            let error = root.map(|row| distance(k) * row[k % ERRORS]);
+            let error = root.map(|row| displacement(k) * row[k % ERRORS]);
             // Largest of three displacements for which the loop can be closed.
             let (theta, omega) = [1.0, 0.5, 0.25]
                 .into_iter()
@@ -122,7 +122,7 @@ impl SigmaPoints {
         let root = [[x, skew], [0.0, (yy - skew * skew).max(0.0).sqrt()]];
         for (k, point) in self.points.iter_mut().enumerate() {
             if let Some(column) = (k % ERRORS).checked_sub(4) {
-                let [x, y] = root[column].map(|element| distance(k) * element);
+                let [x, y] = root[column].map(|element| displacement(k) * element);
                 point.force = self.inputs.map(|row| row[0] * x + row[1] * y);
             }
             point.step(linkage, scene, h);
@@ -145,7 +145,7 @@ impl SigmaPoints {
 }
 
 /// Displacement of sigma point `k` in columns of the square root.
-fn distance(k: usize) -> f64 {
+fn displacement(k: usize) -> f64 {
     if k < ERRORS { (ERRORS as f64).sqrt() } else { -(ERRORS as f64).sqrt() }
 }
 

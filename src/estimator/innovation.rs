@@ -16,21 +16,21 @@ pub struct Innovation {
 
 /// Expectation of a sample by the models.
 #[derive(Clone, Copy, Debug)]
-pub struct Expected {
+pub struct PredictedSample {
     weights: [f64; MODELS],
     /// Residual, rad, its variance, rad², and P hᵀ, for each model.
     pub(super) each: [(f64, f64, Error); MODELS],
 }
 
-impl Expected {
+impl PredictedSample {
     /// Normalised innovation squared, and innovation variance, rad², of the mixture.
-    pub fn surprise(&self) -> (f64, f64) {
-        let (mean, variance) = self.together();
+    pub fn nis_and_variance(&self) -> (f64, f64) {
+        let (mean, variance) = self.mixture_moments();
         (mean * mean / variance, variance)
     }
 
     /// Mean, rad, and variance, rad², of the innovation in the mixture.
-    pub(super) fn together(&self) -> (f64, f64) {
+    pub(super) fn mixture_moments(&self) -> (f64, f64) {
         let models = || self.weights.iter().zip(&self.each);
         let mean: f64 = models().map(|(weight, (residual, ..))| weight * residual).sum();
         let spread = |residual: f64| (residual - mean) * (residual - mean);
@@ -39,7 +39,7 @@ impl Expected {
     }
 
     /// Normalised innovation squared of the loudest model.
-    pub fn least_surprise(&self) -> f64 {
+    pub fn nis_of_loudest_model(&self) -> f64 {
         let (residual, variance, _) = self.each[MODELS - 1];
         residual * residual / variance
     }
@@ -48,7 +48,7 @@ impl Expected {
 impl Bank {
     /// Expectation of a sample.
     #[inline(never)]
-    pub fn expect(&self, sample: &Innovation) -> Expected {
+    pub fn predict_sample(&self, sample: &Innovation) -> PredictedSample {
         let each = std::array::from_fn(|i| {
             let Member { weight, error, covariance } = &self.members[i];
             if *weight == 0.0 {
@@ -58,7 +58,7 @@ impl Bank {
             let variance = along(&sample.row, &column) + sample.noise;
             (sample.residual - along(&sample.row, error), variance, column)
         });
-        Expected { weights: self.members.map(|member| member.weight), each }
+        PredictedSample { weights: self.members.map(|member| member.weight), each }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Effect of uncertain lengths on motor angles and tip: a persistent error.
 
-use super::linkage::{Frame, Links, MEASURED, Pair, SIDE, VERTEX};
+use super::linkage::{CLOSURE_SIGNS, Frame, Links, MEASURED, NEAR_VERTEX, Pair};
 
 impl Frame {
     /// Variances of the motor angles, rad², by a standard deviation `sigma` of all lengths, m: the loop closes by J⁺.
@@ -22,12 +22,12 @@ impl Frame {
     /// possible.
     pub(super) fn tip_by_lengths(&self, sigma: f64) -> [f64; 3] {
         /// Regularisation of the squared effect of N on the motors: where they hardly turn, the tip moves by J⁺ alone.
-        const HELD: f64 = 0.01;
+        const MOTOR_REGULARIZATION: f64 = 0.01;
         if sigma == 0.0 {
             return [0.0; 3];
         }
         let [[a, b], [c, d]] = self.basis.map(|direction| MEASURED.map(|link| direction[link]));
-        let (xx, xy, yy) = (a * a + b * b + HELD, a * c + b * d, c * c + d * d + HELD);
+        let (xx, xy, yy) = (a * a + b * b + MOTOR_REGULARIZATION, a * c + b * d, c * c + d * d + MOTOR_REGULARIZATION);
         let determinant = xx * yy - xy * xy;
         let mut sum = [0.0; 3];
         for (link, gap) in self.gaps_by_length().into_iter().enumerate() {
@@ -48,13 +48,14 @@ impl Frame {
 
     /// Closing turn J⁺ r, damped next to a vertex, where J⁺ grows without bound and says nothing of finite lengths.
     fn closing(&self, gap: Pair) -> Links {
-        let part = (self.smallest / VERTEX).min(1.0);
+        let part = (self.smallest / NEAR_VERTEX).min(1.0);
         self.least_squares(gap).map(|angle| part * part * angle)
     }
 
     /// Derivatives of the closure gap with respect to the length of each link and of the base.
     fn gaps_by_length(&self) -> [Pair; 5] {
-        let [first, second, third, fourth] = std::array::from_fn(|i| self.directions[i].map(|component| SIDE[i] * component));
+        let [first, second, third, fourth] =
+            std::array::from_fn(|i| self.directions[i].map(|component| CLOSURE_SIGNS[i] * component));
         [first, second, third, fourth, [-1.0, 0.0]]
     }
 }

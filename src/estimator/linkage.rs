@@ -21,7 +21,7 @@ pub type Links = [f64; 4];
 pub type Pair = [f64; 2];
 
 /// Signs of the links in the closure.
-pub(super) const SIDE: Links = [1.0, 1.0, -1.0, -1.0];
+pub(super) const CLOSURE_SIGNS: Links = [1.0, 1.0, -1.0, -1.0];
 
 /// Proximal and distal link of the left and right leg.
 pub const LEGS: [[usize; 2]; 2] = [[0, 1], [3, 2]];
@@ -30,13 +30,13 @@ pub const LEGS: [[usize; 2]; 2] = [[0, 1], [3, 2]];
 pub const MEASURED: [usize; 2] = [0, 3];
 
 /// Newton steps onto the closure: largest number, and tolerance relative to the mean length.
-const CLOSING: (usize, f64) = (8, 1e-13);
+const NEWTON_LIMITS: (usize, f64) = (8, 1e-13);
 
 /// Smallest singular value of J over the mean length below which branches of a vertex cannot be told apart.
-pub(super) const VERTEX: f64 = 0.03;
+pub(super) const NEAR_VERTEX: f64 = 0.03;
 
 /// Largest closure error of a stored state relative to the mean length: anywhere, and next to a vertex, which motions cross straight.
-const OPEN: [f64; 2] = [1e-4, 1e-2];
+const CLOSURE_TOLERANCES: [f64; 2] = [1e-4, 1e-2];
 
 /// Scalar product.
 #[inline]
@@ -74,7 +74,7 @@ impl Linkage {
             moment += (links[p].mass * links[p].com.abs() + links[d].mass * links[p].length) / 2.0;
         }
         Self {
-            arm: std::array::from_fn(|i| SIDE[i] * links[i].length),
+            arm: std::array::from_fn(|i| CLOSURE_SIGNS[i] * links[i].length),
             base: geometry.base_distance,
             inertia,
             carried,
@@ -135,11 +135,11 @@ impl Linkage {
     /// Newton iteration from angles, rad, and rates, rad/s, to the nearest closed ones; `None` where it fails.
     #[inline(never)]
     pub fn closed(&self, mut theta: Links, omega: Links) -> Option<(Links, Links, Frame)> {
-        for _ in 0..CLOSING.0 {
+        for _ in 0..NEWTON_LIMITS.0 {
             let posture = self.posture(&theta);
             let gap = self.gap(&posture);
             let size = gap[0].abs().max(gap[1].abs());
-            if size <= CLOSING.1 * self.length {
+            if size <= NEWTON_LIMITS.1 * self.length {
                 let frame = Frame::new(self, posture);
                 let back = frame.least_squares(frame.end_velocity(&omega));
                 let omega: Links = std::array::from_fn(|i| omega[i] - back[i]);
@@ -164,7 +164,7 @@ impl Linkage {
     #[cold]
     pub fn is_closed(&self, theta: &Links, omega: &Links) -> bool {
         let at = self.frame(theta);
-        let open = OPEN[usize::from(at.smallest < VERTEX)] * self.length;
+        let open = CLOSURE_TOLERANCES[usize::from(at.smallest < NEAR_VERTEX)] * self.length;
         let ([x, y], [v, w]) = (self.gap(&at), at.end_velocity(omega));
         let fastest = omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
         x.abs().max(y.abs()) < open && v.abs().max(w.abs()) <= open * (1.0 + fastest)
@@ -249,7 +249,7 @@ impl Frame {
     }
 
     /// Map N'ᵀ N from this tangent basis to another.
-    pub(super) fn carried_to(&self, other: &Self) -> [Pair; 2] {
+    pub(super) fn basis_map_to(&self, other: &Self) -> [Pair; 2] {
         other.basis.map(|row| self.basis.map(|column| dot(&row, &column)))
     }
 

@@ -13,7 +13,6 @@ mod assembly;
 mod bands;
 pub mod bank;
 mod branches;
-mod carry;
 mod constants;
 pub mod encoder;
 pub mod forecast;
@@ -24,6 +23,7 @@ pub mod linkage;
 mod parameters;
 mod posture;
 mod process_noise;
+mod propagate;
 mod quantiser;
 mod restart;
 mod track;
@@ -92,7 +92,7 @@ pub struct Estimator {
 
 /// Distance |sin(θ₃ − θ₂)| from a direct singularity below which models of loud process noise keep a low prior: there a disturbance assumed
 /// too readily pulls the estimate back to the singularity.
-const BESIDE: f64 = 0.3;
+const NEAR_SINGULARITY: f64 = 0.3;
 /// Largest normalised innovation squared that is reported, to stay finite.
 const LARGEST_NIS: f64 = 1e12;
 
@@ -130,16 +130,16 @@ impl Estimator {
     /// Measurement update by the samples that are new at time `now`, s on the encoders' clock. Returns whether the estimate has changed.
     pub fn correct(&mut self, constants: &Constants, measured: &Measured, now: f64) -> bool {
         let Constants { linkage, parameters, .. } = constants;
-        let (mut heard, mut ages) = ([None; 2], [0.0; 2]);
+        let (mut received, mut ages) = ([None; 2], [0.0; 2]);
         let mut any = false;
         let mut frame = linkage.frame(&self.track.theta);
-        let lasting = frame.motors_by_lengths(parameters.sigma0_length);
+        let persistent = frame.motors_by_lengths(parameters.sigma0_length);
         for i in 0..2 {
             let Some(sample) = self.encoders[i].receive(measured.theta[i], measured.time[i], now, parameters.max_delay) else {
                 continue;
             };
             let rate = self.track.omega[MEASURED[i]];
-            let noise = self.encoders[i].noise(parameters.sigma[i], parameters.quantum[i], rate, lasting[i]);
+            let noise = self.encoders[i].noise(parameters.sigma[i], parameters.quantum[i], rate, persistent[i]);
             let mut innovation = self.track.innovation(&frame, i, sample.angle, noise);
             if sample.age > 0.0 {
                 match self.history.at(&self.track, &frame, i, sample.age) {
@@ -151,25 +151,25 @@ impl Estimator {
                     }
                 }
             }
-            (heard[i], ages[i], any) = (Some((innovation, sample.angle)), sample.age, true);
+            (received[i], ages[i], any) = (Some((innovation, sample.angle)), sample.age, true);
         }
         // Samples end a forecast even where their values cannot be used.
         if !self.is_coasting() {
             self.forecast.end();
         }
-        if any && self.reinitialize(constants, &heard, &ages) {
+        if any && self.reinitialize(constants, &received, &ages) {
             return true;
         }
         if !any || self.held {
             return false;
         }
         // Where several hypotheses are open, the first samples select one before any of them is corrected.
-        if let Some(other) = self.branches.preferred(linkage, &self.track, &heard) {
+        if let Some(other) = self.branches.preferred(linkage, &self.track, &received) {
             self.branches.swap(&mut self.track, other);
             self.history.clear();
             frame = linkage.frame(&self.track.theta);
             for i in 0..2 {
-                if let Some((innovation, angle)) = &mut heard[i] {
+                if let Some((innovation, angle)) = &mut received[i] {
                     *innovation = self.track.innovation(&frame, i, *angle, innovation.noise);
                     ages[i] = 0.0;
                 }
@@ -178,20 +178,20 @@ impl Estimator {
         let other_stands = [1, 0].map(|i| self.encoders[i].repeats());
         let (mut nis, mut fit, mut used) = (0.0, 0.0, [None; 2]);
         for i in 0..2 {
-            let Some((innovation, angle)) = heard[i] else { continue };
-            let expected = self.track.bank.expect(&innovation);
-            let ((own, _), least) = (expected.surprise(), expected.least_surprise());
+            let Some((innovation, angle)) = received[i] else { continue };
+            let expected = self.track.bank.predict_sample(&innovation);
+            let ((own, _), least) = (expected.nis_and_variance(), expected.nis_of_loudest_model());
             let rate = self.track.omega[MEASURED[i]];
             let suspicious =
                 !other_stands[i] && self.encoders[i].should_not_repeat(rate, parameters.quantum[i], parameters.sigma[i]);
             self.innovation[i] = innovation.residual;
             nis += own;
-            if self.encoders[i].accepts(own, least, (suspicious, self.branches.are_known())) {
-                self.branches.weigh(&expected);
-                let (encoder, told) = ((parameters.sigma[i], parameters.quantum[i]), [innovation.noise, lasting[i]]);
-                self.track.bank.update(&self.encoders[i].within_step(&expected, encoder, rate, told));
+            if self.encoders[i].passes_gate(own, least, (suspicious, self.branches.is_branch_known())) {
+                self.branches.subtract_likelihood(&expected);
+                let (encoder, told) = ((parameters.sigma[i], parameters.quantum[i]), [innovation.noise, persistent[i]]);
+                self.track.bank.update(&self.encoders[i].with_quantisation_interval(&expected, encoder, rate, told));
                 fit += own;
-                used[i] = Some(Reading { angle, noise: innovation.noise, age: ages[i], slack: 0.0 });
+                used[i] = Some(Reading { angle, noise: innovation.noise, age: ages[i], dead_zone: 0.0 });
             }
         }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
@@ -207,11 +207,11 @@ impl Estimator {
             None => self.track.bank = bank::Bank::new(constants.start_variances()),
         }
         let by_branches = self.branches.correct(linkage, &used).map(|other| self.branches.swap(&mut self.track, other));
-        let sharpened = [0, 1].map(|i| {
+        let confined_to_interval = [0, 1].map(|i| {
             let (noise, rate) = ((parameters.sigma[i], parameters.quantum[i]), self.track.omega[MEASURED[i]]);
-            used[i].map(|reading| self.encoders[i].sharpened(reading, noise, rate))
+            used[i].map(|reading| self.encoders[i].confined_to_interval(reading, noise, rate))
         });
-        let by_grazing = self.assembly.correct(constants, &sharpened).map(|other| self.track = other);
+        let by_grazing = self.assembly.correct(constants, &confined_to_interval).map(|other| self.track = other);
         if by_branches.or(by_grazing).is_some() {
             self.history.clear();
             frame = linkage.frame(&self.track.theta);
@@ -235,10 +235,10 @@ impl Estimator {
         let scales = [constants.torque_scale(), (squares / 2.0).sqrt()];
         let coasts = self.is_coasting();
         // Errors of masses are observable through quantisation intervals, which confine the angles; in white noise they drown.
-        let seen = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
+        let has_intervals = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
         // Prior probabilities of the models while samples arrive.
-        let model_prior = match seen {
-            true if frame.side().abs() < BESIDE => &bank::PRIOR,
+        let model_prior = match has_intervals {
+            true if frame.side().abs() < NEAR_SINGULARITY => &bank::PRIOR,
             true => &bank::BY_INTERVALS,
             false => &bank::BY_NOISE,
         };
@@ -253,10 +253,10 @@ impl Estimator {
         let flow = self.track.flow(linkage, &frame, scene, (h, 1));
         let step = self.track.step((&frame, &to), (theta, omega), &flow, h);
         let turned = self.track.has_turned(omega, frame.smallest.min(to.smallest));
-        self.branches.pass(linkage, &self.track, scene, [frame.smallest, to.smallest], turned);
+        self.branches.open_after_vertex(linkage, &self.track, scene, [frame.smallest, to.smallest], turned);
         self.history.step((&self.track, &frame), &step.transition, h, parameters.max_delay);
         let priors = if coasts { &bank::PRIOR } else { model_prior };
-        let scales = [scales[0], if seen { scales[1] } else { 0.0 }];
+        let scales = [scales[0], if has_intervals { scales[1] } else { 0.0 }];
         self.track.bank.predict(linkage, (&frame, &step.transition), scales, timing, priors);
         (self.track.theta, self.track.omega) = (*theta, *omega);
         self.held = step.held;
@@ -269,7 +269,7 @@ impl Estimator {
         let propagation = Propagation { from: &frame, to: &to, transition: &step.transition, steps: flow.steps };
         self.assembly.step(constants, (&self.track, passage, &propagation), known, timing);
         for encoder in &mut self.encoders {
-            encoder.silent += h;
+            encoder.time_since_sample += h;
         }
         self.alarm.step(h);
     }
@@ -301,7 +301,7 @@ impl Estimator {
 
     /// Whether an encoder has ever delivered a sample.
     pub fn has_received(&self, i: usize) -> bool {
-        self.encoders[i].silent.is_finite()
+        self.encoders[i].time_since_sample.is_finite()
     }
 
     /// Innovation of the last sample of each encoder: measured minus expected angle, rad.
@@ -335,8 +335,8 @@ impl Estimator {
         if !tracks.all(|track| track.is_sound(&constants.linkage)) {
             return Err("its estimate is none");
         }
-        let heard = self.encoders.iter().all(Encoder::is_sound);
-        if !heard || !self.history.is_sound() || !self.forecast.is_sound(&constants.linkage) {
+        let received = self.encoders.iter().all(Encoder::is_sound);
+        if !received || !self.history.is_sound() || !self.forecast.is_sound(&constants.linkage) {
             return Err("what its estimator remembers is none");
         }
         let numbers = self.innovation.iter().chain([&self.nis, &self.diverged]);

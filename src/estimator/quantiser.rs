@@ -4,40 +4,40 @@
 
 use std::f64::consts::{FRAC_1_PI, PI};
 
-use super::innovation::Expected;
+use super::innovation::PredictedSample;
 
 /// Standard deviation of the estimate, in quantisation intervals, above which an interval is plain white noise of Δ²/12.
-const WIDE: f64 = 2.0;
+const WIDEST_SIGMA: f64 = 2.0;
 /// Innovation, in quantisation intervals, above which a reading is plain white noise: no model assumed its cause.
-const FAR: f64 = 1.5;
+const LARGEST_INNOVATION: f64 = 1.5;
 /// Largest variance of the replacing noise, in Δ²/12: an estimate well inside an interval learns almost nothing.
-const MOST: f64 = 1e4;
+const LARGEST_VARIANCE: f64 = 1e4;
 /// Factor of the variance for successive intervals, which confine an error more than variances say: with bounded noise the error decreases
 /// with the number of samples, not with its root.
-const CONFINED: f64 = 0.56;
+const SUCCESSIVE_INTERVALS_FACTOR: f64 = 0.56;
 /// Distance of an interval, in standard deviations, beyond which its probability underflows and its near edge replaces it.
-const TAIL: f64 = 35.0;
+const FARTHEST_INTERVAL: f64 = 35.0;
 /// Floors of an interval's probability and of its relative variance, below which they are round-off.
-const NOTHING: [f64; 2] = [1e-300, 1e-3];
+const FLOORS: [f64; 2] = [1e-300, 1e-3];
 
-impl Expected {
+impl PredictedSample {
     /// Expected sample with the reading replaced by one that stands for an interval of `quantum`, rad, about it. The models were told the
     /// variance `noise`, rad², of which `white` is not the quantiser's. The error is shared by `repeated` samples, which together inform
     /// like one; `least` is the least variance of each, in Δ²/12.
-    pub(super) fn within(&self, quantum: f64, [noise, white]: [f64; 2], [repeated, least]: [f64; 2]) -> Self {
-        let (mean, variance) = self.together();
+    pub(super) fn with_interval(&self, quantum: f64, [noise, white]: [f64; 2], [repeated, least]: [f64; 2]) -> Self {
+        let (mean, variance) = self.mixture_moments();
         let variance = variance - noise + white;
         let (sigma, rounding) = (variance.sqrt(), quantum * quantum / 12.0);
         let (mut to, mut told) = (mean, rounding);
-        if sigma < WIDE * quantum && mean.abs() < FAR * quantum {
-            let (shift, left) = truncated((mean - quantum / 2.0) / sigma, (mean + quantum / 2.0) / sigma);
+        if sigma < WIDEST_SIGMA * quantum && mean.abs() < LARGEST_INNOVATION * quantum {
+            let (shift, left) = truncated_normal((mean - quantum / 2.0) / sigma, (mean + quantum / 2.0) / sigma);
             // Sums of information: P⁻¹ + R⁻¹ and P⁻¹ m + R⁻¹ y equal those of the truncated distribution.
             let less = 1.0 - left;
-            told = if variance * left < less * MOST * rounding {
+            told = if variance * left < less * LARGEST_VARIANCE * rounding {
                 to = sigma * shift / less;
-                CONFINED * variance * left / less
+                SUCCESSIVE_INTERVALS_FACTOR * variance * left / less
             } else {
-                MOST * rounding
+                LARGEST_VARIANCE * rounding
             };
         }
         let changed = (told * repeated).max(least * rounding) + white - noise;
@@ -50,29 +50,29 @@ impl Expected {
 }
 
 /// Mean and variance of the part of a standard normal distribution between a and b.
-fn truncated(a: f64, b: f64) -> (f64, f64) {
+fn truncated_normal(a: f64, b: f64) -> (f64, f64) {
     // Mirrored to the upper tail, where no digits cancel.
     let (a, b, sign) = if a + b < 0.0 { (-b, -a, -1.0) } else { (a, b, 1.0) };
-    if a > TAIL {
-        return (sign * a, NOTHING[1]);
+    if a > FARTHEST_INTERVAL {
+        return (sign * a, FLOORS[1]);
     }
     let [at_a, at_b] = [a, b].map(density);
-    let part = (above(a, at_a) - above(b, at_b)).max(NOTHING[0]);
+    let part = (tail_probability(a, at_a) - tail_probability(b, at_b)).max(FLOORS[0]);
     let mean = (at_a - at_b) / part;
     let variance = 1.0 - mean * mean + (a * at_a - b * at_b) / part;
-    (sign * mean, variance.clamp(NOTHING[1], 1.0))
+    (sign * mean, variance.clamp(FLOORS[1], 1.0))
 }
 
 /// Density of the standard normal distribution.
 fn density(x: f64) -> f64 {
     /// Density at 0: 1/√(2π).
-    const LARGEST: f64 = 0.398_942_280_401_432_7;
-    LARGEST * libm::exp(-0.5 * x * x)
+    const DENSITY_AT_ZERO: f64 = 0.398_942_280_401_432_7;
+    DENSITY_AT_ZERO * libm::exp(-0.5 * x * x)
 }
 
 /// Probability above x, within 1.2 % of the smaller side, which widens narrow intervals by up to 0.035: with an exact tail single runs
 /// trust their readings too much (Börjesson and Sundberg, IEEE Trans. Communications 27 (1979) 639).
-fn above(x: f64, density: f64) -> f64 {
+fn tail_probability(x: f64, density: f64) -> f64 {
     let size = x.abs();
     let tail = density / ((1.0 - FRAC_1_PI) * size + FRAC_1_PI * (size * size + 2.0 * PI).sqrt());
     if x < 0.0 { 1.0 - tail } else { tail }
@@ -108,7 +108,7 @@ mod tests {
             }
             let mean = sums[1] / sums[0];
             let variance = sums[2] / sums[0] - mean * mean;
-            let (m, v) = truncated(a, b);
+            let (m, v) = truncated_normal(a, b);
             assert!((m - mean).abs() < 0.03 * mean.abs().max(1.0), "{a} to {b}: mean {m}, not {mean}");
             assert!((v - variance).abs() < 0.035, "{a} to {b}: variance {v}, not {variance}");
         }

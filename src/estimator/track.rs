@@ -3,23 +3,23 @@
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::bank::{Bank, Error, Matrix};
-use super::carry;
 use super::innovation::Innovation;
-use super::linkage::{Frame, Linkage, Links, MEASURED, Pair, VERTEX};
+use super::linkage::{Frame, Linkage, Links, MEASURED, NEAR_VERTEX, Pair};
+use super::propagate;
 use super::transition::{self, ERRORS, Flow, Scene};
 
 /// Smallest singular value of J over the mean length below which propagated and simulated motion are compared.
-const DOUBTFUL: f64 = 0.2;
+const COMPARED_BELOW: f64 = 0.2;
 /// Largest differences of angles, rad, and rates, rad/s, for which propagated and simulated motion agree.
 const AGREEMENT: [f64; 2] = [1e-3, 0.1];
 /// Change of a rate in a step, relative to the fastest rate, that means that the motion has turned in a vertex.
-const TURNED: f64 = 0.3;
+const LEAST_RATE_CHANGE: f64 = 0.3;
 /// Largest rate of a credible estimate, rad/s.
-const FASTEST: f64 = 2e3;
+const LARGEST_RATE: f64 = 2e3;
 /// Rate below which a machine next to a vertex counts as at rest, rad/s.
-const SLOWEST: f64 = 0.05;
+const REST_RATE: f64 = 0.05;
 /// Regularisation of the squared input effects: next to a singularity no input is asked for a force that it cannot exert.
-const LEAST_EFFECT: f64 = 1e-6;
+const EFFECT_REGULARIZATION: f64 = 1e-6;
 
 /// An estimate.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -54,7 +54,7 @@ pub fn wrapped(angle: f64) -> f64 {
 pub(super) fn by_inputs(linkage: &Linkage, at: &Frame) -> [Pair; 4] {
     let scale = [1.0, 1.0, 1.0 / linkage.length, 1.0 / linkage.length];
     let effects = effects(at);
-    let (mut xx, mut xy, mut yy) = (LEAST_EFFECT, 0.0, LEAST_EFFECT);
+    let (mut xx, mut xy, mut yy) = (EFFECT_REGULARIZATION, 0.0, EFFECT_REGULARIZATION);
     for (input, scale) in scale.into_iter().enumerate() {
         let [x, y] = effects.map(|row| row[input] * scale);
         xx += x * x;
@@ -93,24 +93,26 @@ impl Track {
             })
         };
         // NaN counts as near a vertex.
-        let held = !(smallest > VERTEX && (smallest > DOUBTFUL || agrees()));
-        let transition = if held { carry::straight(from, to, h) } else { carry::transition(from, to, flow) };
+        let held = !(smallest > NEAR_VERTEX && (smallest > COMPARED_BELOW || agrees()));
+        let transition = if held { propagate::straight(from, to, h) } else { propagate::transition(from, to, flow) };
         let finite = transition.iter().flatten().all(|x| x.is_finite());
-        if finite { Step { transition, held } } else { Step { transition: carry::straight(from, to, h), held: true } }
+        if finite { Step { transition, held } } else { Step { transition: propagate::straight(from, to, h), held: true } }
     }
 
     /// Whether a motion that now has the rates `omega`, rad/s, and a singular value `smallest` has turned next to a vertex: forces do not
     /// change a rate by as much in a step.
     pub(super) fn has_turned(&self, omega: &Links, smallest: f64) -> bool {
         let fastest = self.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
-        fastest > SLOWEST && smallest < VERTEX && (0..4).any(|i| (omega[i] - self.omega[i]).abs() > TURNED * fastest)
+        fastest > REST_RATE
+            && smallest < NEAR_VERTEX
+            && (0..4).any(|i| (omega[i] - self.omega[i]).abs() > LEAST_RATE_CHANGE * fastest)
     }
 
     /// Estimate h seconds later at constant rates.
-    pub(super) fn gone_straight(&self, linkage: &Linkage, h: f64) -> Self {
+    pub(super) fn extrapolated(&self, linkage: &Linkage, h: f64) -> Self {
         // Not closed: the straight line meets the constraints to third order, while J near its rank loss would falsify the rates.
         let along: Links = std::array::from_fn(|i| self.theta[i] + h * self.omega[i]);
-        let away = linkage.frame(&along).smallest >= VERTEX;
+        let away = linkage.frame(&along).smallest >= NEAR_VERTEX;
         let (theta, omega) = match linkage.closed(along, self.omega) {
             Some((theta, omega, _)) if away => (theta, omega),
             _ => (along, self.omega),
@@ -122,7 +124,7 @@ impl Track {
     /// and integrated forward, by `steps` steps each; `None` where that fails.
     #[cold]
     #[inline(never)]
-    pub(super) fn passed_aside(
+    pub(super) fn with_lateral_offset(
         &self,
         linkage: &Linkage,
         scene: &impl Scene,
@@ -130,7 +132,7 @@ impl Track {
     ) -> Option<Self> {
         let fastest = self.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
         // At rest in a vertex there is no past motion.
-        if fastest < SLOWEST {
+        if fastest < REST_RATE {
             return None;
         }
         let time = before / fastest;
@@ -138,17 +140,17 @@ impl Track {
         let (theta, omega, frame) = linkage.closed(theta, omega)?;
         let [x, y] = frame.coordinates(&omega);
         let speed = (x * x + y * y).sqrt();
-        if speed < SLOWEST {
+        if speed < REST_RATE {
             return None;
         }
         let across = frame.tangent([-aside * y / speed, aside * x / speed]);
         let (theta, omega, _) = linkage.closed(std::array::from_fn(|i| theta[i] + across[i]), omega)?;
         let (theta, omega) = transition::motion(linkage, scene, (theta, omega), time, steps);
-        if !theta.iter().chain(&omega).all(|x| x.abs() < FASTEST) || !linkage.is_closed(&theta, &omega) {
+        if !theta.iter().chain(&omega).all(|x| x.abs() < LARGEST_RATE) || !linkage.is_closed(&theta, &omega) {
             return None;
         }
         let mut bank = self.bank;
-        bank.turn(&linkage.frame(&self.theta).carried_to(&linkage.frame(&theta)));
+        bank.change_basis(&linkage.frame(&self.theta).basis_map_to(&linkage.frame(&theta)));
         bank.inflate([aside * aside, (aside / before * fastest).powi(2)]);
         Some(Self { theta, omega, bank, ..*self })
     }
@@ -174,16 +176,16 @@ impl Track {
         let (turned, quickened) = (from.tangent([error[0], error[1]]), from.tangent([error[2], error[3]]));
         let (theta, omega, to) = linkage
             .closed(std::array::from_fn(|i| self.theta[i] + turned[i]), std::array::from_fn(|i| self.omega[i] + quickened[i]))?;
-        if !omega.iter().all(|rate| rate.abs() < FASTEST) {
+        if !omega.iter().all(|rate| rate.abs() < LARGEST_RATE) {
             return None;
         }
         let force = on_basis(from, &self.force);
         let force = [force[0] + error[4], force[1] + error[5]];
         self.force = by_inputs(linkage, from).map(|row| row[0] * force[0] + row[1] * force[1]);
         (self.theta, self.omega) = (theta, omega);
-        let turn = from.carried_to(&to);
-        self.bank.recentre(&error);
-        self.bank.turn(&turn);
+        let turn = from.basis_map_to(&to);
+        self.bank.subtract_mean(&error);
+        self.bank.change_basis(&turn);
         Some((error, turn, to))
     }
 
@@ -202,7 +204,7 @@ impl Track {
     /// Log-likelihood of the mirror state next to a direct singularity, at equal distance and opposite rate, which the motors do not
     /// distinguish: by s = sin(θ₃ − θ₂) and ṡ with their covariance.
     #[inline(never)]
-    pub(super) fn other_side(&self, at: &Frame) -> f64 {
+    pub(super) fn mirror_log_likelihood(&self, at: &Frame) -> f64 {
         let slope = libm::cos(self.theta[2] - self.theta[1]);
         let row = at.basis.map(|direction| slope * (direction[2] - direction[1]));
         let (s, rate) = (at.side(), slope * (self.omega[2] - self.omega[1]));
@@ -231,10 +233,10 @@ impl Track {
     /// motors cannot exert it.
     pub fn motor_torques(&self, at: &Frame) -> Option<(Pair, Pair)> {
         /// Least |det| of the effect of the motors on the tangent basis: closer to a direct singularity torques grow without bound.
-        const LEAST: f64 = 0.15;
+        const LEAST_DETERMINANT: f64 = 0.15;
         let [[a, b], [c, d]] = at.basis.map(|direction| MEASURED.map(|link| direction[link]));
         let determinant = a * d - b * c;
-        if determinant.abs() < LEAST {
+        if determinant.abs() < LEAST_DETERMINANT {
             return None;
         }
         let inverse = [[d / determinant, -b / determinant], [-c / determinant, a / determinant]];

@@ -20,11 +20,11 @@ type Error = [f64; ERRORS];
 type Columns = [Error; 4];
 
 /// Least number of steps per second, 1/s: without and with stiff loads.
-const RATES: [f64; 2] = [600.0, 2500.0];
+const LEAST_STEP_RATES: [f64; 2] = [600.0, 2500.0];
 /// Steps per time constant of a damper: stability of Runge–Kutta needs 0.36. A spring has one step per reciprocal of its natural frequency.
-const PER_DAMPER: f64 = 0.8;
+const STEPS_PER_DAMPER_TIME: f64 = 0.8;
 /// Steps per radian of the fastest link in a regular posture.
-const PER_RADIAN: f64 = 8.0;
+const STEPS_PER_RADIAN: f64 = 8.0;
 /// Largest number of steps in one call.
 const MOST_STEPS: f64 = 64.0;
 
@@ -107,13 +107,13 @@ pub fn steps(linkage: &Linkage, at: &Frame, scene: &impl Scene, (theta, omega): 
 fn steps_for(linkage: &Linkage, at: &Frame, loads: &Loads, stiff_forces: bool, (omega, h): (&Links, f64)) -> u32 {
     let Loads { stiffness, damping, .. } = loads;
     let inertia = linkage.least_inertia(at);
-    let mut rate = RATES[usize::from(stiff_forces)];
+    let mut rate = LEAST_STEP_RATES[usize::from(stiff_forces)];
     let mut fastest = 0.0_f64;
     for i in 0..4 {
-        rate = rate.max(PER_DAMPER * damping[i][i].abs() / inertia[i]).max((stiffness[i][i].abs() / inertia[i]).sqrt());
+        rate = rate.max(STEPS_PER_DAMPER_TIME * damping[i][i].abs() / inertia[i]).max((stiffness[i][i].abs() / inertia[i]).sqrt());
         fastest = fastest.max(omega[i].abs());
     }
-    rate = rate.max(PER_RADIAN * fastest / at.smallest.clamp(0.01, 1.0).sqrt());
+    rate = rate.max(STEPS_PER_RADIAN * fastest / at.smallest.clamp(0.01, 1.0).sqrt());
     (h * rate).ceil().clamp(1.0, MOST_STEPS).max(1.0) as u32
 }
 

@@ -12,9 +12,9 @@
 //! Forces, power and potential energy are those of the twelve coordinates, mapped by the derivatives of the coordinates with respect to the
 //! angles.
 
+mod coordinate_map;
 mod factor;
-mod falling;
-mod placing;
+mod weight_acceleration;
 
 use super::five_bar::FiveBar;
 use super::inertia::Inertia;
@@ -28,8 +28,8 @@ use crate::mechanism::vertex::{self, Branch};
 use crate::mechanism::{ARM, ClosureBranch, Coordinates, Mechanism, Multipliers, Pose, Terms};
 use crate::vector::Vector;
 use factor::{Factor, at_tip};
-pub(super) use falling::Falling;
-use falling::TrigBase;
+use weight_acceleration::TrigBase;
+pub(super) use weight_acceleration::WeightAcceleration;
 
 /// Number of link angles.
 pub const ANGLES: usize = 4;
@@ -44,7 +44,7 @@ pub(super) const PROXIMAL: usize = 0;
 pub(super) const DISTAL: usize = 1;
 
 /// Indices in [`Angles`] of links 1 to 4 (left proximal, left distal, right distal, right proximal).
-pub const PLACES: [usize; 4] = [2 * PROXIMAL, 2 * DISTAL, 2 * DISTAL + 1, 2 * PROXIMAL + 1];
+pub const LINK_INDICES: [usize; 4] = [2 * PROXIMAL, 2 * DISTAL, 2 * DISTAL + 1, 2 * PROXIMAL + 1];
 
 /// Link angles out of the twelve coordinates.
 #[inline]
@@ -63,14 +63,14 @@ fn legs(x: &Angles) -> [Legs; 2] {
 
 /// A five-bar in its link angles.
 #[derive(Clone, Copy, Debug)]
-pub struct ByAngles<'a> {
+pub struct AngleSystem<'a> {
     five_bar: FiveBar<'a>,
     mechanism: &'a Mechanism,
     inertia: &'a Inertia,
     /// Whether the weight is the only load, so that the twelve coordinates are not needed.
     only_weight: bool,
     /// Whether the weight is the only load and the closure is that of the tip, not of a branch.
-    only_falls: bool,
+    uses_weight_acceleration: bool,
     /// Closure branch on which the motion stays, where there are several.
     closure_branch: Option<ClosureBranch>,
     /// Signed link lengths in Φ_q, m; 0 on a closure branch.
@@ -79,7 +79,7 @@ pub struct ByAngles<'a> {
     constant: &'a [Legs2; 2],
 }
 
-impl<'a> ByAngles<'a> {
+impl<'a> AngleSystem<'a> {
     /// Five-bar in its link angles, of a model under given inputs.
     #[inline]
     pub fn new(five_bar: FiveBar<'a>) -> Self {
@@ -92,7 +92,7 @@ impl<'a> ByAngles<'a> {
             mechanism,
             inertia,
             only_weight,
-            only_falls: only_weight,
+            uses_weight_acceleration: only_weight,
             closure_branch: None,
             sigma_length: [Legs::ZERO; 2],
             constant: &Terms::OPEN.constant,
@@ -108,7 +108,7 @@ impl<'a> ByAngles<'a> {
         let sigma_length = [*open * (SIGMA * (a_p + b_p)), *open * (SIGMA * a_d + sigma_b_d)];
         Self {
             five_bar: self.five_bar.on(mode),
-            only_falls: self.only_weight && mode.closure_branch.is_none(),
+            uses_weight_acceleration: self.only_weight && mode.closure_branch.is_none(),
             closure_branch: mode.closure_branch,
             sigma_length,
             constant,
@@ -174,12 +174,12 @@ impl<'a> ByAngles<'a> {
     /// Closure branch along which the forces start the motion from rest in a vertex (Gauss's principle of least constraint).
     pub(super) fn branch_of_least_constraint(&self, q: &Angles) -> Option<Branch<Angles>> {
         let pose = self.pose(q);
-        let in_order = |x: &Angles| PLACES.map(|i| x[i]);
+        let in_order = |x: &Angles| LINK_INDICES.map(|i| x[i]);
         let force = in_order(&self.forces(q, &pose, &Angles::ZERO));
-        let mass = PLACES.map(|i| in_order(&self.mass_times(&pose, &Angles::unit(i))));
+        let mass = LINK_INDICES.map(|i| in_order(&self.mass_times(&pose, &Angles::unit(i))));
         let branch = vertex::least_constraint(&self.mechanism.geometry, in_order(q), force, mass)?;
         let mut direction = Angles::ZERO;
-        for (i, value) in PLACES.into_iter().zip(branch.direction) {
+        for (i, value) in LINK_INDICES.into_iter().zip(branch.direction) {
             direction[i] = value;
         }
         Some(Branch { direction, alternatives: branch.alternatives })
@@ -195,7 +195,7 @@ impl<'a> ByAngles<'a> {
     ) -> (Coordinates, Multipliers, Work) {
         let (applied, power) = self.five_bar.forces_and_power(x, pose, rates);
         let mass = self.factor_mass(pose, self.regularization_by_angles());
-        let (a, tip) = mass.solve(&self.in_angles(&applied, pose, v), &-self.phi_q_dot_times(pose, v));
+        let (a, tip) = mass.solve(&self.torques_in_angles(&applied, pose, v), &-self.phi_q_dot_times(pose, v));
         let accelerations = self.velocity_map(&a, pose) + self.velocity_product(pose, v);
         // Force on each link minus mass times acceleration: the force that its joints carry.
         let left = applied - self.mechanism.mass_times(&accelerations);
@@ -211,7 +211,7 @@ impl<'a> ByAngles<'a> {
     }
 }
 
-impl System<ANGLES, CLOSURES> for ByAngles<'_> {
+impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     type Pose = Pose;
     type TrigBase = TrigBase;
     type Mass = Factor;
@@ -232,7 +232,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline]
     fn trig_base(&self, pose: &Pose) -> TrigBase {
-        self.model().falling.trig_base([pose.u_p, pose.u_d])
+        self.model().weight_acceleration.trig_base([pose.u_p, pose.u_d])
     }
 
     #[inline(always)]
@@ -271,20 +271,21 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline]
     fn forces(&self, q: &Angles, pose: &Pose, v: &Angles) -> Angles {
-        self.in_angles(&self.five_bar.forces(&self.placed(q, pose), pose, &self.velocity_map(v, pose)), pose, v)
+        self.torques_in_angles(&self.five_bar.forces(&self.positions(q, pose), pose, &self.velocity_map(v, pose)), pose, v)
     }
 
     #[inline(always)]
     fn acceleration_by_weight(&self, trig_base: &TrigBase, by: &Angles, v: &Angles) -> Option<Angles> {
-        (self.only_falls && are_small(legs(by))).then(|| self.model().falling.acceleration(trig_base, legs(by), legs(v)))
+        (self.uses_weight_acceleration && are_small(legs(by)))
+            .then(|| self.model().weight_acceleration.acceleration(trig_base, legs(by), legs(v)))
     }
 
     #[inline(always)]
     fn forces_and_power(&self, q: &Angles, pose: &Pose, v: &Angles) -> (Angles, Work) {
         if self.only_weight {
-            return (self.weight_in_angles(pose, v), Work::default());
+            return (self.weight_torques(pose, v), Work::default());
         }
-        self.under_loads(*q, [pose.u_p, pose.u_d], *v)
+        self.loaded_torques_and_power(*q, [pose.u_p, pose.u_d], *v)
     }
 
     #[inline]
@@ -340,7 +341,7 @@ impl System<ANGLES, CLOSURES> for ByAngles<'_> {
 
     #[inline]
     fn power(&self, q: &Angles, pose: &Pose, v: &Angles) -> Work {
-        self.five_bar.power(&self.placed(q, pose), pose, &self.velocity_map(v, pose))
+        self.five_bar.power(&self.positions(q, pose), pose, &self.velocity_map(v, pose))
     }
 
     #[inline]

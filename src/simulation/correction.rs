@@ -1,7 +1,7 @@
 //! Replacement of a run's motion by the corrected one of the estimator.
 
 use super::Inputs;
-use super::angles::{PLACES, angles_of};
+use super::angles::{LINK_INDICES, angles_of};
 use super::five_bar::FiveBar;
 use super::model::{Model, Stepper};
 use super::run::{IntegratorState, Run};
@@ -20,7 +20,7 @@ impl Run {
             IntegratorState::Conserving(run) => of(&run.q, &run.v),
             IntegratorState::DenseOutput(run) => {
                 let (q, v) = run.motion(model, &self.inputs, &self.turns);
-                (PLACES.map(|i| q[i]), PLACES.map(|i| v[i]))
+                (LINK_INDICES.map(|i| q[i]), LINK_INDICES.map(|i| v[i]))
             }
             IntegratorState::ModelExchange(_) => unreachable!("no estimator follows a machine that a master drives"),
         }

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, PLACES, angles_of};
+use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, LINK_INDICES, angles_of};
 use super::five_bar::FiveBar;
 use super::restore::check_stick_slip;
 use super::run::{MacroSteps, StepFailure};
@@ -26,7 +26,7 @@ pub(super) struct DenseRun {
 impl DenseRun {
     /// Run that starts from a state.
     pub(super) fn start(model: &Model, settings: &Settings, state: &State) -> Self {
-        let system = ByAngles::new(FiveBar::<false>::new(model, &state.inputs, &state.turns));
+        let system = AngleSystem::new(FiveBar::<false>::new(model, &state.inputs, &state.turns));
         let step = DenseStep::start(&system, angles_of(&state.core.q), angles_of(&state.core.v), settings);
         Self { step, held: [0; 2] }
     }
@@ -36,18 +36,18 @@ impl DenseRun {
         if self.step.finish() {
             return Ok(());
         }
-        self.step.truncate_and_redo(&ByAngles::new(FiveBar::<false>::new(model, inputs, turns)), settings)
+        self.step.truncate_and_redo(&AngleSystem::new(FiveBar::<false>::new(model, inputs, turns)), settings)
     }
 
     /// After model or inputs have changed: restarts the step; `work` is the work of the change.
     pub(super) fn resume(&mut self, model: &Model, settings: &Settings, (inputs, turns): (&Inputs, &[i64; 4]), work: Work) {
-        let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
+        let system = AngleSystem::new(FiveBar::<false>::new(model, inputs, turns));
         self.step.restart(&system, settings, &system.pose(self.step.end()), work);
     }
 
     /// Angles, rad, and rates, rad/s, at the present time.
     pub(super) fn motion(&self, model: &Model, held: &Inputs, turns: &[i64; 4]) -> (Angles, Angles) {
-        let sample = self.step.sample(&ByAngles::new(FiveBar::<false>::new(model, held, turns)), model.dense_settings());
+        let sample = self.step.sample(&AngleSystem::new(FiveBar::<false>::new(model, held, turns)), model.dense_settings());
         (sample.q, sample.v)
     }
 
@@ -60,7 +60,7 @@ impl DenseRun {
         motion: [Angles; 2],
         external_work: f64,
     ) {
-        let [before, after] = [held, inputs].map(|inputs| ByAngles::new(FiveBar::<false>::new(model, inputs, turns)));
+        let [before, after] = [held, inputs].map(|inputs| AngleSystem::new(FiveBar::<false>::new(model, inputs, turns)));
         self.step.resume_from([&before, &after], settings, motion, external_work);
         self.held = [self.held[1], 0];
     }
@@ -68,7 +68,7 @@ impl DenseRun {
     /// Present state in the twelve coordinates, by the held inputs, with the q̈ and λ of other `inputs`. Interpolated states are for output
     /// only; integration never starts from them.
     pub(super) fn core(&self, model: &Model, [held, inputs]: [&Inputs; 2], turns: &[i64; 4]) -> (Core, StickSlips) {
-        let system = ByAngles::new(FiveBar::<false>::new(model, held, turns));
+        let system = AngleSystem::new(FiveBar::<false>::new(model, held, turns));
         let sample = self.step.sample(&system, model.dense_settings());
         let (q, v) = system.coordinates(&sample.pose, &sample.q, &sample.v);
         let mut core = Core {
@@ -96,13 +96,13 @@ impl DenseRun {
             core.balance(&system, &system.pose(&core.q), model.regularization);
         } else {
             let motion = [&sample.q, &sample.v];
-            (core.a, core.lambda, core.power) = ByAngles::new(system).balance(motion, &sample.pose, [&core.q, &core.v]);
+            (core.a, core.lambda, core.power) = AngleSystem::new(system).balance(motion, &sample.pose, [&core.q, &core.v]);
         }
         (core, system.mode.stick_slip)
     }
 
     /// Refuses a run that is inconsistent with this system.
-    pub(super) fn check(&self, system: &ByAngles<'_>, settings: &Settings, bounds: &Bounds) -> Result<(), Inconsistency> {
+    pub(super) fn check(&self, system: &AngleSystem<'_>, settings: &Settings, bounds: &Bounds) -> Result<(), Inconsistency> {
         if self.held.iter().any(|steps| *steps > self.step.steps()) {
             return Err("inputs were held for longer than the run is");
         }
@@ -132,14 +132,14 @@ impl DenseRun {
 }
 
 /// A run with mutable access to its held inputs and whole turns.
-pub(super) struct Held<'a> {
+pub(super) struct HeldRun<'a> {
     pub(super) run: &'a mut DenseRun,
     pub(super) inputs: &'a mut Inputs,
     /// Whole turns of links 1 to 4 that the angles of the integrator leave out.
     pub(super) turns: &'a mut [i64; 4],
 }
 
-impl Held<'_> {
+impl HeldRun<'_> {
     /// Macro steps with `inputs` held. A failure changes nothing.
     pub(super) fn advance(
         mut self,
@@ -176,7 +176,7 @@ impl Held<'_> {
             }
             // Whole turns are removed before a new step begins, so that no step mixes both counts.
             remove_whole_turns(&mut run.step, turns);
-            let system = ByAngles::new(FiveBar::<false>::new(model, inputs, turns));
+            let system = AngleSystem::new(FiveBar::<false>::new(model, inputs, turns));
             let pose = changed.then(|| system.pose(run.step.end()));
             if let Some(pose) = &pose {
                 run.step.restart(&system, settings, pose, Work::default());
@@ -212,7 +212,7 @@ fn remove_whole_turns(step: &mut DenseStep<ANGLES, CLOSURES, Mode>, turns: &mut 
         return;
     }
     let mut shift = Angles::ZERO;
-    for (turns, i) in turns.iter_mut().zip(PLACES) {
+    for (turns, i) in turns.iter_mut().zip(LINK_INDICES) {
         shift[i] = -whole_turns(step.end()[i], turns) * TAU;
     }
     step.shift(&shift);

@@ -2,7 +2,7 @@
 
 use std::borrow::Borrow;
 
-use super::angles::{ANGLES, Angles, ByAngles, DISTAL, PLACES, PROXIMAL};
+use super::angles::{ANGLES, AngleSystem, Angles, DISTAL, LINK_INDICES, PROXIMAL};
 use super::five_bar::FiveBar;
 use super::stick_slip::{friction_guards, resolved, reverses_between};
 use crate::effects::{self, FrictionGuards, GuardValues, Mode, stick_velocity};
@@ -27,7 +27,7 @@ impl<S> Borrow<S> for InMode<'_, S> {
     }
 }
 
-impl<'a> Events<ANGLES> for ByAngles<'a> {
+impl<'a> Events<ANGLES> for AngleSystem<'a> {
     type Mode = Mode;
     type GuardValues = GuardValues<'a>;
 
@@ -122,7 +122,7 @@ impl<'a> Events<ANGLES> for ByAngles<'a> {
     }
 
     fn stays_within(&self, ends: [&GuardValues<'a>; 2], duration: f64, extremes: &Extremes<ANGLES>, tolerance: f64) -> bool {
-        GuardValues::stay_in_phase(ends, &self.five_bar().mode(), duration, &of_links(extremes, PLACES), tolerance)
+        GuardValues::stay_in_phase(ends, &self.five_bar().mode(), duration, &of_links(extremes, LINK_INDICES), tolerance)
     }
 }
 
@@ -136,7 +136,7 @@ fn of_links<const N: usize>(Extremes { rates, accelerations, higher }: &Extremes
     }
 }
 
-impl ByAngles<'_> {
+impl AngleSystem<'_> {
     /// Mode with the stick-slip states that follow from the state.
     fn with_resolved_stick_slip(&self, mode: Mode, q: &Angles, v: &Angles) -> Mode {
         if !self.model().sticks {

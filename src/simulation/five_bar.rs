@@ -88,7 +88,7 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
         right: (&Coordinates, &Multipliers),
     ) -> Result<(Coordinates, Multipliers), StepError> {
         let &TangentPoint { q, pose, v, lambda, h } = at;
-        let forces = &Tangible::<BARE> { model: self.model, at: self.context(q, pose, v) };
+        let forces = &ForceTangents::<BARE> { model: self.model, at: self.context(q, pose, v) };
         self.model.solver.solve_tangent::<BARE>(&TangentOf { forces, pose, lambda, h, regularization, definite }, right)
     }
 }
@@ -142,12 +142,12 @@ impl<const BARE: bool> FiveBar<'_, BARE> {
 }
 
 /// Forces of a model at a state, as a source of tangents.
-struct Tangible<'a, const BARE: bool> {
+struct ForceTangents<'a, const BARE: bool> {
     model: &'a Model,
     at: ForceContext<'a>,
 }
 
-impl<const BARE: bool> TangentSource for Tangible<'_, BARE> {
+impl<const BARE: bool> TangentSource for ForceTangents<'_, BARE> {
     #[inline(always)]
     fn add_tangents(&self, tangents: &mut impl Tangents) {
         self.at.inputs.add_tangents(&self.at, tangents);
@@ -304,7 +304,7 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
 
     fn effective_mass_times(&self, at: &At<'_>, x: &Coordinates) -> Coordinates {
         let &TangentPoint { q, pose, v, h, .. } = at;
-        self.model.solver.effective_mass_times(&Tangible::<BARE> { model: self.model, at: self.context(q, pose, v) }, h, x)
+        self.model.solver.effective_mass_times(&ForceTangents::<BARE> { model: self.model, at: self.context(q, pose, v) }, h, x)
     }
 
     #[inline(always)]

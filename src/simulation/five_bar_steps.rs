@@ -183,9 +183,9 @@ pub(super) mod tests {
     }
 
     /// Collects tangents in dense matrices: stiffness and damping.
-    struct Tangible([[[f64; COORDINATES]; COORDINATES]; 2]);
+    struct DenseTangents([[[f64; COORDINATES]; COORDINATES]; 2]);
 
-    impl Tangents for Tangible {
+    impl Tangents for DenseTangents {
         fn stiffness(&mut self, row: usize, column: usize, value: f64) {
             self.0[0][row][column] += value;
         }
@@ -228,7 +228,7 @@ pub(super) mod tests {
         let secant = system.secant(&begin, &d);
         let step = StepIncrement { q: &q, d: &d, v: &v, h: 1e-3, softening: 1.0, secant: &secant };
         let over = system.over(&step);
-        let mut tangents = Tangible([[[0.0; COORDINATES]; COORDINATES]; 2]);
+        let mut tangents = DenseTangents([[[0.0; COORDINATES]; COORDINATES]; 2]);
         inputs.add_mean_tangents(&over, &mut tangents);
         for effect in &model.effects {
             effect.add_mean_tangents(&over, &mut tangents);

@@ -30,7 +30,7 @@ pub struct Estimate {
 }
 
 /// Inputs plus the estimated unknown force: torques, N·m, and tip forces, N.
-fn acting(inputs: &Inputs, force: &[f64; 4]) -> Inputs {
+fn with_unknown_force(inputs: &Inputs, force: &[f64; 4]) -> Inputs {
     let [left, right, x, y] = *force;
     Inputs {
         tau: [inputs.tau[0] + left, inputs.tau[1] + right],
@@ -63,7 +63,7 @@ impl Following {
         let constants = Constants::new(&simulation.model.mechanism.geometry, &parameters.estimator);
         let (theta, omega) = simulation.run.motion(&simulation.model);
         estimate.estimator.check(&constants, &theta, &omega).map_err(|what| SceneError(what.into()))?;
-        let held = acting(&estimate.inputs, &estimate.estimator.track().force);
+        let held = with_unknown_force(&estimate.inputs, &estimate.estimator.track().force);
         if !estimate.inputs.are_finite() || held != *simulation.inputs() {
             return Err(SceneError("the inputs of its estimator are not those of its run".into()));
         }
@@ -76,7 +76,7 @@ impl Following {
         if estimator.correct(constants, measured, now) {
             let track = estimator.track();
             let motion = (track.theta, track.omega);
-            simulation.run.resume_from(&simulation.model, motion, &acting(inputs, &track.force));
+            simulation.run.resume_from(&simulation.model, motion, &with_unknown_force(inputs, &track.force));
         }
     }
 
@@ -95,7 +95,7 @@ impl Following {
     fn step(&mut self, inputs: &Inputs, one: MacroSteps) -> Result<(), StepFailure> {
         let Self { simulation: Simulation { model, run, .. }, constants, estimate } = self;
         estimate.inputs = *inputs;
-        let held = acting(inputs, &estimate.estimator.track().force);
+        let held = with_unknown_force(inputs, &estimate.estimator.track().force);
         let turns = run.turns;
         run.advance(model, &held, one)?;
         let (theta, omega) = run.motion(model);
@@ -126,7 +126,7 @@ impl Following {
 
     /// Present state, with the q̈ and λ that belong to `inputs` plus the unknown force.
     pub fn state_for(&self, inputs: &Inputs) -> State {
-        self.simulation.state_for(&acting(inputs, &self.estimate.estimator.track().force))
+        self.simulation.state_for(&with_unknown_force(inputs, &self.estimate.estimator.track().force))
     }
 
     /// Sets other tunable parameters of effects and estimator; see [`Simulation::tune`].

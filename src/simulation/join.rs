@@ -9,7 +9,7 @@
 //! which is the perfectly inelastic impact: the lost kinetic energy is dissipated. Mass that moves with the tip brings m J_tᵀ J_t ω₀, and
 //! mass that leaves takes that: rates do not change, and the energy counts as input work.
 
-use super::angles::{Angles, ByAngles, DISTAL, PLACES, PROXIMAL, angles_of};
+use super::angles::{AngleSystem, Angles, DISTAL, LINK_INDICES, PROXIMAL, angles_of};
 use super::five_bar::FiveBar;
 use super::{Model, State};
 use crate::effects::payload::Join;
@@ -19,7 +19,7 @@ use crate::mechanism::{Coordinates, closure};
 use crate::vector::Vector;
 
 /// Discontinuity of the state by a change of parameters.
-pub(super) struct Jump {
+pub(super) struct Discontinuity {
     /// Input work and dissipated energy, J.
     pub(super) work: Work,
     /// Motion after a change of masses: the coordinates change with the centre of mass.
@@ -33,7 +33,7 @@ pub(super) struct Motion {
     pub(super) rates: Angles,
 }
 
-impl Jump {
+impl Discontinuity {
     /// Discontinuity between two models at the present state.
     #[cold]
     pub(super) fn new(present: &State, before: &Model, after: &Model, join: Join) -> Self {
@@ -45,7 +45,7 @@ impl Jump {
         }
         let impact = join == Join::AtRest && mass(after) > mass(before);
         let rates = if impact { after_impact(present, before, after) } else { angles_of(&present.core.v) };
-        let in_order = |x: &Angles| PLACES.map(|i| x[i]);
+        let in_order = |x: &Angles| LINK_INDICES.map(|i| x[i]);
         let (q, v) = closure::assemble(&after.mechanism.geometry, THETA.map(|i| present.core.q[i]), in_order(&rates));
         let mut state = *present;
         (state.core.q, state.core.v) = (q, v);
@@ -62,7 +62,7 @@ fn after_impact(present: &State, before: &Model, after: &Model) -> Angles {
     let State { core, inputs, turns, .. } = present;
     let (q, v) = (angles_of(&core.q), angles_of(&core.v));
     let pose = |model: &Model| model.mechanism.pose_at([legs_of(&q, PROXIMAL), legs_of(&q, DISTAL)]);
-    let system = ByAngles::new(FiveBar::<false>::new(after, inputs, turns));
+    let system = AngleSystem::new(FiveBar::<false>::new(after, inputs, turns));
     let after_pose = pose(after);
     let factor = system.factor_mass(&after_pose, after.regularization);
     let (rates, _) = factor.solve(&before.inertia.mass(&pose(before)).times(&v), &Vector::ZERO);

@@ -19,7 +19,7 @@ use crate::mechanism::{COORDINATES, Coordinates, Pose};
 
 /// Pose, and the twelve coordinates with their rates, of given link angles, rad, and rates, rad/s.
 #[inline(never)]
-fn placed(five_bar: &FiveBar<'_>, theta: &Links, omega: &Links) -> (Pose, [Coordinates; 2]) {
+fn pose_and_coordinates(five_bar: &FiveBar<'_>, theta: &Links, omega: &Links) -> (Pose, [Coordinates; 2]) {
     let mechanism = &five_bar.model.mechanism;
     let by_legs = |x: &Links| {
         let pairs = [x[0], x[3], x[1], x[2]];
@@ -55,7 +55,7 @@ fn on_links(pose: &Pose, forces: &Coordinates) -> Links {
 }
 
 /// Accumulates tangents of the twelve coordinates in the link angles.
-pub(super) struct ByLinks {
+pub(super) struct LinkTangents {
     /// Rows of T = ∂x/∂θ, with respect to the proximal and distal angle of the row's leg.
     rows: [[f64; 2]; COORDINATES],
     /// Rows of ∂(Tω)/∂θ, with respect to the proximal and distal angle of the row's leg.
@@ -64,7 +64,7 @@ pub(super) struct ByLinks {
     pub(super) damping: [Links; 4],
 }
 
-impl ByLinks {
+impl LinkTangents {
     pub(super) fn new(pose: &Pose, omega: &Links) -> Self {
         let (mut rows, mut rates) = ([[0.0; 2]; COORDINATES], [[0.0; 2]; COORDINATES]);
         let (a_p, l, a_d) = (pose.a_p, proximal_arm(pose), pose.a_d);
@@ -97,7 +97,7 @@ fn add(to: &mut [Links; 4], (row, left): (usize, [f64; 2]), (column, right): (us
     }
 }
 
-impl Tangents for ByLinks {
+impl Tangents for LinkTangents {
     fn stiffness(&mut self, row: usize, column: usize, value: f64) {
         add(&mut self.stiffness, (row, self.rows[row]), (column, self.rows[column]), value);
     }
@@ -111,9 +111,9 @@ impl Tangents for ByLinks {
 impl FiveBar<'_> {
     /// Applied forces in the twelve coordinates, N and N·m, and their tangents in the link angles.
     #[inline(never)]
-    pub(super) fn tangents_by_links(&self, [q, v]: [&Coordinates; 2], pose: &Pose, omega: &Links) -> (Coordinates, ByLinks) {
+    pub(super) fn link_tangents(&self, [q, v]: [&Coordinates; 2], pose: &Pose, omega: &Links) -> (Coordinates, LinkTangents) {
         let forces = self.forces(q, pose, v);
-        let mut by_links = ByLinks::new(pose, omega);
+        let mut by_links = LinkTangents::new(pose, omega);
         let at = self.context(q, pose, v);
         self.inputs.add_tangents(&at, &mut (&mut by_links as &mut dyn Tangents));
         for effect in &self.model.effects {
@@ -135,14 +135,14 @@ impl FiveBar<'_> {
 impl Scene for FiveBar<'_> {
     #[inline(never)]
     fn loads(&self, theta: &Links, omega: &Links) -> Loads {
-        let (pose, [q, v]) = placed(self, theta, omega);
-        let (forces, by_links) = self.tangents_by_links([&q, &v], &pose, omega);
+        let (pose, [q, v]) = pose_and_coordinates(self, theta, omega);
+        let (forces, by_links) = self.link_tangents([&q, &v], &pose, omega);
         Loads { torque: on_links(&pose, &forces), stiffness: by_links.stiffness, damping: by_links.damping }
     }
 
     #[inline(never)]
     fn torque(&self, theta: &Links, omega: &Links) -> Links {
-        let (pose, [q, v]) = placed(self, theta, omega);
+        let (pose, [q, v]) = pose_and_coordinates(self, theta, omega);
         on_links(&pose, &self.forces(&q, &pose, &v))
     }
 

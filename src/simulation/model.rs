@@ -2,7 +2,7 @@
 
 use arrayvec::ArrayVec;
 
-use super::angles::Falling;
+use super::angles::WeightAcceleration;
 use super::inertia::Inertia;
 use super::settings::{Settings, sticking_law};
 use crate::effects::{self, Active, Effect, ForceContext, Inputs, Perturbation, TypicalInertia};
@@ -75,7 +75,7 @@ pub struct Model {
     /// Constant part of the mass matrix in the link angles.
     pub(super) inertia: Inertia,
     /// Acceleration under the weight alone, in the link angles.
-    pub(super) falling: Falling,
+    pub(super) weight_acceleration: WeightAcceleration,
     /// Length to which round-off in Φ is proportional, m.
     pub length_scale: f64,
     /// e of the saddle-point systems outside the printed method, 1/kg.
@@ -101,7 +101,8 @@ impl Model {
         settings.check_laws(&parameters.effects)?;
         // e = 1/(αβ) with α = κ m̄/β.
         let regularization = 1.0 / (settings.penalty_scale * geometry.mean_mass());
-        let regularization_by_angles = if geometry.base_distance == 0.0 { COAXIAL } else { RANK_LOSS } / geometry.mean_mass();
+        let regularization_by_angles =
+            if geometry.base_distance == 0.0 { COAXIAL_REGULARIZATION } else { ANGLE_REGULARIZATION } / geometry.mean_mass();
         let (inertia, weight) = (Inertia::new(&mechanism), parameters.effects.weight(&mechanism)?);
         Ok(Self {
             typical_inertia: TypicalInertia::new(&geometry),
@@ -116,7 +117,7 @@ impl Model {
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
-            falling: Falling::new(&mechanism, &inertia, &weight, regularization_by_angles),
+            weight_acceleration: WeightAcceleration::new(&mechanism, &inertia, &weight, regularization_by_angles),
             weight,
             solver: LinearSolver::new(LinearSolve::choose(&geometry, &effects), &mechanism, regularization),
             inertia,
@@ -163,7 +164,7 @@ impl Model {
         if geometry != self.mechanism.geometry {
             let is_dense = self.solver.linear_solve() == LinearSolve::Dense;
             if !is_dense && LinearSolve::choose(&geometry, &[]) == LinearSolve::Dense {
-                return Err(too_far_apart(in_force, tuned));
+                return Err(inertia_ratio_refusal(in_force, tuned));
             }
             *self = match self.stepper {
                 Stepper::ModelExchange(_) => Self::for_model_exchange(tuned)?,
@@ -175,7 +176,7 @@ impl Model {
         let weight = parameters.weight(&self.mechanism)?;
         let changed = weight != self.weight || effects != self.effects;
         self.weight = weight;
-        self.falling = Falling::new(&self.mechanism, &self.inertia, &weight, self.regularization_by_angles);
+        self.weight_acceleration = WeightAcceleration::new(&self.mechanism, &self.inertia, &weight, self.regularization_by_angles);
         self.conservative = effects.iter().all(Effect::conservative);
         self.has_events = effects.iter().any(Effect::has_events);
         self.regularization_velocity = regularization_velocity(&effects);
@@ -216,7 +217,7 @@ impl Model {
 
 /// Refusal of a payload whose inertia ratio exceeds the range of the linear solve of this run; names the mass that is still allowed.
 #[cold]
-fn too_far_apart(in_force: &effects::Parameters, tuned: &Parameters) -> SceneError {
+fn inertia_ratio_refusal(in_force: &effects::Parameters, tuned: &Parameters) -> SceneError {
     let wanted = tuned.effects.payload.mass;
     let (mut taken, mut refused) = (in_force.payload.mass, wanted);
     let mut probe = tuned.effects.clone();
@@ -238,10 +239,10 @@ const BISECTIONS: usize = 40;
 
 /// e of the error-controlled methods in the link angles, relative to 1 over the mean mass: no more than the round-off of a singular Φ_q M⁻¹
 /// Φ_qᵀ, because 1e-14 already falsifies passages close to a vertex.
-const RANK_LOSS: f64 = 1e-20;
+const ANGLE_REGULARIZATION: f64 = 1e-20;
 /// e in the link angles for coaxial motors, relative to 1 over the mean mass: larger, because rank is lost along whole lines of
 /// configurations and a motion on none of the known closure branches needs bounded joint forces there.
-const COAXIAL: f64 = 1e-10;
+const COAXIAL_REGULARIZATION: f64 = 1e-10;
 
 /// Smallest change of a joint's rate over which the force of any effect reverses, rad/s.
 fn regularization_velocity(effects: &Active) -> f64 {

@@ -8,7 +8,7 @@ use std::f64::consts::TAU;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::angles::{Angles, PLACES};
+use super::angles::{Angles, LINK_INDICES};
 use super::five_bar::FiveBar;
 use super::model::Stepper;
 use super::run::IntegratorState;
@@ -59,7 +59,7 @@ impl ModelExchangeState {
     pub(super) fn jump(&mut self, work: Work, rates: Option<Angles>) {
         self.work += work;
         if let Some(rates) = rates {
-            self.omega = PLACES.map(|i| rates[i]);
+            self.omega = LINK_INDICES.map(|i| rates[i]);
         }
     }
 

@@ -6,12 +6,12 @@
 //! a geometric sequence, so that no step jumps over a vertex. From rest exactly in a vertex the motion starts along the branch of least
 //! constraint (Gauss).
 //!
-//! All quantities are in the four link angles. No function here changes a state: [`ByAngles::approach`] decides, and returns the end of a
+//! All quantities are in the four link angles. No function here changes a state: [`AngleSystem::approach`] decides, and returns the end of a
 //! straight motion.
 
 use std::borrow::Borrow;
 
-use super::angles::{ANGLES, Angles, ByAngles, PLACES, angles_of};
+use super::angles::{ANGLES, AngleSystem, Angles, LINK_INDICES, angles_of};
 use super::five_bar::FiveBar;
 use crate::integrator::dense::{DenseStep, Horizon, Schemes, Settings};
 use crate::integrator::{
@@ -24,39 +24,39 @@ use crate::mechanism::{COORDINATES, Coordinates};
 const AT_REST: f64 = 1e-9;
 
 /// Distance from a vertex below which the velocity is scaled to conserve energy, rad.
-const CLOSE: f64 = 1e-2;
+const ENERGY_SCALED_WITHIN: f64 = 1e-2;
 
 /// Factor of e near a vertex.
-pub(super) const REGULARIZATION: f64 = 1e-4;
+pub(super) const VERTEX_REGULARIZATION: f64 = 1e-4;
 
 /// Smallest distance, relative to the radius, at which a ray is caught on its way in: the geometric sequence of steps leaves that much.
 /// Further inside, a motion towards the vertex is one that turns around it.
-const ENTRY: f64 = 0.2;
+const LEAST_ENTRY_DISTANCE: f64 = 0.2;
 
 /// Distance from a vertex, rad, below which round-off is not assumed to grow further (so that errors stay visible) and no projection is
 /// done.
-const NEAREST: f64 = 1e-5;
+const UNPROJECTED_WITHIN: f64 = 1e-5;
 
 /// Largest relative energy error of a step close to a vertex that scaling of the velocity may correct; a larger one fails the step.
-const ENERGY_CHANGE: f64 = 0.01;
+const LARGEST_ENERGY_CHANGE: f64 = 0.01;
 
 /// Largest variation of the power over a step of high order, relative to the kinetic energy, for which the energy is corrected.
 /// Distance from all links in line, rad, below which the twelve coordinates may fail with coaxial motors.
-const VARIED: f64 = 1e-6;
+const LARGEST_POWER_VARIATION: f64 = 1e-6;
 const NEAR_BIFURCATION: f64 = 1e-2;
 
 /// Largest number of evaluations of a step past a bifurcation of the closure.
 const MOST_WORK: u32 = 20_000;
 
 /// Kinetic energy, relative to the other energies, below which it is lost in their round-off.
-const LOST: f64 = 1e-9;
+const NEGLIGIBLE_KINETIC_ENERGY: f64 = 1e-9;
 
 /// Round-off of an angle at distance 1 from a vertex, rad: ε over the smallest singular value of Φ_q relative to its largest, which is
 /// proportional to the distance; observed are up to some 10 ε / distance.
 const ANGULAR_ROUND_OFF: f64 = 64.0 * f64::EPSILON;
 
 /// Largest number of iterations for the duration of a ray and its mean acceleration: they converge in a few.
-const ROUNDS: u32 = 20;
+const MOST_ITERATIONS: u32 = 20;
 
 /// A straight motion through the ball: one-dimensional, with the acceleration of the forces along it.
 struct Ray {
@@ -73,24 +73,24 @@ struct Ray {
     duration: f64,
 }
 
-impl Passage<ANGLES> for ByAngles<'_> {
+impl Passage<ANGLES> for AngleSystem<'_> {
     #[inline]
     fn approach(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>) -> Approach<ANGLES> {
         match self.offset(from.q) {
             // At rest by friction there is no passage.
             Some(_) if self.is_at_rest() => Approach::Clear,
-            Some(offset) => self.near(limits, from, offset),
+            Some(offset) => self.approach_vertex(limits, from, offset),
             None => Approach::Clear,
         }
     }
 
     fn energy_scale(&self, before: &EnergyBalance, q: &Angles, v: &Angles, h: f64) -> Result<f64, StepError> {
-        self.energy_scale_unless(VARIED, before, [q, v], h)
+        self.energy_scale_unless(LARGEST_POWER_VARIATION, before, [q, v], h)
     }
 
     #[inline]
     fn can_project(&self, q: &Angles) -> bool {
-        self.offset(q).is_none_or(|offset| offset.dot(&offset) >= NEAREST * NEAREST)
+        self.offset(q).is_none_or(|offset| offset.dot(&offset) >= UNPROJECTED_WITHIN * UNPROJECTED_WITHIN)
     }
 
     #[cold]
@@ -113,17 +113,20 @@ impl Passage<ANGLES> for ByAngles<'_> {
     }
 }
 
-impl ByAngles<'_> {
+impl AngleSystem<'_> {
     /// Factor of the rates that restores the energy balance; an error where it differs too much from 1. It is 1 where the kinetic energy is
     /// lost in round-off, and where the work is too large or its power varies too much for the trapezoidal rule to be better than the step.
     fn energy_scale_unless(&self, varied: f64, before: &EnergyBalance, [q, v]: [&Angles; 2], h: f64) -> Result<f64, StepError> {
         let [kinetic, potential, power] = self.energies(q, v);
         let (work, varies) = (h / 2.0 * (before.power + power), h * (power - before.power).abs() > varied * kinetic);
-        if kinetic <= LOST * before.energy.abs().max(potential.abs()) || work.abs() > ENERGY_CHANGE * kinetic || varies {
+        if kinetic <= NEGLIGIBLE_KINETIC_ENERGY * before.energy.abs().max(potential.abs())
+            || work.abs() > LARGEST_ENERGY_CHANGE * kinetic
+            || varies
+        {
             return Ok(1.0);
         }
         let part = (before.energy + work - potential) / kinetic - 1.0;
-        if part.abs() > ENERGY_CHANGE { Err(StepError::EnergyChange { part }) } else { Ok((1.0 + part).sqrt()) }
+        if part.abs() > LARGEST_ENERGY_CHANGE { Err(StepError::EnergyChange { part }) } else { Ok((1.0 + part).sqrt()) }
     }
 
     /// Step of h seconds along a closure branch near a bifurcation, integrated in the angles, where it is no special configuration.
@@ -158,14 +161,14 @@ impl ByAngles<'_> {
     /// Passage, or step limits, near a vertex at this offset.
     #[cold]
     #[inline(never)]
-    fn near(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>, offset: Angles) -> Approach<ANGLES> {
+    fn approach_vertex(&self, limits: &PassageLimits, from: &Departure<'_, ANGLES>, offset: Angles) -> Approach<ANGLES> {
         let (distance, speed) = (offset.norm(), from.v.norm());
         let limited = |longest: f64| {
             Approach::Limited(StepLimits {
                 longest,
-                round_off: ANGULAR_ROUND_OFF / distance.max(NEAREST),
-                regularization: REGULARIZATION,
-                energy: (distance < CLOSE).then(|| self.energy_balance(from.q, from.v)),
+                round_off: ANGULAR_ROUND_OFF / distance.max(UNPROJECTED_WITHIN),
+                regularization: VERTEX_REGULARIZATION,
+                energy: (distance < ENERGY_SCALED_WITHIN).then(|| self.energy_balance(from.q, from.v)),
             })
         };
         if distance < AT_REST && speed < AT_REST && !(from.on_ray && speed > 0.0) {
@@ -184,7 +187,7 @@ impl ByAngles<'_> {
         }
         // Inside the ball: on a ray from outside, from the vertex itself, or continued after the end of a macro step.
         let reach = (limits.radius * limits.radius - impact_parameter * impact_parameter).max(0.0).sqrt();
-        let entering = position < -ENTRY * limits.radius;
+        let entering = position < -LEAST_ENTRY_DISTANCE * limits.radius;
         let starting = position > -AT_REST && position < 0.5 * reach && impact_parameter < AT_REST;
         if impact_parameter > limits.impact_parameter || !(entering || starting || from.on_ray) {
             return limited(f64::INFINITY);
@@ -243,7 +246,7 @@ impl ByAngles<'_> {
         let before = self.energy_balance(from.q, from.v);
         let scale = self.energy_scale_unless(f64::INFINITY, &before, [&q, &v], duration).ok()?;
         let [kinetic, _, power] = self.energies(&q, &v);
-        if self.model().may_make_contact && duration * before.power.abs().max(power.abs()) > ENERGY_CHANGE * kinetic {
+        if self.model().may_make_contact && duration * before.power.abs().max(power.abs()) > LARGEST_ENERGY_CHANGE * kinetic {
             return None;
         }
         let passed = position < 0.0 && ahead >= 0.0;
@@ -261,7 +264,7 @@ impl ByAngles<'_> {
         // Friction may be stiff: implicit Euler rule a = f(v + a t), by bisection between 0 and f(v), over the time that follows from a.
         let at_start = acceleration;
         let (mut duration, mut last) = (f64::INFINITY, f64::NAN);
-        for _ in 0..ROUNDS {
+        for _ in 0..MOST_ITERATIONS {
             duration = time_to_bifurcation(reach, position, speed, acceleration).unwrap_or(f64::INFINITY);
             let t = duration.min(rest);
             if t == last {
@@ -298,7 +301,7 @@ impl ByAngles<'_> {
 
 /// Distance from all links in line: sines of the left elbow's angle and of the angle between the proximal links, the larger one.
 fn angle_to_bifurcation(q: &Angles) -> f64 {
-    let [left, elbow, _, right] = PLACES;
+    let [left, elbow, _, right] = LINK_INDICES;
     f64::max(libm::sin(q[elbow] - q[left]).abs(), libm::sin(q[right] - q[left]).abs())
 }
 
@@ -312,7 +315,7 @@ fn time_to_bifurcation(reach: f64, position: f64, speed: f64, acceleration: f64)
 impl<const BARE: bool> Passage<COORDINATES> for FiveBar<'_, BARE> {
     #[inline]
     fn approach(&self, limits: &PassageLimits, from: &Departure<'_, COORDINATES>) -> Approach<COORDINATES> {
-        let by_angles = ByAngles::new(self.general());
+        let by_angles = AngleSystem::new(self.general());
         let (q, v) = (angles_of(from.q), angles_of(from.v));
         match by_angles.approach(limits, &Departure { q: &q, v: &v, on_ray: from.on_ray, rest: from.rest }) {
             Approach::Clear => Approach::Clear,
@@ -329,23 +332,23 @@ impl<const BARE: bool> Passage<COORDINATES> for FiveBar<'_, BARE> {
         if self.model.mechanism.geometry.base_distance != 0.0 {
             return None;
         }
-        ByAngles::new(self.general()).along_branch([angles_of(q), angles_of(v)], h)
+        AngleSystem::new(self.general()).along_branch([angles_of(q), angles_of(v)], h)
     }
 
     fn energy_scale(&self, before: &EnergyBalance, q: &Coordinates, v: &Coordinates, h: f64) -> Result<f64, StepError> {
-        ByAngles::new(self.general()).energy_scale_unless(f64::INFINITY, before, [&angles_of(q), &angles_of(v)], h)
+        AngleSystem::new(self.general()).energy_scale_unless(f64::INFINITY, before, [&angles_of(q), &angles_of(v)], h)
     }
 
     fn can_project(&self, q: &Coordinates) -> bool {
-        ByAngles::new(self.general()).can_project(&angles_of(q))
+        AngleSystem::new(self.general()).can_project(&angles_of(q))
     }
 
     fn is_near_vertex(&self, q: &Coordinates) -> bool {
-        ByAngles::new(self.general()).is_near_vertex(&angles_of(q))
+        AngleSystem::new(self.general()).is_near_vertex(&angles_of(q))
     }
 
     fn acceleration_from_rest(&self, q: &Coordinates, v: &Coordinates) -> Option<Coordinates> {
-        let (by_angles, q) = (ByAngles::new(self.general()), angles_of(q));
+        let (by_angles, q) = (AngleSystem::new(self.general()), angles_of(q));
         let a = by_angles.acceleration_from_rest(&q, &angles_of(v))?;
         Some(by_angles.coordinates(&by_angles.pose(&q), &q, &a).1)
     }

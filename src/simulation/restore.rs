@@ -1,9 +1,9 @@
 //! Consistency checks of a stored run with the model and parameters that it is restored under.
 
-use super::angles::ByAngles;
+use super::angles::AngleSystem;
 use super::five_bar::FiveBar;
 use super::model::{Model, Stepper};
-use super::passage::REGULARIZATION;
+use super::passage::VERTEX_REGULARIZATION;
 use super::run::{IntegratorState, Run};
 use super::stick_slip;
 use super::{Method, Parameters, Settings};
@@ -12,12 +12,12 @@ use crate::integrator::{Bounds, Implicit, Inconsistency, System};
 use crate::mechanism::{Coordinates, SceneError};
 
 /// Tolerance of the constraints, relative to the machine's size, unless the solver's tolerance allows more.
-const CLOSED: f64 = 1e-10;
+const POSITION_TOLERANCE: f64 = 1e-10;
 /// Tolerance of the constraints for the printed method, relative: its Newton iteration stops at 1e-8.
-const PRINTED: f64 = 1e-7;
+const PRINTED_POSITION_TOLERANCE: f64 = 1e-7;
 /// Tolerances of the constraint rates, relative to their largest term: of all methods but one, also next to a vertex; and of the printed
 /// method, whose finite penalty leaves a sixth of them in short steps.
-const CLOSED_RATES: [f64; 2] = [1e-5, 0.5];
+const RATE_TOLERANCES: [f64; 2] = [1e-5, 0.5];
 impl Run {
     /// Refuses a run that is inconsistent with this model.
     pub(super) fn check(&self, model: &Model, parameters: &Parameters) -> Result<(), SceneError> {
@@ -36,7 +36,7 @@ impl Run {
             (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) => {
                 let e = settings.regularization;
                 let bounds = Bounds { regularizations: [e, e], ..bounds(model, &parameters.settings) };
-                run.check(&ByAngles::new(system), settings, &bounds)
+                run.check(&AngleSystem::new(system), settings, &bounds)
             }
             (Stepper::ModelExchange(_), IntegratorState::ModelExchange(run)) => {
                 run.check(model, inputs, &bounds(model, &parameters.settings))
@@ -86,12 +86,17 @@ impl Run {
 /// Tolerances to which the method keeps constraints and equilibrium.
 fn bounds(model: &Model, settings: &Settings) -> Bounds {
     let e = model.regularization;
-    let regularizations = [e, REGULARIZATION * e];
+    let regularizations = [e, VERTEX_REGULARIZATION * e];
     let allowed = 4.0 * settings.tolerance;
     match settings.method {
-        Method::I3alpPrinted => Bounds { position: PRINTED, velocity: CLOSED_RATES[1], in_balance: false, regularizations },
-        Method::I3alp | Method::Rk4 | Method::Dop853 | Method::I3alpConserving | Method::Automatic => {
-            Bounds { position: CLOSED.max(allowed), velocity: CLOSED_RATES[0].max(allowed), in_balance: true, regularizations }
+        Method::I3alpPrinted => {
+            Bounds { position: PRINTED_POSITION_TOLERANCE, velocity: RATE_TOLERANCES[1], in_balance: false, regularizations }
         }
+        Method::I3alp | Method::Rk4 | Method::Dop853 | Method::I3alpConserving | Method::Automatic => Bounds {
+            position: POSITION_TOLERANCE.max(allowed),
+            velocity: RATE_TOLERANCES[0].max(allowed),
+            in_balance: true,
+            regularizations,
+        },
     }
 }

@@ -4,9 +4,9 @@ use std::fmt;
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::dense_run::{DenseRun, Held};
+use super::dense_run::{DenseRun, HeldRun};
 use super::five_bar::FiveBar;
-use super::join::Jump;
+use super::join::Discontinuity;
 use super::model::{Model, Stepper};
 use super::model_exchange::ModelExchangeState;
 use super::state::{Core, State, remove_whole_turns};
@@ -165,7 +165,7 @@ impl Run {
                 advanced.inspect_err(|_| (*run, self.turns, self.inputs) = before)
             }
             (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) => {
-                Held { run, inputs: &mut self.inputs, turns: &mut self.turns }.advance(model, settings, inputs, steps)
+                HeldRun { run, inputs: &mut self.inputs, turns: &mut self.turns }.advance(model, settings, inputs, steps)
             }
             _ => unreachable!("a run is made for its method"),
         }
@@ -200,7 +200,7 @@ impl Run {
             run.stop(before, settings, &tuned.inputs, &tuned.turns)?;
         }
         let present = tuned.state(before, &self.inputs);
-        let Jump { work, motion } = Jump::new(&present, before, after, join);
+        let Discontinuity { work, motion } = Discontinuity::new(&present, before, after, join);
         match (&after.stepper, &mut tuned.integrator) {
             (Stepper::Dense(settings), IntegratorState::DenseOutput(run)) => {
                 if let Some(motion) = motion {

@@ -49,14 +49,14 @@ pub struct Settings {
 
 /// Energy tolerance of an i3-ALP step relative to that of an error-controlled one: 0.2, because an event leaves several steps whose work is
 /// known at their ends only.
-const KNOWN_AT_ENDS: f64 = 0.2;
+const I3ALP_ENERGY_SHARE: f64 = 0.2;
 
 /// Rate of the reference motion whose kinetic energy scales the energy tolerance of forces with events, 1/s: the rate of the error norm.
-const RATE: f64 = 10.0;
+const REFERENCE_RATE: f64 = 10.0;
 
 /// e of the conserving step relative to 1 over the mean mass. It weighs increments only: with smaller values Newton's method finds fewer
 /// roots next to vertices; with larger ones it takes more iterations.
-const CONSERVING: f64 = 1e-7;
+const CONSERVING_REGULARIZATION: f64 = 1e-7;
 
 /// Name of the variable that selects stick-slip friction in an active effect, if any does.
 pub(super) fn sticking_law(effects: &effects::Parameters) -> Option<&'static str> {
@@ -72,12 +72,12 @@ impl Settings {
     /// Integration scheme with the settings that it reads.
     pub(super) fn stepper(&self, geometry: &Geometry, regularization: f64, regularization_by_angles: f64) -> Stepper {
         let &Self { tolerance, max_iterations, .. } = self;
-        let energy_scale = geometry.mean_mass() * (geometry.length_scale() * RATE).powi(2);
+        let energy_scale = geometry.mean_mass() * (geometry.length_scale() * REFERENCE_RATE).powi(2);
         Stepper::MacroStep(match self.method {
             Method::I3alp => MacroStepMethod::I3alp(i3alp::Settings {
                 adaptive: self.adaptive,
                 error_tolerance: self.error_tolerance,
-                energy_scale: KNOWN_AT_ENDS * energy_scale,
+                energy_scale: I3ALP_ENERGY_SHARE * energy_scale,
                 energy_at_start: 0.0,
                 tolerance,
                 max_iterations,
@@ -92,7 +92,7 @@ impl Settings {
                 return Stepper::Conserving(i3alp_conserving::Settings {
                     max_iterations,
                     max_work: self.max_work,
-                    regularization: CONSERVING * regularization * self.penalty_scale,
+                    regularization: CONSERVING_REGULARIZATION * regularization * self.penalty_scale,
                     equilibrium: regularization,
                 });
             }

@@ -3,7 +3,7 @@
 
 use arrayvec::ArrayVec;
 
-use super::angles::{Angles, ByAngles};
+use super::angles::{AngleSystem, Angles};
 use super::five_bar::FiveBar;
 use crate::effects::stick_slip::{
     FRICTION_PLACES, FrictionConstraint, FrictionConstraints, FrictionProblem, SlipDirection, StickSlip, StickSlips,
@@ -29,10 +29,10 @@ impl FiveBar<'_> {
 }
 
 /// Largest rate of a mechanism that friction can bring to rest, in stick velocities: residual motion below that is within tolerances.
-const AT_REST: f64 = 1e3;
+const REST_RATE: f64 = 1e3;
 
 /// Largest rate at which a contact may start to stick, in stick velocities: a step ends past the guard by a fraction of one.
-const RESTS: f64 = 2.0;
+const STICKING_RATE: f64 = 2.0;
 
 /// Stick-slip states that follow from a state without history.
 #[cold]
@@ -41,16 +41,16 @@ pub(super) fn resolved(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -
     let pose = system.pose(q);
     let constraints = system.constraints(q, &pose, v);
     let stick_velocity = system.stick_velocity();
-    if v.max_norm() <= AT_REST * stick_velocity {
-        let at_rest = balance(system, q, &Coordinates::ZERO, &|_| true);
+    if v.max_norm() <= REST_RATE * stick_velocity {
+        let at_rest = friction_problem(system, q, &Coordinates::ZERO, &|_| true);
         if at_rest.can_rest() {
             return StickSlips::resting(at_rest.places.into_iter());
         }
     }
     let mut stick_slip = resolve_motion(&constraints);
-    let rests = |constraint: &FrictionConstraint<COORDINATES>| constraint.rate.abs() <= RESTS * stick_velocity;
+    let rests = |constraint: &FrictionConstraint<COORDINATES>| constraint.rate.abs() <= STICKING_RATE * stick_velocity;
     if constraints.iter().any(rests) {
-        balance(system, q, v, &rests).resolve_motion(&mut stick_slip);
+        friction_problem(system, q, v, &rests).resolve_motion(&mut stick_slip);
     }
     stick_slip
 }
@@ -70,8 +70,8 @@ pub(super) fn reverses_between(system: &FiveBar<'_>, ends: [[&Coordinates; 3]; 2
         let rates = [from, to].map(|constraint| way.sign() * constraint.rate);
         let changes = [change(from, ends[0]), change(to, ends[1])];
         // Upper bound of the dip of a cubic below both its ends, relative to the descending slopes: max of s(1 − s)² is 4/27.
-        const DEEPEST: f64 = 4.0 / 27.0;
-        let dip = DEEPEST * ((-changes[0]).max(0.0) + changes[1].max(0.0));
+        const LARGEST_DIP: f64 = 4.0 / 27.0;
+        let dip = LARGEST_DIP * ((-changes[0]).max(0.0) + changes[1].max(0.0));
         rates[0].min(rates[1]) - dip < -stick_velocity && lowest(rates, changes) < -stick_velocity
     })
 }
@@ -90,7 +90,7 @@ fn resolve_motion(constraints: &FrictionConstraints<COORDINATES>) -> StickSlips 
 /// Friction problem of the contacts that may stick, while the others slip.
 #[cold]
 #[inline(never)]
-fn balance(
+fn friction_problem(
     system: &FiveBar<'_>,
     q: &Coordinates,
     v: &Coordinates,
@@ -107,17 +107,17 @@ fn balance(
     let mass = system.factor_mass(&pose, system.model.regularization);
     let forces = system.on(system.mode.with_stick_slip(stick_slip)).forces(q, &pose, v);
     let (a, _) = mass.solve(&forces, &-system.phi_q_dot_times(&pose, v));
-    let mut balance = FrictionProblem::default();
+    let mut friction_problem = FrictionProblem::default();
     for (i, constraint) in resting.iter().enumerate() {
         let (by_torque, _) = mass.solve(&constraint.row, &Vector::ZERO);
-        balance.places.push(constraint.place);
-        balance.bounds[i] = constraint.bound;
-        balance.change[i] = constraint.row.dot(&a) + constraint.drift;
+        friction_problem.places.push(constraint.place);
+        friction_problem.bounds[i] = constraint.bound;
+        friction_problem.change[i] = constraint.row.dot(&a) + constraint.drift;
         for (j, other) in resting.iter().enumerate() {
-            balance.mobility[j][i] = other.row.dot(&by_torque);
+            friction_problem.mobility[j][i] = other.row.dot(&by_torque);
         }
     }
-    balance
+    friction_problem
 }
 
 /// Constraint or reaction by which friction holds the system.
@@ -126,7 +126,7 @@ fn balance(
 pub(super) fn held(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Held<COORDINATES> {
     let constraints = system.constraints(q, pose, v);
     if system.mode.stick_slip.at_rest() {
-        let torques = balance(system, q, v, &|_| true).resting_torques();
+        let torques = friction_problem(system, q, v, &|_| true).resting_torques();
         let able = constraints.iter().filter(|constraint| constraint.bound > 0.0);
         let force = able.zip(torques).fold(Coordinates::ZERO, |force, (constraint, torque)| force + torque * constraint.row);
         return Held::All { force };
@@ -167,8 +167,8 @@ pub(super) fn holding(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) ->
     let constraints = system.constraints(q, &pose, v);
     let mut holding = [0.0; FRICTION_PLACES];
     if system.mode.stick_slip.at_rest() {
-        let balance = balance(system, q, v, &|_| true);
-        for (place, torque) in balance.places.iter().zip(balance.resting_torques()) {
+        let friction_problem = friction_problem(system, q, v, &|_| true);
+        for (place, torque) in friction_problem.places.iter().zip(friction_problem.resting_torques()) {
             holding[*place] = torque;
         }
         return holding;
@@ -210,7 +210,7 @@ pub(super) fn with_friction_reaction<const N: usize, const M: usize>(
     }
 }
 
-impl ByAngles<'_> {
+impl AngleSystem<'_> {
     /// Friction constraint or reaction in the link angles.
     #[cold]
     #[inline(never)]
@@ -220,11 +220,11 @@ impl ByAngles<'_> {
             Held::Nothing => Held::Nothing,
             Held::Direction { row, drift, force } => Held::Direction {
                 // A row maps like a force; its drift gains the velocity product of the coordinates.
-                row: self.carried_over(pose, &row),
+                row: self.mapped_force(pose, &row),
                 drift: drift + row.dot(&self.velocity_product(pose, v)),
-                force: self.carried_over(pose, &force),
+                force: self.mapped_force(pose, &force),
             },
-            Held::All { force } => Held::All { force: self.carried_over(pose, &force) },
+            Held::All { force } => Held::All { force: self.mapped_force(pose, &force) },
         }
     }
 }
@@ -289,18 +289,18 @@ pub(super) fn varied(
 #[inline(never)]
 pub(super) fn are_possible(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates, just_stopped: bool) -> bool {
     /// Largest rate by which a stick-slip state may contradict the motion, in stick velocities: a hundredfold of the event tolerance.
-    const FAR: f64 = 100.0;
+    const LARGEST_CONTRADICTION: f64 = 100.0;
     let stick_slip = &system.mode.stick_slip;
     if stick_slip.at_rest() {
-        let all = balance(system, q, &Coordinates::ZERO, &|_| true);
-        let slowest = if just_stopped { AT_REST * system.stick_velocity() } else { 0.0 };
+        let all = friction_problem(system, q, &Coordinates::ZERO, &|_| true);
+        let slowest = if just_stopped { REST_RATE * system.stick_velocity() } else { 0.0 };
         return v.max_norm() <= slowest && all.can_rest() && *stick_slip == StickSlips::resting(all.places.into_iter());
     }
     let friction_guards = friction_guards(system, q, &system.pose(q), v);
-    let far = FAR * system.stick_velocity();
+    let far = LARGEST_CONTRADICTION * system.stick_velocity();
     let there = |place: usize| friction_guards.iter().any(|friction_guard| friction_guard.place == place);
     let held = |constraint: &FrictionConstraint<COORDINATES>| matches!(stick_slip.at(constraint.place), StickSlip::Holds(_));
-    balance(system, q, v, &held).is_one()
+    friction_problem(system, q, v, &held).is_one()
         && (0..FRICTION_PLACES).all(|place| there(place) || stick_slip.at(place) == StickSlip::Open)
         && friction_guards.iter().all(|friction_guard| match stick_slip.at(friction_guard.place) {
             StickSlip::Open => false,

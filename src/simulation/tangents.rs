@@ -10,7 +10,7 @@
 //!
 //! with equal matrices on both left sides. K and C are the tangents of the effects, mapped by `linearised.rs`.
 
-use super::angles::{ANGLES, Angles, ByAngles, CLOSURES, DISTAL, PLACES, PROXIMAL};
+use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, DISTAL, LINK_INDICES, PROXIMAL};
 use super::inertia::proximal_arm;
 use crate::integrator::{AccelerationTangents, Kkt, State, System};
 use crate::mechanism::Pose;
@@ -18,7 +18,7 @@ use crate::mechanism::coordinates::{legs_of, set_legs};
 use crate::mechanism::legs::{Legs2, both};
 use crate::vector::Vector;
 
-impl ByAngles<'_> {
+impl AngleSystem<'_> {
     /// Jacobian at a state in equilibrium; `regularization` is e of that equilibrium. Sticking contacts are ignored: their reactions have
     /// multipliers of their own.
     #[inline(never)]
@@ -31,12 +31,12 @@ impl ByAngles<'_> {
         let State { q, v, a, lambda, .. } = at;
         let factor = self.factor_mass(pose, regularization);
         let (x, rates) = self.coordinates(pose, q, v);
-        let (_, loads) = self.five_bar().tangents_by_links([&x, &rates], pose, &PLACES.map(|place| v[place]));
+        let (_, loads) = self.five_bar().link_tangents([&x, &rates], pose, &LINK_INDICES.map(|place| v[place]));
 
         // Right-hand sides by columns: tangents of the loads.
         let (mut by_q, mut by_v) = ([Angles::ZERO; ANGLES], [Angles::ZERO; ANGLES]);
-        for (i, row) in PLACES.into_iter().enumerate() {
-            for (j, column) in PLACES.into_iter().enumerate() {
+        for (i, row) in LINK_INDICES.into_iter().enumerate() {
+            for (j, column) in LINK_INDICES.into_iter().enumerate() {
                 by_q[column][row] = -loads.stiffness[i][j];
                 by_v[column][row] = -loads.damping[i][j];
             }

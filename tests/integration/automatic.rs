@@ -6,7 +6,7 @@ use std::f64::consts::FRAC_PI_2;
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator::{State, System, equilibrium};
 use fivebar::observers;
-use fivebar::simulation::angles::{Angles, ByAngles, angles_of};
+use fivebar::simulation::angles::{AngleSystem, Angles, angles_of};
 use fivebar::simulation::five_bar::FiveBar;
 use fivebar::simulation::{Counters, Inputs, Method, Parameters, Simulation};
 use fivebar::vector::Vector;
@@ -57,7 +57,7 @@ fn tangents_of_accelerations_are_derivatives() {
         for simulation in [simulation, moving] {
             let state = simulation.state();
             let (q, v) = (angles_of(&state.core.q), angles_of(&state.core.v) + Vector::from([0.3, -0.2, 0.5, 0.1]));
-            let system = ByAngles::new(FiveBar::<false>::new(simulation.model(), &loads, &state.turns));
+            let system = AngleSystem::new(FiveBar::<false>::new(simulation.model(), &loads, &state.turns));
             let at = State::start(&system, q, v, REGULARIZATION);
             let tangents = system.acceleration_tangents(&at, &system.pose(&at.q), REGULARIZATION).expect("tangents");
             let step = 1e-6;

@@ -22,7 +22,7 @@ use crate::simulation::inertia::Inertia;
 
 /// Constant data of the evaluation.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::simulation) struct Falling {
+pub(in crate::simulation) struct WeightAcceleration {
     /// Signed lengths of p and d, times cosine and times sine of the angle from the machine's frame to the upright one.
     lengths: [[Legs; 2]; 2],
     /// Factor m_D a_D / l_D: χ is its product with p·d.
@@ -50,7 +50,7 @@ pub struct TrigBase {
     twice: [Legs2; 2],
 }
 
-impl Falling {
+impl WeightAcceleration {
     /// Constant data of a mechanism under the constant force `force`, N and N·m; `regularization` is e, 1/kg.
     pub(in crate::simulation) fn new(mechanism: &Mechanism, inertia: &Inertia, force: &Coordinates, regularization: f64) -> Self {
         let &Mechanism { mass_d, a_p, b_p, a_d, sigma_b_d, .. } = mechanism;

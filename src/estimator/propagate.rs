@@ -9,7 +9,7 @@ pub(super) const FORCE: usize = 4;
 
 /// F P Fᵀ, symmetric to the bit, for a transition without feedback of angles and rates on the force.
 #[inline(never)]
-pub(super) fn sandwich(f: &Matrix, p: &Matrix) -> Matrix {
+pub(super) fn propagate_covariance(f: &Matrix, p: &Matrix) -> Matrix {
     let mut half = [[0.0; ERRORS]; ERRORS];
     for i in 0..ERRORS {
         for k in (if i < FORCE { 0 } else { FORCE })..ERRORS {
@@ -55,7 +55,7 @@ pub(super) fn transition(from: &Frame, to: &Frame, flow: &Flow) -> Matrix {
             f[2 + i][k] = rates[i];
         }
     }
-    turn_force(&mut f, from.carried_to(to));
+    turn_force(&mut f, from.basis_map_to(to));
     f
 }
 
@@ -63,7 +63,7 @@ pub(super) fn transition(from: &Frame, to: &Frame, flow: &Flow) -> Matrix {
 #[cold]
 #[inline(never)]
 pub(super) fn straight(from: &Frame, to: &Frame, h: f64) -> Matrix {
-    let turned = from.carried_to(to);
+    let turned = from.basis_map_to(to);
     let mut f = [[0.0; ERRORS]; ERRORS];
     for i in 0..2 {
         for k in 0..2 {
@@ -78,7 +78,7 @@ pub(super) fn straight(from: &Frame, to: &Frame, h: f64) -> Matrix {
 
 /// Transition matrix transferred to neighbouring tangent spaces: `onto` maps errors to its start, `back` from its end.
 #[inline(never)]
-pub(super) fn seen_from(f: &Matrix, onto: &[Pair; 2], back: &[Pair; 2]) -> Matrix {
+pub(super) fn between_frames(f: &Matrix, onto: &[Pair; 2], back: &[Pair; 2]) -> Matrix {
     let transposed = [[onto[0][0], onto[1][0]], [onto[0][1], onto[1][1]]];
     let half = f.map(|row| turned(&transposed, &row));
     std::array::from_fn(|i| {

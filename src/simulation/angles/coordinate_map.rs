@@ -1,6 +1,6 @@
 //! Map from link angles to the twelve coordinates (each leg is built up from its motor axis), and its transpose for forces.
 
-use super::{Angles, ByAngles, DISTAL, PROXIMAL};
+use super::{AngleSystem, Angles, DISTAL, PROXIMAL};
 use crate::integrator::{System, Work};
 use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2};
@@ -16,7 +16,7 @@ fn in_place(angles: &Angles) -> Coordinates {
     x
 }
 
-impl ByAngles<'_> {
+impl AngleSystem<'_> {
     /// Kinetic energy, J, potential energy with that of the held loads, J, and power of the forces that have no potential, W.
     pub(in crate::simulation) fn energies(&self, q: &Angles, v: &Angles) -> [f64; 3] {
         let pose = self.pose(q);
@@ -28,20 +28,20 @@ impl ByAngles<'_> {
     /// Forces in the angles, N·m, and their power, W, under loads other than the weight. The function is out of line and takes copies: data
     /// behind pointers must be in memory, and without such loads they stay in registers. Directions suffice to rebuild the pose.
     #[inline(never)]
-    pub(super) fn under_loads(&self, q: Angles, directions: [Legs2; 2], v: Angles) -> (Angles, Work) {
+    pub(super) fn loaded_torques_and_power(&self, q: Angles, directions: [Legs2; 2], v: Angles) -> (Angles, Work) {
         let pose = self.mechanism.pose_along(directions);
-        let (x, rates) = (self.placed(&q, &pose), self.velocity_map(&v, &pose));
+        let (x, rates) = (self.positions(&q, &pose), self.velocity_map(&v, &pose));
         let (applied, power) = if self.five_bar.follows_work() {
             self.five_bar.acting(&self.five_bar.context(&x, &pose, &rates))
         } else {
             (self.five_bar.forces(&x, &pose, &rates), Work::default())
         };
-        (self.in_angles(&applied, &pose, &v), power)
+        (self.torques_in_angles(&applied, &pose, &v), power)
     }
 
     /// Applied forces of the twelve coordinates mapped to the angles, N·m, plus the centripetal torques of the distal centre of mass.
     #[inline(always)]
-    pub(super) fn in_angles(&self, applied: &Coordinates, pose: &Pose, v: &Angles) -> Angles {
+    pub(super) fn torques_in_angles(&self, applied: &Coordinates, pose: &Pose, v: &Angles) -> Angles {
         let (l, a_d) = (proximal_arm(pose), pose.a_d);
         let on_p = Legs2 { x: legs_of(applied, P_X), y: legs_of(applied, P_Y) };
         let on_d = Legs2 { x: legs_of(applied, D_X), y: legs_of(applied, D_Y) };
@@ -52,9 +52,9 @@ impl ByAngles<'_> {
 
     /// Torques of the weight alone, N·m, plus the centripetal torques.
     #[inline(always)]
-    pub(super) fn weight_in_angles(&self, pose: &Pose, v: &Angles) -> Angles {
-        let falling = &self.model().falling;
-        self.with_centripetal(falling.torques([pose.u_p, pose.u_d]), pose, v)
+    pub(super) fn weight_torques(&self, pose: &Pose, v: &Angles) -> Angles {
+        let weight_acceleration = &self.model().weight_acceleration;
+        self.with_centripetal(weight_acceleration.torques([pose.u_p, pose.u_d]), pose, v)
     }
 
     /// Torques on the links plus the centripetal ones of the distal centre of mass, N·m.
@@ -71,11 +71,11 @@ impl ByAngles<'_> {
     /// Twelve coordinates and their rates.
     #[inline]
     pub fn coordinates(&self, pose: &Pose, q: &Angles, v: &Angles) -> (Coordinates, Coordinates) {
-        (self.placed(q, pose), self.velocity_map(v, pose))
+        (self.positions(q, pose), self.velocity_map(v, pose))
     }
 
     #[inline]
-    pub(super) fn placed(&self, q: &Angles, pose: &Pose) -> Coordinates {
+    pub(super) fn positions(&self, q: &Angles, pose: &Pose) -> Coordinates {
         let elbow = Legs2 { x: self.mechanism.ground_x + pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y };
         let mut x = in_place(q);
         set_legs(&mut x, P_X, self.mechanism.ground_x + pose.a_p.x);
@@ -87,7 +87,7 @@ impl ByAngles<'_> {
 
     /// Generalised force of the twelve coordinates mapped to the angles, N·m.
     #[cold]
-    pub(in crate::simulation) fn carried_over(&self, pose: &Pose, force: &Coordinates) -> Angles {
+    pub(in crate::simulation) fn mapped_force(&self, pose: &Pose, force: &Coordinates) -> Angles {
         Angles::from_fn(|i| force.dot(&self.velocity_map(&Angles::unit(i), pose)))
     }
 
