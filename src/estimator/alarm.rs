@@ -1,36 +1,35 @@
-//! When to raise an alarm: something acts that the model does not know, or the samples do not fit their bands.
+//! Alarm for an unmodelled force, and the consistency test of innovations.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::linkage::Frame;
 use super::track::Track;
 
-/// The change of the unknown force that is an alarm, in torque scales, where the models of much noise are more probable than this: it is
-/// changing now;
+/// Sudden alarm: change of the unknown force, in torque scales, and probability of the loud models above which it counts.
 const SUDDEN_CHANGE: (f64, f64) = (0.25, 0.999);
-/// where they are less probable, but more than this, beyond so many standard deviations.
+/// Sudden alarm of lower probability: probability of the loud models, and normalised change in standard deviations.
 const PROBABLE_CHANGE: (f64, f64) = (0.9, 2.5);
-/// The change that is an alarm, in torque scales, beyond this many standard deviations: it has changed.
+/// Lasting alarm: change of the unknown force, in torque scales, and in standard deviations.
 const LASTING_CHANGE: (f64, f64) = (0.5, 6.0);
-/// How slowly what it changes from follows, s.
+/// Time constant by which the reference force follows, s: slower drift is no alarm.
 const REFERENCE_TIME_CONSTANT: f64 = 0.3;
-/// How long an alarm lasts, s.
+/// Duration of an alarm, s.
 const ALARM_DURATION: f64 = 0.1;
-/// A sample counts no more than this there: one that is wild is not forgotten otherwise.
+/// Largest normalised innovation squared of a sample in the average: caps the influence of an outlier.
 const LARGEST_NIS: f64 = 30.0;
-/// Over how many samples NIS is averaged, and what that may be at most, of 1 expected per sample.
+/// Consistency test: averaging length in samples, and largest mean normalised innovation squared, of 1 expected.
 const CONSISTENCY: (f64, f64) = (100.0, 4.0);
 
-/// What alarms remember.
+/// State of the alarm.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Alarm {
-    /// The unknown force that is usual, as inputs.
+    /// Reference value of the unknown force as inputs, N·m and N.
     reference_force: [f64; 4],
-    /// Since it was last raised, s.
+    /// Time since the alarm was last raised, s.
     time_since_alarm: f64,
-    /// Since the last sample, s.
+    /// Time since the last sample, s.
     time_since_sample: f64,
-    /// NIS per sample, averaged.
+    /// Mean normalised innovation squared per sample.
     nis: f64,
 }
 
@@ -41,13 +40,13 @@ impl Default for Alarm {
 }
 
 impl Alarm {
-    /// A macro step.
+    /// Time update by a macro step of h seconds.
     pub(super) fn step(&mut self, h: f64) {
         self.time_since_alarm = (self.time_since_alarm + h).min(f64::MAX);
         self.time_since_sample += h;
     }
 
-    /// A correction by some samples.
+    /// Measurement update: `nis` is the normalised innovation squared summed over `samples` samples.
     pub(super) fn receive(&mut self, track: &Track, at: &Frame, scale: f64, (nis, samples): (f64, usize)) {
         let samples = samples as f64;
         self.nis += samples / CONSISTENCY.0 * ((nis / samples).min(LARGEST_NIS) - self.nis);
@@ -55,7 +54,7 @@ impl Alarm {
         let [x, y] = Track { force: change, ..*track }.tangent_force(at);
         let [xx, xy, yy] = track.bank.force_covariance();
         let (size, determinant) = ((x * x + y * y).sqrt(), xx * yy - xy * xy);
-        // (size/σ)² without a division.
+        // Comparison of (size/σ)² without a division.
         let squared = x * x * yy - 2.0 * x * y * xy + y * y * xx;
         let loud = track.bank.members[2].weight + track.bank.members[3].weight;
         let beyond = |sigmas: f64| squared > sigmas * sigmas * determinant;
@@ -72,12 +71,12 @@ impl Alarm {
         self.time_since_sample = 0.0;
     }
 
-    /// Whether it is raised.
+    /// Whether the alarm is raised.
     pub fn is_on(&self) -> bool {
         self.time_since_alarm < ALARM_DURATION
     }
 
-    /// Whether the samples do not fit their bands.
+    /// Whether innovations exceed their covariance.
     pub fn is_inconsistent(&self) -> bool {
         self.nis > CONSISTENCY.1
     }

@@ -1,9 +1,9 @@
-//! Behind a direct singularity that is passed slowly or only grazed: whether the machine has crossed it, or has turned back before it.
-//! Behind a vertex: in which of the two assemblies it has come out.
+//! Assembly hypotheses: after a slow or grazing passage of a direct singularity, whether the machine has crossed it or turned back; after a
+//! vertex, in which assembly it has come out.
 //!
-//! The motors do not tell the two assemblies apart, only how the motion goes on does, and slowly. An unknown force explains either, and as
-//! the models of the estimate allow for forces that change, it is not they that can decide. So two motions are followed beside the estimate
-//! on which next to nothing acts that is not known, one in each assembly: the one that tells the samples better is right.
+//! Motor angles do not distinguish the two assemblies; only the later motion does, and slowly. An unknown force explains either, and the
+//! models of the estimate admit forces that change, so their evidence does not decide. Two hypotheses under nearly no unknown force, one in
+//! each assembly, are therefore compared by the likelihood of the samples.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -14,74 +14,75 @@ use super::linkage::Frame;
 use super::track::Track;
 use super::{Constants, Scene, bank, propagate, transition};
 
-/// It is left where |sin(θ₃ − θ₂)| is at least this.
+/// Distance |sin(θ₃ − θ₂)| from a direct singularity at which its passage ends.
 pub(super) const DISTINGUISHABLE: f64 = 0.1;
-/// Unknown forces on both motions, in those of the estimate: these, with the quietest and the loudest model. A force that does act lets the
-/// loudest take part on both sides, so that it does not decide.
+/// Torque scale of the unknown force in both hypotheses, relative to that of the estimate, for the quietest and the loudest model. Under a
+/// real disturbance the loudest takes over in both, so that the disturbance does not decide.
 const QUIET_FORCE_SCALE: f64 = 0.006;
-/// What acts on them unknown where they begin, in torque scales: a force of 0.006 held a motion back from the line that it had passed.
+/// Initial standard deviation of the unknown force in both hypotheses, in torque scales: 0.006 held a motion back from the line of the
+/// distal links that it had crossed.
 const INITIAL_FORCE_SIGMA: f64 = 0.001;
+/// Prior probabilities of the models in both hypotheses: the quietest and the loudest alone.
 const PRIOR: [f64; MODELS] = [0.999, 0.0, 0.0, 0.001];
-/// A motion goes on as the estimate does, with other forces, where a plane of one tangent space is at least this large on the other.
+/// Least |det| of the map between tangent spaces for which a hypothesis takes the transition matrix of the estimate.
 const LEAST_BASIS_OVERLAP: f64 = 0.9999;
 
-/// Both are dropped after this time, s,
+/// Life of the hypotheses, s: by then samples have decided.
 const LIFETIME: f64 = 5.0;
-/// or where samples speak against the other assembly, and the other takes over where they speak for it: differences of log likelihoods.
+/// Log-likelihood ratios at which the mirrored assembly is dropped, and at which it replaces the estimate.
 const EVIDENCE_BOUNDS: [f64; 2] = [-30.0, 6.0];
-/// How sure of its side an estimate may be, at the least, for both to be followed; next to the line it errs by more than it thinks,
+/// Least log-likelihood of the other side for which hypotheses open: next to the line the estimate errs by more than its covariance says.
 const LEAST_ODDS_TO_OPEN: f64 = -300.0;
-/// and no more than this is believed of it.
+/// Least log-likelihood assigned to the other side when hypotheses open.
 const LEAST_INITIAL_ODDS: f64 = -10.0;
-/// Where the sine of the angle between the distal links changes faster, 1/s, there is no doubt: a machine does not turn back from that.
+/// Rate of sin(θ₃ − θ₂), 1/s, above which a passage is certain: no machine turns back from that.
 const SLOW_PASSAGE: f64 = 1.0;
-/// The least that is believed of a motion that has come through the line by itself.
+/// Largest prior log-likelihood of the mirrored assembly for a quiet motion that has crossed the line itself.
 const LARGEST_ODDS_AFTER_CROSSING: f64 = -4.0;
-/// The log likelihood of the other side far from direct singularities.
+/// Log-likelihood of the other side far from direct singularities.
 const NEGLIGIBLE_ODDS: f64 = -1e3;
-/// Variance of the unknown force of an assembly that takes over, in squared torque scales.
+/// Variance of the unknown force added when the other assembly replaces the estimate, in squared torque scales.
 const REPLACEMENT_FORCE_VARIANCE: f64 = 0.04;
 
-/// What is known of the side on which a direct singularity is left.
+/// Knowledge of the side on which a direct singularity was left.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct AssemblyHypotheses {
-    /// The log likelihood of the other side of the singularity that the estimate is passing, at its largest: −1000 far from one, 0 behind a
-    /// vertex.
+    /// Largest log-likelihood of the other side during the present passage of a singularity: −1000 far from one, 0 after a vertex.
     mirror_log_likelihood: f64,
-    /// A motion on which next to nothing acts that is not known, from where the estimate has come near the line, and the log likelihood of its
-    /// other side, at its largest.
+    /// Motion under nearly no unknown force since the singularity was approached, with the largest log-likelihood of its other side.
     quiet: Option<(Track, f64)>,
     pair: Option<AssemblyPair>,
 }
 
-/// Motions in the assembly of the estimate and in the other.
+/// Hypotheses in the assembly of the estimate and in the mirrored one.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct AssemblyPair {
     tracks: [Track; 2],
-    /// log likelihood of the other less that of the estimate.
+    /// Log-likelihood of the mirrored assembly minus that of the estimate's.
     evidence: f64,
-    /// s.
+    /// Age, s.
     age: f64,
 }
 
-/// Where the estimate passes.
+/// Surroundings of the estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Passage {
-    /// Neither of the others.
+    /// No vertex near, and samples arrive.
     Clear,
-    /// By a vertex, or several motions are followed behind it: nothing is known of the side.
+    /// A vertex is near, or hypotheses after it are open: the side is unknown.
     Vertex,
     /// Without samples: nothing decides.
     Unseen,
 }
 
-/// How the estimate has gone on.
+/// Time update of the estimate.
 pub(super) struct Propagation<'a> {
     pub(super) from: &'a Frame,
+    /// Posture before.
     pub(super) to: &'a Frame,
-    /// Of its errors,
+    /// Transition matrix of the errors.
     pub(super) transition: &'a Matrix,
-    /// in so many steps of Runge-Kutta.
+    /// Number of Runge–Kutta steps.
     pub(super) steps: u32,
 }
 
@@ -92,7 +93,7 @@ impl Default for AssemblyHypotheses {
 }
 
 impl AssemblyHypotheses {
-    /// Where nothing is known of the side: both are followed, as soon as they are apart.
+    /// Unknown side: hypotheses open as soon as the assemblies are distinguishable.
     pub(super) fn of_unknown_side() -> Self {
         Self { mirror_log_likelihood: 0.0, ..Self::default() }
     }
@@ -113,7 +114,7 @@ impl AssemblyHypotheses {
             && self.pair.is_none_or(|pair| pair.evidence.is_finite() && (0.0..=LIFETIME).contains(&pair.age))
     }
 
-    /// The estimate has gone on by a macro step.
+    /// Time update of the hypotheses by a macro step.
     #[inline(never)]
     pub(super) fn step(
         &mut self,
@@ -153,7 +154,7 @@ impl AssemblyHypotheses {
             let rate = (track.omega[2] - track.omega[1]) * libm::cos(track.theta[2] - track.theta[1]);
             if rate.abs() < SLOW_PASSAGE {
                 match self.pair.take() {
-                    // It comes back before samples have told all: the likelier goes on through the line.
+                    // The motion returns to the singularity undecided: the likelier hypothesis continues through it.
                     Some(AssemblyPair { tracks: [own, other], evidence, .. }) => {
                         self.mirror_log_likelihood = evidence.clamp(NEGLIGIBLE_ODDS, 0.0);
                         self.quiet = Some((if evidence > 0.0 { other } else { own }, (-evidence.abs()).max(NEGLIGIBLE_ODDS)));
@@ -187,7 +188,7 @@ impl AssemblyHypotheses {
         }
     }
 
-    /// Samples that the estimate has taken in. The motion that takes over.
+    /// Measurement update of the hypotheses by samples that the estimate has used. Returns the motion that replaces the estimate, if any.
     pub(super) fn correct(&mut self, constants: &Constants, readings: &[Option<Reading>; 2]) -> Option<Track> {
         if let Some((quiet, _)) = &mut self.quiet
             && update_hypothesis(quiet, &constants.linkage, readings).is_none()
@@ -218,8 +219,8 @@ impl AssemblyHypotheses {
 }
 
 impl AssemblyPair {
-    /// A motion and the one in the other assembly, with the log likelihood of that; `crossed`: it is the other that the estimate is in, which
-    /// the next samples make give way.
+    /// Hypotheses from a motion and its mirror image, of log-likelihood `odds`; `crossed`: the estimate is in the mirrored assembly, which
+    /// the next samples then replace.
     #[cold]
     fn around(constants: &Constants, track: &Track, (crossed, odds): (bool, f64)) -> Option<Self> {
         let other = mirrored(constants, track)?;
@@ -231,19 +232,20 @@ impl AssemblyPair {
     }
 }
 
-/// The same motion where next to nothing acts that is not known.
+/// Motion under nearly no unknown force.
 #[cold]
 fn with_quiet_force(constants: &Constants, track: &Track) -> Track {
     let scale = INITIAL_FORCE_SIGMA * constants.torque_scale();
     Track { force: [0.0; 4], bank: track.bank.with_priors(PRIOR).with_force(scale * scale), ..*track }
 }
 
-/// sin(θ₃ − θ₂).
+/// Signed distance from a direct singularity, sin(θ₃ − θ₂).
 fn signed_distance(track: &Track) -> f64 {
     libm::sin(track.theta[2] - track.theta[1])
 }
 
-/// A motion in the assembly of the estimate goes on by a macro step, and its errors as those of the estimate do; false where it cannot.
+/// Time update of a hypothesis in the assembly of the estimate, with the transition matrix of the estimate where that is close enough;
+/// false where it fails.
 #[inline(never)]
 fn propagate_with_estimate(
     track: &mut Track,

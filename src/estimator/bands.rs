@@ -1,11 +1,11 @@
-//! What the estimate is worth in numbers: standard deviations, the covariance of the tip, unknown torques.
+//! Uncertainty of the estimate: standard deviations, covariance of the tip, equivalent motor torques.
 
 use nalgebra::{Matrix4, Vector4};
 
 use super::{Constants, Estimator, Links, Pair, wrapped};
 
 impl Estimator {
-    /// Covariance of the error on the tangent basis, and of the angles and rates of links 1 to 4 its diagonal.
+    /// Standard deviations of the angles, rad, and rates, rad/s, of links 1 to 4.
     pub fn sigmas(&self, constants: &Constants) -> [Links; 2] {
         if let Some(sigmas) = self.forecast.sigmas(&self.track) {
             return sigmas;
@@ -22,7 +22,7 @@ impl Estimator {
         [std::array::from_fn(|link| sigma(link, 0)), std::array::from_fn(|link| sigma(link, 2))]
     }
 
-    /// Squared error against a true motion in units of the covariance of angles and rates: 4 on average where the bands are honest.
+    /// Normalised estimation error squared of angles and rates against a true motion: 4 on average for a consistent covariance.
     pub fn nees(&self, constants: &Constants, theta: &Links, omega: &Links) -> f64 {
         let frame = constants.linkage.frame(&self.track.theta);
         let angles = frame.coordinates(&std::array::from_fn(|i| wrapped(theta[i] - self.track.theta[i])));
@@ -48,7 +48,7 @@ impl Estimator {
         std::array::from_fn(|i| known[i] + by_lengths[i])
     }
 
-    /// Motor torques that would do what the unknown force does, with their standard deviations; see `Track::motor_torques`.
+    /// Motor torques equivalent to the unknown force, N·m, with their standard deviations; see `Track::motor_torques`.
     pub fn motor_torques(&self, constants: &Constants) -> Option<(Pair, Pair)> {
         self.track.motor_torques(&constants.linkage.frame(&self.track.theta))
     }

@@ -1,8 +1,8 @@
-//! Interacting multiple models: four process noises side by side, each with its own error about one mean, mixed by how well each tells
-//! the samples (Blom and Bar-Shalom, IEEE Trans. Automatic Control 33 (1988) 780).
+//! Interacting multiple models: four process noises in parallel, each with its own error mean and covariance about one estimate, mixed by
+//! their likelihoods (Blom and Bar-Shalom, IEEE Trans. Automatic Control 33 (1988) 780).
 //!
-//! The error has six elements: angles and rates on the tangent basis N, and the unknown force on the same basis. What the models differ in
-//! is how fast the unknown force may change, and how much white torque there is.
+//! The error state has six elements: angles and rates on the tangent basis N, and the unknown force on the same basis. The models differ in
+//! the random walk of the unknown force and in the intensity of a white torque.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -15,51 +15,55 @@ use super::transition::ERRORS;
 /// Number of models.
 pub const MODELS: usize = 4;
 
-/// An error.
+/// Error state: two angles, rad, two rates, rad/s, two components of the unknown force, N·m.
 pub type Error = [f64; ERRORS];
-/// A covariance or a transition.
+/// Covariance or transition matrix of the error state.
 pub type Matrix = [Error; ERRORS];
 
-/// Squared change of the unknown force per second, in units of the squared torque scale.
+/// Process noise: variance rate of the unknown force in each model, 1/s, relative to the squared torque scale. Factors of 100 to 1000
+/// cover a constant disturbance to an impact.
 const FORCE_WALK: [f64; MODELS] = [4e-5, 0.04, 4.0, 4000.0];
-/// The same in units of the squared torques that accelerate the links: masses are not known exactly, and what they are off by changes as
-/// the motion does.
+/// Process noise: variance rate of the unknown force by errors of masses, 1/s, relative to the squared inertia torques. Quiet models alone
+/// have it: its effect drowns in the force walk of the others.
 const MASS_WALK: [f64; MODELS] = [2e-4, 0.03, 0.0, 0.0];
-/// White torque on every link, s, in units of the squared torque scale.
+/// Process noise: spectral density of a white torque on every link, s, relative to the squared torque scale.
 const WHITE_TORQUE: [f64; MODELS] = [4e-7, 4e-6, 4e-5, 4e-3];
-/// How likely models are before any sample, and on motions beside the estimate what one that is left is followed by; one of 0 takes no part.
+/// Prior probabilities of the models before any sample, and for switching in hypotheses beside the estimate. A model of probability 0 takes
+/// no part.
 pub(super) const PRIOR: [f64; MODELS] = [0.45, 0.45, 0.095, 0.005];
-/// By what it is followed on the estimate, where encoders have white noise: a sample that is far off may be noise;
+/// Prior probabilities for switching in the estimate under white encoder noise: the loudest is rare, because a large innovation may be
+/// noise.
 pub(super) const BY_NOISE: [f64; MODELS] = [0.45, 0.45, 0.0999, 0.0001];
-/// and where readings are intervals: nothing but a force takes an angle out of them, and until it does nothing tells of the force.
+/// Prior probabilities for switching in the estimate under quantisation intervals: the loudest is frequent, because only a force moves an
+/// angle out of an interval, and nothing announces it.
 pub(super) const BY_INTERVALS: [f64; MODELS] = [0.3, 0.3, 0.1, 0.3];
-/// A model never becomes less likely than this in one sample.
+/// Smallest likelihood ratio of a model in one sample: keeps a model recoverable after an outlier.
 const LEAST_LIKELIHOOD: f64 = 1e-12;
-/// Variances that say that nothing is known, rad² and rad²/s².
+/// Largest variances of angles, rad², and rates, rad²/s²: beyond these nothing is known.
 const LARGEST_VARIANCES: [f64; 2] = [0.3, 1e4];
-/// Models less likely than this do not take part in a mixture.
+/// Probability below which a model is left out of the moments of the mixture, whose digits it does not reach.
 const NEGLIGIBLE: f64 = 1e-12;
 
-/// A model with its error about the mean.
+/// Model of the bank: probability, and error relative to the common estimate.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Member {
-    /// Probability.
+    /// Probability of the model.
     pub weight: f64,
-    /// Mean of the error.
+    /// Mean of the error state.
     pub error: Error,
-    /// Covariance of the error.
+    /// Covariance of the error state.
     pub covariance: Matrix,
 }
 
-/// The models.
+/// Bank of models.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Bank {
-    /// One for each process noise.
+    /// One model per process noise.
     pub members: [Member; MODELS],
 }
 
 impl Bank {
-    /// Nothing known but the variances of angles, rates and forces.
+    /// Bank with prior probabilities, zero mean, and these variances of angles, rad², rates, rad²/s², and force, (N·m)².
     pub fn new(variances: [f64; 3]) -> Self {
         let mut covariance = [[0.0; ERRORS]; ERRORS];
         for (i, row) in covariance.iter_mut().enumerate() {
@@ -68,7 +72,7 @@ impl Bank {
         Self { members: PRIOR.map(|weight| Member { weight, error: [0.0; ERRORS], covariance }) }
     }
 
-    /// Moves all errors by a transition.
+    /// Propagates all errors by a transition matrix.
     #[inline(never)]
     pub fn propagate(&mut self, f: &Matrix) {
         for member in self.active_members() {
@@ -77,12 +81,12 @@ impl Bank {
         }
     }
 
-    /// The same errors on another tangent basis: angles, rates and force turn alike.
+    /// Transforms all errors to another tangent basis: angles, rates and force turn alike.
     #[inline(never)]
     pub fn change_basis(&mut self, turn: &[Pair; 2]) {
         for member in self.active_members() {
             member.error = turned(turn, &member.error);
-            // By the second index, then by the first.
+            // Transform of the second index, then of the first.
             let half = member.covariance.map(|row| turned(turn, &row));
             let p = &mut member.covariance;
             for first in (0..ERRORS).step_by(2) {
@@ -96,13 +100,13 @@ impl Bank {
         }
     }
 
-    /// Those that are believed at all.
+    /// Models of non-zero probability.
     fn active_members(&mut self) -> impl Iterator<Item = &mut Member> {
         self.members.iter_mut().filter(|member| member.weight > 0.0)
     }
 
-    /// Mixes the models as they may have changed in h seconds, moves them, and adds what each expects of the process: in units of a torque
-    /// scale, and of the torques that accelerate the links, N·m. `switch_time`, s, is how long a model stays before one of `priors` follows.
+    /// Time update by h seconds: mixing of the models, propagation, process noise. The scales are the torque scale and the inertia torques,
+    /// N·m. A model persists for `switch_time`, s, before one drawn from `priors` replaces it.
     #[inline(never)]
     pub fn predict(
         &mut self,
@@ -116,7 +120,7 @@ impl Bank {
         let (mean, all) = self.moments();
         let noise = ProcessNoise::new(linkage, at, h);
         for (j, member) in self.members.iter_mut().enumerate() {
-            // It has stayed, or any of them is left for it.
+            // Mixing weights: the model has persisted, or any model has switched to it.
             let (own, any) = (member.weight * stay, (1.0 - stay) * priors[j]);
             member.weight = own + any;
             if member.weight == 0.0 {
@@ -143,7 +147,7 @@ impl Bank {
         }
     }
 
-    /// Models that have been thought of by some priors become as likely as they are by [`PRIOR`].
+    /// Replaces the priors `model_prior`, by which probabilities have evolved, by [`PRIOR`]; evidence of samples stays.
     #[cold]
     pub(super) fn reset_priors(&mut self, model_prior: &[f64; MODELS]) {
         for (member, (prior, model_prior)) in self.members.iter_mut().zip(PRIOR.iter().zip(model_prior)) {
@@ -152,7 +156,7 @@ impl Bank {
         self.normalise();
     }
 
-    /// Weights sum up to 1.
+    /// Normalises the probabilities to sum 1.
     fn normalise(&mut self) {
         let sum: f64 = self.members.iter().map(|member| member.weight).sum();
         for member in &mut self.members {
@@ -160,7 +164,7 @@ impl Bank {
         }
     }
 
-    /// The motion may be another one, by these variances of angles and rates; what is known of the forces stays.
+    /// Inflates the variances of angles, rad², and rates, rad²/s²; those of the force stay.
     pub fn inflate(&mut self, variances: Pair) {
         for member in &mut self.members {
             for i in 0..4 {
@@ -169,14 +173,14 @@ impl Bank {
         }
     }
 
-    /// The same error in all models, as likely as before any sample.
+    /// Bank with the moments of this one in all models, and these probabilities.
     #[cold]
     pub fn with_priors(&self, priors: [f64; MODELS]) -> Self {
         let (error, covariance) = self.moments();
         Self { members: priors.map(|weight| Member { weight, error, covariance }) }
     }
 
-    /// The same where nothing is known of the force but its variance.
+    /// Bank with zero mean of the force, of this variance, (N·m)², and uncorrelated with the motion.
     #[cold]
     pub fn with_force(&self, variance: f64) -> Self {
         let mut bank = *self;
@@ -191,7 +195,7 @@ impl Bank {
         bank
     }
 
-    /// The force may be another one, by this variance.
+    /// Inflates the variance of the force by `variance`, (N·m)².
     pub fn inflate_force(&mut self, variance: f64) {
         for member in &mut self.members {
             for i in FORCE..ERRORS {
@@ -200,17 +204,17 @@ impl Bank {
         }
     }
 
-    /// By how much the unknown force's variance grows while the models stay as likely as they are, in squared torque scales per second.
+    /// Expected variance rate of the unknown force at the present probabilities, 1/s, relative to the squared torque scale.
     pub fn walk(&self) -> f64 {
         self.members.iter().zip(FORCE_WALK).map(|(member, walk)| member.weight * walk).sum()
     }
 
-    /// Mean of all models together.
+    /// Mean error of the mixture.
     pub fn mean(&self) -> Error {
         std::array::from_fn(|i| self.members.iter().map(|member| member.weight * member.error[i]).sum())
     }
 
-    /// Covariance of the force about the mean, (N·m)²: xx, xy, yy.
+    /// Covariance of the force about zero error, (N·m)²: xx, xy, yy.
     pub fn force_covariance(&self) -> [f64; 3] {
         let mut sum = [0.0; 3];
         for Member { weight, error, covariance } in &self.members {
@@ -221,7 +225,7 @@ impl Bank {
         sum
     }
 
-    /// Mean and covariance of all models together.
+    /// Mean and covariance of the mixture.
     #[inline(never)]
     pub fn moments(&self) -> (Error, Matrix) {
         let mean = self.mean();
@@ -237,7 +241,7 @@ impl Bank {
         (mean, covariance)
     }
 
-    /// Corrects all models by a sample of which they have expected that, and their weights by how likely each had made it.
+    /// Measurement update of all models by a sample; their probabilities change by the likelihoods.
     #[inline(never)]
     pub fn update(&mut self, expected: &PredictedSample) {
         let mut likelihood = [f64::NEG_INFINITY; MODELS];
@@ -255,7 +259,7 @@ impl Bank {
                     member.covariance[i][k] = less;
                     member.covariance[k][i] = less;
                 }
-                // What the sample tells cannot be more than everything, but for round-off.
+                // A variance may turn negative by round-off only.
                 let own = &mut member.covariance[i][i];
                 *own = own.max(f64::EPSILON * gain[i] * column[i]);
             }
@@ -267,7 +271,7 @@ impl Bank {
         self.normalise();
     }
 
-    /// Whether weights sum up to 1 and covariances are symmetric and positive.
+    /// Whether probabilities sum up to 1 and covariances are symmetric and positive.
     #[cold]
     pub(super) fn is_sound(&self) -> bool {
         let sum: f64 = self.members.iter().map(|member| member.weight).sum();
@@ -284,7 +288,7 @@ impl Bank {
             })
     }
 
-    /// The mean takes over some error.
+    /// Moves the common estimate by `by`: the mean errors become smaller by as much.
     pub fn subtract_mean(&mut self, by: &Error) {
         for member in &mut self.members {
             for (error, by) in member.error.iter_mut().zip(by) {
@@ -294,7 +298,7 @@ impl Bank {
     }
 }
 
-/// Keeps a direction of which nothing is known from growing beyond sense.
+/// Bounds the variances of unobserved directions.
 #[inline(never)]
 fn bound(covariance: &mut Matrix) {
     for i in 0..4 {
@@ -313,7 +317,7 @@ fn bound(covariance: &mut Matrix) {
 mod tests {
     use super::*;
 
-    /// What nothing has been told of is as likely as by [`PRIOR`]; what samples have told stays; what takes no part does not come back.
+    /// Without samples the probabilities become [`PRIOR`]; evidence of samples stays; models of probability 0 stay out.
     #[test]
     fn forecasts_are_of_what_is_likely() {
         let weights = |priors: [f64; MODELS], model_prior: &[f64; MODELS]| {
@@ -324,10 +328,10 @@ mod tests {
         };
         for model_prior in [PRIOR, BY_NOISE, BY_INTERVALS] {
             let weights = weights(model_prior, &model_prior);
-            // Round-off.
+            // Tolerance: round-off.
             assert!((0..MODELS).all(|i| (weights[i] - PRIOR[i]).abs() <= 1e-15), "{weights:?}");
         }
-        // Odds of 3 to 2, of which the priors had 3 to 1.
+        // Odds of 3 to 2 under priors of 3 to 1.
         let [_, _, third, fourth] = weights([0.0, 0.0, 0.4, 0.6], &BY_INTERVALS);
         assert!((fourth / third / (0.5 * PRIOR[3] / PRIOR[2]) - 1.0).abs() < 1e-14);
         assert_eq!(weights([0.0, 0.0, 0.0, 1.0], &BY_INTERVALS), [0.0, 0.0, 0.0, 1.0]);

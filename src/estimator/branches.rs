@@ -1,5 +1,5 @@
-//! Behind a vertex: what the motion may have become beside the estimate, followed until the samples have told which it is. It may have gone
-//! straight on or turned to either side; later, `assembly` follows the other assembly with the same motors.
+//! Hypotheses after a vertex: the motion may have continued straight or turned to either side. Each is propagated and updated beside the
+//! estimate until the evidence of samples decides; afterwards `assembly` follows the mirrored assembly.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -11,34 +11,34 @@ use super::track::{Track, wrapped};
 use super::{Constants, Scene, transition};
 use crate::mechanism::{Assembly, Geometry, Start, close};
 
-/// It is dropped after this time, s,
+/// Life of a hypothesis, s: by then samples have decided.
 const LIFETIME: f64 = 0.5;
-/// or where the samples speak against it, and takes over where they speak for it: differences of log likelihoods.
+/// Log-likelihood ratios relative to the estimate below which a hypothesis is dropped and above which it replaces the estimate.
 const EVIDENCE_BOUNDS: [f64; 2] = [-12.0, 6.0];
-/// A difference by which samples decide at once.
+/// Log-likelihood ratio of the first samples after a vertex that replaces the estimate at once.
 const IMMEDIATE_EVIDENCE: f64 = 15.0;
-/// Motions that turn at a vertex are begun this far before it, rad of the fastest link,
+/// Angle of the fastest link before the vertex at which turning hypotheses start, rad.
 const START_DISTANCE: f64 = 0.05;
-/// so far aside, rad: how they turn does not depend on it,
+/// Lateral offset at which turning hypotheses start, rad: the way they turn hardly depends on it.
 const LATERAL_OFFSET: f64 = 5e-3;
-/// in so many steps of Runge-Kutta.
+/// Runge–Kutta steps of a turning hypothesis, there and back.
 const TURNING_STEPS: u32 = 128;
-/// Where the smallest singular value of J, over the mean length, is near, a step turns no link by more than this part of it.
+/// Largest turn of a link per Runge–Kutta step relative to the smallest singular value of J over the mean length.
 const LARGEST_TURN: f64 = 0.125;
-/// Nothing is divided by 0 in a vertex.
+/// Floor of the smallest singular value in a division, dimensionless.
 const LEAST_SINGULAR_VALUE: f64 = 1e-6;
-/// Most steps of Runge-Kutta in a macro step.
+/// Largest number of Runge–Kutta steps in a macro step.
 const MOST_STEPS: f64 = 256.0;
 
-/// Most motions beside the estimate.
+/// Largest number of hypotheses.
 const MOST_HYPOTHESES: usize = 3;
 
-/// What is followed beside the estimate.
+/// Hypotheses after a vertex.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Branches {
-    /// Time since a vertex, s.
+    /// Time since the last vertex, s.
     since_vertex: f64,
-    /// Whether the estimate comes nearer to one.
+    /// Whether the estimate approaches a vertex.
     approaches_vertex: bool,
     hypotheses: [Option<Hypothesis>; MOST_HYPOTHESES],
 }
@@ -46,11 +46,11 @@ pub(super) struct Branches {
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Hypothesis {
     track: Track,
-    /// Whether it goes straight through a vertex.
+    /// Whether the hypothesis continues straight through a vertex.
     straight: bool,
-    /// log likelihood less that of the estimate.
+    /// Log-likelihood ratio relative to the estimate.
     evidence: f64,
-    /// s.
+    /// Age, s.
     age: f64,
 }
 
@@ -61,12 +61,12 @@ impl Default for Branches {
 }
 
 impl Branches {
-    /// Whether no vertex is near.
+    /// Whether the branch is known: the last vertex is long ago.
     pub(super) fn is_branch_known(&self) -> bool {
         self.since_vertex > LIFETIME
     }
 
-    /// Whether something is followed beside the estimate.
+    /// Whether any hypothesis is open.
     pub(super) fn are_open(&self) -> bool {
         self.hypotheses.iter().any(Option::is_some)
     }
@@ -80,7 +80,7 @@ impl Branches {
             && self.hypotheses.iter().flatten().all(|other| other.evidence.is_finite() && (0.0..=LIFETIME).contains(&other.age))
     }
 
-    /// The estimate has gone on by a macro step.
+    /// Time update of the hypotheses by a macro step.
     pub(super) fn step(&mut self, constants: &Constants, held: bool, scene: &impl Scene, (h, switch_time): (f64, f64)) {
         self.since_vertex = (if held { 0.0 } else { self.since_vertex } + h).min(f64::MAX);
         for other in &mut self.hypotheses {
@@ -96,8 +96,8 @@ impl Branches {
         }
     }
 
-    /// The estimate has come from `track`, whose smallest singular value is `from`, to where it is `to`. Where it goes away from a vertex
-    /// again, what it may have become beside is begun: nobody can know on which side it has passed.
+    /// Opens hypotheses where the estimate leaves a vertex, since no sample has told on which side it was passed. The smallest singular
+    /// value of J was `from` at `track`, before the macro step, and is `to` after it.
     pub(super) fn open_after_vertex(
         &mut self,
         linkage: &Linkage,
@@ -120,7 +120,7 @@ impl Branches {
         }
     }
 
-    /// What samples (innovation, angle) that come after some time of holding fit far better than the estimate.
+    /// Hypothesis that the first samples (innovation, angle) after a vertex favour by far.
     pub(super) fn preferred(&self, linkage: &Linkage, track: &Track, samples: &[Option<(Innovation, f64)>; 2]) -> Option<usize> {
         let evidence = |other: &Hypothesis| {
             let mut evidence = 0.0;
@@ -140,7 +140,7 @@ impl Branches {
         self.best(evidence, IMMEDIATE_EVIDENCE)
     }
 
-    /// Of what is followed beside that with most evidence, if it is more than `least`.
+    /// Hypothesis of most evidence, if that exceeds `least`.
     fn best(&self, evidence: impl Fn(&Hypothesis) -> f64, least: f64) -> Option<usize> {
         let mut best = (None, least);
         for (k, other) in self.hypotheses.iter().enumerate() {
@@ -151,7 +151,7 @@ impl Branches {
         best.0
     }
 
-    /// A sample that the estimate takes in: its likelihood.
+    /// Subtracts the estimate's log-likelihood of a sample from the evidence.
     pub(super) fn subtract_likelihood(&mut self, expected: &PredictedSample) {
         if self.are_open() {
             let (nis, variance) = expected.nis_and_variance();
@@ -161,7 +161,7 @@ impl Branches {
         }
     }
 
-    /// The same samples for what is followed beside. What of it takes over.
+    /// Measurement update of the hypotheses. Returns the one that replaces the estimate, if any.
     pub(super) fn correct(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> Option<usize> {
         for other in &mut self.hypotheses {
             if other.as_mut().is_some_and(|other| !other.correct(linkage, readings)) {
@@ -171,7 +171,7 @@ impl Branches {
         self.best(|other| other.evidence, EVIDENCE_BOUNDS[1])
     }
 
-    /// One of them becomes the estimate, and the estimate one of them.
+    /// Exchanges a hypothesis with the estimate.
     #[cold]
     pub(super) fn swap(&mut self, track: &mut Track, with: usize) {
         let Some(ahead) = self.hypotheses[with].as_ref().map(|other| other.evidence) else { return };
@@ -193,17 +193,17 @@ impl Hypothesis {
         Self { track, straight, evidence: 0.0, age: 0.0 }
     }
 
-    /// Takes samples in; false where they speak against it.
+    /// Measurement update; false where the evidence refutes the hypothesis.
     fn correct(&mut self, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> bool {
         let Some(likelihood) = update_hypothesis(&mut self.track, linkage, readings) else { return false };
         self.evidence += likelihood;
-        // NaN speaks against it.
+        // NaN refutes the hypothesis.
         self.evidence > EVIDENCE_BOUNDS[0]
     }
 }
 
-/// A motion beside the estimate goes on by a macro step, by Runge–Kutta, with unknown forces of a scale, N·m, and models of such
-/// priors; false where it cannot. `straight`: it goes straight through a vertex.
+/// Time update of a hypothesis by a macro step with Runge–Kutta, under an unknown force of scale `scale`, N·m, and models of these priors;
+/// false where it fails. `straight`: the motion continues straight through a vertex.
 #[inline(never)]
 pub(super) fn propagate_hypothesis(
     track: &mut Track,
@@ -222,7 +222,7 @@ pub(super) fn propagate_hypothesis(
         let Track { theta, omega, .. } = track.extrapolated(linkage, h);
         (theta, omega, linkage.frame(&theta))
     } else {
-        // Next to a vertex J is no way back onto the loop.
+        // Next to a vertex J cannot close the loop.
         let at = linkage.posture(&flow.theta);
         if at.gram(linkage.length).1 < NEAR_VERTEX {
             (flow.theta, flow.omega, linkage.frame(&flow.theta))
@@ -237,7 +237,7 @@ pub(super) fn propagate_hypothesis(
     true
 }
 
-/// A motion beside the estimate takes samples in; their log likelihood, `None` where the loop cannot be closed.
+/// Measurement update of a hypothesis; returns its log-likelihood, `None` where the loop cannot be closed.
 #[inline(never)]
 pub(super) fn update_hypothesis(track: &mut Track, linkage: &Linkage, readings: &[Option<Reading>; 2]) -> Option<f64> {
     let mut likelihood = 0.0;
@@ -245,7 +245,7 @@ pub(super) fn update_hypothesis(track: &mut Track, linkage: &Linkage, readings: 
     for (encoder, reading) in readings.iter().enumerate() {
         let Some(Reading { angle, noise, age, dead_zone }) = *reading else { continue };
         let mut innovation = track.innovation(&frame, encoder, angle, noise);
-        // Motions that are followed beside are slow: where they stood follows from their rates.
+        // Hypotheses keep no history: a past angle is extrapolated by the rate.
         let residual = wrapped(innovation.residual + age * track.omega[MEASURED[encoder]]);
         if residual.abs() < dead_zone {
             continue;
@@ -253,14 +253,14 @@ pub(super) fn update_hypothesis(track: &mut Track, linkage: &Linkage, readings: 
         innovation.residual = residual - dead_zone.copysign(residual);
         let expected = track.bank.predict_sample(&innovation);
         let (nis, variance) = expected.nis_and_variance();
-        // Of what is told within the slack by no motion, its density is no part.
+        // Within the slack all motions are equally likely: the normalisation by the variance is left out.
         likelihood += if dead_zone > 0.0 { -0.5 * nis } else { log_likelihood(nis, variance) };
         track.bank.update(&expected);
     }
     track.inject_error(linkage, &frame).map(|_| likelihood)
 }
 
-/// The other assembly with the same angles and rates of the motors.
+/// Hypothesis of the mirrored assembly with equal angles and rates of the motors.
 #[cold]
 #[inline(never)]
 pub(super) fn mirrored(constants: &Constants, track: &Track) -> Option<Track> {
@@ -270,7 +270,7 @@ pub(super) fn mirrored(constants: &Constants, track: &Track) -> Option<Track> {
     let start = Start { theta: MEASURED.map(|link| track.theta[link]), omega: MEASURED.map(|link| track.omega[link]), assembly };
     let (theta, omega) = posture(&constants.geometry, &start)?;
     let to = linkage.frame(&theta);
-    // The same errors of the motors on the other tangent basis.
+    // Equal errors of the motors on the other tangent basis.
     let motors = |of: &super::Frame| MEASURED.map(|link| of.basis.map(|direction| direction[link]));
     let ([a, b], [[c, d], [e, f]]) = (motors(&from), motors(&to));
     let determinant = c * f - d * e;
@@ -292,7 +292,7 @@ pub(super) fn mirrored(constants: &Constants, track: &Track) -> Option<Track> {
     Some(Track { theta, omega, force: [0.0; 4], bank })
 }
 
-/// Angles and rates of all links of a start.
+/// Angles, rad, and rates, rad/s, of all links at a start.
 pub(super) fn posture(geometry: &Geometry, start: &Start) -> Option<(super::Links, super::Links)> {
     use crate::mechanism::coordinates::THETA;
     let (q, v) = close(geometry, start).ok()?;

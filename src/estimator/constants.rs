@@ -1,13 +1,13 @@
-//! What of the estimator is constant in a scene.
+//! Constant data of the estimator in a scene.
 
 use super::linkage::{Frame, Linkage, Pair};
 use super::{Parameters, track};
 use crate::mechanism::Geometry;
 
-/// In units of the torque scale: what the unknown force may be at the start.
+/// Standard deviation of the unknown force at the start, in torque scales.
 const UNKNOWN_FORCE: f64 = 0.3;
 
-/// What is constant.
+/// Constant data of the estimator.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Constants {
     pub(super) geometry: Geometry,
@@ -18,23 +18,23 @@ pub struct Constants {
 }
 
 impl Constants {
-    /// Of a geometry with all masses.
+    /// Constant data for a geometry that includes all masses.
     pub fn new(geometry: &Geometry, parameters: &Parameters) -> Self {
         Self { geometry: *geometry, linkage: Linkage::new(geometry), parameters: parameters.clone() }
     }
 
-    /// The torque in which the unknown force is measured, N·m.
+    /// Torque scale of the unknown force, N·m.
     pub fn torque_scale(&self) -> f64 {
         if self.parameters.torque_scale > 0.0 { self.parameters.torque_scale } else { self.linkage.weight_torque }
     }
 
-    /// Variances of angles, rates and the unknown force at the start.
+    /// Initial variances of angles, rad², rates, rad²/s², and unknown force, (N·m)².
     pub(super) fn start_variances(&self) -> [f64; 3] {
         let Parameters { sigma0_theta, sigma0_omega, .. } = self.parameters;
         [sigma0_theta, sigma0_omega, UNKNOWN_FORCE * self.torque_scale()].map(|sigma| sigma * sigma)
     }
 
-    /// The inputs by which a unit of each force on the tangent basis acts.
+    /// Inputs that exert a unit of each force on the tangent basis.
     pub fn by_inputs(&self, at: &Frame) -> [Pair; 4] {
         track::by_inputs(&self.linkage, at)
     }

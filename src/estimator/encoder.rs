@@ -1,4 +1,4 @@
-//! What is known of an encoder beside its angle: when it spoke last, and whether it can be believed.
+//! Encoder model: validity, gating, silence and noise of the samples, with the quantisation interval.
 
 use borsh::io::{self, Read, Write};
 use borsh::{BorshDeserialize, BorshSerialize};
@@ -6,48 +6,48 @@ use borsh::{BorshDeserialize, BorshSerialize};
 use super::innovation::PredictedSample;
 use super::track::wrapped;
 
-/// The time of a sample that has not been taken, s.
+/// Time of an encoder that has no sample, s.
 pub const NEVER: f64 = -1e30;
-/// An angle of this size, rad, is none: its whole turns are round-off.
+/// Smallest size of an invalid angle, rad: its fraction of a turn is round-off.
 const LARGEST_ANGLE: f64 = 1e9;
-/// Round-off of the times of a master, relative to them, or to 1 s.
+/// Round-off of the master's times, relative to them or to 1 s.
 const TIME_ROUND_OFF: f64 = 1e-9;
-/// Squared standard deviations by which a sample is off that is left out once,
+/// Gate: normalised innovation squared above which a sample is rejected once.
 const GATE: f64 = 30.0;
-/// by which no force that is thought of explains it,
+/// Gate of the loudest model: normalised innovation squared above which no assumed force explains a sample.
 const GATE_OF_LOUDEST_MODEL: f64 = 400.0;
-/// and how many of these are left out in a row before the encoder is believed again.
+/// Largest number of samples rejected in a row before the encoder is trusted again.
 const MOST_REJECTED_IN_A_ROW: u32 = 10;
-/// A quantiser's error repeats for as long as the axis stays within one step of it, but not for longer than this, s.
+/// Largest correlation time of the quantisation error, s: an axis at rest repeats its error, but not for ever.
 const CORRELATION_TIME: f64 = 0.3;
-/// White noise of this many steps of the quantiser makes its error white.
+/// Ratio of white noise to the quantisation interval above which the quantisation error is white (dither).
 const DITHER: f64 = 0.4;
-/// A reading that changes by no more steps than this has passed one edge between them,
+/// Largest change of a reading, in quantisation intervals, that means that one edge between intervals was passed.
 const SINGLE_EDGE: f64 = 1.5;
-/// which is known to this part of a step.
+/// Standard deviation of the angle at an edge passage, in quantisation intervals.
 const EDGE_SIGMA: f64 = 0.5;
-/// An encoder is silent where this many of its intervals have passed since its last sample,
+/// Silence, in sampling intervals since the last sample, after which an encoder counts as silent.
 const SILENT_AFTER_INTERVALS: f64 = 1.5;
-/// which before there are two samples are taken to be of this length, s.
+/// Sampling interval assumed before two samples are known, s.
 const UNKNOWN_INTERVAL: f64 = 0.1;
-/// Least variance of the white noise that stands for an interval, in Δ²/12, of an axis that goes through a step from sample to sample; of a
-/// slower one as many times more as its error repeats.
+/// Least variance of the white noise that replaces an interval, in Δ²/12, for an axis that crosses an interval per sample; a slower axis
+/// has a multiple, by the number of samples that share an error.
 const LEAST_VARIANCE: f64 = 0.003;
-/// The least standard deviation of a sample, rad.
+/// Least standard deviation of a sample, rad, so that no variance is 0.
 const LEAST_SIGMA: f64 = 1e-9;
 
-/// What a master has connected: an angle and when it was measured.
+/// Samples connected by a master: angles and their times.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Measured {
     /// Angles of the proximal links, rad.
     #[borsh(serialize_with = "as_bits", deserialize_with = "from_bits")]
     pub theta: [f64; 2],
-    /// When they were measured, s on the master's clock; [`NEVER`] where nothing has been.
+    /// Times of measurement, s on the master's clock; [`NEVER`] before the first sample.
     #[borsh(serialize_with = "as_bits", deserialize_with = "from_bits")]
     pub time: [f64; 2],
 }
 
-/// Numbers as their bits: an encoder may tell what is none, which Borsh does not take.
+/// Numbers stored as bits: samples may be NaN, which Borsh refuses.
 fn as_bits<W: Write>(pair: &[f64; 2], writer: &mut W) -> io::Result<()> {
     pair.map(f64::to_bits).serialize(writer)
 }
@@ -63,69 +63,70 @@ impl Default for Measured {
 }
 
 impl Measured {
-    /// Whether both are the same to the bit.
+    /// Whether both are equal to the bit.
     pub fn same(&self, other: &Self) -> bool {
         let bits = |of: &Self| [of.theta, of.time].map(|pair| pair.map(f64::to_bits));
         bits(self) == bits(other)
     }
 }
 
-/// What is wrong with an encoder; the gravest last.
+/// Fault of an encoder, in ascending order of severity.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, BorshSerialize, BorshDeserialize)]
 pub enum Fault {
-    /// Nothing.
+    /// No fault.
     #[default]
     None,
-    /// The last sample was left out: too far off what was expected.
+    /// The last sample was rejected by the gate.
     Rejected,
-    /// It was older than can be accounted for.
+    /// The last sample was older than the history.
     Late,
-    /// Its time has not come yet.
+    /// The last sample lies in the future.
     Future,
-    /// It was not a number, or too large for an angle.
+    /// The last sample is not a number, or too large for an angle.
     Invalid,
-    /// It repeats itself while the machine moves.
+    /// The encoder repeats its angle while the machine moves.
     Stuck,
 }
 
-/// A sample that can be used.
+/// A valid sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sample {
     pub(super) angle: f64,
-    /// s.
+    /// Age, s.
     pub(super) age: f64,
 }
 
-/// What a sample tells of the angle of an axis.
+/// Information of a sample about the angle of an axis.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Reading {
-    /// rad.
+    /// Angle, rad.
     pub(super) angle: f64,
-    /// Its variance, rad².
+    /// Variance of the angle, rad².
     pub(super) noise: f64,
-    /// s.
+    /// Age, s.
     pub(super) age: f64,
-    /// So far from the angle, rad, nothing is told.
+    /// Half-width of the interval about the angle that carries no information, rad.
     pub(super) dead_zone: f64,
 }
 
-/// An encoder.
+/// State of an encoder.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Encoder {
-    /// Time of the last sample, as it was set.
+    /// Time of the last sample as set by the master, s.
     time: f64,
-    /// Angle and time of the last one that could be used.
+    /// Angle of the last valid sample, rad.
     angle: f64,
+    /// Time of the last valid sample, s.
     valid_time: f64,
-    /// Whether its angle was that of the one before.
+    /// Whether the last two valid samples have equal angles.
     repeated: bool,
-    /// From the one before, rad.
+    /// Difference of the last two valid samples, rad.
     change: f64,
-    /// Samples left out in a row.
+    /// Number of samples rejected in a row.
     rejected_in_a_row: u32,
-    /// Between the last two that could be used, s; 0 before there are two.
+    /// Time between the last two valid samples, s; 0 before there are two.
     interval: f64,
-    /// Macro steps since then, s; infinite before the first.
+    /// Macro steps' time since the last valid sample, s; infinite before the first.
     pub(super) time_since_sample: f64,
     pub(super) fault: Fault,
 }
@@ -143,7 +144,7 @@ impl Encoder {
         fault: Fault::None,
     };
 
-    /// The sample of a new time, if it can be used. `max_delay`, s, is the age that can be accounted for.
+    /// Receives a sample and returns it if its time is new and it is valid. `max_delay` is the largest admissible age, s.
     pub(super) fn receive(&mut self, angle: f64, time: f64, now: f64, max_delay: f64) -> Option<Sample> {
         if time.to_bits() == self.time.to_bits() {
             return None;
@@ -175,44 +176,44 @@ impl Encoder {
         Some(Sample { angle, age: if age <= rounded { 0.0 } else { age } })
     }
 
-    /// Whether it has been silent for longer than between its last samples.
+    /// Whether the encoder is silent: no sample for longer than its sampling interval allows.
     pub(super) fn is_silent(&self) -> bool {
         self.time_since_sample > SILENT_AFTER_INTERVALS * if self.interval > 0.0 { self.interval } else { UNKNOWN_INTERVAL }
     }
 
-    /// Whether it can be one.
+    /// Whether stored values are possible.
     #[cold]
     pub(super) fn is_sound(&self) -> bool {
         let numbers = [self.time, self.angle, self.valid_time, self.change, self.interval];
         numbers.iter().all(|x| x.is_finite()) && self.interval >= 0.0 && self.time_since_sample >= 0.0
     }
 
-    /// Between its last two samples, s; 0 before there are two.
+    /// Time between the last two valid samples, s; 0 before there are two.
     pub(super) fn interval(&self) -> f64 {
         self.interval
     }
 
-    /// How fast its axis has turned between them, rad/s, by less than half a turn.
+    /// Mean rate between the last two samples, rad/s, unambiguous below half a turn.
     pub(super) fn rate(&self) -> f64 {
         if self.interval > 0.0 { wrapped(self.change) / self.interval } else { 0.0 }
     }
 
-    /// Whether it repeats itself.
+    /// Whether the last two samples are equal.
     pub(super) fn repeats(&self) -> bool {
         self.repeated
     }
 
-    /// Whether it repeats itself on an axis that turns at a rate, rad/s, by more than its step and noise from sample to sample.
+    /// Whether an encoder repeats its angle although its axis turns at `rate`, rad/s, by more than quantisation interval and noise.
     pub(super) fn should_not_repeat(&self, rate: f64, quantum: f64, sigma: f64) -> bool {
         self.repeated && rate.abs() * self.interval > 2.0 * quantum + 4.0 * sigma
     }
 
-    /// Whether a sample is to be used that is off by so many squared standard deviations: of all models, and of the one that allows for
-    /// most. `suspicious`: it repeats itself, and the other does not; `patient`: the estimate is to be believed rather than the sample.
+    /// Gating: whether a sample is used whose normalised innovation squared is `nis` in the mixture and `least` in the loudest model.
+    /// `suspicious`: the encoder repeats its angle while the other does not; `patient`: the estimate is trusted rather than the sample.
     pub(super) fn passes_gate(&mut self, nis: f64, least: f64, (suspicious, patient): (bool, bool)) -> bool {
         self.fault = match self.fault {
             Fault::Stuck if self.repeated => Fault::Stuck,
-            // NaN is wild.
+            // NaN exceeds the gate.
             _ if nis <= GATE => Fault::None,
             _ if suspicious => Fault::Stuck,
             _ if self.rejected_in_a_row < 1
@@ -228,8 +229,8 @@ impl Encoder {
         self.fault == Fault::None
     }
 
-    /// What a reading tells beside where the axis is slow: while it stays the same, that the axis is within the encoder's step; where it
-    /// changes, that it has just passed the edge between two steps.
+    /// Information for hypotheses of slow motions: an unchanged reading confines the axis to the quantisation interval; a changed one
+    /// locates it at the edge between two intervals.
     pub(super) fn confined_to_interval(&self, reading: Reading, (sigma, quantum): (f64, f64), rate: f64) -> Reading {
         let Reading { angle, age, .. } = reading;
         if self.is_dithered(sigma, quantum) || self.change.abs() > SINGLE_EDGE * quantum {
@@ -244,35 +245,35 @@ impl Encoder {
         }
     }
 
-    /// How many samples an error that lasts counts as, at the most.
+    /// Largest number of samples that share a persistent error.
     fn most_correlated_samples(&self) -> f64 {
         if self.interval > 0.0 { (CORRELATION_TIME / self.interval).max(1.0) } else { 1.0 }
     }
 
-    /// Variance of a sample, rad², without what a quantiser does: that of the white noise, and one of an error that stays, `persistent`, rad².
+    /// Variance of a sample without quantisation, rad²: white noise plus a persistent error of variance `persistent`, rad².
     fn unquantised_variance(&self, sigma: f64, persistent: f64) -> f64 {
         (sigma * sigma).max(LEAST_SIGMA * LEAST_SIGMA) + persistent * self.most_correlated_samples()
     }
 
-    /// Of how many samples of an axis that turns at a rate, rad/s, a quantiser's error is the same.
+    /// Number of samples that share a quantisation error while the axis turns at `rate`, rad/s.
     fn correlated_samples(&self, quantum: f64, rate: f64) -> f64 {
         let turns = quantum / (rate.abs() * self.interval).max(LEAST_SIGMA * quantum);
         turns.min(self.most_correlated_samples()).max(1.0)
     }
 
-    /// Whether a quantiser's error is white: the noise that it rounds moves it about, or there has been no sample before.
+    /// Whether the quantisation error is white: dithered by noise, or of the first sample.
     pub(super) fn is_dithered(&self, sigma: f64, quantum: f64) -> bool {
         quantum == 0.0 || sigma > DITHER * quantum || self.interval == 0.0
     }
 
-    /// Variance of a sample, rad², of an axis that turns at a rate, rad/s, in itself: white noise, and a quantiser's error, which does not
+    /// Variance of a single sample, rad², while the axis turns at `rate`, rad/s: white noise plus the quantisation error, which does not
     /// average out while the axis rests.
     pub(super) fn noise(&self, sigma: f64, quantum: f64, rate: f64, persistent: f64) -> f64 {
         let repeated = if self.is_dithered(sigma, quantum) { 1.0 } else { self.correlated_samples(quantum, rate) };
         self.unquantised_variance(sigma, persistent) + quantum * quantum / 12.0 * repeated
     }
 
-    /// What is expected of a sample, as the models have been told it with this noise, rad², where it is used as what it is: an interval.
+    /// Expected sample with the quantisation interval in place of the white noise of variance `noise`, rad², that it was computed with.
     pub(super) fn with_quantisation_interval(
         &self,
         expected: &PredictedSample,
@@ -283,8 +284,8 @@ impl Encoder {
         if self.is_dithered(sigma, quantum) {
             return *expected;
         }
-        // An axis that turns by nearly whole steps from sample to sample is always at the same place within them: a reading that changes by as
-        // many repeats its error. One that changes by one more or less has just passed an edge, and where that is matters.
+        // An axis that turns by nearly an integer number of intervals per sample repeats its error as long as the reading changes by that
+        // number; any other change locates an edge.
         let turned = rate * self.interval;
         let whole = (turned / quantum).round() * quantum;
         let correlated_samples = self.correlated_samples(quantum, (turned - whole) / self.interval);
@@ -304,13 +305,12 @@ mod tests {
     use crate::estimator::bank::Bank;
     use crate::estimator::innovation::Innovation;
 
-    /// An axis that turns by whole steps from sample to sample is always at the same place within them: its readings tell as little as those of
-    /// an axis at rest. One that passes edges tells where they are.
+    /// An axis that turns by an integer number of intervals per sample is as poorly observed as one at rest; one that crosses edges is not.
     #[test]
     fn whole_steps_repeat() {
         let (h, quantum, row) = (1e-3, 0.1_f64.to_radians(), [1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         let known = (0.5 * quantum).powi(2);
-        // Of the white noise that stands for the third reading, with the estimate 0.4 of a step off.
+        // Variance of the white noise that replaces the third reading, with the estimate off by 0.4 intervals.
         let variance = |steps: f64| {
             let mut encoder = Encoder::NEW;
             for k in 0..3 {
@@ -324,16 +324,16 @@ mod tests {
         };
         let rest = variance(0.0);
         for steps in [1.0, -1.0, 3.0] {
-            // Round-off: differences of variances that are alike.
+            // Tolerance: round-off of the difference of nearly equal variances.
             assert!((variance(steps) / rest - 1.0).abs() < 1e-6, "{steps} steps: {}, at rest {rest}", variance(steps));
         }
-        // 0, 1, 3 and 0, 2, 5 steps: the last change is another than the rate's.
+        // Readings of 0, 1, 3 and 0, 2, 5 intervals: the last change differs from that of the rate.
         for steps in [1.4, 2.4] {
             assert!(variance(steps) < rest / 100.0, "{steps} steps: {}, at rest {rest}", variance(steps));
         }
     }
 
-    /// Samples that could not be used are no part of intervals and changes, wherever their time is.
+    /// Invalid samples change neither sampling interval nor difference, wherever their time is.
     #[test]
     fn what_is_not_used_is_not_counted() {
         let mut encoder = Encoder::NEW;

@@ -1,5 +1,5 @@
-//! Forecasts by motions around the estimate: sigma points of the error's covariance (Julier and Uhlmann, Proc. IEEE 92 (2004) 401), one
-//! in each direction of its square root and one opposite, moved by the equations of motion themselves.
+//! Forecast of the covariance by sigma points: motions displaced by ± each column of its square root and integrated by the equations of
+//! motion (Julier and Uhlmann, Proc. IEEE 92 (2004) 401).
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -9,40 +9,40 @@ use super::track::{Track, wrapped};
 use super::transition::{self, ERRORS, Loads, Scene};
 use super::{Constants, track};
 
-/// By how much the unknown force's variance grows, per second, in the squared torque that accelerates the links: samples have told of the
-/// masses only what mattered until now.
+/// Variance rate of the unknown force by errors of masses in a forecast, 1/s, relative to the squared inertia torques: samples have
+/// revealed only the mass errors that mattered until now.
 const MASS_WALK: f64 = 0.2;
-/// Motions beside that of the estimate.
+/// Number of sigma points.
 pub const POINTS: usize = 2 * ERRORS;
 
-/// One of them.
+/// A sigma point.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Point {
     theta: Links,
     omega: Links,
-    /// The force that acts on it beyond that on the estimate, as inputs.
+    /// Force in addition to that of the estimate, as inputs, N·m and N.
     force: [f64; 4],
 }
 
-/// All of them, and the unknown force on them, which goes on to walk.
+/// Sigma points with the random walk of the unknown force.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct SigmaPoints {
     points: [Point; POINTS],
-    /// Covariance of what of the force depends on no other error, on the tangent basis, (N·m)²: xx, xy, yy.
+    /// Covariance of the part of the force that is independent of the other errors, on the tangent basis, (N·m)²: xx, xy, yy.
     force: [f64; 3],
-    /// By how much its variance grows, in squared torque scales per second, and in squares of the torque that accelerates the links.
+    /// Variance rates of the force, 1/s: relative to the squared torque scale, and to the squared inertia torques.
     walk: Pair,
-    /// By which inputs it acts.
+    /// Inputs that exert a unit of each force on the tangent basis.
     inputs: [Pair; 4],
 }
 
-/// The motions, once no samples come.
+/// Forecast, with sigma points while no samples arrive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
 pub(super) struct Forecast {
     sigma_points: Option<SigmaPoints>,
 }
 
-/// A scene with a force beside.
+/// A scene with an additional force.
 struct WithForce<'a, S> {
     scene: &'a S,
     linkage: &'a Linkage,
@@ -68,7 +68,7 @@ impl<S: Scene> Scene for WithForce<'_, S> {
 }
 
 impl Point {
-    /// Some seconds on; unchanged where that cannot be computed.
+    /// Integrates by h seconds; keeps the state where that fails.
     fn step(&mut self, linkage: &Linkage, scene: &impl Scene, h: f64) {
         let scene = WithForce { scene, linkage, force: self.force };
         let steps = transition::steps(linkage, &linkage.frame(&self.theta), &scene, (&self.theta, &self.omega), h);
@@ -84,7 +84,7 @@ impl Point {
 }
 
 impl SigmaPoints {
-    /// Around an estimate, whose force walks so.
+    /// Sigma points around an estimate, whose force has these variance rates.
     #[cold]
     #[inline(never)]
     fn around(track: &Track, linkage: &Linkage, walk: Pair) -> Self {
@@ -93,7 +93,7 @@ impl SigmaPoints {
         let root = cholesky(&track.covariance());
         let points = std::array::from_fn(|k| {
             let error = root.map(|row| displacement(k) * row[k % ERRORS]);
-            // As far as the loop can be closed.
+            // Largest of three displacements for which the loop can be closed.
             let (theta, omega) = [1.0, 0.5, 0.25]
                 .into_iter()
                 .find_map(|part| {
@@ -110,8 +110,8 @@ impl SigmaPoints {
         Self { points, force: [x * x, x * xy, xy * xy + y * y], walk, inputs }
     }
 
-    /// All go on, those in the directions of the force with a force that grows as its standard deviation does: what walks cannot be
-    /// told from it at any one time. `scales`: what it walks in, N·m.
+    /// Time update of all sigma points; the force of those in force directions grows as its standard deviation does, which at any one time
+    /// is indistinguishable from a random walk. `scales`: torque scale and inertia torques, N·m.
     fn step(&mut self, linkage: &Linkage, scene: &impl Scene, (h, scales): (f64, Pair)) {
         let grown: f64 = self.walk.iter().zip(scales).map(|(walk, scale)| walk * scale * scale * h).sum();
         self.force[0] += grown;
@@ -144,12 +144,12 @@ impl SigmaPoints {
     }
 }
 
-/// How far out the k-th motion is, in columns of the root.
+/// Displacement of sigma point `k` in columns of the square root.
 fn displacement(k: usize) -> f64 {
     if k < ERRORS { (ERRORS as f64).sqrt() } else { -(ERRORS as f64).sqrt() }
 }
 
-/// L of P = L Lᵀ; 0 in columns of which nothing is left.
+/// Cholesky factor L of P = L Lᵀ, with zero columns where P is singular.
 #[inline(never)]
 fn cholesky(p: &Matrix) -> Matrix {
     let mut l = [[0.0; ERRORS]; ERRORS];
@@ -167,12 +167,12 @@ fn cholesky(p: &Matrix) -> Matrix {
 }
 
 impl Forecast {
-    /// Samples have come.
+    /// Ends the forecast: samples have arrived.
     pub(super) fn end(&mut self) {
         self.sigma_points = None;
     }
 
-    /// The motions go on with that of the estimate, which is still where it was.
+    /// Time update of the sigma points, before that of the estimate.
     pub(super) fn step(&mut self, track: &Track, constants: &Constants, scene: &impl Scene, over: (f64, Pair)) {
         let linkage = &constants.linkage;
         self.sigma_points
@@ -180,7 +180,7 @@ impl Forecast {
             .step(linkage, scene, over);
     }
 
-    /// Standard deviations of angles and rates about the estimate.
+    /// Standard deviations of angles, rad, and rates, rad/s, about the estimate.
     pub(super) fn sigmas(&self, track: &Track) -> Option<[Links; 2]> {
         let SigmaPoints { points, .. } = self.sigma_points.as_ref()?;
         let root_mean = |off: &dyn Fn(&Point, usize) -> f64| -> Links {
@@ -210,8 +210,8 @@ impl Forecast {
     }
 }
 
-/// Part of the motions around the estimate, itself included, that meet a direct singularity within the horizon: sin(θ₃ − θ₂) changes its
-/// sign. The inputs and the unknown force are held; `step` seconds are looked at at once.
+/// Fraction of sigma points, estimate included, whose sin(θ₃ − θ₂) changes sign within the horizon, under held inputs and unknown force;
+/// `step` is the time between two checks, s.
 pub(super) fn singularity_probability(
     track: &Track,
     forecast: &Forecast,
@@ -221,14 +221,14 @@ pub(super) fn singularity_probability(
 ) -> f64 {
     let linkage = &constants.linkage;
     let mut sigma_points = forecast.sigma_points.unwrap_or_else(|| SigmaPoints::around(track, linkage, [0.0; 2]));
-    // Here it is held: what may yet push makes bands honest, but a singularity foreseen less sharply.
+    // The force is held: its random walk makes covariances consistent, but blurs the prediction of a singularity.
     sigma_points.walk = [0.0; 2];
     let mut own = Point { theta: track.theta, omega: track.omega, force: [0.0; 4] };
     let side = linkage.posture(&track.theta).side();
     let mut met = [false; POINTS + 1];
     let mut look = |sigma_points: &SigmaPoints, own: &Point| {
         for (met, point) in met.iter_mut().zip(sigma_points.points.iter().chain([own])) {
-            // On the other side at once: it has been met.
+            // A point on the other side has met the singularity already.
             let now = linkage.posture(&point.theta).side() * side;
             *met |= now.is_nan() || now <= 0.0;
         }

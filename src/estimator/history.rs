@@ -1,7 +1,7 @@
-//! Where the encoders stood a little while ago, as the present estimate has it: what a delayed sample is compared with.
+//! History of the encoder angles for delayed samples (fixed-lag measurement update).
 //!
-//! A sample of the time t − d says something of the error then, e(t − d) = Φ⁻¹ e(t), so that its row is H Φ⁻¹; what forces have done
-//! unknown in between is left out. Every step moves the rows on, every correction moves the angles.
+//! A sample of time t − d measures the error e(t − d) = Φ⁻¹ e(t): its row is H Φ⁻¹, without the process noise in between. Each time update
+//! propagates the rows; each measurement update corrects the angles.
 
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
@@ -11,22 +11,22 @@ use super::linkage::{Frame, MEASURED, Pair};
 use super::track::{Track, wrapped};
 use super::transition::ERRORS;
 
-/// Least determinant of a turn of the basis that rows can follow.
+/// Least |det| of a map between tangent bases that rows can be transformed by.
 const LEAST_TURN: f64 = 1e-6;
 
-/// Most macro steps that are remembered.
+/// Capacity in macro steps.
 pub const REMEMBERED: usize = 64;
 
-/// The encoders at a past instant.
+/// Estimated encoder angles at a past instant.
 #[derive(Clone, Copy, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 struct Past {
-    /// s.
+    /// Age, s.
     age: f64,
-    /// rad.
+    /// Angles, rad.
     angles: [f64; 2],
-    /// rad/s.
+    /// Rates, rad/s.
     rates: [f64; 2],
-    /// How these angles change with the present error.
+    /// Derivatives of the angles with respect to the present error.
     rows: [Error; 2],
 }
 
@@ -46,12 +46,12 @@ impl Past {
     }
 }
 
-/// The last macro steps, the latest last.
+/// Past macro steps, the latest last.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct History(ArrayVec<Past, REMEMBERED>);
 
 impl History {
-    /// The motion goes on by h seconds and a transition from `track`, and what is older than `max_age`, s, is forgotten.
+    /// Time update by h seconds and a transition matrix from `track`; entries older than `max_age`, s, are dropped.
     #[inline(never)]
     pub(super) fn step(&mut self, (track, frame): (&Track, &Frame), transition: &Matrix, h: f64, max_age: f64) {
         if max_age == 0.0 {
@@ -61,7 +61,7 @@ impl History {
             self.0.clear();
             return;
         };
-        // One that is older stays, to interpolate.
+        // One older entry stays for interpolation.
         while self.0.len() > 1 && self.0[1].age + h > max_age || self.0.is_full() {
             self.0.remove(0);
         }
@@ -72,10 +72,10 @@ impl History {
         }
     }
 
-    /// The estimate has been corrected by an error, and the basis turned.
+    /// Measurement update: the estimate was corrected by `error`, and the basis changed.
     pub(super) fn correct(&mut self, error: &Error, [[a, b], [c, d]]: &[Pair; 2]) {
         let determinant = a * d - b * c;
-        // All of the basis has turned over: a correction by radians.
+        // A correction by radians, whose basis cannot be followed.
         if determinant.is_nan() || determinant.abs() < LEAST_TURN {
             self.0.clear();
         }
@@ -92,12 +92,13 @@ impl History {
         }
     }
 
-    /// Forgets everything: another estimate goes on.
+    /// Drops all entries: another hypothesis has become the estimate.
     pub(super) fn clear(&mut self) {
         self.0.clear();
     }
 
-    /// Angle of an encoder some time ago, and how it changes with the present error; `None` where that is not remembered.
+    /// Angle of an encoder `age` seconds ago, rad, and its derivative with respect to the present error; `None` where the history is
+    /// shorter.
     #[inline(never)]
     pub(super) fn at(&self, track: &Track, frame: &Frame, encoder: usize, age: f64) -> Option<(f64, Error)> {
         let present = Past::present(track, frame);
@@ -105,7 +106,7 @@ impl History {
         let (past, next) = (&self.0[before], self.0.get(before + 1).unwrap_or(&present));
         let length = past.age - next.age;
         let part = (past.age - age) / length;
-        // Hermite: the angles differ by less than half a turn but for whole ones.
+        // Cubic Hermite interpolation; whole turns between the ends are removed.
         let whole = wrapped(next.angles[encoder] - past.angles[encoder]);
         let [begin, end] = [past, next].map(|at| length * at.rates[encoder]);
         let (other, curve) = (1.0 - part, part * (1.0 - part));
@@ -114,7 +115,7 @@ impl History {
         Some((angle, row))
     }
 
-    /// Whether it can be one: numbers, the latest last.
+    /// Whether stored entries are possible: finite, the latest last.
     #[cold]
     pub(super) fn is_sound(&self) -> bool {
         self.0.iter().all(Past::is_finite)
@@ -139,12 +140,12 @@ impl BorshDeserialize for History {
     }
 }
 
-/// x F.
+/// Product x F of a row and a matrix.
 fn times(x: &Error, f: &Matrix) -> Error {
     std::array::from_fn(|k| (0..ERRORS).map(|i| x[i] * f[i][k]).sum())
 }
 
-/// F⁻¹ by Gauss and Jordan with pivots; `None` where it is singular.
+/// Inverse of a matrix by Gauss–Jordan elimination with pivots; `None` where it is singular.
 #[inline(never)]
 fn inverse(f: &Matrix) -> Option<Matrix> {
     let mut left = *f;

@@ -1,35 +1,35 @@
-//! A sample against what was expected of it.
+//! Innovation of an encoder sample, and its expectation by the bank of models.
 
 use super::bank::{Bank, Error, MODELS, Member};
 use super::transition::ERRORS;
 
-/// A sample of one encoder against what was expected of it.
+/// Innovation of one encoder sample.
 #[derive(Clone, Copy, Debug)]
 pub struct Innovation {
-    /// Measured less expected, rad.
+    /// Measured minus expected angle, rad.
     pub residual: f64,
-    /// How the measured angle changes with the error.
+    /// Derivative of the measured angle with respect to the error state.
     pub row: Error,
     /// Variance of the measurement, rad².
     pub noise: f64,
 }
 
-/// What the models expect of a sample.
+/// Expectation of a sample by the models.
 #[derive(Clone, Copy, Debug)]
 pub struct PredictedSample {
     weights: [f64; MODELS],
-    /// Of each model: residual, its variance, P hᵀ.
+    /// Residual, rad, its variance, rad², and P hᵀ, for each model.
     pub(super) each: [(f64, f64, Error); MODELS],
 }
 
 impl PredictedSample {
-    /// NIS and variance of the residual, with all models together.
+    /// Normalised innovation squared, and innovation variance, rad², of the mixture.
     pub fn nis_and_variance(&self) -> (f64, f64) {
         let (mean, variance) = self.mixture_moments();
         (mean * mean / variance, variance)
     }
 
-    /// Mean and variance of the residual, with all models together.
+    /// Mean, rad, and variance, rad², of the innovation in the mixture.
     pub(super) fn mixture_moments(&self) -> (f64, f64) {
         let models = || self.weights.iter().zip(&self.each);
         let mean: f64 = models().map(|(weight, (residual, ..))| weight * residual).sum();
@@ -38,7 +38,7 @@ impl PredictedSample {
         (mean, variance)
     }
 
-    /// The same in units of what the model that allows for most would expect.
+    /// Normalised innovation squared of the loudest model.
     pub fn nis_of_loudest_model(&self) -> f64 {
         let (residual, variance, _) = self.each[MODELS - 1];
         residual * residual / variance
@@ -46,7 +46,7 @@ impl PredictedSample {
 }
 
 impl Bank {
-    /// What each model expects of a sample.
+    /// Expectation of a sample.
     #[inline(never)]
     pub fn predict_sample(&self, sample: &Innovation) -> PredictedSample {
         let each = std::array::from_fn(|i| {
@@ -62,7 +62,7 @@ impl Bank {
     }
 }
 
-/// −½ (NIS + ln of the variance).
+/// Log-likelihood of an innovation up to a constant: −½ (NIS + ln of the variance).
 pub fn log_likelihood(nis: f64, variance: f64) -> f64 {
     -0.5 * (nis + libm::log(variance))
 }

@@ -1,9 +1,9 @@
-//! What lengths that are not known exactly do to the angles of the motors and to the tip: an error that stays.
+//! Effect of uncertain lengths on motor angles and tip: a persistent error.
 
 use super::linkage::{CLOSURE_SIGNS, Frame, Links, MEASURED, NEAR_VERTEX, Pair};
 
 impl Frame {
-    /// Variances of the angles of the motors, rad², where lengths have a standard deviation, m: the loop closes by J⁺.
+    /// Variances of the motor angles, rad², by a standard deviation `sigma` of all lengths, m: the loop closes by J⁺.
     pub(super) fn motors_by_lengths(&self, sigma: f64) -> Pair {
         if sigma == 0.0 {
             return [0.0; 2];
@@ -18,9 +18,10 @@ impl Frame {
         variances
     }
 
-    /// Covariance of the tip, m²: xx, xy, yy, where lengths have a standard deviation, m, and encoders hold the motors as far as they can.
+    /// Covariance of the tip, m²: xx, xy, yy, by a standard deviation `sigma` of all lengths, m, while encoders hold the motors as far as
+    /// possible.
     pub(super) fn tip_by_lengths(&self, sigma: f64) -> [f64; 3] {
-        /// In the squares of how motors turn with N: where they hardly do, the tip moves by J⁺ alone.
+        /// Regularisation of the squared effect of N on the motors: where they hardly turn, the tip moves by J⁺ alone.
         const MOTOR_REGULARIZATION: f64 = 0.01;
         if sigma == 0.0 {
             return [0.0; 3];
@@ -45,13 +46,13 @@ impl Frame {
         sum
     }
 
-    /// J⁺ r; next to a vertex, where J⁺ grows without bound and says nothing of finite lengths, less of it.
+    /// Closing turn J⁺ r, damped next to a vertex, where J⁺ grows without bound and says nothing of finite lengths.
     fn closing(&self, gap: Pair) -> Links {
         let part = (self.smallest / NEAR_VERTEX).min(1.0);
         self.least_squares(gap).map(|angle| part * part * angle)
     }
 
-    /// By how much the loop opens with the length of each link and with the base's.
+    /// Derivatives of the closure gap with respect to the length of each link and of the base.
     fn gaps_by_length(&self) -> [Pair; 5] {
         let [first, second, third, fourth] =
             std::array::from_fn(|i| self.directions[i].map(|component| CLOSURE_SIGNS[i] * component));

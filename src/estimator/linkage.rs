@@ -1,12 +1,12 @@
-//! The mechanism in its four link angles: closure, its Jacobian J and null space N, masses, closing steps.
+//! Closed loop in its four link angles: closure, Jacobian J, null space N, mass matrix, Newton steps onto the closure.
 //!
 //! ```text
 //! Φ = Σ sᵢ lᵢ ûᵢ − (d, 0)        J = [ sᵢ lᵢ n̂ᵢ ]        s = (+, +, −, −)
 //! J⁺ = Jᵀ(JJᵀ)⁻¹                 I − J⁺J = N Nᵀ
 //! ```
 //!
-//! J has rank 2 in direct and in inverse singularities; it loses rank in vertices only, with all links in line. So N exists wherever a
-//! motion can be told from the encoders.
+//! J has rank 2 in direct and inverse singularities, and loses rank in vertices alone, with all links in line. N thus exists wherever the
+//! encoders determine the motion.
 
 use std::ops::Deref;
 
@@ -17,10 +17,10 @@ use crate::mechanism::legs::{Legs, sin_cos};
 /// Angles, rates or torques of links 1 to 4.
 pub type Links = [f64; 4];
 
-/// Two values of the tangent space, or of the plane.
+/// Two components on the tangent basis or in the plane.
 pub type Pair = [f64; 2];
 
-/// Sides of the closure on which the links stand.
+/// Signs of the links in the closure.
 pub(super) const CLOSURE_SIGNS: Links = [1.0, 1.0, -1.0, -1.0];
 
 /// Proximal and distal link of the left and right leg.
@@ -29,25 +29,25 @@ pub const LEGS: [[usize; 2]; 2] = [[0, 1], [3, 2]];
 /// Links whose angles the encoders measure.
 pub const MEASURED: [usize; 2] = [0, 3];
 
-/// Most closing steps, and what they have to reach relative to the mean length.
+/// Newton steps onto the closure: largest number, and tolerance relative to the mean length.
 const NEWTON_LIMITS: (usize, f64) = (8, 1e-13);
 
-/// Below this smallest singular value of J, over the mean length, a vertex is so near that its branches cannot be told apart.
+/// Smallest singular value of J over the mean length below which branches of a vertex cannot be told apart.
 pub(super) const NEAR_VERTEX: f64 = 0.03;
 
-/// What may be left open, relative to the mean length: anywhere, and next to a vertex.
+/// Largest closure error of a stored state relative to the mean length: anywhere, and next to a vertex, which motions cross straight.
 const CLOSURE_TOLERANCES: [f64; 2] = [1e-4, 1e-2];
 
-/// Σ xᵢ yᵢ.
+/// Scalar product.
 #[inline]
 pub(super) fn dot(x: &Links, y: &Links) -> f64 {
     x[0] * y[0] + x[1] * y[1] + x[2] * y[2] + x[3] * y[3]
 }
 
-/// What of the mechanism is constant.
+/// Constant data of the mechanism.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Linkage {
-    /// sᵢ lᵢ, m.
+    /// Signed lengths sᵢ lᵢ, m.
     arm: Links,
     base: f64,
     /// Diagonal of M in the link angles, kg·m².
@@ -61,7 +61,7 @@ pub struct Linkage {
 }
 
 impl Linkage {
-    /// Of a geometry with the masses of payload and rotors.
+    /// Constant data of a geometry that includes the masses of payload and rotors.
     pub fn new(geometry: &Geometry) -> Self {
         let links = geometry.links;
         let mut inertia = [0.0; 4];
@@ -83,7 +83,7 @@ impl Linkage {
         }
     }
 
-    /// Where the links point to at link angles, rad.
+    /// Posture at link angles, rad.
     #[inline(never)]
     pub fn posture(&self, theta: &Links) -> Posture {
         let (sin_p, cos_p) = sin_cos(Legs::new([theta[0], theta[3]]));
@@ -93,7 +93,7 @@ impl Linkage {
         Posture { directions: [[x0, y0], [x1, y1], [x2, y2], [x3, y3]], arm: self.arm }
     }
 
-    /// The tangent space there.
+    /// Tangent space at link angles, rad.
     #[inline(never)]
     pub fn frame(&self, theta: &Links) -> Frame {
         Frame::new(self, self.posture(theta))
@@ -111,7 +111,7 @@ impl Linkage {
         product
     }
 
-    /// The entries of M⁻¹ of each leg: proximal, distal, coupling.
+    /// Entries of M⁻¹ of each leg, 1/(kg·m²): proximal, distal, coupling.
     #[inline(never)]
     pub(super) fn mobility(&self, at: &Posture) -> [[f64; 3]; 2] {
         [0, 1].map(|leg| {
@@ -122,7 +122,7 @@ impl Linkage {
         })
     }
 
-    /// The smallest inertia that each link has where its neighbour gives way.
+    /// Least effective inertia of each link, kg·m², with its neighbour free.
     pub(super) fn least_inertia(&self, at: &Posture) -> Links {
         let mut least = self.inertia;
         for ([p, d], [own_p, own_d, _]) in LEGS.into_iter().zip(self.mobility(at)) {
@@ -132,7 +132,7 @@ impl Linkage {
         least
     }
 
-    /// Closes the loop from angles and rates nearby, by the shortest way; `None` where it cannot be closed.
+    /// Newton iteration from angles, rad, and rates, rad/s, to the nearest closed ones; `None` where it fails.
     #[inline(never)]
     pub fn closed(&self, mut theta: Links, omega: Links) -> Option<(Links, Links, Frame)> {
         for _ in 0..NEWTON_LIMITS.0 {
@@ -154,14 +154,13 @@ impl Linkage {
         None
     }
 
-    /// The tip, m.
+    /// Position of the tip, m.
     pub fn tip(&self, theta: &Links) -> Pair {
         let u = self.posture(theta).directions;
         [0, 1].map(|k| self.arm[0] * u[0][k] + self.arm[1] * u[1][k])
     }
 
-    /// Whether angles and rates keep the loop closed, to what a method that is told little leaves open, and what goes straight through a
-    /// vertex.
+    /// Whether angles and rates close the loop, up to the errors of low-accuracy settings and of straight motions through a vertex.
     #[cold]
     pub fn is_closed(&self, theta: &Links, omega: &Links) -> bool {
         let at = self.frame(theta);
@@ -171,7 +170,7 @@ impl Linkage {
         x.abs().max(y.abs()) < open && v.abs().max(w.abs()) <= open * (1.0 + fastest)
     }
 
-    /// Φ, m.
+    /// Closure gap Φ, m.
     fn gap(&self, at: &Posture) -> Pair {
         let u = &at.directions;
         let sum = |k: usize| (0..4).map(|i| self.arm[i] * u[i][k]).sum::<f64>();
@@ -183,11 +182,11 @@ impl Linkage {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Frame {
     posture: Posture,
-    /// (JJᵀ)⁻¹: xx, xy, yy.
+    /// Components xx, xy, yy of (JJᵀ)⁻¹, 1/m².
     inverse_gram: [f64; 3],
     /// Smallest singular value of J over the mean length: 0 in a vertex.
     pub smallest: f64,
-    /// N: two orthonormal directions in which the closed loop moves.
+    /// Tangent basis N: two orthonormal directions of motion of the closed loop.
     pub basis: [Links; 2],
 }
 
@@ -207,7 +206,7 @@ impl Frame {
         frame
     }
 
-    /// Gram–Schmidt on the columns of I − J⁺J, the longest first.
+    /// Null space by Gram–Schmidt on the columns of I − J⁺J, the longest first.
     fn null_space(&self) -> [Links; 2] {
         let column = |k: usize| {
             let [x, y] = self.directions[k];
@@ -217,7 +216,7 @@ impl Frame {
             column
         };
         let columns = [column(0), column(1), column(2), column(3)];
-        // The square of a column's length is its own element of the projector.
+        // The squared length of a column equals its diagonal element of the projector.
         let longest = |of: &dyn Fn(usize) -> f64| (1..4).fold(0, |best, k| if of(k) > of(best) { k } else { best });
         let unit = |x: Links| {
             let length = dot(&x, &x).sqrt();
@@ -226,7 +225,7 @@ impl Frame {
         let first = unit(columns[longest(&|k| columns[k][k])]);
         let rest = |k: usize| columns[k][k] - first[k] * first[k];
         let second = columns[longest(&rest)];
-        // Twice: once leaves what round-off of nearly parallel columns is.
+        // Orthogonalised twice, because once leaves the round-off of nearly parallel columns.
         let across = |x: Links| {
             let along = dot(&first, &x);
             std::array::from_fn(|i| x[i] - along * first[i])
@@ -234,27 +233,27 @@ impl Frame {
         [first, unit(across(across(second)))]
     }
 
-    /// J⁺ r.
+    /// Least-squares solution J⁺ r.
     pub(super) fn least_squares(&self, gap: Pair) -> Links {
         self.posture.least_squares(&self.inverse_gram, gap)
     }
 
-    /// Nᵀ x.
+    /// Coordinates Nᵀ x.
     pub fn coordinates(&self, x: &Links) -> Pair {
         [dot(&self.basis[0], x), dot(&self.basis[1], x)]
     }
 
-    /// N x.
+    /// Vector N x.
     pub fn tangent(&self, [first, second]: Pair) -> Links {
         std::array::from_fn(|i| self.basis[0][i] * first + self.basis[1][i] * second)
     }
 
-    /// N'ᵀ N from this frame to another.
+    /// Map N'ᵀ N from this tangent basis to another.
     pub(super) fn basis_map_to(&self, other: &Self) -> [Pair; 2] {
         other.basis.map(|row| self.basis.map(|column| dot(&row, &column)))
     }
 
-    /// How the tip moves with the tangent coordinates, m: rows x and y.
+    /// Derivatives of the tip position with respect to the tangent coordinates, m: rows x and y.
     pub fn tip(&self) -> [Pair; 2] {
         let [first, second] = self.basis.map(|direction| self.tip_velocity(&direction));
         [[first[0], second[0]], [first[1], second[1]]]

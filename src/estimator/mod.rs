@@ -1,10 +1,10 @@
-//! The corrector: an error-state Kalman filter on the tangent space of the closed loop, with an unknown force, several process noises
-//! side by side, and several motions behind a vertex; `docs/estimator.md` derives it.
+//! Estimator: an error-state Kalman filter on the tangent space of the closed loop, with an unknown force among its states, a
+//! multiple-model bank of process noises, and alternative hypotheses after singularities; `docs/estimator.md` derives it.
 //!
-//! It knows the mechanism and what a simulation hands it: loads with their tangents, where the motion has come to. The motion itself is
-//! the simulation's; the estimator says where it has to go on from, and with which unknown force.
+//! The module knows the mechanism and the data that a simulation passes: loads with tangents, and the motion at the end of each macro step.
+//! The simulation owns the motion; the estimator returns the corrected state and the unknown force to continue with.
 //!
-//! Invariant: does no input or output, reads no clock; the same input bits give the same output bits.
+//! Invariant: no input or output and no clock; equal input bits give equal output bits.
 
 #![expect(clippy::needless_range_loop, reason = "matrices are indexed as formulas index them")]
 
@@ -47,32 +47,32 @@ pub use parameters::{Bands, Parameters};
 pub use track::{Track, wrapped};
 pub use transition::{Loads, Scene};
 
-/// What the estimate is worth.
+/// Quality of the estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
-    /// Samples of both encoders come in and are used.
+    /// Samples of both encoders arrive and are used.
     Following,
-    /// No samples: a forecast.
+    /// No samples arrive: the estimate is a forecast.
     Coasting,
-    /// So close to a vertex that nothing is known of the branch: samples are not used.
+    /// Too close to a vertex to know the branch: samples are not used.
     Holding,
-    /// Behind a vertex, another assembly is followed beside.
+    /// Alternative hypotheses are followed after a singularity.
     TwoBranches,
-    /// One encoder is silent, the other is followed.
+    /// One encoder is silent; the other is used.
     OneEncoder,
-    /// The samples do not fit what is expected of them: the bands are too narrow, or the machine was lost and the estimate has begun anew.
+    /// Innovations exceed their covariance, or the estimate had diverged and was reinitialised.
     Inconsistent,
-    /// What is wrong with an encoder.
+    /// An encoder has a fault.
     Faulty(Fault),
 }
 
-/// Everything of the estimator that changes.
+/// Changing part of the estimator.
 #[derive(Clone, Debug, PartialEq, BorshSerialize, BorshDeserialize)]
 pub struct Estimator {
     track: Track,
-    /// Whether the last macro step came too close to a vertex.
+    /// Whether the last macro step came too close to a vertex to know the branch.
     held: bool,
-    /// Whether samples had ceased to come before the last macro step.
+    /// Whether no samples arrived before the last macro step.
     coasts: bool,
     branches: Branches,
     assembly: AssemblyHypotheses,
@@ -80,23 +80,24 @@ pub struct Estimator {
     history: History,
     forecast: Forecast,
     alarm: Alarm,
-    /// For how much longer samples have been far off the estimate than near, s.
+    /// Accumulated time with large innovations minus that with small ones, s.
     diverged: f64,
-    /// Whether the estimate has begun anew with the last samples.
+    /// Whether the last samples have reinitialised the estimate.
     restarted: bool,
-    /// Of the last sample of each encoder, rad.
+    /// Innovation of the last sample of each encoder, rad.
     innovation: [f64; 2],
-    /// Of the last samples used at once.
+    /// Normalised innovation squared, summed over the last samples used together.
     nis: f64,
 }
 
-/// Where |sin(θ₃ − θ₂)| is less, a push that is thought of too readily takes the estimate back from the line of the distal links.
+/// Distance |sin(θ₃ − θ₂)| from a direct singularity below which models of loud process noise keep a low prior: there a disturbance assumed
+/// too readily pulls the estimate back to the singularity.
 const NEAR_SINGULARITY: f64 = 0.3;
-/// The largest that is told.
+/// Largest normalised innovation squared that is reported, to stay finite.
 const LARGEST_NIS: f64 = 1e12;
 
 impl Estimator {
-    /// The estimate that a scene starts from.
+    /// Initial estimate of a scene.
     #[cold]
     pub fn new(constants: &Constants, theta: Links, omega: Links) -> Self {
         Self {
@@ -116,17 +117,17 @@ impl Estimator {
         }
     }
 
-    /// The estimate.
+    /// Present estimate.
     pub fn track(&self) -> &Track {
         &self.track
     }
 
-    /// The motion has changed at once, by what is known: the errors about it stay.
+    /// Moves the estimate by a known discontinuity; the errors about it stay.
     pub fn move_to(&mut self, theta: Links, omega: Links) {
         (self.track.theta, self.track.omega) = (theta, omega);
     }
 
-    /// Takes in what is new of the encoders at a time, s on their clock. Whether the motion has to go on from another state.
+    /// Measurement update by the samples that are new at time `now`, s on the encoders' clock. Returns whether the estimate has changed.
     pub fn correct(&mut self, constants: &Constants, measured: &Measured, now: f64) -> bool {
         let Constants { linkage, parameters, .. } = constants;
         let (mut received, mut ages) = ([None; 2], [0.0; 2]);
@@ -143,7 +144,7 @@ impl Estimator {
             if sample.age > 0.0 {
                 match self.history.at(&self.track, &frame, i, sample.age) {
                     Some((angle, row)) => innovation = Innovation { residual: wrapped(sample.angle - angle), row, noise },
-                    // Older than the run, or than the last change of branch.
+                    // The sample is older than the run or than the last change of hypothesis.
                     None => {
                         self.encoders[i].fault = Fault::Late;
                         continue;
@@ -152,7 +153,7 @@ impl Estimator {
             }
             (received[i], ages[i], any) = (Some((innovation, sample.angle)), sample.age, true);
         }
-        // Also where what they say cannot be used.
+        // Samples end a forecast even where their values cannot be used.
         if !self.is_coasting() {
             self.forecast.end();
         }
@@ -162,7 +163,7 @@ impl Estimator {
         if !any || self.held {
             return false;
         }
-        // Where several branches are open, the first samples decide, before any is bent to them.
+        // Where several hypotheses are open, the first samples select one before any of them is corrected.
         if let Some(other) = self.branches.preferred(linkage, &self.track, &received) {
             self.branches.swap(&mut self.track, other);
             self.history.clear();
@@ -202,7 +203,7 @@ impl Estimator {
                 self.history.correct(&error, &turn);
                 frame = to;
             }
-            // Nothing near closes the loop: what is known of the errors is worth nothing.
+            // No closed configuration is near the corrected one: the covariance is worthless.
             None => self.track.bank = bank::Bank::new(constants.start_variances()),
         }
         let by_branches = self.branches.correct(linkage, &used).map(|other| self.branches.swap(&mut self.track, other));
@@ -220,22 +221,22 @@ impl Estimator {
         true
     }
 
-    /// The motion has gone on by h seconds to these angles and rates; the scenes have the loads of these seconds, with the unknown force and
-    /// without.
+    /// Time update by a macro step of h seconds that ended at these angles, rad, and rates, rad/s. `scene` has the loads of the step with
+    /// the unknown force, `known` without.
     pub fn predict<S: Scene>(&mut self, constants: &Constants, [scene, known]: [&S; 2], (theta, omega): (&Links, &Links), h: f64) {
         let Constants { linkage, parameters, .. } = constants;
         let frame = linkage.frame(&self.track.theta);
         let timing = (h, parameters.switch_time);
-        // The torques that accelerate the links, each by itself: next to a singularity, where they whip, one holds what another takes, and
-        // what is left of all on the basis is no more than what acts on the machine; masses that are off are off one by one.
+        // Inertia torques, link by link: in a fast passage next to a singularity those of two links nearly cancel on the basis, while
+        // errors of their masses do not.
         let forces = linkage.mass_times(&frame, &std::array::from_fn(|i| (omega[i] - self.track.omega[i]) / h));
         let [first, second] = frame.basis;
         let squares = (0..4).map(|i| (first[i] * first[i] + second[i] * second[i]) * forces[i] * forces[i]).sum::<f64>();
         let scales = [constants.torque_scale(), (squares / 2.0).sqrt()];
         let coasts = self.is_coasting();
-        // What masses are off by shows where readings are intervals, which confine the angles; in white noise it drowns.
+        // Errors of masses are observable through quantisation intervals, which confine the angles; in white noise they drown.
         let has_intervals = (0..2).any(|i| !self.encoders[i].is_dithered(parameters.sigma[i], parameters.quantum[i]));
-        // By what models are followed while samples come.
+        // Prior probabilities of the models while samples arrive.
         let model_prior = match has_intervals {
             true if frame.side().abs() < NEAR_SINGULARITY => &bank::PRIOR,
             true => &bank::BY_INTERVALS,
@@ -273,12 +274,12 @@ impl Estimator {
         self.alarm.step(h);
     }
 
-    /// Whether samples have ceased to come.
+    /// Whether both encoders are silent.
     pub fn is_coasting(&self) -> bool {
         self.encoders.iter().all(Encoder::is_silent)
     }
 
-    /// What the estimate is worth.
+    /// Quality of the estimate.
     pub fn status(&self) -> Status {
         let fault = self.encoders.iter().map(|encoder| encoder.fault).max().unwrap_or_default();
         match () {
@@ -293,37 +294,37 @@ impl Estimator {
         }
     }
 
-    /// Whether an encoder is silent, and what is wrong with it.
+    /// Whether an encoder is silent, and its fault.
     pub fn encoder(&self, i: usize) -> (bool, Fault) {
         (self.encoders[i].is_silent(), self.encoders[i].fault)
     }
 
-    /// Whether an encoder has ever given a sample.
+    /// Whether an encoder has ever delivered a sample.
     pub fn has_received(&self, i: usize) -> bool {
         self.encoders[i].time_since_sample.is_finite()
     }
 
-    /// Of the last sample of each encoder: measured less expected, rad.
+    /// Innovation of the last sample of each encoder: measured minus expected angle, rad.
     pub fn innovation(&self) -> Pair {
         self.innovation
     }
 
-    /// Squared innovations of the last correction in units of their covariance.
+    /// Normalised innovation squared of the last correction, summed over its samples.
     pub fn nis(&self) -> f64 {
         self.nis
     }
 
-    /// Whether something acts that the model does not know.
+    /// Whether an unmodelled force is detected.
     pub fn alarm(&self) -> bool {
         self.alarm.is_on()
     }
 
-    /// Probability of a direct singularity within the horizon, with the inputs held: from motions around the estimate.
+    /// Probability of a direct singularity within the horizon under held inputs, from sigma points.
     pub fn singularity_probability(&self, constants: &Constants, scene: &impl Scene, step: f64) -> f64 {
         forecast::singularity_probability(&self.track, &self.forecast, constants, scene, step)
     }
 
-    /// Refuses what cannot be an estimator of this mechanism.
+    /// Refuses a stored estimator that is inconsistent with this mechanism and motion.
     #[cold]
     pub fn check(&self, constants: &Constants, theta: &Links, omega: &Links) -> Result<(), &'static str> {
         let same = |a: &Links, b: &Links| a.iter().zip(b).all(|(a, b)| a.to_bits() == b.to_bits());
@@ -336,7 +337,7 @@ impl Estimator {
         }
         let received = self.encoders.iter().all(Encoder::is_sound);
         if !received || !self.history.is_sound() || !self.forecast.is_sound(&constants.linkage) {
-            return Err("a sample, the history or the forecast of its estimator is not valid");
+            return Err("what its estimator remembers is none");
         }
         let numbers = self.innovation.iter().chain([&self.nis, &self.diverged]);
         if !numbers.chain(&self.alarm.numbers()).all(|x| x.is_finite()) || !self.branches.is_sound() || !self.assembly.is_sound() {

@@ -1,47 +1,47 @@
-//! What a scene says of its encoders and of what may act on it unknown.
+//! Parameters of the estimator: encoders, initial uncertainty, unknown force, forecast.
 
 use super::REMEMBERED;
 use crate::mechanism::{SceneError, finite, not_negative, positive};
 
-/// How a forecast without samples gets its bands.
+/// Method of the covariance in a forecast without samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Bands {
-    /// The covariance goes on linearly.
+    /// Linear propagation of the covariance.
     #[default]
     Linear,
-    /// From motions around the estimate that are computed beside it.
+    /// Sigma points: simulated motions around the estimate.
     SigmaPoints,
 }
 
 /// The `estimator.*` parameters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Parameters {
-    /// Whether the scene is followed.
+    /// Whether the estimator is active.
     pub enabled: bool,
-    /// White noise of the encoders, rad.
+    /// Standard deviation of the white noise of each encoder, rad.
     pub sigma: [f64; 2],
-    /// Their steps, rad; 0: none.
+    /// Quantisation interval of each encoder, rad; 0: none.
     pub quantum: [f64; 2],
-    /// The oldest sample that is used, s.
+    /// Largest age of a sample that is used, s.
     pub max_delay: f64,
     /// Standard deviation of the link angles at the start, rad.
     pub sigma0_theta: f64,
-    /// That of the rates, rad/s.
+    /// Standard deviation of the link rates at the start, rad/s.
     pub sigma0_omega: f64,
-    /// That of the lengths of links and base, which do not change, m.
+    /// Standard deviation of the constant lengths of links and base, m.
     pub sigma0_length: f64,
-    /// How bands are forecast.
+    /// Method of the covariance in a forecast.
     pub forecast: Bands,
-    /// The torque in which the unknown force is measured, N·m; 0: what carries the machine's weight.
+    /// Torque scale of the unknown force, N·m; 0: the torque that carries the machine's weight.
     pub torque_scale: f64,
-    /// How long the unknown force goes on changing as it does, s.
+    /// Mean time before a model of the bank is replaced, s.
     pub switch_time: f64,
-    /// How far ahead singularities are looked for, s.
+    /// Horizon of the singularity forecast, s.
     pub horizon: f64,
 }
 
 impl Parameters {
-    /// Refuses what is no number, with the step length of the scene, s.
+    /// Refuses invalid parameters; `step_size` is the macro step, s.
     #[cold]
     pub fn check(&self, step_size: f64) -> Result<(), SceneError> {
         for (name, value, unit) in [
@@ -63,7 +63,7 @@ impl Parameters {
             positive(name, value, unit)?;
         }
         finite("estimator.horizon", self.horizon, "s")?;
-        // A communication step that is no multiple of h is divided into shorter ones, down to half of it.
+        // A communication step that is no multiple of h is divided into steps of at least h/2.
         let most = (REMEMBERED / 2 - 1) as f64 * step_size;
         if self.max_delay > most {
             return Err(SceneError(format!(

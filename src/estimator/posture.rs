@@ -1,18 +1,18 @@
-//! Where the links point to, and what follows from it without a division.
+//! Directions of the links, and products of J that need no division.
 
 use super::linkage::{Links, Pair};
 
-/// Where the links point to.
+/// Directions of the links.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Posture {
-    /// ûᵢ.
+    /// Unit vectors ûᵢ.
     pub(super) directions: [Pair; 4],
-    /// sᵢ lᵢ, m.
+    /// Signed lengths sᵢ lᵢ, m.
     pub(super) arm: Links,
 }
 
 impl Posture {
-    /// J x.
+    /// Product J x.
     pub(super) fn end_velocity(&self, x: &Links) -> Pair {
         let mut sum = [0.0; 2];
         for i in 0..4 {
@@ -23,23 +23,23 @@ impl Posture {
         sum
     }
 
-    /// Rows of J, each link's element times a factor.
+    /// Rows of J with each link's element times a factor.
     pub(super) fn end_rows(&self, factors: &Links) -> [Links; 2] {
         let arm: Links = std::array::from_fn(|i| self.arm[i] * factors[i]);
         [std::array::from_fn(|i| -arm[i] * self.directions[i][1]), std::array::from_fn(|i| arm[i] * self.directions[i][0])]
     }
 
-    /// Rows of −J̇ for links that turn at such rates.
+    /// Rows of −J̇ at link rates `omega`, rad/s.
     pub(super) fn inward_rows(&self, omega: &Links) -> [Links; 2] {
         [0, 1].map(|k| std::array::from_fn(|i| self.arm[i] * omega[i] * self.directions[i][k]))
     }
 
-    /// (JJᵀ)⁻¹ as xx, xy, yy, and the smallest singular value of J over a mean length, m.
+    /// Components xx, xy, yy of (JJᵀ)⁻¹, 1/m², and the smallest singular value of J over the mean length `length`, m.
     pub(super) fn gram(&self, length: f64) -> ([f64; 3], f64) {
-        /// Relative to the squared mean length: nothing is divided by 0 in a vertex.
+        /// Regularisation of the determinant relative to the mean length: no division by 0 in a vertex.
         const RANK_LOSS: f64 = 1e-20;
         let scale = length * length;
-        // n̂ = (−u_y, u_x).
+        // Components by n̂ = (−u_y, u_x).
         let (mut xx, mut xy, mut yy) = (0.0, 0.0, 0.0);
         for ([x, y], l) in self.directions.into_iter().zip(self.arm) {
             let squared = l * l;
@@ -51,17 +51,17 @@ impl Posture {
         let spread = (half * half + xy * xy).sqrt();
         let (a, c) = (xx + RANK_LOSS * scale, yy + RANK_LOSS * scale);
         let determinant = (a * c - xy * xy).max(RANK_LOSS * scale * scale);
-        // σ_min² = det/σ_max²: without the cancellation of mean − spread.
+        // σ_min² = det/σ_max², without the cancellation of mean − spread.
         let smallest = ((xx * yy - xy * xy).max(0.0) / (mean + spread)).sqrt() / length;
         ([c / determinant, -xy / determinant, a / determinant], smallest)
     }
 
-    /// J⁺ r with (JJᵀ)⁻¹.
+    /// Product J⁺ r by means of (JJᵀ)⁻¹.
     pub(super) fn least_squares(&self, [xx, xy, yy]: &[f64; 3], [x, y]: Pair) -> Links {
         self.transposed([xx * x + xy * y, xy * x + yy * y])
     }
 
-    /// How the tip moves as the links turn, m.
+    /// Displacement of the tip per turn `x` of the links, m.
     pub(super) fn tip_velocity(&self, x: &Links) -> Pair {
         let arm = [0, 1].map(|i| self.arm[i] * x[i]);
         let [p, d] = [self.directions[0], self.directions[1]];
@@ -79,34 +79,34 @@ impl Posture {
         sum
     }
 
-    /// Jᵀ λ.
+    /// Product Jᵀ λ.
     pub(super) fn transposed(&self, [x, y]: Pair) -> Links {
         std::array::from_fn(|i| self.arm[i] * (self.directions[i][0] * y - self.directions[i][1] * x))
     }
 
-    /// sᵢ lᵢ ûᵢ·λ.
+    /// Products sᵢ lᵢ ûᵢ·λ.
     pub(super) fn along(&self, [x, y]: Pair) -> Links {
         std::array::from_fn(|i| self.arm[i] * (self.directions[i][0] * x + self.directions[i][1] * y))
     }
 
-    /// cos of the angle between two links.
+    /// Cosine of the angle between two links.
     pub(super) fn cosine(&self, i: usize, k: usize) -> f64 {
         let ([x, y], [v, w]) = (self.directions[i], self.directions[k]);
         x * v + y * w
     }
 
-    /// sin of the angle from the first link to the second.
+    /// Sine of the angle from one link to another.
     pub(super) fn sine(&self, from: usize, to: usize) -> f64 {
         let ([x, y], [v, w]) = (self.directions[from], self.directions[to]);
         x * w - y * v
     }
 
-    /// sin(θ₃ − θ₂): 0 in a direct singularity, its sign is the assembly.
+    /// Signed distance from a direct singularity, sin(θ₃ − θ₂): its sign is the assembly.
     pub fn side(&self) -> f64 {
         self.sine(1, 2)
     }
 
-    /// Torques on the links of a unit of each input, τ₁, τ₂ in N·m, F_x, F_y in N: rows by link.
+    /// Torques on the links per unit of each input (τ₁, τ₂ in N·m, F_x, F_y in N): rows by link.
     pub(super) fn inputs(&self) -> [[f64; 4]; 4] {
         let mut rows = [[0.0; 4]; 4];
         (rows[0][0], rows[3][1]) = (1.0, 1.0);

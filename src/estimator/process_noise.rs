@@ -1,23 +1,23 @@
-//! What unknown forces do to the covariance of the errors while time passes.
+//! Process noise: covariance that white torques and a random walk of the unknown force add over time.
 
 use super::bank::Matrix;
 use super::linkage::{Frame, Linkage, dot};
 use super::transition::ERRORS;
 
-/// What a unit of white torque and of a walking force add to the covariance in h seconds.
+/// Covariances added in h seconds by a unit of white torque and of a force walk.
 pub(super) struct ProcessNoise {
     pub(super) white: Matrix,
     pub(super) walk: Matrix,
 }
 
 impl ProcessNoise {
-    /// In h seconds from a posture.
+    /// Process noise of h seconds at a posture.
     pub(super) fn new(linkage: &Linkage, at: &Frame, h: f64) -> Self {
         let [first, second] = at.basis;
         let (m_first, m_second) = (linkage.mass_times(at, &first), linkage.mass_times(at, &second));
         let (a, b, c) = (dot(&first, &m_first), dot(&first, &m_second), dot(&second, &m_second));
         let determinant = a * c - b * b;
-        // (NᵀMN)⁻¹ and its square.
+        // Mobility (NᵀMN)⁻¹ and its square.
         let (a, b, c) = (c / determinant, -b / determinant, a / determinant);
         let mobility = [[a, b], [b, c]];
         let squared = [[a * a + b * b, b * (a + c)], [b * (a + c), b * b + c * c]];
@@ -25,7 +25,7 @@ impl ProcessNoise {
         for i in 0..2 {
             for k in 0..2 {
                 let w = squared[i][k];
-                // White acceleration, and acceleration that walks: their integrals.
+                // Integrals of white acceleration, and of an acceleration that is a random walk.
                 white[2 + i][2 + k] = w * h;
                 white[i][2 + k] = w * h * h / 2.0;
                 white[2 + i][k] = w * h * h / 2.0;

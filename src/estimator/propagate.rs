@@ -1,13 +1,13 @@
-//! How errors and their covariances go from one tangent space to another.
+//! Propagation of errors and covariances from one tangent space to another.
 
 use super::bank::{Error, Matrix};
 use super::linkage::{Frame, Pair};
 use super::transition::{ERRORS, Flow};
 
-/// Where the force begins in an error.
+/// Index of the first force component in an error.
 pub(super) const FORCE: usize = 4;
 
-/// F P Fᵀ, symmetric to the bit, of a transition: angles and rates do nothing to the force.
+/// F P Fᵀ, symmetric to the bit, for a transition without feedback of angles and rates on the force.
 #[inline(never)]
 pub(super) fn propagate_covariance(f: &Matrix, p: &Matrix) -> Matrix {
     let mut half = [[0.0; ERRORS]; ERRORS];
@@ -30,7 +30,7 @@ pub(super) fn propagate_covariance(f: &Matrix, p: &Matrix) -> Matrix {
     product
 }
 
-/// Each pair of an error turned.
+/// Error with each pair of components mapped by `turn`.
 #[inline]
 pub(super) fn turned(turn: &[Pair; 2], x: &Error) -> Error {
     std::array::from_fn(|i| {
@@ -43,8 +43,7 @@ pub(super) fn apply(f: &Matrix, x: &Error) -> Error {
     std::array::from_fn(|i| (0..ERRORS).map(|k| f[i][k] * x[k]).sum())
 }
 
-/// The transition of the errors from one tangent space to another: what the flow makes of angles and rates, and the turned basis of the
-/// unknown force.
+/// Transition matrix between two tangent spaces: derivatives of the flow for angles and rates, and the basis map for the force.
 #[inline(never)]
 pub(super) fn transition(from: &Frame, to: &Frame, flow: &Flow) -> Matrix {
     let mut f = [[0.0; ERRORS]; ERRORS];
@@ -60,7 +59,7 @@ pub(super) fn transition(from: &Frame, to: &Frame, flow: &Flow) -> Matrix {
     f
 }
 
-/// The same in a time in which nothing can be said of the forces: angles follow the rates.
+/// Transition matrix without knowledge of the forces: angles follow the rates.
 #[cold]
 #[inline(never)]
 pub(super) fn straight(from: &Frame, to: &Frame, h: f64) -> Matrix {
@@ -77,7 +76,7 @@ pub(super) fn straight(from: &Frame, to: &Frame, h: f64) -> Matrix {
     f
 }
 
-/// A transition on other tangent spaces next to its own: `onto` turns errors to where it begins, `back` from where it ends.
+/// Transition matrix transferred to neighbouring tangent spaces: `onto` maps errors to its start, `back` from its end.
 #[inline(never)]
 pub(super) fn between_frames(f: &Matrix, onto: &[Pair; 2], back: &[Pair; 2]) -> Matrix {
     let transposed = [[onto[0][0], onto[1][0]], [onto[0][1], onto[1][1]]];

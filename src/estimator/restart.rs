@@ -1,5 +1,5 @@
-//! A machine that the estimate has lost: the samples say where it is and how fast, and the estimate begins there anew. In which assembly
-//! they do not say: it keeps that of the estimate, and both are followed, as behind a vertex.
+//! Reinitialisation of a diverged estimate from the last samples. They do not determine the assembly: that of the estimate is kept, and
+//! both hypotheses are followed, as after a vertex.
 
 use super::assembly::{AssemblyHypotheses, DISTINGUISHABLE};
 use super::branches::posture;
@@ -8,16 +8,16 @@ use super::track::wrapped;
 use super::{Alarm, Branches, Constants, Encoder, Estimator, Innovation, Track, bank};
 use crate::mechanism::{Assembly, Start};
 
-/// Samples further off the estimate than this, rad, are those of another motion,
+/// Innovation that means divergence, rad.
 const DIVERGED_INNOVATION: f64 = 0.1;
-/// where they last for so much longer than others, s;
+/// Accumulated time of diverged samples that reinitialises the estimate, s.
 const DIVERGENCE_TIME: f64 = 0.1;
-/// each lasts until the next, but no longer than this, s.
+/// Largest duration that a single sample counts for, s.
 const LONGEST_SAMPLE_TIME: f64 = 0.02;
 
 impl Estimator {
-    /// Samples (innovation, angle) with their ages, s: whether the machine was lost, and the estimate has begun anew where they are. Both
-    /// encoders have to say so, for one alone may be wrong; next to a vertex, where samples are not used, one is enough.
+    /// Reinitialises the estimate where samples (innovation, angle) of these ages, s, have diverged from it; returns whether it has. Both
+    /// encoders must agree, for one alone may be faulty; next to a vertex, where samples are not used, one suffices.
     pub(super) fn reinitialize(&mut self, constants: &Constants, received: &[Option<(Innovation, f64)>; 2], ages: &Pair) -> bool {
         self.restarted = false;
         let [Some(left), Some(right)] = received else { return false };
@@ -37,7 +37,7 @@ impl Estimator {
         true
     }
 
-    /// The motion of the last two samples of each encoder; `None` where the loop cannot be closed, or the assemblies are one.
+    /// Motion from the last two samples of each encoder; `None` where the loop cannot be closed or the assemblies coincide.
     #[cold]
     #[inline(never)]
     fn motion_from_samples(&self, constants: &Constants, angles: Pair, ages: &Pair) -> Option<Track> {
@@ -63,7 +63,7 @@ impl Estimator {
         Some(Track { theta, omega, force: [0.0; 4], bank: bank::Bank::new(variances) })
     }
 
-    /// Whether it has begun anew with the last samples.
+    /// Whether the last samples have reinitialised the estimate.
     pub fn has_restarted(&self) -> bool {
         self.restarted
     }

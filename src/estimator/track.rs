@@ -1,4 +1,4 @@
-//! One estimate: a motion, the unknown force on it, and the errors about both.
+//! One estimate: motion, unknown force, and the bank of errors about both.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
@@ -8,17 +8,17 @@ use super::linkage::{Frame, Linkage, Links, MEASURED, NEAR_VERTEX, Pair};
 use super::propagate;
 use super::transition::{self, ERRORS, Flow, Scene};
 
-/// Where that is smaller than this, two ways to compute a motion have to agree,
+/// Smallest singular value of J over the mean length below which propagated and simulated motion are compared.
 const COMPARED_BELOW: f64 = 0.2;
-/// to this, rad and rad/s.
+/// Largest differences of angles, rad, and rates, rad/s, for which propagated and simulated motion agree.
 const AGREEMENT: [f64; 2] = [1e-3, 0.1];
-/// The part of the fastest rate by which rates change at once where a motion turns.
+/// Change of a rate in a step, relative to the fastest rate, that means that the motion has turned in a vertex.
 const LEAST_RATE_CHANGE: f64 = 0.3;
-/// Rates beyond this are none of a machine, rad/s.
+/// Largest rate of a credible estimate, rad/s.
 const LARGEST_RATE: f64 = 2e3;
-/// Below this rate, rad/s, a machine next to a vertex passes nothing.
+/// Rate below which a machine next to a vertex counts as at rest, rad/s.
 const REST_RATE: f64 = 0.05;
-/// In the squares of the inputs' effects: no input is asked for a force that it does not have.
+/// Regularisation of the squared input effects: next to a singularity no input is asked for a force that it cannot exert.
 const EFFECT_REGULARIZATION: f64 = 1e-6;
 
 /// An estimate.
@@ -28,18 +28,18 @@ pub struct Track {
     pub theta: Links,
     /// Rates, rad/s.
     pub omega: Links,
-    /// The unknown force as torques on both motors, N·m, and a force on the tip, N: the smallest that do what it does.
+    /// Unknown force as motor torques, N·m, and a tip force, N: the smallest inputs with its effect.
     pub force: [f64; 4],
-    /// The errors.
+    /// Bank of errors about the motion and the force.
     pub bank: Bank,
 }
 
-/// What the prediction of a macro step came to.
+/// Result of the time update of a macro step.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Step {
-    /// The transition of the errors.
+    /// Transition matrix of the errors.
     pub(super) transition: Matrix,
-    /// Whether the motion passed so close to a vertex that nothing is known of its branch.
+    /// Whether the motion passed too close to a vertex to know its branch.
     pub(super) held: bool,
 }
 
@@ -49,7 +49,7 @@ pub fn wrapped(angle: f64) -> f64 {
     angle - (angle / TAU).round() * TAU
 }
 
-/// By which inputs a force on the tangent basis acts: the smallest torques, and tip force times the mean length.
+/// Smallest inputs that exert a unit of each force on the tangent basis; tip forces are weighed by the mean length.
 #[inline(never)]
 pub(super) fn by_inputs(linkage: &Linkage, at: &Frame) -> [Pair; 4] {
     let scale = [1.0, 1.0, 1.0 / linkage.length, 1.0 / linkage.length];
@@ -69,21 +69,20 @@ pub(super) fn by_inputs(linkage: &Linkage, at: &Frame) -> [Pair; 4] {
     })
 }
 
-/// Forces on the tangent basis of a unit of each input.
+/// Generalised forces on the tangent basis of a unit of each input.
 #[inline(never)]
 fn effects(at: &Frame) -> [[f64; 4]; 2] {
     let inputs = at.inputs();
     at.basis.map(|direction| std::array::from_fn(|input| (0..4).map(|link| direction[link] * inputs[link][input]).sum()))
 }
 
-/// The force of some inputs on the tangent basis.
+/// Generalised force of some inputs on the tangent basis, N·m.
 fn on_basis(at: &Frame, force: &[f64; 4]) -> Pair {
     effects(at).map(|row| row.iter().zip(force).map(|(effect, force)| effect * force).sum())
 }
 
 impl Track {
-    /// The errors over h seconds, from the motion's beginning to its end at `theta`, `omega`, beside which the equations of motion lead as
-    /// `flow` says.
+    /// Transition of the errors over h seconds that end at `theta`, `omega`; `flow` is the propagated motion to compare with.
     #[inline(never)]
     pub(super) fn step(&self, (from, to): (&Frame, &Frame), (theta, omega): (&Links, &Links), flow: &Flow, h: f64) -> Step {
         let smallest = from.smallest.min(to.smallest);
@@ -93,15 +92,15 @@ impl Track {
                     && (flow.omega[i] - omega[i]).abs() < AGREEMENT[1] + AGREEMENT[0] * omega[i].abs()
             })
         };
-        // NaN counts as near.
+        // NaN counts as near a vertex.
         let held = !(smallest > NEAR_VERTEX && (smallest > COMPARED_BELOW || agrees()));
         let transition = if held { propagate::straight(from, to, h) } else { propagate::transition(from, to, flow) };
         let finite = transition.iter().flatten().all(|x| x.is_finite());
         if finite { Step { transition, held } } else { Step { transition: propagate::straight(from, to, h), held: true } }
     }
 
-    /// Whether a motion to these rates, whose smallest singular value comes to `smallest`, has turned next to a vertex: forces change no rate
-    /// by as much in a step.
+    /// Whether a motion that now has the rates `omega`, rad/s, and a singular value `smallest` has turned next to a vertex: forces do not
+    /// change a rate by as much in a step.
     pub(super) fn has_turned(&self, omega: &Links, smallest: f64) -> bool {
         let fastest = self.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
         fastest > REST_RATE
@@ -109,9 +108,9 @@ impl Track {
             && (0..4).any(|i| (omega[i] - self.omega[i]).abs() > LEAST_RATE_CHANGE * fastest)
     }
 
-    /// h seconds on by its rates.
+    /// Estimate h seconds later at constant rates.
     pub(super) fn extrapolated(&self, linkage: &Linkage, h: f64) -> Self {
-        // Not closed: the straight line meets the loop to third order, and J would take from the rates what it does not know of.
+        // Not closed: the straight line meets the constraints to third order, while J near its rank loss would falsify the rates.
         let along: Links = std::array::from_fn(|i| self.theta[i] + h * self.omega[i]);
         let away = linkage.frame(&along).smallest >= NEAR_VERTEX;
         let (theta, omega) = match linkage.closed(along, self.omega) {
@@ -121,8 +120,8 @@ impl Track {
         Self { theta, omega, ..*self }
     }
 
-    /// Where the motion would be had it come from so far before, rad of the fastest link, a little aside, rad, by so many steps there and back;
-    /// `None` where it cannot be computed.
+    /// Motion that passes a vertex at the lateral distance `aside`, rad: integrated back by `before`, rad of the fastest link, displaced,
+    /// and integrated forward, by `steps` steps each; `None` where that fails.
     #[cold]
     #[inline(never)]
     pub(super) fn with_lateral_offset(
@@ -132,7 +131,7 @@ impl Track {
         (before, aside, steps): (f64, f64, u32),
     ) -> Option<Self> {
         let fastest = self.omega.iter().fold(0.0_f64, |most, rate| most.max(rate.abs()));
-        // At rest in a vertex it has come from nowhere.
+        // At rest in a vertex there is no past motion.
         if fastest < REST_RATE {
             return None;
         }
@@ -156,12 +155,12 @@ impl Track {
         Some(Self { theta, omega, bank, ..*self })
     }
 
-    /// The motion with the errors about it, in at least so many steps of Runge-Kutta.
+    /// Propagated motion with the derivatives by its errors, in at least `least` Runge–Kutta steps.
     pub(super) fn flow(&self, linkage: &Linkage, at: &Frame, scene: &impl Scene, (h, least): (f64, u32)) -> Flow {
         transition::flow(linkage, scene, (&self.theta, &self.omega, at), &by_inputs(linkage, at), h, least)
     }
 
-    /// What is expected of a sample that an encoder takes now.
+    /// Innovation of a sample that encoder `encoder` takes now.
     pub(super) fn innovation(&self, at: &Frame, encoder: usize, angle: f64, noise: f64) -> Innovation {
         let link = MEASURED[encoder];
         let mut row = [0.0; ERRORS];
@@ -169,8 +168,8 @@ impl Track {
         Innovation { residual: wrapped(angle - self.theta[link]), row, noise }
     }
 
-    /// The mean takes over what the models think of the error. What it was, how the errors are turned with the basis, and where the estimate
-    /// is now; `None`, and nothing has changed, where the loop cannot be closed there.
+    /// Injects the mean error into the estimate. Returns the error, the map between the tangent bases and the new frame; `None`, with
+    /// nothing changed, where the loop cannot be closed.
     #[inline(never)]
     pub(super) fn inject_error(&mut self, linkage: &Linkage, from: &Frame) -> Option<(Error, [Pair; 2], Frame)> {
         let error = self.bank.mean();
@@ -190,7 +189,7 @@ impl Track {
         Some((error, turn, to))
     }
 
-    /// The estimate on a tangent basis: covariance of the error about the mean, whatever the mean leaves to the models included.
+    /// Covariance of the error about the estimate, the bank's mean error included.
     #[inline(never)]
     pub fn covariance(&self) -> Matrix {
         let (error, mut covariance) = self.bank.moments();
@@ -202,8 +201,8 @@ impl Track {
         covariance
     }
 
-    /// The log likelihood, next to a direct singularity, of being as far on its other side and going the other way, which the motors do not
-    /// tell: by the distance s = sin(θ₃ − θ₂) and its rate, with their covariance.
+    /// Log-likelihood of the mirror state next to a direct singularity, at equal distance and opposite rate, which the motors do not
+    /// distinguish: by s = sin(θ₃ − θ₂) and ṡ with their covariance.
     #[inline(never)]
     pub(super) fn mirror_log_likelihood(&self, at: &Frame) -> f64 {
         let slope = libm::cos(self.theta[2] - self.theta[1]);
@@ -215,25 +214,25 @@ impl Track {
         };
         let (xx, xy, yy) = (element(0, 0), element(0, 1), element(1, 1));
         let determinant = xx * yy - xy * xy;
-        // Twice the distance, half its square.
+        // Half the normalised square of twice the distance.
         -2.0 * (s * s * yy - 2.0 * s * rate * xy + rate * rate * xx) / determinant.max(f64::MIN_POSITIVE)
     }
 
-    /// Whether it can be an estimate: a closed loop, weights that sum up to 1, covariances.
+    /// Whether a stored estimate is possible: closed loop, finite force, sound bank.
     #[cold]
     pub(super) fn is_sound(&self, linkage: &Linkage) -> bool {
         linkage.is_closed(&self.theta, &self.omega) && self.force.iter().all(|x| x.is_finite()) && self.bank.is_sound()
     }
 
-    /// The unknown force on the tangent basis, N·m.
+    /// Unknown force on the tangent basis, N·m.
     pub fn tangent_force(&self, at: &Frame) -> Pair {
         on_basis(at, &self.force)
     }
 
-    /// Motor torques that would do what the unknown force does, N·m, with their standard deviations; `None` close to a direct singularity,
-    /// where motors cannot.
+    /// Motor torques equivalent to the unknown force, N·m, and their standard deviations; `None` close to a direct singularity, where
+    /// motors cannot exert it.
     pub fn motor_torques(&self, at: &Frame) -> Option<(Pair, Pair)> {
-        /// Least |det| of what motors do on the tangent basis.
+        /// Least |det| of the effect of the motors on the tangent basis: closer to a direct singularity torques grow without bound.
         const LEAST_DETERMINANT: f64 = 0.15;
         let [[a, b], [c, d]] = at.basis.map(|direction| MEASURED.map(|link| direction[link]));
         let determinant = a * d - b * c;

@@ -1,80 +1,80 @@
-//! How a motion and the errors about it go on: Runge–Kutta of order 4 on the equations of motion in the link angles and on their
-//! variational equations.
+//! Flow of the motion and of its errors: Runge–Kutta of order 4 on the equations of motion in the link angles and on their variational
+//! equations.
 //!
 //! ```text
 //! M α + Jᵀλ = Q + c        M δα + Jᵀδλ = −K δθ − C δω + E δu + δc − δM α − δJᵀ λ
 //! J α       = −J̇ ω         J δα        = −δJ α − δ(J̇ ω)
 //! ```
 //!
-//! K and C are the tangents that the implicit steps use. Six directions: N in the angles, N in the rates, the unknown force.
+//! K and C are the tangents of the implicit steps. The six variations are N in the angles, N in the rates, and the unknown force.
 
 use super::linkage::{Frame, LEGS, Linkage, Links, Pair};
 use super::posture::Posture;
 
-/// Number of errors: two of the angles, two of the rates, two of the unknown force.
+/// Number of error components: two of the angles, two of the rates, two of the unknown force.
 pub const ERRORS: usize = 6;
 
-/// What changes with each error.
+/// Derivatives of a quantity with respect to the error components.
 type Error = [f64; ERRORS];
-/// One row for each link, one column for each error.
+/// Derivatives of a link quantity: a row per link, a column per error component.
 type Columns = [Error; 4];
 
-/// Rates to which steps are adapted: of the free motion, of steep loads, 1/s.
+/// Least number of steps per second, 1/s: without and with stiff loads.
 const LEAST_STEP_RATES: [f64; 2] = [600.0, 2500.0];
-/// Steps per time constant of a damper and of a spring.
+/// Steps per time constant of a damper: stability of Runge–Kutta needs 0.36. A spring has one step per reciprocal of its natural frequency.
 const STEPS_PER_DAMPER_TIME: f64 = 0.8;
 /// Steps per radian of the fastest link in a regular posture.
 const STEPS_PER_RADIAN: f64 = 8.0;
-/// Most steps in one call.
+/// Largest number of steps in one call.
 const MOST_STEPS: f64 = 64.0;
 
-/// Applied torques on the links, and their tangents.
+/// Applied torques on the links with their tangents.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Loads {
-    /// Q in the link angles, N·m.
+    /// Torques Q, N·m.
     pub torque: Links,
-    /// K = −∂Q/∂θ, N·m/rad.
+    /// Stiffness K = −∂Q/∂θ, N·m/rad.
     pub stiffness: [Links; 4],
-    /// C = −∂Q/∂ω, N·m·s/rad.
+    /// Damping C = −∂Q/∂ω, N·m·s/rad.
     pub damping: [Links; 4],
 }
 
-/// What a simulation hands the estimator: the loads of a scene with the inputs that are held.
+/// Loads of a scene under held inputs.
 pub trait Scene {
     /// Loads at link angles, rad, and rates, rad/s.
     fn loads(&self, theta: &Links, omega: &Links) -> Loads;
 
-    /// The torques alone.
+    /// Torques without tangents, N·m.
     fn torque(&self, theta: &Links, omega: &Links) -> Links;
 
     /// Whether some load changes steeply.
     fn has_stiff_forces(&self) -> bool;
 }
 
-/// Where a motion leads.
+/// End of a propagated motion.
 #[derive(Clone, Copy, Debug)]
 pub struct Flow {
     /// Link angles, rad.
     pub theta: Links,
     /// Rates, rad/s.
     pub omega: Links,
-    /// Steps of Runge–Kutta.
+    /// Number of Runge–Kutta steps.
     pub steps: u32,
-    /// How the angles change with the errors at the beginning.
+    /// Derivatives of the angles with respect to the initial errors.
     pub(super) d_theta: Columns,
-    /// How the rates do.
+    /// Derivatives of the rates with respect to the initial errors.
     pub(super) d_omega: Columns,
 }
 
 impl Flow {
-    /// How angles and rates at the end change with one of the errors at the beginning.
+    /// Derivatives of the final angles and rates with respect to one of the initial errors.
     pub fn column(&self, error: usize) -> (Links, Links) {
         let of = |columns: &Columns| -> Links { std::array::from_fn(|link| columns[link][error]) };
         (of(&self.d_theta), of(&self.d_omega))
     }
 }
 
-/// What changes along the way, and its rate of change.
+/// Integrated state, and its time derivative.
 #[derive(Clone, Copy)]
 struct Point {
     theta: Links,
@@ -97,13 +97,13 @@ impl Point {
     }
 }
 
-/// How many steps of Runge–Kutta a time of h seconds needs.
+/// Number of Runge–Kutta steps that h seconds need.
 #[inline(never)]
 pub fn steps(linkage: &Linkage, at: &Frame, scene: &impl Scene, (theta, omega): (&Links, &Links), h: f64) -> u32 {
     steps_for(linkage, at, &scene.loads(theta, omega), scene.has_stiff_forces(), (omega, h))
 }
 
-/// The same of loads that are known.
+/// Number of Runge–Kutta steps that h seconds need under given loads.
 fn steps_for(linkage: &Linkage, at: &Frame, loads: &Loads, stiff_forces: bool, (omega, h): (&Links, f64)) -> u32 {
     let Loads { stiffness, damping, .. } = loads;
     let inertia = linkage.least_inertia(at);
@@ -117,7 +117,7 @@ fn steps_for(linkage: &Linkage, at: &Frame, loads: &Loads, stiff_forces: bool, (
     (h * rate).ceil().clamp(1.0, MOST_STEPS).max(1.0) as u32
 }
 
-/// The motion alone, from angles and rates, over h seconds in equal steps.
+/// Motion without variations: h seconds from angles, rad, and rates, rad/s, in equal steps.
 #[inline(never)]
 pub fn motion(linkage: &Linkage, scene: &impl Scene, (mut theta, mut omega): (Links, Links), h: f64, steps: u32) -> (Links, Links) {
     let h = h / f64::from(steps);
@@ -138,7 +138,8 @@ pub fn motion(linkage: &Linkage, scene: &impl Scene, (mut theta, mut omega): (Li
     (theta, omega)
 }
 
-/// The motion with the errors about it, in as many steps as it needs, and at least so many. `force` says with what torques on the inputs the
+/// Motion with variations, in the steps that it needs but at least `least`. `force` holds the inputs that exert a unit of each unknown
+/// force.
 /// two unknown forces act, by input.
 #[inline(never)]
 pub fn flow(
@@ -153,7 +154,7 @@ pub fn flow(
     let steps = steps_for(linkage, frame, &loads, scene.has_stiff_forces(), (omega, h)).max(least);
     let mut point = Point { theta: *theta, omega: *omega, d_theta: [[0.0; ERRORS]; 4], d_omega: [[0.0; ERRORS]; 4] };
     for (k, direction) in frame.basis.iter().enumerate() {
-        // J δω = −δJ ω: what the turned links need to stay closed.
+        // J δω = −δJ ω: rates that keep the turned links closed.
         let turned = frame.least_squares(frame.inward(omega, direction));
         for i in 0..4 {
             point.d_theta[i][k] = direction[i];
@@ -177,11 +178,11 @@ pub fn flow(
     Flow { theta, omega, steps, d_theta, d_omega }
 }
 
-/// The factors of the saddle-point system.
+/// Factors of the saddle-point system of M and J.
 struct Factor<'a> {
     at: &'a Posture,
     mobility: [[f64; 3]; 2],
-    /// (J M⁻¹ Jᵀ)⁻¹: xx, xy, yy.
+    /// Components xx, xy, yy of (J M⁻¹ Jᵀ)⁻¹.
     dual: [f64; 3],
 }
 
@@ -192,13 +193,13 @@ impl<'a> Factor<'a> {
         let (x, y) = (solve_mass(&mobility, &row_x), solve_mass(&mobility, &row_y));
         let sum = |a: &Links, b: &Links| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let (xx, xy, yy) = (sum(&row_x, &x), sum(&row_x, &y), sum(&row_y, &y));
-        // Next to a vertex nothing is divided by 0.
+        // Floor of the determinant: no division by 0 in a vertex.
         let least = 1e-20 * (xx + yy) * (xx + yy);
         let determinant = (xx * yy - xy * xy).max(least);
         Self { at, mobility, dual: [yy / determinant, -xy / determinant, xx / determinant] }
     }
 
-    /// x and y of M x + Jᵀ y = b, J x = c.
+    /// Solution x, y of M x + Jᵀ y = b, J x = c.
     #[inline(never)]
     fn solve(&self, b: &Links, c: Pair) -> (Links, Pair) {
         let free = solve_mass(&self.mobility, b);
@@ -210,7 +211,7 @@ impl<'a> Factor<'a> {
         (std::array::from_fn(|i| free[i] - back[i]), lambda)
     }
 
-    /// x of the same for all errors at once: rows of b by link, of c by direction.
+    /// Solutions x of the saddle-point system for all error components; rows of b by link, of c by direction.
     fn solve_columns(&self, b: &Columns, c: &[Error; 2]) -> Columns {
         let free = solve_mass_columns(&self.mobility, b);
         let [end_x, end_y] = self.at.end_rows(&[1.0; 4]);
@@ -238,7 +239,7 @@ impl<'a> Factor<'a> {
     }
 }
 
-/// Σ fᵢ rowᵢ.
+/// Linear combination Σ fᵢ rowᵢ.
 #[inline]
 fn sum(factors: Links, rows: &Columns) -> Error {
     let mut sum = [0.0; ERRORS];
@@ -248,7 +249,7 @@ fn sum(factors: Links, rows: &Columns) -> Error {
     sum
 }
 
-/// M⁻¹ x.
+/// Product M⁻¹ x.
 #[inline]
 fn solve_mass(mobility: &[[f64; 3]; 2], x: &Links) -> Links {
     let mut product = [0.0; 4];
@@ -259,7 +260,7 @@ fn solve_mass(mobility: &[[f64; 3]; 2], x: &Links) -> Links {
     product
 }
 
-/// The same of each column.
+/// Product M⁻¹ with each column.
 #[inline]
 fn solve_mass_columns(mobility: &[[f64; 3]; 2], x: &Columns) -> Columns {
     let mut product = [[0.0; ERRORS]; 4];
@@ -272,7 +273,7 @@ fn solve_mass_columns(mobility: &[[f64; 3]; 2], x: &Columns) -> Columns {
     product
 }
 
-/// Q + c.
+/// Torques Q + c, with the centripetal ones, N·m.
 fn with_coriolis(linkage: &Linkage, at: &Posture, mut torque: Links, omega: &Links) -> Links {
     for (carried, [p, d]) in linkage.carried.into_iter().zip(LEGS) {
         let centripetal = carried * at.sine(p, d);
@@ -289,7 +290,7 @@ fn acceleration(linkage: &Linkage, scene: &impl Scene, theta: &Links, omega: &Li
     Factor::new(linkage, &frame).solve(&torque, frame.inward(omega, omega)).0
 }
 
-/// The rate of change of a point.
+/// Time derivative of the integrated state.
 #[inline(never)]
 fn rate(linkage: &Linkage, loads: &Loads, force: &[Pair; 4], point: &Point) -> Point {
     let Point { theta, omega, d_theta, d_omega } = point;
@@ -298,7 +299,7 @@ fn rate(linkage: &Linkage, loads: &Loads, force: &[Pair; 4], point: &Point) -> P
     let factor = Factor::new(linkage, &frame);
     let (alpha, lambda) = factor.solve(&with_coriolis(linkage, &frame, torque, omega), frame.inward(omega, omega));
 
-    // Minus the derivatives of the right-hand side with respect to the angles and the rates.
+    // Negative derivatives of the right-hand side with respect to angles and rates.
     let (mut by_angle, mut by_rate) = (stiffness, damping);
     for (i, tension) in frame.along(lambda).into_iter().enumerate() {
         by_angle[i][i] -= tension;

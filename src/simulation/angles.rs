@@ -126,7 +126,7 @@ impl<'a> AngleSystem<'a> {
         self.five_bar.model
     }
 
-    /// e of the saddle-point systems in the link angles, in units of Φ_q M⁻¹ Φ_qᵀ.
+    /// e of the saddle-point systems in the link angles, 1/kg.
     pub(super) fn regularization_by_angles(&self) -> f64 {
         self.five_bar.model.regularization_by_angles
     }

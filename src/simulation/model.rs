@@ -80,7 +80,7 @@ pub struct Model {
     pub length_scale: f64,
     /// e of the saddle-point systems outside the printed method, 1/kg.
     pub regularization: f64,
-    /// e of the saddle-point systems in the link angles, in units of Φ_q M⁻¹ Φ_qᵀ.
+    /// e of the saddle-point systems in the link angles, 1/kg.
     pub(super) regularization_by_angles: f64,
     /// Largest number of Newton iterations.
     pub(super) max_iterations: u32,
