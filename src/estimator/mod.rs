@@ -337,7 +337,7 @@ impl Estimator {
         }
         let received = self.encoders.iter().all(Encoder::is_sound);
         if !received || !self.history.is_sound() || !self.forecast.is_sound(&constants.linkage) {
-            return Err("what its estimator remembers is none");
+            return Err("a sample, the history or the forecast of its estimator is not valid");
         }
         let numbers = self.innovation.iter().chain([&self.nis, &self.diverged]);
         if !numbers.chain(&self.alarm.numbers()).all(|x| x.is_finite()) || !self.branches.is_sound() || !self.assembly.is_sound() {
