@@ -92,7 +92,7 @@ fn outputs(host: &Host) -> Result<Outputs, String> {
     }
 }
 
-/// What is wrong with a forged state, where anything is. Whether it has been refused.
+/// Restores a forged state and follows it. `Ok(true)` where the state is refused, a sentence where it does harm.
 fn judge(forged: &[u8]) -> Result<bool, String> {
     let host = Host::new();
     let mut state = null_mut();
