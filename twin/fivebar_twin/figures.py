@@ -4,7 +4,7 @@ import math
 from array import array
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -40,6 +40,15 @@ class Table:
         return len(self.columns[self.names[0]])
 
 
+class Gap(NamedTuple):
+    """Numbers of a kind that the record does not have."""
+
+    of: str
+    first: int
+    last: int
+    why: str
+
+
 @dataclass
 class Story:
     """What a record tells: times in s after its first message."""
@@ -49,7 +58,9 @@ class Story:
     estimated: Table = field(default_factory=lambda: Table(("time", *ESTIMATES, "band")))
     forecasts: Table = field(default_factory=lambda: Table(("time", "ahead", "tip.x", "tip.y", "xx", "xy", "yy", "half_width", "last")))
     alarms: list[tuple[float, str, str]] = field(default_factory=list)
-    gaps: list[tuple[str, int, int]] = field(default_factory=list)
+    gaps: "list[Gap]" = field(default_factory=list)
+    bad: list[str] = field(default_factory=list)
+    """Why rows are no messages."""
     samples: set[int] = field(default_factory=set)
     used: set[int] = field(default_factory=set)
     sent: int = 0
@@ -59,7 +70,7 @@ class Story:
 def read(file: Path) -> Story:
     """Goes through a record once."""
     story = Story()
-    for message in record.messages(file, "meas", "est", "forecast", "alarm", "gap"):
+    for message in record.messages(file, "meas", "est", "forecast", "alarm", "gap", refused=story.bad.append):
         story.origin = story.origin or message.time
         fields, time = message.fields, 1e-9 * (message.time - story.origin)
         if message.kind == "meas":
@@ -75,7 +86,7 @@ def read(file: Path) -> Story:
         elif message.kind == "alarm":
             story.alarms.append((time, str(message.extra.get("state")), str(message.extra.get("cause"))))
         else:
-            story.gaps.append((str(message.extra["of"]), int(fields["first"]), int(fields["last"])))
+            story.gaps.append(Gap(message.extra["of"], int(fields["first"]), int(fields["last"]), message.extra.get("why", "")))
     return story
 
 
@@ -204,7 +215,8 @@ def summarise(
         "alarms": sum(state == "anomaly" for _, state, _ in story.alarms),
         "refused": sum(total(process, "refused") for process in status),
         "restarts": restarts,
-        "gaps": [{"of": kind, "first": first, "last": last_one} for kind, first, last_one in story.gaps],
+        "gaps": [gap._asdict() for gap in story.gaps],
+        "rows_refused": len(story.bad),
         "memory_mb": {process: round(max(life.get("memory_kb", 0) for life in lives) / 1024, 1) for process, lives in status.items()},
         "record": str(config.record),
     }

@@ -9,6 +9,7 @@ import base64
 import csv
 import json
 import logging
+import math
 import random
 import time
 from collections import deque
@@ -21,7 +22,7 @@ from fivebar_twin.bus import Bus
 from fivebar_twin.config import Config, Faults, read_json
 from fivebar_twin.errors import TwinError
 from fivebar_twin.follower import Book, Rider
-from fivebar_twin.messages import INPUTS, MEAS_RANGES, MEASURED, TRACKED, Message, encode
+from fivebar_twin.messages import INPUTS, MEAS_FIELDS, MEASURED, TRACKED, Message, encode
 from fivebar_twin.setup import Setup
 from fivebar_twin.unit import Library, Reader
 
@@ -124,10 +125,14 @@ class Recording:
             raise TwinError(f"{file} has no rows with time and measured.theta[1] or measured.theta[2]")
         try:
             self.samples = [
-                (float(row["time"]), {name: float(row[name]) for name in MEAS_RANGES if row.get(name) not in (None, "")}) for row in rows
+                (float(row["time"]), {name: float(row[name]) for name in MEAS_FIELDS if row.get(name) not in (None, "")}) for row in rows
             ]
         except ValueError as error:
             raise TwinError(f"{file}: {error}") from None
+        for number, (at, fields) in enumerate(self.samples, 1):
+            for name, value in (("time", at), *fields.items()):
+                if not math.isfinite(value):
+                    raise TwinError(f"{file}: {name} of row {number} is {value}, not a finite number")
 
     def store(self) -> bytes:
         """From which it goes on."""
