@@ -313,7 +313,7 @@ def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path
         assert float(browser.find_element("id", "value-error").text.split()[0]) < 0.1
         assert browser.find_element("id", "status").text == "Samples of both encoders are used"
         shot = np.asarray(Image.open(BytesIO(browser.find_element("id", "canvas").screenshot_as_png)).convert("RGB")).astype(int)
-        for colour, least in (((0x18, 0x64, 0xAB), 800), ((0x2B, 0x8A, 0x3E), 800), ((0xE8, 0x59, 0x0C), 60)):
+        for colour, least in (((0x18, 0x64, 0xAB), 800), ((0x12, 0xB8, 0x86), 800), ((0xE8, 0x59, 0x0C), 60)):
             seen = (np.abs(shot - colour).sum(axis=2) < 30).sum()
             assert seen > least, f"{seen} points of {colour}: left leg, right leg, tip"
         # The fan of the forecast: the tip's colour, thin over the page.

@@ -184,7 +184,7 @@ class Listener(Worker):
         self.intake, self.taken = Intake(config.period), 0
 
     def handle(self, message: Message, payload: bytes, now: int) -> None:
-        self.intake.admit(message)
+        self.intake.admit(message, now)
         self.taken += 1
 
 
@@ -212,12 +212,12 @@ def fuzzed(chance: random.Random, good: bytes) -> tuple[str, bytes]:
 def test_ten_thousand_fuzzed_messages_are_refused_with_one_line_each(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     listener = Listener(Config(str(tmp_path), "", ""))
     for seq in range(200):
-        listener.received(TOPIC, encode(Message("meas", "bench", MEAS.time + PERIOD_NS * seq, seq, MEAS.fields)), 0)
+        listener.received(TOPIC, encode(Message("meas", "bench", MEAS.time + PERIOD_NS * seq, seq, MEAS.fields)), MEAS.time)
     assert (listener.taken, listener.refused) == (200, 0)
     chance = random.Random(20)
     caplog.set_level(logging.WARNING, logger="fivebar")
     for _ in range(10_000):
-        listener.received(*fuzzed(chance, encode(MEAS)), 0)
+        listener.received(*fuzzed(chance, encode(MEAS)), MEAS.time)
     assert listener.refused == len(caplog.records) == 10_000
     assert listener.taken == 200 and listener.intake.series is not None and listener.intake.series.seq == 199
     assert all(record.getMessage().startswith("refused: ") and "\n" not in record.getMessage() for record in caplog.records)
@@ -230,12 +230,12 @@ def sample(seq: int, time: int | None = None) -> Message:
     return Message("meas", "bench", PERIOD_NS * seq + 10**9 if time is None else time, seq, {})
 
 
-def admit(intake: Intake, *messages: Message) -> list[str]:
-    """What became of each: new, late, series, or the refusal's first words."""
+def admit(intake: Intake, *messages: Message, now: int | None = None) -> list[str]:
+    """What became of each: new, late, series or refused; at a time of the pipeline's clock, or when each was made."""
     results = []
     for message in messages:
         try:
-            results.append(intake.admit(message))
+            results.append(intake.admit(message, message.time if now is None else now))
         except Refused:
             results.append("refused")
     return results

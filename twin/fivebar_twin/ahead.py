@@ -11,8 +11,9 @@ from typing import Any
 
 from fivebar_twin import process, scene, setup
 from fivebar_twin.config import Config
-from fivebar_twin.errors import Refused, TwinError
+from fivebar_twin.errors import TwinError
 from fivebar_twin.forecast import Forecaster
+from fivebar_twin.intake import Newest
 from fivebar_twin.messages import Message
 from fivebar_twin.process import Worker
 from fivebar_twin.unit import Library
@@ -30,7 +31,7 @@ class Ahead(Worker):
         super().__init__(config)
         self.forecaster = Forecaster(library, setup.of_run(config, scene.read(Path(config.scene)), library.guid))
         self.counts = dict.fromkeys(("forecasts", "left_out"), 0)
-        self.last: Message | None = None
+        self.order = Newest()
         self.newest: Message | None = None
         """What the thread has not taken yet."""
         self.come = threading.Condition()
@@ -41,10 +42,7 @@ class Ahead(Worker):
         self.thread.start()
 
     def handle(self, message: Message, payload: bytes, now: int) -> None:
-        last = self.last
-        if last is not None and message.seq <= last.seq and message.time <= last.time:
-            raise Refused(f"ahead {message.seq} is not newer than {last.seq}, which came before")
-        self.last = message
+        self.order.admit(message, now)
         with self.come:
             self.counts["left_out"] += self.newest is not None
             self.newest = message

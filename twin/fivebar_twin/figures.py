@@ -2,6 +2,7 @@
 
 import math
 from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -156,9 +157,9 @@ def _mean(values: np.ndarray) -> float:
 
 
 def summarise(
-    config: Config, story: Story, judged: Judged, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int]
+    config: Config, story: Story, judged: Judged, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int], troubles: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Every figure, in nested objects. What cannot be told is null."""
+    """Every figure, in nested objects. What cannot be told is null. `troubles` are what processes had to tell."""
 
     def total(process: str, name: str) -> int:
         return sum(int(life.get(name, 0)) for life in status.get(process, []))
@@ -213,6 +214,7 @@ def summarise(
             "by_ahead": by_ahead,
         },
         "alarms": sum(state == "anomaly" for _, state, _ in story.alarms),
+        "troubles": {"count": len(troubles), "last": list(troubles[-10:])},
         "refused": sum(total(process, "refused") for process in status),
         "restarts": restarts,
         "gaps": [gap._asdict() for gap in story.gaps],

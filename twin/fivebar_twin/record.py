@@ -46,11 +46,16 @@ def write_table(folder: Path, first: int, last: int, table: pa.Table) -> Path:
     """Writes a table as a part."""
     path = folder / f"part-{first:08d}-{last:08d}.parquet"
     beside = path.with_suffix(".writing")
-    with beside.open("wb") as stream:
-        pq.write_table(table, stream, compression="zstd")
-        stream.flush()
-        os.fsync(stream.fileno())
-    beside.rename(path)
+    try:
+        with beside.open("wb") as stream:
+            pq.write_table(table, stream, compression="zstd")
+            stream.flush()
+            os.fsync(stream.fileno())
+        beside.rename(path)
+    except OSError:
+        # Half a part would take room that the next one needs.
+        beside.unlink(missing_ok=True)
+        raise
     return path
 
 

@@ -1,6 +1,7 @@
 """`fivebar-twin soak`: machine, twin, watch and recorder without broker and clock, for hours of samples: nothing lost, nothing grows."""
 
 import argparse
+import re
 import sys
 import tempfile
 import time
@@ -31,21 +32,25 @@ class Wire:
 
     def __init__(self, config: Config, *workers: Worker):
         self.config, self.workers = config, workers
+        self.now = BEGIN
+        """The workers' clock, ns: that of the newest sample."""
         for worker in workers:
             worker.begin()
             worker.send = self.send
 
     def send(self, kind: str, payload: bytes) -> bool:
         """Hands a message over."""
+        if kind == "meas" and (found := re.search(rb'"time":(\d{19})\b', payload)):
+            self.now = max(self.now, int(found[1]))
         for worker in self.workers:
             if kind in worker.kinds:
-                worker.received(topic(self.config.unit, kind), payload, time.time_ns())
+                worker.received(topic(self.config.unit, kind), payload, self.now)
         return True
 
     def tick(self) -> None:
         """What else the workers have to do."""
         for worker in self.workers:
-            worker.tick(time.time_ns())
+            worker.tick(self.now)
             worker.write()
 
     def end(self) -> None:

@@ -5,6 +5,7 @@ import io
 import json
 import re
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,7 +33,7 @@ TEMPLATE: Final = Path(__file__).with_name("page") / "summary.html"
 plt.rcParams |= {"svg.hashsalt": "fivebar", "font.size": 9.5, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
 
 
-def write(config: Config, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int], out: Path) -> int:
+def write(config: Config, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int], out: Path, troubles: Sequence[str] = ()) -> int:
     """Writes everything to the run's folder and to `out`; 0 if the twin followed."""
     try:
         story = figures.read(config.record)
@@ -40,29 +41,39 @@ def write(config: Config, status: dict[str, list[dict[str, Any]]], restarts: dic
         print(f"nothing to sum up: {error}")
         return 1
     judged = figures.judge(story)
-    content = figures.summarise(config, story, judged, status, restarts)
+    content = figures.summarise(config, story, judged, status, restarts, troubles)
     pictures = {
         "tip": (_tip(story), "The tip, seen by a tracker and estimated"),
         "error": (_error(story, judged), "Error of the estimated tip, and the radius that holds it with 95 %"),
         "forecast": (_forecast(story, judged), "Forecasts: how far off they were, and how sure of themselves"),
         "latency": (_latency(status), "From the sample to its estimate at a subscriber"),
     }
+    _tell(content, out)
+    try:
+        _keep(config, content, pictures, out)
+    except OSError as error:
+        print(f"summary, pictures and page are not all written: {error.filename or out}: {error.strerror}")
+        return 1
+    finally:
+        for figure, _ in pictures.values():
+            plt.close(figure)
+    return 0 if content["samples"]["estimated"] else 1
+
+
+def _keep(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Figure, str]], out: Path) -> None:
+    """Writes the files, the summary first: it is the least, and says most."""
     out.mkdir(parents=True, exist_ok=True)
+    summary = config.path / "summary.json"
+    summary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    page = config.path / "index.html"
+    page.write_text(_page(config, content, pictures), encoding="utf-8")
     made = []
     for name, (figure, _) in pictures.items():
         file = config.path / f"{name}.png"
         figure.savefig(file, dpi=120)
         made.append(file)
-    page = config.path / "index.html"
-    page.write_text(_page(config, content, pictures), encoding="utf-8")
-    summary = config.path / "summary.json"
-    summary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    for figure, _ in pictures.values():
-        plt.close(figure)
-    for file in (*made, page, summary):
+    for file in (summary, page, *made):
         shutil.copyfile(file, out / file.name)
-    _tell(content, out)
-    return 0 if content["samples"]["estimated"] else 1
 
 
 def _tell(content: dict[str, Any], out: Path) -> None:
@@ -82,11 +93,19 @@ def _tell(content: dict[str, Any], out: Path) -> None:
             f"{figure(forecasts['coverage95'], '%', 100)} inside",
         ),
         ("alarms, refused", f"{content['alarms']}, {content['refused']}"),
+        ("troubles", f"{content['troubles']['count']}, the last: {content['troubles']['last'][-1]}" if content["troubles"]["last"] else "none"),
+        ("not recorded", _gaps(content["gaps"])),
         ("restarts", ", ".join(f"{name} {count}" for name, count in content["restarts"].items() if count) or "none"),
         ("record", content["record"]),
         ("page", str(out / "index.html")),
     ):
         print(f"  {label:22} {text}")
+
+
+def _gaps(gaps: list[dict[str, Any]]) -> str:
+    """What the record lacks."""
+    said = [f"{gap['of']} {gap['first']} to {gap['last']}" + (f" ({gap['why']})" if gap["why"] else "") for gap in gaps]
+    return "; ".join(said[:3]) + (f" and {len(said) - 3} more gaps" if len(said) > 3 else "") or "nothing"
 
 
 # --- pictures -----------------------------------------------------------------------------------------------------------------------
