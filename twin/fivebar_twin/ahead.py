@@ -22,13 +22,17 @@ log = logging.getLogger("fivebar")
 
 
 class Ahead(Worker):
-    """The worker. Forecasts are made in a thread, from the newest state; states that came meanwhile are left out."""
+    """The worker. Forecasts are made in a thread, from the newest state; states that came meanwhile are left out.
+
+    Or `at_once`, where a state comes: then all are made, however long that takes, for whoever holds the clock.
+    """
 
     name = "forecast"
     kinds = ("ahead",)
 
-    def __init__(self, config: Config, library: Library):
+    def __init__(self, config: Config, library: Library, at_once: bool = False):
         super().__init__(config)
+        self.at_once = at_once
         self.forecaster = Forecaster(library, setup.of_run(config, scene.read(Path(config.scene)), library.guid))
         self.counts = dict.fromkeys(("forecasts", "left_out"), 0)
         self.order = Newest()
@@ -39,10 +43,14 @@ class Ahead(Worker):
         self.thread = threading.Thread(target=self._work, name="forecast", daemon=True)
 
     def begin(self) -> None:
-        self.thread.start()
+        if not self.at_once:
+            self.thread.start()
 
     def handle(self, message: Message, payload: bytes, now: int) -> None:
         self.order.admit(message, now)
+        if self.at_once:
+            self._make(message)
+            return
         with self.come:
             self.counts["left_out"] += self.newest is not None
             self.newest = message
@@ -55,15 +63,18 @@ class Ahead(Worker):
                 state, self.newest = self.newest, None
             if state is None or self.stopped.is_set():
                 return
-            try:
-                forecast = self.forecaster.run(state, self.stopped.is_set)
-            except (TwinError, KeyError, TypeError, ValueError) as error:
-                # Whatever is wrong with one state, the next one may be good.
-                log.warning("no forecast: %s", error)
-                continue
-            if forecast is not None:
-                self.publish(forecast)
-                self.counts["forecasts"] += 1
+            self._make(state)
+
+    def _make(self, state: Message) -> None:
+        try:
+            forecast = self.forecaster.run(state, self.stopped.is_set)
+        except (TwinError, KeyError, TypeError, ValueError) as error:
+            # Whatever is wrong with one state, the next one may be good.
+            log.warning("no forecast: %s", error)
+            return
+        if forecast is not None:
+            self.publish(forecast)
+            self.counts["forecasts"] += 1
 
     def status(self) -> dict[str, Any]:
         return dict(self.counts)
@@ -72,7 +83,8 @@ class Ahead(Worker):
         with self.come:
             self.stopped.set()
             self.come.notify()
-        self.thread.join(timeout=2)
+        if not self.at_once:
+            self.thread.join(timeout=2)
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

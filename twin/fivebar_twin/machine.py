@@ -50,6 +50,7 @@ class StandIn:
         self.reader = Reader(self.rider.unit, ("theta[1]", "theta[2]", *TRACKED))
         names = (name for name in self.scene.signals if name not in INPUTS)
         self.surroundings = {name: library.variable(name).valueReference for name in names}
+        self.continuous = {ref for name, ref in self.surroundings.items() if library.variable(name).variability == "continuous"}
         self.seq = 0
         self.start_ns = 0
         """When the first sample is taken, ns since 1970."""
@@ -83,7 +84,9 @@ class StandIn:
             begin, end = ([self.scene.at(name, k * period) for name in self.surroundings] for k in (self.seq, self.seq + 1))
             references = list(self.surroundings.values())
             self.rider.unit.set_reals(references, begin)
-            self.rider.unit.set_slopes(references, [(b - a) / period for a, b in zip(begin, end, strict=True)])
+            sloping = [(ref, (b - a) / period) for ref, a, b in zip(references, begin, end, strict=True) if ref in self.continuous]
+            if sloping:
+                self.rider.unit.set_slopes([ref for ref, _ in sloping], [slope for _, slope in sloping])
         self.seq += 1
         self.rider.unit.step_to(max(self.seq * period, now + 1e-9))
 

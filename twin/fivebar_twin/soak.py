@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with tempfile.TemporaryDirectory() as folder:
             config = configured(Path(folder), arguments.fmu, library, arguments.scene)
-            twin, ahead, watch, recorder = Twin(config, library), Ahead(config, library), Watch(config), Recorder(config)
+            twin, ahead, watch, recorder = Twin(config, library), Ahead(config, library, at_once=True), Watch(config), Recorder(config)
             recorder.about = twin.setup.to_message(config.unit, BEGIN)
             wire, source, mangler = Wire(config, twin, ahead, watch, recorder), machine(config, library), Mangler(faults, 1)
             samples = round(arguments.hours * 3600 / config.period)

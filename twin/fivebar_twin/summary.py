@@ -27,6 +27,9 @@ from fivebar_twin.watch import Histogram  # noqa: E402
 MOST_POINTS: Final = 3000
 """Of a line in a picture."""
 
+USUAL, SHOWN: Final = 0.95, 1.5
+"""What a picture shows: so many times the value below which that share of all is."""
+
 TWIN, MACHINE, BAND, BAD = "#e8590c", "#1d2329", "#f4a261", "#c92a2a"
 TEMPLATE: Final = Path(__file__).with_name("page") / "summary.html"
 
@@ -128,11 +131,11 @@ def _tip(story: Story) -> Figure:
     t, x, y = _thin(story.estimated["time"], story.estimated["tip.x"], story.estimated["tip.y"])
     path.plot(1e3 * x, 1e3 * y, color=TWIN, linewidth=1, linestyle=(0, (4, 3)), label="twin")
     path.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
-    path.legend(loc="best", frameon=False)
+    _legend(path)
     for values, label, style in ((x, "x", "-"), (y, "y", "--")):
         time.plot(t, 1e3 * values, color=TWIN, linewidth=1, linestyle=style, label=label)
     time.set(xlabel="time (s)", ylabel="estimated tip (mm)")
-    time.legend(loc="best", frameon=False)
+    _legend(time)
     _mark_alarms(time, story)
     return figure
 
@@ -146,7 +149,7 @@ def _error(story: Story, judged: Judged) -> Figure:
     known = np.concatenate([error[np.isfinite(error)], band[np.isfinite(band)]])
     if len(known):
         axes.set_ylim(1e3 * max(np.quantile(known, 0.02), 1e-7) / 2, 2e3 * max(known.max(), 1e-6))
-    axes.legend(loc="upper right", frameon=False)
+    _legend(axes)
     _mark_alarms(axes, story)
     return figure
 
@@ -156,12 +159,14 @@ def _forecast(story: Story, judged: Judged) -> Figure:
     table = story.forecasts
     last = table["last"] == 1.0
     at = table["time"][last] + table["ahead"][last]
-    time.plot(at, 1e3 * table["half_width"][last], color=BAND, linewidth=1.2, label="half-width, 95 %")
+    widths = 1e3 * table["half_width"][last]
+    time.plot(at, widths, color=BAND, linewidth=1.2, label="half-width, 95 %")
     hit, error = judged.inside[last], 1e3 * judged.ahead_error[last]
     time.plot(at[hit == 1], error[hit == 1], ".", color=TWIN, markersize=2.5, label="error, inside")
     time.plot(at[hit == 0], error[hit == 0], "x", color=BAD, markersize=5, label="error, outside")
     time.set(xlabel="time that was forecast (s)", ylabel="mm")
-    time.legend(loc="best", frameon=False)
+    _legend(time)
+    _bound(time, at, np.fmax(widths, np.nan_to_num(error)))
     steps = np.unique(np.round(table["ahead"], 6))
     where = [np.isclose(table["ahead"], step) for step in steps]
     ahead.plot(steps, [1e3 * np.median(table["half_width"][w]) for w in where], color=BAND, marker="o", markersize=3, label="half-width, median")
@@ -170,7 +175,7 @@ def _forecast(story: Story, judged: Judged) -> Figure:
         steps, [1e3 * np.median(e[np.isfinite(e)]) if np.isfinite(e).any() else np.nan for e in errors], color=TWIN, marker="o", markersize=3, label="error, median"
     )
     ahead.set(xlabel="ahead (s)", ylabel="mm")
-    ahead.legend(loc="upper left", frameon=False)
+    _legend(ahead)
     share = ahead.twinx()
     hits = [judged.inside[w] for w in where]
     share.plot(steps, [100 * h[np.isfinite(h)].mean() if np.isfinite(h).any() else np.nan for h in hits], color=MACHINE, linestyle=":", label="inside")
@@ -191,6 +196,27 @@ def _latency(status: dict[str, list[dict[str, Any]]]) -> Figure:
         axes.bar(edges, list(total.values()), width=[(Histogram.RATIO - 1) * edge for edge in edges], align="edge", color=TWIN, linewidth=0)
     axes.set(xscale="log", xlabel="ms from sample to estimate", ylabel="estimates")
     return figure
+
+
+def _legend(axes: Axes) -> None:
+    """Above the picture, where nothing is drawn."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2)
+
+
+def _bound(axes: Axes, at: np.ndarray, values: np.ndarray) -> None:
+    """Shows what is usual; the few that are far beyond, as the first forecast of a run may be, are arrows at the edge with their values."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return
+    top = SHOWN * float(np.quantile(known, USUAL))
+    if top <= 0 or float(known.max()) <= top:
+        return
+    axes.set_ylim(0, top)
+    beyond = np.flatnonzero(np.isfinite(values) & (values > top))
+    axes.plot(at[beyond], np.full(len(beyond), 0.98 * top), "^", color=BAD, markersize=5, clip_on=False)
+    most = beyond[np.argmax(values[beyond])]
+    left = at[most] < np.mean(axes.get_xlim())
+    axes.annotate(f"{len(beyond)} beyond, up to {values[most]:.3g} mm", (at[most], 0.98 * top), xytext=(8 if left else -8, -3), textcoords="offset points", color=BAD, ha="left" if left else "right", va="center")
 
 
 def _mark_alarms(axes: Axes, story: Story) -> None:
