@@ -19,6 +19,20 @@ from fivebar_twin.watch import Histogram
 ESTIMATES: Final = ("tip.x", "tip.y", "estimated.nis", "estimated.alarm", "estimated.tau[1]", "estimated.tau[2]", "estimated.status")
 
 
+COVERED: Final = 0.9
+"""Share of the tips that forecasts have inside their 95 % ellipses at the horizon, in whatever scene: docs/pipeline.md promises it."""
+
+NARROW: Final = {"pick_and_place": 20.0}
+"""mm: half-widths (median) at a horizon of 0.5 s that are promised, by scene. Where a machine falls freely it may be anywhere after half a second,
+and only that its forecasts know so is promised."""
+
+MISSED: Final = 3
+"""The exit code of a run whose forecasts were not as good as that."""
+
+FEWEST: Final = 20
+"""Forecasts that are judged at least."""
+
+
 @dataclass
 class Table:
     """Columns that grow, 8 bytes a number."""
@@ -183,7 +197,9 @@ def summarise(
             "error_mm": _or_none(1e3 * float(np.sqrt(_mean(judged.ahead_error[here] ** 2)))),
         }
     times = story.estimated["time"]
-    return {
+    # A state for a forecast at every so many samples that were estimated.
+    due = len(story.estimated) // max(1, round(1 / (config.forecast_rate * config.period)))
+    content = {
         "scene": Path(config.scene).stem,
         "unit": config.unit,
         "broker": "amqtt, embedded" if config.broker.embedded else f"{config.broker.host}:{config.broker.port}",
@@ -204,6 +220,7 @@ def summarise(
         "forecasts": {
             "count": story.sent,
             "judged": int(np.isfinite(judged.inside[last]).sum()),
+            "due": due,
             "left_out": total("forecast", "left_out"),
             "ahead_s": config.horizon,
             "coverage95": _or_none(_mean(judged.inside[last])),
@@ -222,3 +239,16 @@ def summarise(
         "memory_mb": {process: round(max(life.get("memory_kb", 0) for life in lives) / 1024, 1) for process, lives in status.items()},
         "record": str(config.record),
     }
+    return content | {"missed": missed(content)}
+
+
+def missed(content: dict[str, Any]) -> list[str]:
+    """Which promises about forecasts a run has not kept, in words."""
+    forecasts, scene = content["forecasts"], content["scene"]
+    covered, width = forecasts["coverage95"], forecasts["halfwidth_mm"]["median"]
+    found = []
+    if forecasts["judged"] >= FEWEST and covered < COVERED:
+        found.append(f"{100 * covered:.3g} % of the tips are inside the 95 % ellipses {forecasts['ahead_s']:g} s ahead; {100 * COVERED:g} % are promised")
+    if width is not None and width > NARROW.get(scene, math.inf) and forecasts["ahead_s"] <= 0.5:
+        found.append(f"the half-width is {width:.3g} mm (median); in {scene} at most {NARROW[scene]:g} mm are promised")
+    return found

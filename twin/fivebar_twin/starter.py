@@ -350,7 +350,7 @@ def check_followed(config: Config, stand_in: bool) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0 if the twin followed; the summary is in OUT/summary.json."""
+    """0 if the twin followed, 1 if not, 3 if its forecasts were not as good as promised; the summary is in OUT/summary.json."""
     # Whatever cannot work is refused before a folder is made.
     check_followed(configure(arguments, arguments.out), arguments.machine != "none")
     folder = run_folder(arguments.out)

@@ -27,7 +27,7 @@ from fivebar_twin.watch import Histogram  # noqa: E402
 MOST_POINTS: Final = 3000
 """Of a line in a picture."""
 
-USUAL, SHOWN: Final = 0.95, 1.5
+USUAL, SHOWN = 0.95, 1.5
 """What a picture shows: so many times the value below which that share of all is."""
 
 TWIN, MACHINE, BAND, BAD = "#e8590c", "#1d2329", "#f4a261", "#c92a2a"
@@ -37,7 +37,7 @@ plt.rcParams |= {"svg.hashsalt": "fivebar", "font.size": 9.5, "axes.grid": True,
 
 
 def write(config: Config, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int], out: Path, troubles: Sequence[str] = ()) -> int:
-    """Writes everything to the run's folder and to `out`; 0 if the twin followed."""
+    """Writes everything to the run's folder and to `out`; 0 if the twin followed and its forecasts are as good as promised, 3 if they are not."""
     try:
         story = figures.read(config.record)
     except TwinError as error:
@@ -60,7 +60,9 @@ def write(config: Config, status: dict[str, list[dict[str, Any]]], restarts: dic
     finally:
         for figure, _ in pictures.values():
             plt.close(figure)
-    return 0 if content["samples"]["estimated"] else 1
+    if not content["samples"]["estimated"]:
+        return 1
+    return figures.MISSED if content["missed"] else 0
 
 
 def _keep(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Figure, str]], out: Path) -> None:
@@ -92,9 +94,10 @@ def _tell(content: dict[str, Any], out: Path) -> None:
         ("tip error", f"rms {figure(error['rms'], 'mm')}, largest {figure(error['max'], 'mm')}"),
         (
             f"forecasts, {forecasts['ahead_s']:g} s",
-            f"{forecasts['count']}, half-width {figure(forecasts['halfwidth_mm']['median'], 'mm')} (median), "
+            f"{forecasts['count']} of {forecasts['due']}, half-width {figure(forecasts['halfwidth_mm']['median'], 'mm')} (median), "
             f"{figure(forecasts['coverage95'], '%', 100)} inside",
         ),
+        ("promises", "; ".join(content["missed"]) or ("kept" if forecasts["judged"] >= figures.FEWEST else "not judged")),
         ("alarms, refused", f"{content['alarms']}, {content['refused']}"),
         ("troubles", f"{content['troubles']['count']}, the last: {content['troubles']['last'][-1]}" if content["troubles"]["last"] else "none"),
         ("not recorded", _gaps(content["gaps"])),

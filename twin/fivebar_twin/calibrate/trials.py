@@ -48,7 +48,7 @@ COUNT: Final = 2 * math.pi / 13824
 NOISE: Final = 1e-4
 """rad."""
 
-LEAST, MOST: Final = 0.90, 0.98
+LEAST, MOST = 0.90, 0.98
 """Share of the bars of 95 % that hold the truth, over machines at random."""
 
 PERIOD: Final = 0.005
