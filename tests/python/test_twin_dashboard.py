@@ -42,7 +42,7 @@ def test_a_page_that_draws_slowly_gets_the_newest() -> None:
         pace = Pace()
         assert pace.put(packet("est", 0))
         assert seqs(await pace.next()) == [0], "a page that does not say what it has drawn gets everything"
-        pace.drawn()
+        pace.tell(1)
         pace.put(packet("est", 1))
         assert seqs(await pace.next()) == [1]
         for seq in range(2, 500):
@@ -52,7 +52,11 @@ def test_a_page_that_draws_slowly_gets_the_newest() -> None:
         assert seqs(await pace.next()) == [500]
         with pytest.raises(asyncio.TimeoutError):
             await asyncio.wait_for(pace.next(), 0.05)
-        pace.drawn()
+        pace.tell(1)
+        with pytest.raises(asyncio.TimeoutError):
+            # Not before it has handled all of what it got.
+            await asyncio.wait_for(pace.next(), 0.05)
+        pace.tell(2)
         assert seqs(await pace.next()) == [seq for seq in range(500 - KEPT, 500) for _ in (0, 1)], "and in their order"
 
     asyncio.run(told())
@@ -76,7 +80,7 @@ def test_a_slow_page_over_its_sockets(config: Config) -> None:
         async with await asyncio.start_server(broker, "127.0.0.1", config.broker.port), server.listening():
             address = f"ws://127.0.0.1:{config.dashboard_port}/mqtt"
             async with connect(address, origin=server.origins[0], subprotocols=["mqtt"]) as page:
-                await page.send("drawn")
+                await page.send("drawn 0")
                 while not pages:
                     await asyncio.sleep(0.01)
                 pages[0].write(packet("est", 0))
@@ -86,7 +90,7 @@ def test_a_slow_page_over_its_sockets(config: Config) -> None:
                 await pages[0].drain()
                 pages[0].write(packet("alarm", 600, qos=1))
                 assert seqs(await page.recv()) == [600]
-                await page.send("drawn")
+                await page.send("drawn 1")
                 assert seqs(await page.recv()) == list(range(600 - KEPT, 600))
 
     asyncio.run(asyncio.wait_for(through(), 20))

@@ -1,7 +1,8 @@
 """The dashboard's process: one page on the loopback interface, and the way from its WebSocket to the broker, whichever that is.
 
-The way knows so much of MQTT that it can tell one packet from the next. A page says `drawn` when it has drawn what it got; until then it
-gets nothing more of what comes all the time (`SKIPPED`), and then the newest: a page that is slow leaves out, and is not late.
+The way knows so much of MQTT that it can tell one packet from the next. A page says `drawn N` when it has drawn
+the N messages that it got; until then it gets nothing more of what comes all the time (`SKIPPED`), and then the newest: a page that is
+slow leaves out, and is not late.
 
 A page of another site must not reach the broker through the user's browser: the names of host and origin are checked, and the page
 may load nothing from elsewhere.
@@ -168,8 +169,8 @@ class Pace:
         self.others: deque[tuple[int, bytes]] = deque()
         self.newest: dict[bytes, deque[tuple[int, bytes]]] = {}
         self.count = 0
-        self.ready = True
-        """Whether the page has drawn what it got last."""
+        self.sent = self.drawn = 0
+        """Messages of kinds that are skipped: that the page got, and that it has drawn."""
 
         self.says = False
         """Whether this page says so at all; one that does not gets everything."""
@@ -178,16 +179,18 @@ class Pace:
         """A packet of the broker; whether there is room for it."""
         self.count += 1
         subject = topic_of(packet)
-        if self.says and subject is not None and subject.rpartition(b"/")[2].decode("ascii", "replace") in SKIPPED:
+        skipped = subject is not None and subject.rpartition(b"/")[2].decode("ascii", "replace") in SKIPPED
+        if skipped and self.says and subject is not None:
             self.newest.setdefault(subject, deque(maxlen=KEPT)).append((self.count, packet))
         else:
+            self.sent += skipped
             self.others.append((self.count, packet))
         self.come.set()
         return len(self.others) <= WAITING
 
-    def drawn(self) -> None:
-        """The page wants more."""
-        self.says = self.ready = True
+    def tell(self, drawn: int) -> None:
+        """The page has drawn so many."""
+        self.says, self.drawn = True, drawn
         self.come.set()
 
     async def next(self) -> bytes:
@@ -196,10 +199,10 @@ class Pace:
             self.come.clear()
             taken = list(self.others)
             self.others.clear()
-            if self.ready:
+            if self.drawn >= self.sent:
                 held = [each for kind in self.newest.values() for each in kind]
                 self.newest.clear()
-                self.ready = not (held and self.says)
+                self.sent += len(held)
                 taken += held
             if taken:
                 return b"".join(packet for _, packet in sorted(taken))
@@ -228,11 +231,12 @@ async def packet_from(reader: asyncio.StreamReader) -> bytes:
 async def _to_broker(page: ServerConnection, writer: asyncio.StreamWriter, pace: Pace) -> None:
     with contextlib.suppress(ConnectionClosed, OSError):
         async for frame in page:
-            if frame == "drawn":
-                pace.drawn()
-                continue
             if isinstance(frame, str):
-                return
+                word, _, count = frame.partition(" ")
+                if word != "drawn" or not (count.isascii() and count.isdigit() and len(count) < 16):
+                    return
+                pace.tell(int(count))
+                continue
             writer.write(frame)
             await writer.drain()
 

@@ -15,7 +15,7 @@ const KINDS = ["meas", "est", "forecast", "alarm"];
 const GLOW = 0.1;        // |sin| of the angle between two links below which their singularity glows
 
 const state = { about: null, meas: null, est: null, samples: new Map(), box: null, forecast: null, history: [], trail: [], alarms: [], first: 0, arrived: -Infinity, count: 0, made: 0, rate: 0, delays: [], link: ["connecting", ""], order: null, refused: 0, undrawn: 0 };
-let client = null, socket = null, colours = {}, view = null, validators = {}, arrived = false;
+let client = null, socket = null, colours = {}, view = null, validators = {}, arrived = false, handled = 0;
 
 // --- messages ---------------------------------------------------------------------------------------------------------
 
@@ -23,8 +23,9 @@ const finite = (object, ...names) => names.every((name) => Number.isFinite(objec
 
 /** What arrives is checked by the schema that the package checks it by: another program on the broker must not break the page. */
 function receive(topic, payload) {
-  arrived = true;
   const [, unit, kind] = topic.split("/");
+  arrived = true;
+  if (kind !== "alarm") handled += 1;
   let message;
   try { message = JSON.parse(new TextDecoder().decode(payload)); } catch { return refuse(`${kind} is not JSON`); }
   const found = validators[kind].validate(message);
@@ -67,7 +68,7 @@ function takeEstimate(message) {
   state.first ||= seconds;
   state.count += 1;
   state.delays.push(Date.now() - message.time / 1e6);
-  if (state.delays.length > 200) state.delays.shift();
+  if (state.delays.length > 50) state.delays.shift();
   if (state.count % EVERY === 0) remember(message);
   state.trail.push([seconds, fields["tip.x"], fields["tip.y"]]);
   while (state.trail[0][0] < seconds - TRAIL || state.trail[0][0] > seconds) state.trail.shift();
@@ -415,8 +416,9 @@ function connect(user, password) {
   client.on("message", receive);
 }
 
-/** The way to the broker; the page says on it what it has drawn, and gets the newest then: one that is slow skips, and is not late. */
+/** The way to the broker; the page says on it how many it has drawn, and gets the newest then: one that is slow skips, and is not late. */
 function opened(address, protocols) {
+  handled = 0;
   socket = new WebSocket(address, protocols);
   return socket;
 }
@@ -431,7 +433,7 @@ function frame(moment) {
     state.undrawn += 1;
     problem("undrawn", `${state.undrawn} ${state.undrawn === 1 ? "frame" : "frames"} could not be drawn, the last: ${error}`);
   }
-  if (arrived && socket?.readyState === WebSocket.OPEN) { arrived = false; socket.send("drawn"); }
+  if (arrived && socket?.readyState === WebSocket.OPEN) { arrived = false; socket.send(`drawn ${handled}`); }
   requestAnimationFrame(frame);
 }
 
@@ -448,7 +450,7 @@ async function begin() {
   for (const kind of KINDS) validators[kind] = new Validator({ definitions: schema.definitions, allOf: [{ $ref: `#/definitions/${kind}` }] }, "7");
   const { unit, scene, description, horizon } = state.about;
   document.title = `${unit} · five-bar twin`;
-  byId("name").textContent = `${unit}: machine and twin, live`;
+  byId("name").textContent = `${unit}: machine and twin`;
   byId("description").textContent = `${scene}: ${description}`;
   byId("note").textContent = `Topics fivebar/${unit}/…; ellipses and bands hold 95 %; the forecast looks ${horizon} s ahead along the plan of the drives.`;
   legend("Twin, left leg", "--left");
@@ -462,7 +464,11 @@ async function begin() {
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColours);
   byId("acknowledge").addEventListener("click", () => order("acknowledge"));
   byId("restart").addEventListener("click", () => order("restart"));
-  setInterval(() => { state.rate = state.made; state.made = 0; }, 1000);
+  setInterval(() => {
+    const { est, made, counted } = state, seconds = est && counted ? (est.time - counted) / 1e9 : 0;
+    if (seconds > 0) state.rate = made / seconds;
+    Object.assign(state, { made: 0, counted: est?.time });
+  }, 1000);
   byId("form").addEventListener("submit", (event) => {
     event.preventDefault();
     byId("login").hidden = true;
