@@ -1,6 +1,7 @@
 """The twin under misuse: what cannot be followed is said, a full disk ends no estimates, clocks may jump, nothing ends in a traceback."""
 
 import errno
+import json
 import math
 import os
 import stat
@@ -12,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from fivebar_twin import cli, config as configuration, figures, record, starter, summary
 from fivebar_twin.config import Config
@@ -423,3 +425,52 @@ def test_forecasts_have_ten_points(tmp_path: Path) -> None:
     """A horizon of fewer samples than a path has points would make messages that no reader takes."""
     with pytest.raises(TwinError, match="horizon is 0.02; 0.05 to 10 are allowed"):
         configuration.check(Config(str(tmp_path), "", "", horizon=0.02))
+
+
+# --- 9, 10: what is shown -------------------------------------------------------------------------------------------------------------
+
+
+def test_one_member_claims_no_interval(tmp_path: Path, fmu: Path) -> None:
+    run = command("ensemble", "--members", 1, "--workers", 0, "--seconds", 0.2, "--fmu", fmu, "--out", tmp_path)
+    assert run.returncode == 0 and "95 %:" not in run.stdout and "40 members are the fewest" in run.stdout
+    end = json.loads((tmp_path / "summary.json").read_text())["end"]
+    assert all(set(levels) == {"0.5"} for levels in end.values())
+
+
+def story(first: float) -> tuple[figures.Story, figures.Judged]:
+    """A run of forecasts with half-widths of 9 to 10 mm, but for the first."""
+    made = figures.Story()
+    for i in range(400):
+        time = 0.05 * i
+        made.measured.add({"time": time, "tip.x": 0.1 * math.cos(time), "tip.y": 0.1 * math.sin(time)})
+        made.estimated.add({"time": time, "tip.x": 0.1 * math.cos(time), "tip.y": 0.1 * math.sin(time), "band": 1e-5})
+        for k in range(10):
+            wide = first if i == 0 else 0.009 + 0.001 * math.sin(i)
+            made.forecasts.add({"time": time, "ahead": 0.05 * (k + 1), "half_width": wide, "last": float(k == 9)})
+    count = len(made.forecasts)
+    return made, figures.Judged(np.full(400, 1e-5), np.full(count, 1e-4), np.ones(count))
+
+
+def test_nothing_lies_on_the_lines_of_a_picture() -> None:
+    """Legends lay on the path, and were struck through by a line."""
+    made, judged = story(0.0095)
+    for figure in (summary._tip(made), summary._error(made, judged), summary._forecast(made, judged)):
+        figure.canvas.draw()
+        for axes in figure.axes:
+            legend = axes.get_legend()
+            if legend is not None:
+                assert legend.get_window_extent().y0 >= axes.get_window_extent().y1 - 1
+        summary.plt.close(figure)
+
+
+def test_a_first_half_width_does_not_squeeze_the_others() -> None:
+    """115 mm before the twin has settled, and 10 mm ever after: these fill the picture, and that one is told at its edge."""
+    made, judged = story(0.115)
+    figure = summary._forecast(made, judged)
+    axes = figure.axes[0]
+    assert 10 < axes.get_ylim()[1] < 20
+    assert [text.get_text() for text in axes.texts] == ["1 beyond, up to 115 mm"]
+    summary.plt.close(figure)
+    figure = summary._forecast(*story(0.0095))
+    assert not figure.axes[0].texts
+    summary.plt.close(figure)

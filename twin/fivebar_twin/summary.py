@@ -133,7 +133,8 @@ def _tip(story: Story) -> Figure:
     path.plot(1e3 * x, 1e3 * y, color=MACHINE, linewidth=1, label="machine")
     t, x, y = _thin(story.estimated["time"], story.estimated["tip.x"], story.estimated["tip.y"])
     path.plot(1e3 * x, 1e3 * y, color=TWIN, linewidth=1, linestyle=(0, (4, 3)), label="twin")
-    path.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
+    path.set(xlabel="x (mm)", ylabel="y (mm)")
+    path.set_aspect("equal", adjustable="datalim")
     _legend(path)
     for values, label, style in ((x, "x", "-"), (y, "y", "--")):
         time.plot(t, 1e3 * values, color=TWIN, linewidth=1, linestyle=style, label=label)
