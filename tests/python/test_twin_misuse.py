@@ -330,6 +330,7 @@ def test_an_order_from_another_time_says_which_clock_is_wrong(config: Config, li
         twin.received("fivebar/bench/cmd", encode(order), BEGIN)
     told = ear.alarms()
     assert told[0]["cause"] == "order" and told[0]["order"] == BEGIN + 90_000_000_000 and "ahead of the pipeline's own" in told[0]["sentence"]
+    assert [(alarm["state"], alarm["order"] - BEGIN) for alarm in told][-1] == ("taken", 5)
     assert twin.refused == 2 and twin.follower.inputs == [["cmd", 1, BEGIN + 5]]
     twin.follower.close()
 

@@ -107,13 +107,19 @@ class Twin(Worker):
             if message.extra["command"] == "restart":
                 self.follower.restart(message)
                 self.intake.forget()
-                log.info("starting anew with the next sample: asked to")
+                self._answer(message, "starting anew with the next sample: asked to", now)
         else:
             if sentence := self.follower.allowed(message):
                 raise Refused(sentence)
             self.follower.param(message)
-            log.info("parameters set: %s", ", ".join(f"{name} = {value:g}" for name, value in message.fields.items()))
+            self._answer(message, "parameters set: " + ", ".join(f"{name} = {value:g}" for name, value in message.fields.items()), now)
         self.orders.taken(message)
+
+    def _answer(self, order: Message, sentence: str, now: int) -> None:
+        """What has become of an order, for whoever gave it and for the record."""
+        log.info("%s", sentence)
+        extra = {"state": "taken", "cause": "order", "from": self.name, "sentence": sentence[:1000], "order": order.time}
+        self.publish(Message("alarm", "", now, order.seq, {}, extra))
 
     def _store(self, time: int) -> None:
         state = self.follower.state()

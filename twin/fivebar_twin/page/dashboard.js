@@ -62,7 +62,6 @@ function takeEstimate(message) {
   const fields = message.fields, seconds = message.time / 1e9, before = state.est?.seq ?? message.after;
   // A slow page does not get all: what was left out was made nevertheless.
   state.made += 1 + Math.max(message.after - before, 0);
-  if (message.inputs.some(([kind, , time]) => kind === "cmd" && time === state.order?.time)) answer("the twin starts anew", "good");
   state.est = message;
   state.arrived = performance.now();
   state.first ||= seconds;
@@ -94,7 +93,7 @@ function takeAlarm(message) {
   state.alarms.unshift(message);
   state.alarms.length = Math.min(state.alarms.length, 50);
   const raised = state.alarms.filter(isRaised).length;
-  if (message.order !== undefined && message.order === state.order?.time) answer(message.state === "trouble" ? message.sentence : "the watch has taken note", message.state === "trouble" ? "bad" : "good");
+  if (message.order !== undefined && message.order === state.order?.time) answer(message.sentence ?? "the watch has taken note", message.state === "trouble" ? "bad" : "good");
   byId("alarmCount").textContent = raised ? `${raised} raised` : "none";
   byId("acknowledge").disabled = !["anomaly", "calibrating"].includes(message.state);
   byId("alarms").replaceChildren(...state.alarms.map((alarm) => {
