@@ -1,5 +1,6 @@
 """The twin without a broker: it follows, puts late samples where they belong, goes on from stored states, forecasts, is replayed."""
 
+import json
 import math
 import random
 from collections.abc import Iterator
@@ -315,6 +316,23 @@ def test_what_differs_or_is_missing_is_told(config: Config, library: Library, fm
     assert not result.differing and 100 < result.left_out < 210 and result.compared + result.left_out == 500
     result = changed("no_estimate", None, "est", 250)
     assert not result.differing and 100 < result.left_out < 210
+
+
+def test_a_bad_row_of_a_record_costs_that_row(config: Config, library: Library, fmu: Path, tmp_path: Path) -> None:
+    """A forecast without a path ended the summary of a whole run in a KeyError; a row without a payload ended every reader."""
+    run = recorded(config, library, 300)
+    bad = json.dumps({"measurement": "forecast", "time": BEGIN, "seq": 5, "tags": {"unit": "bench"}, "fields": {}, "path": {"ahead": [0.1]}}).encode()
+    table = [record.Row(**row) for row in pq.read_table(run.folder).to_pylist()]
+    rows = [*table[:40], record.Row("fivebar/bench/forecast", BEGIN, 5, bad), record.Row("fivebar/bench/meas", BEGIN, 5, b""), *table[40:]]
+    folder = tmp_path / "bad"
+    folder.mkdir()
+    path = record.write_part(folder, 0, 0, rows)
+    story = figures.read(path)
+    assert len(story.estimated) == 300 and len(story.bad) == 2
+    summary = figures.summarise(config, story, figures.judge(story), {}, {})
+    assert summary["rows_refused"] == 2 and summary["samples"]["estimated"] == 300
+    result = replay(path, fmu)
+    assert (result.compared, result.differing, len(result.bad)) == (300, [], 1)
 
 
 def test_a_twin_that_was_killed_is_replayed_too(config: Config, library: Library, fmu: Path, samples: list[Message]) -> None:

@@ -26,6 +26,7 @@ from websockets.sync.client import connect
 
 from conftest import REPOSITORY
 from test_page import open_browser
+from test_twin_messages import GOOD, of_kind, wrong_ones
 
 pytestmark = pytest.mark.full
 
@@ -313,7 +314,7 @@ def test_the_dashboard_shows_machine_twin_and_forecast(live: Run, tmp_path: Path
         assert float(browser.find_element("id", "value-error").text.split()[0]) < 0.1
         assert browser.find_element("id", "status").text == "Samples of both encoders are used"
         shot = np.asarray(Image.open(BytesIO(browser.find_element("id", "canvas").screenshot_as_png)).convert("RGB")).astype(int)
-        for colour, least in (((0x18, 0x64, 0xAB), 800), ((0x2B, 0x8A, 0x3E), 800), ((0xE8, 0x59, 0x0C), 60)):
+        for colour, least in (((0x18, 0x64, 0xAB), 800), ((0x12, 0xB8, 0x86), 800), ((0xE8, 0x59, 0x0C), 60)):
             seen = (np.abs(shot - colour).sum(axis=2) < 30).sum()
             assert seen > least, f"{seen} points of {colour}: left leg, right leg, tip"
         # The fan of the forecast: the tip's colour, thin over the page.
@@ -342,6 +343,74 @@ def test_the_dashboard_is_for_this_machine_only(live: Run, headers: dict[str, st
     except urllib.error.HTTPError as error:
         found = error.code
     assert found == code
+
+
+def test_the_dashboard_withstands_what_is_no_message(live: Run, tmp_path: Path) -> None:
+    """Each of these froze it for good while it said "live". Python and the page refuse the same, by the same schema."""
+    port = live.config["broker"]["port"]
+    ear = Ear(port)
+
+    class Address:
+        """What `open_browser` asks of a page."""
+
+        def as_uri(self) -> str:
+            return live.page
+
+    for browser in open_browser(Address(), tmp_path):
+        wait_until(lambda browser=browser: browser.find_element("id", "connection").text == "live", 10)
+        path = {name: xs for name, xs in GOOD["forecast"]["path"].items() if name != "tip.y"}
+        wrong = [("forecast", {"path": path}), ("forecast", {"singular": 5}), ("alarm", {"figures": {"a": {"valueOf": 1, "toString": 1}}}), ("est", {"inputs": 5})]
+        for kind, changes in wrong:
+            ear.client.publish(topic("bench", kind), json.dumps(of_kind(kind, **changes)), qos=1).wait_for_publish(5)
+        wait_until(lambda browser=browser: browser.find_element("id", "refused").text.startswith("4 messages refused"), 10)
+        before = float(browser.find_element("id", "clock").text)
+        wait_until(lambda browser=browser, before=before: float(browser.find_element("id", "clock").text) > before + 0.3, 10)
+        assert browser.find_element("id", "connection").text == "live" and not browser.find_element("id", "undrawn").is_displayed()
+        # An order from a clock that is ahead is answered in words.
+        browser.execute_script("const now = Date.now; Date.now = () => now() + 90000; document.getElementById('restart').click(); Date.now = now;")
+        wait_until(lambda browser=browser: "ahead of the pipeline's own" in browser.find_element("id", "order").text, 10)
+        browser.execute_script("document.getElementById('restart').click()")
+        wait_until(lambda browser=browser: browser.find_element("id", "order").text.startswith("starting anew"), 10)
+        corpus = [[kind, content] for kind in GOOD for content in (of_kind(kind), *wrong_ones(kind))]
+        told = browser.execute_async_script(
+            """const [corpus, done] = arguments;
+            Promise.all([import("/json-schema/validator.js"), fetch("/messages.schema.json").then((r) => r.json())]).then(([{ Validator }, { definitions }]) => {
+              const of = (kind) => new Validator({ definitions, allOf: [{ $ref: `#/definitions/${kind}` }] }, "7");
+              done(corpus.map(([kind, content]) => of(kind).validate(content).valid));
+            });""",
+            corpus,
+        )
+        assert told == [content == of_kind(kind) for kind, content in corpus]
+    ear.close()
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_nothing_is_green_while_the_twin_is_dead(width: int, live: Run, tmp_path: Path) -> None:
+    """Pill and status stayed green for 4.6 s, on a telephone too."""
+
+    class Address:
+        """What `open_browser` asks of a page."""
+
+        def as_uri(self) -> str:
+            return live.page
+
+    for browser in open_browser(Address(), tmp_path):
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {"width": width, "height": 844, "deviceScaleFactor": 1, "mobile": width < 400})
+        pill = browser.find_element("id", "connection")
+        wait_until(lambda pill=pill: pill.text == "live", 10)
+        pid = live.pids("follow")[-1]
+        os.kill(pid, signal.SIGSTOP)
+        try:
+            wait_until(lambda pill=pill: pill.text.startswith("no estimate for"), 5)
+            time.sleep(1)
+            assert float(pill.text.split()[3]) >= 1.5 and "bad" in pill.get_attribute("class")
+            status = browser.find_element("id", "status")
+            assert status.text.startswith("The twin has said nothing for") and status.get_attribute("class") == "bad"
+            assert browser.execute_script("const r = arguments[0].getBoundingClientRect(); return r.top >= 0 && r.right <= innerWidth", pill)
+            assert browser.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+        finally:
+            os.kill(pid, signal.SIGCONT)
+        wait_until(lambda pill=pill: pill.text == "live", 10)
 
 
 def test_a_page_of_another_site_does_not_reach_the_broker(live: Run) -> None:

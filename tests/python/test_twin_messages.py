@@ -47,9 +47,9 @@ def test_a_message_comes_back_to_the_bit() -> None:
         (encode(MEAS).replace(b'"seq":17', b'"seq":17,"seq":18'), "stands twice"),
         (changed(measurement="est"), "measurement is 'est', not meas"),
         (changed(tags={"unit": "other"}), "the unit of this topic is 'bench'"),
-        (changed(tags=None), "tags are None"),
+        (changed(tags=None), "has no tags"),
         (changed(time=1.5), "time is 1.5, not an integer"),
-        (changed(time=-1), "time is -1, not an integer from 0"),
+        (changed(time=-1), "time is -1; 0 to 9223372036854775807 is allowed"),
         (changed(time=2**63), "time is"),
         (changed(seq=True), "seq is True, not an integer"),
         (changed(seq="17"), "seq is '17', not an integer"),
@@ -57,10 +57,11 @@ def test_a_message_comes_back_to_the_bit() -> None:
         (changed(fields=[1]), "not an object"),
         (changed(fields={"measured.theta[1]": "1.57"}), "measured.theta[1] is '1.57', not a number"),
         (changed(fields={"measured.theta[1]": True}), "measured.theta[1] is True, not a number"),
-        (changed(fields={"measured.theta[1]": 1e5}), "its magnitude is at most 10000"),
+        (changed(fields={"measured.theta[1]": 1e5}), "-10000.0 to 10000.0 is allowed"),
         (changed(fields={"measured.theta[1]": 1.0, "payload.mass": 1.0}), "'payload.mass', which it may not have"),
         (changed(fields={"servo.theta[1]": 1.0}), "neither measured.theta[1] nor measured.theta[2]"),
-        (changed(note="x"), "'note' beside its fields"),
+        (changed(note="x"), "'note', which it may not have"),
+        (changed(time=1795331400000000000.0), "not an integer"),
     ],
 )
 def test_what_is_wrong_is_refused(payload: bytes, sentence: str) -> None:
@@ -87,6 +88,92 @@ def test_an_order_has_its_bounds() -> None:
             order(kind, fields, **extra)
 
 
+GOOD: dict[str, dict[str, Any]] = {
+    "meas": {"fields": {"measured.theta[1]": 1.0, "servo.theta[1]": 1.0}},
+    "est": {"fields": {f"{n}[{i}]": 1.0 for n in ("theta", "passive.theta") for i in (1, 2)} | {"tip.x": 0.1, "tip.y": 0.3, "estimated.status": 2.0}}
+    | {"after": -1, "inputs": [["meas", 1, 5], ["cmd", 2, 6]]},
+    "forecast": {"fields": {"tip.x": 0.1}, "ahead": 0.5, "half_width": 0.01}
+    | {"path": {name: [0.1] * 10 for name in ("ahead", "tip.x", "tip.y", *(f"estimated.tip.cov[{i}]" for i in (1, 2, 3)))}}
+    | {"singular": {"probability": 0.5, "time": None, "type": "none"}, "stop": {"probability": 0.0, "time": 5, "at": "lower[1]"}},
+    "alarm": {"fields": {}, "state": "anomaly", "cause": "force", "figures": {"estimated.nis": 40.0}, "reason": "acknowledged"},
+    "param": {"fields": {"servo.kp[1]": 20.0}},
+    "cmd": {"fields": {}, "command": "restart"},
+    "state": {"fields": {}, "state": "AAAA", "clock": 0.1, "parameters": {"servo.kp[1]": 20.0}}
+    | {"book": {"offset": -5, "time": 5, "seq": 1, "told": {}, "on_plan": True, "assembly": 1, "measured": {}}},
+    "whatif": {"fields": {}, "ahead": 0.5, "members": 50, "goal": [0.1, 0.2], "took_s": 0.1, "cpu_s": 0.1}
+    | {"candidates": [{"rank": 1, "name": "stay", "failed": 0, "singular": {"probability": 0.0, "time": None}, "bands": {"tip.x": [[0.0, 0.1, 0.2]]}}]},
+    "gap": {"fields": {"first": 3.0, "last": 5.0}, "of": "meas", "why": "the disk was full"},
+}  # fmt: skip
+"""A message of each kind."""
+
+
+def of_kind(kind: str, **changes: Any) -> dict[str, Any]:
+    """The good message of a kind, changed."""
+    return {"measurement": kind, "time": 5, "seq": 1, "tags": {"unit": "bench"}} | GOOD[kind] | changes
+
+
+def wrong_ones(kind: str) -> list[Any]:
+    """The good message of a kind with one thing gone, of another type, or too much: at every place of it."""
+    found: list[Any] = []
+    content = of_kind(kind)
+
+    def place(path: list[Any], value: Any) -> Any:
+        copy = json.loads(json.dumps(content))
+        at = copy
+        for step in path[:-1]:
+            at = at[step]
+        if value is None:
+            del at[path[-1]]
+        else:
+            at[path[-1]] = value
+        return copy
+
+    def walk(path: list[Any], value: Any) -> None:
+        nested = {"valueOf": "x", "toString": [1]}
+        for other in (nested, [nested], "x" * 2000) if path else ():
+            if path[-1] != "state" or isinstance(other, dict):
+                found.append(place(path, other))
+        if isinstance(value, dict):
+            found.append(place([*path, "surplus"], nested))
+        for step, each in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+            walk([*path, step], each)
+
+    walk([], content)
+    return found
+
+
+@pytest.mark.parametrize("kind", GOOD)
+def test_every_kind_has_its_schema(kind: str) -> None:
+    """The good one is taken; nothing that is changed in a way that no reader expects, at whatever place of it."""
+    good = of_kind(kind)
+    assert decode(topic("bench", kind), json.dumps(good).encode()).kind == kind
+    wrong = wrong_ones(kind)
+    assert len(wrong) > 15
+    for content in wrong:
+        with pytest.raises(Refused) as refusal:
+            decode(topic("bench", kind), json.dumps(content).encode())
+        assert len(str(refusal.value)) < 300 and "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "sentence"),
+    [
+        ("forecast", {"path": {name: xs for name, xs in GOOD["forecast"]["path"].items() if name != "tip.y"}}, "path has no tip.y"),
+        ("forecast", {"path": GOOD["forecast"]["path"] | {"tip.y": [0.1] * 9}}, "path.tip.y"),
+        ("forecast", {"singular": 5}, "singular is 5, not an object"),
+        ("alarm", {"figures": {"a": {"valueOf": 1, "toString": 1}}}, "figures.a is {'valueOf': 1, 'toString': 1}, not a number"),
+        ("est", {"inputs": [["meas", 1]]}, "inputs"),
+        ("state", {"book": {}}, "book has no offset"),
+        ("whatif", {"candidates": []}, "candidates"),
+    ],
+)
+def test_what_no_reader_expects_is_refused_in_words(kind: str, changes: dict[str, Any], sentence: str) -> None:
+    """Each of these once stopped the dashboard, or ended the summary in a KeyError."""
+    with pytest.raises(Refused) as refusal:
+        decode(topic("bench", kind), json.dumps(of_kind(kind, **changes)).encode())
+    assert sentence in str(refusal.value)
+
+
 class Listener(Worker):
     """A process that takes samples in their order and does nothing with them."""
 
@@ -97,7 +184,7 @@ class Listener(Worker):
         self.intake, self.taken = Intake(config.period), 0
 
     def handle(self, message: Message, payload: bytes, now: int) -> None:
-        self.intake.admit(message)
+        self.intake.admit(message, now)
         self.taken += 1
 
 
@@ -125,12 +212,12 @@ def fuzzed(chance: random.Random, good: bytes) -> tuple[str, bytes]:
 def test_ten_thousand_fuzzed_messages_are_refused_with_one_line_each(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     listener = Listener(Config(str(tmp_path), "", ""))
     for seq in range(200):
-        listener.received(TOPIC, encode(Message("meas", "bench", MEAS.time + PERIOD_NS * seq, seq, MEAS.fields)), 0)
+        listener.received(TOPIC, encode(Message("meas", "bench", MEAS.time + PERIOD_NS * seq, seq, MEAS.fields)), MEAS.time)
     assert (listener.taken, listener.refused) == (200, 0)
     chance = random.Random(20)
     caplog.set_level(logging.WARNING, logger="fivebar")
     for _ in range(10_000):
-        listener.received(*fuzzed(chance, encode(MEAS)), 0)
+        listener.received(*fuzzed(chance, encode(MEAS)), MEAS.time)
     assert listener.refused == len(caplog.records) == 10_000
     assert listener.taken == 200 and listener.intake.series is not None and listener.intake.series.seq == 199
     assert all(record.getMessage().startswith("refused: ") and "\n" not in record.getMessage() for record in caplog.records)
@@ -143,12 +230,12 @@ def sample(seq: int, time: int | None = None) -> Message:
     return Message("meas", "bench", PERIOD_NS * seq + 10**9 if time is None else time, seq, {})
 
 
-def admit(intake: Intake, *messages: Message) -> list[str]:
-    """What became of each: new, late, series, or the refusal's first words."""
+def admit(intake: Intake, *messages: Message, now: int | None = None) -> list[str]:
+    """What became of each: new, late, series or refused; at a time of the pipeline's clock, or when each was made."""
     results = []
     for message in messages:
         try:
-            results.append(intake.admit(message))
+            results.append(intake.admit(message, message.time if now is None else now))
         except Refused:
             results.append("refused")
     return results

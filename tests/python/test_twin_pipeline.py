@@ -9,6 +9,14 @@ import sys
 from pathlib import Path
 
 import pytest
+from fivebar_twin import figures
+from fivebar_twin.ahead import Ahead
+from fivebar_twin.follow import Twin
+from fivebar_twin.messages import encode
+from fivebar_twin.recorder import Recorder
+from fivebar_twin.soak import BEGIN, Wire, configured, machine
+from fivebar_twin.unit import Library
+from fivebar_twin.watch import Watch
 
 from conftest import REPOSITORY
 
@@ -30,12 +38,14 @@ def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu
         out = tmp_path / name
         summary = json.loads((out / "summary.json").read_text())
         samples, forecasts = summary["samples"], summary["forecasts"]
-        assert samples["published"] > 500 and samples["lost"] == 0 and samples["estimated"] == samples["published"], text
+        # How many samples three seconds have, how soon estimates come, and how many of the forecasts that are due are made, is the
+        # machine's load: figures of the summary, not of this test. What is computed is the same however long it takes.
+        assert samples["published"] > 0 and samples["lost"] == 0 and samples["estimated"] == samples["published"], text
         assert 0 < summary["latency_ms"]["p50"] <= summary["latency_ms"]["p99"]
         assert summary["tip_error_mm"]["rms"] < 0.1
-        # Forecasts come last where cores are busy: sixty are due.
-        assert forecasts["count"] > 10 and 0 < forecasts["halfwidth_mm"]["median"] <= 20
-        assert summary["alarms"] == 0 and summary["refused"] == 0 and not any(summary["restarts"].values()), text
+        assert forecasts["due"] == samples["estimated"] // 10 and 0 <= forecasts["count"] <= forecasts["due"] + 1
+        assert summary["refused"] == 0 and not any(summary["restarts"].values()), text
+        assert not [sentence for sentence in summary["troubles"]["last"] if "disk" not in sentence], text
         page = (out / "index.html").read_text()
         assert not re.search(r"""(src|href)\s*=\s*["']?(https?:)?//""", page) and page.count("<svg") == 4
         for picture in ("tip", "error", "forecast", "latency"):
@@ -45,6 +55,40 @@ def test_two_runs_side_by_side_end_with_all_that_is_promised(tmp_path: Path, fmu
         for log in Path(summary["record"]).parent.glob("log/*.log"):
             lines = log.read_text().splitlines()
             assert all("INFO connected" in line or "no connection" in line for line in lines), (log.name, lines)
+
+
+def test_all_forecasts_are_made_on_a_clock_that_waits_for_them(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """Machine, twin, forecasts, watch and recorder, one after the other: what the pipeline computes, whatever else the cores do."""
+    library = Library(fmu)
+    config = configured(tmp_path, fmu, library, scenes / "pick_and_place.json")
+    twin, ahead, watch, recorder = Twin(config, library), Ahead(config, library, at_once=True), Watch(config), Recorder(config)
+    recorder.about = twin.setup.to_message(config.unit, BEGIN)
+    wire, source = Wire(config, twin, ahead, watch, recorder), machine(config, library)
+    for _ in range(800):
+        wire.send("meas", encode(source.next()))
+        wire.tick()
+    wire.end()
+    source.close()
+    library.close()
+    story = figures.read(recorder.folder)
+    summary = figures.summarise(config, story, figures.judge(story), {}, {})
+    forecasts = summary["forecasts"]
+    assert forecasts["count"] == forecasts["due"] == ahead.counts["forecasts"] == 80 and forecasts["judged"] == 70
+    assert forecasts["coverage95"] > 0.95 and 0 < forecasts["halfwidth_mm"]["median"] <= 20 and summary["missed"] == []
+    assert summary["alarms"] == 0 and summary["tip_error_mm"]["max"] < 0.1 and summary["samples"]["estimated"] == 800
+
+
+def test_forecasts_that_are_not_as_good_as_promised_are_told(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """In `haptic` a hand pushes that nobody forecasts: less than nine of ten tips are inside, and the exit code says so."""
+    run = subprocess.run(
+        [*COMMAND, "soak", "--hours", str(6 / 3600), "--scene", str(scenes / "haptic.json"), "--fmu", str(fmu)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert run.returncode == 3 and "90 % are promised" in run.stdout, run.stdout + run.stderr
+    content = {"scene": "pick_and_place", "forecasts": {"judged": 40, "coverage95": 0.89, "ahead_s": 0.5, "halfwidth_mm": {"median": 21.0}}}
+    assert len(figures.missed(content)) == 2
+    assert figures.missed(content | {"scene": "swing"}) == figures.missed(content)[:1]
+    assert figures.missed({"scene": "swing", "forecasts": content["forecasts"] | {"judged": 5}}) == []
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def seqs(path: Path) -> list[int]:
 def test_a_record_has_the_promised_columns(tmp_path: Path) -> None:
     path = record.write_part(tmp_path, 0, 0, rows(1, 2))
     assert pq.read_schema(path).names == ["topic", "time", "seq", "payload"]
-    assert [m.fields for m in record.messages(path, "meas")] == [sample(1).fields, sample(2).fields]
+    assert [m.fields for m in record.messages(path, "meas", refused=pytest.fail)] == [sample(1).fields, sample(2).fields]
 
 
 def test_a_joined_part_takes_the_place_of_others_whether_or_not_they_are_gone(tmp_path: Path) -> None:
@@ -80,7 +80,7 @@ def test_a_recorder_says_what_is_missing(tmp_path: Path) -> None:
     recorder.tick(10**9)
     recorder.tick(3 * 10**9)
     recorder.end()
-    gaps = [(m.extra["of"], m.fields["first"], m.fields["last"]) for m in record.messages(recorder.folder, "gap")]
+    gaps = [(m.extra["of"], m.fields["first"], m.fields["last"]) for m in record.messages(recorder.folder, "gap", refused=pytest.fail)]
     assert gaps == [("meas", 2, 2), ("meas", 4, 4)]
 
 

@@ -11,8 +11,9 @@ from typing import Any
 
 from fivebar_twin import process, scene, setup
 from fivebar_twin.config import Config
-from fivebar_twin.errors import Refused, TwinError
+from fivebar_twin.errors import TwinError
 from fivebar_twin.forecast import Forecaster
+from fivebar_twin.intake import Newest
 from fivebar_twin.messages import Message
 from fivebar_twin.process import Worker
 from fivebar_twin.unit import Library
@@ -21,16 +22,20 @@ log = logging.getLogger("fivebar")
 
 
 class Ahead(Worker):
-    """The worker. Forecasts are made in a thread, from the newest state; states that came meanwhile are left out."""
+    """The worker. Forecasts are made in a thread, from the newest state; states that came meanwhile are left out.
+
+    Or `at_once`, where a state comes: then all are made, however long that takes, for whoever holds the clock.
+    """
 
     name = "forecast"
     kinds = ("ahead",)
 
-    def __init__(self, config: Config, library: Library):
+    def __init__(self, config: Config, library: Library, at_once: bool = False):
         super().__init__(config)
+        self.at_once = at_once
         self.forecaster = Forecaster(library, setup.of_run(config, scene.read(Path(config.scene)), library.guid))
         self.counts = dict.fromkeys(("forecasts", "left_out"), 0)
-        self.last: Message | None = None
+        self.order = Newest()
         self.newest: Message | None = None
         """What the thread has not taken yet."""
         self.come = threading.Condition()
@@ -38,13 +43,14 @@ class Ahead(Worker):
         self.thread = threading.Thread(target=self._work, name="forecast", daemon=True)
 
     def begin(self) -> None:
-        self.thread.start()
+        if not self.at_once:
+            self.thread.start()
 
     def handle(self, message: Message, payload: bytes, now: int) -> None:
-        last = self.last
-        if last is not None and message.seq <= last.seq and message.time <= last.time:
-            raise Refused(f"ahead {message.seq} is not newer than {last.seq}, which came before")
-        self.last = message
+        self.order.admit(message, now)
+        if self.at_once:
+            self._make(message)
+            return
         with self.come:
             self.counts["left_out"] += self.newest is not None
             self.newest = message
@@ -57,15 +63,18 @@ class Ahead(Worker):
                 state, self.newest = self.newest, None
             if state is None or self.stopped.is_set():
                 return
-            try:
-                forecast = self.forecaster.run(state, self.stopped.is_set)
-            except (TwinError, KeyError, TypeError, ValueError) as error:
-                # Whatever is wrong with one state, the next one may be good.
-                log.warning("no forecast: %s", error)
-                continue
-            if forecast is not None:
-                self.publish(forecast)
-                self.counts["forecasts"] += 1
+            self._make(state)
+
+    def _make(self, state: Message) -> None:
+        try:
+            forecast = self.forecaster.run(state, self.stopped.is_set)
+        except (TwinError, KeyError, TypeError, ValueError) as error:
+            # Whatever is wrong with one state, the next one may be good.
+            log.warning("no forecast: %s", error)
+            return
+        if forecast is not None:
+            self.publish(forecast)
+            self.counts["forecasts"] += 1
 
     def status(self) -> dict[str, Any]:
         return dict(self.counts)
@@ -74,7 +83,8 @@ class Ahead(Worker):
         with self.come:
             self.stopped.set()
             self.come.notify()
-        self.thread.join(timeout=2)
+        if not self.at_once:
+            self.thread.join(timeout=2)
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:

@@ -36,7 +36,7 @@ COMMANDS = {
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs a subcommand; an error that it knows is one sentence and exit code 2."""
+    """Runs a subcommand; an error on the user's side is one sentence and exit code 2."""
     parser = argparse.ArgumentParser(prog="fivebar-twin", description="The live twin of a five-bar.")
     subparsers = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     given = list(sys.argv[1:] if argv is None else argv)
@@ -50,4 +50,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return import_module(f"fivebar_twin.{COMMANDS[arguments.command].module}").run(arguments)
     except TwinError as error:
         print(f"fivebar-twin {arguments.command}: {error}", file=sys.stderr)
-        return 2
+    except OSError as error:
+        # What the system refuses: a folder that is a file, a disk that is full, a port that is taken.
+        where = " ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
+        print(f"fivebar-twin {arguments.command}: {where or 'the system'}: {error.strerror or error}", file=sys.stderr)
+    except KeyboardInterrupt:
+        return 130
+    return 2

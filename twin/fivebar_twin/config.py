@@ -106,7 +106,7 @@ class Config:
 
 def write(config: Config, file: Path) -> None:
     """Writes it so that only its owner can read it, for it may hold a password."""
-    file.parent.mkdir(parents=True, exist_ok=True)
+    file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     file.touch(mode=0o600)
     file.write_text(json.dumps(asdict(config), indent=2) + "\n", encoding="utf-8")
 
@@ -163,7 +163,7 @@ def check(config: Config) -> None:
         raise TwinError(f"unit is {config.unit!r:.80}; letters, digits, - and _ are allowed, at most 64")
     for name, value, lowest, highest in (
         ("period", config.period, 1e-4, 1.0),
-        ("horizon", config.horizon, config.period, 10.0),
+        ("horizon", config.horizon, 10 * config.period, 10.0),
         ("forecast_rate", config.forecast_rate, 0.1, 1000.0),
     ):
         if type(value) not in (int, float) or not lowest <= value <= highest:

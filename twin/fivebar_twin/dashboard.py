@@ -1,5 +1,9 @@
 """The dashboard's process: one page on the loopback interface, and the way from its WebSocket to the broker, whichever that is.
 
+The way knows so much of MQTT that it can tell one packet from the next. A page says `drawn N` when it has drawn
+the N messages that it got; until then it gets nothing more of what comes all the time (`SKIPPED`), and then the newest: a page that is
+slow leaves out, and is not late.
+
 A page of another site must not reach the broker through the user's browser: the names of host and origin are checked, and the page
 may load nothing from elsewhere.
 """
@@ -10,6 +14,7 @@ import contextlib
 import json
 import logging
 import ssl
+from collections import deque
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any, Final
@@ -22,18 +27,32 @@ from websockets.typing import Origin, Subprotocol
 
 from fivebar_twin import priority, process, scene
 from fivebar_twin.config import Config
+from fivebar_twin.messages import SCHEMA_FILE
 from fivebar_twin.unit import Library
 
 SCRIPT: Final = "text/javascript; charset=utf-8"
-FILES: Final = {
-    "/": ("dashboard.html", "text/html; charset=utf-8"),
-    "/dashboard.js": ("dashboard.js", SCRIPT),
-    "/mqtt.min.js": ("mqtt.min.js", SCRIPT),
-}
 FOLDER: Final = Path(__file__).with_name("page")
+FILES: Final = {
+    "/": (FOLDER / "dashboard.html", "text/html; charset=utf-8"),
+    "/messages.schema.json": (SCHEMA_FILE, "application/json"),
+    **{f"/{name}": (FOLDER / name, SCRIPT) for name in ("dashboard.js", "mqtt.min.js")},
+    **{f"/json-schema/{file.name}": (file, SCRIPT) for file in sorted(FOLDER.glob("json-schema/*.js"))},
+}
 POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; connect-src 'self'; img-src data:"
 LARGEST: Final = 1_000_000
-"""Bytes of a frame."""
+"""Bytes of a frame, and of a packet of MQTT."""
+
+SKIPPED: Final = ("meas", "est", "forecast")
+"""Kinds of which a page that is slow gets the newest only."""
+
+KEPT: Final = 8
+"""Of each of these kinds while a page draws: what comes between two pictures of a fast one."""
+
+WAITING: Final = 1000
+"""Other packets that may wait for a page that takes nothing; then it is left."""
+
+PUBLISH: Final = 3
+"""The type of MQTT's packet with a message."""
 
 log = logging.getLogger("fivebar")
 
@@ -74,15 +93,28 @@ class Server:
 
     def __init__(self, config: Config):
         self.config = config
-        self.contents = {path: ((FOLDER / name).read_bytes(), kind) for path, (name, kind) in FILES.items()}
+        self.contents = {path: (file.read_bytes(), kind) for path, (file, kind) in FILES.items()}
         self.contents["/about.json"] = json.dumps(about(config)).encode(), "application/json"
         self.hosts = [f"{name}:{config.dashboard_port}" for name in ("127.0.0.1", "localhost")]
         self.origins: list[Origin | None] = [Origin(f"http://{host}") for host in self.hosts]
         self.pages = 0
 
+    def listening(self) -> serve:
+        """The server at work, as a context."""
+        return serve(
+            self.relay,
+            "127.0.0.1",
+            self.config.dashboard_port,
+            origins=self.origins,
+            subprotocols=[Subprotocol("mqtt")],
+            process_request=self.answer,
+            max_size=LARGEST,
+            compression=None,
+        )
+
     def answer(self, _connection: ServerConnection, request: Request) -> Response | None:
         """A file; None for a WebSocket."""
-        if request.headers.get("Host") not in self.hosts:
+        if request.headers.get_all("Host") not in [[host] for host in self.hosts]:
             return self._response(HTTPStatus.FORBIDDEN, b"this page is for this machine only\n", "text/plain")
         if request.path == "/mqtt":
             return None
@@ -117,7 +149,8 @@ class Server:
             log.warning("no way to the broker: %s", error)
             return
         self.pages += 1
-        ways = {asyncio.create_task(_to_broker(page, writer)), asyncio.create_task(_to_page(reader, page))}
+        pace = Pace()
+        ways = {asyncio.create_task(way) for way in (_to_broker(page, writer, pace), _from_broker(reader, pace), _to_page(page, pace))}
         try:
             await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
         finally:
@@ -128,19 +161,96 @@ class Server:
             self.pages -= 1
 
 
-async def _to_broker(page: ServerConnection, writer: asyncio.StreamWriter) -> None:
+class Pace:
+    """What a page gets next: packets in their order, of what is skipped the newest."""
+
+    def __init__(self) -> None:
+        self.come = asyncio.Event()
+        self.others: deque[tuple[int, bytes]] = deque()
+        self.newest: dict[bytes, deque[tuple[int, bytes]]] = {}
+        self.count = 0
+        self.sent = self.drawn = 0
+        """Messages of kinds that are skipped: that the page got, and that it has drawn."""
+
+        self.says = False
+        """Whether this page says so at all; one that does not gets everything."""
+
+    def put(self, packet: bytes) -> bool:
+        """A packet of the broker; whether there is room for it."""
+        self.count += 1
+        subject = topic_of(packet)
+        skipped = subject is not None and subject.rpartition(b"/")[2].decode("ascii", "replace") in SKIPPED
+        if skipped and self.says and subject is not None:
+            self.newest.setdefault(subject, deque(maxlen=KEPT)).append((self.count, packet))
+        else:
+            self.sent += skipped
+            self.others.append((self.count, packet))
+        self.come.set()
+        return len(self.others) <= WAITING
+
+    def tell(self, drawn: int) -> None:
+        """The page has drawn so many."""
+        self.says, self.drawn = True, drawn
+        self.come.set()
+
+    async def next(self) -> bytes:
+        """What is to be sent now, as soon as there is something."""
+        while True:
+            self.come.clear()
+            taken = list(self.others)
+            self.others.clear()
+            if self.drawn >= self.sent:
+                held = [each for kind in self.newest.values() for each in kind]
+                self.newest.clear()
+                self.sent += len(held)
+                taken += held
+            if taken:
+                return b"".join(packet for _, packet in sorted(taken))
+            await self.come.wait()
+
+
+def topic_of(packet: bytes) -> bytes | None:
+    """The topic of a message that is sent once (QoS 0); None of every other packet."""
+    if packet[0] >> 4 != PUBLISH or packet[0] & 0b110:
+        return None
+    begin = 2 + next(i for i, byte in enumerate(packet[1:5]) if byte < 0x80)
+    return packet[begin + 2 : begin + 2 + int.from_bytes(packet[begin : begin + 2])]
+
+
+async def packet_from(reader: asyncio.StreamReader) -> bytes:
+    """The broker's next packet: a byte, a length of one to four bytes with seven bits each, and so many bytes."""
+    head = await reader.readexactly(2)
+    while head[-1] >= 0x80 and len(head) < 5:
+        head += await reader.readexactly(1)
+    length = sum((byte & 0x7F) << 7 * place for place, byte in enumerate(head[1:]))
+    if length > LARGEST:
+        raise OSError(f"a packet of {length} bytes; at most {LARGEST} are taken")
+    return head + await reader.readexactly(length)
+
+
+async def _to_broker(page: ServerConnection, writer: asyncio.StreamWriter, pace: Pace) -> None:
     with contextlib.suppress(ConnectionClosed, OSError):
         async for frame in page:
             if isinstance(frame, str):
-                return
+                word, _, count = frame.partition(" ")
+                if word != "drawn" or not (count.isascii() and count.isdigit() and len(count) < 16):
+                    return
+                pace.tell(int(count))
+                continue
             writer.write(frame)
             await writer.drain()
 
 
-async def _to_page(reader: asyncio.StreamReader, page: ServerConnection) -> None:
+async def _from_broker(reader: asyncio.StreamReader, pace: Pace) -> None:
+    with contextlib.suppress(asyncio.IncompleteReadError, OSError):
+        while pace.put(await packet_from(reader)):
+            pass
+
+
+async def _to_page(page: ServerConnection, pace: Pace) -> None:
     with contextlib.suppress(ConnectionClosed, OSError):
-        while content := await reader.read(65536):
-            await page.send(content)
+        while True:
+            await page.send(await pace.next())
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -150,7 +260,28 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Serves until told to stop."""
     process.set_up_log()
+    quiet()
     return asyncio.run(_serve(process.read_config(arguments)))
+
+
+def quiet() -> None:
+    """What websockets says of a page that it refuses is one line, without where in the code."""
+    of_library = logging.getLogger("websockets")
+    of_library.setLevel(logging.WARNING)
+    of_library.propagate = False
+    of_library.addHandler(OneLine())
+
+
+class OneLine(logging.Handler):
+    """Hands a message on to our own log, with the cause of an exception behind it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        error = record.exc_info[1] if record.exc_info else None
+        causes = []
+        while error is not None and len(causes) < 4:
+            causes.append(" ".join(str(error).split())[:200])
+            error = error.__cause__
+        log.warning("%s", ": ".join([record.getMessage(), *filter(None, causes)]))
 
 
 async def _serve(config: Config) -> int:
@@ -158,16 +289,7 @@ async def _serve(config: Config) -> int:
     priority.take("dashboard")
     stop, disk = process.Stop(), process.Disk()
     status = process.Status(config, "dashboard", disk)
-    async with serve(
-        server.relay,
-        "127.0.0.1",
-        config.dashboard_port,
-        origins=server.origins,
-        subprotocols=[Subprotocol("mqtt")],
-        process_request=server.answer,
-        max_size=LARGEST,
-        compression=None,
-    ):
+    async with server.listening():
         while not stop.wait(0):
             if status.due(True):
                 status.write({"name": "dashboard", "ready": True, "pages": server.pages, "memory_kb": process.memory_kb()})

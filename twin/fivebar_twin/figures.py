@@ -2,9 +2,10 @@
 
 import math
 from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -16,6 +17,20 @@ from fivebar_twin.messages import TRACKED
 from fivebar_twin.watch import Histogram
 
 ESTIMATES: Final = ("tip.x", "tip.y", "estimated.nis", "estimated.alarm", "estimated.tau[1]", "estimated.tau[2]", "estimated.status")
+
+
+COVERED: Final = 0.9
+"""Share of the tips that forecasts have inside their 95 % ellipses at the horizon, in whatever scene: docs/pipeline.md promises it."""
+
+NARROW: Final = {"pick_and_place": 20.0}
+"""mm: half-widths (median) at a horizon of 0.5 s that are promised, by scene. Where a machine falls freely it may be anywhere after half a second,
+and only that its forecasts know so is promised."""
+
+MISSED: Final = 3
+"""The exit code of a run whose forecasts were not as good as that."""
+
+FEWEST: Final = 20
+"""Forecasts that are judged at least."""
 
 
 @dataclass
@@ -40,6 +55,15 @@ class Table:
         return len(self.columns[self.names[0]])
 
 
+class Gap(NamedTuple):
+    """Numbers of a kind that the record does not have."""
+
+    of: str
+    first: int
+    last: int
+    why: str
+
+
 @dataclass
 class Story:
     """What a record tells: times in s after its first message."""
@@ -49,7 +73,9 @@ class Story:
     estimated: Table = field(default_factory=lambda: Table(("time", *ESTIMATES, "band")))
     forecasts: Table = field(default_factory=lambda: Table(("time", "ahead", "tip.x", "tip.y", "xx", "xy", "yy", "half_width", "last")))
     alarms: list[tuple[float, str, str]] = field(default_factory=list)
-    gaps: list[tuple[str, int, int]] = field(default_factory=list)
+    gaps: "list[Gap]" = field(default_factory=list)
+    bad: list[str] = field(default_factory=list)
+    """Why rows are no messages."""
     samples: set[int] = field(default_factory=set)
     used: set[int] = field(default_factory=set)
     sent: int = 0
@@ -59,7 +85,7 @@ class Story:
 def read(file: Path) -> Story:
     """Goes through a record once."""
     story = Story()
-    for message in record.messages(file, "meas", "est", "forecast", "alarm", "gap"):
+    for message in record.messages(file, "meas", "est", "forecast", "alarm", "gap", refused=story.bad.append):
         story.origin = story.origin or message.time
         fields, time = message.fields, 1e-9 * (message.time - story.origin)
         if message.kind == "meas":
@@ -75,7 +101,7 @@ def read(file: Path) -> Story:
         elif message.kind == "alarm":
             story.alarms.append((time, str(message.extra.get("state")), str(message.extra.get("cause"))))
         else:
-            story.gaps.append((str(message.extra["of"]), int(fields["first"]), int(fields["last"])))
+            story.gaps.append(Gap(message.extra["of"], int(fields["first"]), int(fields["last"]), message.extra.get("why", "")))
     return story
 
 
@@ -145,9 +171,9 @@ def _mean(values: np.ndarray) -> float:
 
 
 def summarise(
-    config: Config, story: Story, judged: Judged, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int]
+    config: Config, story: Story, judged: Judged, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int], troubles: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """Every figure, in nested objects. What cannot be told is null."""
+    """Every figure, in nested objects. What cannot be told is null. `troubles` are what processes had to tell."""
 
     def total(process: str, name: str) -> int:
         return sum(int(life.get(name, 0)) for life in status.get(process, []))
@@ -171,7 +197,9 @@ def summarise(
             "error_mm": _or_none(1e3 * float(np.sqrt(_mean(judged.ahead_error[here] ** 2)))),
         }
     times = story.estimated["time"]
-    return {
+    # A state for a forecast at every so many samples that were estimated.
+    due = len(story.estimated) // max(1, round(1 / (config.forecast_rate * config.period)))
+    content = {
         "scene": Path(config.scene).stem,
         "unit": config.unit,
         "broker": "amqtt, embedded" if config.broker.embedded else f"{config.broker.host}:{config.broker.port}",
@@ -192,6 +220,7 @@ def summarise(
         "forecasts": {
             "count": story.sent,
             "judged": int(np.isfinite(judged.inside[last]).sum()),
+            "due": due,
             "left_out": total("forecast", "left_out"),
             "ahead_s": config.horizon,
             "coverage95": _or_none(_mean(judged.inside[last])),
@@ -202,9 +231,24 @@ def summarise(
             "by_ahead": by_ahead,
         },
         "alarms": sum(state == "anomaly" for _, state, _ in story.alarms),
+        "troubles": {"count": len(troubles), "last": list(troubles[-10:])},
         "refused": sum(total(process, "refused") for process in status),
         "restarts": restarts,
-        "gaps": [{"of": kind, "first": first, "last": last_one} for kind, first, last_one in story.gaps],
+        "gaps": [gap._asdict() for gap in story.gaps],
+        "rows_refused": len(story.bad),
         "memory_mb": {process: round(max(life.get("memory_kb", 0) for life in lives) / 1024, 1) for process, lives in status.items()},
         "record": str(config.record),
     }
+    return content | {"missed": missed(content)}
+
+
+def missed(content: dict[str, Any]) -> list[str]:
+    """Which promises about forecasts a run has not kept, in words."""
+    forecasts, scene = content["forecasts"], content["scene"]
+    covered, width = forecasts["coverage95"], forecasts["halfwidth_mm"]["median"]
+    found = []
+    if forecasts["judged"] >= FEWEST and covered < COVERED:
+        found.append(f"{100 * covered:.3g} % of the tips are inside the 95 % ellipses {forecasts['ahead_s']:g} s ahead; {100 * COVERED:g} % are promised")
+    if width is not None and width > NARROW.get(scene, math.inf) and forecasts["ahead_s"] <= 0.5:
+        found.append(f"the half-width is {width:.3g} mm (median); in {scene} at most {NARROW[scene]:g} mm are promised")
+    return found

@@ -3,6 +3,7 @@
 import argparse
 import json
 import logging
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -11,13 +12,16 @@ from fivebar_twin import process, scene, setup
 from fivebar_twin.config import Config, read_json
 from fivebar_twin.errors import Refused, TwinError
 from fivebar_twin.follower import Follower
-from fivebar_twin.intake import Intake
-from fivebar_twin.messages import Message
+from fivebar_twin.intake import Intake, Orders
+from fivebar_twin.messages import MEASURED, Message
 from fivebar_twin.process import Worker
 from fivebar_twin.unit import Library
 
 STORE_EVERY: Final = 1_000_000_000
 """Nanoseconds of the machine's clock between two stored states."""
+
+MUCH: Final = 4 * math.pi
+"""rad: an angle at which encoders seldom begin, and degrees mostly do."""
 
 log = logging.getLogger("fivebar")
 
@@ -36,7 +40,7 @@ class Twin(Worker):
         self.file = config.path / "state" / "twin.json"
         self.samples_per_forecast = max(1, round(1 / (config.forecast_rate * config.period)))
         self.counts = dict.fromkeys(("taken", "late", "estimated", "states", "failures"), 0)
-        self.newest_order = -1
+        self.orders = Orders()
         self.stored_at = -1
 
     def begin(self) -> None:
@@ -56,18 +60,27 @@ class Twin(Worker):
 
     def handle(self, message: Message, payload: bytes, now: int) -> None:
         if message.kind == "meas":
-            self._sample(message)
+            self._sample(message, now)
         else:
-            self._order(message)
+            try:
+                self._order(message, now)
+            except Refused as error:
+                # Whoever has given an order wants to know.
+                self.trouble("order", f"not taken: {error}", now, every=0.2, order=message.time)
+                self.refused += 1
 
-    def _sample(self, message: Message) -> None:
-        kind = self.intake.admit(message)
+    def _sample(self, message: Message, now: int) -> None:
+        kind = self.intake.admit(message, now)
         follower = self.follower
         if kind == "late" and follower.book is not None and not follower.finds_place(message.seq):
             raise Refused(f"meas {message.seq} came too late")
         if kind == "series" and follower.book is not None:
             log.warning("the machine counts anew from sample %d", message.seq)
             follower.restart(Message("cmd", "", message.time, message.seq, {}))
+        if kind == "series":
+            for name, angle in message.fields.items():
+                if name in MEASURED and abs(angle) > MUCH:
+                    self.trouble("unit", f"{name} begins at {angle:g} rad, more than two turns: degrees?", message.time, message.seq)
         self.counts["taken"] += 1
         self.counts["late"] += kind == "late"
         jumps = follower.jumps
@@ -76,7 +89,7 @@ class Twin(Worker):
             log.warning("the machine's clock jumped at sample %d", message.seq)
         if follower.failure:
             self.counts["failures"] += 1
-            log.warning("starting anew with the next sample: %s", follower.failure)
+            self.trouble("unit", f"starting anew with the next sample: {follower.failure}", message.time, message.seq)
             follower.failure = ""
         if not made:
             return
@@ -87,20 +100,26 @@ class Twin(Worker):
         if abs(message.time - self.stored_at) >= STORE_EVERY:
             self._store(message.time)
 
-    def _order(self, message: Message) -> None:
+    def _order(self, message: Message, now: int) -> None:
         """A parameter or a command, once, in its order."""
-        if message.time <= self.newest_order:
-            raise Refused(f"{message.kind} of {message.time} ns is not newer than the last order, of {self.newest_order} ns")
+        self.orders.check(message, now)
         if message.kind == "cmd":
             if message.extra["command"] == "restart":
                 self.follower.restart(message)
-                log.info("starting anew with the next sample: asked to")
+                self.intake.forget()
+                self._answer(message, "starting anew with the next sample: asked to", now)
         else:
             if sentence := self.follower.allowed(message):
                 raise Refused(sentence)
             self.follower.param(message)
-            log.info("parameters set: %s", ", ".join(f"{name} = {value:g}" for name, value in message.fields.items()))
-        self.newest_order = message.time
+            self._answer(message, "parameters set: " + ", ".join(f"{name} = {value:g}" for name, value in message.fields.items()), now)
+        self.orders.taken(message)
+
+    def _answer(self, order: Message, sentence: str, now: int) -> None:
+        """What has become of an order, for whoever gave it and for the record."""
+        log.info("%s", sentence)
+        extra = {"state": "taken", "cause": "order", "from": self.name, "sentence": sentence[:1000], "order": order.time}
+        self.publish(Message("alarm", "", now, order.seq, {}, extra))
 
     def _store(self, time: int) -> None:
         state = self.follower.state()

@@ -196,7 +196,7 @@ class Follower(Rider):
     def restart(self, message: Message) -> None:
         """Starts anew with the next sample."""
         self._note(message)
-        self._leave("asked to")
+        self._leave("")
 
     def allowed(self, message: Message) -> str:
         """Why the unit does not allow those parameters, or ""."""
@@ -249,8 +249,7 @@ class Follower(Rider):
         self.inputs.append([message.kind, message.seq, message.time])
 
     def _leave(self, why: str) -> None:
-        if self.book is not None:
-            self.failure = why
+        self.failure = why
         self.book = None
         self._forget()
 
@@ -269,6 +268,7 @@ class Follower(Rider):
         """Starts at rest, or at the rate between two samples, if this sample has both angles. Servos that are told nothing hold there."""
         angles = [message.fields.get(name) for name in MEASURED]
         if None in angles:
+            self.failure = f"a start needs both angles, and {MEASURED[angles.index(None)]} is missing"
             return
         values: dict[str, float | int | bool] = {f"init.theta[{i}]": angle for i, angle in zip(LEGS, angles, strict=True)}  # type: ignore[misc]
         before = self.previous

@@ -9,6 +9,7 @@ import base64
 import csv
 import json
 import logging
+import math
 import random
 import time
 from collections import deque
@@ -21,7 +22,7 @@ from fivebar_twin.bus import Bus
 from fivebar_twin.config import Config, Faults, read_json
 from fivebar_twin.errors import TwinError
 from fivebar_twin.follower import Book, Rider
-from fivebar_twin.messages import INPUTS, MEAS_RANGES, MEASURED, TRACKED, Message, encode
+from fivebar_twin.messages import INPUTS, MEAS_FIELDS, MEASURED, TRACKED, Message, encode
 from fivebar_twin.setup import Setup
 from fivebar_twin.unit import Library, Reader
 
@@ -49,6 +50,7 @@ class StandIn:
         self.reader = Reader(self.rider.unit, ("theta[1]", "theta[2]", *TRACKED))
         names = (name for name in self.scene.signals if name not in INPUTS)
         self.surroundings = {name: library.variable(name).valueReference for name in names}
+        self.continuous = {ref for name, ref in self.surroundings.items() if library.variable(name).variability == "continuous"}
         self.seq = 0
         self.start_ns = 0
         """When the first sample is taken, ns since 1970."""
@@ -82,7 +84,9 @@ class StandIn:
             begin, end = ([self.scene.at(name, k * period) for name in self.surroundings] for k in (self.seq, self.seq + 1))
             references = list(self.surroundings.values())
             self.rider.unit.set_reals(references, begin)
-            self.rider.unit.set_slopes(references, [(b - a) / period for a, b in zip(begin, end, strict=True)])
+            sloping = [(ref, (b - a) / period) for ref, a, b in zip(references, begin, end, strict=True) if ref in self.continuous]
+            if sloping:
+                self.rider.unit.set_slopes([ref for ref, _ in sloping], [slope for _, slope in sloping])
         self.seq += 1
         self.rider.unit.step_to(max(self.seq * period, now + 1e-9))
 
@@ -124,10 +128,14 @@ class Recording:
             raise TwinError(f"{file} has no rows with time and measured.theta[1] or measured.theta[2]")
         try:
             self.samples = [
-                (float(row["time"]), {name: float(row[name]) for name in MEAS_RANGES if row.get(name) not in (None, "")}) for row in rows
+                (float(row["time"]), {name: float(row[name]) for name in MEAS_FIELDS if row.get(name) not in (None, "")}) for row in rows
             ]
         except ValueError as error:
             raise TwinError(f"{file}: {error}") from None
+        for number, (at, fields) in enumerate(self.samples, 1):
+            for name, value in (("time", at), *fields.items()):
+                if not math.isfinite(value):
+                    raise TwinError(f"{file}: {name} of row {number} is {value}, not a finite number")
 
     def store(self) -> bytes:
         """From which it goes on."""

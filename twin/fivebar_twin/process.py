@@ -1,10 +1,13 @@
 """What the processes of a run have in common: signals, log, connection, a status file, an end when the starter is gone."""
 
 import argparse
+import contextlib
 import gc
 import json
 import logging
+import math
 import os
+import re
 import signal
 import sys
 import threading
@@ -22,6 +25,10 @@ from fivebar_twin.errors import Refused
 from fivebar_twin.messages import Message, decode, encode
 
 STATUS_EVERY: Final = 0.5
+AGAIN: Final = 5.0
+"""Seconds after which the same trouble is told again; the log has each."""
+
+NUMBER: Final = re.compile(r"\d[-+.e\d]*")
 TICK: Final = 0.05
 
 log = logging.getLogger("fivebar")
@@ -40,6 +47,7 @@ class Worker(ABC):
         self.keep: Callable[[Path, bytes], None] = replace_file
         """Has a file replaced."""
         self.refused = 0
+        self.when_told: dict[str, float] = {}
 
     @staticmethod
     def _not_yet(_kind: str, _payload: bytes) -> bool:
@@ -60,6 +68,20 @@ class Worker(ABC):
         """Sends a message of this unit."""
         message = Message(message.kind, self.config.unit, message.time, message.seq, message.fields, message.extra)
         return self.send(message.kind, encode(message))
+
+    def trouble(self, cause: str, sentence: str, now: int, seq: int = 0, every: float = AGAIN, **more: Any) -> None:
+        """Something that keeps the twin from its work, at a time in ns: a line in the log each time; an alarm and a line on standard
+        output, which the starter shows, if the same (but for its numbers) was not told a moment ago."""
+        log.warning("%s", sentence)
+        key = f"{cause} {NUMBER.sub('#', sentence)}"
+        moment = time.monotonic()
+        if moment - self.when_told.get(key, -math.inf) < every:
+            return
+        self.when_told = {k: when for k, when in self.when_told.items() if moment - when < AGAIN} | {key: moment}
+        with contextlib.suppress(OSError):
+            # A starter that is gone hears nothing.
+            print(sentence, flush=True)
+        self.publish(Message("alarm", "", now, seq, {}, {"state": "trouble", "cause": cause, "from": self.name, "sentence": sentence[:1000]} | more))
 
     def begin(self) -> None:
         """Before the first message; a stored state is read here."""
@@ -124,6 +146,7 @@ class Disk:
         self.waiting: dict[Path, tuple[bytes, bool]] = {}
         self.come = threading.Condition()
         self.ended = False
+        self.failing: set[Path] = set()
         self.thread = threading.Thread(target=self._work, name="disk", daemon=True)
         self.thread.start()
 
@@ -142,9 +165,12 @@ class Disk:
                 file, (content, safe) = self.waiting.popitem()
             try:
                 replace_file(file, content, safe)
+                self.failing.discard(file)
             except OSError as error:
                 # The next content comes soon, and may find the disk well again.
-                log.warning("%s was not written: %s", file, error)
+                if file not in self.failing:
+                    log.warning("%s is not written: %s", file, error.strerror)
+                self.failing.add(file)
 
     def close(self) -> None:
         """Writes what is waiting."""
@@ -229,14 +255,20 @@ def replace_file(file: Path, content: bytes, safe: bool = False) -> None:
     """Writes a file so that a reader finds the old or the new content; if it is to be safe, also when the power fails."""
     file.parent.mkdir(parents=True, exist_ok=True)
     beside = file.with_suffix(".writing")
-    with beside.open("wb") as stream:
-        stream.write(content)
-        if safe:
-            stream.flush()
-            os.fsync(stream.fileno())
-    beside.replace(file)
+    try:
+        with beside.open("wb") as stream:
+            stream.write(content)
+            if safe:
+                stream.flush()
+                os.fsync(stream.fileno())
+        beside.replace(file)
+    except OSError:
+        # Half a file would take room that others need.
+        beside.unlink(missing_ok=True)
+        raise
 
 
 def read_config(arguments: argparse.Namespace) -> Config:
-    """The configuration that a process was given."""
+    """The configuration that a process was given. What the process writes from then on is its owner's alone."""
+    os.umask(0o077)
     return configuration.read(arguments.config)

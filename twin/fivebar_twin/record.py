@@ -6,7 +6,7 @@ holds what came in flushes FIRST to LAST, so that one that was joined of others 
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -14,14 +14,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from fivebar_twin.errors import Refused, TwinError
-from fivebar_twin.messages import LARGEST, Message, decode
+from fivebar_twin.messages import Message, decode
 
 SCHEMA: Final = pa.schema([("topic", pa.string()), ("time", pa.int64()), ("seq", pa.int64()), ("payload", pa.binary())])
 PART: Final = re.compile(r"part-(\d{8})-(\d{8})\.parquet")
 LARGEST_RECORD: Final = 64_000_000_000
 """Bytes of a record that is read at most."""
 
-LARGEST_ROW: Final = max(LARGEST.values())
+COLUMNS: Final = {"topic": (pa.types.is_string, pa.types.is_large_string), "time": (pa.types.is_integer,), "seq": (pa.types.is_integer,)} | {
+    "payload": (pa.types.is_binary, pa.types.is_large_binary, pa.types.is_string, pa.types.is_large_string)
+}
+"""What the columns may hold."""
 
 
 class Row(NamedTuple):
@@ -43,11 +46,16 @@ def write_table(folder: Path, first: int, last: int, table: pa.Table) -> Path:
     """Writes a table as a part."""
     path = folder / f"part-{first:08d}-{last:08d}.parquet"
     beside = path.with_suffix(".writing")
-    with beside.open("wb") as stream:
-        pq.write_table(table, stream, compression="zstd")
-        stream.flush()
-        os.fsync(stream.fileno())
-    beside.rename(path)
+    try:
+        with beside.open("wb") as stream:
+            pq.write_table(table, stream, compression="zstd")
+            stream.flush()
+            os.fsync(stream.fileno())
+        beside.rename(path)
+    except OSError:
+        # Half a part would take room that the next one needs.
+        beside.unlink(missing_ok=True)
+        raise
     return path
 
 
@@ -72,7 +80,7 @@ def parts(record: Path) -> list[Path]:
 
 def setup(record: Path) -> Message:
     """What the run was that the record is of: the recorder writes it first."""
-    for message in messages(record, "setup"):
+    for message in messages(record, "setup", refused=lambda _: None):
         return message
     raise TwinError(f"{record} does not say of which run it is: it has no message `setup`")
 
@@ -84,23 +92,31 @@ def rows(record: Path) -> Iterator[Row]:
         missing = [name for name in SCHEMA.names if name not in file.schema_arrow.names]
         if missing:
             raise TwinError(f"{path} has no column {', '.join(missing)}; a record has topic, time, seq, payload")
-        for batch in file.iter_batches(batch_size=4096, columns=SCHEMA.names):
-            for topic, time, seq, payload in zip(*(column.to_pylist() for column in batch.columns), strict=True):
-                payload = payload.encode() if isinstance(payload, str) else payload
-                if topic is None or payload is None or len(payload) > LARGEST_ROW:
-                    raise TwinError(f"{path} has a row without topic or payload, or with more than {LARGEST_ROW} bytes")
-                yield Row(topic, time, seq, payload)
+        for name, allowed in COLUMNS.items():
+            found = file.schema_arrow.field(name).type
+            if not any(is_one(found) for is_one in allowed):
+                raise TwinError(f"{path} has {found} in the column {name}, not {SCHEMA.field(name).type}")
+        try:
+            for batch in file.iter_batches(batch_size=4096, columns=SCHEMA.names):
+                for topic, time, seq, payload in zip(*(column.to_pylist() for column in batch.columns), strict=True):
+                    # What is not there is no message, which whoever decodes it says.
+                    payload = payload.encode() if isinstance(payload, str) else payload or b""
+                    yield Row(topic or "", time or 0, seq or 0, payload)
+        except (OSError, pa.ArrowException) as error:
+            raise TwinError(f"{path} cannot be read to its end: {str(error)[:120]}") from None
 
 
-def messages(record: Path, *kinds: str) -> Iterator[Message]:
-    """The messages of those kinds (all, if none is named), in the order of their arrival; what is none is an error."""
+def messages(record: Path, *kinds: str, refused: Callable[[str], None]) -> Iterator[Message]:
+    """The messages of those kinds (all, if none is named), in the order of their arrival; a row that is none goes to `refused`, as a sentence."""
     for row in rows(record):
         if kinds and row.topic.rpartition("/")[2] not in kinds:
             continue
         try:
-            yield decode(row.topic, row.payload)
+            message = decode(row.topic, row.payload)
         except Refused as error:
-            raise TwinError(f"{record} holds what is no message: {error}") from None
+            refused(str(error))
+            continue
+        yield message
 
 
 def _file(path: Path) -> pq.ParquetFile:

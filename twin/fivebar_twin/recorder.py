@@ -78,9 +78,14 @@ class Recorder(Worker):
         self.gaps = {kind: Gaps(kind) for kind in ("meas", "est")}
         self.counts = dict.fromkeys(("recorded", "written", "gaps", "overrun"), 0)
         self.about: Message | None = None
+        self.failing, self.failed, self.why = False, 0.0, ""
+        """Whether the disk takes nothing, since when it was tried last, s, and what it says."""
+        self.lost: dict[str, tuple[int, int]] = {}
+        """First and last number of each kind that were not recorded because nothing could wait any more."""
+        self.now = 0
 
     def begin(self) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = [m for path in self.folder.iterdir() if (m := record.PART.fullmatch(path.name))]
         self.number = 1 + max((int(m[2]) for m in found), default=-1)
         if self.about is not None:
@@ -89,10 +94,12 @@ class Recorder(Worker):
             log.info("going on with part %d", self.number)
 
     def handle(self, message: Message, payload: bytes, now: int) -> None:
-        if len(self.rows) >= MOST_WAITING:
+        if len(self.rows) + len(self.taken) >= MOST_WAITING:
             self.counts["overrun"] += 1
-            if self.counts["overrun"] == 1:
-                log.error("the disk is too slow: messages are lost")
+            first, _ = self.lost.get(message.kind, (message.seq, 0))
+            self.lost[message.kind] = first, message.seq
+            if not self.failing and self.counts["overrun"] == 1:
+                self.trouble("record", "the disk is too slow: messages are not recorded", now)
             return
         self.rows.append(Row(topic(message.unit, message.kind), message.time, message.seq, payload))
         self.counts["recorded"] += 1
@@ -109,7 +116,10 @@ class Recorder(Worker):
                 log.warning("%s %d to %d are missing", kind, first, last)
                 self.counts["gaps"] += 1
                 fields = {"first": float(first), "last": float(last)}
-                self._row(Message("gap", self.config.unit, now, self.counts["gaps"], fields, {"of": kind}))
+                begin, end = self.lost.get(kind, (1, 0))
+                why = {"why": self.why} if max(begin, first) <= min(end, last) else {}
+                self._row(Message("gap", self.config.unit, now, self.counts["gaps"], fields, {"of": kind} | why))
+        self.now = now
         if time.monotonic() - self.flushed >= FLUSH_EVERY:
             self._take()
 
@@ -119,20 +129,38 @@ class Recorder(Worker):
         self.taken, self.rows = [*self.taken, *self.rows], []
 
     def write(self) -> None:
-        rows, self.taken = self.taken, []
-        if not rows:
+        """Writes what has come; what the disk does not take waits, and is tried again with what comes next."""
+        rows = self.taken
+        if not rows or (self.failing and time.monotonic() - self.failed < FLUSH_EVERY):
             return
-        path = record.write_part(self.folder, self.number, self.number, rows)
+        try:
+            path = record.write_part(self.folder, self.number, self.number, rows)
+        except (OSError, pa.ArrowException) as error:
+            self.failed = time.monotonic()
+            if not self.failing:
+                self.lost = {}
+                self.failing, self.why = True, (getattr(error, "strerror", None) or str(error))[:60]
+                self.trouble("record", f"nothing is recorded, {self.why}: {self.folder}", self.now)
+            return
+        self.taken = []
+        if self.failing:
+            self.failing = False
+            lost = ", ".join(f"{kind} {first} to {last}" for kind, (first, last) in self.lost.items())
+            self.trouble("record", f"recording again; {f'not recorded are {lost}' if lost else 'nothing is lost'}", self.now)
         self.parts.append((self.number, self.number, path))
         self.number += 1
         self.counts["written"] += len(rows)
-        if len(self.parts) >= JOINED:
+        if len(self.parts) % JOINED == 0:
             self._join()
 
     def _join(self) -> None:
         """One part in the place of many; these go when it is on the disk."""
         table = pa.concat_tables([pq.read_table(path, schema=record.SCHEMA) for _, _, path in self.parts])
-        record.write_table(self.folder, self.parts[0][0], self.parts[-1][1], table)
+        try:
+            record.write_table(self.folder, self.parts[0][0], self.parts[-1][1], table)
+        except OSError:
+            # There may be room for the parts, and not for both.
+            return
         for _, _, path in self.parts:
             path.unlink(missing_ok=True)
         self.parts = []
@@ -145,7 +173,10 @@ class Recorder(Worker):
 
     def end(self) -> None:
         self._take()
+        self.failed = 0.0
         self.write()
+        if self.taken:
+            self.trouble("record", f"{len(self.taken)} messages at the end are not recorded, {self.why}: {self.folder}", self.now)
 
 
 def guid(fmu: Path) -> str:

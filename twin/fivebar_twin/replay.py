@@ -23,7 +23,10 @@ PATIENCE: Final = 500
 """Messages after which an input that an estimate names is missing."""
 
 TOLD: Final = 5
-"""Differences that are shown."""
+"""Differences, gaps and rows that are no messages that are shown."""
+
+MOSTLY_LEFT_OUT: Final = 3
+"""The exit code where what was compared is the same, and is less than half."""
 
 
 @dataclass
@@ -34,6 +37,15 @@ class Result:
     differing: list[str] = field(default_factory=list)
     left_out: int = 0
     """Estimates whose inputs the record does not have, up to the next stored state."""
+
+    not_asked: int = 0
+    """Estimates before `since`."""
+
+    gaps: list[str] = field(default_factory=list)
+    """What the recorder says is missing."""
+
+    bad: list[str] = field(default_factory=list)
+    """Why rows are no messages."""
 
     states: int = 0
     seconds: float = 0.0
@@ -149,20 +161,24 @@ def replay(file: Path, fmu: Path, since: float = -math.inf, until: float = math.
         begin, first, last = time.perf_counter(), None, 0
         for row in record.rows(file):
             kind = row.topic.rpartition("/")[2]
-            if kind not in ("meas", "est", "param", "cmd", "state"):
+            if kind not in ("meas", "est", "param", "cmd", "state", "gap"):
                 continue
             first = row.time if first is None else first
             passed = 1e-9 * (row.time - first)
             if not since <= passed <= until:
                 # From the middle a stored state is needed.
-                work.result.left_out += kind == "est" and passed < since
+                work.result.not_asked += kind == "est" and passed < since
                 continue
-            last = max(last, row.time)
             try:
                 message = decode(row.topic, row.payload)
             except Refused as error:
-                raise TwinError(f"{file} holds what is no message: {error}") from None
-            work.see(message, row.payload)
+                work.result.bad.append(str(error))
+                continue
+            last = max(last, row.time)
+            if kind == "gap":
+                work.result.gaps.append(gap(message))
+            else:
+                work.see(message, row.payload)
         work.end()
         work.result.seconds = time.perf_counter() - begin
         work.result.spanned = 1e-9 * (last - (first or 0))
@@ -170,6 +186,12 @@ def replay(file: Path, fmu: Path, since: float = -math.inf, until: float = math.
     finally:
         follower.close()
         library.close()
+
+
+def gap(message: Message) -> str:
+    """A gap in words."""
+    why = message.extra.get("why")
+    return f"{message.extra['of']} {message.fields['first']:.0f} to {message.fields['last']:.0f}" + (f" ({why})" if why else "")
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -185,15 +207,18 @@ def default_fmu() -> Path:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0 if every estimate is the same to the bit, 1 if one differs or none could be compared."""
+    """0 if every estimate is the same to the bit, 1 if one differs or none could be compared, `MOSTLY_LEFT_OUT` if more were left out than compared."""
     result = replay(arguments.file, arguments.fmu, arguments.since, arguments.until)
-    for sentence in result.differing[:TOLD]:
-        print(sentence)
-    if len(result.differing) > TOLD:
-        print(f"... and {len(result.differing) - TOLD} more")
+    for what, sentences in (("", result.differing), ("the record lacks ", result.gaps), ("a row is no message: ", result.bad)):
+        for sentence in sentences[:TOLD]:
+            print(what + sentence)
+        if len(sentences) > TOLD:
+            print(f"... and {len(sentences) - TOLD} more")
     speed = result.spanned / result.seconds if result.seconds else 0.0
     print(
         f"{result.compared} estimates and {result.states} stored states compared to the bit in {result.seconds:.2f} s "
         f"({speed:.0f} x real time): {len(result.differing)} differ; {result.left_out} left out, whose inputs the record does not have"
     )
-    return int(bool(result.differing) or not result.compared)
+    if result.differing or not result.compared:
+        return 1
+    return MOSTLY_LEFT_OUT if result.left_out > result.compared else 0

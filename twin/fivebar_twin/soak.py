@@ -1,13 +1,14 @@
 """`fivebar-twin soak`: machine, twin, watch and recorder without broker and clock, for hours of samples: nothing lost, nothing grows."""
 
 import argparse
+import re
 import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Final
 
-from fivebar_twin import process, replay, scene, starter
+from fivebar_twin import figures, process, replay, scene, starter
 from fivebar_twin.ahead import Ahead
 from fivebar_twin.config import Config, Machine
 from fivebar_twin.errors import TwinError
@@ -31,21 +32,25 @@ class Wire:
 
     def __init__(self, config: Config, *workers: Worker):
         self.config, self.workers = config, workers
+        self.now = BEGIN
+        """The workers' clock, ns: that of the newest sample."""
         for worker in workers:
             worker.begin()
             worker.send = self.send
 
     def send(self, kind: str, payload: bytes) -> bool:
         """Hands a message over."""
+        if kind == "meas" and (found := re.search(rb'"time":(\d{19})\b', payload)):
+            self.now = max(self.now, int(found[1]))
         for worker in self.workers:
             if kind in worker.kinds:
-                worker.received(topic(self.config.unit, kind), payload, time.time_ns())
+                worker.received(topic(self.config.unit, kind), payload, self.now)
         return True
 
     def tick(self) -> None:
         """What else the workers have to do."""
         for worker in self.workers:
-            worker.tick(time.time_ns())
+            worker.tick(self.now)
             worker.write()
 
     def end(self) -> None:
@@ -75,7 +80,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0 if every sample has an estimate and the memory has stopped growing."""
+    """0 if every sample has an estimate and the memory has stopped growing, 3 if forecasts were not as good as promised."""
     if not 0 < arguments.hours <= 1000:
         raise TwinError(f"hours are {arguments.hours:g}; more than 0 and at most 1000 are allowed")
     faults = starter.parse_faults(arguments.faults)
@@ -83,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         with tempfile.TemporaryDirectory() as folder:
             config = configured(Path(folder), arguments.fmu, library, arguments.scene)
-            twin, ahead, watch, recorder = Twin(config, library), Ahead(config, library), Watch(config), Recorder(config)
+            twin, ahead, watch, recorder = Twin(config, library), Ahead(config, library, at_once=True), Watch(config), Recorder(config)
             recorder.about = twin.setup.to_message(config.unit, BEGIN)
             wire, source, mangler = Wire(config, twin, ahead, watch, recorder), machine(config, library), Mangler(faults, 1)
             samples = round(arguments.hours * 3600 / config.period)
@@ -100,6 +105,8 @@ def run(arguments: argparse.Namespace) -> int:
                     print(f"{i:8d} of {samples} samples, {memory[-1]:.1f} MB, {speed:.1f} x real time", file=sys.stderr, flush=True)
             wire.end()
             source.close()
+            story = figures.read(config.record)
+            content = figures.summarise(config, story, figures.judge(story), {}, {})
     finally:
         library.close()
     counts = twin.counts
@@ -108,5 +115,13 @@ def run(arguments: argparse.Namespace) -> int:
     growth = memory[-1] - half
     print(f"{samples} samples, {counts['taken']} taken, {counts['late']} late, {counts['estimated']} estimated, {recorder.counts['written']} rows")
     print(f"memory {half:.1f} MB after a half, {memory[-1]:.1f} MB at the end; {watch.alarms} alarms")
+    forecasts = content["forecasts"]
+    width, covered = forecasts["halfwidth_mm"]["median"], forecasts["coverage95"]
+    if covered is not None:
+        print(f"{forecasts['count']} forecasts: half-width {width:.3g} mm (median), {100 * covered:.3g} % inside; {content['alarms']} alarms")
+    for sentence in content["missed"]:
+        print(sentence)
     lost = 0 if arguments.faults else samples - counts["estimated"]
-    return int(lost != 0 or growth > 5)
+    if lost or growth > 5:
+        return 1
+    return figures.MISSED if content["missed"] else 0

@@ -1,26 +1,33 @@
 """`fivebar-twin run`: starts the processes of a twin in their order, starts again what dies, shows progress, ends all, sums up."""
 
 import argparse
+import contextlib
 import json
 import math
 import os
+import shutil
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import webbrowser
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
 
 from fivebar_twin import config as configuration
-from fivebar_twin import priority, replay, scene
+from fivebar_twin import priority, replay, scene, setup
 from fivebar_twin.config import Broker, Config, Faults, Machine
 from fivebar_twin.errors import TwinError
+from fivebar_twin.follower import Follower
+from fivebar_twin.machine import Recording, StandIn
+from fivebar_twin.messages import MEASURED, Message
 from fivebar_twin.process import STATUS_EVERY
-from fivebar_twin.unit import Library
+from fivebar_twin.unit import Library, UnitError
 
 READY_WITHIN: Final = 20.0
 """Seconds that a process may take to be ready."""
@@ -36,6 +43,12 @@ ORDER: Final = ("broker", "record", "watch", "dashboard", "forecast", "follow", 
 SETTLED_WITHIN: Final = 10.0
 """Seconds in which the last messages have to arrive."""
 
+LARGEST_LOG: Final = 1_000_000
+"""Bytes of a process' log after which it begins anew; the one before it stays, as `.log.1`."""
+
+TROUBLES: Final = 1000
+"""What processes had to tell that is remembered for the summary."""
+
 ENDING: Final = ("watch", "machine", "follow", "forecast", "dashboard", "record", "broker")
 """The watch first, or it would take the end for silence."""
 
@@ -47,6 +60,9 @@ class Child:
     name: str
     command: list[str]
     log: Path
+    say: Callable[[str], None]
+    """Takes what the process has to tell, a line at a time."""
+
     process: subprocess.Popen[bytes] | None = None
     restarts: int = 0
     recent: tuple[float, ...] = ()
@@ -55,9 +71,17 @@ class Child:
         # In a group of its own: Ctrl-C is for the starter, which ends all in order. Not in a session of its own, for Linux shares the
         # cores among sessions first: who is patient could not let others of this run go first.
         group = 0 if os.name == "posix" else None
-        with self.log.open("ab") as log:
-            self.process = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, process_group=group)
+        with open(self.log, "ab", opener=private) as log:
+            self.process = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, process_group=group)
         priority.hurry(self.process.pid)
+        threading.Thread(target=self._listen, args=(self.process,), name=self.name, daemon=True).start()
+
+    def _listen(self, process: subprocess.Popen[bytes]) -> None:
+        """Standard output is for people, and needs no disk: one that is full is among what there is to tell."""
+        assert process.stdout is not None
+        with process.stdout as lines:
+            for line in lines:
+                self.say(f"{self.name}: {line.decode(errors='replace').strip()}")
 
     def look(self) -> bool:
         """Starts it again if it has died; whether it is a machine that has come to its end."""
@@ -73,6 +97,14 @@ class Child:
         self.restarts += 1
         self.start()
         return False
+
+    def rotate(self) -> None:
+        """Begins its log anew when it is long. The process writes at the end of the file, wherever that is."""
+        with contextlib.suppress(OSError):
+            if self.log.stat().st_size > LARGEST_LOG:
+                with self.log.open("rb") as old, open(self.log.with_suffix(".log.1"), "wb", opener=private) as kept:
+                    shutil.copyfileobj(old, kept)
+                os.truncate(self.log, 0)
 
     def end(self, patience: float = 5.0) -> None:
         """Asks it to end, and ends it."""
@@ -90,6 +122,11 @@ class Child:
         return "\n".join(self.log.read_text(encoding="utf-8", errors="replace").splitlines()[-8:])
 
 
+def private(path: str, flags: int) -> int:
+    """Opens a file for its owner alone."""
+    return os.open(path, flags, 0o600)
+
+
 class Run:
     """The processes of one configuration."""
 
@@ -98,9 +135,10 @@ class Run:
         self.file = config.path / "twin.json"
         configuration.write(config, self.file)
         logs = config.path / "log"
-        logs.mkdir(exist_ok=True)
+        logs.mkdir(mode=0o700, exist_ok=True)
         command = [sys.executable, "-m", "fivebar_twin"]
-        self.children = {n: Child(n, [*command, n, "--config", str(self.file)], logs / f"{n}.log") for n in ORDER if n in names}
+        self.troubles: deque[str] = deque(maxlen=TROUBLES)
+        self.children = {n: Child(n, [*command, n, "--config", str(self.file)], logs / f"{n}.log", self.say) for n in ORDER if n in names}
 
     def start(self) -> None:
         """Starts all, the machine last, when the others listen."""
@@ -115,7 +153,14 @@ class Run:
     def look(self) -> bool:
         """Starts again what has died; whether the machine has come to its end."""
         ended = [name for name, child in self.children.items() if child.look()]
+        for child in self.children.values():
+            child.rotate()
         return "machine" in ended
+
+    def say(self, line: str) -> None:
+        """Shows what a process has to tell."""
+        self.troubles.append(line)
+        print(clear() + line, flush=True)
 
     def end(self) -> None:
         """Ends all: first what sends, then what receives, each when all has arrived."""
@@ -156,6 +201,11 @@ class Run:
                 tails = "\n".join(self.children[n].tail() for n in late if n in self.children)
                 raise TwinError(f"{', '.join(late)} not ready after {READY_WITHIN:g} s:\n{tails}")
             time.sleep(0.02)
+
+
+def clear() -> str:
+    """What makes room for a line on a terminal."""
+    return "\r\x1b[K" if sys.stdout.isatty() else ""
 
 
 def total(lives: list[dict[str, Any]], name: str) -> int:
@@ -203,14 +253,18 @@ def parse_faults(text: str) -> Faults:
 def run_folder(out: Path) -> Path:
     """A folder for this run; of the older ones the last few stay."""
     runs = out / "runs"
-    runs.mkdir(parents=True, exist_ok=True)
+    try:
+        runs.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TwinError(f"out is {out}; a folder that is there or can be made is needed: {error.strerror}") from None
     finished = sorted(path.parent for path in runs.glob("*/finished"))
     for old in finished[: max(0, len(finished) - KEPT_RUNS + 1)]:
         for file in sorted(old.rglob("*"), reverse=True):
             file.rmdir() if file.is_dir() else file.unlink()
         old.rmdir()
     folder = runs / f"{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}-{os.getpid()}"
-    folder.mkdir()
+    # Records, states and logs are their owner's alone.
+    folder.mkdir(mode=0o700)
     return folder
 
 
@@ -249,9 +303,9 @@ def configure(arguments: argparse.Namespace, folder: Path) -> Config:
             secret = hidden(library, values)
         for name in secret:
             library.variable(name)
+        csv = str(arguments.csv.resolve()) if arguments.csv else ""
     finally:
         library.close()
-    csv = str(arguments.csv.resolve()) if arguments.csv else ""
     machine = Machine(hidden=secret, csv=csv, faults=parse_faults(arguments.faults))
     config = Config(
         folder=str(folder.resolve()),
@@ -266,10 +320,39 @@ def configure(arguments: argparse.Namespace, folder: Path) -> Config:
     return config
 
 
+def check_followed(config: Config, stand_in: bool) -> None:
+    """Refuses a scene that no machine can move by or no twin can follow, with the unit's sentence, instead of a run without estimates."""
+    library = Library(Path(config.fmu))
+    try:
+        known = scene.read(Path(config.scene))
+        begin = {name: float(known.values.get(f"init.theta[{i}]", library.variable(f"init.theta[{i}]").start)) for i, name in enumerate(MEASURED, 1)}
+        sample: Message | None = Message("meas", config.unit, 0, 0, begin | known.told(0.0))
+        if stand_in:
+            machine = Recording(config) if config.machine.csv else None
+            try:
+                machine = machine or StandIn(config, library)
+            except UnitError as error:
+                raise TwinError(f"no machine can move by {config.scene}: {error}") from None
+            # The first that tells where the machine is.
+            while (sample := machine.next()) is not None and not all(name in sample.fields for name in MEASURED):
+                pass
+            machine.close()
+        if sample is None:
+            return
+        twin = Follower(library, setup.of_run(config, known, library.guid))
+        twin.meas(sample)
+        failure = twin.failure
+        twin.close()
+        if failure:
+            raise TwinError(f"the twin cannot follow {config.machine.csv or config.scene}: {failure}")
+    finally:
+        library.close()
+
+
 def run(arguments: argparse.Namespace) -> int:
-    """0 if the twin followed; the summary is in OUT/summary.json."""
+    """0 if the twin followed, 1 if not, 3 if its forecasts were not as good as promised; the summary is in OUT/summary.json."""
     # Whatever cannot work is refused before a folder is made.
-    configure(arguments, arguments.out)
+    check_followed(configure(arguments, arguments.out), arguments.machine != "none")
     folder = run_folder(arguments.out)
     config = configure(arguments, folder)
     names = tuple(n for n in ORDER if (n != "broker" or config.broker.embedded) and (n != "machine" or arguments.machine != "none"))
@@ -284,11 +367,13 @@ def run(arguments: argparse.Namespace) -> int:
         _watch(run, asked, math.inf if arguments.open else arguments.seconds)
     finally:
         run.end()
-        (folder / "finished").touch()
+        with contextlib.suppress(OSError):
+            # A disk that is full has room for this, mostly; else the run looks like one under way, and stays.
+            (folder / "finished").touch()
     # What draws is loaded when nothing is in a hurry any more.
     from fivebar_twin import summary
 
-    return summary.write(run.config, run.status(), {n: child.restarts for n, child in run.children.items()}, arguments.out)
+    return summary.write(run.config, run.status(), {n: child.restarts for n, child in run.children.items()}, arguments.out, list(run.troubles))
 
 
 class Asked:
@@ -333,4 +418,4 @@ def _progress(run: Run, begin: float, seconds: float) -> Iterator[None]:
             f"{total(lives.get('follow', []), 'estimated')} estimates, p99 {watch.get('latency_ms', {}).get('p99', 0):.1f} ms, "
             f"{watch.get('alarms', 0)} alarms"
         )
-        print(f"\r\x1b[K{line}" if terminal else line, end="" if terminal else "\n", flush=True)
+        print(clear() + line, end="" if terminal else "\n", flush=True)

@@ -5,6 +5,7 @@ import io
 import json
 import re
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,43 +27,58 @@ from fivebar_twin.watch import Histogram  # noqa: E402
 MOST_POINTS: Final = 3000
 """Of a line in a picture."""
 
+USUAL, SHOWN = 0.95, 1.5
+"""What a picture shows: so many times the value below which that share of all is."""
+
 TWIN, MACHINE, BAND, BAD = "#e8590c", "#1d2329", "#f4a261", "#c92a2a"
 TEMPLATE: Final = Path(__file__).with_name("page") / "summary.html"
 
 plt.rcParams |= {"svg.hashsalt": "fivebar", "font.size": 9.5, "axes.grid": True, "grid.alpha": 0.3, "axes.spines.top": False, "axes.spines.right": False}
 
 
-def write(config: Config, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int], out: Path) -> int:
-    """Writes everything to the run's folder and to `out`; 0 if the twin followed."""
+def write(config: Config, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int], out: Path, troubles: Sequence[str] = ()) -> int:
+    """Writes everything to the run's folder and to `out`; 0 if the twin followed and its forecasts are as good as promised, 3 if they are not."""
     try:
         story = figures.read(config.record)
     except TwinError as error:
         print(f"nothing to sum up: {error}")
         return 1
     judged = figures.judge(story)
-    content = figures.summarise(config, story, judged, status, restarts)
+    content = figures.summarise(config, story, judged, status, restarts, troubles)
     pictures = {
         "tip": (_tip(story), "The tip, seen by a tracker and estimated"),
         "error": (_error(story, judged), "Error of the estimated tip, and the radius that holds it with 95 %"),
         "forecast": (_forecast(story, judged), "Forecasts: how far off they were, and how sure of themselves"),
         "latency": (_latency(status), "From the sample to its estimate at a subscriber"),
     }
+    _tell(content, out)
+    try:
+        _keep(config, content, pictures, out)
+    except OSError as error:
+        print(f"summary, pictures and page are not all written: {error.filename or out}: {error.strerror}")
+        return 1
+    finally:
+        for figure, _ in pictures.values():
+            plt.close(figure)
+    if not content["samples"]["estimated"]:
+        return 1
+    return figures.MISSED if content["missed"] else 0
+
+
+def _keep(config: Config, content: dict[str, Any], pictures: dict[str, tuple[Figure, str]], out: Path) -> None:
+    """Writes the files, the summary first: it is the least, and says most."""
     out.mkdir(parents=True, exist_ok=True)
+    summary = config.path / "summary.json"
+    summary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    page = config.path / "index.html"
+    page.write_text(_page(config, content, pictures), encoding="utf-8")
     made = []
     for name, (figure, _) in pictures.items():
         file = config.path / f"{name}.png"
         figure.savefig(file, dpi=120)
         made.append(file)
-    page = config.path / "index.html"
-    page.write_text(_page(config, content, pictures), encoding="utf-8")
-    summary = config.path / "summary.json"
-    summary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    for figure, _ in pictures.values():
-        plt.close(figure)
-    for file in (*made, page, summary):
+    for file in (summary, page, *made):
         shutil.copyfile(file, out / file.name)
-    _tell(content, out)
-    return 0 if content["samples"]["estimated"] else 1
 
 
 def _tell(content: dict[str, Any], out: Path) -> None:
@@ -78,15 +94,24 @@ def _tell(content: dict[str, Any], out: Path) -> None:
         ("tip error", f"rms {figure(error['rms'], 'mm')}, largest {figure(error['max'], 'mm')}"),
         (
             f"forecasts, {forecasts['ahead_s']:g} s",
-            f"{forecasts['count']}, half-width {figure(forecasts['halfwidth_mm']['median'], 'mm')} (median), "
+            f"{forecasts['count']} of {forecasts['due']}, half-width {figure(forecasts['halfwidth_mm']['median'], 'mm')} (median), "
             f"{figure(forecasts['coverage95'], '%', 100)} inside",
         ),
+        ("promises", "; ".join(content["missed"]) or ("kept" if forecasts["judged"] >= figures.FEWEST else "not judged")),
         ("alarms, refused", f"{content['alarms']}, {content['refused']}"),
+        ("troubles", f"{content['troubles']['count']}, the last: {content['troubles']['last'][-1]}" if content["troubles"]["last"] else "none"),
+        ("not recorded", _gaps(content["gaps"])),
         ("restarts", ", ".join(f"{name} {count}" for name, count in content["restarts"].items() if count) or "none"),
         ("record", content["record"]),
         ("page", str(out / "index.html")),
     ):
         print(f"  {label:22} {text}")
+
+
+def _gaps(gaps: list[dict[str, Any]]) -> str:
+    """What the record lacks."""
+    said = [f"{gap['of']} {gap['first']} to {gap['last']}" + (f" ({gap['why']})" if gap["why"] else "") for gap in gaps]
+    return "; ".join(said[:3]) + (f" and {len(said) - 3} more gaps" if len(said) > 3 else "") or "nothing"
 
 
 # --- pictures -----------------------------------------------------------------------------------------------------------------------
@@ -108,12 +133,13 @@ def _tip(story: Story) -> Figure:
     path.plot(1e3 * x, 1e3 * y, color=MACHINE, linewidth=1, label="machine")
     t, x, y = _thin(story.estimated["time"], story.estimated["tip.x"], story.estimated["tip.y"])
     path.plot(1e3 * x, 1e3 * y, color=TWIN, linewidth=1, linestyle=(0, (4, 3)), label="twin")
-    path.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
-    path.legend(loc="best", frameon=False)
+    path.set(xlabel="x (mm)", ylabel="y (mm)")
+    path.set_aspect("equal", adjustable="datalim")
+    _legend(path)
     for values, label, style in ((x, "x", "-"), (y, "y", "--")):
         time.plot(t, 1e3 * values, color=TWIN, linewidth=1, linestyle=style, label=label)
     time.set(xlabel="time (s)", ylabel="estimated tip (mm)")
-    time.legend(loc="best", frameon=False)
+    _legend(time)
     _mark_alarms(time, story)
     return figure
 
@@ -127,7 +153,7 @@ def _error(story: Story, judged: Judged) -> Figure:
     known = np.concatenate([error[np.isfinite(error)], band[np.isfinite(band)]])
     if len(known):
         axes.set_ylim(1e3 * max(np.quantile(known, 0.02), 1e-7) / 2, 2e3 * max(known.max(), 1e-6))
-    axes.legend(loc="upper right", frameon=False)
+    _legend(axes)
     _mark_alarms(axes, story)
     return figure
 
@@ -137,12 +163,14 @@ def _forecast(story: Story, judged: Judged) -> Figure:
     table = story.forecasts
     last = table["last"] == 1.0
     at = table["time"][last] + table["ahead"][last]
-    time.plot(at, 1e3 * table["half_width"][last], color=BAND, linewidth=1.2, label="half-width, 95 %")
+    widths = 1e3 * table["half_width"][last]
+    time.plot(at, widths, color=BAND, linewidth=1.2, label="half-width, 95 %")
     hit, error = judged.inside[last], 1e3 * judged.ahead_error[last]
     time.plot(at[hit == 1], error[hit == 1], ".", color=TWIN, markersize=2.5, label="error, inside")
     time.plot(at[hit == 0], error[hit == 0], "x", color=BAD, markersize=5, label="error, outside")
     time.set(xlabel="time that was forecast (s)", ylabel="mm")
-    time.legend(loc="best", frameon=False)
+    _legend(time)
+    _bound(time, at, np.fmax(widths, np.nan_to_num(error)))
     steps = np.unique(np.round(table["ahead"], 6))
     where = [np.isclose(table["ahead"], step) for step in steps]
     ahead.plot(steps, [1e3 * np.median(table["half_width"][w]) for w in where], color=BAND, marker="o", markersize=3, label="half-width, median")
@@ -151,7 +179,7 @@ def _forecast(story: Story, judged: Judged) -> Figure:
         steps, [1e3 * np.median(e[np.isfinite(e)]) if np.isfinite(e).any() else np.nan for e in errors], color=TWIN, marker="o", markersize=3, label="error, median"
     )
     ahead.set(xlabel="ahead (s)", ylabel="mm")
-    ahead.legend(loc="upper left", frameon=False)
+    _legend(ahead)
     share = ahead.twinx()
     hits = [judged.inside[w] for w in where]
     share.plot(steps, [100 * h[np.isfinite(h)].mean() if np.isfinite(h).any() else np.nan for h in hits], color=MACHINE, linestyle=":", label="inside")
@@ -172,6 +200,27 @@ def _latency(status: dict[str, list[dict[str, Any]]]) -> Figure:
         axes.bar(edges, list(total.values()), width=[(Histogram.RATIO - 1) * edge for edge in edges], align="edge", color=TWIN, linewidth=0)
     axes.set(xscale="log", xlabel="ms from sample to estimate", ylabel="estimates")
     return figure
+
+
+def _legend(axes: Axes) -> None:
+    """Above the picture, where nothing is drawn."""
+    axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, borderaxespad=0.2)
+
+
+def _bound(axes: Axes, at: np.ndarray, values: np.ndarray) -> None:
+    """Shows what is usual; the few that are far beyond, as the first forecast of a run may be, are arrows at the edge with their values."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return
+    top = SHOWN * float(np.quantile(known, USUAL))
+    if top <= 0 or float(known.max()) <= top:
+        return
+    axes.set_ylim(0, top)
+    beyond = np.flatnonzero(np.isfinite(values) & (values > top))
+    axes.plot(at[beyond], np.full(len(beyond), 0.98 * top), "^", color=BAD, markersize=5, clip_on=False)
+    most = beyond[np.argmax(values[beyond])]
+    left = at[most] < np.mean(axes.get_xlim())
+    axes.annotate(f"{len(beyond)} beyond, up to {values[most]:.3g} mm", (at[most], 0.98 * top), xytext=(8 if left else -8, -3), textcoords="offset points", color=BAD, ha="left" if left else "right", va="center")
 
 
 def _mark_alarms(axes: Axes, story: Story) -> None:

@@ -7,17 +7,23 @@ last before it counts, and to be gone before it counts as gone; nothing counts w
 import argparse
 import logging
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final
 
 from fivebar_twin import process
 from fivebar_twin.config import Config
-from fivebar_twin.errors import Refused
+from fivebar_twin.intake import Newest, Orders
 from fivebar_twin.messages import Message
 from fivebar_twin.process import Worker
 
 STARTING: Final = 2.0
 """Seconds after the first estimate, or after a gap, in which nothing is an alarm."""
+
+NO_SAMPLE: Final = 30_000_000_000
+"""Nanoseconds without any sample after which that is an alarm."""
+
+JUMPED: Final = 10_000_000_000
+"""Nanoseconds by which a time is earlier that is of another clock."""
 
 log = logging.getLogger("fivebar")
 
@@ -86,6 +92,9 @@ class Anomalies:
 
     def see(self, fields: dict[str, float], now: float) -> list[dict[str, Any]]:
         """An estimate; the alarms that it leads to."""
+        if math.isnan(self.last):
+            # What was before had another clock, perhaps.
+            self.causes["silence"] = Cause("silence")
         if math.isnan(self.last) or now < self.last or now - self.last > self.settings.silence:
             if self.state in ("starting", "listening"):
                 self._go("starting", now)
@@ -98,6 +107,13 @@ class Anomalies:
             for i in (1, 2):
                 self.gathered[i] += fields.get(f"estimated.tau[{i}]", 0.0)
         return self._advance(now, fields)
+
+    def never(self, now: float, since: float, samples: int) -> list[dict[str, Any]]:
+        """No estimate has ever come, though it should have; times of the samples' clock, s."""
+        if self.state != "starting" or now - since <= STARTING + self.settings.silence:
+            return []
+        self.causes["silence"].see(True, now - since, now, 0.0, 0.0)
+        return self._raise("silence", now, {"seconds": now - since, "samples": float(samples)})
 
     def quiet(self, now: float) -> list[dict[str, Any]]:
         """No estimate so far, at a time of the same clock."""
@@ -168,63 +184,61 @@ class Histogram:
         return 0.0
 
 
-@dataclass
-class _Order:
-    """The newest number, against messages that are sent again."""
-
-    newest: dict[str, int] = field(default_factory=dict)
-
-    def check(self, message: Message) -> None:
-        if message.time <= self.newest.get(message.kind, -1):
-            raise Refused(f"{message.kind} {message.seq} is not newer than what came before")
-        self.newest[message.kind] = message.time
-
-
 class Watch(Worker):
     """The worker; also the subscriber at which the way from sample to estimate is timed."""
 
     name = "watch"
-    kinds = ("est", "cmd")
+    kinds = ("meas", "est", "cmd")
 
     def __init__(self, config: Config):
         super().__init__(config)
         self.anomalies = Anomalies()
         self.latency = Histogram()
-        self.order = _Order()
+        self.order, self.orders = Newest(), Orders()
+        self.samples = 0
+        self.waiting: tuple[int, int] | None = None
+        """Since when an estimate is waited for: on the samples' clock and on this process' own, ns."""
+        self.last_alarm = -1
         self.alarms = 0
         self.estimates = 0
         self.newest: Message | None = None
         self.arrived = 0
 
     def handle(self, message: Message, payload: bytes, now: int) -> None:
-        if message.kind == "cmd":
-            self.order.check(message)
-            if message.extra["command"] == "acknowledge":
-                self._tell(self.anomalies.acknowledge(self.anomalies.last))
+        if message.kind == "meas":
+            self.waiting = (message.time, now) if self.samples == 0 else self.waiting
+            self.samples += 1
             return
-        jumped = self.newest is not None and message.seq > self.newest.seq and message.time < self.newest.time
-        if not jumped:
-            self.order.check(message)
-        self.order.newest["est"] = message.time
+        if message.kind == "cmd":
+            self.orders.check(message, now)
+            self.orders.taken(message)
+            if message.extra["command"] == "acknowledge":
+                self._tell([each | {"order": message.time} for each in self.anomalies.acknowledge(self.anomalies.last)], now)
+            return
+        self.order.admit(message, now)
         self.newest, self.arrived = message, now
         self.estimates += 1
         sample = next((entry[2] for entry in reversed(message.extra.get("inputs", [])) if entry[0] == "meas"), None)
         if isinstance(sample, int):
             self.latency.add(1e-9 * (now - sample))
-        self._tell(self.anomalies.see(message.fields, 1e-9 * message.time))
+        self._tell(self.anomalies.see(message.fields, 1e-9 * message.time), now)
 
     def tick(self, now: int) -> None:
         if self.newest is not None:
-            self._tell(self.anomalies.quiet(1e-9 * (self.newest.time + now - self.arrived)))
+            self._tell(self.anomalies.quiet(1e-9 * (self.newest.time + now - self.arrived)), now)
+            return
+        # A machine may take its time to begin; one whose samples come is waited for no longer.
+        self.waiting = self.waiting or (now + NO_SAMPLE, now)
+        since, at = self.waiting
+        self._tell(self.anomalies.never(1e-9 * (since + now - at) if self.samples else 1e-9 * now, 1e-9 * since, self.samples), now)
 
-    def _tell(self, alarms: list[dict[str, Any]]) -> None:
+    def _tell(self, alarms: list[dict[str, Any]], now: int) -> None:
         for alarm in alarms:
             self.alarms += alarm["state"] == "anomaly"
             log.warning("%s", alarm)
-            assert self.newest is not None, "alarms follow estimates"
-            time = max(self.newest.time, self.order.newest.get("alarm", -1) + 1)
-            self.order.newest["alarm"] = time
-            self.publish(Message("alarm", "", time, self.newest.seq, {}, alarm))
+            time, seq = (now, 0) if self.newest is None else (self.newest.time, self.newest.seq)
+            self.last_alarm = max(time, self.last_alarm + 1) if time > self.last_alarm - JUMPED else time
+            self.publish(Message("alarm", "", self.last_alarm, seq, {}, alarm))
 
     def status(self) -> dict[str, Any]:
         quantiles = {f"p{share}": 1e3 * self.latency.quantile(share / 100) for share in (50, 90, 99)}

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from fivebar_twin.calibrate import data, scenes
-from fivebar_twin.calibrate.fit import Fit, Fitter, Show
+from fivebar_twin.calibrate.fit import Fit, Fitter, Show, least_noise
 from fivebar_twin.calibrate.identify import Judgement, interval, judge
 from fivebar_twin.calibrate.motion import Between, Machine
 from fivebar_twin.calibrate.parameters import USUAL, Parameter, Values, assemble, parameters
@@ -30,16 +30,27 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="of the record that are used [default: 10]")
     parser.add_argument("--longest", type=float, default=10.0, metavar="S", help="series longer than this are cut [default: 10]")
     parser.add_argument("--commands", choices=("rate", "linear", "hold"), default="rate", help="what drives do between samples [default: rate, as the twin]")
+    parser.add_argument("--patience", type=float, default=50.0, metavar="S", help="of CPU after which a fit is given up [default: 50]")
     parser.add_argument("--unit", default="", help="which machine, if the record has several")
     parser.add_argument("--no-proposal", action="store_true", help="do not look for a motion that would tell what is not identified")
     parser.add_argument("--fmu", type=Path, default=default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
     parser.add_argument("--out", type=Path, default=Path("target/calibrate"), help="for scene, figures and pictures [default: target/calibrate]")
     parser.add_argument("--trials", type=int, metavar="N", help="no FILE: calibrate N made records, count what error bars cover")
+    parser.add_argument("--machines", choices=("one", "any"), default="one", help="of trials: one with six unknowns off, or each another one [default: one]")
     parser.add_argument("--first", type=int, default=100, metavar="K", help="number of the first of these trials [default: 100]")
 
 
 WELL_TOLD: Final = 0.05
 """Standard deviation in sizes."""
+
+WRONG: Final = 0.05
+"""rad: residuals of a machine that is not the scene's; encoders and what a model leaves out are far below."""
+
+ODD: Final = 10.0
+"""How many times what encoders show residuals may be without a warning, if they are above `SMALL`."""
+
+SMALL: Final = 1e-3
+"""rad."""
 
 
 @dataclass(frozen=True)
@@ -49,15 +60,20 @@ class Result:
     fit: Fit
     judgement: Judgement
     sought: list[Parameter]
+    wrong: str = ""
+    """Why nothing is believed, or ""."""
+
+    odd: str = ""
+    """Why values may be off by more than their bars, or ""."""
 
     def refused(self) -> list[int]:
         """Which unknowns the record does not tell."""
         return [k for k, known in enumerate(self.judgement.identified) if not known]
 
 
-def calibrate(machine: Machine, given: data.Data, between: Between, longest: float, show: Show) -> Result:
+def calibrate(machine: Machine, given: data.Data, between: Between, longest: float, show: Show, patience: float = math.inf) -> Result:
     """Fits; then once more with what is not told kept as the scene has it."""
-    fitter = Fitter(machine, given, between, longest, show)
+    fitter = Fitter(machine, given, between, longest, show, patience)
     sought = list(machine.sought)
     fit = fitter.run()
     judgement = judge(fit, sought)
@@ -73,7 +89,22 @@ def calibrate(machine: Machine, given: data.Data, between: Between, longest: flo
             show(f"not identified: {names}; fitted once more with that as it is in the scene")
         fit = fitter.run(fit, pins)
         judgement = _both(judgement, judge(fit, sought))
-    return Result(fit, judgement, sought)
+    wrong, odd = suspicion(fit, least_noise(given))
+    if wrong:
+        judgement = replace(judgement, identified=[False] * len(sought))
+    return Result(fit, judgement, sought, wrong, odd)
+
+
+def suspicion(fit: Fit, tenth: np.ndarray) -> tuple[str, str]:
+    """Why nothing of a fit is to be believed, and why it is to be believed less than its bars say; "" if there is no reason."""
+    worst = int(np.argmax(fit.sigma))
+    residual, shown = float(fit.sigma[worst]), 10 * float(tenth[worst])
+    text = f"residuals of encoder {worst + 1} are {1e3 * residual:.3g} mrad after the fit, where the encoder shows {1e3 * shown:.2g} mrad of noise"
+    if residual > WRONG:
+        return f"refused: {text}: the scene is not this machine, and nothing that was found is believed", ""
+    if residual > max(ODD * shown, SMALL):
+        return "", f"warning: {text}: the machine has something that is not sought, and values may be off by more than their bars"
+    return "", ""
 
 
 def _both(before: Judgement, later: Judgement) -> Judgement:
@@ -93,31 +124,35 @@ def _pins(judgement: Judgement, count: int) -> np.ndarray:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """0 if at least one unknown is identified, 1 if none is."""
+    """0 if at least one unknown is identified, 1 if none is or the record is not of this machine."""
     if arguments.trials is not None:
         from fivebar_twin.calibrate import trials
 
         return trials.run(arguments)
     if arguments.file is None:
         raise TwinError("a FILE is needed: a record (Parquet), a folder of its parts, or CSV")
-    for name in ("seconds", "longest"):
+    for name in ("seconds", "longest", "patience"):
         if not (math.isfinite(getattr(arguments, name)) and getattr(arguments, name) > 0):
             raise TwinError(f"{name} is {getattr(arguments, name):g}; more than 0 is needed")
     begun = time.process_time()
     given = data.read(arguments.file, arguments.begin, arguments.seconds, arguments.unit)
+    data.check(given)
     library = Library(arguments.fmu)
     try:
         scene, source = scenes.start_values(arguments.scene, arguments.file, library)
         sought = parameters(arguments.parameters or usual(scene), library, scene)
         machine = Machine(library, scene, sought)
-        result = calibrate(machine, given, arguments.commands, arguments.longest, lambda text: print(text, file=sys.stderr, flush=True))
+        result = calibrate(machine, given, arguments.commands, arguments.longest, _show, arguments.patience)
         motion = None
-        if result.refused() and not arguments.no_proposal:
+        if result.refused() and not result.wrong and not arguments.no_proposal:
             motion = propose(machine, result.fit, result.refused())
         arguments.out.mkdir(parents=True, exist_ok=True)
         report = _report(result, given, source, arguments, time.process_time() - begun, motion)
         (arguments.out / "calibration.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
-        _write_scene(arguments.out / "calibrated.json", result, scene, arguments, given, library)
+        written = [arguments.out / "calibration.json"]
+        if not result.wrong:
+            written.insert(0, arguments.out / "calibrated.json")
+            _write_scene(written[0], result, scene, arguments, given, library)
         if motion is not None:
             _write_proposal(arguments.out / "proposal.json", result, motion, scene, library)
         machine.close()
@@ -126,8 +161,12 @@ def run(arguments: argparse.Namespace) -> int:
     from fivebar_twin.calibrate import pictures
 
     files = pictures.draw(arguments.out, result.fit, result.judgement, result.sought)
-    _print(result, report, [arguments.out / "calibrated.json", arguments.out / "calibration.json", *files])
+    _print(result, report, [*written, *files])
     return 0 if any(result.judgement.identified) else 1
+
+
+def _show(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
 def usual(scene: Values) -> list[str]:
@@ -189,6 +228,8 @@ def _report(result: Result, given: data.Data, source: str, arguments: argparse.N
         }
     return {
         "file": str(arguments.file),
+        "refused": result.wrong or None,
+        "warning": result.odd or None,
         "begins_from": source,
         "samples": sum(len(series) for series in given.series),
         "series": len(given.series),
@@ -208,6 +249,8 @@ def _report(result: Result, given: data.Data, source: str, arguments: argparse.N
 
 def _print(result: Result, report: dict[str, Any], files: list[Path]) -> None:
     judgement = result.judgement
+    if result.wrong or result.odd:
+        print(result.wrong or result.odd)
     print(f"{report['samples']} samples in {report['series']} series, every {1e3 * report['period']:.3g} ms; begun from {report['begins_from']}")
     for note in report["notes"]:
         print(f"  {note}")
@@ -228,7 +271,7 @@ def _print(result: Result, report: dict[str, Any], files: list[Path]) -> None:
     print(f"derivatives: twice the step differs by {judgement.doubt[worst]:.1g} of the column at most ({result.sought[worst].name})")
     if report["proposal"]:
         print(f"a motion that would tell {', '.join(f'{n} to ±{b:.2g}' for n, b in report['proposal']['tells'].items())}: {report['proposal']['scene']}")
-    elif not all(judgement.identified):
+    elif not all(judgement.identified) and not result.wrong:
         print("no motion of those that were tried would tell what is not identified")
     print(f"{report['runs']} runs, {report['cpu_seconds']:.1f} s of CPU; written: {', '.join(map(str, files))}")
 

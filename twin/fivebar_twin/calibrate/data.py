@@ -1,5 +1,6 @@
 """What was measured: angles of the encoders and what the drives were told, from a record (Parquet) or a table (CSV)."""
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -17,6 +18,15 @@ LARGEST_CSV: Final = 1_000_000_000
 
 GAP: Final = 5.5
 """Usual distances of two samples after which a series ends: what the drives were told in a longer gap is not known."""
+
+SLOW: Final = 0.5
+"""s a sample: nothing that moves is sampled as slowly to be calibrated, but ms that are taken for s look so."""
+
+SHORTEST: Final = 1.0
+"""s of all series together."""
+
+MOVES: Final = 0.05
+"""rad: servos that are led by more are told to move."""
 
 Array = np.ndarray
 
@@ -64,6 +74,7 @@ def read(file: Path, begin: float, seconds: float, unit: str = "") -> Data:
         time, table, notes = _csv(file)
     else:
         time, table, notes = _record(file, unit)
+    _check_units(file, time, table)
     chosen = (time >= begin) & (time <= begin + seconds)
     if not chosen.any():
         raise TwinError(f"{file} has no sample from {begin:g} s on for {seconds:g} s; its last one is at {time[-1]:.3f} s")
@@ -73,6 +84,51 @@ def read(file: Path, begin: float, seconds: float, unit: str = "") -> Data:
     if not data.series:
         raise TwinError(f"{file} has no series of 20 samples or more without a gap")
     return data
+
+
+def _check_units(file: Path, time: Array, table: dict[str, Array]) -> None:
+    """Refuses what looks like milliseconds and degrees."""
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    if step >= SLOW:
+        what = "milliseconds" if step < 1e3 * SLOW else "microseconds or nanoseconds"
+        raise TwinError(f"{file}: time goes on by {step:g} s a sample (median); less than {SLOW:g} s is expected: are these {what}?")
+    for name, column in table.items():
+        known = np.abs(column[np.isfinite(column)])
+        if "theta" in name and len(known) and float(np.quantile(known, 0.05)) > 2 * math.pi:
+            raise TwinError(
+                f"{file}: {name} is from {np.nanmin(column):g} to {np.nanmax(column):g} rad, beyond a turn nearly always: are these degrees? "
+                "(Whole turns may be left out.)"
+            )
+
+
+def check(data: Data) -> None:
+    """Refuses what no machine can be found from: too short, at rest though it is told to move, with its encoders in the places of each other."""
+    span = sum(float(series.time[-1] - series.time[0]) for series in data.series)
+    if span < SHORTEST:
+        raise TwinError(f"the record has {span:.3g} s; {SHORTEST:g} s or more are needed")
+    names = data.series[0].names
+    servos = [f"servo.theta[{i}]" for i in (1, 2)]
+    if not all(name in names for name in servos):
+        return
+    angles = np.concatenate([series.angles for series in data.series])
+    told = np.concatenate([series.commands[:, [names.index(name) for name in servos]] for series in data.series])
+    # Less one of a hundred on either side: outliers move, also where the machine does not.
+    moved, led = (np.diff(np.nanquantile(each, (0.01, 0.99), axis=0), axis=0)[0] for each in (angles, told))
+    if float(led.max()) > MOVES and np.all(~(moved > 0.02 * led.max())):
+        raise TwinError(
+            f"the measured angles stand still (they move by {1e3 * float(np.nan_to_num(moved).max()):.3g} mrad) while servos are told to move "
+            f"by {1e3 * float(led.max()):.3g} mrad: are the drives off, or is this another machine's record?"
+        )
+
+    def apart(columns: list[int]) -> float:
+        gap = angles - told[:, columns]
+        return float(np.sqrt(np.nanmean((gap - 2 * math.pi * np.round(gap / (2 * math.pi))) ** 2)))
+
+    if apart([1, 0]) < 0.3 * apart([0, 1]):
+        raise TwinError(
+            f"measured.theta[1] follows servo.theta[2] and the other way round (rms {apart([1, 0]):.3g} rad instead of {apart([0, 1]):.3g} rad): "
+            "are the encoders swapped?"
+        )
 
 
 def split(time: Array, table: dict[str, Array], notes: list[str]) -> Data:

@@ -7,6 +7,7 @@ extrapolated to the step 0, and the same from twice the steps says what they can
 """
 
 import math
+import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -95,12 +96,13 @@ class Fit:
 class Fitter:
     """Runs the levels."""
 
-    def __init__(self, machine: Machine, data: Data, between: Between, longest: float, show: Show):
+    def __init__(self, machine: Machine, data: Data, between: Between, longest: float, show: Show, patience: float = math.inf):
         self.machine, self.data, self.between, self.longest, self.show = machine, data, between, longest, show
         self.period = data.period
         self.sought = machine.sought
         self.steps: dict[int, float] = {}
         self.evaluations = 0
+        self.patience, self.ends = patience, time.process_time() + patience
         self.noise = least_noise(data)
         self.known: tuple[tuple[int, bool], Array, list[Array]] | None = None
         """Of which fit, where, and what the derivatives were."""
@@ -175,6 +177,11 @@ class Fitter:
 
     def motion(self, piece: Piece, x: Array, state: Array) -> Array:
         """What encoders would show of a piece, (n, 2)."""
+        if time.process_time() > self.ends:
+            raise TwinError(
+                f"the fit has come to no end within {self.patience:g} s of CPU (--patience): the scene is probably not this machine; "
+                "are its geometry, the encoders' places, signs and zeros, and what the drives are told right?"
+            )
         motion, _ = self.machine.run(piece.path, x, Start(state, piece.start.assembly))
         return self.machine.seen(piece.path, motion, x)
 

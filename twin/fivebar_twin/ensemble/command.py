@@ -208,16 +208,25 @@ class Progress:
         print(f"\r\x1b[K{line}" if terminal else line, end=end, file=sys.stderr, flush=True)
 
 
+def _interval(levels: dict[str, float], digits: int) -> str:
+    """The 95 % interval, if it is told."""
+    return f" (95 %: {levels['0.025']:.{digits}f} to {levels['0.975']:.{digits}f})" if "0.025" in levels else ""
+
+
 def _print(summary: dict[str, Any], files: list[Path]) -> None:
     singular, measured = summary["singular"], summary["measured"]
     print(f"{summary['members']} members of {summary['seconds']:g} s, seed {summary['seed']}; {summary['failed']} failed")
     print(f"  a singularity within that time: {singular['probability']:.1%}", end="")
     if singular["time_s"]:
         times = singular["time_s"]
-        print(f"; the first at {times['0.5']:.3f} s (95 %: {times['0.025']:.3f} to {times['0.975']:.3f} s)", end="")
+        print(f"; the first at {times['0.5']:.3f} s{_interval(times, 3)}", end="")
     print()
     for name, band in summary["end"].items():
-        print(f"  {name:9} in the end {band['0.5']:10.5f}  (95 %: {band['0.025']:.5f} to {band['0.975']:.5f})")
+        print(f"  {name:9} in the end {band['0.5']:10.5f} {_interval(band, 5)}")
+    from fivebar_twin.ensemble.results import FEWEST
+
+    if summary["members"] - summary["failed"] < FEWEST:
+        print(f"  no intervals: {FEWEST} members are the fewest that tell one of 95 %")
     for name, label in (("one_process", "one process"), ("workers", "workers")):
         if name in measured:
             part = measured[name]

@@ -19,6 +19,9 @@ from fivebar_twin.ensemble.member import KINDS, SHOWN, Plan
 LEVELS: Final = (0.025, 0.25, 0.5, 0.75, 0.975)
 """Quantiles of the bands."""
 
+FEWEST: Final = 40
+"""Members that tell a 95 % interval: with less not even one is expected beyond either of its ends."""
+
 IN_MEMORY: Final = 8_000_000
 """Numbers that are in memory at a time."""
 
@@ -49,10 +52,18 @@ class Story:
             "singular": {
                 "probability": met / max(1, self.members - self.failed),
                 "kinds": {kind: len(times) for kind, times in self.singular_times.items()},
-                "time_s": {str(level): float(np.quantile(every, level)) for level in LEVELS} if met else {},
+                "time_s": {str(level): float(np.quantile(every, level)) for level in LEVELS if level in told(met)} if met else {},
             },
-            "end": {name: dict(zip(map(str, LEVELS), band[-1].tolist(), strict=True)) for name, band in self.bands.items()},
+            "end": {
+                name: {str(level): float(value) for level, value in zip(LEVELS, band[-1], strict=True) if level in told(self.members - self.failed)}
+                for name, band in self.bands.items()
+            },
         }
+
+
+def told(members: int) -> tuple[float, ...]:
+    """Quantiles that so many members tell: of few the median alone, for they have no interval of 95 %."""
+    return LEVELS if members >= FEWEST else (0.5,)
 
 
 def write(file: Path, plan: Plan, tables: Iterator[pa.Table], show: Any) -> int:
@@ -112,8 +123,9 @@ def _bands(story: Story) -> Figure:
     figure, rows = plt.subplots(2, 2, figsize=(11, 6), sharex=True)
     for axes, name, colour, factor, unit in zip(rows.T.flat, SHOWN, (TIP, TIP, LEFT, RIGHT), (1e3, 1e3, 1.0, 1.0), ("mm", "mm", "rad", "rad"), strict=True):
         band = factor * story.bands[name]
-        axes.fill_between(story.time, band[:, 0], band[:, 4], color=colour, alpha=0.18, linewidth=0, label="95 %")
-        axes.fill_between(story.time, band[:, 1], band[:, 3], color=colour, alpha=0.35, linewidth=0, label="50 %")
+        if len(told(story.members - story.failed)) > 1:
+            axes.fill_between(story.time, band[:, 0], band[:, 4], color=colour, alpha=0.18, linewidth=0, label="95 %")
+            axes.fill_between(story.time, band[:, 1], band[:, 3], color=colour, alpha=0.35, linewidth=0, label="50 %")
         axes.plot(story.time, band[:, 2], color=colour, label="median")
         axes.set_ylabel(f"{name}  ({unit})")
     rows[0, 0].legend(ncols=3)

@@ -1,34 +1,54 @@
-"use strict";
 // The live page: machine, twin and forecast as they come from the broker. docs/pipeline.md says what the messages are.
+
+import { Validator } from "./json-schema/validator.js";
 
 const byId = (id) => document.getElementById(id);
 const SHOWN = 20;        // s that the charts show
 const TRAIL = 1.5;       // s of the tip's path that stay visible
 const LEVEL = 5.991;     // squared radius of the ellipse that holds 95 %, in standard deviations
 const NIS_BOUND = 5.99;  // 95 % of a chi-square distribution with two degrees of freedom
-const STALE = 1000;      // ms without an estimate after which the picture is no longer live
+const STALE = 1000;      // ms without an estimate after which nothing of the page is live
+const ANSWERED = 3000;   // ms in which an order is answered, or is not heard
 const EVERY = 4;         // estimates for one point of the charts
 const CHARTS = 100;      // ms between two drawings of the charts
+const KINDS = ["meas", "est", "forecast", "alarm"];
 const GLOW = 0.1;        // |sin| of the angle between two links below which their singularity glows
 
-const state = { about: null, meas: null, est: null, samples: new Map(), box: null, forecast: null, history: [], trail: [], alarms: [], first: 0, arrived: 0, count: 0, rate: 0, delays: [] };
-let client = null, colours = {}, view = null;
+const state = { about: null, meas: null, est: null, samples: new Map(), box: null, forecast: null, history: [], trail: [], alarms: [], first: 0, arrived: -Infinity, count: 0, made: 0, rate: 0, delays: [], link: ["connecting", ""], order: null, refused: 0, undrawn: 0 };
+let client = null, socket = null, colours = {}, view = null, validators = {}, arrived = false, handled = 0;
 
 // --- messages ---------------------------------------------------------------------------------------------------------
 
 const finite = (object, ...names) => names.every((name) => Number.isFinite(object?.[name]));
 
-/** What arrives is checked: another program on the broker must not break the page. */
+/** What arrives is checked by the schema that the package checks it by: another program on the broker must not break the page. */
 function receive(topic, payload) {
+  const [, unit, kind] = topic.split("/");
+  arrived = true;
+  if (kind !== "alarm") handled += 1;
   let message;
-  try { message = JSON.parse(new TextDecoder().decode(payload)); } catch { return; }
-  const kind = topic.split("/")[2];
-  if (message === null || typeof message !== "object" || message.measurement !== kind || !Number.isFinite(message.time)) return;
-  const fields = message.fields ?? {};
-  if (kind === "meas" && finite(fields, "measured.theta[1]", "measured.theta[2]")) takeSample(message);
-  if (kind === "est" && finite(fields, "theta[1]", "theta[2]", "passive.theta[1]", "passive.theta[2]", "tip.x", "tip.y")) takeEstimate(message);
-  if (kind === "forecast" && Array.isArray(message.path?.["tip.x"]) && Array.isArray(message.path?.ahead)) state.forecast = message;
-  if (kind === "alarm" && typeof message.state === "string") takeAlarm(message);
+  try { message = JSON.parse(new TextDecoder().decode(payload)); } catch { return refuse(`${kind} is not JSON`); }
+  const found = validators[kind].validate(message);
+  if (!found.valid) {
+    const { instanceLocation, error } = found.errors.at(-1);
+    return refuse(`${kind}: ${decodeURIComponent(instanceLocation)} ${error}`);
+  }
+  if (message.tags.unit !== unit) return refuse(`${kind} is of another unit`);
+  if (kind === "meas" && finite(message.fields, "measured.theta[1]", "measured.theta[2]")) takeSample(message);
+  if (kind === "est") takeEstimate(message);
+  if (kind === "forecast") state.forecast = message;
+  if (kind === "alarm") takeAlarm(message);
+}
+
+/** A message that is none: said on the page, and nothing else happens. */
+function refuse(sentence) {
+  state.refused += 1;
+  problem("refused", `${state.refused} ${state.refused === 1 ? "message" : "messages"} refused, the last: ${sentence.slice(0, 200)}`);
+}
+
+function problem(id, text) {
+  byId(id).textContent = text;
+  byId(id).hidden = false;
 }
 
 function takeSample(message) {
@@ -39,13 +59,15 @@ function takeSample(message) {
 }
 
 function takeEstimate(message) {
-  const fields = message.fields, seconds = message.time / 1e9;
+  const fields = message.fields, seconds = message.time / 1e9, before = state.est?.seq ?? message.after;
+  // A slow page does not get all: what was left out was made nevertheless.
+  state.made += 1 + Math.max(message.after - before, 0);
   state.est = message;
   state.arrived = performance.now();
   state.first ||= seconds;
   state.count += 1;
   state.delays.push(Date.now() - message.time / 1e6);
-  if (state.delays.length > 200) state.delays.shift();
+  if (state.delays.length > 50) state.delays.shift();
   if (state.count % EVERY === 0) remember(message);
   state.trail.push([seconds, fields["tip.x"], fields["tip.y"]]);
   while (state.trail[0][0] < seconds - TRAIL || state.trail[0][0] > seconds) state.trail.shift();
@@ -70,21 +92,33 @@ function remember(message) {
 function takeAlarm(message) {
   state.alarms.unshift(message);
   state.alarms.length = Math.min(state.alarms.length, 50);
-  const raised = state.alarms.filter((alarm) => alarm.state === "anomaly").length;
+  const raised = state.alarms.filter(isRaised).length;
+  if (message.order !== undefined && message.order === state.order?.time) answer(message.sentence ?? "the watch has taken note", message.state === "trouble" ? "bad" : "good");
   byId("alarmCount").textContent = raised ? `${raised} raised` : "none";
   byId("acknowledge").disabled = !["anomaly", "calibrating"].includes(message.state);
   byId("alarms").replaceChildren(...state.alarms.map((alarm) => {
     const item = document.createElement("li");
     const figures = Object.entries({ ...alarm.figures, ...alarm.mean, ...(alarm.lasted ? { lasted: alarm.lasted } : {}) });
     const seconds = state.first ? (alarm.time / 1e9 - state.first).toFixed(2) : "?";
-    item.textContent = `${seconds} s · ${alarm.state} · ${alarm.cause}${alarm.reason ? ` · ${alarm.reason}` : ""}${figures.length ? " · " : ""}${figures.map(([name, value]) => `${name} ${Number(value).toPrecision(3)}`).join(", ")}`;
-    item.className = alarm.state === "anomaly" ? "bad" : alarm.state === "listening" ? "good" : "warn";
+    item.textContent = `${seconds} s · ${alarm.state} · ${alarm.cause}${alarm.sentence ? ` · ${alarm.sentence}` : ""}${alarm.reason ? ` · ${alarm.reason}` : ""}${figures.length ? " · " : ""}${figures.map(([name, value]) => `${name} ${Number(value).toPrecision(3)}`).join(", ")}`;
+    item.className = isRaised(alarm) ? "bad" : alarm.state === "listening" ? "good" : "warn";
     return item;
   }));
 }
 
+const isRaised = (alarm) => ["anomaly", "trouble"].includes(alarm.state);
+
+/** What has become of an order. */
+function answer(text, kind) {
+  byId("order").textContent = text;
+  byId("order").className = kind;
+  if (kind) state.order = null;
+}
+
 function order(command) {
   const message = { measurement: "cmd", time: Date.now() * 1000000, seq: Math.floor(Date.now() / 1000), tags: { unit: state.about.unit }, fields: {}, command };
+  state.order = { time: message.time, sent: performance.now() };
+  answer("sent", "");
   client.publish(`fivebar/${state.about.unit}/cmd`, JSON.stringify(message), { qos: 1 });
 }
 
@@ -156,7 +190,7 @@ function drawStage() {
 
   drawGround(pen, width, height, at, stroke);
   if (!state.est) return;
-  const live = performance.now() - state.arrived < STALE, twin = twinPose(), machine = state.meas ? machinePose(state.meas) : null;
+  const live = age() < STALE, twin = twinPose(), machine = state.meas ? machinePose(state.meas) : null;
   const size = Math.min(Math.max(scale * 0.02, 5), 9);
   pen.globalAlpha = 1;
 
@@ -164,15 +198,18 @@ function drawStage() {
   state.trail.forEach((p, i) => {
     if (i && i % 2 === 0) stroke([state.trail[i - 2].slice(1), p.slice(1)], colours.tip, 2.2, 0.9 * (i / state.trail.length) ** 1.5);
   });
-  const glow = (points, measure, colour) => { if (measure < GLOW) stroke(points, colour, size * 3.2, 0.55 * (1 - measure / GLOW)); };
+  // A direct singularity glows in beads, an inverse one in a band: hues alone do not tell them to everybody.
+  const glow = (points, measure, colour, beads = []) => { if (measure < GLOW) stroke(points, colour, size * 3.2, 0.75 * (1 - measure / GLOW), beads); };
   glow([[0, 0], twin.left, twin.tip], twin.inverse[0], colours.inverse);
   glow([[base, 0], twin.right, twin.tip], twin.inverse[1], colours.inverse);
-  glow([twin.left, twin.tip, twin.right], twin.direct, colours.direct);
+  glow([twin.left, twin.tip, twin.right], twin.direct, colours.direct, [1, size * 4.5]);
   const strength = live ? 1 : 0.3;
   stroke([[0, 0], twin.left], colours.left, size, strength);
   stroke([[base, 0], twin.right], colours.right, size, strength);
   stroke([twin.left, twin.tip], colours.left, size * 0.62, strength);
   stroke([twin.right, twin.tip], colours.right, size * 0.62, strength);
+  // The right leg has a light core.
+  stroke([[base, 0], twin.right, twin.tip], colours.card, size * 0.28, strength);
   // The machine over its twin: where both agree one sees one line inside the other.
   if (machine) stroke([[0, 0], machine.left, machine.tip, machine.right, [base, 0]], colours.card, 2, 0.95, [6, 5]);
   if (machine) stroke([[0, 0], machine.left, machine.tip, machine.right, [base, 0]], colours.ink, 1.2, 0.8, [6, 5]);
@@ -182,7 +219,7 @@ function drawStage() {
   dot(twin.tip, size * 0.85, colours.tip, colours.card);
   if (!live) {
     pen.fillStyle = colours.bad; pen.font = "600 15px system-ui, sans-serif"; pen.textAlign = "center";
-    pen.fillText("no estimates: what you see is the past", width / 2, 26); pen.textAlign = "left";
+    pen.fillText("what you see is the past", width / 2, 26); pen.textAlign = "left";
   }
 }
 
@@ -265,7 +302,7 @@ function chart(id, { lines, bands = [], bound, unit, floor, log = false }) {
   }
   pen.textAlign = "left"; pen.fillText(`−${SHOWN} s`, left, height - 3); pen.textAlign = "right"; pen.fillText(unit, right, height - 3); pen.textAlign = "left";
   pen.save(); pen.beginPath(); pen.rect(left, 0, right - left, bottom + 2); pen.clip();
-  for (const alarm of state.alarms) if (alarm.state === "anomaly") { pen.fillStyle = colours.bad; pen.globalAlpha = 0.5; pen.fillRect(x(alarm.time / 1e9) - 1, top, 2, bottom - top); pen.globalAlpha = 1; }
+  for (const alarm of state.alarms) if (isRaised(alarm)) { pen.fillStyle = colours.bad; pen.globalAlpha = 0.5; pen.fillRect(x(alarm.time / 1e9) - 1, top, 2, bottom - top); pen.globalAlpha = 1; }
   for (const { of, colour } of bands) {
     const edges = kept.map((h) => [x(h.t), of(h)]).filter(([, [a, b]]) => usable(a) && usable(b));
     if (!edges.length) continue;
@@ -295,7 +332,7 @@ function drawCharts() {
 // --- the numbers ------------------------------------------------------------------------------------------------------
 
 const ROWS = [
-  ["rate", "Estimates"], ["delay", "Sample to page"], ["tip", "Tip"], ["error", "Machine − twin"], ["ahead", "Forecast, 95 %"],
+  ["age", "Age of the newest"], ["rate", "Estimates"], ["delay", "Sample to page"], ["tip", "Tip"], ["error", "Machine − twin"], ["ahead", "Forecast, 95 %"],
   ["singular", "Next singularity"], ["stop", "Next end stop"],
 ];
 const cells = Object.fromEntries(ROWS.map(([key, label]) => {
@@ -314,8 +351,29 @@ function show(key, text, kind = "") {
 
 const median = (values) => (values.length ? [...values].sort((a, b) => a - b)[values.length >> 1] : NaN);
 
+/** ms since the newest estimate came. */
+const age = () => performance.now() - state.arrived;
+
+/** Whether anything here is live: the age of the newest estimate rules all of it. */
+function tellLife() {
+  const [text, kind] = state.link, seconds = (age() / 1000).toFixed(1), connected = kind === "good", live = connected && age() < STALE;
+  const none = state.est ? `no estimate for ${seconds} s` : "no estimate yet";
+  byId("connection").textContent = connected ? (live ? text : none) : text;
+  byId("connection").className = `pill ${live ? "good" : connected && !state.est ? "warn" : kind === "good" ? "bad" : kind}`;
+  document.body.classList.toggle("past", state.est !== null && !live);
+  byId("restart").disabled = !connected;
+  show("age", state.est ? (age() < STALE ? "below 1 s" : `${seconds} s`) : "–", live || !state.est ? "" : "bad");
+  if (state.order && performance.now() - state.order.sent > ANSWERED) answer("no answer: does the twin run, and may you give orders?", "bad");
+  if (!live && state.est) {
+    byId("status").textContent = connected ? `The twin has said nothing for ${seconds} s` : "Nothing arrives: what you see is the past";
+    byId("status").className = "bad";
+  }
+  return live;
+}
+
 function tell() {
   const { est, forecast, about } = state;
+  if (!tellLife()) return;
   if (!est || !state.history.length) return;
   const f = est.fields, last = state.history[state.history.length - 1], seconds = est.time / 1e9;
   byId("clock").textContent = (seconds - state.first).toFixed(1);
@@ -323,7 +381,7 @@ function tell() {
   const alarm = f["estimated.alarm"] === 1;
   byId("status").textContent = alarm ? `${name} · something acts that the twin does not know` : name;
   byId("status").className = alarm ? "bad" : f["estimated.status"] === 2 ? "good" : "warn";
-  show("rate", `${state.rate.toFixed(0)} /s`, performance.now() - state.arrived > STALE ? "bad" : "");
+  show("rate", `${state.rate.toFixed(0)} /s`);
   show("delay", `${median(state.delays).toFixed(0)} ms`);
   show("tip", `${(1e3 * f["tip.x"]).toFixed(1)}, ${(1e3 * f["tip.y"]).toFixed(1)} mm`);
   show("error", Number.isFinite(last.error) ? `${(1e3 * last.error).toFixed(3)} mm` : "–");
@@ -339,30 +397,42 @@ function tell() {
 }
 
 function connection(text, kind) {
-  byId("connection").textContent = text;
-  byId("connection").className = `pill ${kind}`;
-  byId("restart").disabled = kind !== "good";
+  state.link = [text, kind];
+  tellLife();
 }
 
 // --- the beginning ----------------------------------------------------------------------------------------------------
 
 function connect(user, password) {
   client?.end(true);
-  client = mqtt.connect(`ws://${location.host}/mqtt`, { username: user, password, reconnectPeriod: 500, connectTimeout: 5000, clean: true, timerVariant: "native" });
+  client = mqtt.connect(`ws://${location.host}/mqtt`, { username: user, password, reconnectPeriod: 500, connectTimeout: 5000, clean: true, timerVariant: "native", createWebsocket: opened });
   client.on("connect", () => {
     connection("live", "good");
-    const kinds = ["meas", "est", "forecast", "alarm"];
-    client.subscribe(kinds.map((kind) => `fivebar/${state.about.unit}/${kind}`), { qos: 0 });
+    client.subscribe(KINDS.map((kind) => `fivebar/${state.about.unit}/${kind}`), { qos: 0 });
   });
   client.on("close", () => connection("no broker, trying again", "bad"));
   client.on("error", (error) => connection(`broker: ${error.message}`, "bad"));
   client.on("message", receive);
 }
 
+/** The way to the broker; the page says on it how many it has drawn, and gets the newest then: one that is slow skips, and is not late. */
+function opened(address, protocols) {
+  handled = 0;
+  socket = new WebSocket(address, protocols);
+  return socket;
+}
+
 let drawn = 0;
 function frame(moment) {
-  drawStage();
-  if (moment - drawn >= CHARTS) { drawn = moment; drawCharts(); tell(); }
+  try {
+    drawStage();
+    if (moment - drawn >= CHARTS) { drawn = moment; tell(); drawCharts(); }
+  } catch (error) {
+    // The next one may be good again.
+    state.undrawn += 1;
+    problem("undrawn", `${state.undrawn} ${state.undrawn === 1 ? "frame" : "frames"} could not be drawn, the last: ${error}`);
+  }
+  if (arrived && socket?.readyState === WebSocket.OPEN) { arrived = false; socket.send(`drawn ${handled}`); }
   requestAnimationFrame(frame);
 }
 
@@ -374,24 +444,30 @@ function legend(label, colour, kind = "") {
 }
 
 async function begin() {
-  state.about = await (await fetch("/about.json")).json();
+  const [about, schema] = await Promise.all(["/about.json", "/messages.schema.json"].map(async (path) => (await fetch(path)).json()));
+  state.about = about;
+  for (const kind of KINDS) validators[kind] = new Validator({ definitions: schema.definitions, allOf: [{ $ref: `#/definitions/${kind}` }] }, "7");
   const { unit, scene, description, horizon } = state.about;
   document.title = `${unit} · five-bar twin`;
-  byId("name").textContent = `${unit}: machine and twin, live`;
+  byId("name").textContent = `${unit}: machine and twin`;
   byId("description").textContent = `${scene}: ${description}`;
   byId("note").textContent = `Topics fivebar/${unit}/…; ellipses and bands hold 95 %; the forecast looks ${horizon} s ahead along the plan of the drives.`;
   legend("Twin, left leg", "--left");
-  legend("Twin, right leg", "--right");
+  legend("Twin, right leg", "--right", "core");
   legend("Machine", "--ink", "dash");
   legend("Tip, its path", "--tip");
   legend("Forecast, 95 %", "--tip", "area");
-  legend("Direct", "--direct");
+  legend("Direct", "--direct", "beads");
   legend("Inverse", "--inverse");
   readColours();
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", readColours);
   byId("acknowledge").addEventListener("click", () => order("acknowledge"));
   byId("restart").addEventListener("click", () => order("restart"));
-  setInterval(() => { state.rate = state.count; state.count = 0; }, 1000);
+  setInterval(() => {
+    const { est, made, counted } = state, seconds = est && counted ? (est.time - counted) / 1e9 : 0;
+    if (seconds > 0) state.rate = made / seconds;
+    Object.assign(state, { made: 0, counted: est?.time });
+  }, 1000);
   byId("form").addEventListener("submit", (event) => {
     event.preventDefault();
     byId("login").hidden = true;

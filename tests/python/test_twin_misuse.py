@@ -1,0 +1,477 @@
+"""The twin under misuse: what cannot be followed is said, a full disk ends no estimates, clocks may jump, nothing ends in a traceback."""
+
+import errno
+import json
+import math
+import os
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from fivebar_twin import cli, config as configuration, figures, record, starter, summary
+from fivebar_twin.config import Config
+from fivebar_twin.errors import Refused, TwinError
+from fivebar_twin.follow import Twin
+from fivebar_twin.intake import CONSISTENT, FORGOTTEN, NEAR, Intake, Newest, Orders
+from fivebar_twin.messages import Message, decode, encode
+from fivebar_twin.process import Disk
+from fivebar_twin.recorder import MOST_WAITING, Recorder
+from fivebar_twin.replay import replay
+from fivebar_twin.soak import BEGIN, Wire, configured, machine
+from fivebar_twin.starter import Child, Run
+from fivebar_twin.unit import Library
+from fivebar_twin.watch import NO_SAMPLE, Watch
+
+COMMAND = [sys.executable, "-m", "fivebar_twin"]
+PERIOD_NS = 5_000_000
+
+
+@pytest.fixture(scope="module")
+def library(fmu: Path) -> Iterator[Library]:
+    """The unit under test."""
+    made = Library(fmu)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def config(tmp_path: Path, fmu: Path, library: Library, scenes: Path) -> Config:
+    """The default run."""
+    return configured(tmp_path / "run", fmu, library, scenes / "pick_and_place.json")
+
+
+def samples(config: Config, library: Library, count: int) -> list[Message]:
+    source = machine(config, library)
+    taken = [source.next() for _ in range(count)]
+    source.close()
+    return taken
+
+
+class Ear:
+    """Collects what a worker publishes."""
+
+    def __init__(self, *workers: Any):
+        self.heard: list[Message] = []
+        for worker in workers:
+            worker.send = self.send
+
+    def send(self, kind: str, payload: bytes) -> bool:
+        self.heard.append(decode(f"fivebar/bench/{kind}", payload))
+        return True
+
+    def alarms(self) -> list[dict[str, Any]]:
+        return [message.extra for message in self.heard if message.kind == "alarm"]
+
+
+def command(*arguments: object, **more: Any) -> "subprocess.CompletedProcess[str]":
+    """The console command, which must not end in a traceback."""
+    run = subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, timeout=120, **more)
+    assert "Traceback" not in run.stdout + run.stderr, run.stdout + run.stderr
+    return run
+
+
+# --- 1: what cannot be followed -------------------------------------------------------------------------------------------------------
+
+
+def test_a_scene_that_can_never_be_followed_ends_the_start(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """It published 1,616 samples, estimated none, and said nothing."""
+    run = command("run", "--scene", scenes / "stick_slip.json", "--fmu", fmu, "--out", tmp_path / "out", "--seconds", 30)
+    assert run.returncode == 2 and "friction.law = stick is not allowed with estimator.enabled = true" in run.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("what", ["open", "degrees", "lengths"])
+def test_a_start_that_is_refused_is_told(
+    what: str, tmp_path: Path, fmu: Path, library: Library, scenes: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A first sample that cannot be closed, degrees for radians, other lengths: a line in the log, one for the terminal, an alarm."""
+    config = configured(tmp_path, fmu, library, scenes / "fall_90_120.json")
+    taken = samples(config, library, 40)
+    if what == "lengths":
+        config = replace(config, twin={"link[2].length": 0.01, "link[3].length": 0.01})
+    angle: Callable[[float], float] = {"open": lambda x: math.pi if x > 1.7 else 0.0, "degrees": math.degrees, "lengths": lambda x: x}[what]
+    twin = Twin(config, library)
+    ear = Ear(twin)
+    for message in taken:
+        fields = {name: angle(value) if name.startswith("measured") else value for name, value in message.fields.items()}
+        if what == "open":
+            fields |= {"measured.theta[1]": math.pi, "measured.theta[2]": 0.0}
+        twin.received("fivebar/bench/meas", encode(replace(message, fields=fields)), message.time)
+    told = [alarm["sentence"] for alarm in ear.alarms() if alarm["state"] == "trouble"]
+    assert any("cannot be closed" in sentence for sentence in told), told
+    assert what != "degrees" or any("degrees?" in sentence for sentence in told)
+    # Each once, though every sample is refused: 40 alarms would hide all else.
+    assert len(told) <= 3 and capsys.readouterr().out.splitlines() == told
+    twin.follower.close()
+
+
+def test_one_encoder_alone_starts_nothing_and_says_so(config: Config, library: Library) -> None:
+    twin = Twin(config, library)
+    ear = Ear(twin)
+    for message in samples(config, library, 5):
+        fields = {name: value for name, value in message.fields.items() if name != "measured.theta[2]"}
+        twin.received("fivebar/bench/meas", encode(replace(message, fields=fields)), message.time)
+    assert [alarm["sentence"] for alarm in ear.alarms()] == [
+        "starting anew with the next sample: a start needs both angles, and measured.theta[2] is missing"
+    ]
+    twin.follower.close()
+
+
+def test_silence_counts_where_no_estimate_has_ever_come(tmp_path: Path) -> None:
+    """Samples without estimates for 2.5 s; without samples, half a minute."""
+    for send_samples, before, after in ((True, 2.4e9, 2.7e9), (False, NO_SAMPLE + 2.4e9, NO_SAMPLE + 2.7e9)):
+        watch = Watch(Config(str(tmp_path), "", ""))
+        ear = Ear(watch)
+        watch.tick(BEGIN)
+        for seq in range(400 if send_samples else 0):
+            sample = Message("meas", "bench", BEGIN + 3_600_000_000_000 + PERIOD_NS * seq, seq, {"measured.theta[1]": 1.0})
+            watch.received("fivebar/bench/meas", encode(sample), BEGIN + PERIOD_NS * seq)
+        watch.tick(BEGIN + int(before))
+        assert not ear.alarms()
+        for later in (0, 1, 2):
+            watch.tick(BEGIN + int(after) + later * 10**9)
+        (alarm,) = ear.alarms()
+        assert (alarm["state"], alarm["cause"], alarm["figures"]["samples"]) == ("anomaly", "silence", 400.0 if send_samples else 0.0)
+
+
+# --- 2: a full disk -------------------------------------------------------------------------------------------------------------------
+
+
+def fill(monkeypatch: pytest.MonkeyPatch) -> dict[str, bool]:
+    """A disk that can be full."""
+    disk = {"full": False}
+    write = record.pq.write_table
+
+    def table(*arguments: Any, **named: Any) -> None:
+        if disk["full"]:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write(*arguments, **named)
+
+    monkeypatch.setattr(record.pq, "write_table", table)
+    return disk
+
+
+@pytest.mark.parametrize("waiting", [MOST_WAITING, 100])
+def test_a_full_disk_ends_nothing(
+    waiting: int, config: Config, library: Library, fmu: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The recorder died of it twenty times, and the run with it. A short while costs nothing; a long one a gap that is named."""
+    monkeypatch.setattr("fivebar_twin.recorder.MOST_WAITING", waiting)
+    monkeypatch.setattr("fivebar_twin.recorder.FLUSH_EVERY", 0.0)
+    disk = fill(monkeypatch)
+    twin, recorder = Twin(config, library), Recorder(config)
+    recorder.about = twin.setup.to_message(config.unit, BEGIN)
+    wire, source = Wire(config, twin, recorder), machine(config, library)
+    for seq in range(1600):
+        disk["full"] = 400 <= seq < 800
+        wire.send("meas", encode(source.next()))
+        if seq % 20 == 19:
+            wire.tick()
+    wire.end()
+    source.close()
+    assert twin.counts["estimated"] == 1600, "estimates go on"
+    told = capsys.readouterr().out.splitlines()
+    assert len(told) == 2 and told[0].startswith("nothing is recorded, No space left on device") and told[1].startswith("recording again")
+    assert not list(recorder.folder.glob("*.writing"))
+    story = figures.read(recorder.folder)
+    content = figures.summarise(config, story, figures.judge(story), {}, {}, told)
+    assert content["troubles"]["count"] == 2
+    result = replay(recorder.folder, fmu)
+    assert not result.differing
+    if waiting == MOST_WAITING:
+        assert told[1] == "recording again; nothing is lost" and not content["gaps"] and result.compared == 1600
+        return
+    lost = {gap["of"]: gap for gap in content["gaps"]}
+    assert set(lost) == {"meas", "est"} and all(gap["why"] == "No space left on device" for gap in lost.values())
+    assert 300 < lost["est"]["last"] - lost["est"]["first"] < 400 and f"est {lost['est']['first']} to" in told[1]
+    assert any("No space left on device" in gap for gap in result.gaps) and result.compared > 900
+
+
+def test_a_small_disk(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """A whole run on a real disk that is full: no traceback, estimates to the end, and what is not recorded is said."""
+    small = tmp_path / "small"
+    small.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", small], capture_output=True, check=False).returncode:
+        pytest.skip("this test mounts a small disk, which this user may not")
+    try:
+        (small / "other").write_bytes(bytes(1_500_000))
+        run = command("run", "--scene", scenes / "pick_and_place.json", "--fmu", fmu, "--out", small, "--seconds", 6)
+    finally:
+        subprocess.run(["umount", "-l", small], check=True)
+    assert "record: nothing is recorded, No space left on device" in run.stdout, run.stdout
+    assert "not all written" in run.stdout and "restarts               none" in run.stdout and run.returncode == 1
+
+
+def test_a_file_that_cannot_be_written_is_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "file").write_text("")
+    disk = Disk()
+    for _ in range(5):
+        disk.put(tmp_path / "file" / "status.json", b"{}")
+        while disk.waiting:
+            pass
+    disk.close()
+    assert len([r for r in caplog.records if "is not written" in r.getMessage()]) == 1
+
+
+def test_a_summary_that_cannot_be_written_is_a_sentence(
+    config: Config, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin, recorder = Twin(config, library), Recorder(config)
+    recorder.about = twin.setup.to_message(config.unit, BEGIN)
+    wire, source = Wire(config, twin, recorder), machine(config, library)
+    for _ in range(50):
+        wire.send("meas", encode(source.next()))
+    wire.end()
+    source.close()
+    (tmp_path / "file").write_text("")
+    assert summary.write(config, {}, {}, tmp_path / "file") == 1
+    shown = capsys.readouterr().out
+    assert "50 estimated" in shown and "not all written" in shown
+
+
+# --- 3: clocks ------------------------------------------------------------------------------------------------------------------------
+
+
+def admit(intake: Intake, seq: int, time: int, now: int) -> str:
+    try:
+        return intake.admit(Message("meas", "bench", time, seq, {}), now)
+    except Refused:
+        return "refused"
+
+
+HOUR = 3_600_000_000_000
+
+
+def test_a_clock_that_was_set_ahead_and_right_again_locks_nobody_out() -> None:
+    """After it a machine that counted anew was refused 120,000 times of 120,000."""
+    intake, now = Intake(0.005), BEGIN
+    for seq in range(300):
+        now = BEGIN + PERIOD_NS * seq
+        jump = HOUR if 100 <= seq < 200 else 0
+        assert admit(intake, 1000 + seq, now + jump, now) in ("new", "series")
+    anew = [admit(intake, seq, now + PERIOD_NS * (seq + 1), now + PERIOD_NS * (seq + 1)) for seq in range(100)]
+    assert anew[: CONSISTENT + 1] == ["refused"] * (CONSISTENT - 1) + ["series", "new"] and set(anew[CONSISTENT:]) == {"new"}
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_one_sample_of_another_century_locks_nobody_out(first: bool) -> None:
+    """With a time of 2255, as the first of all or in the place of the next one; the machine counts anew after it."""
+    intake, far = Intake(0.005), 9_000_000_000_000_000_000
+    begun = 0 if first else 50
+    for seq in range(begun):
+        admit(intake, 5000 + seq, BEGIN + PERIOD_NS * seq, BEGIN + PERIOD_NS * seq)
+    admit(intake, 5000 + begun, far, BEGIN + PERIOD_NS * begun)
+    results = [admit(intake, seq, at, at) for seq in range(100) for at in [BEGIN + PERIOD_NS * (100 + seq)]]
+    assert set(results[CONSISTENT:]) == {"new"}, results
+
+
+def test_a_machine_whose_clock_is_another_one_is_followed() -> None:
+    """An hour behind from the start on, and once more when it counts anew; and one that falls back by an hour then, after a minute."""
+    intake, now = Intake(0.005), BEGIN
+    for series in range(2):
+        for seq in range(200):
+            now += PERIOD_NS
+            admitted = admit(intake, seq, now - HOUR, now)
+        assert admitted == "new", series
+    results = []
+    for seq in range(int(FORGOTTEN / PERIOD_NS) + 100):
+        now += PERIOD_NS
+        results.append(admit(intake, seq, now - 2 * HOUR, now))
+    assert results[-1] == "new" and results.count("refused") < FORGOTTEN / PERIOD_NS + 2 * CONSISTENT
+
+
+def test_replays_stay_out() -> None:
+    """Samples of this run and of an earlier one, sent again, while the machine goes on and after its clock was set back."""
+    intake, now = Intake(0.005), BEGIN
+    old = [(seq, BEGIN - HOUR + PERIOD_NS * seq) for seq in range(2000)]
+    for seq in range(3000):
+        now = BEGIN + PERIOD_NS * seq
+        time = now + (HOUR if 100 <= seq < 1500 else 0)
+        old.append((seq, time))
+        assert admit(intake, seq, time, now) in ("new", "series")
+        if seq > 2000:
+            again = old[seq - 2001 : seq - 1980] if seq % 2 else old[seq : seq + 21]
+            assert {admit(intake, s, t, now) for s, t in again} == {"refused"}, seq
+
+
+def test_what_the_pipeline_sends_is_taken_again_after_a_jump_back() -> None:
+    """Estimates of a machine that counts anew at an earlier time: the watch refused them for as long as the jump."""
+    newest, now = Newest(), BEGIN
+    for seq in range(100):
+        newest.admit(Message("est", "bench", now + HOUR, 1000 + seq, {}), now)
+    refused = 0
+    for seq in range(400):
+        now += PERIOD_NS
+        try:
+            newest.admit(Message("est", "bench", now, seq, {}), now)
+        except Refused:
+            refused += 1
+    assert refused <= 200
+
+
+def test_an_order_from_another_time_says_which_clock_is_wrong(config: Config, library: Library) -> None:
+    """An order of 2255 kept out every later one. It is refused now, in words, and the alarm names the order, for whoever gave it."""
+    orders = Orders()
+    with pytest.raises(Refused, match=r"cmd is from a time that is 90.000 s ahead of the pipeline's own; up to 10 s are allowed"):
+        orders.check(Message("cmd", "bench", BEGIN + 90_000_000_000, 1, {}), BEGIN)
+    with pytest.raises(Refused, match="behind the pipeline's own"):
+        orders.check(Message("cmd", "bench", BEGIN - 2 * NEAR, 1, {}), BEGIN)
+    twin = Twin(config, library)
+    ear = Ear(twin)
+    for ahead in (90_000_000_000, 9_000_000_000_000_000_000 - BEGIN, 5):
+        order = Message("cmd", "bench", BEGIN + ahead, 1, {}, {"command": "restart"})
+        twin.received("fivebar/bench/cmd", encode(order), BEGIN)
+    told = ear.alarms()
+    assert told[0]["cause"] == "order" and told[0]["order"] == BEGIN + 90_000_000_000 and "ahead of the pipeline's own" in told[0]["sentence"]
+    assert [(alarm["state"], alarm["order"] - BEGIN) for alarm in told][-1] == ("taken", 5)
+    assert twin.refused == 2 and twin.follower.inputs == [["cmd", 1, BEGIN + 5]]
+    twin.follower.close()
+
+
+# --- 7, 9: files ----------------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["run", "calibrate", "ensemble"])
+def test_a_folder_that_cannot_be_made_is_a_sentence(name: str, tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """OUT is a file, or below one."""
+    file = tmp_path / "file"
+    file.write_text("")
+    more = {
+        "run": ["--scene", scenes / "pick_and_place.json", "--seconds", 1],
+        "calibrate": ["--trials", 1],
+        "ensemble": ["--members", 1, "--workers", 0],
+    }[name]
+    for out in (file, file / "below", Path("/proc/nowhere")):
+        run = command(name, *more, "--fmu", fmu, "--out", out)
+        assert run.returncode == 2 and len(run.stderr.strip().splitlines()) == 1 and str(out.parent) in run.stderr, run.stderr
+
+
+def test_an_error_of_the_system_is_a_sentence(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def full(_arguments: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/some/where")
+
+    monkeypatch.setattr("fivebar_twin.replay.run", full)
+    assert cli.main(["replay", "x"]) == 2
+    assert capsys.readouterr().err == "fivebar-twin replay: /some/where: No space left on device\n"
+
+
+def test_replay_of_little_has_an_exit_code_of_its_own(config: Config, library: Library, fmu: Path, tmp_path: Path) -> None:
+    twin, recorder = Twin(config, library), Recorder(config)
+    recorder.about = twin.setup.to_message(config.unit, BEGIN)
+    wire, source = Wire(config, twin, recorder), machine(config, library)
+    for _ in range(400):
+        wire.send("meas", encode(source.next()))
+    wire.end()
+    source.close()
+    rows = [row for row in record.rows(recorder.folder) if not (row.topic.endswith("meas") and row.seq in range(100, 400)) and not row.topic.endswith("state")]
+    (tmp_path / "part").mkdir()
+    path = record.write_part(tmp_path / "part", 0, 0, rows)
+    run = command("replay", path, "--fmu", fmu)
+    assert run.returncode == 3 and "0 differ; 300 left out" in run.stdout, run.stdout
+    assert command("replay", recorder.folder, "--fmu", fmu).returncode == 0
+
+
+def test_logs_begin_anew_and_keep_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A thousand refused messages a second were 8 GB a day."""
+    monkeypatch.setattr(starter, "LARGEST_LOG", 20_000)
+    log = tmp_path / "chatter.log"
+    child = Child("chatter", [], log, print)
+    largest = 0
+    # As the process has it: opened once, at its end.
+    with open(log, "ab", opener=starter.private, buffering=0) as written:
+        for i in range(100_000):
+            written.write(f"refused: message {i:06d}\n".encode())
+            if i % 100 == 99:
+                child.rotate()
+                largest = max(largest, sum(file.stat().st_size for file in tmp_path.iterdir()))
+    assert {file.name for file in tmp_path.iterdir()} == {"chatter.log", "chatter.log.1"}
+    # 2.4 MB were written.
+    assert largest < 50_000
+    assert "message 099999" in child.tail()
+    assert os.name == "nt" or {stat.S_IMODE(file.stat().st_mode) for file in tmp_path.iterdir()} == {0o600}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="modes are of POSIX")
+def test_what_a_run_keeps_is_its_owners_alone(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """Records, states, logs, configuration: 0600 in folders of 0700, whatever the umask."""
+    run = command("run", "--scene", scenes / "pick_and_place.json", "--fmu", fmu, "--out", tmp_path / "out", "--seconds", 2, umask=0)
+    assert run.returncode == 0, run.stdout + run.stderr
+    (folder,) = (tmp_path / "out" / "runs").iterdir()
+    found = {path: stat.S_IMODE(path.stat().st_mode) for path in (folder, *folder.rglob("*"))}
+    kept = {path.relative_to(folder).parts[0] for path in found if path != folder}
+    assert {"record", "state", "log", "status", "twin.json"} <= kept
+    shown = {"summary.json", "index.html", "finished", *(f"{name}.png" for name in ("tip", "error", "forecast", "latency"))}
+    assert not [(path, oct(mode)) for path, mode in found.items() if path.is_dir() and mode != 0o700]
+    assert not [(path, oct(mode)) for path, mode in found.items() if path.is_file() and path.name not in shown and mode != 0o600]
+
+
+def test_troubles_are_shown_on_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = Run(Config(str(tmp_path), "", ""), ())
+    child = Child("record", [sys.executable, "-c", "print('nothing is recorded')"], tmp_path / "record.log", run.say)
+    child.start()
+    assert child.process is not None and child.process.wait(20) == 0
+    while not run.troubles:
+        time.sleep(0.01)
+    assert list(run.troubles) == ["record: nothing is recorded"] and capsys.readouterr().out == "record: nothing is recorded\n"
+
+
+def test_forecasts_have_ten_points(tmp_path: Path) -> None:
+    """A horizon of fewer samples than a path has points would make messages that no reader takes."""
+    with pytest.raises(TwinError, match="horizon is 0.02; 0.05 to 10 are allowed"):
+        configuration.check(Config(str(tmp_path), "", "", horizon=0.02))
+
+
+# --- 9, 10: what is shown -------------------------------------------------------------------------------------------------------------
+
+
+def test_one_member_claims_no_interval(tmp_path: Path, fmu: Path) -> None:
+    run = command("ensemble", "--members", 1, "--workers", 0, "--seconds", 0.2, "--fmu", fmu, "--out", tmp_path)
+    assert run.returncode == 0 and "95 %:" not in run.stdout and "40 members are the fewest" in run.stdout
+    end = json.loads((tmp_path / "summary.json").read_text())["end"]
+    assert all(set(levels) == {"0.5"} for levels in end.values())
+
+
+def story(first: float) -> tuple[figures.Story, figures.Judged]:
+    """A run of forecasts with half-widths of 9 to 10 mm, but for the first."""
+    made = figures.Story()
+    for i in range(400):
+        time = 0.05 * i
+        made.measured.add({"time": time, "tip.x": 0.1 * math.cos(time), "tip.y": 0.1 * math.sin(time)})
+        made.estimated.add({"time": time, "tip.x": 0.1 * math.cos(time), "tip.y": 0.1 * math.sin(time), "band": 1e-5})
+        for k in range(10):
+            wide = first if i == 0 else 0.009 + 0.001 * math.sin(i)
+            made.forecasts.add({"time": time, "ahead": 0.05 * (k + 1), "half_width": wide, "last": float(k == 9)})
+    count = len(made.forecasts)
+    return made, figures.Judged(np.full(400, 1e-5), np.full(count, 1e-4), np.ones(count))
+
+
+def test_nothing_lies_on_the_lines_of_a_picture() -> None:
+    """Legends lay on the path, and were struck through by a line."""
+    made, judged = story(0.0095)
+    for figure in (summary._tip(made), summary._error(made, judged), summary._forecast(made, judged)):
+        figure.canvas.draw()
+        for axes in figure.axes:
+            legend = axes.get_legend()
+            if legend is not None:
+                assert legend.get_window_extent().y0 >= axes.get_window_extent().y1 - 1
+        summary.plt.close(figure)
+
+
+def test_a_first_half_width_does_not_squeeze_the_others() -> None:
+    """115 mm before the twin has settled, and 10 mm ever after: these fill the picture, and that one is told at its edge."""
+    made, judged = story(0.115)
+    figure = summary._forecast(made, judged)
+    axes = figure.axes[0]
+    assert 10 < axes.get_ylim()[1] < 20
+    assert [text.get_text() for text in axes.texts] == ["1 beyond, up to 115 mm"]
+    summary.plt.close(figure)
+    figure = summary._forecast(*story(0.0095))
+    assert not figure.axes[0].texts
+    summary.plt.close(figure)
