@@ -78,9 +78,19 @@ fn check_name(name: &str) -> Result<(), Error> {
     let mut letters = name.chars();
     let starts_well = letters.next().is_some_and(|c| c.is_ascii_alphabetic() || c == '_');
     if starts_well && letters.all(|c| c.is_ascii_alphanumeric() || c == '_') {
+        if is_device(name) {
+            return Err(Error(format!("the name \"{name}\" is not allowed: Windows has a device of that name and no files")));
+        }
         return Ok(());
     }
     Err(Error(format!("the name \"{name}\" is not allowed: it must be a letter or _ followed by letters, digits or _")))
+}
+
+/// Names that no file of Windows can have, with any ending (Microsoft, *Naming Files, Paths, and Namespaces*).
+fn is_device(name: &str) -> bool {
+    let name = name.to_ascii_uppercase();
+    let numbered = |device: &str| matches!(name.strip_prefix(device).map(str::as_bytes), Some([b'0'..=b'9']));
+    matches!(name.as_str(), "CON" | "PRN" | "AUX" | "NUL") || numbered("COM") || numbered("LPT")
 }
 
 #[cfg(test)]
@@ -137,9 +147,12 @@ mod tests {
             let error = plain().own(&own(&[starts])).expect_err(expected).0;
             assert!(error.contains(expected), "{error}");
         }
-        for name in ["", "2bars", "my machine", "führung", "a-b", "a/b"] {
+        for name in ["", "2bars", "my machine", "führung", "a-b", "a/b", "CON", "Aux", "com1", "LPT9"] {
             let error = plain().own(&Own { name: name.into(), ..own(&[]) }).expect_err(name).0;
             assert!(error.contains(&format!("\"{name}\"")), "{error}");
+        }
+        for name in ["Console", "COM", "com10", "NULL"] {
+            assert!(plain().own(&Own { name: name.into(), ..own(&[]) }).is_ok(), "{name}");
         }
     }
 }

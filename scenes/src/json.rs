@@ -2,26 +2,45 @@
 
 use std::fmt;
 
-use serde::Deserialize;
-use serde::de::{Deserializer, Error, MapAccess, SeqAccess, Visitor};
+use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use serde_json::{Map, Value as Json};
+
+/// So many brackets stand in each other at most: what a scene holds takes five.
+const MOST_BRACKETS: u32 = 8;
 
 /// The content of a file.
 pub(crate) fn read(text: &str) -> serde_json::Result<Json> {
-    serde_json::from_str(text).map(|Unique(content)| content)
+    let mut reader = serde_json::Deserializer::from_str(text);
+    let content = Unique { left: MOST_BRACKETS }.deserialize(&mut reader)?;
+    reader.end()?;
+    Ok(content)
 }
 
-struct Unique(Json);
+/// A value in which so many more brackets may stand.
+#[derive(Clone, Copy)]
+struct Unique {
+    left: u32,
+}
 
-impl<'de> Deserialize<'de> for Unique {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(UniqueVisitor).map(Self)
+impl Unique {
+    /// Those within its brackets.
+    fn within<E: Error>(self) -> Result<Self, E> {
+        match self.left.checked_sub(1) {
+            Some(left) => Ok(Self { left }),
+            None => Err(E::custom(format_args!("more than {MOST_BRACKETS} brackets stand in each other"))),
+        }
     }
 }
 
-struct UniqueVisitor;
+impl<'de> DeserializeSeed<'de> for Unique {
+    type Value = Json;
 
-impl<'de> Visitor<'de> for UniqueVisitor {
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Json, D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Unique {
     type Value = Json;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -29,8 +48,9 @@ impl<'de> Visitor<'de> for UniqueVisitor {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Json, A::Error> {
-        let mut map = Map::new();
-        while let Some((key, Unique(value))) = entries.next_entry::<String, _>()? {
+        let (mut map, within) = (Map::new(), self.within()?);
+        while let Some(key) = entries.next_key::<String>()? {
+            let value = entries.next_value_seed(within)?;
             if map.contains_key(&key) {
                 return Err(A::Error::custom(format_args!("'{key}' is given twice")));
             }
@@ -40,8 +60,8 @@ impl<'de> Visitor<'de> for UniqueVisitor {
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut elements: A) -> Result<Json, A::Error> {
-        let mut list = Vec::new();
-        while let Some(Unique(element)) = elements.next_element()? {
+        let (mut list, within) = (Vec::new(), self.within()?);
+        while let Some(element) = elements.next_element_seed(within)? {
             list.push(element);
         }
         Ok(list.into())

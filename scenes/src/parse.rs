@@ -75,9 +75,15 @@ fn values<'a>(given: impl Iterator<Item = (&'a String, &'a Json)>, reserved: &[&
 fn text_of(key: &str, given: Option<&Json>) -> Result<String> {
     let text = given.with_context(|| format!("it has no text '{key}'"))?;
     match text.as_str() {
+        Some(words) if words.contains(is_no_text) => bail!("'{key}' must be a text without control characters, not {text}"),
         Some(words) if !words.trim().is_empty() => Ok(words.to_owned()),
         _ => bail!("'{key}' must be a text, not {text}"),
     }
+}
+
+/// Whether XML, tables or pages cannot have it in a line (XML 1.0, section 2.2).
+fn is_no_text(c: char) -> bool {
+    c.is_control() || matches!(c, '\u{2028}' | '\u{2029}' | '\u{fffe}' | '\u{ffff}')
 }
 
 /// Stop time and communication step, s; where they are not given, those of the model description.

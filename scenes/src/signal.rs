@@ -91,7 +91,10 @@ fn signal(given: &Map<String, Json>, name: &str) -> Result<Signal> {
     let (kind, value) = kind(&given[name])?;
     let variable = if kind == STEPS { names::input_or_tunable(name)? } else { names::input(name)? };
     if kind == RATE_OF {
-        let source = value.as_str().filter(|source| given.contains_key(*source)).map(|source| signal(given, source)).transpose()?;
+        // Of a rate there is none: one that names itself, or one that names it, would have no end.
+        let has_knots =
+            |source: &&str| given.get(*source).and_then(|source| self::kind(source).ok()).is_some_and(|(kind, _)| kind != RATE_OF);
+        let source = value.as_str().filter(has_knots).map(|source| signal(given, source)).transpose()?;
         let is_smooth = |source: &Signal| !source.rate && !matches!(source.shape, Shape::Steps);
         let fits = |source: &Signal| is_smooth(source) && unit(variable) == format!("{}/s", unit(source.variable));
         return match source.filter(fits) {

@@ -176,6 +176,26 @@ fn what_is_wrong_is_named() {
             signals(json!({ "tau[1]": { "rateOf": "servo.theta[1]" }, "servo.theta[1]": { "linear": knots } })),
             &["signal 'tau[1]'", "whose rate has the unit N.m, not \"servo.theta[1]\""],
         ),
+        (
+            signals(json!({ "servo.theta[1]": { "rateOf": "servo.theta[1]" } })),
+            &["signal 'servo.theta[1]': 'rateOf' must name a signal with knots", "not \"servo.theta[1]\""],
+        ),
+        (
+            signals(json!({ "servo.theta[1]": { "rateOf": "servo.omega[1]" }, "servo.omega[1]": { "rateOf": "servo.theta[1]" } })),
+            &["'rateOf' must name a signal with knots", "not \"servo."],
+        ),
+        (json!({ "description": "two\nlines" }), &["'description' must be a text without control characters, not \"two\\nlines\""]),
+        (json!({ "description": "a\u{1}b" }), &["'description' must be a text without control characters", "\\u0001"]),
+        (json!({ "description": "a\u{ffff}b" }), &["'description' must be a text without control characters"]),
+        (json!({ "overlay": [{ "label": "a\u{7f}" }] }), &["overlay 1: 'label' must be a text without control characters"]),
+        (
+            json!({ "solver.maxWork": 99_999_999_999_999_u64 }),
+            &["'solver.maxWork' must be a whole number from 0 to 2147483647, not 99999"],
+        ),
+        (
+            json!({ "tau[1]": [[[[[[[[1]]]]]]]] }),
+            &["it is not valid JSON: more than 8 brackets stand in each other at line 1 column"],
+        ),
         (signals(json!({ "servo.omega[1]": { "rateOf": 3 } })), &["'rateOf' must name", "not 3"]),
         (json!({ "tau[2]": 1, "signals": { "tau[2]": { "linear": knots } } }), &["'tau[2]' is given a signal and a value"]),
         (
@@ -194,6 +214,8 @@ fn what_is_no_scene_at_all_is_named() {
     assert_eq!(refusal("[]"), "a scene must be an object of variable names and values");
     assert_eq!(refusal("{}"), "it has no text 'description'");
     assert_eq!(refusal(r#"{"tau[1]": }"#), "it is not valid JSON: expected value at line 1 column 12");
+    let deep = format!(r#"{{"signals": {}}}"#, "[".repeat(200_000));
+    assert_eq!(refusal(&deep), "it is not valid JSON: more than 8 brackets stand in each other at line 1 column 20");
     assert_eq!(refusal(r#"{"tau[1]": NaN}"#), "it is not valid JSON: expected value at line 1 column 12");
     assert_eq!(refusal(r#"{"tau[1]": 1, "tau[1]": 2}"#), "it is not valid JSON: 'tau[1]' is given twice at line 1 column 26");
     let missing = format!("{:#}", Scene::read("no_such_scene").expect_err("there is none"));

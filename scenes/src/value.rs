@@ -38,7 +38,9 @@ impl Value {
             ),
             Kind::Integer { bounds, .. } => {
                 let whole = given.as_i64().and_then(|value| i32::try_from(value).ok());
-                (whole.filter(|&value| within(bounds, value)).map(Self::Integer), format!("a whole number{}", limits(bounds)))
+                // A bound that is not written is that of FMI's integers.
+                let bounds = Bounds { min: bounds.min.or(Some(i32::MIN)), max: bounds.max.or(Some(i32::MAX)) };
+                (whole.filter(|&value| within(&bounds, value)).map(Self::Integer), format!("a whole number{}", limits(&bounds)))
             }
             Kind::Boolean { .. } => (given.as_bool().map(Self::Boolean), "true or false".into()),
             Kind::Enumeration { .. } => {

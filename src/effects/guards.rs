@@ -208,7 +208,7 @@ impl FrictionGuard {
     /// sticking.
     fn guard_residual(&self, stick_slip: &StickSlips, tolerance: f64) -> f64 {
         match stick_slip.at(self.place) {
-            StickSlip::Inactive => f64::NEG_INFINITY,
+            StickSlip::Inactive | StickSlip::Still => f64::NEG_INFINITY,
             StickSlip::Slips(direction) => -direction.sign() * self.rate / stick_velocity(tolerance),
             StickSlip::Sticks(_) => {
                 let [load, bound] = self.load;

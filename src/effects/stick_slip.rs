@@ -13,7 +13,7 @@ use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::force_context::JOINTS;
-use crate::mechanism::LINKS;
+use crate::mechanism::{ClosureBranch, LINKS};
 use crate::vector::Vector;
 
 /// Number of friction places: the joints, and the tip on the plane.
@@ -65,6 +65,8 @@ pub enum StickSlip {
     Slips(SlipDirection),
     /// Sticks. Where several places hold the same motion, the direction is that of this place's share relative to the first.
     Sticks(SlipDirection),
+    /// Still: the closure branch keeps the joint from turning, so that friction there has no effect.
+    Still,
 }
 
 /// Stick-slip states of all friction places.
@@ -95,9 +97,27 @@ impl StickSlips {
         self.at_rest
     }
 
+    /// The states with the joints still that a closure branch keeps from turning.
+    pub fn on_branch(mut self, closure_branch: ClosureBranch) -> Self {
+        closure_branch.still_joints().iter().for_each(|joint| self.set(*joint, StickSlip::Still));
+        self
+    }
+
+    /// Whether the closure branch keeps a friction place from moving.
+    pub fn is_still(&self, place: usize) -> bool {
+        self.places[place] == StickSlip::Still
+    }
+
+    /// The states with every place inactive but the still ones.
+    pub fn opened(&self) -> Self {
+        let mut stick_slip = Self::OPEN;
+        (0..FRICTION_PLACES).filter(|place| self.is_still(*place)).for_each(|place| stick_slip.set(place, StickSlip::Still));
+        stick_slip
+    }
+
     /// The mechanism at rest with these places sticking.
-    pub fn resting(places: impl Iterator<Item = usize>) -> Self {
-        let mut stick_slip = Self { at_rest: true, ..Self::OPEN };
+    pub fn resting(self, places: impl Iterator<Item = usize>) -> Self {
+        let mut stick_slip = Self { at_rest: true, ..self.opened() };
         places.for_each(|place| stick_slip.set(place, StickSlip::Sticks(SlipDirection::Forward)));
         stick_slip
     }
@@ -113,7 +133,7 @@ impl StickSlips {
     pub(super) fn direction(&self, place: usize, rate: f64) -> f64 {
         match self.places[place] {
             StickSlip::Slips(slip_direction) => slip_direction.sign(),
-            StickSlip::Sticks(_) => 0.0,
+            StickSlip::Sticks(_) | StickSlip::Still => 0.0,
             StickSlip::Inactive if rate == 0.0 => 0.0,
             StickSlip::Inactive => SlipDirection::of(rate).sign(),
         }
@@ -255,7 +275,7 @@ impl FrictionProblem {
     fn torques(&self, candidate: &Candidate) -> [f64; FRICTION_PLACES] {
         let mut torques: [f64; FRICTION_PLACES] = std::array::from_fn(|i| match candidate[i] {
             StickSlip::Slips(slip_direction) => -slip_direction.sign() * self.bounds[i],
-            StickSlip::Sticks(_) | StickSlip::Inactive => 0.0,
+            StickSlip::Sticks(_) | StickSlip::Inactive | StickSlip::Still => 0.0,
         });
         let left = self.accelerations(&torques);
         let mut held = (0..self.len()).filter(|i| matches!(candidate[*i], StickSlip::Sticks(_)));
@@ -300,7 +320,7 @@ impl FrictionProblem {
                 most.max(match candidate[i] {
                     StickSlip::Sticks(_) => torques[i].abs() / self.bounds[i] - 1.0,
                     StickSlip::Slips(slip_direction) => quotient(-slip_direction.sign() * left[i], self.scale(i)),
-                    StickSlip::Inactive => 0.0,
+                    StickSlip::Inactive | StickSlip::Still => 0.0,
                 })
             });
             if least_violating.is_none_or(|(least, _)| violation < least) {

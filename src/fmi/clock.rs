@@ -12,6 +12,12 @@ use super::{CallError, Kind};
 /// Relative tolerance within which a master's points and step sizes count as the planned ones.
 const RELATIVE: f64 = 1e-9;
 
+/// Largest deviation of a point that counts as rounding, relative to the step, unless doubles at that time are coarser.
+const PART: f64 = 0.01;
+
+/// Largest overrun of stopTime by an accepted step of an integrating master, s, unless doubles at that time are coarser.
+const MOST_SLACK: f64 = 1e-5;
+
 /// Rounding of H when the master computes it as a difference of two points, in ulps of the larger point.
 const ULPS: f64 = 4.0;
 
@@ -58,8 +64,8 @@ impl Clock {
         let stop = match kind {
             // An integrator of the master may try any time.
             Kind::ModelExchange => None,
-            // Rounding may put the last point past the end.
-            Kind::CoSimulation => self.stop.map(|stop| stop + slack(stop)),
+            // Rounding may put the last point past the end, by a part of a step that is not stored.
+            Kind::CoSimulation => self.stop.map(|stop| stop + RELATIVE * stop.abs().max(1.0)),
         };
         Self::new(self.point, stop).map(drop)
     }
@@ -139,15 +145,20 @@ fn past_end(stop: f64, point: f64, end: f64, size: f64) -> CallError {
     ))
 }
 
-/// Rounding allowed at the end, s.
+/// Rounding allowed at the end where no step is known, s.
 fn slack(stop: f64) -> f64 {
-    RELATIVE * stop.abs().max(1.0)
+    (RELATIVE * stop.abs().max(1.0)).min(MOST_SLACK).max(rounding(stop))
 }
 
-/// Tolerance of a communication point, s: relative to the magnitude of the clock, since a master's sum may have accumulated the
-/// rounding of millions of steps, but less than half a step.
+/// Tolerance of a communication point, s: relative to the magnitude of the clock, since a master's sum may have accumulated the rounding
+/// of millions of steps, but at most a small part of a step or the rounding of doubles at that time, and less than half a step.
 fn tolerance(point: f64, size: f64) -> f64 {
-    (RELATIVE * point.abs().max(size)).min(0.5 * size)
+    (RELATIVE * point.abs().max(size)).min(PART * size).max(rounding(point)).min(0.5 * size)
+}
+
+/// Rounding of a few doubles of this magnitude, s.
+fn rounding(point: f64) -> f64 {
+    ULPS * f64::EPSILON * point.abs()
 }
 
 /// Length, s, and number of the macro steps of a communication step of `size` seconds from `point`.
@@ -157,7 +168,7 @@ fn divide(point: f64, size: f64, h: f64) -> Result<(f64, u64), CallError> {
         return Err(CallError::error(format!("communicationStepSize is {size:?} s, more than 1e9 times solver.stepSize {h:?} s.")));
     }
     let multiple = ratio.round();
-    let rounding = ULPS * f64::EPSILON * point.abs().max((point + size).abs());
+    let rounding = rounding(point.abs().max((point + size).abs()));
     if multiple >= 1.0 && (size - multiple * h).abs() <= RELATIVE * multiple * h + rounding {
         return Ok((h, multiple as u64));
     }
@@ -269,6 +280,29 @@ mod tests {
         let mut clock = Clock::new(0.0, Some(1.0)).expect("a clock");
         clock.advance(clock.plan(0.0, 1.0, H).expect("a step"));
         assert!(clock.plan(1.0, H, H).is_err_and(|refused| refused.message.ends_with("the step starts at stopTime.")));
+    }
+
+    /// Unix time: seconds that doubles tell to a tenth of a microsecond. A part of the step decides, not of the time.
+    #[test]
+    fn far_from_0_no_step_goes_past_the_end() {
+        let start = 1e9;
+        for (size, past_end) in [(2.0, 1.0), (2.0, 0.1), (1e-3, 4e-4), (1e-3, 5e-5)] {
+            let clock = Clock::new(start, Some(start + size - past_end)).expect("a clock");
+            let refused = clock.plan(start, size, H).expect_err("past the end");
+            assert!(refused.message.contains("which is past stopTime"), "{size} s, {past_end} s past: {}", refused.message);
+            assert!(
+                clock.plan(start + 0.4 * size, size, H).is_err_and(|refused| refused.message.contains("expected 1000000000.0 s"))
+            );
+        }
+        let mut clock = Clock::new(start, Some(start + 1.0)).expect("a clock");
+        clock.set(start + 1.0 + 1e-3).expect("a time");
+        assert!(clock.check_end().is_err());
+        clock.set(start + 1.0 + 5e-7).expect("a time");
+        assert!(clock.check_end().is_ok(), "four doubles later");
+        // Whoever counts and whoever adds up, over a minute: the sum of what is no double there may be off by a hundredth of a step at most.
+        run(start, 1e-3, 60_000, |n, _| start + n as f64 * 1e-3);
+        run(start, 0.0078125, 60_000, |_, point| point + 0.0078125);
+        run(start, 1e-3, 100, |_, point| point + 1e-3);
     }
 
     #[test]

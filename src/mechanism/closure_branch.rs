@@ -6,6 +6,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
 use super::legs::{Legs, Legs2};
@@ -25,10 +26,13 @@ pub enum ClosureBranch {
 /// Angles of both proximal and both distal links, rad, or their rates, rad/s.
 type Pairs = [Legs; 2];
 
-/// Largest deviation from a branch of a motion that is on it, rad or rad/s: above the drift of a coarse step, below any motion to be seen.
+/// Largest deviation from a branch of a motion that is on it, rad, and of its rates relative to the fastest of them: above the drift of a
+/// coarse step, below any motion to be seen.
 const LARGEST_DEVIATION: f64 = 1e-6;
 /// Least deviation from every other branch of a motion that is on one, rad or rad/s: nearer to an intersection the choice is open.
 const LEAST_SEPARATION: f64 = 1e-4;
+/// Least ratio of the rates' deviation from another branch to that from the chosen one.
+const TIMES: f64 = 100.0;
 
 impl ClosureBranch {
     const ALL: [Self; 3] = [Self::Parallelogram, Self::Coincident, Self::Folded];
@@ -36,16 +40,24 @@ impl ClosureBranch {
     /// The branch of a motion; `None` where the motors are not coaxial or the lengths not equal, or where branches intersect.
     #[cold]
     pub fn of(geometry: &Geometry, q: Pairs, v: Pairs) -> Option<Self> {
-        let mut on = None;
-        for branch in Self::ALL.into_iter().filter(|branch| branch.is_of(geometry)) {
-            let off = branch.apart(q).into_iter().chain(branch.rates(v)).fold(0.0, |most: f64, x| most.max(x.abs()));
-            if off <= LARGEST_DEVIATION && on.is_none() {
-                on = Some(branch);
-            } else if off <= LEAST_SEPARATION {
-                return None;
-            }
-        }
-        on
+        let [proximal, distal] = v.map(Legs::to_array);
+        let fastest = proximal.into_iter().chain(distal).fold(1.0, |most: f64, rate| most.max(rate.abs()));
+        let off = |of: [f64; 2]| of[0].abs().max(of[1].abs());
+        let branches = Self::ALL.into_iter().filter(|branch| branch.is_of(geometry));
+        let near: ArrayVec<(Self, f64), 3> = branches
+            .filter(|branch| off(branch.apart(q)) <= LEAST_SEPARATION)
+            .map(|branch| (branch, off(branch.rates(v))))
+            .collect();
+        let on = near
+            .iter()
+            .filter(|(branch, _)| off(branch.apart(q)) <= LARGEST_DEVIATION)
+            .min_by(|one, other| one.1.total_cmp(&other.1));
+        let &(on, strays) = on?;
+        // Where no other branch is near, the closure itself keeps the rates on this one to the accuracy of the method.
+        let decided = near.len() == 1
+            || strays <= LARGEST_DEVIATION * fastest
+                && near.iter().all(|(branch, rates)| *branch == on || *rates > LEAST_SEPARATION.max(TIMES * strays));
+        decided.then_some(on)
     }
 
     /// Whether a mechanism has the branch.
@@ -57,6 +69,15 @@ impl ClosureBranch {
             Self::Folded => [[left, distal_left], [right, distal_right]],
         };
         geometry.base_distance == 0.0 && pairs.iter().all(|[x, y]| x == y)
+    }
+
+    /// Indices of the joints that do not turn on the branch, counted from the left base joint to the right one.
+    pub fn still_joints(self) -> &'static [usize] {
+        match self {
+            Self::Parallelogram => &[],
+            Self::Coincident => &[2],
+            Self::Folded => &[1, 3],
+        }
     }
 
     /// Deviations of the branch's two pairs from parallel, rad.

@@ -5,9 +5,9 @@ use std::borrow::Borrow;
 use super::angles::{ANGLES, AngleSystem, Angles, DISTAL, LINK_INDICES, PROXIMAL};
 use super::five_bar::FiveBar;
 use super::stick_slip::{friction_guards, resolved, reverses_between};
-use crate::effects::{self, FrictionGuards, GuardValues, Mode, stick_velocity};
+use crate::effects::{self, FrictionGuards, GuardValues, Mode, StickSlips, stick_velocity};
 use crate::integrator::{Events, Extremes, System};
-use crate::mechanism::coordinates::{THETA, legs_of};
+use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
 use crate::mechanism::{COORDINATES, ClosureBranch, Coordinates, LINKS, Pose};
 use crate::vector::Vector;
 
@@ -67,7 +67,7 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
         let (x, rates) = self.coordinates(&pose, q, v);
         let springs =
             GuardValues::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates), FrictionGuards::new()).mode();
-        self.select_branch(self.with_resolved_stick_slip(springs, q, v), q, v)
+        self.with_resolved_stick_slip(self.select_branch(springs, q, v), q, v)
     }
 
     #[inline(always)]
@@ -76,7 +76,12 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
             return mode;
         }
         let pairs = |x: &Angles| [legs_of(x, PROXIMAL), legs_of(x, DISTAL)];
-        mode.with_closure_branch(ClosureBranch::of(&self.model().mechanism.geometry, pairs(q), pairs(v)))
+        let closure_branch = ClosureBranch::of(&self.model().mechanism.geometry, pairs(q), pairs(v));
+        match closure_branch {
+            Some(closure_branch) if self.model().sticks => mode.with_stick_slip(mode.stick_slip.on_branch(closure_branch)),
+            _ => mode,
+        }
+        .with_closure_branch(closure_branch)
     }
 
     #[inline]
@@ -177,7 +182,13 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
     /// Initial mode: phases of unilateral springs follow from the state; stick-slip states are resolved from it.
     #[inline]
     fn mode_of(&self, q: &Coordinates, v: &Coordinates) -> Mode {
-        if BARE || !self.model.sticks { Mode::OF_STATE } else { Mode::of_stick_slip(resolved(&self.general(), q, v)) }
+        if BARE || !self.model.sticks {
+            return Mode::OF_STATE;
+        }
+        let pairs = |x: &Coordinates| [legs_of(x, P_THETA), legs_of(x, D_THETA)];
+        let closure_branch = ClosureBranch::of(&self.model.mechanism.geometry, pairs(q), pairs(v));
+        let still = closure_branch.map_or(StickSlips::OPEN, |closure_branch| StickSlips::OPEN.on_branch(closure_branch));
+        Mode::of_stick_slip(resolved(&self.general().on(Mode::of_stick_slip(still)), q, v))
     }
 
     #[inline(always)]

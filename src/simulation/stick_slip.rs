@@ -44,10 +44,10 @@ pub(super) fn resolved(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -
     if v.max_norm() <= REST_RATE * stick_velocity {
         let at_rest = friction_problem(system, q, &Coordinates::ZERO, &|_| true);
         if at_rest.can_rest() {
-            return StickSlips::resting(at_rest.places.into_iter());
+            return system.mode.stick_slip.resting(at_rest.places.into_iter());
         }
     }
-    let mut stick_slip = resolve_motion(&constraints);
+    let mut stick_slip = resolve_motion(system, &constraints);
     let rests = |constraint: &FrictionConstraint<COORDINATES>| constraint.rate.abs() <= STICKING_RATE * stick_velocity;
     if constraints.iter().any(rests) {
         friction_problem(system, q, v, &rests).resolve_motion(&mut stick_slip);
@@ -76,15 +76,20 @@ pub(super) fn reverses_between(system: &FiveBar<'_>, ends: [[&Coordinates; 3]; 2
     })
 }
 
-/// All contacts slip.
+/// All contacts slip but those that the closure branch keeps still.
 #[cold]
 #[inline(never)]
-fn resolve_motion(constraints: &FrictionConstraints<COORDINATES>) -> StickSlips {
-    let mut stick_slip = StickSlips::OPEN;
-    for constraint in constraints {
+fn resolve_motion(system: &FiveBar<'_>, constraints: &FrictionConstraints<COORDINATES>) -> StickSlips {
+    let mut stick_slip = system.mode.stick_slip.opened();
+    for constraint in constraints.iter().filter(|constraint| !system.mode.stick_slip.is_still(constraint.place)) {
         stick_slip.set(constraint.place, StickSlip::Slips(SlipDirection::of(constraint.rate)));
     }
     stick_slip
+}
+
+/// Whether a friction place can stick: its bound is positive and the closure branch lets it move.
+fn is_able(system: &FiveBar<'_>, constraint: &FrictionConstraint<COORDINATES>) -> bool {
+    constraint.bound > 0.0 && !system.mode.stick_slip.is_still(constraint.place)
 }
 
 /// Friction problem of the contacts that may stick, while the others slip.
@@ -99,8 +104,8 @@ fn friction_problem(
     let pose = system.pose(q);
     let constraints = system.constraints(q, &pose, v);
     let resting: ArrayVec<FrictionConstraint<COORDINATES>, FRICTION_PLACES> =
-        constraints.iter().filter(|constraint| constraint.bound > 0.0 && rests(constraint)).copied().collect();
-    let mut stick_slip = resolve_motion(&constraints);
+        constraints.iter().filter(|constraint| is_able(system, constraint) && rests(constraint)).copied().collect();
+    let mut stick_slip = resolve_motion(system, &constraints);
     for constraint in &resting {
         stick_slip.set(constraint.place, StickSlip::Sticks(SlipDirection::Forward));
     }
@@ -127,7 +132,7 @@ pub(super) fn held(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coord
     let constraints = system.constraints(q, pose, v);
     if system.mode.stick_slip.at_rest() {
         let torques = friction_problem(system, q, v, &|_| true).resting_torques();
-        let able = constraints.iter().filter(|constraint| constraint.bound > 0.0);
+        let able = constraints.iter().filter(|constraint| is_able(system, constraint));
         let force = able.zip(torques).fold(Coordinates::ZERO, |force, (constraint, torque)| force + torque * constraint.row);
         return StickingConstraint::All { force };
     }
@@ -300,16 +305,17 @@ pub(super) fn are_possible(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinate
     if stick_slip.at_rest() {
         let all = friction_problem(system, q, &Coordinates::ZERO, &|_| true);
         let slowest = if just_stopped { REST_RATE * system.stick_velocity() } else { 0.0 };
-        return v.max_norm() <= slowest && all.can_rest() && *stick_slip == StickSlips::resting(all.places.into_iter());
+        return v.max_norm() <= slowest && all.can_rest() && *stick_slip == stick_slip.resting(all.places.into_iter());
     }
     let friction_guards = friction_guards(system, q, &system.pose(q), v);
     let far = LARGEST_CONTRADICTION * system.stick_velocity();
     let there = |place: usize| friction_guards.iter().any(|friction_guard| friction_guard.place == place);
     let held = |constraint: &FrictionConstraint<COORDINATES>| matches!(stick_slip.at(constraint.place), StickSlip::Sticks(_));
     friction_problem(system, q, v, &held).is_single_motion()
-        && (0..FRICTION_PLACES).all(|place| there(place) || stick_slip.at(place) == StickSlip::Inactive)
+        && (0..FRICTION_PLACES).all(|place| there(place) || matches!(stick_slip.at(place), StickSlip::Inactive | StickSlip::Still))
         && friction_guards.iter().all(|friction_guard| match stick_slip.at(friction_guard.place) {
             StickSlip::Inactive => false,
+            StickSlip::Still => friction_guard.rate.abs() <= far,
             StickSlip::Slips(way) => way.sign() * friction_guard.rate >= -far,
             StickSlip::Sticks(_) => {
                 friction_guard.rate.abs() <= far

@@ -1,4 +1,5 @@
 /* Calls of the random walk: model exchange. */
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -36,7 +37,8 @@ static void completed_step(Slave *s) {
     fmi2Boolean event = -7, end = -7;
     int possible = nowhere < 2 ? REFUSED : DONE;
     if (nowhere >= 2 && s->life.ends) {
-        const double excess = s->life.point - s->life.stop, rounding = 1e-9 * fmax(fabs(s->life.stop), 1.0);
+        const double excess = s->life.point - s->life.stop, last = fabs(s->life.stop);
+        const double rounding = fmax(fmin(1e-9 * fmax(last, 1.0), 1e-5), 4 * DBL_EPSILON * last);
         if (excess > 0.9 * rounding) possible |= REFUSED;
         if (excess > 1.1 * rounding) possible = REFUSED;
     }

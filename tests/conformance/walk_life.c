@@ -1,4 +1,5 @@
 /* Calls of the random walk: instantiation, modes, log, steps, status. */
+#include <float.h>
 #include <math.h>
 #include <string.h>
 
@@ -164,8 +165,9 @@ void do_step(Slave *s) {
     }
     int possible = DONE | DISCARDED | (s->life.tuned ? REFUSED : 0);
     if (s->life.ends) {
-        /* Rounding is accepted at the end, as much as 1e-9 of the clock and never half a step; close to that either answer is right. */
-        const double excess = point + size - s->life.stop, rounding = fmin(1e-9 * fmax(fabs(s->life.stop), size), 0.5 * size);
+        /* Rounding is accepted at the end, as much as 1e-9 of the clock, but a hundredth of the step or the rounding of doubles there at most; close to that either answer is right. */
+        const double excess = point + size - s->life.stop, last = fabs(s->life.stop);
+        const double part = fmin(1e-9 * fmax(last, size), 0.01 * size), rounding = fmin(fmax(part, 4 * DBL_EPSILON * last), 0.5 * size);
         if (excess > 0.0) possible |= REFUSED;
         if (excess > 1.1 * rounding) possible = REFUSED;
     }

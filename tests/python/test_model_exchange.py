@@ -4,8 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fmpy import simulate_fmu
+from fmpy import fmi2, simulate_fmu
+from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription
+from fmpy.sundials import CVodeSolver
 
 import scene
 
@@ -60,6 +62,25 @@ def test_cvode_ends_its_steps_at_kinks(fmu: Path, scenes: Path) -> None:
     assert np.min(stepped["tip.y"]) < 0.2 < np.max(stepped["tip.y"][-50:]) + 0.01
     # Each touch magnifies what is off before it.
     assert np.max(np.abs(stepped["tip.y"] - integrated["tip.y"])) < 1e-5
+
+
+def test_a_trial_out_of_reach_can_be_tried_shorter(fmu: Path, scenes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A master that tells CVode of a refusal goes on by smaller steps; where the motion itself goes through the singularity it turns back there."""
+    made, refused = scene.read(scenes / "end_stops.json").coarser(0.01, 0.3), []
+    right_hand_side = CVodeSolver.f
+
+    def f(self: CVodeSolver, *arguments: object) -> int:
+        try:
+            return right_hand_side(self, *arguments)
+        except FMICallException as refusal:
+            refused.append(refusal.status)
+            return 1
+
+    monkeypatch.setattr(CVodeSolver, "f", f)
+    stepped, integrated = motion(fmu, made, None), motion(fmu, made, "ModelExchange", relative_tolerance=1e-6)
+    assert set(refused) == {fmi2.fmi2Discard}
+    before, behind = np.abs(stepped["tip.y"] - integrated["tip.y"])[[10, 20]]
+    assert before < 1e-5 and behind > 0.05
 
 
 @pytest.mark.full

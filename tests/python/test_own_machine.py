@@ -136,9 +136,9 @@ def test_two_units_side_by_side_have_no_influence(new: New, new_own: New) -> Non
     assert beside.bits() == alone.bits() != plain.bits()
 
 
-def asked(fmu: Path) -> str:
-    """What the packer hears of a unit that it asks for its start."""
-    command = [sys.executable, str(REPOSITORY / "xtask" / "python" / "start.py"), str(fmu)]
+def asked(fmu: Path, *values: str) -> str:
+    """What the packer hears of a unit that it asks for its start, or for another one."""
+    command = [sys.executable, str(REPOSITORY / "xtask" / "python" / "start.py"), str(fmu), *values]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
 
@@ -153,3 +153,21 @@ def test_the_packer_hears_the_sentence_of_a_unit_that_refuses(own: Unit, tmp_pat
                 content = content.replace(own.model.guid.encode(), b"{another}")
             target.writestr(item, content)
     assert asked(copy).startswith("fmi2Instantiate: ") and "{another}" in asked(copy)
+
+
+def test_the_packer_asks_the_plain_unit_before_it_builds(fmu: Path, values: Values) -> None:
+    """The start of the scene is accepted, one that does not close is refused by its sentence."""
+    assert asked(fmu, json.dumps(values)) == ""
+    refused = asked(fmu, json.dumps(values | {"base.distance": 5.0}))
+    assert refused.startswith("fmi2ExitInitializationMode: ") and refused.count("\n") == 1
+
+
+def test_a_start_that_is_refused_leaves_nothing(fmu: Path, tmp_path: Path) -> None:
+    """No build, where the plain unit is packed, and no file: one sentence."""
+    file = tmp_path / "too_far.json"
+    file.write_text(json.dumps({"description": "Motors too far apart", "base.distance": 5.0}), encoding="utf-8")
+    command = ["cargo", "xtask", "package", "--scene", str(file)]
+    done = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    assert done.returncode != 0 and "the start is refused: fmi2ExitInitializationMode: " in done.stderr
+    assert "Compiling fivebar" not in done.stderr
+    assert not [*fmu.parent.glob("TooFar*")]

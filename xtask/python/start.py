@@ -1,25 +1,30 @@
-"""Initialises a unit with nothing set: prints the sentence with which it refuses its start, or nothing.
+"""Initialises a unit with nothing set, or with some values: prints the sentence with which it refuses its start, or nothing.
 
 python start.py target/fmu/PickAndPlace.fmu
+python start.py target/fmu/FiveBar.fmu '{"base.distance": 0.1}'
 """
 
 import argparse
+import json
 import shutil
 from pathlib import Path
 
 import fmpy
 
-from slave import Log, instantiate
+from slave import Log, instantiate, set_values
 
 
 def main() -> None:
     """Asks the unit."""
-    parser = argparse.ArgumentParser(description="Initialises a unit with nothing set; prints why it refuses, or nothing.")
+    parser = argparse.ArgumentParser(description="Initialises a unit; prints why it refuses, or nothing.")
     parser.add_argument("fmu", type=Path)
-    fmu = parser.parse_args().fmu
-    directory, log = fmpy.extract(str(fmu)), Log()
+    parser.add_argument("values", type=json.loads, nargs="?", default={}, help="what is set before, as JSON")
+    arguments = parser.parse_args()
+    directory, log = fmpy.extract(str(arguments.fmu)), Log()
     try:
-        slave = instantiate(fmpy.read_model_description(directory, validate=False), directory, log)
+        model = fmpy.read_model_description(directory, validate=False)
+        slave = instantiate(model, directory, log)
+        set_values(slave, model, arguments.values)
         slave.setupExperiment()
         slave.enterInitializationMode()
         slave.exitInitializationMode()

@@ -37,6 +37,9 @@ pub(crate) fn package(scope: Scope) -> Result<PathBuf> {
 /// A unit of one's own, from the scene in `file`; called `name`, or after the file.
 pub(crate) fn package_own(file: &Path, name: Option<&str>, scope: Scope) -> Result<PathBuf> {
     let unit = Unit::own(file, name)?;
+    if let Some(scene) = &unit.own {
+        start::check_before(scene, scope)?;
+    }
     let fmu = pack(&unit, scope)?;
     for sentence in unit.own.iter().flat_map(OwnScene::left_out) {
         println!("  {sentence}");
@@ -69,11 +72,21 @@ fn pack(unit: &Unit, scope: Scope) -> Result<PathBuf> {
     // A unit that is not fit for use never gets the name under which one is looked for.
     let unverified = fmu.with_extension("unverified");
     archive::write(&unverified, &files)?;
-    let report = verify::verify(&unverified, scope).with_context(|| format!("{} is not fit for use", paths::short(&unverified)))?;
-    if unit.own.is_some() {
-        start::check(&unverified)?;
+    let found = judge(&unverified, unit, scope);
+    if found.is_err() {
+        fs::remove_file(&unverified).with_context(|| format!("{} cannot be removed", paths::short(&unverified)))?;
     }
+    let report = found?;
     fs::rename(&unverified, &fmu).with_context(|| format!("{} cannot be written", paths::short(&fmu)))?;
     println!("{}: {report}", paths::short(&fmu));
     Ok(fmu)
+}
+
+/// What a packed unit is, if it is fit for use.
+fn judge(unverified: &Path, unit: &Unit, scope: Scope) -> Result<verify::Report> {
+    let report = verify::verify(unverified, scope).with_context(|| format!("{} is not fit for use", paths::short(unverified)))?;
+    if unit.own.is_some() {
+        start::check(unverified)?;
+    }
+    Ok(report)
 }

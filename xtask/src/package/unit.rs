@@ -74,6 +74,13 @@ impl OwnScene {
         starts(&self.0)
     }
 
+    /// Names and start values as a JSON object: all that `xtask/python/start.py` has to set.
+    pub(super) fn start_values(&self) -> String {
+        let values: Vec<String> =
+            self.starts().map(|(variable, value)| format!("\"{}\": {}", variable.name.full, text(value))).collect();
+        format!("{{{}}}", values.join(", "))
+    }
+
     /// Parts of the scene that a unit cannot have, in sentences.
     pub(super) fn left_out(&self) -> Vec<String> {
         let mut sentences = Vec::new();
@@ -197,6 +204,8 @@ mod tests {
             assert!(line.split("</ScalarVariable>").next().unwrap().contains(&format!("start=\"{start}\"")), "{name}");
         }
         let own = unit.own.as_ref().unwrap();
+        let values = own.start_values();
+        assert!(values.starts_with(r#"{"solver.method": 4, "#) && values.ends_with(r#", "servo.theta[1]": 1.25}"#), "{values}");
         assert_eq!(own.starts().filter(|start| !is_plain(start)).count(), 4, "servo.kp[1] is what it is anyway");
         assert!(own.left_out()[0].ends_with("for the master to change: servo.theta[1]."));
         assert_eq!(own.left_out()[1], "The scene's further runs are left out: fine.");
@@ -207,6 +216,7 @@ mod tests {
         let scene = r#"{ "description": "x" }"#;
         assert_eq!(refusal(scene, Some("fivebar")), "the name fivebar is that of the plain unit: --name gives this one another");
         assert!(refusal(scene, Some("my machine")).contains("the name \"my machine\" is not allowed"));
+        assert!(refusal(scene, Some("aux")).contains("the name \"aux\" is not allowed: Windows has a device of that name"));
         assert!(refusal(r#"{ "description": "x", "tau[3]": 1 }"#, None).contains("there is no variable 'tau[3]'"));
         assert!(refusal(r#"{ "description": "x", "link[1].mass": 0 }"#, None).contains("'link[1].mass' must be a number in kg"));
         let missing = format!("{:#}", Unit::own(Path::new("pick_and_place"), None).err().unwrap());
