@@ -118,7 +118,9 @@ def run(arguments: argparse.Namespace) -> int:
     forecasts = content["forecasts"]
     width, covered = forecasts["halfwidth_mm"]["median"], forecasts["coverage95"]
     if covered is not None:
-        print(f"{forecasts['count']} forecasts: half-width {width:.3g} mm (median), {100 * covered:.3g} % inside; {content['alarms']} alarms")
+        off = forecasts["by_ahead"][f"{config.horizon:g}"]["error_mm"]
+        print(f"{forecasts['count']} forecasts: {100 * covered:.3g} % inside, half-width {width:.3g} mm (median), error {off:.2g} mm (rms)")
+        print(f"error of the estimated tip {content['tip_error_mm']['rms']:.2g} mm (rms)")
     for sentence in content["missed"]:
         print(sentence)
     lost = 0 if arguments.faults else samples - counts["estimated"]
