@@ -2,7 +2,7 @@
 //! their likelihoods (Blom and Bar-Shalom, IEEE Trans. Automatic Control 33 (1988) 780).
 //!
 //! The error state has six elements: angles and rates on the tangent basis N, and the unknown force on the same basis. The models differ in
-//! the random walk of the unknown force and in the intensity of a white torque.
+//! the random walk of the unknown force, in the intensity of a white torque, and in the errors of the links' masses.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 

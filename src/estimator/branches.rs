@@ -61,7 +61,7 @@ impl Default for Branches {
 }
 
 impl Branches {
-    /// Whether the branch is known: the last vertex is long ago.
+    /// Whether the branch is known: the last vertex was left longer ago than a hypothesis lives, [`LIFETIME`].
     pub(super) fn is_branch_known(&self) -> bool {
         self.since_vertex > LIFETIME
     }
@@ -253,7 +253,7 @@ pub(super) fn update_hypothesis(track: &mut Track, linkage: &Linkage, readings: 
         innovation.residual = residual - dead_zone.copysign(residual);
         let expected = track.bank.predict_sample(&innovation);
         let (nis, variance) = expected.nis_and_variance();
-        // Within the slack all motions are equally likely: the normalisation by the variance is left out.
+        // Within the dead zone of a reading all motions are equally likely: the normalisation by the variance is left out.
         likelihood += if dead_zone > 0.0 { -0.5 * nis } else { log_likelihood(nis, variance) };
         track.bank.update(&expected);
     }

@@ -1,4 +1,4 @@
-//! Constant data of the estimator in a scene.
+//! Data of the estimator that stay constant between changes of parameters.
 
 use super::linkage::{Frame, Linkage, Pair};
 use super::{Parameters, track};
@@ -7,7 +7,7 @@ use crate::mechanism::Geometry;
 /// Standard deviation of the unknown force at the start, in torque scales.
 const UNKNOWN_FORCE: f64 = 0.3;
 
-/// Constant data of the estimator.
+/// Data of the estimator that stay constant between changes of parameters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Constants {
     pub(super) geometry: Geometry,

@@ -110,8 +110,8 @@ impl SigmaPoints {
         Self { points, force: [x * x, x * xy, xy * xy + y * y], walk, inputs }
     }
 
-    /// Time update of all sigma points; the force of those in force directions grows as its standard deviation does, which at any one time
-    /// is indistinguishable from a random walk. `scales`: torque scale and inertia torques, N·m.
+    /// Time update of all sigma points. The force of a point in a force direction grows in proportion to the standard deviation of the force's
+    /// random walk, so that its distribution is that of the walk at each instant. `scales`: torque scale and inertia torques, N·m.
     fn step(&mut self, linkage: &Linkage, scene: &impl Scene, (h, scales): (f64, Pair)) {
         let grown: f64 = self.walk.iter().zip(scales).map(|(walk, scale)| walk * scale * scale * h).sum();
         self.force[0] += grown;

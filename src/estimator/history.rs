@@ -14,7 +14,7 @@ use super::transition::ERRORS;
 /// Least |det| of a map between tangent bases that rows can be transformed by.
 const LEAST_TURN: f64 = 1e-6;
 
-/// Capacity in macro steps.
+/// Number of macro steps whose angles the history holds.
 pub const REMEMBERED: usize = 64;
 
 /// Estimated encoder angles at a past instant.
@@ -75,7 +75,7 @@ impl History {
     /// Measurement update: the estimate was corrected by `error`, and the basis changed.
     pub(super) fn correct(&mut self, error: &Error, [[a, b], [c, d]]: &[Pair; 2]) {
         let determinant = a * d - b * c;
-        // A correction by radians, whose basis cannot be followed.
+        // After a correction of the order of 1 rad the tangent bases before and after have no common plane.
         if determinant.is_nan() || determinant.abs() < LEAST_TURN {
             self.0.clear();
         }

@@ -21,7 +21,8 @@ impl Frame {
     /// Covariance of the tip, m²: xx, xy, yy, by a standard deviation `sigma` of all lengths, m, while encoders hold the motors as far as
     /// possible.
     pub(super) fn tip_by_lengths(&self, sigma: f64) -> [f64; 3] {
-        /// Regularisation of the squared effect of N on the motors: where they hardly turn, the tip moves by J⁺ alone.
+        /// Regularisation of the squared effect of the tangent basis N on the motor angles: where the motors hardly turn along N, the tip moves by
+        /// the pseudo-inverse J⁺ of the closure alone.
         const MOTOR_REGULARIZATION: f64 = 0.01;
         if sigma == 0.0 {
             return [0.0; 3];

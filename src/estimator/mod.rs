@@ -90,8 +90,8 @@ pub struct Estimator {
     nis: f64,
 }
 
-/// Distance |sin(θ₃ − θ₂)| from a direct singularity below which models of loud process noise keep a low prior: there a disturbance assumed
-/// too readily pulls the estimate back to the singularity.
+/// Distance |sin(θ₃ − θ₂)| from a direct singularity below which models of large process noise keep a low prior probability: an unknown force
+/// that is assumed there without need pulls the estimate back to the singularity.
 const NEAR_SINGULARITY: f64 = 0.3;
 /// Largest normalised innovation squared that is reported, to stay finite.
 const LARGEST_NIS: f64 = 1e12;
@@ -164,7 +164,8 @@ impl Estimator {
             return false;
         }
         // Where several hypotheses are open, the first samples select one before any of them is corrected.
-        if let Some(other) = self.branches.preferred(linkage, &self.track, &received) {
+        let preferred = self.branches.preferred(linkage, &self.track, &received);
+        if let Some(other) = preferred {
             self.branches.swap(&mut self.track, other);
             self.history.clear();
             frame = linkage.frame(&self.track.theta);
@@ -196,7 +197,7 @@ impl Estimator {
         }
         self.nis = if nis < LARGEST_NIS { nis } else { LARGEST_NIS };
         if used.iter().all(Option::is_none) {
-            return false;
+            return preferred.is_some();
         }
         match self.track.inject_error(linkage, &frame) {
             Some((error, turn, to)) => {
@@ -319,7 +320,8 @@ impl Estimator {
         self.alarm.is_on()
     }
 
-    /// Probability of a direct singularity within the horizon under held inputs, from sigma points.
+    /// Probability of a direct singularity within the horizon under held inputs: the fraction of 13 motions, those of the sigma points and of
+    /// their mean, that meet one.
     pub fn singularity_probability(&self, constants: &Constants, scene: &impl Scene, step: f64) -> f64 {
         forecast::singularity_probability(&self.track, &self.forecast, constants, scene, step)
     }

@@ -63,7 +63,8 @@ impl Parameters {
             positive(name, value, unit)?;
         }
         finite("estimator.horizon", self.horizon, "s")?;
-        // A communication step that is no multiple of h is divided into steps of at least h/2.
+        // The history holds a macro step each, which a communication step that is no multiple of h makes shorter than h. Shorter than h/2,
+        // where communication steps are, they do not reach back to maxDelay, and older samples are late.
         let most = (REMEMBERED / 2 - 1) as f64 * step_size;
         if self.max_delay > most {
             return Err(SceneError(format!(

@@ -4,7 +4,8 @@ use super::bank::Matrix;
 use super::linkage::{Frame, Linkage, dot};
 use super::transition::ERRORS;
 
-/// Covariances added in h seconds by a unit of white torque and of a force walk.
+/// Covariances of the error state (angles rad, rates rad/s, force in torque scales, on the tangent basis) added in h seconds: `white` by a
+/// white torque of intensity 1 (N·m)²·s, `walk` by a random walk of the unknown force of intensity 1 (N·m)²/s.
 pub(super) struct ProcessNoise {
     pub(super) white: Matrix,
     pub(super) walk: Matrix,

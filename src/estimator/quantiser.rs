@@ -21,9 +21,11 @@ const FARTHEST_INTERVAL: f64 = 35.0;
 const FLOORS: [f64; 2] = [1e-300, 1e-3];
 
 impl PredictedSample {
-    /// Expected sample with the reading replaced by one that stands for an interval of `quantum`, rad, about it. The models were told the
-    /// variance `noise`, rad², of which `white` is not the quantiser's. The error is shared by `repeated` samples, which together inform
-    /// like one; `least` is the least variance of each, in Δ²/12.
+    /// Expected sample whose reading stands for an interval of width `quantum`, rad, about the encoder's value.
+    ///
+    /// `noise` is the measurement variance that the models assume, rad², and `white` the part of it that is not due to the quantiser.
+    /// `repeated` is the number of samples that share one quantisation error and together carry the information of one; `least` is the
+    /// smallest variance of each of them, in Δ²/12.
     pub(super) fn with_interval(&self, quantum: f64, [noise, white]: [f64; 2], [repeated, least]: [f64; 2]) -> Self {
         let (mean, variance) = self.mixture_moments();
         let variance = variance - noise + white;
@@ -70,8 +72,8 @@ fn density(x: f64) -> f64 {
     DENSITY_AT_ZERO * libm::exp(-0.5 * x * x)
 }
 
-/// Probability above x, within 1.2 % of the smaller side, which widens narrow intervals by up to 0.035: with an exact tail single runs
-/// trust their readings too much (Börjesson and Sundberg, IEEE Trans. Communications 27 (1979) 639).
+/// Probability that a standard normal variable exceeds x, within 1.2 % of the smaller tail. The error widens the standard deviation that a
+/// narrow interval leaves by up to 0.035 of the interval; with an exact tail the filter trusts single readings too much (Börjesson and Sundberg, IEEE Trans. Communications 27 (1979) 639).
 fn tail_probability(x: f64, density: f64) -> f64 {
     let size = x.abs();
     let tail = density / ((1.0 - FRAC_1_PI) * size + FRAC_1_PI * (size * size + 2.0 * PI).sqrt());

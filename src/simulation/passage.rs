@@ -41,8 +41,8 @@ const UNPROJECTED_WITHIN: f64 = 1e-5;
 const LARGEST_ENERGY_CHANGE: f64 = 0.01;
 
 /// Largest variation of the power over a step of high order, relative to the kinetic energy, for which the energy is corrected.
-/// Distance from all links in line, rad, below which the twelve coordinates may fail with coaxial motors.
 const LARGEST_POWER_VARIATION: f64 = 1e-6;
+/// Distance from all links in line, rad, below which the twelve coordinates may fail with coaxial motors.
 const NEAR_BIFURCATION: f64 = 1e-2;
 
 /// Largest number of evaluations of a step past a bifurcation of the closure.
