@@ -73,7 +73,8 @@ fn density(x: f64) -> f64 {
 }
 
 /// Probability that a standard normal variable exceeds x, within 1.2 % of the smaller tail. The error widens the standard deviation that a
-/// narrow interval leaves by up to 0.035 of the interval; with an exact tail the filter trusts single readings too much (Börjesson and Sundberg, IEEE Trans. Communications 27 (1979) 639).
+/// narrow interval leaves by up to 0.035 of the interval; with an exact tail the filter trusts single readings too much (Börjesson and
+/// Sundberg, IEEE Trans. Communications 27 (1979) 639).
 fn tail_probability(x: f64, density: f64) -> f64 {
     let size = x.abs();
     let tail = density / ((1.0 - FRAC_1_PI) * size + FRAC_1_PI * (size * size + 2.0 * PI).sqrt());
