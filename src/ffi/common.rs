@@ -1,18 +1,19 @@
 //! Functions common to all FMUs (FMI 2.0.4, section 2.1).
 
+use std::convert::identity;
 use std::ffi::CStr;
 use std::panic::catch_unwind;
 use std::ptr::null_mut;
 
 use libc::size_t;
 
-use super::arrays::{not_null, slice, string};
-use super::guard::{Component, guard};
+use super::function::{functions, string};
+use super::guard::Component;
 use super::types::{
     fmi2Boolean, fmi2CallbackFunctions, fmi2CoSimulation, fmi2Component, fmi2False, fmi2Integer, fmi2ModelExchange, fmi2Real,
-    fmi2Status, fmi2String, fmi2Type, fmi2ValueReference,
+    fmi2String, fmi2Type, fmi2ValueReference,
 };
-use crate::fmi::{Call, CallError, Instance, Kind};
+use crate::fmi::{CallError, Kind};
 use crate::variables::{FmiType, GUID, Value};
 
 /// The platform of the types: `default` (section 2.1.2).
@@ -99,178 +100,58 @@ pub unsafe extern "C" fn fmi2FreeInstance(c: fmi2Component) {
     }
 }
 
-/// Selects the log categories that are passed on (section 2.1.5).
-///
-/// # Safety
-/// See the contract of [`crate::ffi`].
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn fmi2SetDebugLogging(
-    c: fmi2Component,
-    loggingOn: fmi2Boolean,
-    nCategories: size_t,
-    categories: *const fmi2String,
-) -> fmi2Status {
-    let body = |instance: &mut Instance| {
-        // SAFETY: the caller vouches for the array and its strings.
-        let names = unsafe { slice("categories", categories, nCategories) }?;
-        // SAFETY: as above.
-        let names = names.iter().map(|name| unsafe { string("a category", *name) });
-        let names = names.collect::<Result<Vec<&str>, _>>()?;
-        instance.set_debug_logging(loggingOn != fmi2False, names.into_iter())
+functions! {
+    /// Selects the log categories that are passed on (section 2.1.5).
+    fmi2SetDebugLogging(loggingOn: fmi2Boolean, nCategories: size_t, categories: [in fmi2String; nCategories]) |instance| {
+        // SAFETY: the caller vouches for the strings.
+        let names = categories.iter().map(|name| unsafe { string("a category", *name) }).collect::<Result<Vec<&str>, _>>()?;
+        instance.log.choose(loggingOn != fmi2False, names.into_iter())
     };
-    // SAFETY: the caller vouches for the component.
-    unsafe { guard(c, Call::SetDebugLogging, body) }
-}
-
-/// Start and end of the experiment (section 2.1.6); the tolerance is not used.
-///
-/// # Safety
-/// See the contract of [`crate::ffi`].
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn fmi2SetupExperiment(
-    c: fmi2Component,
-    toleranceDefined: fmi2Boolean,
-    tolerance: fmi2Real,
-    startTime: fmi2Real,
-    stopTimeDefined: fmi2Boolean,
-    stopTime: fmi2Real,
-) -> fmi2Status {
-    let defined = |flag: fmi2Boolean, value| (flag != fmi2False).then_some(value);
-    let body = |instance: &mut Instance| {
-        let (tolerance, stop) = (defined(toleranceDefined, tolerance), defined(stopTimeDefined, stopTime));
-        instance.setup_experiment(tolerance, startTime, stop)
+    /// Start and end of the experiment (section 2.1.6); the tolerance is not used.
+    fmi2SetupExperiment(
+        toleranceDefined: fmi2Boolean,
+        tolerance: fmi2Real,
+        startTime: fmi2Real,
+        stopTimeDefined: fmi2Boolean,
+        stopTime: fmi2Real
+    ) |instance| {
+        let defined = |flag: fmi2Boolean, value| (flag != fmi2False).then_some(value);
+        instance.setup_experiment(defined(toleranceDefined, tolerance), startTime, defined(stopTimeDefined, stopTime))
     };
-    // SAFETY: the caller vouches for the component.
-    unsafe { guard(c, Call::SetupExperiment, body) }
-}
-
-/// Defines functions that take nothing but the instance.
-macro_rules! plain {
-    ($($(#[doc = $doc:literal])+ $name:ident: $call:ident => $method:ident;)+) => {$(
-        $(#[doc = $doc])+
-        ///
-        /// # Safety
-        /// See the contract of [`crate::ffi`].
-        #[unsafe(no_mangle)]
-        pub unsafe extern "C" fn $name(c: fmi2Component) -> fmi2Status {
-            // SAFETY: the caller vouches for the component.
-            unsafe { guard(c, Call::$call, Instance::$method) }
-        }
-    )+};
-}
-
-plain! {
     /// Begins initialisation (section 2.1.6).
-    fmi2EnterInitializationMode: EnterInitializationMode => enter_initialization_mode;
+    fmi2EnterInitializationMode() |instance| instance.enter_initialization_mode();
     /// Ends initialisation: the scene is validated and made ready (section 2.1.6).
-    fmi2ExitInitializationMode: ExitInitializationMode => exit_initialization_mode;
+    fmi2ExitInitializationMode() |instance| instance.exit_initialization_mode();
     /// Ends the run (section 2.1.6).
-    fmi2Terminate: Terminate => terminate;
+    fmi2Terminate() |instance| instance.terminate();
     /// Back to a fresh instance (section 2.1.6).
-    fmi2Reset: Reset => reset;
+    fmi2Reset() |instance| instance.reset();
+    /// There are no String variables: an error unless `nvr` is 0 (section 2.1.7).
+    fmi2GetString(vr: [in fmi2ValueReference; nvr], nvr: size_t, _value: [raw *mut fmi2String]) |instance| instance.no_strings(vr);
+    /// There are no String variables: an error unless `nvr` is 0 (section 2.1.7).
+    fmi2SetString(vr: [in fmi2ValueReference; nvr], nvr: size_t, _value: [raw *const fmi2String]) |instance| instance.no_strings(vr);
 }
 
 /// Defines the getter and the setter of a type (section 2.1.7).
 macro_rules! access {
-    ($($get:ident $set:ident: $c_type:ty, $access:ident, $get_call:ident $set_call:ident, $to_c:expr, $from_c:expr;)+) => {$(
+    ($($get:ident $set:ident: $c_type:ident, $type:ident, $to_c:expr, $from_c:expr;)+) => { functions! {$(
         /// Reads variables (section 2.1.7).
-        ///
-        /// # Safety
-        /// See the contract of [`crate::ffi`].
-        #[unsafe(no_mangle)]
-        pub unsafe extern "C" fn $get(
-            c: fmi2Component,
-            vr: *const fmi2ValueReference,
-            nvr: size_t,
-            value: *mut $c_type,
-        ) -> fmi2Status {
-            let body = |instance: &mut Instance| {
-                // SAFETY: the caller vouches for the array.
-                let references = unsafe { slice("vr", vr, nvr) }?;
-                if nvr > 0 {
-                    not_null("value", value)?;
+        $get(vr: [in fmi2ValueReference; nvr], nvr: size_t, value: [out $c_type; nvr]) |instance| {
+            for (place, found) in value.iter_mut().zip(instance.get(FmiType::$type, vr)?) {
+                if let Value::$type(found) = *found {
+                    place.write($to_c(found));
                 }
-                instance.get(FmiType::$access, references, |position, found| {
-                    let to_c: fn(Value) -> Option<$c_type> = $to_c;
-                    if let Some(found) = to_c(found) {
-                        // SAFETY: not null, and the caller vouches for nvr places, one per reference.
-                        unsafe { value.add(position).write(found) }
-                    }
-                })
-            };
-            // SAFETY: the caller vouches for the component.
-            unsafe { guard(c, Call::$get_call, body) }
-        }
-
+            }
+            Ok(())
+        };
         /// Sets variables, all or none (section 2.1.7).
-        ///
-        /// # Safety
-        /// See the contract of [`crate::ffi`].
-        #[unsafe(no_mangle)]
-        pub unsafe extern "C" fn $set(
-            c: fmi2Component,
-            vr: *const fmi2ValueReference,
-            nvr: size_t,
-            value: *const $c_type,
-        ) -> fmi2Status {
-            let body = |instance: &mut Instance| {
-                // SAFETY: the caller vouches for both arrays.
-                let (references, values) = unsafe { (slice("vr", vr, nvr)?, slice("value", value, nvr)?) };
-                let from_c: fn($c_type) -> Value = $from_c;
-                let values = values.iter().map(|value| from_c(*value));
-                instance.set(references.iter().copied().zip(values))
-            };
-            // SAFETY: the caller vouches for the component.
-            unsafe { guard(c, Call::$set_call, body) }
-        }
-    )+};
+        $set(vr: [in fmi2ValueReference; nvr], nvr: size_t, value: [in $c_type; nvr]) |instance|
+            instance.set(vr.iter().copied().zip(value.iter().map(|value| Value::$type($from_c(*value)))));
+    )+} };
 }
 
 access! {
-    fmi2GetReal fmi2SetReal: fmi2Real, Real, GetReal SetReal,
-        |value| if let Value::Real(x) = value { Some(x) } else { None }, Value::Real;
-    fmi2GetInteger fmi2SetInteger: fmi2Integer, Integer, GetInteger SetInteger,
-        |value| if let Value::Integer(n) = value { Some(n) } else { None }, Value::Integer;
-    fmi2GetBoolean fmi2SetBoolean: fmi2Boolean, Boolean, GetBoolean SetBoolean,
-        |value| if let Value::Boolean(b) = value { Some(b.into()) } else { None }, |b| Value::Boolean(b != fmi2False);
-}
-
-/// There are no String variables: an error unless `nvr` is 0 (section 2.1.7).
-///
-/// # Safety
-/// See the contract of [`crate::ffi`].
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn fmi2GetString(
-    c: fmi2Component,
-    vr: *const fmi2ValueReference,
-    nvr: size_t,
-    _value: *mut fmi2String,
-) -> fmi2Status {
-    let body = |instance: &mut Instance| {
-        // SAFETY: the caller vouches for the array.
-        let references = unsafe { slice("vr", vr, nvr) }?;
-        instance.no_strings(references)
-    };
-    // SAFETY: the caller vouches for the component.
-    unsafe { guard(c, Call::GetString, body) }
-}
-
-/// There are no String variables: an error unless `nvr` is 0 (section 2.1.7).
-///
-/// # Safety
-/// See the contract of [`crate::ffi`].
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn fmi2SetString(
-    c: fmi2Component,
-    vr: *const fmi2ValueReference,
-    nvr: size_t,
-    _value: *const fmi2String,
-) -> fmi2Status {
-    let body = |instance: &mut Instance| {
-        // SAFETY: the caller vouches for the array.
-        let references = unsafe { slice("vr", vr, nvr) }?;
-        instance.no_strings(references)
-    };
-    // SAFETY: the caller vouches for the component.
-    unsafe { guard(c, Call::SetString, body) }
+    fmi2GetReal fmi2SetReal: fmi2Real, Real, identity, identity;
+    fmi2GetInteger fmi2SetInteger: fmi2Integer, Integer, identity, identity;
+    fmi2GetBoolean fmi2SetBoolean: fmi2Boolean, Boolean, fmi2Boolean::from, |value| value != fmi2False;
 }

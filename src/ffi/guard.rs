@@ -51,7 +51,7 @@ impl Component {
     #[cold]
     #[inline(never)]
     fn refuse(&mut self, call: Call, rejection: &CallError) -> Status {
-        self.instance.log.push(rejection.status, || format!("{call}: {}", rejection.message));
+        self.instance.log.push(rejection.status, || format!("{call:?}: {}", rejection.message));
         rejection.status
     }
 
@@ -61,7 +61,7 @@ impl Component {
     fn poison(&mut self, call: Call, panic: &(dyn Any + Send)) -> Status {
         self.poisoned = true;
         self.instance.log.push(Status::Fatal, || {
-            format!("{call}: defect of the library, the instance can only be freed: {}", panic_text(panic))
+            format!("{call:?}: defect of the library, the instance can only be freed: {}", panic_text(panic))
         });
         Status::Fatal
     }
@@ -159,7 +159,7 @@ mod tests {
         let (broken, other) = (component(&mut lines), component(&mut other_lines));
         // SAFETY: both components are live, and freed once.
         unsafe {
-            assert_eq!(guard(broken, Call::Reset, |_| panic!("on purpose, 100 %")), fmi2Fatal);
+            assert_eq!(guard(broken, Call::fmi2Reset, |_| panic!("on purpose, 100 %")), fmi2Fatal);
             assert_eq!(fmi2Reset(broken), fmi2Fatal);
             assert_eq!(fmi2Reset(other), fmi2OK);
             fmi2FreeInstance(broken);
@@ -174,7 +174,7 @@ mod tests {
     fn a_null_component_is_refused() {
         // SAFETY: null is checked.
         unsafe {
-            assert_eq!(guard(null_mut(), Call::DoStep, |_| Ok(())), fmi2Error);
+            assert_eq!(guard(null_mut(), Call::fmi2DoStep, |_| Ok(())), fmi2Error);
             fmi2FreeInstance(null_mut());
             assert_eq!(CStr::from_ptr(fmi2GetVersion()), c"2.0");
         }

@@ -4,10 +4,11 @@
 //! | --- | --- |
 //! | `types.rs` | fmi2TypesPlatform.h and the types of fmi2FunctionTypes.h, names unchanged |
 //! | `guard.rs` | entry of every call: null component, order of calls, panic, log |
-//! | `arrays.rs` | C arrays and strings as slices, nulls refused |
+//! | `function.rs` | the form of a C function: arguments as slices and places, nulls refused |
 //! | `common.rs` | functions common to all FMUs (FMI 2.0.4, section 2.1) |
 //! | `cosimulation.rs` | functions for co-simulation (section 4.2.1) |
 //! | `exchange.rs` | functions for model exchange (section 3.2) |
+//! | `state.rs` | stored states (section 2.1.8) |
 //! | `derivatives.rs` | directional derivatives (section 2.1.9), derivatives of inputs and outputs with respect to time (section
 //! 4.2.1) |
 //!
@@ -38,11 +39,11 @@
 #![allow(unsafe_code, reason = "raw pointers come in here and go no further")]
 #![allow(non_camel_case_types, non_snake_case, non_upper_case_globals, reason = "the names are those of the standard's headers")]
 
-mod arrays;
 mod common;
 mod cosimulation;
 mod derivatives;
 mod exchange;
+mod function;
 mod guard;
 mod state;
 mod types;

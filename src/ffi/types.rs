@@ -70,7 +70,7 @@ pub struct fmi2EventInfo {
     pub nextEventTime: fmi2Real,
 }
 
-/// Kind of status; see [`crate::fmi::status::StatusKind`].
+/// Kind of status: fmi2DoStepStatus 0, fmi2PendingStatus 1, fmi2LastSuccessfulTime 2, fmi2Terminated 3.
 pub type fmi2StatusKind = c_int;
 
 /// The master's logger. The message is finished text: no further arguments follow, and `%` is doubled.

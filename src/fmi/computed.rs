@@ -1,13 +1,12 @@
 //! Observers → computed variables: each output and local variable is defined once, generic over its value, its directional
 //! derivative and its time derivatives.
 
+use super::bindings::{self, Field};
 use crate::estimator;
-use crate::mechanism;
-use crate::observers::{self, Estimated, Observed, Point, SingularityKind as Kind};
+use crate::observers::{self, Estimated, Observed, Point};
 use crate::scalar::Scalar;
 use crate::variables::{
-    Assembly, EnumerationComputed, EstimatorStatus, IntegerComputed, RealComputed, SingularityKind, Value, Variable, VariableId,
-    WorkingMode,
+    EnumerationComputed, EstimatorStatus, IntegerComputed, RealComputed, Value, Variable, VariableId, WorkingMode,
 };
 
 /// Links of the left and the right leg.
@@ -22,13 +21,8 @@ pub(super) fn read(of: &Observed<'_, f64>, variable: &Variable) -> Option<Value>
     match variable.id {
         VariableId::RealComputed(computed) => real(of, computed, 0).map(Value::Real),
         VariableId::IntegerComputed(computed) => Some(Value::Integer(integer(of, computed))),
-        VariableId::EnumerationComputed(computed) => Some(Value::Integer(enumeration(of, computed))),
-        VariableId::RealParameter(_)
-        | VariableId::RealInput(_)
-        | VariableId::RealSample(_)
-        | VariableId::IntegerParameter(_)
-        | VariableId::BooleanParameter(_)
-        | VariableId::EnumerationParameter(_) => None,
+        VariableId::EnumerationComputed(computed) => Some(enumeration(of, computed)),
+        VariableId::Parameter(_) | VariableId::Input(_) | VariableId::Sample(_) => None,
     }
 }
 
@@ -38,6 +32,9 @@ pub(super) fn real<T: Scalar>(of: &Observed<'_, T>, computed: RealComputed, orde
     use RealComputed as V;
     // Positions, velocities and accelerations are orders 0, 1 and 2 of a motion; higher orders are not available.
     let order_of = |own: usize| Some(own + order).filter(|order| *order <= 2);
+    // Estimates change with samples and time only.
+    let estimated = |value: &dyn Fn(&Estimated<'_>) -> f64| of.constant(of.estimated().map_or(0.0, |of| value(&of)));
+    let torques = |of: &Estimated<'_>| of.following.motor_torques();
     Some(match computed {
         V::TipX => of.point(Point::Tip, order_of(0)?)[0],
         V::TipY => of.point(Point::Tip, order_of(0)?)[1],
@@ -71,37 +68,17 @@ pub(super) fn real<T: Scalar>(of: &Observed<'_, T>, computed: RealComputed, orde
         V::SolverPositionError => of.constant(observers::constraint_norms(of.model(), of.observation().state()).position),
         V::SolverVelocityError => of.constant(observers::constraint_norms(of.model(), of.observation().state()).velocity),
         V::SolverErrorEstimate => of.constant(of.observation().state().core.error_estimate),
-        V::EstimatedTau(_)
-        | V::EstimatedNis
-        | V::EstimatedAlarm
-        | V::EstimatedThetaSigma(_)
-        | V::EstimatedOmegaSigma(_)
-        | V::EstimatedTipCov(_)
-        | V::EstimatedTauSigma(_)
-        | V::EstimatedTauValid
-        | V::EstimatedInnovation(_)
-        | V::EstimatedSingularProbability => of.constant(of.estimated().map_or(0.0, |of| estimated(&of, computed))),
+        V::EstimatedTau(i) => estimated(&|of| torques(of).map_or(0.0, |(tau, _)| tau[i])),
+        V::EstimatedTauSigma(i) => estimated(&|of| torques(of).map_or(UNOBSERVABLE, |(_, sigma)| sigma[i])),
+        V::EstimatedTauValid => estimated(&|of| f64::from(u8::from(torques(of).is_some()))),
+        V::EstimatedNis => estimated(&|of| of.following.estimator().nis()),
+        V::EstimatedAlarm => estimated(&|of| f64::from(u8::from(of.following.estimator().alarm()))),
+        V::EstimatedThetaSigma(i) => estimated(&|of| of.following.sigmas()[0][PROXIMAL_LINKS[i]]),
+        V::EstimatedOmegaSigma(i) => estimated(&|of| of.following.sigmas()[1][PROXIMAL_LINKS[i]]),
+        V::EstimatedTipCov(i) => estimated(&|of| of.following.tip_covariance()[i]),
+        V::EstimatedInnovation(i) => estimated(&|of| of.following.estimator().innovation()[i]),
+        V::EstimatedSingularProbability => estimated(&|of| of.singularity_probability()),
     })
-}
-
-/// Value of an estimated variable, which changes with samples and time only.
-fn estimated(of: &Estimated<'_>, computed: RealComputed) -> f64 {
-    use RealComputed as V;
-    let following = of.following;
-    let torques = || following.motor_torques();
-    match computed {
-        V::EstimatedTau(i) => torques().map_or(0.0, |(tau, _)| tau[i]),
-        V::EstimatedTauSigma(i) => torques().map_or(UNOBSERVABLE, |(_, sigma)| sigma[i]),
-        V::EstimatedTauValid => f64::from(u8::from(torques().is_some())),
-        V::EstimatedNis => following.estimator().nis(),
-        V::EstimatedAlarm => f64::from(u8::from(following.estimator().alarm())),
-        V::EstimatedThetaSigma(i) => following.sigmas()[0][PROXIMAL_LINKS[i]],
-        V::EstimatedOmegaSigma(i) => following.sigmas()[1][PROXIMAL_LINKS[i]],
-        V::EstimatedTipCov(i) => following.tip_covariance()[i],
-        V::EstimatedInnovation(i) => following.estimator().innovation()[i],
-        V::EstimatedSingularProbability => of.singularity_probability(),
-        _ => unreachable!("{computed:?} is not estimated"),
-    }
 }
 
 fn status(status: estimator::Status) -> EstimatorStatus {
@@ -122,48 +99,25 @@ fn status(status: estimator::Status) -> EstimatorStatus {
 }
 
 fn integer(of: &Observed<'_, f64>, computed: IntegerComputed) -> i32 {
-    let counters = of.observation().state().core.counters;
-    let count = match computed {
-        IntegerComputed::SolverSteps => counters.steps,
-        IntegerComputed::SolverSubsteps => counters.substeps,
-        IntegerComputed::SolverIterations => counters.iterations,
-        IntegerComputed::SolverRejected => counters.rejected,
-        IntegerComputed::SolverRescued => counters.rescued,
-        IntegerComputed::SolverLastResorts => counters.fallbacks,
-        IntegerComputed::SolverRestarts => counters.restarts,
-        IntegerComputed::SolverLaunches => counters.launches,
-        IntegerComputed::SolverVertexPasses => counters.vertex_passes,
-        IntegerComputed::SingularPassesDirect => counters.sign_changes[0],
-        IntegerComputed::SingularPassesInverse(i) => counters.sign_changes[1 + i],
-    };
     // fmi2Integer has 32 bits: a larger count saturates.
-    i32::try_from(count).unwrap_or(i32::MAX)
+    i32::try_from(*bindings::counter(&of.observation().state().core.counters, computed)).unwrap_or(i32::MAX)
 }
 
-fn enumeration(of: &Observed<'_, f64>, computed: EnumerationComputed) -> i32 {
+fn enumeration(of: &Observed<'_, f64>, computed: EnumerationComputed) -> Value {
     let jacobians = of.jacobians();
     match computed {
         EnumerationComputed::SingularType => {
-            match of.model().mechanism.geometry.singularity_kind(&jacobians, of.observation().sigma_phi()) {
-                Kind::None => SingularityKind::None as i32,
-                Kind::Direct => SingularityKind::Direct as i32,
-                Kind::Inverse => SingularityKind::Inverse as i32,
-                Kind::Combined => SingularityKind::Combined as i32,
-                Kind::Constraint => SingularityKind::Constraint as i32,
-            }
+            of.model().mechanism.geometry.singularity_kind(&jacobians, of.observation().sigma_phi()).value()
         }
         EnumerationComputed::EstimatedStatus => {
-            of.estimated().map_or(EstimatorStatus::Off, |of| status(of.following.status())) as i32
+            Value::Integer(of.estimated().map_or(EstimatorStatus::Off, |of| status(of.following.status())) as i32)
         }
-        EnumerationComputed::ModeAssembly => match jacobians.assembly {
-            mechanism::Assembly::Plus => Assembly::Plus as i32,
-            mechanism::Assembly::Minus => Assembly::Minus as i32,
-        },
-        EnumerationComputed::ModeWorking => match jacobians.working {
-            [true, true] => WorkingMode::PlusPlus as i32,
-            [true, false] => WorkingMode::PlusMinus as i32,
-            [false, true] => WorkingMode::MinusPlus as i32,
-            [false, false] => WorkingMode::MinusMinus as i32,
-        },
+        EnumerationComputed::ModeAssembly => jacobians.assembly.value(),
+        EnumerationComputed::ModeWorking => Value::Integer(match jacobians.working {
+            [true, true] => WorkingMode::PlusPlus,
+            [true, false] => WorkingMode::PlusMinus,
+            [false, true] => WorkingMode::MinusPlus,
+            [false, false] => WorkingMode::MinusMinus,
+        } as i32),
     }
 }

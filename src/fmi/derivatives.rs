@@ -8,18 +8,20 @@
 use num_dual::Dual64;
 
 use super::computed::real;
-use super::values::{check_computed, check_settable, lookup};
+use super::values::{check_computed, check_settable, find, lookup};
 use super::{CallError, Instance, bindings};
 use crate::observers::Observed;
 use crate::simulation::{Direction, ORDERS, Signal};
-use crate::variables::{FmiType, RealComputed, VARIABLES, Variable, VariableId};
+use crate::variables::{FmiType, Variable, VariableId};
 
 impl Instance {
     /// fmi2SetRealInputDerivatives: (reference, order, value), all or none.
-    pub fn set_input_derivatives(&mut self, triples: impl Iterator<Item = (u32, i32, f64)> + Clone) -> Result<(), CallError> {
-        for (reference, order, value) in triples.clone() {
+    pub fn set_input_derivatives(&mut self, triples: impl Iterator<Item = (u32, i32, f64)>) -> Result<(), CallError> {
+        let signal = self.now.signal();
+        let mut derivatives = signal.derivatives();
+        for (reference, order, value) in triples {
             let variable = lookup(reference, FmiType::Real)?;
-            let VariableId::RealInput(_) = variable.id else {
+            let VariableId::Input(input) = variable.id else {
                 return Err(CallError::error(format!(
                     "{} is not a continuous input: only continuous inputs have input derivatives.",
                     variable.name
@@ -39,27 +41,14 @@ impl Instance {
                     variable.unit().unwrap_or_default()
                 )));
             }
-        }
-        let signal = self.now.signal();
-        let mut derivatives = signal.derivatives();
-        for (reference, order, value) in triples {
-            let VariableId::RealInput(input) = lookup(reference, FmiType::Real)?.id else {
-                unreachable!("value reference {reference} has been checked");
-            };
-            *bindings::real_input(&mut derivatives[order as usize - 1], input) = value;
+            *bindings::input_mut(&mut derivatives[order as usize - 1], input) = value;
         }
         self.change().next.signal = Some(Signal::new(signal.value, derivatives));
         Ok(())
     }
 
-    /// fmi2GetRealOutputDerivatives: hands each value with its position to `take`; nothing is handed over unless every reference
-    /// and order is right and every value finite.
-    pub fn output_derivatives(
-        &mut self,
-        references: &[u32],
-        orders: &[i32],
-        mut take: impl FnMut(usize, f64),
-    ) -> Result<(), CallError> {
+    /// fmi2GetRealOutputDerivatives: refused unless every reference and order is right and every value finite.
+    pub fn output_derivatives(&mut self, references: &[u32], orders: &[i32]) -> Result<Vec<f64>, CallError> {
         let observed = self.observe()?;
         let value = |(&reference, &order): (&u32, &i32)| {
             let variable = lookup(reference, FmiType::Real)?;
@@ -67,17 +56,12 @@ impl Instance {
             check_computed(|| format!("derivative {order} of {}", variable.name), value)?;
             Ok(value)
         };
-        let values = references.iter().zip(orders).map(value).collect::<Result<Vec<f64>, CallError>>()?;
-        for (position, value) in values.into_iter().enumerate() {
-            take(position, value);
-        }
-        Ok(())
+        references.iter().zip(orders).map(value).collect()
     }
 
     /// fmi2GetDirectionalDerivative: changes of unknowns (outputs and derivatives of the continuous states, which share the
     /// references of omega and alpha) for changes of knowns (inputs and continuous states, as reference and change) at the present
-    /// communication point. Hands each change with its position to `take`; nothing is handed over unless every reference is right
-    /// and every value finite.
+    /// communication point. Refused unless every reference is right and every value finite.
     ///
     /// Beyond the standard, local variables are answered for as well. Enumerations, counters, work and `solver.*` have derivative
     /// 0.
@@ -85,8 +69,7 @@ impl Instance {
         &mut self,
         unknowns: &[u32],
         knowns: impl Iterator<Item = (u32, f64)>,
-        mut take: impl FnMut(usize, f64),
-    ) -> Result<(), CallError> {
+    ) -> Result<Vec<f64>, CallError> {
         let mut direction = Direction::default();
         for (reference, change) in knowns {
             add_known(&mut direction, find(reference)?, change)?;
@@ -108,11 +91,7 @@ impl Instance {
             check_computed(|| format!("change of {}", variable.name), change)?;
             Ok(change)
         };
-        let values = unknowns.iter().map(change).collect::<Result<Vec<f64>, CallError>>()?;
-        for (position, change) in values.into_iter().enumerate() {
-            take(position, change);
-        }
-        Ok(())
+        unknowns.iter().map(change).collect()
     }
 }
 
@@ -121,10 +100,9 @@ pub(super) fn check_reach(signal: &Signal, size: f64) -> Result<(), CallError> {
     if signal.is_held() {
         return Ok(());
     }
-    let mut reached = signal.at(size);
-    for variable in VARIABLES {
-        let VariableId::RealInput(input) = variable.id else { continue };
-        let value = *bindings::real_input(&mut reached, input);
+    let reached = signal.at(size);
+    for (variable, input) in bindings::inputs() {
+        let value = *bindings::input(&reached, input);
         if !value.is_finite() {
             return Err(CallError::error(format!(
                 "{} would become {value} {} within {size:?} s by its derivatives, must stay finite.",
@@ -136,19 +114,14 @@ pub(super) fn check_reach(signal: &Signal, size: f64) -> Result<(), CallError> {
     Ok(())
 }
 
-fn find(reference: u32) -> Result<&'static Variable, CallError> {
-    Variable::find(reference).ok_or_else(|| CallError::error(format!("value reference {reference} belongs to no variable.")))
-}
-
 /// Adds the change of a known variable to the direction.
 fn add_known(direction: &mut Direction, variable: &Variable, change: f64) -> Result<(), CallError> {
     if !change.is_finite() {
         return Err(CallError::error(format!("change of {} is {change}, must be finite.", variable.name)));
     }
-    let place = match variable.id {
-        VariableId::RealInput(input) => bindings::real_input(&mut direction.inputs, input),
-        VariableId::RealComputed(RealComputed::Theta(i)) => &mut direction.proximal.get_or_insert_default()[0][i],
-        VariableId::RealComputed(RealComputed::Omega(i)) => &mut direction.proximal.get_or_insert_default()[1][i],
+    let place = match (variable.id, variable.state()) {
+        (VariableId::Input(input), _) => bindings::input_mut(&mut direction.inputs, input),
+        (_, Some(state)) => &mut direction.proximal.get_or_insert_default().as_flattened_mut()[state],
         _ => {
             return Err(CallError::error(format!(
                 "{} is not a known: knowns are inputs and the continuous states theta[i], omega[i].",

@@ -4,18 +4,16 @@
 //! are smooth within a step. Tunable parameters are set at events and act from fmi2NewDiscreteStates on. At a direct singularity
 //! (distal links in line) theta and omega are no coordinates: such states are discarded.
 
+use super::computed::real;
 use super::snapshot::Scene;
 use super::values::check_computed;
 use super::{CallError, Instance, Stage};
 use crate::mechanism::SceneError;
 use crate::observers::{INDICATORS, Observed};
 use crate::simulation::{STATES, Simulation};
-use crate::variables::{EVENT_INDICATORS, RealComputed, Value, Variable, VariableId};
+use crate::variables::{CONTINUOUS_STATES, DERIVATIVES, EVENT_INDICATORS, Value, Variable};
 
 const _: () = assert!(INDICATORS == EVENT_INDICATORS, "numberOfEventIndicators of the model description is another one");
-
-/// Indices of the proximal links, whose angles and rates are the continuous states.
-const STATE_LINKS: [usize; 2] = [0, 3];
 
 impl Instance {
     /// fmi2SetTime, s.
@@ -71,11 +69,7 @@ impl Instance {
         let mut states = None;
         for (reference, value) in pairs {
             let (Some(variable), Value::Real(value)) = (Variable::find(reference), value) else { continue };
-            let place = match variable.id {
-                VariableId::RealComputed(RealComputed::Theta(i)) => i,
-                VariableId::RealComputed(RealComputed::Omega(i)) => 2 + i,
-                _ => continue,
-            };
+            let Some(place) = variable.state() else { continue };
             let states = match &mut states {
                 Some(states) => states,
                 none => none.insert(self.continuous_states()?),
@@ -95,7 +89,7 @@ impl Instance {
         let observed = self.observe()?;
         observed.check_direct_singularity().map_err(no_coordinates)?;
         let derivatives = motion(&observed, 1);
-        for (name, value) in ["der(theta[1])", "der(theta[2])", "der(omega[1])", "der(omega[2])"].into_iter().zip(derivatives) {
+        for (name, value) in DERIVATIVES.into_iter().zip(derivatives) {
             check_computed(|| name.to_owned(), value)?;
         }
         Ok(derivatives)
@@ -126,10 +120,9 @@ impl Instance {
     }
 }
 
-/// Angles and rates of the proximal links, or their time derivatives of an order.
+/// The continuous states, or their time derivatives of an order.
 fn motion(of: &Observed<'_, f64>, order: usize) -> [f64; STATES] {
-    let [left, right] = STATE_LINKS;
-    [of.angle(left, order), of.angle(right, order), of.angle(left, order + 1), of.angle(right, order + 1)]
+    CONTINUOUS_STATES.map(|state| real(of, state, order).unwrap_or_else(|| unreachable!("{state:?} is an angle or a rate")))
 }
 
 fn no_coordinates(SceneError(why): SceneError) -> CallError {

@@ -6,11 +6,11 @@
 use super::clock::Clock;
 use super::messages::{Log, Status};
 use super::snapshot::Scene;
-use super::values::{check_computed, check_settable, check_value, lookup};
+use super::values::{check_computed, check_settable, check_value, find, lookup};
 use super::{CallError, Kind, Snapshot, Stage, bindings, computed};
 use crate::observers::{Observation, Observed};
 use crate::simulation::Method;
-use crate::variables::{FmiType, VARIABLES, Value, Variable, VariableId};
+use crate::variables::{FmiType, VARIABLES, Value, Variable};
 
 /// An instance of the FMU.
 #[derive(Debug)]
@@ -21,9 +21,9 @@ pub struct Instance {
     observation: Option<Observation>,
     /// Scene initialised with the present values, made when an output is read before the end of initialisation.
     preview: Option<Box<Scene>>,
-    /// Values read so far by the present call, which hands them over together. The buffer is allocated once: a call allocates
+    /// Values read by the present call. The buffer is allocated once: a call allocates
     /// nothing unless it asks for more values than there are variables.
-    read: Vec<Value>,
+    values: Vec<Value>,
     /// Lines for the master's logger.
     pub log: Log,
 }
@@ -35,7 +35,7 @@ impl Instance {
             now: Snapshot::fresh(kind),
             observation: None,
             preview: None,
-            read: Vec::with_capacity(VARIABLES.len()),
+            values: Vec::with_capacity(VARIABLES.len()),
             log: Log::new(logging_on),
         }
     }
@@ -61,11 +61,6 @@ impl Instance {
     /// The master's clock, after fmi2SetupExperiment.
     pub fn clock(&self) -> Option<&Clock> {
         self.now.clock.as_ref()
-    }
-
-    /// fmi2SetDebugLogging.
-    pub fn set_debug_logging<'a>(&mut self, on: bool, categories: impl Iterator<Item = &'a str>) -> Result<(), CallError> {
-        self.log.choose(on, categories)
     }
 
     /// fmi2SetupExperiment; `tolerance` and `stop`, s, where they are defined. The tolerance is not used: `solver.errorTolerance`
@@ -178,37 +173,28 @@ impl Instance {
         Ok(())
     }
 
-    /// fmi2GetReal, fmi2GetInteger, fmi2GetBoolean: hands each value with its position to `take`; nothing is handed over unless
-    /// every reference is right and every computed value finite.
-    pub fn get(&mut self, fmi_type: FmiType, references: &[u32], mut take: impl FnMut(usize, Value)) -> Result<(), CallError> {
-        let mut values = std::mem::take(&mut self.read);
+    /// fmi2GetReal, fmi2GetInteger, fmi2GetBoolean: refused unless every reference is right and every computed value finite.
+    pub fn get(&mut self, fmi_type: FmiType, references: &[u32]) -> Result<&[Value], CallError> {
+        let mut values = std::mem::take(&mut self.values);
         values.clear();
         let complete = references.iter().try_for_each(|&reference| {
-            values.push(self.read_checked(lookup(reference, fmi_type)?)?);
+            values.push(self.read(lookup(reference, fmi_type)?)?);
             Ok(())
         });
-        if complete.is_ok() {
-            values.iter().enumerate().for_each(|(position, value)| take(position, *value));
-        }
-        self.read = values;
-        complete
+        self.values = values;
+        complete.map(|()| self.values.as_slice())
     }
 
-    /// Value of a variable; refused where a computed value is not finite.
-    fn read_checked(&mut self, variable: &Variable) -> Result<Value, CallError> {
-        let value = self.read(variable)?;
-        // A sample is read back as it was set, finite or not.
-        if let (Value::Real(value), false) = (value, matches!(variable.id, VariableId::RealSample(_))) {
-            check_computed(|| variable.name.to_owned(), value)?;
-        }
-        Ok(value)
-    }
-
+    /// Value of a variable; refused where a computed value is not finite. What a master has set is read back as it was set.
     fn read(&mut self, variable: &Variable) -> Result<Value, CallError> {
         if let Some(value) = self.now.read(variable) {
             return Ok(value);
         }
-        Ok(computed::read(&self.observe()?, variable).unwrap_or_else(|| unreachable!("{} is bound", variable.name)))
+        let Some(value) = computed::read(&self.observe()?, variable) else { unreachable!("{} is bound", variable.name) };
+        if let Value::Real(value) = value {
+            check_computed(|| variable.name.to_owned(), value)?;
+        }
+        Ok(value)
     }
 
     /// Observation at the present communication point, with accelerations and multipliers for the present inputs, which the master
@@ -237,12 +223,8 @@ impl Instance {
 
     /// fmi2GetString and fmi2SetString: there are no String variables.
     pub fn no_strings(&self, references: &[u32]) -> Result<(), CallError> {
-        match references {
-            [] => Ok(()),
-            [first, ..] => Err(CallError::error(match Variable::find(*first) {
-                Some(variable) => format!("{} is of type {}, not String.", variable.name, variable.type_name()),
-                None => format!("value reference {first} belongs to no variable."),
-            })),
-        }
+        let Some(first) = references.first() else { return Ok(()) };
+        let variable = find(*first)?;
+        Err(CallError::error(format!("{} is of type {}, not String.", variable.name, variable.type_name())))
     }
 }

@@ -77,171 +77,104 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// Whether instances of that kind have the state.
-    pub(super) fn belongs_to(self, kind: Kind) -> bool {
+    /// Name, and the kind of instances that have the stage; `None` for both kinds.
+    fn about(self) -> (&'static str, Option<Kind>) {
         match self {
-            Self::Instantiated | Self::InitializationMode | Self::Terminated => true,
-            Self::StepComplete | Self::StepFailed => kind == Kind::CoSimulation,
-            Self::EventMode | Self::ContinuousTimeMode => kind == Kind::ModelExchange,
+            Self::Instantiated => ("instantiated", None),
+            Self::InitializationMode => ("initialization mode", None),
+            Self::StepComplete => ("step complete", Some(Kind::CoSimulation)),
+            Self::StepFailed => ("step failed", Some(Kind::CoSimulation)),
+            Self::Terminated => ("terminated", None),
+            Self::EventMode => ("event mode", Some(Kind::ModelExchange)),
+            Self::ContinuousTimeMode => ("continuous-time mode", Some(Kind::ModelExchange)),
         }
+    }
+
+    /// Whether instances of that kind have the stage.
+    pub(super) fn belongs_to(self, kind: Kind) -> bool {
+        self.about().1.is_none_or(|own| own == kind)
     }
 }
 
 impl fmt::Display for Stage {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Instantiated => "instantiated",
-            Self::InitializationMode => "initialization mode",
-            Self::StepComplete => "step complete",
-            Self::StepFailed => "step failed",
-            Self::Terminated => "terminated",
-            Self::EventMode => "event mode",
-            Self::ContinuousTimeMode => "continuous-time mode",
-        })
+        f.write_str(self.about().0)
     }
 }
 
-/// The FMI functions that take an instance.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(missing_docs, reason = "each is the standard's function of that name")]
-pub enum Call {
-    SetDebugLogging,
-    SetupExperiment,
-    EnterInitializationMode,
-    ExitInitializationMode,
-    Terminate,
-    Reset,
-    GetReal,
-    GetInteger,
-    GetBoolean,
-    GetString,
-    SetReal,
-    SetInteger,
-    SetBoolean,
-    SetString,
-    GetFMUstate,
-    SetFMUstate,
-    FreeFMUstate,
-    SerializedFMUstateSize,
-    SerializeFMUstate,
-    DeSerializeFMUstate,
-    GetDirectionalDerivative,
-    SetRealInputDerivatives,
-    GetRealOutputDerivatives,
-    DoStep,
-    CancelStep,
-    GetStatus,
-    GetRealStatus,
-    GetIntegerStatus,
-    GetBooleanStatus,
-    GetStringStatus,
-    EnterEventMode,
-    NewDiscreteStates,
-    EnterContinuousTimeMode,
-    CompletedIntegratorStep,
-    SetTime,
-    SetContinuousStates,
-    GetDerivatives,
-    GetEventIndicators,
-    GetContinuousStates,
-    GetNominalsOfContinuousStates,
+/// Makes [`Call`] from a table: kind of FMU that has the functions, the functions, the stages in which they are allowed.
+macro_rules! calls {
+    ($($kind:ident: $($call:ident)+ => [$($stage:ident)+];)+) => {
+        /// The FMI functions that take an instance.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        #[expect(missing_docs, non_camel_case_types, reason = "each is the standard's function of that name")]
+        pub enum Call { $($($call),+),+ }
+
+        impl Call {
+            /// Kind of FMU that has the function, `None` for both kinds, and the stages in which it is allowed.
+            #[inline(always)]
+            fn rule(self) -> (Option<Kind>, &'static [Stage]) {
+                match self { $($(Self::$call)|+ => ($kind, &[$(Stage::$stage),+]),)+ }
+            }
+        }
+    };
 }
 
-impl fmt::Display for Call {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "fmi2{self:?}")
-    }
-}
+const BOTH: Option<Kind> = None;
+const CO_SIMULATION: Option<Kind> = Some(Kind::CoSimulation);
+const MODEL_EXCHANGE: Option<Kind> = Some(Kind::ModelExchange);
 
-const ANYWHERE: &[Stage] = &[
-    Stage::Instantiated,
-    Stage::InitializationMode,
-    Stage::StepComplete,
-    Stage::StepFailed,
-    Stage::EventMode,
-    Stage::ContinuousTimeMode,
-    Stage::Terminated,
-];
+calls! {
+    // Which variables may be set where, the footnotes of the standard's tables, is in `values.rs`. A step is never pending, so
+    // fmi2CancelStep is allowed everywhere and answered with an error of its own.
+    BOTH: fmi2SetDebugLogging fmi2Reset
+        fmi2GetFMUstate fmi2SetFMUstate fmi2FreeFMUstate fmi2SerializedFMUstateSize fmi2SerializeFMUstate fmi2DeSerializeFMUstate
+        => [Instantiated InitializationMode StepComplete StepFailed EventMode ContinuousTimeMode Terminated];
+    CO_SIMULATION: fmi2CancelStep
+        => [Instantiated InitializationMode StepComplete StepFailed Terminated];
+    BOTH: fmi2SetupExperiment fmi2EnterInitializationMode
+        => [Instantiated];
+    BOTH: fmi2ExitInitializationMode
+        => [InitializationMode];
+    BOTH: fmi2Terminate
+        => [StepComplete StepFailed EventMode ContinuousTimeMode];
+    BOTH: fmi2GetReal fmi2GetInteger fmi2GetBoolean fmi2GetString fmi2GetDirectionalDerivative
+        => [InitializationMode StepComplete StepFailed EventMode ContinuousTimeMode Terminated];
+
+    // After a discarded step, beyond the standard, inputs may be set and the step be tried again at once: the step has been rolled
+    // back, and other inputs may let it succeed.
+    BOTH: fmi2SetReal
+        => [Instantiated InitializationMode StepComplete StepFailed EventMode ContinuousTimeMode];
+    BOTH: fmi2SetInteger fmi2SetBoolean fmi2SetString
+        => [Instantiated InitializationMode StepComplete StepFailed EventMode];
+    CO_SIMULATION: fmi2SetRealInputDerivatives
+        => [Instantiated InitializationMode StepComplete StepFailed];
+    CO_SIMULATION: fmi2DoStep
+        => [StepComplete StepFailed];
+    CO_SIMULATION: fmi2GetRealOutputDerivatives
+        fmi2GetStatus fmi2GetRealStatus fmi2GetIntegerStatus fmi2GetBooleanStatus fmi2GetStringStatus
+        => [StepComplete StepFailed Terminated];
+
+    MODEL_EXCHANGE: fmi2SetTime fmi2EnterEventMode
+        => [EventMode ContinuousTimeMode];
+    MODEL_EXCHANGE: fmi2NewDiscreteStates fmi2EnterContinuousTimeMode
+        => [EventMode];
+    MODEL_EXCHANGE: fmi2SetContinuousStates fmi2CompletedIntegratorStep
+        => [ContinuousTimeMode];
+    MODEL_EXCHANGE: fmi2GetDerivatives
+        => [EventMode ContinuousTimeMode Terminated];
+    MODEL_EXCHANGE: fmi2GetContinuousStates fmi2GetEventIndicators
+        => [InitializationMode EventMode ContinuousTimeMode Terminated];
+    MODEL_EXCHANGE: fmi2GetNominalsOfContinuousStates
+        => [Instantiated EventMode ContinuousTimeMode Terminated];
+}
 
 impl Call {
-    /// The stages in which the standard allows the call. The footnotes of the table (which variables may be set
-    /// where) are in `values.rs`.
-    #[inline(always)]
-    pub fn stages(self) -> &'static [Stage] {
-        use Stage::{ContinuousTimeMode, EventMode, InitializationMode, Instantiated, StepComplete, StepFailed, Terminated};
-        match self {
-            Self::SetDebugLogging | Self::Reset => ANYWHERE,
-            Self::SetupExperiment | Self::EnterInitializationMode => &[Instantiated],
-            Self::ExitInitializationMode => &[InitializationMode],
-            Self::Terminate => &[StepComplete, StepFailed, EventMode, ContinuousTimeMode],
-            Self::GetReal | Self::GetInteger | Self::GetBoolean | Self::GetString | Self::GetDirectionalDerivative => {
-                &[InitializationMode, StepComplete, StepFailed, EventMode, ContinuousTimeMode, Terminated]
-            }
-            Self::GetRealOutputDerivatives => &[StepComplete, StepFailed, Terminated],
-            // Inputs may also be set after a discarded step, beyond the standard: the step has been rolled back, and other inputs
-            // may let it succeed.
-            Self::SetReal => &[Instantiated, InitializationMode, StepComplete, StepFailed, EventMode, ContinuousTimeMode],
-            Self::SetInteger | Self::SetBoolean | Self::SetString => {
-                &[Instantiated, InitializationMode, StepComplete, StepFailed, EventMode]
-            }
-            Self::SetRealInputDerivatives => &[Instantiated, InitializationMode, StepComplete, StepFailed],
-            // The standard asks for fmi2SetFMUstate before a step is tried again; a discarded step has already been rolled back
-            // here.
-            Self::DoStep => &[StepComplete, StepFailed],
-            Self::GetStatus | Self::GetRealStatus | Self::GetIntegerStatus | Self::GetBooleanStatus | Self::GetStringStatus => {
-                &[StepComplete, StepFailed, Terminated]
-            }
-            Self::GetFMUstate
-            | Self::SetFMUstate
-            | Self::FreeFMUstate
-            | Self::SerializedFMUstateSize
-            | Self::SerializeFMUstate
-            | Self::DeSerializeFMUstate => ANYWHERE,
-            // fmi2CancelStep is allowed everywhere and answered with an error of its own: a step is never pending.
-            Self::CancelStep => ANYWHERE,
-            Self::EnterEventMode | Self::SetTime => &[EventMode, ContinuousTimeMode],
-            Self::NewDiscreteStates | Self::EnterContinuousTimeMode => &[EventMode],
-            Self::CompletedIntegratorStep | Self::SetContinuousStates => &[ContinuousTimeMode],
-            Self::GetDerivatives => &[EventMode, ContinuousTimeMode, Terminated],
-            Self::GetEventIndicators | Self::GetContinuousStates => {
-                &[InitializationMode, EventMode, ContinuousTimeMode, Terminated]
-            }
-            Self::GetNominalsOfContinuousStates => &[Instantiated, EventMode, ContinuousTimeMode, Terminated],
-        }
-    }
-
-    /// Kind of FMU that a function belongs to; `None` for functions common to both.
-    #[inline(always)]
-    fn kind(self) -> Option<Kind> {
-        match self {
-            Self::SetRealInputDerivatives
-            | Self::GetRealOutputDerivatives
-            | Self::DoStep
-            | Self::CancelStep
-            | Self::GetStatus
-            | Self::GetRealStatus
-            | Self::GetIntegerStatus
-            | Self::GetBooleanStatus
-            | Self::GetStringStatus => Some(Kind::CoSimulation),
-            Self::EnterEventMode
-            | Self::NewDiscreteStates
-            | Self::EnterContinuousTimeMode
-            | Self::CompletedIntegratorStep
-            | Self::SetTime
-            | Self::SetContinuousStates
-            | Self::GetDerivatives
-            | Self::GetEventIndicators
-            | Self::GetContinuousStates
-            | Self::GetNominalsOfContinuousStates => Some(Kind::ModelExchange),
-            _ => None,
-        }
-    }
-
     /// Refuses the call on an instance of the other kind, or in a stage that does not allow it.
     #[inline(always)]
     pub fn require(self, kind: Kind, stage: Stage) -> Result<(), CallError> {
-        let allowed = self.stages();
-        if self.kind().is_some_and(|own| own != kind) {
+        let (own, allowed) = self.rule();
+        if own.is_some_and(|own| own != kind) {
             Err(wrong_kind(kind))
         } else if allowed.contains(&stage) {
             Ok(())

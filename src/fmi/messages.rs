@@ -23,6 +23,9 @@ pub enum Status {
 }
 
 impl Status {
+    /// All of them.
+    const ALL: [Self; 5] = [Self::Ok, Self::Warning, Self::Discard, Self::Error, Self::Fatal];
+
     /// The category of a message with this status.
     pub fn category(self) -> Category {
         match self {
@@ -44,26 +47,18 @@ pub struct Message {
     pub text: String,
 }
 
-/// Choice of the messages that are passed on.
-#[derive(Clone, Debug, PartialEq)]
-enum Choice {
-    /// fmi2SetDebugLogging was not called.
-    Default { events: bool },
-    /// The categories that the master named.
-    Explicit(Vec<Category>),
-}
-
 /// Messages on their way to the master.
 #[derive(Debug)]
 pub struct Log {
-    choice: Choice,
+    /// Whether messages of each status are passed on.
+    passes: [bool; Status::ALL.len()],
     queue: Vec<Message>,
 }
 
 impl Log {
     /// An empty queue; `logging_on` as given to fmi2Instantiate.
     pub fn new(logging_on: bool) -> Self {
-        Self { choice: Choice::Default { events: logging_on }, queue: Vec::new() }
+        Self { passes: Status::ALL.map(|status| logging_on || status > Status::Ok), queue: Vec::new() }
     }
 
     /// fmi2SetDebugLogging: no categories means all of them.
@@ -76,20 +71,14 @@ impl Log {
                 CallError::error(format!("log category \"{name}\" is not declared, declared are: {}.", declared.join(", ")))
             })?);
         }
-        self.choice = Choice::Explicit(match (on, chosen.is_empty()) {
-            (false, _) => Vec::new(),
-            (true, true) => vec![Category::LogAll],
-            (true, false) => chosen,
-        });
+        let all = chosen.is_empty() || chosen.contains(&Category::LogAll);
+        self.passes = Status::ALL.map(|status| on && (all || chosen.contains(&status.category())));
         Ok(())
     }
 
     /// Whether messages of that status are passed on.
     pub fn wants(&self, status: Status) -> bool {
-        match &self.choice {
-            Choice::Default { events } => *events || status > Status::Ok,
-            Choice::Explicit(chosen) => chosen.contains(&Category::LogAll) || chosen.contains(&status.category()),
-        }
+        self.passes[status as usize]
     }
 
     /// Queues a message; the text is made only if the choice of categories passes it on.
@@ -116,7 +105,7 @@ mod tests {
 
     /// The statuses that pass, after a choice of categories.
     fn passing(log: &mut Log) -> Vec<Status> {
-        for status in [Status::Ok, Status::Warning, Status::Discard, Status::Error, Status::Fatal] {
+        for status in Status::ALL {
             log.push(status, String::new);
         }
         log.drain().map(|message| message.status).collect()

@@ -11,8 +11,7 @@
 //! | `derivatives.rs` | derivatives of inputs and outputs |
 //! | `exchange.rs` | the functions of model exchange |
 //! | `instance.rs` | an instance: all of these together |
-//! | `stepping.rs` | a communication step of a simulation |
-//! | `following.rs` | the same of a machine that is followed |
+//! | `stepping.rs` | a communication step |
 //! | `following.rs` | a communication step of a machine that is followed |
 //! | `status.rs` | the status functions of co-simulation |
 
@@ -26,7 +25,7 @@ pub mod instance;
 pub mod lifecycle;
 pub mod messages;
 pub mod snapshot;
-pub mod status;
+mod status;
 mod stepping;
 mod stored;
 mod values;

@@ -1,7 +1,8 @@
 //! Stored states (FMI 2.0.4, section 2.1.8): the state of an instance without its log. `stored.rs` turns them into bytes.
 
+use super::bindings::{self, Field};
 use super::clock::Clock;
-use super::{Kind, Stage, bindings};
+use super::{Kind, Stage};
 use crate::estimator::Measured;
 use crate::mechanism::SceneError;
 use crate::simulation::{Following, Inputs, Parameters, Signal, Simulation};
@@ -146,35 +147,35 @@ impl Snapshot {
         }
     }
 
+    /// Parameters for the master to set: the draft's, or those that act from the next step on.
+    fn parameters_mut(&mut self) -> &mut Parameters {
+        match &mut self.scene {
+            Scene::Draft(parameters) => parameters,
+            Scene::Ready(simulation) => self.next.parameters.get_or_insert_with(|| simulation.parameters().clone()),
+            Scene::Following(following) => self.next.parameters.get_or_insert_with(|| following.parameters().clone()),
+        }
+    }
+
     /// The present value of a parameter or input; `None` for an output.
     pub(super) fn read(&self, variable: &Variable) -> Option<Value> {
         match variable.id {
-            VariableId::RealInput(input) => Some(Value::Real(*bindings::real_input(&mut self.inputs(), input))),
-            VariableId::RealSample(sample) => Some(Value::Real(*bindings::real_sample(&mut self.measured.clone(), sample))),
-            _ if variable.start.is_none() => None,
-            _ => bindings::read_parameter(&mut self.parameters().clone(), variable),
+            VariableId::Parameter(id) => Some(bindings::parameter(self.parameters(), id).value()),
+            VariableId::Input(id) => Some(bindings::input(&self.inputs(), id).value()),
+            VariableId::Sample(id) => Some(bindings::sample(&self.measured, id).value()),
+            VariableId::RealComputed(_) | VariableId::IntegerComputed(_) | VariableId::EnumerationComputed(_) => None,
         }
     }
 
     /// Sets a parameter or input to a value that has been checked.
     pub(super) fn set(&mut self, variable: &Variable, value: Value) {
-        let written = match (variable.id, value, &mut self.scene) {
-            (VariableId::RealInput(input), Value::Real(value), _) => {
+        let written = match variable.id {
+            VariableId::Parameter(id) => bindings::parameter_mut(self.parameters_mut(), id).set(value),
+            VariableId::Input(id) => {
                 let held = self.inputs();
-                let signal = self.next.signal.get_or_insert_with(|| Signal::held(held));
-                *bindings::real_input(&mut signal.value, input) = value;
-                true
+                bindings::input_mut(&mut self.next.signal.get_or_insert_with(|| Signal::held(held)).value, id).set(value)
             }
-            (VariableId::RealSample(sample), Value::Real(value), _) => {
-                *bindings::real_sample(&mut self.measured, sample) = value;
-                true
-            }
-            (_, value, Scene::Draft(parameters)) => bindings::write_parameter(parameters, variable, value),
-            (_, value, scene) => {
-                let Some(simulation) = scene.simulation() else { unreachable!("a draft has been looked at") };
-                let next = self.next.parameters.get_or_insert_with(|| simulation.parameters().clone());
-                bindings::write_parameter(next, variable, value)
-            }
+            VariableId::Sample(id) => bindings::sample_mut(&mut self.measured, id).set(value),
+            VariableId::RealComputed(_) | VariableId::IntegerComputed(_) | VariableId::EnumerationComputed(_) => false,
         };
         if !written {
             unreachable!("{} = {value} has been checked", variable.name);

@@ -4,20 +4,16 @@ use super::{CallError, Instance};
 
 /// fmi2StatusKind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StatusKind {
-    /// fmi2DoStepStatus.
+enum StatusKind {
     DoStepStatus,
-    /// fmi2PendingStatus.
     PendingStatus,
-    /// fmi2LastSuccessfulTime.
     LastSuccessfulTime,
-    /// fmi2Terminated.
     Terminated,
 }
 
 impl StatusKind {
     /// The kind of that number in fmi2FunctionTypes.h.
-    pub fn from_number(number: i32) -> Result<Self, CallError> {
+    fn from_number(number: i32) -> Result<Self, CallError> {
         match number {
             0 => Ok(Self::DoStepStatus),
             1 => Ok(Self::PendingStatus),
@@ -40,23 +36,23 @@ impl StatusKind {
 
 impl Instance {
     /// fmi2GetRealStatus: the communication point reached, s.
-    pub fn real_status(&self, kind: StatusKind) -> Result<f64, CallError> {
-        match (kind, self.clock()) {
+    pub fn real_status(&self, kind: i32) -> Result<f64, CallError> {
+        match (StatusKind::from_number(kind)?, self.clock()) {
             (StatusKind::LastSuccessfulTime, Some(clock)) => Ok(clock.point()),
-            _ => Err(kind.unavailable()),
+            (kind, _) => Err(kind.unavailable()),
         }
     }
 
     /// fmi2GetBooleanStatus: this library never wants to end the simulation.
-    pub fn boolean_status(&self, kind: StatusKind) -> Result<bool, CallError> {
-        match kind {
+    pub fn boolean_status(&self, kind: i32) -> Result<bool, CallError> {
+        match StatusKind::from_number(kind)? {
             StatusKind::Terminated => Ok(false),
-            _ => Err(kind.unavailable()),
+            kind => Err(kind.unavailable()),
         }
     }
 
     /// fmi2GetStatus, fmi2GetIntegerStatus and fmi2GetStringStatus: no status of these types is available.
-    pub fn other_status(&self, kind: StatusKind) -> Result<(), CallError> {
-        Err(kind.unavailable())
+    pub fn other_status(&self, kind: i32) -> Result<(), CallError> {
+        Err(StatusKind::from_number(kind)?.unavailable())
     }
 }

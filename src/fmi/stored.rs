@@ -18,19 +18,20 @@ use std::io::{self, Read, Write};
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::bindings::{self, Field};
 use super::clock::Clock;
 use super::derivatives::check_reach;
 use super::snapshot::{Next, Scene};
 use super::values::{check_value, lookup};
-use super::{CallError, Kind, Snapshot, Stage, bindings};
+use super::{CallError, Kind, Snapshot, Stage};
 use crate::estimator::Measured;
 use crate::mechanism::SceneError;
 use crate::simulation::{Estimate, Following, Inputs, ORDERS, Parameters, Run, Signal, Simulation};
-use crate::variables::{GUID, VARIABLES, Value};
+use crate::variables::{GUID, Value, Variable, VariableId};
 
 const MAGIC: [u8; 8] = *b"FiveBar\0";
 /// Version of the layout; changes with every change of the stored data.
-const FORMAT: u32 = 11;
+const FORMAT: u32 = 12;
 const HEAD: usize = MAGIC.len() + size_of::<u32>() + GUID.len() + size_of::<u64>();
 const CHECKSUM: usize = size_of::<u32>();
 
@@ -91,7 +92,7 @@ struct Followed {
     estimate: Option<Box<Estimate>>,
 }
 
-/// Values of parameters by value reference; those of the estimator only where one differs from its start value.
+/// Values of parameters by ascending value reference, without those at their start values.
 type Values = Vec<(u32, Value)>;
 
 impl Snapshot {
@@ -226,40 +227,31 @@ fn content(bytes: &[u8]) -> Result<&[u8], CallError> {
     Ok(&checked[HEAD..])
 }
 
-/// Values of all parameters; those of the estimator, which come last, are left out at their start values.
+/// Values of parameters that are not at their start values.
 fn values(parameters: &Parameters) -> Values {
-    let mut parameters = parameters.clone();
-    let (mut values, mut changed) = (Values::with_capacity(VARIABLES.len()), 0);
-    for variable in bindings::parameters() {
-        let Some(value) = bindings::read_parameter(&mut parameters, variable) else { continue };
-        values.push((variable.reference, value));
-        if Some(value) != variable.start {
-            changed = values.len();
-        }
-    }
-    let others = parameters_before_estimator();
-    if changed <= others {
-        values.truncate(others);
-    }
-    values
+    let all = bindings::parameters().map(|(variable, id)| (variable, bindings::parameter(parameters, id).value()));
+    all.filter(|(variable, value)| !is_start(variable, *value)).map(|(variable, value)| (variable.reference, value)).collect()
 }
 
-/// Number of parameters before those of the estimator, which are the last of all and are not stored where each has its start value.
-fn parameters_before_estimator() -> usize {
-    bindings::parameters().take_while(|variable| !variable.name.starts_with("estimator.")).count()
+/// Whether a value is the start value of its variable, to the bit.
+fn is_start(variable: &Variable, value: Value) -> bool {
+    match (variable.start, value) {
+        (Some(Value::Real(start)), Value::Real(value)) => start.to_bits() == value.to_bits(),
+        (start, value) => start == Some(value),
+    }
 }
 
-/// Parameters with these values: each within its bounds, none left out.
+/// Parameters with these values, each within its bounds; the others at their start values.
 fn restored(values: &[(u32, Value)]) -> Result<Parameters, CallError> {
-    let mut parameters = bindings::default_parameters();
-    let are_first = values.iter().zip(bindings::parameters()).all(|((reference, _), variable)| *reference == variable.reference);
-    if !are_first || ![parameters_before_estimator(), bindings::parameters().count()].contains(&values.len()) {
-        return Err(not_a_state("they do not hold every parameter once"));
+    if !values.is_sorted_by(|(before, _), (after, _)| before < after) {
+        return Err(not_a_state("their parameters are not in ascending order"));
     }
+    let mut parameters = bindings::default_parameters();
     for &(reference, value) in values {
         let variable = lookup(reference, value.fmi_type())?;
         check_value(variable, value)?;
-        if !bindings::write_parameter(&mut parameters, variable, value) {
+        let VariableId::Parameter(id) = variable.id else { return Err(not_a_state(&format!("{} is no parameter", variable.name))) };
+        if is_start(variable, value) || !bindings::parameter_mut(&mut parameters, id).set(value) {
             return Err(not_a_state(&format!("{} = {value} is not allowed", variable.name)));
         }
     }
@@ -270,12 +262,9 @@ fn restored(values: &[(u32, Value)]) -> Result<Parameters, CallError> {
 fn restored_tuned(tuned: Option<Values>, in_force: &Parameters) -> Result<Option<Parameters>, CallError> {
     let Some(values) = tuned else { return Ok(None) };
     let tuned = restored(&values)?;
-    let (mut before, mut after) = (in_force.clone(), tuned.clone());
-    for variable in bindings::parameters().filter(|variable| !variable.tunable) {
-        let [before, after] = [&mut before, &mut after].map(|parameters| bindings::read_parameter(parameters, variable));
-        if let (Some(before), Some(after)) = (before, after)
-            && before != after
-        {
+    for (variable, id) in bindings::parameters().filter(|(variable, _)| !variable.tunable) {
+        let [before, after] = [in_force, &tuned].map(|parameters| bindings::parameter(parameters, id).value());
+        if before != after {
             return Err(not_a_state(&format!(
                 "{} = {after} is not allowed during the run: it is fixed at {before}",
                 variable.name
@@ -287,9 +276,8 @@ fn restored_tuned(tuned: Option<Values>, in_force: &Parameters) -> Result<Option
 
 /// Input signal with finite values within the bounds.
 fn restored_signal((value, derivatives): (Inputs, [Inputs; ORDERS])) -> Result<Signal, CallError> {
-    let mut inputs = value;
     for (variable, input) in bindings::inputs() {
-        check_value(variable, Value::Real(*bindings::real_input(&mut inputs, input)))?;
+        check_value(variable, bindings::input(&value, input).value())?;
     }
     let signal = Signal::new(value, derivatives);
     check_reach(&signal, 1.0)?;

@@ -1,12 +1,16 @@
 //! Checks before a value is read or written (rules 29 and 30 of this project).
 
 use super::{CallError, Stage};
-use crate::variables::{FmiType, RealComputed, Value, Variable, VariableId};
+use crate::variables::{FmiType, Value, Variable, VariableId};
+
+/// The variable of a value reference.
+pub(super) fn find(reference: u32) -> Result<&'static Variable, CallError> {
+    Variable::find(reference).ok_or_else(|| CallError::error(format!("value reference {reference} belongs to no variable.")))
+}
 
 /// The variable of a value reference, whose type must be that of the function.
 pub(super) fn lookup(reference: u32, fmi_type: FmiType) -> Result<&'static Variable, CallError> {
-    let variable = Variable::find(reference)
-        .ok_or_else(|| CallError::error(format!("value reference {reference} belongs to no variable.")))?;
+    let variable = find(reference)?;
     if variable.fmi_type() != fmi_type {
         return Err(CallError::error(format!(
             "{} (value reference {reference}) is of type {}, not {fmi_type}.",
@@ -24,48 +28,28 @@ pub(super) fn lookup(reference: u32, fmi_type: FmiType) -> Result<&'static Varia
 /// fmi2SetContinuousStates does, since some masters have no other way.
 #[inline(always)]
 pub(super) fn check_settable(variable: &Variable, stage: Stage) -> Result<(), CallError> {
-    match variable.id {
-        VariableId::RealInput(_) | VariableId::RealSample(_) => Ok(()),
-        _ => check_settable_unless_input(variable, stage),
-    }
-}
-
-/// [`check_settable`] for variables that are no inputs.
-fn check_settable_unless_input(variable: &Variable, stage: Stage) -> Result<(), CallError> {
-    match variable.id {
-        VariableId::RealInput(_) | VariableId::RealSample(_) => Ok(()),
-        _ if variable.tunable && stage == Stage::ContinuousTimeMode => Err(CallError::error(format!(
-            "{} is a tunable parameter and can only be set in event mode, not in continuous-time mode.",
-            variable.name
-        ))),
-        _ if variable.tunable => Ok(()),
-        VariableId::RealComputed(RealComputed::Theta(_) | RealComputed::Omega(_))
-            if matches!(stage, Stage::EventMode | Stage::ContinuousTimeMode) =>
+    let refusal = match variable.id {
+        VariableId::Input(_) | VariableId::Sample(_) => return Ok(()),
+        VariableId::Parameter(_) if variable.tunable => (stage == Stage::ContinuousTimeMode)
+            .then_some("is a tunable parameter and can only be set in event mode, not in continuous-time mode"),
+        VariableId::Parameter(_) => (!matches!(stage, Stage::Instantiated | Stage::InitializationMode))
+            .then_some("is a fixed parameter and can only be set before fmi2ExitInitializationMode"),
+        VariableId::RealComputed(_)
+            if variable.state().is_some() && matches!(stage, Stage::EventMode | Stage::ContinuousTimeMode) =>
         {
-            Ok(())
+            None
         }
-        VariableId::RealParameter(_)
-        | VariableId::IntegerParameter(_)
-        | VariableId::BooleanParameter(_)
-        | VariableId::EnumerationParameter(_) => match stage {
-            Stage::Instantiated | Stage::InitializationMode => Ok(()),
-            Stage::StepComplete | Stage::StepFailed | Stage::EventMode | Stage::ContinuousTimeMode | Stage::Terminated => {
-                Err(CallError::error(format!(
-                    "{} is a fixed parameter and can only be set before fmi2ExitInitializationMode.",
-                    variable.name
-                )))
-            }
-        },
         VariableId::RealComputed(_) | VariableId::IntegerComputed(_) | VariableId::EnumerationComputed(_) => {
-            Err(CallError::error(format!("{} is computed and cannot be set.", variable.name)))
+            Some("is computed and cannot be set")
         }
-    }
+    };
+    refusal.map_or(Ok(()), |why| Err(CallError::error(format!("{} {why}.", variable.name))))
 }
 
 /// A variable's own bounds; relations between variables are checked when the scene is made ready.
 pub(super) fn check_value(variable: &Variable, value: Value) -> Result<(), CallError> {
     // Samples may have any value: the estimator judges them and continues without a rejected one.
-    if matches!(variable.id, VariableId::RealSample(_)) {
+    if matches!(variable.id, VariableId::Sample(_)) {
         return Ok(());
     }
     let number = match value {

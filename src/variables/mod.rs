@@ -15,8 +15,10 @@ pub struct Variable {
     pub name: &'static str,
     /// Value reference.
     pub reference: u32,
-    /// Type, role and family, matched by the bindings.
+    /// Role and family, matched by the bindings.
     pub id: VariableId,
+    /// The pair of functions that reads and writes the variable.
+    fmi_type: FmiType,
     /// Index of its unit.
     unit: Option<u8>,
     /// Start value, in its unit; computed variables have none.
@@ -119,30 +121,19 @@ impl Variable {
         VARIABLES.iter().find(|variable| variable.name == name)
     }
 
-    /// Name of the variable's type in the XML.
-    pub fn type_name(&self) -> &'static str {
-        match self.id {
-            VariableId::RealParameter(_) | VariableId::RealInput(_) | VariableId::RealSample(_) | VariableId::RealComputed(_) => {
-                "Real"
-            }
-            VariableId::IntegerParameter(_) | VariableId::IntegerComputed(_) => "Integer",
-            VariableId::BooleanParameter(_) => "Boolean",
-            VariableId::EnumerationParameter(_) | VariableId::EnumerationComputed(_) => "Enumeration",
-        }
-    }
-
     /// The pair of functions that reads and writes the variable.
     pub fn fmi_type(&self) -> FmiType {
-        match self.id {
-            VariableId::RealParameter(_) | VariableId::RealInput(_) | VariableId::RealSample(_) | VariableId::RealComputed(_) => {
-                FmiType::Real
-            }
-            VariableId::BooleanParameter(_) => FmiType::Boolean,
-            VariableId::IntegerParameter(_)
-            | VariableId::IntegerComputed(_)
-            | VariableId::EnumerationParameter(_)
-            | VariableId::EnumerationComputed(_) => FmiType::Integer,
-        }
+        self.fmi_type
+    }
+
+    /// Index among the continuous states.
+    pub fn state(&self) -> Option<usize> {
+        CONTINUOUS_STATES.iter().position(|state| VariableId::RealComputed(*state) == self.id)
+    }
+
+    /// Name of the variable's type in the XML.
+    pub fn type_name(&self) -> String {
+        if self.items().is_empty() { self.fmi_type.to_string() } else { "Enumeration".to_owned() }
     }
 }
 
@@ -163,7 +154,7 @@ mod tests {
     #[test]
     fn a_few_entries_are_as_in_the_xml() {
         let tau = Variable::find(101).expect("tau[2]");
-        assert_eq!((tau.name, tau.id, tau.unit()), ("tau[2]", VariableId::RealInput(RealInput::Tau(1)), Some("N.m")));
+        assert_eq!((tau.name, tau.id, tau.unit()), ("tau[2]", VariableId::Input(Input::Tau(1)), Some("N.m")));
         let method = Variable::named("solver.method").expect("solver.method");
         assert_eq!(method.items()[2], Item { name: "rk4", value: 3 });
         assert_eq!(Method::from_number(3), Some(Method::Rk4));

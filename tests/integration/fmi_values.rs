@@ -119,7 +119,7 @@ fn what_may_be_set_depends_on_role_and_state() {
     // Every input and tunable parameter in every settable state; every other parameter before the run only.
     let parameters = |host: &Host, expected: fmi2Status| {
         for variable in VARIABLES.iter().filter(|variable| variable.start.is_some()) {
-            let always = variable.tunable || matches!(variable.id, VariableId::RealInput(_) | VariableId::RealSample(_));
+            let always = variable.tunable || matches!(variable.id, VariableId::Input(_) | VariableId::Sample(_));
             let reference = [variable.reference];
             let status = match variable.start {
                 Some(Value::Real(start)) => host.set_real(&reference, &[start]),

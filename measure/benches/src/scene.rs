@@ -65,7 +65,7 @@ pub(crate) fn other_values(effect: &str) -> impl Iterator<Item = (&'static str, 
     VARIABLES.iter().filter_map(move |variable| {
         let own = variable.name.strip_prefix(effect).is_some_and(|rest| rest.starts_with('.'));
         match (variable.id, variable.start) {
-            (VariableId::RealParameter(_), Some(Value::Real(start))) if own => {
+            (VariableId::Parameter(_), Some(Value::Real(start))) if own => {
                 Some((variable.name, Value::Real((1.25 * start + 0.125).min(variable.max.unwrap_or(f64::INFINITY)))))
             }
             _ => None,
