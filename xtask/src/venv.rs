@@ -131,7 +131,9 @@ impl Requirements {
         let file = paths::in_root(self.file);
         match self.file {
             // The build backends are among the packages of the pinned closures.
-            own if OWN.contains(&own) => pip.args(["--no-build-isolation", "--editable"]).arg(file.parent().context("a package lies in a folder")?),
+            own if OWN.contains(&own) => {
+                pip.args(["--no-build-isolation", "--editable"]).arg(file.parent().context("a package lies in a folder")?)
+            }
             APART => pip.arg("--requirement").arg(file).arg("--target").arg(apart()),
             _ => pip.arg("--requirement").arg(file),
         };
