@@ -59,20 +59,20 @@ class Scene:
         return points
 
 
-def folder() -> Path:
-    """Folder of the scenes: `target/scenes` of the current folder or of one above it, or else of the checkout this package lies in."""
-    candidates = [above / "target" / "scenes" for above in (Path.cwd(), *Path.cwd().parents, *Path(__file__).resolve().parents)]
-    for candidate in candidates:
-        if candidate.is_dir():
-            return candidate
-    raise ValueError(f"There are no scenes in {candidates[0]}: run `cargo xtask package`, or name a file.")
+def target(part: str) -> Path:
+    """A file or folder below `target/` of the current folder, of one above it, or else of the checkout that this package lies in."""
+    roots = (Path.cwd(), *Path.cwd().parents, *Path(__file__).resolve().parents)
+    for root in roots:
+        if (root / "target" / part).exists():
+            return root / "target" / part
+    raise ValueError(f"There is no {Path.cwd() / 'target' / part}: run `cargo xtask package`.")
 
 
 def read(name: str | Path) -> Scene:
     """The scene of that name, or in that file, which is as `cargo xtask package` writes it."""
     path = Path(name)
     if path.suffix != ".json":
-        path = folder() / f"{name}.json"
+        path = target("scenes") / f"{name}.json"
         if not path.is_file():
             known = ", ".join(sorted(file.stem for file in path.parent.glob("*.json")))
             raise ValueError(f"There is no scene {name!r}; there are {known}.")
