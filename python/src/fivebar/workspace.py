@@ -5,7 +5,9 @@
 """
 
 import argparse
+import contextlib
 import csv
+import io
 import shutil
 import sys
 from collections.abc import Callable, Iterable, Sequence
@@ -23,6 +25,9 @@ from fivebar.scene import Scene
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
+
+TIP, ANGLES = ("tip.x", "tip.y"), ("theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]")
+"""The unit's names of the tip's position and of the angles of the links 1 to 4."""
 
 CELLS = 160
 """Cells of the field along the longer side of the reach."""
@@ -91,7 +96,9 @@ class Mode:
     """Angles of the links 1 to 4, rad, shape (ny, nx, 4)."""
 
     reached: Flags
-    within_stops: Flags
+    stop_margin: Floats
+    """How far the motors are from their stops, rad, negative beyond one; infinite without stops."""
+
     dexterity: Floats
     """1 over the condition number, in [0, 1]."""
 
@@ -100,6 +107,11 @@ class Mode:
 
     curves: list[Curve]
     discs: list[Disc]
+
+    @property
+    def within_stops(self) -> Flags:
+        """Whether both motors are within their stops."""
+        return self.stop_margin >= 0
 
     @property
     def name(self) -> str:
@@ -149,18 +161,20 @@ def follow(scene: Scene) -> Path:
         inputs[name] = values
     folder = extract(str(scenes.target("fmu/FiveBar.fmu")))
     try:
-        result = simulate_fmu(
-            folder,
-            stop_time=scene.stop_time,
-            output_interval=scene.step_size,
-            start_values=dict(scene.values),
-            input=inputs if scene.signals else None,
-            output=["tip.x", "tip.y", "theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]"],
-        )
+        # FMPy prints that inputs without signals keep their values.
+        with contextlib.redirect_stdout(io.StringIO()):
+            result = simulate_fmu(
+                folder,
+                stop_time=scene.stop_time,
+                output_interval=scene.step_size,
+                start_values=dict(scene.values),
+                input=inputs if scene.signals else None,
+                output=[*TIP, *ANGLES],
+            )
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    columns = [result[name] for name in result.dtype.names]
-    return Path(columns[0], np.stack(columns[1:3], axis=-1), np.stack(columns[3:], axis=-1))
+    tip, theta = (np.stack([result[name] for name in names], axis=-1) for names in (TIP, ANGLES))
+    return Path(result["time"], tip, theta)
 
 
 def _axes(machine: Machine, cells: int) -> tuple[Floats, Floats]:
@@ -190,7 +204,7 @@ def _mode(scene: Scene, machine: Machine, working: Working, limits: tuple[float,
         working=working,
         theta=posture.theta,
         reached=reached,
-        within_stops=within_stops(scene, posture.motors),
+        stop_margin=stop_margin(scene, posture.motors),
         dexterity=machine.dexterity(posture.theta),
         force=None if limits is None else statics.tip_force(scene, posture.theta, limits),
         curves=curves,
@@ -198,14 +212,16 @@ def _mode(scene: Scene, machine: Machine, working: Working, limits: tuple[float,
     )
 
 
-def within_stops(scene: Scene, motors: Floats) -> Flags:
-    """Whether motor angles (..., 2), rad, are within the scene's stops, in some of their turns."""
-    inside = np.ones(motors.shape[:-1], dtype=bool)
+def stop_margin(scene: Scene, motors: Floats) -> Floats:
+    """How far motor angles (..., 2), rad, are from the nearest of the scene's stops, rad, negative beyond it; in the best of their turns."""
+    margin = np.full(motors.shape[:-1], np.inf)
     if scene["stop.enabled"]:
         for leg in (0, 1):
             lower, upper = (float(scene[f"stop.{limit}[{leg + 1}]"]) for limit in ("lower", "upper"))
-            inside &= np.remainder(motors[..., leg] - lower, 2 * np.pi) <= upper - lower
-    return inside
+            off = np.abs(np.remainder(motors[..., leg] - (lower + upper) / 2 + np.pi, 2 * np.pi) - np.pi)
+            if upper - lower < 2 * np.pi:
+                margin = np.minimum(margin, (upper - lower) / 2 - off)
+    return margin
 
 
 def _bends_like(theta: Floats, working: Working) -> Flags:
@@ -247,7 +263,7 @@ def _stop_curves(scene: Scene, machine: Machine, working: Working) -> list[Curve
             other = posture.motors.copy()
             # The leg at its stop is there but for round-off.
             other[:, leg] = (lower + upper) / 2
-            on = reached & bend & within_stops(scene, other)
+            on = reached & bend & (stop_margin(scene, other) >= 0)
             curves += [Curve("stop", f"stop.{limit}[{leg + 1}]", tip[part], posture.theta[part]) for part in _stretches(on)]
     return curves
 
@@ -324,7 +340,7 @@ def _discs(scene: Scene, machine: Machine, working: Working, curves: list[Curve]
 
     def region(places: Floats) -> NDArray[np.int8]:
         posture, reached = machine.field(places, working)
-        allowed = reached & within_stops(scene, posture.motors)
+        allowed = reached & (stop_margin(scene, posture.motors) >= 0)
         return np.where(allowed, np.sign(sines(posture.theta)[..., 0]), 0).astype(np.int8)
 
     cell = float(x[1] - x[0])
@@ -389,7 +405,7 @@ def write(survey: Map, folder: str | FilePath) -> list[FilePath]:
     """Writes `field.csv`, `loci.csv`, `discs.csv` and, where there is a motion, `path.csv` into a folder; returns the files."""
     directory = FilePath(folder)
     directory.mkdir(parents=True, exist_ok=True)
-    angles = ["theta[1] [rad]", "passive.theta[1] [rad]", "passive.theta[2] [rad]", "theta[2] [rad]"]
+    angles = [f"{name} [rad]" for name in ANGLES]
     tables: dict[str, tuple[list[str], Iterable[Sequence[object]]]] = {
         "field.csv": (["working", "x [m]", "y [m]", "assembly", *angles, "dexterity [1]", "within_stops", "force [N]"], _field_rows(survey)),
         "loci.csv": (["working", "kind", "detail", "piece", "x [m]", "y [m]", *angles], _locus_rows(survey)),
