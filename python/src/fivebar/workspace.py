@@ -179,13 +179,13 @@ def follow(scene: Scene) -> Path:
 
 def _axes(machine: Machine, cells: int) -> tuple[Floats, Floats]:
     """Axes of a grid of square cells over the reach, symmetric about the x axis."""
-    left, right = machine.reach[:, 1]
-    begin, end = max(-left, machine.distance - right), min(left, machine.distance + right)
-    if begin >= end:
+    (near_left, left), (near_right, right) = machine.reach.tolist()
+    if machine.reach_area <= 0:
         raise ValueError(
-            f"base.distance = {machine.distance:.10g} m: the legs reach {left:.10g} m and {right:.10g} m, so that they never meet; "
-            "it must be less than their sum."
+            f"base.distance = {machine.distance:.10g} m: the left leg reaches from {near_left:.10g} to {left:.10g} m, the right one from "
+            f"{near_right:.10g} to {right:.10g} m, so that they never meet; both must reach some common place."
         )
+    begin, end = max(-left, machine.distance - right), min(left, machine.distance + right)
     # The lens of both outer circles is highest where they meet, or where one of them is whole.
     crossing = (machine.distance**2 + left**2 - right**2) / (2 * machine.distance) if machine.distance > 0 else 0.0
     centre_inside = begin <= 0 <= end and left <= right or begin <= machine.distance <= end and right <= left
@@ -471,6 +471,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("scene", help="name of a scene, or a file of target/scenes/")
     parser.add_argument("--out", type=FilePath, metavar="DIR", help="folder of pictures and tables; ./SCENE/ unless told")
     parser.add_argument("--torque", type=float, nargs=2, metavar=("LEFT", "RIGHT"), help="limits of the motors' torques, N·m")
+    names = {left + right.capitalize(): (left, right) for left, right in WORKING_MODES}
+    parser.add_argument("--mode", choices=names, action="append", help="working mode to map, once or more; all four unless told")
     parser.add_argument("--no-path", action="store_true", help="do not run the scene to show its motion")
     options = parser.parse_args(arguments)
     from fivebar import workspace_pictures
@@ -478,7 +480,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         scene = scenes.read(options.scene)
         limits = tuple(options.torque) if options.torque else None
-        survey = compute(scene, limits, None if options.no_path else follow(scene))
+        path = None if options.no_path else follow(scene)
+        survey = compute(scene, limits, path, modes=[names[name] for name in options.mode or names])
         folder = options.out or FilePath(scene.name)
         files = write(survey, folder) + workspace_pictures.draw(survey, folder)
     except ValueError as error:
