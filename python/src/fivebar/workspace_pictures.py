@@ -17,7 +17,7 @@ from matplotlib.patheffects import Stroke, withStroke
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from fivebar.kinematics import Machine
+from fivebar.kinematics import WORKING_MODES, Machine
 from fivebar.workspace import Map, Mode
 
 Floats = NDArray[np.float64]
@@ -270,3 +270,39 @@ def chain(machine: Machine, theta: Floats, tip: Floats) -> Floats:
     return np.stack([machine.motors[0], left, tip, right, machine.motors[1]])
 
 
+
+
+def conventions(machine: Machine, tip: tuple[float, float]) -> Figure:
+    """The machine with its tip at one place, m, in each working mode, with the numbers of its links and the signs that name the mode."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 5.0))
+        grid = figure.subplots(2, 2, sharex=True, sharey=True)
+        for axes, working in zip(grid.flat, WORKING_MODES):
+            posture = machine.inverse(tip, working)
+            joints = chain(machine, posture.theta, posture.tip) * MM
+            axes.plot(*(machine.motors.T * MM), "^", color=BLACK, markersize=8, zorder=3)
+            axes.plot(*joints[[1, 3]].T, color=SKY, linewidth=1.2, linestyle=":", zorder=1)
+            axes.annotate("", joints[3], joints[1], arrowprops={"arrowstyle": "->", "color": SKY, "linestyle": ":"})
+            for colour, rows in ((BLACK, [0, 1, 2]), (VERMILLION, [2, 3, 4])):
+                axes.plot(*joints[rows].T, color=colour, linewidth=2.2, marker="o", markersize=4, zorder=2)
+            for link, (begin, end) in enumerate(((0, 1), (1, 2), (3, 2), (4, 3))):
+                middle = joints[begin] + 0.4 * (joints[end] - joints[begin])
+                text = axes.text(*middle, f"{link + 1}", ha="center", va="center", fontsize=9, zorder=4)
+                text.set_bbox({"boxstyle": "circle,pad=0.15", "facecolor": WHITE, "edgecolor": (BLACK, VERMILLION)[link > 1], "linewidth": 0.8})
+            signs = ["> 0" if bend == "plus" else "< 0" for bend in working]
+            side = "> 0" if posture.assembly == "plus" else "< 0"
+            axes.set_title(
+                f"{working[0]}{working[1].capitalize()}: sin(θ₂ − θ₁) {signs[0]}, sin(θ₃ − θ₄) {signs[1]}\n"
+                f"assembly {posture.assembly}: sin(θ₃ − θ₂) {side}",
+                fontsize=8.5,
+            )
+            axes.set_aspect("equal")
+            axes.margins(0.12)
+            for spine in ("top", "right"):
+                axes.spines[spine].set_visible(False)
+        for axes in grid[1]:
+            axes.set_xlabel("x  (mm)")
+        for axes in grid[:, 0]:
+            axes.set_ylabel("y  (mm)")
+        figure.tight_layout()
+    return figure
