@@ -104,6 +104,16 @@ def test_no_disc_is_larger(survey: workspace.Map) -> None:
             assert not free or np.any(workspace.stop_margin(survey.scene, posture.motors) < 0), place
 
 
+def test_rings_take_no_longer() -> None:
+    """Coaxial motors with uneven legs have a ring of equally good places between circles of singularities: discs of half its width."""
+    lengths = {"link[1].length": 0.5, "link[2].length": 0.2, "link[3].length": 0.3, "link[4].length": 0.4}
+    (mode,) = workspace.compute(made({"base.distance": 0.0, **lengths}), cells=40, modes=[OUT]).modes
+    radii = sorted({circle.radius for circle in Machine.from_scene(made(lengths)).inverse_singularities()})
+    middle = np.hypot(mode.discs[0].x, mode.discs[0].y)
+    rims = [np.hypot(*curve.tip.T) for curve in mode.curves] + [np.array([radius]) for radius in radii]
+    assert min(np.abs(rim - middle).min() for rim in rims) == pytest.approx(mode.discs[0].radius, abs=1e-6)
+
+
 # Loci and stops
 
 

@@ -251,7 +251,10 @@ class Machine:
     def reach_area(self) -> float:
         """Area that both legs reach, m2: the rings' intersection."""
         (near_left, far_left), (near_right, far_right) = self.reach
-        lens = lambda a, b: _lens_area(self.distance, a, b)  # noqa: E731
+
+        def lens(left: float, right: float) -> float:
+            return _lens_area(self.distance, left, right)
+
         return lens(far_left, far_right) - lens(near_left, far_right) - lens(far_left, near_right) + lens(near_left, near_right)
 
     # Velocities and forces
@@ -483,8 +486,7 @@ class Machine:
         nearest, farthest = abs(apart - l4), apart + l4
         if self.distance == 0:
             return [(-np.pi, np.pi)] if nearest <= l1 <= farthest else []
-        cosine = lambda away: (self.distance**2 + l1**2 - away**2) / (2 * self.distance * l1)  # noqa: E731
-        highest, lowest = cosine(nearest), cosine(farthest)
+        highest, lowest = ((self.distance**2 + l1**2 - away**2) / (2 * self.distance * l1) for away in (nearest, farthest))
         if highest < -1 - 1e-12 or lowest > 1 + 1e-12:
             return []
         begin, end = np.arccos(np.clip(highest, -1, 1)), np.arccos(np.clip(lowest, -1, 1))

@@ -38,10 +38,13 @@ CURVE_POINTS = 8000
 DISC_TOLERANCE = 1e-8
 """Tolerance of the discs' radii, in multiples of the machine's size."""
 
+BLOCK = 100_000
+"""Distances that are computed at a time."""
+
 MOST_DISCS = 3
 """Discs that are looked for in an aspect."""
 
-MOST_CELLS = 256
+MOST_CELLS = 48
 """Cells that the search for a disc keeps at a time: where many places are equally good, as on a ring, some of them are enough."""
 
 
@@ -289,18 +292,27 @@ class _Obstacles:
 
     def distance(self, places: Floats) -> Floats:
         """Distances of places (n, 2) from the nearest obstacle."""
-        nearest = np.full(len(places), np.inf)
+        nearest = self._from_chains(places)
         for circle in self.circles:
             nearest = np.minimum(nearest, np.abs(np.hypot(*(places - np.array(circle.centre)).T) - circle.radius))
-        if len(self.begin):
-            # A block of places at a time: memory for some million numbers.
-            block = max(1, 1_000_000 // len(self.begin))
-            for first in range(0, len(places), block):
-                x, y = (places[first : first + block, axis, None] - self.begin[:, axis] for axis in (0, 1))
-                share = np.clip((x * self.along[:, 0] + y * self.along[:, 1]) / self.squared, 0, 1)
-                squared = (x - share * self.along[:, 0]) ** 2 + (y - share * self.along[:, 1]) ** 2
-                nearest[first : first + block] = np.minimum(nearest[first : first + block], np.sqrt(squared.min(axis=-1)))
         return nearest
+
+    def _from_chains(self, places: Floats) -> Floats:
+        """Distances from the chains: places that are far from each other are divided, each half looks at what is near it."""
+        if len(places) > 1 and len(places) * len(self.begin) > BLOCK:
+            order = np.argsort(places[:, np.argmax(np.ptp(places, axis=0))])
+            distances = np.empty(len(places))
+            for half in np.array_split(order, 2):
+                centre = (places[half].min(axis=0) + places[half].max(axis=0)) / 2
+                spread = float(np.hypot(*(places[half] - centre).T).max())
+                farthest = float(self._from_chains(centre[None])[0]) + 2 * spread
+                distances[half] = self.near(centre, farthest)._from_chains(places[half])
+            return distances
+        if not len(self.begin):
+            return np.full(len(places), np.inf)
+        x, y = (places[:, axis, None] - self.begin[:, axis] for axis in (0, 1))
+        share = np.clip((x * self.along[:, 0] + y * self.along[:, 1]) / self.squared, 0, 1)
+        return np.sqrt(np.min((x - share * self.along[:, 0]) ** 2 + (y - share * self.along[:, 1]) ** 2, axis=-1))
 
 
 def _coarse(chain: Floats) -> tuple[Floats, float]:
