@@ -272,8 +272,8 @@ def chain(machine: Machine, theta: Floats, tip: Floats) -> Floats:
 
 
 
-def conventions(machine: Machine, tip: tuple[float, float]) -> Figure:
-    """The machine with its tip at one place, m, in each working mode, with the numbers of its links and the signs that name the mode."""
+def draw_modes(machine: Machine, tip: tuple[float, float], file: str | Path) -> None:
+    """Draws the machine with its tip at one place, m, in each working mode, with its links' numbers and the signs that name the mode."""
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(7.2, 5.0))
         grid = figure.subplots(2, 2, sharex=True, sharey=True)
@@ -305,4 +305,4 @@ def conventions(machine: Machine, tip: tuple[float, float]) -> Figure:
         for axes in grid[:, 0]:
             axes.set_ylabel("y  (mm)")
         figure.tight_layout()
-    return figure
+        figure.savefig(file, metadata={"Date": None} if Path(file).suffix == ".svg" else None)
