@@ -13,13 +13,14 @@ const PYTHON: &str = if cfg!(windows) { "python" } else { "python3" };
 /// put it on Python's path.
 const APART: &str = "xtask/python/requirements-cofmupy.txt";
 
-/// Our own package, the twin's pipeline: installed where it lies, so that a change of it needs no new installation.
-const OWN: &str = "twin/pyproject.toml";
+/// Our own packages, what users have in Python and the twin's pipeline: installed where they lie, so that a change of them needs no new
+/// installation.
+const OWN: [&str; 2] = ["python/pyproject.toml", "twin/pyproject.toml"];
 
-/// Sets of packages in the environment; each file is a pinned closure, but that of our own package.
+/// Sets of packages in the environment; each file is a pinned closure, but those of our own packages.
 #[derive(Clone, Copy)]
 pub(crate) enum Packages {
-    /// Packages of a run, the twin's pipeline and the Python tests.
+    /// Packages of a run, our own ones and those of the Python tests.
     Usual,
     /// Also packages of the tests in a browser and with other masters.
     Full,
@@ -35,11 +36,13 @@ impl Packages {
     fn files(self) -> &'static [&'static str] {
         const USUAL: &str = "xtask/python/requirements.txt";
         const TWIN: &str = "xtask/python/requirements-twin.txt";
+        const PACKAGE: &str = OWN[0];
+        const PIPELINE: &str = OWN[1];
         match self {
-            Self::Usual => &[USUAL, TWIN, OWN],
-            Self::Full => &[USUAL, TWIN, OWN, "xtask/python/requirements-full.txt", APART],
-            Self::Platforms => &[USUAL, TWIN, OWN, "xtask/python/requirements-platforms.txt"],
-            Self::Filters => &[USUAL, TWIN, OWN, "xtask/python/requirements-filters.txt"],
+            Self::Usual => &[USUAL, TWIN, PACKAGE, PIPELINE],
+            Self::Full => &[USUAL, TWIN, PACKAGE, PIPELINE, "xtask/python/requirements-full.txt", APART],
+            Self::Platforms => &[USUAL, TWIN, PACKAGE, PIPELINE, "xtask/python/requirements-platforms.txt"],
+            Self::Filters => &[USUAL, TWIN, PACKAGE, PIPELINE, "xtask/python/requirements-filters.txt"],
             Self::Peers => &["xtask/python/requirements-peers.txt"],
         }
     }
@@ -98,8 +101,16 @@ enum State {
 
 impl Requirements {
     fn read(file: &'static str, folder: &Path) -> Result<Self> {
-        let text = fs::read_to_string(paths::in_root(file)).with_context(|| format!("{file} cannot be read"))?;
-        let name = Path::new(file).file_stem().unwrap_or_default();
+        let path = Path::new(file);
+        let mut text = fs::read_to_string(paths::in_root(file)).with_context(|| format!("{file} cannot be read"))?;
+        // One of our own packages goes by its folder, and is installed anew under a new version, which is the workspace's.
+        let name = if OWN.contains(&file) {
+            text += concat!("# version ", env!("CARGO_PKG_VERSION"), "\n");
+            path.parent().and_then(Path::file_name)
+        } else {
+            path.file_stem()
+        };
+        let name = name.unwrap_or_default();
         Ok(Self { file, text, stamp: folder.join(name).with_extension("installed") })
     }
 
@@ -119,8 +130,10 @@ impl Requirements {
             .args(["--no-deps", "--no-compile"]);
         let file = paths::in_root(self.file);
         match self.file {
-            // The build backend is among the packages of the twin.
-            OWN => pip.args(["--no-build-isolation", "--editable"]).arg(file.parent().context("a package lies in a folder")?),
+            // The build backends are among the packages of the pinned closures.
+            own if OWN.contains(&own) => {
+                pip.args(["--no-build-isolation", "--editable"]).arg(file.parent().context("a package lies in a folder")?)
+            }
             APART => pip.arg("--requirement").arg(file).arg("--target").arg(apart()),
             _ => pip.arg("--requirement").arg(file),
         };
@@ -175,7 +188,7 @@ mod tests {
     fn each_file_of_requirements_has_a_stamp_of_its_own() {
         let folder = Path::new("venv");
         let stamps: Vec<_> = Packages::Full.files().iter().map(|file| Requirements::read(file, folder).unwrap().stamp).collect();
-        let names = ["requirements", "requirements-twin", "pyproject", "requirements-full", "requirements-cofmupy"];
+        let names = ["requirements", "requirements-twin", "python", "twin", "requirements-full", "requirements-cofmupy"];
         assert_eq!(stamps, names.map(|name| folder.join(name).with_extension("installed")));
     }
 }

@@ -1,0 +1,42 @@
+"""Where a machine can go: motor angles for places of the tip, how well it moves there, and maps of its workspace.
+
+`cargo xtask package` makes unit and scenes; from the root of the repository: target/venv/bin/python examples/workspace.py
+Pictures and tables go to target/workspace/. docs/kinematics.md has conventions and formulas.
+"""
+
+import numpy as np
+
+from fivebar import scene, workspace, workspace_pictures
+from fivebar.kinematics import Machine
+
+FOLDER = "target/workspace"
+
+# The table-top robot of the scene pick_and_place: all links 210 mm, motors 100 mm apart.
+machine = Machine.from_scene("pick_and_place")
+posture = machine.inverse((0.05, 0.25), working=("minus", "plus"))
+print(f"motors at {np.degrees(posture.motors[0]):.3f} and {np.degrees(posture.motors[1]):.3f} deg put the tip at x = 0.05 m, y = 0.25 m")
+print(f"condition number {machine.condition(posture.theta):.4f}, assembly {posture.assembly}")
+
+velocity = machine.velocity_ellipse(posture.theta)
+print(f"1 rad/s of the motors moves the tip at {velocity.axes[1]:.4f} to {velocity.axes[0]:.4f} m/s")
+
+# A line of a hundred places at once: the largest joint rates along it at 0.5 m/s.
+line = np.linspace((-0.06, 0.24), (0.16, 0.24), 100)
+along = machine.inverse(line)
+rates = machine.motor_rates(along.theta, (0.5, 0.0))
+print(f"along y = 0.24 m at 0.5 m/s: motor rates up to {np.abs(rates).max():.3f} rad/s")
+
+# What cannot be reached is said, with the figure.
+try:
+    machine.inverse((0.5, 0.2))
+except ValueError as sentence:
+    print(sentence)
+
+# The map of each working mode, with the scene's motion and the force that its servos' limits allow.
+robot = scene.read("pick_and_place")
+survey = workspace.compute(robot, path=workspace.follow(robot))
+print("\n".join(workspace.summary(survey)))
+files = workspace.write(survey, FOLDER) + workspace_pictures.draw(survey, FOLDER)
+wider = Machine.from_values({"base.distance": 0.25})
+workspace_pictures.draw_modes(wider, (0.10, 0.24), f"{FOLDER}/modes.svg")
+print(f"{len(files) + 1} files in {FOLDER}, such as condition_minusPlus.svg")

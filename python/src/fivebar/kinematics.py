@@ -1,0 +1,604 @@
+"""Kinematics of planar five-bar machines, in closed form, for arrays of postures: docs/kinematics.md derives and draws it.
+
+Links are 1 left proximal, 2 left distal, 3 right distal, 4 right proximal; angles are absolute, in rad, counter-clockwise from +x, distal
+links measured from elbow to tip. The left motor lies at (0, 0), the right one at (base.distance, 0). Lengths are in m. Every function takes
+arrays of any shape: positions (..., 2), motor angles (..., 2), postures (..., 4).
+
+Working mode: signs of sin(theta2 - theta1) and sin(theta3 - theta4), the left leg first. Assembly: the sign of sin(theta3 - theta2); `plus`
+has the tip to the left of the arrow from the left to the right elbow.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fivebar import scene as scenes
+
+Sign = Literal["plus", "minus"]
+Working = tuple[Sign, Sign]
+Floats = NDArray[np.float64]
+
+WORKING_MODES: tuple[Working, ...] = (("minus", "plus"), ("plus", "plus"), ("minus", "minus"), ("plus", "minus"))
+"""The four working modes; the first has its elbows apart where the tip is above the motors."""
+
+GEOMETRY = ("base.distance", "link[1].length", "link[2].length", "link[3].length", "link[4].length")
+"""Names of the lengths that make a machine."""
+
+NEAR = 1e-3
+"""Share of its largest possible value below which |det J_x| or |det J_q| counts as singular, as for the unit's `singular.type`."""
+
+LEAST_SINE = 1e-8
+"""Sines below this count as 0 where a Jacobian is divided by them: the unit refuses such postures as coordinates."""
+
+ROUND_OFF = 16 * np.finfo(float).eps
+"""Round-off of a distance, in multiples of the machine's size; it must not make a stretched leg unreachable."""
+
+SIGN = {"plus": 1.0, "minus": -1.0}
+SIDES = ("left", "right")
+LENGTHS = (("link[1].length", "link[2].length"), ("link[4].length", "link[3].length"))
+
+
+@dataclass(frozen=True)
+class Posture:
+    """Postures of a machine that close its loop."""
+
+    theta: Floats
+    """Angles of the links 1 to 4, rad, shape (..., 4): those that were given as they are, all others in [-pi, pi]."""
+
+    tip: Floats
+    """Position of the tip, m, shape (..., 2)."""
+
+    elbows: Floats
+    """Positions of the left and the right elbow, m, shape (..., 2, 2): leg, then x and y."""
+
+    @property
+    def motors(self) -> Floats:
+        """Angles of the motors, theta[1] and theta[2] of the unit, rad, shape (..., 2)."""
+        return self.theta[..., [0, 3]]
+
+    @property
+    def assembly(self) -> NDArray[np.str_]:
+        """`plus` or `minus`, shape (...)."""
+        return _names(sines(self.theta)[..., 0])
+
+    @property
+    def working(self) -> NDArray[np.str_]:
+        """`plus` or `minus` of the left and the right leg, shape (..., 2)."""
+        return _names(sines(self.theta)[..., 1:])
+
+
+class Ellipse(NamedTuple):
+    """Ellipses about the tip."""
+
+    axes: Floats
+    """Semi-axes, the major one first, shape (..., 2)."""
+
+    angle: Floats
+    """Angle of the major axis, rad, counter-clockwise from +x, in (-pi/2, pi/2], shape (...)."""
+
+
+class Circle(NamedTuple):
+    """Inverse singularities of a leg: the tip on a circle about its motor."""
+
+    leg: int
+    """0 left, 1 right."""
+
+    posture: Literal["stretched", "folded"]
+    centre: tuple[float, float]
+    radius: float
+
+
+class Locus(NamedTuple):
+    """A curve of direct singularities: the distal links in line."""
+
+    posture: Literal["stretched", "folded"]
+    theta: Floats
+    """Angles of the links 1 to 4 along the curve, rad, shape (n, 4)."""
+
+    tip: Floats
+    """Positions of the tip, m, shape (n, 2); the last one is the first one."""
+
+
+def sines(theta: ArrayLike) -> Floats:
+    """sin(theta3 - theta2), sin(theta2 - theta1), sin(theta3 - theta4), shape (..., 3).
+
+    The first is 0 at direct singularities and has the sign of the assembly; the others are 0 at inverse singularities of the left and the
+    right leg and have the signs of the working mode.
+    """
+    t1, t2, t3, t4 = np.moveaxis(np.asarray(theta, dtype=np.float64), -1, 0)
+    return np.stack([np.sin(t3 - t2), np.sin(t2 - t1), np.sin(t3 - t4)], axis=-1)
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Lengths of a planar five-bar mechanism with its motors on the x axis, m."""
+
+    distance: float
+    """Distance of the motors; 0 is a machine with coaxial motors."""
+
+    lengths: tuple[float, float, float, float]
+    """Lengths of the links 1 to 4."""
+
+    def __post_init__(self) -> None:
+        """Refuses lengths that no machine has, as the unit does."""
+        for name, value in zip(GEOMETRY, (self.distance, *self.lengths)):
+            least = ">= 0" if name == "base.distance" else "> 0"
+            if not np.isfinite(value) or value < 0 or (value == 0 and least == "> 0"):
+                raise ValueError(f"{name} = {value!r} m: it must be finite and {least}.")
+
+    @classmethod
+    def from_values(cls, values: Mapping[str, float]) -> "Machine":
+        """The machine of `base.distance` and `link[1..4].length`, m; names that are absent have the unit's start values."""
+        if strange := set(values) - set(GEOMETRY):
+            raise ValueError(f"{min(strange)} is no length of a machine; there are {', '.join(GEOMETRY)}.")
+        distance, *lengths = (float(values.get(name, scenes.START[name])) for name in GEOMETRY)
+        return cls(distance, tuple(lengths))
+
+    @classmethod
+    def from_scene(cls, scene: "str | Path | scenes.Scene") -> "Machine":
+        """The machine of a scene, by its name, its file, or read already."""
+        read = scene if isinstance(scene, scenes.Scene) else scenes.read(scene)
+        return cls.from_values({name: float(read[name]) for name in GEOMETRY})
+
+    @property
+    def size(self) -> float:
+        """Sum of all lengths, m: what round-off is compared with."""
+        return self.distance + sum(self.lengths)
+
+    @property
+    def motors(self) -> Floats:
+        """Positions of the left and the right motor, m, shape (2, 2)."""
+        return np.array([[0.0, 0.0], [self.distance, 0.0]])
+
+    @property
+    def legs(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Proximal and distal length of the left and of the right leg, m."""
+        l1, l2, l3, l4 = self.lengths
+        return (l1, l2), (l4, l3)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether the legs are alike: the direct singularities with stretched distal links are then Watt's curve."""
+        return self.legs[0] == self.legs[1]
+
+    # Positions
+
+    def inverse(self, tip: ArrayLike, working: Working = ("minus", "plus"), assembly: Sign | None = None) -> Posture:
+        """Postures that have the tip at `tip` (..., 2), m, in a working mode.
+
+        Tip and working mode fix the assembly. If one is named, a tip that lies in the other is refused, and so is one out of reach: the
+        ValueError names the leg and by how much.
+        """
+        tip = self._finite("tip", tip, 2, "m")
+        bends = self._bends(working)
+        legs = [self._leg(tip, leg, bend) for leg, bend in enumerate(bends)]
+        for leg, (_, _, missing) in enumerate(legs):
+            if np.any(missing != 0):
+                raise ValueError(self._out_of_reach(tip, leg, missing))
+            if np.any(axis := np.hypot(*np.moveaxis(tip - self.motors[leg], -1, 0)) <= ROUND_OFF * self.size):
+                at, _ = _first(axis)
+                raise ValueError(
+                    f"{_item('tip', tip, at, 'm')} lies on the {SIDES[leg]} motor's axis: the links of that leg are folded, and the angle of "
+                    "the motor is undetermined."
+                )
+        posture = self._posture(legs, tip)
+        if assembly is not None:
+            beyond = sines(posture.theta)[..., 0] * _sign("assembly", assembly) < 0
+            if np.any(beyond):
+                at, count = _first(beyond)
+                raise ValueError(
+                    f"{_item('tip', tip, at, 'm')} lies in the other assembly in working mode {working[0]}, {working[1]}: "
+                    f"it needs assembly {'minus' if assembly == 'plus' else 'plus'}{count}."
+                )
+        return posture
+
+    def forward(self, theta: ArrayLike, assembly: Sign = "plus") -> Posture:
+        """Postures from the motors' angles (theta[1], theta[2] of the unit), rad, shape (..., 2), in an assembly.
+
+        Angles that cannot be closed raise a ValueError with the elbows' distance and what the distal links allow.
+        """
+        theta = self._finite("theta", theta, 2, "rad")
+        side = _sign("assembly", assembly)
+        l1, l2, l3, l4 = self.lengths
+        left, right = l1 * _direction(theta[..., 0]), self.motors[1] + l4 * _direction(theta[..., 1])
+        arrow = right - left
+        distance = np.hypot(arrow[..., 0], arrow[..., 1])
+        round_off = ROUND_OFF * self.size
+        wrong = (distance > l2 + l3 + round_off) | (distance < abs(l2 - l3) - round_off)
+        if np.any(wrong):
+            at, count = _first(wrong)
+            raise ValueError(
+                f"{_item('theta', theta, at, 'rad')} cannot be closed: the elbows are {distance[at]:.10g} m apart, link[2].length and "
+                f"link[3].length allow {abs(l2 - l3):.10g} to {l2 + l3:.10g} m{count}."
+            )
+        if np.any(same := distance <= 1e-9 * (l2 + l3)):
+            at, count = _first(same)
+            raise ValueError(
+                f"{_item('theta', theta, at, 'rad')} puts both elbows on the same point: the direction to the tip is undetermined{count}."
+            )
+        along = ((l2 - l3) * (l2 + l3) + distance**2) / (2 * distance)
+        # Without cancellation where the distal links are nearly in line.
+        across_squared = (l2 + l3 - distance) * (l3 + distance - l2) * (l2 + along) / (2 * distance)
+        # One ulp of the distance would tilt links that are in line by its square root.
+        in_line = np.minimum(l2 + l3 - distance, distance - abs(l2 - l3)) < round_off
+        across = side * np.sqrt(np.where(in_line, 0.0, np.maximum(across_squared, 0.0)))
+        unit = arrow / distance[..., None]
+        from_left = along[..., None] * unit + across[..., None] * _turned(unit)
+        from_right = from_left - arrow
+        passive = [np.arctan2(v[..., 1], v[..., 0]) for v in (from_left, from_right)]
+        angles = np.stack([theta[..., 0], *passive, theta[..., 1]], axis=-1)
+        return Posture(angles, left + from_left, np.stack([left, right], axis=-2))
+
+    def shortfall(self, tip: ArrayLike) -> Floats:
+        """By how much the left and the right leg miss `tip` (..., 2), m, shape (..., 2): > 0 too far, < 0 too near, 0 within reach."""
+        tip = self._finite("tip", tip, 2, "m")
+        return np.stack([self._missing(tip, leg)[1] for leg in (0, 1)], axis=-1)
+
+    def is_reachable(self, tip: ArrayLike) -> NDArray[np.bool_]:
+        """Whether both legs reach `tip` (..., 2), m; the working mode does not matter."""
+        return np.all(self.shortfall(tip) == 0, axis=-1)
+
+    @property
+    def reach(self) -> Floats:
+        """Smallest and largest distance of the tip from the left and the right motor, m, shape (2, 2)."""
+        return np.array([[abs(proximal - distal), proximal + distal] for proximal, distal in self.legs])
+
+    @property
+    def reach_area(self) -> float:
+        """Area that both legs reach, m2: the rings' intersection."""
+        (near_left, far_left), (near_right, far_right) = self.reach
+
+        def lens(left: float, right: float) -> float:
+            return _lens_area(self.distance, left, right)
+
+        return lens(far_left, far_right) - lens(near_left, far_right) - lens(far_left, near_right) + lens(near_left, near_right)
+
+    # Velocities and forces
+
+    def link_rates(self, theta: ArrayLike, omega: ArrayLike) -> Floats:
+        """Rates of the links 1 to 4, rad/s, shape (..., 4), at postures (..., 4) from the motors' rates (..., 2)."""
+        theta, omega = self._regular(theta), self._finite("omega", omega, 2, "rad/s")
+        tip = np.einsum("...ij,...j->...i", self.jacobian(theta), omega)
+        l1, l2, l3, l4 = self.lengths
+        n1, n2, n3, n4 = (_turned(_direction(theta[..., i])) for i in range(4))
+        left = np.sum(n2 * (tip - l1 * n1 * omega[..., :1]), axis=-1) / l2
+        right = np.sum(n3 * (tip - l4 * n4 * omega[..., 1:]), axis=-1) / l3
+        return np.stack(np.broadcast_arrays(omega[..., 0], left, right, omega[..., 1]), axis=-1)
+
+    def tip_velocity(self, theta: ArrayLike, omega: ArrayLike) -> Floats:
+        """Velocity of the tip, m/s, shape (..., 2), at postures (..., 4) from the motors' rates (..., 2), rad/s."""
+        return np.einsum("...ij,...j->...i", self.jacobian(theta), self._finite("omega", omega, 2, "rad/s"))
+
+    def motor_rates(self, theta: ArrayLike, velocity: ArrayLike) -> Floats:
+        """Rates of the motors, rad/s, shape (..., 2), that move the tip at `velocity` (..., 2), m/s, at postures (..., 4).
+
+        Defined at direct singularities, refused at inverse ones.
+        """
+        theta, velocity = self._finite("theta", theta, 4, "rad"), self._finite("velocity", velocity, 2, "m/s")
+        self._refuse_singular(theta, "inverse", "no motor rate moves the tip along its leg")
+        return np.einsum("...ij,...j->...i", self._rows(theta), velocity) / self._arms(theta)
+
+    def tip_force(self, theta: ArrayLike, torque: ArrayLike) -> Floats:
+        """Force of the tip on its surroundings, N, shape (..., 2), by the motors' torques (..., 2), N·m, without weight; F = J^-T tau.
+
+        Defined at direct singularities, where no torque resists along one direction; refused at inverse ones.
+        """
+        theta, torque = self._finite("theta", theta, 4, "rad"), self._finite("torque", torque, 2, "N·m")
+        self._refuse_singular(theta, "inverse", "the links carry forces that the motors do not feel")
+        return np.einsum("...ji,...j->...i", self._rows(theta), torque / self._arms(theta))
+
+    def motor_torques(self, theta: ArrayLike, force: ArrayLike) -> Floats:
+        """Torques of the motors, N·m, shape (..., 2), by which the tip exerts `force` (..., 2), N, without weight; tau = J^T F."""
+        return np.einsum("...ji,...j->...i", self.jacobian(theta), self._finite("force", force, 2, "N"))
+
+    def jacobian(self, theta: ArrayLike) -> Floats:
+        """d tip / d (theta1, theta4), m/rad, shape (..., 2, 2), at postures (..., 4); refused at direct singularities."""
+        theta = self._regular(theta)
+        return self._adjugate(theta) / sines(theta)[..., 0, None, None]
+
+    def loop_jacobians(self, theta: ArrayLike) -> tuple[Floats, Floats]:
+        """J_x, m, and J_q, m2, of J_x tip' = J_q (theta1', theta4'), each of shape (..., 2, 2); defined everywhere.
+
+        The rows of J_x are the distal links as vectors, so that det J_x = l2 l3 sin(theta3 - theta2); J_q is diagonal.
+        """
+        theta = self._finite("theta", theta, 4, "rad")
+        distal = np.array(self.lengths[1:3])
+        j_q = np.zeros((*theta.shape[:-1], 2, 2))
+        j_q[..., [0, 1], [0, 1]] = distal * self._arms(theta)
+        return distal[:, None] * self._rows(theta), j_q
+
+    def velocity_ellipse(self, theta: ArrayLike) -> Ellipse:
+        """Velocities of the tip, m/s, by motor rates on the unit circle, 1 rad/s: J J^T. Refused at direct singularities."""
+        theta = self._regular(theta)
+        adjugate, sine = self._adjugate(theta), sines(theta)[..., 0]
+        large, small, angle = _singular_values(adjugate)
+        return Ellipse(np.stack([large, small], axis=-1) / np.abs(sine)[..., None], angle)
+
+    def force_ellipse(self, theta: ArrayLike) -> Ellipse:
+        """Forces of the tip, N, by motor torques on the unit circle, 1 N·m: (J J^T)^-1. Refused at inverse singularities."""
+        theta = self._finite("theta", theta, 4, "rad")
+        self._refuse_singular(theta, "inverse", "the links carry forces that the motors do not feel")
+        large, small, angle = _singular_values(np.swapaxes(self._rows(theta) / self._arms(theta)[..., None], -1, -2))
+        return Ellipse(np.stack([large, small], axis=-1), angle)
+
+    def condition(self, theta: ArrayLike) -> Floats:
+        """Condition number of the Jacobian, its largest over its smallest singular value, >= 1, shape (...); inf where singular."""
+        with np.errstate(divide="ignore"):
+            return 1 / self.dexterity(theta)
+
+    def dexterity(self, theta: ArrayLike) -> Floats:
+        """1 over the condition number, in [0, 1], shape (...); 0 at singularities of either kind."""
+        large, small, _ = _singular_values(self._adjugate(self._finite("theta", theta, 4, "rad")))
+        return np.divide(small, large, out=np.zeros_like(large), where=large > 0)
+
+    # Singularities
+
+    def singularity(self, theta: ArrayLike) -> NDArray[np.str_]:
+        """`none`, `direct`, `inverse` or `combined`, shape (...), by the bounds of the unit's `singular.type`.
+
+        Where the unit says `constraint`, all links near one line through the motors, this says `combined`.
+        """
+        tip, left, right = np.moveaxis(sines(self._finite("theta", theta, 4, "rad")), -1, 0)
+        direct, inverse = np.abs(tip) < NEAR, np.abs(left * right) < NEAR
+        return np.select([direct & inverse, direct, inverse], ["combined", "direct", "inverse"], "none")
+
+    def inverse_singularities(self) -> list[Circle]:
+        """The circles on which a leg is stretched or folded; a radius of 0 is the motor's axis."""
+        return [
+            Circle(leg, posture, (float(self.motors[leg, 0]), 0.0), float(self.reach[leg, side]))
+            for leg in (0, 1)
+            for side, posture in ((1, "stretched"), (0, "folded"))
+        ]
+
+    def direct_singularities(self, points: int = 2000) -> list[Locus]:
+        """The closed curves on which the distal links are in line: coupler curves of four-bars, `points` points each.
+
+        With distal links of equal length, folded ones have both elbows on one point: circles. Coaxial motors with equal proximal links as
+        well have that everywhere in the working modes `plus`, `plus` and `minus`, `minus`: that is no curve, see `is_degenerate`.
+        """
+        _, l2, l3, _ = self.lengths
+        loci = self._coupler_curves("stretched", l2 + l3, l2 / (l2 + l3), points)
+        if l2 == l3:
+            return loci + self._coinciding_elbows(points)
+        return loci + self._coupler_curves("folded", abs(l2 - l3), l2 / (l2 - l3), points)
+
+    def direct_at(self, theta1: float) -> list[tuple[Literal["stretched", "folded"], Posture]]:
+        """Postures with the left motor at `theta1`, rad, and the distal links in line; none where the elbows' distance forbids it.
+
+        Folded links of equal length are left out: both elbows are on one point, and the tip may lie anywhere about it.
+        """
+        _, l2, l3, _ = self.lengths
+        found: list[tuple[Literal["stretched", "folded"], Posture]] = []
+        cases: list[tuple[Literal["stretched", "folded"], float, float]] = [("stretched", l2 + l3, l2 / (l2 + l3))]
+        if l2 != l3:
+            cases.append(("folded", abs(l2 - l3), l2 / (l2 - l3)))
+        for posture, apart, share in cases:
+            cosine, middle = self._four_bar(np.float64(theta1), apart)
+            if abs(cosine) <= 1:
+                both = [self._in_line(np.float64(theta1), middle + side * np.arccos(cosine), share) for side in (-1, 1)]
+                found += [(posture, each) for each in both[: 1 if abs(cosine) == 1 else 2]]
+        return found
+
+    def is_degenerate(self, working: Working) -> bool:
+        """Whether every posture of the working mode is a direct singularity: coaxial motors and equal legs that lie on each other."""
+        return self.distance == 0 and self.is_symmetric and working[0] == working[1]
+
+    # Parts
+
+    def field(self, tip: ArrayLike, working: Working) -> tuple[Posture, NDArray[np.bool_]]:
+        """Postures for a field of places (..., 2), m, and which of them are reached; elsewhere the posture means nothing."""
+        tip = self._finite("tip", tip, 2, "m")
+        legs = [self._leg(tip, leg, bend) for leg, bend in enumerate(self._bends(working))]
+        return self._posture(legs, tip), (legs[0][2] == 0) & (legs[1][2] == 0)
+
+    @staticmethod
+    def _bends(working: Working) -> tuple[float, float]:
+        if isinstance(working, str) or len(working) != 2:
+            raise ValueError(f"working = {working!r}: it must name two bends, such as ('minus', 'plus'), the left leg first.")
+        return _sign("working", working[0]), _sign("working", working[1])
+
+    def _missing(self, tip: Floats, leg: int) -> tuple[Floats, Floats]:
+        """Distance from the leg's motor, and by how much it is too large (> 0) or too small (< 0)."""
+        distance = np.hypot(*np.moveaxis(tip - self.motors[leg], -1, 0))
+        nearest, farthest = self.reach[leg]
+        round_off = ROUND_OFF * self.size
+        missing = np.where(distance > farthest + round_off, distance - farthest, 0.0)
+        return distance, np.where(distance < nearest - round_off, distance - nearest, missing)
+
+    def _leg(self, tip: Floats, leg: int, bend: float) -> tuple[Floats, Floats, Floats]:
+        """Proximal and distal angle of a leg, and by how much it misses."""
+        proximal, distal = self.legs[leg]
+        distance, missing = self._missing(tip, leg)
+        to_tip = tip - self.motors[leg]
+        # Half the angle at the motor, from the triangle's perimeter: without the cancellation that an arc cosine has near its ends.
+        opposite = np.maximum((distal - proximal + distance) * (distal + proximal - distance), 0.0)
+        adjacent = np.maximum((proximal + distance + distal) * (proximal + distance - distal), 0.0)
+        half = np.arctan2(np.sqrt(opposite), np.sqrt(adjacent))
+        theta = np.arctan2(to_tip[..., 1], to_tip[..., 0]) - bend * 2 * half
+        theta = np.where(np.abs(theta) > np.pi, theta - np.copysign(2 * np.pi, theta), theta)
+        to_elbow = to_tip - proximal * _direction(theta)
+        return theta, np.arctan2(to_elbow[..., 1], to_elbow[..., 0]), missing
+
+    def _posture(self, legs: list[tuple[Floats, Floats, Floats]], tip: Floats) -> Posture:
+        (t1, t2, _), (t4, t3, _) = legs
+        elbows = [self.lengths[0] * _direction(t1), self.motors[1] + self.lengths[3] * _direction(t4)]
+        return Posture(np.stack([t1, t2, t3, t4], axis=-1), tip, np.stack(elbows, axis=-2))
+
+    def _rows(self, theta: Floats) -> Floats:
+        """Directions of the distal links as rows: rows · tip' = arms * (theta1', theta4')."""
+        return np.stack([_direction(theta[..., 1]), _direction(theta[..., 2])], axis=-2)
+
+    def _arms(self, theta: Floats) -> Floats:
+        """Lever arms of the distal links about their motors, m, shape (..., 2): l1 sin(theta2 - theta1), l4 sin(theta3 - theta4)."""
+        return np.array([self.lengths[0], self.lengths[3]]) * sines(theta)[..., 1:]
+
+    def _adjugate(self, theta: Floats) -> Floats:
+        """The Jacobian times sin(theta3 - theta2): finite everywhere."""
+        left, right = np.moveaxis(self._arms(theta), -1, 0)
+        (s2, c2), (s3, c3) = ((np.sin(theta[..., i]), np.cos(theta[..., i])) for i in (1, 2))
+        return np.stack([np.stack([s3 * left, -s2 * right], axis=-1), np.stack([-c3 * left, c2 * right], axis=-1)], axis=-2)
+
+    def _four_bar(self, theta1: Floats, apart: float) -> tuple[Floats, Floats]:
+        """Cosine of the right motor's angle from its middle value, and that value, where the elbows are `apart`."""
+        l1, _, _, l4 = self.lengths
+        a, b = 2 * l4 * (self.distance - l1 * np.cos(theta1)), -2 * l1 * l4 * np.sin(theta1)
+        c = apart**2 - self.distance**2 - l1**2 - l4**2 + 2 * self.distance * l1 * np.cos(theta1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            cosine = np.where(np.hypot(a, b) > 0, c / np.hypot(a, b), np.inf)
+        # Round-off at the ends, where the right proximal link is in line with the elbows' distance.
+        return np.where(np.abs(np.abs(cosine) - 1) < 1e-12, np.sign(cosine), cosine), np.arctan2(b, a)
+
+    def _in_line(self, theta1: Floats, theta4: Floats, share: float) -> Posture:
+        """Postures with the tip on the line of both elbows, at that share of their distance."""
+        left = self.lengths[0] * _direction(theta1)
+        right = self.motors[1] + self.lengths[3] * _direction(theta4)
+        tip = left + share * (right - left)
+        to_tip = [tip - left, tip - right]
+        passive = [np.arctan2(v[..., 1], v[..., 0]) for v in to_tip]
+        return Posture(np.stack([theta1, *passive, theta4], axis=-1), tip, np.stack([left, right], axis=-2))
+
+    def _coupler_curves(self, posture: Literal["stretched", "folded"], apart: float, share: float, points: int) -> list[Locus]:
+        """Curves of the tip as the four-bar of motors, proximal links and a coupler of length `apart` goes round."""
+        loci = []
+        for lower, upper in self._crank_ranges(apart):
+            if upper - lower >= 2 * np.pi:
+                theta1 = np.linspace(lower, upper, points)
+                runs = [(theta1, side) for side in (-1.0, 1.0)]
+            else:
+                # Both branches meet at the ends, and the points lie densest there: the curve is smooth in this parameter.
+                phase = np.linspace(0, 2 * np.pi, points)
+                theta1 = (lower + upper) / 2 - (upper - lower) / 2 * np.cos(phase)
+                runs = [(theta1, np.where(phase <= np.pi, 1.0, -1.0))]
+            for angles, side in runs:
+                cosine, middle = self._four_bar(angles, apart)
+                postures = self._in_line(angles, middle + side * np.arccos(np.clip(cosine, -1, 1)), share)
+                loci.append(Locus(posture, postures.theta, postures.tip))
+        return loci
+
+    def _crank_ranges(self, apart: float) -> list[tuple[float, float]]:
+        """Ranges of theta1 in which the right proximal link and a coupler of length `apart` close the four-bar."""
+        l1, _, _, l4 = self.lengths
+        # The left elbow must be |apart - l4| to apart + l4 away from the right motor.
+        nearest, farthest = abs(apart - l4), apart + l4
+        if self.distance == 0:
+            return [(-np.pi, np.pi)] if nearest <= l1 <= farthest else []
+        highest, lowest = ((self.distance**2 + l1**2 - away**2) / (2 * self.distance * l1) for away in (nearest, farthest))
+        if highest < -1 - 1e-12 or lowest > 1 + 1e-12:
+            return []
+        begin, end = np.arccos(np.clip(highest, -1, 1)), np.arccos(np.clip(lowest, -1, 1))
+        if highest > 1 - 1e-12 and lowest < -1 + 1e-12:
+            return [(-np.pi, np.pi)]
+        if highest > 1 - 1e-12:
+            return [(-end, end)]
+        if lowest < -1 + 1e-12:
+            return [(begin, 2 * np.pi - begin)]
+        return [(begin, end), (-end, -begin)]
+
+    def _coinciding_elbows(self, points: int) -> list[Locus]:
+        """Circles of the tip about the points where both elbows can lie; distal links of equal length."""
+        l1, l2, _, l4 = self.lengths
+        if self.distance == 0:
+            return []
+        x = (self.distance**2 + l1**2 - l4**2) / (2 * self.distance)
+        height_squared = (l1 - x) * (l1 + x)
+        if height_squared < -ROUND_OFF * self.size**2:
+            return []
+        height = np.sqrt(max(height_squared, 0.0))
+        phi = np.linspace(-np.pi, np.pi, points)
+        loci = []
+        for y in (height, -height) if height_squared > ROUND_OFF * self.size**2 else (0.0,):
+            motors = np.arctan2(y, x), np.arctan2(y, x - self.distance)
+            theta = np.stack([np.full(points, motors[0]), phi, phi, np.full(points, motors[1])], axis=-1)
+            loci.append(Locus("folded", theta, np.array([x, y]) + l2 * _direction(phi)))
+        return loci
+
+    def _finite(self, name: str, values: ArrayLike, width: int, unit: str) -> Floats:
+        array = np.asarray(values, dtype=np.float64)
+        if array.ndim == 0 or array.shape[-1] != width:
+            raise ValueError(f"{name} has the shape {array.shape}: the last axis must have {width} elements.")
+        if not np.all(np.isfinite(array)):
+            at, count = _first(~np.all(np.isfinite(array), axis=-1))
+            raise ValueError(f"{_item(name, array, at, unit)}: it must be finite{count}.")
+        return array
+
+    def _regular(self, theta: ArrayLike) -> Floats:
+        """Finite postures off the direct singularities."""
+        theta = self._finite("theta", theta, 4, "rad")
+        self._refuse_singular(theta, "direct", "the motors do not determine how the tip moves")
+        return theta
+
+    @staticmethod
+    def _refuse_singular(theta: Floats, kind: Literal["direct", "inverse"], reason: str) -> None:
+        sine = sines(theta)[..., :1] if kind == "direct" else sines(theta)[..., 1:]
+        if np.any(singular := np.any(np.abs(sine) < LEAST_SINE, axis=-1)):
+            at, count = _first(singular)
+            raise ValueError(f"{_item('theta', theta, at, 'rad')} is a singularity of the {kind} kind: {reason}{count}.")
+
+    def _out_of_reach(self, tip: Floats, leg: int, missing: Floats) -> str:
+        at, count = _first(missing != 0)
+        distance = float(np.hypot(*(tip[at] - self.motors[leg])))
+        nearest, farthest = self.reach[leg]
+        proximal, distal = LENGTHS[leg]
+        return (
+            f"{_item('tip', tip, at, 'm')} is out of reach of the {SIDES[leg]} leg: it is {distance:.10g} m from the leg's motor, {proximal} "
+            f"and {distal} reach from {nearest:.10g} to {farthest:.10g} m, so that it is {abs(missing[at]):.4g} m too "
+            f"{'far' if missing[at] > 0 else 'near'}{count}."
+        )
+
+
+def _direction(angle: Floats) -> Floats:
+    return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+
+
+def _turned(vector: Floats) -> Floats:
+    """Vectors turned by +90 degrees."""
+    return np.stack([-vector[..., 1], vector[..., 0]], axis=-1)
+
+
+def _sign(name: str, value: str) -> float:
+    if value not in SIGN:
+        raise ValueError(f"{name} = {value!r}: it must be 'plus' or 'minus'.")
+    return SIGN[value]
+
+
+def _names(signs: Floats) -> NDArray[np.str_]:
+    return np.where(signs >= 0, "plus", "minus")
+
+
+def _first(wrong: NDArray[np.bool_]) -> tuple[tuple[int, ...], str]:
+    """Index of the first element that is wrong, and how many there are, as the end of a sentence."""
+    count = int(np.count_nonzero(wrong))
+    at = tuple(int(i) for i in np.argwhere(wrong)[0])
+    return at, f" ({count} of {wrong.size} are so)" if wrong.size > 1 else ""
+
+
+def _item(name: str, array: Floats, at: tuple[int, ...], unit: str) -> str:
+    index = f"[{', '.join(map(str, at))}]" if at else ""
+    return f"{name}{index} = ({', '.join(f'{value:.10g}' for value in array[at])}) {unit}"
+
+
+def _singular_values(matrix: Floats) -> tuple[Floats, Floats, Floats]:
+    """Singular values of 2 x 2 matrices, the larger first, and the angle of the larger one's image, rad."""
+    (a, b), (c, d) = ((matrix[..., i, 0], matrix[..., i, 1]) for i in (0, 1))
+    rotation, reflection = np.hypot(a + d, c - b), np.hypot(a - d, b + c)
+    large = (rotation + reflection) / 2
+    # |det| over the larger one: without the difference of nearly equal numbers.
+    small = np.divide(np.abs(a * d - b * c), large, out=np.zeros_like(large), where=large > 0)
+    angle = (np.arctan2(c - b, a + d) + np.arctan2(b + c, a - d)) / 2
+    return large, small, np.pi / 2 - np.mod(np.pi / 2 - angle, np.pi)
+
+
+def _lens_area(apart: float, a: float, b: float) -> float:
+    """Area of the intersection of two discs, m2."""
+    if apart >= a + b:
+        return 0.0
+    if apart <= abs(a - b):
+        return float(np.pi * min(a, b) ** 2)
+    angle_a = np.arccos(np.clip((apart**2 + a**2 - b**2) / (2 * apart * a), -1, 1))
+    angle_b = np.arccos(np.clip((apart**2 + b**2 - a**2) / (2 * apart * b), -1, 1))
+    kite = np.sqrt(max((-apart + a + b) * (apart + a - b) * (apart - a + b) * (apart + a + b), 0.0)) / 2
+    return float(a**2 * angle_a + b**2 * angle_b - kite)

@@ -1,0 +1,72 @@
+"""Motors at rest: torques that carry a machine's weight, payload and springs, and the force that the tip can hold beyond that.
+
+Friction, stops and the contact plane are left out: what friction holds comes on top.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fivebar.kinematics import Machine, sines
+from fivebar.scene import Scene
+
+Floats = NDArray[np.float64]
+
+
+def holding_torques(scene: Scene, theta: ArrayLike) -> Floats:
+    """Torques of the motors, N·m, shape (..., 2), that hold the scene's machine at rest at postures (..., 4); refused at direct singularities."""
+    theta = np.asarray(theta, dtype=np.float64)
+    machine = Machine.from_scene(scene)
+    carried = np.stack(
+        [np.sum(_weight(scene, theta) * machine.link_rates(theta, rates), axis=-1) for rates in ((1.0, 0.0), (0.0, 1.0))], axis=-1
+    )
+    return -carried - _springs(scene, theta)
+
+
+def tip_force(scene: Scene, theta: ArrayLike, limits: tuple[float, float]) -> Floats:
+    """Largest force, N, shape (...), that the tip at rest holds in every direction by motor torques within +-`limits`, N·m.
+
+    The weight of links and payload and the springs take their share of the torques first; below 0 the motors do not carry even those.
+    Not above 0 at direct singularities.
+    """
+    theta = np.asarray(theta, dtype=np.float64)
+    machine = Machine.from_scene(scene)
+    sine = sines(theta)
+    # All torques times sin(theta3 - theta2), which is finite at direct singularities as well.
+    t1, t2, t3, t4 = (theta[..., i] for i in range(4))
+    l1, l2, l3, l4 = machine.lengths
+    by_angle = _weight(scene, theta)
+    turn_2 = [-l1 * np.sin(t3 - t1) / l2, l4 * np.sin(t3 - t4) / l2]
+    turn_3 = [-l1 * np.sin(t2 - t1) / l3, l4 * np.sin(t2 - t4) / l3]
+    forces = []
+    for motor, (own, arm) in enumerate(((0, l1 * sine[..., 1]), (3, l4 * sine[..., 2]))):
+        free = _springs(scene, theta)[..., motor] + by_angle[..., own]
+        carried = free * sine[..., 0] + by_angle[..., 1] * turn_2[motor] + by_angle[..., 2] * turn_3[motor]
+        spare = limits[motor] * np.abs(sine[..., 0]) - np.abs(carried)
+        forces.append(np.divide(spare, np.abs(arm), out=np.copysign(np.full_like(spare, np.inf), spare), where=arm != 0))
+    return np.minimum(*forces)
+
+
+def _weight(scene: Scene, theta: Floats) -> Floats:
+    """Generalised forces of gravity on the links' angles, N·m, shape (..., 4): links 1 and 2 carry the payload."""
+    masses, arms, lengths = ([float(scene[f"link[{i}].{what}"]) for i in range(1, 5)] for what in ("mass", "com", "length"))
+    payload = float(scene["payload.mass"]) if scene["payload.enabled"] else 0.0
+    pull = float(scene["gravity.g"]) * np.sin(float(scene["gravity.tilt"])) if scene["gravity.enabled"] else 0.0
+    moments = np.array(
+        [
+            masses[0] * arms[0] + (masses[1] + payload) * lengths[0],
+            masses[1] * arms[1] + payload * lengths[1],
+            masses[2] * arms[2],
+            masses[3] * arms[3] + masses[2] * lengths[3],
+        ]
+    )
+    # The direction of a link turned by 90 degrees, times that of gravity.
+    return pull * moments * np.sin(float(scene["gravity.direction"]) - theta)
+
+
+def _springs(scene: Scene, theta: Floats) -> Floats:
+    """Torques of the springs on the motor axes, N·m, shape (..., 2), at the turn nearest to their rest."""
+    motors = theta[..., [0, 3]]
+    if not scene["spring.enabled"]:
+        return np.zeros_like(motors)
+    k, rest = (np.array([float(scene[f"spring.{what}[{i}]"]) for i in (1, 2)]) for what in ("k", "theta0"))
+    return -k * (np.remainder(motors - rest + np.pi, 2 * np.pi) - np.pi)

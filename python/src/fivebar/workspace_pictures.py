@@ -1,0 +1,308 @@
+"""Pictures of a map: for each working mode the condition number, and where torques are limited the tip's force.
+
+Colours are those of Okabe and Ito and the map `cividis`, which readers with colour-blindness tell apart; every line has a style of its own
+as well. The legend stands below the axes.
+"""
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, PathPatch
+from matplotlib.path import Path as Outline
+from matplotlib.patheffects import Stroke, withStroke
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from fivebar.kinematics import WORKING_MODES, Machine
+from fivebar.workspace import Map, Mode
+
+Floats = NDArray[np.float64]
+
+BLACK, GREY, VERMILLION, SKY, PURPLE, WHITE = "#000000", "#6c757d", "#D55E00", "#56B4E9", "#CC79A7", "#FFFFFF"
+MM = 1e3
+"""Lengths are drawn in mm."""
+
+LEFT_ROOM, BELOW_ROOM = 0.75, 2.2
+"""Inches beside and below the axes."""
+
+KAPPAS = (np.inf, 20.0, 10.0, 5.0, 3.0, 2.0, 1.5, 1.0)
+"""Condition numbers between two colours."""
+
+BENDS = {"plus": "counter-clockwise", "minus": "clockwise"}
+
+STYLE = {
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.titlelocation": "left",
+    "hatch.linewidth": 0.6,
+    "legend.fontsize": 8,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "fivebar",  # the same map gives the same file
+}
+
+
+def draw(survey: Map, folder: str | Path) -> list[Path]:
+    """Draws `condition_MODE` and `force_MODE` as .svg and .png into a folder; returns the files."""
+    directory = Path(folder)
+    directory.mkdir(parents=True, exist_ok=True)
+    files = []
+    with matplotlib.rc_context(STYLE):
+        for mode in survey.modes:
+            kinds = {"condition": condition_picture} | ({"force": force_picture} if mode.force is not None else {})
+            for kind, picture in kinds.items():
+                figure = picture(survey, mode)
+                for suffix in ("svg", "png"):
+                    files.append(directory / f"{kind}_{mode.name}.{suffix}")
+                    figure.savefig(files[-1], dpi=150, bbox_inches="tight", metadata={"Date": None} if suffix == "svg" else None)
+    return files
+
+
+def condition_picture(survey: Map, mode: Mode) -> Figure:
+    """The condition number over the reach, with all loci."""
+    figure, axes, bar = _page(survey, mode)
+    levels = [0.0 if np.isinf(kappa) else 1 / kappa for kappa in KAPPAS]
+    colours = matplotlib.colormaps["cividis"](np.linspace(0, 1, len(levels) - 1))
+    field = axes.contourf(survey.x * MM, survey.y * MM, mode.dexterity, levels=levels, colors=colours, zorder=1)
+    field.set_rasterized(True)
+    colour_bar = figure.colorbar(field, cax=bar, spacing="uniform")
+    colour_bar.set_ticks(levels, labels=["∞" if np.isinf(kappa) else f"{kappa:g}" for kappa in KAPPAS])
+    colour_bar.set_label("condition number of the Jacobian  (1)")
+    _finish(axes, survey, mode, [])
+    return figure
+
+
+def force_picture(survey: Map, mode: Mode) -> Figure:
+    """The force that the tip at rest holds in every direction, over the reach."""
+    assert mode.force is not None and survey.limits is not None
+    figure, axes, bar = _page(survey, mode)
+    known = mode.force[mode.reached & mode.within_stops]
+    positive = known[(known > 0) & np.isfinite(known)]
+    handles: list[Patch] = []
+    if len(positive):
+        levels = MaxNLocator(8).tick_values(0.0, float(np.percentile(positive, 90)))
+        levels = levels[levels >= 0]
+        values = np.clip(mode.force, -1e9, 1e9)
+        field = axes.contourf(survey.x * MM, survey.y * MM, values, levels=levels, cmap="cividis", extend="max", zorder=1)
+        field.set_rasterized(True)
+        figure.colorbar(field, cax=bar).set_label("force that the tip holds in every direction  (N)")
+    else:
+        bar.set_axis_off()
+    if np.any(known <= 0):
+        lacking = np.clip(mode.force, -1e9, 1e9)
+        axes.contourf(survey.x * MM, survey.y * MM, lacking, levels=[-2e9, 0.0], colors=[WHITE], hatches=["xxx"], zorder=1.1)
+        handles.append(Patch(facecolor=WHITE, edgecolor=BLACK, hatch="xxx", label="the motors do not carry the weight"))
+    _finish(axes, survey, mode, handles)
+    left, right = survey.limits
+    load = f"payload {float(survey.scene['payload.mass']) * 1e3:g} g" if survey.scene["payload.enabled"] else "no payload"
+    axes.text(0, 1.01, f"torques up to {left:g} N·m left, {right:g} N·m right; {load}", transform=axes.transAxes, va="bottom", fontsize=8)
+    return figure
+
+
+def _page(survey: Map, mode: Mode) -> tuple[Figure, Axes, Axes]:
+    """A figure with axes of equal scales in mm, and those of its colour bar."""
+    shown = np.concatenate([survey.machine.motors, _posture(survey, mode), np.stack([survey.x[[0, -1]], survey.y[[0, -1]]], axis=-1)])
+    low, high = shown.min(axis=0), shown.max(axis=0)
+    margin = 0.03 * float(np.max(high - low))
+    low, high = (low - margin) * MM, (high + margin) * MM
+    # In inches: the axes, and room for labels, colour bar and legend.
+    width, height = (4.4 * (high - low) / np.max(high - low)).tolist()
+    size = LEFT_ROOM + width + 1.2, BELOW_ROOM + height + 0.9
+    figure = Figure(figsize=size)
+    axes = figure.add_axes((LEFT_ROOM / size[0], BELOW_ROOM / size[1], width / size[0], height / size[1]))
+    bar = figure.add_axes(((LEFT_ROOM + width + 0.15) / size[0], BELOW_ROOM / size[1], 0.16 / size[0], height / size[1]))
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_xlabel("tip.x  (mm)")
+    axes.set_ylabel("tip.y  (mm)")
+    left, right = (BENDS[bend] for bend in mode.working)
+    machine = survey.machine
+    axes.set_title(
+        f"{survey.scene.name}, working mode {mode.name}: left leg {left}, right leg {right}\n"
+        f"links 1 to 4: {', '.join(f'{length * MM:g}' for length in machine.lengths)} mm; motors {machine.distance * MM:g} mm apart",
+        pad=16,
+    )
+    return figure, axes, bar
+
+
+def _finish(axes: Axes, survey: Map, mode: Mode, more: list[Patch]) -> None:
+    """Everything over the field, and the legend."""
+    _hide_outside(axes, survey)
+    handles = [*more, *_stops(axes, survey, mode), *_loci(axes, survey, mode), *_discs(axes, survey, mode), *_path(axes, survey, mode)]
+    handles += _machine(axes, survey, mode)
+    height = axes.figure.get_figheight() - BELOW_ROOM - 0.9
+    axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(0, -0.5 / height), frameon=False, borderaxespad=0, handlelength=2.6)
+
+
+def _hide_outside(axes: Axes, survey: Map) -> None:
+    """White over all that a leg does not reach: the fields go on there, so that their borders are the exact circles."""
+    far = 10 * MM * (np.ptp(survey.x) + np.ptp(survey.y))
+    frame = np.array([(-far, -far), (-far, far), (far, far), (far, -far), (-far, -far)])
+    for circle in survey.circles:
+        centre, radius = np.array(circle.centre) * MM, circle.radius * MM
+        if circle.posture == "folded":
+            axes.add_patch(Circle(tuple(centre), radius, facecolor=WHITE, edgecolor="none", zorder=2))
+            continue
+        # Opposite directions of the frame and the circle leave a hole.
+        hole = Outline.circle(tuple(centre), radius)
+        outline = Outline(np.concatenate([frame, hole.vertices]), np.concatenate([_codes(len(frame)), hole.codes]))
+        axes.add_patch(PathPatch(outline, facecolor=WHITE, edgecolor="none", zorder=2))
+
+
+def _codes(count: int) -> NDArray[np.uint8]:
+    return np.array([Outline.MOVETO] + [Outline.LINETO] * (count - 2) + [Outline.CLOSEPOLY], dtype=np.uint8)
+
+
+def _stops(axes: Axes, survey: Map, mode: Mode) -> list[Patch | Line2D]:
+    """Hatches where a motor would be beyond its stops, and the arcs where it is at one."""
+    if not survey.scene["stop.enabled"]:
+        return []
+    margin = np.clip(mode.stop_margin, -10, 10)
+    hatched = axes.contourf(survey.x * MM, survey.y * MM, margin, levels=[-20, 0], colors=["#ffffffb0"], hatches=["////"], zorder=1.5)
+    hatched.set_edgecolor(GREY)
+    for curve in mode.curves:
+        if curve.kind == "stop":
+            axes.plot(*(curve.tip.T * MM), color=GREY, linewidth=1.6, zorder=3)
+    return [Patch(facecolor=WHITE, edgecolor=GREY, hatch="////", label="beyond a motor's stops")]
+
+
+def _loci(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
+    """Circles and curves of singularities."""
+    handles = [Line2D([], [], color=BLACK, linewidth=1.3, label="inverse singularity: a leg stretched or folded (rim of the reach)")]
+    for circle in survey.circles:
+        if circle.radius > 0:
+            centre = circle.centre[0] * MM, circle.centre[1] * MM
+            axes.add_patch(_within(axes, survey, Circle(centre, circle.radius * MM, fill=False, edgecolor=BLACK, linewidth=1.3, zorder=4), circle.leg))
+    names = {
+        "stretched": "direct singularity: distal links stretched" + (" (Watt's curve)" if survey.machine.is_symmetric else ""),
+        "folded": "direct singularity: distal links folded",
+    }
+    for posture, style in (("stretched", "-"), ("folded", (0, (4, 1.5)))):
+        curves = [curve.tip for curve in mode.curves if curve.kind == "direct" and curve.detail == posture]
+        for tip in curves:
+            (line,) = axes.plot(*(tip.T * MM), color=VERMILLION, linewidth=1.6, linestyle=style, zorder=5)
+            line.set_path_effects([withStroke(linewidth=3.0, foreground=WHITE)] if style == "-" else [])
+        if curves:
+            handles.append(Line2D([], [], color=VERMILLION, linewidth=1.6, linestyle=style, label=names[posture]))
+    return handles
+
+
+def _within(axes: Axes, survey: Map, patch: Circle, leg: int) -> Circle:
+    """The part of a leg's circle that the other leg reaches."""
+    other = survey.machine.motors[1 - leg] * MM
+    radius = survey.machine.reach[1 - leg, 1] * MM * (1 + 1e-3)
+    axes.add_patch(patch)
+    patch.set_clip_path(Circle(tuple(other), radius, transform=axes.transData))
+    return patch
+
+
+def _discs(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
+    """The largest discs without singularity."""
+    if survey.machine.is_degenerate(mode.working):
+        return [Line2D([], [], linestyle="none", label="every posture is a direct singularity")]
+    handles = []
+    shown = [disc for disc in mode.discs if disc.radius > 0.3 * mode.discs[0].radius]
+    styles = {"plus": (0, (6, 2)), "minus": (0, (1.5, 1.5))}
+    for disc in shown:
+        circle = Circle((disc.x * MM, disc.y * MM), disc.radius * MM, fill=False, edgecolor=SKY, linewidth=1.4, zorder=6)
+        circle.set_linestyle(styles[disc.assembly])
+        axes.add_patch(circle)
+    for assembly, style in styles.items():
+        sizes = ", ".join(f"{disc.radius * MM:.1f}" for disc in shown if disc.assembly == assembly)
+        if sizes:
+            label = f"largest discs without singularity, assembly {assembly}: radius {sizes} mm"
+            handles.append(Line2D([], [], color=SKY, linewidth=1.4, linestyle=style, label=label))
+    return handles
+
+
+def _path(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
+    """The scene's motion: where it is in this working mode, and faintly elsewhere."""
+    if survey.path is None:
+        return []
+    tip = survey.path.tip * MM
+    parts = survey.path.parts(mode.working)
+    casing = [Stroke(linewidth=3.2, foreground=WHITE)]
+    whole = sum(part.stop - part.start for part in parts) >= len(tip)
+    handles = []
+    if not whole:
+        axes.plot(*tip.T, color=GREY, linewidth=0.7, linestyle=":", zorder=6.5)
+        handles.append(Line2D([], [], color=GREY, linewidth=0.7, linestyle=":", label="motion of the scene in other working modes"))
+    for part in parts:
+        axes.plot(*tip[part].T, linewidth=3.2, color=WHITE, zorder=7, path_effects=casing)
+        axes.plot(*tip[part].T, linewidth=1.6, color=PURPLE, zorder=7.1)
+    if parts:
+        handles.append(Line2D([], [], color=PURPLE, linewidth=1.6, label="motion of the scene, from the ring"))
+        if parts[0].start == 0:
+            axes.plot(*tip[0], "o", markerfacecolor=WHITE, markeredgecolor=PURPLE, markersize=5, markeredgewidth=1.4, zorder=7.2)
+    return handles
+
+
+def _posture(survey: Map, mode: Mode) -> Floats:
+    """Joints of the machine, m, shape (n, 2), n = 5 or 0: at the motion's start if that is in this mode, or else in a large disc."""
+    machine, path = survey.machine, survey.path
+    if path is not None and any(part.start == 0 for part in path.parts(mode.working)):
+        return chain(machine, path.theta[0], path.tip[0])
+    if not mode.discs:
+        return np.zeros((0, 2))
+    disc = max(mode.discs, key=lambda disc: (disc.y >= 0, disc.radius))
+    tip = np.array([disc.x, disc.y]) + 0.4 * disc.radius * np.array([0.6, 0.8])
+    return chain(machine, machine.field(tip, mode.working)[0].theta, tip)
+
+
+def _machine(axes: Axes, survey: Map, mode: Mode) -> list[Line2D]:
+    """The machine in one of its postures, and its motors."""
+    axes.plot(*(survey.machine.motors.T * MM), "^", color=BLACK, markersize=7, zorder=9)
+    joints = _posture(survey, mode) * MM
+    if not len(joints):
+        return [Line2D([], [], color=BLACK, marker="^", linestyle="none", markersize=6, label="motors")]
+    axes.plot(*joints.T, color=WHITE, linewidth=4.2, zorder=7.9, solid_joinstyle="round")
+    axes.plot(*joints.T, color=BLACK, linewidth=2.0, zorder=8, solid_joinstyle="round", marker="o", markersize=3.5)
+    return [Line2D([], [], color=BLACK, linewidth=2.0, marker="o", markersize=3.5, label="a posture of the machine, with its motors ▲")]
+
+
+def chain(machine: Machine, theta: Floats, tip: Floats) -> Floats:
+    """Left motor, left elbow, tip, right elbow, right motor, m, shape (5, 2)."""
+    left = machine.lengths[0] * np.array([np.cos(theta[0]), np.sin(theta[0])])
+    right = machine.motors[1] + machine.lengths[3] * np.array([np.cos(theta[3]), np.sin(theta[3])])
+    return np.stack([machine.motors[0], left, tip, right, machine.motors[1]])
+
+
+
+
+def draw_modes(machine: Machine, tip: tuple[float, float], file: str | Path) -> None:
+    """Draws the machine with its tip at one place, m, in each working mode, with its links' numbers and the signs that name the mode."""
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(7.2, 5.0))
+        grid = figure.subplots(2, 2, sharex=True, sharey=True)
+        for axes, working in zip(grid.flat, WORKING_MODES):
+            posture = machine.inverse(tip, working)
+            joints = chain(machine, posture.theta, posture.tip) * MM
+            axes.plot(*(machine.motors.T * MM), "^", color=BLACK, markersize=8, zorder=3)
+            axes.plot(*joints[[1, 3]].T, color=SKY, linewidth=1.2, linestyle=":", zorder=1)
+            axes.annotate("", joints[3], joints[1], arrowprops={"arrowstyle": "->", "color": SKY, "linestyle": ":"})
+            for colour, rows in ((BLACK, [0, 1, 2]), (VERMILLION, [2, 3, 4])):
+                axes.plot(*joints[rows].T, color=colour, linewidth=2.2, marker="o", markersize=4, zorder=2)
+            for link, (begin, end) in enumerate(((0, 1), (1, 2), (3, 2), (4, 3))):
+                middle = joints[begin] + 0.4 * (joints[end] - joints[begin])
+                text = axes.text(*middle, f"{link + 1}", ha="center", va="center", fontsize=9, zorder=4)
+                text.set_bbox({"boxstyle": "circle,pad=0.15", "facecolor": WHITE, "edgecolor": (BLACK, VERMILLION)[link > 1], "linewidth": 0.8})
+            signs = ["> 0" if bend == "plus" else "< 0" for bend in working]
+            side = "> 0" if posture.assembly == "plus" else "< 0"
+            axes.set_title(
+                f"{working[0]}{working[1].capitalize()}: sin(θ₂ − θ₁) {signs[0]}, sin(θ₃ − θ₄) {signs[1]}\n"
+                f"assembly {posture.assembly}: sin(θ₃ − θ₂) {side}",
+                fontsize=8.5,
+            )
+            axes.set_aspect("equal")
+            axes.margins(0.12)
+            for spine in ("top", "right"):
+                axes.spines[spine].set_visible(False)
+        for axes in grid[1]:
+            axes.set_xlabel("x  (mm)")
+        for axes in grid[:, 0]:
+            axes.set_ylabel("y  (mm)")
+        figure.tight_layout()
+        figure.savefig(file, metadata={"Date": None} if Path(file).suffix == ".svg" else None)

@@ -1,0 +1,304 @@
+"""fivebar.workspace and fivebar.statics: maps of scenes, their pictures and tables."""
+
+import csv
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from fivebar import scene as scenes
+from fivebar import statics, workspace, workspace_pictures
+from fivebar.kinematics import WORKING_MODES, Machine, Working, sines
+from fivebar.scene import Scene
+from instance import Instance
+
+OUT: Working = ("minus", "plus")
+
+
+def made(values: dict[str, float | bool]) -> Scene:
+    """A scene of these values."""
+    return Scene("made", 1.0, 1e-3, values)
+
+
+def symmetric(distance: float, proximal: float, distal: float) -> dict[str, float | bool]:
+    """Lengths of a symmetric machine."""
+    lengths = {1: proximal, 2: distal, 3: distal, 4: proximal}
+    return {"base.distance": distance} | {f"link[{i}].length": length for i, length in lengths.items()}
+
+
+STOPPED = symmetric(0.3, 0.2, 0.25) | {"stop.enabled": True, "stop.lower[1]": 0.8, "stop.upper[1]": 3.0, "stop.upper[2]": 2.2}
+UNEVEN = {"base.distance": 0.25, "link[1].length": 0.2, "link[2].length": 0.3, "link[3].length": 0.22, "link[4].length": 0.17}
+MACHINES = {
+    "paper": {},
+    "dextar": symmetric(0.118, 0.09, 0.09),
+    "pantograph": symmetric(0.025, 0.063, 0.075),
+    "coaxial": symmetric(0.0, 0.10, 0.12),
+    "uneven": UNEVEN,
+    "stopped": STOPPED,
+}
+
+
+@pytest.fixture(scope="module", params=MACHINES)
+def survey(request: pytest.FixtureRequest) -> workspace.Map:
+    """The map of a machine."""
+    return workspace.compute(made(MACHINES[request.param]), cells=80, modes=[WORKING_MODES[0], WORKING_MODES[1]])
+
+
+# Discs
+
+
+def discs(values: dict[str, float | bool], working: Working) -> list[workspace.Disc]:
+    (mode,) = workspace.compute(made(values), modes=[working]).modes
+    return mode.discs
+
+
+def test_known_discs() -> None:
+    """The paper's machine has exact discs; DexTAR's above the motors ends at Watt's curve on the axis."""
+    below, above = discs({}, OUT)
+    assert (above.assembly, below.assembly) == ("plus", "minus")
+    assert [above.x, above.y, above.radius] == pytest.approx([0.21, 0.28, 0.07], abs=1e-6)
+    assert [below.x, below.y, below.radius] == pytest.approx([0.21, 0.0, 0.21], abs=1e-6)
+    (disc,) = [disc for disc in discs(MACHINES["dextar"], OUT) if disc.y > 0 and disc.assembly == "plus"]
+    assert [disc.x, disc.y, disc.radius] == pytest.approx([0.059, 0.125665777, 0.041173174], abs=1e-6)
+
+
+def test_discs_hold_no_singularity(survey: workspace.Map) -> None:
+    """Every place in a disc is reached, in its assembly, and within the stops; discs of one mode and assembly do not overlap."""
+    random = np.random.default_rng(4)
+    for mode in survey.modes:
+        few = np.count_nonzero(mode.reached & mode.within_stops) < 50
+        assert mode.discs or few or survey.machine.is_degenerate(mode.working)
+        for disc in mode.discs:
+            radius, angle = disc.radius * np.sqrt(random.uniform(0, 0.9999, 3000)), random.uniform(-np.pi, np.pi, 3000)
+            places = np.array([disc.x, disc.y]) + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+            posture, reached = survey.machine.field(places, mode.working)
+            assert reached.all() and np.all(posture.assembly == disc.assembly)
+            assert np.all(workspace.stop_margin(survey.scene, posture.motors) >= 0)
+        for i, disc in enumerate(mode.discs):
+            for other in mode.discs[:i]:
+                apart = np.hypot(disc.x - other.x, disc.y - other.y)
+                assert other.radius >= disc.radius
+                assert apart >= other.radius + disc.radius - 1e-7 or other.assembly != disc.assembly
+
+
+def test_no_disc_is_larger(survey: workspace.Map) -> None:
+    """A disc about any place of the grid that is larger than the largest one meets a singularity or a stop."""
+    places = np.stack(np.meshgrid(survey.x, survey.y), axis=-1)[::5, ::5].reshape(-1, 2)
+    rim = np.stack([np.cos(angle := np.linspace(-np.pi, np.pi, 721)), np.sin(angle)], axis=-1)
+    for mode in survey.modes:
+        largest = mode.discs[0].radius if mode.discs else 2 * (survey.x[1] - survey.x[0])
+        for place in places:
+            disc = place + largest * np.linspace(0, 1.02, 8)[:, None, None] * rim
+            posture, reached = survey.machine.field(disc, mode.working)
+            sides = sines(posture.theta)[..., 0]
+            feet = np.hypot(*(survey.machine.motors - place).T)
+            folded = survey.machine.reach[:, 0] == 0
+            free = reached.all() and (np.all(sides > 0) or np.all(sides < 0)) and not np.any(folded & (feet < largest))
+            assert not free or np.any(workspace.stop_margin(survey.scene, posture.motors) < 0), place
+
+
+def test_rings_take_no_longer() -> None:
+    """Coaxial motors with uneven legs have a ring of equally good places between circles of singularities: discs of half its width."""
+    lengths = {"link[1].length": 0.5, "link[2].length": 0.2, "link[3].length": 0.3, "link[4].length": 0.4}
+    (mode,) = workspace.compute(made({"base.distance": 0.0, **lengths}), cells=40, modes=[OUT]).modes
+    radii = sorted({circle.radius for circle in Machine.from_scene(made(lengths)).inverse_singularities()})
+    middle = np.hypot(mode.discs[0].x, mode.discs[0].y)
+    rims = [np.hypot(*curve.tip.T) for curve in mode.curves] + [np.array([radius]) for radius in radii]
+    assert min(np.abs(rim - middle).min() for rim in rims) == pytest.approx(mode.discs[0].radius, abs=1e-6)
+
+
+# Loci and stops
+
+
+def test_curves_belong_to_their_mode(survey: workspace.Map) -> None:
+    """Postures along a curve are in the mode, singular or at a stop, and what inverse kinematics finds there."""
+    for mode in survey.modes:
+        for curve in mode.curves:
+            posture, reached = survey.machine.field(curve.tip, mode.working)
+            inner = np.abs(sines(curve.theta)[:, 1:]).min(axis=-1) > 1e-4
+            assert reached[inner].all()
+            assert np.abs(np.sin((posture.theta - curve.theta)[inner] / 2)).max(initial=0) < 1e-6
+            if curve.kind == "direct":
+                assert np.abs(sines(curve.theta)[:, 0]).max() < 1e-9
+            else:
+                leg = int(curve.detail[-2]) - 1
+                assert np.abs(np.sin((posture.motors[inner, leg] - float(survey.scene[curve.detail])) / 2)).max(initial=0) < 1e-6
+                assert workspace.stop_margin(survey.scene, posture.motors)[inner].min(initial=0) > -1e-6
+
+
+def test_stops_count_turns() -> None:
+    """A motor is within its stops in the turn that suits best; stops a turn or more apart are none."""
+    scene = made({"stop.enabled": True, "stop.lower[1]": 3.0, "stop.upper[1]": 4.0, "stop.lower[2]": -4.0, "stop.upper[2]": 4.0})
+    motors = np.array([[-np.pi, 0.0], [3.5 - 2 * np.pi, 1.0], [0.0, 2.0], [2.9, 3.0]])
+    assert workspace.stop_margin(scene, motors) == pytest.approx([np.pi - 3, 0.5, 0.5 - (3.5 - 0.0 if 3.5 < np.pi else 2 * np.pi - 3.5), -0.1])
+    assert np.all(np.isinf(workspace.stop_margin(made({}), motors)))
+
+
+def test_fields_are_those_of_single_postures(survey: workspace.Map) -> None:
+    random = np.random.default_rng(6)
+    machine = survey.machine
+    for mode in survey.modes:
+        rows = np.argwhere(mode.reached)
+        for row, column in random.choice(rows, 40):
+            place = (survey.x[column], survey.y[row])
+            if min(np.hypot(*(machine.motors - place).T)) > 1e-6:
+                posture = machine.inverse(place, mode.working)
+                assert mode.theta[row, column] == pytest.approx(posture.theta, abs=1e-12)
+                assert mode.dexterity[row, column] == pytest.approx(machine.dexterity(posture.theta), abs=1e-12)
+        assert np.array_equal(mode.reached, machine.is_reachable(np.stack(np.meshgrid(survey.x, survey.y), axis=-1)))
+        assert np.count_nonzero(mode.reached) * (survey.x[1] - survey.x[0]) ** 2 == pytest.approx(machine.reach_area, rel=0.03)
+
+
+def test_legs_that_never_meet_are_refused() -> None:
+    with pytest.raises(ValueError, match="the left leg reaches from 0 to 0.42 m, the right one from 0 to 0.42 m, so that they never meet"):
+        workspace.compute(made({"base.distance": 0.9}))
+
+
+# Forces
+
+LOADED = UNEVEN | {
+    "payload.enabled": True, "payload.mass": 0.3, "spring.enabled": True, "spring.k[1]": 0.2, "spring.theta0[1]": 1.0,
+    "spring.k[2]": 0.1, "gravity.tilt": 1.1, "gravity.direction": -1.2, "link[2].mass": 0.05, "link[3].com": 0.07, "link[4].mass": 0.03,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("values", [{}, LOADED], ids=["start values", "loaded"])
+def test_the_unit_stays_at_rest(new: Callable[..., Instance], values: dict[str, float | bool]) -> None:
+    """With the holding torques, and with a force that more of them balance, nothing accelerates."""
+    scene, instance = made(values), new()
+    machine, random = Machine.from_scene(scene), np.random.default_rng(8)
+    for _ in range(30):
+        tip = random.uniform((0.1, 0.15), (machine.distance - 0.1, 0.3))
+        posture = machine.inverse(tip, OUT)
+        force = random.uniform(-2, 2, 2)
+        torque = statics.holding_torques(scene, posture.theta) + machine.motor_torques(posture.theta, force)
+        instance.slave.reset()
+        # Springs count whole turns; statics takes the turn that is nearest to their rest.
+        turns = [2 * np.pi * np.round((float(scene[f"spring.theta0[{i + 1}]"]) - posture.motors[i]) / (2 * np.pi)) for i in (0, 1)]
+        starts = {f"init.theta[{i + 1}]": posture.motors[i] + turns[i] for i in (0, 1)} | {"init.assembly": 1 if posture.assembly == "plus" else 2}
+        inputs = {"tau[1]": torque[0], "tau[2]": torque[1], "tip.fx": -force[0], "tip.fy": -force[1]}
+        instance.initialise({**values, **starts, **inputs})
+        # Without these torques it would be some hundred rad/s2.
+        assert max(abs(instance.get("alpha[1]")), abs(instance.get("alpha[2]"))) < 1e-8 / abs(sines(posture.theta)[0])
+
+
+def test_tip_force_is_what_all_directions_allow() -> None:
+    """The torques that its force needs are within the limits in every direction, and at one of them in the worst."""
+    scene, limits = made(LOADED), (1.5, 0.9)
+    machine = Machine.from_scene(scene)
+    tips = np.random.default_rng(9).uniform((0.0, 0.15), (machine.distance, 0.3), (50, 2))
+    theta = machine.inverse(tips, OUT).theta
+    held = statics.tip_force(scene, theta, limits)
+    assert held.min() < 0 < held.max()
+    directions = np.stack([np.cos(angle := np.linspace(-np.pi, np.pi, 20_001)), np.sin(angle)], axis=-1)
+    for posture, force in zip(theta, held):
+        torques = statics.holding_torques(scene, posture)
+        if force >= 0:
+            needed = np.abs(torques + machine.motor_torques(np.broadcast_to(posture, (len(directions), 4)), force * directions))
+            assert (needed / limits).max() == pytest.approx(1.0, abs=1e-6)
+        else:
+            assert np.any(np.abs(torques) > limits)
+
+
+def test_tip_force_ends_at_direct_singularities() -> None:
+    machine = Machine.from_scene(made({}))
+    for locus in machine.direct_singularities(200):
+        regular = np.abs(sines(locus.theta)[:, 1:]).min(axis=-1) > 1e-6
+        assert np.all(statics.tip_force(made({}), locus.theta[regular], (1.0, 1.0)) <= 1e-9)
+
+
+# Pictures and tables
+
+
+def test_pictures_and_tables(tmp_path: Path) -> None:
+    """Every file is there, the same twice; tables are numbers under names with units; pictures are of modest size."""
+    values = MACHINES["stopped"] | {"servo.enabled": True, "payload.enabled": True}
+    map_ = workspace.compute(made(values), cells=60, modes=WORKING_MODES[:2])
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        files = workspace.write(map_, folder) + workspace_pictures.draw(map_, folder)
+        assert sorted(files) == sorted(folder.iterdir())
+    names = {path.name for path in (tmp_path / "a").iterdir()}
+    pictures = {f"{kind}_{mode.name}.{suffix}" for kind in ("condition", "force") for mode in map_.modes for suffix in ("svg", "png")}
+    assert names == pictures | {"field.csv", "loci.csv", "discs.csv"} and len(pictures) == 8
+    for name in names:
+        content = (tmp_path / "a" / name).read_bytes()
+        assert content == (tmp_path / "b" / name).read_bytes(), name
+        assert len(content) < (400_000 if name in pictures else 20_000_000)
+    with (tmp_path / "a" / "field.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == sum(int(np.count_nonzero(mode.reached)) for mode in map_.modes)
+    assert {row["working"] for row in rows} == {"minusPlus", "plusPlus"}
+    assert all(np.isfinite(float(row[name])) for row in rows for name in row if "[" in name and row[name] not in ("inf", "-inf"))
+    with (tmp_path / "a" / "loci.csv").open(encoding="utf-8") as file:
+        assert {row["kind"] for row in csv.DictReader(file)} == {"inverse", "direct", "stop"}
+
+
+def boxes(figure: Figure) -> tuple[list[float], list[tuple[str, list[float]]]]:
+    """The box of the map's axes in pixels, and those of all texts and of the colour bar."""
+    FigureCanvasAgg(figure).draw()
+    axes, bar = figure.axes
+    legend = axes.get_legend()
+    texts = [*legend.get_texts(), axes.title, axes._left_title, *axes.texts, axes.xaxis.label, axes.yaxis.label, *(bar.get_yticklabels() if bar.axison else [])]
+    found = [(text.get_text(), text.get_window_extent()) for text in texts if text.get_text()]
+    found += [("legend", legend.get_window_extent()), ("colour bar", bar.get_window_extent())]
+    return axes.get_window_extent().extents.tolist(), [(name, box.extents.tolist()) for name, box in found]
+
+
+@pytest.mark.parametrize("machine", ["paper", "coaxial", "stopped"])
+def test_labels_cover_nothing(machine: str) -> None:
+    """No text, legend or colour bar lies over the axes or over another one."""
+    for picture, limits in ((workspace_pictures.condition_picture, None), (workspace_pictures.force_picture, (0.5, 0.5))):
+        map_ = workspace.compute(made(MACHINES[machine]), limits, cells=40, modes=WORKING_MODES[:2])
+        for mode in map_.modes:
+            with matplotlib.rc_context(workspace_pictures.STYLE):
+                frame, labels = boxes(picture(map_, mode))
+            single = [label for label in labels if label[0] not in ("legend", "colour bar")]
+            pairs = [(("axes", frame), label) for label in labels] + [(a, b) for i, a in enumerate(single) for b in single[:i]]
+            for (a, (left, bottom, right, top)), (b, other) in pairs:
+                apart = left >= other[2] - 1 or other[0] >= right - 1 or bottom >= other[3] - 1 or other[1] >= top - 1
+                assert apart, f"{a!r} and {b!r} overlap in {mode.name}"
+
+
+def test_the_module_maps_a_scene(tmp_path: Path, fmu: Path, scenes: Path) -> None:
+    """As a user runs it: pictures that show something, the scene's motion where it was; what is wrong is one sentence."""
+    (tmp_path / "target" / "fmu").mkdir(parents=True)
+    (tmp_path / "target" / "fmu" / "FiveBar.fmu").symlink_to(fmu)
+    (tmp_path / "target" / "scenes").symlink_to(scenes)
+    run = lambda *words: subprocess.run(  # noqa: E731
+        [sys.executable, "-m", "fivebar.workspace", *words], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    done = run("pick_and_place", "--mode", "minusPlus")
+    assert done.returncode == 0, done.stderr
+    assert "minusPlus, assembly plus: largest disc" in done.stdout and "Warning" not in done.stdout
+    for name in ("condition_minusPlus.png", "force_minusPlus.png"):
+        with Image.open(tmp_path / "pick_and_place" / name) as picture:
+            assert min(picture.size) > 700 and len(picture.convert("RGB").getcolors(1_000_000) or []) > 20
+    with (tmp_path / "pick_and_place" / "path.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    machine = Machine.from_scene(scenes / "pick_and_place.json")
+    theta = np.array([[float(row[f"{name} [rad]"]) for name in workspace.ANGLES] for row in rows])
+    tip = np.array([[float(row["x [m]"]), float(row["y [m]"])] for row in rows])
+    assert len(rows) == 1601 and np.abs(machine.forward(theta[:, [0, 3]]).tip - tip).max() < 1e-8
+    refused = run("nonsense")
+    assert refused.returncode == 1 and refused.stdout == "" and len(refused.stderr.splitlines()) == 1
+    assert "There is no scene 'nonsense'" in refused.stderr
+
+
+def test_path_by_modes() -> None:
+    """A motion is told apart by working mode."""
+    machine = Machine.from_scene(made({}))
+    theta = np.concatenate([machine.inverse([(0.2, 0.3), (0.21, 0.3)], working).theta for working in (OUT, ("plus", "plus"))])
+    path = workspace.Path(np.arange(4.0), np.zeros((4, 2)), theta)
+    assert path.parts(OUT) == [slice(0, 2)] and path.parts(("plus", "plus")) == [slice(2, 4)] and path.parts(("minus", "minus")) == []
+
+
+def test_unknown_files_of_scenes_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="There is no file"):
+        scenes.read(tmp_path / "nothing.json")
