@@ -4,6 +4,7 @@ use super::{CallError, Stage};
 use crate::variables::{FmiType, Value, Variable, VariableId};
 
 /// The variable of a value reference.
+#[inline(always)] // 38 instructions less for each input that is set
 pub(super) fn find(reference: u32) -> Result<&'static Variable, CallError> {
     Variable::find(reference).ok_or_else(|| CallError::error(format!("value reference {reference} belongs to no variable.")))
 }
