@@ -2,12 +2,14 @@
 //!
 //! The modules and the arrows between them are described in `ARCHITECTURE.md`.
 
+pub mod dynamics;
 pub mod effects;
 pub mod estimator;
 pub mod ffi;
 pub mod fmi;
 pub mod integrator;
 pub mod linear;
+pub mod matrix;
 pub mod mechanism;
 pub mod observers;
 pub mod scalar;

@@ -22,13 +22,11 @@
 //! near w = 0 is T_c/(w_c I), some 1,500/s for the paper's links: stiff for explicit methods. Above w_brk the slope is negative. By the
 //! set-valued law there is no presliding displacement and no growth of T_brk with the time at rest.
 
-use super::force_context::{ForceContext, JOINTS, add_joint_damping, add_joint_torque, is_inner};
-use super::step_context::{add_joint_slopes, end_weight};
+use super::force_law::{ForceLaw, PowerFlow};
 use super::stick_slip::{FrictionConstraint, FrictionConstraints, Law};
-use super::{Force, MeanForce, StepContext, Tangents};
-use crate::mechanism::coordinates::THETA;
+use super::wrench::{JOINTS, JointMotion, Motion, Wrench};
 use crate::mechanism::exponential::gaussian_and_tanh;
-use crate::mechanism::{COORDINATES, Coordinates, LINKS, Mechanism, SceneError, not_negative, positive};
+use crate::mechanism::{Mechanism, SceneError, not_negative, positive};
 
 /// The `friction.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -48,7 +46,6 @@ pub struct Parameters {
 /// The friction curve of one joint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Curve {
-    joint: usize,
     /// Coulomb torque T_c, N·m.
     coulomb: f64,
     /// Breakaway torque T_brk, N·m.
@@ -69,59 +66,8 @@ pub struct Friction {
 }
 
 impl Friction {
-    fn curves(&self) -> impl Iterator<Item = &Curve> {
-        self.curves.iter().flatten()
-    }
-
-    /// Friction torque −T by the chosen law at a joint's rate, rad/s, N·m.
-    #[inline]
-    fn drag_by_law(&self, curve: &Curve, rate: f64, at: &ForceContext) -> f64 {
-        match self.law {
-            Law::Smooth => self.drag(curve, rate),
-            Law::Stick => at.mode.stick_slip.direction(curve.joint, rate) * self.sliding(curve, rate),
-        }
-    }
-
-    /// Derivative −∂T/∂w by the chosen law, N·m·s/rad.
-    fn slope_by_law(&self, curve: &Curve, at: &ForceContext) -> f64 {
-        let rate = at.joint_rate(curve.joint);
-        match self.law {
-            Law::Smooth => self.slope(curve, rate),
-            Law::Stick => {
-                let u = rate / self.stribeck_rate;
-                let fall = (curve.breakaway - curve.coulomb) * libm::exp(-u * u) * 2.0 * u / self.stribeck_rate;
-                -at.mode.stick_slip.direction(curve.joint, rate) * fall
-            }
-        }
-    }
-
-    /// Magnitude |T| in a slipping joint by the set-valued law, N·m.
-    fn sliding(&self, curve: &Curve, rate: f64) -> f64 {
-        let u = rate / self.stribeck_rate;
-        curve.coulomb + (curve.breakaway - curve.coulomb) * libm::exp(-u * u)
-    }
-
-    /// Friction torque −T by the smooth law, N·m.
-    fn drag(&self, curve: &Curve, rate: f64) -> f64 {
-        let u = rate / self.stribeck_rate;
-        let [bell, tanh] = gaussian_and_tanh(u, rate / self.coulomb_rate);
-        curve.stribeck * bell * u + curve.coulomb * tanh
-    }
-
-    /// Derivative −∂T/∂w by the smooth law, N·m·s/rad.
-    fn slope(&self, curve: &Curve, rate: f64) -> f64 {
-        let u = rate / self.stribeck_rate;
-        let [bell, tanh] = gaussian_and_tanh(u, rate / self.coulomb_rate);
-        curve.stribeck / self.stribeck_rate * bell * (1.0 - 2.0 * u * u) + curve.coulomb / self.coulomb_rate * (1.0 - tanh * tanh)
-    }
-}
-
-impl Force for Friction {
-    type Parameters = Parameters;
-
-    const HAS_STIFF_FORCES: bool = true;
-
-    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
+    /// Makes the friction ready; refuses torques that are negative, or below the Coulomb torque at breakaway.
+    pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let mut curves = [None; JOINTS];
         for (joint, curve) in curves.iter_mut().enumerate() {
             let (coulomb, breakaway) = (parameters.coulomb[joint], parameters.breakaway[joint]);
@@ -135,7 +81,7 @@ impl Force for Friction {
             }
             if breakaway > 0.0 {
                 let stribeck = (2.0 * std::f64::consts::E).sqrt() * (breakaway - coulomb);
-                *curve = Some(Curve { joint, coulomb, breakaway, stribeck });
+                *curve = Some(Curve { coulomb, breakaway, stribeck });
             }
         }
         let velocity = parameters.breakaway_velocity;
@@ -143,128 +89,99 @@ impl Force for Friction {
         Ok(Self { curves, stribeck_rate: std::f64::consts::SQRT_2 * velocity, coulomb_rate: velocity / 10.0, law: parameters.law })
     }
 
-    fn couples_links(&self) -> bool {
-        self.curves().any(|curve| is_inner(curve.joint))
+    /// Values of a quantity of each curve by joint; `none` in joints without friction.
+    fn by_joint<T: Copy>(&self, none: T, of: impl Fn(usize, &Curve) -> T) -> [T; JOINTS] {
+        std::array::from_fn(|joint| self.curves[joint].as_ref().map_or(none, |curve| of(joint, curve)))
     }
 
-    fn conservative(&self) -> bool {
-        false
+    /// Rates w_st and w_c multiplied by a softening, rad/s.
+    fn rates(&self, softening: f64) -> [f64; 2] {
+        [softening * self.stribeck_rate, softening * self.coulomb_rate]
     }
 
-    #[inline(never)]
-    fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        for curve in self.curves() {
-            add_joint_torque(curve.joint, -self.drag_by_law(curve, at.joint_rate(curve.joint), at), forces);
+    /// Friction torque −T of a joint, N·m.
+    fn drag(&self, joint: usize, curve: &Curve, joints: &JointMotion) -> f64 {
+        let rate = joints.rates[joint];
+        let [stribeck_rate, coulomb_rate] = self.rates(joints.softening);
+        let u = rate / stribeck_rate;
+        match self.law {
+            Law::Smooth => {
+                let [bell, tanh] = gaussian_and_tanh(u, rate / coulomb_rate);
+                curve.stribeck * bell * u + curve.coulomb * tanh
+            }
+            Law::Stick => {
+                let sliding = curve.coulomb + (curve.breakaway - curve.coulomb) * libm::exp(-u * u);
+                joints.mode.stick_slip.direction(joint, rate) * sliding
+            }
         }
     }
 
-    #[inline(never)]
-    fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
-        for curve in self.curves() {
-            add_joint_damping(curve.joint, self.slope_by_law(curve, at), tangents);
+    /// Derivative −∂T/∂w of a joint, N·m·s/rad.
+    fn slope(&self, joint: usize, curve: &Curve, joints: &JointMotion) -> f64 {
+        let rate = joints.rates[joint];
+        let [stribeck_rate, coulomb_rate] = self.rates(joints.softening);
+        let u = rate / stribeck_rate;
+        match self.law {
+            Law::Smooth => {
+                let [bell, tanh] = gaussian_and_tanh(u, rate / coulomb_rate);
+                curve.stribeck / stribeck_rate * bell * (1.0 - 2.0 * u * u) + curve.coulomb / coulomb_rate * (1.0 - tanh * tanh)
+            }
+            Law::Stick => {
+                let fall = (curve.breakaway - curve.coulomb) * libm::exp(-u * u) * 2.0 * u / stribeck_rate;
+                -joints.mode.stick_slip.direction(joint, rate) * fall
+            }
         }
     }
+}
 
-    #[inline(never)]
-    fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
-        let mut dissipated = 0.0;
-        for curve in self.curves() {
-            let rate = at.joint_rate(curve.joint);
-            let drag = self.drag_by_law(curve, rate, at);
-            add_joint_torque(curve.joint, -drag, forces);
-            dissipated += drag * rate;
-        }
-        [0.0, dissipated]
+impl ForceLaw for Friction {
+    fn power_flow(&self) -> PowerFlow {
+        PowerFlow::Dissipated
     }
 
-    fn dissipation(&self, at: &ForceContext) -> f64 {
-        let power = |curve: &Curve| {
-            let rate = at.joint_rate(curve.joint);
-            self.drag_by_law(curve, rate, at) * rate
-        };
-        self.curves().map(power).sum()
+    fn torques(&self, joints: &JointMotion) -> [f64; JOINTS] {
+        self.by_joint(0.0, |joint, curve| -self.drag(joint, curve, joints))
+    }
+
+    fn slopes(&self, joints: &JointMotion) -> [[f64; 2]; JOINTS] {
+        self.by_joint([0.0; 2], |joint, curve| [0.0, self.slope(joint, curve, joints)])
+    }
+
+    /// The slope at w = 0 in closed form: it avoids exp(0), which raises an inexact flag that some masters trap.
+    fn largest_slopes(&self, softening: f64) -> [[f64; 2]; JOINTS] {
+        let [stribeck_rate, coulomb_rate] = self.rates(softening);
+        self.by_joint([0.0; 2], |_, curve| [0.0, curve.stribeck / stribeck_rate + curve.coulomb / coulomb_rate])
+    }
+
+    fn has_stiff_forces(&self) -> bool {
+        true
+    }
+
+    fn has_sharp_nonlinearity(&self) -> bool {
+        !self.sticks()
+    }
+
+    fn regularization_velocity(&self) -> f64 {
+        if self.sticks() { f64::INFINITY } else { self.coulomb_rate }
     }
 
     fn sticks(&self) -> bool {
         self.law == Law::Stick
     }
 
-    // Out of line: inlined, it would read a field that another variant of `Effect` has not written and discard the value, which valgrind
-    // reports.
-    #[cold]
-    #[inline(never)]
-    fn regularization_velocity(&self) -> f64 {
-        if self.sticks() { f64::INFINITY } else { self.coulomb_rate }
-    }
-
-    #[cold]
-    fn has_sharp_nonlinearity(&self) -> bool {
-        !self.sticks()
-    }
-
-    #[cold]
-    fn add_friction_constraints(&self, at: &ForceContext, friction_constraints: &mut FrictionConstraints<COORDINATES>) {
-        if self.law == Law::Smooth {
+    fn add_friction_constraints(&self, at: &Motion, constraints: &mut FrictionConstraints) {
+        if !self.sticks() {
             return;
         }
-        for curve in self.curves() {
-            let mut row = Coordinates::ZERO;
-            add_joint_torque(curve.joint, 1.0, &mut row);
-            let arms = std::array::from_fn::<_, LINKS, _>(|link| row[THETA[link]].abs());
-            let rate = at.joint_rate(curve.joint);
-            friction_constraints.push(FrictionConstraint {
-                place: curve.joint,
-                row,
-                drift: 0.0,
-                rate,
-                bound: curve.breakaway,
-                arms,
-            });
+        for (joint, curve) in self.curves.iter().enumerate() {
+            if let Some(curve) = curve {
+                constraints.push(FrictionConstraint {
+                    place: joint,
+                    wrench: Wrench::of_joint(joint),
+                    rate: at.joints.rates[joint],
+                    bound: curve.breakaway,
+                });
+            }
         }
-    }
-}
-
-impl MeanForce for Friction {
-    #[inline(never)]
-    fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
-        let softened = self.softened(over.softening);
-        for curve in self.curves() {
-            let rate = softened.rate_over(curve, over);
-            add_joint_torque(curve.joint, -softened.drag(curve, rate), forces);
-        }
-    }
-
-    #[inline(never)]
-    fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
-        let softened = self.softened(over.softening);
-        for curve in self.curves() {
-            let slope = softened.slope(curve, softened.rate_over(curve, over));
-            let weight = softened.end_weight(curve, over);
-            add_joint_slopes(curve.joint, [(1.0 - weight) * slope / over.h, weight * slope], tangents);
-        }
-    }
-
-    fn dissipated_over(&self, over: &StepContext) -> f64 {
-        self.curves().map(|curve| self.drag(curve, self.rate_over(curve, over)) * over.joint(curve.joint)[0]).sum()
-    }
-}
-
-impl Friction {
-    /// Friction with the rates w_c and w_st multiplied by a factor.
-    fn softened(&self, factor: f64) -> Self {
-        Self { coulomb_rate: factor * self.coulomb_rate, stribeck_rate: factor * self.stribeck_rate, ..*self }
-    }
-
-    /// Weight γ of the rate at the step's end (`step_context.rs`): the larger, the steeper the curve.
-    fn end_weight(&self, curve: &Curve, over: &StepContext) -> f64 {
-        // The slope at w = 0 in closed form: avoids exp(0), which raises an inexact flag that some masters trap.
-        end_weight(over.decay(curve.stribeck / self.stribeck_rate + curve.coulomb / self.coulomb_rate))
-    }
-
-    /// Rate at which the torque of a step is evaluated, rad/s.
-    fn rate_over(&self, curve: &Curve, over: &StepContext) -> f64 {
-        let [change, end] = over.joint(curve.joint);
-        let mean = change / over.h;
-        mean + self.end_weight(curve, over) * (end - mean)
     }
 }

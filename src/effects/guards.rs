@@ -9,9 +9,10 @@
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
+use super::Active;
 use super::stick_slip::{FRICTION_PLACES, StickSlip, StickSlips};
 use super::unilateral_spring::{Phase, PhaseGuard, UnilateralSpring, parabola_bound};
-use super::{Active, ForceContext};
+use super::wrench::Motion;
 use crate::mechanism::{ClosureBranch, LINKS};
 
 /// Number of unilateral springs: one of the contact, two stops on each motor axis.
@@ -74,7 +75,7 @@ pub struct Extremes {
 
 /// A unilateral spring at a state, with the quantities of its guards.
 #[derive(Clone, Copy)]
-pub(super) struct UnilateralGuard<'a> {
+pub struct UnilateralGuard<'a> {
     /// Index in [`Mode`].
     pub(super) place: usize,
     pub(super) spring: &'a UnilateralSpring,
@@ -88,28 +89,28 @@ pub(super) struct UnilateralGuard<'a> {
 
 impl UnilateralGuard<'_> {
     /// Whether the spring neither pushes nor dissipates.
-    pub(super) fn is_idle(&self, at: &ForceContext) -> bool {
-        at.mode.springs[self.place].map_or(self.depth <= 0.0, |phase| !phase.pushes())
+    pub(super) fn is_idle(&self, mode: &Mode) -> bool {
+        mode.springs[self.place].map_or(self.depth <= 0.0, |phase| !phase.pushes())
     }
 
     /// Normal force or torque N of the spring, N or N·m.
-    pub(super) fn force(&self, at: &ForceContext) -> f64 {
-        self.spring.force(self.phase(&at.mode), self.depth, self.rate)
+    pub(super) fn force(&self, mode: &Mode) -> f64 {
+        self.spring.force(self.phase(mode), self.depth, self.rate)
     }
 
     /// Derivatives ∂N/∂d, N/m or N·m/rad, and ∂N/∂ḋ, N·s/m or N·m·s/rad.
-    pub(super) fn slopes(&self, at: &ForceContext) -> [f64; 2] {
-        self.spring.slopes(self.phase(&at.mode), self.depth, self.rate)
+    pub(super) fn slopes(&self, mode: &Mode) -> [f64; 2] {
+        self.spring.slopes(self.phase(mode), self.depth, self.rate)
     }
 
     /// Potential U of the spring, J.
-    pub(super) fn potential(&self, at: &ForceContext) -> f64 {
-        self.spring.potential(self.phase(&at.mode), self.depth)
+    pub(super) fn potential(&self, mode: &Mode) -> f64 {
+        self.spring.potential(self.phase(mode), self.depth)
     }
 
     /// Dissipated power, W; without the loss of a spring whose stored phase is separated ([`GuardValues::separation_energy`]).
-    pub(super) fn dissipation(&self, at: &ForceContext) -> f64 {
-        self.spring.dissipation(self.phase(&at.mode), self.depth, self.rate)
+    pub(super) fn dissipation(&self, mode: &Mode) -> f64 {
+        self.spring.dissipation(self.phase(mode), self.depth, self.rate)
     }
 
     /// The phase by the mode, or else of the present state.
@@ -249,7 +250,7 @@ pub struct GuardValues<'a> {
 
 impl<'a> GuardValues<'a> {
     /// Guard values of a state, given those of friction.
-    pub fn new(effects: &'a Active, at: &ForceContext, friction_guards: FrictionGuards) -> Self {
+    pub fn new(effects: &'a Active, at: &Motion, friction_guards: FrictionGuards) -> Self {
         Self { springs: effects.iter().flat_map(|effect| effect.guard_values(at)).collect(), friction_guards }
     }
 

@@ -1,14 +1,11 @@
 //! Inputs set by an FMI master: motor torques on the proximal links (against the ground), a force on the tip, servo references.
 //!
 //! The tip force acts on the left distal link (link 2), whose joint with link 3 is the tip: reaction 3 is the force of link 3 on link 2.
-//! Q = τ in the proximal angles; F at the centre of mass of link 2 and r × F in its angle, r = b û the arm to the tip, so that
-//! K = r·F in that angle. All inputs are held over a macro step. Only the servo reads the references.
+//! All inputs are held over a macro step. Only the servo reads the references.
 
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::force_context::{ForceContext, MOTOR_ANGLES};
-use super::{StepContext, Tangents};
-use crate::mechanism::Coordinates;
+use super::wrench::{MOTOR_ANGLES, Planar, Wrench, dot};
 
 /// Inputs set by the master, held over a macro step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, BorshSerialize, BorshDeserialize)]
@@ -80,55 +77,19 @@ impl Inputs {
         }
     }
 
-    /// Adds the generalised forces of the loads, N and N·m.
+    /// Wrench of the loads.
     #[inline]
-    pub fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        for (motor, tau) in MOTOR_ANGLES.into_iter().zip(self.tau) {
-            forces[motor] += tau;
+    pub fn wrench(&self) -> Wrench {
+        let mut wrench = Wrench::of_tip(self.tip_force);
+        for (joint, torque) in MOTOR_ANGLES.into_iter().zip(self.tau) {
+            wrench.torques[joint] = torque;
         }
-        at.tip().add_force(self.tip_force, forces);
+        wrench
     }
 
-    /// Adds the tangents of the loads.
-    #[inline]
-    pub fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
-        at.tip().add_geometric_stiffness(self.tip_force, tangents);
-    }
-
-    /// Adds the mean generalised forces of the loads over a step, N and N·m: their work is force times displacement.
-    #[inline]
-    pub fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
-        for (motor, tau) in MOTOR_ANGLES.into_iter().zip(self.tau) {
-            forces[motor] += tau;
-        }
-        over.tip().add_force(self.tip_force, forces);
-    }
-
-    /// Adds the tangents of the mean generalised forces of the loads over a step.
-    #[inline]
-    pub fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
-        over.tip().add_geometric_stiffness(self.tip_force, tangents);
-    }
-
-    /// Work of the loads over a step, J.
-    #[inline]
-    pub fn input_over(&self, over: &StepContext) -> f64 {
-        let mut forces = Coordinates::ZERO;
-        self.add_mean_forces(over, &mut forces);
-        forces.dot(over.d)
-    }
-
-    /// Potential of the held loads, −τ·θ − F·tip, J. Angles leave out whole turns, which a step does not change.
-    pub fn potential(&self, at: &ForceContext) -> f64 {
-        let ([x, y], [fx, fy]) = (at.tip().position, self.tip_force);
-        -(self.tau[0] * at.q[MOTOR_ANGLES[0]] + self.tau[1] * at.q[MOTOR_ANGLES[1]] + fx * x + fy * y)
-    }
-
-    /// Power of the loads, W.
-    #[inline]
-    pub fn power(&self, at: &ForceContext) -> f64 {
-        let mut forces = Coordinates::ZERO;
-        self.add_forces(at, &mut forces);
-        forces.dot(at.v)
+    /// Potential of the held loads, −τ·θ − F·tip, J, at angles of the motor axes, rad, and a position of the tip, m. The angles may leave out
+    /// whole turns, which a step does not change.
+    pub fn potential(&self, angles: [f64; 2], position: Planar) -> f64 {
+        -(dot(self.tau, angles) + dot(self.tip_force, position))
     }
 }

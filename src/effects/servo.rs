@@ -9,11 +9,11 @@
 //! counts as input. θ counts whole turns. Defaults: kp 2 N·m/rad, kd 0.02 N·m·s/rad, a desk-top device's; limit 1 N·m.
 //! Limits: continuous in time (no sampling, no delay, no quantisation), no integral action; motor dynamics are not modelled.
 
-use super::force_context::{ForceContext, MOTOR_ANGLES};
-use super::step_context::end_weight;
-use super::{Force, Inputs, MeanForce, StepContext, Tangents};
+use super::Inputs;
+use super::force_law::{ForceLaw, PowerFlow};
+use super::wrench::{JOINTS, JointMotion, MOTOR_ANGLES};
 use crate::mechanism::exponential::tanh;
-use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative, positive};
+use crate::mechanism::{Mechanism, SceneError, not_negative, positive};
 
 /// Largest angle to saturation, limit/kp, rad, of a servo with a sharp nonlinearity. A servo that saturates at a larger angle is nearly
 /// linear over a step; where it is stiff as well, a search for the nonlinearity would find round-off.
@@ -41,29 +41,8 @@ pub struct Servo {
 }
 
 impl Servo {
-    /// Relative torques T/limit of the left and right servo.
-    fn relative_torques(&self, at: &ForceContext) -> [f64; 2] {
-        let requested = [0, 1].map(|i| {
-            let angle = self.kp[i] * (at.inputs.servo_theta[i] - at.motor_angle(i));
-            let rate = self.kd[i] * (at.inputs.servo_omega[i] - at.motor_rate(i));
-            (angle + rate) / self.limit[i]
-        });
-        tanh(requested.into()).to_array()
-    }
-
-    /// Torques of the left and right servo, N·m.
-    pub fn torques(&self, at: &ForceContext) -> [f64; 2] {
-        let relative_torques = self.relative_torques(at);
-        [0, 1].map(|i| self.limit[i] * relative_torques[i])
-    }
-}
-
-impl Force for Servo {
-    type Parameters = Parameters;
-
-    const HAS_STIFF_FORCES: bool = true;
-
-    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
+    /// Makes the servos ready; refuses negative gains and limits that are not positive.
+    pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { kp, kd, limit, .. } = *parameters;
         for i in 0..2 {
             not_negative(format_args!("servo.kp[{}]", i + 1), kp[i], "N.m/rad")?;
@@ -73,89 +52,67 @@ impl Force for Servo {
         Ok(Self { kp, kd, limit })
     }
 
-    fn conservative(&self) -> bool {
-        false
+    /// Relative torques T/limit of the left and right servo.
+    fn relative_torques(&self, joints: &JointMotion) -> [f64; 2] {
+        let JointMotion { angles, moved, rates, inputs, .. } = joints;
+        let requested = [0, 1].map(|i| {
+            // The difference comes first: close to the reference it is exact, and finer than the round-off of the angle.
+            let angle = self.kp[i] * ((inputs.servo_theta[i] - angles[i]) - moved[i]);
+            let rate = self.kd[i] * (inputs.servo_omega[i] - rates[MOTOR_ANGLES[i]]);
+            (angle + rate) / (joints.softening * self.limit[i])
+        });
+        tanh(requested.into()).to_array()
     }
 
-    #[cold]
+    /// Derivatives of the left and right torque by the argument of tanh times the limit, 0 to 1.
+    fn openness(&self, joints: &JointMotion) -> [f64; 2] {
+        self.relative_torques(joints).map(|relative_torque| (1.0 - relative_torque * relative_torque) / joints.softening)
+    }
+
+    /// Slopes of the joints for derivatives of the left and right torque by the argument of tanh times the limit.
+    fn slopes_at(&self, openness: [f64; 2]) -> [[f64; 2]; JOINTS] {
+        let mut slopes = [[0.0; 2]; JOINTS];
+        for (i, joint) in MOTOR_ANGLES.into_iter().enumerate() {
+            slopes[joint] = [self.kp[i] * openness[i], self.kd[i] * openness[i]];
+        }
+        slopes
+    }
+}
+
+impl ForceLaw for Servo {
+    fn power_flow(&self) -> PowerFlow {
+        PowerFlow::Supplied
+    }
+
+    fn torques(&self, joints: &JointMotion) -> [f64; JOINTS] {
+        let (mut torques, relative_torques) = ([0.0; JOINTS], self.relative_torques(joints));
+        for (i, joint) in MOTOR_ANGLES.into_iter().enumerate() {
+            torques[joint] = self.limit[i] * relative_torques[i];
+        }
+        torques
+    }
+
+    fn slopes(&self, joints: &JointMotion) -> [[f64; 2]; JOINTS] {
+        self.slopes_at(self.openness(joints))
+    }
+
+    fn largest_slopes(&self, _softening: f64) -> [[f64; 2]; JOINTS] {
+        self.slopes_at([1.0; 2])
+    }
+
+    fn torques_by_inputs(&self, joints: &JointMotion, change: &Inputs) -> [f64; JOINTS] {
+        let (mut torques, openness) = ([0.0; JOINTS], self.openness(joints));
+        for (i, joint) in MOTOR_ANGLES.into_iter().enumerate() {
+            torques[joint] = openness[i] * (self.kp[i] * change.servo_theta[i] + self.kd[i] * change.servo_omega[i]);
+        }
+        torques
+    }
+
+    fn has_stiff_forces(&self) -> bool {
+        true
+    }
+
     fn has_sharp_nonlinearity(&self) -> bool {
         (0..2).any(|i| self.limit[i] < SHARP_SATURATION * self.kp[i])
-    }
-
-    #[inline(never)]
-    fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        for (motor, torque) in MOTOR_ANGLES.into_iter().zip(self.torques(at)) {
-            forces[motor] += torque;
-        }
-    }
-
-    #[inline(never)]
-    fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
-        let relative_torques = self.relative_torques(at);
-        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
-            let saturation_slope = 1.0 - relative_torques[i] * relative_torques[i];
-            tangents.stiffness(motor, motor, self.kp[i] * saturation_slope);
-            tangents.damping(motor, motor, self.kd[i] * saturation_slope);
-        }
-    }
-
-    fn add_input_change(&self, at: &ForceContext, change: &Inputs, forces: &mut Coordinates) {
-        let relative_torques = self.relative_torques(at);
-        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
-            let pull = self.kp[i] * change.servo_theta[i] + self.kd[i] * change.servo_omega[i];
-            forces[motor] += (1.0 - relative_torques[i] * relative_torques[i]) * pull;
-        }
-    }
-
-    #[inline(never)]
-    fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> [f64; 2] {
-        let mut external_work = 0.0;
-        for (i, torque) in self.torques(at).into_iter().enumerate() {
-            forces[MOTOR_ANGLES[i]] += torque;
-            external_work += torque * at.motor_rate(i);
-        }
-        [external_work, 0.0]
-    }
-
-    fn input_power(&self, at: &ForceContext) -> f64 {
-        let torques = self.torques(at);
-        torques[0] * at.motor_rate(0) + torques[1] * at.motor_rate(1)
-    }
-}
-
-impl MeanForce for Servo {
-    #[inline(never)]
-    fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
-        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
-            forces[motor] += self.limit[i] * self.mean_relative_torque(over, i)[0];
-        }
-    }
-
-    #[inline(never)]
-    fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
-        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
-            let [relative_torque, weight] = self.mean_relative_torque(over, i);
-            let saturation_slope = (1.0 - relative_torque * relative_torque) / over.softening;
-            let by_change = 0.5 * (1.0 + weight) * self.kp[i] + (1.0 - weight) * self.kd[i] / over.h;
-            tangents.stiffness(motor, motor, by_change * saturation_slope);
-            tangents.damping(motor, motor, weight * self.kd[i] * saturation_slope);
-        }
-    }
-
-    fn input_over(&self, over: &StepContext) -> f64 {
-        (0..2).map(|i| self.limit[i] * self.mean_relative_torque(over, i)[0] * over.motor_angle(i)[1]).sum()
-    }
-}
-
-impl Servo {
-    /// Mean relative torque T/limit of a servo over a step, and the weight γ of the step's end in its angle and rate.
-    fn mean_relative_torque(&self, over: &StepContext, i: usize) -> [f64; 2] {
-        let ([begin, change], end) = (over.motor_angle(i), over.motor_rate(i));
-        let mean = change / over.h;
-        let weight = end_weight(over.decay(0.5 * over.h * self.kp[i] + self.kd[i]));
-        // The difference comes first: close to the reference it is exact, and finer than the round-off of the angle.
-        let angle = self.kp[i] * ((over.inputs.servo_theta[i] - begin) - 0.5 * (1.0 + weight) * change);
-        let rate = self.kd[i] * (over.inputs.servo_omega[i] - (mean + weight * (end - mean)));
-        [libm::tanh((angle + rate) / (over.softening * self.limit[i])), weight]
     }
 }

@@ -3,9 +3,9 @@
 //! K = k, C = 0; potential k (θ − θ₀)²/2; conservative. θ counts whole turns. Defaults: 0.05 N·m/rad, about the weight torque of the
 //! paper's links, relaxed upright (θ₀ = π/2). Limits: linear, massless, without hysteresis.
 
-use super::force_context::{ForceContext, MOTOR_ANGLES};
-use super::{Force, MeanForce, StepContext, Tangents};
-use crate::mechanism::{Coordinates, Mechanism, SceneError, finite, not_negative};
+use super::force_law::ForceLaw;
+use super::wrench::{JOINTS, JointMotion, MOTOR_ANGLES, Motion};
+use crate::mechanism::{Mechanism, SceneError, finite, not_negative};
 
 /// The `spring.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -25,10 +25,9 @@ pub struct Spring {
     theta0: [f64; 2],
 }
 
-impl Force for Spring {
-    type Parameters = Parameters;
-
-    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
+impl Spring {
+    /// Makes the springs ready; refuses negative stiffness and angles that are not finite.
+    pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { k, theta0, .. } = *parameters;
         for i in 0..2 {
             not_negative(format_args!("spring.k[{}]", i + 1), k[i], "N.m/rad")?;
@@ -36,41 +35,27 @@ impl Force for Spring {
         }
         Ok(Self { k, theta0 })
     }
-
-    #[inline(never)]
-    fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
-            forces[motor] -= self.k[i] * (at.motor_angle(i) - self.theta0[i]);
-        }
-    }
-
-    #[inline(never)]
-    fn add_tangents(&self, _at: &ForceContext, tangents: &mut impl Tangents) {
-        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
-            tangents.stiffness(motor, motor, self.k[i]);
-        }
-    }
-
-    fn potential(&self, at: &ForceContext) -> f64 {
-        let stretch = |i: usize| at.motor_angle(i) - self.theta0[i];
-        (0..2).map(|i| self.k[i] / 2.0 * stretch(i) * stretch(i)).sum()
-    }
 }
 
-impl MeanForce for Spring {
-    /// Adds the force at the mean angle, which is the mean of a linear force.
-    #[inline(never)]
-    fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
-        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
-            let [angle, change] = over.motor_angle(i);
-            forces[motor] -= self.k[i] * ((angle - self.theta0[i]) + 0.5 * change);
+impl ForceLaw for Spring {
+    fn torques(&self, joints: &JointMotion) -> [f64; JOINTS] {
+        let mut torques = [0.0; JOINTS];
+        for (i, joint) in MOTOR_ANGLES.into_iter().enumerate() {
+            torques[joint] = -self.k[i] * ((joints.angles[i] - self.theta0[i]) + joints.moved[i]);
         }
+        torques
     }
 
-    #[inline(never)]
-    fn add_mean_tangents(&self, _over: &StepContext, tangents: &mut impl Tangents) {
-        for (i, motor) in MOTOR_ANGLES.into_iter().enumerate() {
-            tangents.stiffness(motor, motor, 0.5 * self.k[i]);
+    fn slopes(&self, _joints: &JointMotion) -> [[f64; 2]; JOINTS] {
+        let mut slopes = [[0.0; 2]; JOINTS];
+        for (i, joint) in MOTOR_ANGLES.into_iter().enumerate() {
+            slopes[joint][0] = self.k[i];
         }
+        slopes
+    }
+
+    fn potential(&self, at: &Motion) -> f64 {
+        let stretch = |i: usize| at.joints.angles[i] - self.theta0[i];
+        (0..2).map(|i| self.k[i] / 2.0 * stretch(i) * stretch(i)).sum()
     }
 }

@@ -12,9 +12,8 @@
 use arrayvec::ArrayVec;
 use borsh::{BorshDeserialize, BorshSerialize};
 
-use super::force_context::JOINTS;
-use crate::mechanism::{ClosureBranch, LINKS};
-use crate::vector::Vector;
+use super::wrench::{JOINTS, Wrench};
+use crate::mechanism::ClosureBranch;
 
 /// Number of friction places: the joints, and the tip on the plane.
 pub const FRICTION_PLACES: usize = JOINTS + 1;
@@ -140,25 +139,21 @@ impl StickSlips {
     }
 }
 
-/// A friction place at a state, in N coordinates: the sliding rate is w = row·q̇.
+/// Friction element at a state, as a constraint on the sliding rate that friction may hold at 0.
 #[derive(Clone, Copy, Debug)]
-pub struct FrictionConstraint<const N: usize> {
-    /// Index in [`StickSlips`].
+pub struct FrictionConstraint {
+    /// Index of the element in [`StickSlips`].
     pub place: usize,
-    /// Row ∂w/∂q̇ of the sliding rate; a friction torque or force T adds the generalised force T·row.
-    pub row: Vector<N>,
-    /// Part of the sliding acceleration ẇ = row·q̈ + drift that comes from velocities, rad/s² or m/s².
-    pub drift: f64,
-    /// Sliding rate w, rad/s or m/s.
+    /// Wrench of a friction torque of 1 N·m, or of a friction force of 1 N; its power is the sliding rate.
+    pub wrench: Wrench,
+    /// Sliding rate, rad/s or m/s.
     pub rate: f64,
-    /// Breakaway bound on the sticking torque or force, N·m or N.
+    /// Largest friction torque or force while sticking, N·m or N.
     pub bound: f64,
-    /// Lever arms: largest |∂w/∂θ̇| of the sliding rate by the rate of each link, 1 or m/rad.
-    pub arms: [f64; LINKS],
 }
 
-/// All active friction places at a state.
-pub type FrictionConstraints<const N: usize> = ArrayVec<FrictionConstraint<N>, FRICTION_PLACES>;
+/// Constraints of all friction elements that are active at a state.
+pub type FrictionConstraints = ArrayVec<FrictionConstraint, FRICTION_PLACES>;
 
 /// Complementarity problem of the friction places whose sliding rate is 0: ẇ = G T + c with |T| ≤ b, T = −b sign ẇ where ẇ ≠ 0.
 #[derive(Clone, Debug, Default)]

@@ -7,11 +7,12 @@
 
 use arrayvec::ArrayVec;
 
-use super::force_context::{ForceContext, MOTOR_ANGLES};
+use super::finite_motion::FiniteMotion;
+use super::force_law::ForceLaw;
 use super::guards::{SPRINGS, STOPS, UnilateralGuard};
 use super::unilateral_spring::{MeanReaction, UnilateralSpring};
-use super::{Force, MeanForce, StepContext, Tangents};
-use crate::mechanism::{Coordinates, LINKS, Mechanism, SceneError, finite, not_negative, positive};
+use super::wrench::{MOTOR_ANGLES, Motion, Slopes, Wrench};
+use crate::mechanism::{LINKS, Mechanism, SceneError, finite, not_negative, positive};
 
 /// The `stop.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -45,38 +46,8 @@ const ARMS: [[f64; LINKS]; 2] = [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]];
 const DIRECTIONS: [f64; 2] = [-1.0, 1.0];
 
 impl Stop {
-    /// Unilateral springs of a motor's lower and upper stop at a state.
-    #[inline(always)]
-    fn guards_of(&self, at: &ForceContext, motor: usize) -> [UnilateralGuard<'_>; 2] {
-        let (angle, rate) = (at.motor_angle(motor), at.motor_rate(motor));
-        let depths = [self.lower[motor] - angle, angle - self.upper[motor]];
-        [0, 1].map(|i| {
-            let rate = DIRECTIONS[i] * rate;
-            UnilateralGuard { place: STOPS[motor][i], spring: &self.spring, depth: depths[i], rate, arms: &ARMS[motor] }
-        })
-    }
-
-    /// Visits the active stops: motor, direction of its axis into the stop, and the unilateral spring.
-    #[inline(always)]
-    fn for_each_guard(&self, at: &ForceContext, mut visit: impl FnMut(usize, f64, &UnilateralGuard<'_>)) {
-        for motor in 0..2 {
-            for (direction, guard) in DIRECTIONS.into_iter().zip(self.guards_of(at, motor)) {
-                if !guard.is_idle(at) {
-                    visit(motor, direction, &guard);
-                }
-            }
-        }
-    }
-}
-
-impl Force for Stop {
-    type Parameters = Parameters;
-
-    const HAS_STIFF_FORCES: bool = true;
-
-    const HAS_CONTACT: bool = true;
-
-    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
+    /// Makes the stops ready; refuses limits that leave no free angle, and values out of range.
+    pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
         let Parameters { lower, upper, k, d, width, .. } = *parameters;
         for i in 0..2 {
             finite(format_args!("stop.lower[{}]", i + 1), lower[i], "rad")?;
@@ -96,67 +67,88 @@ impl Force for Stop {
         Ok(Self { lower, upper, spring: UnilateralSpring { stiffness: k, damping: d, width } })
     }
 
+    /// Unilateral springs of a motor's lower and upper stop at a state.
+    fn guards_of(&self, at: &Motion, motor: usize) -> [UnilateralGuard<'_>; 2] {
+        let (angle, rate) = (at.joints.angles[motor], at.joints.rates[MOTOR_ANGLES[motor]]);
+        let depths = [self.lower[motor] - angle, angle - self.upper[motor]];
+        [0, 1].map(|i| {
+            let rate = DIRECTIONS[i] * rate;
+            UnilateralGuard { place: STOPS[motor][i], spring: &self.spring, depth: depths[i], rate, arms: &ARMS[motor] }
+        })
+    }
+
+    /// Visits the active stops: joint, direction of its axis into the stop, and the unilateral spring.
+    fn for_each_guard(&self, at: &Motion, mut visit: impl FnMut(usize, f64, &UnilateralGuard<'_>)) {
+        for (motor, joint) in MOTOR_ANGLES.into_iter().enumerate() {
+            for (direction, guard) in DIRECTIONS.into_iter().zip(self.guards_of(at, motor)) {
+                if !guard.is_idle(&at.joints.mode) {
+                    visit(joint, direction, &guard);
+                }
+            }
+        }
+    }
+
+    /// Joint, direction into the stop and mean reaction of each stop over a step: a fast axis may leave one stop and reach the other.
+    fn mean_reactions(&self, over: &FiniteMotion) -> impl Iterator<Item = (usize, f64, MeanReaction)> {
+        MOTOR_ANGLES.into_iter().enumerate().flat_map(move |(motor, joint)| {
+            let (begin, change) = (over.angles[motor], over.changes[joint]);
+            let push =
+                |direction: f64, depth: f64| (joint, direction, self.spring.mean_reaction(depth, direction * change, over.h));
+            [push(1.0, begin - self.upper[motor]), push(-1.0, self.lower[motor] - begin)]
+        })
+    }
+}
+
+impl ForceLaw for Stop {
     fn conservative(&self) -> bool {
         self.spring.damping == 0.0
     }
 
-    #[inline(never)]
-    fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        self.for_each_guard(at, |motor, direction, guard| forces[MOTOR_ANGLES[motor]] -= direction * guard.force(at));
+    fn act(&self, at: &Motion, wrench: &mut Wrench) -> [f64; 2] {
+        let (mode, mut dissipated) = (&at.joints.mode, 0.0);
+        self.for_each_guard(at, |joint, direction, guard| {
+            wrench.torques[joint] -= direction * guard.force(mode);
+            dissipated += guard.dissipation(mode);
+        });
+        [0.0, dissipated]
     }
 
-    #[inline(never)]
-    fn add_tangents(&self, at: &ForceContext, tangents: &mut impl Tangents) {
-        self.for_each_guard(at, |motor, _, guard| {
-            let [stiffness, damping] = guard.slopes(at);
-            tangents.stiffness(MOTOR_ANGLES[motor], MOTOR_ANGLES[motor], stiffness);
-            tangents.damping(MOTOR_ANGLES[motor], MOTOR_ANGLES[motor], damping);
+    fn add_slopes(&self, at: &Motion, slopes: &mut Slopes) {
+        self.for_each_guard(at, |joint, _, guard| {
+            let [stiffness, damping] = guard.slopes(&at.joints.mode);
+            slopes.joints[joint][0] += stiffness;
+            slopes.joints[joint][1] += damping;
         });
     }
 
-    fn potential(&self, at: &ForceContext) -> f64 {
-        (0..2).flat_map(|motor| self.guards_of(at, motor)).map(|guard| guard.potential(at)).sum()
+    fn act_over(&self, over: &FiniteMotion, wrench: &mut Wrench) -> [f64; 2] {
+        let mut dissipated = 0.0;
+        for (joint, direction, push) in self.mean_reactions(over) {
+            wrench.torques[joint] -= direction * push.force;
+            dissipated += push.dissipated;
+        }
+        [0.0, dissipated]
     }
 
-    fn dissipation(&self, at: &ForceContext) -> f64 {
-        let mut power = 0.0;
-        self.for_each_guard(at, |_, _, guard| power += guard.dissipation(at));
-        power
+    fn add_slopes_over(&self, over: &FiniteMotion, slopes: &mut Slopes) {
+        for (joint, _, push) in self.mean_reactions(over) {
+            slopes.joints[joint][0] += push.slope;
+        }
     }
 
-    fn guard_values(&self, at: &ForceContext) -> ArrayVec<UnilateralGuard<'_>, SPRINGS> {
+    fn potential(&self, at: &Motion) -> f64 {
+        (0..2).flat_map(|motor| self.guards_of(at, motor)).map(|guard| guard.potential(&at.joints.mode)).sum()
+    }
+
+    fn has_stiff_forces(&self) -> bool {
+        true
+    }
+
+    fn may_make_contact(&self) -> bool {
+        true
+    }
+
+    fn guard_values(&self, at: &Motion) -> ArrayVec<UnilateralGuard<'_>, SPRINGS> {
         [0, 1].into_iter().flat_map(|motor| self.guards_of(at, motor)).collect()
-    }
-}
-
-impl MeanForce for Stop {
-    #[inline(never)]
-    fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
-        for (motor, direction, push) in self.mean_reactions(over) {
-            forces[MOTOR_ANGLES[motor]] -= direction * push.force;
-        }
-    }
-
-    #[inline(never)]
-    fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
-        for (motor, _, push) in self.mean_reactions(over) {
-            tangents.stiffness(MOTOR_ANGLES[motor], MOTOR_ANGLES[motor], push.slope);
-        }
-    }
-
-    fn dissipated_over(&self, over: &StepContext) -> f64 {
-        self.mean_reactions(over).map(|(_, _, push)| push.dissipated).sum()
-    }
-}
-
-impl Stop {
-    /// Motor, direction into the stop and mean reaction of each stop over a step: a fast axis may leave one stop and reach the other.
-    fn mean_reactions(&self, over: &StepContext) -> impl Iterator<Item = (usize, f64, MeanReaction)> {
-        (0..2).flat_map(move |motor| {
-            let [begin, change] = over.motor_angle(motor);
-            let push =
-                |direction: f64, depth: f64| (motor, direction, self.spring.mean_reaction(depth, direction * change, over.h));
-            [push(1.0, begin - self.upper[motor]), push(-1.0, self.lower[motor] - begin)]
-        })
     }
 }

@@ -4,10 +4,9 @@
 //! C = b_j over the two links, K = 0; the power b_j w_j² is dissipated. Default: 1e-4 N·m·s/rad, a lubricated miniature bearing with its
 //! seal. Limits: linear; no dependence on load or temperature.
 
-use super::force_context::{ForceContext, JOINTS, add_joint_damping, add_joint_torque, is_inner};
-use super::step_context::{add_joint_slopes, end_weight};
-use super::{Force, MeanForce, StepContext, Tangents};
-use crate::mechanism::{Coordinates, Mechanism, SceneError, not_negative};
+use super::force_law::{ForceLaw, PowerFlow};
+use super::wrench::{JOINTS, JointMotion};
+use crate::mechanism::{Mechanism, SceneError, not_negative};
 
 /// The `viscous.*` variables.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -22,82 +21,32 @@ pub struct Parameters {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Viscous {
     b: [f64; JOINTS],
-    /// Whether any joint between two links has a coefficient other than 0.
-    inner: bool,
 }
 
 impl Viscous {
-    /// Joints whose coefficient may differ from 0, with the coefficient, N·m·s/rad.
-    #[inline]
-    fn joints(&self) -> impl Iterator<Item = (usize, f64)> {
-        let inner = self.inner;
-        self.b.into_iter().enumerate().filter(move |(joint, _)| inner || !is_inner(*joint))
-    }
-}
-
-impl Force for Viscous {
-    type Parameters = Parameters;
-
-    fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
-        let b = parameters.b;
-        for (i, b) in b.into_iter().enumerate() {
+    /// Makes the friction ready; refuses negative coefficients.
+    pub(super) fn new(parameters: &Parameters, _mechanism: &Mechanism) -> Result<Self, SceneError> {
+        for (i, b) in parameters.b.into_iter().enumerate() {
             not_negative(format_args!("viscous.b[{}]", i + 1), b, "N.m.s/rad")?;
         }
-        Ok(Self { b, inner: (0..JOINTS).any(|joint| is_inner(joint) && b[joint] != 0.0) })
-    }
-
-    fn couples_links(&self) -> bool {
-        self.inner
-    }
-
-    fn conservative(&self) -> bool {
-        false
-    }
-
-    #[inline(never)]
-    fn add_forces(&self, at: &ForceContext, forces: &mut Coordinates) {
-        for (joint, b) in self.joints() {
-            add_joint_torque(joint, -b * at.joint_rate(joint), forces);
-        }
-    }
-
-    #[inline(never)]
-    fn add_tangents(&self, _at: &ForceContext, tangents: &mut impl Tangents) {
-        for (joint, b) in self.joints() {
-            add_joint_damping(joint, b, tangents);
-        }
-    }
-
-    #[inline(never)]
-    fn dissipation(&self, at: &ForceContext) -> f64 {
-        self.joints().map(|(joint, b)| b * at.joint_rate(joint) * at.joint_rate(joint)).sum()
+        Ok(Self { b: parameters.b })
     }
 }
 
-impl MeanForce for Viscous {
-    #[inline(never)]
-    fn add_mean_forces(&self, over: &StepContext, forces: &mut Coordinates) {
-        for (joint, b) in self.joints() {
-            add_joint_torque(joint, -mean_drag(b, joint, over), forces);
-        }
+impl ForceLaw for Viscous {
+    fn power_flow(&self) -> PowerFlow {
+        PowerFlow::Dissipated
     }
 
-    #[inline(never)]
-    fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
-        for (joint, b) in self.joints() {
-            let weight = end_weight(over.decay(b));
-            add_joint_slopes(joint, [(1.0 - weight) * b / over.h, weight * b], tangents);
-        }
+    fn torques(&self, joints: &JointMotion) -> [f64; JOINTS] {
+        std::array::from_fn(|joint| -self.b[joint] * joints.rates[joint])
     }
 
-    fn dissipated_over(&self, over: &StepContext) -> f64 {
-        self.joints().map(|(joint, b)| mean_drag(b, joint, over) * over.joint(joint)[0]).sum()
+    fn slopes(&self, _joints: &JointMotion) -> [[f64; 2]; JOINTS] {
+        self.b.map(|b| [0.0, b])
     }
-}
 
-/// Mean friction torque −T over a step, N·m.
-fn mean_drag(b: f64, joint: usize, over: &StepContext) -> f64 {
-    let [change, end] = over.joint(joint);
-    let mean = change / over.h;
-    b * (mean + end_weight(over.decay(b)) * (end - mean))
+    fn largest_slopes(&self, _softening: f64) -> [[f64; 2]; JOINTS] {
+        self.b.map(|b| [0.0, b])
+    }
 }

@@ -4,9 +4,9 @@
 //! be symmetric. The six outer coordinates keep their masses. The dual (Schur) matrix S = Φ_q A₀⁻¹ Φ_qᵀ + e is then full, 10×10:
 //! outer coordinates add 1/m between neighbouring joints, inner ones Φ_I A_I⁻¹ Φ_Iᵀ.
 
-use super::lu::{Lu, inverse};
-use super::tangents::{INNER, INNER_COUNT};
+use crate::dynamics::{INNER, INNER_COUNT};
 use crate::integrator::Kkt;
+use crate::matrix::{Inverse, Lu};
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 use crate::vector::Vector;
@@ -30,9 +30,8 @@ pub struct Coupled {
     pose: Pose,
     /// Mobilities 1/m of the outer coordinates, 1/kg.
     mobility: [f64; COORDINATES - INNER_COUNT],
-    /// Inverse A_I⁻¹ of the inner block by rows.
-    compliance: [Vector<INNER_COUNT>; INNER_COUNT],
-    /// Factorised dual matrix S.
+    /// A_I⁻¹.
+    compliance: Inverse<INNER_COUNT>,
     dual: Lu<MULTIPLIERS>,
 }
 
@@ -65,13 +64,13 @@ fn transposed<const K: usize, const L: usize>(rows: &[Vector<K>; L]) -> [Vector<
 }
 
 impl Coupled {
-    /// Factorises for the masses of the outer coordinates, kg, and the inner block of A₀ by rows, whose symmetric part must be positive
-    /// definite: then so is that of the dual matrix. Where values are not finite, the caller's check of the results ends the step.
+    /// Factorises for the masses of the outer coordinates and the block of A₀ of the inner ones by columns, whose symmetric part is
+    /// positive: so is that of the dual matrix. Where values are not finite, the caller's check of the results ends the step.
     #[inline]
     pub fn factor(pose: &Pose, masses: &Coordinates, inner: [Vector<INNER_COUNT>; INNER_COUNT], regularization: f64) -> Self {
-        let compliance = inverse(inner);
-        // The product Φ_I A_I⁻¹ Φ_Iᵀ is computed from Φ_I A_I⁻ᵀ.
-        let mut dual = phi_inner_times(pose, &transposed(&phi_inner_times(pose, &transposed(&compliance))));
+        let compliance = Inverse::new(inner, f64::MIN_POSITIVE);
+        // Φ_I A_I⁻¹ Φ_Iᵀ from Φ_I A_I⁻ᵀ, whose rows are the columns of A_I⁻¹.
+        let mut dual = phi_inner_times(pose, &transposed(&phi_inner_times(pose, compliance.columns())));
         let mobility = OUTER.map(|i| 1.0 / masses[i]);
         for (mobility, neighbours) in mobility.into_iter().zip(NEIGHBOURS) {
             for (row, sign) in neighbours {
@@ -92,9 +91,9 @@ impl Coupled {
         for (i, mobility) in OUTER.into_iter().zip(self.mobility) {
             result[i] = mobility * x[i];
         }
-        let inner = Vector::from(INNER.map(|i| x[i]));
-        for (i, row) in INNER.into_iter().zip(&self.compliance) {
-            result[i] = row.dot(&inner);
+        let inner = self.compliance.times(&INNER.map(|i| x[i]).into());
+        for (i, value) in INNER.into_iter().zip(&inner) {
+            result[i] = *value;
         }
         result
     }

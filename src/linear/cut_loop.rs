@@ -26,18 +26,16 @@
 //! geometric stiffness of the joint forces: 2×2 in each leg, bordered by 2×2 of the tip ([`BorderedMatrix`]).
 
 mod bordered;
-mod loads;
 mod open_legs;
 
-use crate::mechanism::coordinates::{
-    D_THETA, D_X, D_Y, E_X, E_Y, G_X, G_Y, P_THETA, P_X, P_Y, TIP_X, TIP_Y, add_legs, legs_of, set_legs,
-};
+use crate::dynamics::{StepLevers, TipArm};
+use crate::effects::Slopes;
+use crate::mechanism::coordinates::{D_THETA, E_X, E_Y, G_X, G_Y, P_THETA, TIP_X, TIP_Y, add_legs, legs_of, set_legs};
 use crate::mechanism::legs::{Legs, Legs2, SIGMA, both, sum};
 use crate::mechanism::secant::{Secant, StepDirections};
-use crate::mechanism::{Coordinates, Mechanism, Multipliers, Pose};
+use crate::mechanism::{Coordinates, Multipliers, Pose};
 use crate::vector::Vector;
 pub use bordered::BorderedMatrix;
-pub use loads::LegTangents;
 pub use open_legs::OpenLegs;
 use open_legs::{Moments, angles, centres};
 
@@ -221,37 +219,20 @@ impl<'a> OpenStep<'a> {
     /// Increments d = q₁ − q₀ of a motion, m and rad.
     #[inline(always)]
     pub fn way(&self, motion: &OpenMotion) -> Coordinates {
-        let Mechanism { ground_x, a_p, b_p, a_d, .. } = self.legs.mechanism;
-        let OpenMotion { directions: StepDirections { end: [p, d], .. }, x, .. } = motion;
-        let (proximal, distal) = (p.scaled(a_p), p.scaled(a_p + b_p).plus(d.scaled(a_d)));
-        let mut q = Coordinates::ZERO;
-        set_legs(&mut q, P_X, ground_x + proximal.x);
-        set_legs(&mut q, P_Y, proximal.y);
-        set_legs(&mut q, D_X, ground_x + distal.x);
-        set_legs(&mut q, D_Y, distal.y);
-        let mut d = q - *self.q;
-        set_legs(&mut d, P_THETA, legs_of(x, PROXIMAL));
-        set_legs(&mut d, D_THETA, legs_of(x, DISTAL));
+        let turns = [legs_of(&motion.x, PROXIMAL), legs_of(&motion.x, DISTAL)];
+        let mechanism = &self.legs.mechanism;
+        let end = mechanism.coordinates(&mechanism.pose_along(motion.directions.end), [Legs::ZERO; 2]);
+        let mut d = end - *self.q;
+        set_legs(&mut d, P_THETA, turns[0]);
+        set_legs(&mut d, D_THETA, turns[1]);
         d
     }
 
     /// Final velocities q̇₁ of a motion, m/s and rad/s.
     #[inline(always)]
     pub fn rates(&self, motion: &OpenMotion) -> Coordinates {
-        let Mechanism { a_p, b_p, a_d, .. } = self.legs.mechanism;
-        let OpenMotion { directions, half: [half_p, half_d], .. } = motion;
         let per_second = both(2.0 / self.h);
-        let rates @ [rate_p, rate_d] = [per_second * *half_p, per_second * *half_d];
-        let [p, d] = scaled(normals(directions.end), rates);
-        let (proximal, distal) = (p.scaled(a_p), p.scaled(a_p + b_p).plus(d.scaled(a_d)));
-        let mut v = Coordinates::ZERO;
-        set_legs(&mut v, P_X, proximal.x);
-        set_legs(&mut v, P_Y, proximal.y);
-        set_legs(&mut v, P_THETA, rate_p);
-        set_legs(&mut v, D_X, distal.x);
-        set_legs(&mut v, D_Y, distal.y);
-        set_legs(&mut v, D_THETA, rate_d);
-        v
+        self.legs.mechanism.pose_along(motion.directions.end).velocities(motion.half.map(|half| per_second * half))
     }
 
     /// Residual of a motion under mean forces Q̄, N and N·m.
@@ -292,28 +273,30 @@ impl<'a> OpenStep<'a> {
         [larger(offset), larger(*gap), larger(*rate)]
     }
 
-    /// Collects the tangents of loads for [`OpenStep::factor`].
+    /// Slopes of the mean forces as moments of inertia of each leg, kg·m²: by rows (proximal, distal) of momentum and columns of Δθ and ω̂,
+    /// which change together.
     #[inline(always)]
-    pub fn loads<'b>(&'b self, motion: &'b OpenMotion) -> LegTangents<'b> {
-        let Mechanism { a_p, b_p, a_d, .. } = self.legs.mechanism;
-        let arms = [[a_p, both(0.0)], [a_p + b_p, a_d]];
-        LegTangents { arms, directions: &motion.directions, weights: [0.5 * self.h * self.h, self.h], inertias: [[[0.0; 2]; 2]; 2] }
+    pub fn inertias_of(&self, motion: &OpenMotion, slopes: &Slopes, arm: &TipArm) -> [[Legs; 2]; 2] {
+        let left = |[p, d]: [Legs2; 2]| [p, d].map(|lever| [lever.x.to_array()[0], lever.y.to_array()[0]]);
+        let rows = scaled(scaled(normals(motion.directions.middle), motion.directions.sinc), self.legs.sigma_length);
+        let levers = StepLevers { rows: left(rows), columns: left(motion.ends) };
+        slopes.on_legs(arm, &levers, [0.5 * self.h * self.h, self.h])
     }
 
     /// The matrix of Newton's increments with these loads.
     #[inline(always)]
-    pub fn factor(&self, motion: &OpenMotion, balance: &OpenResidual, loads: &LegTangents, e: f64) -> BorderedMatrix {
+    pub fn factor(&self, motion: &OpenMotion, balance: &OpenResidual, loads: [[Legs; 2]; 2], e: f64) -> BorderedMatrix {
         let (OpenMotion { directions, x, ends, .. }, [joint_load_p, joint_load_d]) = (motion, balance.joint_load);
         let mechanism = &self.legs.mechanism;
         let ([along_p, along_d], [sinc_p, sinc_d]) = (directions.middle, directions.sinc);
-        let [[pp, pd], [dp, dd]] = loads.inertias;
-        // The direction n̂_m rotates by half of Δθ, and ds/dΔθ = −Δθ/12 to third order.
+        let [[pp, pd], [dp, dd]] = loads;
+        // s n̂_m turns by half of Δθ, and s falls: its derivative is −Δθ/12 but for the third order.
         let stiffness = |along: Legs2, joint_load: Legs2, turn: Legs| {
             both(0.5) * along.dot(joint_load) + both(1.0 / 12.0) * turn * along.turned().dot(joint_load)
         };
         let inertias = [
-            [mechanism.inertia_p + Legs::new(pp) + sinc_p * stiffness(along_p, joint_load_p, legs_of(x, PROXIMAL)), Legs::new(pd)],
-            [Legs::new(dp), mechanism.inertia_d + Legs::new(dd) + sinc_d * stiffness(along_d, joint_load_d, legs_of(x, DISTAL))],
+            [mechanism.inertia_p + pp + sinc_p * stiffness(along_p, joint_load_p, legs_of(x, PROXIMAL)), pd],
+            [dp, mechanism.inertia_d + dd + sinc_d * stiffness(along_d, joint_load_d, legs_of(x, DISTAL))],
         ];
         self.bordered((directions, ends), inertias, directions.sinc, e)
     }

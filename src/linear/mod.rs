@@ -2,56 +2,46 @@
 //!
 //! | file | solves |
 //! | --- | --- |
-//! | `two_leg.rs` | A diagonal: elimination joint by joint along both legs at once |
-//! | `coupled.rs` | A full in six inner coordinates, where effects couple links |
-//! | `dense.rs` | any A: for inertias of very different size |
-//! | `lu.rs` | LU factorisation for `coupled.rs` |
-//! | `tangents.rs` | assembly of A₀ for each solve |
-//! | `cut_loop.rs` | the energy-conserving step in the rotations of the links, the loop cut at the tip |
-//! | `secant_newton.rs` | the full Newton system of the energy-conserving step |
+//! | `two_leg.rs` | joint by joint along both legs at once: A is diagonal |
+//! | `coupled.rs` | slopes couple links: A is full in six inner coordinates |
+//! | `dense.rs` | anything: inertias are far apart |
+//! | `cut_loop.rs` | the conserving step's equations and systems in the turns of the links, the loop cut at the tip |
+//! | `secant_newton.rs` | the whole tangent of that step |
 
 pub mod coupled;
 pub mod cut_loop;
 pub mod dense;
-mod lu;
 pub mod secant_newton;
-pub mod tangents;
 pub mod two_leg;
 
 use nalgebra::{SMatrix, SVector};
 
-use crate::effects::{Effect, Tangents};
+use crate::dynamics::{INNER, INNER_COUNT, TipArm};
+use crate::effects::Slopes;
 use crate::integrator::{Kkt, StepError};
-use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of};
+use crate::mechanism::coordinates::THETA;
 use crate::mechanism::{COORDINATES, Coordinates, Geometry, MULTIPLIERS, Mechanism, Multipliers, Pose};
 use crate::vector::Vector;
 use coupled::Coupled;
 use cut_loop::OpenLegs;
 use dense::Dense;
-use tangents::{CoupledTangents, DiagonalTangents, FullTangents, INNER, INNER_COUNT};
 use two_leg::{Elimination, TwoLeg};
 
 /// The linear solves of the saddle-point system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LinearSolve {
-    /// Elimination leg by leg; no active effect couples links. See [`two_leg`].
+    /// Leg by leg where no slope of the forces couples links, see [`two_leg`]; else as [`LinearSolve::Coupled`].
     TwoLeg,
-    /// Active effects couple links. See [`coupled`].
+    /// Slopes of the forces may couple links. See [`coupled`].
     Coupled,
     /// General LU, for inertias of very different size. See [`dense`].
     Dense,
 }
 
 impl LinearSolve {
-    /// The fastest solve that a mechanism with these effects allows.
-    pub fn choose(geometry: &Geometry, effects: &[Effect]) -> Self {
-        if compliance_spread(geometry) > LARGEST_SPREAD {
-            Self::Dense
-        } else if effects.iter().any(Effect::couples_links) {
-            Self::Coupled
-        } else {
-            Self::TwoLeg
-        }
+    /// The fastest linear solve that the inertias of a machine allow.
+    pub fn choose(geometry: &Geometry) -> Self {
+        if compliance_spread(geometry) > LARGEST_SPREAD { Self::Dense } else { Self::TwoLeg }
     }
 }
 
@@ -84,17 +74,13 @@ pub enum Definiteness {
     Enforced,
 }
 
-/// Forces whose tangents enter A₀.
-pub trait TangentSource {
-    /// Adds K = −∂Q/∂q and C = −∂Q/∂q̇.
-    fn add_tangents(&self, tangents: &mut impl Tangents);
-}
-
-/// The linearised step whose tangent A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q) is factorised.
-pub struct TangentSystem<'a, F> {
-    /// Forces at the step's end.
-    pub forces: &'a F,
-    /// Pose at the step's end.
+/// Of which step the tangent A₀ = M + h/2 C + h²/4 (K + ∂(Φ_qᵀλ)/∂q) is factorised.
+pub struct TangentSystem<'a> {
+    /// Slopes of the forces at the step's end.
+    pub slopes: Slopes,
+    /// Arms of the tip at the step's end.
+    pub arm: TipArm,
+    /// The pose there.
     pub pose: &'a Pose,
     /// Multipliers, N for constraints in m.
     pub lambda: &'a Multipliers,
@@ -187,33 +173,35 @@ impl LinearSolver {
     #[inline(always)]
     pub fn solve_tangent<const BARE: bool>(
         &self,
-        of: &TangentSystem<'_, impl TangentSource>,
+        of: &TangentSystem<'_>,
         right: (&Coordinates, &Multipliers),
     ) -> Result<Solution, StepError> {
         match self.solve {
             _ if BARE => Ok(self.factor_two_leg(of)?.solve(right.0, right.1)),
-            LinearSolve::TwoLeg => Ok(self.factor_two_leg(of)?.solve(right.0, right.1)),
-            LinearSolve::Coupled => self.solve_coupled(of, right),
             LinearSolve::Dense => self.solve_dense(of, right),
+            LinearSolve::TwoLeg if !of.slopes.couple_links() => Ok(self.factor_two_leg(of)?.solve(right.0, right.1)),
+            LinearSolve::TwoLeg | LinearSolve::Coupled => self.solve_coupled(of, right),
         }
     }
 
-    /// The product (M + h/2 C + h²/4 K) x.
-    pub fn effective_mass_times(&self, forces: &impl TangentSource, h: f64, x: &Coordinates) -> Coordinates {
-        let weight = self.mass_matrix() + full_tangents(forces, h);
-        <[f64; COORDINATES]>::from(weight * SVector::from(**x)).into()
+    /// (M + h/2 C + h²/4 K) x.
+    pub fn effective_mass_times(&self, slopes: &Slopes, arm: &TipArm, h: f64, x: &Coordinates) -> Coordinates {
+        let mut product = self.elimination.mechanism.mass_times(x);
+        for (row, values) in INNER.into_iter().zip(slopes.inner(arm, weights(h))) {
+            product[row] += INNER.into_iter().zip(values).map(|(column, value)| value * x[column]).sum::<f64>();
+        }
+        product
     }
 
     #[inline(always)]
-    fn factor_two_leg(&self, of: &TangentSystem<'_, impl TangentSource>) -> Result<TwoLeg, StepError> {
-        let &TangentSystem { forces, pose, lambda, h, regularization, definite } = of;
-        let mut tangents = DiagonalTangents::new(h);
-        forces.add_tangents(&mut tangents);
+    fn factor_two_leg(&self, of: &TangentSystem<'_>) -> Result<TwoLeg, StepError> {
+        let &TangentSystem { ref slopes, ref arm, pose, lambda, h, regularization, definite } = of;
+        let [loads_p, loads_d] = slopes.diagonal(arm, weights(h));
         let beta = h * h / 4.0;
         let (stiffness_p, stiffness_d) = pose.geometric_stiffness(lambda);
         let (mass_p, mass_d) = (self.elimination.mechanism.inertia_p, self.elimination.mechanism.inertia_d);
-        let mut inertia_p = mass_p + beta * stiffness_p + legs_of(&tangents.weighted, P_THETA);
-        let mut inertia_d = mass_d + beta * stiffness_d + legs_of(&tangents.weighted, D_THETA);
+        let mut inertia_p = mass_p + beta * stiffness_p + loads_p;
+        let mut inertia_d = mass_d + beta * stiffness_d + loads_d;
         match definite {
             Definiteness::Enforced => {
                 inertia_p = inertia_p.max(DESCENT_INERTIA * mass_p);
@@ -231,35 +219,31 @@ impl LinearSolver {
     }
 
     #[inline(never)]
-    fn solve_coupled(
-        &self,
-        of: &TangentSystem<'_, impl TangentSource>,
-        (b, c): (&Coordinates, &Multipliers),
-    ) -> Result<Solution, StepError> {
-        let &TangentSystem { forces, pose, lambda, h, regularization, definite } = of;
+    fn solve_coupled(&self, of: &TangentSystem<'_>, (b, c): (&Coordinates, &Multipliers)) -> Result<Solution, StepError> {
+        let &TangentSystem { ref slopes, ref arm, pose, lambda, h, regularization, definite } = of;
         let masses = self.masses();
         let inner_masses = SMatrix::from_diagonal(&SVector::from(INNER.map(|i| masses[i])));
-        let mut tangents = CoupledTangents::new(h);
-        forces.add_tangents(&mut tangents);
-        let mut a0 = inner_masses + tangents.weighted;
+        let inner = slopes.inner(arm, weights(h));
+        let mut a0 = SMatrix::from_fn(|i, j| inner_masses[(i, j)] + inner[i][j]);
         for (i, stiffness) in geometric_stiffness(pose, lambda).into_iter().enumerate() {
             let place = INNER_COUNT - 4 + i;
             a0[(place, place)] += h * h / 4.0 * stiffness;
         }
         let a0 = ensure_definite(a0, &inner_masses, definite)?;
-        let rows = std::array::from_fn(|i| Vector::from_fn(|j| a0[(i, j)]));
-        Ok(Coupled::factor(pose, &masses, rows, regularization).solve(b, c))
+        let columns = std::array::from_fn(|j| Vector::from_fn(|i| a0[(i, j)]));
+        Ok(Coupled::factor(pose, &masses, columns, regularization).solve(b, c))
     }
 
     #[inline(never)]
-    fn solve_dense(
-        &self,
-        of: &TangentSystem<'_, impl TangentSource>,
-        (b, c): (&Coordinates, &Multipliers),
-    ) -> Result<Solution, StepError> {
-        let &TangentSystem { forces, pose, lambda, h, regularization, definite } = of;
+    fn solve_dense(&self, of: &TangentSystem<'_>, (b, c): (&Coordinates, &Multipliers)) -> Result<Solution, StepError> {
+        let &TangentSystem { ref slopes, ref arm, pose, lambda, h, regularization, definite } = of;
         let mass = self.mass_matrix();
-        let mut a0 = mass + full_tangents(forces, h);
+        let mut a0 = mass;
+        for (row, values) in INNER.into_iter().zip(slopes.inner(arm, weights(h))) {
+            for (column, value) in INNER.into_iter().zip(values) {
+                a0[(row, column)] += value;
+            }
+        }
         for (i, stiffness) in THETA.into_iter().zip(geometric_stiffness(pose, lambda)) {
             a0[(i, i)] += h * h / 4.0 * stiffness;
         }
@@ -276,10 +260,10 @@ impl LinearSolver {
     }
 }
 
-fn full_tangents(forces: &impl TangentSource, h: f64) -> SMatrix<f64, COORDINATES, COORDINATES> {
-    let mut tangents = FullTangents::new(h);
-    forces.add_tangents(&mut (&mut tangents as &mut dyn Tangents));
-    tangents.weighted
+/// Weights of K and C in A₀ for a step of h seconds.
+#[inline]
+fn weights(h: f64) -> [f64; 2] {
+    [h * h / 4.0, h / 2.0]
 }
 
 /// Geometric stiffness of links 1 to 4, N·m/rad.

@@ -15,8 +15,9 @@
 //! z, and ΔΛ and Δν of the tip. The regularisation e weighs increments and so moves no root; with it the matrix is regular also where the
 //! closure loses rank.
 
-use crate::effects::Tangents;
-use crate::linear::tangents::{INNER_COUNT, INNER_INDEX};
+use crate::dynamics::{INNER_COUNT, TipArm};
+use crate::effects::Slopes;
+use crate::matrix::Inverse;
 use crate::mechanism::coordinates::{D_THETA, E_X, G_X, P_THETA, THETA, TIP_X, TIP_Y, X, Y, legs_of};
 use crate::mechanism::legs::{Legs, Legs2};
 use crate::mechanism::secant::Secant;
@@ -52,31 +53,19 @@ const LEGS: [([usize; 2], f64); 2] = [([0, 1], 1.0), ([3, 2], -1.0)];
 /// Index of the leg on whose distal link forces on the tip act.
 const TIP_LEG: usize = 0;
 
-/// Tangents of the mean forces over a step of h, K = −∂Q̄/∂d and C = −∂Q̄/∂q̇₁, weighted as the step's equations need them, of the
-/// coordinates [`crate::linear::tangents::INNER`].
+/// Slopes of the mean forces over a step of h in the coordinates [`crate::dynamics::INNER`], as the step's equations weight them.
 #[derive(Clone, Copy, Debug)]
-pub struct StepTangents {
-    h: f64,
-    /// Weighted stiffness ½h² K by rows.
+pub struct StepSlopes {
+    /// ½h² K by rows, kg and kg·m².
     stiffness: [[f64; INNER_COUNT]; INNER_COUNT],
-    /// Weighted damping h C by rows.
+    /// h C by rows, kg and kg·m².
     damping: [[f64; INNER_COUNT]; INNER_COUNT],
 }
 
-impl StepTangents {
-    /// Zero tangents for a step of h seconds.
-    pub fn new(h: f64) -> Self {
-        Self { h, stiffness: [[0.0; INNER_COUNT]; INNER_COUNT], damping: [[0.0; INNER_COUNT]; INNER_COUNT] }
-    }
-}
-
-impl Tangents for StepTangents {
-    fn stiffness(&mut self, row: usize, column: usize, value: f64) {
-        self.stiffness[INNER_INDEX[row]][INNER_INDEX[column]] += 0.5 * self.h * self.h * value;
-    }
-
-    fn damping(&mut self, row: usize, column: usize, value: f64) {
-        self.damping[INNER_INDEX[row]][INNER_INDEX[column]] += self.h * value;
+impl StepSlopes {
+    /// Weighted slopes of a step of h seconds with these arms of the tip.
+    pub fn new(slopes: &Slopes, arm: &TipArm, h: f64) -> Self {
+        Self { stiffness: slopes.inner(arm, [0.5 * h * h, 0.0]), damping: slopes.inner(arm, [0.0, h]) }
     }
 }
 
@@ -90,9 +79,9 @@ pub struct StepPoint<'a> {
     pub w: &'a Coordinates,
     /// Multipliers Λ and ν.
     pub multipliers: [&'a Multipliers; 2],
-    /// Tangents of the mean forces.
-    pub forces: &'a StepTangents,
-    /// Regularisation e, 1/kg.
+    /// Of the mean forces.
+    pub forces: &'a StepSlopes,
+    /// e, 1/kg.
     pub regularization: f64,
 }
 
@@ -250,8 +239,8 @@ fn add(row: &mut Row, leg: usize, affine: &Affine) {
     row[CONSTANT] += affine[ONE];
 }
 
-/// The products K Δd + C Δz in the position rows of the tip's link, where forces depend on the tip's motion alone.
-fn tip_loads(forces: &StepTangents, d: &PlanarAffine, z: &PlanarAffine) -> PlanarAffine {
+/// K Δd + C Δz on the position of the tip's link: what acts there depends on the tip's motion alone.
+fn tip_loads(forces: &StepSlopes, d: &PlanarAffine, z: &PlanarAffine) -> PlanarAffine {
     [0, 1].map(|row| {
         let (stiffness, damping) = (&forces.stiffness[row], &forces.damping[row]);
         debug_assert!([2, 4, 5].iter().all(|&other| stiffness[other] == 0.0 && damping[other] == 0.0));
@@ -283,7 +272,10 @@ pub fn newton(mechanism: &Mechanism, at: &StepPoint<'_>, residuals: Residuals<'_
             rows[row][CONSTANT] += left;
         }
     }
-    let x = eliminated(&mut rows);
+    let columns = std::array::from_fn(|j| Vector::from_fn(|i| rows[i][j]));
+    let right = Vector::from_fn(|i| -rows[i][CONSTANT]);
+    // A pivot of 0 gives increments that are not finite.
+    let x: Vector<UNKNOWNS> = Inverse::new(columns, 0.0).times(&right);
 
     let (mut d, mut multipliers) = (Coordinates::ZERO, [Multipliers::ZERO; 2]);
     for (leg, part) in legs.iter().enumerate() {
@@ -304,25 +296,6 @@ pub fn newton(mechanism: &Mechanism, at: &StepPoint<'_>, residuals: Residuals<'_
         (multipliers[of][TIP_X], multipliers[of][TIP_Y]) = (x[tip], x[tip + 1]);
     }
     (d, multipliers)
-}
-
-/// Solution by Gaussian elimination with row exchanges: the unknowns, followed by 1.
-fn eliminated(rows: &mut [Row; UNKNOWNS]) -> Row {
-    for k in 0..UNKNOWNS {
-        let largest = (k + 1..UNKNOWNS).fold(k, |largest, i| if rows[i][k].abs() > rows[largest][k].abs() { i } else { largest });
-        rows.swap(k, largest);
-        let row = (1.0 / rows[k][k]) * rows[k];
-        rows[k] = row;
-        for other in &mut rows[k + 1..] {
-            *other = *other - other[k] * row;
-        }
-    }
-    let mut x = Row::unit(CONSTANT);
-    for k in (0..UNKNOWNS).rev() {
-        let row = &rows[k];
-        x[k] = -(k + 1..=CONSTANT).map(|i| row[i] * x[i]).sum::<f64>();
-    }
-    x
 }
 
 /// Derivatives of s = sin(d/2)/(d/2) and of c = cos(d/2) with respect to d.

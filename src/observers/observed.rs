@@ -5,12 +5,12 @@ use std::marker::PhantomData;
 use num_dual::Dual64;
 
 use super::{Estimated, Observation};
-use crate::effects::{self, Effect, ForceContext, FrictionGuards, GuardValues};
+use crate::effects::{self, Effect, FrictionGuards, GuardValues, MOTOR_ANGLES, Motion, Wrench};
 use crate::mechanism::coordinates::{E_X, E_Y, G_X, G_Y, THETA, TIP_X, TIP_Y, X, Y};
 use crate::mechanism::singularity::{Jacobians, rank_indicator};
-use crate::mechanism::{Coordinates, SceneError, SingularValue, closure};
+use crate::mechanism::{SceneError, SingularValue, closure};
 use crate::scalar::Scalar;
-use crate::simulation::{Following, Model, Variation};
+use crate::simulation::{Following, Model, Variation, wrench_change};
 
 /// An observation in numbers, or in dual numbers with the derivatives along a direction.
 #[derive(Clone, Copy, Debug)]
@@ -59,7 +59,7 @@ impl Observed<'_, f64> {
         let [.., direct, inverse] = self.observation.pose.configuration_indicators();
         // The constraints lose rank only where a direct and an inverse singularity are both near; σ_Φ is the most expensive output.
         let rank = if direct < 0.0 && inverse < 0.0 { rank_indicator(self.observation.sigma_phi()) } else { 1.0 };
-        let kinks = self.at(|at| GuardValues::new(&self.model.effects, at, FrictionGuards::new()).indicators());
+        let kinks = GuardValues::new(&self.model.effects, &self.motion(), FrictionGuards::new()).indicators();
         let mut indicators = [rank; INDICATORS];
         indicators[..5].copy_from_slice(&self.observation.pose.configuration_indicators());
         indicators[6..].copy_from_slice(&kinks);
@@ -104,8 +104,8 @@ impl<T: Scalar> Observed<'_, T> {
     fn coordinate(&self, place: usize, order: usize) -> T {
         let core = &self.observation.state.core;
         match order {
-            0 => self.varying(core.q[place], |along| along.change.q[place]),
-            1 => self.varying(core.v[place], |along| along.change.v[place]),
+            0 => self.varying(core.q[place], |along| along.q[place]),
+            1 => self.varying(core.v[place], |along| along.v[place]),
             _ => self.varying(core.a[place], |along| along.a[place]),
         }
     }
@@ -113,7 +113,7 @@ impl<T: Scalar> Observed<'_, T> {
     /// Absolute angle of a link from 0 to 3, rad, not wrapped, or its derivative of an order up to 2.
     pub fn angle(&self, link: usize, order: usize) -> T {
         match order {
-            0 => self.varying(self.observation.state.angles()[link], |along| along.change.q[THETA[link]]),
+            0 => self.varying(self.observation.state.angles()[link], |along| along.q[THETA[link]]),
             _ => self.coordinate(THETA[link], order),
         }
     }
@@ -121,7 +121,7 @@ impl<T: Scalar> Observed<'_, T> {
     /// Direction û of a link.
     fn direction(&self, link: usize) -> [T; 2] {
         let [x, y] = self.observation.pose.directions()[link];
-        let turned = |along: &Variation| along.change.q[THETA[link]];
+        let turned = |along: &Variation| along.q[THETA[link]];
         [self.varying(x, |along| -y * turned(along)), self.varying(y, |along| x * turned(along))]
     }
 
@@ -165,13 +165,13 @@ impl<T: Scalar> Observed<'_, T> {
     pub fn kinetic_energy(&self) -> T {
         let [kinetic, _] = self.observation.energies(self.model);
         let v = &self.observation.state.core.v;
-        self.varying(kinetic, |along| self.model.mechanism.mass_times(v).dot(&along.change.v))
+        self.varying(kinetic, |along| self.model.mechanism.mass_times(v).dot(&along.v))
     }
 
     /// Potential energy, J.
     pub fn potential_energy(&self) -> T {
         let [_, potential] = self.observation.energies(self.model);
-        self.varying(potential, |along| self.at(|at| self.model.potential_change(at, &along.change)))
+        self.varying(potential, |along| self.model.potential_change(&along.q, &self.motion(), &along.motion))
     }
 
     /// Balance residual of the energy, J.
@@ -184,37 +184,37 @@ impl<T: Scalar> Observed<'_, T> {
 
     /// Torques of the left and right servo on their proximal links, N·m; 0 without servos.
     pub fn servo_torques(&self) -> [T; 2] {
-        self.force_of([THETA[0], THETA[3]], |effect, at| match effect {
-            Effect::Servo(servo) => Some(servo.torques(at)),
-            _ => None,
-        })
+        let of_motors = |wrench: Wrench| MOTOR_ANGLES.map(|joint| wrench.torques[joint]);
+        let servo = |effect: &Effect, at: &Motion| {
+            let Effect::Servo(_) = effect else { return None };
+            let mut wrench = Wrench::default();
+            effect.act(at, &mut wrench);
+            Some(of_motors(wrench))
+        };
+        self.answer_of(servo, of_motors)
     }
 
     /// Force of the contact plane on the tip, N; 0 without contact.
     pub fn contact_force(&self) -> [T; 2] {
         let holding = self.observation.state.holding(self.model);
-        // A force on the tip acts on link 2: its components stand in the rows of the centre of mass.
-        self.force_of([X[1], Y[1]], |effect, at| match effect {
+        let contact = |effect: &Effect, at: &Motion| match effect {
             Effect::Contact(contact) => Some(contact.force(at, &holding)),
             _ => None,
-        })
+        };
+        self.answer_of(contact, |wrench| wrench.force)
     }
 
-    /// Force of the one effect that answers, with its derivative in these rows; 0 where none answers.
-    fn force_of(&self, rows: [usize; 2], answer: impl Fn(&Effect, &ForceContext) -> Option<[f64; 2]>) -> [T; 2] {
-        let found = self.model.effects.iter().find_map(|effect| Some((effect, self.at(|at| answer(effect, at))?)));
+    /// Answer of the one effect that has one, with the same part of the change of its wrench; 0 where none answers.
+    fn answer_of(&self, answer: impl Fn(&Effect, &Motion) -> Option<[f64; 2]>, part: impl Fn(Wrench) -> [f64; 2]) -> [T; 2] {
+        let at = self.motion();
+        let found = self.model.effects.iter().find_map(|effect| Some((effect, answer(effect, &at)?)));
         let Some((effect, force)) = found else { return [self.constant(0.0); 2] };
-        [0, 1].map(|i| self.varying(force[i], |along| self.force_change(effect, along)[rows[i]]))
+        [0, 1].map(|i| self.varying(force[i], |along| part(wrench_change(effect, &at, &along.motion, &along.inputs))[i]))
     }
 
-    /// Derivative of the generalised force of an effect along the direction.
-    fn force_change(&self, effect: &Effect, along: &Variation) -> Coordinates {
-        self.at(|at| effect.force_change(at, &along.change))
-    }
-
-    /// Evaluates an effect in the force context of the observed state.
-    fn at<R>(&self, answer: impl FnOnce(&ForceContext) -> R) -> R {
-        self.observation.state.at(self.model, answer)
+    /// Motion of joints and tip in the observed state.
+    fn motion(&self) -> Motion<'_> {
+        self.observation.state.motion(self.model)
     }
 
     /// Determinants, smallest singular values and modes.
@@ -227,9 +227,8 @@ impl<T: Scalar> Observed<'_, T> {
     pub fn sigma_phi(&self) -> T {
         self.varying(self.observation.sigma_phi(), |along| {
             let pose = &self.observation.pose;
-            let changes = |SingularValue { value, left, right }| {
-                Dual64::new(value, pose.phi_q_varied_times(&along.change.q, &right).dot(&left))
-            };
+            let changes =
+                |SingularValue { value, left, right }| Dual64::new(value, pose.phi_q_varied_times(&along.q, &right).dot(&left));
             Dual64::smallest(pose.singular_values().map(changes)).eps
         })
     }

@@ -9,11 +9,10 @@
 //!     [ m_D l_P·a_D                 I_D + m_D a_D²  ]      Φ_q = σ [ n̂(l_P)   n̂(a_D + b_D) ]
 //! ```
 //!
-//! Forces, power and potential energy are those of the twelve coordinates, mapped by the derivatives of the coordinates with respect to the
-//! angles.
+//! Force laws see the motion of joints and tip, and their wrenches act on the links directly (`src/dynamics/`).
 
-mod coordinate_map;
 mod factor;
+mod loads;
 mod weight_acceleration;
 
 use super::five_bar::FiveBar;
@@ -49,19 +48,25 @@ pub const LINK_INDICES: [usize; 4] = [2 * PROXIMAL, 2 * DISTAL, 2 * DISTAL + 1, 
 /// Link angles out of the twelve coordinates.
 #[inline]
 pub fn angles_of(x: &Coordinates) -> Angles {
-    let mut angles = Angles::ZERO;
-    set_legs(&mut angles, PROXIMAL, legs_of(x, P_THETA));
-    set_legs(&mut angles, DISTAL, legs_of(x, D_THETA));
-    angles
+    angles([legs_of(x, P_THETA), legs_of(x, D_THETA)])
 }
 
 /// Pairs of the proximal and of the distal links.
 #[inline(always)]
-fn legs(x: &Angles) -> [Legs; 2] {
+pub(super) fn legs(x: &Angles) -> [Legs; 2] {
     [legs_of(x, PROXIMAL), legs_of(x, DISTAL)]
 }
 
-/// A five-bar in its link angles.
+/// Angles or what belongs to them from those of the proximal and of the distal links.
+#[inline]
+pub(super) fn angles([p, d]: [Legs; 2]) -> Angles {
+    let mut angles = Angles::ZERO;
+    set_legs(&mut angles, PROXIMAL, p);
+    set_legs(&mut angles, DISTAL, d);
+    angles
+}
+
+/// A five-bar seen in its link angles.
 #[derive(Clone, Copy, Debug)]
 pub struct AngleSystem<'a> {
     five_bar: FiveBar<'a>,
@@ -195,9 +200,10 @@ impl<'a> AngleSystem<'a> {
     ) -> (Coordinates, Multipliers, Work) {
         let (applied, power) = self.five_bar.forces_and_power(x, pose, rates);
         let mass = self.factor_mass(pose, self.regularization_by_angles());
-        let (a, tip) = mass.solve(&self.torques_in_angles(&applied, pose, v), &-self.phi_q_dot_times(pose, v));
-        let accelerations = self.velocity_map(&a, pose) + self.velocity_product(pose, v);
-        // Force on each link minus mass times acceleration: the force that its joints carry.
+        let torques = self.with_centripetal(pose.torques_of(&applied), pose, v);
+        let (a, tip) = mass.solve(&torques, &-self.phi_q_dot_times(pose, v));
+        let accelerations = pose.velocities(legs(&a)) + pose.centripetal(legs(v));
+        // What of the force on a link its acceleration leaves for the joints.
         let left = applied - self.mechanism.mass_times(&accelerations);
         let mut lambda = Multipliers::ZERO;
         (lambda[TIP_X], lambda[TIP_Y]) = (tip[0], tip[1]);
@@ -206,7 +212,7 @@ impl<'a> AngleSystem<'a> {
             set_legs(&mut lambda, elbow, from_elbow);
             set_legs(&mut lambda, ground, legs_of(&left, on_p) + from_elbow);
         }
-        let from_rest = self.acceleration_from_rest(q, v).map(|a| self.velocity_map(&a, pose));
+        let from_rest = self.acceleration_from_rest(q, v).map(|a| pose.velocities(legs(&a)));
         (from_rest.unwrap_or(accelerations), lambda, power)
     }
 }
@@ -271,7 +277,7 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
 
     #[inline]
     fn forces(&self, q: &Angles, pose: &Pose, v: &Angles) -> Angles {
-        self.torques_in_angles(&self.five_bar.forces(&self.positions(q, pose), pose, &self.velocity_map(v, pose)), pose, v)
+        self.loaded_torques_and_power(*q, [pose.u_p, pose.u_d], *v).0
     }
 
     #[inline(always)]
@@ -283,7 +289,7 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
     #[inline(always)]
     fn forces_and_power(&self, q: &Angles, pose: &Pose, v: &Angles) -> (Angles, Work) {
         if self.only_weight {
-            return (self.weight_torques(pose, v), Work::default());
+            return (self.with_centripetal(self.weight([pose.u_p, pose.u_d]), pose, v), Work::default());
         }
         self.loaded_torques_and_power(*q, [pose.u_p, pose.u_d], *v)
     }
@@ -337,7 +343,7 @@ impl System<ANGLES, CLOSURES> for AngleSystem<'_> {
 
     #[inline]
     fn power(&self, q: &Angles, pose: &Pose, v: &Angles) -> Work {
-        self.five_bar.power(&self.positions(q, pose), pose, &self.velocity_map(v, pose))
+        self.five_bar.acting(&self.motion(pose, q, v)).1
     }
 
     #[inline]

@@ -38,7 +38,7 @@ impl Run {
         let energy = |q: &Coordinates, v: &Coordinates| {
             let five_bar = FiveBar::<false>::new(model, inputs, &turns);
             let pose = five_bar.pose(q);
-            model.mechanism.mass_times(v).dot(v) / 2.0 + model.potential(&five_bar.context(q, &pose, v))
+            model.mechanism.mass_times(v).dot(v) / 2.0 + model.potential(q, &five_bar.motion(q, &pose, v))
         };
         let external_work = energy(&q, &v) - energy(&before.0, &before.1);
         let held = std::mem::replace(&mut self.inputs, *inputs);

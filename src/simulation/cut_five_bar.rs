@@ -47,9 +47,8 @@ impl<const BARE: bool> CutStep<COORDINATES, MULTIPLIERS> for CutFiveBar<'_, BARE
 
     #[inline(always)]
     fn factor(&self, motion: &OpenMotion, balance: &OpenResidual, regularization: f64) -> BorderedMatrix {
-        let mut loads = self.step.loads(motion);
-        self.over(motion, |step| self.system.add_mean_tangents(&self.system.over(step), &mut loads));
-        self.step.factor(motion, balance, &loads, regularization)
+        let (slopes, arm) = self.over(motion, |step| self.system.slopes_over(step));
+        self.step.factor(motion, balance, self.step.inertias_of(motion, &slopes, &arm), regularization)
     }
 
     #[inline(always)]

@@ -55,7 +55,7 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
         let pose = self.pose(q);
         let (x, rates) = self.coordinates(&pose, q, v);
         let friction_guards = self.five_bar().friction_guards(&x, &pose, &rates);
-        GuardValues::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates), friction_guards)
+        GuardValues::new(&self.model().effects, &self.motion(&pose, q, v), friction_guards)
     }
 
     #[inline]
@@ -64,9 +64,7 @@ impl<'a> Events<ANGLES> for AngleSystem<'a> {
             return self.select_branch(Mode::OF_STATE, q, v);
         }
         let pose = self.pose(q);
-        let (x, rates) = self.coordinates(&pose, q, v);
-        let springs =
-            GuardValues::new(&self.model().effects, &self.five_bar().context(&x, &pose, &rates), FrictionGuards::new()).mode();
+        let springs = GuardValues::new(&self.model().effects, &self.motion(&pose, q, v), FrictionGuards::new()).mode();
         self.with_resolved_stick_slip(self.select_branch(springs, q, v), q, v)
     }
 
@@ -176,7 +174,7 @@ impl<'a, const BARE: bool> Events<COORDINATES> for FiveBar<'a, BARE> {
     fn guard_values(&self, q: &Coordinates, v: &Coordinates) -> GuardValues<'a> {
         let pose = self.pose(q);
         let friction_guards = self.friction_guards(q, &pose, v);
-        GuardValues::new(&self.model.effects, &self.context(q, &pose, v), friction_guards)
+        GuardValues::new(&self.model.effects, &self.motion(q, &pose, v), friction_guards)
     }
 
     /// Initial mode: phases of unilateral springs follow from the state; stick-slip states are resolved from it.

@@ -1,10 +1,11 @@
 //! The five-bar in its twelve coordinates, with active effects and held inputs: implements [`System`], the interface of the integrators.
 
 use super::model::Model;
-use crate::effects::{ForceContext, Inputs, Mode, Tangents};
+use crate::dynamics::{Conditions, TipArm};
+use crate::effects::{Inputs, Mode, Motion, Slopes, Wrench};
 use crate::integrator::{Events, Implicit, StepError, StickingConstraint, System, TangentPoint, Work};
-use crate::linear::{Definiteness, LinearSolve, MassFactor, TangentSource, TangentSystem};
-use crate::mechanism::coordinates::{D_THETA, P_THETA, largest_angle, legs_of};
+use crate::linear::{Definiteness, LinearSolve, MassFactor, TangentSystem};
+use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, largest_angle, legs_of};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
 /// A model with the inputs and whole turns that are constant during a step.
@@ -61,22 +62,74 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
         self.mode
     }
 
+    /// Inputs, turns and mode under which the force laws act.
     #[inline(always)]
-    pub(super) fn context<'b>(&'b self, q: &'b Coordinates, pose: &'b Pose, v: &'b Coordinates) -> ForceContext<'b> {
-        ForceContext { q, v, pose, inputs: self.inputs, turns: self.turns, mode: self.mode }
+    pub(super) fn conditions(&self) -> Conditions<'a> {
+        Conditions { inputs: self.inputs, turns: self.turns, mode: self.mode }
+    }
+
+    /// Motion of joints and tip.
+    #[inline(always)]
+    pub(super) fn motion(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Motion<'a> {
+        self.conditions().motion([q, v], pose)
     }
 
     /// Potential energy of all conservative forces, held loads included, J.
     pub(super) fn potential_energy(&self, q: &Coordinates, pose: &Pose) -> f64 {
-        let at = self.context(q, pose, &Coordinates::ZERO);
-        self.model.potential(&at) + self.inputs.potential(&at)
+        let at = self.motion(q, pose, &Coordinates::ZERO);
+        self.model.potential(q, &at) + self.inputs.potential([q[THETA[0]], q[THETA[3]]], at.position)
     }
 
-    /// Power of the non-conservative forces, W.
-    pub(super) fn power_without_potential(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
-        // Evaluated in the mode of the state: the loss at a separating spring is power here, because its potential energy is counted.
-        let at = ForceContext { mode: Mode::of_stick_slip(self.mode.stick_slip), ..self.context(q, pose, v) };
-        self.model.effects.iter().map(|effect| effect.input_power(&at) - effect.dissipation(&at)).sum()
+    /// Power of the effects that have no potential, W, at a motion.
+    pub(super) fn power_without_potential(&self, at: &Motion) -> f64 {
+        // In the phases of the present state: the loss of a separated spring is power here, because its potential is counted.
+        let mut at = *at;
+        at.joints.mode = Mode::of_stick_slip(self.mode.stick_slip);
+        let Work { input, dissipated } = self.effects_at(at).1;
+        input - dissipated
+    }
+
+    /// Wrench of the effects and its power. The motion is taken by value: pointing to it, the compiler would keep it in memory also in
+    /// scenes without effects.
+    #[inline(never)]
+    fn effects_at(&self, at: Motion) -> (Wrench, Work) {
+        let (mut wrench, mut power) = (Wrench::default(), Work::default());
+        for effect in &self.model.effects {
+            let [input, dissipated] = effect.act(&at, &mut wrench);
+            power += Work { input, dissipated };
+        }
+        (wrench, power)
+    }
+
+    /// Wrench of loads and effects, and its power.
+    #[inline(always)]
+    pub(super) fn acting(&self, at: &Motion) -> (Wrench, Work) {
+        let loads = self.inputs.wrench();
+        let power = Work { input: loads.power(&at.joints.rates, at.velocity), dissipated: 0.0 };
+        if BARE || self.model.effects.is_empty() {
+            return (loads, power);
+        }
+        let (wrench, mut sum) = self.effects_at(*at);
+        sum += power;
+        (wrench.plus(1.0, &loads), sum)
+    }
+
+    /// Slopes of loads and effects.
+    #[inline(never)]
+    pub(super) fn slopes(&self, at: Motion) -> Slopes {
+        let mut slopes = Slopes { force: self.inputs.tip_force, ..Slopes::default() };
+        for effect in &self.model.effects {
+            effect.add_slopes(&at, &mut slopes);
+        }
+        slopes
+    }
+
+    /// Slopes at coordinates and velocities, with the arms of the tip.
+    #[inline(always)]
+    fn slopes_at(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> (Slopes, TipArm) {
+        let slopes =
+            if BARE { Slopes { force: self.inputs.tip_force, ..Slopes::default() } } else { self.slopes(self.motion(q, pose, v)) };
+        (slopes, TipArm::of_pose(pose, v))
     }
 
     #[inline(always)]
@@ -88,74 +141,8 @@ impl<'a, const BARE: bool> FiveBar<'a, BARE> {
         right: (&Coordinates, &Multipliers),
     ) -> Result<(Coordinates, Multipliers), StepError> {
         let &TangentPoint { q, pose, v, lambda, h } = at;
-        let forces = &ForceTangents::<BARE> { model: self.model, at: self.context(q, pose, v) };
-        self.model.solver.solve_tangent::<BARE>(&TangentSystem { forces, pose, lambda, h, regularization, definite }, right)
-    }
-}
-
-impl<const BARE: bool> FiveBar<'_, BARE> {
-    /// Forces of the effects, added to `forces`. The arguments are copies, made only if there are effects: data behind pointers must be in
-    /// memory, and without effects they stay in registers (8 % of an evaluation by dop853).
-    #[inline(never)]
-    fn with_effects(&self, mut forces: Coordinates, q: Coordinates, pose: Pose, v: Coordinates) -> Coordinates {
-        let at = self.context(&q, &pose, &v);
-        for effect in &self.model.effects {
-            effect.add_forces(&at, &mut forces);
-        }
-        forces
-    }
-}
-
-impl<const BARE: bool> FiveBar<'_, BARE> {
-    /// Forces of inputs and effects, N and N·m, with their power, W.
-    #[inline(always)]
-    pub(super) fn acting(&self, at: &ForceContext) -> (Coordinates, Work) {
-        let mut forces = self.model.weight;
-        self.inputs.add_forces(at, &mut forces);
-        let power = self.act(at, &mut forces);
-        (forces, power)
-    }
-
-    /// Adds the forces of the effects; returns the power of inputs and effects, W. Out of line, as `with_effects` is.
-    #[inline(never)]
-    fn act(&self, at: &ForceContext, forces: &mut Coordinates) -> Work {
-        let mut power = Work { input: self.inputs.power(at), dissipated: 0.0 };
-        for effect in &self.model.effects {
-            let [input, dissipated] = effect.act(at, forces);
-            power.input += input;
-            power.dissipated += dissipated;
-        }
-        power
-    }
-}
-
-impl<const BARE: bool> FiveBar<'_, BARE> {
-    /// Adds the power of the effects to `power`, W.
-    #[inline(never)]
-    fn with_effect_power(&self, mut power: Work, at: &ForceContext) -> Work {
-        for effect in &self.model.effects {
-            power.input += effect.input_power(at);
-            power.dissipated += effect.dissipation(at);
-        }
-        power
-    }
-}
-
-/// Forces of a model at a state, as a source of tangents.
-struct ForceTangents<'a, const BARE: bool> {
-    model: &'a Model,
-    at: ForceContext<'a>,
-}
-
-impl<const BARE: bool> TangentSource for ForceTangents<'_, BARE> {
-    #[inline(always)]
-    fn add_tangents(&self, tangents: &mut impl Tangents) {
-        self.at.inputs.add_tangents(&self.at, tangents);
-        if !BARE {
-            for effect in &self.model.effects {
-                effect.add_tangents(&self.at, tangents);
-            }
-        }
+        let (slopes, arm) = self.slopes_at(q, pose, v);
+        self.model.solver.solve_tangent::<BARE>(&TangentSystem { slopes, arm, pose, lambda, h, regularization, definite }, right)
     }
 }
 
@@ -200,10 +187,7 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
 
     #[inline(always)]
     fn forces(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Coordinates {
-        let at = self.context(q, pose, v);
-        let mut forces = self.model.weight;
-        self.inputs.add_forces(&at, &mut forces);
-        if BARE || self.model.effects.is_empty() { forces } else { self.with_effects(forces, *q, *pose, *v) }
+        self.forces_and_power(q, pose, v).0
     }
 
     #[inline(never)]
@@ -255,24 +239,20 @@ impl<'a, const BARE: bool> System<COORDINATES, MULTIPLIERS> for FiveBar<'a, BARE
 
     #[inline]
     fn power(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> Work {
-        let at = self.context(q, pose, v);
-        let power = Work { input: self.inputs.power(&at), dissipated: 0.0 };
-        if BARE || self.model.effects.is_empty() { power } else { self.with_effect_power(power, &at) }
+        self.acting(&self.motion(q, pose, v)).1
     }
 
     #[inline(always)]
     fn forces_and_power(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> (Coordinates, Work) {
-        if BARE || self.model.effects.is_empty() || !self.follows_work {
-            let power = if self.follows_work { self.power(q, pose, v) } else { Work::default() };
-            return (self.forces(q, pose, v), power);
-        }
-        let (q, pose, v) = (*q, *pose, *v);
-        self.acting(&self.context(&q, &pose, &v))
+        let (wrench, power) = self.acting(&self.motion(q, pose, v));
+        let mut forces = self.model.weight;
+        wrench.add_to(TipArm::of_pose(pose, v).row, &mut forces);
+        (forces, if self.follows_work { power } else { Work::default() })
     }
 
     #[cold]
     fn energy(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> f64 {
-        self.mass_times(pose, v).dot(v) / 2.0 + self.model.potential(&self.context(q, pose, v))
+        self.mass_times(pose, v).dot(v) / 2.0 + self.model.potential(q, &self.motion(q, pose, v))
     }
 
     #[inline(always)]
@@ -300,7 +280,8 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
 
     fn effective_mass_times(&self, at: &At<'_>, x: &Coordinates) -> Coordinates {
         let &TangentPoint { q, pose, v, h, .. } = at;
-        self.model.solver.effective_mass_times(&ForceTangents::<BARE> { model: self.model, at: self.context(q, pose, v) }, h, x)
+        let (slopes, arm) = self.slopes_at(q, pose, v);
+        self.model.solver.effective_mass_times(&slopes, &arm, h, x)
     }
 
     #[inline(always)]
@@ -328,7 +309,10 @@ impl<'a, const BARE: bool> Implicit<COORDINATES, MULTIPLIERS> for FiveBar<'a, BA
 
     #[cold]
     fn drive_forces(&self, q: &Coordinates, v: &Coordinates) -> Option<Coordinates> {
-        self.model.has_servo.then(|| self.model.drive_forces(&self.context(q, &self.pose(q), v)))
+        self.model.has_servo.then(|| {
+            let pose = self.pose(q);
+            self.model.drives(&self.motion(q, &pose, v)).in_coordinates(&pose)
+        })
     }
 
     /// An iteration of the dense solve counts as several: its matrix has 22 rows.

@@ -3,11 +3,12 @@
 
 use super::cut_five_bar::CutFiveBar;
 use super::five_bar::FiveBar;
-use crate::effects::{StepContext, Tangents};
+use crate::dynamics::TipArm;
+use crate::effects::{FiniteMotion, Slopes, Wrench};
 use crate::integrator::{Discrete, StepIncrement, Work};
 use crate::linear::LinearSolve;
 use crate::linear::cut_loop::{CutUnknowns, OpenStep, cut_unknowns};
-use crate::linear::secant_newton::{StepPoint, StepTangents, newton};
+use crate::linear::secant_newton::{StepPoint, StepSlopes, newton};
 use crate::mechanism::secant::Secant;
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
 
@@ -15,30 +16,38 @@ pub(super) type Step<'a> = StepIncrement<'a, Secant, COORDINATES>;
 
 impl<const BARE: bool> FiveBar<'_, BARE> {
     #[inline(always)]
-    pub(super) fn over<'b>(&'b self, step: &Step<'b>) -> StepContext<'b> {
+    fn over(&self, step: &Step<'_>) -> FiniteMotion<'_> {
         let &StepIncrement { q, d, v, h, softening, secant } = step;
-        let inertia = &self.model.typical_inertia;
-        StepContext { q, d, v, h, softening, secant, inputs: self.inputs, turns: self.turns, inertia }
+        self.conditions().finite_motion([q, d, v], secant, (h, softening), self.model.typical_inertia)
     }
 
-    /// Adds the tangents of all mean forces to `tangents`.
-    #[inline(always)]
-    pub(super) fn add_mean_tangents(&self, over: &StepContext, tangents: &mut impl Tangents) {
-        self.inputs.add_mean_tangents(over, tangents);
-        if !BARE {
-            for effect in &self.model.effects {
-                effect.add_mean_tangents(over, tangents);
-            }
+    /// Mean wrench of the loads and the effects over a step, and its work.
+    #[inline(never)]
+    fn acting_over(&self, over: FiniteMotion) -> (Wrench, Work) {
+        let mut wrench = self.inputs.wrench();
+        let mut work = Work { input: wrench.power(&over.changes, over.change), dissipated: 0.0 };
+        for effect in &self.model.effects {
+            let [input, dissipated] = effect.act_over(&over, &mut wrench);
+            work += Work { input, dissipated };
         }
+        (wrench, work)
+    }
+
+    /// Slopes of the mean wrench over a step, with the arms of the tip.
+    #[inline(always)]
+    pub(super) fn slopes_over(&self, step: &Step<'_>) -> (Slopes, TipArm) {
+        let mut slopes = Slopes { force: self.inputs.tip_force, ..Slopes::default() };
+        if !BARE && !self.model.effects.is_empty() {
+            self.add_slopes_over(self.over(step), &mut slopes);
+        }
+        (slopes, TipArm::of_step(step.secant, step.d, step.v))
     }
 
     #[inline(never)]
-    fn with_mean_effects(&self, step: &Step<'_>, mut forces: Coordinates) -> Coordinates {
-        let over = self.over(step);
+    fn add_slopes_over(&self, over: FiniteMotion, slopes: &mut Slopes) {
         for effect in &self.model.effects {
-            effect.add_mean_forces(&over, &mut forces);
+            effect.add_slopes_over(&over, slopes);
         }
-        forces
     }
 }
 
@@ -83,19 +92,14 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
 
     #[inline(always)]
     fn mean_forces(&self, step: &Step<'_>) -> Coordinates {
+        let wrench = if BARE || self.model.effects.is_empty() { self.inputs.wrench() } else { self.acting_over(self.over(step)).0 };
         let mut forces = self.model.weight;
-        self.inputs.add_mean_forces(&self.over(step), &mut forces);
-        if BARE || self.model.effects.is_empty() { forces } else { self.with_mean_effects(step, forces) }
+        wrench.add_to(TipArm::of_step(step.secant, step.d, step.v).row, &mut forces);
+        forces
     }
 
     fn work_over(&self, step: &Step<'_>) -> Work {
-        let over = self.over(step);
-        let mut work = Work { input: self.inputs.input_over(&over), dissipated: 0.0 };
-        for effect in &self.model.effects {
-            work.input += effect.input_over(&over);
-            work.dissipated += effect.dissipated_over(&over);
-        }
-        work
+        self.acting_over(self.over(step)).1
     }
 
     #[inline(always)]
@@ -121,9 +125,8 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
         regularization: f64,
     ) -> (Coordinates, [Multipliers; 2]) {
         let &StepIncrement { d, v, h, secant, .. } = step;
-        let over = self.over(step);
-        let mut forces = StepTangents::new(h);
-        self.add_mean_tangents(&over, &mut forces);
+        let (slopes, arm) = self.slopes_over(step);
+        let forces = StepSlopes::new(&slopes, &arm, h);
         let at = StepPoint { secant, d, w: &(h * *v), multipliers, forces: &forces, regularization };
         newton(&self.model.mechanism, &at, residuals)
     }
@@ -136,6 +139,7 @@ impl<const BARE: bool> Discrete<COORDINATES, MULTIPLIERS> for FiveBar<'_, BARE> 
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::dynamics::INNER;
     use crate::effects::Inputs;
     use crate::fmi::bindings::{default_inputs, default_parameters};
     use crate::integrator::System;
@@ -182,20 +186,7 @@ pub(super) mod tests {
         (model, inputs, [q, d, v])
     }
 
-    /// Collects tangents in dense matrices: stiffness and damping.
-    struct DenseTangents([[[f64; COORDINATES]; COORDINATES]; 2]);
-
-    impl Tangents for DenseTangents {
-        fn stiffness(&mut self, row: usize, column: usize, value: f64) {
-            self.0[0][row][column] += value;
-        }
-
-        fn damping(&mut self, row: usize, column: usize, value: f64) {
-            self.0[1][row][column] += value;
-        }
-    }
-
-    /// Mean force times displacement equals input work minus dissipation minus the gain of potential energy.
+    /// Force times displacement is what potentials lose, inputs put in and dissipation takes.
     #[test]
     fn mean_forces_do_the_work_of_energies() {
         let (model, inputs, [q, d, v]) = loaded();
@@ -227,12 +218,13 @@ pub(super) mod tests {
         };
         let secant = system.secant(&begin, &d);
         let step = StepIncrement { q: &q, d: &d, v: &v, h: 1e-3, softening: 1.0, secant: &secant };
-        let over = system.over(&step);
-        let mut tangents = DenseTangents([[[0.0; COORDINATES]; COORDINATES]; 2]);
-        inputs.add_mean_tangents(&over, &mut tangents);
-        for effect in &model.effects {
-            effect.add_mean_tangents(&over, &mut tangents);
-        }
+        let (slopes, arm) = system.slopes_over(&step);
+        let inner = [[1.0, 0.0], [0.0, 1.0]].map(|weights| slopes.inner(&arm, weights));
+        let place = |i: usize| INNER.iter().position(|inner| *inner == i);
+        let tangent = |kind: usize, row, column| match (place(row), place(column)) {
+            (Some(row), Some(column)) => inner[kind][row][column],
+            _ => 0.0,
+        };
         for column in 0..COORDINATES {
             let unit = Coordinates::unit(column);
             let numeric = [
@@ -241,8 +233,8 @@ pub(super) mod tests {
             ];
             for (kind, numeric) in numeric.iter().enumerate() {
                 for row in 0..COORDINATES {
-                    let (got, want) = (tangents.0[kind][row][column], numeric[row]);
-                    // Tolerance: round-off of forces of up to 1e3 N over 1e-8 m, and the third order of the tip's arm.
+                    let (got, want) = (tangent(kind, row, column), numeric[row]);
+                    // Round-off of forces of up to 1e3 N over 1e-8 m; the arm's third order.
                     assert!((got - want).abs() < 1e-4 * (1.0 + want.abs()), "{kind} {row} {column}: {got} {want}");
                 }
             }

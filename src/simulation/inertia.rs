@@ -2,16 +2,10 @@
 
 use super::angles::{Angles, DISTAL, PROXIMAL};
 use crate::mechanism::coordinates::{legs_of, set_legs};
-use crate::mechanism::legs::{Legs, Legs2, both};
+use crate::mechanism::legs::{Legs, both};
 use crate::mechanism::{Mechanism, Pose};
 
-/// Vector from motor axis to elbow, m.
-#[inline]
-pub(super) fn proximal_arm(pose: &Pose) -> Legs2 {
-    Legs2 { x: pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y }
-}
-
-/// Mass matrix of each leg, kg·m², or its inverse.
+/// The mass matrix of each leg, or its inverse.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mass {
     pub(super) proximal: Legs,

@@ -42,7 +42,7 @@ pub use run::{Run, StepFailure};
 pub use settings::{Method, Settings};
 pub use signal::{ORDERS, Signal};
 pub use state::{Core, State};
-pub use variation::{Direction, Variation};
+pub use variation::{Direction, Variation, wrench_change};
 
 /// A simulation of one scene. A clone continues independently, equal to the bit.
 #[derive(Clone, Debug)]

@@ -5,7 +5,7 @@ use arrayvec::ArrayVec;
 use super::angles::WeightAcceleration;
 use super::inertia::Inertia;
 use super::settings::{Settings, sticking_law};
-use crate::effects::{self, Active, Effect, ForceContext, Inputs, Perturbation, TypicalInertia};
+use crate::effects::{self, Active, Effect, Inputs, Motion, MotionChange, PowerFlow, TypicalInertia, Wrench};
 use crate::estimator;
 use crate::integrator::{MacroStepMethod, dense, i3alp_conserving};
 use crate::linear::{LinearSolve, LinearSolver};
@@ -106,20 +106,20 @@ impl Model {
         let (inertia, weight) = (Inertia::new(&mechanism), parameters.effects.weight(&mechanism)?);
         Ok(Self {
             typical_inertia: TypicalInertia::new(&geometry),
-            conservative: effects.iter().all(Effect::conservative),
-            has_events: effects.iter().any(Effect::has_events),
+            conservative: effects.iter().all(|effect| effect.conservative()),
+            has_events: effects.iter().any(|effect| effect.may_make_contact() || effect.sticks()),
             regularization_velocity: regularization_velocity(&effects),
-            may_make_contact: effects.iter().any(Effect::may_make_contact),
-            sticks: effects.iter().any(Effect::sticks),
+            may_make_contact: effects.iter().any(|effect| effect.may_make_contact()),
+            sticks: effects.iter().any(|effect| effect.sticks()),
             error_tolerance: settings.error_tolerance,
-            has_stiff_forces: effects.iter().any(Effect::has_stiff_forces),
+            has_stiff_forces: effects.iter().any(|effect| effect.has_stiff_forces()),
             has_sharp_nonlinearity: has_sharp_nonlinearity(&effects),
             has_servo: effects.iter().any(|effect| matches!(effect, Effect::Servo(_))),
             effect_names: parameters.effects.enabled(),
             length_scale: geometry.length_scale(),
             weight_acceleration: WeightAcceleration::new(&mechanism, &inertia, &weight, regularization_by_angles),
             weight,
-            solver: LinearSolver::new(LinearSolve::choose(&geometry, &effects), &mechanism, regularization),
+            solver: LinearSolver::new(LinearSolve::choose(&geometry), &mechanism, regularization),
             inertia,
             mechanism,
             effects,
@@ -163,7 +163,7 @@ impl Model {
         let geometry = parameters.with_added_masses(&tuned.geometry)?;
         if geometry != self.mechanism.geometry {
             let is_dense = self.solver.linear_solve() == LinearSolve::Dense;
-            if !is_dense && LinearSolve::choose(&geometry, &[]) == LinearSolve::Dense {
+            if !is_dense && LinearSolve::choose(&geometry) == LinearSolve::Dense {
                 return Err(inertia_ratio_refusal(in_force, tuned));
             }
             *self = match self.stepper {
@@ -177,35 +177,41 @@ impl Model {
         let changed = weight != self.weight || effects != self.effects;
         self.weight = weight;
         self.weight_acceleration = WeightAcceleration::new(&self.mechanism, &self.inertia, &weight, self.regularization_by_angles);
-        self.conservative = effects.iter().all(Effect::conservative);
-        self.has_events = effects.iter().any(Effect::has_events);
+        self.conservative = effects.iter().all(|effect| effect.conservative());
+        self.has_events = effects.iter().any(|effect| effect.may_make_contact() || effect.sticks());
         self.regularization_velocity = regularization_velocity(&effects);
         self.has_sharp_nonlinearity = has_sharp_nonlinearity(&effects);
-        self.may_make_contact = effects.iter().any(Effect::may_make_contact);
-        self.sticks = effects.iter().any(Effect::sticks);
-        self.solver.choose(LinearSolve::choose(&self.mechanism.geometry, &effects));
+        self.may_make_contact = effects.iter().any(|effect| effect.may_make_contact());
+        self.sticks = effects.iter().any(|effect| effect.sticks());
         self.effects = effects;
         Ok(changed)
     }
 
-    /// Potential energy of the active effects, J; that of their constant force is 0 at the left motor axis.
-    pub fn potential(&self, at: &ForceContext) -> f64 {
-        self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - at.q.dot(&self.weight)
+    /// Potential energy of the active effects at coordinates with their motion, J; 0 of their constant force at the left motor axis.
+    pub fn potential(&self, q: &Coordinates, at: &Motion) -> f64 {
+        self.effects.iter().map(|effect| effect.potential(at)).sum::<f64>() - q.dot(&self.weight)
     }
 
-    /// Generalised force of the servos, whose work counts as input, N and N·m.
-    pub(super) fn drive_forces(&self, at: &ForceContext) -> Coordinates {
-        let mut forces = Coordinates::ZERO;
-        self.effects
-            .iter()
-            .filter(|effect| matches!(effect, Effect::Servo(_)))
-            .for_each(|effect| effect.add_forces(at, &mut forces));
-        forces
+    /// Wrench of the effects whose work is put in.
+    pub(super) fn drives(&self, at: &Motion) -> Wrench {
+        let mut wrench = Wrench::default();
+        for drive in self.effects.iter().filter(|effect| effect.power_flow() == PowerFlow::Supplied) {
+            drive.act(at, &mut wrench);
+        }
+        wrench
     }
 
-    /// First-order change of the potential energy, J.
-    pub fn potential_change(&self, at: &ForceContext, change: &Perturbation) -> f64 {
-        self.effects.iter().map(|effect| effect.potential_change(at, change)).sum::<f64>() - change.q.dot(&self.weight)
+    /// Change of the potential energy of the active effects, J, for a change of the coordinates with that of the motion.
+    pub fn potential_change(&self, q_change: &Coordinates, at: &Motion, change: &MotionChange) -> f64 {
+        // At the change as velocity: dU/dt = input − dissipation − power of the wrench.
+        let mut moving = Motion { velocity: change.position, ..*at };
+        moving.joints.rates = change.angles;
+        let stored = self.effects.iter().map(|effect| {
+            let mut wrench = Wrench::default();
+            let [input, dissipated] = effect.act(&moving, &mut wrench);
+            input - dissipated - wrench.power(&change.angles, change.position)
+        });
+        stored.sum::<f64>() - q_change.dot(&self.weight)
     }
 
     /// Whether two inputs act equally; servo references are ignored in the absence of servos.
@@ -224,7 +230,7 @@ fn inertia_ratio_refusal(in_force: &effects::Parameters, tuned: &Parameters) -> 
     for _ in 0..BISECTIONS {
         probe.payload.mass = taken + (refused - taken) / 2.0;
         let geometry = probe.with_added_masses(&tuned.geometry);
-        let takes = geometry.is_ok_and(|geometry| LinearSolve::choose(&geometry, &[]) != LinearSolve::Dense);
+        let takes = geometry.is_ok_and(|geometry| LinearSolve::choose(&geometry) != LinearSolve::Dense);
         *(if takes { &mut taken } else { &mut refused }) = probe.payload.mass;
     }
     let side = if wanted > taken { "at most" } else { "at least" };
@@ -246,10 +252,10 @@ const COAXIAL_REGULARIZATION: f64 = 1e-10;
 
 /// Smallest change of a joint's rate over which the force of any effect reverses, rad/s.
 fn regularization_velocity(effects: &Active) -> f64 {
-    effects.iter().map(Effect::regularization_velocity).fold(f64::INFINITY, f64::min)
+    effects.iter().map(|effect| effect.regularization_velocity()).fold(f64::INFINITY, f64::min)
 }
 
 /// Whether any effect has a sharp nonlinearity, while none has stick-slip friction.
 fn has_sharp_nonlinearity(effects: &Active) -> bool {
-    effects.iter().any(Effect::has_sharp_nonlinearity) && !effects.iter().any(Effect::sticks)
+    effects.iter().any(|effect| effect.has_sharp_nonlinearity()) && !effects.iter().any(|effect| effect.sticks())
 }

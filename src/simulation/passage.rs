@@ -11,7 +11,7 @@
 
 use std::borrow::Borrow;
 
-use super::angles::{ANGLES, AngleSystem, Angles, LINK_INDICES, angles_of};
+use super::angles::{ANGLES, AngleSystem, Angles, LINK_INDICES, angles_of, legs};
 use super::five_bar::FiveBar;
 use crate::integrator::dense::{DenseStep, Horizon, Schemes, Settings};
 use crate::integrator::{
@@ -154,7 +154,7 @@ impl AngleSystem<'_> {
         let on_branch = self.on(step.mode());
         let (a, _) = equilibrium(on_branch.borrow(), &sample.q, &sample.v, settings.regularization);
         let (x, rates) = self.coordinates(&sample.pose, &sample.q, &sample.v);
-        let a = self.coordinates(&sample.pose, &sample.q, &a).1 + self.velocity_product(&sample.pose, &sample.v);
+        let a = sample.pose.velocities(legs(&a)) + sample.pose.centripetal(legs(&sample.v));
         Some(Transit { q: x, v: rates, duration: h, on_ray: false, passed: false, from_rest: None, known: Some((a, sample.work)) })
     }
 

@@ -4,7 +4,8 @@ use std::f64::consts::TAU;
 
 use super::five_bar::FiveBar;
 use super::{Model, stick_slip};
-use crate::effects::{FRICTION_PLACES, ForceContext, Inputs, Mode, StickSlips};
+use crate::dynamics::Conditions;
+use crate::effects::{FRICTION_PLACES, Inputs, Mode, Motion, StickSlips};
 use crate::integrator;
 use crate::mechanism::coordinates::{THETA, largest_angle};
 use crate::mechanism::{COORDINATES, Coordinates, MULTIPLIERS, Multipliers, Pose};
@@ -36,7 +37,7 @@ impl State {
 
     /// Potential energy of the active effects, J; the held loads count as work instead.
     pub fn potential_energy(&self, model: &Model) -> f64 {
-        self.at(model, |at| model.potential(at))
+        model.potential(&self.core.q, &self.motion(model))
     }
 
     /// Kinetic + potential + dissipated − input, minus its value at the start, J.
@@ -46,11 +47,11 @@ impl State {
         energy + work.dissipated - work.input - self.energy_at_start
     }
 
-    /// Evaluates `answer` on the force context of the present state.
-    pub fn at<T>(&self, model: &Model, answer: impl FnOnce(&ForceContext) -> T) -> T {
+    /// Motion of joints and tip in the present state.
+    pub fn motion(&self, model: &Model) -> Motion<'_> {
         let State { core, inputs, turns, stick_slip, .. } = self;
-        let pose = model.mechanism.pose(&core.q);
-        answer(&ForceContext { q: &core.q, v: &core.v, pose: &pose, inputs, turns, mode: Mode::of_stick_slip(*stick_slip) })
+        let mode = Mode::of_stick_slip(*stick_slip);
+        Conditions { inputs, turns, mode }.motion([&core.q, &core.v], &model.mechanism.pose(&core.q))
     }
 
     /// Friction reactions of sticking contacts: torques in the joints, N·m, and force on the tip, N; 0 where nothing sticks.

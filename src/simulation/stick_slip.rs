@@ -3,24 +3,29 @@
 
 use arrayvec::ArrayVec;
 
-use super::angles::{AngleSystem, Angles};
+use super::angles::{AngleSystem, Angles, angles, legs};
 use super::five_bar::FiveBar;
 use crate::effects::stick_slip::{
     FRICTION_PLACES, FrictionConstraint, FrictionConstraints, FrictionProblem, SlipDirection, StickSlip, StickSlips,
 };
-use crate::effects::{FrictionGuard, FrictionGuards, cubic_minimum, stick_velocity};
+use crate::effects::{FrictionGuard, FrictionGuards, Motion, Wrench, cubic_minimum, stick_velocity};
 use crate::integrator::{Kkt, StickingConstraint, System};
 use crate::mechanism::{COORDINATES, Coordinates, Multipliers, Pose, SceneError};
 use crate::vector::Vector;
 
 impl FiveBar<'_> {
     /// Friction constraints of all active contacts.
-    fn constraints(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> FrictionConstraints<COORDINATES> {
-        let (at, mut constraints) = (self.context(q, pose, v), FrictionConstraints::new());
+    fn constraints(&self, at: &Motion) -> FrictionConstraints {
+        let mut constraints = FrictionConstraints::new();
         for effect in &self.model.effects {
-            effect.add_friction_constraints(&at, &mut constraints);
+            effect.add_friction_constraints(at, &mut constraints);
         }
         constraints
+    }
+
+    /// The grips that there are at coordinates and velocities.
+    fn constraints_at(&self, q: &Coordinates, pose: &Pose, v: &Coordinates) -> FrictionConstraints {
+        self.constraints(&self.motion(q, pose, v))
     }
 
     fn stick_velocity(&self) -> f64 {
@@ -39,7 +44,7 @@ const STICKING_RATE: f64 = 2.0;
 #[inline(never)]
 pub(super) fn resolved(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -> StickSlips {
     let pose = system.pose(q);
-    let constraints = system.constraints(q, &pose, v);
+    let constraints = system.constraints_at(q, &pose, v);
     let stick_velocity = system.stick_velocity();
     if v.max_norm() <= REST_RATE * stick_velocity {
         let at_rest = friction_problem(system, q, &Coordinates::ZERO, &|_| true);
@@ -48,7 +53,7 @@ pub(super) fn resolved(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -
         }
     }
     let mut stick_slip = resolve_motion(system, &constraints);
-    let rests = |constraint: &FrictionConstraint<COORDINATES>| constraint.rate.abs() <= STICKING_RATE * stick_velocity;
+    let rests = |constraint: &FrictionConstraint| constraint.rate.abs() <= STICKING_RATE * stick_velocity;
     if constraints.iter().any(rests) {
         friction_problem(system, q, v, &rests).resolve_motion(&mut stick_slip);
     }
@@ -59,13 +64,14 @@ pub(super) fn resolved(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -
 #[cold]
 #[inline(never)]
 pub(super) fn reverses_between(system: &FiveBar<'_>, ends: [[&Coordinates; 3]; 2], duration: f64, stick_velocity: f64) -> bool {
-    let constraints = |[q, v, _]: [&Coordinates; 3]| system.constraints(q, &system.pose(q), v);
+    let constraints = |[q, v, _]: [&Coordinates; 3]| system.constraints_at(q, &system.pose(q), v);
     let (from, to) = (constraints(ends[0]), constraints(ends[1]));
     let pairs = from.iter().zip(&to).filter(|(from, to)| from.place == to.place);
     pairs.into_iter().any(|(from, to)| {
         let StickSlip::Slips(way) = system.mode.stick_slip.at(from.place) else { return false };
-        let change = |constraint: &FrictionConstraint<COORDINATES>, [.., a]: [&Coordinates; 3]| {
-            way.sign() * duration * (constraint.row.dot(a) + constraint.drift)
+        let change = |constraint: &FrictionConstraint, [q, v, a]: [&Coordinates; 3]| {
+            let (pose, wrench) = (system.pose(q), &constraint.wrench);
+            way.sign() * duration * (wrench.in_coordinates(&pose).dot(a) + wrench.drift_in_coordinates(&pose, v))
         };
         let rates = [from, to].map(|constraint| way.sign() * constraint.rate);
         let changes = [change(from, ends[0]), change(to, ends[1])];
@@ -79,7 +85,7 @@ pub(super) fn reverses_between(system: &FiveBar<'_>, ends: [[&Coordinates; 3]; 2
 /// All contacts slip but those that the closure branch keeps still.
 #[cold]
 #[inline(never)]
-fn resolve_motion(system: &FiveBar<'_>, constraints: &FrictionConstraints<COORDINATES>) -> StickSlips {
+fn resolve_motion(system: &FiveBar<'_>, constraints: &FrictionConstraints) -> StickSlips {
     let mut stick_slip = system.mode.stick_slip.opened();
     for constraint in constraints.iter().filter(|constraint| !system.mode.stick_slip.is_still(constraint.place)) {
         stick_slip.set(constraint.place, StickSlip::Slips(SlipDirection::of(constraint.rate)));
@@ -88,7 +94,7 @@ fn resolve_motion(system: &FiveBar<'_>, constraints: &FrictionConstraints<COORDI
 }
 
 /// Whether a friction place can stick: its bound is positive and the closure branch lets it move.
-fn is_able(system: &FiveBar<'_>, constraint: &FrictionConstraint<COORDINATES>) -> bool {
+fn is_able(system: &FiveBar<'_>, constraint: &FrictionConstraint) -> bool {
     constraint.bound > 0.0 && !system.mode.stick_slip.is_still(constraint.place)
 }
 
@@ -99,11 +105,11 @@ fn friction_problem(
     system: &FiveBar<'_>,
     q: &Coordinates,
     v: &Coordinates,
-    rests: &dyn Fn(&FrictionConstraint<COORDINATES>) -> bool,
+    rests: &dyn Fn(&FrictionConstraint) -> bool,
 ) -> FrictionProblem {
     let pose = system.pose(q);
-    let constraints = system.constraints(q, &pose, v);
-    let resting: ArrayVec<FrictionConstraint<COORDINATES>, FRICTION_PLACES> =
+    let constraints = system.constraints_at(q, &pose, v);
+    let resting: ArrayVec<FrictionConstraint, FRICTION_PLACES> =
         constraints.iter().filter(|constraint| is_able(system, constraint) && rests(constraint)).copied().collect();
     let mut stick_slip = resolve_motion(system, &constraints);
     for constraint in &resting {
@@ -112,49 +118,61 @@ fn friction_problem(
     let mass = system.factor_mass(&pose, system.model.regularization);
     let forces = system.on(system.mode.with_stick_slip(stick_slip)).forces(q, &pose, v);
     let (a, _) = mass.solve(&forces, &-system.phi_q_dot_times(&pose, v));
+    let rows: ArrayVec<Coordinates, FRICTION_PLACES> =
+        resting.iter().map(|constraint| constraint.wrench.in_coordinates(&pose)).collect();
     let mut friction_problem = FrictionProblem::default();
     for (i, constraint) in resting.iter().enumerate() {
-        let (by_torque, _) = mass.solve(&constraint.row, &Vector::ZERO);
+        let (by_torque, _) = mass.solve(&rows[i], &Vector::ZERO);
         friction_problem.places.push(constraint.place);
         friction_problem.bounds[i] = constraint.bound;
-        friction_problem.change[i] = constraint.row.dot(&a) + constraint.drift;
-        for (j, other) in resting.iter().enumerate() {
-            friction_problem.mobility[j][i] = other.row.dot(&by_torque);
+        friction_problem.change[i] = rows[i].dot(&a) + constraint.wrench.drift_in_coordinates(&pose, v);
+        for (j, row) in rows.iter().enumerate() {
+            friction_problem.mobility[j][i] = row.dot(&by_torque);
         }
     }
     friction_problem
 }
 
-/// Constraint or reaction by which friction holds the system.
+/// Constraint or reaction by which friction holds the system, in the twelve coordinates.
 #[cold]
 #[inline(never)]
 pub(super) fn held(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coordinates) -> StickingConstraint<COORDINATES> {
-    let constraints = system.constraints(q, pose, v);
+    let at_rest = || friction_problem(system, q, v, &|_| true);
+    let carried = |wrench: &Wrench| wrench.in_coordinates(pose);
+    sticking_constraint(system, &system.motion(q, pose, v), at_rest, carried, |wrench| wrench.drift_in_coordinates(pose, v))
+}
+
+/// Sticking constraint at a motion, with its wrenches carried to generalised forces and their drifts, in any coordinates.
+fn sticking_constraint<const N: usize>(
+    system: &FiveBar<'_>,
+    at: &Motion,
+    at_rest: impl FnOnce() -> FrictionProblem,
+    carried: impl Fn(&Wrench) -> Vector<N>,
+    drift: impl Fn(&Wrench) -> f64,
+) -> StickingConstraint<N> {
+    let constraints = system.constraints(at);
     if system.mode.stick_slip.at_rest() {
-        let torques = friction_problem(system, q, v, &|_| true).resting_torques();
         let able = constraints.iter().filter(|constraint| is_able(system, constraint));
-        let force = able.zip(torques).fold(Coordinates::ZERO, |force, (constraint, torque)| force + torque * constraint.row);
-        return StickingConstraint::All { force };
+        let parts = able.zip(at_rest().resting_torques());
+        let wrench = parts.fold(Wrench::default(), |sum, (constraint, torque)| sum.plus(torque, &constraint.wrench));
+        return StickingConstraint::All { force: carried(&wrench) };
     }
     let Some(first) = first(&system.mode.stick_slip, &constraints) else { return StickingConstraint::Nothing };
-    let force = shares(&system.mode.stick_slip, &constraints)
-        .fold(Coordinates::ZERO, |force, (constraint, share)| force + share * constraint.row);
-    StickingConstraint::Direction { row: first.row, drift: first.drift, force }
+    let wrench = shares(&system.mode.stick_slip, &constraints)
+        .fold(Wrench::default(), |sum, (constraint, share)| sum.plus(share, &constraint.wrench));
+    StickingConstraint::Direction { row: carried(&first.wrench), drift: drift(&first.wrench), force: carried(&wrench) }
 }
 
 /// First sticking contact.
-fn first<'a>(
-    stick_slip: &StickSlips,
-    constraints: &'a FrictionConstraints<COORDINATES>,
-) -> Option<&'a FrictionConstraint<COORDINATES>> {
+fn first<'a>(stick_slip: &StickSlips, constraints: &'a FrictionConstraints) -> Option<&'a FrictionConstraint> {
     constraints.iter().find(|constraint| matches!(stick_slip.at(constraint.place), StickSlip::Sticks(_)))
 }
 
 /// Sticking contacts of one motion with their torque per unit of the first: all use an equal fraction of their bounds.
 fn shares<'a>(
     stick_slip: &'a StickSlips,
-    constraints: &'a FrictionConstraints<COORDINATES>,
-) -> impl Iterator<Item = (&'a FrictionConstraint<COORDINATES>, f64)> {
+    constraints: &'a FrictionConstraints,
+) -> impl Iterator<Item = (&'a FrictionConstraint, f64)> {
     let first = first(stick_slip, constraints);
     constraints.iter().filter_map(move |constraint| {
         let StickSlip::Sticks(way) = stick_slip.at(constraint.place) else { return None };
@@ -169,7 +187,7 @@ fn shares<'a>(
 #[inline(never)]
 pub(super) fn holding(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinates) -> [f64; FRICTION_PLACES] {
     let pose = system.pose(q);
-    let constraints = system.constraints(q, &pose, v);
+    let constraints = system.constraints_at(q, &pose, v);
     let mut holding = [0.0; FRICTION_PLACES];
     if system.mode.stick_slip.at_rest() {
         let friction_problem = friction_problem(system, q, v, &|_| true);
@@ -225,17 +243,14 @@ impl AngleSystem<'_> {
         pose: &Pose,
         v: &Angles,
     ) -> StickingConstraint<{ super::angles::ANGLES }> {
-        let (x, rates) = self.coordinates(pose, q, v);
-        match held(self.five_bar(), &x, pose, &rates) {
-            StickingConstraint::Nothing => StickingConstraint::Nothing,
-            StickingConstraint::Direction { row, drift, force } => StickingConstraint::Direction {
-                // A row maps like a force; its drift gains the velocity product of the coordinates.
-                row: self.mapped_force(pose, &row),
-                drift: drift + row.dot(&self.velocity_product(pose, v)),
-                force: self.mapped_force(pose, &force),
-            },
-            StickingConstraint::All { force } => StickingConstraint::All { force: self.mapped_force(pose, &force) },
-        }
+        let at_rest = || {
+            let (x, rates) = self.coordinates(pose, q, v);
+            friction_problem(self.five_bar(), &x, &rates, &|_| true)
+        };
+        let carried = |wrench: &Wrench| angles(wrench.torques_in_angles(pose));
+        sticking_constraint(self.five_bar(), &self.motion(pose, q, v), at_rest, carried, |wrench| {
+            wrench.drift_in_angles(pose, legs(v))
+        })
     }
 }
 
@@ -257,14 +272,14 @@ pub(super) fn project_sticking(system: &FiveBar<'_>, q: Coordinates, v: Coordina
 #[cold]
 #[inline(never)]
 pub(super) fn friction_guards(system: &FiveBar<'_>, q: &Coordinates, pose: &Pose, v: &Coordinates) -> FrictionGuards {
-    let constraints = system.constraints(q, pose, v);
+    let constraints = system.constraints_at(q, pose, v);
     let watched = system.mode.stick_slip.any_sticks() && !system.mode.stick_slip.at_rest();
     let holding = if watched { holding(system, q, v) } else { [0.0; FRICTION_PLACES] };
-    let friction_guard = |constraint: &FrictionConstraint<COORDINATES>| FrictionGuard {
+    let friction_guard = |constraint: &FrictionConstraint| FrictionGuard {
         place: constraint.place,
         rate: constraint.rate,
         load: [holding[constraint.place], constraint.bound],
-        arms: constraint.arms,
+        arms: constraint.wrench.lever_arms(&system.model.mechanism.geometry),
     };
     constraints.iter().map(friction_guard).collect()
 }
@@ -310,7 +325,7 @@ pub(super) fn are_possible(system: &FiveBar<'_>, q: &Coordinates, v: &Coordinate
     let friction_guards = friction_guards(system, q, &system.pose(q), v);
     let far = LARGEST_CONTRADICTION * system.stick_velocity();
     let there = |place: usize| friction_guards.iter().any(|friction_guard| friction_guard.place == place);
-    let held = |constraint: &FrictionConstraint<COORDINATES>| matches!(stick_slip.at(constraint.place), StickSlip::Sticks(_));
+    let held = |constraint: &FrictionConstraint| matches!(stick_slip.at(constraint.place), StickSlip::Sticks(_));
     friction_problem(system, q, v, &held).is_single_motion()
         && (0..FRICTION_PLACES).all(|place| there(place) || matches!(stick_slip.at(place), StickSlip::Inactive | StickSlip::Still))
         && friction_guards.iter().all(|friction_guard| match stick_slip.at(friction_guard.place) {

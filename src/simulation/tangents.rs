@@ -8,10 +8,10 @@
 //! M δα + Jᵀδλ = −K δθ − C δω + δc − δM α − δJᵀ λ      J δα − e δλ = Σ (r α + n̂(r) ω²) δθ + 2 r ω δω
 //! ```
 //!
-//! with equal matrices on both left sides. K and C are the tangents of the effects, mapped by `linearised.rs`.
+//! with the same matrix for both. K and C are those of the force laws (`src/dynamics/wrench.rs`).
 
-use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, DISTAL, LINK_INDICES, PROXIMAL};
-use super::inertia::proximal_arm;
+use super::angles::{ANGLES, AngleSystem, Angles, CLOSURES, DISTAL, LINK_INDICES, PROXIMAL, legs};
+use crate::dynamics::placement::{by_links, proximal_arm};
 use crate::integrator::{AccelerationTangents, Kkt, State, System};
 use crate::mechanism::Pose;
 use crate::mechanism::coordinates::{legs_of, set_legs};
@@ -30,16 +30,18 @@ impl AngleSystem<'_> {
     ) -> AccelerationTangents<ANGLES> {
         let State { q, v, a, lambda, .. } = at;
         let factor = self.factor_mass(pose, regularization);
-        let (x, rates) = self.coordinates(pose, q, v);
-        let (_, loads) = self.five_bar().link_tangents([&x, &rates], pose, &LINK_INDICES.map(|place| v[place]));
+        let slopes = self.five_bar().slopes(self.motion(pose, q, v));
+        let [stiffness, damping] = slopes.torques_in_angles(pose, by_links(legs(v)));
+        let weight = by_links(pose.stiffness_of(&self.model().weight));
 
         // Right-hand sides by columns: tangents of the loads.
         let (mut by_q, mut by_v) = ([Angles::ZERO; ANGLES], [Angles::ZERO; ANGLES]);
         for (i, row) in LINK_INDICES.into_iter().enumerate() {
             for (j, column) in LINK_INDICES.into_iter().enumerate() {
-                by_q[column][row] = -loads.stiffness[i][j];
-                by_v[column][row] = -loads.damping[i][j];
+                by_q[column][row] = -stiffness[i][j];
+                by_v[column][row] = -damping[i][j];
             }
+            by_q[row][row] -= weight[i];
         }
         // Right-hand sides: derivatives of mass matrix and centripetal torques, leg by leg.
         let (w_p, w_d) = (legs_of(v, PROXIMAL), legs_of(v, DISTAL));

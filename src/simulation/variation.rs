@@ -10,7 +10,8 @@
 //! by J_x ([`closure::varied`]).
 
 use super::{Model, State, stick_slip};
-use crate::effects::{Inputs, Perturbation};
+use crate::dynamics::change_of_motion;
+use crate::effects::{Effect, Inputs, Motion, MotionChange, Slopes, Wrench};
 use crate::mechanism::coordinates::{D_THETA, P_THETA, THETA, legs_of, set_legs};
 use crate::mechanism::{Coordinates, Multipliers, SceneError, closure};
 
@@ -26,9 +27,15 @@ pub struct Direction {
 /// First-order change of a state.
 #[derive(Clone, Copy, Debug)]
 pub struct Variation {
-    /// Changes of coordinates, velocities and inputs.
-    pub change: Perturbation,
-    /// Changes of the accelerations.
+    /// Change δq of the coordinates, m and rad.
+    pub q: Coordinates,
+    /// Change δv of the velocities, m/s and rad/s.
+    pub v: Coordinates,
+    /// Change of the motion of joints and tip.
+    pub motion: MotionChange,
+    /// Change of the inputs.
+    pub inputs: Inputs,
+    /// Accelerations.
     pub a: Coordinates,
     /// Changes of the multipliers.
     pub lambda: Multipliers,
@@ -47,12 +54,13 @@ impl State {
             closure::check_direct_singularity(left[0] * right[1] - left[1] * right[0])?;
             (q, v) = closure::varied(geometry, THETA.map(|i| core.q[i]), THETA.map(|i| core.v[i]), proximal);
         }
-        let change = Perturbation { q, v, inputs: direction.inputs };
+        let motion = change_of_motion(&pose, &core.v, [&q, &v]);
 
-        let mut force = self.at(model, |at| {
-            let effects = model.effects.iter().map(|effect| effect.force_change(at, &change));
-            effects.fold(self.inputs.force_change(at, &change), |sum, force| sum + force)
-        });
+        let (system, inputs) = (self.system(model), direction.inputs);
+        let at = system.motion(&core.q, &pose, &core.v);
+        let effects = model.effects.iter().map(|effect| wrench_change(effect, &at, &motion, &inputs));
+        let wrench = effects.fold(inputs.wrench(), |sum, wrench| sum.plus(1.0, &wrench));
+        let mut force = wrench.in_coordinates(&pose) + system.slopes(at).turned_force(&pose, &q);
         let (stiffness_p, stiffness_d) = pose.geometric_stiffness(&core.lambda);
         for (angles, stiffness) in [(P_THETA, stiffness_p), (D_THETA, stiffness_d)] {
             let left = legs_of(&force, angles) - stiffness * legs_of(&q, angles);
@@ -65,7 +73,15 @@ impl State {
         let rates = pose.phi_q_varied_times(&core.v, &v);
         let centripetal = -turning - arms - 2.0 * rates;
         let (a, lambda) = self.solve(model, &pose, &force, &centripetal);
-        let (a, lambda) = stick_slip::varied(&self.system(model), [&core.q, &core.v], (a, lambda))?;
-        Ok(Variation { change, a, lambda })
+        let (a, lambda) = stick_slip::varied(&system, [&core.q, &core.v], (a, lambda))?;
+        Ok(Variation { q, v, motion, inputs, a, lambda })
     }
+}
+
+/// Change of the wrench of an effect for changes of the motion and of the inputs.
+pub fn wrench_change(effect: &Effect, at: &Motion, motion: &MotionChange, inputs: &Inputs) -> Wrench {
+    let mut slopes = Slopes::default();
+    effect.add_slopes(at, &mut slopes);
+    let by_inputs = Wrench { torques: effect.torques_by_inputs(&at.joints, inputs), ..Wrench::default() };
+    slopes.change(motion).plus(1.0, &by_inputs)
 }

@@ -2,7 +2,8 @@
 
 use std::f64::consts::PI;
 
-use fivebar::effects::{ForceContext, Mode, NAMES};
+use fivebar::dynamics::Conditions;
+use fivebar::effects::{Mode, NAMES};
 use fivebar::fmi::bindings::{default_inputs, default_parameters};
 use fivebar::integrator::{Implicit, System, TangentPoint};
 use fivebar::linear::LinearSolve;
@@ -121,14 +122,8 @@ fn powers_and_potentials_account_for_every_force() {
             let power = system.power(&q, &pose, &v);
             let potential = |s: f64| {
                 let q = q + s * v;
-                model.potential(&ForceContext {
-                    q: &q,
-                    v: &v,
-                    pose: &system.pose(&q),
-                    inputs: &inputs,
-                    turns: &turns,
-                    mode: Mode::OF_STATE,
-                })
+                let conditions = Conditions { inputs: &inputs, turns: &turns, mode: Mode::OF_STATE };
+                model.potential(&q, &conditions.motion([&q, &v], &system.pose(&q)))
             };
             let growth = (potential(1e-6) - potential(-1e-6)) / 2e-6;
             let expected = power.input - power.dissipated - growth;
@@ -190,8 +185,8 @@ fn end<const BARE: bool>(scene: &Simulation, inputs: &Inputs, solve: LinearSolve
     core.q
 }
 
-/// The linear solves are the same step but for round-off, which the motion lets grow: all three without effects, the two that can do
-/// it with effects that couple links in every way. The form for the bare mechanism is the same to the bit.
+/// The linear solves are the same step but for round-off, which the motion lets grow: all three without effects; with effects that couple
+/// links in every way, the dense one and the one that slopes which are not 0 choose. The form for the bare mechanism is the same to the bit.
 #[test]
 fn the_linear_solves_agree() {
     let mut parameters = unequal();
@@ -207,7 +202,7 @@ fn the_linear_solves_agree() {
     let (_, mut all) = each_and_all().pop().expect("all");
     all.settings.adaptive = false;
     let all = Simulation::new(&all, &references()).expect("scene");
-    let ends = [LinearSolve::Coupled, LinearSolve::Dense].map(|solve| end::<false>(&all, &references(), solve));
+    let ends = [LinearSolve::TwoLeg, LinearSolve::Dense].map(|solve| end::<false>(&all, &references(), solve));
     let error = angle_error(&ends[0], &ends[1]);
     assert!(error < 1e-10, "{error:e} rad");
 }
@@ -281,24 +276,4 @@ fn what_is_off_is_not_there() {
     run(&mut simulation, &references().without_references(), 1e-3, 0.1);
     run(&mut hears_nothing, &references(), 1e-3, 0.1);
     assert_eq!(simulation.state(), hears_nothing.state_for(&references().without_references()));
-}
-
-/// The fast linear solve, unless an active effect couples links.
-#[test]
-fn the_scene_chooses_the_linear_solve() {
-    let solve = |parameters: &Parameters| Simulation::new(parameters, &references()).expect("scene").model().solver.linear_solve();
-    for (name, parameters) in each_and_all() {
-        let couples = ["viscous", "friction", "contact", "all"].contains(&name.as_str());
-        assert_eq!(solve(&parameters), if couples { LinearSolve::Coupled } else { LinearSolve::TwoLeg }, "{name}");
-    }
-    // Bearings of the motors alone couple nothing, until a tuned value makes those of the elbows do so.
-    let mut parameters = acting();
-    parameters.effects.viscous.enabled = true;
-    parameters.effects.viscous.b = [1e-3, 0.0, 0.0, 0.0, 1e-3];
-    assert_eq!(solve(&parameters), LinearSolve::TwoLeg);
-    let mut simulation = Simulation::new(&parameters, &references()).expect("scene");
-    parameters.effects.viscous.b = [1e-3; 5];
-    simulation.tune(&parameters.effects).expect("allowed");
-    assert_eq!(simulation.model().solver.linear_solve(), LinearSolve::Coupled);
-    simulation.advance(&references(), 1e-3, 10).expect("steps");
 }

@@ -12,7 +12,6 @@
 //! Work is a further component of z with the rate P, the power. Of its row of J only products with the u are needed, and for the end of
 //! the step only one of them: w = h Σ bᵢ Pᵢ + h P′·Σ bᵢ uᵢ, with bᵢ from the tableau.
 
-mod inverse;
 mod tableau;
 
 use std::marker::PhantomData;
@@ -26,8 +25,8 @@ use crate::integrator::state::StepEnd;
 use crate::integrator::{
     AccelerationTangents, EnergyBalance, Kkt, Passage, Projection, State, StepError, System, Work, velocity_correction,
 };
+use crate::matrix::{Inverse, combination};
 use crate::vector::Vector;
-use inverse::{Inverse, combination};
 use tableau::{MAX_STAGES, Tableau};
 pub(super) use tableau::{Rodas4, Rodas5p};
 

@@ -1,0 +1,14 @@
+//! The mechanism under wrenches: motions that force laws see, and wrenches with slopes in the coordinates of each formulation.
+//!
+//! | file | holds |
+//! | --- | --- |
+//! | `placement.rs` | link angles to the 12 coordinates: positions, velocities, centripetal accelerations, transposed forces |
+//! | `motion.rs` | motion of joints and tip from the 12 coordinates, from the link angles, or over a finite step |
+//! | `wrench.rs` | wrenches and slopes in the 12 coordinates, in the 4 link angles and in the legs of a finite step |
+
+mod motion;
+pub mod placement;
+mod wrench;
+
+pub use motion::{Conditions, change_of_motion};
+pub use wrench::{INNER, INNER_COUNT, StepLevers, TipArm};

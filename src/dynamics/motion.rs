@@ -1,0 +1,121 @@
+//! Motion of joints and tip, as force laws see it, from the 12 coordinates, from the link angles, or over a finite step.
+
+use std::f64::consts::TAU;
+
+use super::placement::{ByLink, by_links, proximal_arm};
+use super::wrench::TipArm;
+use crate::effects::{
+    FiniteMotion, Inputs, JOINTS, JointMotion, Mode, Motion, MotionChange, Planar, TypicalInertia, across_joints,
+};
+use crate::mechanism::coordinates::{THETA, X, Y};
+use crate::mechanism::secant::Secant;
+use crate::mechanism::{Coordinates, Mechanism, Pose};
+
+/// Conditions under which force laws act, the same for all states of a step.
+#[derive(Clone, Copy, Debug)]
+pub struct Conditions<'a> {
+    /// Inputs set by the master.
+    pub inputs: &'a Inputs,
+    /// Whole turns of links 1 to 4 that are not counted in the angles.
+    pub turns: &'a [i64; 4],
+    /// Mode: the smooth branch on which each force law is evaluated.
+    pub mode: Mode,
+}
+
+/// Rates of the joints, or increments of their angles, from those of the links among the coordinates.
+#[inline]
+fn of_joints(x: &Coordinates) -> [f64; JOINTS] {
+    across_joints(THETA.map(|i| x[i]))
+}
+
+impl<'a> Conditions<'a> {
+    /// Absolute angles of the motor axes, rad, from the angles of links 1 and 4 without their whole turns.
+    #[inline]
+    fn motor_angles(&self, angles: [f64; 2]) -> [f64; 2] {
+        [angles[0] + self.turns[0] as f64 * TAU, angles[1] + self.turns[3] as f64 * TAU]
+    }
+
+    #[inline]
+    fn joints(&self, angles: [f64; 2], links: [f64; 4]) -> JointMotion<'a> {
+        let &Self { inputs, mode, .. } = self;
+        JointMotion {
+            angles: self.motor_angles(angles),
+            moved: [0.0; 2],
+            rates: across_joints(links),
+            softening: 1.0,
+            inputs,
+            mode,
+        }
+    }
+
+    /// Motion at coordinates and velocities with the pose of the coordinates.
+    #[inline]
+    pub fn motion(&self, [q, v]: [&Coordinates; 2], pose: &Pose) -> Motion<'a> {
+        let TipArm { column: [rx, ry], .. } = TipArm::of_pose(pose, v);
+        let (x, y, rate) = (X[1], Y[1], v[THETA[1]]);
+        Motion {
+            joints: self.joints([q[THETA[0]], q[THETA[3]]], THETA.map(|i| v[i])),
+            position: [q[x] + rx, q[y] + ry],
+            velocity: [v[x] - rate * ry, v[y] + rate * rx],
+        }
+    }
+
+    /// Motion at link angles, rad, and rates, rad/s, with the pose of the angles.
+    #[inline]
+    pub fn motion_of_links(&self, mechanism: &Mechanism, [angles, rates]: [ByLink; 2], pose: &Pose) -> Motion<'a> {
+        let ([left, right], links) = (angles[0].to_array(), by_links(rates));
+        let [p, d] = tip_levers(pose);
+        Motion {
+            joints: self.joints([left, right], links),
+            position: [mechanism.ground_x.to_array()[0] + p[0] + d[0], p[1] + d[1]],
+            velocity: [-p[1] * links[0] - d[1] * links[1], p[0] * links[0] + d[0] * links[1]],
+        }
+    }
+
+    /// Motion over a step from coordinates q by increments d to velocities v.
+    #[inline]
+    pub fn finite_motion(
+        &self,
+        [q, d, v]: [&Coordinates; 3],
+        secant: &Secant,
+        (h, softening): (f64, f64),
+        inertia: TypicalInertia,
+    ) -> FiniteMotion<'a> {
+        let TipArm { row, column, .. } = TipArm::of_step(secant, d, v);
+        let (x, y, turn, rate) = (X[1], Y[1], d[THETA[1]], v[THETA[1]]);
+        let change = [d[x] - turn * row[1], d[y] + turn * row[0]];
+        FiniteMotion {
+            angles: self.motor_angles([q[THETA[0]], q[THETA[3]]]),
+            changes: of_joints(d),
+            rates: of_joints(v),
+            begin: [q[x] + d[x] + column[0] - change[0], q[y] + d[y] + column[1] - change[1]],
+            change,
+            velocity: [v[x] - rate * column[1], v[y] + rate * column[0]],
+            h,
+            softening,
+            inertia,
+            inputs: self.inputs,
+        }
+    }
+}
+
+/// Arms from the motor axis to the elbow and from the elbow to the tip, of the left leg, m.
+#[inline]
+pub(super) fn tip_levers(pose: &Pose) -> [Planar; 2] {
+    let l = proximal_arm(pose);
+    let of = |x: crate::mechanism::legs::Legs| x.to_array()[0];
+    [[of(l.x), of(l.y)], [of(pose.a_d.x) + of(pose.sigma_b_d.x), of(pose.a_d.y) + of(pose.sigma_b_d.y)]]
+}
+
+/// Change of the motion for changes δq and δv of coordinates and velocities at velocities v.
+pub fn change_of_motion(pose: &Pose, v: &Coordinates, [q_change, v_change]: [&Coordinates; 2]) -> MotionChange {
+    let TipArm { column: [rx, ry], turning, .. } = TipArm::of_pose(pose, v);
+    let (x, y, theta) = (X[1], Y[1], THETA[1]);
+    let (turn, rate) = (q_change[theta], v_change[theta]);
+    MotionChange {
+        angles: of_joints(q_change),
+        rates: of_joints(v_change),
+        position: [q_change[x] - turn * ry, q_change[y] + turn * rx],
+        velocity: [v_change[x] - rate * ry + turn * turning[0], v_change[y] + rate * rx + turn * turning[1]],
+    }
+}

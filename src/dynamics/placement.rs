@@ -1,0 +1,91 @@
+//! Link angles to the 12 coordinates: each leg is built up from its motor axis.
+//!
+//! ```text
+//! c_P = ground + a_P,   c_D = ground + l_P + a_D      q̇ = T ω,   q̈ = T α + Ṫ ω,   torques = Tᵀ Q
+//! ```
+//!
+//! with l_P the arm from motor axis to elbow, a the arms to the centres of mass.
+
+use crate::mechanism::coordinates::{D_THETA, D_X, D_Y, P_THETA, P_X, P_Y, legs_of, set_legs};
+use crate::mechanism::legs::{Legs, Legs2};
+use crate::mechanism::{Coordinates, Mechanism, Pose};
+
+/// Values of the proximal and of the distal links, each of the left and the right leg.
+pub type ByLink = [Legs; 2];
+
+/// Arm from motor axis to elbow, m.
+#[inline]
+pub fn proximal_arm(pose: &Pose) -> Legs2 {
+    Legs2 { x: pose.a_p.x + pose.b_p.x, y: pose.a_p.y + pose.b_p.y }
+}
+
+/// Coordinates with these values of the proximal and distal centres of mass and of the link angles.
+#[inline]
+fn arranged([p, d]: [Legs2; 2], [angle_p, angle_d]: ByLink) -> Coordinates {
+    let mut x = Coordinates::ZERO;
+    for (place, value) in [(P_X, p.x), (P_Y, p.y), (P_THETA, angle_p), (D_X, d.x), (D_Y, d.y), (D_THETA, angle_d)] {
+        set_legs(&mut x, place, value);
+    }
+    x
+}
+
+/// The forces on the proximal and the distal centres of mass.
+#[inline]
+pub fn on_centres(forces: &Coordinates) -> [Legs2; 2] {
+    [Legs2 { x: legs_of(forces, P_X), y: legs_of(forces, P_Y) }, Legs2 { x: legs_of(forces, D_X), y: legs_of(forces, D_Y) }]
+}
+
+impl Mechanism {
+    /// Coordinates q at link angles, rad, with their pose.
+    #[inline]
+    pub fn coordinates(&self, pose: &Pose, angles: ByLink) -> Coordinates {
+        let l = proximal_arm(pose);
+        let proximal = Legs2 { x: self.ground_x + pose.a_p.x, y: pose.a_p.y };
+        let distal = Legs2 { x: self.ground_x + l.x + pose.a_d.x, y: l.y + pose.a_d.y };
+        arranged([proximal, distal], angles)
+    }
+}
+
+impl Pose {
+    /// Velocities q̇ = T ω at link rates ω, rad/s.
+    #[inline]
+    pub fn velocities(&self, rates @ [w_p, w_d]: ByLink) -> Coordinates {
+        let (n_p, n_l, n_d) = (self.a_p.turned(), proximal_arm(self).turned(), self.a_d.turned());
+        let distal = Legs2 { x: n_l.x * w_p + n_d.x * w_d, y: n_l.y * w_p + n_d.y * w_d };
+        arranged([n_p.scaled(w_p), distal], rates)
+    }
+
+    /// Centripetal part Ṫ ω of the accelerations q̈ at link rates ω, rad/s.
+    pub fn centripetal(&self, [w_p, w_d]: ByLink) -> Coordinates {
+        let (l, [s_p, s_d]) = (proximal_arm(self), [-w_p * w_p, -w_d * w_d]);
+        let distal = Legs2 { x: l.x * s_p + self.a_d.x * s_d, y: l.y * s_p + self.a_d.y * s_d };
+        arranged([self.a_p.scaled(s_p), distal], [Legs::ZERO; 2])
+    }
+
+    /// Torques Tᵀ Q on the links, N·m, of a generalised force Q.
+    #[inline]
+    pub fn torques_of(&self, forces: &Coordinates) -> ByLink {
+        let [on_p, on_d] = on_centres(forces);
+        let proximal = legs_of(forces, P_THETA) + self.a_p.turned().dot(on_p) + proximal_arm(self).turned().dot(on_d);
+        [proximal, legs_of(forces, D_THETA) + self.a_d.turned().dot(on_d)]
+    }
+
+    /// Stiffness of the links, N·m/rad, by forces on the centres of mass whose arms rotate with the links: a·F.
+    pub fn stiffness_of(&self, forces: &Coordinates) -> ByLink {
+        let [on_p, on_d] = on_centres(forces);
+        [self.a_p.dot(on_p) + proximal_arm(self).dot(on_d), self.a_d.dot(on_d)]
+    }
+}
+
+/// Values of links 1 to 4 from those by legs.
+#[inline]
+pub fn by_links([p, d]: ByLink) -> [f64; 4] {
+    let ([p_left, p_right], [d_left, d_right]) = (p.to_array(), d.to_array());
+    [p_left, d_left, d_right, p_right]
+}
+
+/// Values by legs from those of links 1 to 4.
+#[inline]
+pub fn by_legs([p_left, d_left, d_right, p_right]: [f64; 4]) -> ByLink {
+    [Legs::new([p_left, p_right]), Legs::new([d_left, d_right])]
+}

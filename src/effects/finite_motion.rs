@@ -1,0 +1,81 @@
+//! Motion over a finite step as force laws see it, for the energy-conserving method.
+//!
+//! A law with decay rate r, 1/s, is evaluated at the rate w̄ + γ (w₁ − w̄), with w̄ the mean rate of the step, w₁ the rate at its end,
+//! γ = x/(1 + x) and x = h r/2, and at the angle that the same weight gives, (1 + γ)/2 of the increment from the step's beginning. For x → 0
+//! that is the midpoint rule, of second order; for x → ∞ it is implicit Euler, which damps a force that would otherwise reverse within the
+//! step. For every γ the work is force times displacement.
+
+use super::wrench::{JOINTS, JointMotion, MOTOR_ANGLES, Planar};
+use super::{Inputs, Mode};
+use crate::mechanism::Geometry;
+
+/// Motion of joints and tip over a finite step.
+#[derive(Clone, Copy, Debug)]
+pub struct FiniteMotion<'a> {
+    /// Absolute angles of the left and right motor axis at the step's beginning, whole turns included, rad.
+    pub angles: [f64; 2],
+    /// Increments of the joint angles, rad.
+    pub changes: [f64; JOINTS],
+    /// Rates of the joints at the step's end, rad/s.
+    pub rates: [f64; JOINTS],
+    /// Position of the tip at the step's beginning, m.
+    pub begin: Planar,
+    /// Increment of the tip's position, m.
+    pub change: Planar,
+    /// Velocity of the tip at the step's end, m/s.
+    pub velocity: Planar,
+    /// Length of the step, s.
+    pub h: f64,
+    /// Factor on the widths of smooth nonlinearities, see [`JointMotion::softening`].
+    pub softening: f64,
+    /// Typical inertias, for estimates of decay rates.
+    pub inertia: TypicalInertia,
+    /// Inputs set by the master.
+    pub inputs: &'a Inputs,
+}
+
+/// Typical inertias by which decay rates of dampers are estimated.
+#[derive(Clone, Copy, Debug)]
+pub struct TypicalInertia {
+    /// Moment of inertia of a link about its joint, kg·m².
+    pub joint: f64,
+    /// Mass at the tip, kg.
+    pub tip: f64,
+}
+
+impl TypicalInertia {
+    /// Means over the links.
+    pub fn new(geometry: &Geometry) -> Self {
+        let about_joint = geometry.links.iter().map(|link| link.inertia + link.mass * link.length * link.length);
+        Self { joint: about_joint.sum::<f64>() / 4.0, tip: geometry.mean_mass() }
+    }
+}
+
+/// Weight γ = x/(1 + x) of the step's end for a damper with decay rate r, x = h r/2.
+pub(super) fn end_weight(x: f64) -> f64 {
+    // In this form the weight is 1 also where x is infinite.
+    1.0 - 1.0 / (1.0 + x)
+}
+
+impl FiniteMotion<'_> {
+    /// Weight γ of the step's end for a damping in a joint, N·m·s/rad.
+    pub(super) fn end_weight(&self, damping: f64) -> f64 {
+        end_weight(0.5 * self.h * damping / self.inertia.joint)
+    }
+
+    /// Motion of the joints at which a law with these weights of the step's end is evaluated.
+    pub(super) fn joints(&self, weights: &[f64; JOINTS]) -> JointMotion<'_> {
+        let rate = |joint: usize| {
+            let mean = self.changes[joint] / self.h;
+            mean + weights[joint] * (self.rates[joint] - mean)
+        };
+        JointMotion {
+            angles: self.angles,
+            moved: MOTOR_ANGLES.map(|joint| 0.5 * (1.0 + weights[joint]) * self.changes[joint]),
+            rates: std::array::from_fn(rate),
+            softening: self.softening,
+            inputs: self.inputs,
+            mode: Mode::OF_STATE,
+        }
+    }
+}
