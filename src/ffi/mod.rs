@@ -5,6 +5,7 @@
 //! | `types.rs` | fmi2TypesPlatform.h and the types of fmi2FunctionTypes.h, names unchanged |
 //! | `guard.rs` | entry of every call: null component, order of calls, panic, log |
 //! | `arrays.rs` | C arrays and strings as slices, nulls refused |
+//! | `c_types.rs` | C's types on every platform |
 //! | `common.rs` | functions common to all FMUs (FMI 2.0.4, section 2.1) |
 //! | `cosimulation.rs` | functions for co-simulation (section 4.2.1) |
 //! | `exchange.rs` | functions for model exchange (section 3.2) |
@@ -39,6 +40,7 @@
 #![allow(non_camel_case_types, non_snake_case, non_upper_case_globals, reason = "the names are those of the standard's headers")]
 
 mod arrays;
+mod c_types;
 mod common;
 mod cosimulation;
 mod derivatives;

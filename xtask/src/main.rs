@@ -7,6 +7,7 @@ mod format;
 mod hard_cases;
 mod kinks;
 mod package;
+mod page;
 mod paths;
 mod peers;
 mod prices;
@@ -125,6 +126,8 @@ enum Command {
         #[arg(long)]
         all_platforms: bool,
     },
+    /// Write the live page, the library in a browser: target/page/fivebar.html (its needs: .ci/setup-page)
+    Page,
 }
 
 fn main() -> ExitCode {
@@ -156,6 +159,7 @@ fn command(command: Command) -> Result<()> {
         Command::Bench { quick, .. } => bench::bench(quick),
         Command::Prices { method } => prices::prices(method.as_deref()),
         Command::Kinks => kinks::kinks(),
+        Command::Page => page::page(),
         Command::Package { scene, name, all_platforms } => {
             let scope = if all_platforms { Scope::All } else { Scope::Here };
             match scene {
