@@ -7,10 +7,8 @@ const REALS = [
   "tip.x", "tip.y", "tip.vx", "tip.vy", "elbow[1].x", "elbow[1].y", "elbow[2].x", "elbow[2].y", "theta[1]", "theta[2]", "omega[1]", "omega[2]",
   "energy.kinetic", "energy.potential", "energy.input", "energy.dissipated", "energy.error", "contact.fx", "contact.fy",
 ];
-const COUNTS = [
-  "mode.assembly", "mode.working", "singular.type", "singular.passes.direct", "singular.passes.inverse[1]", "singular.passes.inverse[2]",
-  "solver.substeps", "solver.rejected",
-];
+const MODES = ["mode.assembly", "mode.working"];
+const PASSES = ["singular.passes.direct", "singular.passes.inverse[1]", "singular.passes.inverse[2]"];
 const TIP = ["tip.x", "tip.y", "tip.vx", "tip.vy"];
 
 // The hand: a spring with a damper between tip and pointer, and the largest force of it.
@@ -64,10 +62,16 @@ export class Run {
     return [x, y];
   }
 
+  // Singularities passed since the start: direct ones, and inverse ones of both legs.
+  passes() {
+    const [direct, left, right] = this.machine.get(PASSES);
+    return { direct, inverse: left + right };
+  }
+
   // Reads everything that is shown.
   read() {
     const now = { time: this.machine.time, force: this.force };
-    for (const names of [REALS, COUNTS]) {
+    for (const names of [REALS, MODES]) {
       const values = this.machine.get(names);
       names.forEach((name, i) => (now[name] = values[i]));
     }

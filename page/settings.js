@@ -1,6 +1,6 @@
 // What a person has chosen: scene, values, speed. As a link, as a scene's file, as a command.
 
-const SPEEDS = [0.01, 0.1, 0.25, 1, 4];
+export const SPEEDS = [0.01, 0.1, 0.25, 1, 4];
 
 export class Settings {
   constructor(description) {

@@ -2,7 +2,7 @@
 
 import { annuli, box, directLoci, geometry } from "./loci.js";
 
-const TRACE = 4000; // points, one per millisecond
+const TRACE = 1000; // points
 const MARKS = 60;
 const MARGIN = 26; // px
 
@@ -150,13 +150,12 @@ export class View {
   paintLoci(context) {
     context.strokeStyle = this.colour("direct");
     context.lineWidth = 1.25;
-    context.setLineDash([8, 5]);
-    for (const curve of this.loci) {
-      context.beginPath();
-      for (const point of curve) context.lineTo(...this.to(point));
-      context.stroke();
-    }
-    context.setLineDash([]);
+    context.globalAlpha = 0.8;
+    // One path: curves that coincide are not darker.
+    context.beginPath();
+    for (const curve of this.loci) curve.forEach((point, i) => (i ? context.lineTo(...this.to(point)) : context.moveTo(...this.to(point))));
+    context.stroke();
+    context.globalAlpha = 1;
   }
 
   // Floor, end stops, the direction of gravity.
@@ -199,13 +198,13 @@ export class View {
     const [ax, ay] = [offset * nx, offset * ny];
     const corners = [[ax - far * ny, ay + far * nx], [ax + far * ny, ay - far * nx]];
     const deep = corners.map(([x, y]) => [x - far * nx, y - far * ny]);
-    context.save();
     context.beginPath();
     for (const corner of [...corners, ...deep.reverse()]) context.lineTo(...this.to(corner));
     context.closePath();
     context.fillStyle = this.colour("grid");
+    context.globalAlpha = 0.45;
     context.fill();
-    context.restore();
+    context.globalAlpha = 1;
     context.strokeStyle = this.colour("muted");
     context.lineWidth = 2;
     context.beginPath();
@@ -248,8 +247,7 @@ export class View {
         if (to - from < 1) continue;
         context.globalAlpha = 0.12 + (0.75 * (piece + 1)) / pieces;
         context.beginPath();
-        for (let i = Math.max(from - 1, 0); i < to; i += 2) context.lineTo(...this.to(trace[i]));
-        context.lineTo(...this.to(trace[to - 1]));
+        for (let i = Math.max(from - 1, 0); i < to; i += 1) context.lineTo(...this.to(trace[i]));
         context.stroke();
       }
       context.globalAlpha = 1;

@@ -59,6 +59,9 @@ enum Command {
         /// Only build the master fmi-sim, which takes minutes, and let it drive the FMU (its needs: .ci/setup-fmi-sim)
         #[arg(long, conflicts_with_all = ["full", "platforms"])]
         fmi_sim: bool,
+        /// Only make the live page, compare its bits with the unit's and open it in a browser (its needs: .ci/setup-page)
+        #[arg(long, conflicts_with_all = ["full", "platforms", "fmi_sim"])]
+        page: bool,
     },
     /// Format every .rs file, also those that `cargo fmt` does not find because a macro declares their modules
     Format {
@@ -147,6 +150,7 @@ fn command(command: Command) -> Result<()> {
         Command::Twin(options) => twin::twin(&options),
         Command::Test { platforms: true, .. } => test::platforms(),
         Command::Test { fmi_sim: true, .. } => test::fmi_sim(),
+        Command::Test { page: true, .. } => test::page(),
         Command::Test { full, .. } => test::test(full),
         Command::Format { check } => format::format(check),
         Command::Compare { revision } => compare::compare(&revision),
