@@ -41,22 +41,41 @@ export function directLoci({ d, l }) {
   for (const [apart, share] of [[l[1] + l[2], l[1] / (l[1] + l[2])], [Math.abs(l[1] - l[2]), l[1] / (l[1] - l[2])]]) {
     if (apart < 1e-9) continue;
     for (const side of [1, -1]) {
-      let curve = [];
-      for (let i = 0; i <= LOCUS_POINTS; i += 1) {
-        const angle = (TAU * i) / LOCUS_POINTS;
+      curves.push(...pieces((angle) => {
         const left = [l[0] * Math.cos(angle), l[0] * Math.sin(angle)];
         const right = meeting(left, apart, [d, 0], l[3], side);
-        if (right) {
-          curve.push([left[0] + share * (right[0] - left[0]), left[1] + share * (right[1] - left[1])]);
-        } else if (curve.length) {
-          curves.push(curve);
-          curve = [];
-        }
-      }
-      if (curve.length) curves.push(curve);
+        return right && [left[0] + share * (right[0] - left[0]), left[1] + share * (right[1] - left[1])];
+      }));
     }
   }
   return curves.concat(folded({ d, l }));
+}
+
+// The pieces of a curve over an angle that exists for some angles only, each up to its very ends.
+function pieces(point) {
+  const curves = [];
+  let curve = [];
+  for (let i = 0; i <= LOCUS_POINTS; i += 1) {
+    const [angle, before] = [i, i - 1].map((count) => (TAU * count) / LOCUS_POINTS);
+    const here = point(angle);
+    if (i > 0 && Boolean(here) !== curve.length > 0) curve.push(point(end(point, here ? angle : before, here ? before : angle)));
+    if (here) curve.push(here);
+    else if (curve.length) {
+      curves.push(curve);
+      curve = [];
+    }
+  }
+  return curve.length ? [...curves, curve] : curves;
+}
+
+// The last angle with a point between one that has one and one that has none.
+function end(point, inside, outside) {
+  for (let i = 0; i < 40; i += 1) {
+    const middle = (inside + outside) / 2;
+    if (point(middle)) inside = middle;
+    else outside = middle;
+  }
+  return inside;
 }
 
 // With distal links of one length the elbows can coincide: the tip is then anywhere on a circle about them.
@@ -82,7 +101,7 @@ function meeting(a, ra, b, rb, side) {
   if (apart === 0) return null;
   const along = (apart * apart + ra * ra - rb * rb) / (2 * apart);
   const square = ra * ra - along * along;
-  if (square < -1e-12) return null;
-  const across = side * Math.sqrt(Math.max(square, 0));
+  if (square < 0) return null;
+  const across = side * Math.sqrt(square);
   return [a[0] + (along * dx - across * dy) / apart, a[1] + (along * dy + across * dx) / apart];
 }
