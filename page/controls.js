@@ -20,9 +20,19 @@ const by = (id) => document.getElementById(id);
 function short(value) {
   if (value === 0) return "0";
   const size = Math.abs(value);
-  if (size >= 1e5 || size < 1e-3) return value.toExponential(1).replace("e+", "e");
-  return String(Number(value.toPrecision(3)));
+  if (size >= 1e5 || size < 1e-3) return powerOfTen(value);
+  return minus(String(Number(value.toPrecision(3))));
 }
+
+// With two digits: −6.0·10⁻⁷.
+function powerOfTen(value) {
+  if (value === 0) return "0";
+  const [digits, power] = value.toExponential(1).split("e");
+  const raised = [...power.replace("+", "")].map((sign) => (sign === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[sign])).join("");
+  return `${minus(digits)}·10${raised}`;
+}
+
+const minus = (text) => text.replace("-", "−");
 
 export class Controls {
   constructor(page) {
@@ -83,8 +93,8 @@ export class Controls {
     input.setAttribute("aria-label", label);
     input.dataset.name = names[0];
     const output = make("output");
-    const say = (value) => {
-      output.textContent = `${short(value * scale)} ${unit}`.trim();
+    const say = (value, signal) => {
+      output.textContent = signal ? "by the scene" : `${short(value * scale)} ${unit}`.trim();
       input.setAttribute("aria-valuetext", output.textContent);
     };
     input.oninput = () => {
@@ -99,7 +109,7 @@ export class Controls {
     this.shows.push((settings) => {
       const value = settings.value(names[0]);
       if (document.activeElement !== input) input.value = to(Math.max(value, log ? min : -Infinity));
-      say(value);
+      say(value, names[0] in settings.signals());
     });
     return row;
   }
@@ -188,27 +198,26 @@ export class Controls {
   showNow(now, counts) {
     const { settings } = this.page;
     by("time").textContent = now.time.toFixed(3);
-    by("error").textContent = `${now["energy.error"].toExponential(1).replace("e", " e")} J`;
+    by("error").textContent = `${powerOfTen(now["energy.error"])} J`;
     by("assembly").textContent = settings.written("mode.assembly", now["mode.assembly"]);
     by("working").textContent = SIDES[settings.written("mode.working", now["mode.working"])];
     by("direct").textContent = counts.direct;
     by("inverse").textContent = counts.inverse;
   }
 
-  // What the method costs, over the last steps.
-  showCost(cost, lag) {
+  // What the method costs, over the last frames but for the slowest tenth, in which the computer has done something else.
+  showCost(costs, lag) {
     const { page } = this;
     const slow = page.settings.speed < 1 ? `slow motion ${SPEED_NAMES[page.settings.speed]}` : "";
     const pace = !page.playing ? "paused" : lag ? "slower than asked: computing is behind" : slow;
     if (by("pace").textContent !== pace) by("pace").textContent = pace;
-    if (cost.steps < 200) return;
-    by("cost").textContent = `${short((1e3 * cost.spent) / cost.steps)} µs per ms`;
-    // Older steps count less and less.
-    if (cost.steps > 2000) [cost.spent, cost.steps] = [cost.spent / 2, cost.steps / 2];
+    const usual = costs.toSorted((a, b) => a.spent * b.steps - b.spent * a.steps).slice(0, Math.ceil(0.9 * costs.length));
+    const [spent, steps] = usual.reduce(([time, count], frame) => [time + frame.spent, count + frame.steps], [0, 0]);
+    if (steps >= 100) by("cost").textContent = `${short((1e3 * spent) / steps)} µs per ms`;
   }
 
   showMeasured(accuracy) {
-    const text = !accuracy ? "" : accuracy.done ? "Largest error of the tip in the first 0.5 s, against a run at 1e−13." : "Measuring …";
+    const text = !accuracy ? "" : accuracy.done ? "Largest error of the tip in the first 0.5 s, against a run at 10⁻¹³ rad." : "Measuring …";
     if (by("measured").textContent !== text) by("measured").textContent = text;
   }
 }

@@ -14,6 +14,7 @@ const BUDGET = 10; // ms of computing in a frame; time runs slower rather than t
 const LONGEST_FRAME = 50; // ms of real time that a frame makes up for
 const BESIDE = 1e-6; // rad between the starts of two machines
 const PUSH = 1; // N, of the arrow keys
+const COSTS = 120; // frames that the cost is an average of
 const TRACED = 4; // ms between points of the trace
 const MEASURED_IN = 2; // ms of a frame for accuracy against time
 
@@ -66,9 +67,8 @@ class Page {
   // Makes the machines anew; what the unit refuses is said in its words.
   begin(values, start) {
     this.sentence(this.refused.splice(0).join(" "));
-    [this.fraction, this.cost] = [0, { spent: 0, steps: 0 }];
+    [this.fraction, this.costs] = [0, []];
     this.view.describe(this.settings);
-    this.last = this.run ? this.shown(this.run) : this.last;
     for (const run of [this.run, this.other]) run?.close();
     [this.run, this.other] = [null, null];
     this.attempt(() => {
@@ -156,8 +156,8 @@ class Page {
         }
       }
     });
-    this.cost.spent += performance.now() - begin;
-    this.cost.steps += done * (this.other ? 2 : 1);
+    this.costs.push({ spent: performance.now() - begin, steps: done * runs.length });
+    if (this.costs.length > COSTS) this.costs.shift();
     if (!fine) this.setPlaying(false);
     return done;
   }
@@ -223,8 +223,7 @@ class Page {
     document.body.dataset.state = this.run ? "ready" : "refused";
     document.body.dataset.frames = Number(document.body.dataset.frames ?? 0) + 1;
     const state = this.run && this.between(this.previous, this.shown(this.run));
-    // A machine that is refused leaves its last picture, faint.
-    this.view.draw(state, this.run ? this.other && this.shown(this.other) : this.last, this.hand);
+    this.view.draw(state, this.other && this.shown(this.other), this.hand);
   }
 
   between(from, to) {
@@ -245,7 +244,7 @@ class Page {
     ];
     drawHistory(element("energy"), this.energies, curves, colours);
     if (this.twin) drawHistory(element("apart"), this.distances, [{ label: this.apart(), colour: colours.ghost }], colours, [-9, 0]);
-    this.controls.showCost(this.cost, this.lag);
+    this.controls.showCost(this.costs, this.lag);
     const points = this.accuracy?.points.length ?? 0;
     if (points !== this.drawnPoints) {
       drawAccuracy(element("accuracy"), this.accuracy?.points ?? [], this.settings.written("solver.method", this.settings.value("solver.method")), colours);

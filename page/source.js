@@ -7,7 +7,7 @@ async function unpacked(element) {
 
 // Response with the part of that id, or the file of that name.
 export async function part(id, file) {
-  const element = document.getElementById(id);
+  const element = document.getElementById(`packed-${id}`);
   if (element) return unpacked(element);
   const response = await fetch(file);
   if (!response.ok) throw new Error(`${file} cannot be read: ${response.status}`);

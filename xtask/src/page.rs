@@ -1,7 +1,8 @@
 //! `cargo xtask page`: the live page, the unit's own library in a browser. `target/page/fivebar.html` holds everything and opens from
 //! disk; `target/page/site/` is the same page as separate files, for a web server.
 
-use crate::{package, paths};
+use crate::package::{self, Files};
+use crate::paths;
 use anyhow::{Context, Result, bail, ensure};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD as BASE64;
@@ -108,7 +109,7 @@ fn scene(scene: &Scene) -> Result<Json> {
 }
 
 /// All licence files as one text; a text that several parts have stands once.
-fn notices(licenses: &BTreeMap<String, Vec<u8>>) -> String {
+fn notices(licenses: &Files) -> String {
     let mut names: BTreeMap<&[u8], Vec<&str>> = BTreeMap::new();
     for (name, text) in licenses {
         names.entry(text).or_default().push(name.rsplit_once("licenses/").map_or(name.as_str(), |(_, short)| short));
@@ -129,7 +130,7 @@ fn whole(library: &[u8], unit: &str, licenses: &str) -> Result<String> {
     let mut script = String::new();
     bundle(MAIN, &mut Vec::new(), &mut script)?;
     let block = |id: &str, content: &[u8]| -> Result<String> {
-        Ok(format!("<script type=\"application/gzip\" id=\"{id}\">{}</script>\n", packed(content)?))
+        Ok(format!("<script type=\"application/gzip\" id=\"packed-{id}\">{}</script>\n", packed(content)?))
     };
     let blocks = [("library", library), ("unit", unit.as_bytes()), ("licenses", licenses.as_bytes())];
     let blocks = blocks.into_iter().map(|(id, content)| block(id, content)).collect::<Result<String>>()?;

@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 use unit::{OwnScene, Unit};
 
 /// Content of the archive: name in the archive (`/` separators) to bytes, sorted by name.
-type Files = BTreeMap<String, Vec<u8>>;
+pub(crate) type Files = BTreeMap<String, Vec<u8>>;
 
 /// The plain unit: builds, packs, verifies; gives back the packed file.
 pub(crate) fn package(scope: Scope) -> Result<PathBuf> {
@@ -45,7 +45,7 @@ pub(crate) fn package_own(file: &Path, name: Option<&str>, scope: Scope) -> Resu
 }
 
 /// The plain unit's library for a browser, and the licence files of everything in it by their names.
-pub(crate) fn web() -> Result<(Vec<u8>, BTreeMap<String, Vec<u8>>)> {
+pub(crate) fn web() -> Result<(Vec<u8>, Files)> {
     let platform = platform::Platform::web();
     let mut linked = linked::Linked::read(platform::debian_rustc, std::slice::from_ref(&platform))?;
     let library = library::build(&platform, &linked, &Unit::plain()?).context("the library for a browser")?;
