@@ -145,7 +145,11 @@ def test_the_tip_is_dragged(kind: str, browser: Any) -> None:
     from selenium.webdriver.common.actions.action_builder import ActionBuilder
     from selenium.webdriver.common.actions.pointer_input import PointerInput
 
-    go(browser, "scene=flat_table&viscous.enabled=true&viscous.b[1]=0.01&viscous.b[5]=0.01&init.omega[1]=0&init.omega[2]=0")
+    go(
+        browser,
+        "scene=flat_table&viscous.enabled=true&viscous.b[1]=0.01&viscous.b[5]=0.01&init.omega[1]=0&init.omega[2]=0"
+        "&solver.method=automatic&solver.errorTolerance=1e-10",
+    )
     start = number(browser, "tipX"), number(browser, "tipY")
     canvas = browser.find_element("id", "canvas")
     hand = ActionBuilder(browser, mouse=PointerInput(kind, "pointer"))
@@ -323,6 +327,9 @@ def test_a_phone(scheme: str, browser: Any) -> None:
     )
     assert ratio == pytest.approx(2, rel=0.01)
     assert (paper > 128) == (scheme == "light")
+    browser.execute_script("window.scrollTo(0, 600)")
+    top, bottom = browser.execute_script("const r = document.getElementById('stage').getBoundingClientRect(); return [r.top, r.bottom]")
+    assert 0 <= top < bottom < 500, "the machine stays in sight while its switches are worked"
     small = """return [...document.querySelectorAll("#transport button")]
                  .filter((b) => b.getBoundingClientRect().height < 36).map((b) => b.textContent)"""
     assert browser.execute_script(small) == []
