@@ -137,7 +137,7 @@ export class Controls {
       page.restart();
     };
     by("copy-command").onclick = () => this.copy(page.settings.command(), "Command copied");
-    by("copy-link").onclick = () => this.copy(location.href, "Link copied");
+    by("copy-link").onclick = () => this.copy(`${location.href.split("#")[0]}#${page.settings.link()}`, "Link copied");
     by("save").onclick = () => this.save(page.settings.file());
     by("show-licenses").onclick = async () => {
       by("licenses").querySelector("pre").textContent = await (await part("licenses", "licenses.txt")).text();

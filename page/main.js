@@ -78,7 +78,7 @@ class Page {
       this.previous = this.shown(this.run);
       this.passes = this.run.passes();
     });
-    history.replaceState(null, "", `#${this.settings.link()}`);
+    this.remember();
     this.measure();
     this.controls.show();
   }
@@ -129,7 +129,7 @@ class Page {
       const done = this.attempt(() => [this.run, this.other].forEach((run) => run?.machine.set(values)));
       if (done) this.sentence("");
       this.view.describe(this.settings);
-      history.replaceState(null, "", `#${this.settings.link()}`);
+      this.remember();
       this.measure();
       this.controls.showShare();
     }
@@ -140,7 +140,13 @@ class Page {
     this.controls.showPlaying();
   }
 
-  // Steps of a millisecond; false where the unit refused one.
+  // Writes the state into the address, when nothing has changed for a moment: browsers refuse to do so many times a second.
+  remember() {
+    clearTimeout(this.remembering);
+    this.remembering = setTimeout(() => history.replaceState(null, "", `#${this.settings.link()}`), 200);
+  }
+
+  // Steps of a millisecond; gives back how many were taken.
   advance(count) {
     const begin = performance.now();
     const runs = this.other ? [this.run, this.other] : [this.run];
@@ -320,7 +326,7 @@ class Page {
 
   setSpeed(speed) {
     this.settings.speed = speed;
-    history.replaceState(null, "", `#${this.settings.link()}`);
+    this.remember();
     this.controls.showPlaying();
   }
 
