@@ -5,7 +5,7 @@ use std::ffi::CStr;
 use std::panic::catch_unwind;
 use std::ptr::null_mut;
 
-use libc::size_t;
+use super::c_types::size_t;
 
 use super::function::{functions, string};
 use super::guard::Component;

@@ -1,7 +1,7 @@
 //! Derivatives: of outputs with respect to inputs and continuous states (FMI 2.0.4, section 2.1.9), of inputs and outputs with respect
 //! to time (section 4.2.1).
 
-use libc::size_t;
+use super::c_types::size_t;
 
 use super::function::functions;
 use super::types::{fmi2Integer, fmi2Real, fmi2ValueReference};

@@ -1,6 +1,6 @@
 //! Functions for model exchange (FMI 2.0.4, section 3.2).
 
-use libc::size_t;
+use super::c_types::size_t;
 
 use super::function::functions;
 use super::types::{fmi2Boolean, fmi2EventInfo, fmi2False, fmi2Real};

@@ -117,7 +117,7 @@ pub(super) fn panic_text(panic: &(dyn Any + Send)) -> &str {
 mod tests {
     use std::ffi::CStr;
 
-    use libc::c_void;
+    use super::super::c_types::c_void;
     use std::ptr::null_mut;
 
     use super::super::{fmi2ComponentEnvironment, fmi2FreeInstance, fmi2GetVersion, fmi2OK, fmi2Reset, fmi2String};

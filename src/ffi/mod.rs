@@ -5,6 +5,7 @@
 //! | `types.rs` | fmi2TypesPlatform.h and the types of fmi2FunctionTypes.h, names unchanged |
 //! | `guard.rs` | entry of every call: null component, order of calls, panic, log |
 //! | `function.rs` | the form of a C function: arguments as slices and places, nulls refused |
+//! | `c_types.rs` | C's types on every platform |
 //! | `common.rs` | functions common to all FMUs (FMI 2.0.4, section 2.1) |
 //! | `cosimulation.rs` | functions for co-simulation (section 4.2.1) |
 //! | `exchange.rs` | functions for model exchange (section 3.2) |
@@ -39,6 +40,11 @@
 #![allow(unsafe_code, reason = "raw pointers come in here and go no further")]
 #![allow(non_camel_case_types, non_snake_case, non_upper_case_globals, reason = "the names are those of the standard's headers")]
 
+<<<<<<< HEAD
+=======
+mod arrays;
+mod c_types;
+>>>>>>> p41
 mod common;
 mod cosimulation;
 mod derivatives;

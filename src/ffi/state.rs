@@ -2,7 +2,7 @@
 
 use std::ptr::null_mut;
 
-use libc::size_t;
+use super::c_types::size_t;
 
 use super::function::{functions, not_null, slice};
 use super::types::{fmi2Byte, fmi2FMUstate};

@@ -2,7 +2,7 @@
 //!
 //! Enumerations are plain integers: a Rust enum must not hold a number that C may pass by mistake.
 
-use libc::{c_char, c_int, c_uint, c_void, size_t};
+use super::c_types::{c_char, c_int, c_uint, c_void, size_t};
 
 use crate::fmi::Status;
 

@@ -7,6 +7,7 @@ mod format;
 mod hard_cases;
 mod kinks;
 mod package;
+mod page;
 mod paths;
 mod peers;
 mod prices;
@@ -58,6 +59,9 @@ enum Command {
         /// Only build the master fmi-sim, which takes minutes, and let it drive the FMU (its needs: .ci/setup-fmi-sim)
         #[arg(long, conflicts_with_all = ["full", "platforms"])]
         fmi_sim: bool,
+        /// Only make the live page, compare its bits with the unit's and open it in a browser (its needs: .ci/setup-page)
+        #[arg(long, conflicts_with_all = ["full", "platforms", "fmi_sim"])]
+        page: bool,
     },
     /// Format every .rs file, also those that `cargo fmt` does not find because a macro declares their modules
     Format {
@@ -125,6 +129,8 @@ enum Command {
         #[arg(long)]
         all_platforms: bool,
     },
+    /// Write the live page, the library in a browser: target/page/fivebar.html (its needs: .ci/setup-page)
+    Page,
 }
 
 fn main() -> ExitCode {
@@ -144,6 +150,7 @@ fn command(command: Command) -> Result<()> {
         Command::Twin(options) => twin::twin(&options),
         Command::Test { platforms: true, .. } => test::platforms(),
         Command::Test { fmi_sim: true, .. } => test::fmi_sim(),
+        Command::Test { page: true, .. } => test::page(),
         Command::Test { full, .. } => test::test(full),
         Command::Format { check } => format::format(check),
         Command::Compare { revision } => compare::compare(&revision),
@@ -156,6 +163,7 @@ fn command(command: Command) -> Result<()> {
         Command::Bench { quick, .. } => bench::bench(quick),
         Command::Prices { method } => prices::prices(method.as_deref()),
         Command::Kinks => kinks::kinks(),
+        Command::Page => page::page(),
         Command::Package { scene, name, all_platforms } => {
             let scope = if all_platforms { Scope::All } else { Scope::Here };
             match scene {

@@ -2,7 +2,7 @@
 
 use crate::package::{self, Scope};
 use crate::venv::{self, Packages};
-use crate::{bench, format, paths, process};
+use crate::{bench, format, page, paths, process};
 use anyhow::{Context, Result, bail, ensure};
 use cargo_metadata::Message;
 use std::env;
@@ -31,6 +31,9 @@ const FMI_SIM: (&str, [(&str, &str); 1]) = ("0.7.0", [("/usr/lib/llvm-14/lib/lib
 
 /// Programs that `--platforms` needs on top of those that build.
 const PLATFORMS_NEEDS: [(&str, &str); 2] = [("wine", "wine"), ("qemu-aarch64", "qemu-user")];
+
+/// Programs that `--page` needs on top of those that build the page.
+const PAGE_NEEDS: [(&str, &str); 3] = [("chromium", "chromium"), ("chromedriver", "chromium-driver"), ("node", "nodejs")];
 
 /// The scene of a unit of one's own, which the Python tests look at, and the unit's name.
 const OWN: (&str, &str) = ("tests/data/own_machine.json", "OwnMachine");
@@ -86,6 +89,17 @@ pub(crate) fn platforms() -> Result<()> {
     let fmu = steps.run("package, all platforms", || package::package(Scope::All))?;
     let own = steps.run("package, own machine, all platforms", || own(Scope::All))?;
     steps.run("Python tests", || pytest(&fmu, &own, &Tests::Platforms))?;
+    steps.summary();
+    Ok(())
+}
+
+/// Makes the live page, compares its bits with those of the library that [`test()`] judges, and opens it in a browser.
+pub(crate) fn page() -> Result<()> {
+    process::need("cargo xtask test --page", ".ci/setup-page", &PAGE_NEEDS)?;
+    let mut steps = Steps::default();
+    let fmu = steps.run("package", || package::package(Scope::Here))?;
+    steps.run("page", page::page)?;
+    steps.run("Python tests", || pytest(&fmu, &paths::fmu(OWN.1), &Tests::Page))?;
     steps.summary();
     Ok(())
 }
@@ -199,6 +213,8 @@ enum Tests {
     Platforms,
     /// The test of fmi-sim alone.
     FmiSim,
+    /// The tests of the live page alone.
+    Page,
 }
 
 /// Runs the Python tests on the packed units, the plain one and one of one's own, last of all: the line it ends with is the one that
@@ -206,9 +222,10 @@ enum Tests {
 fn pytest(fmu: &Path, own: &Path, tests: &Tests) -> Result<()> {
     let (packages, marks) = match tests {
         Tests::Usual => (Packages::Usual, None),
-        Tests::Full { .. } => (Packages::Full, Some("not platforms and not fmi_sim")),
-        Tests::Platforms => (Packages::Platforms, Some("not full and not fmi_sim")),
+        Tests::Full { .. } => (Packages::Full, Some("not platforms and not fmi_sim and not page")),
+        Tests::Platforms => (Packages::Platforms, Some("not full and not fmi_sim and not page")),
         Tests::FmiSim => (Packages::Usual, Some("fmi_sim")),
+        Tests::Page => (Packages::Full, Some("page")),
     };
     let mut command = venv::python(packages)?;
     command

@@ -2,7 +2,6 @@
 
 use super::Files;
 use super::linked::{Linked, LinkedCrate};
-use super::platform::Scope;
 use crate::paths;
 use anyhow::{Context, Result, bail};
 use std::fmt::Write;
@@ -14,8 +13,9 @@ const FOLDER: &str = "documentation/licenses";
 /// The project's own licence files, in the workspace root.
 const OWN: [&str; 2] = ["LICENSE-APACHE", "LICENSE-MIT"];
 
-/// All licence files, and `license.txt`, which lists the parts under each licence.
-pub(super) fn collect(linked: &Linked, scope: Scope) -> Result<Files> {
+/// All licence files, those of `runtime` (name in the folder of licences, file) among them, and `license.txt`, which lists the parts
+/// under each licence.
+pub(super) fn collect(linked: &Linked, runtime: &[(&str, PathBuf)]) -> Result<Files> {
     let mut files = Files::new();
     for name in OWN {
         let text = fs::read(paths::in_root(name)).with_context(|| format!("{name} cannot be read"))?;
@@ -24,11 +24,10 @@ pub(super) fn collect(linked: &Linked, scope: Scope) -> Result<Files> {
     for crate_ in &linked.crates {
         files.extend(of_crate(crate_)?);
     }
-    let runtime = scope.runtime_licenses()?;
-    for (name, file) in &runtime {
+    for (name, file) in runtime {
         files.insert(format!("{FOLDER}/{name}"), fs::read(file).with_context(|| format!("{} cannot be read", file.display()))?);
     }
-    files.insert(format!("{FOLDER}/license.txt"), summary(linked, &runtime).into_bytes());
+    files.insert(format!("{FOLDER}/license.txt"), summary(linked, runtime).into_bytes());
     Ok(files)
 }
 

@@ -1,11 +1,12 @@
 //! The crates that are linked into the library, and the toolchain that builds it.
 
-use super::platform::Scope;
+use super::platform::Platform;
 use crate::{paths, process};
 use anyhow::{Context, Result};
 use cargo_metadata::{DependencyKind, Metadata, MetadataCommand, Package, PackageId, TargetKind};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
+use std::process::Command;
 
 /// The crate that becomes the library.
 pub(super) const LIBRARY_CRATE: &str = "fivebar";
@@ -34,14 +35,14 @@ pub(super) struct LinkedCrate {
 }
 
 impl Linked {
-    /// Asks cargo and rustc.
-    pub(super) fn read(scope: Scope) -> Result<Self> {
-        let version = process::output(scope.rustc().arg("--version"))?;
+    /// Asks cargo, and the compiler that a function starts.
+    pub(super) fn read(rustc: impl Fn() -> Command, platforms: &[Platform]) -> Result<Self> {
+        let version = process::output(rustc().arg("--version"))?;
         let mut options = vec!["--locked".to_owned()];
-        for platform in scope.platforms() {
+        for platform in platforms {
             let triple = match platform.cross {
                 Some(triple) => triple.to_owned(),
-                None => process::output(scope.rustc().args(["--print", "host-tuple"]))?.trim().to_owned(),
+                None => process::output(rustc().args(["--print", "host-tuple"]))?.trim().to_owned(),
             };
             options.extend(["--filter-platform".into(), triple]);
         }

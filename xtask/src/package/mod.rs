@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 use unit::{OwnScene, Unit};
 
 /// Content of the archive: name in the archive (`/` separators) to bytes, sorted by name.
-type Files = BTreeMap<String, Vec<u8>>;
+pub(crate) type Files = BTreeMap<String, Vec<u8>>;
 
 /// The plain unit: builds, packs, verifies; gives back the packed file.
 pub(crate) fn package(scope: Scope) -> Result<PathBuf> {
@@ -47,14 +47,25 @@ pub(crate) fn package_own(file: &Path, name: Option<&str>, scope: Scope) -> Resu
     Ok(fmu)
 }
 
+/// The plain unit's library for a browser, and the licence files of everything in it by their names.
+pub(crate) fn web() -> Result<(Vec<u8>, Files)> {
+    let platform = platform::Platform::web();
+    let mut linked = linked::Linked::read(platform::debian_rustc, std::slice::from_ref(&platform))?;
+    let library = library::build(&platform, &linked, &Unit::plain()?).context("the library for a browser")?;
+    linked.crates.retain(|crate_| library.built.contains(&crate_.id));
+    let licenses = licenses::collect(&linked, &[platform::standard_library_license()])?;
+    Ok((library.bytes, licenses))
+}
+
 fn pack(unit: &Unit, scope: Scope) -> Result<PathBuf> {
     let scenes = Scene::all()?;
     scenes::write(&scenes)?;
-    let mut linked = linked::Linked::read(scope)?;
+    let platforms = scope.platforms();
+    let mut linked = linked::Linked::read(|| scope.rustc(), &platforms)?;
     let mut files = Files::new();
     let mut built = HashSet::new();
-    for platform in scope.platforms() {
-        let library = library::build(&platform, &linked, unit).with_context(|| format!("the library for {}", platform.folder))?;
+    for platform in &platforms {
+        let library = library::build(platform, &linked, unit).with_context(|| format!("the library for {}", platform.folder))?;
         files.insert(format!("binaries/{}/{}.{}", platform.folder, unit.name(), platform.extension), library.bytes);
         built.extend(library.built);
     }
@@ -65,7 +76,7 @@ fn pack(unit: &Unit, scope: Scope) -> Result<PathBuf> {
     files.insert("modelDescription.xml".into(), unit.description.to_fmi(env!("CARGO_PKG_VERSION")).into_bytes());
     files.insert("model.png".into(), icon::render(&picture)?);
     files.insert("documentation/index.html".into(), documentation::page(unit, &scenes, &picture)?.into_bytes());
-    files.extend(licenses::collect(&linked, scope)?);
+    files.extend(licenses::collect(&linked, &scope.runtime_licenses()?)?);
 
     let fmu = scope.file(unit.name());
     fs::create_dir_all(fmu.parent().context("the .fmu lies in a folder")?)?;

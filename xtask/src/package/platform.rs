@@ -29,6 +29,22 @@ const DEBIAN: &str = "/usr/bin";
 /// A file that exists where the sources of the standard library are installed.
 const STANDARD_LIBRARY: &str = "/usr/lib/rustlib/src/rust/library/Cargo.lock";
 
+/// The triple of WebAssembly without a system below.
+const WEB: &str = "wasm32-unknown-unknown";
+
+/// The linker for WebAssembly.
+const WEB_LINKER: &str = "wasm-ld-14";
+
+/// Two lanes as one instruction, which every browser has since 2023; a stack of four times the depth that was ever seen, because a
+/// page pays for all of it; a table of functions in which a page can put its logger.
+const WEB_FLAGS: &[&str] = &[
+    "-Ctarget-feature=+simd128",
+    "-Clinker-flavor=wasm-ld",
+    "-Clink-arg=-zstack-size=262144",
+    "-Clink-arg=--export-table",
+    "-Clink-arg=--growable-table",
+];
+
 /// The linker for Windows.
 const WINDOWS_LINKER: &str = "x86_64-w64-mingw32-gcc";
 
@@ -57,7 +73,7 @@ impl Scope {
     pub(super) fn rustc(self) -> Command {
         match self {
             Self::Here => process::program(env::var_os("RUSTC").unwrap_or_else(|| "rustc".into())),
-            Self::All => process::program(Path::new(DEBIAN).join("rustc")),
+            Self::All => debian_rustc(),
         }
     }
 
@@ -77,7 +93,7 @@ impl Scope {
             Self::All => {
                 let zig = venv::site_packages(Packages::Platforms)?.join("ziglang");
                 Ok(vec![
-                    ("rust-standard-library/copyright.txt", "/usr/share/doc/rust-web-src/copyright".into()),
+                    standard_library_license(),
                     ("zig/LICENSE.txt", zig.join("LICENSE")),
                     ("llvm-libunwind/LICENSE.txt", zig.join("lib/libunwind/LICENSE.TXT")),
                     ("gcc-mingw-w64/copyright.txt", "/usr/share/doc/gcc-mingw-w64-x86-64/copyright".into()),
@@ -136,6 +152,11 @@ impl Platform {
         SHIPPED.map(platform).into()
     }
 
+    /// The browser.
+    pub(super) fn web() -> Self {
+        Self { folder: "wasm32".into(), extension: "wasm", cross: Some(WEB), flags: WEB_FLAGS }
+    }
+
     /// `cargo rustc --release` for this machine; the caller adds the target to be built.
     pub(super) fn cargo_rustc(&self) -> Result<Command> {
         match self.cross {
@@ -144,29 +165,29 @@ impl Platform {
                 cargo.args(["rustc", "--release"]);
                 Ok(cargo)
             }
+            Some(WEB) => web("rustc"),
             Some(triple) => cross("rustc", triple),
         }
     }
 }
 
+/// Debian's compiler.
+pub(super) fn debian_rustc() -> Command {
+    process::program(Path::new(DEBIAN).join("rustc"))
+}
+
+/// Licence of what Debian's standard library has from others: name in the folder of licences, and file.
+pub(super) fn standard_library_license() -> (&'static str, PathBuf) {
+    ("rust-standard-library/copyright.txt", "/usr/share/doc/rust-web-src/copyright".into())
+}
+
 /// A command of cargo, optimised, for `triple`. Debian's Rust brings the sources of its standard library, from which that
 /// of any machine is built; zig brings linker and C library of any Linux, with the glibc that is asked for; the linker for
 /// Windows is Debian's, because Debian's Rust links a library there that zig does not have.
-///
-/// The sources must be those of the compiler, hence not the Rust in use; `RUSTC_BOOTSTRAP` lets a stable one build them.
-/// Backtraces are left out of the standard library: a stripped library has none to show. Formatting and sorting are optimised for
-/// size: no step does either.
 fn cross(command: &str, triple: &str) -> Result<Command> {
-    let needs = [
-        ("/usr/bin/rustc", "rustc-web"),
-        ("/usr/bin/cargo", "cargo-web"),
-        (STANDARD_LIBRARY, "rust-web-src"),
-        (WINDOWS_LINKER, "gcc-mingw-w64-x86-64"),
-    ];
-    process::need("cargo xtask package --all-platforms", ".ci/setup-platforms", &needs)?;
+    need_debian("cargo xtask package --all-platforms", ".ci/setup-platforms", (WINDOWS_LINKER, "gcc-mingw-w64-x86-64"))?;
     let python = venv::python(Packages::Platforms)?;
     let programs = Path::new(python.get_program()).parent().context("Python lies in a folder")?;
-    let folder = paths::in_root("target/cross");
     let (program, target) = if triple.ends_with("linux-gnu") {
         let [major, minor] = GLIBC_FLOOR;
         (programs.join("cargo-zigbuild"), format!("{triple}.{major}.{minor}"))
@@ -174,19 +195,50 @@ fn cross(command: &str, triple: &str) -> Result<Command> {
         (Path::new(DEBIAN).join("cargo"), triple.to_owned())
     };
     let mut cargo = process::program(program);
+    cargo.args([command, "--release", "--target", &target]);
+    let folder = build_standard_library(&mut cargo, "panic_unwind", "panic-unwind,optimize_for_size");
     cargo
-        .args([command, "--release", "--target", &target, "--target-dir"])
-        .arg(&folder)
-        .args(["-Zbuild-std=std,panic_unwind", "-Zbuild-std-features=panic-unwind,optimize_for_size"])
         .env("PATH", env::join_paths([programs, Path::new(DEBIAN), Path::new("/bin")]).context("the path of programs")?)
-        .env("CARGO", Path::new(DEBIAN).join("cargo"))
-        .env("RUSTC", Path::new(DEBIAN).join("rustc"))
-        .env("RUSTC_BOOTSTRAP", "1")
         .env("CARGO_TARGET_X86_64_PC_WINDOWS_GNU_LINKER", WINDOWS_LINKER)
         // Files that zig and its helper keep beside the output stay in this folder as well.
         .env("CARGO_ZIGBUILD_CACHE_DIR", folder.join("cargo-zigbuild"))
         .env("ZIG_GLOBAL_CACHE_DIR", folder.join("zig"));
     Ok(cargo)
+}
+
+/// A command of cargo, optimised, for the browser, where a panic is a trap.
+fn web(command: &str) -> Result<Command> {
+    need_debian("cargo xtask page", ".ci/setup-page", (WEB_LINKER, "lld"))?;
+    let mut cargo = process::program(Path::new(DEBIAN).join("cargo"));
+    cargo.args([command, "--release", "--target", WEB]);
+    build_standard_library(&mut cargo, "panic_abort", "optimize_for_size");
+    cargo
+        .env("PATH", env::join_paths([DEBIAN, "/bin"]).context("the path of programs")?)
+        .env("CARGO_TARGET_WASM32_UNKNOWN_UNKNOWN_LINKER", WEB_LINKER);
+    Ok(cargo)
+}
+
+/// Fails where Debian's Rust, the sources of its standard library or the linker are missing.
+fn need_debian(command: &str, script: &str, linker: (&str, &str)) -> Result<()> {
+    let rust = [("/usr/bin/rustc", "rustc-web"), ("/usr/bin/cargo", "cargo-web"), (STANDARD_LIBRARY, "rust-web-src"), linker];
+    process::need(command, script, &rust)
+}
+
+/// Lets a command of cargo build the standard library as well, and gives back its target folder.
+///
+/// The sources must be those of the compiler, hence not the Rust in use; `RUSTC_BOOTSTRAP` lets a stable one build them.
+/// Backtraces are left out of the standard library: a stripped library has none to show. Formatting and sorting are optimised for
+/// size: no step does either.
+fn build_standard_library(cargo: &mut Command, panic: &str, features: &str) -> PathBuf {
+    let folder = paths::in_root("target/cross");
+    cargo
+        .arg("--target-dir")
+        .arg(&folder)
+        .args([format!("-Zbuild-std=std,{panic}"), format!("-Zbuild-std-features={features}")])
+        .env("CARGO", Path::new(DEBIAN).join("cargo"))
+        .env("RUSTC", Path::new(DEBIAN).join("rustc"))
+        .env("RUSTC_BOOTSTRAP", "1");
+    folder
 }
 
 #[cfg(test)]

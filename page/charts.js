@@ -1,0 +1,177 @@
+// Small pictures: curves over time, and accuracy against time.
+
+const FONT = "11px system-ui, sans-serif";
+
+// A canvas for a picture: its context, in pixels of the page, and its size.
+function sheet(canvas) {
+  const ratio = window.devicePixelRatio || 1;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  if (canvas.width !== Math.round(width * ratio)) canvas.width = Math.round(width * ratio);
+  if (canvas.height !== Math.round(height * ratio)) canvas.height = Math.round(height * ratio);
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  context.font = FONT;
+  context.lineJoin = "round";
+  return { context, width, height };
+}
+
+// Values over the last seconds, as a ring of samples.
+export class History {
+  constructor(seconds, count) {
+    [this.seconds, this.count, this.samples] = [seconds, count, []];
+  }
+
+  // A sample, unless the last one is too close.
+  add(time, values) {
+    const last = this.samples.at(-1);
+    if (last && time < last.time) this.clear();
+    if (last && time - last.time < this.seconds / this.count) return;
+    this.samples.push({ time, values });
+    while (this.samples[0].time < time - this.seconds) this.samples.shift();
+  }
+
+  clear() {
+    this.samples = [];
+  }
+}
+
+// Curves over time: `curves` has colour, dashes and label of each value; `log` is the smallest and largest power of ten.
+export function drawHistory(canvas, history, curves, colours, log) {
+  const { context, width, height } = sheet(canvas);
+  const { samples, seconds } = history;
+  const [left, right, top, bottom] = [log ? 42 : 6, 82, 6, height - 6];
+  const end = Math.max(samples.at(-1)?.time ?? 0, seconds);
+  const x = (time) => left + ((time - end + seconds) / seconds) * (width - left - right);
+  let [low, high] = log ?? [Infinity, -Infinity];
+  if (!log) {
+    for (const { values } of samples) for (const value of values) [low, high] = [Math.min(low, value), Math.max(high, value)];
+    if (!(high - low > 1e-9)) [low, high] = [low - 0.5, low + 0.5];
+  }
+  const level = (value) => (log ? Math.min(Math.max(Math.log10(value), low), high) : value);
+  const y = (value) => bottom - ((level(value) - low) / (high - low)) * (bottom - top);
+  context.strokeStyle = colours.grid;
+  context.lineWidth = 1;
+  context.textBaseline = "middle";
+  const lines = log ? Array.from({ length: Math.floor((high - low) / 3) + 1 }, (_, i) => 10 ** (low + 3 * i)) : low < 0 && high > 0 ? [0] : [];
+  for (const line of lines) {
+    context.beginPath();
+    context.moveTo(left, y(line));
+    context.lineTo(width - right, y(line));
+    context.stroke();
+    if (log) text(context, metres(line), left - 6, y(line), colours.muted, "right");
+  }
+  if (!samples.length) return;
+  const ends = [];
+  curves.forEach(({ label, colour, dash }, i) => {
+    context.strokeStyle = colour;
+    context.lineWidth = 1.75;
+    context.setLineDash(dash ?? []);
+    context.beginPath();
+    for (const { time, values } of samples) context.lineTo(x(time), y(values[i]));
+    context.stroke();
+    ends.push({ label, colour, at: y(samples.at(-1).values[i]) });
+  });
+  context.setLineDash([]);
+  // Labels stand at the ends of their curves, apart from each other.
+  ends.sort((a, b) => a.at - b.at);
+  let free = top + 4;
+  ends.forEach((label, i) => {
+    label.at = Math.min(Math.max(label.at, free), bottom - 13 * (ends.length - 1 - i) - 4);
+    free = label.at + 13;
+    text(context, label.label, width - right + 6, label.at, label.colour, "left");
+  });
+}
+
+function text(context, words, x, y, colour, align) {
+  [context.fillStyle, context.textAlign, context.textBaseline] = [colour, align, "middle"];
+  context.fillText(words, x, y);
+}
+
+// A length as a person says it.
+export function metres(length) {
+  const units = [[1, "m"], [1e-3, "mm"], [1e-6, "µm"], [1e-9, "nm"], [1e-12, "pm"], [1e-15, "fm"]];
+  const [size, unit] = units.find(([size]) => length >= 0.9995 * size) ?? units.at(-1);
+  return `${Number((length / size).toPrecision(2))} ${unit}`;
+}
+
+// Symbols of methods, told apart by form and colour.
+export const SYMBOLS = {
+  automatic: { form: "disc", colour: "left" },
+  dop853: { form: "square", colour: "right" },
+  i3alp: { form: "triangle", colour: "trace" },
+  i3alpConserving: { form: "diamond", colour: "direct" },
+  i3alpPrinted: { form: "cross", colour: "muted" },
+  rk4: { form: "ring", colour: "ink" },
+};
+
+// A symbol at a place.
+function symbol(context, { form, colour }, colours, x, y, size) {
+  [context.fillStyle, context.strokeStyle, context.lineWidth] = [colours[colour], colours[colour], 1.75];
+  context.beginPath();
+  if (form === "disc" || form === "ring") context.arc(x, y, size, 0, 2 * Math.PI);
+  const corners = {
+    square: [[-1, -1], [1, -1], [1, 1], [-1, 1]],
+    triangle: [[0, -1.2], [1.2, 1], [-1.2, 1]],
+    diamond: [[0, -1.4], [1.4, 0], [0, 1.4], [-1.4, 0]],
+  };
+  for (const [dx, dy] of corners[form] ?? []) context.lineTo(x + 0.9 * size * dx, y + 0.9 * size * dy);
+  context.closePath();
+  if (form === "cross") {
+    for (const side of [1, -1]) {
+      context.moveTo(x - size, y - side * size);
+      context.lineTo(x + size, y + side * size);
+    }
+  }
+  if (form === "ring" || form === "cross") context.stroke();
+  else context.fill();
+}
+
+// Error of the tip against cost, both logarithmic; the method in use is drawn larger.
+export function drawAccuracy(canvas, points, method, colours) {
+  const { context, width, height } = sheet(canvas);
+  const [left, right, top, bottom] = [44, 8, 8, height - 32];
+  const log = (point) => [Math.log10(point.cost), Math.log10(Math.max(point.error, 1e-16))];
+  const range = (i, least) => {
+    const all = points.map((point) => log(point)[i]);
+    const [low, high] = [Math.floor(Math.min(...least, ...all)), Math.ceil(Math.max(...least, ...all))];
+    return [low, Math.max(high, low + 1)];
+  };
+  const [[x0, x1], [y0, y1]] = [range(0, [-1, 1]), range(1, [-10, -3])];
+  const x = (power) => left + ((power - x0) / (x1 - x0)) * (width - left - right);
+  const y = (power) => bottom - ((power - y0) / (y1 - y0)) * (bottom - top);
+  [context.strokeStyle, context.lineWidth] = [colours.grid, 1];
+  for (let power = x0; power <= x1; power += 1) {
+    line(context, x(power), top, x(power), bottom);
+    text(context, `${Number((10 ** power).toPrecision(1))}`, Math.min(x(power), width - 14), bottom + 10, colours.muted, "center");
+  }
+  for (let power = Math.ceil(y0 / 3) * 3; power <= y1; power += 3) {
+    line(context, left, y(power), width - right, y(power));
+    text(context, metres(10 ** power), left - 5, y(power), colours.muted, "right");
+  }
+  text(context, "computing time, µs per simulated ms", (left + width - right) / 2, bottom + 25, colours.muted, "center");
+  for (const name of Object.keys(SYMBOLS)) {
+    const own = points.filter((point) => point.method === name);
+    const chosen = name === method;
+    [context.strokeStyle, context.lineWidth] = [colours[SYMBOLS[name].colour], chosen ? 2 : 1];
+    context.globalAlpha = chosen ? 1 : 0.7;
+    context.beginPath();
+    for (const point of own) context.lineTo(x(log(point)[0]), y(log(point)[1]));
+    context.stroke();
+    for (const point of own) symbol(context, SYMBOLS[name], colours, x(log(point)[0]), y(log(point)[1]), chosen ? 5 : 3);
+  }
+  context.globalAlpha = 1;
+}
+
+function line(context, x0, y0, x1, y1) {
+  context.beginPath();
+  context.moveTo(x0, y0);
+  context.lineTo(x1, y1);
+  context.stroke();
+}
+
+// The key to the symbols: a small canvas for each method.
+export function drawSymbol(canvas, name, colours) {
+  const { context, width, height } = sheet(canvas);
+  symbol(context, SYMBOLS[name], colours, width / 2, height / 2, 4);
+}

@@ -1,0 +1,107 @@
+// Reach and singular loci of a five-bar, in closed form. Points are [x, y] in m; the left motor is the origin.
+
+const TAU = 2 * Math.PI;
+const LOCUS_POINTS = 720;
+
+// Lengths from values of the unit: base distance, then links 1 to 4.
+export function geometry(value) {
+  return { d: value("base.distance"), l: [1, 2, 3, 4].map((i) => value(`link[${i}].length`)) };
+}
+
+// Radii about each motor between which the tip can be: folded and stretched leg. Their circles are the inverse singularities.
+export function annuli({ d, l }) {
+  return [
+    { centre: [0, 0], inner: Math.abs(l[0] - l[1]), outer: l[0] + l[1] },
+    { centre: [d, 0], inner: Math.abs(l[3] - l[2]), outer: l[3] + l[2] },
+  ];
+}
+
+// The smallest box that holds every posture: { x: [from, to], y: [from, to] }.
+export function box(machine) {
+  const [left, right] = annuli(machine);
+  const { d, l } = machine;
+  const half = Math.max(l[0], l[3], tallest(left, right, d));
+  return {
+    x: [Math.min(-l[0], d - l[3], Math.max(-left.outer, d - right.outer)), Math.max(d + l[3], l[0], Math.min(left.outer, d + right.outer))],
+    y: [-half, half],
+  };
+}
+
+// Largest height of the reach: where the outer circles meet, or the top of the one inside the other.
+function tallest(left, right, d) {
+  const x = d > 0 ? (d * d + left.outer ** 2 - right.outer ** 2) / (2 * d) : 0;
+  if (x <= 0 || x >= d) return Math.min(left.outer, right.outer);
+  return Math.sqrt(Math.max(left.outer ** 2 - x * x, 0));
+}
+
+// Curves on which the distal links are in line, the direct singularities: a list of lists of points. The left elbow goes round;
+// the right one is where its circle meets that of radius l2 + l3, or |l2 - l3|, about the left elbow.
+export function directLoci({ d, l }) {
+  const curves = [];
+  for (const [apart, share] of [[l[1] + l[2], l[1] / (l[1] + l[2])], [Math.abs(l[1] - l[2]), l[1] / (l[1] - l[2])]]) {
+    if (apart < 1e-9) continue;
+    for (const side of [1, -1]) {
+      curves.push(...pieces((angle) => {
+        const left = [l[0] * Math.cos(angle), l[0] * Math.sin(angle)];
+        const right = meeting(left, apart, [d, 0], l[3], side);
+        return right && [left[0] + share * (right[0] - left[0]), left[1] + share * (right[1] - left[1])];
+      }));
+    }
+  }
+  return curves.concat(folded({ d, l }));
+}
+
+// The pieces of a curve over an angle that exists for some angles only, each up to its very ends.
+function pieces(point) {
+  const curves = [];
+  let curve = [];
+  for (let i = 0; i <= LOCUS_POINTS; i += 1) {
+    const [angle, before] = [i, i - 1].map((count) => (TAU * count) / LOCUS_POINTS);
+    const here = point(angle);
+    if (i > 0 && Boolean(here) !== curve.length > 0) curve.push(point(end(point, here ? angle : before, here ? before : angle)));
+    if (here) curve.push(here);
+    else if (curve.length) {
+      curves.push(curve);
+      curve = [];
+    }
+  }
+  return curve.length ? [...curves, curve] : curves;
+}
+
+// The last angle with a point between one that has one and one that has none.
+function end(point, inside, outside) {
+  for (let i = 0; i < 40; i += 1) {
+    const middle = (inside + outside) / 2;
+    if (point(middle)) inside = middle;
+    else outside = middle;
+  }
+  return inside;
+}
+
+// With distal links of one length the elbows can coincide: the tip is then anywhere on a circle about them.
+function folded({ d, l }) {
+  if (Math.abs(l[1] - l[2]) > 1e-9 || d === 0) return [];
+  const circles = [];
+  for (const side of [1, -1]) {
+    const centre = meeting([0, 0], l[0], [d, 0], l[3], side);
+    if (!centre || (side === -1 && Math.abs(centre[1]) < 1e-9)) continue;
+    const point = (_, i) => {
+      const angle = (TAU * i) / 180;
+      return [centre[0] + l[1] * Math.cos(angle), centre[1] + l[1] * Math.sin(angle)];
+    };
+    circles.push(Array.from({ length: 181 }, point));
+  }
+  return circles;
+}
+
+// One of the points where two circles meet.
+function meeting(a, ra, b, rb, side) {
+  const [dx, dy] = [b[0] - a[0], b[1] - a[1]];
+  const apart = Math.hypot(dx, dy);
+  if (apart === 0) return null;
+  const along = (apart * apart + ra * ra - rb * rb) / (2 * apart);
+  const square = ra * ra - along * along;
+  if (square < 0) return null;
+  const across = side * Math.sqrt(square);
+  return [a[0] + (along * dx - across * dy) / apart, a[1] + (along * dy + across * dx) / apart];
+}

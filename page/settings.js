@@ -1,0 +1,117 @@
+// What a person has chosen: scene, values, speed. As a link, as a scene's file, as a command.
+
+export const SPEEDS = [0.01, 0.1, 0.25, 1, 4];
+
+export class Settings {
+  constructor(description) {
+    this.description = description;
+    this.scene = this.find("fall_90_120") ?? description.scenes[0];
+    this.values = {};
+    this.speed = 1;
+  }
+
+  find(name) {
+    return this.description.scenes.find((scene) => scene.name === name);
+  }
+
+  // Another scene with its own values.
+  choose(name) {
+    this.scene = this.find(name);
+    this.values = {};
+  }
+
+  // Value of a parameter or an input now.
+  value(name) {
+    return this.values[name] ?? this.scene.values[name] ?? this.description.variables[name].start;
+  }
+
+  // Sets values; one that is the scene's own is not kept, unless a signal has to be silenced.
+  set(values) {
+    for (const [name, value] of Object.entries(values)) {
+      const usual = this.scene.values[name] ?? this.description.variables[name].start;
+      if (value === usual && !(name in this.scene.signals)) delete this.values[name];
+      else this.values[name] = value;
+    }
+  }
+
+  // All values that a machine starts with.
+  all() {
+    return { ...this.scene.values, ...this.values };
+  }
+
+  // The scene's signals but for those that a chosen value replaces.
+  signals() {
+    const silenced = (name) => name in this.values;
+    const kept = ([name, signal]) => !silenced(name) && !(signal.rateOf && silenced(signal.rateOf));
+    return Object.fromEntries(Object.entries(this.scene.signals).filter(kept));
+  }
+
+  // Items of enumerations by their names, as files and commands have them.
+  written(name, value) {
+    const { items } = this.description.variables[name];
+    return items ? Object.keys(items).find((item) => items[item] === value) : value;
+  }
+
+  // The part of a link after #.
+  link() {
+    const entries = Object.entries(this.values).map(([name, value]) => [name, this.written(name, value)]);
+    const speed = this.speed === 1 ? [] : [["speed", this.speed]];
+    return String(new URLSearchParams([["scene", this.scene.name], ...speed, ...entries]));
+  }
+
+  // Takes over what a link holds; gives back a sentence about each part that it cannot take.
+  read(link) {
+    const refused = [];
+    const given = new URLSearchParams(link);
+    if (given.has("scene")) {
+      if (this.find(given.get("scene"))) this.choose(given.get("scene"));
+      else refused.push(`The link names the scene '${given.get("scene")}', which there is not.`);
+    }
+    for (const [name, text] of given) {
+      if (name === "scene") continue;
+      if (name === "speed") {
+        if (SPEEDS.includes(Number(text))) this.speed = Number(text);
+        else refused.push(`The link's speed is ${text}, must be one of ${SPEEDS.join(", ")}.`);
+        continue;
+      }
+      const value = this.parse(name, text);
+      if (value === undefined) refused.push(`The link sets '${name}' to '${text}', which is no value of a parameter or an input.`);
+      else this.set({ [name]: value });
+    }
+    return refused;
+  }
+
+  parse(name, text) {
+    const variables = this.description.variables;
+    if (!Object.hasOwn(variables, name)) return undefined;
+    const { kind, role, items } = variables[name];
+    if (role !== "parameter" && role !== "input") return undefined;
+    if (items) return items[text];
+    if (kind === "Boolean") return { true: true, false: false }[text];
+    const value = text.trim() === "" ? NaN : Number(text);
+    return Number.isFinite(value) && (kind === "Real" || Number.isInteger(value)) ? value : undefined;
+  }
+
+  // The content of a file as scenes/ has them.
+  file() {
+    const { name, description, stopTime } = this.scene;
+    const values = Object.entries(this.all()).map(([variable, value]) => [variable, this.written(variable, value)]);
+    const own = Object.keys(this.values).length ? `${description} Changed on the live page.` : description;
+    const scene = { description: own, experiment: { stopTime, stepSize: 0.001 }, ...Object.fromEntries(values) };
+    const signals = this.signals();
+    if (Object.keys(signals).length) scene.signals = signals;
+    return { name: `${name}.json`, text: `${JSON.stringify(scene, null, 2)}\n` };
+  }
+
+  // The command that runs the same.
+  command() {
+    const sets = Object.entries(this.values)
+      .filter(([name]) => name !== "solver.method")
+      .map(([name, value]) => {
+        const assignment = `${name}=${this.written(name, value)}`;
+        return ` --set ${/[^\w.=+-]/.test(assignment) ? `'${assignment}'` : assignment}`;
+      });
+    const method = "solver.method" in this.values ? ` --method ${this.written("solver.method", this.values["solver.method"])}` : "";
+    return `fivebar run ${this.scene.name}${sets.join("")}${method}`;
+  }
+}

@@ -1,0 +1,15 @@
+// Where the page's parts come from: out of the document itself, or from beside it on a web server.
+
+async function unpacked(element) {
+  const bytes = Uint8Array.from(atob(element.textContent), (letter) => letter.charCodeAt(0));
+  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip")));
+}
+
+// Response with the part of that id, or the file of that name.
+export async function part(id, file) {
+  const element = document.getElementById(`packed-${id}`);
+  if (element) return unpacked(element);
+  const response = await fetch(file);
+  if (!response.ok) throw new Error(`${file} cannot be read: ${response.status}`);
+  return response;
+}

@@ -1,0 +1,186 @@
+// The unit in WebAssembly: FMI 2.0's functions, called as a master in C calls them, with variables by their names.
+
+const STATUS = ["OK", "Warning", "Discard", "Error", "Fatal"];
+const CO_SIMULATION = 1;
+const MILLISECOND = 1e-3;
+
+// Lengths within the page of memory that holds arguments, bytes: strings first, then lists of references and values.
+const PAGE = 65536;
+const STRINGS = 1024;
+
+// A module that imports a function of six integers, as the unit's logger is one, and exports it: a table of functions takes no
+// function of JavaScript itself.
+const TRAMPOLINE = new Uint8Array([
+  0, 97, 115, 109, 1, 0, 0, 0,
+  1, 10, 1, 96, 6, 127, 127, 127, 127, 127, 127, 0,
+  2, 7, 1, 1, 109, 1, 102, 0, 0,
+  7, 5, 1, 1, 102, 0, 0,
+]);
+
+// What the unit says when it refuses something.
+export class Refusal extends Error {
+  constructor(call, status, sentence) {
+    super(sentence);
+    this.call = call;
+    this.status = status;
+  }
+}
+
+// The library and what is known of its variables; makes machines.
+export class Library {
+  // From the bytes of the library, and the content of unit.json.
+  static async load(bytes, description) {
+    const library = new Library();
+    library.description = description;
+    library.module = await WebAssembly.compile(bytes);
+    library.trampoline = await WebAssembly.compile(TRAMPOLINE);
+    await library.start();
+    return library;
+  }
+
+  // A fresh memory: for the first use, and after a trap, which leaves the memory in an unknown state.
+  async start() {
+    this.lines = [];
+    const { exports } = await WebAssembly.instantiate(this.module, {});
+    const logger = (_environment, _name, status, _category, message) => this.lines.push({ status, text: this.text(message) });
+    const trampoline = await WebAssembly.instantiate(this.trampoline, { m: { f: logger } });
+    this.exports = exports;
+    const table = exports.__indirect_function_table;
+    const slot = table.grow(1);
+    table.set(slot, trampoline.exports.f);
+    // Rust's allocator takes only what its own calls of memory.grow return: these pages are ours.
+    this.arguments = exports.memory.grow(1) * PAGE;
+    this.free = this.arguments + STRINGS;
+    this.callbacks = this.reserve(20);
+    new Uint32Array(exports.memory.buffer, this.callbacks, 5).set([slot, 0, 0, 0, 0]);
+    this.guid = this.string(this.description.guid, 0);
+    this.name = this.string("page", 128);
+  }
+
+  // Memory that is never given back: a place for arguments.
+  reserve(bytes) {
+    const at = this.free;
+    this.free += Math.ceil(bytes / 8) * 8;
+    if (this.free > this.arguments + PAGE) throw new Error("the page of memory for arguments is full");
+    return at;
+  }
+
+  string(text, offset) {
+    const bytes = new TextEncoder().encode(text + "\0");
+    new Uint8Array(this.exports.memory.buffer, this.arguments + offset, bytes.length).set(bytes);
+    return this.arguments + offset;
+  }
+
+  text(at) {
+    const bytes = new Uint8Array(this.exports.memory.buffer);
+    // A percent sign comes doubled: the text is a format of printf by contract.
+    return new TextDecoder().decode(bytes.slice(at, bytes.indexOf(0, at))).replaceAll("%%", "%");
+  }
+
+  // Calls a function; a status above `allowed` becomes the unit's own sentence.
+  call(name, allowed, ...args) {
+    const status = this.exports[name](...args);
+    if (status > allowed) throw this.refusal(name, status);
+    return status;
+  }
+
+  refusal(name, status) {
+    const said = this.lines.findLast((line) => line.status >= 1);
+    this.lines.length = 0;
+    return new Refusal(name, status, said ? said.text : `${name} returned fmi2${STATUS[status]}.`);
+  }
+
+  variable(name) {
+    const variable = this.description.variables[name];
+    if (!variable) throw new Error(`there is no variable ${name}`);
+    return variable;
+  }
+
+  // A list of variables of one kind that is read again and again.
+  reader(names) {
+    const kinds = { Real: "Real", Integer: "Integer", Enumeration: "Integer", Boolean: "Boolean" };
+    const variables = names.map((name) => this.variable(name));
+    const kind = kinds[variables[0].kind];
+    const references = this.reserve(4 * names.length);
+    const values = this.reserve(8 * names.length);
+    const buffer = this.exports.memory.buffer;
+    new Uint32Array(buffer, references, names.length).set(variables.map((variable) => variable.reference));
+    return { kind, names, references, values, array: kind === "Real" ? Float64Array : Int32Array, view: null };
+  }
+
+  // Readers belong to a memory: those of a list of names are made once for it.
+  readerOf(names) {
+    this.readers ??= new Map();
+    if (this.readersOf !== this.exports) [this.readers, this.readersOf] = [new Map(), this.exports];
+    if (!this.readers.has(names)) this.readers.set(names, this.reader(names));
+    return this.readers.get(names);
+  }
+}
+
+// A machine: an instance of the unit.
+export class Machine {
+  // With start values and inputs of its own, by name, from a time in milliseconds; ready for its first step.
+  constructor(library, values, start = 0) {
+    this.library = library;
+    this.exports = library.exports;
+    this.milliseconds = start;
+    this.component = this.exports.fmi2Instantiate(library.name, CO_SIMULATION, library.guid, 0, library.callbacks, 0, 0);
+    if (!this.component) throw library.refusal("fmi2Instantiate", 3);
+    try {
+      this.set(values);
+      const call = (name, ...args) => library.call(name, 1, this.component, ...args);
+      call("fmi2SetupExperiment", 0, 0, this.time, 0, 0);
+      call("fmi2EnterInitializationMode");
+      call("fmi2ExitInitializationMode");
+    } catch (error) {
+      if (error instanceof Refusal) this.close();
+      throw error;
+    }
+  }
+
+  // Sets variables by name.
+  set(values) {
+    const { library } = this;
+    for (const [name, value] of Object.entries(values)) {
+      const { kind } = library.variable(name);
+      const reader = library.readerOf(single(name));
+      const buffer = this.exports.memory.buffer;
+      new reader.array(buffer, reader.values, 1)[0] = value;
+      const type = kind === "Enumeration" ? "Integer" : kind;
+      library.call(`fmi2Set${type}`, 1, this.component, reader.references, 1, reader.values);
+    }
+  }
+
+  // Reads variables of one kind; the values are valid until the next call of this list.
+  get(names) {
+    const reader = this.library.readerOf(names);
+    this.library.call(`fmi2Get${reader.kind}`, 1, this.component, reader.references, names.length, reader.values);
+    const { buffer } = this.exports.memory;
+    if (reader.view?.buffer !== buffer) reader.view = new reader.array(buffer, reader.values, names.length);
+    return reader.view;
+  }
+
+  // Time reached, s: a product, because a sum of milliseconds drifts.
+  get time() {
+    return this.milliseconds * MILLISECOND;
+  }
+
+  // One communication step of a millisecond.
+  step() {
+    this.library.call("fmi2DoStep", 1, this.component, this.time, MILLISECOND, 1);
+    this.milliseconds += 1;
+  }
+
+  // Frees the instance.
+  close() {
+    if (this.component && this.exports === this.library.exports) this.exports.fmi2FreeInstance(this.component);
+    this.component = 0;
+  }
+}
+
+// The list of one name, always the same list for a name.
+const singles = new Map();
+function single(name) {
+  if (!singles.has(name)) singles.set(name, [name]);
+  return singles.get(name);
+}
