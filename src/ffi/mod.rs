@@ -40,11 +40,7 @@
 #![allow(unsafe_code, reason = "raw pointers come in here and go no further")]
 #![allow(non_camel_case_types, non_snake_case, non_upper_case_globals, reason = "the names are those of the standard's headers")]
 
-<<<<<<< HEAD
-=======
-mod arrays;
 mod c_types;
->>>>>>> p41
 mod common;
 mod cosimulation;
 mod derivatives;
