@@ -3,7 +3,7 @@
 //! With the penetration d = offset − n·p and the tip's velocity v_t along t = (−n_y, n_x):
 //!
 //! ```text
-//! F = N (n − mu tanh(v_t/slipVelocity) t),      N = max(0, s(d)(k d + d_coeff ḋ))
+//! F = N (n − mu tanh(v_t/slipVelocity) t),      N = max(0, s(d)(k d + c ḋ))
 //! ```
 //!
 //! see `unilateral_spring.rs` for N; the tangential part is Coulomb friction, regularised. K = −∂F/∂p = (n − mu tanh t) ∂N/∂d nᵀ,
@@ -46,7 +46,7 @@ pub struct Parameters {
     pub mu: f64,
     /// Tangential velocity at which 76 % of the friction is reached, m/s.
     pub slip_velocity: f64,
-    /// Law of the friction at rest.
+    /// Law of dry friction, smooth or set-valued.
     pub law: Law,
 }
 

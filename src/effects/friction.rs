@@ -6,7 +6,7 @@
 //!
 //! with w the joint's rate, T_c = `coulomb[j]`, T_brk = `breakaway[j]` ≥ T_c, w_brk = `breakawayVelocity`: the Stribeck curve of a widely
 //! used rotational friction block (Simscape's "Rotational Friction", without its viscous term, which is the effect `viscous`;
-//! Armstrong-Hélouvry et al., Automatica 30 (1994) 1083). T_brk is met at w_brk to within 1e-4 of T_c. C = −∂T/∂w, K = 0; the power
+//! Armstrong-Hélouvry et al., Automatica 30 (1994) 1083). T_brk is met at w_brk to within 4e-9 T_c. C = −∂T/∂w, K = 0; the power
 //! −T w ≥ 0 is dissipated.
 //!
 //! By `law` 2, stick, friction is set-valued (`stick_slip.rs`): a sticking joint transmits the torque that keeps w = 0, up to T_brk, and
@@ -39,7 +39,7 @@ pub struct Parameters {
     pub breakaway: [f64; JOINTS],
     /// Rate at which the breakaway torque is reached, rad/s.
     pub breakaway_velocity: f64,
-    /// Law of the friction at rest.
+    /// Law of dry friction, smooth or set-valued.
     pub law: Law,
 }
 
@@ -147,7 +147,7 @@ impl ForceLaw for Friction {
         self.by_joint([0.0; 2], |joint, curve| [0.0, self.slope(joint, curve, joints)])
     }
 
-    /// The slope at w = 0 in closed form: it avoids exp(0), which raises an inexact flag that some masters trap.
+    /// The slope at w = 0 in closed form, without functions of 0, which may raise flags of floating-point exceptions that some masters trap.
     fn largest_slopes(&self, softening: f64) -> [[f64; 2]; JOINTS] {
         let [stribeck_rate, coulomb_rate] = self.rates(softening);
         self.by_joint([0.0; 2], |_, curve| [0.0, curve.stribeck / stribeck_rate + curve.coulomb / coulomb_rate])

@@ -199,7 +199,7 @@ pub type FrictionGuards = ArrayVec<FrictionGuard, FRICTION_PLACES>;
 
 /// Sliding rate below which a friction place counts as at rest, rad/s or m/s, at an angular tolerance, rad.
 pub fn stick_velocity(tolerance: f64) -> f64 {
-    /// Rate per tolerated angle, 1/s: a rate counts as the displacement in 0.1 s, as in the error norm of the explicit method.
+    /// Rate per tolerated angle, 1/s: a rate counts as the displacement in 0.1 s, as in the error norm of the error-controlled methods.
     const PER_ANGLE: f64 = 10.0;
     (PER_ANGLE * tolerance).clamp(1e-11, 1e-6)
 }

@@ -2,7 +2,8 @@
 //!
 //! The payload moves with the end of link 2 (left distal), so that link 2 with payload is again a rigid link: its mass grows by m, its
 //! centre of mass moves to (m₂ c₂ + m L₂)/(m₂ + m), its inertia about the centre of mass grows by m₂ m/(m₂ + m) (L₂ − c₂)² (parallel
-//! axes). Constant in M; energy and gravity include the payload. Default: 0.05 kg, three times a link of the paper's mechanism.
+//! axes). The mass matrix changes by a constant; energy and gravity include the payload. Default: 0.05 kg, three times a link of the
+//! paper's mechanism.
 //! The mass may change during a run: added mass joins as [`Join`] says, removed mass leaves with the velocity of the tip.
 //! Limits: a point, without inertia of its own; rigidly held. Reaction 3 is the force of link 3 on link 2 with its payload.
 

@@ -1,8 +1,8 @@
 //! Rotor: the inertia of each motor's rotor behind a gear, turning with the proximal link.
 //!
 //! gearRatio² · inertia is added to the moment of inertia of links 1 and 4 (a rotor that turns gearRatio times as fast as its link
-//! stores ½ inertia (gearRatio ω)²; Siciliano et al., Robotics, 2009, section 7.1.1). Constant in M: there is no force; the kinetic
-//! energy includes the rotor. Defaults: 1e-5 kg·m², a small brushless motor's, without gear (ratio 1).
+//! stores ½ inertia (gearRatio ω)²; Siciliano et al., Robotics, 2009, section 7.1.1). The mass matrix gains a constant
+//! and no force arises; the kinetic energy includes the rotor. Defaults: 1e-5 kg·m², a small brushless motor's, without gear (ratio 1).
 //! Limits: no gear friction, play or elasticity; the rotor's axis is fixed to the ground, so no gyroscopic coupling.
 
 use crate::mechanism::{Geometry, SceneError, finite, not_negative};

@@ -49,7 +49,7 @@ pub(super) struct PhaseGuard {
     pub(super) next_phase: Phase,
 }
 
-/// Time by which a rate counts as a displacement in the separation guard, s: the same as in the error norm of the explicit method.
+/// Time by which a rate counts as a displacement in the separation guard, s: the same as in the error norm of the error-controlled methods.
 const RATE_TIME: f64 = 0.1;
 
 impl PhaseGuard {
@@ -150,7 +150,8 @@ impl UnilateralSpring {
         }
     }
 
-    /// Phase whose formula gives the elastic strain: a separated spring stays strained at a positive penetration.
+    /// Phase whose formula gives the elastic energy: it follows from the penetration alone, since a spring that has separated at a positive
+    /// penetration still stores energy.
     fn strain_phase(&self, phase: Phase, depth: f64) -> Phase {
         match phase {
             Phase::Free if depth >= self.width => Phase::Full,

@@ -36,7 +36,7 @@ functions! {
         unsafe { store(FMUstate.assume_init_mut(), instance.snapshot()) };
         Ok(())
     };
-    /// Restores a stored state, made by any instance of this FMU.
+    /// Restores a stored state, made by any instance of this FMU for the same kind, co-simulation or model exchange.
     fmi2SetFMUstate(FMUstate: fmi2FMUstate) |instance| {
         // SAFETY: the caller vouches for the state.
         let snapshot = unsafe { stored(FMUstate) }?;
