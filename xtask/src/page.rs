@@ -54,7 +54,7 @@ pub(crate) fn page() -> Result<()> {
     Ok(())
 }
 
-/// What the page knows of the unit: GUID, version, variables with their references, and the scenes.
+/// Data of the unit for the page: GUID, version, variables with their references, and the scenes.
 fn unit() -> Result<Json> {
     let description = ModelDescription::read().map_err(|error| anyhow::anyhow!("the model description: {error}"))?;
     let variables: Map<String, Json> =

@@ -93,7 +93,7 @@ fn pack(unit: &Unit, scope: Scope) -> Result<PathBuf> {
     Ok(fmu)
 }
 
-/// What a packed unit is, if it is fit for use.
+/// Report on a packed unit; fails if the unit is not fit for use.
 fn judge(unverified: &Path, unit: &Unit, scope: Scope) -> Result<verify::Report> {
     let report = verify::verify(unverified, scope).with_context(|| format!("{} is not fit for use", paths::short(unverified)))?;
     if unit.own.is_some() {

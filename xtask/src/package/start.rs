@@ -10,7 +10,7 @@ use std::fs;
 use std::path::Path;
 use std::time::SystemTime;
 
-/// What a unit is made of.
+/// Sources of a unit: a packed unit older than any of them is out of date.
 const SOURCES: [&str; 5] = ["src", "modelDescription", "build.rs", "Cargo.toml", "Cargo.lock"];
 
 /// Fails with the unit's own sentence, if it refuses.
