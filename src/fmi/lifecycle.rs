@@ -125,8 +125,8 @@ const CO_SIMULATION: Option<Kind> = Some(Kind::CoSimulation);
 const MODEL_EXCHANGE: Option<Kind> = Some(Kind::ModelExchange);
 
 calls! {
-    // Which variables may be set where, the footnotes of the standard's tables, is in `values.rs`. A step is never pending, so
-    // fmi2CancelStep is allowed everywhere and answered with an error of its own.
+    // The footnotes of the standard's tables, on the variables that may be set in each state, are in `values.rs`. A step is never
+    // pending, so fmi2CancelStep is allowed everywhere and answered with an error of its own.
     BOTH: fmi2SetDebugLogging fmi2Reset
         fmi2GetFMUstate fmi2SetFMUstate fmi2FreeFMUstate fmi2SerializedFMUstateSize fmi2SerializeFMUstate fmi2DeSerializeFMUstate
         => [Instantiated InitializationMode StepComplete StepFailed EventMode ContinuousTimeMode Terminated];

@@ -563,7 +563,7 @@ fn elbows_of_folded_legs_cost_nothing() {
             assert!(cost <= 2 * least && cost < 200, "{method:?}, {tolerance:e} rad: {cost} steps, without friction there {least}");
             let state = with.state();
             assert_eq!([1, 3].map(|elbow| state.holding(with.model())[elbow]), [0.0; 2]);
-            // What is stored can be read back.
+            // The stored state can be read back.
             let run = with.run().clone();
             Simulation::restored(with.parameters(), run).expect("a stored state");
         }

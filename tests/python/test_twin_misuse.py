@@ -29,6 +29,7 @@ from fivebar_twin.soak import BEGIN, Wire, configured, machine
 from fivebar_twin.starter import Child, Run
 from fivebar_twin.unit import Library
 from fivebar_twin.watch import NO_SAMPLE, Watch
+from twin_support import recorded
 
 COMMAND = [sys.executable, "-m", "fivebar_twin"]
 PERIOD_NS = 5_000_000
@@ -224,13 +225,7 @@ def test_a_file_that_cannot_be_written_is_one_line(tmp_path: Path, caplog: pytes
 def test_a_summary_that_cannot_be_written_is_a_sentence(
     config: Config, library: Library, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    twin, recorder = Twin(config, library), Recorder(config)
-    recorder.about = twin.setup.to_message(config.unit, BEGIN)
-    wire, source = Wire(config, twin, recorder), machine(config, library)
-    for _ in range(50):
-        wire.send("meas", encode(source.next()))
-    wire.end()
-    source.close()
+    recorded(config, library, 50)
     (tmp_path / "file").write_text("")
     assert summary.write(config, {}, {}, tmp_path / "file") == 1
     shown = capsys.readouterr().out
@@ -364,19 +359,13 @@ def test_an_error_of_the_system_is_a_sentence(monkeypatch: pytest.MonkeyPatch, c
 
 
 def test_replay_of_little_has_an_exit_code_of_its_own(config: Config, library: Library, fmu: Path, tmp_path: Path) -> None:
-    twin, recorder = Twin(config, library), Recorder(config)
-    recorder.about = twin.setup.to_message(config.unit, BEGIN)
-    wire, source = Wire(config, twin, recorder), machine(config, library)
-    for _ in range(400):
-        wire.send("meas", encode(source.next()))
-    wire.end()
-    source.close()
-    rows = [row for row in record.rows(recorder.folder) if not (row.topic.endswith("meas") and row.seq in range(100, 400)) and not row.topic.endswith("state")]
+    run_folder = recorded(config, library, 400).folder
+    rows = [row for row in record.rows(run_folder) if not (row.topic.endswith("meas") and row.seq in range(100, 400)) and not row.topic.endswith("state")]
     (tmp_path / "part").mkdir()
     path = record.write_part(tmp_path / "part", 0, 0, rows)
     run = command("replay", path, "--fmu", fmu)
     assert run.returncode == 3 and "0 differ; 300 left out" in run.stdout, run.stdout
-    assert command("replay", recorder.folder, "--fmu", fmu).returncode == 0
+    assert command("replay", run_folder, "--fmu", fmu).returncode == 0
 
 
 def test_logs_begin_anew_and_keep_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
