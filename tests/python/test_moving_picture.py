@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import moving_picture
+from fivebar import moving_picture
 from conftest import REPOSITORY
-from drive import Run
-from scene import Scene
-from singularities import Event
+from fivebar.drive import Run
+from fivebar.scene import Scene
+from fivebar.singularities import Event
 
 SVG = "{http://www.w3.org/2000/svg}"
 TIME = np.linspace(0, 1, 201)
