@@ -7,7 +7,7 @@ from typing import Any
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription
 
-from slave import Log, computed, get_values, instantiate, set_values
+from fivebar.slave import Log, computed, get_values, instantiate, set_values
 
 Values = dict[str, float | int | bool]
 

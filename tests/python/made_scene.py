@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from scene import Scene, Values, Variant
+from fivebar.scene import Scene, Values, Variant
 
 METHODS = {"i3alp": 1, "i3alpPrinted": 2, "rk4": 3, "dop853": 4, "i3alpConserving": 5, "automatic": 6}
 

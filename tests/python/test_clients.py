@@ -19,7 +19,7 @@ from fmpy.model_description import ModelDescription
 
 from conftest import Unit
 from instance import Instance, Values
-from slave import Log, computed, get_values, instantiate, set_values
+from fivebar.slave import Log, computed, get_values, instantiate, set_values
 
 New = Callable[..., Instance]
 

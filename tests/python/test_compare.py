@@ -7,7 +7,7 @@ import pytest
 
 import compare
 from compare import Verdict
-from drive import Run
+from fivebar.drive import Run
 from made_scene import made_scene, write
 
 TIME = np.arange(101) * 0.01

@@ -9,7 +9,7 @@ from fmpy import fmi2
 from fmpy.model_description import ModelDescription
 
 from instance import Instance, Values
-from slave import Log, instantiate
+from fivebar.slave import Log, instantiate
 
 New = Callable[..., Instance]
 

@@ -10,7 +10,7 @@ import fmpy
 import pytest
 
 from conftest import REPOSITORY
-from slave import Log, get_values, instantiate, set_values
+from fivebar.slave import Log, get_values, instantiate, set_values
 
 
 def output(fmu: Path, folder: Path, name: str) -> str:

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-import singularities
-import summary
+from fivebar import singularities
+from fivebar import summary
 from conftest import REPOSITORY
-from drive import Progress, drive
-from scene import read, unit
+from fivebar.drive import Progress, drive
+from fivebar.scene import read, unit
 
 EFFECTS = ("gravity", "rotor", "payload", "viscous", "friction", "spring", "stop", "contact", "servo")
 

@@ -9,7 +9,7 @@ import pytest
 from fmpy.model_description import ModelDescription
 
 from instance import Instance
-from slave import Log, instantiate
+from fivebar.slave import Log, instantiate
 
 FALL = {"init.theta[2]": 2.0943951023931953}
 New = Callable[..., Instance]

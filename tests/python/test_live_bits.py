@@ -13,7 +13,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription
 
 from conftest import REPOSITORY
-from slave import Log, instantiate, set_values
+from fivebar.slave import Log, instantiate, set_values
 
 pytestmark = pytest.mark.page
 

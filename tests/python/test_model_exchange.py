@@ -9,7 +9,7 @@ from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription
 from fmpy.sundials import CVodeSolver
 
-import scene
+from fivebar import scene
 
 MOTION = ["theta[1]", "theta[2]", "omega[1]", "omega[2]", "tip.x", "tip.y"]
 

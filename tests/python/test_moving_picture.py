@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import moving_picture
+from fivebar import moving_picture
 from conftest import REPOSITORY
-from drive import Run
-from scene import Scene
-from singularities import Event
+from fivebar.drive import Run
+from fivebar.scene import Scene
+from fivebar.singularities import Event
 
 SVG = "{http://www.w3.org/2000/svg}"
 TIME = np.linspace(0, 1, 201)
@@ -97,7 +97,7 @@ def test_long_runs_have_none() -> None:
 
 def test_the_picture_of_the_readme(fmu: Path, scenes: Path, tmp_path: Path) -> None:
     """It is that of the scene: `cargo xtask run --scene fall_90_120`, copied to docs/images/."""
-    import run
+    from fivebar import simulate as run
 
     assert run.main(["--fmu", str(fmu), "--scene", str(scenes / "fall_90_120.json"), "--out", str(tmp_path)]) == 0
     shown = REPOSITORY / "docs" / "images" / "fall_90_120.svg"

@@ -19,8 +19,8 @@ import pytest
 from fmpy.model_description import ModelDescription, ScalarVariable
 
 from conftest import REPOSITORY, Unit
-from scene import Values, communication_points, read
-from slave import computed
+from fivebar.scene import Values, communication_points, read
+from fivebar.slave import computed
 
 pytestmark = pytest.mark.platforms
 

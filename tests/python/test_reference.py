@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from fmpy.model_description import ModelDescription
 
-import scene
+from fivebar import scene
 from conftest import REPOSITORY
 from instance import Instance, Values
 

@@ -1,4 +1,4 @@
-"""run.py from the outside: a short scene, every file it writes, its summary and its exit code."""
+"""A run from the outside: a short scene, every file it writes, its summary and its exit code."""
 
 import csv
 import json
@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-import summary
-from conftest import REPOSITORY
-from drive import Run
+from fivebar import summary
+from fivebar.drive import Run
 from made_scene import METHODS, made_scene, write
-from scene import Scene, Values, Variant
+from fivebar.scene import Scene, Values, Variant
 
-RUN = REPOSITORY / "xtask" / "python" / "run.py"
 PUSH: Values = {"tau[1]": 0.25}
 FINE = Variant("RK4, fine", PUSH | {"solver.method": METHODS["rk4"], "solver.stepSize": 2e-4})
 SHORT = made_scene(PUSH, 0.2, 0.002, FINE, description="A short trial </script> of everything.")
@@ -29,7 +27,7 @@ UNREACHABLE: Values = {"init.theta[1]": math.pi, "init.theta[2]": 0.0}
 def run(fmu: Path, folder: Path, scene: Scene, *options: str) -> subprocess.CompletedProcess[str]:
     """Runs a scene; everything is written to `folder`/out."""
     file = write(folder / "short.json", scene)
-    command = [sys.executable, str(RUN), "--fmu", str(fmu), "--scene", str(file), "--out", str(folder / "out"), *options]
+    command = [sys.executable, "-m", "fivebar.simulate", "--fmu", str(fmu), "--scene", str(file), "--out", str(folder / "out"), *options]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from fmpy.model_description import ModelDescription
 
-import scene
+from fivebar import scene
 from conftest import REPOSITORY
-from drive import Progress, Run, drive
+from fivebar.drive import Progress, Run, drive
 from made_scene import METHODS, made_scene, write
 
 
@@ -37,7 +37,7 @@ def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 
 def test_a_scene_as_users_write_it_is_not_taken_for_one(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match=re.escape("fall_90_120.json is not as `cargo xtask package` writes scenes")):
+    with pytest.raises(ValueError, match=re.escape("fall_90_120.json is not as `cargo xtask package` writes scenes")):
         scene.read(REPOSITORY / "scenes" / "fall_90_120.json")
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from fmpy.model_description import ModelDescription
 
-import singularities
-from drive import Progress, Run, drive
+from fivebar import singularities
+from fivebar.drive import Progress, Run, drive
 from made_scene import made_scene
-from scene import communication_points
-from singularities import Event
+from fivebar.scene import communication_points
+from fivebar.singularities import Event
 
 LENGTH = 0.21
 

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fivebar_twin import cli, record
-from fivebar_twin.calibrate import command, data, fit, motion, parameters, scenes, trials
-from fivebar_twin.errors import TwinError
-from fivebar_twin.messages import Message, encode, topic
-from fivebar_twin.unit import Library
+from fivebar.twin import cli, record
+from fivebar.twin.calibrate import command, data, fit, motion, parameters, scenes, trials
+from fivebar.twin.errors import TwinError
+from fivebar.twin.messages import Message, encode, topic
+from fivebar.twin.unit import Library
 
 BASE = {name: value for name, value in trials.MACHINE.items() if name != "friction.enabled"}
 """Without dry friction, which is the dearest effect."""

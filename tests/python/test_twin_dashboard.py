@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fivebar_twin import dashboard
-from fivebar_twin.config import Broker, Config
-from fivebar_twin.dashboard import FILES, KEPT, Pace, Server, topic_of
-from fivebar_twin.messages import Message, encode, topic
-from fivebar_twin.starter import free_port
+from fivebar.twin import dashboard
+from fivebar.twin.config import Broker, Config
+from fivebar.twin.dashboard import FILES, KEPT, Pace, Server, topic_of
+from fivebar.twin.messages import Message, encode, topic
+from fivebar.twin.starter import free_port
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 

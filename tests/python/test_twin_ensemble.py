@@ -12,12 +12,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from fivebar_twin.ensemble import cluster, command, results, rows, what_if
-from fivebar_twin.ensemble.member import Plan, Runner
-from fivebar_twin.errors import TwinError
-from fivebar_twin.messages import Message, decode, encode
-from fivebar_twin.starter import free_port
-from fivebar_twin.unit import Library, Unit
+from fivebar.twin.ensemble import cluster, command, results, rows, what_if
+from fivebar.twin.ensemble.member import Plan, Runner
+from fivebar.twin.errors import TwinError
+from fivebar.twin.messages import Message, decode, encode
+from fivebar.twin.starter import free_port
+from fivebar.twin.unit import Library, Unit
 
 FALL = {"init.theta[2]": 2.0943951023931953}
 PLAN = Plan(values=FALL, seconds=0.5, points=10, seed=3, spreads={"theta[1]": 2e-3, "link[1,4].mass": 0.01})
@@ -78,7 +78,7 @@ def test_a_scheduler_of_ones_own(fmu: Path, tmp_path: Path) -> None:
     scheduler = subprocess.Popen([*dask, "scheduler", "--host", "127.0.0.1", "--port", address.rpartition(":")[2], "--no-dashboard"], cwd=tmp_path)
     worker = subprocess.Popen([*dask, "worker", address, "--no-dashboard", "--nthreads", "1"], cwd=tmp_path)
     try:
-        command = [sys.executable, "-m", "fivebar_twin", "ensemble", "--members", "60", "--seconds", "0.5", "--fmu", str(fmu), "--measure"]
+        command = [sys.executable, "-m", "fivebar.twin", "ensemble", "--members", "60", "--seconds", "0.5", "--fmu", str(fmu), "--measure"]
         run = subprocess.run([*command, "--scheduler", address, "--out", str(tmp_path / "out")], capture_output=True, text=True, check=False, timeout=120)
     finally:
         for process in (worker, scheduler):

@@ -10,18 +10,18 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from fivebar_twin import figures, record
-from fivebar_twin.config import Config, Faults
-from fivebar_twin.errors import TwinError
-from fivebar_twin.follow import Twin
-from fivebar_twin.follower import DEPTH, LONGEST_GAP, Follower
-from fivebar_twin.forecast import Forecaster, covariance, crossing, half_width, inside
-from fivebar_twin.machine import Mangler, StandIn
-from fivebar_twin.messages import Message, encode
-from fivebar_twin.recorder import Recorder
-from fivebar_twin.replay import Result, replay
-from fivebar_twin.soak import BEGIN, Wire, configured, machine
-from fivebar_twin.unit import Library
+from fivebar.twin import figures, record
+from fivebar.twin.config import Config, Faults
+from fivebar.twin.errors import TwinError
+from fivebar.twin.follow import Twin
+from fivebar.twin.follower import DEPTH, LONGEST_GAP, Follower
+from fivebar.twin.forecast import Forecaster, covariance, crossing, half_width, inside
+from fivebar.twin.machine import Mangler, StandIn
+from fivebar.twin.messages import Message, encode
+from fivebar.twin.recorder import Recorder
+from fivebar.twin.replay import Result, replay
+from fivebar.twin.soak import BEGIN, Wire, configured, machine
+from fivebar.twin.unit import Library
 from twin_support import follower, recorded
 
 

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 import paho.mqtt.client as mqtt
 import pytest
-from fivebar_twin import figures
-from fivebar_twin.messages import Message, encode, topic
-from fivebar_twin.starter import ENDING, free_port
+from fivebar.twin import figures
+from fivebar.twin.messages import Message, encode, topic
+from fivebar.twin.starter import ENDING, free_port
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
@@ -30,8 +30,8 @@ from test_twin_messages import GOOD, of_kind, wrong_ones
 
 pytestmark = pytest.mark.full
 
-COMMAND = [sys.executable, "-m", "fivebar_twin"]
-EXAMPLES = REPOSITORY / "twin" / "mosquitto"
+COMMAND = [sys.executable, "-m", "fivebar.twin"]
+EXAMPLES = REPOSITORY / "python" / "mosquitto"
 
 
 class Run:
@@ -268,7 +268,7 @@ def test_the_lifecycle_of_dtaas(tmp_path: Path, fmu: Path, scenes: Path) -> None
     environment["FIVEBAR_SCENE"] = str(scenes / "pick_and_place.json")
 
     def stage(name: str, code: int = 0) -> str:
-        run = subprocess.run([REPOSITORY / "twin" / "lifecycle" / name], env=environment, capture_output=True, text=True, check=False, timeout=60)
+        run = subprocess.run([REPOSITORY / "python" / "lifecycle" / name], env=environment, capture_output=True, text=True, check=False, timeout=60)
         assert run.returncode == code, run.stdout + run.stderr
         return run.stdout + run.stderr
 

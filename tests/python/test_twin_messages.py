@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fivebar_twin.config import Config
-from fivebar_twin.errors import Refused
-from fivebar_twin.intake import CONSISTENT, Intake
-from fivebar_twin.messages import Message, decode, encode, topic
-from fivebar_twin.process import Worker
+from fivebar.twin.config import Config
+from fivebar.twin.errors import Refused
+from fivebar.twin.intake import CONSISTENT, Intake
+from fivebar.twin.messages import Message, decode, encode, topic
+from fivebar.twin.process import Worker
 
 MEAS = Message("meas", "bench", 1_795_331_400_000_000_000, 17, {"measured.theta[1]": 1.57, "measured.theta[2]": 0.1, "servo.theta[1]": 1.5})
 TOPIC = topic("bench", "meas")

@@ -16,22 +16,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fivebar_twin import cli, config as configuration, figures, record, starter, summary
-from fivebar_twin.config import Config
-from fivebar_twin.errors import Refused, TwinError
-from fivebar_twin.follow import Twin
-from fivebar_twin.intake import CONSISTENT, FORGOTTEN, NEAR, Intake, Newest, Orders
-from fivebar_twin.messages import Message, decode, encode
-from fivebar_twin.process import Disk
-from fivebar_twin.recorder import MOST_WAITING, Recorder
-from fivebar_twin.replay import replay
-from fivebar_twin.soak import BEGIN, Wire, configured, machine
-from fivebar_twin.starter import Child, Run
-from fivebar_twin.unit import Library
-from fivebar_twin.watch import NO_SAMPLE, Watch
+from fivebar.twin import cli, config as configuration, figures, record, starter, summary
+from fivebar.twin.config import Config
+from fivebar.twin.errors import Refused, TwinError
+from fivebar.twin.follow import Twin
+from fivebar.twin.intake import CONSISTENT, FORGOTTEN, NEAR, Intake, Newest, Orders
+from fivebar.twin.messages import Message, decode, encode
+from fivebar.twin.process import Disk
+from fivebar.twin.recorder import MOST_WAITING, Recorder
+from fivebar.twin.replay import replay
+from fivebar.twin.soak import BEGIN, Wire, configured, machine
+from fivebar.twin.starter import Child, Run
+from fivebar.twin.unit import Library
+from fivebar.twin.watch import NO_SAMPLE, Watch
 from twin_support import recorded
 
-COMMAND = [sys.executable, "-m", "fivebar_twin"]
+COMMAND = [sys.executable, "-m", "fivebar.twin"]
 PERIOD_NS = 5_000_000
 
 
@@ -165,8 +165,8 @@ def test_a_full_disk_ends_nothing(
     waiting: int, config: Config, library: Library, fmu: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The recorder died of it twenty times, and the run with it. A short while costs nothing; a long one a gap that is named."""
-    monkeypatch.setattr("fivebar_twin.recorder.MOST_WAITING", waiting)
-    monkeypatch.setattr("fivebar_twin.recorder.FLUSH_EVERY", 0.0)
+    monkeypatch.setattr("fivebar.twin.recorder.MOST_WAITING", waiting)
+    monkeypatch.setattr("fivebar.twin.recorder.FLUSH_EVERY", 0.0)
     disk = fill(monkeypatch)
     twin, recorder = Twin(config, library), Recorder(config)
     recorder.about = twin.setup.to_message(config.unit, BEGIN)
@@ -353,7 +353,7 @@ def test_an_error_of_the_system_is_a_sentence(monkeypatch: pytest.MonkeyPatch, c
     def full(_arguments: object) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/some/where")
 
-    monkeypatch.setattr("fivebar_twin.replay.run", full)
+    monkeypatch.setattr("fivebar.twin.replay.run", full)
     assert cli.main(["replay", "x"]) == 2
     assert capsys.readouterr().err == "fivebar-twin replay: /some/where: No space left on device\n"
 

@@ -9,18 +9,18 @@ import sys
 from pathlib import Path
 
 import pytest
-from fivebar_twin import figures
-from fivebar_twin.ahead import Ahead
-from fivebar_twin.follow import Twin
-from fivebar_twin.messages import encode
-from fivebar_twin.recorder import Recorder
-from fivebar_twin.soak import BEGIN, Wire, configured, machine
-from fivebar_twin.unit import Library
-from fivebar_twin.watch import Watch
+from fivebar.twin import figures
+from fivebar.twin.ahead import Ahead
+from fivebar.twin.follow import Twin
+from fivebar.twin.messages import encode
+from fivebar.twin.recorder import Recorder
+from fivebar.twin.soak import BEGIN, Wire, configured, machine
+from fivebar.twin.unit import Library
+from fivebar.twin.watch import Watch
 
 from conftest import REPOSITORY
 
-COMMAND = [sys.executable, "-m", "fivebar_twin"]
+COMMAND = [sys.executable, "-m", "fivebar.twin"]
 
 
 def started(out: Path, fmu: Path, scenes: Path, *more: str) -> "subprocess.Popen[str]":
@@ -110,7 +110,7 @@ def test_what_cannot_be_is_refused_before_anything_starts(tmp_path: Path, fmu: P
 
 def test_mqtt_js_is_the_pinned_one() -> None:
     """dist/mqtt.min.js of the npm package mqtt 5.16.0: `npm pack mqtt@5.16.0`."""
-    script = (REPOSITORY / "twin" / "fivebar_twin" / "page" / "mqtt.min.js").read_bytes()
+    script = (REPOSITORY / "python" / "src" / "fivebar" / "twin" / "page" / "mqtt.min.js").read_bytes()
     assert hashlib.sha256(script).hexdigest() == "f3cbeae580d3010048938ee370f2db0c15d16e6f7fc147cb32ae5510e571b387"
 
 

@@ -10,16 +10,16 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from fivebar_twin import config as configuration
-from fivebar_twin import record
-from fivebar_twin.bus import Bus
-from fivebar_twin.config import Broker, Config, Faults, Machine
-from fivebar_twin.errors import TwinError
-from fivebar_twin.machine import Mangler, Recording
-from fivebar_twin.messages import Message, decode, encode, topic
-from fivebar_twin.recorder import JOINED, Gaps, Recorder
-from fivebar_twin.starter import free_port, parse_faults
-from fivebar_twin.watch import Anomalies, Histogram
+from fivebar.twin import config as configuration
+from fivebar.twin import record
+from fivebar.twin.bus import Bus
+from fivebar.twin.config import Broker, Config, Faults, Machine
+from fivebar.twin.errors import TwinError
+from fivebar.twin.machine import Mangler, Recording
+from fivebar.twin.messages import Message, decode, encode, topic
+from fivebar.twin.recorder import JOINED, Gaps, Recorder
+from fivebar.twin.starter import free_port, parse_faults
+from fivebar.twin.watch import Anomalies, Histogram
 
 TOPIC = topic("bench", "meas")
 

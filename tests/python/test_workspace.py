@@ -16,7 +16,7 @@ from PIL import Image
 from fivebar import scene as scenes
 from fivebar import statics, workspace, workspace_pictures
 from fivebar.kinematics import WORKING_MODES, Machine, Working, sines
-from fivebar.scene import Scene
+from fivebar.scene import Scene, Variant
 from instance import Instance
 
 OUT: Working = ("minus", "plus")
@@ -24,7 +24,7 @@ OUT: Working = ("minus", "plus")
 
 def made(values: dict[str, float | bool]) -> Scene:
     """A scene of these values."""
-    return Scene("made", 1.0, 1e-3, values)
+    return Scene("made", "trial", 1.0, 1e-3, [Variant("made", dict(values))])
 
 
 def symmetric(distance: float, proximal: float, distal: float) -> dict[str, float | bool]:

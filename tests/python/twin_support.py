@@ -4,15 +4,15 @@ from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
-from fivebar_twin import scene, setup
-from fivebar_twin.config import Config
-from fivebar_twin.follow import Twin
-from fivebar_twin.follower import Follower
-from fivebar_twin.messages import Message, encode
-from fivebar_twin.recorder import Recorder
-from fivebar_twin.soak import BEGIN, Wire, machine
-from fivebar_twin.unit import Library
-from fivebar_twin.watch import Watch
+from fivebar.twin import scene, setup
+from fivebar.twin.config import Config
+from fivebar.twin.follow import Twin
+from fivebar.twin.follower import Follower
+from fivebar.twin.messages import Message, encode
+from fivebar.twin.recorder import Recorder
+from fivebar.twin.soak import BEGIN, Wire, machine
+from fivebar.twin.unit import Library
+from fivebar.twin.watch import Watch
 
 
 def follower(config: Config, library: Library) -> Follower:

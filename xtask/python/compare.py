@@ -19,9 +19,9 @@ import fmpy
 import numpy as np
 from fmpy.model_description import ModelDescription
 
-from drive import Progress, Run, StartRefused, drive
-from scene import Scene, Values, Variant, read
-from summary import tip_distance
+from fivebar.drive import Progress, Run, StartRefused, drive
+from fivebar.scene import Scene, Values, Variant, read
+from fivebar.summary import tip_distance
 
 LONGEST = 2.0
 """Seconds of a scene that are compared."""

@@ -26,8 +26,8 @@ from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription
 
-from drawing import STYLE
-from slave import Log, instantiate
+from fivebar.drawing import STYLE
+from fivebar.slave import Log, instantiate
 
 STEP = 1e-3
 """Between samples, s."""

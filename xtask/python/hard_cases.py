@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from drawing import INK, RUN_COLOURS, STYLE
+from fivebar.drawing import INK, RUN_COLOURS, STYLE
 
 Row = dict[str, str]
 

@@ -17,9 +17,9 @@ import matplotlib.pyplot as plt
 from fmpy.model_description import ModelDescription
 from matplotlib.axes import Axes
 
-from drawing import FAINT, INK, LEFT, TIP, plane, thinned
-from drive import Progress, Run, drive
-from scene import Scene, Variant, read
+from fivebar.drawing import FAINT, INK, LEFT, TIP, plane, thinned
+from fivebar.drive import Progress, Run, drive
+from fivebar.scene import Scene, Variant, read
 
 LAWS = {"smooth": 1, "stick": 2}
 """The items of `friction.law`."""

@@ -14,8 +14,8 @@ from pathlib import Path
 import fmpy
 from fmpy.model_description import ModelDescription
 
-from drive import Progress, Run, drive
-from scene import Scene, Values, Variant, read
+from fivebar.drive import Progress, Run, drive
+from fivebar.scene import Scene, Values, Variant, read
 
 STEP = 0.02
 """Communication step, s: 20 macro steps share one call, so that the call itself, some microseconds in Python, does not count."""

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from pictures import STYLE, thinned
+from fivebar.pictures import STYLE, thinned
 from report import docs, figures, more_figures, page, picks, sections
 from report.tables import Measurements, Table, markers, references
 

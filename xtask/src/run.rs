@@ -13,7 +13,7 @@ pub(crate) fn run(scene: &str, method: Option<&str>) -> Result<()> {
     let fmu = package::package(Scope::Here)?;
     process::run(
         venv::python(Packages::Usual)?
-            .arg("xtask/python/run.py")
+            .args(["-m", "fivebar.simulate"])
             .arg("--fmu")
             .arg(fmu)
             .arg("--scene")

@@ -30,7 +30,7 @@ pub(crate) fn twin(options: &Options) -> Result<()> {
     let fmu = package::package(Scope::Here)?;
     process::become_program(
         venv::python(Packages::Usual)?
-            .args(["-m", "fivebar_twin", "run"])
+            .args(["-m", "fivebar.twin", "run"])
             .arg("--fmu")
             .arg(fmu)
             .arg("--scene")

@@ -13,14 +13,13 @@ const PYTHON: &str = if cfg!(windows) { "python" } else { "python3" };
 /// put it on Python's path.
 const APART: &str = "xtask/python/requirements-cofmupy.txt";
 
-/// Our own packages, what users have in Python and the twin's pipeline: installed where they lie, so that a change of them needs no new
-/// installation.
-const OWN: [&str; 2] = ["python/pyproject.toml", "twin/pyproject.toml"];
+/// The package that users have in Python: installed where it lies, so that a change of it needs no new installation.
+const OWN: &str = "python/pyproject.toml";
 
-/// Sets of packages in the environment; each file is a pinned closure, but those of our own packages.
+/// Sets of packages in the environment; each file is a pinned closure, but that of the package `fivebar`.
 #[derive(Clone, Copy)]
 pub(crate) enum Packages {
-    /// Packages of a run, our own ones and those of the Python tests.
+    /// The package `fivebar` with its extras, and packages of the Python tests.
     Usual,
     /// Also packages of the tests in a browser and with other masters.
     Full,
@@ -28,7 +27,7 @@ pub(crate) enum Packages {
     Platforms,
     /// Also the filters that the estimator is compared with.
     Filters,
-    /// Packages of the comparison with peers: large, and in an environment of its own.
+    /// The package `fivebar` and packages of the comparison with peers: large, and in an environment of its own.
     Peers,
 }
 
@@ -36,14 +35,12 @@ impl Packages {
     fn files(self) -> &'static [&'static str] {
         const USUAL: &str = "xtask/python/requirements.txt";
         const TWIN: &str = "xtask/python/requirements-twin.txt";
-        const PACKAGE: &str = OWN[0];
-        const PIPELINE: &str = OWN[1];
         match self {
-            Self::Usual => &[USUAL, TWIN, PACKAGE, PIPELINE],
-            Self::Full => &[USUAL, TWIN, PACKAGE, PIPELINE, "xtask/python/requirements-full.txt", APART],
-            Self::Platforms => &[USUAL, TWIN, PACKAGE, PIPELINE, "xtask/python/requirements-platforms.txt"],
-            Self::Filters => &[USUAL, TWIN, PACKAGE, PIPELINE, "xtask/python/requirements-filters.txt"],
-            Self::Peers => &["xtask/python/requirements-peers.txt"],
+            Self::Usual => &[USUAL, TWIN, OWN],
+            Self::Full => &[USUAL, TWIN, OWN, "xtask/python/requirements-full.txt", APART],
+            Self::Platforms => &[USUAL, TWIN, OWN, "xtask/python/requirements-platforms.txt"],
+            Self::Filters => &[USUAL, TWIN, OWN, "xtask/python/requirements-filters.txt"],
+            Self::Peers => &["xtask/python/requirements-peers.txt", OWN],
         }
     }
 
@@ -103,8 +100,8 @@ impl Requirements {
     fn read(file: &'static str, folder: &Path) -> Result<Self> {
         let path = Path::new(file);
         let mut text = fs::read_to_string(paths::in_root(file)).with_context(|| format!("{file} cannot be read"))?;
-        // One of our own packages goes by its folder, and is installed anew under a new version, which is the workspace's.
-        let name = if OWN.contains(&file) {
+        // The package goes by its folder, and is installed anew under a new version, which is the workspace's.
+        let name = if file == OWN {
             text += concat!("# version ", env!("CARGO_PKG_VERSION"), "\n");
             path.parent().and_then(Path::file_name)
         } else {
@@ -130,8 +127,8 @@ impl Requirements {
             .args(["--no-deps", "--no-compile"]);
         let file = paths::in_root(self.file);
         match self.file {
-            // The build backends are among the packages of the pinned closures.
-            own if OWN.contains(&own) => {
+            // The build backend is among the packages of the pinned closures.
+            OWN => {
                 pip.args(["--no-build-isolation", "--editable"]).arg(file.parent().context("a package lies in a folder")?)
             }
             APART => pip.arg("--requirement").arg(file).arg("--target").arg(apart()),

@@ -1,7 +1,6 @@
 """This repository's methods, through the packed .fmu, with which the peers are compared."""
 
 import math
-import sys
 from functools import partial
 from pathlib import Path
 
@@ -11,11 +10,8 @@ from fmpy.fmi1 import FMICallException
 
 import ahead
 import machine
+from fivebar.slave import Log, get_values, instantiate, set_values
 from machine import Peer, Setting
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
-from slave import Log, get_values, instantiate, set_values  # noqa: E402  (the folder above is on the path from here on)
 
 STATE = ["theta[1]", "passive.theta[1]", "passive.theta[2]", "theta[2]", "omega[1]", "passive.omega[1]", "passive.omega[2]", "omega[2]"]
 

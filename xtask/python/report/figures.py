@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
 
-from pictures import FAINT, INK
+from fivebar.pictures import FAINT, INK
 from report.picks import one_of_each_kind, power
 from report.tables import Marker, Reference, Row
 

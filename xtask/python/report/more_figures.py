@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
 from peers import ahead
-from pictures import FAINT, RUN_COLOURS
+from fivebar.pictures import FAINT, RUN_COLOURS
 from report.figures import COLOURS, SHAPES, logarithmic
 from report.tables import Row
 

@@ -33,7 +33,7 @@ pub(super) fn check_before(scene: &OwnScene, scope: Scope) -> Result<()> {
 
 fn ask(fmu: &Path, values: Option<&str>) -> Result<()> {
     let mut python = venv::python(Packages::Usual)?;
-    let sentence = process::output(python.arg("xtask/python/start.py").arg(fmu).args(values))?;
+    let sentence = process::output(python.args(["-m", "fivebar.start"]).arg(fmu).args(values))?;
     ensure!(sentence.is_empty(), "the start is refused: {}", sentence.trim_end());
     Ok(())
 }

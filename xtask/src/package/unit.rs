@@ -74,7 +74,7 @@ impl OwnScene {
         starts(&self.0)
     }
 
-    /// Names and start values as a JSON object: all that `xtask/python/start.py` has to set.
+    /// Names and start values as a JSON object: all that `fivebar.start` has to set.
     pub(super) fn start_values(&self) -> String {
         let values: Vec<String> =
             self.starts().map(|(variable, value)| format!("\"{}\": {}", variable.name.full, text(value))).collect();

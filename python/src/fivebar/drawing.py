@@ -1,0 +1,141 @@
+"""Common parts of pictures: colours, style, axes, and the surroundings of the mechanism."""
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon, Wedge
+from matplotlib.ticker import NullFormatter
+
+from fivebar.drive import Run
+
+matplotlib.use("Agg")  # no display needed
+
+RUN_COLOURS = ("#1864ab", "#e8590c", "#2b8a3e", "#862e9c", "#c2255c")
+KIND_COLOURS = {"direct": "#d6336c", "inverse": "#7048e8", "combined": "#0b7285", "constraint": "#a67c00"}
+LEFT, RIGHT, TIP, INK, FAINT, BARRIER = "#1864ab", "#2b8a3e", "#e8590c", "#212529", "#adb5bd", "#f1f3f5"
+WRONG = "#c2255c"
+
+STYLE: Final[dict[str, Any]] = {
+    "figure.dpi": 120,
+    "figure.constrained_layout.use": True,
+    "font.size": 10,
+    "axes.titlesize": 11,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.edgecolor": "#868e96",
+    "axes.labelcolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e9ecef",
+    "xtick.color": "#495057",
+    "ytick.color": "#495057",
+    "lines.linewidth": 1.4,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "svg.hashsalt": "fivebar",  # the same run gives the same file
+}
+
+
+def save(figure: Figure, file: Path) -> Path:
+    """Writes a picture and closes it: the same figure gives the same bytes."""
+    # Texts beside the axes, as names of unknowns, may need more room.
+    figure.savefig(file, bbox_inches="tight", pad_inches=0.1, metadata={"Date": None} if file.suffix == ".svg" else {"Software": None})
+    plt.close(figure)
+    return file
+
+
+def thinned(time: np.ndarray, *signals: np.ndarray, buckets: int = 2000) -> list[np.ndarray]:
+    """Time and signals with at most about 2·buckets points per signal, every bucket's extremes kept."""
+    if len(time) <= 2 * buckets:
+        return [time, *signals]
+    edges = np.linspace(0, len(time), buckets + 1).astype(int)
+    kept = {0, len(time) - 1}
+    for signal in signals:
+        for a, b in pairwise(edges):
+            kept.update((a + int(np.argmin(signal[a:b])), a + int(np.argmax(signal[a:b]))))
+    index = np.array(sorted(kept))
+    return [time[index], *(signal[index] for signal in signals)]
+
+
+def time_axis(axes: Axes, runs: list[Run]) -> None:
+    """Labels and limits the axis of time."""
+    axes.set_xlabel("time  (s)")
+    axes.set_xlim(0, max(float(run.time[-1]) for run in runs) or runs[0].step_size)
+
+
+def drawing_order(runs: list[Run]) -> list[tuple[int, Run]]:
+    """The scene's own run last, on top."""
+    return list(enumerate(runs))[::-1]
+
+
+def run_style(i: int) -> dict[str, float]:
+    """Overlays lie as a broad band under the scene's own thin line, so that both show where they agree."""
+    return {"linewidth": 1.2} if i == 0 else {"linewidth": 3.2, "alpha": 0.55}
+
+
+def run_label(run: Run) -> str:
+    """The label of a run, with the time of its failure."""
+    return f"{run.label} (failed at {run.time[-1]:.3g} s)" if run.failed else run.label
+
+
+def ordered_legend(axes: Axes, count: int) -> None:
+    """A legend above the axes, the scene's own run first."""
+    handles, labels = axes.get_legend_handles_labels()
+    axes.legend(handles[::-1], labels[::-1], ncols=count, loc="lower right", bbox_to_anchor=(1, 1.0), borderaxespad=0.2)
+
+
+def positive(values: np.ndarray) -> np.ndarray:
+    """An exact zero has no place on a logarithmic axis."""
+    return np.where(values > 0, values, np.nan)
+
+
+def full_decades(axes: Axes, values: np.ndarray) -> None:
+    """Limits of a logarithmic axis at powers of ten, not below 1e-8, and no labels between them."""
+    positive = values[values > 0]
+    if len(positive):
+        low, high = np.floor(np.log10(max(positive.min() / 2, 1e-8))), np.ceil(np.log10(max(positive.max(), 1e-7)))
+        axes.set_ylim(10.0**low, 10.0**high)
+    axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def extent(run: Run, axis: str) -> tuple[float, float]:
+    """Limits along x or y that show the base, the elbows and the tip all the time."""
+    feet = np.array([0.0, run.parameters["base.distance"] if axis == "x" else 0.0])
+    parts = [feet, run[f"tip.{axis}"], run[f"elbow[1].{axis}"], run[f"elbow[2].{axis}"]]
+    low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
+    margin = 0.05 * max(high - low, 0.1)
+    return low - margin, high + margin
+
+
+def surroundings(axes: Axes, run: Run) -> None:
+    """The motors, and the obstacles of their links and the tip: end stops and a plane."""
+    p = run.parameters
+    base = p["base.distance"]
+    if p["contact.enabled"]:
+        normal, offset = plane(run)
+        length = p["link[1].length"]
+        along, deep = 1e3 * length * np.array([-normal[1], normal[0]]), 0.12 * length * normal
+        edge = normal * offset
+        corners = [edge - along, edge + along, edge + along - deep, edge - along - deep]
+        axes.add_patch(Polygon(corners, facecolor=BARRIER, edgecolor=FAINT, hatch="////", linewidth=1.0, zorder=0))
+    for leg, foot, link in ((1, 0.0, 1), (2, base, 4)):
+        lower, upper = (np.degrees(p[f"stop.{limit}[{leg}]"]) for limit in ("lower", "upper"))
+        if p["stop.enabled"] and upper - lower < 360:
+            radius = 0.3 * p[f"link[{link}].length"]
+            axes.add_patch(Wedge((foot, 0), radius, upper, lower, facecolor=BARRIER, edgecolor=FAINT, hatch="///", zorder=0))
+    axes.plot([0, base], [0, 0], color=FAINT, linewidth=1, linestyle=":", zorder=1)
+    axes.plot([0, base], [0, 0], "^", color=INK, markersize=8, zorder=7)
+
+
+def plane(run: Run) -> tuple[np.ndarray, float]:
+    """Unit normal and offset, m, of the plane that the tip may touch."""
+    normal = np.array([run.parameters["contact.nx"], run.parameters["contact.ny"]])
+    return normal / np.hypot(*normal), run.parameters["contact.offset"]

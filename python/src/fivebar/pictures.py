@@ -1,0 +1,266 @@
+"""The pictures of a scene, one function each; every one draws the scene's own run and, where it helps, its overlays."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from fivebar import effect_pictures
+from fivebar.drawing import (
+    FAINT, INK, KIND_COLOURS, LEFT, RIGHT, RUN_COLOURS, STYLE, TIP,
+    drawing_order, extent, full_decades, ordered_legend, positive, run_label, run_style, surroundings, thinned, time_axis,
+)  # fmt: skip
+from fivebar.drive import Run
+from fivebar.scene import Scene
+from fivebar.singularities import GRAVE, KINDS, Event
+from fivebar.summary import CLOSE, energy_note, energy_scale, sampling, tip_distance
+
+KINETIC, POTENTIAL, TOTAL, INPUT, DISSIPATED = "#1864ab", "#e8590c", "#343a40", "#2b8a3e", "#862e9c"
+
+LONGEST_SVG = 5.0
+"""Longest run, s, whose path is also written as SVG: longer ones would be megabytes."""
+
+LEAST_ENERGY = 1e-16
+"""Balance residual, J, below which there is only round-off."""
+
+POSES = 11
+"""Number of stroboscopic poses."""
+
+POSE_WINDOW = 0.75
+"""Longest time, s, that the stroboscopic poses cover: about half a swing of the paper's mechanism."""
+
+
+def draw_all(directory: Path, scene: Scene, runs: list[Run], events: list[Event]) -> list[Path]:
+    """Draws every picture into `directory`; the files written."""
+    files = []
+    with plt.rc_context(STYLE):
+        for name, picture in PICTURES.items():
+            if not picture.wanted(scene, runs):
+                continue
+            figure = picture.draw(scene, runs, events)
+            # Equal scales on both axes leave bands of the figure empty.
+            crop = {"bbox_inches": "tight", "pad_inches": 0.1} if name == "path" else {}
+            files.append(directory / f"{name}.png")
+            figure.savefig(files[-1], **crop)
+            if name == "path" and runs[0].time[-1] <= LONGEST_SVG:
+                files.append(directory / f"{name}.svg")
+                figure.savefig(files[-1], metadata={"Date": None}, **crop)
+            plt.close(figure)
+    return files
+
+
+def _tip(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
+    figure, (top, bottom) = plt.subplots(2, 1, sharex=True, figsize=(10, 5.6))
+    for axes, name in ((top, "x"), (bottom, "y")):
+        for i, run in drawing_order(runs):
+            time, value = thinned(run.time, run[f"tip.{name}"])
+            axes.plot(time, value, color=RUN_COLOURS[i % 5], label=run_label(run), **run_style(i))
+        axes.set_ylabel(f"tip {name}  (m)")
+    top.set_title(f"{scene.name}: position of the tip")
+    time_axis(bottom, runs)
+    if len(runs) > 1:
+        ordered_legend(top, len(runs))
+    return figure
+
+
+def _path(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
+    run = runs[0]
+    window = min(POSE_WINDOW, float(run.time[-1]))
+    x_limits, y_limits = extent(run, "x"), extent(run, "y")
+    # Two panels of 4.4 in with equal scales on both axes, and room for titles and labels.
+    height = 4.4 * (y_limits[1] - y_limits[0]) / (x_limits[1] - x_limits[0]) + 1.0
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, min(max(height, 3), 8)), sharex=True, sharey=True)
+    _poses(left, run, window)
+    left.set_title(f"{scene.name}: poses up to {window:g} s")
+    if len(runs) == 1:
+        _path_over_time(figure, right, run)
+    else:
+        for i, other in drawing_order(runs):
+            right.plot(other["tip.x"], other["tip.y"], color=RUN_COLOURS[i % 5], label=run_label(other), **run_style(i))
+        handles, labels = right.get_legend_handles_labels()
+        right.legend(handles[::-1], labels[::-1], loc="upper right")
+    right.set_title(f"Path of the tip up to {run.time[-1]:g} s")
+    for axes in (left, right):
+        surroundings(axes, run)
+        axes.set(xlim=x_limits, ylim=y_limits)
+        axes.set_aspect("equal", adjustable="box")
+        axes.set_xlabel("x  (m)")
+    left.set_ylabel("y  (m)")
+    return figure
+
+
+def _energy(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
+    figure, (top, bottom) = plt.subplots(2, 1, sharex=True, figsize=(10, 6), height_ratios=(3, 2))
+    run = runs[0]
+    curves = [
+        ("kinetic", run["energy.kinetic"], KINETIC, "-"),
+        ("potential", run["energy.potential"], POTENTIAL, "-"),
+        ("kinetic + potential", run["energy.kinetic"] + run["energy.potential"], TOTAL, "--"),
+        ("work put in", run["energy.input"], INPUT, (0, (4, 4))),
+        ("dissipated", run["energy.dissipated"], DISSIPATED, "-"),
+    ]
+    if not np.any(run["energy.potential"]):
+        del curves[2]
+    for name, energy, colour, style in curves:
+        if np.any(energy):
+            time, value = thinned(run.time, energy)
+            top.plot(time, 1e3 * value, color=colour, label=name, linewidth=1.3, linestyle=style)
+    low, high = min(top.get_ylim()[0], 0.0), top.get_ylim()[1]
+    top.set_ylim(low, high + 0.05 * (high - low))  # a constant energy would lie on the upper edge
+    top.set_ylabel("energy  (mJ)")
+    top.set_title(f"{scene.name}: energies")
+    top.legend(ncols=5, loc="lower right", bbox_to_anchor=(1, 1.0), borderaxespad=0.2)
+    scale = energy_scale(run)
+    for i, other in drawing_order(runs):
+        time, residual = thinned(other.time, np.abs(other["energy.error"]))
+        bottom.semilogy(time, positive(residual), color=RUN_COLOURS[i % 5], label=run_label(other), linewidth=1.1)
+    bottom.set_ylim(bottom=max(bottom.get_ylim()[0], LEAST_ENERGY))
+    bottom.set_ylabel("|balance residual|  (J)")
+    in_scale = bottom.secondary_yaxis("right", functions=(lambda e: e / scale, lambda e: e * scale))
+    in_scale.set_ylabel(f"in mgL, {energy_note(run)}" if energy_note(run) else "in mgL")
+    if len(runs) > 1:
+        ordered_legend(bottom, len(runs))
+    time_axis(bottom, runs)
+    return figure
+
+
+def _constraints(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
+    figure, (top, bottom) = plt.subplots(2, 1, sharex=True, figsize=(10, 5.2))
+    for axes, level, unit, symbol in ((top, "position", "m", r"\Phi"), (bottom, "velocity", "m/s", r"\dot{\Phi}")):
+        for i, run in drawing_order(runs):
+            time, norm = thinned(run.time, run[f"solver.{level}Error"])
+            axes.semilogy(time, positive(norm), color=RUN_COLOURS[i % 5], label=run_label(run), linewidth=1.0)
+        axes.set_ylabel(rf"max $|{symbol}|$  ({unit})")
+    top.set_title(f"{scene.name}: constraint violation at position and velocity level")
+    if len(runs) > 1:
+        ordered_legend(top, len(runs))
+    time_axis(bottom, runs)
+    return figure
+
+
+def _singularity(scene: Scene, runs: list[Run], events: list[Event]) -> Figure:
+    figure, (*rows, lanes) = plt.subplots(4, 1, sharex=True, figsize=(10, 7.6), height_ratios=(3, 3, 3, 1.6))
+    run = runs[0]
+    signals = (
+        ("sigmaJx", r"$\sigma_{\min}(J_x)$", "  (m)"),
+        ("sigmaJq", r"$\sigma_{\min}(J_q)$", "  (m²)"),
+        ("sigmaPhi", r"$\sigma_{\min}(\Phi_q)$", ""),
+    )
+    for axes, (name, symbol, unit) in zip(rows, signals):
+        time, value = thinned(run.time, run[f"singular.{name}"])
+        axes.semilogy(time, positive(value), color=INK, linewidth=0.9)
+        axes.set_ylabel(symbol + unit)
+        full_decades(axes, value)
+    rows[0].set_title(f"{scene.name}: smallest singular values, {sampling(run)}")
+    for lane, kind in enumerate(KINDS):
+        met = [event.time for event in events if event.kind == kind]
+        # The graver kinds are rare: a thin mark among fifty seconds would be lost.
+        width = 2.5 if kind in GRAVE else 1.0
+        lanes.plot(met, np.full(len(met), lane), "|", color=KIND_COLOURS[kind], markersize=12, markeredgewidth=width, clip_on=False)
+    lanes.set_yticks(range(len(KINDS)), [f"{kind}  {sum(e.kind == kind for e in events)}" for kind in KINDS])
+    for label, kind in zip(lanes.get_yticklabels(), KINDS):
+        label.set_color(KIND_COLOURS[kind])
+    lanes.set_ylim(len(KINDS) - 0.4, -0.6)
+    lanes.set_title("Singularities met")
+    time_axis(lanes, runs)
+    return figure
+
+
+def _substeps(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
+    figure, axes = plt.subplots(figsize=(10, 3.4))
+    run = runs[0]
+    macro, sub = np.diff(run["solver.steps"]), np.diff(run["solver.substeps"])
+    per_step = sub / np.maximum(macro, 1)
+    time, value = thinned(run.time[1:], per_step)
+    axes.plot(time, np.maximum(value, 1), color=RUN_COLOURS[0], linewidth=0.8, drawstyle="steps-pre")
+    axes.set_yscale("log", base=2)
+    mean = float(np.mean(per_step)) if len(per_step) else 1.0
+    axes.axhline(mean, color=RUN_COLOURS[1], linewidth=1.0, linestyle="--", label=f"mean {mean:.3g}")
+    axes.legend(loc="lower right", bbox_to_anchor=(1, 1.0), borderaxespad=0.2)
+    axes.set_ylabel("sub-steps per macro step")
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda n, _: f"{n:g}"))
+    axes.set_title(f"{scene.name}: sub-steps per macro step of {1e3 * run.parameters['solver.stepSize']:g} ms")
+    time_axis(axes, runs[:1])
+    return figure
+
+
+def _difference(scene: Scene, runs: list[Run], _events: list[Event]) -> Figure:
+    figure, axes = plt.subplots(figsize=(10, 4))
+    for i, other in enumerate(runs[1:], start=1):
+        distance = tip_distance(runs[0], other)
+        time, value = thinned(runs[0].time[: len(distance)], distance)
+        axes.semilogy(time, positive(value), color=RUN_COLOURS[i % 5], label=f"{run_label(other)} against {runs[0].label}")
+    axes.axhline(CLOSE, color=FAINT, linewidth=1, linestyle="--")
+    axes.set_ylim(bottom=max(axes.get_ylim()[0], 1e-16))
+    axes.set_ylabel("|ΔQ|  (m)")
+    axes.set_title(f"{scene.name}: distance between the tips")
+    axes.legend(loc="lower right")
+    time_axis(axes, runs)
+    return figure
+
+
+def _poses(axes: Axes, run: Run, window: float) -> None:
+    """Stroboscopic poses: pale at the start, strong at the end of the window."""
+    last = int(np.searchsorted(run.time, window * (1 + 1e-9), side="right")) - 1
+    chosen = np.unique(np.linspace(0, last, POSES).round().astype(int))
+    base = run.parameters["base.distance"]
+    for n, i in enumerate(chosen):
+        tip = (run["tip.x"][i], run["tip.y"][i])
+        strength = 0.18 + 0.82 * (n / max(len(chosen) - 1, 1)) ** 1.5
+        for leg, foot, colour in ((1, 0.0, LEFT), (2, base, RIGHT)):
+            elbow = (run[f"elbow[{leg}].x"][i], run[f"elbow[{leg}].y"][i])
+            axes.plot(
+                [foot, elbow[0], tip[0]], [0, elbow[1], tip[1]], "-o", color=colour, alpha=strength, linewidth=1.6, markersize=2.6
+            )
+    axes.plot(run["tip.x"][: last + 1], run["tip.y"][: last + 1], color=TIP, linewidth=1.2, zorder=5)
+    axes.plot(*tip, "o", color=TIP, markersize=5, zorder=8)
+
+
+def _path_over_time(figure: Figure, axes: Axes, run: Run) -> None:
+    """The tip's path, its colour telling the time."""
+    stride = max(1, len(run.time) // 20000)
+    points = np.column_stack((run["tip.x"], run["tip.y"]))[::stride]
+    segments = np.stack((points[:-1], points[1:]), axis=1)
+    long = run.time[-1] > 5
+    lines = LineCollection(segments, cmap="viridis", linewidths=0.6 if long else 1.4, alpha=0.6 if long else 1.0)
+    lines.set_array(run.time[::stride][:-1])
+    axes.add_collection(lines, autolim=True)
+    axes.autoscale_view()
+    figure.colorbar(lines, ax=axes, label="time  (s)", shrink=0.8, pad=0.02).outline.set_visible(False)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """How a picture is drawn, and whether a scene has its subject."""
+
+    draw: Callable[[Scene, list[Run], list[Event]], Figure]
+    wanted: Callable[[Scene, list[Run]], bool] = lambda _scene, _runs: True
+
+
+def _active(effect: str) -> Callable[[Scene, list[Run]], bool]:
+    return lambda _scene, runs: bool(runs[0].parameters[f"{effect}.enabled"])
+
+
+PICTURES = {
+    "tip": Picture(_tip),
+    "path": Picture(_path),
+    "inputs": Picture(effect_pictures.inputs, lambda scene, _runs: bool(effect_pictures.loads(scene))),
+    "servo": Picture(effect_pictures.servo, _active("servo")),
+    "stop": Picture(effect_pictures.stop, _active("stop")),
+    "contact": Picture(effect_pictures.contact, _active("contact")),
+    "energy": Picture(_energy),
+    "constraints": Picture(_constraints),
+    "singularity": Picture(_singularity),
+    "substeps": Picture(_substeps),
+    "difference": Picture(_difference, lambda _scene, runs: len(runs) > 1),
+}
+"""All pictures; a scene gets those whose subject it has."""
+
+FILES = (*(f"{name}.png" for name in PICTURES), "path.svg")
+"""Names of all files that `draw_all` may write."""

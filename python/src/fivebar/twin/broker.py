@@ -1,0 +1,54 @@
+"""The broker that comes along: amqtt, on the loopback interface only. Beyond it use one like mosquitto, with users, roles and TLS."""
+
+import argparse
+import asyncio
+import logging
+import sys
+import time
+from typing import Any
+
+from amqtt.broker import Broker
+
+from fivebar.twin import priority, process
+from fivebar.twin.config import Config, is_loopback
+from fivebar.twin.errors import TwinError
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    process.arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serves until told to stop."""
+    config = process.read_config(arguments)
+    if not is_loopback(config.broker.host):
+        raise TwinError(f"the broker that comes along serves this machine only, not {config.broker.host}: beyond it use one with TLS")
+    process.set_up_log()
+    priority.take("broker")
+    logging.getLogger("amqtt").setLevel(logging.ERROR)
+    if sys.platform != "win32":
+        import uvloop
+
+        return uvloop.run(_serve(config))
+    return asyncio.run(_serve(config))
+
+
+async def _serve(config: Config) -> int:
+    host, port = config.broker.host, config.broker.port
+    settings: dict[str, Any] = {
+        "listeners": {"default": {"type": "tcp", "bind": f"{f'[{host}]' if ':' in host else host}:{port}"}},
+        "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}},
+    }
+    broker = Broker(settings)
+    await broker.start()
+    stop, disk = process.Stop(), process.Disk()
+    status = process.Status(config, "broker", disk)
+    process.spare_collector()
+    begin = time.monotonic()
+    while not stop.wait(0):
+        if status.due(True):
+            status.write({"name": "broker", "ready": True, "seconds": time.monotonic() - begin, "memory_kb": process.memory_kb()})
+        await asyncio.sleep(process.TICK)
+    await broker.shutdown()
+    disk.close()
+    return 0

@@ -1,0 +1,87 @@
+"""The connection of a process to the broker: connects again by itself, subscribes again, hands messages over as they come."""
+
+import logging
+import os
+import socket
+import ssl
+from collections.abc import Callable, Iterable
+from typing import Any, Final
+
+import paho.mqtt.client as mqtt
+
+from fivebar.twin.config import Broker
+from fivebar.twin.messages import topic
+
+RELIABLE: Final = ("alarm", "param", "cmd", "state", "whatif")
+"""Kinds that are sent at least once (QoS 1). Samples and what follows from them are sent once (QoS 0): the next one is newer."""
+
+log = logging.getLogger("fivebar")
+
+
+class Bus:
+    """`handle(topic, payload)` is called for every message on the subscribed kinds, in a thread of its own."""
+
+    def __init__(self, broker: Broker, unit: str, name: str, kinds: Iterable[str], handle: Callable[[str, bytes], None]):
+        self.broker, self.unit, self.kinds, self.handle = broker, unit, tuple(kinds), handle
+        self.connections = 0
+        self.unsent = 0
+        """Messages that there was no connection for."""
+        self.client = mqtt.Client(
+            mqtt.CallbackAPIVersion.VERSION2, client_id=f"{unit}-{name}-{os.getpid()}", clean_session=True, reconnect_on_failure=True
+        )
+        self.client.reconnect_delay_set(0.2, 1)  # type: ignore[arg-type]  # fractions of a second work as well
+        self.client.on_connect, self.client.on_disconnect = self._connected, self._disconnected
+        self.client.on_message = self._message
+        self.client.on_socket_open = self._opened
+        if broker.user:
+            self.client.username_pw_set(broker.user, broker.password)
+        if broker.ca_file:
+            context = ssl.create_default_context(cafile=None if broker.ca_file == "system" else broker.ca_file)
+            self.client.tls_set_context(context)
+
+    def start(self) -> None:
+        """Connects in the background, now or as soon as there is a broker."""
+        self.client.connect_async(self.broker.host, self.broker.port, keepalive=10)
+        self.client.loop_start()
+
+    def ready(self) -> bool:
+        """Whether there is a connection."""
+        return self.client.is_connected()
+
+    def publish(self, kind: str, payload: bytes) -> bool:
+        """Sends a message; whether there was a connection to send it on. Reliable kinds wait for the next one."""
+        reliable = kind in RELIABLE
+        sent = self.client.publish(topic(self.unit, kind), payload, qos=int(reliable)).rc == mqtt.MQTT_ERR_SUCCESS
+        self.unsent += not sent
+        return sent
+
+    def stop(self) -> None:
+        """Sends what is waiting, and leaves."""
+        self.client.disconnect()
+        self.client.loop_stop()
+
+    def _connected(self, client: mqtt.Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        if reason.is_failure:
+            log.error("the broker refuses the connection: %s", reason)
+            return
+        self.connections += 1
+        log.info("connected to the broker at %s:%d%s", self.broker.host, self.broker.port, " again" if self.connections > 1 else "")
+        if self.kinds:
+            client.subscribe([(topic(self.unit, kind), int(kind in RELIABLE)) for kind in self.kinds])
+
+    def _disconnected(self, _client: mqtt.Client, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
+        if reason.is_failure:
+            log.warning("no connection to the broker: %s; trying again", reason)
+
+    def _message(self, _client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
+        try:
+            self.handle(message.topic, bytes(message.payload))
+        except Exception:
+            # What is not foreseen ends the process: its starter starts it again from the last stored state.
+            log.exception("a message could not be handled")
+            os._exit(70)
+
+    def _opened(self, _client: mqtt.Client, _data: Any, opened: Any) -> None:
+        # One message is one sample: it must not wait for the next one.
+        if isinstance(opened, socket.socket):
+            opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

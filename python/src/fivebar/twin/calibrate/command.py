@@ -1,0 +1,278 @@
+"""`fivebar-twin calibrate FILE`: what the machine is, from what its encoders saw."""
+
+import argparse
+import json
+import math
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fivebar.twin.calibrate import data, scenes
+from fivebar.twin.calibrate.fit import Fit, Fitter, Show, least_noise
+from fivebar.twin.calibrate.identify import Judgement, interval, judge
+from fivebar.twin.calibrate.motion import Between, Machine
+from fivebar.twin.calibrate.parameters import USUAL, Parameter, Values, assemble, parameters
+from fivebar.twin.calibrate.propose import SECONDS, Motion, propose
+from fivebar.twin.errors import TwinError
+from fivebar.twin.replay import default_fmu
+from fivebar.twin.unit import Library
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, metavar="FILE", nargs="?", help="a record: Parquet, a folder of parts, or CSV (docs/calibration.md)")
+    parser.add_argument("--parameters", nargs="+", metavar="NAME", help=f"what is sought, groups as link[1,4].mass [default: {' '.join(USUAL)}]")
+    parser.add_argument("--scene", type=Path, metavar="NAME|FILE", help="what the machine is taken for before [default: the scene of the record]")
+    parser.add_argument("--from", dest="begin", type=float, default=0.0, metavar="S", help="s after the first sample [default: 0]")
+    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="of the record that are used [default: 10]")
+    parser.add_argument("--longest", type=float, default=10.0, metavar="S", help="series longer than this are cut [default: 10]")
+    parser.add_argument("--commands", choices=("rate", "linear", "hold"), default="rate", help="what drives do between samples [default: rate, as the twin]")
+    parser.add_argument("--patience", type=float, default=50.0, metavar="S", help="of CPU after which a fit is given up [default: 50]")
+    parser.add_argument("--unit", default="", help="which machine, if the record has several")
+    parser.add_argument("--no-proposal", action="store_true", help="do not look for a motion that would tell what is not identified")
+    parser.add_argument("--fmu", type=Path, default=default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
+    parser.add_argument("--out", type=Path, default=Path("target/calibrate"), help="for scene, figures and pictures [default: target/calibrate]")
+    parser.add_argument("--trials", type=int, metavar="N", help="no FILE: calibrate N made records, count what error bars cover")
+    parser.add_argument("--machines", choices=("one", "any"), default="one", help="of trials: one with six unknowns off, or each another one [default: one]")
+    parser.add_argument("--first", type=int, default=100, metavar="K", help="number of the first of these trials [default: 100]")
+
+
+WELL_TOLD: Final = 0.05
+"""Standard deviation in sizes."""
+
+WRONG: Final = 0.05
+"""rad: residuals of a machine that is not the scene's; encoders and what a model leaves out are far below."""
+
+ODD: Final = 10.0
+"""How many times what encoders show residuals may be without a warning, if they are above `SMALL`."""
+
+SMALL: Final = 1e-3
+"""rad."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """A calibration."""
+
+    fit: Fit
+    judgement: Judgement
+    sought: list[Parameter]
+    wrong: str = ""
+    """Why nothing is believed, or ""."""
+
+    odd: str = ""
+    """Why values may be off by more than their bars, or ""."""
+
+    def refused(self) -> list[int]:
+        """Which unknowns the record does not tell."""
+        return [k for k, known in enumerate(self.judgement.identified) if not known]
+
+
+def calibrate(machine: Machine, given: data.Data, between: Between, longest: float, show: Show, patience: float = math.inf) -> Result:
+    """Fits; then once more with what is not told kept as the scene has it."""
+    fitter = Fitter(machine, given, between, longest, show, patience)
+    sought = list(machine.sought)
+    fit = fitter.run()
+    judgement = judge(fit, sought)
+    pins = np.empty((0, len(sought)))
+    for _ in range(2):
+        told = len(pins)
+        pins = _pins(judgement, len(sought))
+        # What was believed before moves nothing that is told this well.
+        if len(pins) == told and (told or float(np.max(judgement.sigma)) < WELL_TOLD):
+            break
+        if len(pins):
+            names = ", ".join(p.name for p, known in zip(sought, judgement.identified, strict=True) if not known)
+            show(f"not identified: {names}; fitted once more with that as it is in the scene")
+        fit = fitter.run(fit, pins)
+        judgement = _both(judgement, judge(fit, sought))
+    wrong, odd = suspicion(fit, least_noise(given))
+    if wrong:
+        judgement = replace(judgement, identified=[False] * len(sought))
+    return Result(fit, judgement, sought, wrong, odd)
+
+
+def suspicion(fit: Fit, tenth: np.ndarray) -> tuple[str, str]:
+    """Why nothing of a fit is to be believed, and why it is to be believed less than its bars say; "" if there is no reason."""
+    worst = int(np.argmax(fit.sigma))
+    residual, shown = float(fit.sigma[worst]), 10 * float(tenth[worst])
+    text = f"residuals of encoder {worst + 1} are {1e3 * residual:.3g} mrad after the fit, where the encoder shows {1e3 * shown:.2g} mrad of noise"
+    if residual > WRONG:
+        return f"refused: {text}: the scene is not this machine, and nothing that was found is believed", ""
+    if residual > max(ODD * shown, SMALL):
+        return "", f"warning: {text}: the machine has something that is not sought, and values may be off by more than their bars"
+    return "", ""
+
+
+def _both(before: Judgement, later: Judgement) -> Judgement:
+    """What is told by the later fit, and was by the earlier."""
+    identified = [a and b for a, b in zip(before.identified, later.identified, strict=True)]
+    combinations = max(later.combinations, before.combinations, key=len)
+    return replace(later, identified=identified, combinations=combinations)
+
+
+def _pins(judgement: Judgement, count: int) -> np.ndarray:
+    """Combinations that are not told, and unknowns that are not although no combination says why."""
+    rows = [combination.weights for combination in judgement.combinations]
+    for k, known in enumerate(judgement.identified):
+        if not known and not any(abs(row[k]) > 0.1 for row in rows):
+            rows.append(np.eye(count)[k])
+    return np.array(rows) if rows else np.empty((0, count))
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 if at least one unknown is identified, 1 if none is or the record is not of this machine."""
+    if arguments.trials is not None:
+        from fivebar.twin.calibrate import trials
+
+        return trials.run(arguments)
+    if arguments.file is None:
+        raise TwinError("a FILE is needed: a record (Parquet), a folder of its parts, or CSV")
+    for name in ("seconds", "longest", "patience"):
+        if not (math.isfinite(getattr(arguments, name)) and getattr(arguments, name) > 0):
+            raise TwinError(f"{name} is {getattr(arguments, name):g}; more than 0 is needed")
+    begun = time.process_time()
+    given = data.read(arguments.file, arguments.begin, arguments.seconds, arguments.unit)
+    data.check(given)
+    library = Library(arguments.fmu)
+    try:
+        scene, source = scenes.start_values(arguments.scene, arguments.file, library)
+        sought = parameters(arguments.parameters or usual(scene), library, scene)
+        machine = Machine(library, scene, sought)
+        result = calibrate(machine, given, arguments.commands, arguments.longest, _show, arguments.patience)
+        motion = None
+        if result.refused() and not result.wrong and not arguments.no_proposal:
+            motion = propose(machine, result.fit, result.refused())
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        report = _report(result, given, source, arguments, time.process_time() - begun, motion)
+        (arguments.out / "calibration.json").write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+        written = [arguments.out / "calibration.json"]
+        if not result.wrong:
+            written.insert(0, arguments.out / "calibrated.json")
+            _write_scene(written[0], result, scene, arguments, given, library)
+        if motion is not None:
+            _write_proposal(arguments.out / "proposal.json", result, motion, scene, library)
+        machine.close()
+    finally:
+        library.close()
+    from fivebar.twin.calibrate import pictures
+
+    files = pictures.draw(arguments.out, result.fit, result.judgement, result.sought)
+    _print(result, report, [*written, *files])
+    return 0 if any(result.judgement.identified) else 1
+
+
+def _show(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def usual(scene: Values) -> list[str]:
+    """What is sought if nothing is said: what the scene has."""
+    left_out = [] if scene.get("payload.enabled", False) else ["payload.mass"]
+    left_out += [] if scene.get("gravity.enabled", True) else ["gravity.direction"]
+    return [name for name in USUAL if name not in left_out]
+
+
+def fitted_values(result: Result, scene: Values, library: Library) -> Values:
+    """Start values with what was found; what is not told alone stays as the scene has it."""
+    kept = [k for k, parameter in enumerate(result.sought) if result.judgement.identified[k] or abs(result.fit.x[k] - parameter.origin) > 1e-3]
+    return assemble(scene, library, [result.sought[k] for k in kept], [float(result.fit.x[k]) for k in kept])
+
+
+def _write_scene(file: Path, result: Result, scene: Values, arguments: argparse.Namespace, given: data.Data, library: Library) -> None:
+    known = [p.name for p, identified in zip(result.sought, result.judgement.identified, strict=True) if identified]
+    unknown = [p.name for p, identified in zip(result.sought, result.judgement.identified, strict=True) if not identified]
+    text = f"Calibrated from {arguments.file.name}: {scenes.series(known)}."
+    if unknown:
+        text += f" Not identified: {scenes.series(unknown)}."
+    first = result.fit.pieces[0].start
+    values = fitted_values(result, scene, library)
+    values |= {f"init.theta[{i + 1}]": float(first.state[i]) for i in (0, 1)} | {f"init.omega[{i + 1}]": float(first.state[2 + i]) for i in (0, 1)}
+    values["init.assembly"] = first.assembly
+    # What the drives were told at first: without a master the machine stays there.
+    values |= {name: value for name, value in result.fit.pieces[0].path.first.items() if not name.startswith("servo.omega")}
+    scenes.write(file, text, values, round(given.series[0].time[-1] - given.series[0].time[0], 6) or 1.0, 1e-3, library)
+
+
+def _write_proposal(file: Path, result: Result, motion: Motion, scene: Values, library: Library) -> None:
+    told = [result.sought[k].name for k in motion.told(result.refused())]
+    text = f"A motion that would tell {scenes.series(told)}: motors on sines of {motion.amplitude:g} rad and {motion.frequency:g} Hz."
+    values = fitted_values(result, scene, library) | motion.values | {"init.omega[1]": 0.0, "init.omega[2]": 0.0}
+    scenes.write(file, text, values, SECONDS, 1e-3, library, motion.signals())
+
+
+def _report(result: Result, given: data.Data, source: str, arguments: argparse.Namespace, seconds: float, motion: Motion | None) -> dict[str, Any]:
+    fit, judgement = result.fit, result.judgement
+    unknowns = {}
+    for k, p in enumerate(result.sought):
+        members = p.members or (p.name,)
+        bars, bounds = p.bar(interval(float(judgement.sigma[k]))), p.bar(interval(float(judgement.bound[k])))
+        unknowns[p.name] = {
+            "identified": judgement.identified[k],
+            "unit": p.unit,
+            "scene": dict(zip(members, p.base, strict=True)),
+            "value": dict(zip(members, p.value(float(fit.x[k])), strict=True)) if judgement.identified[k] else None,
+            "bar95": dict(zip(members, bars, strict=True)) if judgement.identified[k] else None,
+            "bound95": dict(zip(members, bounds, strict=True)) if judgement.identified[k] else None,
+            "derivative_error": float(judgement.doubt[k]),
+        }
+    proposal = None
+    if motion is not None:
+        told = motion.told(result.refused())
+        proposal = {
+            "scene": str(arguments.out / "proposal.json"),
+            "tells": {result.sought[k].name: float(result.sought[k].bar(interval(float(motion.sigma[k])))[0]) for k in told},
+        }
+    return {
+        "file": str(arguments.file),
+        "refused": result.wrong or None,
+        "warning": result.odd or None,
+        "begins_from": source,
+        "samples": sum(len(series) for series in given.series),
+        "series": len(given.series),
+        "period": given.period,
+        "notes": given.notes,
+        "outliers": fit.outliers,
+        "residuals_rad": {"before": fit.rms_before, "encoder": fit.sigma.tolist()},
+        "samples_as_one": judgement.together.time_scale,
+        "unknowns": unknowns,
+        "correlations": {p.name: judgement.correlation[k].tolist() for k, p in enumerate(result.sought)},
+        "not_identified": list(dict.fromkeys(combination.sentence(result.sought) for combination in judgement.combinations)),
+        "proposal": proposal,
+        "cpu_seconds": seconds,
+        "runs": fit.machine.runs,
+    }
+
+
+def _print(result: Result, report: dict[str, Any], files: list[Path]) -> None:
+    judgement = result.judgement
+    if result.wrong or result.odd:
+        print(result.wrong or result.odd)
+    print(f"{report['samples']} samples in {report['series']} series, every {1e3 * report['period']:.3g} ms; begun from {report['begins_from']}")
+    for note in report["notes"]:
+        print(f"  {note}")
+    sigma = ", ".join(f"{1e3 * value:.3g}" for value in report["residuals_rad"]["encoder"])
+    print(f"residuals {sigma} mrad (encoders 1, 2), {report['outliers']} outliers left out", end="")
+    scale = judgement.together.time_scale
+    print("; they are white" if scale == 1.0 else f"; {scale:.0f} of them count as one")
+    print(f"\n  {'':28} {'scene':>12} {'found':>14} {'± 95 %':>11} {'bound 95 %':>11}")
+    for k, p in enumerate(result.sought):
+        if judgement.identified[k]:
+            bar, bound = (p.bar(interval(float(sigma)))[0] for sigma in (judgement.sigma[k], judgement.bound[k]))
+            print(f"  {p.name:28} {p.base[0]:12.6g} {p.value(float(result.fit.x[k]))[0]:14.7g} {bar:11.2g} {bound:11.2g}  {p.unit}")
+        else:
+            print(f"  {p.name:28} {p.base[0]:12.6g} {'not identified':>14}")
+    for sentence in report["not_identified"]:
+        print(f"not identified: {sentence}")
+    worst = max(range(len(result.sought)), key=lambda k: judgement.doubt[k] if judgement.identified[k] else 0.0)
+    print(f"derivatives: twice the step differs by {judgement.doubt[worst]:.1g} of the column at most ({result.sought[worst].name})")
+    if report["proposal"]:
+        print(f"a motion that would tell {', '.join(f'{n} to ±{b:.2g}' for n, b in report['proposal']['tells'].items())}: {report['proposal']['scene']}")
+    elif not all(judgement.identified) and not result.wrong:
+        print("no motion of those that were tried would tell what is not identified")
+    print(f"{report['runs']} runs, {report['cpu_seconds']:.1f} s of CPU; written: {', '.join(map(str, files))}")
+
+

@@ -1,0 +1,443 @@
+"""Least squares on whole trajectories: unknowns of the machine, and where each series of samples begins.
+
+A long motion forgives no wrong start, so the fit begins with short pieces, each with a start of its own, and joins them level by
+level. Derivatives are central differences of runs; a step moves the trajectory by `MOVED` at most, so that its error of truncation is
+some 1e-5 of the derivative and that of the runs 1e-7. In the end they are taken with one, two and four times the step as well and
+extrapolated to the step 0, and the same from twice the steps says what they can be trusted with (`Fit.doubt`).
+"""
+
+import math
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from fivebar.twin.calibrate.data import Array, Data, Samples
+from fivebar.twin.calibrate.motion import LOST, Between, Machine, Path, Start
+from fivebar.twin.calibrate.parameters import DELAY, Parameter
+from fivebar.twin.errors import TwinError
+
+MOVED: Final = 1e-3
+"""rad: by how much the step of a derivative may move a trajectory."""
+
+TIGHT: Final = 1e-11
+"""rad: error per step of the runs that count, below what unknowns do to them by orders of magnitude, so that differences can be taken."""
+
+LOOSE: Final = 1e-8
+"""rad: of the runs on the way there."""
+
+STILL: Final = 1e-4
+"""rad: trajectories that moved by less have the derivatives that they had, as far as a fit needs them."""
+
+IN_SIGHT: Final = 0.1
+"""rad: residuals of whole series with which the fit goes on to these at once."""
+
+LEVELS: Final = (0.5, 2.0)
+"""s: pieces of the first fits; those of the last are whole series, or `longest`."""
+
+BELIEVED: Final = 1.0
+"""Standard deviation, in sizes of each unknown, of what is believed before while it is not known what the record tells."""
+
+WEAK: Final = 10.0
+"""The same once that is known: nothing to speak of."""
+
+OUTLIER: Final = 5.0
+"""Standard deviations of leaps beyond which a sample is left out; in the end twice as many of residuals do as well."""
+
+FEW: Final = 0.05
+"""Share of the samples that may count as outliers."""
+
+DEEPEST: Final = 0.1
+"""s: the longest delay that is sought; samples as long after a start are not compared while it is."""
+
+Show = Callable[[str], None]
+
+
+@dataclass
+class Piece:
+    """A part of a series with a start of its own."""
+
+    path: Path
+    start: Start
+    mask: Array
+    """(n, 2): which angles are compared."""
+
+
+@dataclass
+class Fit:
+    """What came out. `jacobian` is of what encoders show, rad per unknown, for rows that are compared; columns are unknowns, then starts."""
+
+    machine: Machine
+    pieces: list[Piece]
+    x: Array
+    sigma: Array
+    """(2): standard deviation of each encoder's residuals, rad."""
+
+    residuals: list[Array]
+    """(n, 2) of each piece, rad, NaN where nothing was measured."""
+
+    jacobian: Array
+    doubt: Array
+    """An estimate of the error of `jacobian`."""
+
+    rows: Array
+    """Of each row: number of piece, of sample, of encoder."""
+
+    outliers: int
+    evaluations: int
+    rms_before: float
+    """Of the residuals for the scene as it was, rad, short pieces with fitted starts."""
+
+
+class Fitter:
+    """Runs the levels."""
+
+    def __init__(self, machine: Machine, data: Data, between: Between, longest: float, show: Show, patience: float = math.inf):
+        self.machine, self.data, self.between, self.longest, self.show = machine, data, between, longest, show
+        self.period = data.period
+        self.sought = machine.sought
+        self.steps: dict[int, float] = {}
+        self.evaluations = 0
+        self.patience, self.ends = patience, time.process_time() + patience
+        self.noise = least_noise(data)
+        self.known: tuple[tuple[int, bool], Array, list[Array]] | None = None
+        """Of which fit, where, and what the derivatives were."""
+        self.delayed = any(p.name == DELAY for p in self.sought)
+
+    # --- pieces -----------------------------------------------------------------------------------------------------------------
+
+    def cut(self, length: float) -> list[tuple[int, Samples]]:
+        """Pieces of about that length, s, with the number of their series."""
+        found = []
+        for number, series in enumerate(self.data.series):
+            span = series.time[-1] - series.time[0]
+            count = max(1, math.ceil(span / length - 0.2))
+            edges = np.searchsorted(series.time, series.time[0] + span * np.arange(1, count) / count)
+            for a, b in zip([0, *edges], [*edges, len(series)], strict=True):
+                # Pieces share a sample, but compare it once.
+                part = series.part(a, min(b + 1, len(series)))
+                if np.isfinite(part.angles).any(axis=1).sum() >= 6:
+                    found.append((number, part))
+        return found
+
+    def first(self, x: Array) -> list[Piece]:
+        """Short pieces, their starts guessed from their first samples, on the side that fits."""
+        pieces: list[Piece] = []
+        side = int(self.machine.scene.get("init.assembly", 1))
+        for number, samples in self.cut(LEVELS[0]):
+            path = Path(samples, self.between, self.machine.library, self.period)
+            state = guess(samples)
+            costs = {}
+            for assembly in (side, 3 - side):
+                motion, end = self.machine.run(path, x, Start(state, assembly))
+                gap = samples.angles - self.machine.seen(path, motion, x)
+                costs[assembly] = float(np.nanmedian(np.abs(wrapped(gap)))) if motion[-1, 0] < LOST else math.inf, end
+            assembly = side if costs[side][0] <= 2 * costs[3 - side][0] else 3 - side
+            if math.isinf(costs[assembly][0]):
+                if pieces and pieces[-1].path.samples.time[0] >= self.data.series[number].time[0]:
+                    # Stretched or folded links, where errors of the angles count most: the piece before goes on soon enough.
+                    continue
+                raise TwinError(f"the unit refuses a start at the measured angles: {self.machine.failure}")
+            side = costs[assembly][1]
+            pieces.append(Piece(path, Start(state, assembly), self.compared(samples)))
+        return pieces
+
+    def in_sight(self, pieces: list[Piece], z: Array) -> bool:
+        """Whether the motion stays near what was measured over whole series too."""
+        p = len(self.sought)
+        longer = self.joined(unpack(z, pieces, p), z[:p], self.longest)
+        return float(np.max(spread(self.gaps(longer, pack(z[:p], longer)), longer))) < IN_SIGHT
+
+    def joined(self, pieces: list[Piece], x: Array, length: float) -> list[Piece]:
+        """Longer pieces, which begin where the motion of the shorter ones is then."""
+        found = []
+        for _, samples in self.cut(length):
+            begin = samples.time[0]
+            piece = max((piece for piece in pieces if piece.path.samples.time[0] <= begin), key=lambda piece: piece.path.samples.time[0])
+            motion, _ = self.machine.run(piece.path, x, piece.start)
+            row = int(np.argmin(np.abs(piece.path.samples.time - begin)))
+            found.append(Piece(Path(samples, self.between, self.machine.library, self.period), Start(motion[piece.path.rows[row]], piece.start.assembly), self.compared(samples)))
+        return found
+
+    def compared(self, samples: Samples) -> Array:
+        """Which angles are compared: those that there are; not the last of a piece that another one begins with."""
+        mask = np.isfinite(samples.angles)
+        ends = {series.time[-1] for series in self.data.series}
+        if samples.time[-1] not in ends:
+            mask[-1] = False
+        if self.delayed:
+            mask &= (samples.time - samples.time[0] >= DEEPEST)[:, None]
+        return mask
+
+    # --- residuals and derivatives ----------------------------------------------------------------------------------------------
+
+    def motion(self, piece: Piece, x: Array, state: Array) -> Array:
+        """What encoders would show of a piece, (n, 2)."""
+        if time.process_time() > self.ends:
+            raise TwinError(
+                f"the fit has come to no end within {self.patience:g} s of CPU (--patience): the scene is probably not this machine; "
+                "are its geometry, the encoders' places, signs and zeros, and what the drives are told right?"
+            )
+        motion, _ = self.machine.run(piece.path, x, Start(state, piece.start.assembly))
+        return self.machine.seen(piece.path, motion, x)
+
+    def gaps(self, pieces: list[Piece], z: Array) -> list[Array]:
+        """Measured minus computed, (n, 2) of each piece."""
+        p = len(self.sought)
+        found = []
+        for number, piece in enumerate(pieces):
+            seen = self.motion(piece, z[:p], z[p + 4 * number : p + 4 * number + 4])
+            gap = piece.path.samples.angles - seen
+            found.append(np.where(np.abs(gap) < 0.5 * LOST, wrapped(gap), np.sign(gap)))
+        return found
+
+    def derivatives(self, pieces: list[Piece], z: Array, times: float = 1.0, central: bool = True) -> list[Array]:
+        """d(what encoders show)/dz of each piece, (n, 2, p + 4): columns are unknowns, then the start of the piece."""
+        p = len(self.sought)
+        self.evaluations += (2 if central else 1) * (p + 4)
+        found = []
+        for number, piece in enumerate(pieces):
+            state = z[p + 4 * number : p + 4 * number + 4]
+            here = None if central else self.motion(piece, z[:p], state)
+            columns = []
+            for j in range(p + 4):
+                step = times * self.step(j)
+                near = []
+                for sign in (1.0, -1.0) if central else (1.0,):
+                    x, s = z[:p].copy(), state.copy()
+                    if j < p:
+                        # At the bound of an unknown just inside of it, for the unit refuses what is outside.
+                        x[j] = max(x[j], self.sought[j].lowest + 4.01 * self.step(j)) + sign * step
+                    else:
+                        s[j - p] += sign * step
+                    near.append(self.motion(piece, x, s))
+                slope = (near[0] - near[1]) / (2 * step) if here is None else (near[0] - here) / step
+                columns.append(np.clip(slope, -1e9, 1e9))
+            found.append(np.stack(columns, axis=2))
+        if times == 1.0:
+            self._learn(found)
+        return found
+
+    def recent(self, pieces: list[Piece], z: Array, final: bool) -> list[Array]:
+        """Derivatives; those that there are if they were taken so near that trajectories have hardly moved since."""
+        p = len(self.sought)
+        if self.known is not None and self.known[0] == (len(pieces), final):
+            moves = z - self.known[1]
+            parts = [d @ np.concatenate([moves[:p], moves[p + 4 * k : p + 4 * k + 4]]) for k, d in enumerate(self.known[2])]
+            if max(float(np.max(np.abs(part))) for part in parts) < STILL * (1 if final else 10):
+                return self.known[2]
+        found = self.derivatives(pieces, z, central=final)
+        self.known = (len(pieces), final), z.copy(), found
+        return found
+
+    def step(self, j: int) -> float:
+        """Of the j-th column: 1e-4 of the unknown's size, rad or rad/s until more is known."""
+        return self.steps.get(j, 1e-4)
+
+    def _learn(self, derivatives: list[Array]) -> None:
+        """Steps that move trajectories by `MOVED`."""
+        largest = np.max([np.max(np.abs(d), axis=(0, 1)) for d in derivatives], axis=0)
+        for j, slope in enumerate(largest.tolist()):
+            self.steps[j] = min(max(MOVED / max(slope, 1e-12), 1e-8), 1e-2)
+
+    # --- least squares ----------------------------------------------------------------------------------------------------------
+
+    def solve(self, pieces: list[Piece], z: Array, sigma: Array, final: bool, pinned: Array | None) -> Array:
+        """One fit; before the final one derivatives are taken on one side.
+
+        `pinned`: combinations of unknowns, rows, that stay what they are in the scene; None: they are not known yet.
+        """
+        p = len(self.sought)
+        origin = np.array([parameter.origin for parameter in self.sought])
+        prior = np.vstack([np.eye(p) / WEAK, 1e4 * pinned]) if pinned is not None else np.eye(p) / BELIEVED
+        lowest = np.concatenate([[parameter.lowest for parameter in self.sought], np.full(len(z) - p, -np.inf)])
+        z = np.maximum(z, lowest + 1e-9)
+        def residuals(z: Array) -> Array:
+            self.evaluations += 1
+            rows = [(gap / sigma)[piece.mask] for piece, gap in zip(pieces, self.gaps(pieces, z), strict=True)]
+            return np.concatenate([*rows, prior @ (z[:p] - origin)])
+
+        def jacobian(z: Array) -> Array:
+            blocks = [-(d / sigma[:, None])[piece.mask] for piece, d in zip(pieces, self.recent(pieces, z, final), strict=True)]
+            full = np.zeros((sum(map(len, blocks)) + len(prior), len(z)))
+            row = 0
+            for number, block in enumerate(blocks):
+                full[row : row + len(block), :p] = block[:, :p]
+                full[row : row + len(block), p + 4 * number : p + 4 * number + 4] = block[:, p:]
+                row += len(block)
+            full[row:, :p] = prior
+            return full
+
+        result = least_squares(
+            residuals, z, jac=jacobian, bounds=(lowest, np.inf), method="trf", x_scale="jac", xtol=1e-10, gtol=1e-12,
+            ftol=1e-6 if final else 0.1, max_nfev=20 if final else 10,
+        )  # fmt: skip
+        return np.asarray(result.x)
+
+    def run(self, again: Fit | None = None, pinned: Array | None = None) -> Fit:
+        """All levels; or, from an earlier fit on, the last one with `pinned` combinations."""
+        p = len(self.sought)
+        pieces, z, rms_before = self.levels() if again is None else (again.pieces, pack(again.x, again.pieces), again.rms_before)
+        z, outliers = self.settle(pieces, z, True, pinned)
+        return self.finish(pieces, z, outliers, rms_before)
+
+    def settle(self, pieces: list[Piece], z: Array, final: bool, pinned: Array | None) -> tuple[Array, int]:
+        """Fits until the residuals, and with them what counts as an outlier, stay what they are; how many outliers there are."""
+        before, left_out = np.full(2, np.inf), -1
+        for _ in range(8):
+            gaps = self.gaps(pieces, z)
+            sigma = np.maximum(spread(gaps, pieces), self.noise)
+            outliers = self.leave_out(pieces, gaps, sigma if final else np.full(2, np.inf))
+            if outliers == left_out if final else bool(np.all(sigma > 0.8 * before)):
+                break
+            before, left_out = sigma, outliers
+            z = self.solve(pieces, z, sigma, final, pinned)
+        return z, max(left_out, 0)
+
+    def levels(self) -> tuple[list[Piece], Array, float]:
+        """From short pieces to whole series: pieces, their fit, and the residuals of the scene as it was, rad."""
+        p = len(self.sought)
+        x = np.array([parameter.start for parameter in self.sought])
+        pieces = self.first(x)
+        z, before = pack(x, pieces), 0.0
+        self.machine.tolerance(LOOSE)
+        for length in (*LEVELS, self.longest):
+            if length > LEVELS[0]:
+                if length < self.longest and (length >= self.span() or self.in_sight(pieces, z)):
+                    continue
+                pieces = self.joined(unpack(z, pieces, p), z[:p], length)
+                z = pack(z[:p], pieces)
+            sigma = np.maximum(spread(self.gaps(pieces, z), pieces), self.noise)
+            before = before or float(np.mean(sigma))
+            self.show(f"pieces of {min(length, self.span()):g} s: residuals of {1e3 * float(np.mean(sigma)):.3g} mrad before the fit")
+            z, _ = self.settle(pieces, z, False, None)
+        self.machine.tolerance(TIGHT)
+        return pieces, z, before
+
+    def finish(self, pieces: list[Piece], z: Array, outliers: int, rms_before: float) -> Fit:
+        """Residuals, derivatives and their doubt at the solution."""
+        p = len(self.sought)
+        gaps = self.gaps(pieces, z)
+        one, two, four = self.recent(pieces, z, True), self.derivatives(pieces, z, 2.0), self.derivatives(pieces, z, 4.0)
+        size = sum(int(piece.mask.sum()) for piece in pieces)
+        jacobian, doubt = np.zeros((size, len(z))), np.zeros((size, len(z)))
+        rows = np.zeros((size, 3), dtype=int)
+        row = 0
+        squares, counts = np.zeros(2), np.zeros(2)
+        for number, piece in enumerate(pieces):
+            inside = slice(row, row + int(piece.mask.sum()))
+            # Extrapolated to the step 0 (Richardson); the same from twice the steps says how far that can be trusted.
+            best, other = (4 * one[number] - two[number]) / 3, (4 * two[number] - four[number]) / 3
+            for target, blocks in ((jacobian, best), (doubt, best - other)):
+                target[inside, :p] = blocks[piece.mask][:, :p]
+                target[inside, p + 4 * number : p + 4 * number + 4] = blocks[piece.mask][:, p:]
+            rows[inside] = np.column_stack([np.full(inside.stop - row, number), *np.nonzero(piece.mask)])
+            row = inside.stop
+            squares += np.sum(np.where(piece.mask, gaps[number], 0.0) ** 2, axis=0)
+            counts += piece.mask.sum(axis=0)
+        free = max(1 - len(z) / max(size, 1), 0.05)
+        sigma = np.sqrt(squares / np.maximum(counts, 1) / free)
+        fitted = unpack(z, pieces, p)
+        return Fit(self.machine, fitted, z[:p], np.maximum(sigma, 1e-12), gaps, jacobian, doubt, rows, outliers, self.evaluations, rms_before)
+
+    def leave_out(self, pieces: list[Piece], gaps: list[Array], sigma: Array) -> int:
+        """Outliers are not compared; how many there are: residuals that leap from those around them, and such as are far off at all.
+
+        What a fit has not reached yet changes smoothly, and is no outlier.
+        """
+        leaps = [np.abs(gap - around(gap)) for gap in gaps]
+        usual = np.maximum(spread(leaps, pieces), self.noise)
+        usable = [self.compared(piece.path.samples) for piece in pieces]
+        # A leap among leaps is the fit's fault, not a sample's.
+        alone = [leap / np.maximum(usual, np.nan_to_num(around(leap, 10))) for leap in leaps]
+        leapt = beyond(usable, alone, np.full(2, OUTLIER))
+        # What is far off counts once residuals are down to what third differences of the samples show.
+        reached = bool(np.all(sigma < 50 * self.noise))
+        far = beyond(usable, [np.abs(gap) for gap in gaps], 2 * OUTLIER * sigma if reached else np.full(2, np.inf))
+        for piece, mask, *out in zip(pieces, usable, leapt, far, strict=True):
+            piece.mask = mask & ~out[0] & ~out[1]
+        return sum(int(mask.sum() - piece.mask.sum()) for mask, piece in zip(usable, pieces, strict=True))
+
+    def span(self) -> float:
+        """s of the longest series."""
+        return max(float(series.time[-1] - series.time[0]) for series in self.data.series)
+
+
+def least_noise(data: Data) -> Array:
+    """The least standard deviation to believe in, rad: a tenth of what third differences show of each encoder, and not 0."""
+    found = []
+    for i in (0, 1):
+        thirds = np.concatenate([np.diff(s.angles[:, i], 3) for s in data.series])
+        thirds = thirds[np.isfinite(thirds)]
+        found.append(0.1 * 1.4826 * float(np.median(np.abs(thirds))) / math.sqrt(20) if len(thirds) else 0.0)
+    return np.maximum(found, 1e-9)
+
+
+def beyond(usable: list[Array], sizes: list[Array], limits: Array) -> list[Array]:
+    """Which samples are beyond their encoder's limit: the furthest ones only, if these are more than `FEW` of all.
+
+    Where many are, the fit is not there yet, or the machine is another one.
+    """
+    ratios = [np.where(mask, np.nan_to_num(size) / limits, 0.0) for mask, size in zip(usable, sizes, strict=True)]
+    every = np.concatenate([ratio[mask] for ratio, mask in zip(ratios, usable, strict=True)])
+    limit = max(1.0, float(np.quantile(every, 1 - FEW))) if len(every) else 1.0
+    return [ratio > limit for ratio in ratios]
+
+
+def around(gap: Array, reach: int = 4) -> Array:
+    """Of each residual the median of those around it, (n, 2)."""
+    padded = np.pad(gap, ((reach, reach), (0, 0)), constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0)
+    with warnings.catch_warnings():
+        # Where nothing was measured there is no median.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.asarray(np.nanmedian(windows, axis=2))
+
+
+def guess(samples: Samples) -> Array:
+    """Angles and rates at the first sample, by parabolas through the first ones, outliers left out."""
+    state = np.zeros(4)
+    for i in (0, 1):
+        known = np.flatnonzero(np.isfinite(samples.angles[:, i]))[:9]
+        if len(known) < 3:
+            raise TwinError(f"a series has {len(known)} angles of encoder {i + 1}; both encoders are needed to begin with")
+        time, angle = samples.time[known] - samples.time[0], np.unwrap(samples.angles[known, i])
+        while True:
+            fitted = np.polynomial.polynomial.polyfit(time, angle, min(2, len(time) - 1))
+            off = np.abs(angle - np.polynomial.polynomial.polyval(time, fitted))
+            # One that is far off at a time, as long as enough are left.
+            if len(time) < 6 or off.max() < 4 * np.median(off) or off.max() < 1e-6:
+                break
+            time, angle = np.delete(time, off.argmax()), np.delete(angle, off.argmax())
+        state[i], state[2 + i] = fitted[0], fitted[1]
+    return state
+
+
+def pack(x: Array, pieces: list[Piece]) -> Array:
+    """Unknowns and starts as one vector."""
+    return np.concatenate([x, *(piece.start.state for piece in pieces)])
+
+
+def unpack(z: Array, pieces: list[Piece], p: int) -> list[Piece]:
+    """The pieces with the starts of a vector."""
+    return [
+        Piece(piece.path, Start(z[p + 4 * k : p + 4 * k + 4], piece.start.assembly), piece.mask) for k, piece in enumerate(pieces)
+    ]
+
+
+def spread(gaps: list[Array], pieces: list[Piece]) -> Array:
+    """Standard deviations of both encoders' residuals, rad, as their medians say."""
+    found = []
+    for i in (0, 1):
+        values = np.concatenate([np.abs(gap[:, i][piece.mask[:, i]]) for gap, piece in zip(gaps, pieces, strict=True)])
+        found.append(1.4826 * float(np.median(values)) if len(values) else 0.0)
+    return np.array(found)
+
+
+def wrapped(angle: Array) -> Array:
+    """The same angle within half a turn."""
+    return angle - 2 * math.pi * np.round(angle / (2 * math.pi))

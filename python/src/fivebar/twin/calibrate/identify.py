@@ -1,0 +1,194 @@
+"""What a record says of each unknown: error bars, the Cramér-Rao bound, correlations, and combinations of which it says nothing.
+
+The bound is that of white noise with the standard deviation of the residuals: (JᵀJ)⁻¹σ², starts of the series included. Error bars
+are the same where residuals are white, and wider where they hang together (a resting encoder, a machine that is not as the scene has
+it): then JᵀJ is put between sums of products of neighbouring scores (Newey and West 1987, with a Bartlett window).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.stats import norm
+
+from fivebar.twin.calibrate.data import Array
+from fivebar.twin.calibrate.fit import WEAK, Fit
+from fivebar.twin.calibrate.parameters import Parameter
+
+LIMIT: Final = 0.5
+"""Standard deviation, in sizes of an unknown, from which on it counts as not identified: half of what the scene says."""
+
+COMES_AGAIN: Final = 0.3
+"""Correlation from which on residuals count as the same ones again."""
+
+DOUBTED: Final = 10.0
+"""How many times the derivatives' own error what is told by them has to be."""
+
+WEIGHT: Final = 0.1
+"""Of an unknown in a combination, from which on it is named."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A direction among the unknowns of which the record says nothing: sizes of each, of unit length."""
+
+    weights: Array
+    sigma: float
+    """Its standard deviation as far as the record says one, in sizes."""
+
+    at: Array
+    """The unknowns where it is so."""
+
+    def sentence(self, sought: list[Parameter]) -> str:
+        """The combination in words."""
+        # Of a factor what counts is its change against what it is.
+        scale = np.array([max(abs(x), 1e-3) if p.factor else 1.0 for p, x in zip(sought, self.at, strict=True)])
+        weights = self.weights / scale
+        weights = weights / np.linalg.norm(weights)
+        order = [int(k) for k in np.argsort(-np.abs(weights)) if abs(weights[k]) > WEIGHT]
+        if len(order) == 1:
+            what = sought[order[0]].name
+        else:
+            lead = float(weights[order[0]])
+            terms = [sought[order[0]].name]
+            for k in order[1:]:
+                ratio = float(weights[k]) / lead
+                terms.append(f"{'-' if ratio < 0 else '+'} {'' if abs(abs(ratio) - 1) < 0.05 else f'{abs(ratio):.2g} '}{sought[k].name}")
+            same = all(sought[k].factor and abs(float(weights[k]) / lead - 1) < 0.05 for k in order)
+            what = f"a common factor of {', '.join(sought[k].name for k in order)}" if same else " ".join(terms)
+            what += "" if same else " (in relative changes)" if all(sought[k].factor for k in order) else " (in sizes)"
+        return f"{what}: the record says nothing of it" if self.sigma > 1e3 else f"{what}: known to ±{1.96 * self.sigma:.2g} only"
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Of all unknowns, in their order; standard deviations in sizes."""
+
+    sigma: Array
+    bound: Array
+    correlation: Array
+    identified: list[bool]
+    combinations: list[Combination]
+    together: "Together"
+    doubt: Array
+    """Relative error of each unknown's derivatives."""
+
+
+def judge(fit: Fit, sought: list[Parameter]) -> Judgement:
+    """What the record says of each unknown."""
+    p = len(sought)
+    weights = 1 / fit.sigma[fit.rows[:, 2]]
+    jacobian = fit.jacobian * weights[:, None]
+    projected = without_starts(jacobian, p)
+    scores = np.concatenate([gap[tuple(fit.rows[fit.rows[:, 0] == number, 1:].T)] for number, gap in enumerate(fit.residuals)]) * weights
+    found = together(fit, scores)
+    bread = projected.T @ projected
+    prior = np.eye(p) / WEAK**2
+    inverse = np.linalg.inv(bread + prior)
+    covariance = inverse
+    if found.lag or found.period:
+        covariance = inverse @ (between(fit, projected, scores, found) + prior) @ inverse
+    sigma = np.sqrt(np.maximum(np.diag(covariance), np.diag(inverse)))
+    doubts = np.linalg.norm(fit.doubt[:, :p] * weights[:, None], axis=0) / np.maximum(np.linalg.norm(jacobian[:, :p], axis=0), 1e-300)
+    combinations = _unknown(jacobian, projected, fit.doubt * weights[:, None], covariance, fit.x)
+    identified = [
+        bool(sigma[k] < LIMIT and doubts[k] < 0.1 and not any(abs(c.weights[k]) > WEIGHT for c in combinations)) for k in range(p)
+    ]
+    scale = np.sqrt(np.diag(covariance))
+    bound = np.sqrt(np.diag(np.linalg.inv(bread + prior)))
+    return Judgement(sigma, bound, covariance / np.outer(scale, scale), identified, combinations, found, doubts)
+
+
+def without_starts(jacobian: Array, p: int) -> Array:
+    """The unknowns' columns, less what starts of the series could do as well."""
+    starts = jacobian[:, p:]
+    scale = np.maximum(np.linalg.norm(starts, axis=0), 1e-300)
+    q, r = np.linalg.qr(starts / scale)
+    q = q[:, np.abs(np.diag(r)) > 1e-9]
+    own = jacobian[:, :p]
+    return np.asarray(own - q @ (q.T @ own))
+
+
+@dataclass(frozen=True)
+class Together:
+    """How residuals hang together."""
+
+    lag: int
+    """Samples; 0: not at all."""
+
+    period: int
+    """Samples after which they come again, as those of a quantised encoder on a motion that repeats; 0: they do not."""
+
+    time_scale: float
+    """How many samples count as one."""
+
+
+def together(fit: Fit, scores: Array) -> Together:
+    """From the autocorrelation of the residuals: summed up to Sokal's window, and looked through for what comes again."""
+    series = [scores[(fit.rows[:, 0] == n) & (fit.rows[:, 2] == e)] for n in range(len(fit.residuals)) for e in (0, 1)]
+    series = [s for s in series if len(s) > 40]
+    if not series:
+        return Together(0, 0, 1.0)
+    longest = max(map(len, series))
+    products = np.zeros(longest // 2)
+    for s in series:
+        spectrum = np.abs(np.fft.rfft(s, 2 * len(s))) ** 2
+        part = np.fft.irfft(spectrum)[: min(len(s), longest) // 2]
+        # As many products for each lag: what comes again looks as large as it is.
+        products[: len(part)] += part * len(s) / (len(s) - np.arange(len(part)))
+    count = sum(map(len, series))
+    products /= products[0]
+    sums = 2 * np.cumsum(products) - 1
+    enough = np.flatnonzero(np.arange(len(sums)) >= 5 * np.maximum(sums, 1.0))
+    window = int(enough[0]) if len(enough) else len(sums) - 1
+    total = float(sums[window])
+    beyond = products[2 * window :] if len(products) > 2 * window else np.zeros(1)
+    again = 2 * window + int(np.argmax(beyond)) if float(beyond.max()) > COMES_AGAIN else 0
+    # What white noise shows by chance: products have a standard deviation of 1/sqrt(count) each.
+    if total - 1.0 < 6.0 * math.sqrt(window / count):
+        window, total = 0, 1.0
+    return Together(2 * window, again, total * (longest / again if again else 1.0))
+
+
+def between(fit: Fit, projected: Array, scores: Array, found: Together) -> Array:
+    """Sums of products of neighbouring scores, Bartlett's window; periods that repeat count as one."""
+    p = projected.shape[1]
+    total = np.zeros((p, p))
+    for number in range(len(fit.residuals)):
+        inside = fit.rows[:, 0] == number
+        length = int(fit.rows[inside, 1].max()) + 1 if inside.any() else 0
+        # Both encoders' scores of a sample together.
+        g = np.zeros((found.period or length, p))
+        np.add.at(g, fit.rows[inside, 1] % len(g), projected[inside] * scores[inside, None])
+        total += g.T @ g
+        for shift in range(1, min(found.lag, len(g) - 1) + 1):
+            part = g[shift:].T @ g[:-shift]
+            total += (1 - shift / (found.lag + 1)) * (part + part.T)
+    # The window may leave a direction with less than nothing.
+    values, vectors = np.linalg.eigh(total)
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+
+
+def _unknown(jacobian: Array, projected: Array, doubt: Array, covariance: Array, at: Array) -> list[Combination]:
+    """Directions with less than the record has to say of them: too wide, or told by errors of the derivatives only."""
+    p = projected.shape[1]
+    starts = jacobian[:, p:]
+    scale = np.maximum(np.linalg.norm(starts, axis=0), 1e-300)
+    found = []
+    _, _, directions = np.linalg.svd(projected, full_matrices=False)
+    for direction in directions:
+        with_it = jacobian[:, :p] @ direction
+        # What the starts do at the same time, so that little is seen of it.
+        answer = -np.linalg.lstsq(starts / scale, with_it, rcond=1e-9)[0] / scale
+        seen = float(np.linalg.norm(with_it + starts @ answer))
+        errs = float(np.linalg.norm(doubt @ np.concatenate([direction, answer])))
+        sigma = math.sqrt(float(direction @ covariance @ direction)) if seen > DOUBTED * errs else math.inf
+        if sigma > LIMIT:
+            found.append(Combination(direction, sigma, at))
+    return found
+
+
+def interval(sigma: float, level: float = 0.95) -> float:
+    """Half of the interval that holds the truth with that probability."""
+    return float(norm.ppf(0.5 + level / 2)) * sigma

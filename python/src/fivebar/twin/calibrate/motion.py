@@ -1,0 +1,144 @@
+"""Runs of the unit along what the drives were told: the motion that an encoder would have seen, for given unknowns and a given start."""
+
+from collections.abc import Sequence
+from ctypes import c_double
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from fmpy import fmi2
+from fmpy.fmi1 import FMICallException
+from scipy.interpolate import CubicHermiteSpline
+
+from fivebar.twin.calibrate.data import Array, Samples
+from fivebar.twin.calibrate.parameters import DELAY, OFFSETS, Parameter, Values, assemble
+from fivebar.twin.unit import Library, Unit, UnitError
+
+METHOD: Final[Values] = {"solver.method": 6, "solver.maxWork": 2000}
+"""automatic: its error is where one wants it, also where drives are stiff."""
+
+SHOWN: Final = ("theta[1]", "theta[2]", "omega[1]", "omega[2]")
+LOST: Final = 1e3
+"""rad: what a run shows that could not go on."""
+
+Between = Literal["rate", "linear", "hold"]
+"""What drives do between two samples: servo.theta goes on at servo.omega, as the twin has it; straight lines; or all is held."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where a series begins: angles, rad; rates, rad/s; the side of the tip."""
+
+    state: Array
+    """(4): theta[1], theta[2], omega[1], omega[2]."""
+
+    assembly: int
+
+
+class Path:
+    """What the drives are told along a series, ready for calls: at each sample, and where samples were lost at the times of these."""
+
+    def __init__(self, samples: Samples, between: Between, library: Library, period: float):
+        self.samples = samples
+        self.time = samples.time - samples.time[0]
+        self.references = (fmi2.fmi2ValueReference * len(samples.names))(*(library.variable(name).valueReference for name in samples.names))
+        self.knots, self.rows = with_lost(self.time, period)
+        commands = told(self.time, samples.commands, samples.names, self.knots)
+        steps = np.diff(self.knots)
+        slopes = np.zeros_like(commands[:-1])
+        if between == "linear":
+            slopes = np.diff(commands, axis=0) / steps[:, None]
+        elif between == "rate":
+            for j, name in enumerate(samples.names):
+                rate = name.replace("theta", "omega")
+                if name.startswith("servo.theta") and rate in samples.names:
+                    slopes[:, j] = commands[:-1, samples.names.index(rate)]
+        self.first = dict(zip(samples.names, commands[0].tolist(), strict=True))
+        self.values = [(c_double * len(row))(*row) for row in commands.tolist()]
+        self.slopes = [(c_double * len(row))(*row) if any(row) else None for row in slopes.tolist()]
+        self.orders = (fmi2.fmi2Integer * len(samples.names))(*([1] * len(samples.names)))
+
+
+def with_lost(time: Array, period: float) -> tuple[Array, Array]:
+    """Times with those of lost samples between them; which of them are the samples'."""
+    counts = np.maximum(1, np.round(np.diff(time) / period)).astype(int)
+    rows = np.concatenate([[0], np.cumsum(counts)])
+    return np.interp(np.arange(rows[-1] + 1), rows, time), rows
+
+
+def told(time: Array, commands: Array, names: tuple[str, ...], knots: Array) -> Array:
+    """What drives were told at other times too: angles of servos on cubics through angles and rates, all else on straight lines."""
+    if len(knots) == len(time):
+        return commands
+    found = np.column_stack([np.interp(knots, time, column) for column in commands.T]) if len(names) else np.empty((len(knots), 0))
+    for j, name in enumerate(names):
+        rate = name.replace("theta", "omega")
+        if name.startswith("servo.theta") and rate in names:
+            cubic = CubicHermiteSpline(time, commands[:, j], commands[:, names.index(rate)])
+            found[:, j], found[:, names.index(rate)] = cubic(knots), cubic(knots, 1)
+    return found
+
+
+class Machine:
+    """An instance of the unit that is started again and again."""
+
+    def __init__(self, library: Library, scene: Values, sought: Sequence[Parameter]):
+        self.library, self.scene, self.sought = library, scene | METHOD, sought
+        self.unit = Unit(library, "calibrate")
+        self.shown = (fmi2.fmi2ValueReference * 4)(*(library.variable(name).valueReference for name in SHOWN))
+        self.runs = 0
+        self.failure = ""
+        """Why the last run that failed did."""
+
+    def tolerance(self, error: float) -> None:
+        """Error per step of the runs that follow, rad."""
+        self.scene = self.scene | {"solver.errorTolerance": error}
+
+    def run(self, path: Path, x: Array, start: Start) -> tuple[Array, int]:
+        """Angles and rates, (knots, 4); and on which side the tip is in the end."""
+        self.runs += 1
+        out = np.full((len(path.knots), 4), LOST)
+        values = assemble(self.scene, self.library, self.sought, x.tolist())
+        values |= {f"init.{name}": value for name, value in zip(SHOWN, start.state.tolist(), strict=True)}
+        values["init.assembly"] = start.assembly
+        unit, slave = self.unit, self.unit.slave
+        buffer = (c_double * 4)()
+        count = len(path.references)
+        times = path.knots.tolist()
+        try:
+            unit.start(values | path.first)
+            for k, time in enumerate(times):
+                slave.fmi2GetReal(slave.component, self.shown, 4, buffer)
+                out[k] = buffer
+                if k + 1 < len(times):
+                    if count:
+                        slave.fmi2SetReal(slave.component, path.references, count, path.values[k])
+                        if path.slopes[k] is not None:
+                            slave.fmi2SetRealInputDerivatives(slave.component, path.references, count, path.orders, path.slopes[k])
+                    slave.fmi2DoStep(slave.component, time, times[k + 1] - time, 1)
+            assembly = int(unit.get(["mode.assembly"])["mode.assembly"])
+        except (FMICallException, UnitError) as error:
+            self.failure = str(error) if isinstance(error, UnitError) else (unit.log[-1] if unit.log else str(error))
+            return out, start.assembly
+        return out, assembly if assembly in (1, 2) else start.assembly
+
+    def seen(self, path: Path, motion: Array, x: Array) -> Array:
+        """What encoders show of that motion at the samples' times, (n, 2): late, and with their offsets."""
+        added = {p.name: p.value(number)[0] for p, number in zip(self.sought, x.tolist(), strict=True) if not p.members}
+        angles = late(path.knots, motion, added.get(DELAY, 0.0))
+        return angles[path.rows] + np.array([added.get(name, 0.0) for name in OFFSETS])
+
+    def close(self) -> None:
+        """Frees the unit."""
+        self.unit.close()
+
+
+def late(time: Array, motion: Array, delay: float) -> Array:
+    """Angles `delay` s before each time, by cubics through angles and rates; outside of all times at the rate of the nearest."""
+    if delay == 0.0:
+        return motion[:, :2]
+    at = time - delay
+    inside = np.clip(at, time[0], time[-1])
+    cubic = CubicHermiteSpline(time, motion[:, :2], motion[:, 2:])(inside)
+    k = np.where(at < time[0], 0, len(time) - 1)
+    return np.asarray(cubic + (at - inside)[:, None] * motion[k, 2:])

@@ -1,0 +1,179 @@
+"""What is sought: parameters of the unit by name, several of them in one proportion, and what encoders add.
+
+`link[1,4].mass` is one unknown: a common factor on both masses. Each unknown is a number of size 1, `x`, that is 1 (a factor) or 0 (an
+addition) where the machine is as the scene says. With a link's mass its inertia goes in proportion, with its length its centre of
+mass and, by the square, its inertia; with Coulomb friction goes breakaway friction.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from fivebar.twin.errors import TwinError
+from fivebar.twin.unit import Library
+
+Values = dict[str, float | int | bool]
+
+OFFSETS: Final = ("encoder.offset[1]", "encoder.offset[2]")
+DELAY: Final = "encoder.delay"
+ADDITIONS: Final = {**dict.fromkeys(OFFSETS, ("rad", 0.2)), DELAY: ("s", 0.02)}
+"""What is not of the unit, but between it and what is measured: unit, and a size that would be much."""
+
+MUCH_ANGLE: Final = 0.2
+"""rad; a size that would be much for an angle that is not known."""
+
+SWITCHES: Final = {"payload": "payload.enabled", "viscous": "viscous.enabled", "friction": "friction.enabled", "spring": "spring.enabled", "rotor": "rotor.enabled"}
+"""What has to be on for parameters that begin so."""
+
+USUAL: Final = (
+    "payload.mass",
+    *(f"link[{i}].mass" for i in (1, 2, 3, 4)),
+    "link[1,4].length",
+    "link[2,3].length",
+    "base.distance",
+    "viscous.b[1,5]",
+    "viscous.b[2,3,4]",
+    "friction.coulomb[1,5]",
+    "gravity.direction",
+    *OFFSETS,
+)
+"""What is sought if nothing is said."""
+
+BRACKETS: Final = re.compile(r"\[([\d,]+)\]")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One unknown."""
+
+    name: str
+    unit: str
+    members: tuple[str, ...]
+    """Variables of the unit; none for what encoders add."""
+
+    base: tuple[float, ...]
+    """Their values where x is 1 (factor), or 0 (addition)."""
+
+    factor: bool
+    size: float
+    """Of an addition: what x = 1 adds. Of a factor 1."""
+
+    lowest: float
+    """The least x."""
+
+    start: float
+    """x where the fit begins."""
+
+    def value(self, x: float) -> tuple[float, ...]:
+        """Of each member (of what encoders add: the only one)."""
+        return tuple(base * x if self.factor else base + self.size * x for base in self.base)
+
+    def bar(self, sigma: float) -> tuple[float, ...]:
+        """A standard deviation of x as one of each member."""
+        return tuple(abs(base) * sigma if self.factor else self.size * sigma for base in self.base)
+
+    @property
+    def origin(self) -> float:
+        """x of the scene."""
+        return 1.0 if self.factor else 0.0
+
+
+def parameters(names: Sequence[str], library: Library, scene: Values) -> list[Parameter]:
+    """The unknowns of those names; the scene says where they begin."""
+    found = [_parameter(name, library, scene) for name in names]
+    seen: dict[str, str] = {}
+    for parameter in found:
+        for member in parameter.members or (parameter.name,):
+            if member in seen:
+                raise TwinError(f"{member} is sought twice: in {seen[member]} and in {parameter.name}")
+            seen[member] = parameter.name
+    return found
+
+
+def _parameter(name: str, library: Library, scene: Values) -> Parameter:
+    if name in ADDITIONS:
+        unit, size = ADDITIONS[name]
+        return Parameter(name, unit, (), (0.0,), False, size, -10.0, 0.0)
+    members = _members(name, library)
+    first = library.variable(members[0])
+    unit = first.unit or getattr(first.declaredType, "unit", None) or "1"
+    base = tuple(float(scene.get(member, library.variable(member).start)) for member in members)
+    if unit == "rad":
+        return Parameter(name, unit, members, base, False, MUCH_ANGLE, -20.0, 0.0)
+    switch = SWITCHES.get(name.partition(".")[0])
+    off = switch is not None and not scene.get(switch, False)
+    if off or not any(base):
+        # Nothing to be a factor of: what the unit starts with says how much would be much.
+        size = max((abs(float(library.variable(member).start)) for member in members), default=0.0) or 1.0
+        return Parameter(name, unit, members, (0.0,) * len(members), False, size, 0.0, 0.1)
+    rigid = name.endswith((".mass", ".length", ".distance", ".inertia")) and not name.startswith("payload")
+    return Parameter(name, unit, members, base, True, 1.0, 0.02 if rigid else 0.0, 1.0)
+
+
+def _members(name: str, library: Library) -> tuple[str, ...]:
+    """The variables that a name means: with a list in brackets, or all indices if there are no brackets."""
+    found = BRACKETS.search(name)
+    if found:
+        members = tuple(name[: found.start()] + f"[{index}]" + name[found.end() :] for index in found[1].split(",") if index)
+    elif name in library.variables:
+        members = (name,)
+    else:
+        members = tuple(other for other in library.variables if BRACKETS.sub("", other) == name)
+    for member in members or (name,):
+        variable = library.variables.get(member)
+        if variable is None or variable.causality != "parameter" or variable.type != "Real" or member.startswith(("solver.", "estimator.", "init.")):
+            raise TwinError(f"{name} cannot be sought: {member} is no parameter of the machine; {', '.join(USUAL)} and {DELAY} are examples")
+    return members
+
+
+def assemble(scene: Values, library: Library, sought: Sequence[Parameter], x: Sequence[float]) -> Values:
+    """Start values of the unit with those values of the unknowns."""
+    values = dict(scene)
+
+    def scale(member: str, factor: float) -> None:
+        if member not in given:
+            values[member] = float(values.get(member, library.variable(member).start)) * factor
+
+    given = {member for parameter in sought for member in parameter.members}
+    for parameter, number in zip(sought, x, strict=True):
+        if not parameter.members:
+            continue
+        switch = SWITCHES.get(parameter.name.partition(".")[0])
+        if switch:
+            values[switch] = True
+        for member, base, value in zip(parameter.members, parameter.base, parameter.value(number), strict=True):
+            values[member] = value
+            factor = value / base if base else None
+            if member.startswith("link[") and factor is not None:
+                link = member.partition(".")[0]
+                if member.endswith(".mass"):
+                    scale(f"{link}.inertia", factor)
+                elif member.endswith(".length"):
+                    scale(f"{link}.com", factor)
+                    scale(f"{link}.inertia", factor**2)
+            elif member.startswith("friction.coulomb["):
+                breakaway = member.replace("coulomb", "breakaway")
+                if breakaway not in given:
+                    # In the proportion of the scene, or of the unit where the scene has no friction.
+                    slip, stick = (float(scene.get(n, library.variable(n).start)) for n in (member, breakaway))
+                    values[breakaway] = value * (stick / slip if slip else 1.0)
+    _friction_of_others(values, scene, library, sought)
+    return values
+
+
+def _friction_of_others(values: Values, scene: Values, library: Library, sought: Sequence[Parameter]) -> None:
+    """Joints without a sought friction keep none where the scene's friction is off and only sought friction switched it on."""
+    for prefix, switch in (("viscous.b", "viscous.enabled"), ("friction.", "friction.enabled")):
+        if not values.get(switch) or scene.get(switch):
+            continue
+        touched = {member for p in sought for member in p.members}
+        touched |= {member.replace("coulomb", "breakaway") for member in touched}
+        for name, variable in library.variables.items():
+            if name.startswith(prefix) and "[" in name and variable.causality == "parameter" and name not in touched:
+                values[name] = 0.0
+
+
+def shown(values: Mapping[str, float | int | bool]) -> str:
+    """For sentences."""
+    return ", ".join(f"{name} = {value:g}" for name, value in values.items())

@@ -1,0 +1,75 @@
+"""The pictures of a calibration: residuals, and what the record says of each unknown."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from fivebar.twin.calibrate.fit import Fit
+from fivebar.twin.calibrate.identify import Judgement, interval
+from fivebar.twin.calibrate.parameters import Parameter
+from fivebar.drawing import FAINT, INK, LEFT, RIGHT, STYLE, TIP, WRONG, save
+
+
+def draw(out: Path, fit: Fit, judgement: Judgement, sought: Sequence[Parameter]) -> list[Path]:
+    """Draws all into a folder; the files written."""
+    with plt.rc_context(STYLE):
+        return [save(_residuals(fit), out / "residuals.png"), save(_unknowns(fit, judgement, sought), out / "unknowns.png")]
+
+
+def _residuals(fit: Fit) -> Figure:
+    """Measured minus computed, of both encoders, with what was left out, and how values spread."""
+    figure, rows = plt.subplots(2, 2, figsize=(11, 5.6), width_ratios=(4, 1), sharex="col")
+    for i, colour in enumerate((LEFT, RIGHT)):
+        axes, side = rows[i]
+        sigma = 1e3 * fit.sigma[i]
+        kept = []
+        for piece, gap in zip(fit.pieces, fit.residuals, strict=True):
+            time, values, mask = piece.path.samples.time, 1e3 * gap[:, i], piece.mask[:, i]
+            axes.plot(time[mask], values[mask], ".", markersize=2, color=colour)
+            out = ~mask & np.isfinite(values)
+            axes.plot(time[out], np.clip(values[out], -6 * sigma, 6 * sigma), "x", markersize=4, color=WRONG)
+            kept.append(values[mask])
+        axes.axhspan(-2 * sigma, 2 * sigma, color=FAINT, alpha=0.25, linewidth=0)
+        axes.set_ylim(-6.5 * sigma, 6.5 * sigma)
+        axes.set_ylabel("measured − computed  (mrad)")
+        axes.set_title(f"Encoder {i + 1}: σ = {sigma:.3g} mrad; band: ±2 σ; crosses: not compared")
+        values = np.concatenate(kept)
+        edges = np.linspace(-5 * sigma, 5 * sigma, 61)
+        side.hist(values, edges, orientation="horizontal", color=colour, alpha=0.6)
+        bell = np.exp(-((edges / sigma) ** 2) / 2) / np.sqrt(2 * np.pi) / sigma * len(values) * (edges[1] - edges[0])
+        side.plot(bell, edges, color=INK, linewidth=1)
+        side.set_ylim(axes.get_ylim())
+        side.set_title("spread; line: normal")
+    rows[1, 0].set_xlabel("time  (s)")
+    rows[1, 1].set_xlabel("samples")
+    return figure
+
+
+def _unknowns(fit: Fit, judgement: Judgement, sought: Sequence[Parameter]) -> Figure:
+    """Each unknown against the scene's value with its error bar and the bound, and the correlations."""
+    count = len(sought)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 1.6 + 0.34 * count), width_ratios=(3, 2))
+    rows = np.arange(count)
+    origin = np.array([p.origin for p in sought])
+    for k, parameter in enumerate(sought):
+        change = 100 * (fit.x[k] - origin[k])
+        if not judgement.identified[k]:
+            left.text(0, k, f"  {parameter.name}: not identified", color=WRONG, va="center", fontsize=8)
+            continue
+        left.errorbar(change, k, xerr=100 * interval(judgement.sigma[k]), fmt="o", color=LEFT, capsize=4, markersize=4)
+        left.errorbar(change, k + 0.22, xerr=100 * interval(judgement.bound[k]), fmt="none", color=TIP, capsize=2, linewidth=1)
+    left.axvline(0, color=INK, linewidth=0.8)
+    left.set_yticks(rows, [p.name for p in sought])
+    left.invert_yaxis()
+    left.set_xlabel("change against the scene, % of its size")
+    left.set_title("95 % error bars (blue) and Cramér-Rao bound (orange)")
+    image = right.imshow(judgement.correlation, cmap="RdBu_r", vmin=-1, vmax=1)
+    right.set_yticks(rows, [p.name for p in sought], fontsize=8)
+    right.set_xticks(rows, [p.name for p in sought], rotation=90, fontsize=8)
+    right.grid(False)
+    right.set_title("correlations")
+    figure.colorbar(image, ax=right, shrink=0.8)
+    return figure

@@ -1,0 +1,201 @@
+"""The one configuration file of a run: what every process of it has to know. A starter writes it, the processes read it."""
+
+import ipaddress
+import json
+import math
+import re
+import socket
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from fivebar.twin.errors import TwinError
+from fivebar.twin.messages import UNIT_NAME
+
+LARGEST_FILE: Final = 4_000_000
+"""Bytes of a configuration, a scene or a stored state that are read at most."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Broker:
+    """Where the broker is, and who asks. Beyond this machine only with user, password and TLS."""
+
+    host: str = "127.0.0.1"
+    port: int = 1883
+    embedded: bool = True
+    user: str = ""
+    password: str = ""
+    ca_file: str = ""
+    """Certificates that the broker's is checked against; "" is plain TCP, "system" are those of the system."""
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What goes wrong on purpose between the machine and its broker: shares of the samples. All 0 in a default run."""
+
+    lost: float = 0.0
+    doubled: float = 0.0
+    late: float = 0.0
+    malformed: float = 0.0
+    clock_jump: float = 0.0
+    """A jump of the machine's clock in s, half-way."""
+
+
+@dataclass(frozen=True)
+class Machine:
+    """The stand-in: what the real machine has and the twin does not know, and its encoders."""
+
+    hidden: dict[str, float | int | bool] = field(default_factory=dict)
+    """Start values that differ from the scene's."""
+
+    quantum: float = 2 * math.pi / 2**16
+    """A step of the encoders, rad; 0 is none."""
+
+    sigma: float = 0.0
+    """White noise of the encoders, rad."""
+
+    delay: float = 0.0
+    """Between sampling and sending, s."""
+
+    drop_outs: float = 0.0
+    """Share of samples that an encoder leaves out."""
+
+    csv: str = ""
+    """A recording that is played in the place of the stand-in."""
+
+    seed: int = 1
+    faults: Faults = field(default_factory=Faults)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Everything. Times in s, angles in rad."""
+
+    folder: str
+    """Where the run keeps what it writes."""
+
+    fmu: str
+    scene: str
+    """A scene as `cargo xtask package` writes it to target/scenes/."""
+
+    unit: str = "bench"
+    """What the machine is called in topics."""
+
+    broker: Broker = field(default_factory=Broker)
+    machine: Machine = field(default_factory=Machine)
+    dashboard_port: int = 0
+    period: float = 0.005
+    """Between two samples."""
+
+    forecast_rate: float = 20.0
+    horizon: float = 0.5
+    twin: dict[str, float | int | bool] = field(default_factory=dict)
+    """Start values of the twin that differ from the scene's."""
+
+    @property
+    def path(self) -> Path:
+        return Path(self.folder)
+
+    @property
+    def record(self) -> Path:
+        """The folder of the record's parts."""
+        return self.path / "record"
+
+
+def write(config: Config, file: Path) -> None:
+    """Writes it so that only its owner can read it, for it may hold a password."""
+    file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    file.touch(mode=0o600)
+    file.write_text(json.dumps(asdict(config), indent=2) + "\n", encoding="utf-8")
+
+
+def read(file: Path) -> Config:
+    """The configuration, checked."""
+    content = read_json(file)
+    broker, machine = content.pop("broker", {}), content.pop("machine", {})
+    faults = machine.pop("faults", {})
+    config = _of(
+        Config,
+        content,
+        file,
+        broker=_of(Broker, broker, file),
+        machine=_of(Machine, machine, file, faults=_of(Faults, faults, file)),
+    )
+    check(config)
+    return config
+
+
+def _of(kind: type[T], content: Any, file: Path, **parts: Any) -> T:
+    if not isinstance(content, dict):
+        raise TwinError(f"{file}: {kind.__name__} is {content!r:.60}, not an object")
+    known = {f.name: f.type for f in fields(kind)}  # type: ignore[arg-type]
+    if unknown := content.keys() - known.keys():
+        raise TwinError(f"{file}: {min(unknown)!r} is not known; {kind.__name__} has {', '.join(known)}")
+    try:
+        return kind(**content, **parts)
+    except TypeError as error:
+        raise TwinError(f"{file}: {error}") from None
+
+
+def read_json(file: Path, largest: int = LARGEST_FILE) -> dict[str, Any]:
+    """An object from a file of limited size."""
+    try:
+        with file.open("rb") as stream:
+            text = stream.read(largest + 1)
+    except OSError as error:
+        raise TwinError(f"{file} cannot be read: {error.strerror}") from None
+    if len(text) > largest:
+        raise TwinError(f"{file} has more than {largest} bytes")
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise TwinError(f"{file} is not JSON: {str(error)[:100]}") from None
+    if not isinstance(content, dict):
+        raise TwinError(f"{file} is not an object")
+    return content
+
+
+def check(config: Config) -> None:
+    """Refuses what cannot work or must not."""
+    if UNIT_NAME.fullmatch(config.unit) is None:
+        raise TwinError(f"unit is {config.unit!r:.80}; letters, digits, - and _ are allowed, at most 64")
+    for name, value, lowest, highest in (
+        ("period", config.period, 1e-4, 1.0),
+        ("horizon", config.horizon, 10 * config.period, 10.0),
+        ("forecast_rate", config.forecast_rate, 0.1, 1000.0),
+    ):
+        if type(value) not in (int, float) or not lowest <= value <= highest:
+            raise TwinError(f"{name} is {value!r}; {lowest:g} to {highest:g} are allowed")
+    check_broker(config.broker)
+
+
+def check_broker(broker: Broker) -> None:
+    """Beyond the loopback interface only with user, password and TLS."""
+    if is_loopback(broker.host):
+        return
+    missing = [name for name in ("user", "password", "ca_file") if not getattr(broker, name)]
+    if missing:
+        raise TwinError(
+            f"broker {broker.host} is not on this machine: user, password and TLS (ca_file) are required there, and {', '.join(missing)} "
+            "is missing"
+        )
+
+
+def is_loopback(host: str) -> bool:
+    """Whether every address of that name is on the loopback interface."""
+    try:
+        found = {str(info[4][0]) for info in socket.getaddrinfo(host, None)}
+    except OSError:
+        # A name that nothing is known of is not this machine.
+        return False
+    return bool(found) and all(ipaddress.ip_address(address.split("%")[0]).is_loopback for address in found)
+
+
+def host_and_port(text: str) -> tuple[str, int]:
+    """HOST:PORT, with [ ] around an address of IPv6."""
+    found = re.fullmatch(r"(?:\[([0-9A-Fa-f:.]+)\]|([^\s:\[\]]+)):(\d{1,5})", text)
+    if found is None or not 0 < int(found[3]) < 65536:
+        raise TwinError(f"broker is {text!r:.80}; HOST:PORT is expected, with a port from 1 to 65535")
+    return found[1] or found[2], int(found[3])

@@ -1,0 +1,298 @@
+"""The dashboard's process: one page on the loopback interface, and the way from its WebSocket to the broker, whichever that is.
+
+The way knows so much of MQTT that it can tell one packet from the next. A page says `drawn N` when it has drawn
+the N messages that it got; until then it gets nothing more of what comes all the time (`SKIPPED`), and then the newest: a page that is
+slow leaves out, and is not late.
+
+A page of another site must not reach the broker through the user's browser: the names of host and origin are checked, and the page
+may load nothing from elsewhere.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import json
+import logging
+import ssl
+from collections import deque
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any, Final
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+from websockets.typing import Origin, Subprotocol
+
+from fivebar.twin import priority, process, scene
+from fivebar.twin.config import Config
+from fivebar.twin.messages import SCHEMA_FILE
+from fivebar.twin.unit import Library
+
+SCRIPT: Final = "text/javascript; charset=utf-8"
+FOLDER: Final = Path(__file__).with_name("page")
+FILES: Final = {
+    "/": (FOLDER / "dashboard.html", "text/html; charset=utf-8"),
+    "/messages.schema.json": (SCHEMA_FILE, "application/json"),
+    **{f"/{name}": (FOLDER / name, SCRIPT) for name in ("dashboard.js", "mqtt.min.js")},
+    **{f"/json-schema/{file.name}": (file, SCRIPT) for file in sorted(FOLDER.glob("json-schema/*.js"))},
+}
+POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'unsafe-inline'; connect-src 'self'; img-src data:"
+LARGEST: Final = 1_000_000
+"""Bytes of a frame, and of a packet of MQTT."""
+
+SKIPPED: Final = ("meas", "est", "forecast")
+"""Kinds of which a page that is slow gets the newest only."""
+
+KEPT: Final = 8
+"""Of each of these kinds while a page draws: what comes between two pictures of a fast one."""
+
+WAITING: Final = 1000
+"""Other packets that may wait for a page that takes nothing; then it is left."""
+
+PUBLISH: Final = 3
+"""The type of MQTT's packet with a message."""
+
+log = logging.getLogger("fivebar")
+
+
+def about(config: Config) -> dict[str, Any]:
+    """What the page has to know: names, geometry, what the tip or the links may run against."""
+    content = scene.read(Path(config.scene))
+    library = Library(Path(config.fmu))
+
+    def value(name: str) -> Any:
+        return content.values.get(name, library.variable(name).start)
+
+    def switched(name: str) -> bool:
+        return str(value(name)).lower() == "true"
+
+    try:
+        stops = [[float(value(f"stop.{limit}[{i}]")) for limit in ("lower", "upper")] for i in (1, 2)]
+        plane = {"normal": [float(value("contact.nx")), float(value("contact.ny"))], "offset": float(value("contact.offset"))}
+        return {
+            "unit": config.unit,
+            "scene": content.name,
+            "description": content.description,
+            "base": float(value("base.distance")),
+            "lengths": [float(value(f"link[{i}].length")) for i in (1, 2, 3, 4)],
+            "stops": stops if switched("stop.enabled") else None,
+            "plane": plane if switched("contact.enabled") else None,
+            "period": config.period,
+            "horizon": config.horizon,
+            "statuses": {int(item.value): item.description for item in library.variable("estimated.status").declaredType.items},
+            "login": bool(config.broker.user),
+        }
+    finally:
+        library.close()
+
+
+class Server:
+    """Files, and the way to the broker."""
+
+    def __init__(self, config: Config):
+        self.config = config
+        self.contents = {path: (file.read_bytes(), kind) for path, (file, kind) in FILES.items()}
+        self.contents["/about.json"] = json.dumps(about(config)).encode(), "application/json"
+        self.hosts = [f"{name}:{config.dashboard_port}" for name in ("127.0.0.1", "localhost")]
+        self.origins: list[Origin | None] = [Origin(f"http://{host}") for host in self.hosts]
+        self.pages = 0
+
+    def listening(self) -> serve:
+        """The server at work, as a context."""
+        return serve(
+            self.relay,
+            "127.0.0.1",
+            self.config.dashboard_port,
+            origins=self.origins,
+            subprotocols=[Subprotocol("mqtt")],
+            process_request=self.answer,
+            max_size=LARGEST,
+            compression=None,
+        )
+
+    def answer(self, _connection: ServerConnection, request: Request) -> Response | None:
+        """A file; None for a WebSocket."""
+        if request.headers.get_all("Host") not in [[host] for host in self.hosts]:
+            return self._response(HTTPStatus.FORBIDDEN, b"this page is for this machine only\n", "text/plain")
+        if request.path == "/mqtt":
+            return None
+        content = self.contents.get(request.path.partition("?")[0])
+        if content is None:
+            return self._response(HTTPStatus.NOT_FOUND, b"there is no such page\n", "text/plain")
+        return self._response(HTTPStatus.OK, *content)
+
+    @staticmethod
+    def _response(status: HTTPStatus, body: bytes, kind: str) -> Response:
+        headers = Headers(
+            {
+                "Content-Type": kind,
+                "Content-Length": str(len(body)),
+                "Content-Security-Policy": POLICY,
+                "X-Content-Type-Options": "nosniff",
+                "X-Frame-Options": "DENY",
+                "Cache-Control": "no-store",
+            }
+        )
+        return Response(status.value, status.phrase, headers, body)
+
+    async def relay(self, page: ServerConnection) -> None:
+        """MQTT between a page and the broker, as it is."""
+        broker = self.config.broker
+        context = None
+        if broker.ca_file:
+            context = ssl.create_default_context(cafile=None if broker.ca_file == "system" else broker.ca_file)
+        try:
+            reader, writer = await asyncio.open_connection(broker.host, broker.port, ssl=context)
+        except OSError as error:
+            log.warning("no way to the broker: %s", error)
+            return
+        self.pages += 1
+        pace = Pace()
+        ways = {asyncio.create_task(way) for way in (_to_broker(page, writer, pace), _from_broker(reader, pace), _to_page(page, pace))}
+        try:
+            await asyncio.wait(ways, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for way in ways:
+                way.cancel()
+            await asyncio.gather(*ways, return_exceptions=True)
+            writer.close()
+            self.pages -= 1
+
+
+class Pace:
+    """What a page gets next: packets in their order, of what is skipped the newest."""
+
+    def __init__(self) -> None:
+        self.come = asyncio.Event()
+        self.others: deque[tuple[int, bytes]] = deque()
+        self.newest: dict[bytes, deque[tuple[int, bytes]]] = {}
+        self.count = 0
+        self.sent = self.drawn = 0
+        """Messages of kinds that are skipped: that the page got, and that it has drawn."""
+
+        self.says = False
+        """Whether this page says so at all; one that does not gets everything."""
+
+    def put(self, packet: bytes) -> bool:
+        """A packet of the broker; whether there is room for it."""
+        self.count += 1
+        subject = topic_of(packet)
+        skipped = subject is not None and subject.rpartition(b"/")[2].decode("ascii", "replace") in SKIPPED
+        if skipped and self.says and subject is not None:
+            self.newest.setdefault(subject, deque(maxlen=KEPT)).append((self.count, packet))
+        else:
+            self.sent += skipped
+            self.others.append((self.count, packet))
+        self.come.set()
+        return len(self.others) <= WAITING
+
+    def tell(self, drawn: int) -> None:
+        """The page has drawn so many."""
+        self.says, self.drawn = True, drawn
+        self.come.set()
+
+    async def next(self) -> bytes:
+        """What is to be sent now, as soon as there is something."""
+        while True:
+            self.come.clear()
+            taken = list(self.others)
+            self.others.clear()
+            if self.drawn >= self.sent:
+                held = [each for kind in self.newest.values() for each in kind]
+                self.newest.clear()
+                self.sent += len(held)
+                taken += held
+            if taken:
+                return b"".join(packet for _, packet in sorted(taken))
+            await self.come.wait()
+
+
+def topic_of(packet: bytes) -> bytes | None:
+    """The topic of a message that is sent once (QoS 0); None of every other packet."""
+    if packet[0] >> 4 != PUBLISH or packet[0] & 0b110:
+        return None
+    begin = 2 + next(i for i, byte in enumerate(packet[1:5]) if byte < 0x80)
+    return packet[begin + 2 : begin + 2 + int.from_bytes(packet[begin : begin + 2])]
+
+
+async def packet_from(reader: asyncio.StreamReader) -> bytes:
+    """The broker's next packet: a byte, a length of one to four bytes with seven bits each, and so many bytes."""
+    head = await reader.readexactly(2)
+    while head[-1] >= 0x80 and len(head) < 5:
+        head += await reader.readexactly(1)
+    length = sum((byte & 0x7F) << 7 * place for place, byte in enumerate(head[1:]))
+    if length > LARGEST:
+        raise OSError(f"a packet of {length} bytes; at most {LARGEST} are taken")
+    return head + await reader.readexactly(length)
+
+
+async def _to_broker(page: ServerConnection, writer: asyncio.StreamWriter, pace: Pace) -> None:
+    with contextlib.suppress(ConnectionClosed, OSError):
+        async for frame in page:
+            if isinstance(frame, str):
+                word, _, count = frame.partition(" ")
+                if word != "drawn" or not (count.isascii() and count.isdigit() and len(count) < 16):
+                    return
+                pace.tell(int(count))
+                continue
+            writer.write(frame)
+            await writer.drain()
+
+
+async def _from_broker(reader: asyncio.StreamReader, pace: Pace) -> None:
+    with contextlib.suppress(asyncio.IncompleteReadError, OSError):
+        while pace.put(await packet_from(reader)):
+            pass
+
+
+async def _to_page(page: ServerConnection, pace: Pace) -> None:
+    with contextlib.suppress(ConnectionClosed, OSError):
+        while True:
+            await page.send(await pace.next())
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    process.arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serves until told to stop."""
+    process.set_up_log()
+    quiet()
+    return asyncio.run(_serve(process.read_config(arguments)))
+
+
+def quiet() -> None:
+    """What websockets says of a page that it refuses is one line, without where in the code."""
+    of_library = logging.getLogger("websockets")
+    of_library.setLevel(logging.WARNING)
+    of_library.propagate = False
+    of_library.addHandler(OneLine())
+
+
+class OneLine(logging.Handler):
+    """Hands a message on to our own log, with the cause of an exception behind it."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        error = record.exc_info[1] if record.exc_info else None
+        causes = []
+        while error is not None and len(causes) < 4:
+            causes.append(" ".join(str(error).split())[:200])
+            error = error.__cause__
+        log.warning("%s", ": ".join([record.getMessage(), *filter(None, causes)]))
+
+
+async def _serve(config: Config) -> int:
+    server = Server(config)
+    priority.take("dashboard")
+    stop, disk = process.Stop(), process.Disk()
+    status = process.Status(config, "dashboard", disk)
+    async with server.listening():
+        while not stop.wait(0):
+            if status.due(True):
+                status.write({"name": "dashboard", "ready": True, "pages": server.pages, "memory_kb": process.memory_kb()})
+            await asyncio.sleep(process.TICK)
+    disk.close()
+    return 0

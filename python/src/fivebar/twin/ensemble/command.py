@@ -1,0 +1,240 @@
+"""`fivebar-twin ensemble`: many runs that differ as much as one does not know, on Dask."""
+
+import argparse
+import base64
+import json
+import math
+import sys
+import time
+import uuid
+from pathlib import Path
+from typing import Any, Final
+
+
+from fivebar.twin import config, scene
+from fivebar.twin.calibrate import scenes
+from fivebar.twin.calibrate.parameters import Values
+from fivebar.twin.ensemble.member import STATE, Plan, Runner, spreads
+from fivebar.twin.errors import TwinError
+from fivebar.twin.replay import default_fmu
+from fivebar.twin.unit import Library, Unit
+
+USUAL: Final = {"theta[1]": 2e-3, "theta[2]": 2e-3, "link[1,4].mass": 0.01, "link[2,3].mass": 0.01}
+"""Spreads if nothing is said: 2 mrad where a run begins, 1 % of the masses."""
+
+LARGEST_STATE: Final = 4_000_000
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--members", type=int, default=1000, metavar="N", help="[default: 1000]")
+    start = parser.add_mutually_exclusive_group()
+    start.add_argument("--scene", type=Path, default=Path("fall_90_120"), metavar="NAME|FILE", help="where and how they begin [default: fall_90_120]")
+    start.add_argument("--state", type=Path, metavar="FILE", help="a stored state: bytes of the unit, or a state of the twin (state/twin.json)")
+    parser.add_argument("--vary", nargs="+", default=[], metavar="NAME=SD", help=f"standard deviations, as link[1,4].mass=2%% or theta[1]=0.01 [default: {', '.join(f'{n}={v:g}' for n, v in USUAL.items())}]")
+    parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="of each member [default: 2]")
+    parser.add_argument("--points", type=int, default=100, metavar="N", help="of time that are kept [default: 100]")
+    parser.add_argument("--seed", type=int, default=0, metavar="N")
+    parser.add_argument("--workers", type=int, default=2, metavar="N", help="processes on this machine [default: 2]; 0: none, all in this one")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a scheduler of Dask, in the place of processes on this machine")
+    parser.add_argument("--measure", action="store_true", help="run them in one process as well, and say how efficient the workers are")
+    parser.add_argument("--fmu", type=Path, default=default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
+    parser.add_argument("--out", type=Path, default=Path("target/ensemble"), help="for results and pictures [default: target/ensemble]")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 if every member came to its end, 1 if some failed."""
+    from fivebar.twin.ensemble import results
+
+    fmu, plan = plan_of(arguments)
+    members = arguments.members
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    file = arguments.out / "members.parquet"
+    measured: dict[str, Any] = {}
+    if arguments.measure or not (arguments.workers or arguments.scheduler):
+        from fivebar.twin.ensemble.rows import alone
+
+        begun, cpu = time.perf_counter(), time.process_time()
+        results.write(file, plan, alone(fmu, plan, members), Progress("one process", members))
+        measured["one_process"] = {"wall_s": time.perf_counter() - begun, "cpu_s": time.process_time() - cpu}
+        alone_bytes = file.read_bytes()
+    if arguments.workers or arguments.scheduler:
+        measured["workers"] = _on_workers(arguments, fmu, plan, file)
+        if arguments.measure:
+            one, many = measured["one_process"], measured["workers"]
+            measured["efficiency"] = {
+                "wall": one["wall_s"] / (many["workers"] * many["wall_s"]),
+                "cpu": one["cpu_s"] / many["cpu_s"],
+                "same_bytes": file.read_bytes() == alone_bytes,
+            }
+    story = results.read(file, plan)
+    summary = story.summary() | {"seed": plan.seed, "seconds": plan.seconds, "spreads": plan.spreads, "measured": measured, "results": str(file)}
+    (arguments.out / "summary.json").write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+    files = [file, arguments.out / "summary.json", *results.draw(arguments.out, story)]
+    _print(summary, files)
+    return 1 if story.failed else 0
+
+
+def plan_of(arguments: argparse.Namespace) -> tuple[bytes, Plan]:
+    """The unit as bytes, and what members have in common; refused is what the unit would refuse on each worker."""
+    for name, least in (("members", 1), ("points", 1), ("workers", 0), ("seed", 0)):
+        if getattr(arguments, name) < least:
+            raise TwinError(f"{name} is {getattr(arguments, name)}; {least} or more is allowed")
+    if not (math.isfinite(arguments.seconds) and arguments.seconds > 0):
+        raise TwinError(f"seconds are {arguments.seconds:g}; more than 0 are needed")
+    library = Library(arguments.fmu)
+    try:
+        given = dict(USUAL) if not arguments.vary else spreads(dict(part.partition("=")[::2] for part in arguments.vary))
+        common = {"seconds": arguments.seconds, "points": arguments.points, "seed": arguments.seed}
+        if arguments.state is not None:
+            plan = from_state(arguments.state, library, given if arguments.vary else None, common)
+        else:
+            plan = from_scene(arguments.scene, library, given, common)
+        Runner(library, plan).close()
+        return arguments.fmu.read_bytes(), plan
+    finally:
+        library.close()
+
+
+def from_scene(given: Path, library: Library, spread: dict[str, float], common: dict[str, Any]) -> Plan:
+    """Members that begin as a scene does and whose drives are told what it says."""
+    file = scenes.found(given)
+    values = scenes.read(file, library)
+    names, rows, period = (), (), 0.005
+    content = config.read_json(file)
+    if content.get("signals") and "variants" in content:
+        found = scene.read(file)
+        names = tuple(found.signals)
+        steps = math.ceil(common["seconds"] / period - 1e-9) + 1
+        rows = tuple(tuple(found.at(name, period * k) for name in names) for k in range(steps))
+    elif content.get("signals"):
+        raise TwinError(f"{file} has signals that are not worked out: give one of target/scenes/, which `cargo xtask package` writes")
+    return Plan(values=values, spreads=spread, names=names, commands=rows, period=period, **common)
+
+
+def from_state(file: Path, library: Library, spread: dict[str, float] | None, common: dict[str, Any]) -> Plan:
+    """Members that begin from a stored state; without a spread, as uncertain as the state says that it is."""
+    state, clock = stored(file)
+    return of_state(state, clock, library, spread, common)
+
+
+def of_state(state: bytes, clock: float, library: Library, spread: dict[str, float] | None, common: dict[str, Any]) -> Plan:
+    """The same from bytes."""
+    unit = Unit(library)
+    try:
+        unit.from_bytes(state, clock)
+        values = everything(unit)
+        if spread is None:
+            spread = {name: value for name, value in uncertainty(unit).items() if value > 0} or {n: v for n, v in USUAL.items() if n in STATE}
+    finally:
+        unit.close()
+    # Members look ahead: they correct nothing, and the method is the ensemble's.
+    values = {name: value for name, value in values.items() if not name.startswith(scenes.KEPT_OUT)}
+    return Plan(values=values, spreads=spread, state=state, clock=clock, **common)
+
+
+def stored(file: Path) -> tuple[bytes, float]:
+    """A stored state and its time: bytes of the unit, or JSON of the twin."""
+    if not file.is_file():
+        raise TwinError(f"there is no stored state at {file}")
+    if file.stat().st_size > LARGEST_STATE:
+        raise TwinError(f"{file} has more than {LARGEST_STATE} bytes")
+    if file.suffix != ".json":
+        return file.read_bytes(), 0.0
+    content = config.read_json(file)
+    try:
+        return base64.b64decode(content["state"], validate=True), float(content["clock"])
+    except (KeyError, TypeError, ValueError):
+        raise TwinError(f"{file} is not a stored state of the twin: it has no state and clock") from None
+
+
+def everything(unit: Unit) -> Values:
+    """All parameters and inputs as they are in an instance."""
+    found: Values = {}
+    for name, variable in unit.library.variables.items():
+        if variable.causality not in ("parameter", "input") or name.startswith(("init.", "measured.")):
+            continue
+        value = unit.get([name])[name] if variable.type != "Boolean" else bool(unit.slave.getBoolean([variable.valueReference])[0])
+        found[name] = int(value) if variable.type in ("Integer", "Enumeration") else value
+    return found
+
+
+def uncertainty(unit: Unit) -> dict[str, float]:
+    """Standard deviations of the state that a corrector says; nothing without one."""
+    names = {f"{kind}[{i}]": f"estimated.{kind}.sigma[{i}]" for kind in ("theta", "omega") for i in (1, 2)}
+    known = {name: other for name, other in names.items() if other in unit.library.variables}
+    values = unit.get(known.values())
+    return {name: values[other] for name, other in known.items() if math.isfinite(values[other])}
+
+
+def _on_workers(arguments: argparse.Namespace, fmu: bytes, plan: Plan, file: Path) -> dict[str, Any]:
+    from fivebar.twin.ensemble import cluster, results
+
+    begun = time.perf_counter()
+    client, own = cluster.client(arguments.scheduler, arguments.workers)
+    try:
+        client.wait_for_workers(1, timeout=60)
+        ready, cpu, before = time.perf_counter(), time.process_time(), client.run(time.process_time)
+        show = Progress("workers", arguments.members)
+        results.write(file, plan, cluster.tables(client, fmu, plan, arguments.members, f"ensemble-{uuid.uuid4().hex[:12]}"), show)
+        wall = time.perf_counter() - ready
+        after = client.run(time.process_time)
+        # A worker that came later began with 0.
+        spent = sum(seconds - before.get(address, 0.0) for address, seconds in after.items())
+        return {"workers": len(after), "start_s": ready - begun, "wall_s": wall, "cpu_s": spent + time.process_time() - cpu}
+    finally:
+        client.close()
+        if own is not None:
+            own.close()
+
+
+class Progress:
+    """A line with members done, their rate and the time to go: on a terminal five times a second, else every tenth."""
+
+    def __init__(self, label: str, members: int):
+        self.label, self.members = label, members
+        self.begun = self.shown = time.perf_counter()
+        self.next = 0.1
+
+    def __call__(self, done: int) -> None:
+        now, share = time.perf_counter(), done / self.members
+        terminal = sys.stderr.isatty()
+        if (now - self.shown < 0.2 if terminal else share < self.next - 1e-9) and done < self.members:
+            return
+        self.shown, self.next = now, math.floor(10 * share + 1e-9) / 10 + 0.1
+        rate = done / max(now - self.begun, 1e-9)
+        bar = "#" * round(20 * share)
+        line = f"{self.label}: [{bar:20}] {done:7} of {self.members}  {rate:7.0f} members/s  {(self.members - done) / rate:4.0f} s to go"
+        end = "\n" if not terminal or done >= self.members else ""
+        print(f"\r\x1b[K{line}" if terminal else line, end=end, file=sys.stderr, flush=True)
+
+
+def _interval(levels: dict[str, float], digits: int) -> str:
+    """The 95 % interval, if it is told."""
+    return f" (95 %: {levels['0.025']:.{digits}f} to {levels['0.975']:.{digits}f})" if "0.025" in levels else ""
+
+
+def _print(summary: dict[str, Any], files: list[Path]) -> None:
+    singular, measured = summary["singular"], summary["measured"]
+    print(f"{summary['members']} members of {summary['seconds']:g} s, seed {summary['seed']}; {summary['failed']} failed")
+    print(f"  a singularity within that time: {singular['probability']:.1%}", end="")
+    if singular["time_s"]:
+        times = singular["time_s"]
+        print(f"; the first at {times['0.5']:.3f} s{_interval(times, 3)}", end="")
+    print()
+    for name, band in summary["end"].items():
+        print(f"  {name:9} in the end {band['0.5']:10.5f} {_interval(band, 5)}")
+    from fivebar.twin.ensemble.results import FEWEST
+
+    if summary["members"] - summary["failed"] < FEWEST:
+        print(f"  no intervals: {FEWEST} members are the fewest that tell one of 95 %")
+    for name, label in (("one_process", "one process"), ("workers", "workers")):
+        if name in measured:
+            part = measured[name]
+            extra = f", {part['workers']} of them, ready after {part['start_s']:.1f} s" if name == "workers" else ""
+            print(f"  {label}: {part['wall_s']:.2f} s, {part['cpu_s']:.2f} s of CPU, {summary['members'] / part['wall_s']:.0f} members/s{extra}")
+    if "efficiency" in measured:
+        part = measured["efficiency"]
+        print(f"  efficiency {part['wall']:.2f} by the clock, {part['cpu']:.2f} by CPU; {'the same bytes' if part['same_bytes'] else 'OTHER BYTES'}")
+    print(f"written: {', '.join(map(str, files))}")
+
+

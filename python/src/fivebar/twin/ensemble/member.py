@@ -1,0 +1,209 @@
+"""Members of an ensemble, one after the other on an instance of the unit: what a worker does.
+
+A member is its number: what is drawn for it comes from a generator of its own (Philox, keyed with seed and number), so that it is the
+same wherever and whenever it runs. It begins from a stored state of the unit; where it differs in what is fixed after the start, or in
+where it begins, the unit starts anew at that state's angles and rates.
+"""
+
+import math
+from collections.abc import Mapping
+from ctypes import c_double
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from fmpy import fmi2
+from fmpy.fmi1 import FMICallException
+
+from fivebar.twin.calibrate.parameters import Values, assemble, parameters
+from fivebar.twin.errors import TwinError
+from fivebar.twin.unit import Library, Reader, Unit, UnitError
+
+STATE: Final = ("theta[1]", "theta[2]", "omega[1]", "omega[2]")
+"""Where a run begins; a spread of them is in rad and rad/s."""
+
+SHOWN: Final = ("tip.x", "tip.y", "theta[1]", "theta[2]")
+"""What is kept of each member at every point of time."""
+
+KINDS: Final = ("none", "direct", "inverse, left", "inverse, right")
+"""Of the first singularity, by number."""
+
+PASSES: Final = ("singular.passes.direct", "singular.passes.inverse[1]", "singular.passes.inverse[2]")
+HALVINGS: Final = 10
+"""Of the step in which a singularity was passed: its time is known to a thousandth of the step."""
+
+METHOD: Final[Values] = {"solver.method": 6, "solver.maxWork": 20000}
+"""automatic, unless the scene has another one; a member that whirls beyond that many evaluations in a ms is given up."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that members have in common; plain values, to be sent to workers."""
+
+    values: Values
+    """Start values."""
+
+    seconds: float
+    points: int
+    """Of time, at which a member is looked at, evenly from 0 to `seconds`, 0 left out."""
+
+    seed: int
+    spreads: dict[str, float] = field(default_factory=dict)
+    """Standard deviations by name: of `STATE`, or of an unknown as calibrations have them, in its sizes (a factor: 0.01 is 1 %)."""
+
+    names: tuple[str, ...] = ()
+    """Inputs that change."""
+
+    period: float = 0.005
+    """Between two of the rows that follow, s."""
+
+    commands: tuple[tuple[float, ...], ...] = ()
+    """Of the inputs; each goes on to the next in a straight line."""
+
+    state: bytes = b""
+    """A stored state to begin from; none: the start values say where."""
+
+    clock: float = 0.0
+    """That state's time, s."""
+
+
+class Runner:
+    """An instance that runs members of a plan."""
+
+    def __init__(self, library: Library, plan: Plan):
+        self.library, self.plan = library, plan
+        self.unit = Unit(library, "member")
+        self.of_state = [name for name in plan.spreads if name in STATE]
+        self.of_machine = [name for name in plan.spreads if name not in STATE]
+        self.values = METHOD | plan.values
+        self.sought = parameters(self.of_machine, library, plan.values)
+        members = [library.variable(member) for parameter in self.sought for member in parameter.members]
+        self.tunable = not self.of_state and all(v.variability == "tunable" for v in members) and not self._switches()
+        if plan.state:
+            self.unit.from_bytes(plan.state, plan.clock)
+        else:
+            self.unit.start(self.values)
+        self.base = self.unit.store()
+        self.begin = self.unit.get([*STATE, "mode.assembly"])
+        self.shown, self.passes = Reader(self.unit, SHOWN), Reader(self.unit, PASSES)
+        self.inputs = (fmi2.fmi2ValueReference * len(plan.names))(*(library.variable(name).valueReference for name in plan.names))
+        self.orders = (fmi2.fmi2Integer * len(plan.names))(*([1] * len(plan.names)))
+        self.times = self._times()
+
+    def _switches(self) -> bool:
+        """Whether what is sought switches an effect on."""
+        return any(self.values.get(name) != value for name, value in assemble(self.plan.values, self.library, self.sought, [p.origin for p in self.sought]).items() if name.endswith(".enabled"))
+
+    def _times(self) -> list[tuple[float, float, bool]]:
+        """Steps: from, to, whether a point ends there; s after the begin."""
+        plan = self.plan
+        points = [plan.seconds * k / plan.points for k in range(1, plan.points + 1)]
+        if not plan.names:
+            return [(a, b, True) for a, b in zip([0.0, *points], points, strict=False)]
+        knots = [plan.period * k for k in range(1, math.ceil(plan.seconds / plan.period - 1e-9))]
+        every = sorted({round(t, 12) for t in (*points, *knots)})
+        ends = {round(t, 12) for t in points}
+        return [(a, b, b in ends) for a, b in zip([0.0, *every], every, strict=False)]
+
+    def drawn(self, member: int) -> list[float]:
+        """Standard normal numbers of a member, one for each spread."""
+        chance = np.random.Generator(np.random.Philox(key=(self.plan.seed << 64) | member))
+        return [float(x) for x in chance.standard_normal(len(self.plan.spreads))]
+
+    def start(self, member: int) -> dict[str, float]:
+        """Brings a member to its begin; what it differs in."""
+        plan, unit = self.plan, self.unit
+        offs = {name: sigma * x for (name, sigma), x in zip(plan.spreads.items(), self.drawn(member), strict=True)}
+        x = [p.origin + offs[name] for p, name in zip(self.sought, self.of_machine, strict=True)]
+        x = [max(number, p.lowest) for number, p in zip(x, self.sought, strict=True)]
+        unit.restore(self.base)
+        if self.tunable:
+            changed = assemble(plan.values, self.library, self.sought, x)
+            unit.set({name: value for name, value in changed.items() if plan.values.get(name) != value})
+        else:
+            values = METHOD | assemble(plan.values, self.library, self.sought, x)
+            values |= {f"init.{name}": self.begin[name] + offs.get(name, 0.0) for name in STATE}
+            if self.begin["mode.assembly"] in (1, 2):
+                values["init.assembly"] = int(self.begin["mode.assembly"])
+            unit.start(values | self._held(0), self.base[1])
+        return {name: float(number) for name, number in zip(self.of_machine, x, strict=True)} | {n: self.begin[n] + offs[n] for n in self.of_state}
+
+    def _held(self, row: int) -> Values:
+        return dict(zip(self.plan.names, self.plan.commands[row], strict=True)) if self.plan.names else {}
+
+    def run(self, member: int) -> dict[str, Any]:
+        """A member from its begin to its end."""
+        plan, unit = self.plan, self.unit
+        shown = np.full((plan.points, len(SHOWN)), np.nan, dtype=np.float32)
+        result: dict[str, Any] = {"member": member, "failed": "", "singular.time": math.nan, "singular.kind": 0, "shown": shown}
+        begin, row = self.base[1], 0
+        try:
+            result["drawn"] = self.start(member)
+            before = self.passes.read()
+            for now, then, point in self.times:
+                self._tell(now, then)
+                stored = unit.store() if not result["singular.kind"] else None
+                unit.step_to(begin + then)
+                if stored is not None:
+                    after = self.passes.read()
+                    if after != before:
+                        result |= self._first(stored, before, now, then)
+                        unit.restore(stored)
+                        self._tell(now, then)
+                        unit.step_to(begin + then)
+                    unit.free(stored)
+                if point:
+                    shown[row] = list(self.shown.read().values())
+                    row += 1
+        except (UnitError, FMICallException) as error:
+            result["failed"] = str(error)[:200] or "the unit gave a call up"
+            result.setdefault("drawn", {})
+        return result
+
+    def _first(self, stored: tuple[Any, float], before: dict[str, float], now: float, then: float) -> dict[str, Any]:
+        """When and of which kind the first singularity of a step is, by halving it."""
+        unit, low, high = self.unit, now, then
+        for _ in range(HALVINGS):
+            middle = (low + high) / 2
+            unit.restore(stored)
+            self._tell(now, middle)
+            unit.step_to(self.base[1] + middle)
+            low, high = (low, middle) if self.passes.read() != before else (middle, high)
+        unit.restore(stored)
+        self._tell(now, high)
+        unit.step_to(self.base[1] + high)
+        after = self.passes.read()
+        kind = next((k for k, name in enumerate(PASSES, 1) if after[name] != before[name]), 0)
+        return {"singular.time": (low + high) / 2, "singular.kind": kind}
+
+    def _tell(self, now: float, then: float) -> None:
+        """Inputs over a step that stays between two rows."""
+        plan, slave, count = self.plan, self.unit.slave, len(self.inputs)
+        if not count:
+            return
+        row = min(int(now / plan.period + 1e-9), len(plan.commands) - 1)
+        here, there = plan.commands[row], plan.commands[min(row + 1, len(plan.commands) - 1)]
+        slopes = [(b - a) / plan.period for a, b in zip(here, there, strict=True)]
+        since = now - row * plan.period
+        slave.fmi2SetReal(slave.component, self.inputs, count, (c_double * count)(*(a + s * since for a, s in zip(here, slopes, strict=True))))
+        if any(slopes):
+            slave.fmi2SetRealInputDerivatives(slave.component, self.inputs, count, self.orders, (c_double * count)(*slopes))
+
+    def close(self) -> None:
+        """Frees the unit."""
+        self.unit.free(self.base)
+        self.unit.close()
+
+
+def spreads(given: Mapping[str, str]) -> dict[str, float]:
+    """`5%` and `0.05` as numbers."""
+    found = {}
+    for name, text in given.items():
+        try:
+            value = float(text.removesuffix("%")) * (0.01 if text.endswith("%") else 1.0)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and value >= 0):
+            raise TwinError(f"the spread of {name} is {text!r:.40}; a standard deviation is expected, as 2% or 0.02")
+        found[name] = value
+    return found

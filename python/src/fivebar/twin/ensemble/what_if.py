@@ -1,0 +1,224 @@
+"""`fivebar-twin what-if`: from the running twin's snapshot, what each of some commands would lead to; ranked, and published as `whatif`.
+
+A command is a way of the drives' inputs from the snapshot on. Each is run by some members that differ as much as the twin is uncertain,
+the same members for all commands, so that their outcomes differ by the commands alone. The better one meets a singularity less
+probably; among equals the one whose 95 % of tips end nearer to the goal, or, without a goal, closer together.
+"""
+
+import argparse
+import base64
+import math
+import threading
+import time
+import uuid
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+
+from fivebar.twin import config as configuration
+from fivebar.twin import process
+from fivebar.twin.bus import Bus
+from fivebar.twin.ensemble.command import of_state
+from fivebar.twin.ensemble.member import Plan
+from fivebar.twin.ensemble.rows import here
+from fivebar.twin.errors import Refused, TwinError
+from fivebar.twin.messages import INPUTS, Message, decode, encode
+from fivebar.twin.replay import default_fmu
+from fivebar.twin.unit import Library
+
+PERIOD: Final = 0.005
+POINTS: Final = 10
+MOST_CANDIDATES: Final = 50
+TURN: Final = 0.15
+"""rad: how far the commands go that are compared if none are given."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A command: knots (s after the snapshot, value) of inputs; minimum-jerk ways between them, as scenes have them."""
+
+    name: str
+    knots: dict[str, list[tuple[float, float]]]
+
+    def rows(self, told: dict[str, float], names: tuple[str, ...], seconds: float) -> tuple[tuple[float, ...], ...]:
+        """Of those inputs, every `PERIOD`. What has no knots stays as it was told; a servo's rate is that of its angle."""
+        times = PERIOD * np.arange(math.ceil(seconds / PERIOD - 1e-9) + 1)
+        columns = []
+        for name in names:
+            angle = name.replace("omega", "theta")
+            if name in self.knots:
+                columns.append(way(times, self.knots[name], told.get(name, 0.0)))
+            elif name.startswith("servo.omega"):
+                columns.append(np.gradient(way(times, self.knots[angle], told.get(angle, 0.0)), PERIOD) if angle in self.knots else np.zeros(len(times)))
+            else:
+                columns.append(np.full(len(times), told.get(name, 0.0)))
+        return tuple(tuple(row) for row in np.column_stack(columns).tolist())
+
+
+def way(times: np.ndarray, knots: list[tuple[float, float]], begin: float) -> np.ndarray:
+    """From `begin` at 0 through knots, at rest in each: 10u³ − 15u⁴ + 6u⁵ (Flash and Hogan 1985)."""
+    found = np.full(len(times), begin)
+    last, value = 0.0, begin
+    for at, to in knots:
+        u = np.clip((times - last) / max(at - last, 1e-9), 0.0, 1.0)
+        found = np.where(times >= last, value + (to - value) * u**3 * (10 - 15 * u + 6 * u**2), found)
+        last, value = at, to
+    return found
+
+
+def usual(told: dict[str, float], seconds: float) -> list[Candidate]:
+    """Staying, and each motor a little to either side."""
+    kind = "servo.theta" if any(name.startswith("servo.theta") for name in told) else "tau"
+    step = TURN if kind == "servo.theta" else 0.01
+    found = [Candidate("stay", {})]
+    for i in (1, 2):
+        for sign, word in ((1, "+"), (-1, "-")):
+            name = f"{kind}[{i}]"
+            found.append(Candidate(f"{name} {word}{step:g}", {name: [(0.8 * seconds, told.get(name, 0.0) + sign * step)]}))
+    return found
+
+
+def read(file: Path) -> tuple[list[Candidate], list[float] | None]:
+    """Candidates and goal of a file: {"goal": [x, y], "candidates": [{"name": …, "knots": {"servo.theta[1]": [[t, v], …]}}]}."""
+    content = configuration.read_json(file)
+    try:
+        goal = [float(x) for x in content["goal"]] if content.get("goal") is not None else None
+        found = [
+            Candidate(str(c["name"]), {str(name): [(float(t), float(v)) for t, v in knots] for name, knots in c["knots"].items()})
+            for c in content["candidates"]
+        ]
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise TwinError(f"{file} does not list candidates as docs/ensembles.md says") from None
+    if not 0 < len(found) <= MOST_CANDIDATES or (goal is not None and len(goal) != 2):
+        raise TwinError(f"{file} has {len(found)} candidates and a goal of {len(goal or [0, 0])} numbers; 1 to {MOST_CANDIDATES} and 2 are allowed")
+    for candidate in found:
+        for name, knots in candidate.knots.items():
+            times = [t for t, _ in knots]
+            if name not in INPUTS or not all(math.isfinite(x) for knot in knots for x in knot) or times != sorted(times):
+                raise TwinError(f"{file}: candidate {candidate.name!r:.60} has no rising, finite knots of {name!r:.40}; {', '.join(INPUTS)} are allowed")
+    return found, goal
+
+
+def outcome(candidate: Candidate, tables: list[pa.Table], plan: Plan, goal: list[float] | None) -> dict[str, Any]:
+    """What a command leads to."""
+    content = pa.concat_tables(tables)
+    x, y = (np.stack(content[name].to_numpy()).astype(float) for name in ("tip.x", "tip.y"))
+    ended = np.isfinite(x).all(axis=1)
+    times = content["singular.time"].to_numpy(zero_copy_only=False)
+    met = times[np.isfinite(times)]
+    if not ended.any():
+        return {"name": candidate.name, "failed": len(x), "singular": {"probability": 1.0, "time": None}, "score": math.inf}
+    x, y = x[ended], y[ended]
+    centre = np.array([np.median(x[:, -1]), np.median(y[:, -1])])
+    aim = np.array(goal) if goal is not None else centre
+    far = float(np.quantile(np.hypot(x[:, -1] - aim[0], y[:, -1] - aim[1]), 0.95))
+    bands = {name: np.quantile(values, (0.025, 0.5, 0.975), axis=0).T.round(7).tolist() for name, values in (("tip.x", x), ("tip.y", y))}
+    return {
+        "name": candidate.name,
+        "failed": int(len(ended) - ended.sum()),
+        "singular": {"probability": len(met) / len(times), "time": float(np.median(met)) if len(met) else None},
+        "end": {"tip.x": float(centre[0]), "tip.y": float(centre[1]), "within95": far},
+        "bands": bands,
+        "score": far,
+    }
+
+
+def ranked(outcomes: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The best first: probabilities in steps of 5 %, which is what some members can tell, then the score."""
+    order = sorted(outcomes, key=lambda o: (round(20 * o["singular"]["probability"]), o["failed"] > 0, o["score"]))
+    return [{"rank": rank} | {k: v for k, v in one.items() if k != "score"} for rank, one in enumerate(order, 1)]
+
+
+def compare(fmu: Path, state: Message, candidates: list[Candidate] | None, goal: list[float] | None, arguments: argparse.Namespace) -> dict[str, Any]:
+    """The ranked outcomes from a stored state of the twin."""
+    begun, spent = time.perf_counter(), time.process_time()
+    library = Library(fmu)
+    try:
+        told = {str(name): float(value) for name, value in state.extra["book"]["told"].items()}
+        snapshot = base64.b64decode(state.extra["state"], validate=True)
+        common = {"seconds": arguments.seconds, "points": POINTS, "seed": arguments.seed}
+        plan = of_state(snapshot, float(state.extra["clock"]), library, None, common)
+        chosen = candidates or usual(told, arguments.seconds)
+        names = tuple(name for name in INPUTS if name in told or any(name in c.knots or name.replace("omega", "theta") in c.knots for c in chosen))
+        plans = [replace(plan, names=names, commands=c.rows(told, names, arguments.seconds), period=PERIOD) for c in chosen]
+        results = _all(fmu, library, plans, arguments)
+        found = [outcome(c, tables, p, goal) for c, p, tables in zip(chosen, plans, results, strict=True)]
+    except (KeyError, TypeError, ValueError, AttributeError):
+        raise TwinError("the twin's state is not as this version writes it") from None
+    finally:
+        library.close()
+    return {"ahead": arguments.seconds, "members": arguments.members, "goal": goal, "took_s": round(time.perf_counter() - begun, 4), "cpu_s": round(time.process_time() - spent, 4), "candidates": ranked(found)}
+
+
+def _all(fmu: Path, library: Library, plans: list[Plan], arguments: argparse.Namespace) -> Iterator[list[pa.Table]]:
+    """The members of each plan; here, or on workers."""
+    if not arguments.scheduler:
+        for plan in plans:
+            yield list(here(library, plan, arguments.members))
+        return
+    from fivebar.twin.ensemble import cluster
+
+    client, _ = cluster.client(arguments.scheduler, 0)
+    try:
+        for plan in plans:
+            yield list(cluster.tables(client, fmu.read_bytes(), plan, arguments.members, f"what-if-{uuid.uuid4().hex[:12]}"))
+    finally:
+        client.close()
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    process.arguments(parser)
+    parser.add_argument("--candidates", type=Path, metavar="FILE", help="commands to compare, and a goal [default: stay, and each motor a little to either side]")
+    parser.add_argument("--members", type=int, default=50, metavar="N", help="of each command [default: 50]")
+    parser.add_argument("--seconds", type=float, default=0.5, metavar="S", help="ahead [default: 0.5]")
+    parser.add_argument("--seed", type=int, default=0, metavar="N")
+    parser.add_argument("--times", type=int, default=1, metavar="N", help="how many snapshots are answered; 0: until Ctrl-C [default: 1]")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a scheduler of Dask [default: in this process]")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 if at least one snapshot was answered."""
+    if not (math.isfinite(arguments.seconds) and 0 < arguments.seconds <= 10) or not 1 <= arguments.members <= 10000:
+        raise TwinError(f"{arguments.seconds:g} s and {arguments.members} members; up to 10 s and 1 to 10000 members are allowed")
+    config = process.read_config(arguments)
+    candidates, goal = read(arguments.candidates) if arguments.candidates else (None, None)
+    newest: list[Message] = []
+    arrived = threading.Event()
+
+    def handle(topic: str, payload: bytes) -> None:
+        try:
+            newest[:] = [decode(topic, payload)]
+            arrived.set()
+        except Refused:
+            # The twin's own log says what is wrong with it.
+            pass
+
+    bus = Bus(config.broker, config.unit, "what-if", ("state",), handle)
+    bus.start()
+    stop = process.Stop()
+    answered = 0
+    try:
+        while (arguments.times == 0 or answered < arguments.times) and not stop.event.is_set():
+            if not arrived.wait(10.0):
+                raise TwinError(f"no state of {config.unit} came from {config.broker.host}:{config.broker.port} within 10 s: is the twin running?")
+            arrived.clear()
+            state = newest[0]
+            answer = compare(Path(config.fmu) if Path(config.fmu).is_file() else default_fmu(), state, candidates, goal, arguments)
+            bus.publish("whatif", encode(Message("whatif", config.unit, state.time, state.seq, {}, answer)))
+            answered += 1
+            _print(answer)
+    finally:
+        bus.stop()
+    return 0 if answered else 1
+
+
+def _print(answer: dict[str, Any]) -> None:
+    print(f"{answer['ahead']:g} s ahead, {answer['members']} members each, in {answer['took_s']:.2f} s ({answer['cpu_s']:.2f} s of CPU):")
+    for one in answer["candidates"]:
+        end = one.get("end")
+        where = f"tip {1e3 * end['tip.x']:8.2f} {1e3 * end['tip.y']:8.2f} mm, 95 % within {1e3 * end['within95']:.2f} mm" if end else "no member came to its end"
+        print(f"  {one['rank']:2}. {one['name']:24} singularity {one['singular']['probability']:4.0%}  {where}", flush=True)

@@ -1,0 +1,254 @@
+"""The figures of a run, from its record and from what its processes counted."""
+
+import math
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from fivebar.twin import record
+from fivebar.twin.config import Config
+from fivebar.twin.forecast import covariance, half_width, inside
+from fivebar.twin.messages import TRACKED
+from fivebar.twin.watch import Histogram
+
+ESTIMATES: Final = ("tip.x", "tip.y", "estimated.nis", "estimated.alarm", "estimated.tau[1]", "estimated.tau[2]", "estimated.status")
+
+
+COVERED: Final = 0.9
+"""Share of the tips that forecasts have inside their 95 % ellipses at the horizon, in whatever scene: docs/pipeline.md promises it."""
+
+NARROW: Final = {"pick_and_place": 20.0}
+"""mm: half-widths (median) at a horizon of 0.5 s that are promised, by scene. Where a machine falls freely it may be anywhere after half a second,
+and only that its forecasts know so is promised."""
+
+MISSED: Final = 3
+"""The exit code of a run whose forecasts were not as good as that."""
+
+FEWEST: Final = 20
+"""Forecasts that are judged at least."""
+
+
+@dataclass
+class Table:
+    """Columns that grow, 8 bytes a number."""
+
+    names: tuple[str, ...]
+    columns: "dict[str, array[float]]" = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.columns = {name: array("d") for name in self.names}
+
+    def add(self, row: dict[str, float]) -> None:
+        """A row; what is missing is NaN."""
+        for name, column in self.columns.items():
+            column.append(row.get(name, math.nan))
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return np.frombuffer(self.columns[name]) if len(self) else np.empty(0)
+
+    def __len__(self) -> int:
+        return len(self.columns[self.names[0]])
+
+
+class Gap(NamedTuple):
+    """Numbers of a kind that the record does not have."""
+
+    of: str
+    first: int
+    last: int
+    why: str
+
+
+@dataclass
+class Story:
+    """What a record tells: times in s after its first message."""
+
+    origin: int = 0
+    measured: Table = field(default_factory=lambda: Table(("time", *TRACKED)))
+    estimated: Table = field(default_factory=lambda: Table(("time", *ESTIMATES, "band")))
+    forecasts: Table = field(default_factory=lambda: Table(("time", "ahead", "tip.x", "tip.y", "xx", "xy", "yy", "half_width", "last")))
+    alarms: list[tuple[float, str, str]] = field(default_factory=list)
+    gaps: "list[Gap]" = field(default_factory=list)
+    bad: list[str] = field(default_factory=list)
+    """Why rows are no messages."""
+    samples: set[int] = field(default_factory=set)
+    used: set[int] = field(default_factory=set)
+    sent: int = 0
+    """Forecasts."""
+
+
+def read(file: Path) -> Story:
+    """Goes through a record once."""
+    story = Story()
+    for message in record.messages(file, "meas", "est", "forecast", "alarm", "gap", refused=story.bad.append):
+        story.origin = story.origin or message.time
+        fields, time = message.fields, 1e-9 * (message.time - story.origin)
+        if message.kind == "meas":
+            if message.seq not in story.samples:
+                story.samples.add(message.seq)
+                story.measured.add({"time": time} | fields)
+        elif message.kind == "est":
+            story.used |= {entry[1] for entry in message.extra["inputs"] if entry[0] == "meas"}
+            band = half_width(covariance(fields)) if "estimated.tip.cov[1]" in fields else math.nan
+            story.estimated.add({"time": time, "band": band} | fields)
+        elif message.kind == "forecast":
+            _forecast(story, message.extra, time)
+        elif message.kind == "alarm":
+            story.alarms.append((time, str(message.extra.get("state")), str(message.extra.get("cause"))))
+        else:
+            story.gaps.append(Gap(message.extra["of"], int(fields["first"]), int(fields["last"]), message.extra.get("why", "")))
+    return story
+
+
+def _forecast(story: Story, extra: dict[str, Any], time: float) -> None:
+    path = extra["path"]
+    story.sent += 1
+    count = len(path["ahead"])
+    for i, ahead in enumerate(path["ahead"]):
+        xx, xy, yy = (path[f"estimated.tip.cov[{k}]"][i] for k in (1, 2, 3))
+        row = {"time": time, "ahead": ahead, "tip.x": path["tip.x"][i], "tip.y": path["tip.y"][i], "xx": xx, "xy": xy, "yy": yy}
+        story.forecasts.add(row | {"half_width": half_width((xx, xy, yy)), "last": float(i == count - 1)})
+
+
+@dataclass
+class Judged:
+    """Estimates and forecasts beside what really was; NaN where nobody saw it."""
+
+    error: np.ndarray
+    """Of the estimated tip, m."""
+
+    ahead_error: np.ndarray
+    """Of the forecast tip, m."""
+
+    inside: np.ndarray
+    """1 where the tip was in the ellipse, 0 where not."""
+
+
+def judge(story: Story) -> Judged:
+    """Compares with a tracker's tip, by a spline between its samples."""
+    estimated, forecasts = story.estimated, story.forecasts
+    nothing = Judged(np.full(len(estimated), np.nan), np.full(len(forecasts), np.nan), np.full(len(forecasts), np.nan))
+    order = np.argsort(story.measured["time"], kind="stable")
+    time = story.measured["time"][order]
+    seen = np.column_stack([story.measured[name][order] for name in TRACKED])
+    usable = np.isfinite(seen).all(axis=1) & (np.diff(time, prepend=-np.inf) > 0)
+    if usable.sum() < 4:
+        return nothing
+    time, seen = time[usable], seen[usable]
+    spline = CubicSpline(time, seen)
+    widest = 5 * float(np.median(np.diff(time)))
+
+    def truth(at: np.ndarray) -> np.ndarray:
+        values = spline(at)
+        after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
+        # Across a gap, and beyond the ends, nobody knows.
+        unknown = (at < time[0]) | (at > time[-1]) | (time[after] - time[after - 1] > widest)
+        values[unknown] = np.nan
+        return values
+
+    def tip(table: Table) -> np.ndarray:
+        return np.column_stack([table[name] for name in TRACKED])
+
+    off = tip(forecasts) - truth(forecasts["time"] + forecasts["ahead"])
+    covs = zip(forecasts["xx"], forecasts["xy"], forecasts["yy"], off, strict=True)
+    hit = [float(inside((xx, xy, yy), d[0], d[1])) if np.isfinite(d).all() else math.nan for xx, xy, yy, d in covs]
+    return Judged(np.linalg.norm(tip(estimated) - truth(estimated["time"]), axis=1), np.linalg.norm(off, axis=1), np.array(hit))
+
+
+def _or_none(value: float, digits: int = 6) -> float | None:
+    """For JSON, which has no NaN."""
+    return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+
+
+def _mean(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else math.nan
+
+
+def summarise(
+    config: Config, story: Story, judged: Judged, status: dict[str, list[dict[str, Any]]], restarts: dict[str, int], troubles: Sequence[str] = ()
+) -> dict[str, Any]:
+    """Every figure, in nested objects. What cannot be told is null. `troubles` are what processes had to tell."""
+
+    def total(process: str, name: str) -> int:
+        return sum(int(life.get(name, 0)) for life in status.get(process, []))
+
+    # A process that was killed has not counted its last half second: the record has.
+    published = max(total("machine", "published"), len(story.samples))
+    taken = max(total("follow", "taken"), len(story.used))
+    latency = Histogram()
+    for life in status.get("watch", []):
+        for place, count in life.get("latency_bins", {}).items():
+            latency.bins[int(place)] += count
+            latency.count += count
+    last = story.forecasts["last"] == 1.0
+    error = judged.error[np.isfinite(judged.error)]
+    by_ahead = {}
+    for ahead in np.unique(np.round(story.forecasts["ahead"], 6)):
+        here = np.isclose(story.forecasts["ahead"], ahead)
+        by_ahead[f"{ahead:g}"] = {
+            "coverage95": _or_none(_mean(judged.inside[here])),
+            "halfwidth_mm": _or_none(1e3 * float(np.median(story.forecasts["half_width"][here]))),
+            "error_mm": _or_none(1e3 * float(np.sqrt(_mean(judged.ahead_error[here] ** 2)))),
+        }
+    times = story.estimated["time"]
+    # A state for a forecast at every so many samples that were estimated.
+    due = len(story.estimated) // max(1, round(1 / (config.forecast_rate * config.period)))
+    content = {
+        "scene": Path(config.scene).stem,
+        "unit": config.unit,
+        "broker": "amqtt, embedded" if config.broker.embedded else f"{config.broker.host}:{config.broker.port}",
+        "seconds": _or_none(float(times[-1] - times[0]) if len(times) else math.nan),
+        "samples": {
+            "published": published,
+            "lost": max(0, published - taken),
+            "estimated": max(total("follow", "estimated"), len(story.estimated)),
+            "recorded": len(story.samples),
+            "late": total("follow", "late"),
+        },
+        "latency_ms": {name: _or_none(1e3 * latency.quantile(share)) for name, share in (("p50", 0.5), ("p90", 0.9), ("p99", 0.99))},
+        "tip_error_mm": {
+            "rms": _or_none(1e3 * math.sqrt(_mean(judged.error**2))) if len(error) else None,
+            "p95": _or_none(1e3 * float(np.quantile(error, 0.95))) if len(error) else None,
+            "max": _or_none(1e3 * float(error.max())) if len(error) else None,
+        },
+        "forecasts": {
+            "count": story.sent,
+            "judged": int(np.isfinite(judged.inside[last]).sum()),
+            "due": due,
+            "left_out": total("forecast", "left_out"),
+            "ahead_s": config.horizon,
+            "coverage95": _or_none(_mean(judged.inside[last])),
+            "halfwidth_mm": {
+                "median": _or_none(1e3 * float(np.median(story.forecasts["half_width"][last]))) if last.any() else None,
+                "p95": _or_none(1e3 * float(np.quantile(story.forecasts["half_width"][last], 0.95))) if last.any() else None,
+            },
+            "by_ahead": by_ahead,
+        },
+        "alarms": sum(state == "anomaly" for _, state, _ in story.alarms),
+        "troubles": {"count": len(troubles), "last": list(troubles[-10:])},
+        "refused": sum(total(process, "refused") for process in status),
+        "restarts": restarts,
+        "gaps": [gap._asdict() for gap in story.gaps],
+        "rows_refused": len(story.bad),
+        "memory_mb": {process: round(max(life.get("memory_kb", 0) for life in lives) / 1024, 1) for process, lives in status.items()},
+        "record": str(config.record),
+    }
+    return content | {"missed": missed(content)}
+
+
+def missed(content: dict[str, Any]) -> list[str]:
+    """Which promises about forecasts a run has not kept, in words."""
+    forecasts, scene = content["forecasts"], content["scene"]
+    covered, width = forecasts["coverage95"], forecasts["halfwidth_mm"]["median"]
+    found = []
+    if forecasts["judged"] >= FEWEST and covered < COVERED:
+        found.append(f"{100 * covered:.3g} % of the tips are inside the 95 % ellipses {forecasts['ahead_s']:g} s ahead; {100 * COVERED:g} % are promised")
+    if width is not None and width > NARROW.get(scene, math.inf) and forecasts["ahead_s"] <= 0.5:
+        found.append(f"the half-width is {width:.3g} mm (median); in {scene} at most {NARROW[scene]:g} mm are promised")
+    return found

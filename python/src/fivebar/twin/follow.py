@@ -1,0 +1,150 @@
+"""The twin's process: takes `meas`, `param` and `cmd`; publishes `est` for every sample, `ahead` 20 times a second, `state` once."""
+
+import argparse
+import json
+import logging
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from fivebar.twin import process, scene, setup
+from fivebar.twin.config import Config, read_json
+from fivebar.twin.errors import Refused, TwinError
+from fivebar.twin.follower import Follower
+from fivebar.twin.intake import Intake, Orders
+from fivebar.twin.messages import MEASURED, Message
+from fivebar.twin.process import Worker
+from fivebar.twin.unit import Library
+
+STORE_EVERY: Final = 1_000_000_000
+"""Nanoseconds of the machine's clock between two stored states."""
+
+MUCH: Final = 4 * math.pi
+"""rad: an angle at which encoders seldom begin, and degrees mostly do."""
+
+log = logging.getLogger("fivebar")
+
+
+class Twin(Worker):
+    """The worker. Estimates are made where a message arrives."""
+
+    name = "follow"
+    kinds = ("meas", "param", "cmd")
+
+    def __init__(self, config: Config, library: Library):
+        super().__init__(config)
+        self.setup = setup.of_run(config, scene.read(Path(config.scene)), library.guid)
+        self.follower = Follower(library, self.setup)
+        self.intake = Intake(config.period)
+        self.file = config.path / "state" / "twin.json"
+        self.samples_per_forecast = max(1, round(1 / (config.forecast_rate * config.period)))
+        self.counts = dict.fromkeys(("taken", "late", "estimated", "states", "failures"), 0)
+        self.orders = Orders()
+        self.stored_at = -1
+
+    def begin(self) -> None:
+        """Goes on from the last stored state, if there is one."""
+        if not self.file.is_file():
+            return
+        try:
+            content = read_json(self.file)
+            state = Message("state", "", int(content.pop("time")), int(content.pop("seq")), {}, content)
+            self.follower.go_on_from(state)
+        except (KeyError, TypeError, ValueError, TwinError) as error:
+            log.warning("the stored state cannot be used, starting anew: %s", error)
+            return
+        self.intake.go_on_from(state.seq, state.time)
+        self.stored_at = state.time
+        log.info("going on from the state after sample %d", state.seq)
+
+    def handle(self, message: Message, payload: bytes, now: int) -> None:
+        if message.kind == "meas":
+            self._sample(message, now)
+        else:
+            try:
+                self._order(message, now)
+            except Refused as error:
+                # Whoever has given an order wants to know.
+                self.trouble("order", f"not taken: {error}", now, every=0.2, order=message.time)
+                self.refused += 1
+
+    def _sample(self, message: Message, now: int) -> None:
+        kind = self.intake.admit(message, now)
+        follower = self.follower
+        if kind == "late" and follower.book is not None and not follower.finds_place(message.seq):
+            raise Refused(f"meas {message.seq} came too late")
+        if kind == "series" and follower.book is not None:
+            log.warning("the machine counts anew from sample %d", message.seq)
+            follower.restart(Message("cmd", "", message.time, message.seq, {}))
+        if kind == "series":
+            for name, angle in message.fields.items():
+                if name in MEASURED and abs(angle) > MUCH:
+                    self.trouble("unit", f"{name} begins at {angle:g} rad, more than two turns: degrees?", message.time, message.seq)
+        self.counts["taken"] += 1
+        self.counts["late"] += kind == "late"
+        jumps = follower.jumps
+        made = follower.meas(message)
+        if follower.jumps != jumps:
+            log.warning("the machine's clock jumped at sample %d", message.seq)
+        if follower.failure:
+            self.counts["failures"] += 1
+            self.trouble("unit", f"starting anew with the next sample: {follower.failure}", message.time, message.seq)
+            follower.failure = ""
+        if not made:
+            return
+        self.publish(follower.estimate())
+        self.counts["estimated"] += 1
+        if message.seq % self.samples_per_forecast == 0:
+            self.publish(replace(follower.state(), kind="ahead"))
+        if abs(message.time - self.stored_at) >= STORE_EVERY:
+            self._store(message.time)
+
+    def _order(self, message: Message, now: int) -> None:
+        """A parameter or a command, once, in its order."""
+        self.orders.check(message, now)
+        if message.kind == "cmd":
+            if message.extra["command"] == "restart":
+                self.follower.restart(message)
+                self.intake.forget()
+                self._answer(message, "starting anew with the next sample: asked to", now)
+        else:
+            if sentence := self.follower.allowed(message):
+                raise Refused(sentence)
+            self.follower.param(message)
+            self._answer(message, "parameters set: " + ", ".join(f"{name} = {value:g}" for name, value in message.fields.items()), now)
+        self.orders.taken(message)
+
+    def _answer(self, order: Message, sentence: str, now: int) -> None:
+        """What has become of an order, for whoever gave it and for the record."""
+        log.info("%s", sentence)
+        extra = {"state": "taken", "cause": "order", "from": self.name, "sentence": sentence[:1000], "order": order.time}
+        self.publish(Message("alarm", "", now, order.seq, {}, extra))
+
+    def _store(self, time: int) -> None:
+        state = self.follower.state()
+        self.publish(state)
+        content = {"time": state.time, "seq": state.seq} | state.extra
+        self.keep(self.file, json.dumps(content).encode())
+        self.stored_at = time
+        self.counts["states"] += 1
+
+    def status(self) -> dict[str, Any]:
+        return self.counts | {"missing": self.intake.missing, "jumps": self.follower.jumps}
+
+    def end(self) -> None:
+        if self.follower.book is not None:
+            self._store(self.follower.book.time)
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    process.arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    config = process.read_config(arguments)
+    library = Library(Path(config.fmu))
+    try:
+        return process.serve(Twin(config, library))
+    finally:
+        library.close()

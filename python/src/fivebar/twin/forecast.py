@@ -1,0 +1,135 @@
+"""Forecasts: a stored state of the twin goes on without samples, along the plan of its drives; its covariance grows.
+
+Everything that is probable comes from the unit: the tip's covariance along the path, and the probability of a singularity within the
+horizon. Here only the path is looked at: where it meets a singularity (a determinant changes its sign) or an end stop.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, Final
+
+from fivebar.twin.follower import Book, Rider, stored
+from fivebar.twin.messages import Message
+from fivebar.twin.setup import Setup
+from fivebar.twin.unit import Library, Reader
+
+PROBABILITY_EVERY: Final = 4
+"""Forecasts for one probability of a singularity: the unit runs 13 motions for it, which cost more than all the rest."""
+
+POINTS: Final = 10
+"""Of the path, evenly over the horizon."""
+
+LEVEL: Final = 5.991464547107979
+"""Squared radius, in standard deviations, of the ellipse that holds 95 % of a normal distribution in the plane: -2 ln 0.05."""
+
+COVARIANCE: Final = tuple(f"estimated.tip.cov[{i}]" for i in (1, 2, 3))
+ANGLES: Final = ("theta[1]", "theta[2]", "estimated.theta.sigma[1]", "estimated.theta.sigma[2]")
+PROBABILITY: Final = "estimated.singular.probability"
+DETERMINANTS: Final = {"direct": "singular.detJx", "inverse": "singular.detJq"}
+
+
+def half_width(cov: tuple[float, float, float]) -> float:
+    """The larger half-axis of the 95 % ellipse, m, of a covariance xx, xy, yy in m²."""
+    xx, xy, yy = cov
+    largest = (xx + yy) / 2 + math.hypot((xx - yy) / 2, xy)
+    return math.sqrt(LEVEL * max(largest, 0.0))
+
+
+def inside(cov: tuple[float, float, float], dx: float, dy: float) -> bool:
+    """Whether a point so far from the centre, m, lies in the 95 % ellipse."""
+    xx, xy, yy = cov
+    det = xx * yy - xy * xy
+    return det > 0 and (yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy) / det <= LEVEL
+
+
+def crossing(before: float, after: float) -> float | None:
+    """Where between two values the sign changes, from 0 to 1."""
+    if before * after < 0 or (after == 0 and before != 0):
+        return before / (before - after)
+    return None
+
+
+class Forecaster(Rider):
+    """A second instance of the unit, which goes ahead while the twin's follows."""
+
+    def __init__(self, library: Library, setup: Setup):
+        super().__init__(library, setup, "forecast")
+        self.path = Reader(self.unit, ("tip.x", "tip.y", *COVARIANCE))
+        self.seen = Reader(self.unit, (*DETERMINANTS.values(), *ANGLES))
+        self.probability = Reader(self.unit, (PROBABILITY,))
+        self.stops: dict[str, tuple[str, float, float]] = {}
+        self.made = 0
+        self.singular = 0.0
+        if setup.values.get("stop.enabled"):
+            limits = {f"stop.{limit}[{i}]": (i, limit) for i in (1, 2) for limit in ("lower", "upper")}
+            for name, (i, limit) in limits.items():
+                value = float(setup.values.get(name, library.variable(name).start))
+                self.stops[f"{limit}[{i}]"] = (f"theta[{i}]", value, 1.0 if limit == "upper" else -1.0)
+
+    def run(self, state: Message, stopped: Callable[[], bool] = lambda: False) -> Message | None:
+        """The forecast from a state of the twin; None if it was stopped."""
+        setup, unit = self.setup, self.unit
+        content, begin, book, _ = stored(state)
+        unit.from_bytes(content, begin)
+        if self.made % PROBABILITY_EVERY == 0:
+            self.singular = self.probability.read()[PROBABILITY]
+        self.made += 1
+        probability = self.singular
+        begin_seen = before = self.seen.read()
+        path: dict[str, list[float]] = {name: [] for name in ("ahead", *self.path.names)}
+        singular: dict[str, Any] = {"probability": probability, "time": None, "type": "none"}
+        stop: dict[str, Any] = {"probability": self._stop_probability(begin_seen), "time": None, "at": "none"}
+        pieces = max(1, round(setup.horizon / setup.period))
+        for piece in range(1, pieces + 1):
+            if stopped():
+                return None
+            now = begin + setup.horizon * (piece - 1) / pieces
+            unit_time = begin + setup.horizon * piece / pieces
+            self.coast(book, unit_time)
+            after = self.seen.read()
+            self._meets(singular, stop, before, after, now - begin, unit_time - now, book)
+            stop["probability"] = max(stop["probability"], self._stop_probability(after))
+            before = after
+            if piece * POINTS // pieces > (piece - 1) * POINTS // pieces:
+                path["ahead"].append(round(unit_time - begin, 9))
+                for name, value in self.path.read().items():
+                    path[name].append(value)
+        fields = {name: values[-1] for name, values in path.items() if name != "ahead"}
+        fields |= {PROBABILITY: probability}
+        if not all(math.isfinite(x) for values in path.values() for x in values) or not math.isfinite(probability):
+            return None
+        time = book.time + setup.step_ns
+        extra = {"ahead": setup.horizon, "path": path, "singular": singular, "stop": stop, "half_width": half_width(covariance(fields))}
+        return Message("forecast", "", time, book.seq, fields, extra)
+
+    def _meets(
+        self, singular: dict[str, Any], stop: dict[str, Any], before: dict[str, float], after: dict[str, float], now: float, span: float, book: Book
+    ) -> None:
+        """Notes the first singularity and the first stop that the path meets."""
+        origin = book.time + self.setup.step_ns
+        for kind, name in DETERMINANTS.items():
+            share = crossing(before[name], after[name])
+            if share is not None and singular["time"] is None:
+                singular |= {"time": origin + round(1e9 * (now + share * span)), "type": kind}
+        for place, (angle, limit, side) in self.stops.items():
+            share = crossing(side * (before[angle] - limit), side * (after[angle] - limit))
+            if share is not None and stop["time"] is None and side * (after[angle] - limit) >= 0:
+                stop |= {"time": origin + round(1e9 * (now + share * span)), "at": place}
+
+    def _stop_probability(self, seen: dict[str, float]) -> float:
+        """That a link is beyond a stop, from its angle's mean and standard deviation."""
+        most = 0.0
+        for angle, limit, side in self.stops.values():
+            sigma = max(seen[f"estimated.{angle.replace('[', '.sigma[')}"], 1e-12)
+            most = max(most, 0.5 * math.erfc(side * (limit - seen[angle]) / sigma / math.sqrt(2)))
+        return most
+
+    def close(self) -> None:
+        """Frees the unit."""
+        self.unit.close()
+
+
+def covariance(fields: dict[str, float]) -> tuple[float, float, float]:
+    """The tip's covariance among fields: xx, xy, yy in m²."""
+    xx, xy, yy = (fields[name] for name in COVARIANCE)
+    return xx, xy, yy

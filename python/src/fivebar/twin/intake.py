@@ -1,0 +1,173 @@
+"""Which samples the twin takes: new ones, and late ones that still find their place; all others are refused with a sentence.
+
+A series of samples counts on, whatever its clock does. A machine that begins to count anew is believed after `CONSISTENT` samples that
+follow each other, newer than those that were taken, at times near the pipeline's own or near where the series' clock would be by now: one
+forged sample cannot end a series, and old ones sent again begin none. What is remembered against these follows the machine's clock where
+it jumps, and is bounded: a time of another clock, however late, keeps nothing out, and a series that has been silent for `FORGOTTEN` is
+none any more.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from fivebar.twin.errors import Refused
+from fivebar.twin.messages import Message
+
+CONSISTENT: Final = 20
+NEAR: Final = 10_000_000_000
+"""Nanoseconds by which two clocks may differ that show the same time."""
+
+FORGOTTEN: Final = 60_000_000_000
+"""Nanoseconds of silence after which a series no longer says which times are plausible."""
+
+QUIET: Final = 1_000_000_000
+"""Nanoseconds without anything newer after which older is taken of what the pipeline itself sends."""
+
+LONGEST_LEAP: Final = 20
+"""Samples that may be missing where the times do not say so too."""
+
+
+@dataclass
+class _Series:
+    seq: int
+    time: int
+    length: int = 1
+
+
+class Intake:
+    """Remembers where the series is. `admit` says what a sample is; `taken` are those of the last `window` that came."""
+
+    def __init__(self, period: float, window: int = 64):
+        self.period_ns = round(1e9 * period)
+        self.window = window
+        self.series: _Series | None = None
+        self.candidate: _Series | None = None
+        self.newest_time = -1
+        self.arrived = 0
+        """When the newest sample of the series came, on the pipeline's clock, ns."""
+        self.came: set[int] = set()
+        self.missing = 0
+        """Samples of the series that never came, so far as one can tell: a late one counts back."""
+
+    def admit(self, message: Message, now: int) -> Literal["new", "late", "series"]:
+        """What the sample is, which came at a time of the pipeline's clock, ns; `Refused` if it is not to be taken."""
+        if self.series is None:
+            if abs(message.time - now) > NEAR:
+                return self._else(message, f"meas {message.seq} is from a time that {_apart(message.time, now)}", now)
+            self._begin(message, now)
+            return "series"
+        ahead = message.seq - self.series.seq
+        if ahead <= 0:
+            return self._behind(message, ahead, now)
+        if not self._plausible(self.series, message):
+            return self._else(message, f"meas {message.seq} leaps by {ahead} samples and {1e-9 * (message.time - self.series.time):.3f} s", now)
+        self.missing += ahead - 1
+        self._step(message, now)
+        return "new"
+
+    def forget(self) -> None:
+        """The next sample begins a series, whatever was before: an operator has asked for it."""
+        self.series, self.candidate, self.newest_time = None, None, -1
+
+    def go_on_from(self, seq: int, time: int) -> None:
+        """Goes on after that sample, which an earlier life of this process took."""
+        self.series, self.newest_time, self.arrived = _Series(seq, time), time, time
+        self.came = {seq}
+
+    def _plausible(self, series: _Series, message: Message) -> bool:
+        """Few samples later, whatever the clocks show, or as many later as the clocks say."""
+        ahead = message.seq - series.seq
+        odd = abs(message.time - series.time - ahead * self.period_ns)
+        return 0 < ahead <= LONGEST_LEAP or (ahead > 0 and odd <= max(self.period_ns, ahead * self.period_ns // 4))
+
+    def _behind(self, message: Message, ahead: int, now: int) -> Literal["late", "series"]:
+        if message.seq in self.came:
+            return self._else(message, f"meas {message.seq} was taken already", now)
+        if -ahead < self.window and message.time <= self.newest_time:
+            self.came.add(message.seq)
+            self.missing -= 1
+            return "late"
+        return self._else(message, f"meas {message.seq} is older than {self.series.seq if self.series else 0}, the newest, by {-ahead} samples", now)
+
+    def _may_begin(self, message: Message, now: int) -> bool:
+        """Whether a new series may have a sample of that time."""
+        if self.series is None:
+            return True
+        silent = now - self.arrived
+        if silent > FORGOTTEN:
+            return True
+        own = abs(message.time - now) <= NEAR
+        if own and self.newest_time > now + NEAR:
+            # The newest is of another clock, and says nothing about this one.
+            return True
+        return (own or abs(message.time - self.series.time - silent) <= NEAR) and message.time > self.newest_time
+
+    def _else(self, message: Message, sentence: str, now: int) -> Literal["series"]:
+        """The sample does not belong to the series: perhaps to another one, which is to show first."""
+        if not self._may_begin(message, now):
+            raise Refused(sentence)
+        candidate = self.candidate
+        if candidate is not None and message.seq == candidate.seq + 1 and 0 < message.time - candidate.time <= 2 * self.period_ns:
+            self.candidate = _Series(message.seq, message.time, candidate.length + 1)
+        else:
+            self.candidate = _Series(message.seq, message.time)
+        if self.candidate.length < CONSISTENT:
+            raise Refused(sentence)
+        self._begin(message, now)
+        return "series"
+
+    def _begin(self, message: Message, now: int) -> None:
+        self.series, self.candidate, self.newest_time, self.arrived = _Series(message.seq, message.time), None, message.time, now
+        self.came = {message.seq}
+
+    def _step(self, message: Message, now: int) -> None:
+        self.series, self.candidate, self.arrived = _Series(message.seq, message.time), None, now
+        # A clock that was set back far is followed: what it showed before is no time of its any more.
+        followed = self.newest_time > max(now, message.time) + NEAR
+        self.newest_time = message.time if followed else max(self.newest_time, message.time)
+        self.came.add(message.seq)
+        if len(self.came) > 2 * self.window:
+            self.came = {seq for seq in self.came if message.seq - seq <= self.window}
+
+
+class Newest:
+    """The newest of what the pipeline itself sends: what is older by number and time is refused, until nothing newer has come for a while."""
+
+    def __init__(self) -> None:
+        self.newest: tuple[int, int] | None = None
+        self.arrived = 0
+
+    def admit(self, message: Message, now: int) -> None:
+        """Takes note of a message that came at a time of the pipeline's clock, ns; `Refused` if it is an old one."""
+        if self.newest is not None and now - self.arrived < QUIET:
+            seq, time = self.newest
+            if message.seq <= seq and message.time <= time:
+                raise Refused(f"{message.kind} {message.seq} is not newer than {seq}, which came before")
+        self.newest, self.arrived = (message.seq, message.time), now
+
+
+class Orders:
+    """Which orders are taken: each newer than the last one, given at a time near the pipeline's own."""
+
+    def __init__(self) -> None:
+        self.newest = -1
+
+    def check(self, message: Message, now: int) -> None:
+        """`Refused` if the order is not to be taken at that time of the pipeline's clock, ns."""
+        if abs(message.time - now) > NEAR:
+            raise Refused(
+                f"{message.kind} is from a time that {_apart(message.time, now)}; up to {1e-9 * NEAR:g} s are allowed: "
+                "set the clock from which the order comes"
+            )
+        if message.time <= self.newest:
+            by = 1e-9 * (self.newest - message.time)
+            raise Refused(f"{message.kind} is not newer than the last order that was taken, but {by:.3f} s older: its clock, or the other's, is wrong")
+
+    def taken(self, message: Message) -> None:
+        """The order was carried out."""
+        self.newest = message.time
+
+
+def _apart(time: int, now: int) -> str:
+    """How far a time is from the pipeline's own."""
+    return f"is {1e-9 * abs(time - now):.3f} s {'ahead of' if time > now else 'behind'} the pipeline's own"

@@ -1,0 +1,249 @@
+"""The machine's stand-in: a unit with what the twin does not know, encoders, and drives that follow a scene; publishes `meas`.
+
+It is a machine: it does not stop when its connection does, and when this process is started again the machine is where it would have
+been. A real one takes its place by publishing the same message; docs/pipeline.md has the ten lines of Python.
+"""
+
+import argparse
+import base64
+import csv
+import json
+import logging
+import math
+import random
+import time
+from collections import deque
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from fivebar.twin import priority, process, scene
+from fivebar.twin.bus import Bus
+from fivebar.twin.config import Config, Faults, read_json
+from fivebar.twin.errors import TwinError
+from fivebar.twin.follower import Book, Rider
+from fivebar.twin.messages import INPUTS, MEAS_FIELDS, MEASURED, TRACKED, Message, encode
+from fivebar.twin.setup import Setup
+from fivebar.twin.unit import Library, Reader
+
+STORE_EVERY: Final = 200
+"""Samples between two stored states."""
+
+LEAD_NS: Final = 100_000_000
+"""Nanoseconds between the start of a machine and its first sample."""
+
+LARGEST_CSV: Final = 2_000_000
+"""Rows of a recording that are played at most."""
+
+log = logging.getLogger("fivebar")
+
+
+class StandIn:
+    """The samples of the machine in their order."""
+
+    def __init__(self, config: Config, library: Library):
+        self.config = config
+        self.scene = scene.read(Path(config.scene))
+        values = self.scene.values | config.machine.hidden
+        self.rider = Rider(library, Setup(library.guid, self.scene, values, config.period), "machine")
+        self.rider.unit.start(values)
+        self.reader = Reader(self.rider.unit, ("theta[1]", "theta[2]", *TRACKED))
+        names = (name for name in self.scene.signals if name not in INPUTS)
+        self.surroundings = {name: library.variable(name).valueReference for name in names}
+        self.continuous = {ref for name, ref in self.surroundings.items() if library.variable(name).variability == "continuous"}
+        self.seq = 0
+        self.start_ns = 0
+        """When the first sample is taken, ns since 1970."""
+
+    def next(self) -> Message:
+        """The next sample."""
+        seq, period, machine = self.seq, self.config.period, self.config.machine
+        truth = self.reader.read()
+        told = self.scene.told(seq * period)
+        # Of each sample its own, so that a machine that is started again has the same noise.
+        chance = random.Random(f"{machine.seed} {seq}")
+        fields: dict[str, float] = {}
+        for i, name in enumerate(MEASURED, 1):
+            angle = truth[f"theta[{i}]"] + (chance.gauss(0.0, machine.sigma) if machine.sigma else 0.0)
+            if machine.quantum:
+                angle = round(angle / machine.quantum) * machine.quantum
+            if not machine.drop_outs or chance.random() >= machine.drop_outs:
+                fields[name] = angle
+        self._move(told)
+        at = self.start_ns + round(1e9 * period) * seq
+        return Message("meas", self.config.unit, at, seq, fields | told | {name: truth[name] for name in TRACKED})
+
+    def _move(self, told: dict[str, float]) -> None:
+        """To the next sample."""
+        now = self.rider.unit.time
+        period = self.config.period
+        book = Book(0, round(1e9 * period) * self.seq, self.seq, told, True, 1)
+        self.rider.hold(book)
+        # What the scene does to the machine beside its drives, such as a hand's force, nobody tells the twin.
+        if self.surroundings:
+            begin, end = ([self.scene.at(name, k * period) for name in self.surroundings] for k in (self.seq, self.seq + 1))
+            references = list(self.surroundings.values())
+            self.rider.unit.set_reals(references, begin)
+            sloping = [(ref, (b - a) / period) for ref, a, b in zip(references, begin, end, strict=True) if ref in self.continuous]
+            if sloping:
+                self.rider.unit.set_slopes([ref for ref, _ in sloping], [slope for _, slope in sloping])
+        self.seq += 1
+        self.rider.unit.step_to(max(self.seq * period, now + 1e-9))
+
+    def store(self) -> bytes:
+        """From which it goes on to the same bits."""
+        stored = self.rider.unit.store()
+        content = base64.b64encode(self.rider.unit.to_bytes(stored)).decode("ascii")
+        self.rider.unit.free(stored)
+        return json.dumps({"seq": self.seq, "clock": self.rider.unit.time, "start": self.start_ns, "state": content}).encode()
+
+    def go_on_from(self, file: Path) -> None:
+        """Goes on from a stored state."""
+        content = read_json(file)
+        try:
+            self.rider.unit.from_bytes(base64.b64decode(content["state"], validate=True), float(content["clock"]))
+            self.seq, self.start_ns = int(content["seq"]), int(content["start"])
+        except (KeyError, TypeError, ValueError):
+            raise TwinError(f"{file} is not a stored state of the machine") from None
+
+    def close(self) -> None:
+        """Frees the unit."""
+        self.rider.unit.close()
+
+
+class Recording:
+    """The samples of a CSV: columns time (s), measured.theta[1], measured.theta[2], and what else `meas` may have."""
+
+    def __init__(self, config: Config):
+        self.config, self.seq, self.start_ns = config, 0, 0
+        file = Path(config.machine.csv)
+        try:
+            with file.open(newline="", encoding="utf-8") as stream:
+                rows = [row for row, _ in zip(csv.DictReader(stream), range(LARGEST_CSV + 1), strict=False)]
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise TwinError(f"{file} cannot be read as CSV: {error}") from None
+        if len(rows) > LARGEST_CSV:
+            raise TwinError(f"{file} has more than {LARGEST_CSV} rows")
+        if not rows or "time" not in rows[0] or not any(name in rows[0] for name in MEASURED):
+            raise TwinError(f"{file} has no rows with time and measured.theta[1] or measured.theta[2]")
+        try:
+            self.samples = [
+                (float(row["time"]), {name: float(row[name]) for name in MEAS_FIELDS if row.get(name) not in (None, "")}) for row in rows
+            ]
+        except ValueError as error:
+            raise TwinError(f"{file}: {error}") from None
+        for number, (at, fields) in enumerate(self.samples, 1):
+            for name, value in (("time", at), *fields.items()):
+                if not math.isfinite(value):
+                    raise TwinError(f"{file}: {name} of row {number} is {value}, not a finite number")
+
+    def store(self) -> bytes:
+        """From which it goes on."""
+        return json.dumps({"seq": self.seq, "start": self.start_ns}).encode()
+
+    def go_on_from(self, file: Path) -> None:
+        """Goes on where the recording would be by now."""
+        self.start_ns = int(read_json(file)["start"])
+
+    def next(self) -> Message | None:
+        """The next sample, or None after the last one."""
+        if self.seq >= len(self.samples):
+            return None
+        at, fields = self.samples[self.seq]
+        self.seq += 1
+        first = self.samples[0][0]
+        return Message("meas", self.config.unit, self.start_ns + round(1e9 * (at - first)), self.seq - 1, fields)
+
+    def close(self) -> None:
+        """Nothing is left open."""
+
+
+class Mangler:
+    """What may go wrong on the way, on purpose: from one sample to the payloads that are sent."""
+
+    def __init__(self, faults: Faults, seed: int):
+        self.faults, self.chance = faults, random.Random(f"faults {seed}")
+        self.held: deque[tuple[int, bytes]] = deque()
+
+    def send(self, message: Message) -> list[bytes]:
+        """What is sent in the place of the sample."""
+        faults, chance = self.faults, self.chance
+        if faults.clock_jump and message.seq >= 2000:
+            message = replace(message, time=max(0, message.time + round(1e9 * faults.clock_jump)))
+        payload = encode(message)
+        sent = [held for due, held in self.held if due <= message.seq]
+        self.held = deque((due, held) for due, held in self.held if due > message.seq)
+        draw = chance.random()
+        if draw < faults.lost:
+            return sent
+        draw -= faults.lost
+        if 0 <= draw < faults.late:
+            self.held.append((message.seq + chance.randint(1, 3), payload))
+            return sent
+        draw -= faults.late
+        if 0 <= draw < faults.doubled:
+            return [payload, payload, *sent]
+        draw -= faults.doubled
+        if 0 <= draw < faults.malformed:
+            broken = payload[: chance.randint(0, len(payload) - 1)]
+            return [broken, payload, *sent]
+        return [payload, *sent]
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    process.arguments(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Publishes samples at their times until told to stop, or until the recording has ended."""
+    config = process.read_config(arguments)
+    process.set_up_log()
+    priority.take("machine")
+    stop, disk = process.Stop(), process.Disk()
+    status = process.Status(config, "machine", disk)
+    library = None if config.machine.csv else Library(Path(config.fmu))
+    source: StandIn | Recording = Recording(config) if library is None else StandIn(config, library)
+    file = config.path / "state" / "machine.json"
+    mangler = Mangler(config.machine.faults, config.machine.seed)
+    bus = Bus(config.broker, config.unit, "machine", (), lambda *_: None)
+    bus.start()
+    while not bus.ready() and not stop.wait(0.01):
+        pass
+    delay, period = round(1e9 * config.machine.delay), round(1e9 * config.period)
+    if file.is_file():
+        source.go_on_from(file)
+        # What has passed since the stored state has happened without being seen.
+        while source.start_ns + source.seq * period + delay < time.time_ns() and source.next() is not None:
+            pass
+        log.info("going on with sample %d", source.seq)
+    else:
+        source.start_ns = time.time_ns() + LEAD_NS
+        process.replace_file(file, source.store(), safe=True)
+    published = 0
+    while not stop.event.is_set():
+        # Ready before its time, so that it is sent in time: what the unit computes does not delay the sample.
+        message = source.next()
+        if message is None:
+            break
+        wait = 1e-9 * (message.time + delay - time.time_ns())
+        if wait > 0 and stop.wait(wait):
+            break
+        for payload in mangler.send(message):
+            bus.publish("meas", payload)
+        published += 1
+        if source.seq % STORE_EVERY == 0:
+            disk.put(file, source.store(), safe=True)
+        if status.due(bus.ready()):
+            status.write(_status(published, message.seq, bus))
+    status.write(_status(published, source.seq - 1, bus))
+    bus.stop()
+    disk.close()
+    source.close()
+    if library is not None:
+        library.close()
+    return 0
+
+
+def _status(published: int, seq: int, bus: Bus) -> dict[str, Any]:
+    own = {"name": "machine", "ready": bus.ready(), "connections": bus.connections, "unsent": bus.unsent}
+    return own | {"published": published, "seq": seq, "memory_kb": process.memory_kb()}

@@ -1,0 +1,274 @@
+"""What the processes of a run have in common: signals, log, connection, a status file, an end when the starter is gone."""
+
+import argparse
+import contextlib
+import gc
+import json
+import logging
+import math
+import os
+import re
+import signal
+import sys
+import threading
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+from fivebar.twin import config as configuration
+from fivebar.twin import priority
+from fivebar.twin.bus import Bus
+from fivebar.twin.config import Config
+from fivebar.twin.errors import Refused
+from fivebar.twin.messages import Message, decode, encode
+
+STATUS_EVERY: Final = 0.5
+AGAIN: Final = 5.0
+"""Seconds after which the same trouble is told again; the log has each."""
+
+NUMBER: Final = re.compile(r"\d[-+.e\d]*")
+TICK: Final = 0.05
+
+log = logging.getLogger("fivebar")
+
+
+class Worker(ABC):
+    """One process' work. `handle` and `tick` never run at the same time."""
+
+    name: ClassVar[str]
+    kinds: ClassVar[tuple[str, ...]] = ()
+    """What it listens to."""
+
+    def __init__(self, config: Config):
+        self.config = config
+        self.send: Callable[[str, bytes], bool] = self._not_yet
+        self.keep: Callable[[Path, bytes], None] = replace_file
+        """Has a file replaced."""
+        self.refused = 0
+        self.when_told: dict[str, float] = {}
+
+    @staticmethod
+    def _not_yet(_kind: str, _payload: bytes) -> bool:
+        return False
+
+    def received(self, topic: str, payload: bytes, now: int) -> None:
+        """A message as it came, at a time in ns: handled, or refused with one line in the log."""
+        try:
+            message = decode(topic, payload)
+            if message.unit != self.config.unit or message.kind not in self.kinds:
+                raise Refused(f"{topic[:100]!r} is not for this process")
+            self.handle(message, payload, now)
+        except Refused as error:
+            self.refused += 1
+            log.warning("refused: %s", error)
+
+    def publish(self, message: Message) -> bool:
+        """Sends a message of this unit."""
+        message = Message(message.kind, self.config.unit, message.time, message.seq, message.fields, message.extra)
+        return self.send(message.kind, encode(message))
+
+    def trouble(self, cause: str, sentence: str, now: int, seq: int = 0, every: float = AGAIN, **more: Any) -> None:
+        """Something that keeps the twin from its work, at a time in ns: a line in the log each time; an alarm and a line on standard
+        output, which the starter shows, if the same (but for its numbers) was not told a moment ago."""
+        log.warning("%s", sentence)
+        key = f"{cause} {NUMBER.sub('#', sentence)}"
+        moment = time.monotonic()
+        if moment - self.when_told.get(key, -math.inf) < every:
+            return
+        self.when_told = {k: when for k, when in self.when_told.items() if moment - when < AGAIN} | {key: moment}
+        with contextlib.suppress(OSError):
+            # A starter that is gone hears nothing.
+            print(sentence, flush=True)
+        self.publish(Message("alarm", "", now, seq, {}, {"state": "trouble", "cause": cause, "from": self.name, "sentence": sentence[:1000]} | more))
+
+    def begin(self) -> None:
+        """Before the first message; a stored state is read here."""
+
+    @abstractmethod
+    def handle(self, message: Message, payload: bytes, now: int) -> None:
+        """A message that has been checked. May raise `Refused`."""
+
+    def tick(self, now: int) -> None:
+        """Called some twenty times a second, with the time in ns."""
+
+    def write(self) -> None:
+        """Called after each `tick`, while messages may be handled: for what a disk has to do."""
+
+    def status(self) -> dict[str, Any]:
+        """Figures of this life of the process, all of fixed size."""
+        return {}
+
+    def finished(self) -> bool:
+        """Whether there is nothing left to do."""
+        return False
+
+    def end(self) -> None:
+        """Stores what has to be stored."""
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """The one argument of every process."""
+    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="the configuration of the run")
+
+
+def set_up_log() -> None:
+    """One line per event on standard error, with the time in UTC."""
+    handler = logging.StreamHandler(sys.stderr)
+    formatter = logging.Formatter("%(asctime)s.%(msecs)03dZ %(levelname)s %(message)s", "%Y-%m-%dT%H:%M:%S")
+    formatter.converter = time.gmtime
+    handler.setFormatter(formatter)
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+
+
+class Stop:
+    """Set by SIGTERM, by Ctrl-C, and when the process that started this one is gone."""
+
+    def __init__(self) -> None:
+        self.event = threading.Event()
+        self.parent = os.getppid()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: self.event.set())
+
+    def wait(self, seconds: float) -> bool:
+        """Whether to stop, after at most so long."""
+        if os.getppid() != self.parent:
+            self.event.set()
+        return self.event.wait(max(seconds, 0.0))
+
+
+class Disk:
+    """Writes files in a thread of its own: what is in a hurry never waits for a disk. Of each file the newest content counts."""
+
+    def __init__(self) -> None:
+        self.waiting: dict[Path, tuple[bytes, bool]] = {}
+        self.come = threading.Condition()
+        self.ended = False
+        self.failing: set[Path] = set()
+        self.thread = threading.Thread(target=self._work, name="disk", daemon=True)
+        self.thread.start()
+
+    def put(self, file: Path, content: bytes, safe: bool = False) -> None:
+        """Has a file replaced, soon; safe is against a failure of the power as well."""
+        with self.come:
+            self.waiting[file] = content, safe
+            self.come.notify()
+
+    def _work(self) -> None:
+        while True:
+            with self.come:
+                self.come.wait_for(lambda: self.waiting or self.ended)
+                if not self.waiting:
+                    return
+                file, (content, safe) = self.waiting.popitem()
+            try:
+                replace_file(file, content, safe)
+                self.failing.discard(file)
+            except OSError as error:
+                # The next content comes soon, and may find the disk well again.
+                if file not in self.failing:
+                    log.warning("%s is not written: %s", file, error.strerror)
+                self.failing.add(file)
+
+    def close(self) -> None:
+        """Writes what is waiting."""
+        with self.come:
+            self.ended = True
+            self.come.notify()
+        self.thread.join()
+
+
+class Status:
+    """A small file that says what the process has done; replaced, never half written."""
+
+    def __init__(self, config: Config, name: str, disk: Disk):
+        self.file, self.disk = config.path / "status" / f"{name}-{os.getpid()}.json", disk
+        self.ready: bool | None = None
+        self.written = 0.0
+
+    def due(self, ready: bool) -> bool:
+        """Whether it is time to write it: at once when the process has become ready."""
+        return ready != self.ready or time.monotonic() - self.written >= STATUS_EVERY
+
+    def write(self, content: dict[str, Any]) -> None:
+        """Has it written."""
+        self.ready, self.written = content["ready"], time.monotonic()
+        self.disk.put(self.file, json.dumps(content).encode())
+
+
+def serve(worker: Worker) -> int:
+    """Runs a worker until it is told to stop."""
+    set_up_log()
+    priority.take(worker.name)
+    config = worker.config
+    stop, disk, lock = Stop(), Disk(), threading.Lock()
+    status = Status(config, worker.name, disk)
+
+    def handle(topic: str, payload: bytes) -> None:
+        with lock:
+            worker.received(topic, payload, time.time_ns())
+
+    worker.keep = disk.put
+    worker.begin()
+    bus = Bus(config.broker, config.unit, worker.name, worker.kinds, handle)
+    worker.send = bus.publish
+    bus.start()
+    spare_collector()
+
+    def report() -> None:
+        own = {"name": worker.name, "pid": os.getpid(), "ready": bus.ready(), "connections": bus.connections}
+        status.write(own | {"unsent": bus.unsent, "refused": worker.refused, "memory_kb": memory_kb()} | worker.status())
+
+    while not stop.wait(TICK) and not worker.finished():
+        with lock:
+            worker.tick(time.time_ns())
+            if status.due(bus.ready()):
+                report()
+        worker.write()
+    with lock:
+        worker.end()
+        report()
+    bus.stop()
+    disk.close()
+    return 0
+
+
+def spare_collector() -> None:
+    """What lives now lives to the end, and what follows has no cycles: the collector looks rarely, and not at what is old."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 100)
+
+
+def memory_kb() -> int:
+    """What the process holds in memory, kB; 0 where the system does not say."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    except (OSError, IndexError, ValueError):
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE") // 1024
+
+
+def replace_file(file: Path, content: bytes, safe: bool = False) -> None:
+    """Writes a file so that a reader finds the old or the new content; if it is to be safe, also when the power fails."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    beside = file.with_suffix(".writing")
+    try:
+        with beside.open("wb") as stream:
+            stream.write(content)
+            if safe:
+                stream.flush()
+                os.fsync(stream.fileno())
+        beside.replace(file)
+    except OSError:
+        # Half a file would take room that others need.
+        beside.unlink(missing_ok=True)
+        raise
+
+
+def read_config(arguments: argparse.Namespace) -> Config:
+    """The configuration that a process was given. What the process writes from then on is its owner's alone."""
+    os.umask(0o077)
+    return configuration.read(arguments.config)

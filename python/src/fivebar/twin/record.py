@@ -1,0 +1,126 @@
+"""Records: Parquet with the columns topic, time, seq, payload, one file or a folder of parts. Written by the recorder, read by many.
+
+A part is complete when it has its name: it is written under another one, brought to the disk and renamed. `part-FIRST-LAST.parquet`
+holds what came in flushes FIRST to LAST, so that one that was joined of others takes their place whether or not these are gone.
+"""
+
+import os
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from fivebar.twin.errors import Refused, TwinError
+from fivebar.twin.messages import Message, decode
+
+SCHEMA: Final = pa.schema([("topic", pa.string()), ("time", pa.int64()), ("seq", pa.int64()), ("payload", pa.binary())])
+PART: Final = re.compile(r"part-(\d{8})-(\d{8})\.parquet")
+LARGEST_RECORD: Final = 64_000_000_000
+"""Bytes of a record that is read at most."""
+
+COLUMNS: Final = {"topic": (pa.types.is_string, pa.types.is_large_string), "time": (pa.types.is_integer,), "seq": (pa.types.is_integer,)} | {
+    "payload": (pa.types.is_binary, pa.types.is_large_binary, pa.types.is_string, pa.types.is_large_string)
+}
+"""What the columns may hold."""
+
+
+class Row(NamedTuple):
+    """A message as it was received."""
+
+    topic: str
+    time: int
+    seq: int
+    payload: bytes
+
+
+def write_part(folder: Path, first: int, last: int, rows: list[Row]) -> Path:
+    """Writes a part; under its name it is complete and on the disk."""
+    columns = zip(*rows, strict=True) if rows else ((), (), (), ())
+    return write_table(folder, first, last, pa.table([list(column) for column in columns], schema=SCHEMA))
+
+
+def write_table(folder: Path, first: int, last: int, table: pa.Table) -> Path:
+    """Writes a table as a part."""
+    path = folder / f"part-{first:08d}-{last:08d}.parquet"
+    beside = path.with_suffix(".writing")
+    try:
+        with beside.open("wb") as stream:
+            pq.write_table(table, stream, compression="zstd")
+            stream.flush()
+            os.fsync(stream.fileno())
+        beside.rename(path)
+    except OSError:
+        # Half a part would take room that the next one needs.
+        beside.unlink(missing_ok=True)
+        raise
+    return path
+
+
+def parts(record: Path) -> list[Path]:
+    """The files of a record in order: the file itself, or those of the folder that no other one has taken the place of."""
+    if record.is_file():
+        return [record]
+    if not record.is_dir():
+        raise TwinError(f"there is no record at {record}: a Parquet file or a folder of parts is expected")
+    found = sorted((int(m[1]), -int(m[2]), path) for path in record.iterdir() if (m := PART.fullmatch(path.name)))
+    kept, reached = [], -1
+    for _, minus_last, path in found:
+        if -minus_last > reached:
+            kept.append(path)
+            reached = -minus_last
+    if not kept:
+        raise TwinError(f"{record} has no part-*.parquet")
+    if sum(path.stat().st_size for path in kept) > LARGEST_RECORD:
+        raise TwinError(f"{record} has more than {LARGEST_RECORD} bytes")
+    return kept
+
+
+def setup(record: Path) -> Message:
+    """What the run was that the record is of: the recorder writes it first."""
+    for message in messages(record, "setup", refused=lambda _: None):
+        return message
+    raise TwinError(f"{record} does not say of which run it is: it has no message `setup`")
+
+
+def rows(record: Path) -> Iterator[Row]:
+    """All rows in the order of their arrival, some thousands in memory at a time."""
+    for path in parts(record):
+        file = _file(path)
+        missing = [name for name in SCHEMA.names if name not in file.schema_arrow.names]
+        if missing:
+            raise TwinError(f"{path} has no column {', '.join(missing)}; a record has topic, time, seq, payload")
+        for name, allowed in COLUMNS.items():
+            found = file.schema_arrow.field(name).type
+            if not any(is_one(found) for is_one in allowed):
+                raise TwinError(f"{path} has {found} in the column {name}, not {SCHEMA.field(name).type}")
+        try:
+            for batch in file.iter_batches(batch_size=4096, columns=SCHEMA.names):
+                for topic, time, seq, payload in zip(*(column.to_pylist() for column in batch.columns), strict=True):
+                    # What is not there is no message, which whoever decodes it says.
+                    payload = payload.encode() if isinstance(payload, str) else payload or b""
+                    yield Row(topic or "", time or 0, seq or 0, payload)
+        except (OSError, pa.ArrowException) as error:
+            raise TwinError(f"{path} cannot be read to its end: {str(error)[:120]}") from None
+
+
+def messages(record: Path, *kinds: str, refused: Callable[[str], None]) -> Iterator[Message]:
+    """The messages of those kinds (all, if none is named), in the order of their arrival; a row that is none goes to `refused`, as a sentence."""
+    for row in rows(record):
+        if kinds and row.topic.rpartition("/")[2] not in kinds:
+            continue
+        try:
+            message = decode(row.topic, row.payload)
+        except Refused as error:
+            refused(str(error))
+            continue
+        yield message
+
+
+def _file(path: Path) -> pq.ParquetFile:
+    try:
+        return pq.ParquetFile(path)
+    except (OSError, pa.ArrowException) as error:
+        raise TwinError(f"{path} is not a file of Parquet: {str(error)[:120]}") from None

@@ -1,0 +1,224 @@
+"""`fivebar-twin replay FILE`: computes the estimates of a record again, from its samples, and compares them to the bit."""
+
+import argparse
+import math
+import os
+import time
+from collections import deque
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+from fivebar.twin import record
+from fivebar.twin.errors import Refused, TwinError
+from fivebar.twin.follower import Follower
+from fivebar.twin.messages import Message, decode, encode
+from fivebar.twin.setup import of_message
+from fivebar.twin.unit import Library
+
+KEPT: Final = 20_000
+"""Inputs that are remembered until an estimate names them."""
+
+PATIENCE: Final = 500
+"""Messages after which an input that an estimate names is missing."""
+
+TOLD: Final = 5
+"""Differences, gaps and rows that are no messages that are shown."""
+
+MOSTLY_LEFT_OUT: Final = 3
+"""The exit code where what was compared is the same, and is less than half."""
+
+
+@dataclass
+class Result:
+    """What came of a replay."""
+
+    compared: int = 0
+    differing: list[str] = field(default_factory=list)
+    left_out: int = 0
+    """Estimates whose inputs the record does not have, up to the next stored state."""
+
+    not_asked: int = 0
+    """Estimates before `since`."""
+
+    gaps: list[str] = field(default_factory=list)
+    """What the recorder says is missing."""
+
+    bad: list[str] = field(default_factory=list)
+    """Why rows are no messages."""
+
+    states: int = 0
+    seconds: float = 0.0
+    spanned: float = 0.0
+    """Seconds on the machine's clock."""
+
+
+class Replay:
+    """Goes through the messages of a record in their order."""
+
+    def __init__(self, follower: Follower):
+        self.follower = follower
+        self.inputs: dict[tuple[str, int, int], Message] = {}
+        self.result = Result()
+        self.seen = 0
+        self.waiting: deque[tuple[int, Message, bytes]] = deque()
+        self.lost = True
+        """Whether the twin's state is not known: until a start or a stored state."""
+
+    def see(self, message: Message, payload: bytes) -> None:
+        """The next message of the record."""
+        self.seen += 1
+        if message.kind in ("meas", "param", "cmd", "state"):
+            # The first of two with the same number is the one that was taken.
+            self.inputs.setdefault((message.kind, message.seq, message.time), message)
+            while len(self.inputs) > KEPT:
+                del self.inputs[next(iter(self.inputs))]
+        if message.kind in ("est", "state"):
+            self.waiting.append((self.seen, message, payload))
+        self._go_on()
+
+    def end(self) -> None:
+        """No more messages."""
+        self.seen += PATIENCE
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """As far as the inputs reach: a broker may bring an estimate before its sample."""
+        while self.waiting:
+            since, message, payload = self.waiting[0]
+            here = message.kind == "state" or all(self._given(*one) is not None for one in message.extra["inputs"])
+            if not here and self.seen - since < PATIENCE:
+                return
+            self.waiting.popleft()
+            if message.kind == "state":
+                self._state(message, payload)
+            else:
+                self._estimate(message, payload)
+
+    def _given(self, kind: str, seq: int, time: int) -> Message | None:
+        """An input, if the record has it."""
+        given = self.inputs.get((kind, seq, time))
+        if given is None and kind == "cmd" and ("meas", seq, time) in self.inputs:
+            # The twin's own decision that the machine counts anew from this sample.
+            return Message("cmd", "", time, seq, {})
+        return given
+
+    def _state(self, message: Message, payload: bytes) -> None:
+        book = self.follower.book
+        if self.lost:
+            self.follower.go_on_from(message)
+            self.follower.inputs = []
+            self.lost = False
+        elif book is not None and book.seq == message.seq:
+            self.result.states += 1
+            if encode(replace(self.follower.state(), unit=message.unit)) != payload:
+                self._differs(f"the state after sample {message.seq} differs")
+
+    def _estimate(self, message: Message, payload: bytes) -> None:
+        taken = message.extra["inputs"]
+        # An estimate that the record does not have may have had other inputs than this one.
+        self.lost = self.lost or message.extra.get("after") != self.follower.after
+        begins = bool(taken) and (taken[0][0] == "state" or (self.lost and self.first(taken)))
+        if self.lost and not begins:
+            self.result.left_out += 1
+            return
+        for kind, seq, at in taken:
+            given = self._given(kind, seq, at)
+            if given is None:
+                self.lost = True
+                self.result.left_out += 1
+                return
+            if kind == "meas":
+                self.follower.meas(given)
+            elif kind == "param":
+                self.follower.param(given)
+            elif kind == "cmd":
+                self.follower.restart(given)
+            elif kind == "state":
+                self.follower.go_on_from(given)
+            else:
+                raise TwinError(f"estimate {message.seq} has an input of the kind {kind[:20]!r}")
+        self.lost = False
+        self.result.compared += 1
+        if self.follower.book is None or encode(replace(self.follower.estimate(), unit=message.unit)) != payload:
+            self._differs(f"the estimate after sample {message.seq} differs")
+
+    def first(self, taken: list[list[object]]) -> bool:
+        """Whether these are the first inputs of a twin that starts."""
+        return self.result.compared == 0 and self.result.left_out == 0 and taken[0][0] in ("meas", "param", "cmd")
+
+    def _differs(self, sentence: str) -> None:
+        self.result.differing.append(sentence)
+
+
+def replay(file: Path, fmu: Path, since: float = -math.inf, until: float = math.inf) -> Result:
+    """Computes a record's estimates again; `since` and `until` are seconds after its first message."""
+    setup = of_message(record.setup(file))
+    library = Library(fmu)
+    follower = Follower(library, setup)
+    try:
+        work = Replay(follower)
+        begin, first, last = time.perf_counter(), None, 0
+        for row in record.rows(file):
+            kind = row.topic.rpartition("/")[2]
+            if kind not in ("meas", "est", "param", "cmd", "state", "gap"):
+                continue
+            first = row.time if first is None else first
+            passed = 1e-9 * (row.time - first)
+            if not since <= passed <= until:
+                # From the middle a stored state is needed.
+                work.result.not_asked += kind == "est" and passed < since
+                continue
+            try:
+                message = decode(row.topic, row.payload)
+            except Refused as error:
+                work.result.bad.append(str(error))
+                continue
+            last = max(last, row.time)
+            if kind == "gap":
+                work.result.gaps.append(gap(message))
+            else:
+                work.see(message, row.payload)
+        work.end()
+        work.result.seconds = time.perf_counter() - begin
+        work.result.spanned = 1e-9 * (last - (first or 0))
+        return work.result
+    finally:
+        follower.close()
+        library.close()
+
+
+def gap(message: Message) -> str:
+    """A gap in words."""
+    why = message.extra.get("why")
+    return f"{message.extra['of']} {message.fields['first']:.0f} to {message.fields['last']:.0f}" + (f" ({why})" if why else "")
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, metavar="FILE", help="a Parquet file, or the folder of its parts")
+    parser.add_argument("--fmu", type=Path, default=default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
+    parser.add_argument("--since", type=float, default=-math.inf, metavar="SECONDS", help="only from then on, after the record's first message")
+    parser.add_argument("--until", type=float, default=math.inf, metavar="SECONDS", help="only until then")
+
+
+def default_fmu() -> Path:
+    """The unit that `cargo xtask package` packs."""
+    return Path(os.environ.get("FIVEBAR_FMU", Path(__file__).parents[4] / "target" / "fmu" / "FiveBar.fmu"))
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 if every estimate is the same to the bit, 1 if one differs or none could be compared, `MOSTLY_LEFT_OUT` if more were left out than compared."""
+    result = replay(arguments.file, arguments.fmu, arguments.since, arguments.until)
+    for what, sentences in (("", result.differing), ("the record lacks ", result.gaps), ("a row is no message: ", result.bad)):
+        for sentence in sentences[:TOLD]:
+            print(what + sentence)
+        if len(sentences) > TOLD:
+            print(f"... and {len(sentences) - TOLD} more")
+    speed = result.spanned / result.seconds if result.seconds else 0.0
+    print(
+        f"{result.compared} estimates and {result.states} stored states compared to the bit in {result.seconds:.2f} s "
+        f"({speed:.0f} x real time): {len(result.differing)} differ; {result.left_out} left out, whose inputs the record does not have"
+    )
+    if result.differing or not result.compared:
+        return 1
+    return MOSTLY_LEFT_OUT if result.left_out > result.compared else 0

@@ -1,0 +1,67 @@
+"""Scenes as `cargo xtask package` writes them to target/scenes/: start values, and what the drives are told over time."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fivebar.twin import config
+from fivebar.twin.errors import TwinError
+from fivebar.twin.messages import INPUTS
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene. Its signals begin again at their end where they end as they began; others keep their last value."""
+
+    name: str
+    description: str
+    values: dict[str, float | int | bool]
+    stop_time: float
+    step_size: float
+    signals: dict[str, list[float]]
+    periodic: bool
+
+    def content(self) -> dict[str, Any]:
+        """As `parse` takes it."""
+        return {
+            "name": self.name,
+            "description": self.description,
+            "stopTime": self.stop_time,
+            "stepSize": self.step_size,
+            "variants": [{"label": self.name, "values": self.values}],
+            "signals": self.signals,
+        }
+
+    def told(self, time: float) -> dict[str, float]:
+        """What the drives are told at a time, s: the inputs of `messages.INPUTS` that the scene has, by name."""
+        return {name: self.at(name, time) for name in self.signals if name in INPUTS}
+
+    def at(self, name: str, time: float) -> float:
+        """A signal at a time, s."""
+        values = self.signals[name]
+        place = (time % self.stop_time if self.periodic else min(max(time, 0.0), self.stop_time)) / self.step_size
+        below = min(int(place + 1e-9), len(values) - 1)
+        above = min(below + 1, len(values) - 1)
+        return values[below] + (values[above] - values[below]) * min(max(place - below, 0.0), 1.0)
+
+
+def read(file: Path) -> Scene:
+    """The scene in a file of target/scenes/."""
+    try:
+        return parse(config.read_json(file))
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError):
+        raise TwinError(f"{file} is not as `cargo xtask package` writes scenes to target/scenes/") from None
+
+
+def parse(content: dict[str, Any]) -> Scene:
+    """The scene of such a file's content."""
+    signals = {str(name): [float(x) for x in values] for name, values in content["signals"].items()}
+    return Scene(
+        name=str(content["name"]),
+        description=str(content["description"]),
+        values=dict(content["variants"][0]["values"]),
+        stop_time=float(content["stopTime"]),
+        step_size=float(content["stepSize"]),
+        signals=signals,
+        periodic=bool(signals) and all(abs(values[-1] - values[0]) < 1e-9 for values in signals.values()),
+    )

@@ -1,0 +1,133 @@
+"""`fivebar-twin soak`: machine, twin, watch and recorder without broker and clock, for hours of samples: nothing lost, nothing grows."""
+
+import argparse
+import re
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Final
+
+from fivebar.twin import figures, process, replay, scene, starter
+from fivebar.twin.ahead import Ahead
+from fivebar.twin.config import Config, Machine
+from fivebar.twin.errors import TwinError
+from fivebar.twin.follow import Twin
+from fivebar.twin.machine import Mangler, StandIn
+from fivebar.twin.messages import topic
+from fivebar.twin.process import Worker
+from fivebar.twin.recorder import Recorder
+from fivebar.twin.unit import Library
+from fivebar.twin.watch import Watch
+
+BEGIN: Final = 1_795_331_400_000_000_000
+"""When the machine starts, ns."""
+
+SETTLED: Final = 360.0
+"""s of samples in half of which everything that is kept for a while has been kept: the memory of shorter runs still grows."""
+
+LOOKS: Final = 20
+"""At the memory, evenly over the samples."""
+
+
+class Wire:
+    """Brings what one worker sends to those that listen to it, at once."""
+
+    def __init__(self, config: Config, *workers: Worker):
+        self.config, self.workers = config, workers
+        self.now = BEGIN
+        """The workers' clock, ns: that of the newest sample."""
+        for worker in workers:
+            worker.begin()
+            worker.send = self.send
+
+    def send(self, kind: str, payload: bytes) -> bool:
+        """Hands a message over."""
+        if kind == "meas" and (found := re.search(rb'"time":(\d{19})\b', payload)):
+            self.now = max(self.now, int(found[1]))
+        for worker in self.workers:
+            if kind in worker.kinds:
+                worker.received(topic(self.config.unit, kind), payload, self.now)
+        return True
+
+    def tick(self) -> None:
+        """What else the workers have to do."""
+        for worker in self.workers:
+            worker.tick(self.now)
+            worker.write()
+
+    def end(self) -> None:
+        """The recorder last."""
+        for worker in sorted(self.workers, key=lambda worker: isinstance(worker, Recorder)):
+            worker.end()
+
+
+def configured(folder: Path, fmu: Path, library: Library, file: Path) -> Config:
+    """A configuration in which the stand-in differs from its twin as in a default run."""
+    machine = Machine(hidden=starter.hidden(library, scene.read(file).values))
+    return Config(str(folder), str(fmu), str(file), machine=machine)
+
+
+def machine(config: Config, library: Library) -> StandIn:
+    """The stand-in at its first sample."""
+    made = StandIn(config, library)
+    made.start_ns = BEGIN
+    return made
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--hours", type=float, default=1.0, help="of 200 samples a second [default: 1]")
+    parser.add_argument("--scene", type=Path, required=True, metavar="FILE", help="a scene of target/scenes/")
+    parser.add_argument("--fmu", type=Path, default=replay.default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
+    parser.add_argument("--faults", default="", metavar="NAME=SHARE,...", help="as for `run`")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 if every sample has an estimate and the memory has stopped growing, 3 if forecasts were not as good as promised."""
+    if not 0 < arguments.hours <= 1000:
+        raise TwinError(f"hours are {arguments.hours:g}; more than 0 and at most 1000 are allowed")
+    faults = starter.parse_faults(arguments.faults)
+    library = Library(arguments.fmu)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            config = configured(Path(folder), arguments.fmu, library, arguments.scene)
+            starter.check_followed(config, True)
+            twin, ahead, watch, recorder = Twin(config, library), Ahead(config, library, at_once=True), Watch(config), Recorder(config)
+            recorder.about = twin.setup.to_message(config.unit, BEGIN)
+            wire, source, mangler = Wire(config, twin, ahead, watch, recorder), machine(config, library), Mangler(faults, 1)
+            samples = round(arguments.hours * 3600 / config.period)
+            memory = []
+            begin = time.perf_counter()
+            for i in range(samples):
+                for payload in mangler.send(source.next()):
+                    wire.send("meas", payload)
+                if i % 100 == 99:
+                    wire.tick()
+                if i % max(1, samples // LOOKS) == 0:
+                    memory.append(process.memory_kb() / 1024)
+                    speed = config.period * i / max(time.perf_counter() - begin, 1e-9)
+                    print(f"{i:8d} of {samples} samples, {memory[-1]:.1f} MB, {speed:.1f} x real time", file=sys.stderr, flush=True)
+            wire.end()
+            source.close()
+            story = figures.read(config.record)
+            content = figures.summarise(config, story, figures.judge(story), {}, {})
+    finally:
+        library.close()
+    counts = twin.counts
+    # After a half everything that is kept for a while has been kept, and parts have been joined.
+    half = memory[len(memory) // 2]
+    growth = memory[-1] - half
+    print(f"{samples} samples, {counts['taken']} taken, {counts['late']} late, {counts['estimated']} estimated, {recorder.counts['written']} rows")
+    print(f"memory {half:.1f} MB after a half, {memory[-1]:.1f} MB at the end; {watch.alarms} alarms")
+    forecasts = content["forecasts"]
+    width, covered = forecasts["halfwidth_mm"]["median"], forecasts["coverage95"]
+    if covered is not None:
+        off = forecasts["by_ahead"][f"{config.horizon:g}"]["error_mm"]
+        print(f"{forecasts['count']} forecasts: {100 * covered:.3g} % inside, half-width {width:.3g} mm (median), error {off:.2g} mm (rms)")
+        print(f"error of the estimated tip {content['tip_error_mm']['rms']:.2g} mm (rms)")
+    for sentence in content["missed"]:
+        print(sentence)
+    lost = 0 if arguments.faults else samples - counts["estimated"]
+    if lost or (growth > 5 and samples * config.period >= SETTLED):
+        return 1
+    return figures.MISSED if content["missed"] else 0

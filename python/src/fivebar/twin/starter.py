@@ -1,0 +1,421 @@
+"""`fivebar-twin run`: starts the processes of a twin in their order, starts again what dies, shows progress, ends all, sums up."""
+
+import argparse
+import contextlib
+import json
+import math
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import webbrowser
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Final
+
+from fivebar.twin import config as configuration
+from fivebar.twin import priority, replay, scene, setup
+from fivebar.twin.config import Broker, Config, Faults, Machine
+from fivebar.twin.errors import TwinError
+from fivebar.twin.follower import Follower
+from fivebar.twin.machine import Recording, StandIn
+from fivebar.twin.messages import MEASURED, Message
+from fivebar.twin.process import STATUS_EVERY
+from fivebar.twin.unit import Library, UnitError
+
+READY_WITHIN: Final = 20.0
+"""Seconds that a process may take to be ready."""
+
+MOST_RESTARTS: Final = 20
+"""Of one process in a minute; more is not a mishap."""
+
+KEPT_RUNS: Final = 5
+
+ORDER: Final = ("broker", "record", "watch", "dashboard", "forecast", "follow", "machine")
+"""In which they start; they end the other way round, the recorder and the broker last."""
+
+SETTLED_WITHIN: Final = 10.0
+"""Seconds in which the last messages have to arrive."""
+
+LARGEST_LOG: Final = 1_000_000
+"""Bytes of a process' log after which it begins anew; the one before it stays, as `.log.1`."""
+
+TROUBLES: Final = 1000
+"""What processes had to tell that is remembered for the summary."""
+
+ENDING: Final = ("watch", "machine", "follow", "forecast", "dashboard", "record", "broker")
+"""The watch first, or it would take the end for silence."""
+
+
+@dataclass
+class Child:
+    """A process of the run."""
+
+    name: str
+    command: list[str]
+    log: Path
+    say: Callable[[str], None]
+    """Takes what the process has to tell, a line at a time."""
+
+    process: subprocess.Popen[bytes] | None = None
+    restarts: int = 0
+    recent: tuple[float, ...] = ()
+
+    def start(self) -> None:
+        # In a group of its own: Ctrl-C is for the starter, which ends all in order. Not in a session of its own, for Linux shares the
+        # cores among sessions first: who is patient could not let others of this run go first.
+        group = 0 if os.name == "posix" else None
+        with open(self.log, "ab", opener=private) as log:
+            self.process = subprocess.Popen(self.command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, process_group=group)
+        priority.hurry(self.process.pid)
+        threading.Thread(target=self._listen, args=(self.process,), name=self.name, daemon=True).start()
+
+    def _listen(self, process: subprocess.Popen[bytes]) -> None:
+        """Standard output is for people, and needs no disk: one that is full is among what there is to tell."""
+        assert process.stdout is not None
+        with process.stdout as lines:
+            for line in lines:
+                self.say(f"{self.name}: {line.decode(errors='replace').strip()}")
+
+    def look(self) -> bool:
+        """Starts it again if it has died; whether it is a machine that has come to its end."""
+        code = None if self.process is None else self.process.poll()
+        if code is None:
+            return False
+        if code == 0 and self.name == "machine":
+            return True
+        now = time.monotonic()
+        self.recent = (*(t for t in self.recent if now - t < 60), now)
+        if len(self.recent) > MOST_RESTARTS:
+            raise TwinError(f"`{self.name}` dies again and again, last with {code}; the end of {self.log}:\n{self.tail()}")
+        self.restarts += 1
+        self.start()
+        return False
+
+    def rotate(self) -> None:
+        """Begins its log anew when it is long. The process writes at the end of the file, wherever that is."""
+        with contextlib.suppress(OSError):
+            if self.log.stat().st_size > LARGEST_LOG:
+                with self.log.open("rb") as old, open(self.log.with_suffix(".log.1"), "wb", opener=private) as kept:
+                    shutil.copyfileobj(old, kept)
+                os.truncate(self.log, 0)
+
+    def end(self, patience: float = 5.0) -> None:
+        """Asks it to end, and ends it."""
+        if self.process is None or self.process.poll() is not None:
+            return
+        self.process.terminate()
+        try:
+            self.process.wait(patience)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+    def tail(self) -> str:
+        """The last lines of its log."""
+        return "\n".join(self.log.read_text(encoding="utf-8", errors="replace").splitlines()[-8:])
+
+
+def private(path: str, flags: int) -> int:
+    """Opens a file for its owner alone."""
+    return os.open(path, flags, 0o600)
+
+
+class Run:
+    """The processes of one configuration."""
+
+    def __init__(self, config: Config, names: tuple[str, ...]):
+        self.config = config
+        self.file = config.path / "twin.json"
+        configuration.write(config, self.file)
+        logs = config.path / "log"
+        logs.mkdir(mode=0o700, exist_ok=True)
+        command = [sys.executable, "-m", "fivebar.twin"]
+        self.troubles: deque[str] = deque(maxlen=TROUBLES)
+        self.children = {n: Child(n, [*command, n, "--config", str(self.file)], logs / f"{n}.log", self.say) for n in ORDER if n in names}
+
+    def start(self) -> None:
+        """Starts all, the machine last, when the others listen."""
+        for name, child in self.children.items():
+            if name == "machine":
+                self._wait_for([n for n in self.children if n != "machine"])
+            child.start()
+            if name == "broker":
+                self._wait_for([name])
+        self._wait_for(list(self.children))
+
+    def look(self) -> bool:
+        """Starts again what has died; whether the machine has come to its end."""
+        ended = [name for name, child in self.children.items() if child.look()]
+        for child in self.children.values():
+            child.rotate()
+        return "machine" in ended
+
+    def say(self, line: str) -> None:
+        """Shows what a process has to tell."""
+        self.troubles.append(line)
+        print(clear() + line, flush=True)
+
+    def end(self) -> None:
+        """Ends all: first what sends, then what receives, each when all has arrived."""
+        for name in ENDING:
+            if name in ("follow", "record"):
+                self._settle()
+            if name in self.children:
+                self.children[name].end()
+
+    def _settle(self) -> None:
+        """Until nothing arrives at the recorder any more: what was sent last may still be on its way where cores are busy."""
+        begin, changed, before = time.monotonic(), time.monotonic(), -1
+        while time.monotonic() - begin < SETTLED_WITHIN:
+            lives = self.status()
+            count = total(lives.get("record", []), "recorded")
+            if count != before:
+                before, changed = count, time.monotonic()
+            # A recorder that was killed has not counted all that it recorded.
+            behind = len(lives.get("record", [])) == 1 and count < sum(total(lives.get("follow", []), n) for n in ("taken", "estimated"))
+            if not behind and time.monotonic() - changed > 1.5 * STATUS_EVERY:
+                return
+            time.sleep(0.05)
+
+    def status(self) -> dict[str, list[dict[str, Any]]]:
+        """The status of every life of every process, by name."""
+        found: dict[str, list[dict[str, Any]]] = {}
+        for file in sorted((self.config.path / "status").glob("*.json"), key=lambda path: path.stat().st_mtime):
+            content = json.loads(file.read_text(encoding="utf-8"))
+            found.setdefault(str(content["name"]), []).append(content)
+        return found
+
+    def _wait_for(self, names: list[str]) -> None:
+        begin = time.monotonic()
+        while not all(any(life.get("ready") for life in self.status().get(name, [])) for name in names):
+            self.look()
+            if time.monotonic() - begin > READY_WITHIN:
+                late = [n for n in names if not any(life.get("ready") for life in self.status().get(n, []))]
+                tails = "\n".join(self.children[n].tail() for n in late if n in self.children)
+                raise TwinError(f"{', '.join(late)} not ready after {READY_WITHIN:g} s:\n{tails}")
+            time.sleep(0.02)
+
+
+def clear() -> str:
+    """What makes room for a line on a terminal."""
+    return "\r\x1b[K" if sys.stdout.isatty() else ""
+
+
+def total(lives: list[dict[str, Any]], name: str) -> int:
+    """A count, over all lives of a process."""
+    return sum(int(life.get(name, 0)) for life in lives)
+
+
+def hidden(library: Library, values: dict[str, float | int | bool]) -> dict[str, float | int | bool]:
+    """What the stand-in has and the twin does not know: masses up to 5 % off, a fifth more payload, friction in its bearings."""
+
+    def value(name: str) -> float:
+        return float(values.get(name, library.variable(name).start))
+
+    changed: dict[str, float | int | bool] = {}
+    for i, factor in enumerate((1.05, 0.96, 1.03, 0.95), 1):
+        for what in ("mass", "inertia"):
+            changed[f"link[{i}].{what}"] = factor * value(f"link[{i}].{what}")
+    if values.get("payload.enabled"):
+        changed["payload.mass"] = 1.2 * value("payload.mass")
+    return changed | {"viscous.enabled": True}
+
+
+def free_port() -> int:
+    """A port of the loopback interface that nobody has."""
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return int(found.getsockname()[1])
+
+
+def parse_faults(text: str) -> Faults:
+    """`lost=0.05,doubled=0.02`: shares of the samples; clock_jump in s."""
+    known = [f.name for f in fields(Faults)]
+    given: dict[str, float] = {}
+    for part in filter(None, text.split(",")):
+        name, _, value = part.partition("=")
+        try:
+            given[name] = float(value)
+        except ValueError:
+            given[name] = math.nan
+        if name not in known or not math.isfinite(given[name]) or (name != "clock_jump" and not 0 <= given[name] <= 1):
+            raise TwinError(f"fault {part!r:.60}; NAME=SHARE is expected with a share from 0 to 1, and {', '.join(known)} as names")
+    return Faults(**given)
+
+
+def run_folder(out: Path) -> Path:
+    """A folder for this run; of the older ones the last few stay."""
+    runs = out / "runs"
+    try:
+        runs.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TwinError(f"out is {out}; a folder that is there or can be made is needed: {error.strerror}") from None
+    finished = sorted(path.parent for path in runs.glob("*/finished"))
+    for old in finished[: max(0, len(finished) - KEPT_RUNS + 1)]:
+        for file in sorted(old.rglob("*"), reverse=True):
+            file.rmdir() if file.is_dir() else file.unlink()
+        old.rmdir()
+    folder = runs / f"{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}-{os.getpid()}"
+    # Records, states and logs are their owner's alone.
+    folder.mkdir(mode=0o700)
+    return folder
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--seconds", type=float, default=60.0, help="of real time, or inf until Ctrl-C [default: 60]")
+    parser.add_argument("--scene", type=Path, required=True, metavar="FILE", help="a scene of target/scenes/")
+    parser.add_argument("--fmu", type=Path, default=replay.default_fmu(), help="the unit [default: $FIVEBAR_FMU, or target/fmu/FiveBar.fmu]")
+    parser.add_argument("--out", type=Path, default=Path("target/twin"), help="for summary, pictures, page and record")
+    parser.add_argument("--unit", default="bench", help="what the machine is called in topics [default: bench]")
+    parser.add_argument("--broker", metavar="HOST:PORT", help="any MQTT broker [default: one that comes along]")
+    parser.add_argument("--user", default="", help="at that broker; its password is read from FIVEBAR_PASSWORD")
+    parser.add_argument("--ca-file", default="", help="certificates for TLS with that broker; `system` for those of the system")
+    parser.add_argument("--machine", choices=("stand-in", "none"), default="stand-in", help="none: a real one publishes meas")
+    parser.add_argument("--csv", type=Path, help="play a recording in the place of the stand-in")
+    parser.add_argument("--hidden", type=Path, metavar="FILE", help="what the stand-in has and the twin does not know: JSON, name to value")
+    parser.add_argument("--faults", default="", metavar="NAME=SHARE,...", help="lose, double, delay samples on purpose, and more")
+    parser.add_argument("--open", action="store_true", help="show the dashboard and keep running until Ctrl-C")
+
+
+def configure(arguments: argparse.Namespace, folder: Path) -> Config:
+    """The configuration of a run, from the command line."""
+    if not arguments.seconds > 0:
+        raise TwinError(f"seconds are {arguments.seconds:g}; more than 0 are needed")
+    password = os.environ.get("FIVEBAR_PASSWORD", "")
+    if arguments.broker:
+        host, port = configuration.host_and_port(arguments.broker)
+        broker = Broker(host, port, False, arguments.user, password, arguments.ca_file)
+    else:
+        broker = Broker("127.0.0.1", free_port(), True)
+    library = Library(arguments.fmu)
+    try:
+        values = scene.read(arguments.scene).values
+        if arguments.hidden is not None:
+            secret = configuration.read_json(arguments.hidden)
+        else:
+            secret = hidden(library, values)
+        for name in secret:
+            library.variable(name)
+        csv = str(arguments.csv.resolve()) if arguments.csv else ""
+    finally:
+        library.close()
+    machine = Machine(hidden=secret, csv=csv, faults=parse_faults(arguments.faults))
+    config = Config(
+        folder=str(folder.resolve()),
+        fmu=str(arguments.fmu.resolve()),
+        scene=str(arguments.scene.resolve()),
+        unit=arguments.unit,
+        broker=broker,
+        machine=machine,
+        dashboard_port=free_port(),
+    )
+    configuration.check(config)
+    return config
+
+
+def check_followed(config: Config, stand_in: bool) -> None:
+    """Refuses a scene that no machine can move by or no twin can follow, with the unit's sentence, instead of a run without estimates."""
+    library = Library(Path(config.fmu))
+    try:
+        known = scene.read(Path(config.scene))
+        begin = {name: float(known.values.get(f"init.theta[{i}]", library.variable(f"init.theta[{i}]").start)) for i, name in enumerate(MEASURED, 1)}
+        sample: Message | None = Message("meas", config.unit, 0, 0, begin | known.told(0.0))
+        if stand_in:
+            machine = Recording(config) if config.machine.csv else None
+            try:
+                machine = machine or StandIn(config, library)
+            except UnitError as error:
+                raise TwinError(f"no machine can move by {config.scene}: {error}") from None
+            # The first that tells where the machine is.
+            while (sample := machine.next()) is not None and not all(name in sample.fields for name in MEASURED):
+                pass
+            machine.close()
+        if sample is None:
+            return
+        twin = Follower(library, setup.of_run(config, known, library.guid))
+        twin.meas(sample)
+        failure = twin.failure
+        twin.close()
+        if failure:
+            raise TwinError(f"the twin cannot follow {config.machine.csv or config.scene}: {failure}")
+    finally:
+        library.close()
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """0 if the twin followed, 1 if not, 3 if its forecasts were not as good as promised; the summary is in OUT/summary.json."""
+    # Whatever cannot work is refused before a folder is made.
+    check_followed(configure(arguments, arguments.out), arguments.machine != "none")
+    folder = run_folder(arguments.out)
+    config = configure(arguments, folder)
+    names = tuple(n for n in ORDER if (n != "broker" or config.broker.embedded) and (n != "machine" or arguments.machine != "none"))
+    run = Run(config, names)
+    asked = Asked()
+    try:
+        run.start()
+        address = f"http://127.0.0.1:{config.dashboard_port}/"
+        print(f"broker at {config.broker.host}:{config.broker.port}, dashboard at {address}, record in {config.record}", flush=True)
+        if arguments.open:
+            webbrowser.open(address)
+        _watch(run, asked, math.inf if arguments.open else arguments.seconds)
+    finally:
+        run.end()
+        with contextlib.suppress(OSError):
+            # A disk that is full has room for this, mostly; else the run looks like one under way, and stays.
+            (folder / "finished").touch()
+    # What draws is loaded when nothing is in a hurry any more.
+    from fivebar.twin import summary
+
+    return summary.write(run.config, run.status(), {n: child.restarts for n, child in run.children.items()}, arguments.out, list(run.troubles))
+
+
+class Asked:
+    """Whether Ctrl-C or SIGTERM has asked for the end."""
+
+    def __init__(self) -> None:
+        self.end = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._ask)
+
+    def _ask(self, *_: object) -> None:
+        self.end = True
+
+
+def _watch(run: Run, asked: Asked, seconds: float) -> None:
+    """Until the time is over, the recording has ended, or the end is asked for."""
+    begin = time.monotonic()
+    for _ in _progress(run, begin, seconds):
+        if asked.end or time.monotonic() - begin >= seconds:
+            return
+        if run.look():
+            return
+        time.sleep(0.05)
+
+
+def _progress(run: Run, begin: float, seconds: float) -> Iterator[None]:
+    """A line twice a second on a terminal, ten lines in all elsewhere."""
+    terminal = sys.stdout.isatty()
+    every = 0.5 if terminal else max(1.0, seconds / 10 if math.isfinite(seconds) else 60.0)
+    shown = begin
+    while True:
+        yield
+        now = time.monotonic()
+        if now - shown < every:
+            continue
+        shown = now
+        lives = run.status()
+        watch = lives.get("watch", [{}])[-1]
+        of = f" of {seconds:g}" if math.isfinite(seconds) else ""
+        line = (
+            f"{now - begin:6.1f}{of} s   {total(lives.get('machine', []), 'published')} samples, "
+            f"{total(lives.get('follow', []), 'estimated')} estimates, p99 {watch.get('latency_ms', {}).get('p99', 0):.1f} ms, "
+            f"{watch.get('alarms', 0)} alarms"
+        )
+        print(clear() + line, end="" if terminal else "\n", flush=True)
