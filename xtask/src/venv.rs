@@ -128,9 +128,7 @@ impl Requirements {
         let file = paths::in_root(self.file);
         match self.file {
             // The build backend is among the packages of the pinned closures.
-            OWN => {
-                pip.args(["--no-build-isolation", "--editable"]).arg(file.parent().context("a package lies in a folder")?)
-            }
+            OWN => pip.args(["--no-build-isolation", "--editable"]).arg(file.parent().context("a package lies in a folder")?),
             APART => pip.arg("--requirement").arg(file).arg("--target").arg(apart()),
             _ => pip.arg("--requirement").arg(file),
         };
